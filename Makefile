@@ -1,0 +1,65 @@
+# The front door: `make` lists every target. Each does its own set-up.
+
+VENV ?= .venv
+BIN := $(VENV)/bin
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
+PACKAGES := $(VENV)/.packages
+MODULE := $(VENV)/.module
+RUST_SOURCES := Cargo.toml Cargo.lock $(shell find rust -name '*.rs' -o -name Cargo.toml)
+DEMO := test1 test2 test1_published test2_published
+
+# One interpreter for every build of the bindings, so that cargo does not build them again for another.
+export PYO3_PYTHON := $(abspath $(BIN)/python)
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint bench figures verify clean
+.DELETE_ON_ERROR:
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+setup: $(MODULE) ## create .venv, install the pinned packages, compile the Rust module
+
+demo: $(MODULE) ## fly both controllers with right and with published lever arms: table and figure
+	$(BIN)/python -m experiments $(DEMO) --overwrite
+	$(BIN)/python -m paper_figs demo fig5
+
+test: $(MODULE) ## run every test, Rust first, then Python
+	cargo test --locked
+	$(BIN)/python -m pytest
+
+lint: $(MODULE) ## check formats, lints, types and import contracts
+	cargo fmt --all --check
+	cargo clippy --locked --workspace --all-targets -- -D warnings
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: ## run the Rust benchmarks
+	cargo bench --locked
+
+figures: $(MODULE) ## draw every figure; flies what they show unless it is there already
+	$(BIN)/python -m experiments $(DEMO)
+	$(BIN)/python -m paper_figs
+
+verify: $(MODULE) ## compare the crate with independent implementations and stored states
+	$(BIN)/python -m pytest tests/parity
+
+clean: ## remove what set-up and builds made; results stay
+	rm -rf target $(VENV) jax_aero/_core*.so .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# Stamps: a second `make demo` starts at once.
+$(BIN)/python:
+	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed; name one with PYTHON=..."; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(PACKAGES): requirements.lock | $(BIN)/python
+	$(BIN)/python -m pip install --quiet -r requirements.lock
+	@touch $@
+
+$(MODULE): $(PACKAGES) pyproject.toml $(RUST_SOURCES)
+	PIP_QUIET=1 VIRTUAL_ENV=$(abspath $(VENV)) env -u CONDA_PREFIX $(BIN)/maturin develop --release --locked --quiet
+	@touch $@

@@ -1,0 +1,81 @@
+"""Run flights by name and say how they ended.
+
+A result goes to `results/flight/NAME/`; with --set, the folder's name tells the changes, e.g.
+`test1--wind.velocity=0_-12_0`. With --out DIR it goes to `DIR/NAME/`, whatever was set.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from experiments import Refused, flight, manifest, overrides
+from experiments.table import outcome_table
+
+INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    given = _parser().parse_args(arguments)
+    if given.list or not given.names:
+        _print_list()
+        return 0 if given.list else 2
+    try:
+        changes = overrides.parse(given.set)
+        paths = [flight.find(name) for name in given.names]
+        command = _command(given)
+        finished = [
+            flight.run(path, changes, command=command, out=given.out, overwrite=given.overwrite) for path in paths
+        ]
+    except Refused as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted; the flight under way left nothing behind", file=sys.stderr)
+        return INTERRUPTED
+    print(outcome_table(finished))
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m experiments", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="a file stem in configs/experiments, or a path")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change one key of the configuration; the value as in TOML, e.g. wind.velocity=[0,-12,0]",
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/flight)")
+    parser.add_argument("--overwrite", action="store_true", help="fly again and replace a result that is there")
+    parser.add_argument("--list", action="store_true", help="list the experiments and stop")
+    return parser
+
+
+def _print_list() -> None:
+    entries = list(flight.available())
+    width = max((len(name) for name, _ in entries), default=0)
+    print("experiments (python -m experiments NAME):")
+    for name, title in entries:
+        print(f"  {name:<{width}}  {title}")
+
+
+def _command(given: argparse.Namespace) -> str:
+    """Return the command line as it could be typed on another machine."""
+    words: list[Any] = [*given.names]
+    for assignment in given.set:
+        key, _, value = assignment.partition("=")
+        words += ["--set", f"{key}={manifest.portable(value)}"]
+    words += ["--out", given.out] if given.out else []
+    words += ["--overwrite"] if given.overwrite else []
+    return shlex.join(["python", "-m", "experiments", *(str(manifest.portable(word)) for word in words)])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

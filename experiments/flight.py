@@ -1,0 +1,100 @@
+"""One kind of experiment: a closed-loop flight on the Rust engine, from configuration to result folder."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import sys
+import time
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from experiments import Refused, manifest, overrides, record
+from jax_aero import reference
+
+CONFIGS = manifest.REPOSITORY / "configs" / "experiments"
+RESULTS = manifest.REPOSITORY / "results" / "flight"
+
+
+def available(configs: Path = CONFIGS) -> Iterator[tuple[str, str]]:
+    """Yield name and title of every experiment."""
+    for path in sorted(configs.glob("*.toml")):
+        with path.open("rb") as file:
+            yield path.stem, str(tomllib.load(file).get("title", ""))
+
+
+def find(name: str, configs: Path = CONFIGS) -> Path:
+    """Return the file of an experiment given by name or by path."""
+    path = Path(name) if "/" in name or name.endswith(".toml") else configs / f"{name}.toml"
+    if path.is_file():
+        return path
+    stems = [stem for stem, _ in available(configs)]
+    near = difflib.get_close_matches(path.stem, stems, n=3, cutoff=0.5)
+    hint = f"did you mean {' or '.join(near)}?" if near else "see `python -m experiments --list`"
+    raise Refused(f"no experiment `{name}`; {hint}")
+
+
+def run(
+    path: Path,
+    changes: Mapping[str, Any],
+    *,
+    command: str,
+    out: Path | None = None,
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Fly one configuration and write its folder, unless it is already there; return the manifest."""
+    try:
+        config = reference.load_config(path, changes)
+    except ValueError as reason:
+        raise Refused(f"{path.stem}: {reason}") from None
+    name = path.stem if out else path.stem + overrides.folder_suffix(changes)
+    folder = (out or RESULTS) / name
+    finished = existing(folder, reference.config_digest(config), overwrite=overwrite)
+    if finished is not None:
+        return finished
+
+    started = time.perf_counter()
+    flight = _fly(config, name)
+    document = manifest.build(
+        name, config, flight, overrides=changes, command=command, wall_time=time.perf_counter() - started
+    )
+    dataset = record.to_dataset(
+        flight,
+        reference.Robot(config["robot"]),
+        title=document["title"],
+        config_digest=document["config_digest"],
+    )
+    record.write_run(folder, dataset, document, replace=overwrite)
+    return document
+
+
+def existing(folder: Path, digest: str, *, overwrite: bool) -> dict[str, Any] | None:
+    """Return the manifest of an equal finished result; refuse to touch anything else that is there."""
+    if not folder.exists():
+        return None
+    shown = os.path.relpath(folder)
+    if overwrite:
+        if not folder.is_dir() or record.strangers(folder):
+            raise Refused(f"{shown} holds more than a result, so it is not overwritten")
+        return None
+    finished = record.read_manifest(folder)
+    if finished is not None and finished.get("config_digest") == digest:
+        commit = (finished.get("git") or {}).get("commit") or "unknown"
+        print(f"{shown} has this flight already (commit {commit[:10]}); --overwrite flies it again")
+        return finished
+    what = "no finished result" if finished is None else "the result of another configuration"
+    raise Refused(f"{shown} holds {what}; choose another --out, or --overwrite it")
+
+
+def _fly(config: reference.Config, name: str) -> reference.Flight:
+    with tqdm(desc=name, unit="tick", disable=not sys.stderr.isatty(), leave=False) as bar:
+
+        def show(tick: int, n_ticks: int) -> None:
+            bar.total = n_ticks
+            bar.update(tick - bar.n)
+
+        return reference.fly(config, show)

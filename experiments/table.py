@@ -1,0 +1,42 @@
+"""Outcomes of flights as a table of text, from their manifests."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+HEADINGS = ("flight", "outcome", "max CoM error [m]", "max rotation error [deg]", "thrusts [N]")
+
+
+def outcome_table(manifests: Iterable[Mapping[str, Any]]) -> str:
+    """Return one line per flight: completed or fell, when and why, largest errors, thrust range."""
+    rows = [HEADINGS, *(_row(manifest) for manifest in manifests)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(HEADINGS))]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    lines.insert(1, "  ".join("-" * width for width in widths))
+    return "\n".join(lines)
+
+
+def _row(manifest: Mapping[str, Any]) -> Sequence[str]:
+    summary = manifest["summary"]
+    rotation = summary.get("max_rotation_error")
+    return (
+        manifest["name"],
+        outcome(manifest),
+        _number(summary.get("max_com_error"), ".3f"),
+        _number(None if rotation is None else math.degrees(rotation), ".1f"),
+        f"{_number(summary.get('thrust_min'), '.1f')} to {_number(summary.get('thrust_max'), '.1f')}",
+    )
+
+
+def outcome(manifest: Mapping[str, Any]) -> str:
+    """Say how a flight ended: "completed", or "fell at 16.31 s: rotation error above 90 deg"."""
+    if manifest["outcome"] == "completed":
+        return "completed"
+    reason = manifest["fall_reason"]
+    return f"fell at {manifest['fall_time']:.2f} s" + (f": {reason}" if reason else "")
+
+
+def _number(value: float | None, form: str) -> str:
+    return "?" if value is None else format(value, form)

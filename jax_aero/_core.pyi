@@ -1,0 +1,107 @@
+"""Types of the compiled module; the crate itself is `rust/py`.
+
+Names with a leading underscore exist for the type checker only. `tests/house/test_stub.py`
+keeps the others equal to what the module really exports.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
+from typing import Any, Literal, TypedDict, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+__version__: str
+
+_Array = NDArray[np.float64]
+_Progress = Callable[[int, int], None]
+
+class _QpAnswer(TypedDict):
+    status: str
+    status_code: int
+    iterations: int
+    kkt: float
+    active: int
+
+class _Flight(TypedDict):
+    log: dict[str, _Array]
+    joint_reference: _Array
+    outcome: Literal["completed", "fell"]
+    fall_time: float | None
+    fall_reason: str | None
+    summary: dict[str, float]
+
+def resolve_config(path: str) -> str: ...
+def check_config(config_json: str) -> None: ...
+def config_digest(config_json: str) -> str: ...
+
+@final
+class Robot:
+    def __new__(cls, path: str | PathLike[str]) -> Robot: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def mass(self) -> float: ...
+    @property
+    def gravity(self) -> float: ...
+    @property
+    def joint_names(self) -> list[str]: ...
+    @property
+    def joint_limits(self) -> list[tuple[float, float]]: ...
+    @property
+    def joint_groups(self) -> dict[str, list[str]]: ...
+    @property
+    def body_names(self) -> list[str]: ...
+    @property
+    def aero_link_names(self) -> list[str]: ...
+    @property
+    def jet_names(self) -> list[str]: ...
+    @property
+    def toml_text(self) -> str: ...
+    @property
+    def urdf_text(self) -> str: ...
+    def dynamics(
+        self, base_position: _Array, base_rotation: _Array, joint_position: _Array, velocity: _Array
+    ) -> dict[str, _Array]: ...
+    def frame_jacobian(
+        self, frame: str, base_position: _Array, base_rotation: _Array, joint_position: _Array, velocity: _Array
+    ) -> tuple[_Array, _Array]: ...
+    def forward_dynamics(
+        self, base_position: _Array, base_rotation: _Array, joint_position: _Array, velocity: _Array, force: _Array
+    ) -> _Array: ...
+
+@final
+class Controller:
+    def __new__(cls, config_json: str) -> Controller: ...
+    def set_memory(self, posture: _Array, inertia_0_b: _Array, velocity_error_integral: _Array) -> None: ...
+    def tick(
+        self,
+        time: float,
+        base_position: _Array,
+        base_rotation: _Array,
+        joint_position: _Array,
+        velocity: _Array,
+        thrust: _Array,
+        wind: _Array,
+        reference: Mapping[str, _Array] | None = None,
+    ) -> dict[str, Any]: ...
+
+@final
+class BoxQpSolver:
+    def __new__(cls, n: int, solver: str = "active_set") -> BoxQpSolver: ...
+    def solve(self, h: _Array, g: _Array, lower: _Array, upper: _Array) -> tuple[_Array, _QpAnswer]: ...
+    def reset(self) -> None: ...
+
+def kkt_residual(h: _Array, g: _Array, lower: _Array, upper: _Array, x: _Array) -> float: ...
+def aero_forces(robot: Robot, aero_json: str, axes: _Array, v_air: _Array) -> _Array: ...
+def reference_trajectory(config_json: str, com: _Array, rpy: _Array) -> dict[str, _Array]: ...
+def resolve_config(path: str | PathLike[str]) -> str: ...
+def check_config(config_json: str) -> None: ...
+def config_digest(config_json: str) -> str: ...
+def fly(config_json: str, progress: _Progress | None = None) -> _Flight: ...
+def fly_batch(
+    config_jsons: Sequence[str],
+    threads: int | None = None,
+    progress: _Progress | None = None,
+    full_log: bool = False,
+) -> list[_Flight]: ...

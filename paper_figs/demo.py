@@ -1,0 +1,81 @@
+"""What aerodynamic feedback is for: both controllers, with right and with published lever arms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from paper_figs import panels, style
+from paper_figs.runs import Run, load
+
+RUNS = ("test1", "test2", "test1_published", "test2_published")
+COLUMNS = ("right lever arms", "published lever arms")
+CONTROLLERS = (("baseline", style.VERMILION, "-"), ("aerodynamic-aware", style.BLUE, "--"))
+
+
+def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+    """Draw four runs: baseline and aware with right arms, then the same with published arms."""
+    runs = [load(results, name) for name in names]
+    figure, grid = plt.subplots(
+        5,
+        2,
+        figsize=(style.FULL_WIDTH, 8.2),
+        layout="constrained",
+        sharex=True,
+        sharey="row",
+        height_ratios=(1.2, 1.2, 1.2, 1.2, 0.8),
+    )
+    for column, title in enumerate(COLUMNS):
+        pair = runs[2 * column : 2 * column + 2]
+        grid[0, column].annotate(
+            title,
+            (0.5, 1.0),
+            (0, 20),
+            xycoords="axes fraction",
+            textcoords="offset points",
+            ha="center",
+            size=9,
+            weight="bold",
+        )
+        _rotation_error(grid[0, column], pair)
+        _com_error(grid[1, column], pair)
+        for row, (run, (controller, _, _)) in enumerate(zip(pair, CONTROLLERS, strict=True), start=2):
+            panels.thrusts(grid[row, column], run)
+            grid[row, column].set_title(f"thrusts, {controller}")
+            if run.fall_time is not None:
+                style.mark_fall(grid[row, column], run.fall_time)
+        panels.wind(grid[4, column], max(pair, key=lambda run: run.data.sizes["time"]))
+        grid[4, column].set_xlabel("time [s]")
+    for axes in grid[:, 1]:
+        axes.set_ylabel("")
+    for row, columns in ((0, 1), (2, 2), (4, 3)):
+        grid[row, 0].legend(ncols=columns)
+    for axes in grid[:2, 0]:
+        axes.set_ylim(bottom=0.0)  # last, and shared along the row: it ends autoscaling
+    grid[0, 0].set_xlim(0.0, max(float(run.data["time"][-1]) for run in runs))
+    return figure, {run.name: run.config_hash for run in runs}
+
+
+def _rotation_error(axes: Axes, pair: Sequence[Run]) -> None:
+    for run, (controller, colour, dash) in zip(pair, CONTROLLERS, strict=True):
+        error = np.degrees(run.flown["rotation_error"])
+        axes.plot(error["time"], error, dash, color=colour, label=controller)
+        if run.fall_time is not None:
+            style.mark_fall(axes, run.fall_time, f"fell at {run.fall_time:.1f} s")
+    axes.set_title("base rotation error")
+    axes.set_ylabel("error [deg]")
+
+
+def _com_error(axes: Axes, pair: Sequence[Run]) -> None:
+    for run, (controller, colour, dash) in zip(pair, CONTROLLERS, strict=True):
+        error = run.com_error()
+        axes.plot(error["time"], error, dash, color=colour, label=controller)
+        if run.fall_time is not None:
+            style.mark_fall(axes, run.fall_time)
+    axes.set_title("distance of the CoM from its reference")
+    axes.set_ylabel("error [m]")

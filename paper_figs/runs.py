@@ -1,0 +1,81 @@
+"""Result folders as the figures see them: read, never written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+Series = xr.DataArray
+
+
+class MissingRun(Exception):
+    """A figure needs a flight that has not been flown; the message says which, and the command that flies it."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One flight, up to its end or its fall."""
+
+    name: str
+    data: xr.Dataset
+
+    @property
+    def title(self) -> str:
+        """Return what the run calls itself in the paper's words."""
+        return str(self.data.attrs["title"])
+
+    @property
+    def config_hash(self) -> str:
+        """Return the digest of the configuration that was flown."""
+        return str(self.data.attrs["config_hash"])
+
+    @property
+    def fall_time(self) -> float | None:
+        """Return when the robot fell [s], or `None` if it did not."""
+        time = float(self.data.attrs["fall_time"])
+        return None if np.isnan(time) else time
+
+    @cached_property
+    def flown(self) -> xr.Dataset:
+        """Return the log up to the fall: behind it numbers lose their meaning, and their bounds."""
+        return self.data if self.fall_time is None else self.data.sel(time=slice(None, self.fall_time))
+
+    def joint_error_deg(self) -> Series:
+        """Return the sum of absolute joint errors of each group [deg], dims time and group."""
+        error = abs(self.flown["joint_position"] - self.flown["joint_reference"]) * (180.0 / np.pi)
+        group_of = self.flown["joint_group"].values
+        groups = list(dict.fromkeys(group_of.tolist()))  # in the robot's order
+        sums = [error.isel(joint=np.flatnonzero(group_of == group)).sum("joint") for group in groups]
+        return Series(np.stack(sums, axis=1), {"time": error["time"], "group": groups}, ("time", "group"))
+
+    def com_error(self) -> Series:
+        """Return the distance of the centre of mass from its reference [m]."""
+        offset = self.flown["com_position"] - self.flown["com_reference"]
+        return (offset**2).sum("xyz") ** 0.5
+
+
+def load(results: Path, name: str) -> Run:
+    """Read the run of one name."""
+    path = results / name / "run.nc"
+    if not path.is_file():
+        stem = name.split("--", 1)[0]
+        elsewhere = "" if results.resolve() == default_results().resolve() else f" --out {results}"
+        raise MissingRun(
+            f"no flight `{name}` in {results}; fly it with: python -m experiments {stem}{elsewhere}"
+            + (" --set ... (the changes its name tells)" if stem != name else "")
+        )
+    return Run(name, xr.load_dataset(path, engine="h5netcdf"))
+
+
+def default_results() -> Path:
+    """Return where experiments leave flights."""
+    return Path(__file__).resolve().parent.parent / "results" / "flight"
+
+
+def default_out() -> Path:
+    """Return where figures go."""
+    return Path(__file__).resolve().parent.parent / "results" / "figures"

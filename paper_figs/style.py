@@ -1,0 +1,110 @@
+"""How every figure looks, and how it is saved.
+
+The colours are those Okabe and Ito chose to stay distinct for colour-blind readers; line styles
+repeat the distinction where lines cross or the page is printed grey.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import matplotlib.style
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+BLACK = "#000000"
+ORANGE = "#E69F00"
+SKY = "#56B4E9"
+GREEN = "#009E73"
+BLUE = "#0072B2"
+VERMILION = "#D55E00"
+PURPLE = "#CC79A7"
+GREY = "#7F7F7F"
+
+AXES_COLOURS = {"x": VERMILION, "y": GREEN, "z": BLUE}
+GROUP_COLOURS = (BLACK, ORANGE, SKY, GREEN, PURPLE)
+JET_COLOURS = (VERMILION, BLUE, ORANGE, GREEN)
+JET_DASHES = ("-", "--", "-", "--")
+
+FULL_WIDTH = 7.2  # inches: two columns of a journal page
+
+SETTINGS: dict[str, Any] = {
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.labelsize": 8,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 8.5,
+    "figure.dpi": 100,
+    "font.size": 8,
+    "grid.color": "#D9D9D9",
+    "grid.linewidth": 0.5,
+    "legend.borderaxespad": 0.2,
+    "legend.fontsize": 7,
+    "legend.framealpha": 0.85,
+    "legend.edgecolor": "none",
+    "legend.handlelength": 1.6,
+    "lines.linewidth": 1.1,
+    "pdf.fonttype": 42,  # embed outlines that stay editable text
+    "savefig.dpi": 200,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+}
+
+
+def use() -> None:
+    """Make every figure from here on follow this file, drawn to files only."""
+    mpl.use("agg")
+    mpl.style.use(SETTINGS)
+
+
+def letter(axes: Axes, text: str) -> None:
+    """Put a bold panel letter above the left corner of the axes."""
+    axes.text(-0.08, 1.04, text, transform=axes.transAxes, fontweight="bold", fontsize=10, ha="right", va="bottom")
+
+
+def legend_above(axes: Axes, columns: int, handles: Sequence[Artist] | None = None) -> None:
+    """Put a narrow legend above the axes, where it hides no data."""
+    axes.legend(
+        handles=handles,
+        loc="lower left",
+        bbox_to_anchor=(-0.02, 1.0),
+        ncols=columns,
+        fontsize=6.5,
+        columnspacing=0.8,
+        handlelength=1.3,
+        handletextpad=0.4,
+    )
+
+
+def mark_fall(axes: Axes, time: float, label: str | None = None) -> None:
+    """Draw the moment of a fall as a vertical line with a cross at its foot."""
+    axes.axvline(time, color=GREY, linewidth=0.9, linestyle=":")
+    axes.plot(time, 0.0, "X", color=VERMILION, markersize=6, transform=axes.get_xaxis_transform(), clip_on=False)
+    if label:
+        axes.annotate(
+            label,
+            (time, 0.97),
+            xycoords=axes.get_xaxis_transform(),
+            xytext=(3, 0),
+            textcoords="offset points",
+            fontsize=7,
+            color=VERMILION,
+            va="top",
+        )
+
+
+def save(figure: Figure, name: str, out: Path, hashes: Mapping[str, str]) -> list[Path]:
+    """Write NAME.pdf and NAME.png, carrying the configuration hash of every run shown."""
+    out.mkdir(parents=True, exist_ok=True)
+    runs = "; ".join(f"{run} config {digest}" for run, digest in hashes.items())
+    paths = [out / f"{name}.pdf", out / f"{name}.png"]
+    # No dates: the same results give the same bytes.
+    figure.savefig(paths[0], metadata={"Title": name, "Subject": runs, "CreationDate": None, "ModDate": None})
+    figure.savefig(paths[1], metadata={"Title": name, "Description": runs})
+    return paths

@@ -1,0 +1,145 @@
+//! Aerodynamic force on each link, from the velocity of the air relative to it.
+//!
+//! ```text
+//! AeroConfig, AeroLink[13] ──new──► AeroModel;   axes_i, v_air_i ──link_forces──► forces_i
+//! ```
+//!
+//! The simulator's model and the controller's model are two values of [`AeroModel`]: which one is
+//! simulated and which one is compensated is configuration. `v_air_i` is everywhere the velocity of
+//! the *air* relative to the link (wind − link velocity), the negative of the paper's `v_a`, so drag
+//! points along `+v_air_i`. Forces act at the link's aerodynamic centre; no model gives a moment
+//! about it.
+
+pub mod axisymmetric;
+pub mod link_forces;
+pub mod pchip;
+pub mod sphere_cylinder;
+
+pub use axisymmetric::{Axisymmetric, AxisymmetricConfig};
+pub use link_forces::{JacobianOffset, LeverArm, LinkConventions, LinkForces, LinkVelocity};
+pub use pchip::Pchip;
+pub use sphere_cylinder::{CylinderTables, SphereCylinder, SphereCylinderConfig, SphereTables};
+
+use crate::error::BuildError;
+use crate::robot::AeroLink;
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+/// Which aerodynamic model, and its numbers: one file of `configs/aero/`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "model", rename_all = "snake_case", deny_unknown_fields)]
+pub enum AeroConfig {
+    /// No aerodynamic force. Braces, because serde lets unknown keys pass beside a bare name.
+    Off {},
+    /// Fitted force areas of axisymmetric links.
+    Axisymmetric(AxisymmetricConfig),
+    /// Literature drag of spheres and finite cylinders.
+    SphereCylinder(Box<SphereCylinderConfig>),
+}
+
+impl AeroConfig {
+    /// Whether there is no aerodynamic force at all.
+    #[must_use]
+    pub fn is_off(&self) -> bool {
+        matches!(self, Self::Off {})
+    }
+}
+
+/// A checked aerodynamic model for a list of links.
+#[derive(Debug, Clone)]
+pub enum AeroModel {
+    /// No aerodynamic force: what the baseline controller assumes.
+    Off,
+    /// Fitted force areas of axisymmetric links.
+    Axisymmetric(Axisymmetric),
+    /// Literature drag of spheres and finite cylinders.
+    SphereCylinder(SphereCylinder),
+}
+
+impl AeroModel {
+    /// Builds the model that `config` asks for, for `links` in their order.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the link or table, the value, and what was expected.
+    pub fn new(config: &AeroConfig, links: &[AeroLink]) -> Result<Self, BuildError> {
+        Ok(match config {
+            AeroConfig::Off {} => Self::Off,
+            AeroConfig::Axisymmetric(config) => Self::Axisymmetric(Axisymmetric::new(config, links)?),
+            AeroConfig::SphereCylinder(config) => Self::SphereCylinder(SphereCylinder::new(config, links)?),
+        })
+    }
+
+    /// Writes the force on each link \[N\], inertial axes, acting at its aerodynamic centre.
+    ///
+    /// `axes_i` are unit symmetry axes and `v_air_i` velocities of the air relative to each link
+    /// \[m/s\], both in inertial axes and in the order of the links. Zero at rest; finite for wind
+    /// along an axis. Total: slices of different length are served up to the shortest, and a force
+    /// without a link is zero. Speeds beyond 1e150 m/s overflow.
+    pub fn link_forces(
+        &self,
+        axes_i: &[Vector3<f64>],
+        v_air_i: &[Vector3<f64>],
+        forces_i: &mut [Vector3<f64>],
+    ) {
+        forces_i.fill(Vector3::zeros());
+        let samples = axes_i.iter().zip(v_air_i).zip(forces_i);
+        match self {
+            Self::Off => {}
+            Self::Axisymmetric(model) => {
+                for (link, ((axis_i, v_air_i), force_i)) in samples.enumerate() {
+                    *force_i = model.link_force(link, axis_i, v_air_i);
+                }
+            }
+            Self::SphereCylinder(model) => {
+                for (link, ((axis_i, v_air_i), force_i)) in samples.enumerate() {
+                    *force_i = model.link_force(link, axis_i, v_air_i);
+                }
+            }
+        }
+    }
+}
+
+/// Added to the speed in the cosine of the angle of attack \[m/s\]; the published value.
+const SPEED_EPSILON: f64 = 1e-9;
+
+/// Angle of attack of a link: between its axis and the *upstream* direction, as cosine and sine.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Attack {
+    /// Speed of the air relative to the link \[m/s\].
+    pub speed: f64,
+    /// `cos α`; 1 when the air comes from where the axis points.
+    pub cos: f64,
+    /// `sin α ≥ 0`.
+    pub sin: f64,
+}
+
+impl Attack {
+    /// Cosine and sine of the angle of attack, without `acos`.
+    ///
+    /// ```text
+    /// cos α = −k̂·v / (|v| + ε),   sin α = √(|v × k̂|² + ε (2|v| + ε)) / (|v| + ε),   ε = 1e-9 m/s
+    /// ```
+    ///
+    /// Source: the published controller, `α = acos(k̂·(−v)/(|v| + ε))`. The sine is the same number
+    /// written without the cancellation of `1 − cos²`: `(|v| + ε)² − (k̂·v)²` by Lagrange's identity.
+    /// The ε that keeps the quotient finite at rest also keeps the root's argument positive, so both
+    /// are smooth for wind along the axis; at rest α = 90°.
+    #[must_use]
+    pub fn new(axis_i: &Vector3<f64>, v_air_i: &Vector3<f64>) -> Self {
+        let speed = v_air_i.norm();
+        let regular = speed + SPEED_EPSILON;
+        let across = v_air_i.cross(axis_i).norm_squared() + SPEED_EPSILON * (speed + regular);
+        Self {
+            speed,
+            cos: (-axis_i.dot(v_air_i) / regular).clamp(-1.0, 1.0),
+            // Rounding of a unit axis can push either past one by an ulp.
+            sin: (across.sqrt() / regular).min(1.0),
+        }
+    }
+}
+
+/// `(v × k̂) × v = |v|² k̂ − (v·k̂) v`: across the wind, towards the axis, of length `|v|² sin α`.
+fn normal_direction(axis_i: &Vector3<f64>, v_air_i: &Vector3<f64>) -> Vector3<f64> {
+    // The double cross product, not the difference: no cancellation when wind and axis align.
+    v_air_i.cross(axis_i).cross(v_air_i)
+}

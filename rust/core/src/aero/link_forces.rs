@@ -1,0 +1,152 @@
+//! Forces on all links of the robot: the axes, points and velocities that a model is evaluated with.
+//!
+//! The published code misplaces the points (`docs/deviations.md`): each way of doing so is one enum
+//! here, with the physically right way as the default.
+
+use super::AeroModel;
+use crate::kinematics::Kinematics;
+use crate::robot::RobotModel;
+use nalgebra::{DVector, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// Where a link's force acts when its moment is formed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LeverArm {
+    /// At the aerodynamic centre, `p + R c`.
+    #[default]
+    Rotated,
+    /// At `p + c`: the offset is added without turning it into inertial axes (published).
+    Unrotated,
+}
+
+/// Which point's Jacobian carries a link's force in the controller's `Λ_a` and torque law.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum JacobianOffset {
+    /// The aerodynamic centre, `p + R c`.
+    #[default]
+    LinkRotation,
+    /// `p + R_B c`: the offset is turned with the base instead of the link (published).
+    BaseRotation,
+}
+
+/// Which point's velocity the controller takes for the link's own motion through the air.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LinkVelocity {
+    /// The aerodynamic centre.
+    #[default]
+    AtCentre,
+    /// The point of [`JacobianOffset`] shifted once more by the unrotated offset (published).
+    ShiftedTwice,
+}
+
+/// How points are placed: one value for the simulator, one for the controller.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct LinkConventions {
+    /// Point at which the moment is formed.
+    pub lever_arm: LeverArm,
+    /// Point whose Jacobian maps the force to the joints.
+    pub jacobian_offset: JacobianOffset,
+    /// Point whose velocity makes the relative wind.
+    pub link_velocity: LinkVelocity,
+}
+
+/// Aerodynamic state of every link in one tick; preallocated, refilled by [`LinkForces::update`].
+#[derive(Debug, Clone)]
+pub struct LinkForces {
+    /// Symmetry axes (unit, inertial axes).
+    pub axes_i: Vec<Vector3<f64>>,
+    /// Velocity of the air relative to each link \[m/s, inertial axes\].
+    pub v_air_i: Vec<Vector3<f64>>,
+    /// Points at which moments are formed \[m, inertial axes\], see [`LeverArm`].
+    pub arm_points_i: Vec<Vector3<f64>>,
+    /// Points whose Jacobians carry the forces \[m, inertial axes\], see [`JacobianOffset`].
+    pub jacobian_points_i: Vec<Vector3<f64>>,
+    /// Forces \[N, inertial axes\].
+    pub forces_i: Vec<Vector3<f64>>,
+}
+
+impl LinkForces {
+    /// Space for the links of `robot`, all forces zero.
+    #[must_use]
+    pub fn new(robot: &RobotModel) -> Self {
+        let zeros = vec![Vector3::zeros(); robot.aero_links.len()];
+        Self {
+            axes_i: zeros.clone(),
+            v_air_i: zeros.clone(),
+            arm_points_i: zeros.clone(),
+            jacobian_points_i: zeros.clone(),
+            forces_i: zeros,
+        }
+    }
+
+    /// Places every link in the wind and evaluates the model.
+    pub fn update(
+        &mut self,
+        robot: &RobotModel,
+        kinematics: &Kinematics,
+        conventions: LinkConventions,
+        model: &AeroModel,
+        wind_i: &Vector3<f64>,
+    ) {
+        let base_rotation = &kinematics.bodies[0].i_from_b.rotation;
+        for (index, link) in robot.aero_links.iter().enumerate() {
+            let pose = kinematics.frame_pose(&link.frame);
+            let origin = pose.position;
+            let centre = pose.transform_point(&link.centre_l);
+            let arm_point = match conventions.lever_arm {
+                LeverArm::Rotated => centre,
+                LeverArm::Unrotated => origin + link.centre_l,
+            };
+            let jacobian_point = match conventions.jacobian_offset {
+                JacobianOffset::LinkRotation => centre,
+                JacobianOffset::BaseRotation => origin + base_rotation * link.centre_l,
+            };
+            let velocity_point = match conventions.link_velocity {
+                LinkVelocity::AtCentre => centre,
+                LinkVelocity::ShiftedTwice => jacobian_point + link.centre_l,
+            };
+            self.axes_i[index] = pose.rotation * link.axis_l.into_inner();
+            self.v_air_i[index] = wind_i - kinematics.bodies[link.frame.body].velocity_at(&velocity_point);
+            self.arm_points_i[index] = arm_point;
+            self.jacobian_points_i[index] = jacobian_point;
+        }
+        model.link_forces(&self.axes_i, &self.v_air_i, &mut self.forces_i);
+    }
+
+    /// Multiplies every force, the strength of an aerodynamic feedback.
+    pub fn scale(&mut self, factor: f64) {
+        for force in &mut self.forces_i {
+            *force *= factor;
+        }
+    }
+
+    /// Sum of the forces \[N\] and of their moments about `point_i` \[N m\], inertial axes.
+    #[must_use]
+    pub fn wrench_about(&self, point_i: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
+        let zero = (Vector3::zeros(), Vector3::zeros());
+        self.forces_i
+            .iter()
+            .zip(&self.arm_points_i)
+            .fold(zero, |(force, moment), (f, p)| (force + f, moment + (p - point_i).cross(f)))
+    }
+
+    /// Adds `Σ J_jᵀ f_j` with the Jacobians of [`Self::jacobian_points_i`].
+    pub fn add_generalised_force(
+        &self,
+        robot: &RobotModel,
+        kinematics: &Kinematics,
+        generalised: &mut DVector<f64>,
+    ) {
+        for (index, link) in robot.aero_links.iter().enumerate() {
+            kinematics.add_generalised_force(
+                link.frame.body,
+                &self.jacobian_points_i[index],
+                &self.forces_i[index],
+                generalised,
+            );
+        }
+    }
+}

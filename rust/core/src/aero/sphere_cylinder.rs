@@ -1,0 +1,223 @@
+//! Links as spheres and finite cylinders, with the drag of the literature at their Reynolds number.
+
+use super::{Attack, Pchip, normal_direction};
+use crate::error::{BuildError, check};
+use crate::robot::AeroLink;
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+use std::f64::consts::FRAC_PI_4;
+
+/// Numbers of the sphere and cylinder model.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SphereCylinderConfig {
+    /// Density of the air \[kg/m³\].
+    pub air_density: f64,
+    /// Dynamic viscosity of the air \[Pa s\].
+    pub dynamic_viscosity: f64,
+    /// Drag of circular cylinders.
+    pub cylinder: CylinderTables,
+    /// Drag of spheres.
+    pub sphere: SphereTables,
+}
+
+/// Measured drag coefficients of circular cylinders.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CylinderTables {
+    /// Reynolds number, on the diameter, at which the axial coefficients count unscaled.
+    pub reference_reynolds: f64,
+    /// Reynolds numbers of `crosswind_drag`.
+    pub reynolds: Vec<f64>,
+    /// Drag coefficient across the wind, infinite length, on the area `d l`.
+    pub crosswind_drag: Vec<f64>,
+    /// Ratios diameter over length of `finite_length_drag`.
+    pub diameter_over_length: Vec<f64>,
+    /// Drag coefficient across the wind of a finite cylinder; only its ratio to its maximum counts.
+    pub finite_length_drag: Vec<f64>,
+    /// Ratios length over diameter of `axial_drag`.
+    pub length_over_diameter: Vec<f64>,
+    /// Drag coefficient along the axis, on the area `π d²/4`; only its ratio to its maximum counts.
+    pub axial_drag: Vec<f64>,
+}
+
+/// Measured drag coefficients of spheres, on the area `π d²/4`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SphereTables {
+    /// Drag coefficient below Reynolds number 10.
+    pub drag_below_reynolds_10: f64,
+    /// Reynolds numbers of `drag`; between 10 and the first one a correlation is used.
+    pub reynolds: Vec<f64>,
+    /// Drag coefficient.
+    pub drag: Vec<f64>,
+}
+
+/// What a link is to this model.
+#[derive(Debug, Clone, Copy)]
+enum Shape {
+    Sphere,
+    /// Crosswind and axial drag coefficient on the area `d l`, over that of an infinite cylinder.
+    Cylinder {
+        crosswind: f64,
+        axial: f64,
+    },
+}
+
+/// Constants of one link.
+#[derive(Debug, Clone, Copy)]
+struct LinkConstants {
+    /// `ρ A / 2` \[kg/m\].
+    half_density_area: f64,
+    /// `ρ d / μ` \[s/m\]: Reynolds number per speed.
+    reynolds_per_speed: f64,
+    shape: Shape,
+}
+
+/// The sphere and cylinder model, checked.
+#[derive(Debug, Clone)]
+pub struct SphereCylinder {
+    links: Vec<LinkConstants>,
+    cylinder: Pchip,
+    sphere: Pchip,
+    drag_below_reynolds_10: f64,
+}
+
+impl SphereCylinder {
+    /// Checks the tables and works out the constants of every link.
+    ///
+    /// # Errors
+    /// A density, viscosity, drag coefficient or link size that is not positive, a table that does
+    /// not increase, a reference Reynolds number outside its table.
+    pub fn new(config: &SphereCylinderConfig, links: &[AeroLink]) -> Result<Self, BuildError> {
+        let positive = |value: f64| value > 0.0;
+        let rho = check("air_density", config.air_density, positive, "a positive density in kg/m³")?;
+        let mu =
+            check("dynamic_viscosity", config.dynamic_viscosity, positive, "a positive viscosity in Pa s")?;
+        let c = &config.cylinder;
+        let cylinder =
+            drag_table("cylinder.reynolds", &c.reynolds, "cylinder.crosswind_drag", &c.crosswind_drag)?;
+        let finite = drag_table(
+            "cylinder.diameter_over_length",
+            &c.diameter_over_length,
+            "cylinder.finite_length_drag",
+            &c.finite_length_drag,
+        )?;
+        let axial = drag_table(
+            "cylinder.length_over_diameter",
+            &c.length_over_diameter,
+            "cylinder.axial_drag",
+            &c.axial_drag,
+        )?;
+        let s = &config.sphere;
+        let sphere = drag_table("sphere.reynolds", &s.reynolds, "sphere.drag", &s.drag)?;
+        // Below 10 the constant holds, from 10 to the table a formula: the table begins after both.
+        check("sphere.reynolds[0]", sphere.domain().0, |re| re >= 10.0, "at least 10")?;
+        let drag = "a positive drag coefficient";
+        let drag_below_reynolds_10 =
+            check("sphere.drag_below_reynolds_10", s.drag_below_reynolds_10, positive, drag)?;
+        let (low, high) = cylinder.domain();
+        let inside = "a Reynolds number inside the table `cylinder.reynolds`";
+        let reference = check(
+            "cylinder.reference_reynolds",
+            c.reference_reynolds,
+            |re| (low..=high).contains(&re),
+            inside,
+        )?;
+        let reference_drag = cylinder.linear_at(reference);
+        let links = links
+            .iter()
+            .map(|link| {
+                let size = |what, value| {
+                    check(
+                        &format!("{what} of link `{}`", link.name),
+                        value,
+                        positive,
+                        "a positive length in m",
+                    )
+                };
+                let (d, l) = (size("diameter", link.diameter)?, size("length", link.length)?);
+                let (shape, area) = if link.is_sphere {
+                    (Shape::Sphere, FRAC_PI_4 * l * d)
+                } else {
+                    let crosswind = finite.at(d / l) / finite.max();
+                    // π/4 d/l takes the axial coefficient from the area π d²/4 to d l.
+                    let axial = axial.at(l / d) / axial.max() * FRAC_PI_4 * (d / l) / reference_drag;
+                    (Shape::Cylinder { crosswind, axial }, l * d)
+                };
+                Ok(LinkConstants {
+                    half_density_area: 0.5 * rho * area,
+                    reynolds_per_speed: rho * d / mu,
+                    shape,
+                })
+            })
+            .collect::<Result<_, BuildError>>()?;
+        Ok(Self { links, cylinder, sphere, drag_below_reynolds_10 })
+    }
+
+    /// Force on link number `link` \[N\], inertial axes; zero if there is no such link.
+    ///
+    /// ```text
+    /// cylinder: C90 = C_cyl(Re) φ(d/l),   C0 = π/4 d/l χ(l/d) C_cyl(Re)/C_cyl(Re_ref)
+    ///           F = ρ d l/2 ( (C0 + (C90 − C0) sin³ α) |v| v + C90 sin α cos α (v × k̂) × v )
+    /// sphere:   F = ρ π d l/8 C_sph(Re) |v| v
+    /// Re = ρ |v| d/μ
+    /// ```
+    ///
+    /// φ and χ are the finite-length and axial tables over their maxima. Source: the published
+    /// controller, its alternative to the axisymmetric model; tables after Wieselsberger (1922),
+    /// Kritzinger (2004) and Achenbach (1972). Beyond a table its end value holds; no
+    /// link of this robot gets there. Zero at rest.
+    #[must_use]
+    pub fn link_force(&self, link: usize, axis_i: &Vector3<f64>, v_air_i: &Vector3<f64>) -> Vector3<f64> {
+        let Some(link) = self.links.get(link) else {
+            return Vector3::zeros();
+        };
+        let Attack { speed, cos, sin } = Attack::new(axis_i, v_air_i);
+        let reynolds = link.reynolds_per_speed * speed;
+        match link.shape {
+            Shape::Sphere => link.half_density_area * self.sphere_drag(reynolds) * speed * v_air_i,
+            Shape::Cylinder { crosswind, axial } => {
+                let drag = axial + (crosswind - axial) * sin.powi(3);
+                let normal = crosswind * sin * cos;
+                link.half_density_area
+                    * self.cylinder_drag(reynolds)
+                    * (drag * speed * v_air_i + normal * normal_direction(axis_i, v_air_i))
+            }
+        }
+    }
+
+    /// Drag coefficient of an infinite cylinder across the wind, on the area `d l`.
+    #[must_use]
+    pub fn cylinder_drag(&self, reynolds: f64) -> f64 {
+        self.cylinder.at(reynolds)
+    }
+
+    /// Drag coefficient of a sphere, on the area `π d²/4`.
+    ///
+    /// ```text
+    /// C = 24/Re (1 + 0.150 Re^0.681) + 0.407/(1 + 8710/Re)   from Re = 10 to the table
+    /// ```
+    ///
+    /// Source: Brown and Lawler (2003); below 10 a constant, so that the force vanishes at rest like
+    /// the square of the speed; above, the table of Achenbach (1972) and then its last value.
+    #[must_use]
+    pub fn sphere_drag(&self, reynolds: f64) -> f64 {
+        if reynolds < 10.0 {
+            self.drag_below_reynolds_10
+        } else if reynolds <= self.sphere.domain().0 {
+            24.0 / reynolds * (1.0 + 0.150 * reynolds.powf(0.681)) + 0.407 / (1.0 + 8710.0 / reynolds)
+        } else {
+            self.sphere.at(reynolds)
+        }
+    }
+}
+
+/// A table of positive drag coefficients; the item names appear in the errors.
+fn drag_table(x_item: &str, x: &[f64], drag_item: &str, drag: &[f64]) -> Result<Pchip, BuildError> {
+    let table = Pchip::new(x_item, x, drag_item, drag)?;
+    for (index, value) in drag.iter().enumerate() {
+        check(&format!("{drag_item}[{index}]"), *value, |c| c > 0.0, "a positive drag coefficient")?;
+    }
+    Ok(table)
+}

@@ -1,0 +1,483 @@
+//! The flight controller: one tick, from a measurement to thrust rates and joint torques.
+//!
+//! [`Controller::tick`] reads top to bottom as the controller does: reference, kinematics and
+//! dynamics, aerodynamic forces, momentum, tasks, QP, torques. Each step fills one plain struct that
+//! the next reads; after a tick all of them are open to inspection in [`Controller::terms`].
+//!
+//! A tick does not allocate, does not panic and ends after a bounded number of iterations (with
+//! [`Fallback::Hold`]; the Clarabel fallback allocates, but only where our solver gave no answer).
+//!
+//! Equations: `docs/equations.md`. Unknowns `u = (Ṫ, ṡ)`: thrust rates and joint velocities.
+
+pub mod attitude;
+pub mod bounds;
+pub mod config;
+pub mod envelope;
+pub mod minimum_jerk;
+pub mod momentum;
+pub mod qp;
+pub mod references;
+pub mod tasks;
+pub mod torque;
+
+use crate::aero::{AeroModel, LinkConventions, LinkForces};
+use crate::dynamics::{Dynamics, MassFactor};
+use crate::error::{BuildError, check};
+use crate::kinematics::{Kinematics, RobotState};
+use crate::robot::RobotModel;
+use crate::spatial::rpy_from_rotation;
+use attitude::{AttitudeDemand, attitude_demand};
+use config::{ControllerConfig, Fallback, Solver};
+use envelope::EnvelopeConfig;
+use momentum::MomentumModel;
+use nalgebra::{DVector, Matrix3, Vector3};
+use qp::{ActiveSetSolver, BoxQp, ClarabelSolver, QpAnswer, QpStatus};
+use references::{Reference, ReferenceGenerator};
+use tasks::{MomentumQp, TaskInputs};
+use torque::{TorqueQp, limit_rate};
+
+/// What the controller is told at a tick.
+#[derive(Debug, Clone, Copy)]
+pub struct Measurement<'a> {
+    /// Time since the flight began \[s\].
+    pub time: f64,
+    /// Pose and velocity of the robot.
+    pub state: &'a RobotState,
+    /// Thrust of every jet \[N\].
+    pub thrust: &'a [f64],
+    /// Velocity of the air \[m/s, inertial axes\].
+    pub wind: Vector3<f64>,
+}
+
+/// Whether a command is what the controller wanted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CommandStatus {
+    /// Both QPs solved and certified.
+    Nominal,
+    /// The measurement holds a number that is not finite: thrust rates and joint velocities are
+    /// zero, torques stay.
+    BadMeasurement,
+    /// The momentum QP has no answer: thrust rates and joint velocities are zero, or as near to zero
+    /// as their bounds allow; torques brake the joints.
+    MomentumHeld,
+    /// The torque QP has no answer: torques stay.
+    TorqueHeld,
+    /// Neither QP has an answer.
+    BothHeld,
+}
+
+/// What the controller asks of the robot, held until the next tick.
+#[derive(Debug, Clone)]
+pub struct Command {
+    /// Thrust rates `Ṫ*` \[N/s\].
+    pub thrust_rate: DVector<f64>,
+    /// Joint velocities `ṡ*` \[rad/s\].
+    pub joint_velocity: DVector<f64>,
+    /// Joint torques after the rate limiter \[N m\].
+    pub joint_torque: DVector<f64>,
+    /// Answer of the momentum QP.
+    pub momentum_qp: QpAnswer,
+    /// Answer of the torque QP.
+    pub torque_qp: QpAnswer,
+    /// Whether this is what the controller wanted.
+    pub status: CommandStatus,
+}
+
+/// What the controller remembers from one tick to the next.
+#[derive(Debug, Clone)]
+pub struct Memory {
+    /// Posture to return to, `s_d`: the joint positions of the first tick \[rad\].
+    pub posture: DVector<f64>,
+    /// Centroidal inertia in body axes at the first tick \[kg m²\].
+    pub inertia_0_b: Matrix3<f64>,
+    /// `∫(ṡ − ṡ*)` \[rad\].
+    pub velocity_error_integral: DVector<f64>,
+    /// Whether the rate limiter has a torque to start from.
+    pub torque_is_known: bool,
+}
+
+/// All intermediate values of the last tick.
+#[derive(Debug, Clone)]
+pub struct Terms {
+    /// Poses, velocities, centre of mass.
+    pub kinematics: Kinematics,
+    /// Mass matrix, bias, centroidal momentum.
+    pub dynamics: Dynamics,
+    /// Estimated aerodynamic forces.
+    pub link_forces: LinkForces,
+    /// `A_T`, `Λ`, `L̇`.
+    pub momentum: MomentumModel,
+    /// Reference followed.
+    pub reference: Reference,
+    /// What the attitude law asked for.
+    pub attitude: AttitudeDemand,
+    /// Tasks and the momentum QP.
+    pub momentum_qp: MomentumQp,
+    /// The torque QP.
+    pub torque_qp: TorqueQp,
+    /// Torques before the rate limiter \[N m\].
+    pub unlimited_torque: DVector<f64>,
+}
+
+/// The controller of one robot.
+#[derive(Debug)]
+pub struct Controller {
+    robot: RobotModel,
+    config: ControllerConfig,
+    envelope: EnvelopeConfig,
+    time_step: f64,
+    aero: AeroModel,
+    aero_is_on: bool,
+    references: Option<ReferenceGenerator>,
+    memory: Memory,
+    terms: Terms,
+    command: Command,
+    mass_factor: MassFactor,
+    force: DVector<f64>,
+    velocity_error: DVector<f64>,
+    solution: DVector<f64>,
+    momentum_solver: QpChain,
+    torque_solver: QpChain,
+}
+
+impl Controller {
+    /// A controller for `robot` that ticks every `time_step` \[s\].
+    ///
+    /// # Errors
+    /// [`BuildError`] naming what in the configuration does not fit the robot.
+    pub fn new(
+        robot: RobotModel,
+        config: ControllerConfig,
+        envelope: EnvelopeConfig,
+        time_step: f64,
+    ) -> Result<Self, BuildError> {
+        config.check(&robot)?;
+        envelope.check()?;
+        check("controller time step", time_step, |dt| dt > 0.0, "a positive number of seconds")?;
+        let (jets, joints) = (robot.jets.len(), robot.joints.len());
+        let n = 6 + joints;
+        let zero = Vector3::zeros();
+        Ok(Self {
+            aero: AeroModel::new(&config.aero, &robot.aero_links)?,
+            aero_is_on: !config.aero.is_off(),
+            references: None,
+            memory: Memory {
+                posture: DVector::zeros(joints),
+                inertia_0_b: Matrix3::identity(),
+                velocity_error_integral: DVector::zeros(joints),
+                torque_is_known: false,
+            },
+            terms: Terms {
+                kinematics: Kinematics::new(&robot),
+                dynamics: Dynamics::new(&robot),
+                link_forces: LinkForces::new(&robot),
+                momentum: MomentumModel::new(&robot),
+                reference: Reference::hold(zero, Matrix3::identity()),
+                attitude: AttitudeDemand { k_ddot_desired_b: zero, sigma_i: zero },
+                momentum_qp: MomentumQp::new(&config, &robot)?,
+                torque_qp: TorqueQp::new(&config.torque, joints),
+                unlimited_torque: DVector::zeros(joints),
+            },
+            command: Command {
+                thrust_rate: DVector::zeros(jets),
+                joint_velocity: DVector::zeros(joints),
+                joint_torque: DVector::zeros(joints),
+                momentum_qp: no_answer(QpStatus::NonFinite),
+                torque_qp: no_answer(QpStatus::NonFinite),
+                status: CommandStatus::Nominal,
+            },
+            mass_factor: MassFactor::new(n),
+            force: DVector::zeros(n),
+            velocity_error: DVector::zeros(joints),
+            solution: DVector::zeros(jets + joints),
+            momentum_solver: QpChain::new(jets + joints, &config),
+            torque_solver: QpChain::new(joints, &config),
+            robot,
+            config,
+            envelope,
+            time_step,
+        })
+    }
+
+    /// One tick. The first call starts the controller: it takes the position, attitude and posture
+    /// it finds as those to keep.
+    pub fn tick(&mut self, measurement: &Measurement) -> &Command {
+        if !self.accepts(measurement) {
+            return self.refuse_measurement();
+        }
+        self.observe(measurement);
+        if self.references.is_none() {
+            self.start(measurement.state);
+        }
+        if let Some(references) = &mut self.references {
+            self.terms.reference = references.update(&self.envelope, measurement.time);
+        }
+        self.act(measurement)
+    }
+
+    /// One tick that follows a given reference instead of the envelope.
+    pub fn tick_with_reference(&mut self, measurement: &Measurement, reference: &Reference) -> &Command {
+        if !self.accepts(measurement) {
+            return self.refuse_measurement();
+        }
+        self.observe(measurement);
+        self.terms.reference = *reference;
+        self.act(measurement)
+    }
+
+    /// Everything that depends on the measurement alone.
+    fn observe(&mut self, measurement: &Measurement) {
+        let Terms { kinematics, dynamics, link_forces, momentum, .. } = &mut self.terms;
+        let feedback = self.config.aero_feedback;
+        let conventions = LinkConventions {
+            lever_arm: self.config.lever_arm,
+            jacobian_offset: self.config.jacobian_offset,
+            link_velocity: self.config.link_velocity,
+        };
+        kinematics.update(&self.robot, measurement.state);
+        dynamics.update(&self.robot, measurement.state, kinematics);
+        link_forces.update(&self.robot, kinematics, conventions, &self.aero, &measurement.wind);
+        link_forces.scale(feedback.scale);
+        let enters = (feedback.momentum_rate, feedback.lambda);
+        momentum.update(&self.robot, kinematics, dynamics, measurement.thrust, link_forces, enters);
+    }
+
+    /// Everything that follows from the reference: the momentum QP, then the torque QP.
+    fn act(&mut self, measurement: &Measurement) -> &Command {
+        self.solve_momentum_qp(measurement);
+        self.solve_torque_qp(measurement);
+        &self.command
+    }
+
+    /// Thrust rates and joint velocities that shape momentum and attitude.
+    fn solve_momentum_qp(&mut self, measurement: &Measurement) {
+        let Terms { kinematics, dynamics, momentum, reference, attitude, momentum_qp, .. } = &mut self.terms;
+        let moment_estimate: Vector3<f64> = momentum.rate_estimate.fixed_rows::<3>(3).into();
+        let inertia_0_b = &self.memory.inertia_0_b;
+        *attitude = attitude_demand(
+            &self.config.momentum,
+            reference,
+            &measurement.state.base.rotation,
+            &measurement.state.base_angular_velocity(),
+            &moment_estimate,
+            inertia_0_b,
+            &inertia_0_b.try_inverse().unwrap_or_else(Matrix3::zeros),
+        );
+        let inputs = TaskInputs {
+            state: measurement.state,
+            thrust: measurement.thrust,
+            kinematics,
+            dynamics,
+            momentum,
+            reference,
+            attitude,
+            inertia_0_b,
+            posture: &self.memory.posture,
+        };
+        momentum_qp.update(&self.robot, &self.config.momentum, &inputs);
+
+        let answer = self.momentum_solver.solve(&momentum_qp.problem, &mut self.solution);
+        self.command.momentum_qp = answer;
+        self.command.status = CommandStatus::Nominal;
+        if answer.status != QpStatus::Solved {
+            self.command.status = CommandStatus::MomentumHeld;
+            nearest_to_zero(&momentum_qp.problem, &mut self.solution);
+        }
+        let jets = self.robot.jets.len();
+        self.command.thrust_rate.copy_from(&self.solution.rows(0, jets));
+        self.command.joint_velocity.copy_from(&self.solution.rows(jets, self.robot.joints.len()));
+    }
+
+    /// Torques that let the joints follow the commanded velocities.
+    fn solve_torque_qp(&mut self, measurement: &Measurement) {
+        let Terms { kinematics, dynamics, link_forces, momentum, torque_qp, unlimited_torque, .. } =
+            &mut self.terms;
+        // Σ Jᵀ T a + J_aᵀ f_a − h
+        self.force.copy_from(&dynamics.bias);
+        self.force.neg_mut();
+        for (index, jet) in self.robot.jets.iter().enumerate() {
+            let thrust_force = momentum.jet_axes_i[index] * measurement.thrust[index];
+            let point = &momentum.jet_points_i[index];
+            kinematics.add_generalised_force(jet.frame.body, point, &thrust_force, &mut self.force);
+        }
+        if self.aero_is_on && self.config.aero_feedback.torque {
+            link_forces.add_generalised_force(&self.robot, kinematics, &mut self.force);
+        }
+        for (joint, velocity) in measurement.state.joint_velocity().iter().enumerate() {
+            self.velocity_error[joint] = velocity - self.command.joint_velocity[joint];
+        }
+
+        let mass_is_sound = self.mass_factor.factorise(&dynamics.mass_matrix);
+        let answer = if mass_is_sound {
+            let integral = &self.memory.velocity_error_integral;
+            torque_qp.update(
+                &self.config.torque,
+                &self.mass_factor,
+                &mut self.force,
+                &self.velocity_error,
+                integral,
+            );
+            self.torque_solver.solve(&torque_qp.problem, unlimited_torque)
+        } else {
+            no_answer(QpStatus::NotPositiveDefinite)
+        };
+        self.command.torque_qp = answer;
+        if answer.status == QpStatus::Solved {
+            if !self.memory.torque_is_known {
+                // The published rate limiter starts from its first input.
+                self.command.joint_torque.copy_from(unlimited_torque);
+                self.memory.torque_is_known = true;
+            }
+            let rate_max = self.config.torque.torque_rate_max;
+            limit_rate(&mut self.command.joint_torque, unlimited_torque.as_slice(), rate_max, self.time_step);
+        } else {
+            self.command.status = match self.command.status {
+                CommandStatus::MomentumHeld => CommandStatus::BothHeld,
+                _ => CommandStatus::TorqueHeld,
+            };
+        }
+        // Forward Euler: used first, advanced after.
+        self.memory.velocity_error_integral.axpy(self.time_step, &self.velocity_error, 1.0);
+    }
+
+    /// Remembers where the flight starts.
+    fn start(&mut self, state: &RobotState) {
+        let rotation = &state.base.rotation;
+        self.references = Some(ReferenceGenerator::new(
+            &self.config.references,
+            self.time_step,
+            self.terms.kinematics.com,
+            rpy_from_rotation(rotation),
+        ));
+        self.memory.posture.copy_from(&state.joint_position);
+        self.memory.inertia_0_b = rotation.transpose() * self.terms.dynamics.centroidal_inertia * rotation;
+    }
+
+    fn accepts(&self, measurement: &Measurement) -> bool {
+        measurement.state.n_joints() == self.robot.joints.len()
+            && measurement.thrust.len() == self.robot.jets.len()
+            && measurement.state.is_finite()
+            && measurement.thrust.iter().all(|thrust| thrust.is_finite())
+            && measurement.wind.iter().all(|wind| wind.is_finite())
+            && measurement.time.is_finite()
+    }
+
+    fn refuse_measurement(&mut self) -> &Command {
+        self.command.thrust_rate.fill(0.0);
+        self.command.joint_velocity.fill(0.0);
+        self.command.momentum_qp = no_answer(QpStatus::NonFinite);
+        self.command.torque_qp = no_answer(QpStatus::NonFinite);
+        self.command.status = CommandStatus::BadMeasurement;
+        &self.command
+    }
+
+    /// The robot that the controller believes it flies.
+    #[must_use]
+    pub fn robot(&self) -> &RobotModel {
+        &self.robot
+    }
+
+    /// Command of the last tick.
+    #[must_use]
+    pub fn command(&self) -> &Command {
+        &self.command
+    }
+
+    /// Intermediate values of the last tick.
+    #[must_use]
+    pub fn terms(&self) -> &Terms {
+        &self.terms
+    }
+
+    /// What is remembered between ticks.
+    #[must_use]
+    pub fn memory(&self) -> &Memory {
+        &self.memory
+    }
+
+    /// Replaces the memory, to start from a recorded tick.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] if a length does not fit or the inertia cannot be inverted.
+    pub fn set_memory(&mut self, memory: Memory) -> Result<(), BuildError> {
+        let joints = self.robot.joints.len();
+        for (item, length) in [
+            ("posture", memory.posture.len()),
+            ("velocity_error_integral", memory.velocity_error_integral.len()),
+        ] {
+            if length != joints {
+                return Err(BuildError::bad_value(
+                    format!("length of controller memory {item}"),
+                    length,
+                    format!("{joints}, one entry per joint"),
+                ));
+            }
+        }
+        if memory.inertia_0_b.try_inverse().is_none() {
+            return Err(BuildError::bad_value(
+                "controller memory inertia_0_b",
+                memory.inertia_0_b,
+                "an invertible inertia",
+            ));
+        }
+        self.memory = memory;
+        Ok(())
+    }
+}
+
+/// What stands in a command whose QP was never asked or had nothing to answer.
+fn no_answer(status: QpStatus) -> QpAnswer {
+    QpAnswer { status, iterations: 0, kkt: f64::NAN, active: 0 }
+}
+
+/// The safe command where the momentum QP has no answer: nothing moves, as far as the bounds allow.
+fn nearest_to_zero(problem: &BoxQp, x: &mut DVector<f64>) {
+    for (x, (lower, upper)) in x.iter_mut().zip(problem.lower.iter().zip(&problem.upper)) {
+        *x = 0.0_f64.max(*lower).min(*upper);
+    }
+}
+
+/// The configured solver, and Clarabel behind it where that is wanted.
+#[derive(Debug)]
+struct QpChain {
+    solver: Solver,
+    fallback: Fallback,
+    active_set: ActiveSetSolver,
+    clarabel: ClarabelSolver,
+}
+
+impl QpChain {
+    fn new(n: usize, config: &ControllerConfig) -> Self {
+        Self {
+            solver: config.qp.solver,
+            fallback: config.qp.fallback,
+            active_set: ActiveSetSolver::new(n),
+            clarabel: ClarabelSolver::new(n),
+        }
+    }
+
+    /// Solves into `x`; the caller must look at the status before using it.
+    fn solve(&mut self, problem: &BoxQp, x: &mut DVector<f64>) -> QpAnswer {
+        let mut answer = match self.solver {
+            Solver::ActiveSet => {
+                let answer = self.active_set.solve(problem);
+                x.as_mut_slice().copy_from_slice(self.active_set.x());
+                answer
+            }
+            Solver::Clarabel => self.ask_clarabel(problem, x),
+        };
+        if answer.status != QpStatus::Solved
+            && self.solver == Solver::ActiveSet
+            && self.fallback == Fallback::Clarabel
+        {
+            answer = self.ask_clarabel(problem, x);
+        }
+        answer
+    }
+
+    fn ask_clarabel(&mut self, problem: &BoxQp, x: &mut DVector<f64>) -> QpAnswer {
+        let answer = self.clarabel.solve(problem);
+        x.as_mut_slice().copy_from_slice(self.clarabel.x());
+        answer
+    }
+}

@@ -1,0 +1,61 @@
+//! The attitude task: the angular momentum that turns the base onto its reference.
+//!
+//! Everything is in body coordinates. With `R` the base rotation, `w = Rᵀ ω_B`, `I₀` the centroidal
+//! inertia in body axes *at the first tick* (held constant) and `I_b` the one now:
+//!
+//! ```text
+//! k = I₀ w,   k̇ = Rᵀ L̇_ang − w × k,   E = R_dᵀ R,   e = sk(E)^∨,   ė = sk(E S(w) − S(ω_d) E)^∨
+//! k̈* = I₀ ω̈_d − ė − (1 + c₀ I₀⁻¹)(k̇ − I₀ ω̇_d) − c₀ I₀⁻¹ e − c₁ I₀⁻¹ (k − I₀ ω_d)
+//! σ  = R ( w × (w × k) + 2 w × k̇ + (I₀⁻¹ k̇) × k )
+//! ```
+//!
+//! The task asks `Rᵀ (L̈_ang − σ) = k̈*`. There is no integral action: a constant moment `d` that the
+//! controller does not know of settles at `e = (1 + I₀/c₀) d`.
+//!
+//! Source: closed-loop equations 4.3.
+
+use super::config::MomentumGains;
+use super::references::Reference;
+use crate::spatial::{skew, vee_of_skew_part};
+use nalgebra::{Matrix3, Vector3};
+
+/// What the attitude task asks for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AttitudeDemand {
+    /// Desired second derivative of the body angular momentum, `k̈*` \[N m/s, body axes\].
+    pub k_ddot_desired_b: Vector3<f64>,
+    /// Gyroscopic terms between `L̈` and `k̈`, `σ` \[N m/s, inertial axes\].
+    pub sigma_i: Vector3<f64>,
+}
+
+/// Evaluates the attitude law. `inertia_0_b` must be invertible (checked when it is recorded).
+#[must_use]
+pub fn attitude_demand(
+    gains: &MomentumGains,
+    reference: &Reference,
+    rotation: &Matrix3<f64>,
+    angular_velocity_i: &Vector3<f64>,
+    moment_estimate_i: &Vector3<f64>,
+    inertia_0_b: &Matrix3<f64>,
+    inverse_inertia_0_b: &Matrix3<f64>,
+) -> AttitudeDemand {
+    let (c0, c1) = (gains.c0, gains.c1);
+    let (i0, i0_inv) = (inertia_0_b, inverse_inertia_0_b);
+    let w = rotation.transpose() * angular_velocity_i;
+    let w_d = &reference.angular_velocity_b;
+
+    let k = i0 * w;
+    let k_dot = rotation.transpose() * moment_estimate_i - w.cross(&k);
+    let error = reference.rotation.transpose() * rotation;
+    let e = vee_of_skew_part(&error);
+    let e_dot = vee_of_skew_part(&(error * skew(&w) - skew(w_d) * error));
+
+    let k_dot_error = k_dot - i0 * reference.angular_acceleration_b;
+    let k_ddot_desired_b = i0 * reference.angular_jerk_b
+        - e_dot
+        - (k_dot_error + i0_inv * k_dot_error * c0)
+        - i0_inv * e * c0
+        - i0_inv * (k - i0 * w_d) * c1;
+    let sigma_b = w.cross(&w.cross(&k)) + w.cross(&k_dot) * 2.0 + (i0_inv * k_dot).cross(&k);
+    AttitudeDemand { k_ddot_desired_b, sigma_i: rotation * sigma_b }
+}

@@ -1,0 +1,261 @@
+//! Configuration of the controller, checked against the robot when the controller is built.
+
+use super::references::ReferenceConfig;
+use crate::aero::{AeroConfig, JacobianOffset, LeverArm, LinkVelocity};
+use crate::error::{BuildError, check};
+use crate::robot::RobotModel;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Everything that makes a controller; one file in `configs/control/`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ControllerConfig {
+    /// The controller's own aerodynamic model; `off` is the baseline controller.
+    pub aero: AeroConfig,
+    /// Where the aerodynamic estimate enters.
+    #[serde(default)]
+    pub aero_feedback: AeroFeedback,
+    /// Point at which moments of link forces are formed (in `A_a`).
+    #[serde(default)]
+    pub lever_arm: LeverArm,
+    /// Point whose Jacobian carries link forces (in `Λ_a` and the torque law).
+    #[serde(default)]
+    pub jacobian_offset: JacobianOffset,
+    /// Point whose velocity makes the relative wind.
+    #[serde(default)]
+    pub link_velocity: LinkVelocity,
+    /// Gains of the momentum and attitude tasks.
+    pub momentum: MomentumGains,
+    /// Posture gain `K_s` by joint group \[1/s\].
+    pub posture_gain: BTreeMap<String, f64>,
+    /// Weights of the momentum QP.
+    pub weights: MomentumWeights,
+    /// Bounds of the momentum QP.
+    pub bounds: BoundsConfig,
+    /// The joint torque controller.
+    pub torque: TorqueConfig,
+    /// How QPs are solved.
+    #[serde(default)]
+    pub qp: QpConfig,
+    /// Reference generation.
+    pub references: ReferenceConfig,
+}
+
+/// Where the estimated aerodynamic forces enter the controller; each can be left out for an ablation.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AeroFeedback {
+    /// `A_a f_a` in the estimated momentum rate.
+    pub momentum_rate: bool,
+    /// `Λ_a` in the derivative of the momentum rate.
+    pub lambda: bool,
+    /// `J_aᵀ f_a` in the torque law.
+    pub torque: bool,
+    /// Factor on all estimated forces.
+    pub scale: f64,
+}
+
+impl Default for AeroFeedback {
+    fn default() -> Self {
+        Self { momentum_rate: true, lambda: true, torque: true, scale: 1.0 }
+    }
+}
+
+/// Gains of the momentum task (4.2 of the closed-loop equations) and the attitude task (4.3).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MomentumGains {
+    /// `K_P` on the integral of the linear momentum error, per axis \[1/s²\].
+    pub kp_linear: [f64; 3],
+    /// `K_D` on the linear momentum error, per axis \[1/s\].
+    pub kd_linear: [f64; 3],
+    /// `K_O`; its inverse is added to `K_P + K_D` \[s\].
+    pub ko: f64,
+    /// `c₀` of the attitude task \[N m\].
+    pub c0: f64,
+    /// `c₁` of the attitude task \[N m s\].
+    pub c1: f64,
+}
+
+/// Weights of the tasks in the momentum QP.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MomentumWeights {
+    /// Momentum and attitude tasks.
+    pub momentum: f64,
+    /// Angular-momentum constraint task.
+    pub angular_momentum: f64,
+    /// Posture task.
+    pub posture: f64,
+    /// Joint velocities towards zero.
+    pub joint_velocity: f64,
+    /// Thrust rates towards zero, by jet.
+    pub thrust_rate: BTreeMap<String, f64>,
+    /// Equal thrust rates within each pair of [`Self::symmetric_jets`].
+    pub symmetry: f64,
+    /// Pairs of jets meant to act alike.
+    pub symmetric_jets: Vec<[String; 2]>,
+    /// Added to the diagonal of the Hessian.
+    pub regularisation: f64,
+}
+
+/// Bounds of the momentum QP: rates fade out, as a tanh, where the value meets its own limit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BoundsConfig {
+    /// Greatest thrust rate, by jet \[N/s\].
+    pub thrust_rate_max: BTreeMap<String, f64>,
+    /// Steepness at the thrust limits \[1/N\].
+    pub thrust_steepness: f64,
+    /// Greatest joint velocity \[deg/s\].
+    pub joint_velocity_max_deg: f64,
+    /// Steepness at the joint limits \[1/rad\].
+    pub joint_steepness: f64,
+}
+
+/// The joint torque controller.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TorqueConfig {
+    /// `K_Ds` on the joint velocity error \[1/s\].
+    pub kd: f64,
+    /// `K_Ps` on the integral of the joint velocity error \[1/s²\].
+    pub kp: f64,
+    /// Weight of the joint acceleration task.
+    pub weight_acceleration: f64,
+    /// Weight of the torques.
+    pub weight_torque: f64,
+    /// Added to the diagonal of the Hessian.
+    pub regularisation: f64,
+    /// Greatest torque \[N m\].
+    pub torque_max: f64,
+    /// Greatest rate of the torque \[N m/s\].
+    pub torque_rate_max: f64,
+}
+
+/// Which solver answers first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Solver {
+    /// Our primal active-set method: no allocation, a few microseconds.
+    #[default]
+    ActiveSet,
+    /// Clarabel: the reference; allocates, hundreds of microseconds.
+    Clarabel,
+}
+
+/// What happens when the first solver gives no certified answer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Fallback {
+    /// Ask Clarabel (allocates); hold if it fails too.
+    #[default]
+    Clarabel,
+    /// Hold at once: thrusts and joints stop, torques stay. Nothing allocates.
+    Hold,
+}
+
+/// How QPs are solved.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct QpConfig {
+    /// The solver of every tick.
+    pub solver: Solver,
+    /// What to do without an answer.
+    pub fallback: Fallback,
+}
+
+impl ControllerConfig {
+    /// Refuses numbers and names that do not make a controller for `robot`.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the key, its value and what was expected.
+    pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
+        let finite = |name: &str, value: f64| at(name, value, |_| true, "a finite number");
+        let non_negative = |name: &str, value: f64| at(name, value, |x| x >= 0.0, "a number ≥ 0");
+        let positive = |name: &str, value: f64| at(name, value, |x| x > 0.0, "a positive number");
+
+        finite("aero_feedback.scale", self.aero_feedback.scale)?;
+        for axis in 0..3 {
+            non_negative("momentum.kp_linear", self.momentum.kp_linear[axis])?;
+            non_negative("momentum.kd_linear", self.momentum.kd_linear[axis])?;
+        }
+        positive("momentum.ko", self.momentum.ko)?;
+        non_negative("momentum.c0", self.momentum.c0)?;
+        non_negative("momentum.c1", self.momentum.c1)?;
+
+        non_negative("weights.momentum", self.weights.momentum)?;
+        non_negative("weights.angular_momentum", self.weights.angular_momentum)?;
+        non_negative("weights.posture", self.weights.posture)?;
+        non_negative("weights.joint_velocity", self.weights.joint_velocity)?;
+        non_negative("weights.symmetry", self.weights.symmetry)?;
+        positive("weights.regularisation", self.weights.regularisation)?;
+        positive("bounds.thrust_steepness", self.bounds.thrust_steepness)?;
+        positive("bounds.joint_velocity_max_deg", self.bounds.joint_velocity_max_deg)?;
+        positive("bounds.joint_steepness", self.bounds.joint_steepness)?;
+        non_negative("torque.kd", self.torque.kd)?;
+        non_negative("torque.kp", self.torque.kp)?;
+        non_negative("torque.weight_acceleration", self.torque.weight_acceleration)?;
+        non_negative("torque.weight_torque", self.torque.weight_torque)?;
+        positive("torque.regularisation", self.torque.regularisation)?;
+        positive("torque.torque_max", self.torque.torque_max)?;
+        positive("torque.torque_rate_max", self.torque.torque_rate_max)?;
+        self.references.check()?;
+
+        per_name("posture_gain", &self.posture_gain, robot.groups.iter().map(|group| group.name.as_str()))?;
+        per_name("weights.thrust_rate", &self.weights.thrust_rate, jet_names(robot))?;
+        per_name("bounds.thrust_rate_max", &self.bounds.thrust_rate_max, jet_names(robot))?;
+        for jet in self.weights.symmetric_jets.iter().flatten() {
+            jet_index(robot, jet)?;
+        }
+        Ok(())
+    }
+
+    /// Indices of the pairs of [`MomentumWeights::symmetric_jets`].
+    ///
+    /// # Errors
+    /// [`BuildError::UnknownName`] for a jet the robot does not have.
+    pub fn symmetric_pairs(&self, robot: &RobotModel) -> Result<Vec<(usize, usize)>, BuildError> {
+        let pairs = self.weights.symmetric_jets.iter();
+        pairs.map(|[a, b]| Ok((jet_index(robot, a)?, jet_index(robot, b)?))).collect()
+    }
+}
+
+fn at(name: &str, value: f64, accept: impl Fn(f64) -> bool, expected: &str) -> Result<(), BuildError> {
+    check(&format!("controller.{name}"), value, accept, expected).map(|_| ())
+}
+
+fn jet_names(robot: &RobotModel) -> impl Iterator<Item = &str> + Clone {
+    robot.jets.iter().map(|jet| jet.name.as_str())
+}
+
+fn jet_index(robot: &RobotModel, name: &str) -> Result<usize, BuildError> {
+    jet_names(robot)
+        .position(|jet| jet == name)
+        .ok_or_else(|| BuildError::unknown_name("controller.weights.symmetric_jets", name, jet_names(robot)))
+}
+
+/// A table with exactly one number ≥ 0 for each of the robot's names.
+fn per_name<'a>(
+    table: &str,
+    values: &BTreeMap<String, f64>,
+    names: impl Iterator<Item = &'a str> + Clone,
+) -> Result<(), BuildError> {
+    for (name, value) in values {
+        if !names.clone().any(|known| known == name) {
+            return Err(BuildError::unknown_name(format!("controller.{table}"), name, names));
+        }
+        at(&format!("{table}.{name}"), *value, |x| x >= 0.0, "a number ≥ 0")?;
+    }
+    for name in names {
+        if !values.contains_key(name) {
+            return Err(BuildError::bad_value(
+                format!("controller.{table}.{name}"),
+                "absent",
+                "a number ≥ 0",
+            ));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,164 @@
+//! How thrusts and joint motion change the centroidal momentum.
+//!
+//! ```text
+//! L̇ = A_T T + Σ_j (f_j, r_j × f_j) − m g e₃                     estimated momentum rate
+//! L̈ = A_T Ṫ + (Λ_T + Λ_a) ν                                     what the controller shapes
+//! ```
+//!
+//! with `r` the arm from the centre of mass. Source: paper, Methods, "Flight Control Design".
+
+use crate::aero::LinkForces;
+use crate::dynamics::Dynamics;
+use crate::kinematics::Kinematics;
+use crate::robot::RobotModel;
+use nalgebra::{Matrix6xX, Vector3, Vector6};
+
+/// Terms of the momentum rate and of its derivative; preallocated.
+#[derive(Debug, Clone)]
+pub struct MomentumModel {
+    /// Unit thrust directions `a_i`, inertial axes.
+    pub jet_axes_i: Vec<Vector3<f64>>,
+    /// Thrust points \[m, inertial axes\].
+    pub jet_points_i: Vec<Vector3<f64>>,
+    /// `A_T = (a_i ; r_i × a_i)` (6 × jets).
+    pub a_t: Matrix6xX<f64>,
+    /// `Λ_T`: momentum acceleration per unit of ν due to turning and moving thrusts (6 × n).
+    pub lambda_t: Matrix6xX<f64>,
+    /// `Λ_a`: the same due to moving aerodynamic forces, their own change neglected (6 × n).
+    pub lambda_a: Matrix6xX<f64>,
+    /// `Λ = Λ_T + Λ_a` (6 × n).
+    pub lambda: Matrix6xX<f64>,
+    /// Estimated momentum rate `L̇` \[N, N m\].
+    pub rate_estimate: Vector6<f64>,
+}
+
+impl MomentumModel {
+    /// Space for the terms of `robot`.
+    #[must_use]
+    pub fn new(robot: &RobotModel) -> Self {
+        let n = 6 + robot.joints.len();
+        let jets = vec![Vector3::zeros(); robot.jets.len()];
+        Self {
+            jet_axes_i: jets.clone(),
+            jet_points_i: jets,
+            a_t: Matrix6xX::zeros(robot.jets.len()),
+            lambda_t: Matrix6xX::zeros(n),
+            lambda_a: Matrix6xX::zeros(n),
+            lambda: Matrix6xX::zeros(n),
+            rate_estimate: Vector6::zeros(),
+        }
+    }
+
+    /// Recomputes all terms. `rate_feedback` and `lambda_feedback` say whether the link forces enter
+    /// the momentum rate and its derivative.
+    pub fn update(
+        &mut self,
+        robot: &RobotModel,
+        kinematics: &Kinematics,
+        dynamics: &Dynamics,
+        thrust: &[f64],
+        link_forces: &LinkForces,
+        (rate_feedback, lambda_feedback): (bool, bool),
+    ) {
+        self.place_jets(robot, kinematics);
+        self.update_lambda_t(robot, kinematics, dynamics, thrust);
+        if lambda_feedback {
+            self.update_lambda_a(robot, kinematics, dynamics, link_forces);
+        } else {
+            self.lambda_a.fill(0.0);
+        }
+        self.lambda.copy_from(&self.lambda_t);
+        self.lambda += &self.lambda_a;
+
+        self.rate_estimate.fill(0.0);
+        for (column, thrust) in self.a_t.column_iter().zip(thrust) {
+            self.rate_estimate += column * *thrust;
+        }
+        if rate_feedback {
+            let (force, moment) = link_forces.wrench_about(&kinematics.com);
+            self.rate_estimate += stack(&force, &moment);
+        }
+        self.rate_estimate[2] -= kinematics.mass() * robot.gravity;
+    }
+
+    fn place_jets(&mut self, robot: &RobotModel, kinematics: &Kinematics) {
+        for (index, jet) in robot.jets.iter().enumerate() {
+            let pose = kinematics.frame_pose(&jet.frame);
+            let axis = pose.rotation * jet.axis_f.into_inner();
+            let arm = pose.position - kinematics.com;
+            self.jet_axes_i[index] = axis;
+            self.jet_points_i[index] = pose.position;
+            self.a_t.set_column(index, &stack(&axis, &arm.cross(&axis)));
+        }
+    }
+
+    /// ```text
+    /// Λ_T = −Σ_i T_i ( (0 ; S(a_i)) (J_i^v − J_G) + (I ; S(r_i)) S(a_i) J_i^ω )
+    /// ```
+    fn update_lambda_t(
+        &mut self,
+        robot: &RobotModel,
+        kinematics: &Kinematics,
+        dynamics: &Dynamics,
+        thrust: &[f64],
+    ) {
+        self.lambda_t.fill(0.0);
+        let mut total = Vector3::zeros();
+        for (index, (jet, thrust)) in robot.jets.iter().zip(thrust).enumerate() {
+            let force = self.jet_axes_i[index] * *thrust;
+            let point = self.jet_points_i[index];
+            let arm = point - kinematics.com;
+            total += force;
+            let lambda = &mut self.lambda_t;
+            kinematics.visit_jacobian_columns(jet.frame.body, &point, |column, j_v, j_w| {
+                let turned = force.cross(&j_w);
+                let moment = force.cross(&j_v) + arm.cross(&turned);
+                subtract(lambda, column, &stack(&turned, &moment));
+            });
+        }
+        add_com_motion(&mut self.lambda_t, dynamics, &total);
+    }
+
+    /// ```text
+    /// Λ_a = (0 ; −Σ_j S(f_j) (J_j − J_G))
+    /// ```
+    fn update_lambda_a(
+        &mut self,
+        robot: &RobotModel,
+        kinematics: &Kinematics,
+        dynamics: &Dynamics,
+        link_forces: &LinkForces,
+    ) {
+        self.lambda_a.fill(0.0);
+        let mut total = Vector3::zeros();
+        for (index, link) in robot.aero_links.iter().enumerate() {
+            let force = link_forces.forces_i[index];
+            let point = link_forces.jacobian_points_i[index];
+            total += force;
+            let lambda = &mut self.lambda_a;
+            kinematics.visit_jacobian_columns(link.frame.body, &point, |column, j_v, _| {
+                subtract(lambda, column, &stack(&Vector3::zeros(), &force.cross(&j_v)));
+            });
+        }
+        add_com_motion(&mut self.lambda_a, dynamics, &total);
+    }
+}
+
+/// The part `+ Σ S(f) J_G` that all forces share: arms shorten when the centre of mass follows.
+fn add_com_motion(lambda: &mut Matrix6xX<f64>, dynamics: &Dynamics, total_force: &Vector3<f64>) {
+    for column in 0..lambda.ncols() {
+        let moment = total_force.cross(&dynamics.com_jacobian_column(column));
+        for row in 0..3 {
+            lambda[(3 + row, column)] += moment[row];
+        }
+    }
+}
+
+fn subtract(lambda: &mut Matrix6xX<f64>, column: usize, value: &Vector6<f64>) {
+    let mut target = lambda.column_mut(column);
+    target -= value;
+}
+
+fn stack(linear: &Vector3<f64>, angular: &Vector3<f64>) -> Vector6<f64> {
+    Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+}

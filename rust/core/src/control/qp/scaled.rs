@@ -1,0 +1,68 @@
+//! The problem with its diagonal brought near one.
+
+use super::{BoxQp, QpStatus};
+
+/// A box QP in `y_i = x_i / s_i` with `s_i ≈ 1/√H_ii` (Jacobi scaling), so that thrust rates and joint
+/// velocities weigh the same. `s` is a power of two: the scaling itself rounds nothing.
+#[derive(Debug, Clone)]
+pub(super) struct Scaled {
+    pub s: Vec<f64>,
+    pub inverse_s: Vec<f64>,
+    /// Column-major, order n.
+    pub h: Vec<f64>,
+    pub g: Vec<f64>,
+    pub lower: Vec<f64>,
+    pub upper: Vec<f64>,
+}
+
+impl Scaled {
+    /// Space for `n` variables.
+    pub fn new(n: usize) -> Self {
+        let zeros = || vec![0.0; n];
+        Self {
+            s: zeros(),
+            inverse_s: zeros(),
+            h: vec![0.0; n * n],
+            g: zeros(),
+            lower: zeros(),
+            upper: zeros(),
+        }
+    }
+
+    /// Scales `qp`; refuses a diagonal that is not positive.
+    pub fn load(&mut self, qp: &BoxQp) -> Result<(), QpStatus> {
+        let n = self.g.len();
+        let (h, g) = (qp.h.as_slice(), qp.g.as_slice());
+        for (j, (s, inverse_s)) in self.s.iter_mut().zip(&mut self.inverse_s).enumerate() {
+            let diagonal = h[j + j * n];
+            if !diagonal.is_finite() {
+                return Err(QpStatus::NonFinite);
+            }
+            if diagonal <= 0.0 {
+                return Err(QpStatus::NotPositiveDefinite);
+            }
+            (*s, *inverse_s) = inverse_root_power_of_two(diagonal);
+        }
+        for (j, &s_j) in self.s.iter().enumerate() {
+            let (to, from) = (&mut self.h[j * n..][..n], &h[j * n..][..n]);
+            for ((to, from), s_i) in to.iter_mut().zip(from).zip(&self.s) {
+                *to = from * (s_i * s_j);
+            }
+            self.g[j] = g[j] * s_j;
+            self.lower[j] = qp.lower[j] * self.inverse_s[j];
+            self.upper[j] = qp.upper[j] * self.inverse_s[j];
+        }
+        Ok(())
+    }
+}
+
+/// `2^-⌊e/2⌋` and its reciprocal for a positive `value` with binary exponent e: `value · s²` lies in
+/// `[1, 4)`.
+fn inverse_root_power_of_two(value: f64) -> (f64, f64) {
+    const BIAS: u64 = 1023;
+    const MANTISSA_BITS: u32 = 52;
+    // With the exponent stored as e + 1023, this is ⌊e/2⌋ + 512.
+    let half = (value.to_bits() >> MANTISSA_BITS).div_ceil(2);
+    let power = |biased: u64| f64::from_bits(biased << MANTISSA_BITS);
+    (power(BIAS + 512 - half), power(BIAS + half - 512))
+}

@@ -1,0 +1,245 @@
+//! Mass matrix, bias forces and centroidal momentum of the floating tree.
+//!
+//! ```text
+//! M(q) ν̇ + h(q, ν) = S τ + Σ Jᵀ f        h contains gravity
+//! L = A_G(q) ν                             L = (l, k), momentum about the centre of mass
+//! ```
+//!
+//! Everything is in inertial axes about the origin of the base, so that one set of composite
+//! inertias, summed from the tips to the base, gives `M`, `A_G`, the centre-of-mass Jacobian
+//! `l / m` and the centroidal inertia together.
+
+use crate::kinematics::{Kinematics, RobotState};
+use crate::linalg;
+use crate::robot::RobotModel;
+use crate::spatial::skew;
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Vector3, Vector6};
+
+/// Mass, first moment and inertia of a set of bodies about the base origin, inertial axes.
+#[derive(Debug, Clone, Copy)]
+struct Composite {
+    mass: f64,
+    /// `Σ m r` \[kg m\].
+    first_moment: Vector3<f64>,
+    /// `Σ (I + m (|r|² − r rᵀ))` \[kg m²\].
+    inertia: Matrix3<f64>,
+}
+
+impl std::ops::AddAssign for Composite {
+    fn add_assign(&mut self, rhs: Self) {
+        self.mass += rhs.mass;
+        self.first_moment += rhs.first_moment;
+        self.inertia += rhs.inertia;
+    }
+}
+
+/// Rigid-body dynamics of one state; preallocated, refilled by [`Dynamics::update`].
+#[derive(Debug, Clone)]
+pub struct Dynamics {
+    /// Mass matrix `M` (n × n, n = 6 + joints), symmetric, both triangles filled.
+    pub mass_matrix: DMatrix<f64>,
+    /// Bias `h`: Coriolis, centrifugal and gravity forces (n).
+    pub bias: DVector<f64>,
+    /// Centroidal momentum matrix `A_G` (6 × n), linear rows first.
+    pub momentum_matrix: Matrix6xX<f64>,
+    /// Centroidal momentum `L = A_G ν` \[kg m/s, kg m²/s\].
+    pub momentum: Vector6<f64>,
+    /// Centroidal rotational inertia `I_G` \[kg m², inertial axes\].
+    pub centroidal_inertia: Matrix3<f64>,
+    composites: Vec<Composite>,
+    inertias_i: Vec<Matrix3<f64>>,
+    wrenches: Vec<(Vector3<f64>, Vector3<f64>)>,
+    accelerations: Vec<(Vector3<f64>, Vector3<f64>)>,
+}
+
+impl Dynamics {
+    /// Space for the dynamics of `robot`.
+    #[must_use]
+    pub fn new(robot: &RobotModel) -> Self {
+        let n = 6 + robot.joints.len();
+        let n_bodies = robot.bodies.len();
+        let nothing = Composite { mass: 0.0, first_moment: Vector3::zeros(), inertia: Matrix3::zeros() };
+        Self {
+            mass_matrix: DMatrix::zeros(n, n),
+            bias: DVector::zeros(n),
+            momentum_matrix: Matrix6xX::zeros(n),
+            momentum: Vector6::zeros(),
+            centroidal_inertia: Matrix3::zeros(),
+            composites: vec![nothing; n_bodies],
+            inertias_i: vec![Matrix3::zeros(); n_bodies],
+            wrenches: vec![(Vector3::zeros(), Vector3::zeros()); n_bodies],
+            accelerations: vec![(Vector3::zeros(), Vector3::zeros()); n_bodies],
+        }
+    }
+
+    /// Recomputes everything; `kinematics` must belong to `state`.
+    pub fn update(&mut self, robot: &RobotModel, state: &RobotState, kinematics: &Kinematics) {
+        self.update_composites(robot, kinematics);
+        self.update_mass_and_momentum_matrix(kinematics);
+        self.momentum.gemv(1.0, &self.momentum_matrix, &state.velocity, 0.0);
+        self.update_bias(robot, state, kinematics);
+    }
+
+    /// Linear Jacobian of the centre of mass, one column: `J_G = A_G,lin / m`.
+    #[must_use]
+    pub fn com_jacobian_column(&self, column: usize) -> Vector3<f64> {
+        let m = self.composites[0].mass;
+        self.momentum_matrix.fixed_view::<3, 1>(0, column) / m
+    }
+
+    /// Inertia of every body and of every subtree about the base origin.
+    fn update_composites(&mut self, robot: &RobotModel, kinematics: &Kinematics) {
+        let origin = kinematics.bodies[0].i_from_b.position;
+        for (index, (body, motion)) in robot.bodies.iter().zip(&kinematics.bodies).enumerate() {
+            let rotation = &motion.i_from_b.rotation;
+            let inertia = rotation * body.inertia_b * rotation.transpose();
+            let r = motion.i_from_b.transform_point(&body.com_b) - origin;
+            let parallel_axis = Matrix3::from_diagonal_element(r.norm_squared()) - r * r.transpose();
+            self.inertias_i[index] = inertia;
+            self.composites[index] = Composite {
+                mass: body.mass,
+                first_moment: r * body.mass,
+                inertia: inertia + parallel_axis * body.mass,
+            };
+        }
+        for index in (1..robot.bodies.len()).rev() {
+            let subtree = self.composites[index];
+            self.composites[robot.bodies[index].parent.unwrap_or(0)] += subtree;
+        }
+    }
+
+    /// Composite rigid-body algorithm.
+    ///
+    /// A unit velocity of joint j moves its subtree with `ω = a`, `v_o = (p − o) × a`; the momentum
+    /// of the subtree about o is `l = m v_o + ω × s`, `k = I ω + s × v_o` (s: first moment). Then
+    /// `M_ij = a_i·k_j + ((p_i − o) × a_i)·l_j` for every joint i between j and the base.
+    fn update_mass_and_momentum_matrix(&mut self, kinematics: &Kinematics) {
+        let origin = kinematics.bodies[0].i_from_b.position;
+        let whole = self.composites[0];
+        let com = whole.first_moment / whole.mass;
+        let m = &mut self.mass_matrix;
+        let a_g = &mut self.momentum_matrix;
+
+        let base_coupling = -skew(&whole.first_moment);
+        let centroidal = whole.inertia
+            - (Matrix3::from_diagonal_element(com.norm_squared()) - com * com.transpose()) * whole.mass;
+        let mass_i3 = Matrix3::from_diagonal_element(whole.mass);
+        m.fixed_view_mut::<3, 3>(0, 0).copy_from(&mass_i3);
+        m.fixed_view_mut::<3, 3>(0, 3).copy_from(&base_coupling);
+        m.fixed_view_mut::<3, 3>(3, 0).copy_from(&base_coupling.transpose());
+        m.fixed_view_mut::<3, 3>(3, 3).copy_from(&whole.inertia);
+        a_g.fixed_view_mut::<3, 3>(0, 0).copy_from(&mass_i3);
+        a_g.fixed_view_mut::<3, 3>(3, 0).fill(0.0);
+        a_g.fixed_view_mut::<3, 3>(0, 3).copy_from(&base_coupling);
+        a_g.fixed_view_mut::<3, 3>(3, 3).copy_from(&centroidal);
+        self.centroidal_inertia = centroidal;
+
+        for joint in 0..kinematics.bodies.len() - 1 {
+            let subtree = &self.composites[joint + 1];
+            let axis = kinematics.bodies[joint + 1].joint_axis_i;
+            let v_o = (kinematics.bodies[joint + 1].i_from_b.position - origin).cross(&axis);
+            let l = v_o * subtree.mass + axis.cross(&subtree.first_moment);
+            let k = subtree.inertia * axis + subtree.first_moment.cross(&v_o);
+
+            let column = 6 + joint;
+            for row in 0..3 {
+                m[(row, column)] = l[row];
+                m[(column, row)] = l[row];
+                m[(3 + row, column)] = k[row];
+                m[(column, 3 + row)] = k[row];
+            }
+            for &other in kinematics.chain(joint + 1) {
+                let motion = &kinematics.bodies[other + 1];
+                let other_v_o = (motion.i_from_b.position - origin).cross(&motion.joint_axis_i);
+                let entry = motion.joint_axis_i.dot(&k) + other_v_o.dot(&l);
+                m[(6 + other, column)] = entry;
+                m[(column, 6 + other)] = entry;
+            }
+            let k_com = k - com.cross(&l);
+            for row in 0..3 {
+                a_g[(row, column)] = l[row];
+                a_g[(3 + row, column)] = k_com[row];
+            }
+        }
+    }
+
+    /// Recursive Newton–Euler algorithm with ν̇ = 0: `h = C(q, ν) ν + g(q)`.
+    fn update_bias(&mut self, robot: &RobotModel, state: &RobotState, kinematics: &Kinematics) {
+        let gravity = Vector3::new(0.0, 0.0, -robot.gravity);
+        let joint_velocity = state.joint_velocity();
+        // (linear acceleration of the body origin, angular acceleration), outwards.
+        self.accelerations[0] = (Vector3::zeros(), Vector3::zeros());
+        for index in 1..robot.bodies.len() {
+            let parent = robot.bodies[index].parent.unwrap_or(0);
+            let (a_parent, alpha_parent) = self.accelerations[parent];
+            let motion_parent = &kinematics.bodies[parent];
+            let motion = &kinematics.bodies[index];
+            let arm = motion.i_from_b.position - motion_parent.i_from_b.position;
+            let omega = motion_parent.angular_velocity;
+            self.accelerations[index] = (
+                a_parent + alpha_parent.cross(&arm) + omega.cross(&omega.cross(&arm)),
+                alpha_parent + omega.cross(&motion.joint_axis_i) * joint_velocity[index - 1],
+            );
+        }
+        // (force, moment about the base origin) that each body needs, then summed inwards.
+        let origin = kinematics.bodies[0].i_from_b.position;
+        for (index, body) in robot.bodies.iter().enumerate() {
+            let motion = &kinematics.bodies[index];
+            let (a_origin, alpha) = self.accelerations[index];
+            let omega = motion.angular_velocity;
+            let inertia = &self.inertias_i[index];
+            let arm = motion.i_from_b.rotation * body.com_b;
+            let a_com = a_origin + alpha.cross(&arm) + omega.cross(&omega.cross(&arm));
+            let force = (a_com - gravity) * body.mass;
+            let moment_com = inertia * alpha + omega.cross(&(inertia * omega));
+            let com = motion.i_from_b.position + arm - origin;
+            self.wrenches[index] = (force, moment_com + com.cross(&force));
+        }
+        for index in (1..robot.bodies.len()).rev() {
+            let motion = &kinematics.bodies[index];
+            let (force, moment) = self.wrenches[index];
+            let arm = motion.i_from_b.position - origin;
+            self.bias[5 + index] = motion.joint_axis_i.dot(&(moment - arm.cross(&force)));
+            let parent = &mut self.wrenches[robot.bodies[index].parent.unwrap_or(0)];
+            parent.0 += force;
+            parent.1 += moment;
+        }
+        let (force, moment) = self.wrenches[0];
+        self.bias.fixed_rows_mut::<3>(0).copy_from(&force);
+        self.bias.fixed_rows_mut::<3>(3).copy_from(&moment);
+    }
+}
+
+/// Cholesky factor of a mass matrix, `M = K Kᵀ`; preallocated.
+///
+/// The base comes first in `ν`, so the trailing block `K_s` of the factor belongs to the joints with
+/// a freely floating base: `(M⁻¹)_ss = K_s⁻ᵀ K_s⁻¹`.
+#[derive(Debug, Clone)]
+pub struct MassFactor {
+    /// Lower triangle of `K`; the upper triangle is left over and meaningless.
+    pub factor: DMatrix<f64>,
+}
+
+impl MassFactor {
+    /// Space for a matrix of order `n`.
+    #[must_use]
+    pub fn new(n: usize) -> Self {
+        Self { factor: DMatrix::zeros(n, n) }
+    }
+
+    /// Factorises `mass_matrix`; `false` if it is not positive definite (never, for a finite state
+    /// of a checked robot).
+    #[must_use]
+    pub fn factorise(&mut self, mass_matrix: &DMatrix<f64>) -> bool {
+        self.factor.copy_from(mass_matrix);
+        let n = self.factor.nrows();
+        linalg::cholesky_in_place(self.factor.as_mut_slice(), n, n)
+    }
+
+    /// Solves `M x = b` in place: with `b = Σ generalised forces − h`, x is the forward dynamics ν̇.
+    pub fn solve_in_place(&self, b: &mut DVector<f64>) {
+        let n = self.factor.nrows();
+        linalg::solve_lower_in_place(self.factor.as_slice(), n, n, b.as_mut_slice());
+        linalg::solve_lower_transposed_in_place(self.factor.as_slice(), n, n, b.as_mut_slice());
+    }
+}

@@ -1,0 +1,89 @@
+//! What is said when something handed to us at build time is wrong.
+//!
+//! Every room refuses bad input when it is *built*, with an error that names the item, shows the
+//! value and says what was expected. Nothing in flight returns these: a tick answers with a status.
+
+use std::path::PathBuf;
+use thiserror::Error;
+
+/// Something that was read or passed in cannot be used.
+#[derive(Debug, Error)]
+pub enum BuildError {
+    /// A value is outside what is physically or numerically meaningful.
+    #[error("{item} is {value}; expected {expected}")]
+    BadValue {
+        /// Full name of the offending item, e.g. ``mass of link `chest` ``.
+        item: String,
+        /// The value as it was read.
+        value: String,
+        /// What would have been accepted.
+        expected: String,
+    },
+    /// A name is not one of those that exist.
+    #[error("{item} names `{name}`, which does not exist; known: {known}")]
+    UnknownName {
+        /// The item that holds the reference.
+        item: String,
+        /// The unknown name.
+        name: String,
+        /// Comma-separated names that exist.
+        known: String,
+    },
+    /// A file cannot be read.
+    #[error("cannot read {path}: {source}")]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// The operating system's reason.
+        source: std::io::Error,
+    },
+    /// A file or text does not parse, or has unknown or missing keys.
+    #[error("{origin}: {message}")]
+    Malformed {
+        /// File or section the text came from.
+        origin: String,
+        /// The parser's message, with line or key.
+        message: String,
+    },
+}
+
+// Callers hand over a number or an error they have no further use for.
+#[allow(clippy::needless_pass_by_value)]
+impl BuildError {
+    /// Shorthand for [`BuildError::BadValue`].
+    pub fn bad_value(item: impl Into<String>, value: impl ToString, expected: impl Into<String>) -> Self {
+        Self::BadValue { item: item.into(), value: value.to_string(), expected: expected.into() }
+    }
+
+    /// Shorthand for [`BuildError::UnknownName`].
+    pub fn unknown_name<S: AsRef<str>>(
+        item: impl Into<String>,
+        name: impl Into<String>,
+        known: impl IntoIterator<Item = S>,
+    ) -> Self {
+        let known: Vec<String> = known.into_iter().map(|k| k.as_ref().to_owned()).collect();
+        Self::UnknownName { item: item.into(), name: name.into(), known: known.join(", ") }
+    }
+
+    /// Shorthand for [`BuildError::Malformed`].
+    pub fn malformed(origin: impl Into<String>, message: impl ToString) -> Self {
+        Self::Malformed { origin: origin.into(), message: message.to_string() }
+    }
+}
+
+/// Refuses a value that is not finite or not accepted by `accept`.
+///
+/// # Errors
+/// [`BuildError::BadValue`] naming `item` and `expected`.
+pub fn check(
+    item: &str,
+    value: f64,
+    accept: impl Fn(f64) -> bool,
+    expected: &str,
+) -> Result<f64, BuildError> {
+    if value.is_finite() && accept(value) {
+        Ok(value)
+    } else {
+        Err(BuildError::bad_value(item, value, expected))
+    }
+}

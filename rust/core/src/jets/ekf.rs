@@ -1,0 +1,121 @@
+//! Estimates thrust and thrust rate of one engine from its measured thrust.
+
+use super::EngineModel;
+use crate::error::{BuildError, check};
+use nalgebra::{Matrix2, Vector2};
+use serde::{Deserialize, Serialize};
+
+/// Numbers of the estimator, in the letters of its equations; the defaults are the published ones,
+/// but for the initial state.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EkfConfig {
+    /// `x̂(0) = (T, Ṫ)` \[N, N/s\]; without it `(initial thrust, 0)`. The published value is (0, 0),
+    /// which makes the throttle loop act on too small a thrust for the first two seconds.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub init_state: Option<[f64; 2]>,
+    /// `P(0)`: covariance of the initial state.
+    #[serde(rename = "init_P")]
+    pub init_p: [[f64; 2]; 2],
+    /// `Q`: intensity of the process noise.
+    #[serde(rename = "Q")]
+    pub q: [[f64; 2]; 2],
+    /// `R`: intensity of the measurement noise.
+    #[serde(rename = "R")]
+    pub r: f64,
+}
+
+impl Default for EkfConfig {
+    fn default() -> Self {
+        Self { init_state: None, init_p: [[1.0, 0.1], [0.1, 1.0]], q: [[10.0, 1.0], [1.0, 10.0]], r: 1.0 }
+    }
+}
+
+/// Extended Kalman filter of one engine, continuous-time form, integrated by forward Euler.
+///
+/// ```text
+/// x̂˙ = ( Ṫ, T̈(x̂, u) ) + P Cᵀ R⁻¹ (y − T),   C = (1 0)
+/// Ṗ = A P + P Aᵀ + Q − P Cᵀ R⁻¹ C P,   A = ∂(Ṫ, T̈)/∂x at (x̂, u)
+/// ```
+///
+/// Source: the published controller. Forward Euler is stable while `dt P₁₁/R` is well below 1.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ThrustEkf {
+    model: EngineModel,
+    state: Vector2<f64>,
+    covariance: Matrix2<f64>,
+    q: Matrix2<f64>,
+    r: f64,
+}
+
+impl ThrustEkf {
+    /// An estimator of `model`, told the thrust \[N\] it starts from unless the config knows better.
+    ///
+    /// # Errors
+    /// A matrix that is not symmetric and positive semidefinite, an `R` that is not positive, a
+    /// state that is not finite.
+    pub fn new(config: &EkfConfig, model: EngineModel, initial_thrust: f64) -> Result<Self, BuildError> {
+        let state = config.init_state.unwrap_or([initial_thrust, 0.0]);
+        for (index, value) in state.iter().enumerate() {
+            check(&format!("ekf.init_state[{index}]"), *value, |_| true, "a finite number")?;
+        }
+        Ok(Self {
+            model,
+            state: Vector2::from(state),
+            covariance: covariance("ekf.init_P", &config.init_p)?,
+            q: covariance("ekf.Q", &config.q)?,
+            r: check("ekf.R", config.r, |r| r > 0.0, "a positive noise intensity")?,
+        })
+    }
+
+    /// Estimated thrust \[N\].
+    #[must_use]
+    pub fn thrust(&self) -> f64 {
+        self.state.x
+    }
+
+    /// Estimated thrust rate \[N/s\].
+    #[must_use]
+    pub fn thrust_rate(&self) -> f64 {
+        self.state.y
+    }
+
+    /// Covariance `P` of thrust and thrust rate.
+    #[must_use]
+    pub fn covariance(&self) -> &Matrix2<f64> {
+        &self.covariance
+    }
+
+    /// Jacobian `A` of the engine's equations at the estimate and a throttle \[%\].
+    #[must_use]
+    pub fn jacobian(&self, throttle: f64) -> Matrix2<f64> {
+        let (by_thrust, by_rate) = self.model.acceleration_slopes(self.state.x, self.state.y, throttle);
+        Matrix2::new(0.0, 1.0, by_thrust, by_rate)
+    }
+
+    /// Moves the estimate on by `dt` \[s\], with the thrust measured now \[N\] and the throttle \[%\]
+    /// held from now on.
+    pub fn update(&mut self, measured_thrust: f64, throttle: f64, dt: f64) {
+        let (thrust, thrust_rate) = (self.state.x, self.state.y);
+        let drift = Vector2::new(thrust_rate, self.model.thrust_acceleration(thrust, thrust_rate, throttle));
+        let gain = self.covariance.column(0) / self.r;
+        let spread = self.jacobian(throttle) * self.covariance;
+        let learned = gain * gain.transpose() * self.r;
+        self.state += dt * (drift + gain * (measured_thrust - thrust));
+        self.covariance += dt * (spread + spread.transpose() + self.q - learned);
+    }
+}
+
+/// A 2×2 matrix that can be a covariance.
+fn covariance(item: &str, rows: &[[f64; 2]; 2]) -> Result<Matrix2<f64>, BuildError> {
+    let [[a, b], [c, d]] = *rows;
+    for (index, value) in [a, b, c, d].into_iter().enumerate() {
+        check(&format!("{item}[{}][{}]", index / 2, index % 2), value, |_| true, "a finite number")?;
+    }
+    let symmetric = (b - c).abs() <= 1e-12 * (b.abs() + c.abs());
+    if !symmetric || a < 0.0 || d < 0.0 || a * d < b * c {
+        let expected = "a symmetric, positive semidefinite matrix";
+        return Err(BuildError::bad_value(item, format!("{rows:?}"), expected));
+    }
+    Ok(Matrix2::new(a, b, c, d))
+}

@@ -1,0 +1,232 @@
+//! The identified second-order jet engine, and the throttle loop that makes it follow a thrust rate.
+
+use crate::error::{BuildError, check};
+use crate::robot::EngineCoefficients;
+
+/// Input gains below this \[N/s² per %\] cannot steer: the throttle loop then holds.
+const MIN_INPUT_GAIN: f64 = 1e-9;
+
+/// The equations of one engine: thrust acceleration, affine in a function of the throttle.
+///
+/// ```text
+/// T̈ = f(T, Ṫ) + g(T, Ṫ) v(u)
+/// f = K_T T + K_TT T² + K_D Ṫ + K_DD Ṫ² + K_TD T Ṫ + c
+/// g = B_U + B_T T + B_D Ṫ,   v(u) = u + B_UU u²
+/// ```
+///
+/// T thrust \[N\], u throttle \[%\]. Source: the published flight controller's jet model, identified
+/// on the test bench by its authors.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EngineModel {
+    coefficients: EngineCoefficients,
+}
+
+impl EngineModel {
+    /// Takes coefficients that are finite and whose `v(u)` increases between the throttle limits.
+    ///
+    /// # Errors
+    /// Otherwise, naming `engine` and the coefficient.
+    pub fn new(engine: &str, coefficients: EngineCoefficients) -> Result<Self, BuildError> {
+        let k = &coefficients;
+        for (name, value) in [
+            ("k_t", k.k_t),
+            ("k_tt", k.k_tt),
+            ("k_d", k.k_d),
+            ("k_dd", k.k_dd),
+            ("k_td", k.k_td),
+            ("b_u", k.b_u),
+            ("b_t", k.b_t),
+            ("b_d", k.b_d),
+            ("b_uu", k.b_uu),
+            ("c", k.c),
+            ("throttle_min", k.throttle_min),
+        ] {
+            check(&format!("{name} of engine `{engine}`"), value, |_| true, "a finite number")?;
+        }
+        let above = format!("a throttle above throttle_min = {} %", k.throttle_min);
+        let item = format!("throttle_max of engine `{engine}`");
+        check(&item, k.throttle_max, |max| max > k.throttle_min, &above)?;
+        // dv/du = 1 + 2 B_UU u is linear in u: positive at both ends means positive between them.
+        let increases =
+            |b_uu: f64| [k.throttle_min, k.throttle_max].iter().all(|u| 1.0 + 2.0 * b_uu * u > 0.0);
+        let expected = "such that u + b_uu u² increases between the throttle limits";
+        check(&format!("b_uu of engine `{engine}`"), k.b_uu, increases, expected)?;
+        Ok(Self { coefficients })
+    }
+
+    /// Drift `f(T, Ṫ)` \[N/s²\]: thrust acceleration with `v = 0`.
+    #[must_use]
+    pub fn drift(&self, thrust: f64, thrust_rate: f64) -> f64 {
+        let k = &self.coefficients;
+        thrust * (k.k_t + k.k_tt * thrust + k.k_td * thrust_rate)
+            + thrust_rate * (k.k_d + k.k_dd * thrust_rate)
+            + k.c
+    }
+
+    /// Input gain `g(T, Ṫ)` \[N/s² per %\]; changes sign where the thrust rises fast.
+    #[must_use]
+    pub fn input_gain(&self, thrust: f64, thrust_rate: f64) -> f64 {
+        let k = &self.coefficients;
+        k.b_u + k.b_t * thrust + k.b_d * thrust_rate
+    }
+
+    /// Input `v(u) = u + B_UU u²` \[%\] of a throttle \[%\].
+    #[must_use]
+    pub fn input(&self, throttle: f64) -> f64 {
+        throttle * (1.0 + self.coefficients.b_uu * throttle)
+    }
+
+    /// Throttle \[%\] with `v(u) = input`, on the branch through `u = v = 0`; not limited.
+    ///
+    /// ```text
+    /// u = 2 v / (1 + √max(0, 1 + 4 B_UU v))
+    /// ```
+    ///
+    /// The published `(−1 + √…)/(2 B_UU)` with the root moved below: also right at `B_UU = 0`. Where
+    /// no throttle reaches `input`, the one at the parabola's top (`−1/(2 B_UU)` for the published
+    /// formula), so that the answer stays continuous.
+    #[must_use]
+    pub fn throttle_from_input(&self, input: f64) -> f64 {
+        let b_uu = self.coefficients.b_uu;
+        let discriminant = 1.0 + 4.0 * b_uu * input;
+        // Past the top the formula with its root moved below would grow with v.
+        if discriminant < 0.0 { -0.5 / b_uu } else { 2.0 * input / (1.0 + discriminant.sqrt()) }
+    }
+
+    /// A throttle \[%\] within the engine's limits.
+    #[must_use]
+    pub fn limit_throttle(&self, throttle: f64) -> f64 {
+        throttle.clamp(self.coefficients.throttle_min, self.coefficients.throttle_max)
+    }
+
+    /// An input `v` \[%\] within `v` of the throttle limits.
+    #[must_use]
+    pub fn limit_input(&self, input: f64) -> f64 {
+        let k = &self.coefficients;
+        input.clamp(self.input(k.throttle_min), self.input(k.throttle_max))
+    }
+
+    /// Throttle \[%\] that holds a thrust: `f(T, 0) + g(T, 0) v(u) = 0`, within the limits. If the
+    /// throttle does not act on the thrust there, the lowest.
+    #[must_use]
+    pub fn steady_throttle(&self, thrust: f64) -> f64 {
+        let gain = self.input_gain(thrust, 0.0);
+        if gain.abs() < MIN_INPUT_GAIN {
+            return self.coefficients.throttle_min;
+        }
+        self.limit_throttle(self.throttle_from_input(self.limit_input(-self.drift(thrust, 0.0) / gain)))
+    }
+
+    /// Thrust acceleration `T̈` \[N/s²\] at a throttle \[%\], which is limited first.
+    #[must_use]
+    pub fn thrust_acceleration(&self, thrust: f64, thrust_rate: f64, throttle: f64) -> f64 {
+        self.drift(thrust, thrust_rate)
+            + self.input_gain(thrust, thrust_rate) * self.input(self.limit_throttle(throttle))
+    }
+
+    /// Derivatives of `T̈` with respect to `T` \[1/s²\] and `Ṫ` \[1/s\], at a throttle \[%\].
+    #[must_use]
+    pub fn acceleration_slopes(&self, thrust: f64, thrust_rate: f64, throttle: f64) -> (f64, f64) {
+        let k = &self.coefficients;
+        let v = self.input(self.limit_throttle(throttle));
+        (
+            k.k_t + 2.0 * k.k_tt * thrust + k.k_td * thrust_rate + k.b_t * v,
+            k.k_d + 2.0 * k.k_dd * thrust_rate + k.k_td * thrust + k.b_d * v,
+        )
+    }
+}
+
+/// One engine in time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EngineDynamics {
+    model: EngineModel,
+    /// Thrust `T` \[N\].
+    pub thrust: f64,
+    /// Thrust rate `Ṫ` \[N/s\].
+    pub thrust_rate: f64,
+}
+
+impl EngineDynamics {
+    /// An engine at a thrust \[N\] and thrust rate \[N/s\].
+    #[must_use]
+    pub fn new(model: EngineModel, thrust: f64, thrust_rate: f64) -> Self {
+        Self { model, thrust, thrust_rate }
+    }
+
+    /// The engine's equations.
+    #[must_use]
+    pub fn model(&self) -> &EngineModel {
+        &self.model
+    }
+
+    /// Moves on by `dt` \[s\] at a constant throttle \[%\], limited to what the engine has.
+    ///
+    /// ```text
+    /// T ← T + Ṫ dt + T̈ dt²/2,   Ṫ ← Ṫ + T̈ dt,   T̈ at the start of the step
+    /// ```
+    ///
+    /// Source: the published simulator. Thrust itself is not limited; a NaN throttle shows as NaN.
+    pub fn step(&mut self, throttle: f64, dt: f64) {
+        let acceleration = self.model.thrust_acceleration(self.thrust, self.thrust_rate, throttle);
+        self.thrust += dt * (self.thrust_rate + 0.5 * dt * acceleration);
+        self.thrust_rate += dt * acceleration;
+    }
+}
+
+/// Throttle loop: feedback linearisation of [`EngineModel`] to `T̈ = −k_p e − k_i ∫e`, `e = Ṫ − Ṫ*`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ThrustRateController {
+    gain_p: f64,
+    gain_i: f64,
+    /// `∫ (Ṫ − Ṫ*) dt` \[N\].
+    integral: f64,
+    /// Last throttle \[%\].
+    throttle: f64,
+}
+
+impl ThrustRateController {
+    /// A loop with gains `k_p` \[1/s\] and `k_i` \[1/s²\], and the throttle \[%\] it stands at.
+    ///
+    /// # Errors
+    /// A gain that is negative or not finite.
+    pub fn new(gain_p: f64, gain_i: f64, throttle: f64) -> Result<Self, BuildError> {
+        let expected = "a gain that is not negative";
+        check("rate_gain_p", gain_p, |k| k >= 0.0, expected)?;
+        check("rate_gain_i", gain_i, |k| k >= 0.0, expected)?;
+        Ok(Self { gain_p, gain_i, integral: 0.0, throttle })
+    }
+
+    /// Last throttle \[%\].
+    #[must_use]
+    pub fn throttle(&self) -> f64 {
+        self.throttle
+    }
+
+    /// New throttle \[%\] for a commanded thrust rate \[N/s\], to be held for `dt` \[s\].
+    ///
+    /// ```text
+    /// v = −( k_p (Ṫ − Ṫ*) + f(T, Ṫ) + k_i ∫(Ṫ − Ṫ*) ) / g(T, Ṫ),   u = v⁻¹(clamp v)
+    /// ```
+    ///
+    /// Source: the published controller, `k_p = 150`, `k_i = 0`. The error decays only if `k_p dt < 2`;
+    /// the published 1.5 alternates in sign and halves every tick. Where `g` is zero or a number is
+    /// not finite the throttle holds, instead of a division by zero. No anti-windup, as published.
+    pub fn update(
+        &mut self,
+        model: &EngineModel,
+        thrust: f64,
+        thrust_rate: f64,
+        command: f64,
+        dt: f64,
+    ) -> f64 {
+        let error = thrust_rate - command;
+        let gain = model.input_gain(thrust, thrust_rate);
+        let wanted =
+            -(self.gain_p * error + model.drift(thrust, thrust_rate) + self.gain_i * self.integral) / gain;
+        if wanted.is_finite() && gain.abs() >= MIN_INPUT_GAIN {
+            self.throttle = model.limit_throttle(model.throttle_from_input(model.limit_input(wanted)));
+            self.integral += dt * error;
+        }
+        self.throttle
+    }
+}

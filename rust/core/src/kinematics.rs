@@ -1,0 +1,265 @@
+//! From a state to poses, velocities, centre of mass and Jacobians.
+//!
+//! Velocities are *mixed*: `ν = (v_B, ω_B, ṡ)`, where `v_B` is the velocity of the base origin and
+//! `ω_B` the angular velocity of the base, both in inertial axes. A Jacobian has one column for each
+//! entry of `ν`.
+//!
+//! The quirks of the published code (`docs/deviations.md`) put a force at a wrong point in space.
+//! That is why Jacobians are asked for as "the point `p` moving with body `b`": right and published
+//! lever arms differ in nothing but the point.
+
+use crate::robot::{Frame, RobotModel};
+use crate::spatial::{Pose, axis_angle};
+use nalgebra::{DVector, Matrix3, Matrix3xX, Vector3};
+
+/// Where the robot is and how it moves.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RobotState {
+    /// Pose of the base in inertial axes.
+    pub base: Pose,
+    /// Joint positions, in the order of the robot's TOML \[rad\].
+    pub joint_position: DVector<f64>,
+    /// Mixed velocity `ν = (v_B, ω_B, ṡ)` \[m/s, rad/s, rad/s\].
+    pub velocity: DVector<f64>,
+}
+
+impl RobotState {
+    /// A robot at rest with the base at the origin and all joints at zero.
+    #[must_use]
+    pub fn zero(n_joints: usize) -> Self {
+        Self {
+            base: Pose::identity(),
+            joint_position: DVector::zeros(n_joints),
+            velocity: DVector::zeros(6 + n_joints),
+        }
+    }
+
+    /// Number of joints.
+    #[must_use]
+    pub fn n_joints(&self) -> usize {
+        self.joint_position.len()
+    }
+
+    /// Velocity of the base origin \[m/s, inertial axes\].
+    #[must_use]
+    pub fn base_linear_velocity(&self) -> Vector3<f64> {
+        self.velocity.fixed_rows::<3>(0).into()
+    }
+
+    /// Angular velocity of the base \[rad/s, inertial axes\].
+    #[must_use]
+    pub fn base_angular_velocity(&self) -> Vector3<f64> {
+        self.velocity.fixed_rows::<3>(3).into()
+    }
+
+    /// Joint velocities \[rad/s\].
+    #[must_use]
+    pub fn joint_velocity(&self) -> &[f64] {
+        &self.velocity.as_slice()[6..]
+    }
+
+    /// Whether every number is finite.
+    #[must_use]
+    pub fn is_finite(&self) -> bool {
+        self.base.position.iter().all(|x| x.is_finite())
+            && self.base.rotation.iter().all(|x| x.is_finite())
+            && self.joint_position.iter().all(|x| x.is_finite())
+            && self.velocity.iter().all(|x| x.is_finite())
+    }
+
+    /// Copies another state of the same robot without allocating.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.base = other.base;
+        self.joint_position.copy_from(&other.joint_position);
+        self.velocity.copy_from(&other.velocity);
+    }
+}
+
+/// Pose and velocity of one body, and the axis of the joint that moves it.
+#[derive(Debug, Clone, Copy)]
+pub struct BodyMotion {
+    /// Pose of the body in inertial axes.
+    pub i_from_b: Pose,
+    /// Velocity of the body's origin \[m/s, inertial axes\].
+    pub linear_velocity: Vector3<f64>,
+    /// Angular velocity of the body \[rad/s, inertial axes\].
+    pub angular_velocity: Vector3<f64>,
+    /// Unit axis of the body's joint in inertial axes; zero for the base.
+    pub joint_axis_i: Vector3<f64>,
+}
+
+impl BodyMotion {
+    /// Velocity of the point of the body that is at `point_i` now \[m/s, inertial axes\].
+    #[must_use]
+    pub fn velocity_at(&self, point_i: &Vector3<f64>) -> Vector3<f64> {
+        self.linear_velocity + self.angular_velocity.cross(&(point_i - self.i_from_b.position))
+    }
+}
+
+/// Kinematics of one state; preallocated, refilled by [`Kinematics::update`].
+#[derive(Debug, Clone)]
+pub struct Kinematics {
+    /// Motion of every body; body 0 is the base, body `i + 1` is moved by joint `i`.
+    pub bodies: Vec<BodyMotion>,
+    /// Centre of mass \[m, inertial axes\].
+    pub com: Vector3<f64>,
+    /// For every body the joints between it and the base, base side first.
+    chains: Vec<Vec<usize>>,
+    mass: f64,
+}
+
+impl Kinematics {
+    /// Space for the kinematics of `robot`, at its zero state.
+    #[must_use]
+    pub fn new(robot: &RobotModel) -> Self {
+        let mut chains: Vec<Vec<usize>> = Vec::with_capacity(robot.bodies.len());
+        for (index, body) in robot.bodies.iter().enumerate() {
+            let mut chain = body.parent.map(|parent| chains[parent].clone()).unwrap_or_default();
+            if body.parent.is_some() {
+                chain.push(index - 1);
+            }
+            chains.push(chain);
+        }
+        let rest = BodyMotion {
+            i_from_b: Pose::identity(),
+            linear_velocity: Vector3::zeros(),
+            angular_velocity: Vector3::zeros(),
+            joint_axis_i: Vector3::zeros(),
+        };
+        let mut kinematics = Self {
+            bodies: vec![rest; robot.bodies.len()],
+            com: Vector3::zeros(),
+            chains,
+            mass: robot.bodies.iter().map(|body| body.mass).sum(),
+        };
+        kinematics.update(robot, &RobotState::zero(robot.joints.len()));
+        kinematics
+    }
+
+    /// Recomputes everything for `state`.
+    pub fn update(&mut self, robot: &RobotModel, state: &RobotState) {
+        self.bodies[0] = BodyMotion {
+            i_from_b: state.base,
+            linear_velocity: state.base_linear_velocity(),
+            angular_velocity: state.base_angular_velocity(),
+            joint_axis_i: Vector3::zeros(),
+        };
+        let joint_velocity = state.joint_velocity();
+        for (index, joint) in robot.joints.iter().enumerate() {
+            let parent = self.bodies[robot.bodies[index + 1].parent.unwrap_or(0)];
+            let axis_b = joint.axis_b.into_inner();
+            let i_from_joint = parent.i_from_b * joint.parent_from_child;
+            let i_from_b = Pose {
+                rotation: i_from_joint.rotation * axis_angle(&axis_b, state.joint_position[index]),
+                position: i_from_joint.position,
+            };
+            // The axis is the same vector in the child and in the joint frame.
+            let joint_axis_i = i_from_joint.rotation * axis_b;
+            self.bodies[index + 1] = BodyMotion {
+                i_from_b,
+                linear_velocity: parent.velocity_at(&i_from_b.position),
+                angular_velocity: parent.angular_velocity + joint_axis_i * joint_velocity[index],
+                joint_axis_i,
+            };
+        }
+        let first_moment: Vector3<f64> = (robot.bodies.iter().zip(&self.bodies))
+            .map(|(body, motion)| motion.i_from_b.transform_point(&body.com_b) * body.mass)
+            .sum();
+        self.com = first_moment / self.mass;
+    }
+
+    /// Total mass \[kg\].
+    #[must_use]
+    pub fn mass(&self) -> f64 {
+        self.mass
+    }
+
+    /// Length of `ν`: six for the base and one for each joint.
+    #[must_use]
+    pub fn n_velocities(&self) -> usize {
+        self.bodies.len() + 5
+    }
+
+    /// Pose of a frame in inertial axes.
+    #[must_use]
+    pub fn frame_pose(&self, frame: &Frame) -> Pose {
+        self.bodies[frame.body].i_from_b * frame.body_from_frame
+    }
+
+    /// Rotation of a frame, `i_from_frame`.
+    #[must_use]
+    pub fn frame_rotation(&self, frame: &Frame) -> Matrix3<f64> {
+        self.bodies[frame.body].i_from_b.rotation * frame.body_from_frame.rotation
+    }
+
+    /// Joints between a body and the base, base side first. Only their columns and the six of the
+    /// base are non-zero in a Jacobian of that body.
+    #[must_use]
+    pub fn chain(&self, body: usize) -> &[usize] {
+        &self.chains[body]
+    }
+
+    /// Visits the columns of the Jacobian of the point of `body` that is at `point_i` now that are
+    /// not zero: `visit(column, linear, angular)`.
+    ///
+    /// Base translation gives `(e_k, 0)`, base rotation `(e_k × r, e_k)`, joint j `(a × (p − o_j), a)`.
+    pub fn visit_jacobian_columns(
+        &self,
+        body: usize,
+        point_i: &Vector3<f64>,
+        mut visit: impl FnMut(usize, Vector3<f64>, Vector3<f64>),
+    ) {
+        let arm = point_i - self.bodies[0].i_from_b.position;
+        for k in 0..3 {
+            visit(k, unit(k), Vector3::zeros());
+        }
+        for k in 0..3 {
+            visit(3 + k, unit(k).cross(&arm), unit(k));
+        }
+        for &joint in &self.chains[body] {
+            let motion = &self.bodies[joint + 1];
+            let axis = motion.joint_axis_i;
+            visit(6 + joint, axis.cross(&(point_i - motion.i_from_b.position)), axis);
+        }
+    }
+
+    /// Linear and angular Jacobian (each 3 × [`Self::n_velocities`]) of the point of `body` that is at
+    /// `point_i` now. Allocates: for inspection and tests; a tick visits the columns instead.
+    #[must_use]
+    pub fn jacobian(&self, body: usize, point_i: &Vector3<f64>) -> (Matrix3xX<f64>, Matrix3xX<f64>) {
+        let mut linear = Matrix3xX::zeros(self.n_velocities());
+        let mut angular = Matrix3xX::zeros(self.n_velocities());
+        self.visit_jacobian_columns(body, point_i, |column, v, w| {
+            linear.set_column(column, &v);
+            angular.set_column(column, &w);
+        });
+        (linear, angular)
+    }
+
+    /// Adds `Jᵀ f`, the generalised force of a force `force_i` \[N\] on `body` at `point_i`.
+    pub fn add_generalised_force(
+        &self,
+        body: usize,
+        point_i: &Vector3<f64>,
+        force_i: &Vector3<f64>,
+        generalised: &mut DVector<f64>,
+    ) {
+        let moment = (point_i - self.bodies[0].i_from_b.position).cross(force_i);
+        for k in 0..3 {
+            generalised[k] += force_i[k];
+            generalised[3 + k] += moment[k];
+        }
+        for &joint in &self.chains[body] {
+            let motion = &self.bodies[joint + 1];
+            let column = motion.joint_axis_i.cross(&(point_i - motion.i_from_b.position));
+            generalised[6 + joint] += column.dot(force_i);
+        }
+    }
+}
+
+/// Unit vector along axis `k` (0, 1 or 2).
+fn unit(k: usize) -> Vector3<f64> {
+    let mut e = Vector3::zeros();
+    e[k] = 1.0;
+    e
+}

@@ -1,0 +1,229 @@
+//! The robot: a tree of rigid bodies with named frames, read once, checked once, then trusted.
+//!
+//! Body 0 is the floating base; joint `i` moves body `i + 1`. Joints stand in the order of the TOML
+//! file, which must list every joint after its ancestors: then a loop over bodies walks from the
+//! base outwards, and the same loop backwards walks from the tips inwards.
+//!
+//! The URDF says what the robot is made of; the TOML file beside it says what it is used for: the
+//! order of the joints, where air and engines push, what the feet look like. `load` turns both into
+//! a [`RobotModel`], `tree` finds what moves, `merge` joins what does not, `check` refuses what cannot be.
+
+mod check;
+mod load;
+mod merge;
+mod tree;
+
+use crate::{error::BuildError, spatial::Pose};
+use nalgebra::{Matrix3, Unit, Vector3};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// A robot that has passed every check.
+#[derive(Debug, Clone)]
+pub struct RobotModel {
+    /// Name of the robot.
+    pub name: String,
+    /// Bodies; body 0 is the floating base, joint `i` moves body `i + 1`.
+    pub bodies: Vec<Body>,
+    /// Joints, in the order of every joint vector.
+    pub joints: Vec<Joint>,
+    /// Groups of joints; together they hold every joint once, in order.
+    pub groups: Vec<JointGroup>,
+    /// Links on which aerodynamic force acts, in the order of every aerodynamic table.
+    pub aero_links: Vec<AeroLink>,
+    /// Jet engines, in the order of every thrust vector.
+    pub jets: Vec<Jet>,
+    /// Feet.
+    pub feet: Vec<Foot>,
+    /// Engine models by name, also those that no jet uses.
+    pub engines: BTreeMap<String, EngineCoefficients>,
+    /// Strength of gravity, a positive number \[m/s²\]; it pulls along −z of the inertial frame.
+    pub gravity: f64,
+    /// The TOML text the model was built from, as it was read: a manifest hashes it.
+    pub toml_text: String,
+    /// The URDF text the model was built from, as it was read.
+    pub urdf_text: String,
+}
+
+impl RobotModel {
+    /// Reads a robot's TOML file and the URDF file it names (a path relative to the TOML file).
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the item and its value, for a file that cannot be read or parsed and for
+    /// a robot that cannot be.
+    pub fn load(toml_path: &Path) -> Result<Self, BuildError> {
+        load::from_files(toml_path)
+    }
+
+    /// As [`RobotModel::load`], from texts; `origin` names the TOML text in error messages.
+    ///
+    /// # Errors
+    /// As [`RobotModel::load`].
+    pub fn from_text(toml_text: &str, urdf_text: &str, origin: &str) -> Result<Self, BuildError> {
+        load::from_text(toml_text, urdf_text, origin)
+    }
+
+    /// Total mass \[kg\].
+    #[must_use]
+    pub fn mass(&self) -> f64 {
+        self.bodies.iter().map(|body| body.mass).sum()
+    }
+
+    /// Number of joints that move.
+    #[must_use]
+    pub fn n_joints(&self) -> usize {
+        self.joints.len()
+    }
+
+    /// Place of a joint in every joint vector.
+    #[must_use]
+    pub fn joint_index(&self, name: &str) -> Option<usize> {
+        self.joints.iter().position(|joint| joint.name == name)
+    }
+
+    /// Place of a body in [`RobotModel::bodies`].
+    #[must_use]
+    pub fn body_index(&self, name: &str) -> Option<usize> {
+        self.bodies.iter().position(|body| body.name == name)
+    }
+}
+
+/// A rigid body: everything a joint moves, fixed links merged.
+#[derive(Debug, Clone)]
+pub struct Body {
+    /// Name of the URDF link at the body's origin.
+    pub name: String,
+    /// Index of the parent body; `None` for the base.
+    pub parent: Option<usize>,
+    /// Mass \[kg\].
+    pub mass: f64,
+    /// Centre of mass in body axes \[m\].
+    pub com_b: Vector3<f64>,
+    /// Inertia about the centre of mass, body axes \[kg m²\].
+    pub inertia_b: Matrix3<f64>,
+}
+
+/// A revolute joint; its child frame is the frame of the body it moves.
+#[derive(Debug, Clone)]
+pub struct Joint {
+    /// Name as in URDF and TOML.
+    pub name: String,
+    /// Pose of the child body in the parent body at joint position zero.
+    pub parent_from_child: Pose,
+    /// Axis of rotation in child axes (the same in both at position zero).
+    pub axis_b: Unit<Vector3<f64>>,
+    /// Limits the controller respects, `(lower, upper)` \[rad\].
+    pub limits: (f64, f64),
+}
+
+/// A frame fixed to a body.
+#[derive(Debug, Clone)]
+pub struct Frame {
+    /// Name of the URDF link.
+    pub name: String,
+    /// Index of the body that carries it.
+    pub body: usize,
+    /// Pose of the frame in the body.
+    pub body_from_frame: Pose,
+}
+
+/// Coefficients of one axisymmetric link, all force areas \[m²\] (see [`crate::aero`]).
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AxisymmetricCoefficients {
+    /// `C_D A = w₀ + w₁ cos α + w₂ sin² α + w₃ sin³ α + w₄ cos³ α`.
+    pub cda: [f64; 5],
+    /// `C_N A = w₅ sin² α cos α`.
+    pub cna: f64,
+}
+
+/// A link on which aerodynamic force acts.
+#[derive(Debug, Clone)]
+pub struct AeroLink {
+    /// Name of the link, as in plots and tables.
+    pub name: String,
+    /// Its frame.
+    pub frame: Frame,
+    /// Symmetry axis in link axes.
+    pub axis_l: Unit<Vector3<f64>>,
+    /// Point where the force acts, in link axes \[m\].
+    pub centre_l: Vector3<f64>,
+    /// Diameter \[m\].
+    pub diameter: f64,
+    /// Length along the axis \[m\].
+    pub length: f64,
+    /// Whether the link is a sphere to the sphere/cylinder model.
+    pub is_sphere: bool,
+    /// Coefficient sets by name (`published`, `corrected`, `signed`, `alternative`, ...).
+    pub coefficients: BTreeMap<String, AxisymmetricCoefficients>,
+}
+
+/// A jet engine: a force along a fixed axis of a frame.
+#[derive(Debug, Clone)]
+pub struct Jet {
+    /// Name of the jet.
+    pub name: String,
+    /// Its frame; the thrust acts at the origin.
+    pub frame: Frame,
+    /// Direction of the force on the robot, in frame axes.
+    pub axis_f: Unit<Vector3<f64>>,
+    /// Greatest thrust \[N\].
+    pub thrust_max: f64,
+    /// Name of the engine in [`RobotModel::engines`].
+    pub engine: String,
+}
+
+/// Second-order model of an engine: thrust `T` \[N\] under throttle `u` in percent.
+///
+/// ```text
+/// T̈ = k_t T + k_tt T² + k_d Ṫ + k_dd Ṫ² + k_td T Ṫ + c + (b_u + b_t T + b_d Ṫ)(u + b_uu u²)
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EngineCoefficients {
+    /// Stiffness \[1/s²\].
+    pub k_t: f64,
+    /// Quadratic stiffness \[1/(N s²)\].
+    pub k_tt: f64,
+    /// Damping \[1/s\].
+    pub k_d: f64,
+    /// Quadratic damping \[1/N\].
+    pub k_dd: f64,
+    /// Damping that grows with thrust \[1/(N s)\].
+    pub k_td: f64,
+    /// Gain of the throttle \[N/s² per percent\].
+    pub b_u: f64,
+    /// Gain that grows with thrust \[1/s² per percent\].
+    pub b_t: f64,
+    /// Gain that grows with the thrust rate \[1/s per percent\].
+    pub b_d: f64,
+    /// Curvature of the throttle \[1/percent\].
+    pub b_uu: f64,
+    /// Constant drift \[N/s²\].
+    pub c: f64,
+    /// Least throttle \[percent\].
+    pub throttle_min: f64,
+    /// Greatest throttle \[percent\].
+    pub throttle_max: f64,
+}
+
+/// A foot: a sole frame and the corners that can touch the ground.
+#[derive(Debug, Clone)]
+pub struct Foot {
+    /// Name of the foot.
+    pub name: String,
+    /// Sole frame.
+    pub frame: Frame,
+    /// Contact points in the sole frame \[m\].
+    pub vertices_f: Vec<Vector3<f64>>,
+}
+
+/// Joints plotted together, as indices.
+#[derive(Debug, Clone)]
+pub struct JointGroup {
+    /// Name of the group.
+    pub name: String,
+    /// Indices of its joints.
+    pub joints: Vec<usize>,
+}

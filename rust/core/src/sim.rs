@@ -1,0 +1,239 @@
+//! The closed-loop flight: the one loop that binds plant and controller.
+//!
+//! At tick k, t = k h:
+//!
+//! ```text
+//! observe   kinematics and aerodynamic forces at x_k in the wind of t
+//! control   thrust rates and torques from (x_k, T_k, wind), held until the next tick
+//! record    and stop if the flight is lost
+//! advance   x_{k+1} from x_k, T_k and the torques;  T_{k+1} = T_k + h Ṫ*
+//! ```
+//!
+//! which is the published order of execution with its unit delays written out: its physics block runs
+//! first in a tick, on what the tick before left in the delays. Source: closed-loop equations 1.2.
+
+pub mod config;
+pub mod log;
+pub mod plant;
+pub mod wind;
+
+pub use config::{FlightConfig, SimulatorConfig};
+pub use log::{FlightLog, FlightResult, Summary};
+pub use plant::Plant;
+pub use wind::{Wind, WindConfig};
+
+use crate::control::{Controller, Measurement};
+use crate::error::BuildError;
+use crate::robot::RobotModel;
+use log::{LogRow, TrackingErrors};
+use rayon::prelude::*;
+use std::fmt;
+use std::ops::ControlFlow;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+/// When and why a flight was lost.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fall {
+    /// Time \[s\].
+    pub time: f64,
+    /// What was exceeded.
+    pub reason: FallReason,
+}
+
+/// Why a flight was lost.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum FallReason {
+    /// Base and desired base are this far apart \[rad\].
+    RotationError(f64),
+    /// Centre of mass and reference are this far apart \[m\].
+    ComError(f64),
+    /// The state holds a number that is not finite.
+    NotFinite,
+}
+
+impl fmt::Display for FallReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::RotationError(angle) => write!(f, "rotation error {:.1} deg", angle.to_degrees()),
+            Self::ComError(distance) => write!(f, "CoM error {distance:.2} m"),
+            Self::NotFinite => write!(f, "state not finite"),
+        }
+    }
+}
+
+/// A flight that is ready to start.
+#[derive(Debug)]
+pub struct Flight {
+    plant: Plant,
+    controller: Controller,
+    wind: Wind,
+    time_step: f64,
+    n_ticks: usize,
+    max_rotation_error: f64,
+    max_com_error: f64,
+}
+
+/// A flight that was stopped from outside.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Interrupted;
+
+impl Flight {
+    /// Builds plant and controller. Both fly the same robot.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming what in the configuration cannot be used.
+    pub fn new(config: &FlightConfig) -> Result<Self, BuildError> {
+        let robot = RobotModel::load(&config.robot)?;
+        Self::with_robot(config, robot)
+    }
+
+    /// Builds a flight of a robot that is loaded already; the configuration's own path is not read.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming what in the configuration cannot be used.
+    pub fn with_robot(config: &FlightConfig, robot: RobotModel) -> Result<Self, BuildError> {
+        let time_step = config.simulator.time_step;
+        Ok(Self {
+            plant: Plant::new(robot.clone(), &config.simulator)?,
+            controller: Controller::new(
+                robot,
+                config.controller.clone(),
+                config.envelope.clone(),
+                time_step,
+            )?,
+            wind: Wind::new(&config.wind)?,
+            time_step,
+            n_ticks: config.simulator.n_ticks(),
+            max_rotation_error: config.simulator.fall.rotation_error_deg.to_radians(),
+            max_com_error: config.simulator.fall.com_error,
+        })
+    }
+
+    /// Number of ticks after the one at time zero.
+    #[must_use]
+    pub fn n_ticks(&self) -> usize {
+        self.n_ticks
+    }
+
+    /// Flies to the end or to the fall. `progress(tick, n_ticks)` is called every tick and may stop
+    /// the flight.
+    ///
+    /// # Errors
+    /// [`Interrupted`] if `progress` said so.
+    pub fn run(
+        mut self,
+        mut progress: impl FnMut(usize, usize) -> ControlFlow<()>,
+    ) -> Result<FlightResult, Interrupted> {
+        let mut log = FlightLog::new(self.controller.robot(), self.n_ticks + 1);
+        let mut fall = None;
+        for tick in 0..=self.n_ticks {
+            let time = tick as f64 * self.time_step;
+            let wind = self.wind.velocity(time);
+            self.plant.observe(&wind);
+            let measurement = Measurement {
+                time,
+                state: self.plant.state(),
+                thrust: self.plant.jets().thrust_feedback(),
+                wind,
+            };
+            self.controller.tick(&measurement);
+            let command = self.controller.command();
+            let errors = TrackingErrors::new(&self.plant, &self.controller.terms().reference);
+            log.push(&LogRow {
+                time,
+                wind,
+                plant: &self.plant,
+                terms: self.controller.terms(),
+                command,
+                errors,
+            });
+            fall = self.fall_at(time, &errors);
+            if fall.is_some() {
+                break;
+            }
+            let (torque, thrust_rate) = (&command.joint_torque, &command.thrust_rate);
+            self.plant.advance(torque.as_slice(), thrust_rate.as_slice(), &wind, self.time_step);
+            if progress(tick, self.n_ticks).is_break() {
+                return Err(Interrupted);
+            }
+        }
+        log.joint_reference = self.controller.memory().posture.as_slice().to_vec();
+        Ok(FlightResult { fall, summary: Summary::new(&log), log })
+    }
+
+    fn fall_at(&self, time: f64, errors: &TrackingErrors) -> Option<Fall> {
+        let reason =
+            if !self.plant.state().is_finite() || !errors.rotation.is_finite() || !errors.com.is_finite() {
+                FallReason::NotFinite
+            } else if errors.rotation > self.max_rotation_error {
+                FallReason::RotationError(errors.rotation)
+            } else if errors.com > self.max_com_error {
+                FallReason::ComError(errors.com)
+            } else {
+                return None;
+            };
+        Some(Fall { time, reason })
+    }
+}
+
+/// Why a flight of a batch has no result.
+#[derive(Debug)]
+pub enum BatchError {
+    /// It could not be built.
+    Build(BuildError),
+    /// The batch was stopped.
+    Interrupted,
+    /// No threads could be started.
+    NoThreads(String),
+}
+
+impl fmt::Display for BatchError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Build(error) => write!(f, "{error}"),
+            Self::Interrupted => write!(f, "interrupted"),
+            Self::NoThreads(reason) => write!(f, "cannot start threads: {reason}"),
+        }
+    }
+}
+
+/// Flies every configuration, `threads` at a time (`None`: one per core). Results stand in the order
+/// of the configurations and do not depend on the number of threads: flights share nothing.
+///
+/// `progress(done, total)` is called as flights end, from the thread that ended one, never two at a
+/// time; it may stop the batch.
+///
+/// # Errors
+/// For the whole batch only [`BatchError::NoThreads`]; every flight has its own result.
+pub fn fly_batch<T: Send>(
+    configs: &[FlightConfig],
+    threads: Option<usize>,
+    reduce: impl Fn(FlightResult) -> T + Sync,
+    progress: impl FnMut(usize, usize) -> ControlFlow<()> + Send,
+) -> Result<Vec<Result<T, BatchError>>, BatchError> {
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads.unwrap_or(0))
+        .build()
+        .map_err(|error| BatchError::NoThreads(error.to_string()))?;
+    let (done, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let progress = Mutex::new(progress);
+    let go_on =
+        || if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+    let fly = |config: &FlightConfig| {
+        if go_on().is_break() {
+            return Err(BatchError::Interrupted);
+        }
+        let flight = Flight::new(config).map_err(BatchError::Build)?;
+        let result = flight.run(|_, _| go_on()).map_err(|Interrupted| BatchError::Interrupted)?;
+        let result = reduce(result);
+        let count = done.fetch_add(1, Ordering::Relaxed) + 1;
+        if let Ok(mut progress) = progress.lock()
+            && progress(count, configs.len()).is_break()
+        {
+            stop.store(true, Ordering::Relaxed);
+        }
+        Ok(result)
+    };
+    Ok(pool.install(|| configs.par_iter().map(fly).collect()))
+}

@@ -1,0 +1,134 @@
+//! Rotations, poses and the small matrices of rigid-body kinematics.
+//!
+//! Transforms are named `a_from_b`: `p_a = a_from_b * p_b`. Frames are a suffix: `_i` inertial,
+//! `_b` body. This is the only file that knows the order of a quaternion: `wxyz`, everywhere.
+
+use nalgebra::{Matrix3, Quaternion, Rotation3, Unit, UnitQuaternion, Vector3};
+
+/// A rigid transform `a_from_b`: rotation of frame b in frame a, and b's origin in a \[m\].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pose {
+    /// Rotation `a_from_b`.
+    pub rotation: Matrix3<f64>,
+    /// Origin of b in a \[m\].
+    pub position: Vector3<f64>,
+}
+
+impl Pose {
+    /// The transform that changes nothing.
+    #[must_use]
+    pub fn identity() -> Self {
+        Self { rotation: Matrix3::identity(), position: Vector3::zeros() }
+    }
+
+    /// Maps a point of frame b into frame a.
+    #[must_use]
+    pub fn transform_point(&self, point_b: &Vector3<f64>) -> Vector3<f64> {
+        self.rotation * point_b + self.position
+    }
+}
+
+/// Composition: `a_from_b * b_from_c = a_from_c`.
+impl std::ops::Mul for Pose {
+    type Output = Self;
+    fn mul(self, rhs: Self) -> Self {
+        Self { rotation: self.rotation * rhs.rotation, position: self.transform_point(&rhs.position) }
+    }
+}
+
+/// The matrix `S(v)` with `S(v) u = v × u`.
+#[must_use]
+pub fn skew(v: &Vector3<f64>) -> Matrix3<f64> {
+    Matrix3::new(0.0, -v.z, v.y, v.z, 0.0, -v.x, -v.y, v.x, 0.0)
+}
+
+/// Vector of the antisymmetric part, `sk(A)^∨` with `sk(A) = (A − Aᵀ)/2`; inverse of [`skew`].
+#[must_use]
+pub fn vee_of_skew_part(a: &Matrix3<f64>) -> Vector3<f64> {
+    0.5 * Vector3::new(a.m32 - a.m23, a.m13 - a.m31, a.m21 - a.m12)
+}
+
+/// Rotation by the vector `phi` \[rad\]: `exp(S(φ))`.
+#[must_use]
+pub fn exp_so3(phi: &Vector3<f64>) -> Matrix3<f64> {
+    Rotation3::new(*phi).into_inner()
+}
+
+/// Angle of a rotation \[rad\], in `[0, π]`; exact near both ends (no `acos`).
+#[must_use]
+pub fn rotation_angle(r: &Matrix3<f64>) -> f64 {
+    vee_of_skew_part(r).norm().atan2(0.5 * (r.trace() - 1.0))
+}
+
+/// Rotation about a unit axis by an angle \[rad\].
+#[must_use]
+pub fn axis_angle(axis: &Vector3<f64>, angle: f64) -> Matrix3<f64> {
+    // Rodrigues: R = c I + s S(k) + (1 − c) k kᵀ.
+    let (s, c) = angle.sin_cos();
+    let v = 1.0 - c;
+    let (x, y, z) = (axis.x, axis.y, axis.z);
+    Matrix3::new(
+        c + v * x * x,
+        v * x * y - s * z,
+        v * x * z + s * y,
+        v * x * y + s * z,
+        c + v * y * y,
+        v * y * z - s * x,
+        v * x * z - s * y,
+        v * y * z + s * x,
+        c + v * z * z,
+    )
+}
+
+/// `Rz(yaw) Ry(pitch) Rx(roll)` for `rpy = (roll, pitch, yaw)` \[rad\].
+#[must_use]
+pub fn rotation_from_rpy(rpy: &Vector3<f64>) -> Matrix3<f64> {
+    Rotation3::from_euler_angles(rpy.x, rpy.y, rpy.z).into_inner()
+}
+
+/// Inverse of [`rotation_from_rpy`], pitch in `[−π/2, π/2]`.
+#[must_use]
+pub fn rpy_from_rotation(r: &Matrix3<f64>) -> Vector3<f64> {
+    let pitch = (-r.m31).atan2(r.m11.hypot(r.m21));
+    Vector3::new(r.m32.atan2(r.m33), pitch, r.m21.atan2(r.m11))
+}
+
+/// Nearest rotation to a matrix that is already close to one.
+///
+/// Two Newton–Schulz steps `R ← R (3 I − RᵀR)/2` towards the polar factor: an orthonormality error
+/// ε becomes O(ε⁴).
+#[must_use]
+pub fn project_to_so3(near: &Matrix3<f64>) -> Matrix3<f64> {
+    let mut r = *near;
+    for _ in 0..2 {
+        r = r * (Matrix3::from_diagonal_element(3.0) - r.transpose() * r) * 0.5;
+    }
+    r
+}
+
+/// Rotation of a quaternion `wxyz`, normalised first.
+#[must_use]
+pub fn rotation_from_wxyz(wxyz: &[f64; 4]) -> Matrix3<f64> {
+    let q = Quaternion::new(wxyz[0], wxyz[1], wxyz[2], wxyz[3]);
+    UnitQuaternion::from_quaternion(q).to_rotation_matrix().into_inner()
+}
+
+/// Quaternion `wxyz` of a rotation, with `w ≥ 0`.
+#[must_use]
+pub fn wxyz_from_rotation(r: &Matrix3<f64>) -> [f64; 4] {
+    let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*r));
+    let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
+    [sign * q.w, sign * q.i, sign * q.j, sign * q.k]
+}
+
+/// Largest deviation of `RᵀR` from the identity: how far a matrix is from a rotation.
+#[must_use]
+pub fn orthonormality_error(r: &Matrix3<f64>) -> f64 {
+    (r.transpose() * r - Matrix3::identity()).amax()
+}
+
+/// A unit vector, or `None` if the length is not 1 to six digits.
+#[must_use]
+pub fn unit_vector(v: Vector3<f64>) -> Option<Unit<Vector3<f64>>> {
+    ((v.norm() - 1.0).abs() < 1e-6).then(|| Unit::new_normalize(v))
+}

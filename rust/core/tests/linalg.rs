@@ -1,0 +1,152 @@
+//! The dense kernels against nalgebra and against their own definitions.
+
+use flight_core::linalg::*;
+use nalgebra::{DMatrix, DVector};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Rows of garbage between the columns: a kernel that strays past row n reads or spoils it.
+const PADDING: usize = 3;
+
+fn random(rng: &mut ChaCha8Rng, rows: usize, columns: usize) -> DMatrix<f64> {
+    DMatrix::from_fn(rows, columns, |_, _| rng.random_range(-1.0..1.0))
+}
+
+/// `A Aᵀ + shift` with rows in different units.
+fn definite(rng: &mut ChaCha8Rng, n: usize) -> DMatrix<f64> {
+    let units = DMatrix::from_diagonal(&DVector::from_fn(n, |_, _| 10f64.powf(rng.random_range(-3.0..3.0))));
+    let a = &units * random(rng, n, n + 2);
+    &a * a.transpose()
+}
+
+fn padded(a: &DMatrix<f64>) -> (Vec<f64>, usize) {
+    let ld = a.nrows() + PADDING;
+    let mut buffer = vec![f64::NAN; ld * a.ncols()];
+    for (to, from) in buffer.chunks_exact_mut(ld).zip(a.column_iter()) {
+        to[..a.nrows()].copy_from_slice(from.as_slice());
+    }
+    (buffer, ld)
+}
+
+/// `L` with the reciprocals on its diagonal undone.
+fn lower(buffer: &[f64], n: usize, ld: usize) -> DMatrix<f64> {
+    DMatrix::from_fn(n, n, |i, j| match i.cmp(&j) {
+        std::cmp::Ordering::Less => 0.0,
+        std::cmp::Ordering::Equal => 1.0 / buffer[i + j * ld],
+        std::cmp::Ordering::Greater => buffer[i + j * ld],
+    })
+}
+
+#[test]
+fn vector_kernels_match_their_definitions_at_every_length() {
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    for n in 0..40 {
+        let (x, y) = (random(&mut rng, n, 1), random(&mut rng, n, 1));
+        assert!((dot(x.as_slice(), y.as_slice()) - x.dot(&y)).abs() < 1e-14);
+        assert_eq!(max_abs(x.as_slice()), x.iter().fold(0.0, |a: f64, b| a.max(b.abs())));
+        let mut sum = y.clone();
+        add_scaled(sum.as_mut_slice(), 0.7, x.as_slice());
+        assert!((sum - (&y + 0.7 * &x)).amax_or_zero() < 1e-15);
+    }
+}
+
+#[test]
+fn matrix_vector_product_matches_nalgebra_for_every_shape() {
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    for rows in 0..12 {
+        for columns in 0..12 {
+            let a = random(&mut rng, rows, columns);
+            let (x, y) = (random(&mut rng, columns, 1), random(&mut rng, rows, 1));
+            let (buffer, ld) = padded(&a);
+            let mut got = y.clone();
+            add_mat_vec(got.as_mut_slice(), &buffer, ld, x.as_slice());
+            assert!((got - (y + &a * x)).amax_or_zero() < 1e-14, "{rows} x {columns}");
+        }
+    }
+}
+
+#[test]
+fn factor_times_its_transpose_is_the_matrix() {
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    for n in 0..34 {
+        let a = definite(&mut rng, n);
+        let (mut buffer, ld) = padded(&a);
+        assert!(cholesky_in_place(&mut buffer, n, ld), "n = {n}");
+        let l = lower(&buffer, n, ld);
+        let error = &l * l.transpose() - &a;
+        for (i, j) in (0..n).flat_map(|i| (0..n).map(move |j| (i, j))) {
+            // Componentwise: rows differ in unit by up to 1e6.
+            assert!(error[(i, j)].abs() <= 1e-13 * (a[(i, i)] * a[(j, j)]).sqrt(), "n = {n}, ({i}, {j})");
+            // Neither the upper triangle nor the padding is touched.
+            if i < j {
+                assert_eq!(buffer[i + j * ld], a[(i, j)]);
+            }
+        }
+        assert!(buffer.chunks_exact(ld).all(|column| column[n..].iter().all(|v| v.is_nan())));
+    }
+}
+
+#[test]
+fn resuming_after_any_column_gives_the_same_factor() {
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    let n = 23;
+    let a = definite(&mut rng, n);
+    let (mut whole, ld) = padded(&a);
+    assert!(cholesky_in_place(&mut whole, n, ld));
+    for done in 0..=n {
+        let (mut resumed, _) = padded(&a);
+        resumed[..done * ld].copy_from_slice(&whole[..done * ld]);
+        assert!(cholesky_resume_in_place(&mut resumed, done, n, ld));
+        assert_eq!(lower(&resumed, n, ld), lower(&whole, n, ld));
+    }
+}
+
+#[test]
+fn substitutions_undo_the_factor_for_many_right_hand_sides() {
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    for n in 1..34 {
+        let (mut buffer, ld) = padded(&definite(&mut rng, n));
+        assert!(cholesky_in_place(&mut buffer, n, ld));
+        let l = lower(&buffer, n, ld);
+        let b = random(&mut rng, n, 5);
+        // Backward stable: judged by the residual, row by row, not by the error of x.
+        let mut x = b.clone();
+        solve_lower_in_place(&buffer, n, ld, x.as_mut_slice());
+        let bound = 1e-14 * (l.abs() * x.abs() + b.abs());
+        assert!((&l * &x - &b).abs().zip_map(&bound, |r, b| r / b).max() <= 1.0, "forward, n = {n}");
+        let mut x = b.clone();
+        solve_lower_transposed_in_place(&buffer, n, ld, x.as_mut_slice());
+        let bound = 1e-14 * (l.transpose().abs() * x.abs() + b.abs());
+        assert!((l.transpose() * &x - &b).abs().zip_map(&bound, |r, b| r / b).max() <= 1.0, "back, n = {n}");
+    }
+    solve_lower_in_place(&[], 0, 0, &mut []);
+    solve_lower_transposed_in_place(&[], 0, 0, &mut []);
+}
+
+#[test]
+fn matrices_that_are_not_positive_definite_are_refused() {
+    let refused = |entries: &[f64], n| !cholesky_in_place(&mut entries.to_vec(), n, n);
+    assert!(refused(&[-1.0], 1));
+    assert!(refused(&[0.0], 1));
+    assert!(refused(&[f64::NAN], 1));
+    assert!(refused(&[f64::INFINITY], 1));
+    assert!(refused(&[1.0, 2.0, 2.0, 1.0], 2));
+    assert!(refused(&[1.0, f64::NAN, f64::NAN, 1.0], 2));
+    // Rank one, in any units: the second pivot is rounding.
+    for unit in [1e-100, 1.0, 1e100] {
+        let v = [0.1, 0.3 * unit];
+        assert!(refused(&[v[0] * v[0], v[0] * v[1], v[1] * v[0], v[1] * v[1]], 2), "unit {unit}");
+    }
+    assert!(!refused(&[1e-200, 0.0, 0.0, 1e200], 2));
+}
+
+/// `amax` of an empty matrix panics.
+trait AmaxOrZero {
+    fn amax_or_zero(&self) -> f64;
+}
+
+impl AmaxOrZero for DMatrix<f64> {
+    fn amax_or_zero(&self) -> f64 {
+        max_abs(self.as_slice())
+    }
+}

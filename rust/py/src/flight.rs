@@ -1,0 +1,190 @@
+//! Configurations and whole flights.
+
+use crate::arrays::{Output, array, value_error, vector};
+use flight_core::sim::{BatchError, FlightConfig, FlightResult, WindConfig, fly_batch as fly_rust_batch};
+use flight_core::{BuildError, Flight, RobotModel, load_flight};
+use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use sha2::{Digest, Sha256};
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// How often Python is told of progress and may interrupt.
+const REPORT_INTERVAL: Duration = Duration::from_millis(50);
+
+/// A flight configuration from JSON.
+pub fn parse(config_json: &str) -> PyResult<FlightConfig> {
+    let value = serde_json::from_str(config_json)
+        .map_err(|error| value_error(BuildError::malformed("configuration", error)))?;
+    flight_core::config::flight_from_value(value, "configuration").map_err(value_error)
+}
+
+fn to_value(config: &FlightConfig) -> PyResult<serde_json::Value> {
+    serde_json::to_value(config).map_err(|error| PyRuntimeError::new_err(error.to_string()))
+}
+
+/// Read a flight configuration file and everything it builds on; JSON with every default written out.
+#[pyfunction]
+pub fn resolve_config(path: PathBuf) -> PyResult<String> {
+    let config = load_flight(&path).map_err(value_error)?;
+    Ok(to_value(&config)?.to_string())
+}
+
+/// Raise ValueError unless this configuration can fly.
+#[pyfunction]
+pub fn check_config(config_json: &str) -> PyResult<()> {
+    Flight::new(&parse(config_json)?).map(|_| ()).map_err(value_error)
+}
+
+/// SHA-256 over the configuration and the files it names; the same on every machine.
+#[pyfunction]
+pub fn config_digest(config_json: &str) -> PyResult<String> {
+    let config = parse(config_json)?;
+    let robot = RobotModel::load(&config.robot).map_err(value_error)?;
+    let mut value = to_value(&config)?;
+    // Where files lie says nothing about the flight; what is in them does.
+    value["robot"] = file_name(&config.robot).into();
+    let mut hash = Sha256::new();
+    if let WindConfig::File { path } = &config.wind {
+        value["wind"]["path"] = file_name(path).into();
+        hash.update(std::fs::read(path)?);
+    }
+    hash.update(value.to_string());
+    hash.update(&robot.toml_text);
+    hash.update(&robot.urdf_text);
+    let digest = hash.finalize();
+    Ok(digest.iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}")))
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// Fly one configuration to the end or to the fall. `progress(tick, n_ticks)` is called about 20 times a
+/// second; what it raises ends the flight.
+#[pyfunction]
+#[pyo3(signature = (config_json, progress = None))]
+pub fn fly<'py>(
+    py: Python<'py>,
+    config_json: &str,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let flight = Flight::new(&parse(config_json)?).map_err(value_error)?;
+    let mut reporter = Reporter::new(progress);
+    let result = py.detach(|| flight.run(|tick, n_ticks| reporter.report(tick, n_ticks)));
+    match (result, reporter.raised) {
+        (_, Some(error)) => Err(error),
+        (Ok(result), None) => flight_dict(py, result, true),
+        (Err(_), None) => Err(PyKeyboardInterrupt::new_err("flight interrupted")),
+    }
+}
+
+/// Fly many configurations over threads. Results stand in the order given and do not depend on the number
+/// of threads. `progress(done, total)` is called as flights end. Without `full_log` the logs are empty.
+#[pyfunction]
+#[pyo3(signature = (config_jsons, threads = None, progress = None, full_log = false))]
+pub fn fly_batch(
+    py: Python<'_>,
+    config_jsons: Vec<String>,
+    threads: Option<usize>,
+    progress: Option<Py<PyAny>>,
+    full_log: bool,
+) -> PyResult<Vec<Bound<'_, PyDict>>> {
+    if threads == Some(0) {
+        return Err(PyValueError::new_err("threads is 0; expected at least 1, or None for one per core"));
+    }
+    let configs = config_jsons.iter().map(|text| parse(text)).collect::<PyResult<Vec<_>>>()?;
+    let mut reporter = Reporter::new(progress);
+    let keep = |mut result: FlightResult| {
+        if !full_log {
+            result.log.series.clear();
+        }
+        result
+    };
+    let results = py
+        .detach(|| fly_rust_batch(&configs, threads, keep, |done, total| reporter.report(done, total)))
+        .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
+    if let Some(error) = reporter.raised {
+        return Err(error);
+    }
+    let convert = |(index, result): (usize, Result<FlightResult, BatchError>)| match result {
+        Ok(result) => flight_dict(py, result, full_log),
+        Err(BatchError::Interrupted) => Err(PyKeyboardInterrupt::new_err("batch interrupted")),
+        Err(error) => Err(PyValueError::new_err(format!("flight {index} of the batch: {error}"))),
+    };
+    results.into_iter().enumerate().map(convert).collect()
+}
+
+/// Tells Python about progress now and then, and remembers what it raised.
+struct Reporter {
+    progress: Option<Py<PyAny>>,
+    last: Instant,
+    raised: Option<PyErr>,
+}
+
+impl Reporter {
+    fn new(progress: Option<Py<PyAny>>) -> Self {
+        Self { progress, last: Instant::now(), raised: None }
+    }
+
+    fn report(&mut self, done: usize, total: usize) -> ControlFlow<()> {
+        if done < total && self.last.elapsed() < REPORT_INTERVAL {
+            return ControlFlow::Continue(());
+        }
+        self.last = Instant::now();
+        let said = Python::attach(|py| {
+            py.check_signals()?;
+            self.progress.as_ref().map_or(Ok(()), |progress| progress.call1(py, (done, total)).map(|_| ()))
+        });
+        match said {
+            Ok(()) => ControlFlow::Continue(()),
+            Err(error) => {
+                self.raised = Some(error);
+                ControlFlow::Break(())
+            }
+        }
+    }
+}
+
+fn flight_dict(py: Python<'_>, result: FlightResult, full_log: bool) -> PyResult<Bound<'_, PyDict>> {
+    let FlightResult { fall, log, summary } = result;
+    let out = PyDict::new(py);
+    let ticks = log.len();
+    let signals = PyDict::new(py);
+    if full_log {
+        for series in log.series {
+            let shape: Vec<usize> = std::iter::once(ticks).chain(series.row_shape.iter().copied()).collect();
+            let signal: Output<'_> = array(py, &shape, series.data)?;
+            signals.set_item(series.name, signal)?;
+        }
+    }
+    out.set_item("log", signals)?;
+    out.set_item("joint_reference", vector(py, &log.joint_reference)?)?;
+    out.set_item("outcome", if fall.is_some() { "fell" } else { "completed" })?;
+    out.set_item("fall_time", fall.map(|fall| fall.time))?;
+    out.set_item("fall_reason", fall.map(|fall| fall.reason.to_string()))?;
+
+    let figures = PyDict::new(py);
+    let [x, y, z] = summary.max_com_error_xyz;
+    for (name, value) in [
+        ("max_com_error", summary.max_com_error),
+        ("max_com_error_x", x),
+        ("max_com_error_y", y),
+        ("max_com_error_z", z),
+        ("max_rotation_error", summary.max_rotation_error),
+        ("thrust_min", summary.thrust_range.0),
+        ("thrust_max", summary.thrust_range.1),
+        ("max_torque", summary.max_torque),
+        ("min_com_height", summary.min_com_height),
+        ("min_com_x_settling", summary.min_com_x_settling),
+        ("ticks_without_solution", summary.ticks_without_solution as f64),
+        ("max_kkt", summary.max_kkt),
+        ("max_qp_iterations", summary.max_qp_iterations),
+    ] {
+        figures.set_item(name, value)?;
+    }
+    out.set_item("summary", figures)?;
+    Ok(out)
+}

@@ -1,0 +1,35 @@
+//! Doors from Python to `flight-core`, compiled as `jax_aero._core`.
+//!
+//! Nothing is computed here: arguments are checked and converted, the crate is asked, results are
+//! converted back. Files mirror those of the crate. Long calls release the interpreter lock.
+
+// Arguments arrive from Python by value; that is how PyO3 hands them over.
+#![allow(clippy::needless_pass_by_value)]
+// Comments on exported items are docstrings: Python names in them are not links.
+#![allow(clippy::doc_markdown)]
+
+mod arrays;
+mod control;
+mod flight;
+mod qp;
+mod robot;
+
+use pyo3::prelude::*;
+
+#[pymodule]
+mod _core {
+    #[pymodule_export]
+    use super::control::{Controller, reference_trajectory};
+    #[pymodule_export]
+    use super::flight::{check_config, config_digest, fly, fly_batch, resolve_config};
+    #[pymodule_export]
+    use super::qp::{BoxQpSolver, kkt_residual};
+    #[pymodule_export]
+    use super::robot::{Robot, aero_forces};
+    use pyo3::prelude::*;
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
+    }
+}

@@ -1,0 +1,236 @@
+//! The robot and its rigid-body dynamics.
+
+use crate::arrays::{Input, Output, entries, matrix, matrix3, value_error, vector, vector3, vectors};
+use flight_core::aero::AeroModel;
+use flight_core::dynamics::{Dynamics, MassFactor};
+use flight_core::kinematics::{Kinematics, RobotState};
+use flight_core::robot::Frame;
+use flight_core::spatial::{Pose, orthonormality_error};
+use flight_core::{BuildError, RobotModel};
+use nalgebra::{DVector, Vector3};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// A robot, read from its TOML file and the URDF named there.
+#[pyclass(frozen, module = "jax_aero._core")]
+pub struct Robot {
+    model: RobotModel,
+}
+
+/// State of a robot from arrays: base position (3), rotation (3, 3), joints (n), mixed velocity (6 + n).
+pub fn state(
+    joints: usize,
+    base_position: &Input<'_>,
+    base_rotation: &Input<'_>,
+    joint_position: &Input<'_>,
+    velocity: &Input<'_>,
+) -> PyResult<RobotState> {
+    let rotation = matrix3("base_rotation", base_rotation)?;
+    let deviation = orthonormality_error(&rotation);
+    if deviation > 1e-6 || rotation.determinant() < 0.0 {
+        return Err(PyValueError::new_err(format!(
+            "`base_rotation` deviates from a rotation by {deviation:e} (determinant {}); expected one to 1e-6",
+            rotation.determinant()
+        )));
+    }
+    Ok(RobotState {
+        base: Pose { rotation, position: vector3("base_position", base_position)? },
+        joint_position: DVector::from_vec(entries("joint_position", joint_position, &[joints])?),
+        velocity: DVector::from_vec(entries("velocity", velocity, &[6 + joints])?),
+    })
+}
+
+#[pymethods]
+impl Robot {
+    #[new]
+    fn new(path: PathBuf) -> PyResult<Self> {
+        RobotModel::load(&path).map(|model| Self { model }).map_err(value_error)
+    }
+
+    #[getter]
+    fn name(&self) -> &str {
+        &self.model.name
+    }
+
+    /// Total mass [kg].
+    #[getter]
+    fn mass(&self) -> f64 {
+        self.model.mass()
+    }
+
+    /// Gravity [m/s²].
+    #[getter]
+    fn gravity(&self) -> f64 {
+        self.model.gravity
+    }
+
+    #[getter]
+    fn joint_names(&self) -> Vec<String> {
+        self.model.joints.iter().map(|joint| joint.name.clone()).collect()
+    }
+
+    /// Limits that the controller respects [rad], a (lower, upper) pair for each joint.
+    #[getter]
+    fn joint_limits(&self) -> Vec<(f64, f64)> {
+        self.model.joints.iter().map(|joint| joint.limits).collect()
+    }
+
+    /// Names of the joints that are plotted together.
+    #[getter]
+    fn joint_groups(&self) -> BTreeMap<String, Vec<String>> {
+        let names =
+            |joints: &[usize]| joints.iter().map(|&joint| self.model.joints[joint].name.clone()).collect();
+        self.model.groups.iter().map(|group| (group.name.clone(), names(&group.joints))).collect()
+    }
+
+    #[getter]
+    fn body_names(&self) -> Vec<String> {
+        self.model.bodies.iter().map(|body| body.name.clone()).collect()
+    }
+
+    #[getter]
+    fn aero_link_names(&self) -> Vec<String> {
+        self.model.aero_links.iter().map(|link| link.name.clone()).collect()
+    }
+
+    #[getter]
+    fn jet_names(&self) -> Vec<String> {
+        self.model.jets.iter().map(|jet| jet.name.clone()).collect()
+    }
+
+    /// Text of the TOML file.
+    #[getter]
+    fn toml_text(&self) -> &str {
+        &self.model.toml_text
+    }
+
+    /// Text of the URDF file.
+    #[getter]
+    fn urdf_text(&self) -> &str {
+        &self.model.urdf_text
+    }
+
+    /// Kinematics and dynamics of one state, by name; see `jax_aero.reference.Robot`.
+    fn dynamics<'py>(
+        &self,
+        py: Python<'py>,
+        base_position: Input<'py>,
+        base_rotation: Input<'py>,
+        joint_position: Input<'py>,
+        velocity: Input<'py>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let state = state(self.model.n_joints(), &base_position, &base_rotation, &joint_position, &velocity)?;
+        let (kinematics, dynamics) = self.evaluate(&state);
+        let out = PyDict::new(py);
+        let positions: Vec<Vector3<f64>> =
+            kinematics.bodies.iter().map(|body| body.i_from_b.position).collect();
+        let rotations: Vec<f64> = kinematics
+            .bodies
+            .iter()
+            .flat_map(|body| body.i_from_b.rotation.transpose().iter().copied().collect::<Vec<_>>())
+            .collect();
+        out.set_item("body_positions", vectors(py, &positions)?)?;
+        out.set_item("body_rotations", crate::arrays::array(py, &[positions.len(), 3, 3], rotations)?)?;
+        out.set_item("com_position", vector(py, kinematics.com.as_slice())?)?;
+        out.set_item("mass_matrix", matrix(py, &dynamics.mass_matrix)?)?;
+        out.set_item("bias", vector(py, dynamics.bias.as_slice())?)?;
+        out.set_item("momentum_matrix", matrix(py, &dynamics.momentum_matrix)?)?;
+        out.set_item("momentum", vector(py, dynamics.momentum.as_slice())?)?;
+        out.set_item("centroidal_inertia", matrix(py, &dynamics.centroidal_inertia)?)?;
+        Ok(out)
+    }
+
+    /// Linear and angular Jacobian (3, 6 + n) of the origin of a frame: a body, jet, aerodynamic link or foot.
+    fn frame_jacobian<'py>(
+        &self,
+        py: Python<'py>,
+        frame: &str,
+        base_position: Input<'py>,
+        base_rotation: Input<'py>,
+        joint_position: Input<'py>,
+        velocity: Input<'py>,
+    ) -> PyResult<(Output<'py>, Output<'py>)> {
+        let state = state(self.model.n_joints(), &base_position, &base_rotation, &joint_position, &velocity)?;
+        let frame = self.frame(frame)?;
+        let (kinematics, _) = self.evaluate(&state);
+        let point = kinematics.frame_pose(&frame).position;
+        let (linear, angular) = kinematics.jacobian(frame.body, &point);
+        Ok((matrix(py, &linear)?, matrix(py, &angular)?))
+    }
+
+    /// Acceleration ν̇ (6 + n) under a generalised force (6 + n): M ν̇ + h = force.
+    fn forward_dynamics<'py>(
+        &self,
+        py: Python<'py>,
+        base_position: Input<'py>,
+        base_rotation: Input<'py>,
+        joint_position: Input<'py>,
+        velocity: Input<'py>,
+        force: Input<'py>,
+    ) -> PyResult<Output<'py>> {
+        let joints = self.model.n_joints();
+        let state = state(joints, &base_position, &base_rotation, &joint_position, &velocity)?;
+        let (_, dynamics) = self.evaluate(&state);
+        let mut acceleration = DVector::from_vec(entries("force", &force, &[6 + joints])?) - &dynamics.bias;
+        let mut factor = MassFactor::new(6 + joints);
+        if !factor.factorise(&dynamics.mass_matrix) {
+            return Err(PyValueError::new_err("the mass matrix of this state is not positive definite"));
+        }
+        factor.solve_in_place(&mut acceleration);
+        vector(py, acceleration.as_slice())
+    }
+}
+
+impl Robot {
+    fn evaluate(&self, state: &RobotState) -> (Kinematics, Dynamics) {
+        let mut kinematics = Kinematics::new(&self.model);
+        let mut dynamics = Dynamics::new(&self.model);
+        kinematics.update(&self.model, state);
+        dynamics.update(&self.model, state, &kinematics);
+        (kinematics, dynamics)
+    }
+
+    fn frame(&self, name: &str) -> PyResult<Frame> {
+        let model = &self.model;
+        let jets = model.jets.iter().map(|jet| &jet.frame);
+        let links = model.aero_links.iter().map(|link| &link.frame);
+        let feet = model.feet.iter().map(|foot| &foot.frame);
+        let body = model.body_index(name).map(|body| Frame {
+            name: name.to_owned(),
+            body,
+            body_from_frame: Pose::identity(),
+        });
+        let frames: Vec<&Frame> = jets.chain(links).chain(feet).collect();
+        body.or_else(|| frames.iter().find(|frame| frame.name == name).map(|frame| (*frame).clone()))
+            .ok_or_else(|| {
+                let bodies = model.bodies.iter().map(|body| body.name.as_str());
+                let known = bodies.chain(frames.iter().map(|frame| frame.name.as_str()));
+                value_error(BuildError::unknown_name("frame", name, known))
+            })
+    }
+}
+
+/// Forces (links, 3) [N] of an aerodynamic model, given as JSON, on a robot's links: unit axes and air
+/// velocities (links, 3), inertial axes.
+#[pyfunction]
+pub fn aero_forces<'py>(
+    py: Python<'py>,
+    robot: &Robot,
+    aero_json: &str,
+    axes: Input<'py>,
+    v_air: Input<'py>,
+) -> PyResult<Output<'py>> {
+    let links = robot.model.aero_links.len();
+    let config =
+        serde_json::from_str(aero_json).map_err(|error| value_error(BuildError::malformed("aero", error)))?;
+    let model = AeroModel::new(&config, &robot.model.aero_links).map_err(value_error)?;
+    let rows = |name: &str, input: &Input<'_>| -> PyResult<Vec<Vector3<f64>>> {
+        Ok(entries(name, input, &[links, 3])?.chunks_exact(3).map(Vector3::from_column_slice).collect())
+    };
+    let mut forces = vec![Vector3::zeros(); links];
+    model.link_forces(&rows("axes", &axes)?, &rows("v_air", &v_air)?, &mut forces);
+    vectors(py, &forces)
+}

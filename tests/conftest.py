@@ -1,0 +1,112 @@
+"""A made-up flight of a made-up robot: the right shapes, plausible sizes, no physics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments import record
+from jax_aero.reference import Flight
+
+
+def _leg(side: str) -> list[str]:
+    return [f"{side}_{joint}" for joint in ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")]
+
+
+def _arm(side: str) -> list[str]:
+    return [f"{side}_{joint}" for joint in ("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow")]
+
+
+GROUPS = {
+    "torso": ["torso_pitch", "torso_roll", "torso_yaw"],
+    "left_arm": _arm("l"),
+    "right_arm": _arm("r"),
+    "left_leg": _leg("l"),
+    "right_leg": _leg("r"),
+}
+
+
+@dataclass(frozen=True)
+class MadeUpRobot:
+    joint_groups: dict[str, list[str]] = field(default_factory=lambda: GROUPS)
+    joint_names: list[str] = field(default_factory=lambda: [joint for group in GROUPS.values() for joint in group])
+    aero_link_names: list[str] = field(default_factory=lambda: [f"link_{i}" for i in range(13)])
+    jet_names: list[str] = field(
+        default_factory=lambda: [f"{jet}_jet_turbine" for jet in ("l_arm", "r_arm", "chest_l", "chest_r")]
+    )
+
+
+@pytest.fixture
+def robot() -> MadeUpRobot:
+    return MadeUpRobot()
+
+
+def made_up_flight(duration: float = 50.0, fall_time: float | None = None, step: float = 0.1) -> Flight:
+    t = np.arange(0.0, (fall_time or duration) + step / 2, step)
+    n = t.size
+    ramp = np.clip((t - 5.0) / 5.0, 0.0, 1.0)
+    drift = ramp * (np.exp((t - t[-1]) / 3.0) if fall_time else 0.05)
+    reference = np.stack(
+        [3.0 * np.clip(t - 20.0, 0.0, 15.0), 0.0 * t, 0.75 + 0.7 * np.clip(t - 10.0, 0.0, 7.0)], axis=1
+    )
+    wobble = np.sin(t[:, None] + np.arange(23.0)) * (0.05 + 0.4 * drift)[:, None]
+    force = np.zeros((n, 13, 3))
+    force[:, :, 1] = -ramp[:, None]
+    force[:, :, 0] = -0.5 * np.sin(t / 8.0)[:, None] ** 2
+    log = {
+        "time": t,
+        "base_position": reference + 0.05,
+        "base_quaternion": np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)),
+        "base_velocity": np.zeros((n, 6)),
+        "joint_position": 0.2 + wobble,
+        "joint_velocity": np.zeros((n, 23)),
+        "com_position": reference + drift[:, None] * np.array([0.1, -0.6, 0.05]),
+        "com_velocity": np.zeros((n, 3)),
+        "com_reference": reference,
+        "rotation_error": 0.03 + 1.5 * drift,
+        "base_rpy_reference": np.tile([0.0, 0.0, np.pi], (n, 1)),
+        "thrust": np.array([98.0, 98.0, 113.0, 113.0])
+        + np.outer(ramp, [20.0, -15.0, 30.0, -25.0]) * (1 + drift[:, None]),
+        "thrust_rate": np.zeros((n, 4)),
+        "joint_velocity_command": np.zeros((n, 23)),
+        "joint_torque": np.zeros((n, 23)),
+        "wind": np.outer(ramp, [0.0, -10.0, 0.0]),
+        "aero_force_sim": force,
+        "aero_force_control": 0.8 * force,
+        "momentum": np.zeros((n, 6)),
+        "momentum_reference": np.zeros((n, 6)),
+        "momentum_rate_estimate": np.zeros((n, 6)),
+        "qp_status": np.zeros((n, 2)),
+        "qp_kkt": np.full((n, 2), 1e-12),
+        "qp_iterations": np.full((n, 2), 3.0),
+    }
+    return Flight(
+        log=log,
+        joint_reference=np.full(23, 0.2),
+        outcome="fell" if fall_time else "completed",
+        fall_time=fall_time,
+        fall_reason="rotation error above 90 deg" if fall_time else None,
+        summary={"max_com_error": 0.017, "max_rotation_error": 0.05, "thrust_min": 57.9, "thrust_max": 179.2},
+    )
+
+
+@pytest.fixture
+def make_flight() -> Callable[..., Flight]:
+    return made_up_flight
+
+
+@pytest.fixture
+def made_up_results(tmp_path: Path, robot: MadeUpRobot) -> Path:
+    """A results folder with the four flights the figures show; one of them falls."""
+    results = tmp_path / "flight"
+    for name, fall_time in (("test1", None), ("test2", None), ("test1_published", 21.5), ("test2_published", None)):
+        digest = name.encode().hex().ljust(64, "0")
+        dataset = record.to_dataset(
+            made_up_flight(fall_time=fall_time), robot, title=f"{name}: made up", config_digest=digest
+        )
+        record.write_run(results / name, dataset, {"name": name, "config_digest": digest})
+    return results

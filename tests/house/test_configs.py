@@ -1,0 +1,49 @@
+"""Every file of numbers can be read, and says where its numbers come from."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from jax_aero import reference
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFIGS = sorted((ROOT / "configs").rglob("*.toml"))
+EXPERIMENTS = sorted((ROOT / "configs" / "experiments").glob("*.toml"))
+# "Source: ...", the paper, a published file by its name, or ourselves.
+SOURCE = re.compile(r"#.*(\bsources?\b|\bpaper\b|\bpublished\b|\bours?\b|\w+\.m\b)", re.IGNORECASE)
+
+
+def name_of(path: Path) -> str:
+    return str(path.relative_to(ROOT / "configs"))
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=name_of)
+def test_a_config_is_toml_and_names_its_source(path):
+    text = path.read_text(encoding="utf-8")
+    tomllib.loads(text)
+    assert SOURCE.search(text), "no comment says where this comes from"
+
+
+@pytest.mark.parametrize("path", EXPERIMENTS, ids=name_of)
+def test_an_experiment_resolves_and_can_fly(path):
+    config = reference.load_config(path)
+    assert config["title"]
+    assert config["description"]
+    assert len(reference.config_digest(config)) == 64
+
+
+def test_no_two_experiments_are_the_same():
+    described = {}
+    for path in EXPERIMENTS:
+        config = reference.load_config(path)
+        text = repr({key: value for key, value in config.items() if key not in ("title", "description")})
+        assert text not in described, f"{path.stem} flies what {described.get(text)} flies"
+        described[text] = path.stem
+
+
+def test_test1_and_test2_differ_in_the_controller_alone():
+    first, second = (reference.load_config(ROOT / f"configs/experiments/test{n}.toml") for n in (1, 2))
+    different = {key for key in first if first[key] != second[key]}
+    assert different == {"title", "description", "controller"}

@@ -1,0 +1,91 @@
+"""The front door: `make`, CI, metadata, and nothing of one machine in the files."""
+
+import os
+import re
+import subprocess
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+import yaml
+
+import jax_aero
+
+ROOT = Path(__file__).resolve().parents[2]
+TARGETS = {"help", "setup", "demo", "test", "lint", "bench", "figures", "verify", "clean"}
+
+
+def make(*arguments: str) -> str:
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("MAKE")}
+    return subprocess.run(
+        ["make", *arguments], cwd=ROOT, env=environment, capture_output=True, text=True, check=True, timeout=60
+    ).stdout
+
+
+def test_make_alone_lists_every_target_with_what_it_does():
+    lines = [re.fullmatch(r"make (\w+) +(\S.*)", line) for line in make().splitlines()]
+    assert all(lines)
+    assert {line[1] for line in lines if line} == TARGETS
+
+
+@pytest.mark.parametrize("target", sorted(TARGETS))
+def test_every_target_has_a_recipe(target):
+    assert make("-n", target).strip()
+
+
+def test_ci_runs_lint_and_the_command_of_the_readme():
+    ci = ROOT / ".ci" / "run"
+    assert os.access(ci, os.X_OK)
+    text = ci.read_text(encoding="utf-8")
+    assert "set -euo pipefail" in text
+    assert text.rstrip().splitlines()[-1].startswith("exec make --no-print-directory test")
+
+
+def test_there_is_one_version():
+    cargo = tomllib.loads((ROOT / "Cargo.toml").read_text(encoding="utf-8"))["workspace"]["package"]["version"]
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["version"]
+    assert {cargo, str(citation)} == {jax_aero.__version__}
+    assert metadata.version("jax-aero") == cargo
+
+
+def test_every_requirement_is_pinned_by_version_alone():
+    lock = (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
+    assert [line for line in lock if not re.fullmatch(r"[\w.-]+==[\w.!+]+", line)] == []
+    pinned = {re.sub(r"[-_.]+", "-", line.split("==")[0]).lower() for line in lock}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    wanted = [*project["dependencies"], *sum(project["optional-dependencies"].values(), [])]  # noqa: RUF017
+    names = {re.split(r"[\[<>=!~ ]", requirement)[0].lower() for requirement in wanted} - {"jax-aero"}
+    assert names <= pinned
+
+
+def tracked_files() -> list[Path]:
+    listed = subprocess.run(
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        capture_output=True,
+        check=True,
+    ).stdout.decode()
+    return [ROOT / name for name in listed.split("\0") if name and (ROOT / name).is_file()]
+
+
+def test_no_file_knows_a_machine_or_a_package_host():
+    folders = "|".join(("work", "root", "home", "Users", "opt", "mnt", "srv"))
+    machine = re.compile(rf"(?<![\w.}}\])*-])/({folders})/\w")
+    hosts = "|".join(("py" + r"pi\.", "python" + "hosted", "artifac" + "tory", "index" + "-url", "find" + "-links"))
+    registry = re.compile(hosts)
+    found = []
+    for path in tracked_files():
+        try:
+            text = path.read_text(encoding="utf-8")
+        except UnicodeDecodeError:
+            continue
+        # Cargo writes the name of the public registry into its lock; any other source would be a private one.
+        if path.name == "Cargo.lock":
+            sources = set(re.findall(r'source = "(.*)"', text))
+            assert len(sources) == 1
+            assert sources.pop().endswith("crates.io-index")
+        found += [
+            f"{path.relative_to(ROOT)}: {match[0]}" for match in (machine.search(text), registry.search(text)) if match
+        ]
+    assert found == []

@@ -1,0 +1,162 @@
+"""The runner, with flights that are made up in place of the crate's; configurations are real."""
+
+import json
+import re
+
+import pytest
+import xarray as xr
+
+from experiments import flight as runner
+from experiments import manifest
+from experiments.__main__ import main
+from experiments.table import outcome_table
+from jax_aero import reference
+
+
+@pytest.fixture
+def flown(monkeypatch, make_flight):
+    """Count flights instead of flying them."""
+    configs = []
+
+    def fly(config, progress=None):
+        configs.append(config)
+        progress(5, 10)
+        flight = make_flight(step=0.5)
+        robot = reference.Robot(config["robot"])
+        assert len(robot.joint_names) == flight["joint_position"].shape[1]
+        return flight
+
+    monkeypatch.setattr(reference, "fly", fly)
+    return configs
+
+
+def test_a_flight_leaves_a_run_and_a_manifest(flown, tmp_path, capsys):
+    assert main(["test1", "test2", "--out", str(tmp_path)]) == 0
+    for name in ("test1", "test2"):
+        assert sorted(entry.name for entry in (tmp_path / name).iterdir()) == ["manifest.json", "run.nc"]
+        document = json.loads((tmp_path / name / "manifest.json").read_text())
+        with xr.open_dataset(tmp_path / name / "run.nc", engine="h5netcdf") as run:
+            assert run.attrs["config_hash"] == document["config_digest"]
+            assert run.attrs["title"] == document["title"]
+    assert len(flown) == 2
+    table = capsys.readouterr().out
+    assert re.search(r"test1 +completed +0\.017 +2\.9 +57\.9 to 179\.2", table)
+
+
+def test_the_manifest_says_all_and_names_no_path_of_this_machine(flown, tmp_path):
+    assert main(["test1", "--set", "wind.velocity=[0,-12,0]", "--out", str(tmp_path)]) == 0
+    text = (tmp_path / "test1" / "manifest.json").read_text()
+    document = json.loads(text)
+    assert {"config", "config_digest", "seed", "command", "wall_time_s", "git", "versions", "device"} <= document.keys()
+    assert document["config"]["wind"]["velocity"] == [0, -12, 0]
+    assert document["config"]["robot"] == "configs/robot/ironcub_mk1.toml"
+    assert document["overrides"] == {"wind.velocity": [0, -12, 0]}
+    assert {"python", "numpy", "jax-aero", "flight-core"} <= document["versions"].keys()
+    assert str(manifest.REPOSITORY) not in text
+    assert str(tmp_path) not in text
+    assert not re.search(r'"/', text)
+
+
+def test_an_equal_result_is_kept_and_another_one_protected(flown, tmp_path, capsys):
+    out = ["--out", str(tmp_path)]
+    assert main(["test1", *out]) == 0
+    assert main(["test1", *out]) == 0
+    assert "has this flight already" in capsys.readouterr().out
+    assert len(flown) == 1
+
+    assert main(["test1", "--set", "wind.velocity=[0,0,0]", *out]) == 2
+    assert "another configuration" in capsys.readouterr().err
+    assert len(flown) == 1
+
+    assert main(["test1", "--set", "wind.velocity=[0,0,0]", "--overwrite", *out]) == 0
+    assert len(flown) == 2
+    assert json.loads((tmp_path / "test1" / "manifest.json").read_text())["config"]["wind"]["velocity"] == [0, 0, 0]
+
+
+def test_half_a_result_and_a_folder_of_something_else_are_not_touched(flown, tmp_path, capsys):
+    (tmp_path / "test1").mkdir()
+    (tmp_path / "test1" / "notes.txt").write_text("mine")
+    assert main(["test1", "--out", str(tmp_path)]) == 2
+    assert "no finished result" in capsys.readouterr().err
+    assert main(["test1", "--out", str(tmp_path), "--overwrite"]) == 2
+    assert "more than a result" in capsys.readouterr().err
+    assert (tmp_path / "test1" / "notes.txt").read_text() == "mine"
+    assert flown == []
+
+
+def test_without_out_the_folder_tells_what_was_set(flown, tmp_path, monkeypatch):
+    monkeypatch.setattr(runner, "RESULTS", tmp_path)
+    assert main(["test1", "--set", "wind.velocity=[0,-12,0]"]) == 0
+    assert [entry.name for entry in tmp_path.iterdir()] == ["test1--wind.velocity=0_-12_0"]
+    assert len(flown) == 1
+
+
+def test_ctrl_c_leaves_nothing_behind(monkeypatch, tmp_path, capsys):
+    def interrupted(config, progress=None):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(reference, "fly", interrupted)
+    assert main(["test1", "--out", str(tmp_path)]) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["tset1"], "did you mean test1"),
+        (["nowhere/test1.toml"], "no experiment `nowhere/test1.toml`"),
+        (["test1", "--set", "wind.velocty=[0,0,0]"], "did you mean `wind.velocity`"),
+        (["test1", "--set", "aero_feedback.lambda=false"], "did you mean `controller.aero_feedback.lambda`"),
+        (["test1", "--set", "simulator.duration.x=1"], "`simulator.duration` is a value"),
+        (["test1", "--set", "simulator.duration=soon"], "simulator.duration"),
+    ],
+)
+def test_a_mistake_is_named_on_one_line_of_stderr(flown, arguments, message, capsys, tmp_path):
+    assert main([*arguments, "--out", str(tmp_path)]) == 2
+    answer = capsys.readouterr().err
+    assert answer.startswith("error: ")
+    assert message in answer
+    assert flown == []
+
+
+def test_a_path_works_as_well_as_a_name(flown, tmp_path):
+    path = runner.CONFIGS / "test2.toml"
+    assert main([str(path), "--out", str(tmp_path)]) == 0
+    assert "python -m experiments configs/experiments/test2.toml" in (tmp_path / "test2" / "manifest.json").read_text()
+    assert len(flown) == 1
+
+
+def test_the_list_names_every_experiment(capsys):
+    assert main(["--list"]) == 0
+    listed = capsys.readouterr().out
+    for path in runner.CONFIGS.glob("*.toml"):
+        assert f"  {path.stem} " in listed
+
+
+def test_the_table_says_when_and_why_a_flight_fell():
+    fallen = {
+        "name": "test1",
+        "outcome": "fell",
+        "fall_time": 16.312,
+        "fall_reason": "rotation error above 90 deg",
+        "summary": {"max_com_error": 0.5, "max_rotation_error": 1.6, "thrust_min": 1.0},
+    }
+    table = outcome_table([fallen])
+    assert "fell at 16.31 s: rotation error above 90 deg" in table
+    assert "0.500" in table
+    assert "1.0 to ?" in table
+
+
+def test_paths_become_portable():
+    inside = manifest.REPOSITORY / "configs" / "x.toml"
+    outside = manifest.REPOSITORY.parent / "secret" / "x.toml"
+    assert manifest.portable({"a": [str(inside), inside, 3]}) == {"a": ["configs/x.toml", "configs/x.toml", 3]}
+    assert manifest.portable(str(outside)) == "(outside the repository)/x.toml"
+
+
+def test_seeds_are_found_at_any_depth():
+    assert dict(manifest.seeds({"wind": {"seed": 3, "gust": {"seed": 4}}, "title": "seed"})) == {
+        "wind.seed": 3,
+        "wind.gust.seed": 4,
+    }

@@ -1,0 +1,64 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from experiments import Refused
+from experiments.overrides import SUFFIX_LENGTH, folder_suffix, parse
+
+
+def test_values_are_written_as_in_toml():
+    given_on_command_line = [
+        "wind.velocity=[0, -12, 0]",
+        "simulator.duration = 2.5",
+        "a.b=true",
+        'a.c="x y"',
+        "a.d={e=1}",
+    ]
+    assert parse(given_on_command_line) == {
+        "wind.velocity": [0, -12, 0],
+        "simulator.duration": 2.5,
+        "a.b": True,
+        "a.c": "x y",
+        "a.d": {"e": 1},
+    }
+
+
+def test_a_bare_word_is_a_text_because_shells_strip_quotes():
+    assert parse(["simulator.lever_arm=unrotated", "robot=configs/robot/sparrow.toml"]) == {
+        "simulator.lever_arm": "unrotated",
+        "robot": "configs/robot/sparrow.toml",
+    }
+
+
+def test_the_last_assignment_of_a_key_wins():
+    assert parse(["a=1", "a=2"]) == {"a": 2}
+
+
+@pytest.mark.parametrize("assignment", ["wind.velocity", "=3", "a..b=3", "a.=3", "a=[1,", "a=1 2", "a="])
+def test_what_cannot_be_read_is_refused_and_quoted(assignment):
+    with pytest.raises(Refused) as refusal:
+        parse([assignment])
+    assert assignment in str(refusal.value)
+
+
+def test_the_suffix_tells_what_was_set():
+    assert folder_suffix({"wind.velocity": [0, -12, 0]}) == "--wind.velocity=0_-12_0"
+    assert folder_suffix({"b": True, "a": "x/y z"}) == "--a=x-y-z--b=true"
+    assert folder_suffix({}) == ""
+
+
+KEYS = st.from_regex(r"[a-z_]{1,12}(\.[a-z_]{1,12}){0,3}", fullmatch=True)
+VALUES = st.recursive(st.booleans() | st.integers() | st.floats() | st.text(), st.lists, max_leaves=8)
+
+
+@given(st.dictionaries(KEYS, VALUES, max_size=8))
+def test_any_suffix_is_one_short_folder_name(overrides):
+    suffix = folder_suffix(overrides)
+    assert len(suffix) <= SUFFIX_LENGTH
+    assert "/" not in suffix
+    assert suffix.isprintable()
+
+
+def test_long_suffixes_stay_distinct():
+    first, second = ({f"key_{i}": i for i in range(40)} | {"last": end} for end in (1, 2))
+    assert folder_suffix(first) != folder_suffix(second)

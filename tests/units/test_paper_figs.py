@@ -1,0 +1,77 @@
+import numpy as np
+import pytest
+from PIL import Image
+
+from paper_figs import runs
+from paper_figs.__main__ import FIGURES, main
+from paper_figs.panels import readable
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_every_figure_is_drawn_as_pdf_and_png_and_tells_its_runs(name, made_up_results, tmp_path):
+    assert main([name, "--results", str(made_up_results), "--out", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / f"{name}.pdf").read_bytes().startswith(b"%PDF")
+    with Image.open(tmp_path / "out" / f"{name}.png") as picture:
+        assert picture.width > 1000
+        for run in FIGURES[name][1]:
+            assert f"{run} config {run.encode().hex()}" in picture.info["Description"]
+
+
+def test_the_runs_of_a_figure_can_be_chosen(made_up_results, tmp_path):
+    arguments = [
+        "fig5",
+        "--runs",
+        "test2",
+        "test1_published",
+        "--results",
+        str(made_up_results),
+        "--out",
+        str(tmp_path),
+    ]
+    assert main(arguments) == 0
+
+
+def test_a_missing_flight_is_named_with_the_command_that_flies_it(tmp_path, capsys):
+    assert main(["fig5", "--results", str(tmp_path), "--out", str(tmp_path)]) == 1
+    answer = capsys.readouterr().err
+    assert "no flight `test2`" in answer
+    assert f"python -m experiments test2 --out {tmp_path}" in answer
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [(["fig99"], "no figure fig99; there are fig5"), (["fig5", "--runs", "test2"], "fig5 shows 2 runs, not 1")],
+)
+def test_a_mistake_is_named(arguments, message, capsys):
+    assert main(arguments) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_joint_errors_are_summed_by_group_in_degrees(made_up_results):
+    run = runs.load(made_up_results, "test2")
+    errors = run.joint_error_deg()
+    assert errors["group"].values.tolist() == ["torso", "left_arm", "right_arm", "left_leg", "right_leg"]
+    joints = run.data["joint_position"] - run.data["joint_reference"]
+    torso = np.degrees(np.abs(joints.values[:, :3]).sum(axis=1))
+    np.testing.assert_allclose(errors.sel(group="torso"), torso)
+
+
+def test_nothing_behind_a_fall_is_shown(made_up_results):
+    run = runs.load(made_up_results, "test1_published")
+    assert run.fall_time == 21.5
+    assert run.flown["time"].values[-1] <= 21.5
+    assert runs.load(made_up_results, "test1").fall_time is None
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("l_arm_jet_turbine", "left arm"),
+        ("r_arm_jet", "right arm"),
+        ("chest_l_jet_turbine", "left chest"),
+        ("right_leg", "right leg"),
+        ("torso", "torso"),
+    ],
+)
+def test_names_become_words(name, words):
+    assert readable(name) == words

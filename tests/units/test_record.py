@@ -1,0 +1,94 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from experiments import record
+
+
+@pytest.fixture
+def dataset(make_flight, robot):
+    return record.to_dataset(make_flight(), robot, title="made up", config_digest="f" * 64)
+
+
+def test_a_run_reads_back_as_it_was_flown(make_flight, robot, dataset, tmp_path):
+    flight = make_flight()
+    record.write_dataset(dataset, tmp_path / "run.nc")
+    with xr.open_dataset(tmp_path / "run.nc", engine="h5netcdf") as stored:
+        for name, values in flight.log.items():
+            np.testing.assert_array_equal(stored[name].values, values)
+        np.testing.assert_array_equal(stored["joint_reference"], flight.joint_reference)
+        assert stored["joint"].values.tolist() == robot.joint_names
+        assert stored["link"].values.tolist() == robot.aero_link_names
+        assert stored["jet"].values.tolist() == robot.jet_names
+        assert stored["joint_group"].sel(joint="l_knee") == "left_leg"
+        assert stored["qp"].values.tolist() == ["momentum", "torque"]
+        assert stored.attrs["outcome"] == "completed"
+        assert np.isnan(stored.attrs["fall_time"])
+        assert stored.attrs["fall_reason"] == ""
+        assert stored.attrs["engine"] == "rust"
+        assert stored.attrs["config_hash"] == "f" * 64
+
+
+def test_a_fall_is_told_with_time_and_reason(make_flight, robot):
+    facts = record.to_dataset(make_flight(fall_time=21.5), robot, title="made up", config_digest="").attrs
+    assert (facts["outcome"], facts["fall_time"]) == ("fell", 21.5)
+    assert "90 deg" in facts["fall_reason"]
+
+
+def test_every_signal_has_unit_meaning_and_named_dimensions(dataset):
+    assert set(dataset.dims) == {"time", "xyz", "wxyz", "rpy", "six", "joint", "jet", "link", "qp"}
+    assert set(dataset.dims) <= set(dataset.coords)
+    for name, variable in dataset.data_vars.items():
+        assert variable.attrs["units"], name
+        assert variable.attrs["long_name"], name
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"thrust": None}, "no `thrust`"),
+        ({"thrust": np.zeros((7, 4))}, "`thrust` has shape"),
+        ({"mystery": np.zeros(501)}, "no unit is written down for mystery"),
+    ],
+)
+def test_a_log_that_does_not_fit_the_schema_is_refused_by_name(make_flight, robot, change, message):
+    flight = make_flight()
+    log = {name: values for name, values in {**flight.log, **change}.items() if values is not None}
+    with pytest.raises(ValueError, match=message):
+        record.to_dataset(dataclasses.replace(flight, log=log), robot, title="", config_digest="")
+
+
+def test_a_folder_appears_complete_or_not_at_all(tmp_path):
+    with pytest.raises(KeyboardInterrupt), record.complete_folder(tmp_path / "run") as draft:
+        (draft / "run.nc").write_text("half")
+        raise KeyboardInterrupt
+    assert list(tmp_path.iterdir()) == []
+
+    with record.complete_folder(tmp_path / "run") as draft:
+        (draft / "run.nc").write_text("whole")
+        assert not (tmp_path / "run").exists()
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run"]
+
+
+def test_an_interrupted_replacement_keeps_what_was_there(tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "run.nc").write_text("old")
+    with pytest.raises(KeyboardInterrupt), record.complete_folder(tmp_path / "run", replace=True) as draft:
+        (draft / "run.nc").write_text("half")
+        raise KeyboardInterrupt
+    assert (tmp_path / "run" / "run.nc").read_text() == "old"
+
+    with record.complete_folder(tmp_path / "run", replace=True) as draft:
+        (draft / "run.nc").write_text("new")
+    assert (tmp_path / "run" / "run.nc").read_text() == "new"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["run"]
+
+
+def test_a_folder_that_appears_meanwhile_is_not_replaced(tmp_path):
+    with pytest.raises(OSError, match="run"), record.complete_folder(tmp_path / "run") as draft:
+        (draft / "run.nc").write_text("mine")
+        (tmp_path / "run").mkdir()
+        (tmp_path / "run" / "run.nc").write_text("theirs")
+    assert (tmp_path / "run" / "run.nc").read_text() == "theirs"
