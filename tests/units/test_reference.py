@@ -1,7 +1,11 @@
 """The Python face of the crate, with short flights."""
 
 import json
+import signal
+import subprocess
+import sys
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -89,3 +93,29 @@ def test_other_threads_run_while_a_flight_is_under_way():
         turns += 1
     thread.join()
     assert turns > 1000
+
+
+SLOW_BATCH = """
+import sys
+from jax_aero import reference
+config = reference.load_config("configs/experiments/test2.toml", {"simulator.duration": 20.0})
+print("ready", flush=True)
+reference.fly_batch([config] * 2000) if sys.argv[1] == "batch" else reference.fly(
+    reference.load_config("configs/experiments/no_wind.toml", {"simulator.duration": 20000.0})
+)
+"""
+
+
+@pytest.mark.parametrize("call", ["batch", "single"])
+def test_ctrl_c_ends_a_long_call_at_once(call):
+    """The interrupt arrives while Rust flies with the interpreter lock released."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", SLOW_BATCH, call], cwd=REPOSITORY, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=10)
+    assert process.returncode != 0
+    assert "KeyboardInterrupt" in errors

@@ -9,6 +9,7 @@ use pyo3::types::PyDict;
 use sha2::{Digest, Sha256};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 /// How often Python is told of progress and may interrupt.
@@ -73,7 +74,11 @@ pub fn fly<'py>(
 ) -> PyResult<Bound<'py, PyDict>> {
     let flight = Flight::new(&parse(config_json)?).map_err(value_error)?;
     let mut reporter = Reporter::new(progress);
+    let n_ticks = flight.n_ticks();
     let result = py.detach(|| flight.run(|tick, n_ticks| reporter.report(tick, n_ticks)));
+    if let (Ok(_), None) = (&result, &reporter.raised) {
+        let _ = reporter.force(n_ticks, n_ticks);
+    }
     match (result, reporter.raised) {
         (_, Some(error)) => Err(error),
         (Ok(result), None) => flight_dict(py, result, true),
@@ -103,9 +108,32 @@ pub fn fly_batch(
         }
         result
     };
+    let (done, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let count = |finished: usize, _: usize| {
+        done.store(finished, Ordering::Relaxed);
+        if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    };
+    // Python hears of signals only in the thread that called us, so that thread waits and asks while
+    // another one flies. A flight under way when Python says stop is the last of its thread.
     let results = py
-        .detach(|| fly_rust_batch(&configs, threads, keep, |done, total| reporter.report(done, total)))
+        .detach(|| {
+            std::thread::scope(|scope| {
+                let batch = scope.spawn(|| fly_rust_batch(&configs, threads, keep, count));
+                while !batch.is_finished() {
+                    std::thread::sleep(REPORT_INTERVAL / 10);
+                    if reporter.report(done.load(Ordering::Relaxed), configs.len()).is_break() {
+                        stop.store(true, Ordering::Relaxed);
+                        break;
+                    }
+                }
+                batch.join()
+            })
+        })
+        .map_err(|_| PyRuntimeError::new_err("a flight panicked: please report this configuration"))?
         .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
+    if reporter.raised.is_none() {
+        let _ = reporter.force(configs.len(), configs.len());
+    }
     if let Some(error) = reporter.raised {
         return Err(error);
     }
@@ -129,10 +157,17 @@ impl Reporter {
         Self { progress, last: Instant::now(), raised: None }
     }
 
+    /// Reports if it is time again.
     fn report(&mut self, done: usize, total: usize) -> ControlFlow<()> {
-        if done < total && self.last.elapsed() < REPORT_INTERVAL {
-            return ControlFlow::Continue(());
+        if self.last.elapsed() < REPORT_INTERVAL {
+            ControlFlow::Continue(())
+        } else {
+            self.force(done, total)
         }
+    }
+
+    /// Reports now.
+    fn force(&mut self, done: usize, total: usize) -> ControlFlow<()> {
         self.last = Instant::now();
         let said = Python::attach(|py| {
             py.check_signals()?;
