@@ -7,6 +7,16 @@ The only importer of the compiled module `jax_aero._core`.
 >>> flight = reference.fly(config)
 >>> flight["thrust"].shape[1]
 4
+
+One state, one tick, every intermediate value:
+
+>>> robot = reference.Robot(config["robot"])
+>>> state = reference.State.at_rest(robot)
+>>> reference.dynamics(robot, state).mass_matrix.shape
+(29, 29)
+>>> tick = reference.Controller(config).tick(state, thrust=[100.0] * 4, wind=[0.0, -10.0, 0.0])
+>>> tick.momentum_answer.status
+'Solved'
 """
 
 from __future__ import annotations
@@ -18,29 +28,46 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from jax_aero import _core
-from jax_aero._core import Robot, __version__
+from jax_aero._core import BoxQpSolver, Robot, __version__, kkt_residual
 
 if TYPE_CHECKING:
     from jax_aero._core import _Flight
 
 __all__ = [
+    "BoxQpSolver",
     "Config",
+    "Controller",
+    "Dynamics",
     "Flight",
+    "Jacobian",
+    "QpAnswer",
+    "QpProblem",
+    "Reference",
     "Robot",
+    "State",
+    "Tick",
     "__version__",
+    "aero_forces",
     "check_config",
     "config_digest",
     "config_keys",
+    "dynamics",
     "fly",
     "fly_batch",
+    "forward_dynamics",
+    "frame_jacobian",
+    "kkt_residual",
     "load_config",
+    "reference_trajectory",
 ]
+
+Array = NDArray[np.float64]
 
 Config = dict[str, Any]
 """A resolved flight configuration: nested tables of plain values, every default written out."""
@@ -50,6 +77,246 @@ PATH_KEYS = ("robot", "path")
 
 Progress = Callable[[int, int], None]
 """Called with (ticks flown, ticks in all)."""
+
+
+class State(NamedTuple):
+    """Where a robot is and how it moves: inertial axes, joints in the order of the robot.
+
+    Attributes
+    ----------
+    base_position, base_rotation
+        Origin of the base [m], (3,), and its rotation `i_from_b`, (3, 3).
+    joint_position
+        Joint positions [rad], (n,).
+    velocity
+        Mixed velocity ν = (v_B, ω_B, ṡ), (6 + n,): that of the base origin [m/s] and of the base [rad/s], both in
+        inertial axes, and of the joints [rad/s].
+    """
+
+    base_position: ArrayLike
+    base_rotation: ArrayLike
+    joint_position: ArrayLike
+    velocity: ArrayLike
+
+    @classmethod
+    def at_rest(cls, robot: Robot, joint_position: ArrayLike | None = None) -> State:
+        """Return the state at the origin, upright and still; joints at zero unless given."""
+        n = len(robot.joint_names)
+        joints = np.zeros(n) if joint_position is None else joint_position
+        return cls(np.zeros(3), np.eye(3), joints, np.zeros(6 + n))
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """Kinematics and dynamics of one state, in inertial axes; n = 6 + joints, bodies base first.
+
+    Attributes
+    ----------
+    body_positions, body_rotations
+        Origin [m], (bodies, 3), and rotation `i_from_b`, (bodies, 3, 3), in the order of `Robot.body_names`.
+    com_position
+        Centre of mass [m], (3,).
+    mass_matrix, bias
+        M (n, n) and h (n,) of M ν̇ + h = S τ + Σ Jᵀ f; h holds gravity.
+    momentum_matrix, momentum
+        A_G (6, n) and L = A_G ν (6,), linear rows first, about the centre of mass [kg m/s, kg m²/s].
+    centroidal_inertia
+        Rotational inertia about the centre of mass [kg m²], (3, 3).
+    """
+
+    body_positions: Array
+    body_rotations: Array
+    com_position: Array
+    mass_matrix: Array
+    bias: Array
+    momentum_matrix: Array
+    momentum: Array
+    centroidal_inertia: Array
+
+
+class Jacobian(NamedTuple):
+    """Velocity of a frame's origin and of the frame itself per unit of ν, each (3, n)."""
+
+    linear: Array
+    angular: Array
+
+
+class QpProblem(NamedTuple):
+    """Minimise ½ xᵀ H x + gᵀ x subject to lower ≤ x ≤ upper."""
+
+    h: Array
+    g: Array
+    lower: Array
+    upper: Array
+
+
+class QpAnswer(NamedTuple):
+    """What a solver says about its x; `kkt` is `kkt_residual`, `active` counts variables on a bound."""
+
+    status: str
+    status_code: int
+    iterations: int
+    kkt: float
+    active: int
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What the controller follows: centre of mass in inertial axes, rotation with rates in its own (body) axes."""
+
+    com_position: ArrayLike
+    com_velocity: ArrayLike
+    com_acceleration: ArrayLike
+    com_jerk: ArrayLike
+    rotation: ArrayLike
+    angular_velocity: ArrayLike
+    angular_acceleration: ArrayLike
+    angular_jerk: ArrayLike
+
+    @classmethod
+    def hold(cls, com_position: ArrayLike, rotation: ArrayLike) -> Reference:
+        """Return the reference that stays where it is."""
+        rest = np.zeros(3)
+        return cls(com_position, rest, rest, rest, rotation, rest, rest, rest)
+
+
+@dataclass(frozen=True)
+class Tick:
+    """Every value of one controller tick; inertial axes, unless said otherwise.
+
+    Attributes
+    ----------
+    com_position, mass_matrix, bias, momentum_matrix, momentum, centroidal_inertia
+        As in `Dynamics`.
+    link_axes, link_v_air
+        Symmetry axis and velocity of the air relative to each aerodynamic link [m/s], (links, 3).
+    link_arm_points, link_jacobian_points
+        Where moments are formed and whose Jacobians carry the forces [m], (links, 3).
+    aero_force
+        Estimated aerodynamic force on each link [N], (links, 3).
+    jet_axes, jet_points
+        Direction of each thrust and where it acts [m], (jets, 3).
+    a_t, lambda_t, lambda_a
+        A_T (6, jets), Λ_T and Λ_a (6, n).
+    momentum_rate_estimate
+        L̇ [N, N m], (6,).
+    k_ddot_desired, sigma
+        What the attitude law asks for: k̈* in base axes, σ.
+    task, task_offset
+        The nine stacked task rows, `task @ u + task_offset`, of the unknowns u = (Ṫ, ṡ).
+    momentum_qp, momentum_answer, thrust_rate, joint_velocity_command
+        The QP in u and its answer: Ṫ* [N/s] and ṡ* [rad/s].
+    joint_acceleration_desired, joint_acceleration_free, torque_gain
+        s̈*, s̈ without torque [rad/s²], and G = (M⁻¹)_ss.
+    torque_qp, torque_answer, unlimited_torque, joint_torque
+        The QP in τ and its answer [N m], before and after the rate limiter.
+    status
+        "Nominal", or which part of the command is a safe substitute.
+    posture, inertia_0_b, velocity_error_integral
+        What the controller remembers after the tick, see `Controller.set_memory`.
+    reference
+        What was followed.
+    """
+
+    com_position: Array
+    mass_matrix: Array
+    bias: Array
+    momentum_matrix: Array
+    momentum: Array
+    centroidal_inertia: Array
+    link_axes: Array
+    link_v_air: Array
+    link_arm_points: Array
+    link_jacobian_points: Array
+    aero_force: Array
+    jet_axes: Array
+    jet_points: Array
+    a_t: Array
+    lambda_t: Array
+    lambda_a: Array
+    momentum_rate_estimate: Array
+    k_ddot_desired: Array
+    sigma: Array
+    task: Array
+    task_offset: Array
+    momentum_qp: QpProblem
+    momentum_answer: QpAnswer
+    thrust_rate: Array
+    joint_velocity_command: Array
+    joint_acceleration_desired: Array
+    joint_acceleration_free: Array
+    torque_gain: Array
+    torque_qp: QpProblem
+    torque_answer: QpAnswer
+    unlimited_torque: Array
+    joint_torque: Array
+    status: str
+    posture: Array
+    inertia_0_b: Array
+    velocity_error_integral: Array
+    reference: Reference
+
+
+class Controller:
+    """The flight controller of a configuration, one tick at a time.
+
+    The first tick that follows the envelope takes the position, attitude and posture it finds as those to keep.
+    """
+
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        self._core = _core.Controller(_to_json(config))
+        self._torque_max: float = config["controller"]["torque"]["torque_max"]
+
+    def set_memory(self, posture: ArrayLike, inertia_0_b: ArrayLike, velocity_error_integral: ArrayLike) -> None:
+        """Replace what is remembered between ticks; the torque rate limiter starts anew.
+
+        Parameters
+        ----------
+        posture
+            Posture to return to [rad], (n,).
+        inertia_0_b
+            Centroidal inertia in base axes at the first tick [kg m²], (3, 3).
+        velocity_error_integral
+            ∫(ṡ − ṡ*) [rad], (n,).
+        """
+        self._core.set_memory(_array(posture), _array(inertia_0_b), _array(velocity_error_integral))
+
+    def tick(
+        self,
+        state: State,
+        thrust: ArrayLike,
+        wind: ArrayLike,
+        time: float = 0.0,
+        reference: Reference | None = None,
+    ) -> Tick:
+        """Compute one tick.
+
+        Parameters
+        ----------
+        state
+            Pose and velocity of the robot.
+        thrust
+            Thrust of every jet [N].
+        wind
+            Velocity of the air [m/s, inertial axes].
+        time
+            Time since the flight began [s]; the envelope's references advance by one tick with every call.
+        reference
+            Followed instead of the envelope, if given.
+        """
+        given = None if reference is None else {name: _array(value) for name, value in vars(reference).items()}
+        raw = self._core.tick(time, *_arrays(state), _array(thrust), _array(wind), given)
+        momentum = QpProblem(raw.pop("h"), raw.pop("g"), raw.pop("lower"), raw.pop("upper"))
+        h, g = raw.pop("torque_h"), raw.pop("torque_g")
+        torque = QpProblem(h, g, np.full_like(g, -self._torque_max), np.full_like(g, self._torque_max))
+        return Tick(
+            momentum_answer=QpAnswer(**raw.pop("momentum_qp")),
+            torque_answer=QpAnswer(**raw.pop("torque_qp")),
+            momentum_qp=momentum,
+            torque_qp=torque,
+            reference=Reference(**raw.pop("reference")),
+            **raw,
+        )
 
 
 @dataclass(frozen=True)
@@ -143,12 +410,54 @@ def fly_batch(
     return [Flight._from_core(raw) for raw in _core.fly_batch(texts, threads, progress, full_log)]
 
 
+def dynamics(robot: Robot, state: State) -> Dynamics:
+    """Return kinematics and dynamics of one state."""
+    return Dynamics(**robot.dynamics(*_arrays(state)))
+
+
+def frame_jacobian(robot: Robot, frame: str, state: State) -> Jacobian:
+    """Return the Jacobian of a frame: a body, jet, aerodynamic link or sole, by the name of its URDF link."""
+    return Jacobian(*robot.frame_jacobian(frame, *_arrays(state)))
+
+
+def forward_dynamics(robot: Robot, state: State, force: ArrayLike) -> Array:
+    """Return the acceleration ν̇ (6 + n) under a generalised force (6 + n): M ν̇ + h = force."""
+    return robot.forward_dynamics(*_arrays(state), _array(force))
+
+
+def aero_forces(robot: Robot, aero: Mapping[str, Any], axes: ArrayLike, v_air: ArrayLike) -> Array:
+    """Return the aerodynamic force on each link [N], (links, 3), inertial axes.
+
+    Parameters
+    ----------
+    aero
+        A table as in `configs/aero/*.toml`.
+    axes, v_air
+        Unit symmetry axes and velocities of the air relative to the links [m/s], each (links, 3).
+    """
+    return _core.aero_forces(robot, _to_json(aero), _array(axes), _array(v_air))
+
+
+def reference_trajectory(config: Mapping[str, Any], com: ArrayLike, rpy: ArrayLike) -> dict[str, Array]:
+    """Return the references of a whole flight, raw and smoothed, from a start at `com` [m] and `rpy` [rad]."""
+    return _core.reference_trajectory(_to_json(config), _array(com), _array(rpy))
+
+
 def config_keys(config: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
     """Yield every dotted key of a configuration, tables included."""
     for name, value in config.items():
         yield prefix + name
         if isinstance(value, Mapping):
             yield from config_keys(value, f"{prefix}{name}.")
+
+
+def _array(value: ArrayLike) -> Array:
+    return np.ascontiguousarray(value, dtype=np.float64)
+
+
+def _arrays(state: State) -> tuple[Array, Array, Array, Array]:
+    position, rotation, joints, velocity = state
+    return _array(position), _array(rotation), _array(joints), _array(velocity)
 
 
 def _with_overrides(config: Config, overrides: Mapping[str, Any]) -> Config:

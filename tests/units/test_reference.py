@@ -101,7 +101,7 @@ from jax_aero import reference
 config = reference.load_config("configs/experiments/test2.toml", {"simulator.duration": 20.0})
 print("ready", flush=True)
 reference.fly_batch([config] * 2000) if sys.argv[1] == "batch" else reference.fly(
-    reference.load_config("configs/experiments/no_wind.toml", {"simulator.duration": 20000.0})
+    reference.load_config("configs/experiments/no_wind.toml", {"simulator.duration": 2000.0})
 )
 """
 

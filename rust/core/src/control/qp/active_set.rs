@@ -20,6 +20,10 @@ use crate::linalg;
 /// problems needed about one per variable.
 pub const PASSES_PER_VARIABLE: u32 = 10;
 
+/// How often the final refinement may change the working set. By then it is a matter of rounding, and
+/// bounds that rounding takes and gives back must not go on for ever.
+const CORRECTION_LIMIT: u32 = 4;
+
 /// Where a variable is held.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Side {
@@ -173,7 +177,7 @@ impl ActiveSetSolver {
         if !self.gradient.iter().all(|q| q.is_finite()) {
             return QpStatus::NonFinite;
         }
-        let mut refined = false;
+        let mut corrections = 0;
         loop {
             if *iterations >= self.iteration_limit {
                 return QpStatus::IterationLimit;
@@ -190,18 +194,17 @@ impl ActiveSetSolver {
             if self.release() {
                 continue;
             }
-            // One step of iterative refinement: same factor, gradient fresh from the data. It is bent at
-            // the bounds like any other. On an ill-conditioned face it can reach one, which then changes
-            // the working set, but only once: from there on such bounds are a matter of rounding.
+            // One step of iterative refinement: same factor, gradient fresh from the data. On an
+            // ill-conditioned face it can reach a bound, which then has to be held like any other.
             self.newton_step();
-            if refined {
+            if corrections == CORRECTION_LIMIT {
                 self.add_whole_step();
                 return QpStatus::Solved;
             }
-            refined = true;
             if self.follow_step() {
                 return QpStatus::Solved;
             }
+            corrections += 1;
         }
     }
 
