@@ -1,5 +1,7 @@
 //! The dense kernels against nalgebra and against their own definitions.
 
+#![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
+
 use flight_core::linalg::*;
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
@@ -12,7 +14,7 @@ fn random(rng: &mut ChaCha8Rng, rows: usize, columns: usize) -> DMatrix<f64> {
     DMatrix::from_fn(rows, columns, |_, _| rng.random_range(-1.0..1.0))
 }
 
-/// `A Aᵀ + shift` with rows in different units.
+/// `A Aᵀ` with rows in different units.
 fn definite(rng: &mut ChaCha8Rng, n: usize) -> DMatrix<f64> {
     let units = DMatrix::from_diagonal(&DVector::from_fn(n, |_, _| 10f64.powf(rng.random_range(-3.0..3.0))));
     let a = &units * random(rng, n, n + 2);
@@ -124,6 +126,31 @@ fn substitutions_undo_the_factor_for_many_right_hand_sides() {
 }
 
 #[test]
+fn inverse_factor_and_gram_products_match_nalgebra() {
+    let mut rng = ChaCha8Rng::seed_from_u64(6);
+    for n in 0..30 {
+        let (mut buffer, ld) = padded(&definite(&mut rng, n));
+        assert!(cholesky_in_place(&mut buffer, n, ld));
+        let l = lower(&buffer, n, ld);
+        let mut inverse = DMatrix::from_element(n, n, f64::NAN);
+        invert_lower(&buffer, n, ld, inverse.as_mut_slice());
+        let bound = (l.abs() * inverse.abs()).add_scalar(1e-300) * 1e-14;
+        let error = (&l * &inverse - DMatrix::identity(n, n)).abs().zip_map(&bound, |e, b| e / b);
+        // Above the diagonal both are exactly zero: 0/1e-314.
+        assert!(error.iter().all(|e| *e <= 1.0), "n = {n}");
+        assert_eq!(inverse, inverse.lower_triangle());
+
+        let a = random(&mut rng, n, n);
+        let mut product = DMatrix::from_element(n, n, f64::NAN);
+        gram(a.as_slice(), n, product.as_mut_slice());
+        assert!((&product - a.transpose() * &a).amax_or_zero() < 1e-13, "n = {n}");
+        let triangle = a.lower_triangle();
+        gram_of_lower(triangle.as_slice(), n, product.as_mut_slice());
+        assert!((&product - triangle.transpose() * &triangle).amax_or_zero() < 1e-13, "n = {n}");
+    }
+}
+
+#[test]
 fn matrices_that_are_not_positive_definite_are_refused() {
     let refused = |entries: &[f64], n| !cholesky_in_place(&mut entries.to_vec(), n, n);
     assert!(refused(&[-1.0], 1));
@@ -140,13 +167,13 @@ fn matrices_that_are_not_positive_definite_are_refused() {
     assert!(!refused(&[1e-200, 0.0, 0.0, 1e200], 2));
 }
 
-/// `amax` of an empty matrix panics.
+/// `amax` of an empty matrix panics. NaN where an entry is not finite, so that no comparison passes.
 trait AmaxOrZero {
     fn amax_or_zero(&self) -> f64;
 }
 
 impl AmaxOrZero for DMatrix<f64> {
     fn amax_or_zero(&self) -> f64 {
-        max_abs(self.as_slice())
+        if self.iter().all(|v| v.is_finite()) { max_abs(self.as_slice()) } else { f64::NAN }
     }
 }

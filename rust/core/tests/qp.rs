@@ -1,5 +1,9 @@
 //! The box QP: optimality on every answer, agreement with two independent solvers, and total behaviour.
 
+#![allow(clippy::expect_used, reason = "a test that cannot go on has failed")]
+#![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
+#![allow(clippy::cast_possible_truncation, reason = "numbers of variables are below 65")]
+
 use flight_core::control::qp::{
     ActiveSetSolver, BoxQp, ClarabelSolver, KKT_TOLERANCE, PASSES_PER_VARIABLE, QpStatus, kkt_residual,
 };
@@ -116,7 +120,7 @@ fn flight_problems_are_solved_from_calm_to_fully_saturated() {
         for _ in 0..count {
             let (_, iterations, on_bounds) = solved(&flight_problem(&mut rng, push));
             // Far below the limit: it is a guard, not a working point.
-            assert!(iterations <= 3 * FLIGHT as u32, "{iterations}");
+            assert!(iterations <= 4 * FLIGHT as u32, "{iterations}");
             active += f64::from(on_bounds) / f64::from(count);
         }
         // The generator must visit what the name of the test says.
@@ -155,22 +159,40 @@ fn fixed_unbounded_and_touching_variables_are_solved() {
     }
 }
 
+/// Moves the unconstrained minimiser to a face, edge or corner of the box, where every multiplier is
+/// zero and it is a matter of rounding which bounds are held; returns it.
+fn put_minimiser_on_bounds(rng: &mut ChaCha8Rng, qp: &mut BoxQp) -> DVector<f64> {
+    let minimiser = DVector::from_fn(qp.len(), |i, _| match rng.random_range(0..3) {
+        0 => qp.lower[i],
+        1 => qp.upper[i],
+        _ => 0.5 * (qp.lower[i] + qp.upper[i]),
+    });
+    qp.g = -(&qp.h * &minimiser);
+    minimiser
+}
+
 #[test]
 fn bounds_with_zero_multipliers_do_not_cycle() {
     let mut rng = rng(4);
     for _ in 0..2000 {
-        // The unconstrained minimiser lies on a face, edge or corner of the box.
         let n = rng.random_range(2..28);
         let mut qp = spectrum_problem(&mut rng, n, 1e5, 1.0);
-        let corner = DVector::from_fn(n, |i, _| match rng.random_range(0..3) {
-            0 => qp.lower[i],
-            1 => qp.upper[i],
-            _ => 0.5 * (qp.lower[i] + qp.upper[i]),
-        });
-        qp.g = -(&qp.h * &corner);
+        let minimiser = put_minimiser_on_bounds(&mut rng, &mut qp);
         let (x, iterations, _) = solved(&qp);
-        assert!(difference(&qp, &x, corner.as_slice()) < 1e-9);
+        assert!(difference(&qp, &x, minimiser.as_slice()) < 1e-9);
         assert!(iterations <= 2 * n as u32, "{iterations} for n = {n}");
+    }
+}
+
+#[test]
+fn a_bound_reached_by_the_refinement_is_held() {
+    let mut rng = rng(18);
+    for _ in 0..20_000 {
+        let n = rng.random_range(2..8);
+        let mut qp = spectrum_problem(&mut rng, n, 1e11, 1.0);
+        put_minimiser_on_bounds(&mut rng, &mut qp);
+        // The minimiser is uncertain by 1e-5 of the range here; the residual is not.
+        solved(&qp);
     }
 }
 
@@ -231,6 +253,7 @@ fn tiny_problems_agree_with_enumeration() {
 #[test]
 fn objective_agrees_with_clarabel_unpolished() {
     let mut rng = rng(6);
+    let mut inaccurate = 0;
     for round in 0..240 {
         let mut qp = flight_problem(&mut rng, [0.1, 1.0, 3.0, 10.0][round % 4]);
         if round % 3 == 0 {
@@ -238,7 +261,8 @@ fn objective_agrees_with_clarabel_unpolished() {
         }
         let (x, _, _) = solved(&qp);
         let mut clarabel = ClarabelSolver::new(FLIGHT).without_polish();
-        clarabel.solve(&qp);
+        let answer = clarabel.solve(&qp);
+        inaccurate += u32::from(answer.status == QpStatus::Inaccurate);
         let (ours, theirs) = (qp.objective(&x), qp.objective(clarabel.x()));
         let x = DVector::from_vec(x).abs();
         // The objective is a small difference of large terms; they set its rounding.
@@ -248,6 +272,8 @@ fn objective_agrees_with_clarabel_unpolished() {
         // Clarabel's point is feasible too, so it cannot be lower by more than rounding.
         assert!(theirs >= ours - 1e-15 * terms, "{theirs} is below the minimum {ours}");
     }
+    // Why it is polished before it may stand in for the active set.
+    assert!(inaccurate > 0);
 }
 
 #[test]
@@ -277,10 +303,9 @@ fn the_exact_answer_is_found_to_1e_9_of_the_range() {
     for _ in 0..1000 {
         let jet = |j: usize| j < JETS;
         let rows = DMatrix::from_fn(9, FLIGHT, |i, j| match (i < 6, jet(j)) {
-            (true, true) => f64::from(rng.random_range(-64..=64)) / 32.0,
             (true, false) => f64::from(rng.random_range(-1000..=1000)),
             (false, true) => 0.0,
-            (false, false) => f64::from(rng.random_range(-64..=64)) / 32.0,
+            (true, true) | (false, false) => f64::from(rng.random_range(-64..=64)) / 32.0,
         });
         let weights = DMatrix::from_diagonal(&DVector::from_fn(9, |i, _| if i < 6 { 10.0 } else { 150.0 }));
         let mut h = rows.transpose() * weights * &rows;
@@ -343,10 +368,16 @@ fn the_start_does_not_change_the_answer() {
     let mut solver = ActiveSetSolver::new(FLIGHT);
     for round in 0..2000 {
         // Neighbouring rounds have nothing in common, so every warm start is wrong.
-        let qp = flight_problem(&mut rng, [0.1, 20.0, 2.0][round % 3]);
+        let mut qp = flight_problem(&mut rng, [0.1, 20.0, 2.0][round % 3]);
+        let awkward = round % 4 == 0;
+        if awkward {
+            // A bound that was held may be gone.
+            make_awkward(&mut rng, &mut qp);
+        }
         let answer = solver.solve(&qp);
         assert_eq!(answer.status, QpStatus::Solved, "{answer:?}");
-        assert!(difference(&qp, solver.x(), &solved(&qp).0) < 2e-9);
+        // Without bounds there is no range to measure by, and the certificate has to do.
+        assert!(awkward || difference(&qp, solver.x(), &solved(&qp).0) < 2e-9);
         if round % 10 == 0 {
             solver.reset();
             solver.solve(&qp);
@@ -362,7 +393,7 @@ fn slowly_varying_problems_take_one_pass() {
     let mut solver = ActiveSetSolver::new(FLIGHT);
     let mut passes = 0;
     let mut active = 0;
-    let ticks = 2000;
+    let ticks = 2000_u32;
     for tick in 0..ticks {
         let s = f64::from(tick) / f64::from(ticks);
         let qp = BoxQp {
@@ -376,7 +407,7 @@ fn slowly_varying_problems_take_one_pass() {
         passes += answer.iterations;
         active += answer.active;
     }
-    assert!(active > ticks as u32, "only {active} active bounds in {ticks} ticks");
+    assert!(active > ticks, "only {active} active bounds in {ticks} ticks");
     assert!(f64::from(passes) <= 1.05 * f64::from(ticks), "{passes} passes in {ticks} ticks");
     // The same problem again: one pass to confirm.
     solver.solve(&b);
@@ -440,7 +471,7 @@ fn the_certificate_is_its_equation() {
     assert!(qp.objective(&[1.0]).is_nan());
 }
 
-/// A spoilt problem, what to expect of the active-set solver, and whether `x` must stay as it was.
+/// A flight problem with one thing wrong.
 fn spoilt(spoil: impl Fn(&mut BoxQp)) -> BoxQp {
     let mut qp = flight_problem(&mut rng(14), 1.0);
     spoil(&mut qp);
@@ -558,7 +589,8 @@ fn problems_without_bounds_or_variables_are_problems_too() {
     // Everything fixed: nothing to decide.
     qp.lower.fill(0.25);
     qp.upper.fill(0.25);
-    assert_eq!(solved(&qp).0, vec![0.25; FLIGHT]);
+    let (x, iterations, active) = solved(&qp);
+    assert_eq!((x, iterations, active), (vec![0.25; FLIGHT], 1, FLIGHT as u32));
     assert_eq!(clarabel.solve(&qp).status, QpStatus::Solved);
     assert_eq!(clarabel.x(), vec![0.25; FLIGHT]);
 }
