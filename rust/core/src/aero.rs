@@ -11,11 +11,13 @@
 //! about it.
 
 pub mod axisymmetric;
+pub mod factors;
 pub mod link_forces;
 pub mod pchip;
 pub mod sphere_cylinder;
 
 pub use axisymmetric::{Axisymmetric, AxisymmetricConfig};
+pub use factors::{ForceFactors, ForceFactorsConfig};
 pub use link_forces::{JacobianOffset, LeverArm, LinkConventions, LinkForces, LinkVelocity};
 pub use pchip::Pchip;
 pub use sphere_cylinder::{CylinderTables, SphereCylinder, SphereCylinderConfig, SphereTables};

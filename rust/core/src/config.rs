@@ -16,7 +16,7 @@ use std::path::Path;
 const MAX_DEPTH: usize = 16;
 
 /// Keys whose value is a path, made absolute on reading.
-const PATH_KEYS: [&str; 2] = ["robot", "path"];
+const PATH_KEYS: [&str; 3] = ["robot", "path", "file"];
 
 /// Reads a TOML file and resolves every `base` and path in it. Keys are not judged here.
 ///

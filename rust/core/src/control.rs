@@ -14,13 +14,16 @@ pub mod bounds;
 pub mod config;
 pub mod envelope;
 pub mod minimum_jerk;
+pub mod model_error;
 pub mod momentum;
 pub mod qp;
+pub mod recorded;
 pub mod references;
 pub mod tasks;
 pub mod torque;
+pub mod wind_estimate;
 
-use crate::aero::{AeroModel, LinkConventions, LinkForces};
+use crate::aero::{AeroModel, ForceFactors, LinkConventions, LinkForces};
 use crate::dynamics::{Dynamics, MassFactor};
 use crate::error::{BuildError, check};
 use crate::kinematics::{Kinematics, RobotState};
@@ -32,6 +35,7 @@ use envelope::EnvelopeConfig;
 use momentum::MomentumModel;
 use nalgebra::{DVector, Matrix3, Vector3};
 use qp::{ActiveSetSolver, BoxQp, ClarabelSolver, QpAnswer, QpStatus};
+use recorded::Recording;
 use references::{Reference, ReferenceGenerator};
 use tasks::{MomentumQp, TaskInputs};
 use torque::{TorqueQp, limit_rate};
@@ -128,6 +132,9 @@ pub struct Controller {
     time_step: f64,
     aero: AeroModel,
     aero_is_on: bool,
+    aero_factors: ForceFactors,
+    /// Waits here for the first tick.
+    recording: Option<Recording>,
     references: Option<ReferenceGenerator>,
     memory: Memory,
     terms: Terms,
@@ -141,7 +148,7 @@ pub struct Controller {
 }
 
 impl Controller {
-    /// A controller for `robot` that ticks every `time_step` \[s\].
+    /// A controller for `robot`, or for what it believes `robot` to be, that ticks every `time_step` \[s\].
     ///
     /// # Errors
     /// [`BuildError`] naming what in the configuration does not fit the robot.
@@ -154,12 +161,19 @@ impl Controller {
         config.check(&robot)?;
         envelope.check()?;
         check("controller time step", time_step, |dt| dt > 0.0, "a positive number of seconds")?;
+        let robot = config.model_error.believed(robot);
         let (jets, joints) = (robot.jets.len(), robot.joints.len());
         let n = 6 + joints;
         let zero = Vector3::zeros();
         Ok(Self {
             aero: AeroModel::new(&config.aero, &robot.aero_links)?,
             aero_is_on: !config.aero.is_off(),
+            aero_factors: ForceFactors::new(
+                &config.aero_feedback.factors(),
+                &robot.aero_links,
+                "controller.aero_feedback",
+            )?,
+            recording: envelope.file.as_deref().map(Recording::load).transpose()?,
             references: None,
             memory: Memory {
                 posture: DVector::zeros(joints),
@@ -228,7 +242,7 @@ impl Controller {
     /// Everything that depends on the measurement alone.
     fn observe(&mut self, measurement: &Measurement) {
         let Terms { kinematics, dynamics, link_forces, momentum, .. } = &mut self.terms;
-        let feedback = self.config.aero_feedback;
+        let feedback = &self.config.aero_feedback;
         let conventions = LinkConventions {
             lever_arm: self.config.lever_arm,
             jacobian_offset: self.config.jacobian_offset,
@@ -238,8 +252,13 @@ impl Controller {
         dynamics.update(&self.robot, measurement.state, kinematics);
         link_forces.update(&self.robot, kinematics, conventions, &self.aero, &measurement.wind);
         link_forces.scale(feedback.scale);
-        let enters = (feedback.momentum_rate, feedback.lambda);
+        self.aero_factors.apply(link_forces);
+        let whole = feedback.momentum_rate && feedback.force && feedback.moment;
+        let enters = (whole, feedback.lambda);
         momentum.update(&self.robot, kinematics, dynamics, measurement.thrust, link_forces, enters);
+        if feedback.momentum_rate && !whole {
+            momentum.add_part_of_rate(link_forces, &kinematics.com, feedback.force, feedback.moment);
+        }
     }
 
     /// Everything that follows from the reference: the momentum QP, then the torque QP.
@@ -343,12 +362,13 @@ impl Controller {
     /// Remembers where the flight starts.
     fn start(&mut self, state: &RobotState) {
         let rotation = &state.base.rotation;
-        self.references = Some(ReferenceGenerator::new(
+        let generator = ReferenceGenerator::new(
             &self.config.references,
             self.time_step,
             self.terms.kinematics.com,
             rpy_from_rotation(rotation),
-        ));
+        );
+        self.references = Some(generator.with_recording(self.recording.take()));
         self.memory.posture.copy_from(&state.joint_position);
         self.memory.inertia_0_b = rotation.transpose() * self.terms.dynamics.centroidal_inertia * rotation;
     }

@@ -9,9 +9,11 @@
 
 pub mod ekf;
 pub mod engine;
+pub mod failure;
 
 pub use ekf::{EkfConfig, ThrustEkf};
 pub use engine::{EngineDynamics, EngineModel, ThrustRateController};
+pub use failure::{FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise};
 
 use crate::error::{BuildError, check};
 use crate::robot::{EngineCoefficients, Jet};
@@ -106,6 +108,7 @@ enum Dynamics {
 #[derive(Debug, Clone)]
 pub struct Jets {
     dynamics: Dynamics,
+    faults: Option<JetFaults>,
     thrust: Vec<f64>,
     thrust_rate: Vec<f64>,
     /// Empty under ideal dynamics, as `estimate`.
@@ -138,6 +141,7 @@ impl Jets {
                 let dynamics = Dynamics::Ideal;
                 return Ok(Self {
                     dynamics,
+                    faults: None,
                     thrust,
                     thrust_rate,
                     throttle: Vec::new(),
@@ -171,17 +175,52 @@ impl Jets {
             throttle: jets.iter().map(|jet| jet.controller.throttle()).collect(),
             estimate: jets.iter().map(|jet| jet.ekf.thrust()).collect(),
             dynamics: Dynamics::SecondOrder { jets, feedback: config.feedback },
+            faults: None,
             thrust,
             thrust_rate,
         })
+    }
+
+    /// The same jets with these faults.
+    ///
+    /// # Errors
+    /// As [`JetFaultsConfig::check`]; also measurement noise without an estimator to measure it.
+    pub fn with_faults(mut self, config: &JetFaultsConfig, jets: &[Jet]) -> Result<Self, BuildError> {
+        if config.measurement_noise.is_some() && matches!(self.dynamics, Dynamics::Ideal) {
+            return Err(BuildError::bad_value(
+                "simulator.jets.dynamics",
+                "ideal",
+                "second_order, whose estimators simulator.jet_faults.measurement_noise disturbs",
+            ));
+        }
+        self.faults = if config.is_default() { None } else { Some(JetFaults::new(config, jets)?) };
+        Ok(self)
     }
 
     /// Moves every jet on by `dt` \[s\] under the commanded thrust rates \[N/s\], held constant.
     ///
     /// Ideal: `T ← T + Ṫ* dt`, without clipping: the bounds on `Ṫ*` are the controller's. Second
     /// order: throttle from the present estimate, then estimator and engine over `dt`. Total: a jet
-    /// without a command stays as it is. No allocation.
+    /// without a command stays as it is. No allocation. Faults change the command before and the
+    /// thrust after.
     pub fn advance(&mut self, thrust_rate_command: &[f64], dt: f64) {
+        // Taken out for as long as they and the jets both change.
+        let Some(mut faults) = self.faults.take() else {
+            return self.follow(thrust_rate_command, dt, |thrust| thrust);
+        };
+        let JetFaults { response, sensor, .. } = &mut faults;
+        self.follow(response.delayed(thrust_rate_command, dt), dt, |thrust| sensor.measured(thrust));
+        for jet in 0..self.thrust.len() {
+            let (thrust, rate) = faults.limited(jet, self.thrust[jet], self.thrust_rate[jet], dt);
+            (self.thrust[jet], self.thrust_rate[jet]) = (thrust, rate);
+            if let Dynamics::SecondOrder { jets, .. } = &mut self.dynamics {
+                (jets[jet].engine.thrust, jets[jet].engine.thrust_rate) = (thrust, rate);
+            }
+        }
+        self.faults = Some(faults);
+    }
+
+    fn follow(&mut self, thrust_rate_command: &[f64], dt: f64, mut measured: impl FnMut(f64) -> f64) {
         match &mut self.dynamics {
             Dynamics::Ideal => {
                 let jets = self.thrust.iter_mut().zip(&mut self.thrust_rate);
@@ -204,7 +243,7 @@ impl Jets {
                         command,
                         dt,
                     );
-                    jet.ekf.update(jet.engine.thrust, *throttle, dt);
+                    jet.ekf.update(measured(jet.engine.thrust), *throttle, dt);
                     jet.engine.step(*throttle, dt);
                     *thrust = jet.engine.thrust;
                     *thrust_rate = jet.engine.thrust_rate;

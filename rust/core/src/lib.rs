@@ -10,7 +10,7 @@
 //! Each arrow is one plain struct, filled once per tick and passed on. Rooms, from the ground up:
 //! [`spatial`] · [`robot`] · [`kinematics`] · [`dynamics`] · [`aero`] · [`jets`] · [`control`] ·
 //! [`sim`], and at the door [`config`] and [`error`]. [`linalg`] is the cellar: small dense algebra
-//! on slices, for the mass matrix and the QPs.
+//! on slices, for the mass matrix and the QPs; [`noise`] is repeatable chance.
 //!
 //! SI units and radians; vectors and Jacobians in inertial axes unless a suffix says otherwise.
 
@@ -24,6 +24,7 @@ pub mod error;
 pub mod jets;
 pub mod kinematics;
 pub mod linalg;
+pub mod noise;
 pub mod robot;
 pub mod sim;
 pub mod spatial;

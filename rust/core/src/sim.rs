@@ -15,17 +15,20 @@
 pub mod config;
 pub mod log;
 pub mod plant;
+pub mod turbulence;
 pub mod wind;
 
-pub use config::{FlightConfig, SimulatorConfig};
+pub use config::{Engine, FlightConfig, SimulatorConfig};
 pub use log::{FlightLog, FlightResult, Summary};
 pub use plant::Plant;
 pub use wind::{Wind, WindConfig};
 
+use crate::control::wind_estimate::WindEstimator;
 use crate::control::{Controller, Measurement};
 use crate::error::BuildError;
 use crate::robot::RobotModel;
 use log::{LogRow, TrackingErrors};
+use nalgebra::Vector3;
 use rayon::prelude::*;
 use std::fmt;
 use std::ops::ControlFlow;
@@ -68,6 +71,8 @@ pub struct Flight {
     plant: Plant,
     controller: Controller,
     wind: Wind,
+    /// Between the wind and the controller; `None` where it is told the truth.
+    wind_estimator: Option<WindEstimator>,
     time_step: f64,
     n_ticks: usize,
     max_rotation_error: f64,
@@ -79,7 +84,8 @@ pub struct Flight {
 pub struct Interrupted;
 
 impl Flight {
-    /// Builds plant and controller. Both fly the same robot.
+    /// Builds plant and controller. Both fly the same robot, unless `controller.model_error` or known
+    /// limits of the jets say otherwise.
     ///
     /// # Errors
     /// [`BuildError`] naming what in the configuration cannot be used.
@@ -94,17 +100,27 @@ impl Flight {
     /// [`BuildError`] naming what in the configuration cannot be used.
     pub fn with_robot(config: &FlightConfig, robot: RobotModel) -> Result<Self, BuildError> {
         let time_step = config.simulator.time_step;
+        let plant = Plant::new(robot.clone(), &config.simulator)?;
+        let mut informed = robot;
+        config.simulator.jet_faults.inform(&mut informed.jets);
+        let (wind, n_ticks) = (Wind::new(&config.wind)?, config.simulator.n_ticks());
+        let estimator = |estimate| {
+            let times = (0..=n_ticks).map(|tick| tick as f64 * time_step);
+            let sum: Vector3<f64> = times.map(|time| wind.velocity(time)).sum();
+            WindEstimator::new(estimate, time_step, sum / (n_ticks + 1) as f64)
+        };
         Ok(Self {
-            plant: Plant::new(robot.clone(), &config.simulator)?,
+            plant,
+            wind_estimator: config.controller.wind_estimate.as_ref().map(estimator).transpose()?,
             controller: Controller::new(
-                robot,
+                informed,
                 config.controller.clone(),
                 config.envelope.clone(),
                 time_step,
             )?,
-            wind: Wind::new(&config.wind)?,
+            wind,
             time_step,
-            n_ticks: config.simulator.n_ticks(),
+            n_ticks,
             max_rotation_error: config.simulator.fall.rotation_error_deg.to_radians(),
             max_com_error: config.simulator.fall.com_error,
         })
@@ -131,11 +147,12 @@ impl Flight {
             let time = tick as f64 * self.time_step;
             let wind = self.wind.velocity(time);
             self.plant.observe(&wind);
+            let told = self.wind_estimator.as_mut().map_or(wind, |estimator| estimator.update(&wind));
             let measurement = Measurement {
                 time,
                 state: self.plant.state(),
                 thrust: self.plant.jets().thrust_feedback(),
-                wind,
+                wind: told,
             };
             self.controller.tick(&measurement);
             let command = self.controller.command();

@@ -5,6 +5,7 @@ use crate::flight::parse;
 use crate::qp::answer;
 use crate::robot::state;
 use flight_core::control::Memory;
+use flight_core::control::recorded::Recording;
 use flight_core::control::references::{Reference, ReferenceGenerator};
 use flight_core::{Measurement, RobotModel};
 use nalgebra::{DMatrix, DVector, Vector3};
@@ -195,7 +196,8 @@ pub fn reference_trajectory<'py>(
         dt,
         vector3("com", &com)?,
         vector3("rpy", &rpy)?,
-    );
+    )
+    .with_recording(config.envelope.file.as_deref().map(Recording::load).transpose().map_err(value_error)?);
     let mut signals: [(&str, DMatrix<f64>); 9] = [
         "raw_position",
         "raw_rpy",

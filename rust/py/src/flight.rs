@@ -52,6 +52,10 @@ pub fn config_digest(config_json: &str) -> PyResult<String> {
         value["wind"]["path"] = file_name(path).into();
         hash.update(std::fs::read(path)?);
     }
+    if let Some(path) = &config.envelope.file {
+        value["envelope"]["file"] = file_name(path).into();
+        hash.update(std::fs::read(path)?);
+    }
     hash.update(value.to_string());
     hash.update(&robot.toml_text);
     hash.update(&robot.urdf_text);
@@ -215,6 +219,12 @@ fn flight_dict(py: Python<'_>, result: FlightResult, full_log: bool) -> PyResult
         ("min_com_height", summary.min_com_height),
         ("min_com_x_settling", summary.min_com_x_settling),
         ("ticks_without_solution", summary.ticks_without_solution as f64),
+        ("rms_com_error", summary.rms_com_error),
+        ("rms_rotation_error", summary.rms_rotation_error),
+        ("time_tilted", summary.time_tilted),
+        ("max_joint_error", summary.max_joint_error),
+        ("max_aero_force", summary.max_aero_force),
+        ("max_aero_force_difference", summary.max_aero_force_difference),
         ("max_kkt", summary.max_kkt),
         ("max_qp_iterations", summary.max_qp_iterations),
     ] {

@@ -1,7 +1,9 @@
 //! Configuration of the controller, checked against the robot when the controller is built.
 
+use super::model_error::ModelError;
 use super::references::ReferenceConfig;
-use crate::aero::{AeroConfig, JacobianOffset, LeverArm, LinkVelocity};
+use super::wind_estimate::WindEstimateConfig;
+use crate::aero::{AeroConfig, ForceFactorsConfig, JacobianOffset, LeverArm, LinkVelocity};
 use crate::error::{BuildError, check};
 use crate::robot::RobotModel;
 use serde::{Deserialize, Serialize};
@@ -16,6 +18,12 @@ pub struct ControllerConfig {
     /// Where the aerodynamic estimate enters.
     #[serde(default)]
     pub aero_feedback: AeroFeedback,
+    /// Errors of the wind that the controller is told; without them it is told the truth.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wind_estimate: Option<WindEstimateConfig>,
+    /// How the controller's robot differs from the one that flies.
+    #[serde(default, skip_serializing_if = "ModelError::is_default")]
+    pub model_error: ModelError,
     /// Point at which moments of link forces are formed (in `A_a`).
     #[serde(default)]
     pub lever_arm: LeverArm,
@@ -43,8 +51,9 @@ pub struct ControllerConfig {
 }
 
 /// Where the estimated aerodynamic forces enter the controller; each can be left out for an ablation.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
+#[allow(clippy::struct_excessive_bools)] // each is one term of the equations, in or out
 pub struct AeroFeedback {
     /// `A_a f_a` in the estimated momentum rate.
     pub momentum_rate: bool,
@@ -54,11 +63,54 @@ pub struct AeroFeedback {
     pub torque: bool,
     /// Factor on all estimated forces.
     pub scale: f64,
+    /// The total force in `A_a f_a`.
+    #[serde(skip_serializing_if = "is_true")]
+    pub force: bool,
+    /// The total moment in `A_a f_a`.
+    #[serde(skip_serializing_if = "is_true")]
+    pub moment: bool,
+    /// Factor on the part of each estimated force along the air's velocity.
+    #[serde(skip_serializing_if = "is_one")]
+    pub drag: f64,
+    /// Factor on the part of each estimated force across it.
+    #[serde(skip_serializing_if = "is_one")]
+    pub normal: f64,
+    /// Factor on the estimated force of a link, by its name; links that are not named keep theirs.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub links: BTreeMap<String, f64>,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
+fn is_true(value: &bool) -> bool {
+    *value
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref, clippy::float_cmp)] // as serde calls it; one is exact
+fn is_one(value: &f64) -> bool {
+    *value == 1.0
+}
+
+impl AeroFeedback {
+    /// The factors among these settings.
+    #[must_use]
+    pub fn factors(&self) -> ForceFactorsConfig {
+        ForceFactorsConfig { drag: self.drag, normal: self.normal, links: self.links.clone() }
+    }
 }
 
 impl Default for AeroFeedback {
     fn default() -> Self {
-        Self { momentum_rate: true, lambda: true, torque: true, scale: 1.0 }
+        Self {
+            momentum_rate: true,
+            lambda: true,
+            torque: true,
+            scale: 1.0,
+            force: true,
+            moment: true,
+            drag: 1.0,
+            normal: 1.0,
+            links: BTreeMap::new(),
+        }
     }
 }
 
@@ -177,6 +229,10 @@ impl ControllerConfig {
         let positive = |name: &str, value: f64| at(name, value, |x| x > 0.0, "a positive number");
 
         finite("aero_feedback.scale", self.aero_feedback.scale)?;
+        if let Some(estimate) = &self.wind_estimate {
+            estimate.check()?;
+        }
+        self.model_error.check()?;
         for axis in 0..3 {
             non_negative("momentum.kp_linear", self.momentum.kp_linear[axis])?;
             non_negative("momentum.kd_linear", self.momentum.kd_linear[axis])?;

@@ -2,6 +2,7 @@
 
 use crate::error::{BuildError, check};
 use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
 
 /// Time interval `(start, end)` \[s\], open at both ends.
 pub type Interval = (f64, f64);
@@ -24,6 +25,10 @@ pub struct EnvelopeConfig {
     pub pitch_up: Vec<Interval>,
     /// Turn left.
     pub yaw_left: Vec<Interval>,
+    /// A recorded reference to fly instead of any command; see [`super::recorded`]. Relative paths start
+    /// at the configuration file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<PathBuf>,
 }
 
 /// What the autopilot asks for in one tick; −1, 0 or 1 in the sense of the robot's base axes.
@@ -42,12 +47,19 @@ pub struct AutopilotCommand {
 }
 
 impl EnvelopeConfig {
-    /// Refuses intervals that are not finite or do not end after they start.
+    /// Refuses intervals that are not finite or do not end after they start, and commands beside a file.
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the list and the interval.
     pub fn check(&self) -> Result<(), BuildError> {
         for (name, intervals) in self.lists() {
+            if let (Some(file), [(start, end), ..]) = (&self.file, intervals) {
+                return Err(BuildError::bad_value(
+                    format!("envelope.{name}"),
+                    format!("[[{start}, {end}], …] beside the recorded reference {}", file.display()),
+                    "either commands or a file",
+                ));
+            }
             for &(start, end) in intervals {
                 check(
                     &format!("start of an interval of envelope.{name}"),

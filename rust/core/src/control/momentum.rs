@@ -81,6 +81,20 @@ impl MomentumModel {
         self.rate_estimate[2] -= kinematics.mass() * robot.gravity;
     }
 
+    /// Adds the total force or the total moment of the link forces to the estimated momentum rate,
+    /// for a controller that is to know only one of them.
+    pub fn add_part_of_rate(
+        &mut self,
+        link_forces: &LinkForces,
+        com: &Vector3<f64>,
+        has_force: bool,
+        has_moment: bool,
+    ) {
+        let (force, moment) = link_forces.wrench_about(com);
+        let only = |part, wanted| if wanted { part } else { Vector3::zeros() };
+        self.rate_estimate += stack(&only(force, has_force), &only(moment, has_moment));
+    }
+
     fn place_jets(&mut self, robot: &RobotModel, kinematics: &Kinematics) {
         for (index, jet) in robot.jets.iter().enumerate() {
             let pose = kinematics.frame_pose(&jet.frame);

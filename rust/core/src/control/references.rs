@@ -4,8 +4,9 @@
 
 use super::envelope::{AutopilotCommand, EnvelopeConfig};
 use super::minimum_jerk::MinimumJerkFilter;
+use super::recorded::Recording;
 use crate::error::{BuildError, check};
-use crate::spatial::{project_to_so3, rotation_from_rpy, skew, vee_of_skew_part};
+use crate::spatial::{project_to_so3, rotation_from_rpy, rpy_from_rotation, skew, vee_of_skew_part};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -172,6 +173,7 @@ pub struct ReferenceGenerator {
     jerk_filter: MinimumJerkFilter,
     angular_velocity_filter: MinimumJerkFilter,
     rotation: Matrix3<f64>,
+    recording: Option<Recording>,
 }
 
 impl ReferenceGenerator {
@@ -191,7 +193,15 @@ impl ReferenceGenerator {
                 zero,
             ),
             rotation: rotation_from_rpy(&rpy),
+            recording: None,
         }
+    }
+
+    /// Follows a recorded reference instead of commands, if there is one.
+    #[must_use]
+    pub fn with_recording(mut self, recording: Option<Recording>) -> Self {
+        self.recording = recording;
+        self
     }
 
     /// Raw reference of the last tick.
@@ -204,7 +214,27 @@ impl ReferenceGenerator {
     ///
     /// The smoothed attitude follows the raw one by `ω = −K sk(R_refᵀ R)^∨`, forward Euler on the
     /// matrix; its projection back onto SO(3) every tick removes the drift of that step.
+    ///
+    /// A recording is followed as it is; only its angular velocity passes through the filter, whose
+    /// outputs are the derivatives that a recording does not have.
     pub fn update(&mut self, envelope: &EnvelopeConfig, time: f64) -> Reference {
+        if let Some(recording) = &self.recording {
+            let motion = recording.at(time);
+            let [com_position, com_velocity, com_acceleration, com_jerk] = motion.com;
+            let angular = self.angular_velocity_filter.update(&motion.angular_velocity_b);
+            self.raw = RawReference::new(com_position, rpy_from_rotation(&motion.rotation));
+            self.rotation = motion.rotation;
+            return Reference {
+                com_position,
+                com_velocity,
+                com_acceleration,
+                com_jerk,
+                rotation: motion.rotation,
+                angular_velocity_b: angular.value,
+                angular_acceleration_b: angular.rate,
+                angular_jerk_b: angular.acceleration,
+            };
+        }
         self.raw.advance(&self.config, envelope.command(time));
 
         let position = self.position_filter.update(&self.raw.position);

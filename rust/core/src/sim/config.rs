@@ -1,10 +1,10 @@
 //! Configuration of the simulator and of a whole flight.
 
-use crate::aero::{AeroConfig, LeverArm};
+use crate::aero::{AeroConfig, ForceFactorsConfig, LeverArm};
 use crate::control::config::ControllerConfig;
 use crate::control::envelope::EnvelopeConfig;
 use crate::error::{BuildError, check};
-use crate::jets::JetsConfig;
+use crate::jets::{JetFaultsConfig, JetsConfig};
 use crate::kinematics::RobotState;
 use crate::robot::RobotModel;
 use crate::sim::wind::WindConfig;
@@ -23,6 +23,9 @@ pub struct FlightConfig {
     /// What the flight is for.
     #[serde(default)]
     pub description: String,
+    /// Which engine flies it. This crate is one of them and reads the files of both.
+    #[serde(default, skip_serializing_if = "Engine::is_rust")]
+    pub engine: Engine,
     /// The robot's TOML file.
     pub robot: PathBuf,
     /// The world.
@@ -33,6 +36,24 @@ pub struct FlightConfig {
     pub envelope: EnvelopeConfig,
     /// The wind, felt by the robot and told to the controller.
     pub wind: WindConfig,
+}
+
+/// Who flies a configuration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Engine {
+    /// This crate.
+    #[default]
+    Rust,
+    /// The batched, differentiable simulation in Python.
+    Jax,
+}
+
+impl Engine {
+    #[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
+    fn is_rust(&self) -> bool {
+        *self == Self::Rust
+    }
 }
 
 /// The world the robot flies in.
@@ -51,6 +72,9 @@ pub struct SimulatorConfig {
     pub integrator: Integrator,
     /// Aerodynamics of the world.
     pub aero: AeroConfig,
+    /// Factors on the forces of that model: coefficients that are not what they are thought to be.
+    #[serde(default, skip_serializing_if = "ForceFactorsConfig::is_default")]
+    pub aero_factors: ForceFactorsConfig,
     /// Point at which link forces act.
     #[serde(default)]
     pub lever_arm: LeverArm,
@@ -59,6 +83,9 @@ pub struct SimulatorConfig {
     pub kinematics: AeroKinematics,
     /// How thrust follows the command.
     pub jets: JetsConfig,
+    /// What is wrong with the jets.
+    #[serde(default, skip_serializing_if = "JetFaultsConfig::is_default")]
+    pub jet_faults: JetFaultsConfig,
     /// State at the beginning.
     pub initial: InitialConfig,
     /// When a flight counts as lost.

@@ -202,11 +202,26 @@ pub struct Summary {
     pub min_com_x_settling: f64,
     /// Ticks at which one of the QPs gave no certified answer.
     pub ticks_without_solution: usize,
+    /// Root mean square of the CoM error after settling \[m\].
+    pub rms_com_error: f64,
+    /// Root mean square of the rotation error after settling \[rad\].
+    pub rms_rotation_error: f64,
+    /// Time with a rotation error above 45° \[s\].
+    pub time_tilted: f64,
+    /// Greatest sum of absolute joint errors \[rad\].
+    pub max_joint_error: f64,
+    /// Greatest total aerodynamic force of the simulator \[N\].
+    pub max_aero_force: f64,
+    /// Greatest difference between the simulator's and the controller's total aerodynamic force \[N\].
+    pub max_aero_force_difference: f64,
     /// Greatest KKT residual of a certified answer.
     pub max_kkt: f64,
     /// Most solver iterations in one tick.
     pub max_qp_iterations: f64,
 }
+
+/// Rotation error beyond which a robot that still flies counts as tilted.
+pub const TILTED: f64 = std::f64::consts::FRAC_PI_4;
 
 /// Time that a flight takes to settle after it starts out of equilibrium \[s\].
 pub const SETTLING_TIME: f64 = 3.0;
@@ -221,14 +236,28 @@ impl Summary {
         let mut max_com_error = 0.0_f64;
         let mut max_com_error_xyz = [0.0_f64; 3];
         let mut min_com_x_settling = f64::INFINITY;
+        let (mut settled, mut sum_com_error, mut sum_rotation_error) = (0.0_f64, 0.0, 0.0);
+        let mut tilted = 0.0;
+        for (time, angle) in data("time").iter().zip(data("rotation_error")) {
+            sum_rotation_error += if *time < SETTLING_TIME { 0.0 } else { angle * angle };
+            tilted += if *angle > TILTED { 1.0 } else { 0.0 };
+        }
+        let tick = data("time").get(1).copied().unwrap_or(0.0);
+        let aero = aero_force_extremes(data("aero_force_sim"), data("aero_force_control"), data("time").len());
+        let joints = log.joint_reference.len().max(1);
+        let joint_errors = data("joint_position").chunks_exact(joints).map(|positions| {
+            positions.iter().zip(&log.joint_reference).map(|(s, s_d)| (s - s_d).abs()).sum()
+        });
         for ((time, com), desired) in data("time").iter().zip(rows("com_position")).zip(rows("com_reference"))
         {
             if *time < SETTLING_TIME {
                 min_com_x_settling = min_com_x_settling.min(com[0]);
                 continue;
             }
+            settled += 1.0;
             let error = Vector3::from_column_slice(com) - Vector3::from_column_slice(desired);
             max_com_error = max_com_error.max(error.norm());
+            sum_com_error += error.norm_squared();
             for axis in 0..3 {
                 max_com_error_xyz[axis] = max_com_error_xyz[axis].max(error[axis].abs());
             }
@@ -250,10 +279,30 @@ impl Summary {
                 .chunks_exact(2)
                 .filter(|status| !solved(status))
                 .count(),
+            rms_com_error: (sum_com_error / settled.max(1.0)).sqrt(),
+            rms_rotation_error: (sum_rotation_error / settled.max(1.0)).sqrt(),
+            time_tilted: tilted * tick,
+            max_joint_error: largest(&mut { joint_errors }),
+            max_aero_force: aero.0,
+            max_aero_force_difference: aero.1,
             max_kkt: largest(&mut data("qp_kkt").iter().copied().filter(|kkt| kkt.is_finite())),
             max_qp_iterations: largest(&mut data("qp_iterations").iter().copied()),
         }
     }
+}
+
+/// Greatest total force of the simulator, and greatest difference to the controller's \[N\].
+fn aero_force_extremes(simulator: &[f64], controller: &[f64], ticks: usize) -> (f64, f64) {
+    let width = simulator.len() / ticks.max(1);
+    if width == 0 {
+        return (0.0, 0.0);
+    }
+    let total = |forces: &[f64]| forces.chunks_exact(3).map(Vector3::from_column_slice).sum::<Vector3<f64>>();
+    let rows = simulator.chunks_exact(width).zip(controller.chunks_exact(width));
+    rows.fold((0.0, 0.0), |(force, difference), (simulated, estimated)| {
+        let (simulated, estimated) = (total(simulated), total(estimated));
+        (simulated.norm().max(force), (simulated - estimated).norm().max(difference))
+    })
 }
 
 /// A finished flight.

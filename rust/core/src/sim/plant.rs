@@ -8,7 +8,7 @@
 //! flight that succeeds, and one that fails ends with its fall.
 
 use super::config::{AeroKinematics, Integrator, SimulatorConfig};
-use crate::aero::{AeroModel, LinkConventions, LinkForces};
+use crate::aero::{AeroModel, ForceFactors, LinkConventions, LinkForces};
 use crate::dynamics::{Dynamics, MassFactor};
 use crate::error::BuildError;
 use crate::jets::Jets;
@@ -22,6 +22,7 @@ use nalgebra::{DVector, Vector3};
 pub struct Plant {
     robot: RobotModel,
     aero: AeroModel,
+    aero_factors: ForceFactors,
     conventions: LinkConventions,
     integrator: Integrator,
     substeps: u32,
@@ -46,11 +47,17 @@ impl Plant {
         let n = 6 + robot.joints.len();
         let mut plant = Self {
             aero: AeroModel::new(&config.aero, &robot.aero_links)?,
+            aero_factors: ForceFactors::new(
+                &config.aero_factors,
+                &robot.aero_links,
+                "simulator.aero_factors",
+            )?,
             conventions: LinkConventions { lever_arm: config.lever_arm, ..LinkConventions::default() },
             integrator: config.integrator,
             substeps: config.substeps,
             state: config.initial.state(),
-            jets: Jets::new(&config.jets, &robot.jets, &robot.engines, &config.initial.thrust)?,
+            jets: Jets::new(&config.jets, &robot.jets, &robot.engines, &config.initial.thrust)?
+                .with_faults(&config.jet_faults, &robot.jets)?,
             kinematics: Kinematics::new(&robot),
             dynamics: Dynamics::new(&robot),
             link_forces: LinkForces::new(&robot),
@@ -111,6 +118,7 @@ impl Plant {
             }
         };
         self.link_forces.update(&self.robot, placed, self.conventions, &self.aero, wind_i);
+        self.aero_factors.apply(&mut self.link_forces);
     }
 
     /// Advances one tick of `time_step` \[s\] under held torques and commanded thrust rates. The

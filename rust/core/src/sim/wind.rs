@@ -1,5 +1,6 @@
 //! Wind as a function of time: the velocity of the air in inertial axes, the same everywhere.
 
+use super::turbulence::Turbulence;
 use crate::error::{BuildError, check};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -35,6 +36,22 @@ pub enum WindConfig {
         /// How long it lasts.
         duration: f64,
     },
+    /// The published profile with turbulence on top, which rises with it.
+    Turbulent {
+        /// Mean velocity after the ramp.
+        velocity: [f64; 3],
+        /// When the wind starts to rise.
+        ramp_start: f64,
+        /// When it has risen.
+        ramp_end: f64,
+        /// Standard deviation of the turbulence on each axis.
+        std: [f64; 3],
+        /// Time scale of the turbulence.
+        time_scale: f64,
+        /// Seed of the turbulence.
+        #[serde(default)]
+        seed: u64,
+    },
     /// A recorded wind: a CSV file with header `time,x,y,z`, linear in between, constant outside.
     File {
         /// The file; relative paths start at the configuration file.
@@ -51,6 +68,15 @@ pub enum Wind {
         velocity: Vector3<f64>,
         /// Start and end of the rise \[s\]; equal for a constant wind.
         ramp: (f64, f64),
+    },
+    /// A ramp with turbulence that rises with it.
+    Turbulent {
+        /// Final mean velocity \[m/s\].
+        velocity: Vector3<f64>,
+        /// Start and end of the rise \[s\].
+        ramp: (f64, f64),
+        /// What is added after the rise.
+        turbulence: Box<Turbulence>,
     },
     /// Steady wind and one gust.
     Gust {
@@ -84,14 +110,18 @@ impl Wind {
                 Self::Ramp { velocity: vector("velocity", velocity)?, ramp: (f64::MIN, f64::MIN) }
             }
             WindConfig::Ramp { velocity, ramp_start, ramp_end } => {
-                let start = check("wind.ramp_start", *ramp_start, |_| true, "a finite time in s")?;
-                let end = check(
-                    "wind.ramp_end",
-                    *ramp_end,
-                    |end| end >= start,
-                    &format!("a time ≥ ramp_start ({start})"),
-                )?;
-                Self::Ramp { velocity: vector("velocity", velocity)?, ramp: (start, end) }
+                Self::Ramp { velocity: vector("velocity", velocity)?, ramp: ramp(*ramp_start, *ramp_end)? }
+            }
+            WindConfig::Turbulent { velocity, ramp_start, ramp_end, std, time_scale, seed } => {
+                for std in std {
+                    check("wind.std", *std, |std| std >= 0.0, "three numbers ≥ 0 in m/s")?;
+                }
+                let scale = check("wind.time_scale", *time_scale, |t| t > 0.0, "a positive time in s")?;
+                Self::Turbulent {
+                    velocity: vector("velocity", velocity)?,
+                    ramp: ramp(*ramp_start, *ramp_end)?,
+                    turbulence: Box::new(Turbulence::new(&Vector3::from(*std), scale, *seed)),
+                }
             }
             WindConfig::Gust { velocity, gust, start, duration } => Self::Gust {
                 velocity: vector("velocity", velocity)?,
@@ -107,9 +137,9 @@ impl Wind {
     #[must_use]
     pub fn velocity(&self, time: f64) -> Vector3<f64> {
         match self {
-            Self::Ramp { velocity, ramp: (start, end) } => {
-                let risen = if time >= *end { 1.0 } else { ((time - start) / (end - start)).max(0.0) };
-                velocity * risen
+            Self::Ramp { velocity, ramp } => velocity * risen(ramp, time),
+            Self::Turbulent { velocity, ramp, turbulence } => {
+                (velocity + turbulence.velocity(time)) * risen(ramp, time)
             }
             Self::Gust { velocity, gust, start, duration } => {
                 let phase = (time - start) / duration;
@@ -127,6 +157,18 @@ impl Wind {
             }
         }
     }
+}
+
+/// Start and end of a rise.
+fn ramp(start: f64, end: f64) -> Result<(f64, f64), BuildError> {
+    let start = check("wind.ramp_start", start, |_| true, "a finite time in s")?;
+    let expected = format!("a time ≥ ramp_start ({start})");
+    Ok((start, check("wind.ramp_end", end, |end| end >= start, &expected)?))
+}
+
+/// How far a rise has come, from 0 to 1.
+fn risen((start, end): &(f64, f64), time: f64) -> f64 {
+    if time >= *end { 1.0 } else { ((time - start) / (end - start)).max(0.0) }
 }
 
 fn read_samples(path: &Path) -> Result<Vec<(f64, Vector3<f64>)>, BuildError> {

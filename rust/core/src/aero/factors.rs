@@ -1,0 +1,88 @@
+//! Aerodynamic forces that are stronger or weaker than a model says: along the air, across it, by link.
+//!
+//! The simulator's forces get factors to stand for coefficients that are not known exactly, the
+//! controller's estimates get them to leave parts of the information out.
+
+use super::LinkForces;
+use crate::error::{BuildError, check};
+use crate::robot::AeroLink;
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Factors on the force of every link; all one unless said otherwise.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ForceFactorsConfig {
+    /// Factor on the part along `v_air`.
+    pub drag: f64,
+    /// Factor on the part across `v_air`.
+    pub normal: f64,
+    /// Factor on the whole force of a link, by its name; links that are not named keep theirs.
+    pub links: BTreeMap<String, f64>,
+}
+
+impl Default for ForceFactorsConfig {
+    fn default() -> Self {
+        Self { drag: 1.0, normal: 1.0, links: BTreeMap::new() }
+    }
+}
+
+impl ForceFactorsConfig {
+    /// Whether this changes nothing.
+    #[must_use]
+    pub fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// Checked factors, in the order of the links.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ForceFactors {
+    drag: f64,
+    normal: f64,
+    links: Vec<f64>,
+    /// Forces that keep their factors must keep their last bit too.
+    idle: bool,
+}
+
+impl ForceFactors {
+    /// Factors for `links`; `table` is named in errors.
+    ///
+    /// # Errors
+    /// A factor that is not finite, a link that does not exist.
+    pub fn new(config: &ForceFactorsConfig, links: &[AeroLink], table: &str) -> Result<Self, BuildError> {
+        let factor = |key: &str, value| check(&format!("{table}.{key}"), value, |_| true, "a finite factor");
+        let mut by_link = vec![1.0; links.len()];
+        for (name, value) in &config.links {
+            let names = || links.iter().map(|link| link.name.as_str());
+            let index = names()
+                .position(|known| known == name)
+                .ok_or_else(|| BuildError::unknown_name(format!("{table}.links"), name, names()))?;
+            by_link[index] = factor(&format!("links.{name}"), *value)?;
+        }
+        Ok(Self {
+            drag: factor("drag", config.drag)?,
+            normal: factor("normal", config.normal)?,
+            links: by_link,
+            idle: config.is_default(),
+        })
+    }
+
+    /// Changes every force in place.
+    ///
+    /// ```text
+    /// F ← w_link ( w_drag F_∥ + w_normal (F − F_∥) ),   F_∥ = (F · v̂) v̂,   v̂ = v_air / |v_air|
+    /// ```
+    pub fn apply(&self, link_forces: &mut LinkForces) {
+        if self.idle {
+            return;
+        }
+        let samples = link_forces.forces_i.iter_mut().zip(&link_forces.v_air_i);
+        for ((force, v_air), factor) in samples.zip(&self.links) {
+            let along = v_air.try_normalize(0.0).map_or(Vector3::zeros(), |v| v * force.dot(&v));
+            let across = *force - along;
+            *force = (along * self.drag + across * self.normal) * *factor;
+        }
+    }
+}

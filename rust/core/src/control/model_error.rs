@@ -1,0 +1,69 @@
+//! A controller that flies another robot than it thinks.
+
+use crate::error::{BuildError, check};
+use crate::robot::RobotModel;
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+/// How the controller's robot differs from the one that flies; not at all by default.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ModelError {
+    /// Factor on all masses and inertias of the controller's robot.
+    pub mass_scale: f64,
+    /// Added to the base body's centre of mass in the controller's robot \[m, base axes\].
+    pub com_offset: [f64; 3],
+}
+
+impl Default for ModelError {
+    fn default() -> Self {
+        Self { mass_scale: 1.0, com_offset: [0.0; 3] }
+    }
+}
+
+impl ModelError {
+    /// Whether the controller knows its robot.
+    #[must_use]
+    pub fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Refuses numbers that do not make a robot.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check(&self) -> Result<(), BuildError> {
+        let expected = "a factor from 0.01 to 100";
+        check(
+            "controller.model_error.mass_scale",
+            self.mass_scale,
+            |x| (0.01..=100.0).contains(&x),
+            expected,
+        )?;
+        for offset in self.com_offset {
+            check(
+                "controller.model_error.com_offset",
+                offset,
+                |x| x.abs() <= 10.0,
+                "three numbers up to 10 m",
+            )?;
+        }
+        Ok(())
+    }
+
+    /// The robot the controller believes in.
+    #[must_use]
+    pub fn believed(&self, mut robot: RobotModel) -> RobotModel {
+        if self.is_default() {
+            return robot;
+        }
+        for body in &mut robot.bodies {
+            body.mass *= self.mass_scale;
+            body.inertia_b *= self.mass_scale;
+        }
+        if let Some(base) = robot.bodies.first_mut() {
+            base.com_b += Vector3::from(self.com_offset);
+        }
+        robot
+    }
+}

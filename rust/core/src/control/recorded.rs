@@ -1,0 +1,185 @@
+//! A reference that was computed beforehand and is read from a file: `envelope = { file = "…" }`.
+//!
+//! The file is CSV in SI units and radians; lines that start with `#` are comments. Its header is the first 7,
+//! 10, 13 or 16 of the names in [`COLUMNS`]: derivatives that are left out are differences of what is there.
+
+use crate::error::BuildError;
+use crate::spatial::{exp_so3, rotation_from_rpy};
+use nalgebra::{Matrix3, Rotation3, Vector3};
+use std::path::Path;
+
+/// Names of the columns: time, centre of mass, attitude of the base, and then, where they are known,
+/// velocity, acceleration and jerk of the centre of mass.
+pub const COLUMNS: [&str; 16] =
+    ["time", "x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "ax", "ay", "az", "jx", "jy", "jz"];
+
+/// Columns that every file has: time, position, attitude.
+const REQUIRED: usize = 7;
+
+/// Where the reference is at one time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RecordedMotion {
+    /// Position of the centre of mass and its first three derivatives \[m, m/s, m/s², m/s³\].
+    pub com: [Vector3<f64>; 4],
+    /// Base rotation, inertial from base.
+    pub rotation: Matrix3<f64>,
+    /// Angular velocity of the base \[rad/s, base axes\].
+    pub angular_velocity_b: Vector3<f64>,
+}
+
+impl RecordedMotion {
+    /// Standing still here.
+    fn held(&self) -> Self {
+        let zero = Vector3::zeros();
+        Self { com: [self.com[0], zero, zero, zero], angular_velocity_b: zero, ..*self }
+    }
+}
+
+/// A recorded reference, checked: samples in order of time.
+#[derive(Debug, Clone)]
+pub struct Recording {
+    times: Vec<f64>,
+    motions: Vec<RecordedMotion>,
+    /// Rotation vector from each sample to the next, in axes of the former \[rad\].
+    turns_b: Vec<Vector3<f64>>,
+}
+
+impl Recording {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the file, the line and what was expected.
+    pub fn load(path: &Path) -> Result<Self, BuildError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| BuildError::Unreadable { path: path.to_owned(), source })?;
+        Self::parse(&text, &path.display().to_string())
+    }
+
+    /// Reads the text of a file; `origin` is named in errors.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn parse(text: &str, origin: &str) -> Result<Self, BuildError> {
+        let place = |line: usize| format!("line {} of reference file {origin}", line + 1);
+        let mut lines = text.lines().enumerate().filter(|(_, line)| {
+            let line = line.trim();
+            !line.is_empty() && !line.starts_with('#')
+        });
+        let (header_line, header) = lines.next().unwrap_or((0, "empty"));
+        let names: Vec<&str> = header.split(',').map(str::trim).collect();
+        let width = names.len();
+        if width < REQUIRED
+            || !(width - REQUIRED).is_multiple_of(3)
+            || COLUMNS.get(..width) != Some(&names[..])
+        {
+            let expected = format!("the first 7, 10, 13 or 16 names of {}", COLUMNS.join(","));
+            return Err(BuildError::bad_value(place(header_line), header, expected));
+        }
+        let mut rows: Vec<Vec<f64>> = Vec::new();
+        for (number, line) in lines {
+            let row: Vec<f64> = line.split(',').map_while(|field| field.trim().parse().ok()).collect();
+            if row.len() != width || line.split(',').count() != width {
+                return Err(BuildError::bad_value(place(number), line, format!("{width} numbers")));
+            }
+            if !row.iter().all(|value| value.is_finite()) {
+                return Err(BuildError::bad_value(place(number), line, "finite numbers"));
+            }
+            if rows.last().is_some_and(|before| before[0] >= row[0]) {
+                return Err(BuildError::bad_value(place(number), line, "a time later than the line before"));
+            }
+            rows.push(row);
+        }
+        if rows.len() < 2 {
+            let found = format!("{} samples long", rows.len());
+            return Err(BuildError::bad_value(format!("reference file {origin}"), found, "at least 2"));
+        }
+        Ok(Self::from_rows(&rows, width))
+    }
+
+    fn from_rows(rows: &[Vec<f64>], width: usize) -> Self {
+        let triple = |row: &Vec<f64>, first: usize| Vector3::new(row[first], row[first + 1], row[first + 2]);
+        let times: Vec<f64> = rows.iter().map(|row| row[0]).collect();
+        let position: Vec<Vector3<f64>> = rows.iter().map(|row| triple(row, 1)).collect();
+        let mut com = vec![position];
+        for order in 0..3 {
+            let first = REQUIRED + 3 * order;
+            com.push(if first < width {
+                rows.iter().map(|row| triple(row, first)).collect()
+            } else {
+                differences(&times, &com[order])
+            });
+        }
+        let rotations: Vec<Matrix3<f64>> =
+            rows.iter().map(|row| rotation_from_rpy(&triple(row, 4))).collect();
+        let turns_b: Vec<Vector3<f64>> = rotations
+            .windows(2)
+            .map(|pair| Rotation3::from_matrix_unchecked(pair[0].transpose() * pair[1]).scaled_axis())
+            .collect();
+        let rates: Vec<Vector3<f64>> =
+            turns_b.iter().zip(times.windows(2)).map(|(turn, time)| turn / (time[1] - time[0])).collect();
+        let motions = (0..times.len())
+            .map(|sample| RecordedMotion {
+                com: [com[0][sample], com[1][sample], com[2][sample], com[3][sample]],
+                rotation: rotations[sample],
+                // Mean of the turns before and after; at an end there is only one.
+                angular_velocity_b: 0.5
+                    * (rates[sample.saturating_sub(1)] + rates[sample.min(rates.len() - 1)]),
+            })
+            .collect();
+        Self { times, motions, turns_b }
+    }
+
+    /// First and last time \[s\].
+    #[must_use]
+    pub fn span(&self) -> (f64, f64) {
+        (self.times[0], self.times[self.times.len() - 1])
+    }
+
+    /// The reference at `time` \[s\]: before the first sample and after the last one it stands still there.
+    ///
+    /// Between samples position, velocity and acceleration each follow the cubic that has the next derivative
+    /// as its slope at both samples; jerk and angular velocity are linear, the base turns at a constant rate.
+    #[must_use]
+    pub fn at(&self, time: f64) -> RecordedMotion {
+        let next = self.times.partition_point(|sample| *sample <= time);
+        let Some(before) = next.checked_sub(1) else { return self.motions[0].held() };
+        let (a, Some(b)) = (&self.motions[before], self.motions.get(next)) else {
+            // The last sample itself is still part of the recording.
+            let last = &self.motions[before];
+            return if time > self.times[before] { last.held() } else { *last };
+        };
+        let h = self.times[next] - self.times[before];
+        let s = (time - self.times[before]) / h;
+        let cubic =
+            |order: usize| hermite([a.com[order], a.com[order + 1], b.com[order], b.com[order + 1]], h, s);
+        RecordedMotion {
+            com: [cubic(0), cubic(1), cubic(2), a.com[3].lerp(&b.com[3], s)],
+            rotation: a.rotation * exp_so3(&(self.turns_b[before] * s)),
+            angular_velocity_b: a.angular_velocity_b.lerp(&b.angular_velocity_b, s),
+        }
+    }
+}
+
+/// Cubic through `value_a` and `value_b` with the given slopes, over a length `h`, at the fraction `s` of it.
+fn hermite([value_a, slope_a, value_b, slope_b]: [Vector3<f64>; 4], h: f64, s: f64) -> Vector3<f64> {
+    let r = 1.0 - s;
+    value_a * (r * r * (1.0 + 2.0 * s))
+        + value_b * (s * s * (1.0 + 2.0 * r))
+        + (slope_a * r - slope_b * s) * (h * s * r)
+}
+
+/// Slopes at the samples: of the parabola through each sample and its neighbours, of the line at both ends.
+fn differences(times: &[f64], values: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+    let steps: Vec<f64> = times.windows(2).map(|t| t[1] - t[0]).collect();
+    let slopes: Vec<Vector3<f64>> =
+        values.windows(2).zip(&steps).map(|(value, h)| (value[1] - value[0]) / *h).collect();
+    (0..values.len())
+        .map(|i| match (i.checked_sub(1), slopes.get(i)) {
+            (Some(left), Some(right)) => {
+                (slopes[left] * steps[i] + right * steps[left]) / (steps[left] + steps[i])
+            }
+            (None, Some(slope)) => *slope,
+            (left, None) => slopes[left.unwrap_or(0)],
+        })
+        .collect()
+}

@@ -1,0 +1,127 @@
+//! What the controller is told about the wind, when it is not told the truth.
+//!
+//! ```text
+//! wind ──(mean_only)──► delay ──► + bias + noise ──► low pass ──► Measurement::wind
+//! ```
+
+use crate::error::{BuildError, check};
+use crate::noise::Noise;
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+/// Longest delay \[s\]: the delay line is kept in memory.
+const MAX_DELAY: f64 = 1000.0;
+
+/// Errors of the wind estimate; none by default.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct WindEstimateConfig {
+    /// Added to the wind \[m/s, inertial axes\].
+    pub bias: [f64; 3],
+    /// Standard deviation of white noise on every axis, drawn anew each tick \[m/s\].
+    pub noise_std: f64,
+    /// Age of the wind that is told, rounded to ticks \[s\].
+    pub delay: f64,
+    /// Time constant of a first-order low pass behind all other errors \[s\]; zero for none.
+    pub time_constant: f64,
+    /// Whether only the mean over the flight is told.
+    pub mean_only: bool,
+    /// Seed of the noise.
+    pub seed: u64,
+}
+
+impl Default for WindEstimateConfig {
+    fn default() -> Self {
+        Self { bias: [0.0; 3], noise_std: 0.0, delay: 0.0, time_constant: 0.0, mean_only: false, seed: 0 }
+    }
+}
+
+impl WindEstimateConfig {
+    /// Refuses numbers that mean nothing.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check(&self) -> Result<(), BuildError> {
+        let at = |name: &str, value: f64, limit: f64, expected: &str| {
+            let item = format!("controller.wind_estimate.{name}");
+            check(&item, value, |x| (0.0..=limit).contains(&x), expected).map(|_| ())
+        };
+        for bias in self.bias {
+            check("controller.wind_estimate.bias", bias, |_| true, "three finite numbers in m/s")?;
+        }
+        at("noise_std", self.noise_std, f64::MAX, "a number ≥ 0 in m/s")?;
+        at("delay", self.delay, MAX_DELAY, "seconds from 0 to 1000")?;
+        at("time_constant", self.time_constant, f64::MAX, "seconds ≥ 0")
+    }
+}
+
+/// The estimate in time; call once per tick.
+#[derive(Debug, Clone)]
+pub struct WindEstimator {
+    /// Told instead of the wind, if anything is.
+    mean: Option<Vector3<f64>>,
+    bias: Vector3<f64>,
+    noise_std: f64,
+    noise: Noise,
+    /// The last winds, a ring; `next` is the oldest. Empty without delay.
+    line: Vec<Vector3<f64>>,
+    next: usize,
+    /// Share of the way that the low pass goes per tick.
+    step: f64,
+    filtered: Option<Vector3<f64>>,
+}
+
+impl WindEstimator {
+    /// An estimator that is asked every `time_step` \[s\]; `mean` is the mean wind of the flight.
+    ///
+    /// # Errors
+    /// As [`WindEstimateConfig::check`].
+    pub fn new(config: &WindEstimateConfig, time_step: f64, mean: Vector3<f64>) -> Result<Self, BuildError> {
+        config.check()?;
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 1000 s
+        let delayed_ticks = (config.delay / time_step).round() as usize;
+        Ok(Self {
+            mean: config.mean_only.then_some(mean),
+            bias: Vector3::from(config.bias),
+            noise_std: config.noise_std,
+            noise: Noise::new(config.seed, 0),
+            line: Vec::with_capacity(delayed_ticks),
+            next: 0,
+            step: if config.time_constant > 0.0 {
+                -(-time_step / config.time_constant).exp_m1()
+            } else {
+                1.0
+            },
+            filtered: None,
+        })
+    }
+
+    /// Estimate of this tick, from the true wind of this tick \[m/s, inertial axes\].
+    ///
+    /// Before the delay has passed, the first wind is told; the low pass starts settled.
+    pub fn update(&mut self, wind_i: &Vector3<f64>) -> Vector3<f64> {
+        let mut estimate = self.delayed(&self.mean.unwrap_or(*wind_i)) + self.bias;
+        if self.noise_std > 0.0 {
+            estimate += self.noise_std * Vector3::from_fn(|_, _| self.noise.normal());
+        }
+        let before = self.filtered.unwrap_or(estimate);
+        // Without a filter to the last bit: a difference that is added back is not.
+        let filtered = if self.step < 1.0 { before + (estimate - before) * self.step } else { estimate };
+        self.filtered = Some(filtered);
+        filtered
+    }
+
+    fn delayed(&mut self, wind: &Vector3<f64>) -> Vector3<f64> {
+        let length = self.line.capacity();
+        if length == 0 {
+            return *wind;
+        }
+        if self.line.len() < length {
+            self.line.push(*wind);
+            return self.line[0];
+        }
+        let oldest = std::mem::replace(&mut self.line[self.next], *wind);
+        self.next = (self.next + 1) % length;
+        oldest
+    }
+}
