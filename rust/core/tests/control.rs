@@ -1,0 +1,741 @@
+//! The controller tick by tick: safe commands, bounds, feedback that can be left out, refusals, and a
+//! second robot.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
+#![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
+
+mod common;
+
+use common::{Loop, configs, experiment, random_state, random_vector, rng, robot, tick_at};
+use flight_core::aero::AeroConfig;
+use flight_core::config::{flight_from_value, resolve};
+use flight_core::control::bounds::rate_bounds;
+use flight_core::control::config::{Fallback, Solver};
+use flight_core::control::qp::QpStatus;
+use flight_core::control::torque::limit_rate;
+use flight_core::control::{CommandStatus, Memory};
+use flight_core::sim::Plant;
+use flight_core::{
+    Command, Controller, FlightConfig, Measurement, RobotModel, RobotState, spatial::rotation_angle,
+};
+use nalgebra::{DVector, Matrix3, Vector3};
+use rand::RngExt;
+use serde_json::json;
+
+const WIND: [f64; 3] = [2.0, -9.0, 1.0];
+
+fn wind() -> Vector3<f64> {
+    Vector3::from(WIND)
+}
+
+fn controller(config: &FlightConfig) -> Controller {
+    let robot = RobotModel::load(&config.robot).unwrap();
+    Controller::new(robot, config.controller.clone(), config.envelope.clone(), 0.01).unwrap()
+}
+
+/// What a controller is told: a measurement that owns its parts.
+#[derive(Clone)]
+struct Told {
+    time: f64,
+    state: RobotState,
+    thrust: Vec<f64>,
+    wind: Vector3<f64>,
+}
+
+impl Told {
+    /// The robot as its flight starts.
+    fn start(config: &FlightConfig) -> Self {
+        let robot = RobotModel::load(&config.robot).unwrap();
+        let plant = Plant::new(robot, &config.simulator).unwrap();
+        let thrust = plant.jets().thrust().to_vec();
+        Self { time: 0.0, state: plant.state().clone(), thrust, wind: wind() }
+    }
+
+    fn tell<'a>(&self, controller: &'a mut Controller) -> &'a Command {
+        let Self { time, state, thrust, wind } = self;
+        controller.tick(&Measurement { time: *time, state, thrust, wind: *wind })
+    }
+}
+
+/// Everything commanded, in one vector.
+fn numbers(command: &Command) -> Vec<f64> {
+    let Command { thrust_rate, joint_velocity, joint_torque, .. } = command;
+    thrust_rate.iter().chain(joint_velocity).chain(joint_torque).copied().collect()
+}
+
+#[track_caller]
+fn assert_equal(what: &str, a: &[f64], b: &[f64], tolerance: f64) {
+    assert_eq!(a.len(), b.len(), "{what}");
+    let worst = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(worst <= tolerance, "{what}: {worst:e} apart");
+}
+
+type Spoil = (&'static str, fn(&mut Told));
+
+/// Every part of a measurement, spoilt.
+const SPOILT: [Spoil; 14] = [
+    ("time", |told| told.time = f64::NAN),
+    ("infinite time", |told| told.time = f64::INFINITY),
+    ("base position", |told| told.state.base.position.y = f64::NAN),
+    ("base rotation", |told| told.state.base.rotation[(2, 1)] = f64::NAN),
+    ("joint position", |told| told.state.joint_position[22] = f64::NAN),
+    ("infinite joint position", |told| told.state.joint_position[0] = f64::NEG_INFINITY),
+    ("base velocity", |told| told.state.velocity[0] = f64::NAN),
+    ("joint velocity", |told| told.state.velocity[28] = f64::NAN),
+    ("thrust", |told| told.thrust[3] = f64::NAN),
+    ("infinite thrust", |told| told.thrust[0] = f64::INFINITY),
+    ("wind", |told| told.wind.z = f64::NAN),
+    ("a thrust too few", |told| told.thrust.truncate(3)),
+    ("a thrust too many", |told| told.thrust.push(100.0)),
+    ("a joint too few", |told| {
+        let mut state = RobotState::zero(22);
+        state.base = told.state.base;
+        told.state = state;
+    }),
+];
+
+/// A measurement that is not finite, or not of this robot: nothing moves, torques stay, and the next good
+/// tick is as if the bad one had not been.
+#[test]
+fn bad_measurements_hold_the_last_torques() {
+    let config = experiment("test2");
+    let good = Told::start(&config);
+    let next = Told { time: 0.01, ..good.clone() };
+    let mut undisturbed = controller(&config);
+    good.tell(&mut undisturbed);
+    let expected = numbers(next.tell(&mut undisturbed));
+    for (what, spoil) in SPOILT {
+        let mut controller = controller(&config);
+        let torque = good.tell(&mut controller).joint_torque.clone();
+        assert!(torque.amax() > 1.0);
+        let mut bad = next.clone();
+        spoil(&mut bad);
+        let command = bad.tell(&mut controller);
+        assert_eq!(command.status, CommandStatus::BadMeasurement, "{what}");
+        assert_eq!(command.thrust_rate.amax(), 0.0, "{what}");
+        assert_eq!(command.joint_velocity.amax(), 0.0, "{what}");
+        assert_eq!(command.joint_torque, torque, "{what}");
+        for answer in [command.momentum_qp, command.torque_qp] {
+            assert_eq!(answer.status, QpStatus::NonFinite);
+            assert!(answer.kkt.is_nan() && answer.iterations == 0);
+        }
+        let command = next.tell(&mut controller);
+        assert_eq!(command.status, CommandStatus::Nominal, "{what}");
+        assert_equal(what, &numbers(command), &expected, 0.0);
+    }
+}
+
+/// A bad first measurement starts nothing: torques are zero, and the flight starts with the first good one.
+#[test]
+fn a_bad_first_measurement_starts_nothing() {
+    let config = experiment("test2");
+    let good = Told::start(&config);
+    let mut fresh = controller(&config);
+    let expected = numbers(good.tell(&mut fresh));
+    let mut controller = controller(&config);
+    let mut bad = good.clone();
+    bad.state.base.position.x = f64::NAN;
+    assert_equal("safe command", &numbers(bad.tell(&mut controller)), &[0.0; 4 + 23 + 23], 0.0);
+    assert_eq!(controller.memory().posture.amax(), 0.0);
+    assert_equal("start", &numbers(good.tell(&mut controller)), &expected, 0.0);
+    assert_eq!(controller.memory().posture, good.state.joint_position);
+}
+
+/// A momentum QP that overflows has no answer: thrust rates and joint velocities are the values within
+/// their bounds that are nearest to zero, and the torques still brake the joints.
+#[test]
+fn without_a_momentum_answer_nothing_moves() {
+    let mut config = experiment("test2");
+    config.controller.weights.momentum = 1e305;
+    for (solver, fallback) in [
+        (Solver::ActiveSet, Fallback::Hold),
+        (Solver::ActiveSet, Fallback::Clarabel),
+        (Solver::Clarabel, Fallback::Clarabel),
+    ] {
+        config.controller.qp.solver = solver;
+        config.controller.qp.fallback = fallback;
+        let mut controller = controller(&config);
+        let mut told = Told::start(&config);
+        told.state.velocity[6 + 3] = 0.4;
+        let knee = controller.robot().joint_index("l_knee").unwrap();
+        assert!(told.state.joint_position[knee] > 0.0, "beyond its limit");
+        let command = told.tell(&mut controller).clone();
+        assert_eq!(command.status, CommandStatus::MomentumHeld);
+        assert_eq!(command.momentum_qp.status, QpStatus::NonFinite);
+        assert_eq!(command.thrust_rate.amax(), 0.0);
+        let upper = controller.terms().momentum_qp.problem.upper[4 + knee];
+        assert!(upper < 0.0, "beyond its limit a joint must come back");
+        for (joint, velocity) in command.joint_velocity.iter().enumerate() {
+            let upper = controller.terms().momentum_qp.problem.upper[4 + joint];
+            assert_eq!(*velocity, upper.min(0.0), "joint {joint}");
+        }
+        // s̈* = −K_D ṡ of the moving joint
+        assert_eq!(command.torque_qp.status, QpStatus::Solved);
+        let braking = controller.terms().torque_qp.acceleration_desired[3];
+        assert!((braking + 20.0 * 0.4).abs() < 1e-12, "{braking}");
+    }
+}
+
+/// Tasks that leave some motions without a cost: either solver says so, the fallback is asked, and without
+/// an answer from it either nothing moves.
+#[test]
+fn a_singular_momentum_qp_is_said_to_be_one() {
+    let mut config = experiment("test2");
+    let weights = &mut config.controller.weights;
+    (weights.joint_velocity, weights.posture, weights.symmetry) = (0.0, 0.0, 0.0);
+    weights.thrust_rate.values_mut().for_each(|weight| *weight = 0.0);
+    weights.regularisation = 1e-18;
+    let mut tick = |fallback| {
+        config.controller.qp.fallback = fallback;
+        Told::start(&config).tell(&mut controller(&config)).clone()
+    };
+    let (held, asked) = (tick(Fallback::Hold), tick(Fallback::Clarabel));
+    for command in [&held, &asked] {
+        assert_eq!(command.status, CommandStatus::MomentumHeld);
+        assert_eq!(command.momentum_qp.status, QpStatus::NotPositiveDefinite);
+        assert_eq!(command.torque_qp.status, QpStatus::Solved);
+        assert_eq!(command.thrust_rate.amax(), 0.0);
+    }
+    // Whose answer it is: ours tried a pass, Clarabel refuses at once.
+    assert_eq!((held.momentum_qp.iterations, asked.momentum_qp.iterations), (1, 0));
+    assert!(asked.momentum_qp.kkt.is_nan());
+}
+
+/// A torque QP that overflows has no answer: torques stay, thrusts and joints are commanded as ever.
+#[test]
+fn without_a_torque_answer_torques_stay() {
+    let config = experiment("test2");
+    let mut sound = controller(&config);
+    let start = Told::start(&config);
+    start.tell(&mut sound);
+    let mut spoilt_config = config.clone();
+    spoilt_config.controller.torque.weight_acceleration = 1e306;
+    for fallback in [Fallback::Hold, Fallback::Clarabel] {
+        spoilt_config.controller.qp.fallback = fallback;
+        let mut controller = controller(&spoilt_config);
+        let command = start.tell(&mut controller);
+        assert_eq!(command.status, CommandStatus::TorqueHeld);
+        assert_eq!(command.torque_qp.status, QpStatus::NonFinite);
+        assert_eq!(command.joint_torque.amax(), 0.0, "torques before the first answer");
+        let expected = sound.command();
+        assert_eq!(command.thrust_rate, expected.thrust_rate);
+        assert_eq!(command.joint_velocity, expected.joint_velocity);
+        assert!(!controller.memory().torque_is_known);
+    }
+}
+
+/// Neither QP has an answer: both safe commands at once.
+#[test]
+fn without_any_answer_both_hold() {
+    let mut config = experiment("test2");
+    config.controller.weights.momentum = 1e305;
+    config.controller.torque.weight_acceleration = 1e306;
+    let mut controller = controller(&config);
+    let command = Told::start(&config).tell(&mut controller);
+    assert_eq!(command.status, CommandStatus::BothHeld);
+    assert_eq!(command.thrust_rate.amax() + command.joint_torque.amax(), 0.0);
+}
+
+/// A state that is finite but absurd is answered by holding, not by a panic, and the torques of before.
+#[test]
+fn absurd_states_are_held() {
+    let config = experiment("test2");
+    let start = Told::start(&config);
+    for size in [1e80, 1e160, 1e300] {
+        for part in 0..4 {
+            let mut controller = controller(&config);
+            let torque = start.tell(&mut controller).joint_torque.clone();
+            let mut absurd = start.clone();
+            match part {
+                0 => absurd.state.base.position.x = size,
+                1 => absurd.state.velocity[4] = size,
+                2 => absurd.state.velocity[9] = size,
+                _ => absurd.thrust[2] = size,
+            }
+            let command = absurd.tell(&mut controller);
+            assert!(numbers(command).iter().all(|x| x.is_finite()), "{size:e} in part {part}");
+            assert!(command.joint_torque.amax() <= 50.0);
+            let step = (&command.joint_torque - &torque).amax();
+            assert!(step <= 3.0 + 1e-12, "torques move by {step}");
+            assert!(command.thrust_rate.amax() <= 100.0);
+        }
+    }
+}
+
+/// Flies a configuration beside another on the same measurements and compares what they command.
+fn compare(config: &FlightConfig, other: &FlightConfig, seconds: f64, wind: Vector3<f64>, tolerance: f64) {
+    let mut flight = Loop::new(config);
+    let mut beside = controller(other);
+    for _ in 0..tick_at(seconds) {
+        flight.observe(&wind);
+        let time = flight.tick as f64 * 0.01;
+        let thrust = flight.plant.jets().thrust().to_vec();
+        beside.tick(&Measurement { time, state: flight.plant.state(), thrust: &thrust, wind });
+        let (a, b) = (flight.controller.command(), beside.command());
+        assert_eq!((a.status, b.status), (CommandStatus::Nominal, CommandStatus::Nominal));
+        assert_equal(&format!("at {time} s"), &numbers(a), &numbers(b), tolerance);
+        flight.advance(&wind);
+    }
+}
+
+/// Clarabel as the solver of every tick commands the same, to 1e-6.
+#[test]
+fn clarabel_commands_the_same() {
+    let config = experiment("test2");
+    let mut other = config.clone();
+    other.controller.qp.solver = Solver::Clarabel;
+    compare(&config, &other, 1.0, wind(), 1e-6);
+    // In a struggle, with many bounds active.
+    let config = experiment("test1");
+    let mut other = config.clone();
+    other.controller.qp.solver = Solver::Clarabel;
+    compare(&config, &other, 1.5, Vector3::new(-25.0, 30.0, 0.0), 1e-6);
+}
+
+/// Either fallback is the same controller as long as the solver answers.
+#[test]
+fn the_fallback_does_nothing_while_there_are_answers() {
+    let config = experiment("test2");
+    let mut other = config.clone();
+    other.controller.qp.fallback = Fallback::Hold;
+    compare(&config, &other, 1.0, wind(), 0.0);
+}
+
+/// The baseline is the aware controller whose forces are zero: scaled away, or because there is no wind
+/// and the robot is at rest.
+#[test]
+fn the_baseline_is_the_aware_controller_without_forces() {
+    let baseline = experiment("test1");
+    let mut scaled = experiment("test2");
+    scaled.controller.aero_feedback.scale = 0.0;
+    compare(&baseline, &scaled, 2.0, wind(), 0.0);
+
+    let mut resting = Told::start(&baseline);
+    resting.state.velocity.fill(0.0);
+    resting.wind = Vector3::zeros();
+    let mut aware = controller(&experiment("test2"));
+    let mut unaware = controller(&baseline);
+    let expected = numbers(resting.tell(&mut unaware));
+    assert_equal("at rest", &numbers(resting.tell(&mut aware)), &expected, 0.0);
+    resting.wind = wind();
+    assert_eq!(numbers(resting.tell(&mut unaware)).len(), 50);
+    let apart = (&unaware.command().thrust_rate - &resting.tell(&mut aware).thrust_rate).amax();
+    assert!(apart > 1.0, "in wind they differ: by {apart} N/s");
+}
+
+/// Each of the three ways in which aerodynamics enters can be left out alone.
+#[test]
+fn each_part_of_the_feedback_can_be_left_out() {
+    let tick = |change: &dyn Fn(&mut FlightConfig)| {
+        let mut config = experiment("test2");
+        change(&mut config);
+        let mut controller = controller(&config);
+        Told::start(&config).tell(&mut controller);
+        controller
+    };
+    let full = tick(&|_| ());
+    let baseline = tick(&|config| config.controller.aero = AeroConfig::Off {});
+    let no_rate = tick(&|config| config.controller.aero_feedback.momentum_rate = false);
+    let no_lambda = tick(&|config| config.controller.aero_feedback.lambda = false);
+    let no_torque = tick(&|config| config.controller.aero_feedback.torque = false);
+
+    let rate = |c: &Controller| c.terms().momentum.rate_estimate;
+    let lambda = |c: &Controller| c.terms().momentum.lambda_a.clone();
+    // The desired accelerations differ as the commanded velocities do; the free ones only by the force.
+    let free = |c: &Controller| c.terms().torque_qp.acceleration_free.clone();
+    let terms = full.terms();
+    let (force, moment) = terms.link_forces.wrench_about(&terms.kinematics.com);
+    for axis in 0..3 {
+        assert!((rate(&full)[axis] - rate(&baseline)[axis] - force[axis]).abs() < 1e-12);
+        assert!((rate(&full)[3 + axis] - rate(&baseline)[3 + axis] - moment[axis]).abs() < 1e-12);
+    }
+    assert!(lambda(&full).amax() > 0.1 && lambda(&baseline).amax() == 0.0);
+    assert!((free(&full) - free(&baseline)).amax() > 0.1);
+
+    for (controller, has) in [
+        (&no_rate, [false, true, true]),
+        (&no_lambda, [true, false, true]),
+        (&no_torque, [true, true, false]),
+    ] {
+        let of = |with: bool| if with { &full } else { &baseline };
+        assert_eq!(rate(controller), rate(of(has[0])));
+        assert_eq!(lambda(controller), lambda(of(has[1])));
+        assert_equal("free acceleration", free(controller).as_slice(), free(of(has[2])).as_slice(), 1e-10);
+    }
+    // The scale multiplies every estimated force.
+    let half = tick(&|config| config.controller.aero_feedback.scale = 0.5);
+    for (half, full) in half.terms().link_forces.forces_i.iter().zip(&terms.link_forces.forces_i) {
+        assert_eq!(half * 2.0, *full);
+    }
+}
+
+/// A rate fades out where its value meets a limit, is zero on it and points back beyond it; lower and
+/// upper bound never cross.
+#[test]
+fn rate_bounds_fade_out_at_the_limits() {
+    let limits = (0.0, 160.0);
+    let bounds = |thrust| rate_bounds(thrust, limits, 100.0, 2.0);
+    assert_eq!(bounds(80.0), (-100.0, 100.0));
+    assert_eq!(bounds(0.0), (0.0, 100.0));
+    assert_eq!(bounds(160.0), (-100.0, 0.0));
+    let (lower, upper) = bounds(0.5);
+    assert!((lower + 100.0 * 1_f64.tanh()).abs() < 1e-12 && upper == 100.0);
+    assert!(bounds(-0.1).0 > 0.0 && bounds(160.1).1 < 0.0, "the way back");
+    let mut rng = rng(1);
+    for _ in 0..10_000 {
+        let lower = rng.random_range(-2.0..2.0);
+        let limits = (lower, lower + rng.random_range(0.0..2.0));
+        let (low, high) = rate_bounds(rng.random_range(-9.0..9.0), limits, 0.8, rng.random_range(0.1..50.0));
+        assert!(low <= high && low.abs() <= 0.8 && high.abs() <= 0.8);
+    }
+}
+
+/// At zero and at full thrust, and with a joint beyond its limit, the commands obey the bounds of the tick.
+#[test]
+fn commands_obey_their_bounds_at_the_limits() {
+    let config = experiment("test2");
+    let start = Told::start(&config);
+    let mut rng = rng(2);
+    for thrusts in
+        [[0.0; 4], [160.0, 160.0, 220.0, 220.0], [0.0, 160.0, 0.0, 220.0], [-0.3, 160.3, -0.3, 220.3]]
+    {
+        let mut controller = controller(&config);
+        start.tell(&mut controller);
+        let mut told = Told { thrust: thrusts.to_vec(), ..start.clone() };
+        // Right hip: pitch below its -17.5 deg, roll above its 45 deg; and everything moves.
+        (told.state.joint_position[17], told.state.joint_position[18]) = (-0.4, 0.9);
+        told.state.velocity = DVector::from_fn(29, |_, _| rng.random_range(-1.0..1.0));
+        let command = told.tell(&mut controller).clone();
+        assert_eq!(command.status, CommandStatus::Nominal);
+        for (jet, rate) in command.thrust_rate.iter().enumerate() {
+            let full = if jet < 2 { 160.0 } else { 220.0 };
+            let (lower, upper) = rate_bounds(thrusts[jet], (0.0, full), 100.0, 2.0);
+            assert!((lower..=upper).contains(rate), "jet {jet}: {rate} outside [{lower}, {upper}]");
+        }
+        let robot = controller.robot();
+        for (joint, velocity) in command.joint_velocity.iter().enumerate() {
+            let s = told.state.joint_position[joint];
+            let (lower, upper) = rate_bounds(s, robot.joints[joint].limits, 45_f64.to_radians(), 5.0);
+            assert!((lower..=upper).contains(velocity), "{}", robot.joints[joint].name);
+        }
+        assert!(command.joint_velocity[17] > 0.0, "below its limit it comes back");
+        assert!(command.joint_velocity[18] < 0.0, "above its limit it comes back");
+        assert!(command.joint_torque.amax() <= 50.0);
+    }
+}
+
+/// The rate limiter moves each torque by at most rate × step towards its target; the first answer is taken
+/// as it is.
+#[test]
+fn torques_move_by_at_most_three_newton_metres() {
+    let mut torque = DVector::from_column_slice(&[0.0, 1.0, -1.0]);
+    limit_rate(&mut torque, &[10.0, 1.5, -20.0], 300.0, 0.01);
+    assert_eq!(torque.as_slice(), [3.0, 1.5, -4.0]);
+
+    let config = experiment("test2");
+    let mut controller = controller(&config);
+    let mut told = Told::start(&config);
+    told.state.velocity[6 + 4] = 2.0;
+    let mut last = told.tell(&mut controller).joint_torque.clone();
+    assert_eq!(last, controller.terms().unlimited_torque, "the first answer is taken as it is");
+    let mut rng = rng(3);
+    let mut limited = 0;
+    for tick in 1..50 {
+        told.time = f64::from(tick) * 0.01;
+        told.state.velocity = DVector::from_fn(29, |_, _| rng.random_range(-2.0..2.0));
+        let torque = told.tell(&mut controller).joint_torque.clone();
+        for joint in 0..23 {
+            let target = controller.terms().unlimited_torque[joint];
+            let step = torque[joint] - last[joint];
+            assert!(step.abs() <= 3.0 + 1e-12);
+            assert!(target.abs() <= 50.0);
+            if (target - last[joint]).abs() > 3.0 {
+                limited += 1;
+                assert!((step - 3.0 * (target - last[joint]).signum()).abs() < 1e-12);
+            } else {
+                assert!((torque[joint] - target).abs() < 1e-12);
+            }
+        }
+        last = torque;
+    }
+    assert!(limited > 100, "{limited} limited");
+}
+
+/// The torque law: `s̈* = −K_D (ṡ − ṡ*) − K_P ∫(ṡ − ṡ*)`, the integral used first and advanced after.
+#[test]
+fn the_torque_law_integrates_after_use() {
+    let config = experiment("test2");
+    let mut controller = controller(&config);
+    let mut told = Told::start(&config);
+    let mut integral = DVector::zeros(23);
+    let mut rng = rng(4);
+    for tick in 0..20 {
+        told.time = f64::from(tick) * 0.01;
+        told.state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.1..0.1));
+        let wanted = told.tell(&mut controller).joint_velocity.clone();
+        let error = told.state.velocity.rows(6, 23) - wanted;
+        let law = &error * -20.0 - &integral * 100.0;
+        assert!((&controller.terms().torque_qp.acceleration_desired - law).amax() < 1e-12);
+        integral += error * 0.01;
+        assert!((&controller.memory().velocity_error_integral - &integral).amax() < 1e-14);
+    }
+}
+
+/// `Λ ν` is how `A_T T + A_a f_a` changes when the robot moves and forces keep their size and, for the
+/// air's, their direction.
+#[test]
+fn lambda_is_the_derivative_of_the_momentum_rate() {
+    const STEP: f64 = 1e-5;
+    let mut config = experiment("test2");
+    let mut rng = rng(5);
+    for pass in 0..50 {
+        // Jets alone, then with the air's forces, whose own change Λ_a neglects: they are held.
+        config.controller.aero_feedback.momentum_rate = false;
+        config.controller.aero_feedback.lambda = false;
+        let mut controller = controller(&config);
+        let mut told = Told::start(&config);
+        told.state = random_state(&mut rng, controller.robot());
+        told.thrust.iter_mut().for_each(|thrust| *thrust = rng.random_range(10.0..150.0));
+        let mut estimate = |time: f64| {
+            let mut moved = told.clone();
+            let omega = told.state.base_angular_velocity();
+            moved.state.base.rotation =
+                flight_core::spatial::exp_so3(&(omega * time)) * told.state.base.rotation;
+            moved.state.base.position += told.state.base_linear_velocity() * time;
+            let joints = told.state.velocity.rows(6, 23) * time;
+            moved.state.joint_position += joints;
+            moved.tell(&mut controller);
+            controller.terms().momentum.rate_estimate
+        };
+        let difference = (estimate(STEP) - estimate(-STEP)) / (2.0 * STEP);
+        told.tell(&mut controller);
+        let lambda = &controller.terms().momentum.lambda * &told.state.velocity;
+        let error = (&lambda - difference).amax();
+        assert!(error < 1e-6 * lambda.amax(), "pass {pass}: {error:e} of {}", lambda.amax());
+    }
+}
+
+/// `Λ_a ν` is the change of the aerodynamic moment about the CoM with forces held.
+#[test]
+fn lambda_a_is_the_derivative_of_the_aerodynamic_moment() {
+    const STEP: f64 = 1e-6;
+    let config = experiment("test2");
+    let mut rng = rng(6);
+    for _ in 0..30 {
+        let mut controller = controller(&config);
+        let mut told = Told::start(&config);
+        told.state = random_state(&mut rng, controller.robot());
+        told.wind = random_vector(&mut rng, 10.0);
+        told.tell(&mut controller);
+        let lambda = &controller.terms().momentum.lambda_a * &told.state.velocity;
+        let forces = controller.terms().link_forces.forces_i.clone();
+        let mut moment = |time: f64| {
+            let mut moved = told.clone();
+            let omega = told.state.base_angular_velocity();
+            moved.state.base.rotation =
+                flight_core::spatial::exp_so3(&(omega * time)) * told.state.base.rotation;
+            moved.state.base.position += told.state.base_linear_velocity() * time;
+            let joints = told.state.velocity.rows(6, 23) * time;
+            moved.state.joint_position += joints;
+            moved.tell(&mut controller);
+            let terms = controller.terms();
+            let arms = terms.link_forces.arm_points_i.iter().zip(&forces);
+            arms.map(|(p, f)| (p - terms.kinematics.com).cross(f)).sum::<Vector3<f64>>()
+        };
+        let difference = (moment(STEP) - moment(-STEP)) / (2.0 * STEP);
+        let angular: Vector3<f64> = lambda.fixed_rows::<3>(3).into();
+        assert!((difference - angular).amax() < 1e-6 * angular.amax().max(1.0));
+        assert_eq!(lambda.fixed_rows::<3>(0).amax(), 0.0, "the linear rows are zero");
+    }
+}
+
+fn memory(joints: usize) -> Memory {
+    Memory {
+        posture: DVector::zeros(joints),
+        inertia_0_b: Matrix3::identity(),
+        velocity_error_integral: DVector::zeros(joints),
+        torque_is_known: false,
+    }
+}
+
+/// A memory that does not fit is refused by name, and the old one stays.
+#[test]
+fn memories_that_do_not_fit_are_refused() {
+    let mut controller = controller(&experiment("test2"));
+    for (spoilt, words) in [
+        (Memory { posture: DVector::zeros(22), ..memory(23) }, ["posture is 22", "23, one entry per joint"]),
+        (
+            Memory { velocity_error_integral: DVector::zeros(24), ..memory(23) },
+            ["velocity_error_integral is 24", "23, one entry per joint"],
+        ),
+        (Memory { inertia_0_b: Matrix3::zeros(), ..memory(23) }, ["inertia_0_b", "an invertible inertia"]),
+    ] {
+        let message = controller.set_memory(spoilt).unwrap_err().to_string();
+        for word in words {
+            assert!(message.contains(word), "{message}");
+        }
+        assert_eq!(controller.memory().inertia_0_b, Matrix3::identity());
+    }
+    let good = Memory { posture: DVector::from_element(23, 0.5), ..memory(23) };
+    controller.set_memory(good).unwrap();
+    assert_eq!(controller.memory().posture[22], 0.5);
+}
+
+type Refusal = (&'static str, fn(&mut FlightConfig), &'static str);
+
+/// Every number of the controller that cannot be is refused by its key, with its value.
+#[test]
+#[rustfmt::skip]
+fn bad_numbers_are_refused_by_key() {
+    const NAN: f64 = f64::NAN;
+    let refusals: [Refusal; 58] = [
+        ("controller.aero_feedback.scale", |c| c.controller.aero_feedback.scale = NAN, "NaN"),
+        ("controller.aero_feedback.scale", |c| c.controller.aero_feedback.scale = f64::INFINITY, "inf"),
+        ("controller.momentum.kp_linear", |c| c.controller.momentum.kp_linear[1] = -1.0, "-1"),
+        ("controller.momentum.kp_linear", |c| c.controller.momentum.kp_linear[2] = NAN, "NaN"),
+        ("controller.momentum.kd_linear", |c| c.controller.momentum.kd_linear[0] = -1.0, "-1"),
+        ("controller.momentum.ko", |c| c.controller.momentum.ko = 0.0, "0"),
+        ("controller.momentum.ko", |c| c.controller.momentum.ko = -10.0, "-10"),
+        ("controller.momentum.c0", |c| c.controller.momentum.c0 = -50.0, "-50"),
+        ("controller.momentum.c1", |c| c.controller.momentum.c1 = NAN, "NaN"),
+        ("controller.weights.momentum", |c| c.controller.weights.momentum = -10.0, "-10"),
+        ("controller.weights.angular_momentum", |c| c.controller.weights.angular_momentum = -1.0, "-1"),
+        ("controller.weights.posture", |c| c.controller.weights.posture = NAN, "NaN"),
+        ("controller.weights.joint_velocity", |c| c.controller.weights.joint_velocity = -1.0, "-1"),
+        ("controller.weights.symmetry", |c| c.controller.weights.symmetry = -0.1, "-0.1"),
+        ("controller.weights.regularisation", |c| c.controller.weights.regularisation = 0.0, "0"),
+        ("controller.weights.regularisation", |c| c.controller.weights.regularisation = NAN, "NaN"),
+        ("controller.weights.thrust_rate.l_arm_jet", |c| set(&mut c.controller.weights.thrust_rate, "l_arm_jet", -1.0), "-1"),
+        ("controller.weights.thrust_rate.l_arm_jet", |c| remove(&mut c.controller.weights.thrust_rate, "l_arm_jet"), "absent"),
+        ("controller.weights.thrust_rate", |c| set(&mut c.controller.weights.thrust_rate, "tail_jet", 1.0), "tail_jet"),
+        ("controller.weights.symmetric_jets", |c| c.controller.weights.symmetric_jets[1][0] = "tail_jet".into(), "tail_jet"),
+        ("controller.bounds.thrust_rate_max.chest_r_jet", |c| set(&mut c.controller.bounds.thrust_rate_max, "chest_r_jet", NAN), "NaN"),
+        ("controller.bounds.thrust_rate_max.chest_r_jet", |c| remove(&mut c.controller.bounds.thrust_rate_max, "chest_r_jet"), "absent"),
+        ("controller.bounds.thrust_rate_max", |c| set(&mut c.controller.bounds.thrust_rate_max, "tail_jet", 1.0), "known: l_arm_jet, r_arm_jet, chest_l_jet, chest_r_jet"),
+        ("controller.bounds.thrust_steepness", |c| c.controller.bounds.thrust_steepness = 0.0, "0"),
+        ("controller.bounds.joint_velocity_max_deg", |c| c.controller.bounds.joint_velocity_max_deg = 0.0, "0"),
+        ("controller.bounds.joint_steepness", |c| c.controller.bounds.joint_steepness = -5.0, "-5"),
+        ("controller.posture_gain.torso", |c| set(&mut c.controller.posture_gain, "torso", -30.0), "-30"),
+        ("controller.posture_gain.torso", |c| remove(&mut c.controller.posture_gain, "torso"), "absent"),
+        ("controller.posture_gain", |c| set(&mut c.controller.posture_gain, "tail", 1.0), "known: torso, left_arm, right_arm, left_leg, right_leg"),
+        ("controller.torque.kd", |c| c.controller.torque.kd = -20.0, "-20"),
+        ("controller.torque.kp", |c| c.controller.torque.kp = NAN, "NaN"),
+        ("controller.torque.weight_acceleration", |c| c.controller.torque.weight_acceleration = -1.0, "-1"),
+        ("controller.torque.weight_torque", |c| c.controller.torque.weight_torque = -1.0, "-1"),
+        ("controller.torque.regularisation", |c| c.controller.torque.regularisation = 0.0, "0"),
+        ("controller.torque.torque_max", |c| c.controller.torque.torque_max = 0.0, "0"),
+        ("controller.torque.torque_max", |c| c.controller.torque.torque_max = f64::INFINITY, "inf"),
+        ("controller.torque.torque_rate_max", |c| c.controller.torque.torque_rate_max = -300.0, "-300"),
+        ("controller.references.position_smoothing", |c| c.controller.references.position_smoothing = 0.0, "0"),
+        ("controller.references.acceleration_smoothing", |c| c.controller.references.acceleration_smoothing = NAN, "NaN"),
+        ("controller.references.angular_velocity_smoothing", |c| c.controller.references.angular_velocity_smoothing = -1.0, "-1"),
+        ("controller.references.turbo_ramp", |c| c.controller.references.turbo_ramp = 0.0, "0"),
+        ("controller.references.turbo_boost", |c| c.controller.references.turbo_boost = -9.0, "-9"),
+        ("controller.references.attitude_gain", |c| c.controller.references.attitude_gain = -1.0, "-1"),
+        ("controller.references.step_position", |c| c.controller.references.step_position[1] = NAN, "NaN"),
+        ("controller.references.step_attitude_deg", |c| c.controller.references.step_attitude_deg[0] = -0.3, "-0.3"),
+        ("controller.references.pitch_limits_deg[0]", |c| c.controller.references.pitch_limits_deg = [1.0, 0.0], "is 1"),
+        ("controller.references.pitch_limits_deg[0]", |c| c.controller.references.pitch_limits_deg[0] = NAN, "NaN"),
+        ("controller.references.pitch_limits_deg[1]", |c| c.controller.references.pitch_limits_deg[1] = f64::INFINITY, "inf"),
+        ("start of an interval of envelope.up", |c| c.envelope.up[0].0 = NAN, "NaN"),
+        ("end of an interval of envelope.up", |c| c.envelope.up[0].1 = 10.0, "a time after the start 10"),
+        ("end of an interval of envelope.down", |c| c.envelope.down[0].1 = NAN, "NaN"),
+        ("envelope.forward", |c| c.envelope.forward.push((3.0, 2.0)), "is 2"),
+        ("envelope.forward_turbo", |c| c.envelope.forward_turbo[0].1 = f64::INFINITY, "inf"),
+        ("envelope.pitch_up", |c| c.envelope.pitch_up[0].0 = f64::NEG_INFINITY, "-inf"),
+        ("envelope.yaw_left", |c| c.envelope.yaw_left.push((1.0, 1.0)), "is 1"),
+        ("coefficient", |c| c.controller.aero = aero("nobodys", 1.225), "nobodys"),
+        ("air_density", |c| c.controller.aero = aero("published", -1.0), "-1"),
+        ("air_density", |c| c.controller.aero = aero("published", 0.0), "0"),
+    ];
+    let robot = robot("ironcub_mk1");
+    for (key, spoil, words) in refusals {
+        let mut config = experiment("test2");
+        spoil(&mut config);
+        match Controller::new(robot.clone(), config.controller, config.envelope, 0.01) {
+            Ok(_) => panic!("{key} was accepted"),
+            Err(error) => {
+                let message = error.to_string();
+                assert!(message.contains(key) && message.contains(words), "{key}: {message}");
+            }
+        }
+    }
+}
+
+fn set(table: &mut std::collections::BTreeMap<String, f64>, name: &str, value: f64) {
+    table.insert(name.to_owned(), value);
+}
+
+fn remove(table: &mut std::collections::BTreeMap<String, f64>, name: &str) {
+    assert!(table.remove(name).is_some());
+}
+
+fn aero(coefficients: &str, air_density: f64) -> AeroConfig {
+    let value = json!({"model": "axisymmetric", "coefficients": coefficients, "air_density": air_density});
+    serde_json::from_value(value).unwrap()
+}
+
+/// A controller of one robot does not fit another: the first name that is missing is told.
+#[test]
+fn a_controller_does_not_fit_another_robot() {
+    let config = experiment("test2");
+    let error = Controller::new(robot("sparrow"), config.controller, config.envelope, 0.01).unwrap_err();
+    let message = error.to_string();
+    assert!(message.contains("controller.posture_gain names `left_arm`"), "{message}");
+    assert!(message.contains("known: legs, upper_body"), "{message}");
+}
+
+/// Sparrow: five joints, three jets, facing forwards. Its attitude gains are smaller, as its inertia is,
+/// and its arm jets get the reserve that a hover needs.
+fn sparrow() -> (FlightConfig, RobotModel) {
+    let mut value = resolve(&configs("experiments/test2.toml")).unwrap();
+    value["robot"] = json!(configs("robot/sparrow.toml"));
+    value["envelope"] = json!({});
+    for side in ["simulator", "controller"] {
+        value[side]["aero"]["coefficients"] = json!("estimated");
+    }
+    let controller = &mut value["controller"];
+    controller["posture_gain"] = json!({"legs": 30.0, "upper_body": 20.0});
+    controller["weights"]["thrust_rate"] = json!({"back_jet": 0.01, "l_jet": 0.01, "r_jet": 0.01});
+    controller["weights"]["symmetric_jets"] = json!([["l_jet", "r_jet"]]);
+    controller["bounds"]["thrust_rate_max"] = json!({"back_jet": 100.0, "l_jet": 100.0, "r_jet": 100.0});
+    controller["momentum"]["c0"] = json!(20.0);
+    controller["momentum"]["c1"] = json!(50.0);
+    let initial = &mut value["simulator"]["initial"];
+    initial["base_rpy_deg"] = json!([0.0, 0.0, 0.0]);
+    initial["joint_position"] = json!([0.0, 0.0, 0.0, 0.0, 0.0]);
+    initial["thrust"] = json!([12.0, 61.0, 61.0]);
+    let config = flight_from_value(value, "sparrow").unwrap();
+    let mut robot = RobotModel::load(&config.robot).unwrap();
+    for jet in &mut robot.jets {
+        jet.thrust_max = 100.0;
+    }
+    (config, robot)
+}
+
+/// Nothing is about one robot: the controller hovers a smaller one with other joints, jets and axes.
+///
+/// For six seconds: its jets hardly turn it about the vertical, and such a motion grows from rounding to
+/// a few degrees in ten.
+#[test]
+fn another_robot_hovers() {
+    let (config, robot) = sparrow();
+    let mut flight = Loop::with_robot(&config, robot);
+    for second in 1..=6 {
+        flight.run(1.0, |_| Vector3::zeros());
+        assert_eq!(flight.controller.command().status, CommandStatus::Nominal);
+        let terms = flight.controller.terms();
+        let offset = (terms.kinematics.com - terms.reference.com_position).norm();
+        let tilt = rotation_angle(&flight.plant.state().base.rotation);
+        assert!(offset < 0.06 && tilt < 0.2, "{second} s: CoM off by {offset} m, tilted by {tilt} rad");
+    }
+    let terms = flight.controller.terms();
+    let offset = (terms.kinematics.com - terms.reference.com_position).norm();
+    assert!(offset < 0.005, "settled: CoM off by {offset} m");
+    assert!(flight.plant.state().velocity.amax() < 0.01, "{}", flight.plant.state().velocity);
+    // It carries its weight.
+    let weight = terms.kinematics.mass() * 9.81;
+    let lift: f64 =
+        terms.momentum.a_t.row(2).iter().zip(flight.plant.jets().thrust()).map(|(a, t)| a * t).sum();
+    assert!((lift - weight).abs() < 0.02 * weight, "lift {lift} N of {weight} N");
+}

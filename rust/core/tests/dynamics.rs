@@ -1,0 +1,500 @@
+//! Laws of floating-base kinematics and dynamics, on random states of two robots.
+//!
+//! What the crate computes by recursion over composites is compared with sums over single bodies,
+//! with differences along the motion, and with what must stay constant along a trajectory.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+mod common;
+
+use common::{both_robots, random_state, random_vector, rng};
+use flight_core::dynamics::{Dynamics, MassFactor};
+use flight_core::kinematics::{Kinematics, RobotState};
+use flight_core::robot::{Frame, RobotModel};
+use flight_core::spatial::{Pose, exp_so3, project_to_so3, skew, vee_of_skew_part};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix3xX, Vector3};
+use rand::RngExt;
+
+const STATES: usize = 200;
+
+/// Kinematics and dynamics of one state.
+struct Sample {
+    state: RobotState,
+    kinematics: Kinematics,
+    dynamics: Dynamics,
+}
+
+impl Sample {
+    fn new(robot: &RobotModel, state: RobotState) -> Self {
+        let mut kinematics = Kinematics::new(robot);
+        let mut dynamics = Dynamics::new(robot);
+        kinematics.update(robot, &state);
+        dynamics.update(robot, &state, &kinematics);
+        Self { state, kinematics, dynamics }
+    }
+
+    /// Position and velocity of the centre of mass of a body, and its inertia in inertial axes.
+    fn body(&self, robot: &RobotModel, index: usize) -> (Vector3<f64>, Vector3<f64>, Matrix3<f64>) {
+        let motion = &self.kinematics.bodies[index];
+        let com = motion.i_from_b.transform_point(&robot.bodies[index].com_b);
+        let rotation = &motion.i_from_b.rotation;
+        (com, motion.velocity_at(&com), rotation * robot.bodies[index].inertia_b * rotation.transpose())
+    }
+
+    fn kinetic_energy(&self) -> f64 {
+        0.5 * self.state.velocity.dot(&(&self.dynamics.mass_matrix * &self.state.velocity))
+    }
+
+    fn potential_energy(&self, robot: &RobotModel) -> f64 {
+        robot.mass() * robot.gravity * self.kinematics.com.z
+    }
+}
+
+/// Both robots, every state of a seeded sequence.
+fn on_random_states(seed: u64, mut law: impl FnMut(&RobotModel, Sample)) {
+    for robot in both_robots() {
+        let mut rng = rng(seed);
+        for _ in 0..STATES {
+            let state = random_state(&mut rng, &robot);
+            law(&robot, Sample::new(&robot, state));
+        }
+    }
+}
+
+/// The state after moving for a time with constant `velocity`, mixed representation.
+fn moved(state: &RobotState, velocity: &DVector<f64>, time: f64) -> RobotState {
+    let mut moved = state.clone();
+    let omega: Vector3<f64> = velocity.fixed_rows::<3>(3).into();
+    moved.base = Pose {
+        rotation: exp_so3(&(omega * time)) * state.base.rotation,
+        position: state.base.position + velocity.fixed_rows::<3>(0) * time,
+    };
+    moved.joint_position.axpy(time, &velocity.rows(6, state.n_joints()), 1.0);
+    moved
+}
+
+/// Central difference of `f` along the motion with the state's own velocity.
+fn rate<T>(robot: &RobotModel, state: &RobotState, f: impl Fn(&Sample) -> T) -> T
+where
+    T: std::ops::Sub<Output = T> + std::ops::Div<f64, Output = T>,
+{
+    const STEP: f64 = 1e-5;
+    let at = |time| f(&Sample::new(robot, moved(state, &state.velocity, time)));
+    (at(STEP) - at(-STEP)) / (2.0 * STEP)
+}
+
+#[track_caller]
+fn assert_small(what: &str, error: f64, scale: f64, tolerance: f64) {
+    assert!(error <= tolerance * scale, "{what}: error {error:e} against {scale:e}");
+}
+
+fn frames(robot: &RobotModel) -> Vec<&Frame> {
+    let jets = robot.jets.iter().map(|jet| &jet.frame);
+    let links = robot.aero_links.iter().map(|link| &link.frame);
+    jets.chain(links).chain(robot.feet.iter().map(|foot| &foot.frame)).collect()
+}
+
+/// Velocities of bodies are the rates of change of their poses.
+#[test]
+fn body_velocities_are_rates_of_poses() {
+    on_random_states(1, |robot, sample| {
+        for (index, motion) in sample.kinematics.bodies.iter().enumerate() {
+            let position = rate(robot, &sample.state, |s| s.kinematics.bodies[index].i_from_b.position);
+            let rotation = rate(robot, &sample.state, |s| s.kinematics.bodies[index].i_from_b.rotation);
+            let omega = vee_of_skew_part(&(rotation * motion.i_from_b.rotation.transpose()));
+            assert_small("linear", (position - motion.linear_velocity).amax(), 10.0, 1e-8);
+            assert_small("angular", (omega - motion.angular_velocity).amax(), 10.0, 1e-8);
+        }
+    });
+}
+
+/// The Jacobian of every frame, times ν, is the rate of change of its pose.
+#[test]
+fn frame_jacobians_are_differences_of_poses() {
+    on_random_states(2, |robot, sample| {
+        for frame in frames(robot) {
+            let pose = sample.kinematics.frame_pose(frame);
+            let (linear, angular) = sample.kinematics.jacobian(frame.body, &pose.position);
+            let position = rate(robot, &sample.state, |s| s.kinematics.frame_pose(frame).position);
+            let rotation = rate(robot, &sample.state, |s| s.kinematics.frame_rotation(frame));
+            let omega = vee_of_skew_part(&(rotation * pose.rotation.transpose()));
+            let found = &linear * &sample.state.velocity;
+            assert_small(&frame.name, (position - found).amax(), 10.0, 1e-8);
+            assert_small(&frame.name, (omega - angular * &sample.state.velocity).amax(), 10.0, 1e-8);
+        }
+    });
+}
+
+/// Column by column: each entry of ν alone moves a frame as its column says.
+#[test]
+fn jacobian_columns_are_partial_derivatives() {
+    const STEP: f64 = 1e-6;
+    for robot in both_robots() {
+        let mut rng = rng(3);
+        for _ in 0..5 {
+            let sample = Sample::new(&robot, random_state(&mut rng, &robot));
+            for frame in frames(&robot) {
+                let point = sample.kinematics.frame_pose(frame).position;
+                let (linear, _) = sample.kinematics.jacobian(frame.body, &point);
+                for column in 0..sample.kinematics.n_velocities() {
+                    let mut direction = DVector::zeros(sample.state.velocity.len());
+                    direction[column] = 1.0;
+                    let at = |time| {
+                        let there = Sample::new(&robot, moved(&sample.state, &direction, time));
+                        there.kinematics.frame_pose(frame).position
+                    };
+                    let difference = (at(STEP) - at(-STEP)) / (2.0 * STEP);
+                    assert_small(&frame.name, (difference - linear.column(column)).amax(), 1.0, 1e-8);
+                }
+            }
+        }
+    }
+}
+
+/// The mass matrix equals its transpose, to the last bit but one, and is positive definite.
+#[test]
+fn mass_matrix_is_symmetric_and_positive_definite() {
+    on_random_states(4, |_, sample| {
+        let m = &sample.dynamics.mass_matrix;
+        assert_small("asymmetry", (m - m.transpose()).amax(), m.amax(), f64::EPSILON);
+        assert!(m.symmetric_eigenvalues().min() > 0.0);
+    });
+}
+
+/// `½ νᵀ M ν` is the sum of the kinetic energies of the bodies.
+#[test]
+fn kinetic_energy_is_that_of_the_bodies() {
+    on_random_states(5, |robot, sample| {
+        let bodies: f64 = (0..robot.bodies.len())
+            .map(|index| {
+                let (_, velocity, inertia) = sample.body(robot, index);
+                let omega = sample.kinematics.bodies[index].angular_velocity;
+                0.5 * (robot.bodies[index].mass * velocity.norm_squared() + omega.dot(&(inertia * omega)))
+            })
+            .sum();
+        assert_small("energy", (sample.kinetic_energy() - bodies).abs(), bodies, 1e-13);
+    });
+}
+
+/// `A_G ν` is the momentum of the bodies, linear and about their common centre of mass.
+#[test]
+fn centroidal_momentum_is_that_of_the_bodies() {
+    on_random_states(6, |robot, sample| {
+        let mut linear = Vector3::zeros();
+        let mut angular = Vector3::zeros();
+        let mut scale = 0.0;
+        for (index, body) in robot.bodies.iter().enumerate() {
+            let (com, velocity, inertia) = sample.body(robot, index);
+            let p = velocity * body.mass;
+            let spin = inertia * sample.kinematics.bodies[index].angular_velocity;
+            linear += p;
+            angular += (com - sample.kinematics.com).cross(&p) + spin;
+            scale += p.norm() + spin.norm();
+        }
+        let momentum = &sample.dynamics.momentum;
+        assert_small("linear", (momentum.fixed_rows::<3>(0) - linear).amax(), scale, 1e-13);
+        assert_small("angular", (momentum.fixed_rows::<3>(3) - angular).amax(), scale, 1e-13);
+        let product = &sample.dynamics.momentum_matrix * &sample.state.velocity;
+        assert_small("A_G ν", (product - momentum).amax(), scale, 1e-14);
+    });
+}
+
+/// The centroidal inertia is that of the bodies about the common centre of mass; it is what a rigid
+/// turn of the whole robot meets.
+#[test]
+fn centroidal_inertia_is_that_of_the_bodies() {
+    on_random_states(7, |robot, sample| {
+        let mut inertia = Matrix3::zeros();
+        for (index, body) in robot.bodies.iter().enumerate() {
+            let (com, _, own) = sample.body(robot, index);
+            let arm = skew(&(com - sample.kinematics.com));
+            inertia += own - arm * arm * body.mass;
+        }
+        let found = &sample.dynamics.centroidal_inertia;
+        assert_small("inertia", (found - inertia).amax(), inertia.amax(), 1e-13);
+        let turn = sample.dynamics.momentum_matrix.fixed_view::<3, 3>(3, 3);
+        assert_small("A_G", (turn - inertia).amax(), inertia.amax(), 1e-13);
+    });
+}
+
+/// The Jacobian of the centre of mass is the rate of change of the centre of mass.
+#[test]
+fn com_jacobian_is_the_difference_of_the_com() {
+    on_random_states(8, |robot, sample| {
+        let n = sample.kinematics.n_velocities();
+        let columns: Vec<_> = (0..n).map(|column| sample.dynamics.com_jacobian_column(column)).collect();
+        let found = Matrix3xX::from_columns(&columns) * &sample.state.velocity;
+        let difference = rate(robot, &sample.state, |s| s.kinematics.com);
+        assert_small("com velocity", (difference - found).amax(), 10.0, 1e-9);
+    });
+}
+
+/// d'Alembert: with ν constant the bias is what the bodies' momenta need to change as they do, and
+/// what their weights need to be carried, through each body's Jacobian.
+#[test]
+fn bias_is_the_rate_of_the_bodies_momenta() {
+    on_random_states(9, |robot, sample| {
+        let mut bias = DVector::zeros(sample.state.velocity.len());
+        for (index, body) in robot.bodies.iter().enumerate() {
+            let force = rate(robot, &sample.state, |s| s.body(robot, index).1) * body.mass
+                + Vector3::new(0.0, 0.0, body.mass * robot.gravity);
+            let moment = rate(robot, &sample.state, |s| {
+                s.body(robot, index).2 * s.kinematics.bodies[index].angular_velocity
+            });
+            let com = sample.body(robot, index).0;
+            let (linear, angular) = sample.kinematics.jacobian(index, &com);
+            bias += linear.tr_mul(&force) + angular.tr_mul(&moment);
+        }
+        assert_small("bias", (&sample.dynamics.bias - &bias).amax(), bias.amax(), 1e-8);
+    });
+}
+
+/// At rest the bias is the weight: `h = m g J_Gᵀ e₃`.
+#[test]
+fn bias_at_rest_is_the_weight() {
+    on_random_states(10, |robot, mut sample| {
+        sample.state.velocity.fill(0.0);
+        let sample = Sample::new(robot, sample.state);
+        let weight = robot.mass() * robot.gravity;
+        for column in 0..sample.dynamics.bias.len() {
+            let expected = weight * sample.dynamics.com_jacobian_column(column).z;
+            assert_small("bias", (sample.dynamics.bias[column] - expected).abs(), weight, 1e-13);
+        }
+    });
+}
+
+/// What forces do goes into the energy: `νᵀ M ν̇ + ½ νᵀ Ṁ ν + V̇ = νᵀ f`, so `νᵀ h = ½ νᵀ Ṁ ν + V̇`.
+#[test]
+fn bias_takes_no_power_but_that_of_weight() {
+    on_random_states(11, |robot, sample| {
+        let kinetic = rate(robot, &sample.state, Sample::kinetic_energy);
+        let potential = rate(robot, &sample.state, |s| s.potential_energy(robot));
+        let power = sample.state.velocity.dot(&sample.dynamics.bias);
+        let scale = kinetic.abs() + potential.abs() + sample.kinetic_energy();
+        assert_small("power", (power - kinetic - potential).abs(), scale, 1e-8);
+    });
+}
+
+/// Turning the world about the vertical and moving it turn `M`, `A_G` and `h` and change no number.
+#[test]
+fn dynamics_do_not_depend_on_yaw_or_place() {
+    let mut draw = rng(12);
+    on_random_states(12, |robot, sample| {
+        let world = Pose {
+            rotation: exp_so3(&(Vector3::z() * draw.random_range(-3.0..3.0))),
+            position: random_vector(&mut draw, 50.0),
+        };
+        let n = sample.state.velocity.len();
+        let mut turn = DMatrix::identity(n, n);
+        turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&world.rotation);
+        turn.fixed_view_mut::<3, 3>(3, 3).copy_from(&world.rotation);
+        let mut state = sample.state.clone();
+        state.base = world * state.base;
+        state.velocity = &turn * &state.velocity;
+        let turned = Sample::new(robot, state);
+
+        let m = &sample.dynamics.mass_matrix;
+        let expected = &turn * m * turn.transpose();
+        assert_small("M", (&turned.dynamics.mass_matrix - expected).amax(), m.amax(), 1e-12);
+        let h = &sample.dynamics.bias;
+        assert_small("h", (&turned.dynamics.bias - &turn * h).amax(), h.amax(), 1e-12);
+        let a_g = &sample.dynamics.momentum_matrix;
+        let expected = turn.view((0, 0), (6, 6)) * a_g * turn.transpose();
+        assert_small("A_G", (&turned.dynamics.momentum_matrix - expected).amax(), a_g.amax(), 1e-12);
+        let com = world.transform_point(&sample.kinematics.com);
+        assert_small("CoM", (turned.kinematics.com - com).amax(), 100.0, 1e-15);
+    });
+}
+
+/// Forward dynamics undo inverse dynamics: `M ν̇ + h` of the solution gives back the forces.
+#[test]
+fn forward_dynamics_invert_inverse_dynamics() {
+    let mut draw = rng(13);
+    on_random_states(13, |robot, sample| {
+        let n = sample.state.velocity.len();
+        let acceleration = DVector::from_fn(n, |_, _| draw.random_range(-10.0..10.0));
+        let forces = &sample.dynamics.mass_matrix * &acceleration + &sample.dynamics.bias;
+        let mut factor = MassFactor::new(n);
+        assert!(factor.factorise(&sample.dynamics.mass_matrix), "{}", robot.name);
+        let mut solved = forces - &sample.dynamics.bias;
+        factor.solve_in_place(&mut solved);
+        assert_small("acceleration", (solved - acceleration).amax(), 10.0, 1e-10);
+    });
+}
+
+/// With the base first, the trailing block of the Cholesky factor is that of `((M⁻¹)_ss)⁻¹`: the
+/// joints of a floating robot.
+#[test]
+fn trailing_block_of_the_mass_factor_belongs_to_the_joints() {
+    on_random_states(14, |_, sample| {
+        let m = &sample.dynamics.mass_matrix;
+        let (n, joints) = (m.nrows(), m.nrows() - 6);
+        let mut factor = MassFactor::new(n);
+        assert!(factor.factorise(m));
+        // The diagonal holds reciprocals.
+        let k_s = DMatrix::from_fn(joints, joints, |i, j| match i.cmp(&j) {
+            std::cmp::Ordering::Less => 0.0,
+            std::cmp::Ordering::Equal => 1.0 / factor.factor[(6 + i, 6 + i)],
+            std::cmp::Ordering::Greater => factor.factor[(6 + i, 6 + j)],
+        });
+        let inverse = m.clone().try_inverse().unwrap();
+        let joint_block = inverse.view((6, 6), (joints, joints));
+        let product = (&k_s * k_s.transpose()) * joint_block;
+        assert_small("K_s K_sᵀ (M⁻¹)_ss", (product - DMatrix::identity(joints, joints)).amax(), 1.0, 1e-9);
+    });
+}
+
+/// A matrix that is not positive definite is refused, not factored.
+#[test]
+fn mass_factor_refuses_what_is_not_positive_definite() {
+    let mut factor = MassFactor::new(2);
+    assert!(factor.factorise(&DMatrix::from_row_slice(2, 2, &[2.0, 1.0, 1.0, 2.0])));
+    assert!(!factor.factorise(&DMatrix::from_row_slice(2, 2, &[1.0, 2.0, 2.0, 1.0])));
+    assert!(!factor.factorise(&DMatrix::from_row_slice(2, 2, &[1.0, 1.0, 1.0, 1.0])));
+    assert!(!factor.factorise(&DMatrix::from_row_slice(2, 2, &[f64::NAN, 0.0, 0.0, 1.0])));
+}
+
+/// `νᵀ Jᵀ f = fᵀ v`: a generalised force does the work of the force at its point.
+#[test]
+fn generalised_force_does_the_work_of_the_force() {
+    let mut draw = rng(15);
+    on_random_states(15, |_, sample| {
+        for body in 0..sample.kinematics.bodies.len() {
+            let (point, force) = (random_vector(&mut draw, 2.0), random_vector(&mut draw, 100.0));
+            let mut generalised = DVector::zeros(sample.state.velocity.len());
+            sample.kinematics.add_generalised_force(body, &point, &force, &mut generalised);
+            let velocity = sample.kinematics.bodies[body].velocity_at(&point);
+            let power = generalised.dot(&sample.state.velocity);
+            assert_small("power", (power - force.dot(&velocity)).abs(), 1e3, 1e-13);
+            let (linear, _) = sample.kinematics.jacobian(body, &point);
+            assert_small("Jᵀ f", (linear.tr_mul(&force) - &generalised).amax(), 100.0, 1e-14);
+            // Added to what is there.
+            sample.kinematics.add_generalised_force(body, &point, &(-force), &mut generalised);
+            assert_small("sum", generalised.amax(), 100.0, 1e-14);
+        }
+    });
+}
+
+/// ν̇ and ẋ of the robot under joint torques and its weight.
+fn derivative(robot: &RobotModel, state: &RobotState, torque: &DVector<f64>) -> (Matrix3<f64>, DVector<f64>) {
+    let sample = Sample::new(robot, state.clone());
+    let mut acceleration = -&sample.dynamics.bias;
+    let mut joints = acceleration.rows_mut(6, torque.len());
+    joints += torque;
+    let mut factor = MassFactor::new(acceleration.len());
+    assert!(factor.factorise(&sample.dynamics.mass_matrix));
+    factor.solve_in_place(&mut acceleration);
+    (skew(&state.base_angular_velocity()) * state.base.rotation, acceleration)
+}
+
+/// The classical Runge–Kutta method of fourth order.
+fn runge_kutta(robot: &RobotModel, state: &RobotState, torque: &DVector<f64>, step: f64) -> RobotState {
+    let advance = |slope: &(Matrix3<f64>, DVector<f64>), velocity: &DVector<f64>, time: f64| {
+        let mut next = state.clone();
+        next.base.rotation += slope.0 * time;
+        next.base.position += velocity.fixed_rows::<3>(0) * time;
+        next.joint_position.axpy(time, &velocity.rows(6, state.n_joints()), 1.0);
+        next.velocity.axpy(time, &slope.1, 1.0);
+        next
+    };
+    let k1 = derivative(robot, state, torque);
+    let s2 = advance(&k1, &state.velocity, 0.5 * step);
+    let k2 = derivative(robot, &s2, torque);
+    let s3 = advance(&k2, &s2.velocity, 0.5 * step);
+    let k3 = derivative(robot, &s3, torque);
+    let s4 = advance(&k3, &s3.velocity, step);
+    let k4 = derivative(robot, &s4, torque);
+    let mean = |a: &DVector<f64>, b: &DVector<f64>, c: &DVector<f64>, d: &DVector<f64>| {
+        (a + (b + c) * 2.0 + d) / 6.0
+    };
+    let slope = ((k1.0 + (k2.0 + k3.0) * 2.0 + k4.0) / 6.0, mean(&k1.1, &k2.1, &k3.1, &k4.1));
+    let velocity = mean(&state.velocity, &s2.velocity, &s3.velocity, &s4.velocity);
+    let mut next = advance(&slope, &velocity, step);
+    next.base.rotation = project_to_so3(&next.base.rotation);
+    next
+}
+
+/// A slow tumble: fast enough that every velocity term matters, slow enough to integrate exactly.
+fn tumbling(robot: &RobotModel, seed: u64) -> RobotState {
+    let mut state = random_state(&mut rng(seed), robot);
+    state.joint_position *= 0.3;
+    state.velocity *= 0.5;
+    state
+}
+
+/// A robot left to itself keeps its energy, and its centre of mass flies a parabola.
+#[test]
+fn energy_is_conserved_in_free_fall() {
+    const STEP: f64 = 5e-4;
+    const STEPS: u32 = 400;
+    for robot in both_robots() {
+        let mut state = tumbling(&robot, 16);
+        let start = Sample::new(&robot, state.clone());
+        let torque = DVector::zeros(robot.joints.len());
+        for _ in 0..STEPS {
+            state = runge_kutta(&robot, &state, &torque, STEP);
+        }
+        let end = Sample::new(&robot, state);
+        let energy = |sample: &Sample| sample.kinetic_energy() + sample.potential_energy(&robot);
+        let exchanged = (end.kinetic_energy() - start.kinetic_energy()).abs();
+        assert!(exchanged > 1.0, "{}: {exchanged} J went between weight and motion", robot.name);
+        assert_small(&robot.name, (energy(&end) - energy(&start)).abs(), start.kinetic_energy(), 1e-9);
+
+        let time = STEP * f64::from(STEPS);
+        let velocity: Vector3<f64> = start.dynamics.momentum.fixed_rows::<3>(0) / robot.mass();
+        let parabola =
+            start.kinematics.com + velocity * time - Vector3::z() * (0.5 * robot.gravity * time * time);
+        assert_small("parabola", (end.kinematics.com - parabola).amax(), 1.0, 1e-9);
+    }
+}
+
+/// Without weight neither the motion nor torques between the bodies change linear and angular momentum.
+#[test]
+fn momentum_is_conserved_without_gravity() {
+    const STEP: f64 = 5e-4;
+    for mut robot in both_robots() {
+        robot.gravity = 0.0;
+        let mut draw = rng(17);
+        let torque = DVector::from_fn(robot.joints.len(), |_, _| draw.random_range(-0.2..0.2));
+        let mut state = tumbling(&robot, 17);
+        let start = Sample::new(&robot, state.clone());
+        for _ in 0..400 {
+            state = runge_kutta(&robot, &state, &torque, STEP);
+        }
+        let end = Sample::new(&robot, state);
+        let moved = (end.state.joint_velocity()[0] - start.state.joint_velocity()[0]).abs();
+        assert!(moved > 1e-3, "{}: the motion changed by {moved}", robot.name);
+        let drift = end.dynamics.momentum - start.dynamics.momentum;
+        assert_small(&robot.name, drift.amax(), start.dynamics.momentum.norm(), 1e-9);
+    }
+}
+
+/// External forces change the momentum as Newton and Euler say: `L̇ = (Σ f − m g e₃, Σ (p − c) × f)`.
+#[test]
+fn momentum_changes_by_the_external_wrench() {
+    const STEP: f64 = 2e-7;
+    let mut draw = rng(18);
+    on_random_states(18, |robot, sample| {
+        let n = sample.state.velocity.len();
+        let body = draw.random_range(0..robot.bodies.len());
+        let (point, force) = (random_vector(&mut draw, 1.0), random_vector(&mut draw, 50.0));
+        let mut acceleration = -&sample.dynamics.bias;
+        sample.kinematics.add_generalised_force(body, &point, &force, &mut acceleration);
+        let mut factor = MassFactor::new(n);
+        assert!(factor.factorise(&sample.dynamics.mass_matrix));
+        factor.solve_in_place(&mut acceleration);
+
+        let momentum_at = |time: f64| {
+            let mean = &sample.state.velocity + &acceleration * (0.5 * time);
+            let mut state = moved(&sample.state, &mean, time);
+            state.velocity.axpy(time, &acceleration, 1.0);
+            Sample::new(robot, state).dynamics.momentum
+        };
+        let rate = (momentum_at(STEP) - momentum_at(-STEP)) / (2.0 * STEP);
+        let weight = Vector3::new(0.0, 0.0, robot.mass() * robot.gravity);
+        let moment = (point - sample.kinematics.com).cross(&force);
+        let scale = weight.z + force.norm() + moment.norm() + sample.kinetic_energy();
+        assert_small("force", (rate.fixed_rows::<3>(0) - (force - weight)).amax(), scale, 1e-7);
+        assert_small("moment", (rate.fixed_rows::<3>(3) - moment).amax(), scale, 1e-7);
+    });
+}
