@@ -13,11 +13,11 @@ DEMO := test1 test2 test1_published test2_published
 export PYO3_PYTHON := $(abspath $(BIN)/python)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint bench figures verify clean
+.PHONY: help setup demo test lint bench figures reproduce verify clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: $(MODULE) ## create .venv, install the pinned packages, compile the Rust module
 
@@ -37,12 +37,20 @@ lint: $(MODULE) ## check formats, lints, types and import contracts
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: ## run the Rust benchmarks
-	cargo bench --locked
+bench: $(MODULE) ## measure every part of a tick, and the crate beside Pinocchio, DAQP and Clarabel
+	cargo bench --locked --bench dynamics --bench aero --bench qp --bench flight
+	$(BIN)/python -m experiments.bench
 
-figures: $(MODULE) ## draw every figure; flies what they show unless it is there already
+figures: $(MODULE) ## draw every figure whose results are there; flies the demo's flights if they are not
 	$(BIN)/python -m experiments $(DEMO)
-	$(BIN)/python -m paper_figs
+	-$(BIN)/python -m paper_figs all
+
+reproduce: $(MODULE) ## fly everything, draw everything, write results/report.md and .html (half an hour on 2 cores)
+	$(BIN)/python -m experiments --all
+	$(BIN)/python -m experiments sweep --all
+	$(BIN)/python -m experiments engine-choice
+	-$(BIN)/python -m paper_figs all
+	$(BIN)/python -m experiments report
 
 verify: $(MODULE) ## compare the crate with independent implementations and stored states
 	$(BIN)/python -m pytest tests/parity

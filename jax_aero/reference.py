@@ -72,7 +72,7 @@ Array = NDArray[np.float64]
 Config = dict[str, Any]
 """A resolved flight configuration: nested tables of plain values, every default written out."""
 
-PATH_KEYS = ("robot", "path")
+PATH_KEYS = ("robot", "path", "file")
 """Keys whose value is a path, as the crate knows them."""
 
 Progress = Callable[[int, int], None]

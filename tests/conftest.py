@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -101,12 +101,23 @@ def make_flight() -> Callable[..., Flight]:
 
 @pytest.fixture
 def made_up_results(tmp_path: Path, robot: MadeUpRobot) -> Path:
-    """A results folder with the four flights the figures show; one of them falls."""
+    """A results folder with the flights the figures show; one of them falls."""
     results = tmp_path / "flight"
-    for name, fall_time in (("test1", None), ("test2", None), ("test1_published", 21.5), ("test2_published", None)):
+    falls = {"test1": None, "test2": None, "test1_published": 21.5, "test2_published": None}
+    falls |= {"robustness_sphere_cylinder_vs_axisymmetric": None, "robustness_axisymmetric_vs_sphere_cylinder": None}
+    for name, fall_time in falls.items():
         digest = name.encode().hex().ljust(64, "0")
         dataset = record.to_dataset(
             made_up_flight(fall_time=fall_time), robot, title=f"{name}: made up", config_digest=digest
         )
         record.write_run(results / name, dataset, {"name": name, "config_digest": digest})
     return results
+
+
+@pytest.fixture(scope="module")
+def x64() -> Iterator[None]:
+    """Double precision for the JAX tests of a module; nothing else sees it."""
+    import jax
+
+    with jax.enable_x64(True):
+        yield

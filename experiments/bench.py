@@ -1,0 +1,280 @@
+"""Measure the crate beside Pinocchio, DAQP and Clarabel in one run: `python -m experiments.bench`.
+
+All work on the same states and problems, which the crate's benchmark `side_by_side` writes to `target/side_by_side`.
+Natively every contender is a compiled program of its own, and these take turns; then each is called from Python.
+Prints Markdown: `docs/benchmarks.md` is made of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import importlib.metadata
+import os
+import platform
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments import Refused
+from experiments.bench_native import FOLDER, QPS, URDF, Times, build, cargo, run, take_turns
+from experiments.manifest import REPOSITORY
+from jax_aero import reference
+from jax_aero.reference import QpProblem, State
+
+Array = NDArray[np.float64]
+Rows = Iterator[tuple[str, str, float]]
+"""What, by whom, nanoseconds."""
+
+DYNAMICS = ("dynamics, without Jacobians", "dynamics, with 17 frame Jacobians")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.bench", description=__doc__)
+    parser.add_argument("--turns", type=int, default=5, help="how often every native program runs (default 5)")
+    parser.add_argument("--native", action="store_true", help="compile all for this processor, not for any x86-64")
+    given = parser.parse_args(arguments)
+    try:
+        _print_machine(native=given.native)
+        programs = build(native=given.native)
+        ours, others = take_turns(programs, given.turns)
+        pinocchio = {what: t for what, t in others.items() if what.startswith("dynamics")}
+        _print_native(ours, pinocchio, {what: t for what, t in others.items() if "QP" in what}, programs.missing)
+        _print_python(_from_python())
+        tick = run([*cargo(native=given.native), "--bench", "tick"])
+        print("\n## Whole tick\n")
+        print(tick.strip())
+        _print_targets(ours, pinocchio, others, tick)
+    except Refused as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return 2
+    return 0
+
+
+# --- from Python ---------------------------------------------------------------------------------------------------
+
+
+def _from_python() -> Rows:
+    robot = reference.Robot(URDF.with_suffix(".toml"))
+    states = _read_states()
+    yield DYNAMICS[0], "ours, `Robot.dynamics`", _per_item(lambda state: robot.dynamics(*state), states)
+    yield from _pinocchio_rows(robot, states)
+    for name in QPS:
+        problems = _read_problems(name)
+        for rows in (_our_rows, _daqp_rows, _clarabel_rows):
+            yield from ((name, by, ns) for by, ns in rows(len(problems[0].g), problems))
+    config = reference.load_config(REPOSITORY / "configs" / "experiments" / "test2.toml")
+    yield "flight of 50 s", "ours, `reference.fly`, full log", _per_item(reference.fly, [config])
+
+
+def _our_rows(n: int, problems: Sequence[QpProblem]) -> Iterator[tuple[str, float]]:
+    solver = reference.BoxQpSolver(n)
+    yield "ours, `BoxQpSolver.solve`, warm", _per_item(lambda qp: solver.solve(*qp), problems)
+
+
+def _pinocchio_rows(robot: reference.Robot, states: Sequence[State]) -> Rows:
+    try:
+        pin: Any = importlib.import_module("pinocchio")
+    except ImportError:
+        return
+    model = pin.buildModelFromUrdf(str(URDF), pin.JointModelFreeFlyer())
+    data = model.createData()
+    place = np.array([model.joints[model.getJointId(name)].idx_v - 6 for name in robot.joint_names])
+
+    def converted(state: State) -> tuple[Array, Array]:
+        rotation, velocity = np.asarray(state.base_rotation), np.asarray(state.velocity)
+        q, v = np.zeros(model.nq), np.zeros(model.nv)
+        q[:3], q[3:7] = state.base_position, pin.Quaternion(rotation).coeffs()
+        q[7 + place], v[6 + place] = state.joint_position, velocity[6:]
+        v[:3], v[3:6] = rotation.T @ velocity[:3], rotation.T @ velocity[3:6]
+        return q, v
+
+    def terms(state: tuple[Array, Array]) -> None:
+        q, v = state
+        pin.crba(model, data, q)
+        pin.nonLinearEffects(model, data, q, v)
+        pin.ccrba(model, data, q, v)
+
+    converted_states = [converted(state) for state in states]
+    trivial = _per_item(lambda _: pin.checkVersionAtLeast(1, 0, 0), states)
+    yield "a call that does nothing", "Pinocchio, `checkVersionAtLeast`", trivial
+    yield DYNAMICS[0], "Pinocchio, three calls", _per_item(terms, converted_states)
+
+
+def _daqp_rows(n: int, problems: Sequence[QpProblem]) -> Iterator[tuple[str, float]]:
+    try:
+        daqp: Any = importlib.import_module("daqp")
+    except ImportError:
+        return
+    none, sense = np.zeros((0, n)), np.zeros(n, np.int32)
+    yield (
+        "DAQP, `solve`",
+        _per_item(lambda qp: daqp.solve(qp.h, qp.g, none, qp.upper, qp.lower, sense), problems),
+    )
+    model = daqp.Model()
+    first = problems[0]
+    model.setup(first.h, first.g, none, first.upper, first.lower, sense)
+
+    def again(qp: QpProblem) -> None:
+        model.update(H=qp.h, f=qp.g, bupper=qp.upper, blower=qp.lower)
+        model.solve()
+
+    yield "DAQP, `Model.update` and `solve`, warm", _per_item(again, problems)
+
+
+def _clarabel_rows(n: int, problems: Sequence[QpProblem]) -> Iterator[tuple[str, float]]:
+    try:
+        clarabel: Any = importlib.import_module("clarabel")
+        sparse: Any = importlib.import_module("scipy.sparse")
+    except ImportError:
+        return
+    rows = sparse.csc_matrix(np.vstack([np.eye(n), -np.eye(n)]))
+    cones, settings = [clarabel.NonnegativeConeT(2 * n)], clarabel.DefaultSettings()
+    settings.verbose = False
+    prepared = [
+        (sparse.csc_matrix(np.triu(qp.h)), qp.g, rows, np.concatenate([qp.upper, -qp.lower])) for qp in problems
+    ]
+    yield (
+        "Clarabel, `DefaultSolver` and `solve`",
+        _per_item(lambda data: clarabel.DefaultSolver(*data, cones, settings).solve(), prepared),
+    )
+
+
+def _per_item(work: Callable[[Any], Any], items: Sequence[Any], seconds: float = 0.4) -> float:
+    """Return the median over rounds of the mean time per item [ns], after one round to warm up."""
+    for item in items:
+        work(item)
+    times: list[float] = []
+    end = time.perf_counter() + seconds
+    while len(times) < 3 or time.perf_counter() < end:
+        begin = time.perf_counter_ns()
+        for item in items:
+            work(item)
+        times.append((time.perf_counter_ns() - begin) / len(items))
+    return statistics.median(times)
+
+
+def _read_states() -> list[State]:
+    data = np.fromfile(FOLDER / "states.f64", "<f8")
+    count, n = int(data[0]), int(data[1])
+    rows = data[2:].reshape(count, 18 + 2 * n)
+    return [State(r[:3].copy(), r[3:12].reshape(3, 3).copy(), r[12 : 12 + n].copy(), r[12 + n :].copy()) for r in rows]
+
+
+def _read_problems(name: str) -> list[QpProblem]:
+    data = np.fromfile(FOLDER / f"{name}.f64", "<f8")
+    count, n = int(data[0]), int(data[1])
+    rows = data[2:].reshape(count, n * n + 4 * n)
+    return [QpProblem(r[: n * n].reshape(n, n).copy(), *np.split(r[n * n :].copy(), 4)[:3]) for r in rows]
+
+
+# --- tables --------------------------------------------------------------------------------------------------------
+
+
+def _print_machine(*, native: bool) -> None:
+    cpu = next(
+        (line.split(":")[1].strip() for line in _read_text("/proc/cpuinfo").splitlines() if "model name" in line),
+        platform.processor() or platform.machine(),
+    )
+    load = os.getloadavg()[0]
+    packages = ", ".join(f"{name} {_version_of(name)}" for name in ("pin", "daqp", "clarabel", "numpy"))
+    target = "this processor" if native else "any x86-64 (the default)"
+    print(f"Machine: {cpu}, {os.cpu_count()} cores, {platform.system()} {platform.machine()}. Built for {target}.")
+    print(f"Compilers: {_first_line(['rustc', '--version'])}; {_first_line(['g++', '--version'])}.")
+    print(f"Python {platform.python_version()}: {packages}. Load at the start: {load:.1f}", end="")
+    print(" (BUSY: trust ratios, not times)." if load > 0.7 else ".", flush=True)
+
+
+def _version_of(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "absent"
+
+
+def _read_text(path: str) -> str:
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except OSError:
+        return ""
+
+
+def _first_line(command: Sequence[str]) -> str:
+    try:
+        return run(command).splitlines()[0]
+    except Refused:
+        return f"no {command[0]}"
+
+
+def _print_native(ours: Times, pinocchio: Times, daqp: Times, missing: Iterable[str]) -> None:
+    print("\n## Natively\n\n| | ours | other | ratio | the other |\n|---|---|---|---|---|")
+    for what in DYNAMICS:
+        for whole, theirs in sorted(pinocchio.items(), key=lambda item: item[1]):
+            if whole.startswith(what):
+                _print_row(what, ours[what], theirs, f"Pinocchio{whole.removeprefix(what)}")
+    for name in QPS:
+        for start in ("warm", "cold"):
+            what = f"{name}, {start}"
+            for whole, theirs in sorted(daqp.items(), key=lambda item: item[1]):
+                if whole.startswith(what):
+                    _print_row(what, ours[what], theirs, f"DAQP{whole.removeprefix(what)}")
+        for other in ("Clarabel as it comes", "Clarabel at 1e-12 and polished"):
+            _print_row(f"{name}, warm", ours[f"{name}, warm"], ours[f"{name}, {other}"], other)
+    print(f"| flight of 50 s, one core | {ours['flight of 50 s'] / 1e9:.3f} s | | | |")
+    for reason in missing:
+        print(f"\n{reason}")
+
+
+def _print_row(what: str, ours: float, theirs: float, who: str) -> None:
+    print(f"| {what} | {_microseconds(ours)} | {_microseconds(theirs)} | {ours / theirs:.2f} | {who} |")
+
+
+def _print_python(rows: Rows) -> None:
+    print("\n## From Python\n\n| | by | time |\n|---|---|---|")
+    for what, by, ns in rows:
+        print(f"| {what} | {by} | {_microseconds(ns)} |")
+
+
+def _microseconds(ns: float) -> str:
+    return f"{ns / 1e3:.2f} µs" if ns < 1e6 else f"{ns / 1e9:.3f} s"
+
+
+def _best(times: Times, what: str) -> float | None:
+    """Return the fastest way that a contender has, or `None` without one."""
+    return min((ns for name, ns in times.items() if name.startswith(what)), default=None)
+
+
+def _print_targets(ours: Times, pinocchio: Times, daqp: Times, tick: str) -> None:
+    """Print the targets and whether they are met, always against the fastest way of the other."""
+    print("\n## Targets\n\n| | measured | target | met |\n|---|---|---|---|")
+    verdicts = [("all dynamics terms / Pinocchio", ours[DYNAMICS[1]], _best(pinocchio, DYNAMICS[1]), 0.5)]
+    verdicts += [(f"{name}, warm / DAQP", ours[f"{name}, warm"], _best(daqp, f"{name}, warm"), 1.0) for name in QPS]
+    for case in ("calm", "saturated"):
+        parts = [(ours[f"{q} QP, {case}, warm"], _best(daqp, f"{q} QP, {case}, warm")) for q in ("momentum", "torque")]
+        theirs = [other for _, other in parts if other is not None]
+        total = sum(theirs) if len(theirs) == len(parts) else None
+        verdicts.append((f"both QPs of a tick, {case} / DAQP", sum(own for own, _ in parts), total, 1.0))
+    for what, own, other, target in verdicts:
+        if other is None:
+            print(f"| {what} | not measured | {target} | ? |")
+        else:
+            print(f"| {what} | {own / other:.2f} | {target} | {_met(own / other <= target)} |")
+    p50 = next(float(line.split("|")[3].split()[0]) for line in tick.splitlines() if "tick, TEST2 " in line)
+    print(f"| whole tick, p50 | {p50:.1f} µs | 25 µs | {_met(p50 <= 25)} |")
+    flight = ours["flight of 50 s"] / 1e9
+    print(f"| flight of 50 s, one core | {flight:.3f} s | 0.25 s | {_met(flight <= 0.25)} |")
+
+
+def _met(yes: bool) -> str:
+    return "yes" if yes else "**no**"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,161 @@
+"""The native contenders of `experiments.bench`: compile them here, and let them take turns.
+
+Pinocchio is the library of the `pin` wheel, DAQP is compiled from the source of its package; both need a C++ compiler.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import shutil
+import statistics
+import subprocess
+import sys
+import tarfile
+import zipfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from experiments import Refused
+from experiments.manifest import REPOSITORY
+
+Times = dict[str, float]
+"""What was measured to nanoseconds: the median over turns of medians over rounds."""
+
+FOLDER = REPOSITORY / "target" / "side_by_side"
+SOURCES = REPOSITORY / "rust" / "core" / "benches" / "native"
+URDF = REPOSITORY / "configs" / "robot" / "ironcub_mk1.urdf"
+QPS = tuple(f"{name} QP, {case}" for name in ("momentum", "torque") for case in ("calm", "saturated"))
+EIGEN = "cmeel-eigen==3.4.1"  # the headers that Pinocchio was compiled with are not in its wheel
+# What the configuration of Pinocchio asks for.
+PINOCCHIO_DEFINES = (
+    "-DBOOST_MPL_LIMIT_LIST_SIZE=30",
+    "-DBOOST_MPL_LIMIT_VECTOR_SIZE=30",
+    "-DBOOST_MPL_CFG_NO_PREPROCESSED_HEADERS",
+)
+
+
+@dataclass
+class Programs:
+    """Command lines of the native contenders, and why one is missing."""
+
+    ours: list[str]
+    others: dict[str, list[str]] = field(default_factory=dict)
+    missing: list[str] = field(default_factory=list)
+
+
+def cargo(*, native: bool) -> list[str]:
+    """Return the command that benchmarks start with; `native` compiles for this processor alone."""
+    flags = ["env", "RUSTFLAGS=-C target-cpu=native", "CARGO_TARGET_DIR=target/native"] if native else []
+    return [*flags, "cargo", "bench", "--locked", "--quiet"]
+
+
+def build(*, native: bool) -> Programs:
+    """Write states and problems, and compile whatever can be compiled here."""
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    ours = [*cargo(native=native), "--bench", "side_by_side"]
+    run([*ours, "--", "--dump", str(FOLDER)])
+    programs = Programs(ours)
+    for name, compile_it in (("Pinocchio", _compile_pinocchio), ("DAQP", _compile_daqp)):
+        try:
+            programs.others[name] = compile_it(native=native)
+        except (Refused, OSError, ImportError) as reason:
+            programs.missing.append(f"{name} is not measured natively: {reason}")
+    return programs
+
+
+def _compile_pinocchio(*, native: bool) -> list[str]:
+    pin: Any = importlib.import_module("pinocchio")
+    model = pin.buildModelFromUrdf(str(URDF), pin.JointModelFreeFlyer())
+    model.saveToBinary(str(FOLDER / "model.bin"))
+    prefix = Path(pin.__file__).resolve().parents[4]
+    eigen = _fetch(EIGEN, "*.whl") / "cmeel.prefix" / "include" / "eigen3"
+    # As shipped, the algorithms are those of the wheel's library; for this processor they are compiled here.
+    flags = ["-march=native"] if native else ["-DPINOCCHIO_ENABLE_TEMPLATE_INSTANTIATION"]
+    libraries = [f"-L{prefix / 'lib'}", f"-Wl,-rpath,{prefix / 'lib'}", "-lboost_serialization"]
+    libraries += [] if native else ["-lpinocchio_default"]
+    include = ["-isystem", str(eigen), "-isystem", str(prefix / "include"), f"-I{SOURCES}"]
+    program = FOLDER / ("pinocchio-native" if native else "pinocchio")
+    source = SOURCES / "pinocchio.cpp"
+    if not _is_newer(program, source, SOURCES / "timing.h", Path(pin.__file__)):
+        command = ["g++", "-std=c++17", "-O3", "-DNDEBUG", *PINOCCHIO_DEFINES, *flags, *include]
+        run([*command, str(source), *libraries, "-o", str(program)])
+    return [str(program), str(FOLDER)]
+
+
+def _compile_daqp(*, native: bool) -> list[str]:
+    version = importlib.metadata.version("daqp")
+    source = _fetch(f"daqp=={version}", "*.tar.gz", "--no-binary=:all:") / f"daqp-{version}" / "csrc"
+    # The flags of its own package, without its clock.
+    flags = ["-O3", "-fassociative-math", "-fno-signed-zeros", "-fno-trapping-math"]
+    flags += ["-march=native"] if native else []
+    program = FOLDER / ("daqp-native" if native else "daqp")
+    if not _is_newer(program, SOURCES / "daqp.cpp", SOURCES / "timing.h", source):
+        objects = FOLDER / "objects"
+        objects.mkdir(exist_ok=True)
+        files = sorted(source.glob("src/*.c"))
+        for file in files:
+            run(["gcc", *flags, f"-I{source / 'include'}", "-c", str(file), "-o", str(objects / f"{file.stem}.o")])
+        links = [str(objects / f"{file.stem}.o") for file in files]
+        include = [f"-I{source / 'include'}", f"-I{SOURCES}"]
+        run(["g++", "-std=c++17", *flags, *include, str(SOURCES / "daqp.cpp"), *links, "-lm", "-o", str(program)])
+    return [str(program), str(FOLDER), *QPS]
+
+
+def _fetch(requirement: str, pattern: str, *options: str) -> Path:
+    """Download and unpack a package once; return the folder it is in."""
+    folder = FOLDER / requirement.replace("==", "-")
+    if not folder.is_dir():
+        download = FOLDER / "download"
+        shutil.rmtree(download, ignore_errors=True)
+        pip = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", *options]
+        run([*pip, "--dest", str(download), requirement])
+        archive = next(download.glob(pattern))
+        unpacked = download / "unpacked"
+        if archive.suffix == ".whl":
+            zipfile.ZipFile(archive).extractall(unpacked)
+        else:
+            with tarfile.open(archive) as package:
+                package.extractall(unpacked, filter="data")
+        unpacked.rename(folder)
+    return folder
+
+
+def _is_newer(program: Path, *sources: Path) -> bool:
+    return program.is_file() and program.stat().st_mtime > max(source.stat().st_mtime for source in sources)
+
+
+def run(command: Sequence[str]) -> str:
+    """Run a program to its end and return what it printed, or refuse with what it complained of."""
+    try:
+        done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=True)
+    except FileNotFoundError:
+        raise Refused(f"`{command[0]}` is not installed") from None
+    except subprocess.CalledProcessError as error:
+        last = [line for line in error.stderr.splitlines() if line.strip()][-3:]
+        raise Refused(f"`{Path(command[0]).name}` failed: {' / '.join(last)}") from None
+    return done.stdout
+
+
+def take_turns(programs: Programs, turns: int) -> tuple[Times, Times]:
+    """Run all contenders one after the other, again and again: a change of the machine's pace hits all."""
+    ours: dict[str, list[float]] = {}
+    others: dict[str, list[float]] = {}
+    for _ in range(turns):
+        for command, times in ((programs.ours, ours), *((command, others) for command in programs.others.values())):
+            for what, median in _parse(run(command)):
+                times.setdefault(what, []).append(median)
+    return _medians(ours), _medians(others)
+
+
+def _parse(output: str) -> Iterator[tuple[str, float]]:
+    for line in output.splitlines():
+        if line.count("\t") == 2:
+            what, median, _ = line.split("\t")
+            yield what, float(median)
+
+
+def _medians(times: dict[str, list[float]]) -> Times:
+    return {what: statistics.median(values) for what, values in times.items()}

@@ -1,0 +1,104 @@
+"""Random states of both robots, and a table of how well everything agreed, printed at the end of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+from jax_aero.reference import Robot, State
+
+ROOT = Path(__file__).resolve().parents[2]
+ROBOTS = ("ironcub_mk1", "sparrow")
+
+Agree = Callable[[str, ArrayLike, ArrayLike, float], None]
+Measured = Callable[[str, float | str], None]
+
+_measured: dict[tuple[str, str], float | str] = {}
+
+
+@pytest.fixture
+def measured(request: pytest.FixtureRequest) -> Measured:
+    """Put a figure into the table at the end of the run; of several numbers of one name the largest stays."""
+
+    def note(what: str, figure: float | str) -> None:
+        before = _measured.get((request.node.path.stem, what))
+        if isinstance(figure, float) and isinstance(before, float):
+            figure = max(figure, before)
+        _measured[request.node.path.stem, what] = figure
+
+    return note
+
+
+@pytest.fixture
+def agree(measured: Measured) -> Agree:
+    """Compare two arrays relative to the largest entry of the second."""
+
+    def compare(quantity: str, ours: ArrayLike, theirs: ArrayLike, tolerance: float) -> None:
+        ours, theirs = np.asarray(ours), np.asarray(theirs)
+        assert ours.shape == theirs.shape, quantity
+        error = float(np.max(np.abs(ours - theirs)) / max(float(np.max(np.abs(theirs))), 1e-300))
+        measured(quantity, error)
+        assert error <= tolerance, f"{quantity}: relative error {error:.2e}, allowed {tolerance:.0e}"
+
+    return compare
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    if not _measured:
+        return
+    terminalreporter.section("parity: worst relative errors and counts")
+    rows = [
+        (module.removeprefix("test_"), what, figure if isinstance(figure, str) else f"{figure:.1e}")
+        for (module, what), figure in _measured.items()
+    ]
+    widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
+    for module, what, figure in sorted(rows, key=lambda row: row[0]):
+        terminalreporter.write_line(f"{module:<{widths[0]}}  {what:<{widths[1]}}  {figure}")
+
+
+@pytest.fixture(params=ROBOTS)
+def robot_name(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+@pytest.fixture
+def robot(robot_name: str) -> Robot:
+    return Robot(ROOT / "configs" / "robot" / f"{robot_name}.toml")
+
+
+@pytest.fixture
+def urdf(robot_name: str) -> Path:
+    return ROOT / "configs" / "robot" / f"{robot_name}.urdf"
+
+
+def rotation_of(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """R(q) = (w² − |v|²) 1 + 2 v vᵀ + 2 w S(v) of a unit quaternion."""
+    w, v = wxyz[0], wxyz[1:]
+    skew = np.cross(np.eye(3), v)  # rows e_k × v = −S(v) e_k, and S is antisymmetric
+    return (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * skew
+
+
+@pytest.fixture
+def random_states(robot: Robot) -> Iterator[tuple[State, NDArray[np.float64]]]:
+    """200 states, base anywhere, joints within their limits and beyond, fast; with the base's quaternion wxyz."""
+    rng = np.random.default_rng(20260101)
+    limits = np.array(robot.joint_limits)
+    middle, half = limits.mean(axis=1), np.ptp(limits, axis=1) / 2
+    half = np.where(np.isfinite(half), half, np.pi)
+    n = len(limits)
+
+    def draw(index: int) -> tuple[State, NDArray[np.float64]]:
+        wxyz = rng.normal(size=4)
+        wxyz /= np.linalg.norm(wxyz)
+        reach = 1.0 if index % 2 else 2.5
+        joints = middle + reach * half * rng.uniform(-1, 1, n)
+        velocity = np.concatenate(
+            [rng.normal(scale=3, size=3), rng.normal(scale=4, size=3), rng.normal(scale=5, size=n)]
+        )
+        return State(rng.normal(scale=10, size=3), rotation_of(wxyz), joints, velocity), wxyz
+
+    return map(draw, range(200))

@@ -1,0 +1,159 @@
+"""Rigid-body dynamics against MuJoCo C, which reads the same URDF.
+
+MuJoCo's velocity of a free joint is linear in inertial axes but angular in base axes, v = (v_B, Rᵀ ω_B, ṡ). With
+ν = X v and X = blkdiag(1, R, 1):
+
+    M_mujoco = Xᵀ M X,    A_mujoco = A X,    J_mujoco = J X
+    h_mujoco = Xᵀ (h + M Ẋ v),    ν̇ = X v̇ + Ẋ v,    Ẋ v = (0, R (w × w), 0) = 0,   w = Rᵀ ω_B
+
+so the acceleration of the map vanishes: biases differ by the rotation of their three base moments alone.
+"""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from jax_aero import reference
+from jax_aero.reference import Robot
+
+TOLERANCE = 1e-10
+LOCKED = {"sparrow": {"neck": ((0, 1, 0), 0.2)}}
+
+
+class Oracle:
+    """A MuJoCo model of the URDF with a free base, in our order of joints."""
+
+    def __init__(self, urdf: Path, robot: Robot, locked: dict[str, tuple[tuple[float, ...], float]]) -> None:
+        spec = mujoco.MjSpec.from_file(str(urdf))
+        spec.compiler.fusestatic = False  # frames stay bodies, and the base is not welded to the world
+        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+        spec.option.gravity = [0, 0, -robot.gravity]
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_SPRING
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_DAMPER
+        spec.worldbody.first_body().add_freejoint()
+        for joint in spec.joints:
+            joint.armature = joint.frictionloss = 0.0
+        for name, (axis, angle) in locked.items():
+            joint = spec.joint(name)
+            assert np.allclose(joint.axis, axis)
+            body, turn, quat = joint.parent, np.zeros(4), np.zeros(4)
+            mujoco.mju_axisAngle2Quat(turn, np.array(axis, float), angle)
+            mujoco.mju_mulQuat(quat, body.quat, turn)
+            body.quat = quat
+            spec.delete(joint)
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        joints = [self.model.joint(name) for name in robot.joint_names]
+        self.q = np.array([joint.qposadr[0] for joint in joints])
+        self.v = np.array([*range(6), *(joint.dofadr[0] for joint in joints)])
+        assert self.model.nv == len(self.v)
+
+    def set(self, state: reference.State, wxyz: np.ndarray) -> None:
+        rotation = np.asarray(state.base_rotation)
+        self.x = np.eye(self.model.nv)
+        self.x[3:6, 3:6] = rotation
+        self.data.qpos[:7] = [*np.asarray(state.base_position), *wxyz]
+        self.data.qpos[self.q] = state.joint_position
+        self.data.qvel[self.v] = self.x.T @ np.asarray(state.velocity)
+        mujoco.mj_forward(self.model, self.data)
+
+    def mixed(self, columns: np.ndarray) -> np.ndarray:
+        """A Jacobian in our velocity and order: J = J_mujoco X⁻¹."""
+        return columns[:, self.v] @ self.x.T
+
+    def mass_matrix(self) -> np.ndarray:
+        full = np.zeros((self.model.nv, self.model.nv))
+        mujoco.mj_fullM(self.model, self.data, full)
+        return self.x @ full[np.ix_(self.v, self.v)] @ self.x.T
+
+    def bias(self) -> np.ndarray:
+        return self.x @ self.data.qfrc_bias[self.v]
+
+    def momentum_matrix(self) -> np.ndarray:
+        linear, angular = np.zeros((3, self.model.nv)), np.zeros((3, self.model.nv))
+        mujoco.mj_jacSubtreeCom(self.model, self.data, linear, 1)
+        mujoco.mj_angmomMat(self.model, self.data, angular, 1)
+        return self.mixed(np.vstack([self.model.body_subtreemass[1] * linear, angular]))
+
+    def momentum(self) -> np.ndarray:
+        mujoco.mj_subtreeVel(self.model, self.data)
+        return np.concatenate(
+            [self.model.body_subtreemass[1] * self.data.subtree_linvel[1], self.data.subtree_angmom[1]]
+        )
+
+    def jacobian(self, body: str) -> tuple[np.ndarray, np.ndarray]:
+        linear, angular = np.zeros((3, self.model.nv)), np.zeros((3, self.model.nv))
+        mujoco.mj_jacBody(self.model, self.data, linear, angular, self.model.body(body).id)
+        return self.mixed(linear), self.mixed(angular)
+
+    def forward_dynamics(self, force: np.ndarray) -> np.ndarray:
+        self.data.qfrc_applied[self.v] = self.x.T @ force
+        mujoco.mj_forward(self.model, self.data)
+        self.data.qfrc_applied[:] = 0
+        return self.x @ self.data.qacc[self.v]
+
+
+@pytest.fixture
+def oracle(robot_name, robot, urdf) -> Oracle:
+    return Oracle(urdf, robot, LOCKED.get(robot_name, {}))
+
+
+def test_the_whole_state_agrees(robot, oracle, random_states, agree):
+    assert robot.mass == pytest.approx(oracle.model.body_subtreemass[1], rel=1e-14)
+    bodies = [oracle.model.body(name).id for name in robot.body_names]
+    for state, wxyz in random_states:
+        oracle.set(state, wxyz)
+        ours = reference.dynamics(robot, state)
+        agree("body positions", ours.body_positions, oracle.data.xpos[bodies], TOLERANCE)
+        agree("body rotations", ours.body_rotations, oracle.data.xmat[bodies].reshape(-1, 3, 3), TOLERANCE)
+        agree("CoM", ours.com_position, oracle.data.subtree_com[1], TOLERANCE)
+        agree("momentum matrix, linear", ours.momentum_matrix[:3], oracle.momentum_matrix()[:3], TOLERANCE)
+        agree("momentum matrix, angular", ours.momentum_matrix[3:], oracle.momentum_matrix()[3:], TOLERANCE)
+        agree("momentum, linear", ours.momentum[:3], oracle.momentum()[:3], TOLERANCE)
+        agree("momentum, angular", ours.momentum[3:], oracle.momentum()[3:], TOLERANCE)
+        agree("centroidal inertia", ours.centroidal_inertia, oracle.momentum_matrix()[3:, 3:6], TOLERANCE)
+
+        # In units of √(M_ii M_jj): small inertias of wrists count as much as the mass of the robot.
+        mass_matrix = oracle.mass_matrix()
+        unit = 1 / np.sqrt(np.diag(mass_matrix))
+        scale = np.outer(unit, unit)
+        agree("mass matrix, every entry scaled", ours.mass_matrix * scale, mass_matrix * scale, TOLERANCE)
+        for name, rows in (("force", slice(3)), ("moment", slice(3, 6)), ("joints", slice(6, None))):
+            agree(f"bias, {name}", ours.bias[rows], oracle.bias()[rows], TOLERANCE)
+
+
+def test_every_frame_jacobian_agrees(robot, oracle, random_states, agree):
+    frames = [oracle.model.body(i).name for i in range(1, oracle.model.nbody)]
+    known = {*robot.body_names, *robot.aero_link_names}
+    frames = [frame for frame in frames if frame in known or frame.endswith("sole")]
+    assert len(frames) >= len(robot.body_names)
+    for state, wxyz in random_states:
+        oracle.set(state, wxyz)
+        for frame in frames:
+            ours, (linear, angular) = reference.frame_jacobian(robot, frame, state), oracle.jacobian(frame)
+            agree("frame Jacobians, linear", ours.linear, linear, TOLERANCE)
+            agree("frame Jacobians, angular", ours.angular, angular, TOLERANCE)
+
+
+def test_forward_dynamics_agrees(robot, oracle, random_states, agree):
+    rng = np.random.default_rng(7)
+    for state, wxyz in random_states:
+        oracle.set(state, wxyz)
+        force = rng.normal(size=oracle.model.nv) * np.where(np.arange(oracle.model.nv) < 6, 200, 20)
+        ours, theirs = reference.forward_dynamics(robot, state, force), oracle.forward_dynamics(force)
+        agree("acceleration", ours, theirs, TOLERANCE)
+
+
+def test_the_map_between_velocities_has_no_acceleration(robot, oracle, random_states, agree):
+    """Turning on, ν(t) = X(t) v with constant v keeps its value: Ẋ v = 0."""
+    state, wxyz = next(iter(random_states))
+    oracle.set(state, wxyz)
+    velocity = oracle.data.qvel.copy()
+    step = 1e-6
+    mujoco.mj_integratePos(oracle.model, oracle.data.qpos, velocity, step)
+    turned = np.zeros(9)
+    mujoco.mju_quat2Mat(turned, oracle.data.qpos[3:7])
+    agree("ω_B after a turn", turned.reshape(3, 3) @ velocity[3:6], np.asarray(state.velocity)[3:6], 1e-14)
+    assert not np.allclose(turned.reshape(3, 3), state.base_rotation, rtol=0, atol=1e-7)

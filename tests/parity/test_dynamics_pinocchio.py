@@ -1,0 +1,138 @@
+"""Rigid-body dynamics against Pinocchio, which reads the same URDF.
+
+Pinocchio's velocity of a free base is in base axes, v = (Rᵀ v_B, Rᵀ ω_B, ṡ). With ν = X v, X = blkdiag(R, R, 1):
+
+    M_pin = Xᵀ M X,    A_pin = A X,    J_pin = J X
+    h_pin = Xᵀ (h + M Ẋ v),    Ẋ v = (ω_B × v_B, 0, 0)
+
+The axes turn with the base, so unlike MuJoCo's its bias holds the acceleration of the map.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from jax_aero import reference
+from jax_aero.reference import Robot
+
+TOLERANCE = 1e-10
+LOCKED = {"sparrow": {"neck": 0.2}}
+WORLD_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+
+
+class Oracle:
+    """A Pinocchio model of the URDF with a free base, in our order of joints."""
+
+    def __init__(self, urdf: Path, robot: Robot, locked: dict[str, float]) -> None:
+        model = pin.buildModelFromUrdf(str(urdf), pin.JointModelFreeFlyer())
+        if locked:
+            q = pin.neutral(model)
+            for name, angle in locked.items():
+                q[model.joints[model.getJointId(name)].idx_q] = angle
+            model = pin.buildReducedModel(model, [model.getJointId(name) for name in locked], q)
+        model.gravity.linear = np.array([0, 0, -robot.gravity])
+        self.model, self.data = model, model.createData()
+        self.joints = [model.joints[model.getJointId(name)] for name in robot.joint_names]
+        self.v = np.array([*range(6), *(joint.idx_v for joint in self.joints)])
+        assert model.nv == len(self.v)
+
+    def set(self, state: reference.State, wxyz: np.ndarray) -> None:
+        rotation, velocity = np.asarray(state.base_rotation), np.asarray(state.velocity)
+        self.x = np.eye(self.model.nv)
+        self.x[:3, :3] = self.x[3:6, 3:6] = rotation
+        # (position, quaternion xyzw, joints); a joint without limits has cosine and sine.
+        self.q = np.zeros(self.model.nq)
+        self.q[:7] = [*np.asarray(state.base_position), *wxyz[1:], wxyz[0]]
+        for joint, angle in zip(self.joints, np.asarray(state.joint_position), strict=True):
+            self.q[joint.idx_q : joint.idx_q + joint.nq] = [angle] if joint.nq == 1 else [np.cos(angle), np.sin(angle)]
+        self.velocity = np.zeros(self.model.nv)
+        self.velocity[self.v] = self.x.T @ velocity
+        self.map_acceleration = np.zeros(self.model.nv)
+        self.map_acceleration[:3] = np.cross(velocity[3:6], velocity[:3])
+
+    def mixed(self, columns: np.ndarray) -> np.ndarray:
+        """A Jacobian in our velocity and order: J = J_pin X⁻¹."""
+        return columns[:, self.v] @ self.x.T
+
+    def mass_matrix(self) -> np.ndarray:
+        upper = np.triu(pin.crba(self.model, self.data, self.q))
+        full = upper + np.triu(upper, 1).T
+        return self.x @ full[np.ix_(self.v, self.v)] @ self.x.T
+
+    def bias(self) -> np.ndarray:
+        theirs = pin.nonLinearEffects(self.model, self.data, self.q, self.velocity)[self.v]
+        return self.x @ theirs - self.mass_matrix() @ self.map_acceleration
+
+    def forward_dynamics(self, force: np.ndarray) -> np.ndarray:
+        generalised = np.zeros(self.model.nv)
+        generalised[self.v] = self.x.T @ force
+        theirs = pin.aba(self.model, self.data, self.q, self.velocity, generalised)
+        return self.x @ theirs[self.v] + self.map_acceleration
+
+
+@pytest.fixture
+def oracle(robot_name, robot, urdf) -> Oracle:
+    return Oracle(urdf, robot, LOCKED.get(robot_name, {}))
+
+
+def test_the_whole_state_agrees(robot, oracle, random_states, agree):
+    bodies = [oracle.model.getFrameId(name, pin.FrameType.BODY) for name in robot.body_names]
+    for state, wxyz in random_states:
+        oracle.set(state, wxyz)
+        ours = reference.dynamics(robot, state)
+        pin.framesForwardKinematics(oracle.model, oracle.data, oracle.q)
+        poses = [oracle.data.oMf[body] for body in bodies]
+        agree("body positions", ours.body_positions, [pose.translation for pose in poses], TOLERANCE)
+        agree("body rotations", ours.body_rotations, [pose.rotation for pose in poses], TOLERANCE)
+        agree("CoM", ours.com_position, pin.centerOfMass(oracle.model, oracle.data, oracle.q), TOLERANCE)
+
+        momentum_matrix = oracle.mixed(pin.ccrba(oracle.model, oracle.data, oracle.q, oracle.velocity))
+        momentum, inertia = oracle.data.hg.vector, oracle.data.Ig.inertia
+        agree("momentum matrix, linear", ours.momentum_matrix[:3], momentum_matrix[:3], TOLERANCE)
+        agree("momentum matrix, angular", ours.momentum_matrix[3:], momentum_matrix[3:], TOLERANCE)
+        agree("momentum, linear", ours.momentum[:3], momentum[:3], TOLERANCE)
+        agree("momentum, angular", ours.momentum[3:], momentum[3:], TOLERANCE)
+        agree("centroidal inertia", ours.centroidal_inertia, inertia, TOLERANCE)
+
+        mass_matrix, bias = oracle.mass_matrix(), oracle.bias()
+        unit = 1 / np.sqrt(np.diag(mass_matrix))
+        scale = np.outer(unit, unit)
+        agree("mass matrix, every entry scaled", ours.mass_matrix * scale, mass_matrix * scale, TOLERANCE)
+        for name, rows in (("force", slice(3)), ("moment", slice(3, 6)), ("joints", slice(6, None))):
+            agree(f"bias, {name}", ours.bias[rows], bias[rows], TOLERANCE)
+
+
+def test_every_frame_jacobian_agrees(robot, oracle, random_states, agree):
+    frames = [frame.name for frame in oracle.model.frames if frame.type == pin.FrameType.BODY]
+    known = {*robot.body_names, *robot.aero_link_names}
+    frames = [frame for frame in frames if frame in known or frame.endswith("sole")]
+    ids = [oracle.model.getFrameId(frame, pin.FrameType.BODY) for frame in frames]
+    assert len(frames) >= len(robot.body_names)
+    for state, wxyz in random_states:
+        oracle.set(state, wxyz)
+        pin.computeJointJacobians(oracle.model, oracle.data, oracle.q)
+        for frame, index in zip(frames, ids, strict=True):
+            ours = reference.frame_jacobian(robot, frame, state)
+            theirs = oracle.mixed(pin.getFrameJacobian(oracle.model, oracle.data, index, WORLD_AXES))
+            agree("frame Jacobians, linear", ours.linear, theirs[:3], TOLERANCE)
+            agree("frame Jacobians, angular", ours.angular, theirs[3:], TOLERANCE)
+
+
+def test_forward_dynamics_agrees(robot, oracle, random_states, agree):
+    rng = np.random.default_rng(7)
+    for state, wxyz in random_states:
+        oracle.set(state, wxyz)
+        force = rng.normal(size=oracle.model.nv) * np.where(np.arange(oracle.model.nv) < 6, 200, 20)
+        ours, theirs = reference.forward_dynamics(robot, state, force), oracle.forward_dynamics(force)
+        agree("acceleration", ours, theirs, TOLERANCE)
+
+
+def test_without_the_acceleration_of_the_map_biases_differ(robot, oracle, random_states):
+    """The term matters: else the tests above would prove nothing about it."""
+    state, wxyz = next(iter(random_states))
+    oracle.set(state, wxyz)
+    agreeing = oracle.bias()
+    oracle.map_acceleration[:] = 0
+    assert np.max(np.abs(agreeing - oracle.bias())) > 1e-2 * np.max(np.abs(agreeing))
