@@ -40,6 +40,9 @@ use references::{Reference, ReferenceGenerator};
 use tasks::{MomentumQp, TaskInputs};
 use torque::{TorqueQp, limit_rate};
 
+/// Where the published integrator of the joint velocity error saturates \[rad\]; no flight comes near.
+const INTEGRAL_LIMIT: f64 = 20.0;
+
 /// What the controller is told at a tick.
 #[derive(Debug, Clone, Copy)]
 pub struct Measurement<'a> {
@@ -220,8 +223,8 @@ impl Controller {
             return self.refuse_measurement();
         }
         self.observe(measurement);
-        if self.references.is_none() {
-            self.start(measurement.state);
+        if self.references.is_none() && !self.start(measurement.state) {
+            return self.refuse_measurement();
         }
         if let Some(references) = &mut self.references {
             self.terms.reference = references.update(&self.envelope, measurement.time);
@@ -355,13 +358,24 @@ impl Controller {
                 _ => CommandStatus::TorqueHeld,
             };
         }
-        // Forward Euler: used first, advanced after.
-        self.memory.velocity_error_integral.axpy(self.time_step, &self.velocity_error, 1.0);
+        // Forward Euler: used first, advanced after. A tick without a commanded velocity has no error to
+        // remember, and one absurd sample must not outlive its tick.
+        if self.command.momentum_qp.status == QpStatus::Solved {
+            let integral = self.memory.velocity_error_integral.iter_mut();
+            for (integral, error) in integral.zip(&self.velocity_error) {
+                *integral = (*integral + self.time_step * error).clamp(-INTEGRAL_LIMIT, INTEGRAL_LIMIT);
+            }
+        }
     }
 
-    /// Remembers where the flight starts.
-    fn start(&mut self, state: &RobotState) {
+    /// Remembers where the flight starts; `false` if its inertia or centre of mass overflow.
+    fn start(&mut self, state: &RobotState) -> bool {
         let rotation = &state.base.rotation;
+        let inertia = rotation.transpose() * self.terms.dynamics.centroidal_inertia * rotation;
+        let com = &self.terms.kinematics.com;
+        if inertia.try_inverse().is_none() || !inertia.iter().chain(com).all(|x| x.is_finite()) {
+            return false;
+        }
         let generator = ReferenceGenerator::new(
             &self.config.references,
             self.time_step,
@@ -370,11 +384,13 @@ impl Controller {
         );
         self.references = Some(generator.with_recording(self.recording.take()));
         self.memory.posture.copy_from(&state.joint_position);
-        self.memory.inertia_0_b = rotation.transpose() * self.terms.dynamics.centroidal_inertia * rotation;
+        self.memory.inertia_0_b = inertia;
+        true
     }
 
     fn accepts(&self, measurement: &Measurement) -> bool {
         measurement.state.n_joints() == self.robot.joints.len()
+            && measurement.state.velocity.len() == 6 + self.robot.joints.len()
             && measurement.thrust.len() == self.robot.jets.len()
             && measurement.state.is_finite()
             && measurement.thrust.iter().all(|thrust| thrust.is_finite())
@@ -431,6 +447,15 @@ impl Controller {
                     length,
                     format!("{joints}, one entry per joint"),
                 ));
+            }
+        }
+        for (item, values) in [
+            ("posture", memory.posture.as_slice()),
+            ("inertia_0_b", memory.inertia_0_b.as_slice()),
+            ("velocity_error_integral", memory.velocity_error_integral.as_slice()),
+        ] {
+            for value in values {
+                check(&format!("controller memory {item}"), *value, |_| true, "finite numbers")?;
             }
         }
         if memory.inertia_0_b.try_inverse().is_none() {

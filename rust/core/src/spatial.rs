@@ -86,10 +86,15 @@ pub fn rotation_from_rpy(rpy: &Vector3<f64>) -> Matrix3<f64> {
     Rotation3::from_euler_angles(rpy.x, rpy.y, rpy.z).into_inner()
 }
 
-/// Inverse of [`rotation_from_rpy`], pitch in `[−π/2, π/2]`.
+/// Inverse of [`rotation_from_rpy`], pitch in `[−π/2, π/2]`. At gimbal lock (pitch ±π/2) only the sum
+/// or difference of roll and yaw is defined; roll is then zero.
 #[must_use]
 pub fn rpy_from_rotation(r: &Matrix3<f64>) -> Vector3<f64> {
-    let pitch = (-r.m31).atan2(r.m11.hypot(r.m21));
+    let cos_pitch = r.m11.hypot(r.m21);
+    let pitch = (-r.m31).atan2(cos_pitch);
+    if cos_pitch < 1e-12 {
+        return Vector3::new(0.0, pitch, (-r.m12).atan2(r.m22));
+    }
     Vector3::new(r.m32.atan2(r.m33), pitch, r.m21.atan2(r.m11))
 }
 

@@ -510,8 +510,9 @@ fn lambda_is_the_derivative_of_the_momentum_rate() {
         let difference = (estimate(STEP) - estimate(-STEP)) / (2.0 * STEP);
         told.tell(&mut controller);
         let lambda = &controller.terms().momentum.lambda * &told.state.velocity;
-        let error = (&lambda - difference).amax();
-        assert!(error < 1e-6 * lambda.amax(), "pass {pass}: {error:e} of {}", lambda.amax());
+        let size = lambda.amax();
+        let error = (lambda - difference).amax();
+        assert!(error < 1e-6 * size, "pass {pass}: {error:e} of {size}");
     }
 }
 

@@ -243,7 +243,8 @@ impl Summary {
             tilted += if *angle > TILTED { 1.0 } else { 0.0 };
         }
         let tick = data("time").get(1).copied().unwrap_or(0.0);
-        let aero = aero_force_extremes(data("aero_force_sim"), data("aero_force_control"), data("time").len());
+        let aero =
+            aero_force_extremes(data("aero_force_sim"), data("aero_force_control"), data("time").len());
         let joints = log.joint_reference.len().max(1);
         let joint_errors = data("joint_position").chunks_exact(joints).map(|positions| {
             positions.iter().zip(&log.joint_reference).map(|(s, s_d)| (s - s_d).abs()).sum()

@@ -185,7 +185,8 @@ fn read_samples(path: &Path) -> Result<Vec<(f64, Vector3<f64>)>, BuildError> {
     }
     let mut samples: Vec<(f64, Vector3<f64>)> = Vec::new();
     for (number, line) in lines {
-        let fields: Vec<f64> = line.split(',').map_while(|field| field.trim().parse().ok()).collect();
+        let fields: Result<Vec<f64>, _> = line.split(',').map(|field| field.trim().parse()).collect();
+        let fields = fields.unwrap_or_default();
         let [time, x, y, z] = fields[..] else {
             return Err(BuildError::bad_value(place(number), line, "four numbers time,x,y,z"));
         };
