@@ -1,0 +1,65 @@
+"""The attitude task: the angular momentum that turns the base onto its reference.
+
+Everything is in body coordinates. With `R` the base rotation, `w = Rᵀ ω_B`, `I₀` the centroidal inertia in body axes
+*at the first tick* (held constant):
+
+```text
+k = I₀ w,   k̇ = Rᵀ L̇_ang − w × k,   E = R_dᵀ R,   e = sk(E)^∨,   ė = sk(E S(w) − S(ω_d) E)^∨
+k̈* = I₀ ω̈_d − ė − (1 + c₀ I₀⁻¹)(k̇ − I₀ ω̇_d) − c₀ I₀⁻¹ e − c₁ I₀⁻¹ (k − I₀ ω_d)
+σ  = R ( w × (w × k) + 2 w × k̇ + (I₀⁻¹ k̇) × k )
+```
+
+The task asks `Rᵀ (L̈_ang − σ) = k̈*`. There is no integral action: a constant moment `d` that the controller does not
+know of settles at `e = (1 + I₀/c₀) d`. Source: closed-loop equations 4.3.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from jax_aero.config import MomentumGains
+from jax_aero.spatial import cross, multiply, rotate, rotate_back, skew, vee_of_skew_part
+from jax_aero.types import Array, Reference
+
+
+class AttitudeDemand(NamedTuple):
+    """What the attitude task asks for."""
+
+    k_ddot_desired: Array
+    """(3,) desired second derivative of the body angular momentum, `k̈*` [N m/s, body axes]."""
+    sigma: Array
+    """(3,) gyroscopic terms between `L̈` and `k̈`, `σ` [N m/s, inertial axes]."""
+
+
+def attitude_demand(
+    gains: MomentumGains,
+    reference: Reference,
+    rotation: Array,
+    angular_velocity: Array,
+    moment_estimate: Array,
+    inertia_0: Array,
+) -> AttitudeDemand:
+    """Evaluate the attitude law; `inertia_0` (3, 3) is `I₀`, velocity and moment are in inertial axes."""
+    c0, c1 = gains.c0, gains.c1
+    i0, i0_inv = inertia_0, inverse(inertia_0)
+    w, w_d = rotate_back(rotation, angular_velocity), reference.angular_velocity
+
+    k = rotate(i0, w)
+    k_dot = rotate_back(rotation, moment_estimate) - cross(w, k)
+    error = multiply(reference.rotation.T, rotation)
+    e = vee_of_skew_part(error)
+    e_dot = vee_of_skew_part(multiply(error, skew(w)) - multiply(skew(w_d), error))
+
+    k_dot_error = k_dot - rotate(i0, reference.angular_acceleration)
+    through_inertia = c0 * (k_dot_error + e) + c1 * (k - rotate(i0, w_d))
+    k_ddot_desired = rotate(i0, reference.angular_jerk) - e_dot - k_dot_error - rotate(i0_inv, through_inertia)
+    sigma_b = cross(w, cross(w, k) + 2.0 * k_dot) + cross(rotate(i0_inv, k_dot), k)
+    return AttitudeDemand(k_ddot_desired, rotate(rotation, sigma_b))
+
+
+def inverse(a: Array) -> Array:
+    """Inverse of a 3×3 matrix: its columns are `b × c / (a · b × c)` for the rows a, b, c and their rotations."""
+    columns = cross(jnp.roll(a, -1, axis=0), jnp.roll(a, -2, axis=0))
+    return columns.T / jnp.sum(a[0] * columns[0])

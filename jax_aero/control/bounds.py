@@ -1,0 +1,21 @@
+"""Bounds of the momentum QP that keep thrusts and joints inside their own limits."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+
+from jax_aero.types import Array
+
+
+def rate_bounds(value: Array, lower: Array, upper: Array, rate_max: Array, steepness: Array) -> tuple[Array, Array]:
+    """Bounds on the rate of a value that has limits itself.
+
+    ```text
+    −r tanh(ε (x − x_min)) ≤ ẋ ≤ r tanh(ε (x_max − x))
+    ```
+
+    Far from the limits this is ±r; at a limit the rate towards it must vanish; beyond a limit the bound changes sign
+    and demands a way back. `lower ≤ upper` holds for every x, since `tanh a + tanh b` has the sign of
+    `a + b = ε (x_max − x_min) ≥ 0`. Source: closed-loop equations 4.4.
+    """
+    return -rate_max * jnp.tanh(steepness * (value - lower)), rate_max * jnp.tanh(steepness * (upper - value))

@@ -1,0 +1,141 @@
+"""How thrusts and joint motion change the centroidal momentum.
+
+```text
+L̇ = A_T T + Σ_j (f_j, r_j × f_j) − m g e₃                     estimated momentum rate
+L̈ = A_T Ṫ + (Λ_T + Λ_a) ν                                     what the controller shapes
+```
+
+with `r` the arm from the centre of mass. Source: paper, Methods, "Flight Control Design".
+
+A column of `Λ` is the change of all forces while one joint turns at unit speed. It needs no Jacobian: only the sums of
+forces and moments over what the joint carries, which are one product with the static matrix of ancestors.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jax_aero.aero import wrench_about
+from jax_aero.kinematics import frame_poses
+from jax_aero.robot import RobotModel
+from jax_aero.spatial import cross, rotate, skew
+from jax_aero.types import Array, Dynamics, Kinematics, LinkForces
+
+
+class MomentumModel(NamedTuple):
+    """Terms of the momentum rate and of its derivative; `j` jets."""
+
+    jet_axes: Array
+    """(j, 3) unit thrust directions `a_i`."""
+    jet_points: Array
+    """(j, 3) thrust points [m]."""
+    a_t: Array
+    """(6, j) `A_T = (a_i ; r_i × a_i)`."""
+    lambda_t: Array
+    """(6, N) `Λ_T`: momentum acceleration per unit of ν due to turning and moving thrusts."""
+    lambda_a: Array
+    """(6, N) `Λ_a`: the same due to moving aerodynamic forces, their own change neglected."""
+    rate_estimate: Array
+    """(6,) `L̇` [N, N m]."""
+
+    @property
+    def lambda_(self) -> Array:
+        """`Λ = Λ_T + Λ_a` (6, N)."""
+        return self.lambda_t + self.lambda_a
+
+
+def momentum_model(
+    robot: RobotModel,
+    kin: Kinematics,
+    dyn: Dynamics,
+    thrust: Array,
+    link: LinkForces,
+    *,
+    rate_feedback: bool = True,
+    lambda_feedback: bool = True,
+) -> MomentumModel:
+    """Evaluate all terms; the switches say whether link forces enter the momentum rate and its derivative."""
+    jets = robot.jets
+    rotations, points = frame_poses(kin, jets.bodies, jets.rotations, jets.positions)
+    axes = rotate(rotations, jets.axes)
+    a_t = jnp.concatenate([axes, cross(points - kin.com, axes)], axis=1).T
+
+    com_jacobian = dyn.momentum_matrix[:3] / robot.masses.sum()
+    lambda_t = _lambda_t(robot, kin, com_jacobian, points, thrust[:, None] * axes)
+    lambda_a = jnp.zeros_like(lambda_t)
+    if lambda_feedback:
+        lambda_a = _lambda_a(robot, kin, com_jacobian, link)
+
+    rate_estimate = jnp.sum(a_t * thrust, axis=1)
+    if rate_feedback:
+        rate_estimate = rate_estimate + wrench_about(link, kin.com)
+    rate_estimate = rate_estimate.at[2].add(-robot.masses.sum() * robot.gravity)
+    return MomentumModel(axes, points, a_t, lambda_t, lambda_a, rate_estimate)
+
+
+def _lambda_t(robot: RobotModel, kin: Kinematics, com_jacobian: Array, points: Array, forces: Array) -> Array:
+    """Thrusts `f_i = T_i a_i` turn with what carries them.
+
+    ```text
+    Λ_T = −Σ_i ( (0 ; S(f_i)) (J_i^v − J_G) + (I ; S(r_i)) S(f_i) J_i^ω )
+    ```
+
+    What joint k carries has the wrench (F, M) about the joint's origin o. Turning about the axis a it becomes
+    `(F + a × F, M + a × M)`, which about the centre of mass c changes by `(a × F ; a × M + (o − c) × (a × F))`.
+    """
+    base = kin.body_positions[0]
+    moments = cross(points - base, forces)
+    total, total_moment = forces.sum(0), moments.sum(0)
+    carried = _moves(robot, robot.jets.bodies, forces).T @ jnp.concatenate([forces, moments], axis=1)
+    force, moment_about_base = carried[:, :3], carried[:, 3:]
+    origins = kin.body_positions[1:]
+    moment = moment_about_base - cross(origins - base, force)
+
+    axes = jnp.concatenate([jnp.eye(3, dtype=force.dtype), kin.joint_axes])
+    force = jnp.concatenate([jnp.broadcast_to(total, (3, 3)), force])
+    moment = jnp.concatenate([jnp.broadcast_to(total_moment, (3, 3)), moment])
+    arms = jnp.concatenate([jnp.broadcast_to(base, (3, 3)), origins]) - kin.com
+    turned = cross(axes, force)
+    turning = jnp.concatenate([turned, cross(axes, moment) + cross(arms, turned)], axis=1).T
+    shifting = jnp.concatenate([jnp.zeros((3, 3), force.dtype), -skew(total)])  # base translation moves the points
+    return jnp.concatenate([shifting, turning], axis=1) + _com_motion(total, com_jacobian)
+
+
+def _lambda_a(robot: RobotModel, kin: Kinematics, com_jacobian: Array, link: LinkForces) -> Array:
+    """Aerodynamic forces keep their direction while their points move.
+
+    ```text
+    Λ_a = (0 ; −Σ_j S(f_j) (J_j − J_G))
+    ```
+
+    A joint with axis a at o moves a point p by `a × d`, d = p − o, and `(a × d) × f = d (a·f) − a (d·f)`; summed over
+    what the joint carries this takes `P = Σ d fᵀ` alone: `P a − a tr P`.
+    """
+    base = kin.body_positions[0]
+    arms = link.jacobian_points - base
+    products = (arms[:, :, None] * link.forces[:, None, :]).reshape(-1, 9)
+    sums = jnp.concatenate([link.forces, products], axis=1)
+    carried = _moves(robot, robot.aero_links.bodies, sums).T @ sums
+    force, about_base = carried[:, :3], carried[:, 3:].reshape(-1, 3, 3)
+    origins = kin.body_positions[1:] - base
+    p = about_base - origins[:, :, None] * force[:, None, :]
+
+    axes = jnp.concatenate([jnp.eye(3, dtype=force.dtype), kin.joint_axes])
+    total, total_p = link.forces.sum(0), sums[:, 3:].sum(0).reshape(3, 3)
+    p = jnp.concatenate([jnp.broadcast_to(total_p, (3, 3, 3)), p])
+    moving = (rotate(p, axes) - axes * jnp.trace(p, axis1=1, axis2=2)[:, None]).T
+    moment = jnp.concatenate([-skew(total), moving], axis=1)
+    return jnp.concatenate([jnp.zeros_like(moment), moment]) + _com_motion(total, com_jacobian)
+
+
+def _com_motion(total_force: Array, com_jacobian: Array) -> Array:
+    """Part `(0 ; Σ S(f) J_G)` that all forces share: arms shorten when the centre of mass follows."""
+    return jnp.concatenate([jnp.zeros_like(com_jacobian), cross(total_force, com_jacobian.T).T])
+
+
+def _moves(robot: RobotModel, bodies: tuple[int, ...], like: Array) -> Array:
+    """(k, n) static mask: whether joint `j` moves the body of point `k`."""
+    return jnp.asarray(robot.ancestors[np.array(bodies, dtype=int)], like.dtype)

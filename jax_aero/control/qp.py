@@ -1,0 +1,299 @@
+"""The box-constrained quadratic program of both controllers: solution, certificate, derivative.
+
+```text
+minimise  ½ xᵀ H x + gᵀ x   subject to   lower ≤ x ≤ upper,     H symmetric positive definite
+```
+
+One problem in, one answer out; `vmap` at the call site. The method is a monotone primal active set, started from the
+working set of the tick before: calm flight needs one pass, a saturated problem about a third of a pass for each
+variable. A pass is a fixed set of dense operations, so a batch takes it together; on a CPU the problems that need
+more passes are gathered, so that a batch does not wait for its worst.
+
+Derivative: the active set does not move under a small change of the data, so `x` solves a linear system there
+(implicit function theorem), in both modes and to any order. Where that is not so, see `solve`.
+
+float64 is needed for an answer to 1e-9: the flight's `H` has a condition number of about 2e8.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from jax_aero.linalg import cholesky, dot, in_chunks, solve_factored, solve_positive_definite, with_batch_rule
+from jax_aero.types import Array
+
+Dtype: TypeAlias = np.dtype[Any] | type[np.floating[Any]]
+
+PASSES_PER_VARIABLE = 10
+"""Passes allowed per variable, as in the Rust crate; flight problems have needed less than one."""
+
+SOLVED, ITERATION_LIMIT, NOT_POSITIVE_DEFINITE, INFEASIBLE_BOUNDS, NON_FINITE, INACCURATE = range(6)
+"""Status codes, those of the Rust crate's `QpStatus`."""
+
+
+class BoxQp(NamedTuple):
+    """Data of one problem in n variables."""
+
+    h: Array
+    """Hessian (n, n), taken to be exactly symmetric."""
+    g: Array
+    """Linear term (n,)."""
+    lower: Array
+    """Lower bounds (n,); -inf where there is none."""
+    upper: Array
+    """Upper bounds (n,); may equal the lower one, which fixes the variable."""
+
+
+class WarmStart(NamedTuple):
+    """Where a solve begins: the answer of the last one."""
+
+    x: Array
+    """Point (n,); need not be feasible."""
+    side: Array
+    """Working set (n,), int8: -1 held at the lower bound, 1 at the upper, 0 free."""
+
+
+class QpAnswer(NamedTuple):
+    """A minimiser and how far it is to be believed."""
+
+    x: Array
+    """The minimiser (n,), inside the bounds."""
+    side: Array
+    """Its working set (n,), int8, as in `WarmStart`."""
+    kkt: Array
+    """`kkt_residual` of x."""
+    status: Array
+    """Status code, int32; 0 is solved."""
+    iterations: Array
+    """Factorisations, int32."""
+
+    @property
+    def warm_start(self) -> WarmStart:
+        """Where the next solve should begin."""
+        return WarmStart(self.x, self.side)
+
+
+def cold_start(n: int, dtype: Dtype) -> WarmStart:
+    """Begin at zero, nothing held."""
+    return WarmStart(jnp.zeros(n, dtype), jnp.zeros(n, jnp.int8))
+
+
+def kkt_tolerance(dtype: Dtype) -> float:
+    """Largest `kkt_residual` of an answer that may call itself solved: 1e-9 in float64, 1e-5 in float32."""
+    return 1e-9 if np.finfo(dtype).bits == 64 else 1e-5
+
+
+def kkt_residual(qp: BoxQp, x: Array) -> Array:
+    """How far `x` is from satisfying the optimality conditions, without units.
+
+    ```text
+    y_i = √H_ii x_i,   q_i = (H x + g)_i / √H_ii
+    kkt = max_i | y_i − clamp(y_i − q_i, √H_ii lower_i, √H_ii upper_i) |  /  max(1, |g/√H_ii|_∞, |y|_∞)
+    ```
+
+    Zero exactly at the minimiser. NaN for data that are not finite and for a diagonal that is not positive.
+    """
+    root = jnp.sqrt(jnp.diagonal(qp.h))
+    y, q, g = root * x, (dot(qp.h, x) + qp.g) / root, qp.g / root
+    gap = y - jnp.clip(y - q, root * qp.lower, root * qp.upper)
+    residual = _max_abs(gap) / jnp.maximum(1.0, jnp.maximum(_max_abs(g), _max_abs(y)))
+    # Minimum and maximum may drop NaN, so it is looked for separately.
+    finite = jnp.all(jnp.isfinite(q) & jnp.isfinite(y) & ~jnp.isnan(qp.lower) & ~jnp.isnan(qp.upper))
+    return jnp.where(finite, residual, jnp.nan)
+
+
+def solve(qp: BoxQp, start: WarmStart | None = None) -> QpAnswer:
+    """Minimiser of `qp`; differentiable in all its data.
+
+    Derivative: `H_FF dx_F = −(dg + dH x + H dx_held)_F` over the free variables F, and a held variable moves with
+    its bound; a fixed one (lower = upper) with the bound that its gradient presses it against. A variable that
+    touches a bound without pressing on it (degenerate, multiplier zero) counts as held: of the two one-sided
+    derivatives this is the one of the side on which the bound acts. Status, residual and starting point have no
+    derivative; an answer that is not solved has derivative zero.
+    """
+    if start is None:
+        start = cold_start(qp.g.shape[0], qp.g.dtype)
+    x, side, status, iterations = _minimise(qp, jax.tree.map(lax.stop_gradient, start))
+    kkt = kkt_residual(*jax.tree.map(lax.stop_gradient, (qp, x)))
+    kkt = jnp.where(status == INFEASIBLE_BOUNDS, jnp.nan, kkt)
+    return QpAnswer(x, side, kkt, status, iterations)
+
+
+@jax.custom_jvp
+def _minimise(qp: BoxQp, start: WarmStart) -> tuple[Array, Array, Array, Array]:
+    """Return x, side, status, iterations."""
+    scale = _jacobi_scale(qp.h)
+    scaled = BoxQp(qp.h * scale[:, None] * scale, qp.g * scale, qp.lower / scale, qp.upper / scale)
+    fault = _fault(scaled)
+    search = _begin(scaled, WarmStart(start.x / scale, start.side), fault)
+    search = _active_set(scaled, search)
+    x = jnp.where(fault == ITERATION_LIMIT, jnp.clip(search.y * scale, qp.lower, qp.upper), start.x)
+    kkt = kkt_residual(qp, x)
+    accepted = kkt <= kkt_tolerance(x.dtype)
+    status = jnp.where((search.status == SOLVED) & ~accepted, INACCURATE, search.status)
+    return x, search.side, status, search.iterations
+
+
+@_minimise.defjvp
+def _minimise_jvp(primals, tangents):  # type: ignore[no-untyped-def]
+    (qp, start), (d_qp, _) = primals, tangents
+    out = _minimise(qp, start)
+    x, side, status, iterations = out
+    pressed_up = dot(qp.h, x) + qp.g < 0
+    at_upper = jnp.where(qp.lower == qp.upper, pressed_up, x >= qp.upper)
+    free = (x > qp.lower) & (x < qp.upper) & (status == SOLVED)
+    d_bound = jnp.where(status == SOLVED, jnp.where(at_upper, d_qp.upper, d_qp.lower), 0.0)
+    d_held = jnp.where(free, 0.0, d_bound)
+    right = jnp.where(free, -(d_qp.g + dot(d_qp.h, x) + dot(qp.h, d_held)), 0.0)
+    # Scaling by the diagonal keeps the factor as accurate as the solution's own.
+    scale = jnp.where(free, lax.rsqrt(jnp.where(free, jnp.diagonal(qp.h), 1.0)), 1.0)
+    reduced = _reduced(qp.h * scale[:, None] * scale, free)
+    d_x = d_held + scale * solve_positive_definite(reduced, (scale * right)[:, None])[:, 0]
+    none = partial(np.zeros, dtype=jax.dtypes.float0)
+    return out, (d_x, none(side.shape), none(status.shape), none(iterations.shape))
+
+
+# --- the problem with its diagonal near one -----------------------------------------------------------------------
+
+
+def _jacobi_scale(h: Array) -> Array:
+    """`s_i ≈ 1/√H_ii`, rounded to a power of two so that scaling itself rounds nothing."""
+    diagonal = jnp.diagonal(h)
+    sound = jnp.isfinite(diagonal) & (diagonal > 0)
+    _, exponent = jnp.frexp(jnp.where(sound, diagonal, 1.0))
+    return jnp.ldexp(jnp.ones_like(diagonal), -(exponent // 2))
+
+
+def _fault(qp: BoxQp) -> Array:
+    """Status of data that cannot be solved; `ITERATION_LIMIT`, the status of a search under way, where they can."""
+    finite = jnp.all(jnp.isfinite(qp.h)) & jnp.all(jnp.isfinite(qp.g))
+    finite &= ~jnp.any(jnp.isnan(qp.lower) | jnp.isnan(qp.upper))
+    feasible = jnp.all((qp.lower <= qp.upper) & (qp.lower < jnp.inf) & (qp.upper > -jnp.inf))
+    status = jnp.where(jnp.all(jnp.diagonal(qp.h) > 0), ITERATION_LIMIT, NOT_POSITIVE_DEFINITE)
+    status = jnp.where(feasible, status, INFEASIBLE_BOUNDS)
+    return jnp.where(finite, status, NON_FINITE)
+
+
+def _reduced(h: Array, free: Array) -> Array:
+    """H on the free rows and columns, the identity elsewhere."""
+    return jnp.where(free[:, None] & free, h, jnp.eye(h.shape[0], dtype=h.dtype))
+
+
+# --- active set ---------------------------------------------------------------------------------------------------
+
+
+class _Search(NamedTuple):
+    y: Array
+    side: Array
+    status: Array
+    iterations: Array
+
+
+def _begin(qp: BoxQp, start: WarmStart, status: Array) -> _Search:
+    """Put `start` inside the bounds; a side without a finite bound is let go."""
+    side = jnp.where(qp.lower >= qp.upper, -1, start.side)
+    at_lower, at_upper = (side < 0) & jnp.isfinite(qp.lower), (side > 0) & jnp.isfinite(qp.upper)
+    inside = jnp.clip(jnp.where(jnp.isfinite(start.x), start.x, 0.0), qp.lower, qp.upper)
+    y = jnp.where(at_lower, qp.lower, jnp.where(at_upper, qp.upper, inside))
+    side = at_upper.astype(jnp.int8) - at_lower.astype(jnp.int8)
+    return _Search(y, side, status.astype(jnp.int32), jnp.zeros((), jnp.int32))
+
+
+def _under_way(search: _Search) -> Array:
+    return (search.status == ITERATION_LIMIT) & (search.iterations < PASSES_PER_VARIABLE * search.y.shape[-1])
+
+
+def _search_up_to(limit: Array | float, qp: BoxQp, search: _Search) -> _Search:
+    """Pass after pass until the search has ended or, in all, `limit` passes were taken."""
+
+    def goes_on(search: _Search) -> Array:
+        return _under_way(search) & (search.iterations < limit)
+
+    end: _Search = lax.while_loop(goes_on, partial(_pass, qp), search)
+    return end
+
+
+def _search_one(qp: BoxQp, search: _Search) -> _Search:
+    return _search_up_to(jnp.inf, qp, search)
+
+
+def _search_batch(qp: BoxQp, search: _Search) -> _Search:
+    """Search for all; on a CPU one pass for everyone, then the rest only for those that need it."""
+
+    def chunks(qp: BoxQp, search: _Search) -> _Search:
+        def one_round(index: Array, search: _Search) -> _Search:
+            limit = jnp.where(index == 0, 1.0, jnp.inf)
+            pending = _under_way(search)
+            ended: _Search = in_chunks(
+                partial(_search_up_to, limit), (qp,), search, jnp.argsort(~pending), jnp.sum(pending)
+            )
+            return ended
+
+        rounds: _Search = lax.fori_loop(0, 2, one_round, search)
+        return rounds
+
+    found: _Search = lax.platform_dependent(qp, search, cpu=chunks, default=jax.vmap(_search_one))
+    return found
+
+
+_active_set = with_batch_rule(_search_one, _search_batch)
+
+
+def _pass(qp: BoxQp, search: _Search) -> _Search:
+    """One pass of the active set.
+
+    Takes the Newton step of the free variables. Where all of it fits inside the bounds, the point is the minimiser
+    of its working set, and bounds that only hold it back are let go. Else the step is followed, bent at the bounds,
+    to the corner where the objective is lowest, and the variables that met their bound on the way are held. The
+    objective falls from one such minimiser to the next, so no working set returns.
+    """
+    y, side = search.y, search.side
+    free = side == 0
+    factor = cholesky(_reduced(qp.h, free))
+
+    def newton(gradient: Array) -> Array:
+        return jnp.where(free, -solve_factored(factor, jnp.where(free, gradient, 0.0)[:, None])[:, 0], 0.0)
+
+    gradient = dot(qp.h, y) + qp.g
+    step = newton(gradient)
+    moves = step != 0
+    meets = jnp.where(moves, (jnp.where(step > 0, qp.upper, qp.lower) - y) / jnp.where(moves, step, 1.0), jnp.inf)
+    fits = jnp.min(meets) >= 1
+
+    # The whole step, refined once with the same factor, and what it lets go.
+    whole = jnp.clip(y + step, qp.lower, qp.upper)
+    whole = jnp.clip(whole + newton(dot(qp.h, whole) + qp.g), qp.lower, qp.upper)
+    slope = dot(qp.h, whole) + qp.g
+    rounding = slope.shape[0] * np.finfo(slope.dtype).eps * jnp.maximum(_max_abs(qp.g), _max_abs(whole))
+    released = ((side < 0) & (slope < -rounding) | (side > 0) & (slope > rounding)) & (qp.lower < qp.upper)
+
+    # The bent step: one corner for every variable, no further than the whole step.
+    t = jnp.minimum(meets, 1.0)
+    offsets = jnp.clip(y + t[:, None] * step, qp.lower, qp.upper) - y
+    objective = dot(offsets, gradient) + 0.5 * jnp.sum(dot(offsets, qp.h) * offsets, axis=1)
+    # A bound met at once (t = 0, degenerate) leaves the objective as it is, but is held from here on.
+    corner = jnp.argmin(jnp.where(meets <= 1, objective, jnp.inf))
+    t_corner = t[corner]
+    met = moves & (meets <= t_corner)
+    bent = jnp.where(met, jnp.where(step > 0, qp.upper, qp.lower), y + t_corner * step)
+    bent_side = jnp.where(met, jnp.sign(step), side).astype(jnp.int8)
+
+    finished = fits & ~jnp.any(released)
+    status = jnp.where(finished, SOLVED, ITERATION_LIMIT)
+    status = jnp.where(jnp.all(jnp.isfinite(step)), status, NOT_POSITIVE_DEFINITE)
+    return _Search(
+        y=jnp.where(fits, whole, jnp.clip(bent, qp.lower, qp.upper)),
+        side=jnp.where(fits, jnp.where(released, 0, side).astype(jnp.int8), bent_side),
+        status=status.astype(jnp.int32),
+        iterations=search.iterations + 1,
+    )
+
+
+def _max_abs(x: Array) -> Array:
+    return jnp.max(jnp.abs(x))

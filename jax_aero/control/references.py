@@ -1,0 +1,255 @@
+"""From autopilot commands to smooth references for centre of mass, attitude and their derivatives.
+
+`start`, then `update` once a tick: a pure state that `lax.scan` carries. Everything is float arithmetic of the
+configuration's numbers but the turbo counter, so references can be differentiated by steps, gains and smoothing times.
+
+Source: the published flight-control library; `docs/equations.md`, rows "references".
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from jax_aero.config import EnvelopeConfig, ReferenceConfig
+from jax_aero.spatial import multiply, project_to_so3, rotation_from_rpy, skew, vee_of_skew_part
+from jax_aero.types import Array, Reference
+
+# --- autopilot ----------------------------------------------------------------------------------------------------
+
+
+class AutopilotCommand(NamedTuple):
+    """What the autopilot asks for in one tick: -1, 0 or 1 in the sense of the robot's base axes."""
+
+    forward: Array
+    """Along base x, which points backwards: forwards is -1."""
+    vertical: Array
+    pitch: Array
+    yaw: Array
+    turbo: Array
+    """Whether the forward step may grow, bool."""
+
+
+def autopilot_command(envelope: EnvelopeConfig, time: Array) -> AutopilotCommand:
+    """Return the command at `time` [s]. Intervals are open."""
+    time = jnp.asarray(time)
+    # A tick on an end of an interval is outside; the margin keeps rounding of k · 0.01 from moving it inside.
+    margin = jnp.maximum(1e-9, 4.0 * float(np.finfo(time.dtype).eps) * jnp.abs(time))
+
+    def active(intervals: Array) -> Array:
+        return jnp.any((time > intervals[:, 0] + margin) & (time < intervals[:, 1] - margin))
+
+    def one(intervals: Array) -> Array:
+        return active(intervals).astype(time.dtype)
+
+    turbo = active(envelope.forward_turbo)
+    return AutopilotCommand(
+        forward=-(turbo | active(envelope.forward)).astype(time.dtype),
+        vertical=one(envelope.up) - one(envelope.down),
+        pitch=one(envelope.pitch_up),
+        yaw=one(envelope.yaw_left),
+        turbo=turbo,
+    )
+
+
+# --- minimum-jerk filter ------------------------------------------------------------------------------------------
+
+# Coefficients of the linear minimum-jerk trajectory generator of the iCub control library; the denominator has one
+# real pole of multiplicity three at -5.3223/T.
+_A, _B, _C = 150.765868956161, 84.9812819469538, 15.9669610709384
+
+
+class FilterGains(NamedTuple):
+    """A minimum-jerk filter at a fixed tick."""
+
+    transition: Array
+    """(3, 3)"""
+    input_gain: Array
+    """(3,)"""
+
+
+class FilterState(NamedTuple):
+    """Value, first and second derivative (3 derivatives, 3 axes), and the input of the tick before (3,)."""
+
+    derivatives: Array
+    previous_input: Array
+
+
+def filter_gains(smoothing_time: Array, time_step: Array) -> FilterGains:
+    """Discretise `H(s) = (A/T³) / (s³ + (C/T) s² + (B/T²) s + A/T³)` by the bilinear transform (Tustin).
+
+    ```text
+    ẋ = F x + e₃ (A/T³) u,   F = ((0 1 0), (0 0 1), (−A/T³ −B/T² −C/T))
+    x⁺ = (1 − hF/2)⁻¹ ((1 + hF/2) x + e₃ (h/2)(A/T³) (u + u⁺))
+    ```
+
+    The inverse is written out: T = 5 ms makes entries of 1e6, which elimination would spoil in float32.
+    """
+    half = 0.5 * time_step
+    a, b, c = _A / smoothing_time**3, _B / smoothing_time**2, _C / smoothing_time
+    one = jnp.ones_like(a * half)
+    adjugate = jnp.array(
+        [
+            [one + half * (c + half * b), half * (1.0 + half * c), half * half],
+            [-a * half * half, one + half * c, half],
+            [-a * half, -half * (b + half * a), one],
+        ]
+    )
+    inverse = adjugate / (1.0 + half * (c + half * (b + half * a)))
+    return FilterGains(2.0 * inverse - jnp.eye(3, dtype=inverse.dtype), half * a * inverse[:, 2])
+
+
+def filter_start(initial: Array) -> FilterState:
+    """At rest at `initial` (3,)."""
+    return FilterState(jnp.zeros((3, 3), initial.dtype).at[0].set(initial), initial)
+
+
+def filter_update(gains: FilterGains, state: FilterState, value: Array) -> FilterState:
+    """Take the input (3,) of this tick; the result holds the outputs of this tick."""
+    drive = gains.input_gain[:, None] * (state.previous_input + value)
+    return FilterState(multiply(gains.transition, state.derivatives) + drive, value)
+
+
+# --- generator ----------------------------------------------------------------------------------------------------
+
+
+class ReferenceParams(NamedTuple):
+    """Steps, limits and filters of the generator, ready for use at one tick."""
+
+    step_position: Array
+    """(2,) forward and vertical [m]."""
+    step_attitude: Array
+    """(2,) pitch and yaw [rad]."""
+    pitch_limits: Array
+    """(2,) [rad]."""
+    turbo_boost: Array
+    turbo_ramp: Array
+    attitude_gain: Array
+    """[1/s]"""
+    position_filter: FilterGains
+    jerk_filter: FilterGains
+    angular_velocity_filter: FilterGains
+    time_step: Array
+    """[s]"""
+
+
+class ReferenceState(NamedTuple):
+    """What the generator remembers between ticks."""
+
+    raw_position: Array
+    """(3,) position of the centre of mass before smoothing [m]."""
+    raw_rpy: Array
+    """(3,) roll, pitch, yaw of the base before smoothing [rad]."""
+    turbo_ticks: Array
+    """Ticks' worth of turbo built up, int32."""
+    position: FilterState
+    acceleration: FilterState
+    """Filter of the acceleration, whose rate is the jerk."""
+    angular_velocity: FilterState
+    rotation: Array
+    """(3, 3) smoothed attitude of the next tick."""
+
+
+def reference_params(config: ReferenceConfig, time_step: Array) -> ReferenceParams:
+    """Work out the generator's numbers for a tick of `time_step` [s]."""
+    return ReferenceParams(
+        step_position=config.step_position,
+        step_attitude=jnp.deg2rad(config.step_attitude_deg),
+        pitch_limits=jnp.deg2rad(config.pitch_limits_deg),
+        turbo_boost=config.turbo_boost,
+        turbo_ramp=config.turbo_ramp,
+        attitude_gain=config.attitude_gain,
+        position_filter=filter_gains(config.position_smoothing, time_step),
+        jerk_filter=filter_gains(config.acceleration_smoothing, time_step),
+        angular_velocity_filter=filter_gains(config.angular_velocity_smoothing, time_step),
+        time_step=time_step,
+    )
+
+
+def start(com: Array, rpy: Array) -> ReferenceState:
+    """Begin at the centre of mass and the roll, pitch, yaw that the robot has at its first tick."""
+    com, rpy = jnp.asarray(com), jnp.asarray(rpy)
+    rest = filter_start(jnp.zeros_like(com))
+    return ReferenceState(com, rpy, jnp.zeros((), jnp.int32), filter_start(com), rest, rest, rotation_from_rpy(rpy))
+
+
+def update(
+    params: ReferenceParams, envelope: EnvelopeConfig, state: ReferenceState, time: Array
+) -> tuple[ReferenceState, Reference]:
+    """Return the reference of the tick at `time` [s].
+
+    The smoothed attitude follows the raw one by `ω = −K sk(R_refᵀ R)^∨`, forward Euler on the matrix; its projection
+    back onto SO(3) every tick removes the drift of that step.
+    """
+    raw_position, raw_rpy, turbo_ticks = _advance_raw(params, state, autopilot_command(envelope, time))
+    position = filter_update(params.position_filter, state.position, raw_position)
+    acceleration = filter_update(params.jerk_filter, state.acceleration, position.derivatives[2])
+
+    rotation = state.rotation
+    error = vee_of_skew_part(multiply(rotation_from_rpy(raw_rpy).T, rotation))
+    omega = -params.attitude_gain * error
+    angular = filter_update(params.angular_velocity_filter, state.angular_velocity, omega)
+    turned = project_to_so3(rotation + multiply(rotation, skew(omega)) * params.time_step)
+
+    reference = Reference(
+        com_position=position.derivatives[0],
+        com_velocity=position.derivatives[1],
+        com_acceleration=position.derivatives[2],
+        com_jerk=acceleration.derivatives[1],
+        rotation=rotation,
+        angular_velocity=angular.derivatives[0],
+        angular_acceleration=angular.derivatives[1],
+        angular_jerk=angular.derivatives[2],
+    )
+    return ReferenceState(raw_position, raw_rpy, turbo_ticks, position, acceleration, angular, turned), reference
+
+
+def _advance_raw(
+    params: ReferenceParams, state: ReferenceState, command: AutopilotCommand
+) -> tuple[Array, Array, Array]:
+    """One tick of the published autopilot mapping, in flight: raw position, roll-pitch-yaw and turbo counter.
+
+    While turbo is commanded or left over, all other motions are ignored and the nose goes down. The published boost
+    is a floating-point sum that ends at a residue above zero, so that one more step is taken; the counter takes that
+    step by moving as long as boost was left *before* the tick.
+    """
+    full = jnp.round(params.turbo_boost / params.turbo_ramp).astype(jnp.int32)
+    in_turbo = command.turbo | (state.turbo_ticks > 0)
+    ticks = jnp.where(command.turbo, jnp.minimum(state.turbo_ticks + 1, full), jnp.maximum(state.turbo_ticks - 1, 0))
+    moving = (ticks > 0) | (state.turbo_ticks > 0)
+    forward = jnp.where(in_turbo, -moving.astype(command.forward.dtype), command.forward)
+    vertical = jnp.where(in_turbo, 0.0, command.vertical)
+    pitch_rate = jnp.where(in_turbo, -1.0, command.pitch)
+    yaw_rate = jnp.where(in_turbo, 0.0, command.yaw)
+
+    boost = ticks * params.turbo_ramp
+    roll, pitch, yaw = state.raw_rpy
+    pitch = pitch + params.step_attitude[0] * pitch_rate
+    yaw = yaw + params.step_attitude[1] * yaw_rate
+    along = params.step_position[0] * (1.0 + boost) * forward
+    step = jnp.stack([jnp.cos(yaw) * along, jnp.sin(yaw) * along, params.step_position[1] * vertical])
+    pitch = jnp.clip(pitch, params.pitch_limits[0], params.pitch_limits[1])
+    return state.raw_position + step, jnp.stack([roll, pitch, yaw]), ticks
+
+
+class Trajectory(NamedTuple):
+    """References of a whole flight, one row for every tick."""
+
+    raw_position: Array
+    raw_rpy: Array
+    reference: Reference
+
+
+def trajectory(params: ReferenceParams, envelope: EnvelopeConfig, com: Array, rpy: Array, n_ticks: int) -> Trajectory:
+    """Return the references of `n_ticks` ticks from time zero, for a robot that starts at `com` and `rpy`."""
+
+    def tick(state: ReferenceState, index: Array) -> tuple[ReferenceState, Trajectory]:
+        state, reference = update(params, envelope, state, index * params.time_step)
+        return state, Trajectory(state.raw_position, state.raw_rpy, reference)
+
+    rows: Trajectory
+    _, rows = lax.scan(tick, start(com, rpy), jnp.arange(n_ticks))
+    return rows

@@ -1,0 +1,333 @@
+"""The flight controller: one tick, from a measurement to thrust rates and joint torques.
+
+`tick` reads top to bottom as the controller does: reference, kinematics and dynamics, aerodynamic forces, momentum,
+tasks, QP, torques. It is a pure function of one sample; `vmap`, `jit`, `grad` and `scan` at the call site.
+
+>>> params = controller_params(config, robot)
+>>> memory = init(params, robot, state)
+>>> memory, command, terms = tick(params, robot, memory, time, state, thrust, wind)
+
+Unknowns of the momentum QP: `u = (Ṫ, ṡ)`, thrust rates and joint velocities. Equations: `docs/equations.md`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+
+from jax_aero.aero import AeroModel, LinkConventions, Off, aero_model, generalised_aero_force, link_forces, scaled
+from jax_aero.config import EnvelopeConfig, FlightConfig, MomentumGains, TorqueConfig
+from jax_aero.control import qp, references
+from jax_aero.control.attitude import AttitudeDemand, attitude_demand
+from jax_aero.control.momentum import MomentumModel, momentum_model
+from jax_aero.control.qp import QpAnswer, WarmStart
+from jax_aero.control.references import ReferenceParams, ReferenceState
+from jax_aero.control.tasks import MomentumQp, TaskParams, momentum_qp, symmetric_pairs, task_params
+from jax_aero.control.torque import TorqueQp, limit_rate, torque_qp
+from jax_aero.dynamics import dynamics
+from jax_aero.kinematics import generalised_force, kinematics
+from jax_aero.robot import RobotModel
+from jax_aero.spatial import multiply, rpy_from_rotation
+from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, Reference, State
+
+Tree = TypeVar("Tree")
+
+NOMINAL, BAD_MEASUREMENT, MOMENTUM_HELD, TORQUE_HELD, BOTH_HELD = range(5)
+"""Codes of `Command.status`: whether a command is what the controller wanted, as in the Rust crate.
+
+Bad measurement: a number is not finite; thrust rates and joint velocities are zero, torques stay. Momentum held: its QP
+has no certified answer; rates and velocities are as near to zero as their bounds allow, torques brake the joints.
+Torque held: its QP has none; torques stay.
+"""
+
+INTEGRAL_LIMIT = 20.0
+"""Where the published integrator of the joint velocity error saturates [rad]; no flight comes near."""
+
+
+class Switches(NamedTuple):
+    """What shapes the computation; hashable, fixed when it is compiled."""
+
+    conventions: LinkConventions
+    """Where link forces act."""
+    momentum_rate: bool
+    """Whether `A_a f_a` enters the estimated momentum rate."""
+    lambda_a: bool
+    """Whether `Λ_a` enters the derivative of the momentum rate."""
+    torque: bool
+    """Whether `J_aᵀ f_a` enters the torque law."""
+    symmetric_pairs: tuple[tuple[int, int], ...]
+    """Jets meant to act alike."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ControllerParams:
+    """Every number of the controller, as leaves, and its switches, as structure."""
+
+    switches: Switches = field(metadata={"static": True})
+    aero: AeroModel
+    """The aerodynamic model that the controller believes in."""
+    aero_scale: Array
+    """() factor on all estimated forces."""
+    momentum: MomentumGains
+    tasks: TaskParams
+    torque: TorqueConfig
+    references: ReferenceParams
+    envelope: EnvelopeConfig
+    time_step: Array
+    """() [s]."""
+
+
+class ControllerState(NamedTuple):
+    """What the controller remembers from one tick to the next."""
+
+    references: ReferenceState
+    posture: Array
+    """(n,) posture to return to, `s_d`: the joint positions of the first tick [rad]."""
+    inertia_0: Array
+    """(3, 3) centroidal inertia in body axes at the first tick [kg m²]."""
+    velocity_error_integral: Array
+    """(n,) `∫(ṡ − ṡ*)` [rad]."""
+    joint_torque: Array
+    """(n,) last command [N m]."""
+    torque_is_known: Array
+    """() whether the rate limiter has a torque to start from, bool."""
+    momentum_start: WarmStart
+    """Where the momentum QP begins."""
+    torque_start: WarmStart
+    """Where the torque QP begins."""
+
+
+class Command(NamedTuple):
+    """What the controller asks of the robot, held until the next tick."""
+
+    thrust_rate: Array
+    """(j,) `Ṫ*` [N/s]."""
+    joint_velocity: Array
+    """(n,) `ṡ*` [rad/s]."""
+    joint_torque: Array
+    """(n,) after the rate limiter [N m]."""
+    momentum_qp: QpAnswer
+    torque_qp: QpAnswer
+    status: Array
+    """() int32, `NOMINAL` or what went wrong."""
+
+
+class Terms(NamedTuple):
+    """All intermediate values of a tick."""
+
+    kinematics: Kinematics
+    dynamics: Dynamics
+    link_forces: LinkForces
+    momentum: MomentumModel
+    reference: Reference
+    attitude: AttitudeDemand
+    momentum_qp: MomentumQp
+    torque_qp: TorqueQp
+    unlimited_torque: Array
+    """(n,) torques before the rate limiter [N m]."""
+
+
+def controller_params(config: FlightConfig, robot: RobotModel) -> ControllerParams:
+    """Collect the controller's numbers from a configuration. Outside loops: tables are worked out here.
+
+    Raises
+    ------
+    ValueError
+        Naming what in the configuration does not fit the robot.
+    """
+    controller, time_step = config.controller, jnp.asarray(config.simulator.time_step, float)
+    feedback = controller.aero_feedback
+    return ControllerParams(
+        switches=Switches(
+            LinkConventions(controller.lever_arm, controller.jacobian_offset, controller.link_velocity),
+            momentum_rate=feedback.momentum_rate,
+            lambda_a=feedback.lambda_a,
+            torque=feedback.torque,
+            symmetric_pairs=symmetric_pairs(controller, robot),
+        ),
+        aero=aero_model(controller.aero, robot),
+        aero_scale=feedback.scale,
+        momentum=controller.momentum,
+        tasks=task_params(controller, robot),
+        torque=controller.torque,
+        references=references.reference_params(controller.references, time_step),
+        envelope=config.envelope,
+        time_step=time_step,
+    )
+
+
+def init(params: ControllerParams, robot: RobotModel, state: State) -> ControllerState:
+    """Start the controller at the state of its first tick, whose position, attitude and posture it will keep."""
+    kin = kinematics(robot, state)
+    inertia = dynamics(robot, state, kin).centroidal_inertia
+    rotation, n = state.base_rotation, robot.n_joints
+    zeros = jnp.zeros_like(state.joint_position)
+    return ControllerState(
+        references=references.start(kin.com, rpy_from_rotation(rotation)),
+        posture=jnp.asarray(state.joint_position),
+        inertia_0=multiply(multiply(rotation.T, inertia), rotation),
+        velocity_error_integral=zeros,
+        joint_torque=zeros,
+        torque_is_known=jnp.array(False),
+        momentum_start=qp.cold_start(params.tasks.thrust_rate.shape[0] + n, zeros.dtype),
+        torque_start=qp.cold_start(n, zeros.dtype),
+    )
+
+
+def tick(
+    params: ControllerParams,
+    robot: RobotModel,
+    memory: ControllerState,
+    time: Array,
+    state: State,
+    thrust: Array,
+    wind: Array,
+    reference: Reference | None = None,
+) -> tuple[ControllerState, Command, Terms]:
+    """One tick: the memory of the next, the command, and every intermediate value.
+
+    `time` [s], `thrust` (j,) [N], `wind` (3,) [m/s, inertial axes]. With `reference` the envelope is not asked.
+
+    A measurement that is not finite changes nothing in the memory; the terms are then those of a robot at rest, so
+    that gradients through such a tick are finite too.
+    """
+    with jax.default_matmul_precision("highest"):
+        accepted = _is_finite((time, state, thrust, wind))
+        time, state, thrust, wind = _where(accepted, (time, state, thrust, wind), _at_rest(memory, thrust))
+        generator = memory.references
+        if reference is None:
+            generator, reference = references.update(params.references, params.envelope, generator, time)
+        after, command, terms = _act(
+            params, robot, memory._replace(references=generator), state, thrust, wind, reference
+        )
+        return _where(accepted, after, memory), _where(accepted, command, _refusal(memory, command)), terms
+
+
+def _act(
+    params: ControllerParams,
+    robot: RobotModel,
+    memory: ControllerState,
+    state: State,
+    thrust: Array,
+    wind: Array,
+    reference: Reference,
+) -> tuple[ControllerState, Command, Terms]:
+    """Tick on a measurement that is finite."""
+    switches = params.switches
+    kin = kinematics(robot, state)
+    dyn = dynamics(robot, state, kin)
+    link = scaled(link_forces(params.aero, robot, kin, switches.conventions, wind), params.aero_scale)
+    feels_air = not isinstance(params.aero, Off)
+    momentum = momentum_model(
+        robot,
+        kin,
+        dyn,
+        thrust,
+        link,
+        rate_feedback=switches.momentum_rate and feels_air,
+        lambda_feedback=switches.lambda_a and feels_air,
+    )
+
+    # Thrust rates and joint velocities that shape momentum and attitude.
+    attitude = attitude_demand(
+        params.momentum,
+        reference,
+        state.base_rotation,
+        state.velocity[3:6],
+        momentum.rate_estimate[3:],
+        memory.inertia_0,
+    )
+    shaping = momentum_qp(
+        params.tasks,
+        params.momentum,
+        switches.symmetric_pairs,
+        robot,
+        state,
+        thrust,
+        kin,
+        dyn,
+        momentum,
+        reference,
+        attitude,
+        memory.inertia_0,
+        memory.posture,
+    )
+    wanted = qp.solve(shaping.problem, memory.momentum_start)
+    momentum_solved = wanted.status == qp.SOLVED
+    # Nothing moves, as far as the bounds allow.
+    u = jnp.where(momentum_solved, wanted.x, jnp.clip(0.0, shaping.problem.lower, shaping.problem.upper))
+    thrust_rate, joint_velocity = u[: thrust.shape[0]], u[thrust.shape[0] :]
+
+    # Torques that let the joints follow the commanded velocities.
+    jet_forces = thrust[:, None] * momentum.jet_axes
+    force = generalised_force(robot, kin, robot.jets.bodies, momentum.jet_points, jet_forces) - dyn.bias
+    if switches.torque and feels_air:
+        force = force + generalised_aero_force(robot, kin, link, link.jacobian_points)
+    velocity_error = state.velocity[6:] - joint_velocity
+    following = torque_qp(params.torque, dyn.mass_matrix, force, velocity_error, memory.velocity_error_integral)
+    pushed = qp.solve(following.problem, memory.torque_start)
+    torque_solved = pushed.status == qp.SOLVED
+    # The published rate limiter starts from its first input.
+    last = jnp.where(memory.torque_is_known, memory.joint_torque, pushed.x)
+    limited = limit_rate(last, pushed.x, params.torque.torque_rate_max * params.time_step)
+    joint_torque = jnp.where(torque_solved, limited, memory.joint_torque)
+
+    held = jnp.array([[BOTH_HELD, TORQUE_HELD], [MOMENTUM_HELD, NOMINAL]], jnp.int32)
+    status = held[torque_solved.astype(jnp.int32), momentum_solved.astype(jnp.int32)]
+    command = Command(thrust_rate, joint_velocity, joint_torque, wanted, pushed, status)
+    # Forward Euler: used first, advanced after; a tick without a commanded velocity has no error to remember.
+    advanced = jnp.clip(
+        memory.velocity_error_integral + params.time_step * velocity_error, -INTEGRAL_LIMIT, INTEGRAL_LIMIT
+    )
+    after = memory._replace(
+        velocity_error_integral=jnp.where(momentum_solved, advanced, memory.velocity_error_integral),
+        joint_torque=joint_torque,
+        torque_is_known=memory.torque_is_known | torque_solved,
+        momentum_start=wanted.warm_start,
+        torque_start=pushed.warm_start,
+    )
+    terms = Terms(kin, dyn, link, momentum, reference, attitude, shaping, following, pushed.x)
+    return after, command, terms
+
+
+def _is_finite(tree: object) -> Array:
+    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(tree)]))
+
+
+def _where(condition: Array, yes: Tree, no: Tree) -> Tree:
+    chosen: Tree = jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
+    return chosen
+
+
+def _at_rest(memory: ControllerState, thrust: Array) -> tuple[Array, State, Array, Array]:
+    """Return a harmless measurement to compute with where the real one is not finite."""
+    posture = memory.posture
+    zero, n = jnp.zeros(3, posture.dtype), posture.shape[0]
+    state = State(zero, jnp.eye(3, dtype=posture.dtype), posture, jnp.zeros(6 + n, posture.dtype))
+    return jnp.zeros((), posture.dtype), state, jnp.zeros_like(thrust), zero
+
+
+def _refusal(memory: ControllerState, command: Command) -> Command:
+    """Return the command that answers a measurement that is not finite."""
+
+    def no_answer(start: WarmStart, answer: QpAnswer) -> QpAnswer:
+        return QpAnswer(
+            start.x,
+            start.side,
+            jnp.full_like(answer.kkt, jnp.nan),
+            jnp.full_like(answer.status, qp.NON_FINITE),
+            jnp.zeros_like(answer.iterations),
+        )
+
+    return Command(
+        thrust_rate=jnp.zeros_like(command.thrust_rate),
+        joint_velocity=jnp.zeros_like(command.joint_velocity),
+        joint_torque=memory.joint_torque,
+        momentum_qp=no_answer(memory.momentum_start, command.momentum_qp),
+        torque_qp=no_answer(memory.torque_start, command.torque_qp),
+        status=jnp.full_like(command.status, BAD_MEASUREMENT),
+    )

@@ -1,0 +1,65 @@
+"""The joint torque controller: torques whose accelerations follow the commanded joint velocities.
+
+```text
+s̈* = −K_D (ṡ − ṡ*) − K_P ∫(ṡ − ṡ*)
+s̈(τ) = G τ + s̈_free,   G = (M⁻¹)_ss,   s̈_free = [M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a − h)]_s
+min ½ w_a |s̈(τ) − s̈*|² + ½ (w_τ + ε) |τ|²   subject to |τ| ≤ τ_max
+```
+
+followed by a rate limiter. The robot floats: `G` is the joint block of the inverse mass matrix, not the inverse of the
+joint block. Source: closed-loop equations 5.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from jax_aero.config import TorqueConfig
+from jax_aero.control.qp import BoxQp
+from jax_aero.linalg import solve_positive_definite
+from jax_aero.types import Array
+
+
+class TorqueQp(NamedTuple):
+    """The torque QP of one tick; `n` joints."""
+
+    acceleration_desired: Array
+    """(n,) `s̈*` [rad/s²]."""
+    acceleration_free: Array
+    """(n,) joint accelerations without torque, `s̈_free` [rad/s²]."""
+    gain: Array
+    """(n, n) `G`, joint acceleration per unit of torque [1/(kg m²)]."""
+    problem: BoxQp
+
+
+def torque_qp(
+    params: TorqueConfig,
+    mass_matrix: Array,
+    force: Array,
+    velocity_error: Array,
+    velocity_error_integral: Array,
+) -> TorqueQp:
+    """Build the QP; `force` (N,) holds `Σ Jᵀ T a + J_aᵀ f_a − h`."""
+    gain, free = _joint_response(mass_matrix, force)
+    desired = -params.kd * velocity_error - params.kp * velocity_error_integral
+    n = desired.shape[0]
+    penalty = params.weight_torque + params.regularisation
+    h = params.weight_acceleration * (gain @ gain)
+    h = 0.5 * (h + h.T) + penalty * jnp.eye(n, dtype=h.dtype)
+    g = params.weight_acceleration * (gain @ (free - desired))
+    upper = jnp.full(n, params.torque_max, h.dtype)
+    return TorqueQp(desired, free, gain, BoxQp(h, g, -upper, upper))
+
+
+def _joint_response(mass_matrix: Array, force: Array) -> tuple[Array, Array]:
+    """`(M⁻¹)_ss` and `[M⁻¹ force]_s`: responses of the joints to a unit torque on each, and to the force."""
+    unit = jnp.eye(mass_matrix.shape[0], dtype=force.dtype)[:, 6:]
+    response = solve_positive_definite(mass_matrix, jnp.concatenate([unit, force[:, None]], axis=1))[6:]
+    return response[:, :-1], response[:, -1]
+
+
+def limit_rate(torque: Array, target: Array, step: Array) -> Array:
+    """Move `torque` towards `target` by at most `step` per entry."""
+    return torque + jnp.clip(target - torque, -step, step)

@@ -1,0 +1,106 @@
+"""Positive definite systems of 20 to 30 rows, and how a batch of them is worked off.
+
+On a CPU, LAPACK is called for few samples at a time. jaxlib 0.10 splits larger batches over its thread pool and blocks
+a thread of that pool until all parts are done: two such calls that do not depend on each other then wait for each
+other for ever (seen with 64 samples and two threads; up to 32 are done in place). Small pieces also stay in cache.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.custom_batching import custom_vmap
+
+from jax_aero.types import Array
+
+CHUNK = 16
+"""Samples that go through LAPACK together on a CPU."""
+
+dot = partial(jnp.matmul, precision="highest")
+"""Product in full precision on every device."""
+
+
+def solve_positive_definite(a: Array, b: Array) -> Array:
+    """`A⁻¹ B` for a symmetric positive definite A (n, n) and B (n, k); NaN if A is not positive definite.
+
+    Differentiable in both modes and to any order.
+    """
+    x: Array = lax.custom_linear_solve(lambda x: dot(a, x), b, solve=lambda _, b: _solve(a, b), symmetric=True)
+    return x
+
+
+def cholesky(a: Array) -> Array:
+    """Lower factor L of `A = L Lᵀ`; NaN if A is not positive definite. At most `CHUNK` in a batch on a CPU."""
+    return lax.linalg.cholesky(a, symmetrize_input=False)
+
+
+def solve_factored(factor: Array, b: Array) -> Array:
+    """`A⁻¹ B` from the factor of A and B (n, k). At most `CHUNK` in a batch on a CPU."""
+    lower = partial(lax.linalg.triangular_solve, factor, left_side=True, lower=True)
+    return lower(lower(b), transpose_a=True)
+
+
+# --- batches ------------------------------------------------------------------------------------------------------
+
+
+def with_batch_rule(one: Callable[..., Any], batch: Callable[..., Any]) -> Callable[..., Any]:
+    """`one`, a function of one sample, that `vmap` replaces by `batch`, which takes samples along a first axis.
+
+    A `vmap` within a `vmap` makes one long batch. Neither function is differentiated: that is up to the caller.
+    """
+    batched: Any = custom_vmap(batch)
+    single: Any = custom_vmap(one)
+
+    def spread(size: int, is_batched: Any, args: Any) -> Any:
+        def leaf(x: Array, has_axis: bool) -> Array:
+            return x if has_axis else jnp.broadcast_to(x, (size, *jnp.shape(x)))
+
+        return jax.tree.map(leaf, args, tuple(is_batched))
+
+    def rule_of_single(size: int, is_batched: Any, *args: Any) -> Any:
+        out = batched(*spread(size, is_batched, args))
+        return out, jax.tree.map(lambda _: True, out)
+
+    def rule_of_batch(size: int, is_batched: Any, *args: Any) -> Any:
+        flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), spread(size, is_batched, args))
+        out = jax.tree.map(lambda x: x.reshape(size, -1, *x.shape[1:]), batched(*flat))
+        return out, jax.tree.map(lambda _: True, out)
+
+    single.def_vmap(rule_of_single)
+    batched.def_vmap(rule_of_batch)
+    chosen: Callable[..., Any] = single
+    return chosen
+
+
+def in_chunks(one: Callable[..., Any], inputs: Any, out: Any, order: Array, count: Array | int) -> Any:
+    """Overwrite the rows `order[:count]` of `out` by `one(*inputs, out)` of the same rows, `CHUNK` rows at a time."""
+    chunk = min(CHUNK, order.shape[0])
+
+    def some(k: Array, out: Any) -> Any:
+        # The last slice is moved back to fit, so it may take rows once more that come before it or do not count.
+        rows = lax.dynamic_slice(order, (k * chunk,), (chunk,))
+        new = jax.vmap(one)(*jax.tree.map(lambda leaf: leaf[rows], (*inputs, out)))
+        return jax.tree.map(lambda leaf, part: leaf.at[rows].set(part), out, new)
+
+    return lax.fori_loop(0, (count + chunk - 1) // chunk, some, out)
+
+
+def _solve_one(a: Array, b: Array) -> Array:
+    return solve_factored(cholesky(a), b)
+
+
+def _solve_batch(a: Array, b: Array) -> Array:
+    def chunks(a: Array, b: Array) -> Array:
+        x: Array = in_chunks(lambda a, b, _: _solve_one(a, b), (a, b), b, jnp.arange(a.shape[0]), a.shape[0])
+        return x
+
+    solved: Array = lax.platform_dependent(a, b, cpu=chunks, default=jax.vmap(_solve_one))
+    return solved
+
+
+_solve = with_batch_rule(_solve_one, _solve_batch)

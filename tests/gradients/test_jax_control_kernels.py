@@ -1,0 +1,201 @@
+"""Derivatives of the controller, corners included.
+
+Forward mode, reverse mode and finite differences of each kernel on its own; then reverse mode through a whole tick:
+calm, at rest in still air, with wind along a link's axis, with thrusts and joints at their limits, and with most
+bounds of the momentum QP active.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax_aero import reference
+from jax_aero.config import flight_config
+from jax_aero.control import references, tick
+from jax_aero.control.attitude import attitude_demand
+from jax_aero.control.bounds import rate_bounds
+from jax_aero.control.torque import limit_rate, torque_qp
+from jax_aero.robot import load_robot
+from jax_aero.spatial import exp_so3
+from jax_aero.types import Reference, State
+
+pytestmark = pytest.mark.usefixtures("x64")
+
+EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
+N_JOINTS = 23
+
+
+def flat(tree):
+    """All floating-point leaves in one vector."""
+    leaves = [jnp.ravel(leaf) for leaf in jax.tree.leaves(tree) if jnp.issubdtype(jnp.result_type(leaf), jnp.floating)]
+    return jnp.concatenate(leaves)
+
+
+def assert_derivatives_agree(f, inputs, rng, step=1e-6, tolerance=2e-6):
+    """Forward, reverse and central difference of a random combination of outputs along a random direction.
+
+    Inputs and outputs are scaled by their own size, so that every one of them counts.
+    """
+    size = jax.tree.map(lambda x: np.asarray(np.maximum(np.abs(x), 0.1)), inputs)
+    direction = jax.tree.map(lambda s: rng.choice([-1.0, 1.0], size=s.shape) * rng.uniform(0.5, 1.0, s.shape) * s, size)
+
+    @jax.jit
+    def along(t):
+        return flat(f(jax.tree.map(lambda x, d: x + t * d, inputs, direction)))
+
+    value = np.asarray(along(0.0))
+    weights = rng.normal(size=value.shape) / np.maximum(np.abs(value), 1e-3 * np.max(np.abs(value)) + 1e-12)
+    _, forward = jax.jit(lambda t: jax.jvp(along, (t,), (1.0,)))(0.0)
+    gradient = jax.jit(jax.grad(lambda x: weights @ flat(f(x))))(inputs)
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
+    reverse = sum(np.vdot(a, b) for a, b in zip(jax.tree.leaves(gradient), jax.tree.leaves(direction), strict=True))
+    difference = (along(step) - along(-step)) / (2 * step)
+    scale = float(np.abs(weights) @ np.abs(forward))
+    assert abs(reverse - weights @ forward) <= 1e-10 * scale
+    assert np.max(np.abs(weights * (forward - difference))) <= tolerance * scale
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+@pytest.fixture(scope="module")
+def twin(x64):
+    config = flight_config(reference.load_config(EXPERIMENTS / "test2.toml"))
+    robot = load_robot(config.robot)
+    return config, robot, tick.controller_params(config, robot)
+
+
+def random_reference(rng):
+    return Reference(*rng.normal(size=(4, 3)), np.asarray(exp_so3(rng.normal(size=3))), *rng.normal(size=(3, 3)))
+
+
+def test_rate_bounds(rng):
+    """In the middle, at a limit, and beyond it."""
+    value = np.array([0.0, -1.0, 1.0, 1.3])
+    inputs = (value, np.full(4, -1.0), np.full(4, 1.0), np.full(4, 0.8), np.array(5.0))
+    assert_derivatives_agree(lambda x: rate_bounds(*x), inputs, rng)
+
+
+def test_limit_rate(rng):
+    """Within the step and beyond it."""
+    inputs = (np.zeros(3), np.array([1.0, 5.0, -7.0]), np.array(3.0))
+    assert_derivatives_agree(lambda x: limit_rate(*x), inputs, rng)
+
+
+def test_attitude_demand(twin, rng):
+    _, _, params = twin
+    rotation, inertia = np.asarray(exp_so3(rng.normal(size=3))), np.diag([3.1, 2.8, 0.7])
+    inputs = (params.momentum, random_reference(rng), rotation, rng.normal(size=3), rng.normal(size=3), inertia)
+    assert_derivatives_agree(lambda x: attitude_demand(*x), inputs, rng)
+
+
+def test_torque_qp(twin, rng):
+    _, _, params = twin
+    root = rng.normal(size=(6 + N_JOINTS, 6 + N_JOINTS))
+    mass, force = root @ root.T + np.eye(6 + N_JOINTS), rng.normal(size=6 + N_JOINTS)
+    errors = rng.normal(size=(2, N_JOINTS))
+
+    def build(x):
+        torque, root, force, errors = x
+        return torque_qp(torque, root + root.T, force, *errors)
+
+    assert_derivatives_agree(build, (params.torque, 0.5 * mass, force, errors), rng, tolerance=1e-5)
+
+
+def test_references(twin, rng):
+    """Ten ticks of the generator in the turbo segment, by every number of its configuration."""
+    config, _, _ = twin
+    numbers = config.controller.references
+
+    def fly(x):
+        settings, com, rpy = x
+        settings = replace(settings, turbo_boost=numbers.turbo_boost)  # a count of ticks, once rounded
+        params = references.reference_params(settings, jnp.array(0.01))
+        state = references.start(com, rpy)
+
+        def one(state, time):
+            return references.update(params, config.envelope, state, time)
+
+        return jax.lax.scan(one, state, 21.0 + 0.01 * jnp.arange(10))[1]
+
+    # A filter of 5 ms at a tick of 10 ms: its outputs are large and steep in T.
+    assert_derivatives_agree(fly, (numbers, rng.normal(size=3), np.array([0.0, -0.1, 3.0])), rng, tolerance=1e-5)
+
+
+def cases(config, robot, rng):
+    """Name to (state, thrust, wind): the corners of a tick."""
+    limits = np.asarray(robot.joint_limits)
+    joints, thrust = np.asarray(config.simulator.initial.joint_position), np.array([98.0, 98.0, 113.0, 113.0])
+    base = np.diag([-1.0, -1.0, 1.0])
+    rest = State(np.array([0.0, 0.0, 0.8]), base, joints, np.zeros(6 + N_JOINTS))
+    moving = rest._replace(velocity=0.1 * rng.normal(size=6 + N_JOINTS))
+    middle = rest._replace(joint_position=limits.mean(axis=1))
+    side = np.array([0.0, -8.0, 0.0])
+    tilted = np.asarray(exp_so3(np.array([0.4, -0.6, 0.2]))) @ base
+    return {
+        "calm": (moving, thrust, side),
+        "still air": (rest, thrust, np.zeros(3)),
+        "wind along the axis of the base": (rest, thrust, base @ np.array([0.0, 5.0, 0.0])),
+        "limits": (middle._replace(joint_position=limits[:, 0]), np.array([0.0, 160.0, 0.0, 220.0]), side),
+        "saturated": (moving._replace(base_rotation=tilted, velocity=10 * moving.velocity), thrust, side),
+    }
+
+
+def test_a_whole_tick(twin, rng):
+    """Commands by state, thrust, wind, and every gain, weight and coefficient of the controller."""
+    config, robot, params = twin
+    names, samples = zip(*cases(config, robot, rng).items(), strict=True)
+    state, thrust, wind = jax.tree.map(lambda *leaves: jnp.stack(leaves), *samples)
+    followed = Reference(
+        np.array([0.0, 0.0, 0.75]), *(0.1 * rng.normal(size=(3, 3))), np.diag([-1.0, -1.0, 1.0]), *np.zeros((3, 3))
+    )
+    first = jax.tree.map(lambda leaf: leaf[1], state)
+    memory = jax.jit(tick.init)(params, robot, first)
+
+    def command(params, state, thrust, wind):
+        _, command, terms = tick.tick(params, robot, memory, 0.0, state, thrust, wind, followed)
+        units = jnp.concatenate([jnp.full(4, 100.0), jnp.full(N_JOINTS, 0.8)])
+        return jnp.concatenate([command.thrust_rate, command.joint_velocity]) / units, terms.unlimited_torque / 50.0
+
+    def directed(seed, tree):
+        numbers = np.random.default_rng(seed)
+        return jax.tree.map(lambda x: numbers.uniform(-1, 1, np.shape(x)) * np.maximum(np.abs(x), 0.1), tree)
+
+    # Numbers that only the reference generator reads, and the envelope, do not move.
+    moved = {name: directed(i, getattr(params, name)) for i, name in enumerate(("aero", "momentum", "tasks", "torque"))}
+    still = jax.tree.map(np.zeros_like, params)
+    d_params = replace(still, **moved)
+    d_state = directed(6, first)._replace(base_rotation=np.zeros((3, 3)))
+    d_rest = (d_state, directed(7, thrust[0]), 3.0 * rng.normal(size=3))
+
+    weights = rng.normal(size=4 + 2 * N_JOINTS)
+
+    @jax.jit
+    @jax.vmap
+    def differentiate(state, thrust, wind, t):
+        """Weighted commands at a distance t along the direction, and their derivative by t in reverse mode."""
+        direction = (d_params, *d_rest)
+        at = jax.tree.map(lambda x, d: x + t * d, (params, state, thrust, wind), direction)
+        value, gradient = jax.value_and_grad(lambda x: weights @ jnp.concatenate(command(*x)))(at)
+        pairs = list(zip(jax.tree.leaves(gradient), jax.tree.leaves(direction), strict=True))
+        size = sum(jnp.vdot(jnp.abs(a), jnp.abs(b)) for a, b in pairs)
+        return value, sum(jnp.vdot(a, b) for a, b in pairs), size, jnp.isfinite(flat(gradient)).all()
+
+    step = 1e-7
+    ahead, here, behind = (
+        differentiate(state, thrust, wind, jnp.full(len(names), sign * step)) for sign in (1.0, 0.0, -1.0)
+    )
+    _, slope, size, finite = here
+    assert finite.all()
+    difference = (ahead[0] - behind[0]) / (2 * step)
+    worst = dict(zip(names, np.abs(slope - difference) / size, strict=True))
+    assert max(worst.values()) < 1e-6, worst
+    assert np.min(np.abs(slope) / size) > 1e-4

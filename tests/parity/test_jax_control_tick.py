@@ -1,0 +1,285 @@
+"""Every value of a controller tick against the Rust crate: far from any flight, along one, and when things fail."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax_aero import reference
+from jax_aero.config import flight_config
+from jax_aero.control import qp, tick
+from jax_aero.robot import load_robot
+from jax_aero.types import Reference, State
+
+pytestmark = pytest.mark.usefixtures("x64")
+
+EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
+TOLERANCE = 1e-10
+SOLUTIONS = {"thrust_rate", "joint_velocity_command", "unlimited_torque", "joint_torque"}
+STATUS = ["Nominal", "BadMeasurement", "MomentumHeld", "TorqueHeld", "BothHeld"]
+BATCH = 32
+
+
+def rotation_of(wxyz):
+    w, v = wxyz[0], wxyz[1:] / np.linalg.norm(wxyz)
+    w = w / np.linalg.norm(wxyz)
+    return (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * np.cross(np.eye(3), v)
+
+
+def random_samples(robot, count, seed=7):
+    """Anywhere, fast, thrusts up to and at their limits, in a gale; one without wind, one where nothing moves."""
+    rng = np.random.default_rng(seed)
+    n, limits = robot.n_joints, np.asarray(robot.joint_limits)
+    samples = []
+    for index in range(count):
+        rotation = rotation_of(rng.normal(size=4))
+        state = State(
+            rng.normal(scale=5, size=3), rotation, rng.uniform(*limits.T), rng.normal(scale=1.0 + index % 3, size=6 + n)
+        )
+        near = rotation @ rotation_of(np.array([1.0, *(0.2 * rng.normal(size=3))]))
+        followed = Reference(
+            state.base_position + 0.3 * rng.normal(size=3), *rng.normal(size=(3, 3)), near, *rng.normal(size=(3, 3))
+        )
+        memory = {
+            "posture": rng.uniform(*limits.T),
+            "inertia_0": np.diag(rng.uniform(0.5, 4.0, 3)),
+            "velocity_error_integral": 0.3 * rng.normal(size=n),
+        }
+        thrust = rng.choice([0.0, 0.5, 80.0, 159.9, 160.0], size=4) if index % 4 == 0 else rng.uniform(10, 150, 4)
+        samples.append((memory, state, thrust, rng.normal(scale=8.0, size=3), followed))
+    memory, state, thrust, wind, followed = samples[0]
+    samples[0] = (memory, state, thrust, 0.0 * wind, followed)
+    samples[1] = (samples[1][0], state._replace(velocity=0.0 * state.velocity), thrust, 0.0 * wind, followed)
+    return samples
+
+
+def crate_tick(config, sample):
+    memory, state, thrust, wind, followed = sample
+    controller = reference.Controller(config)
+    controller.set_memory(memory["posture"], memory["inertia_0"], memory["velocity_error_integral"])
+    return controller.tick(reference.State(*state), thrust, wind, 0.0, reference.Reference(**followed._asdict()))
+
+
+def values(command, terms):
+    """Give every value of a tick the name it has in `reference.Tick`."""
+    link, momentum, following = terms.link_forces, terms.momentum, terms.torque_qp
+    return {
+        "com_position": terms.kinematics.com,
+        **terms.dynamics._asdict(),
+        **{f"link_{name}": getattr(link, name) for name in ("axes", "v_air", "arm_points", "jacobian_points")},
+        "aero_force": link.forces,
+        **{name: getattr(momentum, name) for name in ("jet_axes", "jet_points", "a_t", "lambda_t", "lambda_a")},
+        "momentum_rate_estimate": momentum.rate_estimate,
+        "k_ddot_desired": terms.attitude.k_ddot_desired,
+        "sigma": terms.attitude.sigma,
+        "task": terms.momentum_qp.task,
+        "task_offset": terms.momentum_qp.offset,
+        **{f"momentum_qp.{name}": part for name, part in terms.momentum_qp.problem._asdict().items()},
+        "thrust_rate": command.thrust_rate,
+        "joint_velocity_command": command.joint_velocity,
+        "joint_acceleration_desired": following.acceleration_desired,
+        "joint_acceleration_free": following.acceleration_free,
+        "torque_gain": following.gain,
+        **{f"torque_qp.{name}": part for name, part in following.problem._asdict().items()},
+        "unlimited_torque": terms.unlimited_torque,
+        "joint_torque": command.joint_torque,
+    }
+
+
+def named(crate, name):
+    for part in name.split("."):
+        crate = getattr(crate, part)
+    return crate
+
+
+def assert_same(agree, ours, theirs, index, names=None):
+    for name, value in ours.items():
+        if names is None or name in names:
+            agree(name, value[index], named(theirs, name), 10 * TOLERANCE if name in SOLUTIONS else TOLERANCE)
+
+
+class Twin:
+    """The controller of an experiment on both floors."""
+
+    def __init__(self, name, overrides=None):
+        self.table = reference.load_config(EXPERIMENTS / f"{name}.toml", overrides)
+        config = flight_config(self.table)
+        self.robot = load_robot(config.robot)
+        self.params = tick.controller_params(config, self.robot)
+
+    def start(self, remembered, state):
+        """Return the memory of a controller that has ticked before, but not pushed."""
+        return tick.init(self.params, self.robot, state)._replace(**remembered)
+
+    def tick(self, remembered, state, thrust, wind, followed):
+        memory = self.start(remembered, state)
+        return tick.tick(self.params, self.robot, memory, jnp.zeros(()), state, thrust, wind, followed)
+
+
+def stacked(samples):
+    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *samples)
+
+
+@pytest.fixture(scope="module")
+def published():
+    return Twin("test2_published")
+
+
+@pytest.fixture(scope="module")
+def ticks(published):
+    return jax.jit(jax.vmap(published.tick))
+
+
+def test_every_value_of_ticks_far_from_any_flight(published, ticks, agree):
+    """With published arms and velocities; the right ones are compared below, where they differ."""
+    samples = random_samples(published.robot, BATCH)
+    memory, command, terms = jax.device_get(ticks(*stacked(samples)))
+    ours = values(command, terms)
+    for i, sample in enumerate(samples):
+        theirs = crate_tick(published.table, sample)
+        assert STATUS[command.status[i]] == theirs.status == "Nominal"
+        assert_same(agree, ours, theirs, i)
+        agree("velocity_error_integral", memory.velocity_error_integral[i], theirs.velocity_error_integral, 1e-9)
+        assert memory.torque_is_known[i]
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides"),
+    [
+        ("test2", {"controller.aero_feedback.scale": 0.7}),
+        ("test2", {"controller.jacobian_offset": "base_rotation", "controller.aero_feedback.momentum_rate": False}),
+        ("robustness_axisymmetric_vs_sphere_cylinder", {"controller.aero": {"model": "off"}}),
+        ("test2_without_lambda_a", {"controller.lever_arm": "unrotated"}),
+        ("test2_without_torque_feedforward", {"controller.link_velocity": "shifted_twice"}),
+    ],
+)
+def test_switches(name, overrides, agree):
+    """Everything that the aerodynamics of the controller enter, for every switch, one after the other."""
+    twin = Twin(name, overrides)
+    enters = (
+        *("link_v_air", "link_arm_points", "link_jacobian_points", "aero_force", "lambda_a"),
+        *("momentum_rate_estimate", "k_ddot_desired", "task", "task_offset", "joint_acceleration_free"),
+    )
+
+    @jax.jit
+    @jax.vmap
+    def evaluate(*sample):
+        _, command, terms = twin.tick(*sample)
+        ours = values(command, terms)
+        return {name: ours[name] for name in enters}  # the QPs drop out of what is compiled
+
+    samples = random_samples(twin.robot, 8, seed=8)
+    ours = jax.device_get(evaluate(*stacked(samples)))
+    for i, sample in enumerate(samples):
+        assert_same(agree, ours, crate_tick(twin.table, sample), i)
+
+
+def test_safe_commands(published, ticks):
+    """A number that is not finite: where the crate holds, we hold, and with the same command."""
+    nan = np.nan
+    good = random_samples(published.robot, BATCH, seed=9)
+
+    def spoilt(index, **changes):
+        names = ("memory", "state", "thrust", "wind", "followed")
+        return tuple(changes.get(name, part) for name, part in zip(names, good[index], strict=True))
+
+    position = good[1][1].base_position * nan
+    nothing = {"velocity_error_integral": np.full(23, nan)}
+    lost = good[4][4]._replace(com_jerk=np.array([0.0, nan, 0.0]))
+    samples = [
+        spoilt(0, thrust=np.array([80.0, nan, 80.0, 80.0])),
+        spoilt(1, state=good[1][1]._replace(base_position=position)),
+        spoilt(2, wind=np.array([0.0, np.inf, 0.0])),
+        spoilt(3),
+        spoilt(4, followed=lost),
+        spoilt(5, memory=good[5][0] | nothing),
+        spoilt(6, followed=lost, memory=good[6][0] | nothing),
+        *good[7:],
+    ]
+    memory, command, _ = jax.device_get(ticks(*stacked(samples)))
+    expected = ["BadMeasurement"] * 3 + ["Nominal", "MomentumHeld", "TorqueHeld", "BothHeld"]
+    for i, (sample, status) in enumerate(zip(samples, expected, strict=False)):
+        theirs = crate_tick(published.table, sample)
+        assert STATUS[command.status[i]] == theirs.status == status
+        assert command.momentum_qp.status[i] == theirs.momentum_answer.status_code
+        assert command.torque_qp.status[i] == theirs.torque_answer.status_code
+        np.testing.assert_allclose(command.thrust_rate[i], theirs.thrust_rate, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(command.joint_velocity[i], theirs.joint_velocity_command, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(command.joint_torque[i], theirs.joint_torque, rtol=0, atol=1e-6)
+        integral = memory.velocity_error_integral[i]
+        np.testing.assert_allclose(integral, theirs.velocity_error_integral, rtol=0, atol=1e-9)
+        assert memory.torque_is_known[i] == (status in ("Nominal", "MomentumHeld"))
+    # A refused measurement leaves the warm start and the reference generator alone.
+    assert np.all(memory.momentum_start.x[:3] == 0)
+    assert np.all(memory.references.position.previous_input[0] == memory.references.position.derivatives[0, 0])
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """Two seconds of a flight as the crate's simulator logged them, from its first tick."""
+    twin = Twin("test2", {"simulator.duration": 2.0, "wind.ramp_start": 0.2, "wind.ramp_end": 1.0})
+    log = reference.fly(twin.table).log
+    rotations = np.stack([rotation_of(wxyz) for wxyz in log["base_quaternion"]])
+    velocity = np.concatenate([log["base_velocity"], log["joint_velocity"]], axis=1)
+    states = State(log["base_position"], rotations, log["joint_position"], velocity)
+    return twin, log, (log["time"], states, log["thrust"], log["wind"])
+
+
+def follow(twin, measurements, params):
+    """Tick along the measurements of a flight, one after the other, with the controller's own memory and reference."""
+
+    @jax.jit
+    def scan(params, measurements):
+        first = jax.tree.map(lambda leaf: leaf[0], measurements[1])
+
+        def one(memory, measurement):
+            memory, command, terms = tick.tick(params, twin.robot, memory, *measurement)
+            return memory, (command, terms.reference.com_position)
+
+        return jax.lax.scan(one, tick.init(params, twin.robot, first), measurements)[1]
+
+    return jax.device_get(scan(params, measurements))
+
+
+def test_ticks_along_a_flight(flown, agree):
+    """Memory, warm start, rate limiter and reference generator together, with the right arms."""
+    twin, log, measurements = flown
+    command, com_reference = follow(twin, measurements, twin.params)
+    assert np.all(command.status == tick.NOMINAL)
+    agree("flight: com_reference", com_reference, log["com_reference"], 1e-12)
+    agree("flight: thrust_rate", command.thrust_rate, log["thrust_rate"], 1e-9)
+    agree("flight: joint_velocity_command", command.joint_velocity, log["joint_velocity_command"], 1e-9)
+    agree("flight: joint_torque", command.joint_torque, log["joint_torque"], 1e-9)
+    assert np.all(command.momentum_qp.iterations[50:] <= 3)
+
+
+def test_float32_commands_along_a_flight(flown, measured):
+    """An error budget rather than parity: the QP's condition number leaves single precision three digits."""
+    twin, log, measurements = flown
+    single = copy.copy(twin)
+    with jax.enable_x64(False):
+        single.robot, params, rows = jax.tree.map(np.float32, (twin.robot, twin.params, measurements))
+        command, _ = follow(single, rows, params)
+    assert command.thrust_rate.dtype == np.float32
+    assert np.all(command.status == tick.NOMINAL)
+    errors = {
+        "float32: thrust_rate [N/s]": np.max(np.abs(command.thrust_rate - log["thrust_rate"])),
+        "float32: joint_velocity_command [rad/s]": np.max(
+            np.abs(command.joint_velocity - log["joint_velocity_command"])
+        ),
+        "float32: joint_torque [N m]": np.max(np.abs(command.joint_torque - log["joint_torque"])),
+    }
+    for name, error in errors.items():
+        measured(name, float(error))
+    assert np.all(np.array(list(errors.values())) < [0.5, 0.02, 0.1])
+
+
+def test_the_status_codes_are_the_crates():
+    codes = (tick.NOMINAL, tick.BAD_MEASUREMENT, tick.MOMENTUM_HELD, tick.TORQUE_HELD, tick.BOTH_HELD)
+    assert codes == tuple(range(len(STATUS)))
+    assert (qp.SOLVED, qp.NON_FINITE) == (0, 4)

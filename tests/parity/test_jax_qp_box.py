@@ -1,0 +1,169 @@
+"""The batched box QP against the Rust crate's solver: harvested along flights, saturated, without an answer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax_aero import reference
+from jax_aero.control import qp
+from jax_aero.control.qp import BoxQp
+
+pytestmark = pytest.mark.usefixtures("x64")
+
+EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
+EVERY = 12
+OF_RANGE = 1e-9
+COUNT = 1024
+
+
+def rotation_of(wxyz):
+    w, v = wxyz[0], wxyz[1:]
+    return (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * np.cross(np.eye(3), v)
+
+
+def harvest(name):
+    """Momentum and torque QPs of every `EVERY`th tick of a flight."""
+    config = reference.load_config(EXPERIMENTS / f"{name}.toml")
+    log = reference.fly(config).log
+    controller = reference.Controller(config)
+    momentum, torque = [], []
+    for k, time in enumerate(log["time"]):
+        velocity = np.concatenate([log["base_velocity"][k], log["joint_velocity"][k]])
+        rotation = rotation_of(log["base_quaternion"][k])
+        state = reference.State(log["base_position"][k], rotation, log["joint_position"][k], velocity)
+        tick = controller.tick(state, log["thrust"][k], log["wind"][k], time)
+        if k % EVERY == 0:
+            momentum.append(tick.momentum_qp)
+            torque.append(tick.torque_qp)
+    return stack(momentum), stack(torque)
+
+
+def stack(problems):
+    return BoxQp(*(np.stack([np.asarray(getattr(one, name)) for one in problems]) for name in BoxQp._fields))
+
+
+def exactly(problem, count, rng):
+    """`count` of the problems: one batch size for the whole module, so one compilation for each number of variables."""
+    rows = rng.permutation(np.resize(np.arange(len(problem.g)), count))
+    return BoxQp(*(part[rows] for part in problem))
+
+
+def crate(problem):
+    """Cold answers of the crate: x, status codes."""
+    solver = reference.BoxQpSolver(problem.g.shape[1])
+    answers = []
+    for one in zip(*problem, strict=True):
+        solver.reset()
+        answers.append(solver.solve(*(np.ascontiguousarray(part) for part in one)))
+    return np.stack([x for x, _ in answers]), np.array([answer["status_code"] for _, answer in answers])
+
+
+@pytest.fixture(scope="module")
+def harvested():
+    flights = [harvest(name) for name in ("test1_published", "test2")]
+    return [BoxQp(*(np.concatenate(parts) for parts in zip(*kind, strict=True))) for kind in zip(*flights, strict=True)]
+
+
+@pytest.fixture(scope="module")
+def solve():
+    return jax.jit(jax.vmap(lambda problem, start: qp.solve(BoxQp(*problem), start)))
+
+
+def cold(problem):
+    return jax.tree.map(lambda x: jnp.stack([x] * len(problem.g)), qp.cold_start(problem.g.shape[1], jnp.float64))
+
+
+def assert_solves(answer, problem, measured, what):
+    x, _ = crate(problem)
+    kkt = [reference.kkt_residual(*one) for one in zip(*problem, np.asarray(answer.x), strict=True)]
+    error = np.max(np.abs(answer.x - x) / (problem.upper - problem.lower))
+    measured(f"{what}: error of range", float(error))
+    measured(f"{what}: most passes", float(answer.iterations.max()))
+    assert np.all(answer.status == qp.SOLVED)
+    assert np.all((answer.x >= problem.lower) & (answer.x <= problem.upper))
+    assert error < OF_RANGE
+    assert np.max(kkt) < 1e-12
+    # The residual reported is the crate's, up to rounding of the product H x.
+    np.testing.assert_allclose(answer.kkt, kkt, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["momentum", "torque"])
+def test_flight_problems_cold_and_warm(harvested, solve, measured, which):
+    problem = exactly(harvested[which], COUNT, np.random.default_rng(1))
+    answer = solve(problem, cold(problem))
+    assert_solves(answer, problem, measured, "cold")
+    nudged = problem._replace(g=problem.g * (1 + 1e-6))
+    again = solve(nudged, answer.warm_start)
+    assert_solves(again, nudged, measured, "warm")
+    assert np.mean(again.iterations == 1) > 0.95
+
+
+@pytest.mark.parametrize("which", [0, 1], ids=["momentum", "torque"])
+def test_saturated_problems(harvested, solve, measured, which):
+    """A gradient 0.1 to 10 times as large as flight's, in any direction: most bounds are active."""
+    rng = np.random.default_rng(2)
+    problem = exactly(harvested[which], COUNT, rng)
+    size = np.abs(problem.g).max(axis=1, keepdims=True) * rng.choice([0.1, 1.0, 10.0], size=(COUNT, 1))
+    problem = problem._replace(g=problem.g + size * rng.normal(size=problem.g.shape))
+    answer = solve(problem, cold(problem))
+    assert_solves(answer, problem, measured, "saturated")
+    assert np.mean(answer.side != 0) > 0.2
+
+
+def test_a_wrong_warm_start_costs_passes_and_nothing_else(harvested, solve, measured):
+    rng = np.random.default_rng(3)
+    problem = exactly(harvested[0], COUNT, rng)
+    wrong = qp.WarmStart(
+        jnp.asarray(rng.normal(scale=1e3, size=problem.g.shape)),
+        jnp.asarray(rng.integers(-1, 2, size=problem.g.shape), jnp.int8),
+    )
+    assert_solves(solve(problem, wrong), problem, measured, "wrong start")
+
+
+def test_odd_boxes_and_data_without_an_answer(harvested, solve):
+    """Infinite, one-sided and closed boxes; faults have the crate's status code and leave the starting point."""
+    rng = np.random.default_rng(4)
+    flight = exactly(harvested[0], COUNT, rng)
+    h, g, lower, upper = (np.array(part) for part in flight)
+    n = g.shape[1]
+    lower[0], upper[0] = -np.inf, np.inf
+    upper[1] = np.inf
+    lower[2] = upper[2]
+    lower[3, ::2] = upper[3, ::2]
+    h[4, 2, 3] = np.nan
+    g[5, 0] = np.inf
+    lower[6, 1] = np.nan
+    lower[7], upper[7] = flight.upper[7], flight.lower[7]
+    lower[8, 0] = upper[8, 0] = np.inf
+    h[9] = -h[9]
+    h[10] -= 20.0 * np.eye(n)
+    problem = BoxQp(h, g, lower, upper)
+    start = cold(problem)._replace(x=jnp.full(g.shape, 1e-3))
+    answer = solve(problem, start)
+    x, codes = crate(problem)
+    np.testing.assert_array_equal(answer.status, codes)
+    assert set(codes[4:11]) == {qp.NON_FINITE, qp.INFEASIBLE_BOUNDS, qp.NOT_POSITIVE_DEFINITE}
+    well = codes == qp.SOLVED
+    assert well[:4].all()
+    assert well[11:].all()
+    np.testing.assert_allclose(answer.x[well], x[well], rtol=1e-8, atol=1e-8)
+    np.testing.assert_array_equal(answer.x[4:9], start.x[4:9])
+    assert np.all(np.isnan(answer.kkt[4:9]))
+
+
+def test_float32_answers_are_certified_to_1e_5_and_right_to_two_per_cent_of_range(harvested, measured):
+    problem = exactly(harvested[0], COUNT, np.random.default_rng(5))
+    x, _ = crate(problem)
+    with jax.enable_x64(False):
+        answer = jax.jit(jax.vmap(qp.solve))(BoxQp(*(np.float32(part) for part in problem)))
+        assert answer.x.dtype == jnp.float32
+        answer = jax.device_get(answer)
+    error = np.max(np.abs(answer.x - x) / (problem.upper - problem.lower))
+    measured("float32: error of range", float(error))
+    assert np.all(answer.status == qp.SOLVED)
+    assert error < 0.02
