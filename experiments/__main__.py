@@ -1,5 +1,8 @@
 """Run flights by name and say how they ended.
 
+Other commands: `sweep` (many perturbed flights), `report` (all results in one page), `engine-choice` (battery against
+fuel); `python -m experiments COMMAND --help` explains each.
+
 A result goes to `results/flight/NAME/`; with --set, the folder's name tells the changes, e.g.
 `test1--wind.velocity=0_-12_0`. With --out DIR it goes to `DIR/NAME/`, whatever was set.
 """
@@ -7,27 +10,41 @@ A result goes to `results/flight/NAME/`; with --set, the folder's name tells the
 from __future__ import annotations
 
 import argparse
+import importlib
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from experiments import Refused, flight, manifest, overrides
+from experiments.engines import ENGINES
 from experiments.table import outcome_table
 
 INTERRUPTED = 130
 
+COMMANDS = {
+    "sweep": "experiments.sweep.command",
+    "report": "experiments.report.command",
+    "engine-choice": "experiments.engine_choice",
+}
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
-    given = _parser().parse_args(arguments)
-    if given.list or not given.names:
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words and words[0] in COMMANDS:
+        # Imported when asked for: a single flight needs none of what they need.
+        run_command: Callable[[Sequence[str]], int] = importlib.import_module(COMMANDS[words[0]]).main
+        return run_command(words[1:])
+    given = _parser().parse_args(words)
+    names = [name for name, _ in flight.available()] if given.all else given.names
+    if given.list or not names:
         _print_list()
         return 0 if given.list else 2
     try:
-        changes = overrides.parse(given.set)
-        paths = [flight.find(name) for name in given.names]
+        changes = overrides.parse([*given.set, *([f"engine={given.engine}"] if given.engine else [])])
+        paths = [flight.find(name) for name in names]
         command = _command(given)
         finished = [
             flight.run(path, changes, command=command, out=given.out, overwrite=given.overwrite) for path in paths
@@ -52,6 +69,8 @@ def _parser() -> argparse.ArgumentParser:
         metavar="KEY=VALUE",
         help="change one key of the configuration; the value as in TOML, e.g. wind.velocity=[0,-12,0]",
     )
+    parser.add_argument("--all", action="store_true", help="every experiment of configs/experiments")
+    parser.add_argument("--engine", choices=sorted(ENGINES), help="who flies (default: what the configuration says)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/flight)")
     parser.add_argument("--overwrite", action="store_true", help="fly again and replace a result that is there")
     parser.add_argument("--list", action="store_true", help="list the experiments and stop")
@@ -68,10 +87,11 @@ def _print_list() -> None:
 
 def _command(given: argparse.Namespace) -> str:
     """Return the command line as it could be typed on another machine."""
-    words: list[Any] = [*given.names]
+    words: list[Any] = [*given.names, *(["--all"] if given.all else [])]
     for assignment in given.set:
         key, _, value = assignment.partition("=")
         words += ["--set", f"{key}={manifest.portable(value)}"]
+    words += ["--engine", given.engine] if given.engine else []
     words += ["--out", given.out] if given.out else []
     words += ["--overwrite"] if given.overwrite else []
     return shlex.join(["python", "-m", "experiments", *(str(manifest.portable(word)) for word in words)])

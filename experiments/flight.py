@@ -1,4 +1,4 @@
-"""One kind of experiment: a closed-loop flight on the Rust engine, from configuration to result folder."""
+"""One kind of experiment: a closed-loop flight, from configuration to result folder."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from experiments import Refused, manifest, overrides, record
+from experiments import Refused, engines, manifest, overrides, record
 from jax_aero import reference
 
 CONFIGS = manifest.REPOSITORY / "configs" / "experiments"
@@ -58,7 +58,10 @@ def run(
         return finished
 
     started = time.perf_counter()
-    flight = _fly(config, name)
+    try:
+        flight = _fly(config, name)
+    except ValueError as reason:  # an engine that does not know a setting
+        raise Refused(f"{name}: {reason}") from None
     document = manifest.build(
         name, config, flight, overrides=changes, command=command, wall_time=time.perf_counter() - started
     )
@@ -67,6 +70,7 @@ def run(
         reference.Robot(config["robot"]),
         title=document["title"],
         config_digest=document["config_digest"],
+        engine=document["engine"],
     )
     record.write_run(folder, dataset, document, replace=overwrite)
     return document
@@ -97,4 +101,4 @@ def _fly(config: reference.Config, name: str) -> reference.Flight:
             bar.total = n_ticks
             bar.update(tick - bar.n)
 
-        return reference.fly(config, show)
+        return engines.engine(engines.engine_of(config)).fly(config, show)

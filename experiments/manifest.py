@@ -40,7 +40,7 @@ def build(
         "overrides": portable(overrides),
         "seed": dict(seeds(config)) or None,
         "command": command,
-        "engine": "rust",
+        "engine": config.get("engine", "rust"),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "wall_time_s": round(wall_time, 3),
         "git": git_state(),
@@ -93,7 +93,7 @@ def _git(*arguments: str) -> str | None:
 def versions() -> dict[str, str]:
     """Return the versions a number in the result could depend on."""
     found = {"python": platform.python_version(), "flight-core": reference.__version__}
-    for package in ("jax-aero", "numpy", "xarray", "h5netcdf"):
+    for package in ("jax-aero", "numpy", "scipy", "xarray", "h5netcdf", "pyarrow"):
         try:
             found[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:

@@ -82,7 +82,9 @@ class RobotNames(Protocol):
     def jet_names(self) -> Sequence[str]: ...  # noqa: D102
 
 
-def to_dataset(flight: Flight, robot: RobotNames, *, title: str, config_digest: str) -> xr.Dataset:
+def to_dataset(
+    flight: Flight, robot: RobotNames, *, title: str, config_digest: str, engine: str = "rust"
+) -> xr.Dataset:
     """Label a flight's log with dimensions, coordinates and units."""
     coords = _coordinates(flight, robot)
     variables: dict[str, Any] = {}
@@ -107,7 +109,7 @@ def to_dataset(flight: Flight, robot: RobotNames, *, title: str, config_digest: 
         # NetCDF attributes know no null: NaN and the empty text stand for "did not fall".
         "fall_time": np.nan if flight.fall_time is None else flight.fall_time,
         "fall_reason": flight.fall_reason or "",
-        "engine": "rust",
+        "engine": engine,
         "config_hash": config_digest,
     }
     return xr.Dataset(variables, coords, facts)

@@ -1,58 +1,111 @@
-"""Draw figures from finished flights, as PDF and PNG."""
+"""Draw figures from finished flights and sweeps, as PDF and PNG; what has not been flown is named and left out."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from paper_figs import demo, fig5_flight, runs, style
+from paper_figs import ablation, demo, fig5_flight, maps, runs, scatter, style, suppl7, sweeps
 
 Draw = Callable[[Path, Sequence[str]], tuple[Figure, dict[str, str]]]
 
 FIGURES: dict[str, tuple[Draw, Sequence[str], str]] = {
     "fig5": (fig5_flight.draw, fig5_flight.RUNS, "Fig. 5 b-i: one envelope flown twice"),
+    "fig5_robustness": (fig5_flight.draw, fig5_flight.ROBUSTNESS, "Fig. 5 b-i with the paper's lower row: robustness"),
+    "suppl7": (suppl7.draw, suppl7.RUNS, "Suppl. Fig. 7 a-f, j: TEST1, TEST2, robustness; right arms"),
+    "suppl7_published": (suppl7.draw, suppl7.PUBLISHED, "Suppl. Fig. 7 a-f, j; published arms"),
     "demo": (demo.draw, demo.RUNS, "both controllers, right and published lever arms"),
+}
+"""Figures of single flights."""
+
+SWEEPS: Sequence[str] = (
+    "paper_tests",
+    "ablation_terms",
+    "ablation_scale",
+    "ablation_links",
+    "ablation_models",
+    "ablation_wind_bias",
+    "ablation_wind_noise",
+    "ablation_wind_noise_filtered",
+    "ablation_wind_delay",
+    "ablation_wind_lowpass",
+    "ablation_wind_mean",
+    "baseline_edge",
+    "map_wind",
+    "map_mass_com",
+    "map_thrust",
+    "jet_failure",
+    "jet_dynamics",
+    "ekf_noise",
+    "sensitivity",
+)
+"""Sweeps that `all` expects; others are drawn too where their results are."""
+
+DRAWINGS: Mapping[str, Callable[[sweeps.Sweep], Figure]] = {
+    "levels": ablation.draw,
+    "curve": ablation.draw,
+    "map": maps.draw,
+    "scatter": scatter.draw,
 }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     given = _parser().parse_args(arguments)
-    unknown = [name for name in given.names if name not in FIGURES]
-    if unknown:
-        print(f"error: no figure {', '.join(unknown)}; there are {', '.join(FIGURES)}", file=sys.stderr)
+    known = [*FIGURES, *_sweep_names(given.sweeps)]
+    names = known if not given.names or given.names == ["all"] else given.names
+    if unknown := [name for name in names if name not in known]:
+        print(f"error: no figure {', '.join(unknown)}; there are {', '.join(known)}", file=sys.stderr)
         return 2
     style.use()
-    missing = False
-    for name in given.names or FIGURES:
-        draw, default_runs, _ = FIGURES[name]
-        names = given.runs or default_runs
-        if len(names) != len(default_runs):
-            print(f"error: {name} shows {len(default_runs)} runs, not {len(names)}", file=sys.stderr)
+    missing = 0
+    for name in names:
+        if given.runs and (name not in FIGURES or len(given.runs) != len(FIGURES[name][1])):
+            expected = len(FIGURES[name][1]) if name in FIGURES else 0
+            print(f"error: {name} shows {expected} runs, not {len(given.runs)}", file=sys.stderr)
             return 2
         try:
-            figure, hashes = draw(given.results, names)
+            figure, hashes = _draw(name, given)
         except runs.MissingRun as reason:
             print(f"error: {name}: {reason}", file=sys.stderr)
-            missing = True
+            missing += 1
             continue
         for path in style.save(figure, name, given.out, hashes):
             print(path)
         plt.close(figure)
+    if missing:
+        print(f"{missing} of {len(names)} figures have no results to be drawn from", file=sys.stderr)
     return 1 if missing else 0
+
+
+def _draw(name: str, given: argparse.Namespace) -> tuple[Figure, dict[str, str]]:
+    if name in FIGURES:
+        draw, default_runs, _ = FIGURES[name]
+        return draw(given.results, given.runs or default_runs)
+    sweep = sweeps.load(given.sweeps, name)
+    return DRAWINGS[sweep.document["drawing"]](sweep), sweep.hashes
+
+
+def _sweep_names(folder: Path) -> Iterator[str]:
+    yield from SWEEPS
+    finished = {path.parent.name for path in folder.glob("*/cells.parquet")}
+    yield from sorted(finished - set(SWEEPS))
 
 
 def _parser() -> argparse.ArgumentParser:
     listed = "; ".join(f"{name}: {about} (runs: {' '.join(shown)})" for name, (_, shown, about) in FIGURES.items())
     parser = argparse.ArgumentParser(prog="python -m paper_figs", description=__doc__, epilog=listed)
-    parser.add_argument("names", nargs="*", metavar="FIGURE", help=f"any of {', '.join(FIGURES)} (default all)")
+    parser.add_argument(
+        "names", nargs="*", metavar="FIGURE", help=f"all (default), or any of {', '.join(FIGURES)}, or a sweep"
+    )
     parser.add_argument("--runs", nargs="+", metavar="RUN", help="which runs fill the figure, in its order")
     parser.add_argument("--results", type=Path, default=runs.default_results(), metavar="DIR", help="where flights lie")
+    parser.add_argument("--sweeps", type=Path, default=sweeps.default_sweeps(), metavar="DIR", help="where sweeps lie")
     parser.add_argument("--out", type=Path, default=runs.default_out(), metavar="DIR", help="where figures go")
     return parser
 

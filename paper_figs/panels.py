@@ -42,6 +42,13 @@ def aero_force(axes: Axes, run: Run, *, control: bool) -> None:
     axes.set_ylabel("aerodynamic force [N]")
 
 
+def aero_force_difference(axes: Axes, run: Run) -> None:
+    """Draw the simulator's total aerodynamic force minus the controller's."""
+    flown = run.flown
+    _components(axes, flown["aero_force_sim"].sum("link") - flown["aero_force_control"].sum("link"))
+    axes.set_ylabel("force difference [N]")
+
+
 def aero_force_key() -> list[Line2D]:
     """Return legend entries that tell axes by colour and models by dash, in columns of two."""
     x, y, z = (Line2D([], [], color=colour, label=axis) for axis, colour in style.AXES_COLOURS.items())

@@ -24,6 +24,7 @@ BLUE = "#0072B2"
 VERMILION = "#D55E00"
 PURPLE = "#CC79A7"
 GREY = "#7F7F7F"
+LIGHT = "#D9D9D9"
 
 AXES_COLOURS = {"x": VERMILION, "y": GREEN, "z": BLUE}
 GROUP_COLOURS = (BLACK, ORANGE, SKY, GREEN, PURPLE)
@@ -42,7 +43,7 @@ SETTINGS: dict[str, Any] = {
     "axes.titlesize": 8.5,
     "figure.dpi": 100,
     "font.size": 8,
-    "grid.color": "#D9D9D9",
+    "grid.color": LIGHT,
     "grid.linewidth": 0.5,
     "legend.borderaxespad": 0.2,
     "legend.fontsize": 7,

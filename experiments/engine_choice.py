@@ -1,0 +1,129 @@
+"""Why jets and not electric fans: the paper's comparison of battery and fuel for a hovering robot.
+
+A hovering robot of mass m needs a thrust of its own weight, and consumption is proportional to thrust (the paper's
+assumptions). A battery keeps its mass, fuel is burnt:
+
+```text
+battery   m_b = e t (m + m_b)          ⇒  m_b = m x / (1 − x),   x = p t / E
+fuel      dm/dt = −c m, empty at t     ⇒  m_f = m (exp(c t) − 1)
+```
+
+p power per thrust [W/kg], E specific energy [Wh/kg], c fuel mass per thrust and time [1/s], t flight time.
+Source: paper, Methods, "Actuators Selection".
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from experiments import manifest
+
+ROBOT = manifest.REPOSITORY / "configs" / "robot" / "ironcub_mk1.toml"
+RESULTS = manifest.REPOSITORY / "results"
+
+PAPER_BATTERY, PAPER_FUEL = 26.31, 4.61
+"""What the paper prints [kg]."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The paper's numbers."""
+
+    robot_mass: float = 40.0
+    """[kg]"""
+    minutes: float = 5.0
+    fan_thrust: float = 15.0
+    """Of the electric fan [kg]."""
+    fan_power: float = 13.0
+    """[kW]"""
+    specific_energy: float = 210.0
+    """Of LiPo batteries [Wh/kg]."""
+    jet_thrust: float = 22.0
+    """Of the jet engine [kg]."""
+    jet_consumption: float = 0.6
+    """[l/min]"""
+    fuel_density: float = 0.8
+    """[kg/l]"""
+
+    def battery(self, power_per_thrust: float | None = None) -> float:
+        """Return the battery that carries itself as well [kg]; power per thrust in kW/kg, if not the fan's."""
+        power = self.fan_power / self.fan_thrust if power_per_thrust is None else power_per_thrust
+        share = 1e3 * power * (self.minutes / 60.0) / self.specific_energy
+        return self.robot_mass * share / (1.0 - share) if share < 1.0 else math.inf
+
+    def power_per_thrust_for(self, battery: float) -> float:
+        """Return the power per thrust [kW/kg] that makes a battery of this mass [kg] just enough."""
+        share = battery / (self.robot_mass + battery)
+        return share * self.specific_energy / (self.minutes / 60.0) / 1e3
+
+    def fuel(self) -> float:
+        """Return the fuel that is burnt to the last drop [kg]."""
+        per_minute = self.jet_consumption * self.fuel_density / self.jet_thrust
+        return self.robot_mass * (math.exp(per_minute * self.minutes) - 1.0)
+
+    def fuel_carried(self) -> float:
+        """Return the fuel if none of its mass were ever lost [kg]."""
+        share = self.jet_consumption * self.fuel_density / self.jet_thrust * self.minutes
+        return self.robot_mass * share / (1.0 - share)
+
+
+def results(choice: Choice) -> dict[str, Any]:
+    """Return every figure of the comparison."""
+    return {
+        "inputs": vars(choice),
+        "battery_kg": choice.battery(),
+        "battery_at_1_kW_per_kg_kg": choice.battery(1.0),
+        "power_per_thrust_behind_the_printed_battery_kW_per_kg": choice.power_per_thrust_for(PAPER_BATTERY),
+        "fuel_kg": choice.fuel(),
+        "fuel_without_burn_off_kg": choice.fuel_carried(),
+        "paper": {"battery_kg": PAPER_BATTERY, "fuel_kg": PAPER_FUEL},
+    }
+
+
+def engines(path: Path = ROBOT) -> list[dict[str, Any]]:
+    """Return the robot's jets: thrust limit, engine and its steady throttle range."""
+    robot = tomllib.loads(path.read_text(encoding="utf-8"))
+    return [
+        {
+            "jet": jet["name"],
+            "engine": jet["engine"],
+            "thrust_max_N": jet["thrust_max"],
+            **{name: robot["engines"][jet["engine"]][name] for name in ("k_t", "k_tt", "b_u", "b_t", "b_uu", "c")},
+        }
+        for jet in robot["jets"]
+    ]
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Print the comparison and the engines; write both beside the other results."""
+    parser = argparse.ArgumentParser(prog="python -m experiments engine-choice", description=__doc__.split("\n", 1)[0])
+    for name, value in vars(Choice()).items():
+        parser.add_argument(f"--{name.replace('_', '-')}", type=float, default=value, metavar="X")
+    parser.add_argument("--out", type=Path, default=RESULTS, metavar="DIR", help="folder of engine_choice.json")
+    given = vars(parser.parse_args(arguments))
+    out: Path = given.pop("out")
+    choice = Choice(**given)
+    found = results(choice)
+    print(f"{choice.robot_mass:g} kg robot, {choice.minutes:g} min of hovering")
+    print(
+        f"  battery  {found['battery_kg']:6.2f} kg  from {choice.fan_power:g} kW for {choice.fan_thrust:g} kg of thrust"
+    )
+    print(
+        f"  battery  {found['battery_at_1_kW_per_kg_kg']:6.2f} kg  from 1 kW per kg; the paper prints {PAPER_BATTERY}"
+    )
+    print(f"  fuel     {found['fuel_kg']:6.2f} kg  burnt on the way; the paper prints {PAPER_FUEL}")
+    print("engines of the robot")
+    for jet in engines():
+        print(f"  {jet['jet']:<12} {jet['engine']:<5} up to {jet['thrust_max_N']:.0f} N")
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "engine_choice.json").write_text(
+        json.dumps({**found, "engines": engines()}, indent=2) + "\n", encoding="utf-8"
+    )
+    return 0

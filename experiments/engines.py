@@ -1,0 +1,118 @@
+"""Who flies a configuration: `engine = "rust"` or `"jax"`, in an experiment, in a sweep, or with --engine.
+
+An engine turns a resolved configuration into the same `reference.Flight`. A flight of a batch that cannot be flown
+gives a `Failure` in its place, so that it is recorded and the others go on.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from experiments import Refused
+from jax_aero import reference
+
+Config = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A flight that has no result, and why."""
+
+    reason: str
+
+
+class Engine(Protocol):
+    """One way to fly."""
+
+    def fly(self, config: Config, progress: reference.Progress | None = None) -> reference.Flight:
+        """Fly one configuration, with its whole log."""
+        ...
+
+    def fly_batch(
+        self, configs: Sequence[Config], threads: int | None = None, progress: reference.Progress | None = None
+    ) -> list[reference.Flight | Failure]:
+        """Fly many; only outcomes and summaries are sure to be there. The order is that of `configs`."""
+        ...
+
+
+class Rust:
+    """The crate: one flight per thread."""
+
+    def fly(self, config: Config, progress: reference.Progress | None = None) -> reference.Flight:
+        """Fly one configuration."""
+        return reference.fly(config, progress)
+
+    def fly_batch(
+        self, configs: Sequence[Config], threads: int | None = None, progress: reference.Progress | None = None
+    ) -> list[reference.Flight | Failure]:
+        """Fly many over threads; where the crate refuses one, fly the others without it."""
+        try:
+            return list(reference.fly_batch(configs, threads, progress))
+        except ValueError:
+            return [_alone(_fly_without_log, config) for config in configs]
+
+
+class Jax:
+    """The differentiable simulation: needs the packages of JAX."""
+
+    def __init__(self) -> None:
+        try:
+            module = importlib.import_module("jax_aero.sim")
+            self._fly: Callable[..., reference.Flight] = module.fly
+        except (ImportError, AttributeError) as reason:
+            raise Refused(
+                'engine = "jax" needs `jax_aero.sim.fly` and the packages it builds on, which are not here '
+                f'({reason}); engine = "rust" flies the same configurations'
+            ) from None
+
+    def fly(self, config: Config, progress: reference.Progress | None = None) -> reference.Flight:
+        """Fly one configuration."""
+        return self._fly(_without_engine(config), progress)
+
+    def fly_batch(
+        self,
+        configs: Sequence[Config],
+        threads: int | None = None,  # noqa: ARG002 - JAX keeps its own threads
+        progress: reference.Progress | None = None,
+    ) -> list[reference.Flight | Failure]:
+        """Fly one after the other: every flight of one shape shares one compilation."""
+        flights: list[reference.Flight | Failure] = []
+        for config in configs:
+            flights.append(_alone(self.fly, config))
+            if progress is not None:
+                progress(len(flights), len(configs))
+        return flights
+
+
+ENGINES: Mapping[str, Callable[[], Engine]] = {"rust": Rust, "jax": Jax}
+
+
+def engine(name: str) -> Engine:
+    """Return the engine of a name."""
+    if name not in ENGINES:
+        raise Refused(f"engine = {name!r}; expected one of {', '.join(ENGINES)}")
+    return ENGINES[name]()
+
+
+def engine_of(config: Config) -> str:
+    """Return the name of the engine a configuration asks for."""
+    return str(config.get("engine", "rust"))
+
+
+def _fly_without_log(config: Config) -> reference.Flight:
+    return reference.fly_batch([config], 1)[0]
+
+
+def _alone(fly: Callable[[Config], reference.Flight], config: Config) -> reference.Flight | Failure:
+    try:
+        return fly(config)
+    except ValueError as reason:
+        return Failure(str(reason))
+
+
+def _without_engine(config: Config) -> dict[str, Any]:
+    """Return what the simulation itself has to know."""
+    return {key: value for key, value in config.items() if key != "engine"}

@@ -1,0 +1,6 @@
+"""All results on one page: `python -m experiments report` writes `results/report.md` and `results/report.html`.
+
+```text
+runs, sweeps ──► metrics ──► claims ──► page ──► Markdown, HTML
+```
+"""

@@ -1,0 +1,248 @@
+"""Write all results on one page: claims of the paper with our measurements and verdicts, runs, ablations, maps."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from experiments import engine_choice, manifest
+from experiments.report import claims
+from experiments.report.metrics import Metrics
+from experiments.report.page import Heading, Page, Picture, Table, Text
+from experiments.report.results import Results, Sweep, count
+
+PAPER_RUNS = ("test1", "test2", "robustness_sphere_cylinder_vs_axisymmetric")
+PUBLISHED_RUNS = ("test1_published", "test2_published", "robustness_axisymmetric_vs_sphere_cylinder")
+FIGURES = {
+    "fig5": "Fig. 5 b–i of the paper: TEST2 above, TEST1 below, right lever arms.",
+    "fig5_robustness": "Fig. 5 b–i as the paper fills it: TEST2 in place of TEST4; robustness with analytic models.",
+    "suppl7": "Supplementary Fig. 7 a–f and j, right lever arms. Its panels g–i show TEST3, which needs the network.",
+    "suppl7_published": "Supplementary Fig. 7 a–f and j, published lever arms.",
+}
+PARTS = {
+    "Ablation of the aerodynamic feedback": ("ablation_",),
+    "Where the baseline fails, and maps": ("baseline_edge", "map_"),
+    "Jets and faults": ("jet_", "ekf_"),
+    "Uncertainty": ("sensitivity",),
+}
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Write the report from what results there are."""
+    parser = argparse.ArgumentParser(prog="python -m experiments report", description=__doc__)
+    parser.add_argument(
+        "--results",
+        type=Path,
+        default=manifest.REPOSITORY / "results",
+        metavar="DIR",
+        help="folder with flight/, sweeps/",
+    )
+    results = Results(parser.parse_args(arguments).results)
+    page = build(results)
+    results.folder.mkdir(parents=True, exist_ok=True)
+    for name, text in (("report.md", page.markdown()), ("report.html", page.html())):
+        path = results.folder / name
+        draft = path.with_name(f".{name}.draft")
+        draft.write_text(text, encoding="utf-8")
+        draft.replace(path)
+        print(path)
+    return 0
+
+
+def build(results: Results) -> Page:
+    """Return the whole report."""
+    page = Page("What flies, and why")
+    page.add(
+        Text(
+            "Every figure below is measured with this repository; `make reproduce` makes all of it from nothing. "
+            "A count such as 39 of 40 (87 to 100 %) carries its Wilson 95 % interval: the flights behind it differ in "
+            "start, wind and coefficients (`configs/perturbation/flight.toml`). *Right arms* place forces where "
+            "physics has them, "
+            "*published arms* where the published code has them (`docs/deviations.md`)."
+        ),
+        Heading(2, "The paper's claims"),
+        Table(
+            ("where", "claim", "measured", "verdict"),
+            [(c.where, c.claim, c.measured, f"**{c.verdict}**") for c in claims.all_claims(results)],
+        ),
+    )
+    _minimum(page, results)
+    _runs(page, results)
+    for title, names in PARTS.items():
+        chosen = {name: sweep for name, sweep in results.sweeps.items() if name.startswith(names)}
+        if chosen:
+            page.add(Heading(2, title))
+        for name, sweep in chosen.items():
+            _sweep(page, results, name, sweep)
+    _engines(page)
+    _speed(page, results)
+    return page
+
+
+def _minimum(page: Page, results: Results) -> None:
+    if "ablation_terms" not in results.sweeps:
+        return
+    sweep = results.sweeps["ablation_terms"]
+    worlds = sweep.levels("world")
+    rows = [
+        [
+            feedback,
+            *(
+                f"{count(cell)}; {cell['on_course']} on course; {cell['rotation_error_deg_median']:.0f}°"
+                for cell in (sweep.cell(world=world, feedback=feedback) for world in worlds)
+            ),
+        ]
+        for feedback in sweep.levels("feedback")
+    ]
+    page.add(
+        Heading(2, "The minimum aerodynamic information that still flies"),
+        Text(claims.answer(results)),
+        Text(
+            "Per world: flights completed, flights that also stayed within 15° and 0.25 m of their reference, "
+            "median of the greatest rotation error."
+        ),
+        Table(("feedback", *worlds), rows),
+    )
+
+
+def _runs(page: Page, results: Results) -> None:
+    page.add(Heading(2, "The paper's runs"))
+    headings = (
+        "run",
+        "outcome",
+        "CoM error [m]",
+        "rotation error [deg]",
+        "joint error sums, max: torso, arms l/r, legs l/r [deg]",
+        "thrusts [N]",
+        "left–right, max: arms, chest [N]",
+        "total force, max [N]",
+        "simulator − controller, max [N]",
+    )
+    named = [*PAPER_RUNS, *PUBLISHED_RUNS]
+    others = sorted(set(results.flights) - set(named))
+    flights = [results.flights[name] for name in (*named, *others) if name in results.flights]
+    page.add(
+        Text("TEST3, TEST4 and the robustness test proper have no row: they need the neural network as simulator."),
+        Table(headings, [_run(flight) for flight in flights]),
+    )
+    page.add(*_pictures(results, FIGURES.items()))
+
+
+def _run(flight: Metrics) -> Sequence[str]:
+    return (
+        f"`{flight.name}` {flight.title}",
+        flight.ending,
+        f"{flight.com_error:.3f}",
+        f"{flight.rotation_error:.1f}",
+        ", ".join(f"{error:.0f}" for error in flight.joint_errors.values()),
+        f"{flight.thrust[0]:.1f} to {flight.thrust[1]:.1f}",
+        f"{flight.asymmetry[0]:.1f}, {flight.asymmetry[1]:.1f}",
+        f"{flight.force:.1f}",
+        f"{flight.force_difference:.1f}",
+    )
+
+
+def _pictures(results: Results, figures: Iterable[tuple[str, str]]) -> list[Picture]:
+    found = ((results.figure(name), caption) for name, caption in figures)
+    return [Picture(path, caption) for path, caption in found if path is not None]
+
+
+def _sweep(page: Page, results: Results, name: str, sweep: Sweep) -> None:
+    document = sweep.document
+    finished = document["finished"]["outcomes"]
+    counted = f"{finished['completed']} completed, {finished['fell']} fell"
+    failed = f", {finished['error']} could not be flown" if finished["error"] else ""
+    page.add(
+        Heading(3, document["title"]),
+        Text(f"{document['description']} {document['rows']} flights: {counted}{failed}. {_edge(sweep)}".strip()),
+    )
+    page.add(*_pictures(results, [(name, f"`{name}`")]))
+
+
+def _edge(sweep: Sweep) -> str:
+    """Say up to where all is well along a single number, world by world."""
+    document = sweep.document
+    if document["drawing"] != "curve":
+        return ""
+    panel, axis = document["panels"], document["axes"][-1]
+    between = [part["name"] for part in document["axes"][:-1]]
+    groups: dict[tuple[str, ...], list[dict[str, object]]] = {}
+    for cell in sweep.cells:
+        groups.setdefault(tuple(str(cell[part]) for part in between), []).append(cell)
+    said = []
+    for labels, cells in groups.items():
+        sound = [cell[axis["name"]] for cell in cells if cell["completed"] == cell["flights"]]
+        where = ", ".join(labels)
+        unit = f" {axis['unit']}" if axis["unit"] else ""
+        said.append(
+            f"{where}: {_spans(sound, [cell[axis['name']] for cell in cells])}{unit}" if sound else f"{where}: nowhere"
+        )
+    return f"All flights of a point complete at — {'; '.join(said)}." if panel else ""
+
+
+def _spans(values: Sequence[object], known: Sequence[object]) -> str:
+    """Return "0.8 to 1.2, 2" for values among the known ones."""
+    spans: list[list[object]] = []
+    for value in known:
+        if value not in values:
+            continue
+        before = known[known.index(value) - 1] if known.index(value) else None
+        if spans and spans[-1][-1] == before:
+            spans[-1] = [spans[-1][0], value]
+        else:
+            spans.append([value, value])
+    return ", ".join(f"{a:g}" if a == b else f"{a:g} to {b:g}" for a, b in spans)
+
+
+def _engines(page: Page) -> None:
+    choice = engine_choice.Choice()
+    found = engine_choice.results(choice)
+    page.add(
+        Heading(2, "Why jets: battery against fuel"),
+        Text(
+            f"A hovering {choice.robot_mass:g} kg robot for {choice.minutes:g} min, from the paper's own numbers. "
+            "A battery carries "
+            "itself to the end, fuel is burnt on the way. `python -m experiments engine-choice` takes other numbers."
+        ),
+        Table(
+            ("what", "ours [kg]", "paper [kg]"),
+            [
+                ("battery, 13 kW for 15 kg of thrust as printed", f"{found['battery_kg']:.2f}", "26.31"),
+                ("battery, 1 kW per kg of thrust", f"{found['battery_at_1_kW_per_kg_kg']:.2f}", "26.31"),
+                ("fuel, burnt on the way", f"{found['fuel_kg']:.2f}", "4.61"),
+                ("fuel, if none of its mass were lost", f"{found['fuel_without_burn_off_kg']:.2f}", "—"),
+            ],
+        ),
+        Table(
+            ("jet", "engine", "greatest thrust [N]"),
+            [(jet["jet"], jet["engine"], f"{jet['thrust_max_N']:.0f}") for jet in engine_choice.engines()],
+        ),
+    )
+
+
+def _speed(page: Page, results: Results) -> None:
+    rows, flights, seconds = [], 0, 0.0
+    for name, sweep in results.sweeps.items():
+        finished = sweep.document["finished"]
+        if finished["flights"] < sweep.document["rows"]:
+            rows.append((f"`{name}`", str(sweep.document["rows"]), sweep.document["engine"], "resumed, not timed", "—"))
+            continue
+        flights, seconds = flights + finished["flights"], seconds + finished["seconds"]
+        rate = f"{finished['flights_per_minute']:.0f}"
+        rows.append(
+            (f"`{name}`", str(finished["flights"]), sweep.document["engine"], f"{finished['seconds']:.0f}", rate)
+        )
+    if not seconds:
+        return
+    cores = {str(sweep.document["device"]["cores"]) for sweep in results.sweeps.values()}
+    rows.append(("all", str(flights), "", f"{seconds:.0f}", f"{60.0 * flights / seconds:.0f}"))
+    page.add(
+        Heading(2, "Speed"),
+        Text(
+            f"Flights of 50 s of simulated time (shorter where they fall) on {' or '.join(sorted(cores))} cores; "
+            "a thousand "
+            f"flights take {1000.0 * seconds / flights / 60.0:.1f} min at the mean rate."
+        ),
+        Table(("sweep", "flights", "engine", "time [s]", "flights per minute"), rows),
+    )

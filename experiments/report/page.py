@@ -1,0 +1,109 @@
+"""A page as a list of blocks, written as Markdown and as HTML: both say the same."""
+
+from __future__ import annotations
+
+import html
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+STYLE = """
+body { font: 15px/1.5 sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #1a1a1a; }
+table { border-collapse: collapse; margin: 1rem 0; font-size: 13px; }
+th, td { border-bottom: 1px solid #d9d9d9; padding: 0.3rem 0.6rem; text-align: left; vertical-align: top; }
+th { border-bottom: 2px solid #7f7f7f; }
+img { max-width: 100%; } figcaption { color: #555; font-size: 13px; } figure { margin: 1.5rem 0; }
+code { background: #f2f2f2; padding: 0 0.2rem; }
+"""
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A title of a level from 1."""
+
+    level: int
+    text: str
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph; `code` and **bold** as in Markdown."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows below their headings."""
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure beside the page, by its relative path."""
+
+    path: str
+    caption: str
+
+
+Block = Heading | Text | Table | Picture
+
+
+@dataclass
+class Page:
+    """Blocks in their order."""
+
+    title: str
+    blocks: list[Block] = field(default_factory=list)
+
+    def add(self, *blocks: Block) -> None:
+        """Put blocks at the end."""
+        self.blocks.extend(blocks)
+
+    def markdown(self) -> str:
+        """Return the page as Markdown."""
+        return "\n\n".join([f"# {self.title}", *(_markdown(block) for block in self.blocks)]) + "\n"
+
+    def html(self) -> str:
+        """Return the page as one HTML file; pictures stay beside it."""
+        body = "\n".join([f"<h1>{html.escape(self.title)}</h1>", *(_html(block) for block in self.blocks)])
+        return (
+            f'<!DOCTYPE html>\n<html lang="en">\n<head><meta charset="utf-8"><title>{html.escape(self.title)}</title>\n'
+            f"<style>{STYLE}</style></head>\n<body>\n{body}\n</body>\n</html>\n"
+        )
+
+
+def _markdown(block: Block) -> str:
+    match block:
+        case Heading(level, text):
+            return f"{'#' * level} {text}"
+        case Text(text):
+            return text
+        case Picture(path, caption):
+            return f"![{caption}]({path})\n\n*{caption}*"
+        case Table(headings, rows):
+            cells = [headings, ["---"] * len(headings), *rows]
+            return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in cells)
+
+
+def _html(block: Block) -> str:
+    match block:
+        case Heading(level, text):
+            return f"<h{level}>{_inline(text)}</h{level}>"
+        case Text(text):
+            return f"<p>{_inline(text)}</p>"
+        case Picture(path, caption):
+            shown, said = html.escape(path), _inline(caption)
+            return f'<figure><img src="{shown}" alt="{html.escape(caption)}"><figcaption>{said}</figcaption></figure>'
+        case Table(headings, rows):
+            head = "".join(f"<th>{_inline(cell)}</th>" for cell in headings)
+            body = "\n".join("<tr>" + "".join(f"<td>{_inline(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+            return f"<table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody>\n</table>"
+
+
+def _inline(text: str) -> str:
+    text = html.escape(text)
+    text = re.sub(r"`([^`]+)`", r"<code>\1</code>", text)
+    return re.sub(r"\*\*([^*]+)\*\*", r"<b>\1</b>", text)

@@ -1,0 +1,76 @@
+"""Everything a report is made from, read once: flights, sweeps, the engine comparison."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+
+from experiments.report import metrics
+
+Cell = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One finished sweep."""
+
+    document: dict[str, Any]
+    cells: list[dict[str, Any]]
+
+    def cell(self, **labels: object) -> Cell:
+        """Return the one cell with these levels."""
+        (found,) = self.select(**labels)
+        return found
+
+    def select(self, **labels: object) -> list[dict[str, Any]]:
+        """Return the cells with these levels."""
+        return [cell for cell in self.cells if all(cell[name] == label for name, label in labels.items())]
+
+    def levels(self, axis: str) -> list[Any]:
+        """Return the levels of an axis, in their order."""
+        return list(dict.fromkeys(cell[axis] for cell in self.cells))
+
+
+@dataclass(frozen=True)
+class Results:
+    """A results folder."""
+
+    folder: Path
+
+    @cached_property
+    def flights(self) -> dict[str, metrics.Metrics]:
+        """Return every plain flight, by name; those with --set are somebody's own business."""
+        folders = sorted((self.folder / "flight").glob("*/manifest.json"))
+        read = ((path.parent.name, metrics.read(path.parent)) for path in folders if "--" not in path.parent.name)
+        return {name: found for name, found in read if found is not None}
+
+    @cached_property
+    def sweeps(self) -> dict[str, Sweep]:
+        """Return every finished sweep, by name."""
+        found = {}
+        for path in sorted((self.folder / "sweeps").glob("*/cells.parquet")):
+            document = json.loads((path.parent / "sweep.json").read_text(encoding="utf-8"))
+            found[path.parent.name] = Sweep(document, pq.read_table(path).to_pylist())
+        return found
+
+    @cached_property
+    def engine_choice(self) -> dict[str, Any] | None:
+        """Return the comparison of battery and fuel, if it was made."""
+        path = self.folder / "engine_choice.json"
+        return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+
+    def figure(self, name: str) -> str | None:
+        """Return the path of a figure beside the report, if it was drawn."""
+        return f"figures/{name}.png" if (self.folder / "figures" / f"{name}.png").is_file() else None
+
+
+def count(cell: Cell, what: str = "completed") -> str:
+    """Return "39 of 40 (87 to 100 %)": a count and its 95 % interval."""
+    low, high = (100.0 * cell[f"{what}_{end}"] for end in ("low", "high"))
+    return f"{cell[what]} of {cell['flights']} ({low:.0f} to {high:.0f} %)"

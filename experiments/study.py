@@ -1,0 +1,122 @@
+"""Studies: results that are no flight, such as a trim or an optimal trajectory. One folder each, like a flight's.
+
+A study is configured by a TOML file of its own. Paths in it start at that file; every file named counts towards the
+digest, so that a result can tell whether it is still the answer to its question.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+import tomllib
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from experiments import Refused, manifest, record
+
+RESULTS = manifest.REPOSITORY / "results"
+CONFIGS = manifest.REPOSITORY / "configs"
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Read a TOML file."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, tomllib.TOMLDecodeError) as reason:
+        raise Refused(f"{path.name}: {reason}") from None
+
+
+def find(kind: str, name: str) -> Path:
+    """Return the configuration of a study by its name, or by its path."""
+    path = Path(name) if "/" in name or name.endswith(".toml") else CONFIGS / kind / f"{name}.toml"
+    if not path.is_file():
+        known = ", ".join(sorted(entry.stem for entry in (CONFIGS / kind).glob("*.toml")))
+        raise Refused(f"no {kind} study `{name}`; there are {known}")
+    return path
+
+
+def check_keys(path: Path, table: Mapping[str, Any], expected: Mapping[str, Any], prefix: str = "") -> None:
+    """Refuse keys that are unknown or missing; `expected` maps a key to a type, or to a table of the same kind."""
+    if unknown := set(table) - set(expected):
+        raise Refused(f"{path.name}: unknown key `{prefix}{min(unknown)}`; known: {', '.join(sorted(expected))}")
+    for key, kind in expected.items():
+        if key not in table:
+            raise Refused(f"{path.name}: `{prefix}{key}` is missing")
+        if isinstance(kind, Mapping):
+            if not isinstance(table[key], Mapping):
+                raise Refused(f"{path.name}: `{prefix}{key}` is {table[key]!r}; expected a table")
+            check_keys(path, table[key], kind, f"{prefix}{key}.")
+        elif not isinstance(table[key], kind) or isinstance(table[key], bool) is not (kind is bool):
+            raise Refused(f"{path.name}: `{prefix}{key}` is {table[key]!r}; expected {_type_name(kind)}")
+
+
+def _type_name(kind: Any) -> str:
+    words = {float: "a number", int: "an integer", str: "a text", list: "a list", dict: "a table"}
+    kinds = kind if isinstance(kind, tuple) else (kind,)
+    return " or ".join(words.get(entry, entry.__name__) for entry in kinds)
+
+
+def digest(config: Mapping[str, Any], files: Sequence[Path]) -> str:
+    """SHA-256 over a configuration and the files it names; the same on every machine."""
+    total = hashlib.sha256(json.dumps(manifest.portable(config), sort_keys=True).encode())
+    for file in files:
+        total.update(file.read_bytes())
+    return total.hexdigest()
+
+
+def build_manifest(
+    name: str,
+    title: str,
+    config: Mapping[str, Any],
+    config_digest: str,
+    *,
+    summary: Mapping[str, Any],
+    timings: Mapping[str, float],
+    command: Sequence[str] | None = None,
+) -> dict[str, Any]:
+    """Return the manifest of a study, ready for JSON; `timings` are in seconds of wall time."""
+    from importlib.metadata import version
+
+    return {
+        "name": name,
+        "title": title,
+        "summary": dict(summary),
+        "config_digest": config_digest,
+        "config": manifest.portable(config),
+        "command": " ".join(str(manifest.portable(word)) for word in command or _command()),
+        "engine": "casadi",
+        "timings_s": {key: round(value, 4) for key, value in timings.items()},
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "git": manifest.git_state(),
+        "versions": manifest.versions() | {"casadi": version("casadi")},
+        "device": manifest.device(),
+    }
+
+
+def _command() -> list[str]:
+    # argv[0] is the path of the module that runs: `experiments.trim`, or the front door, `experiments`.
+    module = Path(sys.argv[0]).stem
+    return ["python", "-m", "experiments" if module == "__main__" else f"experiments.{module}", *sys.argv[1:]]
+
+
+def write(
+    folder: Path,
+    dataset: xr.Dataset,
+    document: Mapping[str, Any],
+    texts: Mapping[str, str] | None = None,
+) -> None:
+    """Write a result folder at once, in the place of an older result; `texts` are further files by name."""
+    texts = texts or {}
+    if folder.exists() and (more := set(record.strangers(folder)) - set(texts)):
+        raise Refused(f"{manifest.portable(folder)} holds more than a result ({min(more)}), so it is not replaced")
+    with record.complete_folder(folder, replace=True) as draft:
+        record.write_dataset(dataset, draft / record.RUN_FILE)
+        for name, text in texts.items():
+            (draft / name).write_text(text, encoding="utf-8")
+        text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        (draft / record.MANIFEST_FILE).write_text(text, encoding="utf-8")

@@ -1,0 +1,8 @@
+"""Many flights from one file: `python -m experiments sweep NAME`.
+
+```text
+spec (TOML) ──► cells (design) ──► rows: cells x repeats, perturbed ──► chunks ──► table.parquet, cells.parquet
+```
+
+A row is made from its number alone, so any process can fly any chunk, in any order, with the same result.
+"""

@@ -1,0 +1,61 @@
+"""Fly sweeps by name: grids, lists, Latin hypercubes and Sobol sequences of perturbed flights.
+
+A sweep goes to `results/sweeps/NAME/`. One that was stopped goes on where it was left, with the same result to the
+last byte; a finished one is only replaced with --overwrite.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from experiments import Refused
+from experiments.sweep import run, spec
+from experiments.sweep.cluster import Ray
+from experiments.sweep.design import Design
+
+INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command line; return its exit status."""
+    given = _parser().parse_args(arguments)
+    names = list(spec.available()) if given.all else given.names
+    if given.list or not names:
+        for name, title in spec.available().items():
+            print(f"  {name:<28}  {title}")
+        return 0 if given.list else 2
+    crew: run.Crew = Ray(given.address, given.workers) if given.cluster else run.Local(given.workers)
+    try:
+        designs = [Design(spec.load(name)) for name in names]
+        for design in designs:
+            folder = run.run(design, crew, out=given.out, overwrite=given.overwrite)
+            print(f"{design.spec.name}: {design.n_rows} flights in {len(design.cells)} cells, {_shown(folder)}")
+    except Refused as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted; the same command goes on with the next chunk", file=sys.stderr)
+        return INTERRUPTED
+    return 0
+
+
+def _shown(folder: Path) -> str:
+    return str(folder.relative_to(Path.cwd())) if folder.is_relative_to(Path.cwd()) else str(folder)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m experiments sweep", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="a file stem in configs/sweeps, or a path")
+    parser.add_argument("--all", action="store_true", help="every sweep of configs/sweeps")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/sweeps)")
+    parser.add_argument("--overwrite", action="store_true", help="begin anew, and replace a result that is there")
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="threads, or processes of a local cluster (default: one per core)"
+    )
+    parser.add_argument("--cluster", choices=["ray"], help="spread chunks over a cluster instead of threads")
+    parser.add_argument("--address", metavar="ADDRESS", help="of the cluster (default: RAY_ADDRESS, or a local one)")
+    parser.add_argument("--list", action="store_true", help="list the sweeps and stop")
+    return parser

@@ -1,0 +1,131 @@
+"""From a sweep's axes to its cells, and from a row's number to its configuration."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import itertools
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from experiments import Refused, flight, manifest
+from experiments.sweep import keys
+from experiments.sweep.spec import Level, Spec
+from jax_aero import reference
+
+
+@dataclass(frozen=True)
+class Design:
+    """A sweep with its base flights read: everything a process needs to fly any row."""
+
+    spec: Spec
+
+    @cached_property
+    def cells(self) -> list[tuple[Level, ...]]:
+        """Return the level of every axis, cell by cell; the last axis varies fastest."""
+        axes = self.spec.axes
+        if self.spec.design == "grid":
+            return list(itertools.product(*(axis.levels for axis in axes)))
+        if self.spec.design == "list":
+            return list(zip(*(axis.levels for axis in axes), strict=True))
+        points = _unit_points(self.spec.design, len(axes), self.spec.samples, self.spec.seed)
+        return [
+            tuple(
+                # Ten digits are plenty for a sample, and read well in a table.
+                axis.sampled(float(f"{axis.low + (axis.high - axis.low) * x:.10g}"))
+                for axis, x in zip(axes, point, strict=True)
+            )
+            for point in points
+        ]
+
+    @property
+    def n_rows(self) -> int:
+        """Return the number of flights."""
+        return len(self.cells) * self.spec.repeats
+
+    @property
+    def n_chunks(self) -> int:
+        """Return the number of chunks."""
+        return -(-self.n_rows // self.spec.chunk)
+
+    def chunk(self, index: int) -> range:
+        """Return the rows of a chunk."""
+        return range(index * self.spec.chunk, min((index + 1) * self.spec.chunk, self.n_rows))
+
+    @cached_property
+    def bases(self) -> dict[str, reference.Config]:
+        """Return the flights that cells start from, by name."""
+        names = {self.spec.base, *(level.base for axis in self.spec.axes for level in axis.levels if level.base)}
+        return {name: _load(self.spec.name, name) for name in sorted(names)}
+
+    @cached_property
+    def links(self) -> list[str]:
+        """Return the aerodynamic links of the robot."""
+        return list(reference.Robot(self.bases[self.spec.base]["robot"]).aero_link_names)
+
+    def cell_config(self, cell: int) -> reference.Config:
+        """Return the unperturbed configuration of a cell."""
+        levels = self.cells[cell]
+        base = next((level.base for level in levels if level.base), self.spec.base)
+        config = copy.deepcopy(self.bases[base])
+        keys.set_all(config, self.spec.set)
+        for level in levels:
+            keys.set_all(config, level.set)
+        return config
+
+    def row_config(self, row: int) -> reference.Config:
+        """Return the configuration of a row: its cell's, perturbed by its repeat's draws."""
+        cell, repeat = divmod(row, self.spec.repeats)
+        config = self.cell_config(cell)
+        self.spec.perturbation.apply(config, self.spec.seed, repeat, self.links)
+        return config
+
+    @cached_property
+    def digest(self) -> str:
+        """Return a hash of everything that decides the result, but for the code."""
+        cells = [[(level.label, level.base, dict(level.set)) for level in levels] for levels in self.cells]
+        what = {
+            "bases": {name: reference.config_digest(config) for name, config in self.bases.items()},
+            "cells": cells,
+            "set": dict(self.spec.set),
+            "perturbation": vars(self.spec.perturbation),
+            "numbers": [self.spec.seed, self.spec.repeats, self.spec.chunk, self.spec.engine],
+        }
+        return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
+
+    def check(self) -> None:
+        """Refuse a sweep with a cell that cannot fly, before the first flight."""
+        for cell, levels in enumerate(self.cells):
+            try:
+                reference.check_config(self.cell_config(cell))
+            except ValueError as reason:
+                labels = ", ".join(f"{axis.name} = {x.label}" for axis, x in zip(self.spec.axes, levels, strict=True))
+                raise Refused(f"sweep {self.spec.name}: cell {cell} ({labels}): {reason}") from None
+
+
+def _unit_points(design: str, dimensions: int, samples: int, seed: int) -> Sequence[Sequence[float]]:
+    from scipy.stats import qmc
+
+    if design == "sobol":
+        sampler = qmc.Sobol(dimensions, rng=seed)
+        # All of a power of two, cut: Sobol's points are balanced only as a whole.
+        points = sampler.random_base2(max(0, (samples - 1).bit_length()))[:samples]
+    else:
+        points = qmc.LatinHypercube(dimensions, rng=seed).random(samples)
+    found: list[list[float]] = points.tolist()
+    return found
+
+
+def _load(sweep: str, name: str) -> reference.Config:
+    try:
+        return reference.load_config(flight.find(name))
+    except ValueError as reason:
+        raise Refused(f"sweep {sweep}: {reason}") from None
+
+
+def config_hash(config: reference.Config) -> str:
+    """Return a short hash of one row's configuration, the same on every machine."""
+    text = json.dumps(manifest.portable(config), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -1,0 +1,102 @@
+"""Flights that are alike but not equal: start, wind and coefficients drawn around their nominal values.
+
+Repeat number r is perturbed the same way in every cell, so cells are compared on the same draws.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from experiments import Refused
+from experiments.sweep import keys
+
+SEED_KEYS = ("wind.seed", "controller.wind_estimate.seed", "simulator.jet_faults.measurement_noise.seed")
+"""Keys that get a seed of their own in every repeat, where their table is there and made of chance."""
+
+CHANCE = {"wind": ("time_scale",), "controller.wind_estimate": (), "simulator.jet_faults.measurement_noise": ()}
+"""Keys by which a table tells that it is made of chance."""
+
+
+@dataclass(frozen=True)
+class Perturbation:
+    """Half widths of uniform distributions; nothing is perturbed by default."""
+
+    joint_position: float = 0.0
+    """Of every initial joint position [rad]."""
+    base_rpy_deg: float = 0.0
+    """Of the initial roll, pitch and yaw [deg]."""
+    base_velocity: float = 0.0
+    """Of every initial velocity of the base [m/s, rad/s]."""
+    thrust: float = 0.0
+    """Of every initial thrust [N]."""
+    wind_speed: float = 0.0
+    """Of the wind speed, relative."""
+    wind_direction_deg: float = 0.0
+    """Of the direction of the wind, about the vertical [deg]."""
+    drag: float = 0.0
+    """Of the drag of all links in the simulator, relative."""
+    normal: float = 0.0
+    """Of the normal force of all links in the simulator, relative."""
+    link: float = 0.0
+    """Of the force of each link in the simulator, relative."""
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            size = getattr(self, item.name)
+            if isinstance(size, bool) or not isinstance(size, int | float) or not 0 <= size < math.inf:
+                raise Refused(f"perturbation: {item.name} = {size!r}; expected a number ≥ 0")
+
+    def apply(self, config: dict[str, Any], seed: int, repeat: int, links: Sequence[str]) -> None:
+        """Perturb a configuration in place."""
+        # Every number is drawn whether it is used or not, and each kind from a stream of its own: a perturbation that
+        # is switched on leaves the others as they were.
+        streams = [np.random.default_rng([seed, repeat, kind]) for kind in range(len(fields(self)) + 1)]
+        draws = dict(zip((item.name for item in fields(self)), streams, strict=False))
+
+        def around(name: str, values: Sequence[float]) -> list[float]:
+            offsets = draws[name].uniform(-1.0, 1.0, len(values)) * getattr(self, name)
+            return [float(value + offset) for value, offset in zip(values, offsets, strict=True)]
+
+        initial = config["simulator"]["initial"]
+        for name in ("joint_position", "base_rpy_deg", "base_velocity", "thrust"):
+            if getattr(self, name):
+                initial[name] = around(name, initial[name])
+        if self.thrust:
+            initial["thrust"] = [max(0.0, thrust) for thrust in initial["thrust"]]
+        self._blow(config["wind"], around)
+        self._reshape(config["simulator"], around, links)
+        _seed(config, streams[-1])
+
+    def _blow(self, wind: dict[str, Any], around: Any) -> None:
+        if "velocity" not in wind or not (self.wind_speed or self.wind_direction_deg):
+            return
+        (factor,), (turn,) = around("wind_speed", [1.0]), around("wind_direction_deg", [0.0])
+        x, y, z = wind["velocity"]
+        cos, sin = math.cos(math.radians(turn)), math.sin(math.radians(turn))
+        wind["velocity"] = [factor * (cos * x - sin * y), factor * (sin * x + cos * y), factor * z]
+
+    def _reshape(self, simulator: dict[str, Any], around: Any, links: Sequence[str]) -> None:
+        if not (self.drag or self.normal or self.link):
+            return
+        factors = simulator.setdefault("aero_factors", {})
+        for name in ("drag", "normal"):
+            if getattr(self, name):
+                factors[name] = factors.get(name, 1.0) * around(name, [1.0])[0]
+        if self.link:
+            given: Mapping[str, float] = factors.get("links", {})
+            drawn = around("link", [1.0] * len(links))
+            factors["links"] = {link: given.get(link, 1.0) * x for link, x in zip(links, drawn, strict=True)}
+
+
+def _seed(config: dict[str, Any], stream: np.random.Generator) -> None:
+    """Give every table made of chance a seed of this repeat."""
+    for key in SEED_KEYS:
+        drawn = int(stream.integers(2**31))
+        table = keys.get(config, key.rpartition(".")[0])
+        if isinstance(table, dict) and all(mark in table for mark in CHANCE[key.rpartition(".")[0]]):
+            table["seed"] = drawn

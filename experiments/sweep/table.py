@@ -1,0 +1,171 @@
+"""What a sweep leaves behind: one row per flight, one row per cell, both Parquet.
+
+Nothing in these tables depends on when, where or in which order flights were flown.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from experiments.engines import Failure
+from experiments.sweep.design import Design, config_hash
+from jax_aero.reference import Flight
+
+SUMMARY = (
+    "max_com_error",
+    "max_com_error_x",
+    "max_com_error_y",
+    "max_com_error_z",
+    "rms_com_error",
+    "max_rotation_error",
+    "rms_rotation_error",
+    "time_tilted",
+    "max_joint_error",
+    "thrust_min",
+    "thrust_max",
+    "max_torque",
+    "max_aero_force",
+    "max_aero_force_difference",
+    "min_com_height",
+    "ticks_without_solution",
+    "max_kkt",
+    "max_qp_iterations",
+)
+"""Figures of merit of a flight that tables keep."""
+
+ON_COURSE_ROTATION = math.radians(15.0)
+ON_COURSE_COM = 0.25
+"""A flight that was never this far off [rad, m] counts as on course, a stricter word than completed."""
+
+SETTLING_TIME = 3.0
+"""Start-up transient that the crate leaves out of position errors [s]."""
+
+QUANTITIES = {
+    "rotation_error_deg": ("max_rotation_error", math.degrees(1.0)),
+    "com_error": ("max_com_error", 1.0),
+    "joint_error_deg": ("max_joint_error", math.degrees(1.0)),
+    "thrust_max": ("thrust_max", 1.0),
+    "thrust_min": ("thrust_min", 1.0),
+    "fall_time": ("fall_time", 1.0),
+    "time_tilted": ("time_tilted", 1.0),
+}
+"""Columns of the table of cells: of which summary, times what."""
+
+QUANTILES = {"low": 0.1, "median": 0.5, "high": 0.9, "worst": 1.0}
+
+
+def schema(design: Design) -> pa.Schema:
+    """Return the columns of a sweep's flights."""
+    return pa.schema(
+        [
+            ("row", pa.int64()),
+            ("cell", pa.int64()),
+            ("repeat", pa.int64()),
+            *_axis_columns(design),
+            ("config_hash", pa.string()),
+            ("outcome", pa.string()),
+            ("fall_time", pa.float64()),
+            ("fall_reason", pa.string()),
+            ("error", pa.string()),
+            *((name, pa.float64()) for name in SUMMARY),
+        ]
+    )
+
+
+def _axis_columns(design: Design) -> Iterator[tuple[str, pa.DataType]]:
+    for column, axis in enumerate(design.spec.axes):
+        numeric = all(isinstance(cell[column].label, float) for cell in design.cells)
+        yield axis.name, pa.float64() if numeric else pa.string()
+
+
+def rows(
+    design: Design, indices: Sequence[int], configs: Sequence[Mapping[str, Any]], flights: Sequence[Flight | Failure]
+) -> pa.Table:
+    """Return flights as rows."""
+    records = []
+    for index, config, flown in zip(indices, configs, flights, strict=True):
+        cell, repeat = divmod(index, design.spec.repeats)
+        labels = [level.label for level in design.cells[cell]]
+        record: dict[str, Any] = {"row": index, "cell": cell, "repeat": repeat}
+        record |= {axis.name: label for axis, label in zip(design.spec.axes, labels, strict=True)}
+        record["config_hash"] = config_hash(dict(config))
+        if isinstance(flown, Failure):
+            record |= {"outcome": "error", "error": flown.reason}
+        else:
+            record |= {"outcome": flown.outcome, "fall_time": flown.fall_time, "fall_reason": flown.fall_reason}
+            record |= {name: flown.summary.get(name) for name in SUMMARY}
+        records.append(record)
+    return pa.Table.from_pylist(records, schema(design))
+
+
+def cells(design: Design, table: pa.Table) -> pa.Table:
+    """Return a sweep's cells: counts with their intervals, quantiles of the errors."""
+    repeats = design.spec.repeats
+    records = []
+    for cell, levels in enumerate(design.cells):
+        record: dict[str, Any] = {"cell": cell}
+        record |= {axis.name: level.label for axis, level in zip(design.spec.axes, levels, strict=True)}
+        # Rows stand in order, the repeats of a cell together.
+        mine = table.slice(cell * repeats, repeats)
+        records.append(record | _cell({name: mine[name].to_numpy(zero_copy_only=False) for name in mine.column_names}))
+    axis_columns = dict(_axis_columns(design))
+    whole = ("cell", "flights", "errors", "completed", "on_course")
+    fields = [(name, axis_columns.get(name, pa.int64() if name in whole else pa.float64())) for name in records[0]]
+    return pa.Table.from_pylist(records, pa.schema(fields))
+
+
+def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
+    """Return counts and quantiles of the flights of one cell."""
+    completed = flights["outcome"] == "completed"
+    errors = int((flights["outcome"] == "error").sum())
+    near = (flights["max_rotation_error"] <= ON_COURSE_ROTATION) & (flights["max_com_error"] <= ON_COURSE_COM)
+    trials = len(completed) - errors
+    record: dict[str, Any] = {"flights": trials, "errors": errors}
+    for name, which in (("completed", completed), ("on_course", completed & near)):
+        low, high = wilson(int(which.sum()), trials)
+        record |= {name: int(which.sum()), f"{name}_low": low, f"{name}_high": high}
+    # The position error counts from `SETTLING_TIME` on: a flight that was lost before has none, not a zero.
+    settled = ~(flights["fall_time"].astype(float) < SETTLING_TIME)
+    for name, (column, factor) in QUANTITIES.items():
+        values = flights[column].astype(float) * factor
+        values = values[np.isfinite(values) & (settled if column == "max_com_error" else True)]
+        for quantile, share in QUANTILES.items():
+            record[f"{name}_{quantile}"] = float(np.quantile(values, share)) if values.size else None
+    return record
+
+
+def wilson(successes: int, trials: int) -> tuple[float, float]:
+    """Return the 95 % score interval of a share; (0, 1) without trials."""
+    if trials == 0:
+        return 0.0, 1.0
+    z = 1.959963984540054
+    share, spread = successes / trials, z * z / trials
+    centre = (share + spread / 2.0) / (1.0 + spread)
+    half = z / (1.0 + spread) * math.sqrt(share * (1.0 - share) / trials + spread / (4.0 * trials))
+    # Where all or none succeed an end is exactly 1 or 0, which rounding would miss.
+    return (0.0 if successes == 0 else centre - half), (1.0 if successes == trials else centre + half)
+
+
+def write(table: pa.Table, path: Path) -> None:
+    """Write one file that is there completely or not at all."""
+    write_parts([table], table.schema, path)
+
+
+def write_parts(parts: Iterable[pa.Table], schema: pa.Schema, path: Path) -> None:
+    """Write tables one after the other into one file, with one of them in memory at a time."""
+    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+    try:
+        with pq.ParquetWriter(draft, schema, compression="zstd") as writer:
+            for part in parts:
+                writer.write_table(part)
+        draft.replace(path)
+    finally:
+        draft.unlink(missing_ok=True)

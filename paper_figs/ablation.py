@@ -1,0 +1,121 @@
+"""One thing varied, its effect: share of flights that arrive, rotation error, position error.
+
+Named levels stand as dots in rows, numbers as lines. A panel's level (world, controller) has one colour and marker
+everywhere; in between it is told by both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from paper_figs import style
+from paper_figs.sweeps import Sweep, axis_label
+
+SERIES = ((style.BLUE, "o", "-"), (style.VERMILION, "s", "--"), (style.GREEN, "^", "-."), (style.ORANGE, "D", ":"))
+COLUMNS: Sequence[tuple[str, str]] = (
+    ("completed", "flights completed [%]"),
+    ("rotation_error_deg", "max rotation error [deg]"),
+    ("com_error", "max CoM error [m]"),
+)
+
+
+def draw(sweep: Sweep) -> Figure:
+    """Draw a sweep with one axis beside its panels."""
+    axis = sweep.axes[-1]
+    split = [sweep.panel_axis, *sweep.axes[:-1]]
+    groups = _groups(sweep.cells, [part for part in split if part is not None])
+    numeric = pd.api.types.is_float_dtype(sweep.cells[axis["name"]])
+    figure = _curves(sweep, axis, groups) if numeric else _levels(sweep, axis, groups)
+    said = "completed: share and its Wilson 95 % interval; errors: median and 10 to 90 % of the flights"
+    figure.supxlabel(f"{sweep.footnote()}; {said}", fontsize=6.5, color=style.GREY, x=0.99, ha="right")
+    return figure
+
+
+def _groups(cells: pd.DataFrame, axes: Sequence[dict[str, Any]]) -> list[tuple[str, pd.DataFrame]]:
+    """Return the cells of every combination of panel levels, in the order of the file."""
+    if not axes:
+        return [("", cells)]
+    names = [axis["name"] for axis in axes]
+    found = []
+    for labels in cells[names].drop_duplicates().itertuples(index=False):
+        mine = np.logical_and.reduce([cells[name] == label for name, label in zip(names, labels, strict=True)])
+        found.append((", ".join(str(label) for label in labels), cells[mine]))
+    return found
+
+
+def spread(cells: pd.DataFrame, quantity: str) -> tuple[Any, Any, Any]:
+    """Return centre, low and high of a quantity, cell by cell."""
+    if quantity == "completed":
+        share = 100.0 * cells["completed"] / cells["flights"].clip(lower=1)
+        return share, 100.0 * cells["completed_low"], 100.0 * cells["completed_high"]
+    return cells[f"{quantity}_median"], cells[f"{quantity}_low"], cells[f"{quantity}_high"]
+
+
+def _levels(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataFrame]]) -> Figure:
+    labels = list(dict.fromkeys(sweep.cells[axis["name"]]))
+    height = 1.3 + (0.13 + 0.11 * len(groups)) * len(labels)
+    figure, row = plt.subplots(1, 3, figsize=(style.FULL_WIDTH, height), layout="constrained", sharey=True)
+    offsets = (np.arange(len(groups)) - (len(groups) - 1) / 2.0) * (0.66 / max(len(groups), 1))
+    for axes, (quantity, title) in zip(row, COLUMNS, strict=True):
+        for (label, cells), offset, (colour, marker, _) in zip(groups, offsets, SERIES, strict=False):
+            centre, low, high = spread(cells, quantity)
+            place = np.array([labels.index(name) for name in cells[axis["name"]]]) + offset
+            axes.hlines(place, low, high, color=colour, linewidth=1.4)
+            axes.plot(centre, place, marker, color=colour, markersize=3.8, label=label)
+        axes.set_xlabel(title)
+        axes.set_xlim(left=-2.0 if quantity == "completed" else 0.0)
+        axes.grid(visible=False, axis="y")
+        for line in range(1, len(labels)):
+            axes.axhline(line - 0.5, color=style.LIGHT, linewidth=0.5)
+    row[0].set_xlim(-2.0, 102.0)
+    row[0].set_yticks(range(len(labels)), labels)
+    row[0].set_ylim(len(labels) - 0.5, -0.5)
+    _legend(figure, row[0], sweep.title, groups)
+    return figure
+
+
+def _curves(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataFrame]]) -> Figure:
+    figure, row = plt.subplots(1, 3, figsize=(style.FULL_WIDTH, 2.9), layout="constrained")
+    values = sweep.cells[axis["name"]]
+    steps = _is_geometric(values)
+    for axes, (quantity, title) in zip(row, COLUMNS, strict=True):
+        for (label, cells), (colour, marker, dash) in zip(groups, SERIES, strict=False):
+            centre, low, high = spread(cells, quantity)
+            axes.fill_between(cells[axis["name"]], low, high, color=colour, alpha=0.16, linewidth=0)
+            axes.plot(cells[axis["name"]], centre, dash, marker=marker, color=colour, markersize=3.5, label=label)
+        axes.set_ylabel(title)
+        axes.set_ylim(bottom=-2.0 if quantity == "completed" else 0.0)
+        if steps:
+            least, most = float(values[values > 0.0].min()), float(values.max())
+            axes.set_xscale("symlog", linthresh=least, linscale=0.6)
+            axes.set_xlim(-0.3 * least, 1.3 * most)
+            axes.set_xticks(sorted(set(values)), [f"{value:g}" for value in sorted(set(values))])
+            axes.minorticks_off()
+    row[0].set_ylim(-2.0, 102.0)
+    row[1].set_xlabel(axis_label(axis))
+    _legend(figure, row[0], sweep.title, groups)
+    return figure
+
+
+def _is_geometric(values: pd.Series) -> bool:
+    """Return whether positive values span more than one would draw on a linear axis."""
+    places = np.unique(values)
+    steps, positive = np.diff(places), places[places > 0.0]
+    even = bool(np.allclose(steps, steps[0])) if len(steps) else True
+    return not even and bool((places >= 0.0).all() and positive.max() >= 10.0 * positive.min())
+
+
+def _legend(figure: Figure, axes: Axes, title: str, groups: list[tuple[str, pd.DataFrame]]) -> None:
+    """Put the title and, below it, what the colours mean above the panels."""
+    handles, labels = axes.get_legend_handles_labels() if len(groups) > 1 else ([], [])
+    columns = 2 if len(groups) > 3 else len(groups)
+    legend = figure.legend(handles, labels, loc="outside upper left", ncols=columns, fontsize=7, title=title)
+    legend.set_alignment("left")
+    legend.get_title().set(fontsize=9.5, fontweight="bold")

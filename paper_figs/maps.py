@@ -1,0 +1,86 @@
+"""Two things varied: a map of the share of completed flights, and one of the worst errors, per panel."""
+
+from __future__ import annotations
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+
+from paper_figs import style
+from paper_figs.sweeps import Sweep, axis_label
+
+ROWS = (
+    ("completed", "flights completed [%]", "cividis", (0.0, 100.0)),
+    ("rotation_error_deg_worst", "worst rotation error [deg]", "cividis_r", (0.0, 90.0)),
+    ("com_error_worst", "worst CoM error [m]", "cividis_r", (0.0, 1.0)),
+)
+
+
+def draw(sweep: Sweep) -> Figure:
+    """Draw a sweep with two axes beside its panels."""
+    down, across = sweep.axes
+    panel = sweep.panel_axis
+    levels = [None] if panel is None else list(dict.fromkeys(sweep.cells[panel["name"]]))
+    figure, grid = plt.subplots(
+        len(ROWS),
+        len(levels),
+        figsize=(style.FULL_WIDTH, 2.35 * len(ROWS) + 0.4),
+        layout="constrained",
+        sharex=True,
+        sharey=True,
+        squeeze=False,
+    )
+    for row, (quantity, title, colours, limits) in enumerate(ROWS):
+        for column, level in enumerate(levels):
+            cells = sweep.cells if panel is None or level is None else sweep.cells[sweep.cells[panel["name"]] == level]
+            axes = grid[row, column]
+            image = _map(axes, cells, (down["name"], across["name"]), quantity, colours, limits)
+            if row == 0 and panel is not None:
+                axes.set_title(f"{panel['label']}: {level}")
+            if row == len(ROWS) - 1:
+                axes.set_xlabel(axis_label(across))
+            if column == 0:
+                axes.set_ylabel(axis_label(down))
+        figure.colorbar(image, ax=grid[row, :].tolist(), label=title, pad=0.01)
+    figure.suptitle(sweep.title, x=0.01, ha="left", fontsize=9.5, fontweight="bold")
+    n = sweep.document["repeats"]
+    figure.supxlabel(
+        f"{sweep.footnote()}; a cell of {n} of {n} stands for at least {_least(sweep.cells):.0f} % (Wilson 95 %)",
+        fontsize=6.5,
+        color=style.GREY,
+        x=0.99,
+        ha="right",
+    )
+    return figure
+
+
+def _least(cells: pd.DataFrame) -> float:
+    """Return the low end of the interval of a cell in which every flight arrived [%]."""
+    full = cells[cells["completed"] == cells["flights"]]
+    return 100.0 * float(full["completed_low"].min()) if len(full) else 0.0
+
+
+def _map(
+    axes: Axes, cells: pd.DataFrame, names: tuple[str, str], quantity: str, colours: str, limits: tuple[float, float]
+) -> AxesImage:
+    table = cells.assign(share=100.0 * cells["completed"] / cells["flights"].clip(lower=1))
+    values = table.pivot_table(
+        index=names[0], columns=names[1], values="share" if quantity == "completed" else quantity
+    )
+    norm = Normalize(*limits)
+    image = axes.imshow(values, cmap=colours, norm=norm, aspect="auto", origin="lower")
+    axes.set_xticks(range(values.shape[1]), [f"{value:g}" for value in values.columns])
+    axes.set_yticks(range(values.shape[0]), [f"{value:g}" for value in values.index])
+    axes.grid(visible=False)
+    form = "{:.1f}" if limits[1] <= 1.0 else "{:.0f}"
+    for y, x in np.ndindex(values.shape):
+        value = float(values.iloc[y, x])
+        shade = norm(min(value, limits[1])) if colours == "cividis" else 1.0 - norm(min(value, limits[1]))
+        beyond = quantity != "completed" and value > limits[1]  # behind a fall numbers lose their meaning
+        text = "–" if np.isnan(value) else f">{limits[1]:g}" if beyond else form.format(value)
+        axes.text(x, y, text, ha="center", va="center", fontsize=5.8, color="white" if shade < 0.55 else "black")
+    return image

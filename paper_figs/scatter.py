@@ -1,0 +1,70 @@
+"""Many things varied at once: which of them an error goes with, and how often flights arrive along each."""
+
+from __future__ import annotations
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure, FigureBase
+
+from paper_figs import style
+from paper_figs.sweeps import Sweep, axis_label
+
+
+def draw(sweep: Sweep) -> Figure:
+    """Draw a sampled sweep: rank correlations, then one scatter plot per axis."""
+    flights = sweep.flights[sweep.flights["outcome"] != "error"]
+    error = np.degrees(flights["max_rotation_error"])
+    axes_of = sweep.axes
+    columns = 3
+    rows = -(-len(axes_of) // columns)
+    figure = plt.figure(figsize=(style.FULL_WIDTH, 2.3 + 1.75 * rows), layout="constrained")
+    top, bottom = figure.subfigures(2, 1, height_ratios=(2.1, 1.75 * rows), squeeze=False)[:, 0]
+    _correlations(top, sweep, flights)
+    grid = bottom.subplots(rows, columns, sharey=True, squeeze=False)
+    fell = flights["outcome"] == "fell"
+    for axes, axis in zip(grid.flat, axes_of, strict=False):
+        x = flights[axis["name"]]
+        axes.plot(x[~fell], error[~fell], "o", color=style.BLUE, markersize=1.8, alpha=0.6, label="completed")
+        axes.plot(x[fell], error[fell], "x", color=style.VERMILION, markersize=4, label="fell")
+        axes.set_xlabel(axis_label(axis), fontsize=7)
+        axes.set_ylim(0.0, 95.0)
+    for axes in grid.flat[len(axes_of) :]:
+        axes.set_visible(False)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("max rotation\nerror [deg]")
+    bottom.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
+    figure.suptitle(sweep.title, x=0.01, ha="left", fontsize=9.5, fontweight="bold")
+    return figure
+
+
+def correlations(sweep: Sweep, flights: pd.DataFrame, quantity: str) -> dict[str, float]:
+    """Return Spearman's rank correlation of a quantity with the size of every input's departure from its middle.
+
+    A bias hurts to both sides, so inputs whose middle is nominal count by their distance from it.
+    """
+    found = {}
+    for axis in sweep.axes:
+        x = flights[axis["name"]]
+        middle = (x.max() + x.min()) / 2.0
+        size = x if axis["name"] in ("speed", "lag") else (x - middle).abs()
+        found[axis["name"]] = float(size.rank().corr(flights[quantity].rank()))
+    return found
+
+
+def _correlations(figure: FigureBase, sweep: Sweep, flights: pd.DataFrame) -> None:
+    axes = figure.subplots()
+    labels = [axis["label"] for axis in sweep.axes]
+    place = np.arange(len(labels))
+    pairs = (
+        ("max_rotation_error", "rotation error", style.BLUE, -0.18),
+        ("max_com_error", "CoM error", style.ORANGE, 0.18),
+    )
+    for quantity, name, colour, offset in pairs:
+        values = list(correlations(sweep, flights, quantity).values())
+        axes.barh(place + offset, values, 0.34, color=colour, label=name)
+    axes.set_yticks(place, labels)
+    axes.invert_yaxis()
+    axes.axvline(0.0, color=style.BLACK, linewidth=0.6)
+    axes.set_xlabel("rank correlation with the size of the departure (wind speed and lag: with the value)")
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))

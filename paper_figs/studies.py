@@ -1,0 +1,20 @@
+"""Results of studies as the figures see them: folders beside that of the flights, read and never written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import xarray as xr
+
+from paper_figs.runs import MissingRun
+
+
+def load(results: Path, kind: str, name: str) -> xr.Dataset:
+    """Read the study of a kind and name; `results` is the folder of flights, beside which studies lie."""
+    path = results.parent / kind / name / "run.nc"
+    if not path.is_file():
+        option = " --map" if kind == "trim" else ""
+        raise MissingRun(
+            f"no study `{name}` in {path.parents[1]}; make it with: python -m experiments.{kind} {name}{option}"
+        )
+    return xr.load_dataset(path, engine="h5netcdf")

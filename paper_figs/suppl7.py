@@ -1,0 +1,64 @@
+"""Supplementary Fig. 7: joint errors, total force and thrusts of the tests, and how far two models are apart.
+
+a–c TEST1    d–f TEST2    j robustness: simulator's minus controller's total force
+
+Panels g to i of the paper show TEST3, whose simulator is a neural network: they have no run to be drawn from here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, FigureBase
+
+from paper_figs import panels, style
+from paper_figs.runs import Run, load
+
+RUNS = ("test1", "test2", "robustness_sphere_cylinder_vs_axisymmetric")
+PUBLISHED = ("test1_published", "test2_published", "robustness_axisymmetric_vs_sphere_cylinder")
+
+
+def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+    """Draw the figure from three runs: the first fills a to c, the second d to f, the third j."""
+    runs = [load(results, name) for name in names]
+    figure = plt.figure(figsize=(style.FULL_WIDTH, 7.6), layout="constrained")
+    upper, middle, lower = figure.subfigures(3, 1, height_ratios=(1.1, 1.1, 1.1), squeeze=False)[:, 0]
+    for part, run, letters in ((upper, runs[0], "abc"), (middle, runs[1], "def")):
+        part.suptitle(run.title, fontsize=8.5, fontweight="bold", x=0.01, ha="left")
+        columns = part.subplots(1, 3)
+        panels.joint_errors(columns[0], run)
+        panels.aero_force(columns[1], run, control=False)
+        panels.thrusts(columns[2], run)
+        for axes, mark in zip(columns, letters, strict=True):
+            _finish(axes, run, mark)
+            style.legend_above(axes, columns=2 if axes is columns[2] else 3)
+    _robustness(lower, runs[2])
+    end = max(float(run.data["time"][-1]) for run in runs)
+    for axes in figure.axes:
+        axes.set_xlim(0.0, end)
+    return figure, {run.name: run.config_hash for run in runs}
+
+
+def _robustness(figure: FigureBase, run: Run) -> None:
+    figure.suptitle(run.title, fontsize=8.5, fontweight="bold", x=0.01, ha="left")
+    errors, forces, difference = figure.subplots(1, 3)
+    panels.joint_errors(errors, run)
+    panels.aero_force(forces, run, control=True)
+    panels.aero_force_difference(difference, run)
+    _finish(errors, run, "")
+    _finish(forces, run, "")
+    _finish(difference, run, "j")
+    style.legend_above(errors, columns=3)
+    style.legend_above(forces, columns=3, handles=panels.aero_force_key())
+    style.legend_above(difference, columns=3)
+
+
+def _finish(axes: Axes, run: Run, mark: str) -> None:
+    if mark:
+        style.letter(axes, mark)
+    axes.set_xlabel("time [s]")
+    if run.fall_time is not None:
+        style.mark_fall(axes, run.fall_time, f"fell at {run.fall_time:.1f} s" if mark in "ad" else None)

@@ -1,0 +1,79 @@
+"""Sweep folders as the figures see them: cells with their counts and intervals; read, never written."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from paper_figs.runs import MissingRun
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One finished sweep."""
+
+    name: str
+    document: dict[str, Any]
+    folder: Path
+
+    @cached_property
+    def cells(self) -> pd.DataFrame:
+        """Return one row per cell."""
+        return pd.read_parquet(self.folder / "cells.parquet")
+
+    @cached_property
+    def flights(self) -> pd.DataFrame:
+        """Return one row per flight."""
+        return pd.read_parquet(self.folder / "table.parquet")
+
+    @property
+    def title(self) -> str:
+        """Return what the sweep asks."""
+        return str(self.document["title"])
+
+    @property
+    def hashes(self) -> dict[str, str]:
+        """Return the hash that a figure carries."""
+        return {f"sweep {self.name}": str(self.document["config_hash"])}
+
+    @property
+    def axes(self) -> list[dict[str, Any]]:
+        """Return name, label, unit and levels of what varies within a panel."""
+        return [axis for axis in self.document["axes"] if axis["name"] != self.document["panels"]]
+
+    @property
+    def panel_axis(self) -> dict[str, Any] | None:
+        """Return the axis whose levels are panels or lines, if there is one."""
+        panels = self.document["panels"]
+        return next((axis for axis in self.document["axes"] if axis["name"] == panels), None)
+
+    def footnote(self) -> str:
+        """Return how many flights stand behind a point, and how they differ."""
+        n = self.document["repeats"]
+        perturbed = any(self.document["perturbation"].values())
+        each = "one flight each" if n == 1 else f"{n} flights each"
+        kind = "start, wind and coefficients perturbed" if perturbed else "unperturbed"
+        return f"{each}, {kind}" if n > 1 or perturbed else each
+
+
+def load(results: Path, name: str) -> Sweep:
+    """Read the sweep of one name."""
+    folder = results / name
+    if not (folder / "cells.parquet").is_file():
+        raise MissingRun(f"no finished sweep `{name}`; fly it with: python -m experiments sweep {name}")
+    return Sweep(name, json.loads((folder / "sweep.json").read_text(encoding="utf-8")), folder)
+
+
+def default_sweeps() -> Path:
+    """Return where sweeps lie."""
+    return Path(__file__).resolve().parent.parent / "results" / "sweeps"
+
+
+def axis_label(axis: dict[str, Any]) -> str:
+    """Return label and unit of an axis."""
+    return f"{axis['label']} [{axis['unit']}]" if axis["unit"] else str(axis["label"])

@@ -1,0 +1,46 @@
+"""Who flies: two engines behind one door."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from experiments import Refused, engines
+from jax_aero import reference
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_an_unknown_engine_is_refused():
+    with pytest.raises(Refused, match="engine = 'matlab'; expected one of rust, jax"):
+        engines.engine("matlab")
+
+
+def test_an_absent_engine_says_what_is_missing(monkeypatch):
+    monkeypatch.setitem(sys.modules, "jax_aero.sim", None)
+    with pytest.raises(Refused, match='engine = "jax" needs'):
+        engines.engine("jax")
+
+
+def test_the_jax_engine_plugs_in_with_one_function(monkeypatch, make_flight):
+    asked = []
+
+    class Module:
+        @staticmethod
+        def fly(config, progress=None):  # noqa: ARG004 - the engine's signature
+            asked.append(config)
+            return make_flight(step=0.5)
+
+    monkeypatch.setitem(sys.modules, "jax_aero.sim", Module)
+    flights = engines.engine("jax").fly_batch([{"engine": "jax", "title": "a"}, {"title": "b"}])
+    assert [flight.outcome for flight in flights] == ["completed", "completed"]
+    assert asked == [{"title": "a"}, {"title": "b"}]
+
+
+def test_a_configuration_may_name_its_engine():
+    config = reference.load_config(ROOT / "configs/experiments/test1.toml", {"engine": "jax"})
+    assert engines.engine_of(config) == "jax"
+    plain = reference.load_config(ROOT / "configs/experiments/test1.toml")
+    assert engines.engine_of(plain) == "rust"
+    with pytest.raises(ValueError, match="matlab"):
+        reference.load_config(ROOT / "configs/experiments/test1.toml", {"engine": "matlab"})

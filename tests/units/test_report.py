@@ -1,0 +1,214 @@
+"""The report: metrics of made-up flights, verdicts from made-up counts, and pages that say the same twice."""
+
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import xarray as xr
+
+from experiments import engine_choice, record
+from experiments.__main__ import main
+from experiments.report import claims, metrics
+from experiments.report.command import _spans, build
+from experiments.report.page import Heading, Page, Picture, Table, Text
+from experiments.report.results import Results
+from experiments.sweep.table import wilson
+
+
+def cell(index, flights, completed, on_course, rotation=5.0, **labels):
+    low, high = wilson(completed, flights)
+    return {
+        "cell": index,
+        **labels,
+        "flights": flights,
+        "errors": 0,
+        "completed": completed,
+        "completed_low": low,
+        "completed_high": high,
+        "on_course": on_course,
+        "on_course_low": wilson(on_course, flights)[0],
+        "on_course_high": wilson(on_course, flights)[1],
+        "rotation_error_deg_median": rotation,
+        "com_error_median": 0.1,
+    }
+
+
+def write_sweep(results, name, cells, axes, **document):
+    folder = results / "sweeps" / name
+    folder.mkdir(parents=True)
+    pq.write_table(pa.Table.from_pylist(cells), folder / "cells.parquet")
+    base = {
+        "name": name,
+        "title": f"{name}: made up",
+        "description": "Made up.",
+        "drawing": "levels",
+        "panels": "",
+        "axes": [{"name": axis, "label": axis, "unit": ""} for axis in axes],
+        "rows": 10,
+        "engine": "rust",
+        "device": {"cores": 2},
+        "finished": {
+            "flights": 10,
+            "seconds": 2.0,
+            "flights_per_minute": 300.0,
+            "outcomes": {"completed": 9, "fell": 1, "error": 0},
+        },
+    }
+    (folder / "sweep.json").write_text(json.dumps(base | document))
+
+
+@pytest.fixture
+def results(tmp_path, made_up_results) -> Results:
+    for path in made_up_results.glob("*/manifest.json"):
+        document = json.loads(path.read_text())
+        with xr.open_dataset(path.with_name("run.nc"), engine="h5netcdf") as run:
+            fell = run.attrs["outcome"] == "fell"
+            document |= {"outcome": run.attrs["outcome"], "fall_reason": run.attrs["fall_reason"]}
+            document["fall_time"] = float(run.attrs["fall_time"]) if fell else None
+        path.write_text(json.dumps(document))
+    tests = [("TEST1, right arms", 250), ("TEST2, right arms", 250), ("TEST1, published arms", 0)]
+    tests.append(("TEST2, published arms", 249))
+    cells = [cell(i, 250, n, n // 2, test=label) for i, (label, n) in enumerate(tests)]
+    write_sweep(tmp_path, "paper_tests", cells, ["test"])
+    terms = []
+    for world in (claims.RIGHT, claims.HEAD, claims.PUBLISHED):
+        for feedback, arrives, stays in (
+            ("everything", 24, 24),
+            ("total wrench only", 24, 24),
+            ("total moment only", 24 if world == claims.RIGHT else 2, 0),
+            ("total force only", 2, 0),
+            ("without Λ_a", 24, 24),
+        ):
+            terms.append(cell(len(terms), 24, arrives, stays, world=world, feedback=feedback))
+    write_sweep(tmp_path, "ablation_terms", terms, ["world", "feedback"], panels="world")
+    return Results(tmp_path)
+
+
+def test_metrics_are_those_of_the_log(results, make_flight, robot):
+    found = results.flights["test2"]
+    log = make_flight().log
+    settled = log["time"] >= 3.0
+    distance = np.linalg.norm(log["com_position"] - log["com_reference"], axis=1)
+    assert found.completed
+    assert found.com_error == pytest.approx(distance[settled].max())
+    assert found.rotation_error == pytest.approx(np.degrees(log["rotation_error"].max()))
+    assert found.thrust == pytest.approx((log["thrust"].min(), log["thrust"].max()))
+    torso = np.degrees(np.abs(log["joint_position"] - 0.2)[:, :3].sum(axis=1)).max()
+    assert found.joint_errors["torso"] == pytest.approx(torso)
+    assert found.asymmetry[0] == pytest.approx(np.abs(log["thrust"][settled] @ [1, -1, 0, 0]).max())
+    assert found.force_difference == pytest.approx(0.2 * found.force)
+    assert results.flights["test1_published"].ending.startswith("fell at 21.5 s")
+
+
+def test_a_force_along_the_wind_has_no_angle(make_flight, robot):
+    flight = make_flight()
+    flight.log["aero_force_sim"][:] = flight.log["wind"][:, None, :]
+    run = record.to_dataset(flight, robot, title="t", config_digest="0")
+    assert metrics.measure("t", run, {}).force_angle == pytest.approx((0.0, 0.0), abs=1e-5)
+
+
+def test_a_run_without_wind_has_no_force_angle(make_flight, robot):
+    flight = make_flight()
+    flight.log["wind"][:] = 0.0
+    run = record.to_dataset(flight, robot, title="t", config_digest="0")
+    assert np.isnan(metrics.measure("t", run, {}).force_angle).all()
+
+
+def test_verdicts_follow_from_counts(results):
+    verdicts = {claim.where: claim.verdict for claim in claims.all_claims(results)}
+    assert verdicts["TEST1"] == "holds with the published lever arms only"
+    assert verdicts["TEST2"] == "holds"
+    assert verdicts["Methods"] == "holds"
+    assert verdicts["Mechanical design"] == "holds"
+
+
+def test_what_needs_the_network_says_so(results):
+    by_place = {claim.where: claim for claim in claims.all_claims(results)}
+    for test in ("TEST3", "TEST4"):
+        assert by_place[test].verdict.startswith("not tested: needs the neural network")
+
+
+def test_what_has_not_been_flown_names_its_command(tmp_path):
+    for claim in claims.all_claims(Results(tmp_path)):
+        if claim.verdict == "not measured yet":
+            assert "`python -m experiments " in claim.measured
+
+
+def test_the_minimum_is_what_stays_on_course_everywhere(results):
+    answer = claims.answer(results)
+    assert "in every world: **total wrench only**" in answer
+    assert "As good in arriving: everything, total wrench only, without Λ_a." in answer
+
+
+def test_both_pages_say_the_same():
+    page = Page("Title & more")
+    page.add(
+        Heading(2, "Part"),
+        Text("**bold** and `a<b`"),
+        Table(("a", "b"), [("1", "x|y")]),
+        Picture("figures/a.png", "what it shows"),
+    )
+    markdown, html = page.markdown(), page.html()
+    assert "| 1 | x\\|y |" in markdown
+    assert "<td>x|y</td>" in html
+    assert "<b>bold</b> and <code>a&lt;b</code>" in html
+    assert "<h1>Title &amp; more</h1>" in html
+    assert "![what it shows](figures/a.png)" in markdown
+    assert '<img src="figures/a.png" alt="what it shows">' in html
+
+
+def test_the_report_is_written_from_what_there_is(results, capsys):
+    assert main(["report", "--results", str(results.folder)]) == 0
+    text = (results.folder / "report.md").read_text()
+    tables = [line for line in text.splitlines() if line.startswith("| --- |")]
+    assert (results.folder / "report.html").read_text().count("<table>") == len(tables) == 6
+    for word in ("## The paper's claims", "## The paper's runs", "paper_tests", "TEST3", "26.31", "300"):
+        assert word in text
+    assert str(results.folder) not in text
+    assert build(Results(results.folder / "nowhere")).markdown().startswith("# What flies, and why")
+
+
+@pytest.mark.parametrize(
+    ("values", "known", "text"),
+    [([1.0, 2.0, 4.0], [0.0, 1.0, 2.0, 3.0, 4.0], "1 to 2, 4"), ([0.0], [0.0, 1.0], "0"), ([], [0.0], "")],
+)
+def test_spans_of_sound_values(values, known, text):
+    assert _spans(values, known) == text
+
+
+# --- battery against fuel
+
+
+def test_the_papers_fuel_and_battery_come_out():
+    choice = engine_choice.Choice()
+    assert round(choice.fuel(), 2) == engine_choice.PAPER_FUEL
+    assert choice.battery(1.0) == pytest.approx(engine_choice.PAPER_BATTERY, abs=0.01)
+    assert choice.power_per_thrust_for(engine_choice.PAPER_BATTERY) == pytest.approx(1.0, abs=1e-3)
+    assert round(choice.battery(), 2) == 20.97
+
+
+def test_a_battery_hovers_itself_as_well():
+    choice = engine_choice.Choice()
+    battery = choice.battery()
+    energy = 1e3 * choice.fan_power / choice.fan_thrust * (choice.robot_mass + battery) * choice.minutes / 60.0
+    assert energy == pytest.approx(battery * choice.specific_energy)
+    assert engine_choice.Choice(minutes=60.0).battery() == float("inf")
+
+
+def test_fuel_is_burnt_by_what_is_left_of_it():
+    choice = engine_choice.Choice()
+    mass, steps = choice.robot_mass + choice.fuel(), 100_000
+    rate = choice.jet_consumption * choice.fuel_density / choice.jet_thrust
+    for _ in range(steps):
+        mass -= rate * mass * choice.minutes / steps
+    assert mass == pytest.approx(choice.robot_mass, rel=1e-5)
+    assert choice.fuel_carried() > choice.fuel()
+
+
+def test_the_command_prints_and_writes_it(tmp_path, capsys):
+    assert main(["engine-choice", "--out", str(tmp_path)]) == 0
+    assert "4.61 kg" in capsys.readouterr().out
+    found = json.loads((tmp_path / "engine_choice.json").read_text())
+    assert [jet["engine"] for jet in found["engines"]] == ["P160", "P160", "P220", "P220"]

@@ -1,0 +1,343 @@
+"""Sweeps: what a file means, and that results do not depend on who flew them, when, or how often it was stopped."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from experiments import Refused
+from experiments.__main__ import main
+from experiments.sweep import keys, run, spec, table
+from experiments.sweep.design import Design
+from experiments.sweep.perturbation import Perturbation
+from experiments.sweep.progress import Progress
+from jax_aero import reference
+
+ROOT = Path(__file__).resolve().parents[2]
+
+QUICK = """
+title = "quick"
+description = "short flights"
+base = "test2"
+repeats = {repeats}
+chunk = 4
+seed = 5
+set = {{ "simulator.duration" = {duration} }}
+perturbation = {{ joint_position = 0.02, wind_speed = 0.1, link = 0.1 }}
+
+[[axis]]
+name = "arms"
+level = [{{ label = "right", base = "test2" }}, {{ label = "published", base = "test2_published" }}]
+
+[[axis]]
+name = "speed"
+unit = "m/s"
+key = "wind.speed"
+values = [5, 10]
+"""
+
+
+def quick(folder: Path, repeats=3, duration=0.1) -> Path:
+    path = folder / "quick.toml"
+    path.write_text(QUICK.format(repeats=repeats, duration=duration))
+    return path
+
+
+def table_of(**changes):
+    axis = {"name": "scale", "key": "controller.aero_feedback.scale", "values": [0, 1]}
+    return {"title": "t", "description": "d", "base": "test2", "axis": [axis], **changes}
+
+
+def design(**changes) -> Design:
+    return Design(spec.from_table("made_up", table_of(**changes)))
+
+
+# --- what a file means
+
+
+def test_a_grid_has_every_combination_and_the_last_axis_varies_fastest(tmp_path):
+    quick_design = Design(spec.load(str(quick(tmp_path))))
+    labels = [tuple(level.label for level in cell) for cell in quick_design.cells]
+    assert labels == [("right", 5.0), ("right", 10.0), ("published", 5.0), ("published", 10.0)]
+    assert quick_design.n_rows == 12
+    assert [list(quick_design.chunk(chunk)) for chunk in range(quick_design.n_chunks)][-1] == [8, 9, 10, 11]
+    assert quick_design.cell_config(3)["simulator"]["lever_arm"] == "unrotated"
+    assert quick_design.cell_config(0)["wind"]["velocity"] == pytest.approx([0.0, -5.0, 0.0])
+
+
+def test_a_list_walks_its_axes_together():
+    second = {"name": "duration", "key": "simulator.duration", "values": [1, 2]}
+    cells = design(design="list", axis=[*table_of()["axis"], second]).cells
+    assert [tuple(level.label for level in cell) for cell in cells] == [(0.0, 1.0), (1.0, 2.0)]
+
+
+@pytest.mark.parametrize("kind", ["latin_hypercube", "sobol"])
+def test_a_sampled_design_fills_its_box_evenly_and_repeatably(kind):
+    box = [
+        {"name": "x", "key": "wind.speed", "low": 2, "high": 10},
+        {"name": "y", "key": "wind.direction_deg", "low": -90, "high": 90},
+    ]
+    cells = design(design=kind, samples=64, axis=box).cells
+    again = design(design=kind, samples=64, axis=box).cells
+    points = np.array([[level.label for level in cell] for cell in cells])
+    assert [[level.label for level in cell] for cell in again] == points.tolist()
+    assert points.shape == (64, 2)
+    assert (points >= [2, -90]).all()
+    assert (points <= [10, 90]).all()
+    # One point in each of 64 slices: what both designs promise of every single axis.
+    slices = np.floor((points - [2, -90]) / [8, 180] * 64).clip(0, 63)
+    assert all(len(set(column)) == 64 for column in slices.T)
+    assert design(design=kind, samples=64, axis=box, seed=2).cells != cells
+
+
+def test_a_range_is_even_and_free_of_rounding():
+    axis = {"name": "scale", "key": "controller.aero_feedback.scale", "range": {"start": 0, "stop": 2, "num": 11}}
+    assert [level.label for level in design(axis=[axis]).spec.axes[0].levels][3] == 0.6
+
+
+@pytest.mark.parametrize(
+    ("speed", "direction", "velocity"), [(10, 0, [-10, 0, 0]), (10, 90, [0, -10, 0]), (5, 180, [5, 0, 0])]
+)
+def test_wind_is_given_by_where_it_comes_from(speed, direction, velocity):
+    config = {"wind": {"velocity": [0.0, -10.0, 0.0]}}
+    keys.set_all(config, {"wind.speed": speed, "wind.direction_deg": direction})
+    assert config["wind"]["velocity"] == velocity
+    keys.set_all(config, {"wind.speed": 2 * speed})
+    assert np.linalg.norm(config["wind"]["velocity"]) == pytest.approx(2 * speed)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"design": "random"}, "design = 'random'; expected one of grid"),
+        ({"engine": "matlab"}, "engine = 'matlab'; expected one of rust, jax"),
+        ({"repeats": 0}, "repeats = 0"),
+        ({"colour": "red"}, "unknown key colour"),
+        ({"axis": []}, r"no \[\[axis\]\]"),
+        ({"axis": [{"name": "x", "key": "wind.speed", "low": 2, "high": 1}]}, "expected low < high"),
+        ({"axis": [{"name": "x", "key": "wind.speed", "values": ["fast"]}]}, "'fast'; expected a number"),
+        ({"axis": [{"name": "x", "values": [1]}]}, "no key"),
+        ({"axis": [{"name": "x", "key": "wind.speed", "low": 1, "high": 2}]}, "needs values"),
+        ({"panels": "world"}, "panels = 'world'"),
+        ({"perturbation": {"joint_position": -1}}, "joint_position = -1; expected a number ≥ 0"),
+        ({"perturbation": {"gravity": 1}}, "unknown key gravity"),
+    ],
+)
+def test_a_mistake_in_a_file_is_named(changes, message):
+    with pytest.raises(Refused, match=message):
+        design(**changes)
+
+
+def test_a_cell_that_cannot_fly_is_refused_before_the_first_flight(tmp_path):
+    axis = {"name": "mass", "key": "controller.model_error.mass_scale", "values": [1, 0]}
+    with pytest.raises(Refused, match=r"cell 1 \(mass = 0.0\): controller.model_error.mass_scale is 0"):
+        run.run(design(axis=[axis]), run.Local(1), out=tmp_path)
+    assert not (tmp_path / "made_up" / "chunks").exists()
+
+
+@pytest.mark.parametrize("name", spec.available())
+def test_every_sweep_of_the_repository_can_fly(name):
+    loaded = Design(spec.load(name))
+    step = max(1, len(loaded.cells) // 7)
+    for cell in [*range(0, len(loaded.cells), step), len(loaded.cells) - 1]:
+        reference.check_config(loaded.row_config(cell * loaded.spec.repeats))
+    assert loaded.spec.title
+    assert loaded.spec.description
+
+
+# --- perturbed flights
+
+
+def test_a_repeat_is_perturbed_alike_in_every_cell_and_unlike_the_others():
+    made = design(repeats=2, perturbation={"joint_position": 0.1, "wind_direction_deg": 5.0, "drag": 0.2})
+    first, second, other_cell = (made.row_config(row) for row in (0, 1, 2))
+    assert first["simulator"] == other_cell["simulator"]
+    assert first["wind"] == other_cell["wind"]
+    assert first["simulator"]["initial"] != second["simulator"]["initial"]
+    assert np.linalg.norm(first["wind"]["velocity"]) == pytest.approx(10.0)
+    nominal = np.array(made.cell_config(0)["simulator"]["initial"]["joint_position"])
+    offsets = np.array(first["simulator"]["initial"]["joint_position"]) - nominal
+    assert 0.02 < np.abs(offsets).max() <= 0.1
+
+
+def test_a_perturbation_that_is_switched_on_leaves_the_others_as_they_were():
+    alone, both = (
+        design(perturbation=sizes).row_config(0)["simulator"]["initial"]["joint_position"]
+        for sizes in ({"joint_position": 0.1}, {"joint_position": 0.1, "thrust": 2.0, "link": 0.1})
+    )
+    assert alone == both
+
+
+def test_without_sizes_nothing_is_perturbed():
+    made = design()
+    assert made.row_config(0) == made.cell_config(0)
+    assert Perturbation() == made.spec.perturbation
+
+
+def test_chance_gets_a_seed_of_its_own_in_every_repeat():
+    made = design(repeats=2, set={"controller.wind_estimate": {"noise_std": 1.0}})
+    seeds = [made.row_config(row)["controller"]["wind_estimate"]["seed"] for row in range(2)]
+    assert seeds[0] != seeds[1]
+    assert "seed" not in made.row_config(0)["wind"]
+
+
+# --- counting
+
+
+@pytest.mark.parametrize(
+    ("successes", "trials", "low", "high"),
+    # Source: Newcombe (1998), table I: 81 of 263, 15 of 148, 0 of 20, 1 of 29.
+    [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611), (1, 29, 0.0061, 0.1718)],
+)
+def test_the_interval_is_wilsons(successes, trials, low, high):
+    assert table.wilson(successes, trials) == pytest.approx((low, high), abs=6e-5)
+    mirrored = table.wilson(trials - successes, trials)
+    assert mirrored == pytest.approx((1 - high, 1 - low), abs=6e-5)
+
+
+def test_nothing_is_known_without_trials():
+    assert table.wilson(0, 0) == (0.0, 1.0)
+
+
+def test_progress_says_how_long_it_will_take():
+    line = Progress("sweep", total=100, done=40)
+    line.chunk_done(20)
+    assert line.line(30.0).strip() == "sweep: 60 of 100 flights, 40 per minute, 1:00 left"
+
+
+# --- flying
+
+
+def read(folder: Path) -> dict[str, bytes]:
+    return {name: (folder / name).read_bytes() for name in ("table.parquet", "cells.parquet")}
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory) -> Path:
+    """A quick sweep, flown in one go."""
+    folder = tmp_path_factory.mktemp("flown")
+    assert main(["sweep", str(quick(folder)), "--out", str(folder), "--workers", "1"]) == 0
+    return folder / "quick"
+
+
+def test_a_sweep_leaves_a_table_of_flights_one_of_cells_and_says_what_was_flown(flown):
+    assert sorted(entry.name for entry in flown.iterdir()) == ["cells.parquet", "sweep.json", "table.parquet"]
+    flights = pq.read_table(flown / "table.parquet").to_pylist()
+    assert [row["row"] for row in flights] == list(range(12))
+    assert {row["outcome"] for row in flights} == {"completed"}
+    assert all(row["max_rotation_error"] >= 0.0 for row in flights)
+    cells = pq.read_table(flown / "cells.parquet").to_pylist()
+    assert [cell["completed"] for cell in cells] == [3, 3, 3, 3]
+    assert cells[0]["completed_low"] == pytest.approx(table.wilson(3, 3)[0])
+    document = json.loads((flown / "sweep.json").read_text())
+    assert document["finished"]["outcomes"] == {"completed": 12, "fell": 0, "error": 0}
+    assert {"config_hash", "code_hash", "git", "versions", "device", "perturbation"} <= document.keys()
+    assert str(ROOT) not in (flown / "sweep.json").read_text()
+
+
+def test_threads_do_not_change_a_byte(flown, tmp_path):
+    assert main(["sweep", str(quick(tmp_path)), "--out", str(tmp_path), "--workers", "3"]) == 0
+    assert read(tmp_path / "quick") == read(flown)
+
+
+def test_a_finished_sweep_is_kept_and_another_of_its_name_protected(flown, tmp_path, capsys):
+    path = quick(tmp_path)
+    assert main(["sweep", str(path), "--out", str(flown.parent)]) == 0
+    assert "is finished already" in capsys.readouterr().out
+    path.write_text(path.read_text().replace("seed = 5", "seed = 6"))
+    assert main(["sweep", str(path), "--out", str(flown.parent)]) == 2
+    assert "holds another sweep of this name" in capsys.readouterr().err
+
+
+def test_a_killed_sweep_goes_on_and_ends_with_the_same_bytes(tmp_path):
+    path = quick(tmp_path, repeats=60, duration=1.0)
+
+    def start(out: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "experiments", "sweep", str(path), "--out", str(tmp_path / out)]
+        return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+    whole, killed = start("whole"), start("killed")
+    chunks = tmp_path / "killed" / "quick" / "chunks"
+    while len(list(chunks.glob("0*.parquet"))) < 3:
+        assert killed.poll() is None, "it ended before it could be killed"
+        time.sleep(0.002)
+    killed.send_signal(signal.SIGKILL)
+    killed.communicate()
+    survived = {chunk.name: chunk.read_bytes() for chunk in chunks.glob("0*.parquet")}
+    assert 3 <= len(survived) < 60
+    assert not (tmp_path / "killed" / "quick" / "table.parquet").exists()
+    for name in survived:
+        pq.read_table(chunks / name)  # every chunk that is there is whole
+
+    again = start("killed")
+    _, said = again.communicate(timeout=120)
+    assert again.returncode == 0, said.decode()
+    assert "flights are there already" in said.decode()
+    whole.communicate(timeout=120)
+    assert read(tmp_path / "killed" / "quick") == read(tmp_path / "whole" / "quick")
+
+
+def test_chunks_of_another_build_are_not_mixed_in(tmp_path, monkeypatch):
+    made = Design(spec.load(str(quick(tmp_path))))
+
+    class Stops(run.Local):
+        def fly(self, design, chunks, progress):
+            yield from super().fly(design, chunks[:1], progress)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run.run(made, Stops(1), out=tmp_path)
+    monkeypatch.setattr(run, "code_hash", lambda: "another")
+    with pytest.raises(Refused, match="begun by another build"):
+        run.run(made, run.Local(1), out=tmp_path)
+    run.run(made, run.Local(1), out=tmp_path, overwrite=True)
+
+
+def test_a_flight_that_fails_is_recorded_and_the_others_go_on(tmp_path, monkeypatch):
+    made = Design(spec.load(str(quick(tmp_path))))
+    row_config = Design.row_config
+
+    def broken(self, row):
+        config = row_config(self, row)
+        if row == 5:
+            config["simulator"]["initial"]["thrust"] = [-1.0] * 4
+        return config
+
+    monkeypatch.setattr(Design, "row_config", broken)
+    folder = run.run(made, run.Local(1), out=tmp_path)
+    flights = pq.read_table(folder / "table.parquet").to_pylist()
+    assert flights[5]["outcome"] == "error"
+    assert "simulator.initial.thrust is -1" in flights[5]["error"]
+    assert [row["outcome"] for row in flights].count("completed") == 11
+    cells = pq.read_table(folder / "cells.parquet").to_pylist()
+    assert (cells[1]["flights"], cells[1]["errors"], cells[1]["completed"]) == (2, 1, 2)
+
+
+def test_a_folder_with_something_else_in_it_is_not_overwritten(tmp_path, capsys):
+    (tmp_path / "quick").mkdir()
+    (tmp_path / "quick" / "notes.txt").write_text("mine")
+    assert main(["sweep", str(quick(tmp_path)), "--out", str(tmp_path), "--overwrite"]) == 2
+    assert "also holds notes.txt" in capsys.readouterr().err
+
+
+def test_the_list_names_every_sweep(capsys):
+    assert main(["sweep", "--list"]) == 0
+    listed = capsys.readouterr().out
+    assert all(name in listed for name in spec.available())
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_ray_cluster_of_two_workers_gives_the_same_bytes(flown, tmp_path, capsys):
+    ray = pytest.importorskip("ray", reason="ray is not installed: the extra `cluster` brings it")
+    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    command = ["sweep", str(quick(tmp_path)), "--out", str(tmp_path), "--cluster", "ray", "--workers", "2"]
+    assert main(command) == 0, capsys.readouterr().err
+    assert not ray.is_initialized()
+    assert read(tmp_path / "quick") == read(flown)

@@ -1,0 +1,127 @@
+"""Figures of sweeps, from made-up cells: every drawing, and a word about every one that is missing."""
+
+import itertools
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from paper_figs.__main__ import SWEEPS, main
+from paper_figs.ablation import _is_geometric
+from paper_figs.scatter import correlations
+from paper_figs.sweeps import Sweep, axis_label
+
+AXES = {
+    "world": {"name": "world", "label": "world", "unit": "", "levels": ["side", "ahead"]},
+    "scale": {"name": "scale", "label": "factor", "unit": "", "levels": [0.0, 1.0, 2.0]},
+    "speed": {"name": "speed", "label": "wind speed", "unit": "m/s", "levels": [5.0, 10.0]},
+    "terms": {"name": "terms", "label": "feedback", "unit": "", "levels": ["everything", "nothing"]},
+}
+
+
+def write(folder, name, drawing, axes, panels="world"):
+    """A finished sweep with these axes."""
+    cells = []
+    for index, labels in enumerate(itertools.product(*(AXES[axis]["levels"] for axis in axes))):
+        record = {"cell": index, **dict(zip(axes, labels, strict=True)), "flights": 8, "errors": 0}
+        record |= {"completed": index % 9, "completed_low": 0.1, "completed_high": 0.9}
+        for quantity in ("rotation_error_deg", "com_error"):
+            record |= {f"{quantity}_{end}": float(index + step) for step, end in enumerate(("low", "median", "high"))}
+            record[f"{quantity}_worst"] = None if index == 1 else 3.0 * index
+        cells.append(record)
+    rng = np.random.default_rng(1)
+    flights = {axis: rng.uniform(0, 1, 40) for axis in axes}
+    flights |= {"outcome": ["completed", "fell"] * 20, "max_rotation_error": rng.uniform(0, 1.5, 40)}
+    flights["max_com_error"] = flights["max_rotation_error"]
+    document = {
+        "title": f"{name}?",
+        "drawing": drawing,
+        "panels": panels,
+        "axes": [AXES[axis] for axis in axes],
+        "repeats": 8,
+        "perturbation": {"joint_position": 0.1},
+        "config_hash": "ab" * 32,
+    }
+    path = folder / name
+    path.mkdir(parents=True)
+    pd.DataFrame(cells).to_parquet(path / "cells.parquet")
+    pd.DataFrame(flights).to_parquet(path / "table.parquet")
+    (path / "sweep.json").write_text(json.dumps(document))
+
+
+@pytest.mark.parametrize(
+    ("drawing", "axes", "panels"),
+    [
+        ("levels", ["world", "terms"], "world"),
+        ("levels", ["terms"], ""),
+        ("curve", ["world", "scale"], "world"),
+        ("curve", ["world", "terms", "scale"], "world"),
+        ("map", ["world", "scale", "speed"], "world"),
+        ("map", ["scale", "speed"], ""),
+        ("scatter", ["scale", "speed"], ""),
+    ],
+)
+def test_every_drawing_gives_pdf_and_png_with_the_hash_of_its_sweep(drawing, axes, panels, tmp_path):
+    write(tmp_path / "sweeps", "made_up", drawing, axes, panels)
+    assert main(["made_up", "--sweeps", str(tmp_path / "sweeps"), "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "made_up.pdf").read_bytes().startswith(b"%PDF")
+    with Image.open(tmp_path / "made_up.png") as picture:
+        assert picture.width > 1000
+        assert picture.info["Description"] == f"sweep made_up config {'ab' * 32}"
+
+
+def test_the_same_results_give_the_same_bytes(tmp_path):
+    write(tmp_path / "sweeps", "made_up", "curve", ["world", "scale"])
+    pictures = []
+    for _ in range(2):
+        assert main(["made_up", "--sweeps", str(tmp_path / "sweeps"), "--out", str(tmp_path)]) == 0
+        pictures.append([(tmp_path / f"made_up.{kind}").read_bytes() for kind in ("pdf", "png")])
+    assert pictures[0] == pictures[1]
+
+
+def test_all_draws_what_there_is_and_names_what_is_missing(tmp_path, capsys):
+    write(tmp_path / "sweeps", SWEEPS[0], "levels", ["world", "terms"])
+    arguments = [
+        "all",
+        "--sweeps",
+        str(tmp_path / "sweeps"),
+        "--results",
+        str(tmp_path),
+        "--out",
+        str(tmp_path / "out"),
+    ]
+    assert main(arguments) == 1
+    said = capsys.readouterr()
+    assert f"{SWEEPS[0]}.png" in said.out
+    for name in SWEEPS[1:]:
+        assert f"python -m experiments sweep {name}" in said.err
+    assert "have no results to be drawn from" in said.err
+
+
+@pytest.mark.parametrize(
+    ("values", "geometric"),
+    [
+        ([0, 1, 2, 4, 8, 16], True),
+        ([0.0, 0.2, 0.4, 2.0 * 0.3], False),
+        (np.linspace(0, 2, 11), False),
+        ([-10, 0, 1], False),
+    ],
+)
+def test_an_axis_is_stretched_only_where_its_values_are(values, geometric):
+    assert _is_geometric(pd.Series(values, dtype=float)) is geometric
+
+
+def test_a_unit_stands_in_brackets():
+    assert axis_label(AXES["speed"]) == "wind speed [m/s]"
+    assert axis_label(AXES["scale"]) == "factor"
+
+
+def test_an_input_counts_by_its_distance_from_the_middle(tmp_path):
+    offset = np.linspace(-1.0, 1.0, 21)
+    flights = pd.DataFrame({"speed": np.arange(21.0), "bias": offset, "error": np.abs(offset)})
+    sweep = Sweep("s", {"axes": [{"name": "speed"}, {"name": "bias"}], "panels": ""}, tmp_path)
+    found = correlations(sweep, flights, "error")
+    assert found["bias"] == pytest.approx(1.0)
+    assert abs(found["speed"]) < 0.2
