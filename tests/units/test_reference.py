@@ -110,7 +110,11 @@ reference.fly_batch([config] * 2000) if sys.argv[1] == "batch" else reference.fl
 def test_ctrl_c_ends_a_long_call_at_once(call):
     """The interrupt arrives while Rust flies with the interpreter lock released."""
     process = subprocess.Popen(
-        [sys.executable, "-c", SLOW_BATCH, call], cwd=REPOSITORY, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", SLOW_BATCH, call],
+        cwd=REPOSITORY,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     assert process.stdout is not None
     assert process.stdout.readline() == "ready\n"
