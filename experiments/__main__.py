@@ -27,6 +27,9 @@ COMMANDS = {
     "sweep": "experiments.sweep.command",
     "report": "experiments.report.command",
     "engine-choice": "experiments.engine_choice",
+    "trim": "experiments.trim",
+    "trajectory": "experiments.trajectory",
+    "force-rate": "experiments.force_rate",
 }
 
 

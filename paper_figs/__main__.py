@@ -10,7 +10,21 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from paper_figs import ablation, demo, fig5_flight, maps, runs, scatter, style, suppl7, sweeps
+from paper_figs import (
+    ablation,
+    demo,
+    fig5_flight,
+    force_rate,
+    identify,
+    maps,
+    runs,
+    scatter,
+    style,
+    suppl7,
+    sweeps,
+    trajectory,
+    trim,
+)
 
 Draw = Callable[[Path, Sequence[str]], tuple[Figure, dict[str, str]]]
 
@@ -20,6 +34,10 @@ FIGURES: dict[str, tuple[Draw, Sequence[str], str]] = {
     "suppl7": (suppl7.draw, suppl7.RUNS, "Suppl. Fig. 7 a-f, j: TEST1, TEST2, robustness; right arms"),
     "suppl7_published": (suppl7.draw, suppl7.PUBLISHED, "Suppl. Fig. 7 a-f, j; published arms"),
     "demo": (demo.draw, demo.RUNS, "both controllers, right and published lever arms"),
+    "trim": (trim.draw, trim.RUNS, "winds that can be trimmed, and the thrust that is left"),
+    "trajectory": (trajectory.draw, trajectory.RUNS, "planned trajectories, flown beside the paper's envelope"),
+    "identify": (identify.draw, identify.RUNS, "aerodynamic coefficients identified from one flight's log"),
+    "force_rate": (force_rate.draw, force_rate.RUNS, "the aerodynamic force rate that the controller leaves out"),
 }
 """Figures of single flights."""
 

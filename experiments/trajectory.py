@@ -1,0 +1,303 @@
+"""Optimal flights: `python -m experiments.trajectory [CONFIG ...]` plans, exports, flies and compares with the paper's.
+
+A plan is solved on the centroidal model (`jax_aero/symbolic/trajectory.py`), written as a reference that the
+controllers fly (`envelope = { file = "reference.csv" }`), and flown in closed loop by the Rust engine, in the same wind
+as the paper's flight, which is flown beside it. Results go to `results/trajectory/CONFIG/`: `run.nc` holds the plan,
+the flown flight and the paper's; `reference.csv` the reference. With --export it is also left in `configs/envelope/`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from experiments import Refused, study
+from jax_aero import reference
+from jax_aero.symbolic import MomentumModel, load_robot
+from jax_aero.symbolic.robot import Robot
+from jax_aero.symbolic.trajectory import Trajectory, TrajectoryProblem, TrajectorySettings
+
+GOALS = ("min_time", "min_fuel")
+
+_NUMBER = (float, int)
+KEYS: dict[str, Any] = {
+    **dict.fromkeys(("title", "goal", "flight"), str),
+    **dict.fromkeys(("start", "end", "free_groups", "roll_limits_deg", "pitch_limits_deg", "duration_range"), list),
+    **dict.fromkeys(
+        (
+            *(
+                "start_time",
+                "hold_time",
+                "yaw_deg",
+                "angular_velocity_max_deg",
+                "moment_max",
+                "speed_max",
+                "height_min",
+            ),
+            *("yaw_slack_deg", "acceleration_max", "sideways_max", "posture_weight"),
+            *("thrust_reserve", "thrust_rate_max", "joint_velocity_max_deg", "effort_weight", "sample_time"),
+        ),
+        _NUMBER,
+    ),
+    **dict.fromkeys(("intervals", "degree"), int),
+    "fuel": dict,
+}
+
+COLUMNS = "time,x,y,z,roll,pitch,yaw,vx,vy,vz,ax,ay,az,jx,jy,jz"
+"""Header of a recorded reference, as the crate's `control/recorded.rs` reads it."""
+
+ARRIVED = 0.05
+"""A flight has arrived when it stays this near to its end [m]. Ours."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.trajectory", description=__doc__)
+    parser.add_argument("configs", nargs="*", default=GOALS, metavar="CONFIG", help="file stems in configs/trajectory")
+    parser.add_argument("--export", action="store_true", help="leave the reference in configs/envelope too")
+    given = parser.parse_args(arguments)
+    try:
+        for name in given.configs:
+            document = run(study.find("trajectory", name), export=given.export)
+            print(f"{document['title']}:")
+            for key, value in document["summary"].items():
+                print(f"  {key:<52} {value if isinstance(value, str) else format(value, '.5g')}")
+    except Refused as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def run(path: Path, *, export: bool = False, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Plan, fly, compare, write; return the manifest. `changes` replace keys of the configuration."""
+    config = study.read(path) | dict(changes or {})
+    study.check_keys(path, config, KEYS)
+    flight_path = (path.parent / config["flight"]).resolve()
+    base = reference.load_config(flight_path)
+    robot = load_robot(base["robot"])
+    problem = TrajectoryProblem(MomentumModel(robot, base["simulator"]["aero"]), settings(path, config, base, robot))
+    plan = problem.solve(config["sample_time"])
+    if not plan.success:
+        raise Refused(f"{path.stem}: no trajectory found: {plan.message}")
+    text = csv_of(plan, config["start_time"], f"{config['title']}: python -m experiments.trajectory {path.stem}")
+
+    started = time.perf_counter()
+    flown, paper = fly(base, text, config["start_time"] + plan.duration + config["hold_time"]), reference.fly(base)
+    timings = {"build": plan.build_time, "solve": plan.solve_time, "fly": time.perf_counter() - started}
+    digest = study.digest(config, [flight_path])
+    dataset = to_dataset(plan, flown, paper, robot, config, digest)
+    summary = {
+        "solver": f"{plan.message}, {plan.iterations} iterations",
+        "largest constraint violation of the plan": plan.defect,
+        **figures("plan", dataset, "plan"),
+        **figures("flown", dataset, "flown"),
+        **figures("paper", dataset, "paper"),
+    }
+    document = study.build_manifest(path.stem, config["title"], config, digest, summary=summary, timings=timings)
+    study.write(study.RESULTS / "trajectory" / path.stem, dataset, document, {"reference.csv": text})
+    if export:
+        (study.CONFIGS / "envelope" / f"{path.stem}.csv").write_text(text, encoding="utf-8")
+    return document
+
+
+def settings(path: Path, config: Mapping[str, Any], base: Mapping[str, Any], robot: Robot) -> TrajectorySettings:
+    """Put the numbers of a configuration into SI units, names into indices."""
+    if config["goal"] not in GOALS:
+        raise Refused(f"{path.name}: goal is `{config['goal']}`; expected one of {', '.join(GOALS)}")
+    groups = reference.Robot(base["robot"]).joint_groups
+    if unknown := set(config["free_groups"]) - set(groups):
+        raise Refused(f"{path.name}: free_groups names `{min(unknown)}`; the robot has {', '.join(groups)}")
+    free = sorted(robot.joint_names.index(joint) for group in config["free_groups"] for joint in groups[group])
+    idle, slope = fuel_lines(path, config["fuel"], robot)
+    roll, pitch = (tuple(np.radians(config[f"{angle}_limits_deg"]).tolist()) for angle in ("roll", "pitch"))
+    return TrajectorySettings(
+        goal=config["goal"],
+        start=np.array(config["start"], dtype=float),
+        end=np.array(config["end"], dtype=float),
+        wind=np.array(base["wind"]["velocity"], dtype=float),
+        yaw=float(np.radians(config["yaw_deg"])),
+        posture=np.array(base["simulator"]["initial"]["joint_position"], dtype=float),
+        free_joints=tuple(free),
+        roll=roll,
+        pitch=pitch,
+        yaw_slack=float(np.radians(config["yaw_slack_deg"])),
+        angular_velocity_max=float(np.radians(config["angular_velocity_max_deg"])),
+        moment_max=config["moment_max"],
+        acceleration_max=config["acceleration_max"],
+        speed_max=config["speed_max"],
+        sideways_max=config["sideways_max"],
+        height_min=config["height_min"],
+        thrust_reserve=config["thrust_reserve"],
+        thrust_rate_max=config["thrust_rate_max"],
+        joint_velocity_max=float(np.radians(config["joint_velocity_max_deg"])),
+        fuel_idle=idle,
+        fuel_slope=slope,
+        intervals=config["intervals"],
+        degree=config["degree"],
+        duration_range=tuple(config["duration_range"]),
+        effort_weight=config["effort_weight"],
+        posture_weight=config["posture_weight"],
+    )
+
+
+def fuel_lines(path: Path, table: Mapping[str, Any], robot: Robot) -> tuple[Any, Any]:
+    """Return the consumption at zero thrust [l/s] and its slope [l/(s N)] of each jet."""
+    study.check_keys(path, table, {jet.name: {"thrust": list, "consumption": list} for jet in robot.jets}, "fuel.")
+    slopes, starts = [], []
+    for jet in robot.jets:
+        (t0, t1), (c0, c1) = table[jet.name]["thrust"], table[jet.name]["consumption"]
+        slope = (c1 - c0) / (t1 - t0) / 60.0
+        slopes.append(slope)
+        starts.append(c0 / 60.0 - slope * t0)
+    return np.array(starts), np.array(slopes)
+
+
+def csv_of(plan: Trajectory, start_time: float, about: str) -> str:
+    """Return the reference as CSV: derivatives of the centre of mass included, angles in rad."""
+    com = plan.com
+    rows = np.hstack([start_time + plan.time[:, None], com[:, 0], plan.base_rpy, com[:, 1], com[:, 2], com[:, 3]])
+    lines = [f"# Source: ours, {about}", COLUMNS, *(",".join(f"{value:.7g}" for value in row) for row in rows)]
+    return "\n".join(lines) + "\n"
+
+
+def fly(base: Mapping[str, Any], text: str, duration: float) -> reference.Flight:
+    """Fly a reference in closed loop, everything else as in the flight `base`."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "reference.csv"
+        file.write_text(text, encoding="utf-8")
+        step = base["simulator"]["time_step"]
+        simulator = {**base["simulator"], "duration": round(duration / step) * step}
+        return reference.fly({**base, "simulator": simulator, "envelope": {"file": str(file)}})
+
+
+def to_dataset(
+    plan: Trajectory,
+    flown: reference.Flight,
+    paper: reference.Flight,
+    robot: Robot,
+    config: Mapping[str, Any],
+    digest: str,
+) -> xr.Dataset:
+    """Put plan, flown flight and the paper's flight beside each other, each with a time of its own.
+
+    Time zero is when each begins to move.
+    """
+    offset = config["start_time"]
+    quantities: dict[str, tuple[str, str, str]] = {
+        "com_position": ("xyz", "m", "centre of mass, inertial frame"),
+        "com_velocity": ("xyz", "m s-1", "its velocity"),
+        "base_rpy": ("rpy", "rad", "base attitude: planned, or the reference's"),
+        "thrust": ("jet", "N", "thrust of each jet"),
+    }
+    signals: dict[str, dict[str, Any]] = {
+        "plan": {
+            "time": plan.time,
+            "com_position": plan.com[:, 0],
+            "com_velocity": plan.com[:, 1],
+            "base_rpy": plan.base_rpy,
+            "thrust": plan.thrust,
+        }
+    }
+    for name, flight in (("flown", flown), ("paper", paper)):
+        log = flight.log
+        signals[name] = {
+            "time": log["time"] - offset,
+            **{key: log[key] for key in ("com_position", "com_velocity", "thrust", "rotation_error")},
+            "base_rpy": log["base_rpy_reference"],
+            "com_error": np.linalg.norm(log["com_position"] - log["com_reference"], axis=1),
+        }
+    variables: dict[str, Any] = {}
+    for name, group in signals.items():
+        time_name = f"time_{name}"
+        for key, (dim, units, text) in quantities.items():
+            variables[f"{key}_{name}"] = (
+                (time_name, dim),
+                group[key],
+                {"units": units, "long_name": f"{name}: {text}"},
+            )
+        for key, units, text in (
+            ("com_error", "m", "distance of the centre of mass from its reference"),
+            ("rotation_error", "rad", "angle between base and reference"),
+        ):
+            if key in group:
+                variables[f"{key}_{name}"] = (time_name, group[key], {"units": units, "long_name": f"{name}: {text}"})
+        variables[f"fuel_{name}"] = (
+            time_name,
+            _burnt(group["time"], group["thrust"], config["fuel"], robot),
+            {"units": "l", "long_name": f"{name}: fuel burnt since it began to move"},
+        )
+    for key, value, units in (
+        ("acceleration_plan", plan.com[:, 2], "m s-2"),
+        ("jerk_plan", plan.com[:, 3], "m s-3"),
+    ):
+        variables[key] = (("time_plan", "xyz"), value, {"units": units, "long_name": f"plan: {key.split('_')[0]}"})
+    variables["joint_position_plan"] = (
+        ("time_plan", "joint"),
+        plan.joint_position,
+        {"units": "rad", "long_name": "plan: joint position"},
+    )
+    coords: dict[str, Any] = {
+        f"time_{name}": (f"time_{name}", g["time"], {"units": "s"}) for name, g in signals.items()
+    }
+    coords |= {"xyz": list("xyz"), "rpy": ["roll", "pitch", "yaw"], "joint": list(robot.joint_names)}
+    coords["jet"] = [jet.name for jet in robot.jets]
+    facts = {
+        "title": config["title"],
+        "config_hash": digest,
+        "end": np.array(config["end"], dtype=float),
+        "outcome_flown": flown.outcome,
+        "outcome_paper": paper.outcome,
+    }
+    dataset = xr.Dataset(variables, coords, facts)
+    dataset.attrs |= {f"arrival_{name}": _arrival(dataset, name) for name in signals}
+    return dataset
+
+
+def _arrival(dataset: xr.Dataset, name: str) -> float:
+    """Return when one of the three flights is at its end to stay [s]."""
+    t = dataset[f"time_{name}"].values
+    away = np.linalg.norm(dataset[f"com_position_{name}"].values - dataset.attrs["end"], axis=1) > ARRIVED
+    late = int(np.flatnonzero(away)[-1]) + 1 if away.any() else 0
+    return float(t[min(late, t.size - 1)])
+
+
+def _burnt(t: Any, thrust: Any, table: Mapping[str, Any], robot: Robot) -> Any:
+    """Return the fuel burnt from time zero on [l], by the trapezoidal rule."""
+    idle, slope = fuel_lines(Path("fuel"), table, robot)
+    rate = idle.sum() + thrust @ slope
+    total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t))])
+    return total - np.interp(0.0, t, total)
+
+
+def figures(label: str, dataset: xr.Dataset, name: str) -> dict[str, float | str]:
+    """Return duration, fuel and errors of one of the three flights."""
+    t = dataset[f"time_{name}"].values
+    arrived = float(dataset.attrs[f"arrival_{name}"])
+    moving = (t >= 0.0) & (t <= arrived)
+    thrust = dataset[f"thrust_{name}"].values[moving]
+    found: dict[str, float | str] = {
+        f"{label}: arrives within {100 * ARRIVED:.0f} cm after [s]": arrived,
+        f"{label}: fuel until then [l]": float(np.interp(arrived, t, dataset[f"fuel_{name}"].values)),
+        f"{label}: greatest speed [m/s]": float(
+            np.linalg.norm(dataset[f"com_velocity_{name}"].values[moving], axis=1).max()
+        ),
+        f"{label}: thrusts [N]": f"{thrust.min():.1f} to {thrust.max():.1f}",
+    }
+    if f"com_error_{name}" in dataset:
+        found[f"{label}: outcome"] = str(dataset.attrs[f"outcome_{name}"])
+        found[f"{label}: peak CoM error [m]"] = float(dataset[f"com_error_{name}"].values[t >= 0.0].max())
+        rotation = dataset[f"rotation_error_{name}"].values[t >= 0.0].max()
+        found[f"{label}: peak rotation error [deg]"] = float(np.degrees(rotation))
+    return found
+
+
+if __name__ == "__main__":
+    sys.exit(main())

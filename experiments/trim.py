@@ -1,0 +1,263 @@
+"""Trim: `python -m experiments.trim [CONFIG] --wind X Y Z`, or `--map` for all winds of the configuration.
+
+A wind or flight velocity in, attitude, joints and thrusts in equilibrium out; or the constraint that stands in the way.
+Without --map the answer is printed; with it, results go to `results/trim/CONFIG/`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from tqdm import tqdm
+
+from experiments import Refused, study
+from jax_aero.symbolic import MomentumModel, load_robot
+from jax_aero.symbolic.aero import load_aero
+from jax_aero.symbolic.trim import Objective, Trim, TrimResult, TrimSettings
+
+OBJECTIVES: tuple[Objective, ...] = ("max_margin", "min_thrust")
+
+KEYS: dict[str, Any] = {
+    **dict.fromkeys(("title", "robot", "aero", "posture", "controller"), str),
+    **dict.fromkeys(("free_groups", "roll_limits_deg", "pitch_limits_deg"), list),
+    **dict.fromkeys(
+        ("yaw_deg", "margin_min", "clearance_min", "plume_length", "posture_weight", "spread_weight"), (float, int)
+    ),
+    "map": {"speeds": list, "directions_deg": list},
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status: 1 if there is no trim."""
+    given = _parser().parse_args(arguments)
+    try:
+        path = study.find("trim", given.config)
+        if given.map:
+            print(_summary_text(run_map(path)["summary"]))
+            return 0
+        trim, _ = load(path)
+        result = trim.solve(given.wind, given.velocity, given.objective)
+    except Refused as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return 2
+    print(report(trim, result))
+    return 0 if result.feasible else 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m experiments.trim", description=__doc__)
+    parser.add_argument("config", nargs="?", default="free_joints", help="a file stem in configs/trim, or a path")
+    vector: dict[str, Any] = {"nargs": 3, "type": float, "metavar": ("X", "Y", "Z"), "default": [0.0, 0.0, 0.0]}
+    parser.add_argument("--wind", help="velocity of the air [m/s, inertial axes]", **vector)
+    parser.add_argument("--velocity", help="flight velocity [m/s, inertial axes]", **vector)
+    parser.add_argument("--objective", choices=OBJECTIVES, default="min_thrust")
+    parser.add_argument("--map", action="store_true", help="solve all winds of the configuration, write a result")
+    return parser
+
+
+def load(path: Path) -> tuple[Trim, dict[str, Any]]:
+    """Read a configuration and build its problem."""
+    config = study.read(path)
+    study.check_keys(path, config, KEYS)
+    robot = load_robot(_file(path, config["robot"]))
+    posture = np.array(study.read(_file(path, config["posture"]))["initial"]["joint_position"], dtype=float)
+    groups = study.read(_file(path, config["robot"]))["joint_groups"]
+    members = {group["name"]: [joint["name"] for joint in group["joints"]] for group in groups}
+    if unknown := set(config["free_groups"]) - set(members):
+        raise Refused(f"{path.name}: free_groups names `{min(unknown)}`; {robot.name} has {', '.join(members)}")
+    free = [robot.joint_names.index(joint) for group in config["free_groups"] for joint in members[group]]
+    settings = TrimSettings(
+        posture=posture,
+        free_joints=tuple(free),
+        roll=_angles(config["roll_limits_deg"]),
+        pitch=_angles(config["pitch_limits_deg"]),
+        yaw=float(np.radians(config["yaw_deg"])),
+        margin_min=config["margin_min"],
+        torque_max=study.read(_file(path, config["controller"]))["torque"]["torque_max"],
+        clearance_min=config["clearance_min"],
+        plume_length=config["plume_length"],
+        posture_weight=config["posture_weight"],
+        spread_weight=config["spread_weight"],
+    )
+    return Trim(MomentumModel(robot, load_aero(_file(path, config["aero"]))), settings), config
+
+
+def files(path: Path, config: dict[str, Any]) -> list[Path]:
+    """Return the files a configuration names, its robot's URDF among them."""
+    robot = _file(path, config["robot"])
+    named = [_file(path, config[key]) for key in ("robot", "aero", "posture", "controller")]
+    return [*named, robot.with_name(study.read(robot)["urdf"])]
+
+
+def wind_from(direction_deg: float, speed: float) -> tuple[float, float, float]:
+    """Return the velocity of air that comes from a direction: 0 from ahead (+x), 90 from the left (+y)."""
+    angle = np.radians(direction_deg)
+    return (-speed * float(np.cos(angle)), -speed * float(np.sin(angle)), 0.0)
+
+
+def report(trim: Trim, result: TrimResult) -> str:
+    """Say what a trim is, or what is in its way."""
+    robot = trim.model.robot
+    degrees = np.degrees(result.base_rpy)
+    effort = f"{result.iterations} iterations, {result.solve_time:.2f} s; problem built in {trim.build_time:.1f} s"
+    lines = [f"{'trim' if result.feasible else 'NO TRIM'}: {result.message} ({effort})"]
+    if not result.feasible:
+        lines.append("the nearest there is:")
+    lines += [
+        "base roll, pitch, yaw [deg]   " + "  ".join(f"{angle:8.3f}" for angle in degrees),
+        *(
+            f"thrust of {jet.name:<18}  {thrust:8.2f} N of {jet.thrust_max:g}"
+            for jet, thrust in zip(robot.jets, result.thrust, strict=True)
+        ),
+        f"total thrust                  {result.total_thrust:8.2f} N, weight {robot.mass * robot.gravity:.2f} N",
+        f"thrust margin                 {100 * result.margin:8.2f} % of the greatest thrust",
+        "aerodynamic force [N]         " + "  ".join(f"{force:8.3f}" for force in result.aero_force),
+        "aerodynamic moment [N m]      " + "  ".join(f"{moment:8.3f}" for moment in result.aero_moment),
+        f"greatest joint torque         {np.abs(result.joint_torque).max():8.2f} N m",
+        f"jet axis nearest to the body  {1000 * result.clearance:8.1f} mm, {result.closest}",
+        f"left over                     {np.abs(result.residual).max():8.1e} N or N m",
+    ]
+    moved = np.degrees(result.joint_position - trim.settings.posture)
+    order = [int(i) for i in np.argsort(-np.abs(moved)) if abs(moved[i]) > 0.05][:8]
+    if order:
+        changes = ", ".join(f"{robot.joint_names[i]} {moved[i]:+.1f}" for i in order)
+        lines.append(f"joints off the posture [deg]  {changes}")
+    if result.at_limit:
+        lines.append(f"at a limit                    {', '.join(result.at_limit)}")
+    return "\n".join(lines)
+
+
+def run_map(path: Path) -> dict[str, Any]:
+    """Solve every wind of a configuration for both objectives; write `results/trim/NAME`; return the manifest."""
+    trim, config = load(path)
+    speeds, directions = config["map"]["speeds"], config["map"]["directions_deg"]
+    started = time.perf_counter()
+    found: dict[tuple[str, int, int], TrimResult] = {}
+    there = [(objective, d, s) for objective in OBJECTIVES for d in range(len(directions)) for s in range(len(speeds))]
+    # There are many local answers. Once through the map from neighbours already solved, once back; the best one stays.
+    with tqdm(total=2 * len(there), desc=path.stem, unit="wind", disable=not sys.stderr.isatty(), leave=False) as bar:
+        for cells, step in ((there, -1), (there[::-1], 1)):
+            for objective, d, s in cells:
+                wind = wind_from(directions[d], speeds[s])
+                neighbours = (found.get((objective, d, s + step)), found.get((objective, d + step, s)))
+                starts: list[TrimResult | None] = [other for other in neighbours if other and other.feasible]
+                if step < 0:
+                    starts.append(None)
+                tried = [trim.solve(wind, objective=objective, start=start) for start in starts]
+                if (objective, d, s) in found:
+                    tried.append(found[objective, d, s])
+                found[objective, d, s] = min(tried, key=lambda result: (not result.feasible, result.cost))
+                bar.update()
+    elapsed = time.perf_counter() - started
+
+    digest = study.digest(config, files(path, config))
+    dataset = _map_dataset(trim, found, speeds, directions)
+    dataset.attrs |= {"title": config["title"], "config_hash": digest}
+    results = list(found.values())
+    solved = [result.solve_time for result in results if result.feasible]
+    summary = {
+        "trims asked for": len(results),
+        "trims found": sum(result.feasible for result in results),
+        "largest residual of a trim [N, N m]": max(np.abs(r.residual).max() for r in results if r.feasible),
+        "median solve time of a trim [s]": float(np.median(solved)),
+        "strongest wind with a trim from every direction [m/s]": _everywhere(dataset),
+    }
+    timings = {"build": trim.build_time, "map": elapsed}
+    document = study.build_manifest(path.stem, config["title"], config, digest, summary=summary, timings=timings)
+    study.write(study.RESULTS / "trim" / path.stem, dataset, document)
+    return document
+
+
+def _everywhere(dataset: xr.Dataset) -> float:
+    feasible = dataset["feasible"].sel(objective="max_margin").all("direction").values
+    reached = int(np.argmin(feasible)) if not feasible.all() else feasible.size
+    return float(dataset["speed"].values[reached - 1]) if reached else float("nan")
+
+
+def _map_dataset(
+    trim: Trim, found: dict[tuple[str, int, int], TrimResult], speeds: list[float], directions: list[float]
+) -> xr.Dataset:
+    robot = trim.model.robot
+    shape = (len(OBJECTIVES), len(directions), len(speeds))
+    grid = ("objective", "direction", "speed")
+
+    def gather(value: Any, *size: int, dtype: Any = float) -> Any:
+        rows = [
+            value(found[objective, d, s]) for objective in OBJECTIVES for d in range(shape[1]) for s in range(shape[2])
+        ]
+        return np.array(rows, dtype=dtype).reshape(*shape, *size)
+
+    variables = {
+        "feasible": (grid, gather(lambda r: r.feasible, dtype=np.int8), {"units": "1", "long_name": "a trim exists"}),
+        "margin": (
+            grid,
+            gather(lambda r: r.margin if r.feasible else np.nan),
+            {"units": "1", "long_name": "least distance of a thrust from 0 and from its greatest, over its greatest"},
+        ),
+        "total_thrust": (
+            grid,
+            gather(lambda r: r.total_thrust if r.feasible else np.nan),
+            {"units": "N", "long_name": "sum of the thrusts"},
+        ),
+        "clearance": (
+            grid,
+            gather(lambda r: r.clearance),
+            {"units": "m", "long_name": "least distance from the axis of a jet to the surface of a link"},
+        ),
+        "base_rpy": ((*grid, "rpy"), gather(lambda r: r.base_rpy, 3), {"units": "rad", "long_name": "base attitude"}),
+        "joint_position": (
+            (*grid, "joint"),
+            gather(lambda r: r.joint_position, robot.n_joints),
+            {"units": "rad", "long_name": "joint position"},
+        ),
+        "thrust": ((*grid, "jet"), gather(lambda r: r.thrust, len(robot.jets)), {"units": "N", "long_name": "thrust"}),
+        "aero_force": (
+            (*grid, "xyz"),
+            gather(lambda r: r.aero_force, 3),
+            {"units": "N", "long_name": "total aerodynamic force, inertial axes"},
+        ),
+        "solve_time": (grid, gather(lambda r: r.solve_time), {"units": "s", "long_name": "wall time of the solver"}),
+        "violated": (
+            grid,
+            gather(lambda r: r.violations[0].constraint if r.violations else "", dtype=str),
+            {"long_name": "constraint that is missed by most where there is no trim"},
+        ),
+        "weight": ((), robot.mass * robot.gravity, {"units": "N", "long_name": "weight"}),
+    }
+    coords = {
+        "objective": list(OBJECTIVES),
+        "direction": ("direction", directions, {"units": "deg", "long_name": "where the wind comes from; 90 is left"}),
+        "speed": ("speed", speeds, {"units": "m s-1", "long_name": "speed of the wind"}),
+        "rpy": ["roll", "pitch", "yaw"],
+        "xyz": list("xyz"),
+        "joint": list(robot.joint_names),
+        "jet": [jet.name for jet in robot.jets],
+    }
+    return xr.Dataset(variables, coords)
+
+
+def _summary_text(summary: dict[str, Any]) -> str:
+    return "\n".join(f"{key:<56} {value:.4g}" for key, value in summary.items())
+
+
+def _file(config: Path, name: str) -> Path:
+    path = (config.parent / name).resolve()
+    if not path.is_file():
+        raise Refused(f"{config.name}: there is no file {name}")
+    return path
+
+
+def _angles(limits_deg: Sequence[float]) -> tuple[float, float]:
+    lower, upper = np.radians(limits_deg)
+    return float(lower), float(upper)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,123 @@
+"""Aerodynamic force on a link from the velocity it has relative to the air, after the paper."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from jax_aero.symbolic.robot import AeroLink, Robot
+from jax_aero.symbolic.spatial import SX
+
+ANGLE_EPSILON = 1e-9
+"""Added to the speed where the angle of attack is formed [m/s]. Source: the published controller."""
+
+ROOT_FLOOR = 1e-24
+"""Added under the root of the speed [m²/s²]: too small to show, it makes derivatives at rest finite. Ours."""
+
+LinkForce = Callable[[int, SX, SX], Any]
+"""Force (`SX`) [N] on link `i` with this unit axis and this velocity relative to the air [m/s], inertial axes."""
+
+
+def load_aero(path: str | Path) -> dict[str, Any]:
+    """Read a table of `configs/aero`."""
+    return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+
+
+def link_force(config: Mapping[str, Any], robot: Robot) -> LinkForce:
+    """Return the model that a table of `configs/aero` asks for."""
+    match config["model"]:
+        case "off":
+            return lambda _link, _axis, _v_a: ca.SX.zeros(3)
+        case "axisymmetric":
+            return _axisymmetric(config, robot)
+        case "sphere_cylinder":
+            return _sphere_cylinder(config, robot.aero_links)
+        case model:
+            raise ValueError(f"aerodynamic model `{model}` is unknown; expected off, axisymmetric or sphere_cylinder")
+
+
+def _attack(axis: SX, v_a: SX) -> tuple[SX, SX, SX, SX]:
+    """Return |v_a|, cos α, sin α and (v_a × k̂) × v_a, with α the angle between v_a and the axis k̂.
+
+    The epsilon of the published cosine keeps it below 1, so the root of sin α has a derivative for wind along the axis.
+    """
+    speed = ca.sqrt(ca.dot(v_a, v_a) + ROOT_FLOOR)
+    cos = ca.dot(axis, v_a) / (speed + ANGLE_EPSILON)
+    return speed, cos, ca.sqrt(1 - cos**2), ca.cross(ca.cross(v_a, axis), v_a)
+
+
+def _axisymmetric(config: Mapping[str, Any], robot: Robot) -> LinkForce:
+    """Paper, eq. `aero-force-model`: F = −k_a |v_a| C_D A v_a + k_a C_N A (v_a × k̂ × v_a)/sin α, k_a = ρ/2."""
+    k_a = 0.5 * config["air_density"]
+    sets = robot.coefficients[config["coefficients"]]
+    areas = [(*sets[link.family]["cda"], sets[link.family]["cna"]) for link in robot.aero_links]
+
+    def force(link: int, axis: SX, v_a: SX) -> Any:
+        w0, w1, w2, w3, w4, w5 = areas[link]
+        speed, cos, sin, normal = _attack(axis, v_a)
+        drag_area = w0 + w1 * cos + w2 * sin**2 + w3 * sin**3 + w4 * cos**3
+        normal_area_over_sin = w5 * sin * cos  # C_N A = w₅ sin² α cos α
+        return k_a * (normal_area_over_sin * normal - speed * drag_area * v_a)
+
+    return force
+
+
+def _sphere_cylinder(config: Mapping[str, Any], links: Sequence[AeroLink]) -> LinkForce:
+    """Spheres and finite cylinders with the drag of the literature; closed-loop equations, section 7.3.
+
+    With ρ|v|d/μ the Reynolds number, C₉₀ the drag of a cylinder across the wind (on d l, finite length) and C₀ that
+    along its axis, the drag is C₀ + (C₉₀ − C₀) sin³ α and the normal force C₉₀ sin² α cos α, then divided by sin α.
+    """
+    rho, mu = config["air_density"], config["dynamic_viscosity"]
+    cylinder, sphere = config["cylinder"], config["sphere"]
+    crosswind = _table(cylinder["reynolds"], cylinder["crosswind_drag"])
+    reference = float(np.interp(cylinder["reference_reynolds"], cylinder["reynolds"], cylinder["crosswind_drag"]))
+    finite = PchipInterpolator(cylinder["diameter_over_length"], cylinder["finite_length_drag"])
+    axial = PchipInterpolator(cylinder["length_over_diameter"], cylinder["axial_drag"])
+    sphere_table = _table(sphere["reynolds"], sphere["drag"])
+    first = sphere["reynolds"][0]
+
+    def sphere_drag(re: SX) -> SX:
+        # Brown and Lawler (2003) up to the table. Both branches are differentiated: none may see Re = 0.
+        re = ca.fmax(re, 1e-6)
+        formula = 24 / re * (1 + 0.150 * re**0.681) + 0.407 / (1 + 8710 / re)
+        low = ca.if_else(re < 10, sphere["drag_below_reynolds_10"], formula)
+        return ca.if_else(re <= first, low, sphere_table(re))
+
+    def force(number: int, axis: SX, v_a: SX) -> Any:
+        link = links[number]
+        d, length = link.diameter, link.length
+        speed, cos, sin, normal = _attack(axis, v_a)
+        re = rho * speed * d / mu
+        if link.is_sphere:
+            return -0.5 * rho * (np.pi / 4 * d * length) * sphere_drag(re) * speed * v_a
+        c90 = crosswind(re) * float(finite(d / length)) / max(cylinder["finite_length_drag"])
+        # On the area d l instead of π d²/4.
+        c0 = np.pi / 4 * d / length * float(axial(length / d)) / max(cylinder["axial_drag"]) * crosswind(re) / reference
+        drag = c0 + (c90 - c0) * sin**3
+        return 0.5 * rho * d * length * (c90 * sin * cos * normal - speed * drag * v_a)
+
+    return force
+
+
+def _table(x: Sequence[float], y: Sequence[float]) -> Callable[[SX], SX]:
+    """Return SciPy's PCHIP through a table as an expression, constant outside it.
+
+    A sum of what every piece of the curve adds on the way to the value: no piece is asked outside its own interval.
+    """
+    pieces = PchipInterpolator(x, y).c.T
+
+    def at(value: SX) -> SX:
+        result = ca.SX(y[0])
+        for left, right, (c3, c2, c1, _) in zip(x[:-1], x[1:], pieces, strict=True):
+            step = ca.fmin(ca.fmax(value, left), right) - left
+            result += step * (c1 + step * (c2 + step * c3))
+        return result
+
+    return at

@@ -1,0 +1,72 @@
+"""How far the jets' axes stay from the body: exhaust as a segment, links as capsules."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from jax_aero.symbolic.kinematics import Kinematics
+from jax_aero.symbolic.spatial import SX
+
+TINY = 1e-12
+"""Keeps quotients finite where a segment is a point or two are parallel [m², m⁴]."""
+
+
+class Pair(NamedTuple):
+    """One exhaust and one link that it must not touch."""
+
+    jet: str
+    link: str
+    distance: SX
+    """From the axis of the jet to the surface of the link [m]; negative where the axis enters the link."""
+
+
+def pairs(tree: Kinematics, plume_length: float) -> list[Pair]:
+    """Return every jet with every aerodynamic link except its own turbine, and with every sole.
+
+    The exhaust is the segment of `plume_length` [m] that leaves the nozzle, the jet frame's origin, against the thrust.
+    A link is the capsule around its cylinder (centre, axis, length, diameter); a sole the capsule along its rectangle.
+    """
+    robot = tree.robot
+    found = []
+    for jet in robot.jets:
+        pose = tree.poses[jet.frame]
+        nozzle = (pose.position, -plume_length * pose.direction(jet.axis))
+        for link in robot.aero_links:
+            if link.frame == jet.frame:
+                continue
+            half = 0.0 if link.is_sphere else 0.5 * link.length
+            pose_l = tree.poses[link.frame]
+            spine = (pose_l.point(link.centre - half * link.axis), pose_l.direction(2 * half * link.axis))
+            found.append(Pair(jet.name, link.name, segment_distance(nozzle, spine) - 0.5 * link.diameter))
+        for frame, corners in robot.soles.items():
+            low, high = corners.min(axis=0), corners.max(axis=0)
+            middle, reach = 0.5 * (low + high), 0.5 * (high - low)
+            long = np.eye(3)[int(np.argmax(reach))] * reach
+            pose_s = tree.poses[frame]
+            spine = (pose_s.point(middle - long), pose_s.direction(2 * long))
+            found.append(Pair(jet.name, frame, segment_distance(nozzle, spine) - float(np.sort(reach)[1])))
+    return found
+
+
+def segment_distance(first: tuple[SX, SX], second: tuple[SX, SX]) -> SX:
+    """Return the distance of two segments, each given by its start and the vector to its end [m].
+
+    Nearest points of two lines, the parameters clamped one after the other, as in Ericson, Real-Time Collision
+    Detection (2005), section 5.1.9. The gradient is right wherever the nearest points are unique.
+    """
+    (start_1, d_1), (start_2, d_2) = first, second
+    between = start_1 - start_2
+    a, b, e = ca.dot(d_1, d_1) + TINY, ca.dot(d_1, d_2), ca.dot(d_2, d_2) + TINY
+    c, f = ca.dot(d_1, between), ca.dot(d_2, between)
+    s = _clamp((b * f - c * e) / (a * e - b * b + TINY))
+    t = _clamp((b * s + f) / e)
+    s = _clamp((b * t - c) / a)
+    gap = between + s * d_1 - t * d_2
+    return ca.sqrt(ca.dot(gap, gap) + TINY)
+
+
+def _clamp(x: SX) -> SX:
+    return ca.fmin(ca.fmax(x, 0), 1)

@@ -1,0 +1,66 @@
+"""Energy and momentum of the tree, and what follows from them by differentiation."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from jax_aero.symbolic.kinematics import Kinematics
+from jax_aero.symbolic.spatial import SX
+
+
+class Dynamics:
+    """Lagrange's equations and the centroidal momentum of the tree.
+
+    A link is a cloud of points r = p + R ρ with mass m, centre p and scatter E = ∫ ρ ρᵀ dm. Summing over the cloud,
+
+        kinetic energy      ½ m |ṗ|² + ½ tr(Ṙ E Ṙᵀ)
+        potential energy    m g p_z
+        angular momentum    m (p − p_G) × ṗ + axial(Ṙ E Rᵀ)     about the centre of mass p_G
+
+    so neither angular velocities nor inertia tensors appear. Then, with q̇ = ν at the point of evaluation,
+
+        M = ∂²T/∂q̇²,    h = ∂²T/∂q̇∂q q̇ − ∂T/∂q + ∂V/∂q,    A_G = ∂(l, k)/∂q̇
+
+    `momentum`, `kinetic` and `potential` hold φ still; the other attributes are at φ = 0.
+    """
+
+    def __init__(self, tree: Kinematics) -> None:
+        robot = tree.robot
+        centres = [tree.poses[part.link].point(part.centre) for part in robot.inertials]
+        turns = [tree.poses[part.link].rotation for part in robot.inertials]
+        # One sweep through the tree for all rates.
+        rates = tree.rate(ca.vertcat(*centres, *(ca.vec(turn) for turn in turns)))
+        count = len(centres)
+        centre_rates = [rates[3 * i : 3 * i + 3] for i in range(count)]
+        turn_rates = [ca.reshape(rates[3 * count + 9 * i : 3 * count + 9 * i + 9], 3, 3) for i in range(count)]
+
+        mass = robot.mass
+        self.com = sum((part.mass * c for part, c in zip(robot.inertials, centres, strict=True)), ca.SX(3, 1)) / mass
+        linear, angular, scatter = ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(3, 3)
+        kinetic = ca.SX(0)
+        for part, centre, turn, v, turn_rate in zip(
+            robot.inertials, centres, turns, centre_rates, turn_rates, strict=True
+        ):
+            carried = ca.mtimes(turn_rate, ca.DM(part.scatter))
+            kinetic += 0.5 * part.mass * ca.dot(v, v) + 0.5 * ca.trace(ca.mtimes(carried, turn_rate.T))
+            linear += part.mass * v
+            arm = centre - self.com
+            scatter += part.mass * ca.mtimes(arm, arm.T) + ca.mtimes([turn, ca.DM(part.scatter), turn.T])
+            angular += part.mass * ca.cross(arm, v) + _axial(ca.mtimes(carried, turn.T))
+        self.kinetic = kinetic
+        self.potential = mass * robot.gravity * self.com[2]
+        self.momentum = ca.vertcat(linear, angular)
+        # Turning all points together, ∫ r × (ω × r) dm = (tr(P) 1 − P) ω with P = ∫ r rᵀ dm.
+        self.locked_inertia = ca.trace(scatter) * ca.SX.eye(3) - scatter
+
+        q, nu = tree.q, tree.velocity
+        mass_matrix, impulse = ca.hessian(kinetic, nu)
+        bias = ca.jtimes(impulse, q, nu) - ca.gradient(kinetic, q) + ca.gradient(self.potential, q)
+        momentum_matrix = ca.jacobian(self.momentum, nu)
+        self.mass_matrix, self.bias, self.momentum_matrix = tree.here(mass_matrix, bias, momentum_matrix)
+        self.centroidal_inertia = self.momentum_matrix[3:, 3:6]
+
+
+def _axial(a: SX) -> SX:
+    """Return Σ r × ṙ of points with Σ ṙ rᵀ = A: the axial vector of A − Aᵀ."""
+    return ca.vertcat(a[2, 1] - a[1, 2], a[0, 2] - a[2, 0], a[1, 0] - a[0, 1])

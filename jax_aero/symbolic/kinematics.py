@@ -1,0 +1,46 @@
+"""The tree of links as transforms of the coordinates; velocities are derivatives along the motion."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from jax_aero.symbolic.robot import Robot
+from jax_aero.symbolic.spatial import SX, Pose, small_turn, turn_about, turn_from_rpy
+
+
+class Kinematics:
+    """Where every link is, as functions of the coordinates q = (p_B, φ, s).
+
+    The base has the rotation `small_turn(φ) R_B`, so that with φ = 0, where everything is evaluated in the end, q̇ is
+    the mixed velocity ν = (v_B, ω_B, ṡ) of `docs/conventions.md` and q̈ its derivative. Derivatives are taken before φ
+    is set to zero; `here` sets it.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        n = robot.n_joints
+        self.robot = robot
+        self.base_rotation = ca.SX.sym("R_B", 3, 3)
+        self.base_position = ca.SX.sym("p_B", 3)
+        self.joint_position = ca.SX.sym("s", n)
+        self._phi = ca.SX.sym("phi", 3)
+        self.q = ca.vertcat(self.base_position, self._phi, self.joint_position)
+        self.velocity = ca.SX.sym("nu", 6 + n)
+        self.poses = self._place(robot)
+
+    def _place(self, robot: Robot) -> dict[str, Pose]:
+        base = Pose(ca.mtimes(small_turn(self._phi), self.base_rotation), self.base_position)
+        poses = {robot.base: base}
+        for joint in robot.joints:
+            angle = joint.locked_at if joint.index is None else self.joint_position[joint.index]
+            mount = Pose(turn_from_rpy(ca.SX(ca.DM(joint.rpy))), ca.SX(ca.DM(joint.position)))
+            turned = Pose(turn_about(joint.axis, angle), ca.SX.zeros(3))
+            poses[joint.child] = poses[joint.parent] @ mount @ turned
+        return poses
+
+    def rate(self, expression: SX) -> SX:
+        """Return the time derivative of a function of the coordinates."""
+        return ca.jtimes(expression, self.q, self.velocity)
+
+    def here(self, *expressions: SX) -> list[SX]:
+        """Return expressions at the base rotation itself, φ = 0."""
+        return list(ca.substitute(list(expressions), [self._phi], [ca.SX.zeros(3)]))

@@ -1,0 +1,211 @@
+"""The momentum balance and its derivative along the motion.
+
+    L̇ = Σ_i T_i (a_i ; r_i × a_i) + Σ_j (f_j ; r_j × f_j) − m g e₃    r: arm from the centre of mass
+
+Differentiating it along q̇ gives the rows of `docs/equations.md`: what changes with the thrusts is A_T, what changes
+with the place and direction of the jets is Λ_T, what changes with the place of the link forces, these held constant, is
+Λ_a. What is then left over is the change of the link forces themselves, which the paper neglects: `force_rate`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jax_aero.symbolic.aero import link_force
+from jax_aero.symbolic.dynamics import Dynamics
+from jax_aero.symbolic.kinematics import Kinematics
+from jax_aero.symbolic.robot import Array, Robot
+from jax_aero.symbolic.spatial import SX
+
+
+class Terms(NamedTuple):
+    """Every term of one state; inertial axes, n = 6 + joints, momenta linear first."""
+
+    com_position: Array
+    """(3,) [m]."""
+    mass_matrix: Array
+    """(n, n) M of M ν̇ + h = S τ + Σ Jᵀ f."""
+    bias: Array
+    """(n,) h: Coriolis, centrifugal, gravity."""
+    momentum_matrix: Array
+    """(6, n) A_G."""
+    momentum: Array
+    """(6,) L = A_G ν."""
+    centroidal_inertia: Array
+    """(3, 3) [kg m²]."""
+    aero_force: Array
+    """(links, 3) force on each link [N]."""
+    aero_generalised: Array
+    """(n,) Σ J_aᵀ f_a."""
+    jet_generalised: Array
+    """(n,) Σ Jᵀ T a."""
+    a_t: Array
+    """(6, jets) momentum rate per thrust."""
+    lambda_t: Array
+    """(6, n) Λ_T."""
+    lambda_a: Array
+    """(6, n) Λ_a."""
+    momentum_rate: Array
+    """(6,) L̇ [N, N m]."""
+
+
+class ForceRate(NamedTuple):
+    """Parts of L̈ [N/s, N m/s], (6,) each; the last three are what the paper's controller neglects."""
+
+    thrust_rate: Array
+    """A_T Ṫ."""
+    lambda_t: Array
+    """Λ_T ν."""
+    lambda_a: Array
+    """Λ_a ν."""
+    attitude: Array
+    """Link forces change because links turn and, turning, move: ∂f/∂q ν."""
+    acceleration: Array
+    """Link forces change because links accelerate: ∂f/∂ν ν̇."""
+    wind: Array
+    """Link forces change because the wind does: ∂f/∂w ẇ."""
+
+
+class MomentumModel:
+    """Expressions of one robot in one model of the air, compiled to functions on first use."""
+
+    def __init__(self, robot: Robot, aero: Mapping[str, Any]) -> None:
+        self.robot = robot
+        self.tree = tree = Kinematics(robot)
+        self.dynamics = Dynamics(tree)
+        self.thrust = ca.SX.sym("T", len(robot.jets))
+        self.wind = ca.SX.sym("w", 3)
+        model = link_force(aero, robot)
+
+        self.jet_points = [tree.poses[jet.frame].position for jet in robot.jets]
+        self.jet_axes = [tree.poses[jet.frame].direction(jet.axis) for jet in robot.jets]
+        self.link_points = [tree.poses[link.frame].point(link.centre) for link in robot.aero_links]
+        self.link_axes = [tree.poses[link.frame].direction(link.axis) for link in robot.aero_links]
+        velocities = tree.rate(ca.vertcat(ca.SX(0, 1), *self.link_points))
+        self.link_forces = [
+            model(i, axis, velocities[3 * i : 3 * i + 3] - self.wind) for i, axis in enumerate(self.link_axes)
+        ]
+        # Stand-ins for the link forces where these are to be held constant.
+        self._held = ca.SX.sym("f", 3, len(robot.aero_links))
+        self._forces = ca.horzcat(ca.SX(3, 0), *self.link_forces)
+        self._functions: dict[str, Any] = {}
+
+        com = self.dynamics.com
+        jets = zip(ca.vertsplit(self.thrust), self.jet_points, self.jet_axes, strict=True)
+        held = zip(ca.horzsplit(self._held), self.link_points, strict=True)
+        self._jet_wrench = sum((t * _wrench(a, p - com) for t, p, a in jets), ca.SX.zeros(6))
+        self._held_wrench = sum((_wrench(f, p - com) for f, p in held), ca.SX.zeros(6))
+        self.link_wrench = self._with_forces(self._held_wrench)
+        self.momentum_rate = self._jet_wrench + self.link_wrench
+        self.momentum_rate[2] -= robot.mass * robot.gravity
+
+    def _with_forces(self, expression: SX) -> SX:
+        """Put the link forces in the place of their stand-ins."""
+        return ca.substitute(expression, self._held, self._forces)
+
+    def generalised_forces(self) -> tuple[SX, SX]:
+        """Return Σ Jᵀ f of the jets and of the link forces: gradients of the work of forces held constant."""
+        tree = self.tree
+        direction = ca.SX.sym("a", 3, len(self.robot.jets))
+        jets = zip(ca.vertsplit(self.thrust), ca.horzsplit(direction), self.jet_points, strict=True)
+        jet_work = sum((t * ca.dot(a, p) for t, a, p in jets), ca.SX(0))
+        jet = ca.substitute(ca.gradient(jet_work, tree.q), direction, ca.horzcat(ca.SX(3, 0), *self.jet_axes))
+        held = zip(ca.horzsplit(self._held), self.link_points, strict=True)
+        link_work = sum((ca.dot(f, p) for f, p in held), ca.SX(0))
+        return jet, self._with_forces(ca.gradient(link_work, tree.q))
+
+    @property
+    def inputs(self) -> list[SX]:
+        """State, thrusts and wind: what every function of a state starts with."""
+        tree = self.tree
+        return [tree.base_position, tree.base_rotation, tree.joint_position, tree.velocity, self.thrust, self.wind]
+
+    def function(self, name: str, extra: list[SX], outputs: list[SX]) -> Any:
+        """Return the function of `inputs` and `extra`, built once under its name."""
+        if name not in self._functions:
+            self._functions[name] = ca.Function(name, [*self.inputs, *extra], self.tree.here(*outputs))
+        return self._functions[name]
+
+    def terms(
+        self,
+        base_position: ArrayLike,
+        base_rotation: ArrayLike,
+        joint_position: ArrayLike,
+        velocity: ArrayLike,
+        thrust: ArrayLike,
+        wind: ArrayLike,
+    ) -> Terms:
+        """Evaluate every term at one state; arguments as in `docs/conventions.md`."""
+        function = self._functions.get("terms") or self._build_terms()
+        values = function(base_position, base_rotation, joint_position, velocity, thrust, wind)
+        flat = {0, 2, 4, 7, 8, 12}
+        arrays = [np.array(value.full()) for value in values]
+        return Terms(*(value[:, 0] if index in flat else value for index, value in enumerate(arrays)))
+
+    def _build_terms(self) -> Any:
+        d, tree = self.dynamics, self.tree
+        jet_generalised, aero_generalised = self.generalised_forces()
+        outputs = [
+            d.com,
+            d.mass_matrix,
+            d.bias,
+            d.momentum_matrix,
+            d.momentum,
+            d.centroidal_inertia,
+            self._forces.T,
+            aero_generalised,
+            jet_generalised,
+            ca.jacobian(self._jet_wrench, self.thrust),
+            ca.jacobian(self._jet_wrench, tree.q),
+            self._with_forces(ca.jacobian(self._held_wrench, tree.q)),
+            self.momentum_rate,
+        ]
+        return self.function("terms", [], outputs)
+
+    def force_rate(
+        self,
+        base_position: ArrayLike,
+        base_rotation: ArrayLike,
+        joint_position: ArrayLike,
+        velocity: ArrayLike,
+        thrust: ArrayLike,
+        wind: ArrayLike,
+        *,
+        acceleration: ArrayLike,
+        thrust_rate: ArrayLike,
+        wind_rate: ArrayLike,
+    ) -> ForceRate:
+        """Split L̈ of one state that moves with ν̇, Ṫ and ẇ into its parts.
+
+        Many states at once are columns: the parts then have a column for each.
+        """
+        function = self._functions.get("force_rate") or self._build_force_rate()
+        state = (base_position, base_rotation, joint_position, velocity, thrust, wind)
+        parts = function(*state, acceleration, thrust_rate, wind_rate)
+        return ForceRate(*(np.array(part.full()).squeeze() for part in parts))
+
+    def _build_force_rate(self) -> Any:
+        tree = self.tree
+        nu, wind_rate = tree.velocity, ca.SX.sym("w_dot", 3)
+        acceleration = ca.SX.sym("nu_dot", nu.numel())
+        thrust_rate = ca.SX.sym("T_dot", self.thrust.numel())
+        jet = ca.jtimes(self._jet_wrench, tree.q, nu)
+        held = self._with_forces(ca.jtimes(self._held_wrench, tree.q, nu))
+        parts = [
+            ca.jtimes(self._jet_wrench, self.thrust, thrust_rate),
+            jet,
+            held,
+            ca.jtimes(self.momentum_rate, tree.q, nu) - jet - held,
+            ca.jtimes(self.momentum_rate, nu, acceleration),
+            ca.jtimes(self.momentum_rate, self.wind, wind_rate),
+        ]
+        return self.function("force_rate", [acceleration, thrust_rate, wind_rate], parts)
+
+
+def _wrench(force: SX, arm: SX) -> SX:
+    return ca.vertcat(force, ca.cross(arm, force))

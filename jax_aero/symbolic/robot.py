@@ -1,0 +1,229 @@
+"""The numbers of a robot, straight from its TOML and URDF files: nothing merged, nothing worked out."""
+
+from __future__ import annotations
+
+import tomllib
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """Mass of one URDF link, as a cloud of points: its mass, its centre, and how the points scatter about it."""
+
+    link: str
+    mass: float
+    """[kg]"""
+    centre: Array
+    """(3,) centre of mass in link axes [m]."""
+    scatter: Array
+    """(3, 3) second moment ∫ ρ ρᵀ dm about the centre in link axes [kg m²]; the inertia is tr(scatter) 1 − scatter."""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A URDF joint. `index` is its place in the joint vector, or `None` for one that stays at `locked_at`."""
+
+    parent: str
+    child: str
+    position: Array
+    """(3,) origin of the child in parent axes [m]."""
+    rpy: Array
+    """(3,) attitude of the child at joint position zero [rad]."""
+    axis: Array
+    """(3,) unit axis in child axes."""
+    index: int | None
+    locked_at: float
+
+
+@dataclass(frozen=True)
+class Jet:
+    """An engine that pushes along `axis` of its frame, at the frame's origin; the exhaust leaves along −`axis`."""
+
+    name: str
+    frame: str
+    axis: Array
+    thrust_max: float
+    """[N]"""
+
+
+@dataclass(frozen=True)
+class AeroLink:
+    """A link in the wind: where its force acts, along which axis it is symmetric, how big it is."""
+
+    name: str
+    frame: str
+    family: str
+    axis: Array
+    centre: Array
+    diameter: float
+    length: float
+    is_sphere: bool
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Numbers of one robot; SI units and radians."""
+
+    name: str
+    base: str
+    gravity: float
+    joint_names: tuple[str, ...]
+    joint_limits: Array
+    """(n, 2) lower and upper limits that the controller respects [rad]."""
+    joints: tuple[Joint, ...]
+    """All URDF joints, a parent before its children."""
+    inertials: tuple[Inertial, ...]
+    jets: tuple[Jet, ...]
+    aero_links: tuple[AeroLink, ...]
+    coefficients: Mapping[str, Mapping[str, Mapping[str, Any]]]
+    """By set, then by link family: `cda` (5) and `cna` [m²]."""
+    soles: Mapping[str, Array]
+    """By sole frame: (k, 3) corners in sole axes [m]."""
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints that move."""
+        return len(self.joint_names)
+
+    @property
+    def mass(self) -> float:
+        """Total mass [kg]."""
+        return sum(inertial.mass for inertial in self.inertials)
+
+
+def load_robot(path: str | Path) -> Robot:
+    """Read a robot's TOML file and the URDF beside it."""
+    path = Path(path)
+    table = tomllib.loads(path.read_text(encoding="utf-8"))
+    urdf = ET.fromstring(path.with_name(table["urdf"]).read_text(encoding="utf-8"))
+    entries = [entry for group in table["joint_groups"] for entry in group["joints"]]
+    names = tuple(entry["name"] for entry in entries)
+    joints = _joints(urdf, table["base_link"], names, table.get("locked", {}))
+    limits = {element.get("name"): element.find("limit") for element in urdf.iter("joint")}
+    return Robot(
+        name=table["name"],
+        base=table["base_link"],
+        gravity=table.get("gravity", 9.81),
+        joint_names=names,
+        joint_limits=np.array([_limits(entry, limits[entry["name"]]) for entry in entries]),
+        joints=joints,
+        inertials=tuple(_inertials(urdf)),
+        jets=tuple(
+            Jet(row["name"], row["frame"], _unit(row["axis"]), row["thrust_max"]) for row in table.get("jets", [])
+        ),
+        aero_links=tuple(
+            AeroLink(
+                name=row["name"],
+                frame=row["frame"],
+                family=row["family"],
+                axis=_unit(row["axis"]),
+                centre=np.array(row["centre"], dtype=float),
+                diameter=row["diameter"],
+                length=row["length"],
+                is_sphere=row.get("is_sphere", False),
+            )
+            for row in table.get("aero_links", [])
+        ),
+        coefficients=table.get("coefficients", {}),
+        soles={row["frame"]: np.array(row["vertices"], dtype=float) for row in table.get("feet", [])},
+    )
+
+
+def _joints(urdf: ET.Element, base: str, names: Sequence[str], locked: Mapping[str, float]) -> tuple[Joint, ...]:
+    """Return the joints in an order in which every parent is known before its children."""
+    waiting = {element.get("name", ""): element for element in urdf.iter("joint")}
+    known = {base}
+    joints: list[Joint] = []
+    while waiting:
+        ready = [name for name, element in waiting.items() if _link(element, "parent") in known]
+        if not ready:
+            raise ValueError(f"joints {sorted(waiting)} hang on no chain from `{base}`")
+        for name in ready:
+            element = waiting.pop(name)
+            kind = element.get("type")
+            if kind not in ("fixed", "revolute", "continuous"):
+                raise ValueError(f"joint `{name}` is {kind}; expected fixed, revolute or continuous")
+            if kind != "fixed" and name not in names and name not in locked:
+                raise ValueError(f"joint `{name}` is neither in a joint group nor locked")
+            axis = element.find("axis")
+            joints.append(
+                Joint(
+                    parent=_link(element, "parent"),
+                    child=_link(element, "child"),
+                    position=_numbers(element.find("origin"), "xyz"),
+                    rpy=_numbers(element.find("origin"), "rpy"),
+                    axis=np.array([1.0, 0.0, 0.0]) if axis is None else _unit(_numbers(axis, "xyz")),
+                    index=names.index(name) if name in names else None,
+                    locked_at=float(locked.get(name, 0.0)),
+                )
+            )
+            known.add(joints[-1].child)
+    return tuple(joints)
+
+
+def _inertials(urdf: ET.Element) -> list[Inertial]:
+    found = []
+    for link in urdf.iter("link"):
+        element = link.find("inertial")
+        if element is None:
+            continue
+        entries = _child(element, "inertia")
+        xx, xy, xz, yy, yz, zz = (float(entries.get(key, "nan")) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        turn = rotation_of(_numbers(element.find("origin"), "rpy"))
+        scatter = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+        mass = float(_child(element, "mass").get("value", "nan"))
+        centre = _numbers(element.find("origin"), "xyz")
+        found.append(Inertial(link.get("name", ""), mass, centre, turn @ scatter @ turn.T))
+    return found
+
+
+def rotation_of(rpy: Array) -> Array:
+    """Return the rotation Rz(yaw) Ry(pitch) Rx(roll)."""
+    turn = np.eye(3)
+    for axis, angle in enumerate(rpy):
+        j, k = (axis + 1) % 3, (axis + 2) % 3
+        plane = np.eye(3)
+        plane[[j, k], [j, k]] = np.cos(angle)
+        plane[k, j], plane[j, k] = np.sin(angle), -np.sin(angle)
+        turn = plane @ turn
+    return turn
+
+
+def _limits(entry: Mapping[str, Any], limit: ET.Element | None) -> tuple[float, float]:
+    if "limits_deg" in entry:
+        lower, upper = np.radians(entry["limits_deg"])
+        return float(lower), float(upper)
+    if limit is None:
+        raise ValueError(f"joint `{entry['name']}` has no limits, neither in the TOML file nor in the URDF")
+    return float(limit.get("lower", "nan")), float(limit.get("upper", "nan"))
+
+
+def _unit(axis: Sequence[float] | Array) -> Array:
+    vector = np.asarray(axis, dtype=float)
+    return vector / float(np.linalg.norm(vector))
+
+
+def _numbers(element: ET.Element | None, key: str) -> Array:
+    text = "0 0 0" if element is None else element.get(key, "0 0 0")
+    return np.array([float(word) for word in text.split()])
+
+
+def _child(element: ET.Element, tag: str) -> ET.Element:
+    child = element.find(tag)
+    if child is None:
+        raise ValueError(f"a URDF {element.tag} has no {tag}")
+    return child
+
+
+def _link(element: ET.Element, tag: str) -> str:
+    return _child(element, tag).get("link", "")

@@ -1,0 +1,409 @@
+"""Optimal flight from one hover to another: centroidal dynamics with aerodynamics, transcribed by collocation."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+
+from jax_aero.symbolic.momentum import MomentumModel
+from jax_aero.symbolic.robot import Array
+from jax_aero.symbolic.spatial import SX, turn_from_rpy
+
+Goal = Literal["min_time", "min_fuel"]
+
+IPOPT: dict[str, Any] = {
+    "ipopt.print_level": 0,
+    "ipopt.sb": "yes",
+    "ipopt.tol": 1e-6,
+    "ipopt.constr_viol_tol": 1e-7,
+    "ipopt.max_iter": 500,
+    "ipopt.mu_strategy": "adaptive",
+    "print_time": False,
+    "error_on_fail": False,
+    "show_eval_warnings": False,
+}
+
+
+SMOOTHER = 5.0
+"""How much more effort and posture weigh in the first of two solutions. Ours."""
+
+
+@dataclass(frozen=True)
+class TrajectorySettings:
+    """A task and what it may use; SI units and radians. `configs/trajectory` has the sources."""
+
+    goal: Goal
+    start: Array
+    """(3,) centre of mass where it hovers first [m]."""
+    end: Array
+    """(3,) centre of mass where it hovers last [m]."""
+    wind: Array
+    """(3,) steady wind [m/s]."""
+    yaw: float
+    posture: Array
+    """(n,) joint positions of the joints that stay, and of the rest to begin with [rad]."""
+    free_joints: tuple[int, ...]
+    roll: tuple[float, float]
+    pitch: tuple[float, float]
+    """Limits of the base attitude [rad]."""
+    yaw_slack: float
+    """How far yaw may leave its value [rad]."""
+    angular_velocity_max: float
+    """Of each of the roll, pitch and yaw rates [rad/s]."""
+    moment_max: float
+    """Of each component of the net moment about the centre of mass [N m]: what attitude feedback could not follow."""
+    acceleration_max: float
+    """Of each component [m/s²]."""
+    speed_max: float
+    """[m/s]"""
+    sideways_max: float
+    """How far the centre of mass may leave the range of y between start and end [m]."""
+    height_min: float
+    """Least height of the centre of mass [m]."""
+    thrust_reserve: float
+    """Fraction of its greatest that every thrust keeps away from 0 and from its greatest, left to feedback."""
+    thrust_rate_max: float
+    """[N/s]"""
+    joint_velocity_max: float
+    """[rad/s]"""
+    fuel_idle: Array
+    """(jets,) consumption without thrust [l/s]: the straight line through idle and full thrust, at zero."""
+    fuel_slope: Array
+    """(jets,) consumption per thrust [l/(s N)]."""
+    intervals: int
+    degree: int
+    """Number of intervals, and of Radau points in each."""
+    duration_range: tuple[float, float]
+    """[s]"""
+    effort_weight: float
+    """Weight of the squared thrust rates and joint velocities, each relative to its limit, integrated over time."""
+    posture_weight: float
+    """Weight of |s − s₀|²/n, integrated over time [1/rad²]: the controller pulls joints back to the posture too."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A solved flight, sampled evenly; inertial axes."""
+
+    success: bool
+    message: str
+    """The solver's word, with the worst constraint where it failed."""
+    duration: float
+    """[s]"""
+    fuel: float
+    """[l]"""
+    time: Array
+    """(k,) [s]."""
+    com: Array
+    """(k, 4, 3) position, velocity, acceleration and jerk of the centre of mass."""
+    base_rpy: Array
+    """(k, 3) [rad]."""
+    angular_momentum: Array
+    """(k, 3) about the centre of mass [kg m²/s]."""
+    thrust: Array
+    """(k, jets) [N]."""
+    thrust_rate: Array
+    """(k, jets) [N/s]."""
+    joint_position: Array
+    """(k, n) [rad]."""
+    joint_velocity: Array
+    """(k, n) [rad/s]."""
+    defect: float
+    """Largest violation of a constraint at the answer, in the scaled units of the problem."""
+    iterations: int
+    build_time: float
+    solve_time: float
+
+
+class CentroidalFlight:
+    """The centroidal dynamics as a controlled system ẋ = f(x, u).
+
+        x = (p_G, v_G, rpy, k, T, s)      centre of mass, its velocity, base attitude, angular momentum, thrusts, joints
+        u = (Ṫ, ṡ)
+
+    The angular velocity is what makes the momentum of the tree, A_ω ω + A_s ṡ, equal k. Only the free joints appear.
+    """
+
+    def __init__(self, model: MomentumModel, posture: Array, free_joints: tuple[int, ...]) -> None:
+        robot = model.robot
+        jets, free, n = len(robot.jets), list(free_joints), robot.n_joints
+        self.sizes = (3, 3, 3, 3, jets, len(free))
+        self.nx, self.nu = sum(self.sizes), jets + len(free)
+        x, u, wind = ca.SX.sym("x", self.nx), ca.SX.sym("u", self.nu), ca.SX.sym("w", 3)
+        _, v, rpy, k, thrust, s_free = ca.vertsplit(x, [0, *np.cumsum(self.sizes).tolist()])
+        thrust_rate, s_dot_free = ca.vertsplit(u, [0, jets, self.nu])
+        s, s_dot = ca.SX(ca.DM(posture)), ca.SX.zeros(n)
+        if free:
+            s[free], s_dot[free] = s_free, s_dot_free
+
+        # Momentum is linear in (ω, ṡ): what turning as one body gives, and what the joints alone give.
+        dynamics = model.dynamics
+        of_body = model.function("of_body", [], [dynamics.locked_inertia, dynamics.com])
+        of_motion = model.function("of_motion", [], [dynamics.momentum])
+        balance = model.function("momentum_rate", [], [model.momentum_rate])
+        here, turn = ca.SX.zeros(3), turn_from_rpy(rpy)
+        inertia, arm = of_body(here, turn, s, ca.SX.zeros(6 + n), thrust, wind)
+        joints = of_motion(here, turn, s, ca.vertcat(ca.SX.zeros(6), s_dot), thrust, wind)
+        omega = ca.mtimes(_inverse(inertia), k - joints[3:])
+        drift = ca.cross(omega, arm) + joints[:3] / robot.mass  # of the centre of mass, relative to the base
+        rate = balance(here, turn, s, ca.vertcat(v - drift, omega, s_dot), thrust, wind)
+        rpy_rate = ca.mtimes(_inverse(_angular_velocity_matrix(rpy)), omega)
+        x_dot = ca.vertcat(v, rate[:3] / robot.mass, rpy_rate, rate[3:], thrust_rate, s_dot_free)
+        u_dot = ca.SX.sym("u_dot", self.nu)
+        jerk = ca.jtimes(x_dot[3:6], ca.vertcat(x, u), ca.vertcat(x_dot, u_dot))
+        self.f = ca.Function("f", [x, u, wind], [x_dot])
+        self.jerk = ca.Function("jerk", [x, u, u_dot, wind], [jerk])
+
+
+def _angular_velocity_matrix(rpy: SX) -> SX:
+    """Return W with ω = W d(rpy)/dt: S(ω) = Ṙ Rᵀ, differentiated."""
+    rate, turn = ca.SX.sym("rate", 3), turn_from_rpy(rpy)
+    spin = ca.mtimes(ca.reshape(ca.jtimes(ca.vec(turn), rpy, rate), 3, 3), turn.T)
+    return ca.jacobian(ca.vertcat(spin[2, 1], spin[0, 2], spin[1, 0]), rate)
+
+
+def _inverse(a: SX) -> SX:
+    """Invert a 3 × 3 matrix by cofactors."""
+    one, two, three = ca.horzsplit(a)
+    rows = ca.horzcat(ca.cross(two, three), ca.cross(three, one), ca.cross(one, two)).T
+    return rows / ca.dot(one, ca.cross(two, three))
+
+
+class TrajectoryProblem:
+    """Radau collocation of a `CentroidalFlight` between two hovers, of free duration.
+
+    States are polynomials on every interval and continuous; inputs are continuous and linear on every interval, so
+    acceleration is continuous too. Both ends are equilibria with no input: v = 0, k = 0, v̇ = 0, k̇ = 0, u = 0, upright.
+    """
+
+    def __init__(self, model: MomentumModel, settings: TrajectorySettings) -> None:
+        started = time.perf_counter()
+        self.model, self.settings = model, settings
+        self.system = system = CentroidalFlight(model, settings.posture, settings.free_joints)
+        count, degree = settings.intervals, settings.degree
+        points = [0.0, *ca.collocation_points(degree, "radau")]
+        self._points = np.array(points)
+        slopes = _lagrange_derivatives(self._points)
+
+        first = ca.MX.sym("x0", system.nx)
+        inner = ca.MX.sym("x", system.nx, count * degree)  # the last Radau point of an interval is its end
+        inputs = ca.MX.sym("u", system.nu, count + 1)
+        duration = ca.MX.sym("duration")
+        h = duration / count
+
+        blend = [ca.DM(self._points[1:]).T] * count
+        left = ca.horzcat(*(ca.repmat(inputs[:, i], 1, degree) for i in range(count)))
+        right = ca.horzcat(*(ca.repmat(inputs[:, i + 1], 1, degree) for i in range(count)))
+        weight = ca.repmat(ca.horzcat(*blend), system.nu, 1)
+        u_inner = left * (1 - weight) + right * weight
+        wind = ca.DM(settings.wind)
+        rates = system.f.map(count * degree)(inner, u_inner, ca.repmat(wind, 1, count * degree))
+        defects = []
+        for i in range(count):
+            block = inner[:, i * degree : (i + 1) * degree]
+            start = first if i == 0 else inner[:, i * degree - 1]
+            moved = ca.mtimes(ca.horzcat(start, block), ca.DM(slopes[:, 1:]))
+            defects.append(moved - h * rates[:, i * degree : (i + 1) * degree])
+        ends = [system.f(x, u, wind) for x, u in ((first, inputs[:, 0]), (inner[:, -1], inputs[:, -1]))]
+        balance = [ca.vertcat(end[3:6], end[9:12]) for end in ends]
+        turning, moment = rates[6:9, :], rates[9:12, :]
+        speed = ca.sum1(inner[3:6, :] ** 2)
+        self._rows = [
+            ("dynamics", ca.vec(ca.horzcat(*defects)), 0.0, 0.0),
+            ("equilibrium at the start", balance[0], 0.0, 0.0),
+            ("equilibrium at the end", balance[1], 0.0, 0.0),
+            ("angular velocity", ca.vec(turning), -settings.angular_velocity_max, settings.angular_velocity_max),
+            ("moment", ca.vec(moment), -settings.moment_max, settings.moment_max),
+            ("acceleration", ca.vec(rates[3:6, :]), -settings.acceleration_max, settings.acceleration_max),
+            ("speed", ca.vec(speed), 0.0, settings.speed_max**2),
+        ]
+
+        quadrature = _radau_weights(self._points)
+        shares = ca.repmat(ca.DM(quadrature), count, 1)
+        burn = sum(float(i) for i in settings.fuel_idle) + ca.mtimes(
+            ca.DM(settings.fuel_slope).T, inner[12 : 12 + len(model.robot.jets), :]
+        )
+        limits = np.array([*([settings.thrust_rate_max] * len(model.robot.jets))])
+        limits = np.concatenate([limits, np.full(len(settings.free_joints), settings.joint_velocity_max)])
+        effort = ca.mtimes(ca.sum1((u_inner / ca.repmat(ca.DM(limits), 1, count * degree)) ** 2), shares) * h
+        fuel = ca.mtimes(burn, shares) * h
+        self._fuel = ca.Function("fuel", [inner, duration], [fuel])
+        # Fuel as the time that a hover could last on it: effort, in seconds, weighs the same in both goals.
+        weights = ca.MX.sym("weights", 4)
+        cost = weights[0] * duration + weights[1] * fuel / self._hover_burn() + weights[2] * effort
+        if settings.free_joints:
+            away = inner[12 + limits.size - len(settings.free_joints) :, :] - ca.DM(
+                settings.posture[list(settings.free_joints)]
+            )
+            cost += weights[3] * h * ca.mtimes(ca.sum1(away**2), shares) / len(settings.free_joints)
+        self._unpack = ca.Function(
+            "unpack", [ca.veccat(first, inner, inputs, duration)], [first, inner, inputs, duration]
+        )
+        problem: dict[str, Any] = {
+            "x": ca.veccat(first, inner, inputs, duration),
+            "p": weights,
+            "f": cost,
+            "g": ca.vertcat(*(row[1] for row in self._rows)),
+        }
+        self._solver = ca.nlpsol("trajectory", "ipopt", problem, IPOPT)
+        self.build_time = time.perf_counter() - started
+
+    def _hover_burn(self) -> float:
+        """Consumption with the weight shared in proportion to the strength of the jets [l/s]."""
+        robot, settings = self.model.robot, self.settings
+        top = np.array([jet.thrust_max for jet in robot.jets])
+        thrust = robot.mass * robot.gravity * top / top.sum()
+        return float(settings.fuel_idle.sum() + settings.fuel_slope @ thrust)
+
+    def _bounds(self) -> tuple[Array, Array]:
+        settings, robot = self.settings, self.model.robot
+        count, degree, free = settings.intervals, settings.degree, list(settings.free_joints)
+        top = np.array([jet.thrust_max for jet in robot.jets])
+        reach = np.inf
+        yaw = (settings.yaw - settings.yaw_slack, settings.yaw + settings.yaw_slack)
+        joints = robot.joint_limits[free]
+        reserve = settings.thrust_reserve * top
+        left = sorted((settings.start[1], settings.end[1]))
+        sides = (left[0] - settings.sideways_max, left[1] + settings.sideways_max)
+        low = np.array(
+            [-reach, sides[0], settings.height_min, *[-reach] * 3, settings.roll[0], settings.pitch[0], yaw[0]]
+        )
+        high = np.array([reach, sides[1], reach, *[reach] * 3, settings.roll[1], settings.pitch[1], yaw[1]])
+        low = np.concatenate([low, [-reach] * 3, reserve, joints[:, 0]])
+        high = np.concatenate([high, [reach] * 3, top - reserve, joints[:, 1]])
+
+        def hover(at: Array) -> tuple[Array, Array]:
+            fixed = np.array([*at, 0, 0, 0, 0, 0, settings.yaw, 0, 0, 0], dtype=float)
+            return np.concatenate([fixed, low[12:]]), np.concatenate([fixed, high[12:]])
+
+        first, last = hover(settings.start), hover(settings.end)
+        rates = np.concatenate(
+            [np.full(top.size, settings.thrust_rate_max), np.full(len(free), settings.joint_velocity_max)]
+        )
+        still = np.zeros(rates.size)
+        middle = count * degree - 1
+        shortest, longest = settings.duration_range
+        lower: list[Any] = [first[0], *[low] * middle, last[0], still, *[-rates] * (count - 1), still, [shortest]]
+        upper: list[Any] = [first[1], *[high] * middle, last[1], still, *[rates] * (count - 1), still, [longest]]
+        return np.concatenate(lower), np.concatenate(upper)
+
+    def _guess(self) -> Array:
+        """Return a minimum-jerk motion along the line, upright, the weight shared by strength of the jets."""
+        settings, robot = self.settings, self.model.robot
+        count = settings.intervals
+        top = np.array([jet.thrust_max for jet in robot.jets])
+        duration = 0.5 * sum(settings.duration_range)
+        tau = (np.arange(count)[:, None] + self._points[1:]).ravel() / count
+        tau = np.concatenate([[0.0], tau])[:, None]
+        way = settings.end - settings.start
+        p = settings.start + way * tau**3 * (10 - 15 * tau + 6 * tau**2)
+        v = way * 30 * tau**2 * (1 - tau) ** 2 / duration
+        rest = np.array([0.0, 0.0, settings.yaw, 0.0, 0.0, 0.0, *(robot.mass * robot.gravity * top / top.sum())])
+        rest = np.concatenate([rest, settings.posture[list(settings.free_joints)]])
+        x = np.hstack([p, v, np.tile(rest, (tau.size, 1))])
+        return np.concatenate([x.ravel(), np.zeros(self.system.nu * (count + 1)), [duration]])
+
+    def solve(self, sample_time: float = 0.01) -> Trajectory:
+        """Solve and sample.
+
+        Twice: first for time and with `SMOOTHER` times the weights of effort and posture, so that both goals start from
+        the same smooth flight and end in the same valley of the many there are; then as asked for.
+        """
+        settings = self.settings
+        regular = np.array([settings.effort_weight, settings.posture_weight])
+        time_and_fuel = (1.0, 0.0) if settings.goal == "min_time" else (0.0, 1.0)
+        lower, upper = self._bounds()
+        row_lower = np.concatenate([np.full(row[1].numel(), row[2]) for row in self._rows])
+        row_upper = np.concatenate([np.full(row[1].numel(), row[3]) for row in self._rows])
+        started = time.perf_counter()
+        bounds = {"lbx": lower, "ubx": upper, "lbg": row_lower, "ubg": row_upper}
+        guess = np.clip(self._guess(), lower, upper)
+        first = self._solver(x0=guess, p=[1.0, 0.0, *(SMOOTHER * regular)], **bounds)
+        iterations = int(self._solver.stats()["iter_count"])
+        answer = self._solver(x0=first["x"], p=[*time_and_fuel, *regular], **bounds)
+        elapsed = time.perf_counter() - started
+        stats: Mapping[str, Any] = self._solver.stats() | {
+            "iter_count": iterations + self._solver.stats()["iter_count"]
+        }
+        g = np.array(answer["g"].full())[:, 0]
+        missed = np.maximum(np.maximum(row_lower - g, g - row_upper), 0.0)
+        message = str(stats["return_status"])
+        if not stats["success"]:
+            worst = int(np.argmax(missed))
+            ends = np.cumsum([row[1].numel() for row in self._rows])
+            name = self._rows[int(np.searchsorted(ends, worst, side="right"))][0]
+            message += f"; {name} missed by {missed[worst]:.3g}"
+        return self._sample(answer["x"], sample_time, stats, message, float(missed.max()), elapsed)
+
+    def _sample(
+        self, x: Any, sample_time: float, stats: Mapping[str, Any], message: str, defect: float, elapsed: float
+    ) -> Trajectory:
+        settings, system, robot = self.settings, self.system, self.model.robot
+        first, inner, inputs, duration_dm = (np.array(value.full()) for value in self._unpack(x))
+        duration = float(duration_dm[0, 0])
+        count, degree = settings.intervals, settings.degree
+        h = duration / count
+        steps = max(2, int(np.ceil(duration / sample_time)) + 1)
+        t = np.linspace(0.0, duration, steps)
+        which = np.minimum((t / h).astype(int), count - 1)
+        local = t / h - which
+        states = np.empty((steps, system.nx))
+        for sample, (interval, tau) in enumerate(zip(which, local, strict=True)):
+            start = first if interval == 0 else inner[:, interval * degree - 1 : interval * degree]
+            block = np.hstack([start, inner[:, interval * degree : (interval + 1) * degree]])
+            states[sample] = block @ _lagrange(self._points, tau)
+        u = inputs[:, which] * (1 - local) + inputs[:, which + 1] * local
+        u_dot = (inputs[:, which + 1] - inputs[:, which]) / h
+        wind = np.tile(settings.wind[:, None], (1, steps))
+        rates = np.array(system.f.map(steps)(states.T, u, wind).full()).T
+        jerk = np.array(system.jerk.map(steps)(states.T, u, u_dot, wind).full()).T
+        jets, free = len(robot.jets), list(settings.free_joints)
+        joints, joint_rates = np.tile(settings.posture, (steps, 1)), np.zeros((steps, robot.n_joints))
+        joints[:, free], joint_rates[:, free] = states[:, 12 + jets :], u.T[:, jets:]
+        return Trajectory(
+            success=bool(stats["success"]),
+            message=message,
+            duration=duration,
+            fuel=float(self._fuel(inner, duration)),
+            time=t,
+            com=np.stack([states[:, :3], states[:, 3:6], rates[:, 3:6], jerk], axis=1),
+            base_rpy=states[:, 6:9],
+            angular_momentum=states[:, 9:12],
+            thrust=states[:, 12 : 12 + jets],
+            thrust_rate=u.T[:, :jets],
+            joint_position=joints,
+            joint_velocity=joint_rates,
+            defect=defect,
+            iterations=int(stats["iter_count"]),
+            build_time=self.build_time,
+            solve_time=elapsed,
+        )
+
+
+def _lagrange(points: Array, at: float) -> Array:
+    """Return the values at one place of the polynomials that are 1 at one point and 0 at the others."""
+    gaps = points[:, None] - points[None, :]
+    np.fill_diagonal(gaps, 1.0)
+    factors = np.tile(at - points, (points.size, 1))
+    np.fill_diagonal(factors, 1.0)
+    return np.asarray(factors.prod(axis=1) / gaps.prod(axis=1))
+
+
+def _lagrange_derivatives(points: Array) -> Array:
+    """Return the slope of polynomial i at point j."""
+    powers = np.polynomial.polynomial.polyvander(points, points.size - 1)
+    coefficients = np.linalg.inv(powers)
+    slopes = np.polynomial.polynomial.polyder(coefficients, axis=0)
+    return np.asarray(np.polynomial.polynomial.polyval(points, slopes))
+
+
+def _radau_weights(points: Array) -> Array:
+    """Return the weights of the inner points that integrate polynomials over [0, 1]."""
+    inner = points[1:]
+    moments = 1.0 / np.arange(1, inner.size + 1)
+    return np.asarray(np.linalg.solve(np.vander(inner, increasing=True).T, moments), dtype=np.float64)

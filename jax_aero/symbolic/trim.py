@@ -1,0 +1,332 @@
+"""Trim: attitude, joints and thrusts with which the robot hangs still, or flies straight, in a steady wind."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jax_aero.symbolic import clearance
+from jax_aero.symbolic.momentum import MomentumModel
+from jax_aero.symbolic.robot import Array
+from jax_aero.symbolic.spatial import SX, turn_from_rpy
+
+Objective = Literal["min_thrust", "max_margin"]
+
+IPOPT: dict[str, Any] = {
+    "ipopt.print_level": 0,
+    "ipopt.sb": "yes",
+    "ipopt.tol": 1e-10,
+    "ipopt.constr_viol_tol": 1e-10,
+    "ipopt.acceptable_iter": 0,
+    "ipopt.max_iter": 400,
+    "print_time": False,
+    "error_on_fail": False,
+    "show_eval_warnings": False,
+}
+"""Quiet, to the last digit, and without a raised exception: `Trim.solve` judges the answer itself."""
+
+
+@dataclass(frozen=True)
+class TrimSettings:
+    """What a trim may use; SI units and radians. `configs/trim` has the sources."""
+
+    posture: Array
+    """(n,) joint positions it starts from and, with little weight, stays near [rad]."""
+    free_joints: tuple[int, ...]
+    """Joints that may leave the posture."""
+    roll: tuple[float, float]
+    pitch: tuple[float, float]
+    yaw: float
+    """Attitude of the base: limits of roll and pitch, and the yaw it keeps [rad]."""
+    margin_min: float
+    """Least distance of every thrust from both its limits, as a fraction of its greatest."""
+    torque_max: float
+    """[N m]"""
+    clearance_min: float
+    """From the axis of a jet to the surface of a link [m]."""
+    plume_length: float
+    """Length of a jet's axis that counts [m]."""
+    posture_weight: float
+    """Weight of the mean squared distance from the posture [1/rad²], against thrust over weight or margin."""
+    spread_weight: float
+    """Weight of Σ (T/T_max)²: it makes one answer of many with the same total thrust."""
+
+
+class Violation(NamedTuple):
+    """A constraint that cannot be met, and by how much it is missed where all are missed by as little as can be."""
+
+    constraint: str
+    missed_by: float
+    unit: str
+
+    def __str__(self) -> str:
+        """Say it in words."""
+        return f"{self.constraint} missed by {self.missed_by:.3g} {self.unit}"
+
+
+@dataclass(frozen=True)
+class TrimResult:
+    """An equilibrium, or the nearest there is to one and what stands in its way."""
+
+    feasible: bool
+    message: str
+    """The solver's word, or the violated constraints."""
+    violations: tuple[Violation, ...]
+    at_limit: tuple[str, ...]
+    """Thrusts, joints and angles that stand at a limit."""
+    cost: float
+    """What the objective is worth, or, without a trim, by how much constraints are missed in all."""
+    base_rpy: Array
+    joint_position: Array
+    thrust: Array
+    joint_torque: Array
+    margin: float
+    """Least distance of a thrust from a limit, as a fraction of its greatest."""
+    residual: Array
+    """(6,) momentum rate that is left [N, N m]."""
+    aero_force: Array
+    """(3,) total [N]."""
+    aero_moment: Array
+    """(3,) about the centre of mass [N m]."""
+    clearance: float
+    """Least distance from the axis of a jet to the surface of a link [m]."""
+    closest: str
+    """Which jet and link that is."""
+    iterations: int
+    solve_time: float
+    """[s]"""
+
+    @property
+    def total_thrust(self) -> float:
+        """Sum of the thrusts [N]."""
+        return float(self.thrust.sum())
+
+
+class _Row(NamedTuple):
+    """One constraint: a name for it, its unit, its size in that unit where it counts as one."""
+
+    name: str
+    unit: str
+    scale: float
+    value: SX
+    lower: float
+    upper: float
+
+
+class Trim:
+    """The trim problem of one robot in one model of the air, built once and solved for many winds.
+
+    Unknowns: roll, pitch, yaw of the base, joint positions s, thrusts T and the margin μ.
+
+        minimise    w_T Σ T/(m g) − w_μ μ + w_s |s − s₀|²/n + w_e Σ (T/T_max)²
+        subject to  L̇ = 0                                     six rows: no net force, no net moment
+                    |τ| ≤ τ_max,  τ = ∂V/∂s − Σ J_sᵀ f        the joints hold still
+                    μ T_max ≤ T ≤ (1 − μ) T_max
+                    distance(jet axis, link) ≥ d_min
+                    limits of attitude, joints and thrusts
+    """
+
+    def __init__(self, model: MomentumModel, settings: TrimSettings) -> None:
+        started = time.perf_counter()
+        self.model, self.settings = model, settings
+        robot = model.robot
+        n, jets = robot.n_joints, len(robot.jets)
+        rpy, s = ca.SX.sym("rpy", 3), ca.SX.sym("s", n)
+        thrust, margin = ca.SX.sym("T", jets), ca.SX.sym("mu")
+        wind, velocity, weights = ca.SX.sym("wind", 3), ca.SX.sym("v", 3), ca.SX.sym("weights", 2)
+        self._x = ca.vertcat(rpy, s, thrust, margin)
+        self._p = ca.vertcat(wind, velocity, weights)
+
+        self._pairs = clearance.pairs(model.tree, settings.plume_length)
+        distances = ca.vertcat(ca.SX(0, 1), *(pair.distance for pair in self._pairs))
+        jet_force, link_force = model.generalised_forces()
+        held = jet_force + link_force - ca.gradient(model.dynamics.potential, model.tree.q)
+        at_rest = model.function("trim_terms", [], [model.momentum_rate, -held[6:], distances, model.link_wrench])
+        motion = ca.vertcat(velocity, ca.SX.zeros(3 + n))
+        balance, torque, distances, wrench = at_rest(ca.SX.zeros(3), turn_from_rpy(rpy), s, motion, thrust, wind)
+        self._report = ca.Function("trim_report", [self._x, self._p], [balance, torque, distances, wrench])
+
+        rows = self._rows(thrust, margin, balance, torque, distances)
+        self._names = rows
+        constraints = ca.vertcat(*(row.value / row.scale for row in rows))
+        self._lower = np.array([row.lower / row.scale for row in rows])
+        self._upper = np.array([row.upper / row.scale for row in rows])
+        total = ca.sum1(thrust) / (robot.mass * robot.gravity)
+        posture = settings.posture_weight * ca.sumsqr(s - ca.DM(settings.posture)) / n
+        spread = settings.spread_weight * ca.sumsqr(thrust / ca.DM([jet.thrust_max for jet in robot.jets]))
+        objective = weights[0] * total - weights[1] * margin + posture + spread
+        problem: dict[str, Any] = {"x": self._x, "p": self._p, "f": objective, "g": constraints}
+        self._solver = ca.nlpsol("trim", "ipopt", problem, IPOPT)
+
+        # The elastic twin: every constraint may be missed, at a price that leaves as few of them missed as can be.
+        over, under = (ca.SX.sym(name, len(rows)) for name in ("over", "under"))
+        elastic: dict[str, Any] = {
+            "x": ca.vertcat(self._x, over, under),
+            "p": self._p,
+            "f": ca.sum1(over + under) + 1e-5 * posture,
+            "g": constraints + over - under,
+        }
+        self._elastic = ca.nlpsol("trim_elastic", "ipopt", elastic, IPOPT | {"ipopt.tol": 1e-8})
+        self.build_time = time.perf_counter() - started
+        """Time to build both problems [s]."""
+
+    def _rows(self, thrust: SX, margin: SX, balance: SX, torque: SX, distances: SX) -> list[_Row]:
+        robot, settings = self.model.robot, self.settings
+        kinds = [("force", "N", 100.0)] * 3 + [("moment", "N m", 10.0)] * 3
+        rows = [
+            _Row(f"{kind} balance along {axis}", unit, scale, balance[i], 0.0, 0.0)
+            for i, ((kind, unit, scale), axis) in enumerate(zip(kinds, "xyzxyz", strict=True))
+        ]
+        tau = settings.torque_max
+        rows += [
+            _Row(f"torque of {name}", "N m", tau, torque[i], -tau, tau) for i, name in enumerate(robot.joint_names)
+        ]
+        for i, jet in enumerate(robot.jets):
+            top = jet.thrust_max
+            rows.append(_Row(f"lower thrust margin of {jet.name}", "N", top, thrust[i] - margin * top, 0.0, np.inf))
+            rows.append(
+                _Row(f"upper thrust margin of {jet.name}", "N", top, (1 - margin) * top - thrust[i], 0.0, np.inf)
+            )
+        rows += [
+            _Row(
+                f"distance of {pair.jet} axis from {pair.link}", "m", 0.1, distances[i], settings.clearance_min, np.inf
+            )
+            for i, pair in enumerate(self._pairs)
+        ]
+        return rows
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Return the limits of the unknowns (rpy, s, T, μ)."""
+        settings, robot = self.settings, self.model.robot
+        lower, upper = robot.joint_limits.T.copy()
+        held = np.setdiff1d(np.arange(robot.n_joints), settings.free_joints)
+        # A posture may stand a hair outside a limit: the published knees do, by 0.0004 rad.
+        lower[held] = upper[held] = settings.posture[held]
+        top = np.array([jet.thrust_max for jet in robot.jets])
+        low = [settings.roll[0], settings.pitch[0], settings.yaw, *lower, *(0.0 * top), settings.margin_min]
+        high = [settings.roll[1], settings.pitch[1], settings.yaw, *upper, *top, 0.5]
+        return np.array(low), np.array(high)
+
+    def guess(self) -> Array:
+        """Return the posture with the weight shared among the jets in proportion to their strength."""
+        settings, robot = self.settings, self.model.robot
+        top = np.array([jet.thrust_max for jet in robot.jets])
+        thrust = robot.mass * robot.gravity * top / top.sum()
+        start = np.array([0.0, 0.0, settings.yaw, *settings.posture, *thrust, settings.margin_min])
+        low, high = self.bounds()
+        return np.asarray(np.clip(start, low, high))
+
+    def solve(
+        self,
+        wind: ArrayLike,
+        velocity: ArrayLike = (0.0, 0.0, 0.0),
+        objective: Objective = "min_thrust",
+        start: TrimResult | None = None,
+    ) -> TrimResult:
+        """Find the trim in a wind [m/s] at a flight velocity [m/s], both in inertial axes.
+
+        `start` is a trim nearby, to start from.
+        """
+        weights = (1.0, 0.0) if objective == "min_thrust" else (0.0, 1.0)
+        parameters = np.array([*np.asarray(wind), *np.asarray(velocity), *weights])
+        low, high = self.bounds()
+        x = self.guess() if start is None else _unknowns(start)
+        started = time.perf_counter()
+        x, cost, stats = self._run(self._solver, np.clip(x, low, high), parameters, low, high)
+        iterations = int(stats["iter_count"])
+        violations: tuple[Violation, ...] = ()
+        if not stats["success"]:
+            # Is there no trim, or did the solver not find it? The elastic problem always has an answer.
+            x, cost, missed, elastic = self._nearest(parameters, low, high)
+            iterations += int(elastic["iter_count"])
+            violations = self._violations(missed)
+            if not violations:
+                x, cost, stats = self._run(self._solver, x, parameters, low, high)
+                iterations += int(stats["iter_count"])
+        elapsed = time.perf_counter() - started
+        message = "; ".join(str(violation) for violation in violations) or str(stats["return_status"])
+        return self._result(x, cost, parameters, bool(stats["success"]), message, violations, iterations, elapsed)
+
+    def _run(self, solver: Any, x: Array, p: Array, low: Array, high: Array) -> tuple[Array, float, dict[str, Any]]:
+        answer = solver(x0=x, p=p, lbx=low, ubx=high, lbg=self._lower, ubg=self._upper)
+        return np.array(answer["x"].full())[:, 0], float(answer["f"]), solver.stats()
+
+    def _nearest(self, p: Array, low: Array, high: Array) -> tuple[Array, float, Array, dict[str, Any]]:
+        """Return the point that misses the constraints by least, and by how much it misses each."""
+        count, size = len(self._names), low.size
+        start = np.concatenate([self.guess(), np.full(2 * count, 0.1)])
+        low = np.concatenate([low, np.zeros(2 * count)])
+        high = np.concatenate([high, np.full(2 * count, np.inf)])
+        x, cost, stats = self._run(self._elastic, start, p, low, high)
+        return x[:size], cost, x[size : size + count] - x[size + count :], stats
+
+    def _violations(self, missed: Array, tolerance: float = 1e-5) -> tuple[Violation, ...]:
+        order = np.argsort(-np.abs(missed))
+        return tuple(
+            Violation(self._names[i].name, abs(float(missed[i])) * self._names[i].scale, self._names[i].unit)
+            for i in order
+            if abs(missed[i]) > tolerance
+        )
+
+    def _result(
+        self,
+        x: Array,
+        cost: float,
+        parameters: Array,
+        feasible: bool,
+        message: str,
+        violations: tuple[Violation, ...],
+        iterations: int,
+        elapsed: float,
+    ) -> TrimResult:
+        robot = self.model.robot
+        n, jets = robot.n_joints, len(robot.jets)
+        balance, torque, distances, wrench = (np.array(value.full())[:, 0] for value in self._report(x, parameters))
+        thrust = x[3 + n : 3 + n + jets]
+        top = np.array([jet.thrust_max for jet in robot.jets])
+        nearest = int(np.argmin(distances))
+        return TrimResult(
+            feasible=feasible,
+            message=message,
+            violations=violations,
+            at_limit=self._at_limit(x),
+            cost=cost,
+            base_rpy=x[:3],
+            joint_position=x[3 : 3 + n],
+            thrust=thrust,
+            joint_torque=torque,
+            margin=float(np.min(np.minimum(thrust, top - thrust) / top)),
+            residual=balance,
+            aero_force=wrench[:3],
+            aero_moment=wrench[3:],
+            clearance=float(distances[nearest]),
+            closest=f"{self._pairs[nearest].jet} to {self._pairs[nearest].link}",
+            iterations=iterations,
+            solve_time=elapsed,
+        )
+
+    def _at_limit(self, x: Array, tolerance: float = 1e-5) -> tuple[str, ...]:
+        robot = self.model.robot
+        names: Sequence[str] = (
+            *("roll", "pitch", "yaw"),
+            *robot.joint_names,
+            *(f"thrust of {jet.name}" for jet in robot.jets),
+            "margin",
+        )
+        low, high = self.bounds()
+        span = high - low
+        return tuple(
+            f"{name} at its {'lower' if value - a <= tolerance * wide else 'upper'} limit"
+            for name, value, a, wide in zip(names, x, low, span, strict=True)
+            if name != "margin" and wide > 0 and min(value - a, a + wide - value) <= tolerance * wide
+        )
+
+
+def _unknowns(result: TrimResult) -> Array:
+    return np.concatenate([result.base_rpy, result.joint_position, result.thrust, [result.margin]])

@@ -1,0 +1,101 @@
+"""Each implementation against the symbolic derivation, which shares no expression with it: all terms, to 1e-9.
+
+An implementation is a function from (robot file, aerodynamic table) to a function from a state to its terms by name;
+`IMPLEMENTATIONS` lists them. What is said nothing about is not compared.
+"""
+
+import copy
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jax_aero import reference
+from jax_aero.reference import Controller, Robot
+from jax_aero.symbolic import MomentumModel, load_robot
+from jax_aero.symbolic.aero import load_aero
+
+ROOT = Path(__file__).resolve().parents[2]
+ROBOTS = ("ironcub_mk1", "sparrow")
+TOLERANCE = 1e-9
+COUNT = 60
+"""States of each robot in each model of the air."""
+
+
+def rust(path, aero):
+    """The Rust crate, through one tick of its controller."""
+    controller = Controller(_flight(path, aero))
+
+    def terms(state, thrust, wind):
+        tick = controller.tick(state, thrust, wind)
+        same = ("com_position", "mass_matrix", "bias", "momentum_matrix", "momentum", "centroidal_inertia")
+        found = {name: getattr(tick, name) for name in (*same, "aero_force", "a_t", "lambda_t", "lambda_a")}
+        return found | {
+            "momentum_rate": tick.momentum_rate_estimate,
+            "joint_acceleration_free": tick.joint_acceleration_free,
+        }
+
+    return terms
+
+
+IMPLEMENTATIONS = {"rust": rust}
+
+
+def _flight(path, aero):
+    """The TEST2 configuration, fitted to the names and lengths of another robot."""
+    robot = Robot(path)
+    config = copy.deepcopy(reference.load_config(ROOT / "configs/experiments/test2.toml"))
+    config["robot"] = os.fspath(path)
+    config["simulator"]["aero"] = config["controller"]["aero"] = json.loads(json.dumps(aero))
+    config["simulator"]["initial"] |= {
+        "joint_position": [0.0] * len(robot.joint_names),
+        "thrust": [0.0] * len(robot.jet_names),
+    }
+    controller = config["controller"]
+    controller["posture_gain"] = dict.fromkeys(robot.joint_groups, 20.0)
+    controller["weights"] |= {"thrust_rate": dict.fromkeys(robot.jet_names, 0.01), "symmetric_jets": []}
+    controller["bounds"]["thrust_rate_max"] = dict.fromkeys(robot.jet_names, 100.0)
+    return config
+
+
+def aero_tables(robot_name):
+    cylinders = load_aero(ROOT / "configs/aero/sphere_cylinder.toml")
+    sets = load_robot(ROOT / f"configs/robot/{robot_name}.toml").coefficients
+    fitted = [{"model": "axisymmetric", "coefficients": name, "air_density": 1.225} for name in sorted(sets)]
+    return [{"model": "off"}, cylinders, *fitted]
+
+
+CASES = [
+    pytest.param(name, table, id="-".join([name, table["model"], table.get("coefficients", "")]).rstrip("-"))
+    for name in ROBOTS
+    for table in aero_tables(name)
+]
+
+
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+@pytest.mark.parametrize(("robot_name", "aero"), CASES)
+def test_every_term_of_a_state(implementation, robot_name, aero, random_states, agree):
+    path = ROOT / f"configs/robot/{robot_name}.toml"
+    derived = MomentumModel(load_robot(path), aero)
+    theirs = IMPLEMENTATIONS[implementation](path, aero)
+    rng = np.random.default_rng(7)
+    for index, (state, _) in enumerate(random_states):
+        if index == COUNT:
+            break
+        thrust = rng.uniform(0.0, 220.0, len(derived.robot.jets))
+        # Storms, breezes and still air: every branch of the sphere/cylinder tables.
+        wind = rng.normal(size=3) * (0.0, 1.0, 10.0, 40.0)[index % 4]
+        terms = derived.terms(*state, thrust, wind)
+        ours = terms._asdict() | {"joint_acceleration_free": _free(terms)}
+        for name, value in theirs(state, thrust, wind).items():
+            # Relative to the largest entry; below one newton or metre, absolute.
+            scale = max(1.0, float(np.max(np.abs(value))))
+            agree(f"{implementation} = symbolic: {name}", ours[name] / scale, value / scale, TOLERANCE)
+
+
+def _free(terms):
+    """Joint accelerations without torque, M⁻¹(Σ Jᵀ f − h): they see every generalised force."""
+    force = terms.jet_generalised + terms.aero_generalised - terms.bias
+    return np.linalg.solve(terms.mass_matrix, force)[6:]

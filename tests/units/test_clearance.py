@@ -1,0 +1,70 @@
+"""Distances of segments, and of the jets' axes from the body in the paper's posture."""
+
+import tomllib
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jax_aero.symbolic import load_robot
+from jax_aero.symbolic.clearance import pairs, segment_distance
+from jax_aero.symbolic.kinematics import Kinematics
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def distance():
+    points = [ca.SX.sym(name, 3) for name in ("a", "u", "b", "v")]
+    value = segment_distance((points[0], points[1]), (points[2], points[3]))
+    return ca.Function("distance", points, [value])
+
+
+def brute_force(a, u, b, v):
+    """The nearest of many points of one segment to the other segment, which is known in closed form."""
+    t = np.linspace(0.0, 1.0, 2001)[:, None]
+    points = a + t * u
+    length = max(float(v @ v), 1e-300)
+    s = np.clip((points - b) @ v / length, 0.0, 1.0)[:, None]
+    return float(np.linalg.norm(points - b - s * v, axis=1).min())
+
+
+vectors = st.lists(st.floats(-1.0, 1.0, width=16), min_size=3, max_size=3).map(np.array)
+
+
+@settings(deadline=None, max_examples=300)
+@given(a=vectors, u=vectors, b=vectors, v=vectors)
+def test_the_distance_of_two_segments(distance, a, u, b, v):
+    assert float(distance(a, u, b, v)) == pytest.approx(brute_force(a, u, b, v), abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("a", "u", "b", "v", "expected"),
+    [
+        ([0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], 1.0),  # parallel
+        ([0, 0, 0], [1, 0, 0], [3, 0, 0], [1, 0, 0], 2.0),  # on one line
+        ([0, 0, 0], [1, 0, 0], [0.5, -1, 0], [0, 2, 0], 0.0),  # crossing
+        ([0, 0, 0], [0, 0, 0], [0, 3, 4], [0, 0, 0], 5.0),  # two points
+    ],
+)
+def test_special_segments(distance, a, u, b, v, expected):
+    assert float(distance(a, u, b, v)) == pytest.approx(expected, abs=2e-6)
+
+
+def test_the_paper_chose_its_posture_to_keep_jets_from_the_body():
+    robot = load_robot(ROOT / "configs/robot/ironcub_mk1.toml")
+    tree = Kinematics(robot)
+    found = pairs(tree, 1.5)
+    assert len(found) == 4 * (13 - 1 + 2)
+    (distances,) = tree.here(ca.vertcat(*(pair.distance for pair in found)))
+    at = ca.Function("at", [tree.base_position, tree.base_rotation, tree.joint_position], [distances])
+    table = tomllib.loads((ROOT / "configs/simulator/flight.toml").read_text())
+    values = at(np.zeros(3), np.eye(3), table["initial"]["joint_position"]).full()[:, 0]
+    nearest = found[int(values.argmin())]
+    assert values.min() == pytest.approx(0.0352, abs=2e-4)
+    assert (nearest.jet.startswith("chest"), nearest.link) == (True, "root_link")
+    # The exhaust of a turbine leaves downwards: every jet passes its own leg at a distance, none points at the head.
+    assert values[[pair.link == "head" for pair in found]].min() > 0.25

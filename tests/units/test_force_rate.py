@@ -1,0 +1,63 @@
+"""What the controller neglects, split along a short flight."""
+
+import json
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.spatial.transform import Rotation
+
+from experiments import force_rate, study
+from paper_figs import force_rate as force_rate_figure
+from paper_figs.runs import MissingRun
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    """The first 12 s of TEST2: the wind rises, the climb begins."""
+    folder = tmp_path_factory.mktemp("results")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "RESULTS", folder)
+        document = force_rate.run("test2", duration=12.0)
+    return folder, document
+
+
+def test_the_parts_add_up_to_what_the_crate_saw(result):
+    assert result[1]["summary"]["mismatch with differences of the log, rms over rms"] < 0.1
+
+
+def test_the_wind_is_what_changes_the_force_while_it_rises(result):
+    data = xr.load_dataset(result[0] / "force_rate/test2/run.nc", engine="h5netcdf")
+    rising = data.sel(time=slice(6.0, 9.9), six=["linear_x", "linear_y", "linear_z"])
+    size = {name: float(np.sqrt((rising[name] ** 2).sum("six")).mean()) for name in force_rate.NEGLECTED}
+    assert size["wind"] > 5 * max(size["attitude"], size["acceleration"])
+    # F = ½ρ C w², w = 2 t: its rate grows linearly, to 2/5 of 13 N per second at the end.
+    assert float(np.abs(rising["wind"].isel(time=-1)).max()) == pytest.approx(2 * 12.95 / 5, rel=0.05)
+
+
+def test_lambda_a_has_no_linear_rows(result):
+    data = xr.load_dataset(result[0] / "force_rate/test2/run.nc", engine="h5netcdf")
+    assert float(np.abs(data["lambda_a"].isel(six=slice(0, 3))).max()) == 0.0
+
+
+def test_the_manifest_and_the_figure(result):
+    folder, document = result
+    stored = json.loads((folder / "force_rate/test2/manifest.json").read_text())
+    assert stored["engine"] == "casadi"
+    assert stored["versions"]["casadi"]
+    figure, hashes = force_rate_figure.draw(folder / "flight")
+    assert hashes == {"test2": document["config_digest"]}
+    plt.close(figure)
+    with pytest.raises(MissingRun, match=r"make it with: python -m experiments\.force_rate test9"):
+        force_rate_figure.draw(folder / "flight", ("test9",))
+
+
+def test_quaternions_become_rotations():
+    wxyz = np.random.default_rng(1).normal(size=(5, 4))
+    wxyz /= np.linalg.norm(wxyz, axis=1, keepdims=True)
+    expected = Rotation.from_quat(wxyz[:, [1, 2, 3, 0]]).as_matrix()
+    np.testing.assert_allclose(force_rate._rotations(wxyz), expected, atol=1e-14)

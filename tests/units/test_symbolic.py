@@ -1,0 +1,142 @@
+"""The symbolic derivation against itself: laws that tie its terms together, and corners of its derivatives."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from jax_aero.symbolic import MomentumModel, load_robot
+from jax_aero.symbolic.aero import load_aero
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module", params=["axisymmetric_corrected", "sphere_cylinder"])
+def model(request):
+    return MomentumModel(
+        load_robot(ROOT / "configs/robot/ironcub_mk1.toml"), load_aero(ROOT / f"configs/aero/{request.param}.toml")
+    )
+
+
+def draw(model, seed):
+    rng = np.random.default_rng(seed)
+    n = model.robot.n_joints
+    limits = model.robot.joint_limits
+    return {
+        "base_position": rng.normal(size=3),
+        "base_rotation": Rotation.random(rng=rng).as_matrix(),
+        "joint_position": rng.uniform(limits[:, 0], limits[:, 1]),
+        "velocity": rng.normal(size=6 + n),
+        "thrust": rng.uniform(20.0, 200.0, 4),
+        "wind": rng.normal(size=3) * 8.0,
+    }, rng
+
+
+def moved(state, acceleration, thrust_rate, wind_rate, dt):
+    """The state a moment later, to second order in dt."""
+    nu = state["velocity"]
+    turn = Rotation.from_rotvec((nu[3:6] + 0.5 * dt * acceleration[3:6]) * dt).as_matrix()
+    step = nu * dt + 0.5 * acceleration * dt**2
+    return {
+        "base_position": state["base_position"] + step[:3],
+        "base_rotation": turn @ state["base_rotation"],
+        "joint_position": state["joint_position"] + step[6:],
+        "velocity": nu + acceleration * dt,
+        "thrust": state["thrust"] + thrust_rate * dt,
+        "wind": state["wind"] + wind_rate * dt,
+    }
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_momentum_changes_by_the_external_wrench_alone(model, seed):
+    """d(A_G ν)/dt with ν̇ from the equations of motion is L̇, whatever the joint torques do."""
+    state, rng = draw(model, seed)
+    terms = model.terms(**state)
+    torque = np.concatenate([np.zeros(6), rng.normal(scale=20.0, size=model.robot.n_joints)])
+    force = torque + terms.jet_generalised + terms.aero_generalised - terms.bias
+    acceleration = np.linalg.solve(terms.mass_matrix, force)
+    dt = 1e-5
+    ahead, behind = (
+        model.terms(**moved(state, acceleration, np.zeros(4), np.zeros(3), step)).momentum for step in (dt, -dt)
+    )
+    np.testing.assert_allclose((ahead - behind) / (2 * dt), terms.momentum_rate, atol=2e-4 * np.abs(torque).max())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_parts_of_the_second_derivative_add_up(model, seed):
+    state, rng = draw(model, 10 + seed)
+    acceleration = rng.normal(size=6 + model.robot.n_joints)
+    thrust_rate, wind_rate = rng.normal(size=4) * 50.0, rng.normal(size=3)
+    parts = model.force_rate(**state, acceleration=acceleration, thrust_rate=thrust_rate, wind_rate=wind_rate)
+    dt = 1e-6
+    ahead, behind = (
+        model.terms(**moved(state, acceleration, thrust_rate, wind_rate, step)).momentum_rate for step in (dt, -dt)
+    )
+    np.testing.assert_allclose(sum(parts), (ahead - behind) / (2 * dt), rtol=1e-6, atol=1e-4)
+    terms = model.terms(**state)
+    np.testing.assert_allclose(parts.lambda_a, terms.lambda_a @ state["velocity"], atol=1e-10)
+    np.testing.assert_allclose(parts.lambda_t, terms.lambda_t @ state["velocity"], atol=1e-10)
+    np.testing.assert_allclose(parts.thrust_rate, terms.a_t @ thrust_rate, atol=1e-10)
+
+
+def test_generalised_forces_hold_the_wrench_at_the_base(model):
+    """Moved from the base origin to the centre of mass, the base rows of Σ Jᵀ f are the momentum rate."""
+    state, _ = draw(model, 20)
+    terms = model.terms(**state)
+    force = terms.jet_generalised + terms.aero_generalised
+    weight = model.robot.mass * model.robot.gravity
+    arm = terms.com_position - state["base_position"]
+    np.testing.assert_allclose(force[:3] - [0.0, 0.0, weight], terms.momentum_rate[:3], atol=1e-10)
+    np.testing.assert_allclose(force[3:6] - np.cross(arm, force[:3]), terms.momentum_rate[3:], atol=1e-10)
+
+
+def test_at_rest_in_still_air_nothing_is_infinite(model):
+    state, _ = draw(model, 30)
+    still = state | {"velocity": 0 * state["velocity"], "wind": np.zeros(3)}
+    assert np.abs(model.terms(**still).aero_force).max() < 1e-12
+    n = model.robot.n_joints
+    parts = model.force_rate(**still, acceleration=np.ones(6 + n), thrust_rate=np.ones(4), wind_rate=np.ones(3))
+    assert all(np.isfinite(part).all() for part in parts)
+
+
+def test_wind_along_an_axis_makes_no_infinite_derivative(model):
+    state, _ = draw(model, 40)
+    state |= {"velocity": 0 * state["velocity"], "base_rotation": np.eye(3)}
+    for sign, axis in itertools.product((-1.0, 1.0), np.eye(3)):
+        parts = model.force_rate(
+            **(state | {"wind": sign * 10.0 * axis}),
+            acceleration=np.ones(6 + model.robot.n_joints),
+            thrust_rate=np.ones(4),
+            wind_rate=np.ones(3),
+        )
+        assert all(np.isfinite(part).all() for part in parts)
+
+
+URDF = """<robot name="r">
+<link name="b"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+<link name="c"/>
+<joint name="j" type="{kind}"><parent link="{parent}"/><child link="c"/></joint>
+</robot>"""
+TOML = 'name = "r"\nurdf = "r.urdf"\nbase_link = "b"\njoint_groups = []\n'
+
+
+@pytest.mark.parametrize(
+    ("kind", "parent", "complaint"),
+    [
+        ("revolute", "b", "joint `j` is neither in a joint group nor locked"),
+        ("prismatic", "b", "joint `j` is prismatic; expected fixed, revolute or continuous"),
+        ("fixed", "c", r"joints \['j'\] hang on no chain from `b`"),
+    ],
+)
+def test_a_tree_that_cannot_be_walked_is_refused(tmp_path, kind, parent, complaint):
+    (tmp_path / "r.toml").write_text(TOML)
+    (tmp_path / "r.urdf").write_text(URDF.format(kind=kind, parent=parent))
+    with pytest.raises(ValueError, match=complaint):
+        load_robot(tmp_path / "r.toml")
+
+
+def test_an_unknown_model_of_the_air_is_refused():
+    with pytest.raises(ValueError, match="`vortex` is unknown"):
+        MomentumModel(load_robot(ROOT / "configs/robot/sparrow.toml"), {"model": "vortex"})

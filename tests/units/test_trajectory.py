@@ -1,0 +1,189 @@
+"""A small optimal flight, planned, exported and flown; the full ones take a minute each and are experiments."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import casadi as ca
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.spatial.transform import Rotation
+
+from experiments import Refused, study
+from experiments import trajectory as experiment
+from jax_aero import reference
+from jax_aero.symbolic import MomentumModel, load_robot, trajectory
+from jax_aero.symbolic.trajectory import TrajectoryProblem, _lagrange, _lagrange_derivatives, _radau_weights
+from paper_figs import trajectory as trajectory_figure
+
+ROOT = Path(__file__).resolve().parents[2]
+PATH = ROOT / "configs/trajectory/min_time.toml"
+
+
+@pytest.fixture(scope="module")
+def base():
+    return reference.load_config(ROOT / "configs/experiments/test2.toml", {"wind.velocity": [0.0, -4.0, 0.0]})
+
+
+@pytest.fixture(scope="module")
+def climb(base):
+    """Two metres up in a breeze from the side, on few points."""
+    config = study.read(PATH) | {
+        "end": [-0.00365, 0.00041, 2.751881],
+        "free_groups": ["torso", "left_arm", "right_arm"],
+        "duration_range": [2.0, 6.0],
+        "intervals": 5,
+        "degree": 2,
+    }
+    robot = load_robot(base["robot"])
+    model = MomentumModel(robot, base["simulator"]["aero"])
+    return config, model, experiment.settings(PATH, config, base, robot)
+
+
+@pytest.fixture(scope="module")
+def plan(climb):
+    _, model, settings = climb
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trajectory, "SMOOTHER", 1.0)  # one valley is enough here
+        return TrajectoryProblem(model, settings).solve(0.02)
+
+
+def test_it_goes_where_it_was_sent_and_rests_there(climb, plan):
+    config, _, settings = climb
+    assert plan.success, plan.message
+    for sample, place in ((0, config["start"]), (-1, config["end"])):
+        np.testing.assert_allclose(plan.com[sample, 0], place, atol=1e-6)
+        np.testing.assert_allclose(plan.com[sample, 1:3], 0.0, atol=1e-5)
+        np.testing.assert_allclose(plan.base_rpy[sample], [0.0, 0.0, settings.yaw], atol=1e-6)
+    assert settings.duration_range[0] < plan.duration < settings.duration_range[1]
+
+
+def test_limits_hold(climb, plan):
+    _, model, settings = climb
+    top = np.array([jet.thrust_max for jet in model.robot.jets])
+    slack = 1e-3  # between the points where they are imposed
+    assert (plan.thrust >= settings.thrust_reserve * top - slack * top).all()
+    assert (plan.thrust <= (1 - settings.thrust_reserve) * top + slack * top).all()
+    assert np.abs(plan.thrust_rate).max() <= settings.thrust_rate_max + 1e-6
+    assert np.abs(plan.joint_velocity).max() <= settings.joint_velocity_max + 1e-6
+    held = np.setdiff1d(np.arange(23), settings.free_joints)
+    np.testing.assert_array_equal(plan.joint_position[:, held], np.tile(settings.posture[held], (plan.time.size, 1)))
+
+
+def test_velocity_acceleration_and_jerk_belong_together(plan):
+    """Sampled from different expressions: polynomials, the momentum balance, its derivative."""
+    dt = plan.time[1]
+    for order, tolerance in ((0, 0.05), (1, 0.15), (2, 0.3)):
+        slope = np.gradient(plan.com[:, order], dt, axis=0)[2:-2]
+        error = np.abs(slope - plan.com[2:-2, order + 1])
+        assert np.median(error) < tolerance * np.abs(plan.com[:, order + 1]).max()
+
+
+def test_the_acceleration_is_what_the_crate_says(climb, plan, base):
+    """The centroidal model, at its planned states, against the momentum rate of the Rust crate."""
+    _, _, settings = climb
+    controller = reference.Controller(base)
+    robot = reference.Robot(base["robot"])
+    for sample in np.linspace(0, plan.time.size - 1, 7).astype(int):
+        rotation = Rotation.from_euler("xyz", plan.base_rpy[sample]).as_matrix()
+        joints = plan.joint_position[sample]
+        velocity = np.concatenate([np.zeros(6), plan.joint_velocity[sample]])
+        found = reference.dynamics(robot, reference.State(np.zeros(3), rotation, joints, velocity))
+        spin = np.linalg.solve(found.centroidal_inertia, plan.angular_momentum[sample] - found.momentum[3:])
+        velocity[3:6] = spin
+        found = reference.dynamics(robot, reference.State(np.zeros(3), rotation, joints, velocity))
+        velocity[:3] = plan.com[sample, 1] - found.momentum[:3] / robot.mass
+        state = reference.State(np.zeros(3), rotation, joints, velocity)
+        tick = controller.tick(state, plan.thrust[sample], settings.wind)
+        np.testing.assert_allclose(tick.momentum[:3] / robot.mass, plan.com[sample, 1], atol=1e-9)
+        np.testing.assert_allclose(tick.momentum[3:], plan.angular_momentum[sample], atol=1e-9)
+        np.testing.assert_allclose(tick.momentum_rate_estimate[:3] / robot.mass, plan.com[sample, 2], atol=1e-8)
+
+
+def test_the_exported_reference_flies_in_closed_loop(climb, plan, base):
+    config, _, _ = climb
+    text = experiment.csv_of(plan, 10.0, "a test")
+    assert text.splitlines()[1] == experiment.COLUMNS
+    flight = experiment.fly(base, text, 10.0 + plan.duration + 3.0)
+    assert flight.outcome == "completed"
+    error = np.linalg.norm(flight.log["com_position"] - flight.log["com_reference"], axis=1)
+    assert error[flight.log["time"] > 3.0].max() < 0.2  # the points are few; the experiments' plans are flown to 3 cm
+    np.testing.assert_allclose(flight.log["com_position"][-1], config["end"], atol=5e-3)
+
+
+def test_what_cannot_be_is_said_with_the_constraint(climb):
+    """Upright in the paper's posture the robot cannot hover: without joints to move there is no start."""
+    _, model, settings = climb
+    answer = TrajectoryProblem(model, replace(settings, free_joints=(), intervals=2)).solve()
+    assert not answer.success
+    assert "missed by" in answer.message
+    assert "equilibrium" in answer.message or "dynamics" in answer.message
+
+
+def test_fuel_is_the_line_through_idle_and_full_thrust(base):
+    robot = load_robot(base["robot"])
+    idle, slope = experiment.fuel_lines(PATH, study.read(PATH)["fuel"], robot)
+    arm, chest = 60 * (idle[0] + slope[0] * np.array([2.0, 100.0])), 60 * (idle[2] + slope[2] * np.array([9.0, 220.0]))
+    np.testing.assert_allclose([*arm, *chest], [0.08, 0.39, 0.13, 0.725])
+
+
+@pytest.mark.parametrize("degree", [2, 3, 4])
+def test_collocation_is_exact_for_polynomials(degree):
+    points = np.array([0.0, *ca.collocation_points(degree, "radau")])
+    values = np.polynomial.polynomial.polyvander(points, degree)
+    slopes = np.array([[k * p ** (k - 1) if k else 0.0 for p in points] for k in range(degree + 1)])
+    np.testing.assert_allclose(values.T @ _lagrange_derivatives(points), slopes, atol=1e-10)
+    np.testing.assert_allclose(values.T @ _lagrange(points, 0.3), 0.3 ** np.arange(degree + 1), atol=1e-12)
+    powers = values[1:, :degree]
+    np.testing.assert_allclose(powers.T @ _radau_weights(points), 1.0 / np.arange(1, degree + 1), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ('goal = "min_time"', 'goal = "min_noise"', "goal is `min_noise`"),
+        ("intervals = 10", "intervals = 10.5", "`intervals` is 10.5; expected an integer"),
+        ("[fuel.l_arm_jet]", "[fuel.tail_jet]", "unknown key `fuel.tail_jet`"),
+        ('"torso", ', '"tail", ', "free_groups names `tail`"),
+    ],
+)
+def test_a_configuration_that_cannot_be_meant_is_refused(tmp_path, old, new, complaint):
+    text = PATH.read_text()
+    assert old in text
+    path = tmp_path / "odd.toml"
+    path.write_text(text.replace('"../', f'"{ROOT}/configs/').replace(old, new))
+    with pytest.raises(Refused, match=complaint):
+        experiment.run(path)
+
+
+def test_the_result_names_its_reference_and_its_flights(tmp_path, monkeypatch, climb, plan):
+    config, model, _ = climb
+    rest = np.tile(plan.com[-1:, 0], (3, 1))
+    log = {
+        "time": np.array([10.0, 11.0, 30.0]),
+        "com_position": rest,
+        "com_velocity": np.zeros((3, 3)),
+        "com_reference": rest,
+        "base_rpy_reference": np.zeros((3, 3)),
+        "thrust": np.full((3, 4), 100.0),
+        "rotation_error": np.zeros(3),
+    }
+    flight = reference.Flight(log, np.zeros(23), "completed", None, None, {})
+    dataset = experiment.to_dataset(plan, flight, flight, model.robot, config, "0" * 64)
+    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    document = study.build_manifest("small", "Small", config, "0" * 64, summary={}, timings={"solve": 1.0})
+    folder = tmp_path / "trajectory" / "small"
+    study.write(folder, dataset, document, {"reference.csv": "time\n"})
+    assert sorted(path.name for path in folder.iterdir()) == ["manifest.json", "reference.csv", "run.nc"]
+    read = xr.load_dataset(folder / "run.nc", engine="h5netcdf")
+    assert read["com_position_plan"].attrs["units"] == "m"
+    study.write(folder, dataset, document, {"reference.csv": "time\n"})
+    (folder / "notes.txt").write_text("mine")
+    with pytest.raises(Refused, match=r"holds more than a result \(notes\.txt\)"):
+        study.write(folder, dataset, document, {"reference.csv": "time\n"})
+    figure, hashes = trajectory_figure.draw(tmp_path / "flight", ("small",))
+    assert hashes == {"small": "0" * 64}
+    plt.close(figure)
+    found = experiment.figures("flown", dataset, "flown")
+    assert found["flown: peak CoM error [m]"] == 0.0

@@ -1,0 +1,177 @@
+"""Trims are equilibria of the Rust plant, within limits, and say what is in the way where there is none."""
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.spatial.transform import Rotation
+
+from experiments import Refused, study
+from experiments import trim as experiment
+from jax_aero import reference
+from paper_figs import trim as trim_figure
+
+ROOT = Path(__file__).resolve().parents[2]
+SIDE_WIND = (0.0, -10.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def held():
+    return experiment.load(study.find("trim", "hover_posture"))[0]
+
+
+@pytest.fixture(scope="module")
+def free():
+    return experiment.load(study.find("trim", "free_joints"))[0]
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return reference.load_config(ROOT / "configs/experiments/test2.toml")
+
+
+def rust_imbalance(flight, result, wind, velocity=(0.0, 0.0, 0.0)):
+    """What the crate makes of a trim: the momentum rate [N, N m] and the joint accelerations [rad/s²]."""
+    rotation = Rotation.from_euler("xyz", result.base_rpy).as_matrix()
+    state = reference.State(np.zeros(3), rotation, result.joint_position, [*velocity, *np.zeros(26)])
+    tick = reference.Controller(flight).tick(state, result.thrust, wind)
+    return tick.momentum_rate_estimate, tick.joint_acceleration_free + tick.torque_gain @ result.joint_torque
+
+
+def test_the_hover_of_the_papers_posture(held):
+    """The published start, 98 N in each arm, is the trim for the arms; in the chest it is 10 N short of the weight."""
+    result = held.solve((0.0, 0.0, 0.0))
+    assert result.feasible, result.message
+    np.testing.assert_allclose(result.thrust, [97.92, 97.27, 123.35, 122.92], atol=0.01)
+    np.testing.assert_allclose(np.degrees(result.base_rpy), [-0.023, -2.142, 180.0], atol=1e-3)
+    assert abs(result.thrust[:2] - 98.0).max() < 1.0
+    assert result.clearance == pytest.approx(0.0352, abs=2e-4)
+    np.testing.assert_array_equal(result.joint_position, held.settings.posture)
+
+
+@pytest.mark.parametrize("objective", experiment.OBJECTIVES)
+@pytest.mark.parametrize("wind", [(0.0, 0.0, 0.0), SIDE_WIND, (-17.0, 0.0, 0.0), (6.0, 9.0, 2.0)])
+def test_a_trim_is_an_equilibrium_of_the_rust_plant_within_all_limits(free, flight, wind, objective):
+    result = free.solve(wind, objective=objective)
+    assert result.feasible, result.message
+    for imbalance in rust_imbalance(flight, result, wind):
+        assert np.abs(imbalance).max() < 1e-6
+    settings, robot = free.settings, free.model.robot
+    low, high = robot.joint_limits.T
+    assert (low - 1e-6 <= result.joint_position).all()
+    assert (result.joint_position <= high + 1e-6).all()
+    assert result.margin >= settings.margin_min - 1e-6
+    assert np.abs(result.joint_torque).max() <= settings.torque_max
+    assert result.clearance >= settings.clearance_min - 1e-6
+    roll, pitch, yaw = result.base_rpy
+    assert settings.roll[0] - 1e-6 <= roll <= settings.roll[1] + 1e-6
+    assert settings.pitch[0] - 1e-6 <= pitch <= settings.pitch[1] + 1e-6
+    assert yaw == pytest.approx(settings.yaw)
+
+
+def test_each_objective_is_best_at_its_own(free):
+    thrifty, safe = (free.solve(SIDE_WIND, objective=objective) for objective in ("min_thrust", "max_margin"))
+    assert thrifty.total_thrust < safe.total_thrust
+    assert thrifty.margin < safe.margin
+
+
+def test_flying_through_still_air_is_hovering_in_the_wind(held, flight):
+    flying, hovering = held.solve((0.0, 0.0, 0.0), (8.0, 1.0, 0.0)), held.solve((-8.0, -1.0, 0.0))
+    np.testing.assert_allclose(flying.thrust, hovering.thrust, atol=1e-8)
+    np.testing.assert_allclose(flying.base_rpy, hovering.base_rpy, atol=1e-10)
+    for imbalance in rust_imbalance(flight, flying, (0.0, 0.0, 0.0), (8.0, 1.0, 0.0)):
+        assert np.abs(imbalance).max() < 1e-6
+
+
+def test_where_there_is_no_trim_the_violated_constraint_is_named(held):
+    result = held.solve((0.0, -20.0, 0.0))
+    assert not result.feasible
+    first = result.violations[0]
+    assert (first.constraint, first.unit) == ("force balance along y", "N")
+    assert 10.0 < first.missed_by < 30.0
+    assert "roll at its upper limit" in result.at_limit
+    assert "force balance along y missed by" in result.message
+    # By as much as is left over there.
+    assert abs(result.residual[1]) == pytest.approx(first.missed_by, rel=1e-3)
+
+
+def test_the_closed_loop_stays_where_the_trim_put_it(free, flight):
+    """A robot that starts in a trim, in its wind, has nothing to do."""
+    result = free.solve(SIDE_WIND, objective="max_margin")
+    initial = flight["simulator"]["initial"] | {
+        "base_rpy_deg": np.degrees(result.base_rpy).tolist(),
+        "joint_position": result.joint_position.tolist(),
+        "thrust": result.thrust.tolist(),
+        "free_fall_tick": False,
+    }
+    config = flight | {
+        "simulator": flight["simulator"] | {"duration": 3.0, "initial": initial},
+        "envelope": {},
+        "wind": {"profile": "constant", "velocity": list(SIDE_WIND)},
+    }
+    log = reference.fly(config).log
+    assert np.abs(log["thrust"] - result.thrust).max() < 0.1
+    assert np.abs(log["com_position"] - log["com_position"][0]).max() < 2e-3
+    assert log["rotation_error"].max() < 1e-3
+
+
+def test_a_start_nearby_leads_to_a_trim_as_good(free):
+    first = free.solve(SIDE_WIND)
+    again = free.solve(SIDE_WIND, start=first)
+    assert again.feasible
+    assert again.cost <= first.cost + 1e-8
+
+
+def test_the_command_line(capsys):
+    assert experiment.main(["hover_posture", "--wind", "0", "-10", "0"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("trim: Solve_Succeeded")
+    assert "thrust of chest_r_jet" in said
+    assert experiment.main(["hover_posture", "--wind", "0", "-20", "0"]) == 1
+    assert capsys.readouterr().out.startswith("NO TRIM: force balance along y missed by")
+    assert experiment.main(["vertical_posture"]) == 2
+    assert "there are free_joints, hover_posture" in capsys.readouterr().err
+
+
+def test_a_map_is_a_result_with_a_manifest(tmp_path, monkeypatch):
+    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    text = (ROOT / "configs/trim/hover_posture.toml").read_text().replace('"../', f'"{ROOT}/configs/')
+    head = text[: text.index("[map]")]
+    path = tmp_path / "small.toml"
+    path.write_text(head + "[map]\nspeeds = [0.0, 10.0, 20.0]\ndirections_deg = [0.0, 90.0]\n")
+    document = experiment.run_map(path)
+    assert document["summary"]["trims asked for"] == 12
+    assert document["summary"]["strongest wind with a trim from every direction [m/s]"] == 10.0
+    assert set(document["timings_s"]) == {"build", "map"}
+    assert str(tmp_path) not in (tmp_path / "trim/small/manifest.json").read_text()
+
+    data = xr.load_dataset(tmp_path / "trim/small/run.nc", engine="h5netcdf")
+    assert data["feasible"].sel(objective="max_margin").values.tolist() == [[1, 1, 1], [1, 1, 0]]
+    assert (
+        str(data["violated"].sel(objective="max_margin", direction=90.0, speed=20.0).values) == "force balance along y"
+    )
+    figure, hashes = trim_figure.draw(tmp_path / "flight", ("small", "small"))
+    assert hashes == {"small": document["config_digest"]}
+    plt.close(figure)
+    assert np.isnan(data["margin"].sel(objective="max_margin", direction=90.0, speed=20.0))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ("margin_min = 0.05", "margin = 0.05", "unknown key `margin`"),
+        ("yaw_deg = 180.0", 'yaw_deg = "south"', "`yaw_deg` is 'south'; expected a number"),
+        ("free_groups = []", 'free_groups = ["tail"]', "free_groups names `tail`"),
+        ("ironcub_mk1.toml", "ironcub_mk9.toml", "there is no file"),
+        ("[map]", "[maps]", "unknown key `maps`"),
+    ],
+)
+def test_a_configuration_that_cannot_be_meant_is_refused(tmp_path, old, new, complaint):
+    text = (ROOT / "configs/trim/hover_posture.toml").read_text()
+    assert old in text
+    path = tmp_path / "odd.toml"
+    path.write_text(text.replace('"../', f'"{ROOT}/configs/').replace(old, new))
+    with pytest.raises(Refused, match=complaint):
+        experiment.load(path)
