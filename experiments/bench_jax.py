@@ -1,0 +1,275 @@
+"""Measure the JAX floor, beside plain MJX and jaxsim on the same robot in one run: `python -m experiments.bench_jax`.
+
+Times are per sample of a batch, in double precision unless said, on whatever device JAX finds; a compile is cold or
+comes from JAX's persistent cache. States are those of TEST2 hovering in the full wind. Prints Markdown, which
+`docs/benchmarks.md` is made of.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from experiments import manifest
+from jax_aero import reference, sim
+from jax_aero.aero import LinkConventions, aero_model, link_forces
+from jax_aero.config import aero_config, flight_config
+from jax_aero.control import qp
+from jax_aero.control import tick as control
+from jax_aero.dynamics import dynamics, forward_dynamics
+from jax_aero.kinematics import kinematics
+from jax_aero.robot import RobotModel, load_robot
+from jax_aero.sim.rollout import fly_chunk
+from jax_aero.types import State, with_dtype
+
+untyped: Any = jax
+"""The parts of JAX that carry no types."""
+
+HOVER = 1000
+"""Tick of TEST2 at which the states are taken: hovering in the full wind."""
+TICKS = 20
+"""Ticks of a measured rollout."""
+
+
+class Case(NamedTuple):
+    """A function of one sample, and one sample for it."""
+
+    name: str
+    function: Callable[..., Any]
+    shared: Any
+    """First argument, the same for the whole batch."""
+    sample: Any
+    """Second argument; the batch varies its State."""
+    divide_by: int = 1
+    """Parts of a sample that count on their own, such as the ticks of a rollout."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.bench_jax", description=__doc__)
+    parser.add_argument("--batch", type=int, nargs="+", default=[1, 64, 1024], help="batch sizes")
+    parser.add_argument("--only", help="measure only what has this text in its name")
+    parser.add_argument("--seconds", type=float, default=1.0, help="time spent on one figure, about")
+    given = parser.parse_args(arguments)
+    untyped.config.update("jax_enable_x64", True)
+    with tempfile.TemporaryDirectory() as cache:
+        untyped.config.update("jax_compilation_cache_dir", cache)
+        untyped.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        _print_machine()
+        heads = "".join(f" batch {size} |" for size in given.batch)
+        print(f"| what | {heads} compile, cold | cached |\n|---|{'---|' * (len(given.batch) + 2)}")
+        for case in cases():
+            if given.only is None or given.only in case.name:
+                print(_row(case, given.batch, given.seconds), flush=True)
+    return 0
+
+
+def _print_machine() -> None:
+    device = jax.devices()[0]
+    versions = manifest.versions()
+    print(f"Device: {device.device_kind} ({device.platform}), {os.cpu_count()} cores; jax {jax.__version__}, ", end="")
+    print(f"numpy {versions.get('numpy', '?')}; load {os.getloadavg()[0]:.1f}")
+    if os.getloadavg()[0] > 0.5 * (os.cpu_count() or 1):
+        print("The machine is busy: trust ratios more than times.")
+    print()
+
+
+def _row(case: Case, sizes: Sequence[int], seconds: float) -> str:
+    times, compiles = [], (0.0, 0.0)
+    for size in sizes:
+        batched = jax.jit(jax.vmap(case.function, in_axes=(None, 0)))
+        sample = _spread(case.sample, size)
+        started = time.perf_counter()
+        compiled = batched.lower(case.shared, sample).compile()
+        cold = time.perf_counter() - started
+        untyped.clear_caches()
+        started = time.perf_counter()
+        jax.jit(jax.vmap(case.function, in_axes=(None, 0))).lower(case.shared, sample).compile()
+        compiles = max(compiles, (cold, time.perf_counter() - started))
+        times.append(_median(lambda: untyped.block_until_ready(compiled(case.shared, sample)), seconds))  # noqa: B023
+    figures = "".join(f" {1e6 * t / size / case.divide_by:.1f} µs |" for t, size in zip(times, sizes, strict=True))
+    return f"| {case.name} |{figures} {compiles[0]:.1f} s | {compiles[1]:.1f} s |"
+
+
+def _median(call: Callable[[], Any], seconds: float) -> float:
+    """Median time of a call, after one that warms up."""
+    call()
+    times: list[float] = []
+    while sum(times) < seconds or len(times) < 3:
+        started = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - started)
+    return statistics.median(times)
+
+
+def _spread(sample: Any, size: int) -> Any:
+    """Repeat a sample, with small differences in every State within it."""
+    rng = np.random.default_rng(0)
+
+    def vary(leaf: Any) -> Any:
+        if not isinstance(leaf, State):
+            return jnp.broadcast_to(leaf, (size, *jnp.shape(leaf)))
+        repeated = jax.tree.map(lambda x: jnp.broadcast_to(x, (size, *jnp.shape(x))), leaf)
+        noise = jnp.asarray(0.02 * rng.normal(size=repeated.velocity.shape), repeated.velocity.dtype)
+        return repeated._replace(velocity=repeated.velocity + noise)
+
+    return jax.tree.map(vary, sample, is_leaf=lambda x: isinstance(x, State))
+
+
+# --- what is measured ----------------------------------------------------------------------------------------------
+
+
+def cases() -> Iterator[Case]:
+    """Everything that is measured, ours first."""
+    experiments = manifest.REPOSITORY / "configs" / "experiments"
+    config = flight_config(reference.load_config(experiments / "test2.toml"))
+    flight, start = sim.prepare(config, load_robot(config.robot))
+    hover, _ = fly_chunk(flight, start, jnp.array(0, jnp.int32), HOVER)
+    robot, state = flight.plant.robot, hover.plant.robot
+    wind = jnp.array([0.0, -10.0, 0.0])
+    yield from _dynamics_cases(robot, state)
+    yield from _aero_cases(experiments, robot, state, wind)
+    yield from _control_cases(flight, hover, wind)
+    for name, dtype in (("", jnp.float64), (", float32", jnp.float32)):
+        flying, hovering = with_dtype((flight, hover), dtype)
+        yield Case(f"closed-loop tick, of a rollout of {TICKS}{name}", _rollout, flying, hovering, TICKS)
+    yield Case(f"its gradient by the aerodynamic areas, of {TICKS}", _gradient, flight, hover, TICKS)
+    yield from _mjx_cases(robot, state)
+    yield from _jaxsim_cases(robot, state)
+
+
+def _rollout(flight: Any, state: Any) -> Any:
+    return sim.rollout(flight, state, TICKS, lambda row: row.com_position, HOVER)[1]
+
+
+def _gradient(flight: Any, state: Any) -> Any:
+    from dataclasses import replace
+
+    def cost(areas: Any) -> Any:
+        aero = replace(flight.plant.aero, areas=areas)
+        perturbed = replace(flight, plant=replace(flight.plant, aero=aero))
+        return jnp.sum(_rollout(perturbed, state) ** 2)
+
+    return jax.grad(cost)(flight.plant.aero.areas)
+
+
+def _dynamics_cases(robot: RobotModel, state: State) -> Iterator[Case]:
+    def bundle(backend: Any) -> Callable[[RobotModel, State], Any]:
+        return lambda robot, state: dynamics(robot, state, kinematics(robot, state), backend)
+
+    def forward(backend: Any) -> Callable[[RobotModel, State], Any]:
+        def accelerate(robot: RobotModel, state: State) -> Any:
+            return forward_dynamics(bundle(backend)(robot, state), jnp.ones_like(state.velocity))
+
+        return accelerate
+
+    def gradient(backend: Any) -> Callable[[RobotModel, State], Any]:
+        def size(state: State, robot: RobotModel) -> Any:
+            return jnp.sum(forward(backend)(robot, state) ** 2)
+
+        return lambda robot, state: jax.grad(size)(state, robot)
+
+    yield Case("kinematics, M, h, A_G (tree)", bundle("tree"), robot, state)
+    yield Case("kinematics, M, h, A_G (tree), float32", bundle("tree"), *with_dtype((robot, state), jnp.float32))
+    yield Case("kinematics, M, h, A_G (mjx)", bundle("mjx"), robot, state)
+    yield Case("forward dynamics (tree)", forward("tree"), robot, state)
+    yield Case("forward dynamics (mjx)", forward("mjx"), robot, state)
+    yield Case("gradient of forward dynamics (tree)", gradient("tree"), robot, state)
+    yield Case("gradient of forward dynamics (mjx)", gradient("mjx"), robot, state)
+
+
+def _aero_cases(experiments: Path, robot: RobotModel, state: State, wind: Any) -> Iterator[Case]:
+    table = reference.load_config(experiments / "robustness_axisymmetric_vs_sphere_cylinder.toml")
+    for name, part in (("axisymmetric", "simulator"), ("sphere and cylinder", "controller")):
+        model = aero_model(aero_config(table[part]["aero"]), robot)
+        kin = jax.jit(kinematics)(robot, state)
+
+        def forces(shared: Any, kin: Any) -> Any:
+            model, robot, wind = shared
+            return link_forces(model, robot, kin, LinkConventions(), wind)
+
+        yield Case(f"forces on 13 links ({name})", forces, (model, robot, wind), kin)
+
+
+def _control_cases(flight: Any, hover: Any, wind: Any) -> Iterator[Case]:
+    time_now = jnp.array(HOVER * 0.01)
+
+    def tick(shared: Any, sample: Any) -> Any:
+        params, robot, wind, now = shared
+        memory, state, thrust = sample
+        return control.tick(params, robot, memory, now, state, thrust, wind)
+
+    shared = (flight.controller, flight.plant.robot, wind, time_now)
+    sample = (hover.memory, hover.plant.robot, hover.plant.jets.thrust)
+    _, _, terms = jax.jit(tick)(shared, sample)
+
+    def solve(start: Any, problem: Any) -> Any:
+        return qp.solve(problem, start)
+
+    yield Case("momentum QP, warm", solve, hover.memory.momentum_start, terms.momentum_qp.problem)
+    yield Case("torque QP, warm", solve, hover.memory.torque_start, terms.torque_qp.problem)
+    yield Case("controller tick", lambda shared, sample: tick(shared, sample)[:2], shared, sample)
+
+
+def _mjx_cases(robot: RobotModel, state: State) -> Iterator[Case]:
+    """Plain MJX on the same URDF: as it comes, with its joint limits, and with constraints disabled."""
+    mjx: Any = importlib.import_module("mujoco.mjx")
+    from jax_aero.mujoco_door import mujoco_spec, to_mujoco
+
+    for name, flags in (("", 0), (", constraints disabled", None)):
+        spec = mujoco_spec(robot.source)
+        if flags is not None:
+            spec.option.disableflags = flags
+        model = spec.compile()
+        mjx_model, data = mjx.put_model(model), mjx.make_data(model)
+
+        def load(state: State, data: Any = data) -> Any:
+            qpos, qvel = to_mujoco(robot, state)
+            return data.replace(qpos=qpos, qvel=qvel)
+
+        for function in (mjx.forward, mjx.step):
+
+            def run(model: Any, state: State, function: Any = function, load: Any = load) -> Any:
+                after = function(model, load(state))
+                return after.qpos, after.qacc
+
+            yield Case(f"mjx.{function.__name__}{name}", run, mjx_model, state)
+
+
+def _jaxsim_cases(robot: RobotModel, state: State) -> Iterator[Case]:
+    """Jaxsim's articulated-body algorithm, if it is installed; it reads the URDF itself."""
+    try:
+        api: Any = importlib.import_module("jaxsim.api")
+    except ImportError:
+        return
+    urdf = Path(robot.source).with_suffix(".urdf")
+    model = api.model.JaxSimModel.build_from_model_description(urdf, considered_joints=list(robot.joint_names))
+
+    def run(model: Any, state: State) -> Any:
+        data = api.data.JaxSimModelData.build(
+            model=model,
+            base_position=state.base_position,
+            joint_positions=state.joint_position,
+            base_linear_velocity=state.velocity[:3],
+            base_angular_velocity=state.velocity[3:6],
+            joint_velocities=state.velocity[6:],
+        )
+        return api.model.forward_dynamics_aba(model=model, data=data)
+
+    yield Case("jaxsim, forward_dynamics_aba", run, model, state)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

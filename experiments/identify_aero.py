@@ -1,0 +1,293 @@
+"""A worked example of differentiability: find a robot's aerodynamic coefficients from the log of one flight.
+
+`python -m experiments.identify_aero` flies TEST2 with a robot whose force areas are not those of its file, writes down
+what sensors would (positions, velocities with noise, thrusts and torques as commanded, the wind), and asks which areas
+explain the log. From many logged states it simulates the next 0.1 s under the logged commands, compares the velocities,
+and follows the gradient through that simulation. The controller knows nothing of this. Whether the answer is good is
+judged where it was not asked: by the forces of another flight, in head wind.
+
+    minimise  Σ ((ν_simulated − ν_logged)/σ)² / 2  +  Σ (θ/0.3)² / 2      areas = (1 + θ) · those of the file
+
+The result goes to `results/identify/aero/`; `python -m paper_figs identify` draws it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from experiments import Refused, manifest, study
+from jax_aero import reference, sim
+from jax_aero.aero import Axisymmetric
+from jax_aero.config import flight_config
+from jax_aero.jets import JetsState
+from jax_aero.robot import load_robot
+from jax_aero.sim.plant import Plant, PlantState, advance, observe
+from jax_aero.sim.rollout import fly_chunk
+from jax_aero.sim.wind import wind_velocity
+from jax_aero.spatial import rotation_from_wxyz
+from jax_aero.types import Array, State
+
+FLIGHT, JUDGE = "test2", "head_wind"
+SPREAD = 0.3
+"""True areas lie within this share of those of the file; also the width of the prior."""
+NOISE = {"base": 2e-3, "joints": 5e-3}
+"""Standard deviation of the logged velocities [m/s and rad/s, rad/s]."""
+HORIZON = 10
+"""Ticks that are simulated from every logged state."""
+FIRST_TICK, N_STARTS = 600, 240
+"""From when on there is wind, and from how many states the log is simulated."""
+STEPS, RATE = 150, 0.03
+"""Steps and step length of the descent."""
+
+
+class Segments(NamedTuple):
+    """Logged states, and what was commanded from each on; k segments of h ticks."""
+
+    first: State
+    thrust: Array
+    """(k, j) at the start [N]."""
+    torque: Array
+    """(k, h, n) [N m]."""
+    thrust_rate: Array
+    """(k, h, j) [N/s]."""
+    wind: Array
+    """(k, h, 3) [m/s]."""
+    velocity: Array
+    """(k, N) logged after the h ticks."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.identify_aero", description=__doc__)
+    parser.add_argument("--seed", type=int, default=1, help="of the true areas and of the noise (default 1)")
+    parser.add_argument("--steps", type=int, default=STEPS, help=f"steps of the descent (default {STEPS})")
+    given = parser.parse_args(arguments)
+    try:
+        document = run(given.seed, given.steps)
+    except Refused as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return 2
+    for key, value in document["summary"].items():
+        print(f"{key:<44} {value:.4g}")
+    return 0
+
+
+def run(seed: int = 1, steps: int = STEPS) -> dict[str, Any]:
+    """Fly, identify, judge, write; return the manifest."""
+    config = reference.load_config(study.CONFIGS / "experiments" / f"{FLIGHT}.toml")
+    judge = reference.load_config(study.CONFIGS / "experiments" / f"{JUDGE}.toml", {"simulator.duration": 20.0})
+    with jax.enable_x64(True):
+        started = time.perf_counter()
+        typed = flight_config(config)
+        flight, state = sim.prepare(typed, load_robot(config["robot"]))
+        model = flight.plant.aero
+        assert isinstance(model, Axisymmetric)
+        rng = np.random.default_rng(seed)
+        families, member = np.unique(np.asarray(model.areas), axis=0, return_inverse=True)
+        truth = rng.uniform(-SPREAD, SPREAD, families.shape) * (families != 0.0)
+        true_model = replace(model, areas=model.areas * (1.0 + truth[member.ravel()]))
+        flown = replace(flight, plant=replace(flight.plant, aero=true_model))
+        _, log = fly_chunk(flown, state, jnp.array(0, jnp.int32), typed.simulator.n_ticks + 1)
+        log = {name: np.asarray(signal) for name, signal in log._asdict().items()}
+        seconds = {"fly": time.perf_counter() - started}
+
+        segments = cut(typed.wind, with_noise(log, rng), flight.plant)
+        started = time.perf_counter()
+        misfit = misfit_of(flight.plant, model, segments, member.ravel())
+        theta, losses = descend(misfit, families != 0.0, steps)
+        seconds["identify"] = time.perf_counter() - started
+        loss_true = float(misfit(jnp.asarray(truth)))
+        found = replace(model, areas=model.areas * (1.0 + theta[member.ravel()]))
+        forces = forces_along(judge, {"file": model, "identified": found, "true": true_model})
+
+    dataset = to_dataset(families, truth, theta, losses, forces, flight.plant.robot.aero_links.names, member.ravel())
+    digest = study.digest(config, [])
+    dataset.attrs["loss_true"] = loss_true
+    dataset.attrs |= {"title": "Aerodynamic coefficients from a flight's log", "config_hash": digest}
+    document = {
+        "name": "aero",
+        "title": dataset.attrs["title"],
+        "summary": figures(dataset),
+        "config_digest": digest,
+        "config": manifest.portable({"flight": config, "judge": JUDGE, "seed": seed, "steps": steps}),
+        "command": f"python -m experiments.identify_aero --seed {seed} --steps {steps}",
+        "engine": "jax",
+        "timings_s": {key: round(value, 2) for key, value in seconds.items()},
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "git": manifest.git_state(),
+        "versions": manifest.versions() | {"jax": jax.__version__},
+        "device": manifest.device(),
+    }
+    study.write(study.RESULTS / "identify" / "aero", dataset, document)
+    return document
+
+
+def with_noise(log: Mapping[str, NDArray[np.float64]], rng: np.random.Generator) -> dict[str, NDArray[np.float64]]:
+    """Return the log as sensors would give it."""
+    scale = {"base_velocity": NOISE["base"], "joint_velocity": NOISE["joints"]}
+    noisy = {name: log[name] + rng.normal(scale=std, size=log[name].shape) for name, std in scale.items()}
+    return dict(log) | noisy
+
+
+def cut(wind: Any, log: Mapping[str, NDArray[np.float64]], plant: Plant) -> Segments:
+    """Cut segments out of a log, evenly spread over the time with wind."""
+    starts = np.linspace(FIRST_TICK, len(log["time"]) - HORIZON - 1, N_STARTS, dtype=int)
+    ticks = starts[:, None] + np.arange(HORIZON)
+
+    def blowing(tick: Array) -> Array:
+        return wind_velocity(wind, tick * plant.time_step)
+
+    return Segments(
+        first=states_of(log, starts),
+        thrust=jnp.asarray(log["thrust"][starts]),
+        torque=jnp.asarray(log["joint_torque"][ticks]),
+        thrust_rate=jnp.asarray(log["thrust_rate"][ticks]),
+        wind=jax.vmap(jax.vmap(blowing))(jnp.asarray(ticks)),
+        velocity=states_of(log, starts + HORIZON).velocity,
+    )
+
+
+def states_of(log: Mapping[str, NDArray[np.float64]], ticks: Any) -> State:
+    """States (k, ...) of a log at some ticks."""
+    velocity = np.concatenate([log["base_velocity"][ticks], log["joint_velocity"][ticks]], axis=1)
+    return State(
+        base_position=jnp.asarray(log["base_position"][ticks]),
+        base_rotation=rotation_from_wxyz(jnp.asarray(log["base_quaternion"][ticks])),
+        joint_position=jnp.asarray(log["joint_position"][ticks]),
+        velocity=jnp.asarray(velocity),
+    )
+
+
+def simulated_velocity(plant: Plant, segment: Segments) -> Array:
+    """Velocity (N,) after the ticks of one segment, from its first state and under its commands."""
+    jets = JetsState(segment.thrust, jnp.zeros_like(segment.thrust), None)
+
+    def tick(state: PlantState, commands: tuple[Array, Array, Array]) -> tuple[PlantState, None]:
+        torque, thrust_rate, wind = commands
+        return advance(plant, state, observe(plant, state, wind), torque, thrust_rate, wind), None
+
+    start = PlantState(segment.first, jets, None)
+    end, _ = jax.lax.scan(jax.checkpoint(tick), start, (segment.torque, segment.thrust_rate, segment.wind))
+    return end.robot.velocity
+
+
+def misfit_of(
+    plant: Plant, model: Axisymmetric, segments: Segments, member: NDArray[np.int64]
+) -> Callable[[Array], Array]:
+    """Return the loss as a function of `θ` (families, 6), per logged velocity."""
+    deviation = np.concatenate([np.full(6, NOISE["base"]), np.full(plant.robot.n_joints, NOISE["joints"])])
+
+    def misfit(theta: Array) -> Array:
+        guess = replace(plant, aero=replace(model, areas=model.areas * (1.0 + theta[member])))
+        end = jax.vmap(lambda segment: simulated_velocity(guess, segment))(segments)
+        wrong = jnp.sum(((end - segments.velocity) / deviation) ** 2)
+        return 0.5 * (wrong + jnp.sum((theta / SPREAD) ** 2)) / segments.velocity.size
+
+    return misfit
+
+
+def descend(
+    misfit: Callable[[Array], Array], exists: NDArray[np.bool_], steps: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Descend from the areas of the file by Adam; return `θ` (families, 6) and the loss at every step."""
+
+    @jax.jit
+    def step(theta: Array, mean: Array, square: Array, count: Array) -> tuple[Array, Array, Array, Array]:
+        value, slope = jax.value_and_grad(misfit)(theta)
+        mean, square = 0.9 * mean + 0.1 * slope, 0.99 * square + 0.01 * slope**2
+        rate = RATE * 0.5 * (1.0 + jnp.cos(jnp.pi * count / steps))
+        move = mean / (1.0 - 0.9**count) / (jnp.sqrt(square / (1.0 - 0.99**count)) + 1e-12)
+        return theta - rate * move * exists, mean, square, value
+
+    theta = jnp.zeros(exists.shape)
+    mean, square, losses = jnp.zeros_like(theta), jnp.zeros_like(theta), []
+    for count in range(1, steps + 1):
+        theta, mean, square, value = step(theta, mean, square, jnp.array(float(count)))
+        losses.append(float(value))
+    return np.asarray(theta), np.array(losses)
+
+
+def forces_along(config: Mapping[str, Any], models: Mapping[str, Axisymmetric]) -> dict[str, NDArray[np.float64]]:
+    """Total force and moment about the centre of mass (ticks, 6) of each model along a flight, and the time."""
+    from jax_aero.aero import LinkConventions, link_forces, wrench_about
+    from jax_aero.kinematics import kinematics
+
+    log, robot = reference.fly(config).log, load_robot(config["robot"])
+    chosen = log["time"] >= FIRST_TICK * config["simulator"]["time_step"]
+
+    @jax.jit
+    def along(model: Axisymmetric) -> Array:
+        def one(state: State, wind: Array) -> Array:
+            kin = kinematics(robot, state)
+            return wrench_about(link_forces(model, robot, kin, LinkConventions(), wind), kin.com)
+
+        return jax.vmap(one)(states_of(log, chosen), jnp.asarray(log["wind"][chosen]))
+
+    return {"time": log["time"][chosen]} | {name: np.asarray(along(model)) for name, model in models.items()}
+
+
+def to_dataset(
+    families: NDArray[np.float64],
+    truth: NDArray[np.float64],
+    theta: NDArray[np.float64],
+    losses: NDArray[np.float64],
+    forces: Mapping[str, NDArray[np.float64]],
+    links: Sequence[str],
+    member: NDArray[np.int64],
+) -> xr.Dataset:
+    """Label the areas of every model, the descent, and the forces in the judging flight."""
+    names = [
+        " ".join(link for link, own in zip(links, member, strict=True) if own == family)
+        for family in range(len(families))
+    ]
+    areas = {"file": families, "true": families * (1.0 + truth), "identified": families * (1.0 + theta)}
+    variables: dict[str, Any] = {
+        f"areas_{model}": (("family", "coefficient"), value, {"units": "m2", "long_name": f"force areas, {model}"})
+        for model, value in areas.items()
+    }
+    variables["loss"] = (("step",), losses, {"units": "1", "long_name": "misfit per logged velocity, with the prior"})
+    for model in areas:
+        text = f"total aerodynamic force and moment, areas {model}"
+        variables[f"wrench_{model}"] = (("time", "six"), forces[model], {"units": "N, N m", "long_name": text})
+    coordinates = {
+        "family": names,
+        "coefficient": ["w0", "w1", "w2", "w3", "w4", "w5"],
+        "time": ("time", forces["time"], {"units": "s"}),
+    }
+    return xr.Dataset(variables, coordinates, {"judge": JUDGE, "spread": SPREAD})
+
+
+def figures(dataset: xr.Dataset) -> dict[str, float]:
+    """Figures of merit: how wrong forces and moments of the judging flight are, before and after."""
+    force, moment = slice(0, 3), slice(3, 6)
+
+    def error(model: str, part: slice) -> float:
+        wrong = (dataset[f"wrench_{model}"] - dataset["wrench_true"]).isel(six=part)
+        return float(np.sqrt((wrong**2).sum("six").mean("time")))
+
+    return {
+        "rms force error, areas of the file [N]": error("file", force),
+        "rms force error, identified [N]": error("identified", force),
+        "rms moment error, areas of the file [N m]": error("file", moment),
+        "rms moment error, identified [N m]": error("identified", moment),
+        "rms true force [N]": float(np.sqrt((dataset["wrench_true"].isel(six=force) ** 2).sum("six").mean("time"))),
+        "loss at the start": float(dataset["loss"][0]),
+        "loss at the end": float(dataset["loss"][-1]),
+        "loss with the true areas": float(dataset.attrs["loss_true"]),
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,32 @@
+"""The paper's axisymmetric model: drag and normal force areas fitted per link to CFD."""
+
+from __future__ import annotations
+
+from jax_aero.aero.attack import attack, normal_directions
+from jax_aero.types import Array, pytree
+
+
+@pytree
+class Axisymmetric:
+    """The axisymmetric model of some links."""
+
+    k_a: Array
+    """() `ρ/2` [kg/m³]."""
+    areas: Array
+    """(L, 6) coefficients `w0 .. w5` [m²]."""
+
+
+def axisymmetric_forces(model: Axisymmetric, axes: Array, v_air: Array) -> Array:
+    """Return the forces on the links (L, 3) [N], inertial axes.
+
+        C_D A = w₀ + w₁ cos α + w₂ sin² α + w₃ sin³ α + w₄ cos³ α
+        F = k_a ( |v| C_D A v + w₅ sin α cos α (v × k̂) × v ),   k_a = ρ/2
+
+    Source: paper, Methods, eq. `aero-force-model`, with `C_N A = w₅ sin² α cos α` and the printed division by sin α
+    cancelled: finite for wind along the axis, zero at rest. The paper's `v_a` is `−v`.
+    """
+    speed, cos, sin = attack(axes, v_air)
+    w0, w1, w2, w3, w4, w5 = (model.areas[:, i] for i in range(6))
+    drag_area = w0 + cos * (w1 + w4 * cos * cos) + sin * sin * (w2 + w3 * sin)
+    normal = (w5 * sin * cos)[:, None] * normal_directions(axes, v_air)
+    return model.k_a * ((speed * drag_area)[:, None] * v_air + normal)

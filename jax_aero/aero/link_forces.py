@@ -1,0 +1,59 @@
+"""Forces on all links of the robot: the axes, points and velocities that a model is evaluated with.
+
+The published code misplaces the points: each way of doing so is one switch, with the physically right way as default.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from jax_aero.aero.model import AeroModel, model_forces
+from jax_aero.config import JacobianOffset, LeverArm, LinkVelocity
+from jax_aero.kinematics import frame_poses, generalised_force, velocities_at
+from jax_aero.robot import RobotModel
+from jax_aero.spatial import cross, rotate
+from jax_aero.types import Array, Kinematics, LinkForces
+
+
+class LinkConventions(NamedTuple):
+    """How points are placed: one value for the simulator, one for the controller."""
+
+    lever_arm: LeverArm = "rotated"
+    jacobian_offset: JacobianOffset = "link_rotation"
+    link_velocity: LinkVelocity = "at_centre"
+
+
+def link_forces(
+    model: AeroModel, robot: RobotModel, kin: Kinematics, conventions: LinkConventions, wind: Array
+) -> LinkForces:
+    """Place every link in the wind (3,) [m/s, inertial axes] and evaluate the model."""
+    links = robot.aero_links
+    rotations, origins = frame_poses(kin, links.bodies, links.rotations, links.positions)
+    centres = origins + rotate(rotations, links.centres)
+    arm_points = centres if conventions.lever_arm == "rotated" else origins + links.centres
+    jacobian_points = centres
+    if conventions.jacobian_offset == "base_rotation":
+        jacobian_points = origins + rotate(kin.body_rotations[:1], links.centres)
+    shifted_twice = conventions.link_velocity == "shifted_twice"
+    velocity_points = jacobian_points + links.centres if shifted_twice else centres
+    axes = rotate(rotations, links.axes)
+    v_air = wind - velocities_at(kin, links.bodies, velocity_points)
+    return LinkForces(axes, v_air, arm_points, jacobian_points, model_forces(model, axes, v_air))
+
+
+def scaled(link: LinkForces, factor: Array) -> LinkForces:
+    """Multiply every force, the strength of an aerodynamic feedback."""
+    return link._replace(forces=factor * link.forces)
+
+
+def wrench_about(link: LinkForces, point: Array) -> Array:
+    """Sum of the forces [N], then of their moments about `point` (3,) [N m]; (6,)."""
+    moments = cross(link.arm_points - point, link.forces)
+    return jnp.concatenate([link.forces.sum(0), moments.sum(0)])
+
+
+def generalised_aero_force(robot: RobotModel, kin: Kinematics, link: LinkForces, points: Array) -> Array:
+    """`Σ J_jᵀ f_j` (N,) with the forces acting at `points` (L, 3), `arm_points` or `jacobian_points`."""
+    return generalised_force(robot, kin, robot.aero_links.bodies, points, link.forces)

@@ -1,0 +1,102 @@
+"""Mass matrix, bias forces and centroidal momentum of the floating tree.
+
+    M(q) ν̇ + h(q, ν) = S τ + Σ Jᵀ f        h contains gravity
+    (l, k) = A_G(q) ν                        momentum about the centre of mass
+
+Two backends give `M` and `h`; everything else follows from these. `tree` is written for this package: sums over
+ancestors and descendants are products with one static matrix. `mjx` asks MuJoCo's JAX implementation.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, TypeAlias
+
+import jax.numpy as jnp
+import numpy as np
+
+from jax_aero.kinematics import sum_over_ancestors
+from jax_aero.linalg import solve_positive_definite
+from jax_aero.robot import RobotModel
+from jax_aero.spatial import cross, multiply, rotate, skew
+from jax_aero.types import Array, Dynamics, Kinematics, State
+
+Backend: TypeAlias = Literal["tree", "mjx"]
+
+
+def dynamics(robot: RobotModel, state: State, kin: Kinematics, backend: Backend = "tree") -> Dynamics:
+    """Rigid-body dynamics of one state; `kin` must belong to it."""
+    if backend == "mjx":
+        from jax_aero.mujoco_door import mass_matrix_and_bias  # MuJoCo is loaded only by those who ask for it
+
+        mass_matrix, bias = mass_matrix_and_bias(robot, state)
+    else:
+        mass_matrix, bias = _tree_mass_matrix_and_bias(robot, state, kin)
+    # The base's rows of M ν are the momentum and its moment about the base origin.
+    linear = mass_matrix[:3]
+    angular = mass_matrix[3:6] - skew(kin.com - kin.body_positions[0]) @ linear
+    momentum_matrix = jnp.concatenate([linear, angular.at[:, :3].set(0.0)])
+    return Dynamics(mass_matrix, bias, momentum_matrix, momentum_matrix @ state.velocity, momentum_matrix[3:, 3:6])
+
+
+def forward_dynamics(dyn: Dynamics, force: Array) -> Array:
+    """Acceleration `ν̇` (N,) under a generalised force (N,): `M ν̇ = force − h`."""
+    return solve_positive_definite(dyn.mass_matrix, (force - dyn.bias)[:, None])[:, 0]
+
+
+def _tree_mass_matrix_and_bias(robot: RobotModel, state: State, kin: Kinematics) -> tuple[Array, Array]:
+    """Composite rigid bodies and recursive Newton–Euler, in inertial axes about the base origin.
+
+    A unit velocity of joint j moves its subtree with `ω = a`, `v = (o_j − o_B) × a`; the subtree's momentum about the
+    base origin is `l = m v + a × s`, `k = I a + s × v` (s: first moment). Then `M_ij = a_i·k_j + v_i·l_j` for every
+    joint i between j and the base.
+    """
+    rotations, origin = kin.body_rotations, kin.body_positions[0]
+    arms = rotate(rotations, robot.coms)
+    coms = kin.body_positions - origin + arms
+    inertias = multiply(multiply(rotations, robot.inertias), jnp.swapaxes(rotations, -1, -2))
+
+    axes, v = kin.joint_axes, cross(kin.body_positions[1:] - origin, kin.joint_axes)
+    force, moment = _inertial_wrenches(robot, state, kin, arms, coms, inertias)
+    # Subtree sums of everything at once: mass, first moment, inertia about the base origin, force, moment.
+    first = robot.masses[:, None] * coms
+    about_origin = inertias - multiply(skew(first), skew(coms))
+    quantities = jnp.concatenate([robot.masses[:, None], first, about_origin.reshape(-1, 9), force, moment], axis=1)
+    moves = sum_over_ancestors(robot, quantities.dtype)
+    subtree = moves.T @ quantities
+    whole = quantities.sum(0)
+
+    s, inertia = subtree[:, 1:4], subtree[:, 4:13].reshape(-1, 3, 3)
+    linear = subtree[:, :1] * v + cross(axes, s)
+    angular = rotate(inertia, axes) + cross(s, v)
+    is_ancestor = moves[1:].T  # [i, j]: joint i moves the body of joint j
+    upper = is_ancestor * (axes @ angular.T + v @ linear.T)
+    below = upper * (1.0 - jnp.eye(robot.n_joints, dtype=upper.dtype))
+    base_coupling = -skew(whole[1:4])
+    base = jnp.concatenate(
+        [
+            jnp.concatenate([whole[0] * jnp.eye(3, dtype=upper.dtype), base_coupling, linear.T], axis=1),
+            jnp.concatenate([base_coupling.T, whole[4:13].reshape(3, 3), angular.T], axis=1),
+        ]
+    )
+    mass_matrix = jnp.concatenate([base, jnp.concatenate([base[:, 6:].T, upper + below.T], axis=1)])
+
+    joints = jnp.sum(axes * subtree[:, 16:19] + v * subtree[:, 13:16], axis=1)
+    return mass_matrix, jnp.concatenate([whole[13:19], joints])
+
+
+def _inertial_wrenches(
+    robot: RobotModel, state: State, kin: Kinematics, arms: Array, coms: Array, inertias: Array
+) -> tuple[Array, Array]:
+    """Force (nb, 3) and moment about the base origin (nb, 3) that each body needs if `ν̇ = 0`, gravity included."""
+    parents = np.array(robot.parent[1:])
+    moves = sum_over_ancestors(robot, state.velocity.dtype)
+    omega = kin.angular_velocities
+    spins = cross(omega[parents], kin.joint_axes) * state.velocity[6:, None]
+    alpha = moves @ spins
+    links = kin.body_positions[1:] - kin.body_positions[parents]
+    a_origin = moves @ (cross(alpha[parents], links) + cross(omega[parents], cross(omega[parents], links)))
+    a_com = a_origin + cross(alpha, arms) + cross(omega, cross(omega, arms))
+    up = jnp.array([0.0, 0.0, 1.0], dtype=state.velocity.dtype)
+    force = robot.masses[:, None] * (a_com + robot.gravity * up)
+    moment = rotate(inertias, alpha) + cross(omega, rotate(inertias, omega)) + cross(coms, force)
+    return force, moment

@@ -1,0 +1,230 @@
+"""Thrust of the jet engines, from the thrust rate that the controller commands.
+
+    JetsConfig, RobotModel ──start_jets──► JetsModel, JetsState;   thrust rate command ──advance_jets──► JetsState
+
+Two dynamics: `ideal` obeys the command exactly, as in every published flight; `second_order` is the identified engine,
+with the throttle loop and the estimator that the real robot needs. All functions serve all jets at once.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, TypeAlias
+
+import jax.numpy as jnp
+
+from jax_aero.config import Ideal, JetsConfig, SecondOrderConfig
+from jax_aero.robot import RobotModel
+from jax_aero.types import Array, Static, pytree
+
+MIN_INPUT_GAIN = 1e-9
+"""Input gains below this [N/s² per %] cannot steer: the throttle loop then holds."""
+
+
+class Engines(NamedTuple):
+    """Coefficients of the engine of every jet, each (j,); thrust T [N], throttle u [%].
+
+        T̈ = f(T, Ṫ) + g(T, Ṫ) v(u)
+        f = k_t T + k_tt T² + k_d Ṫ + k_dd Ṫ² + k_td T Ṫ + c
+        g = b_u + b_t T + b_d Ṫ,   v(u) = u + b_uu u²
+
+    Source: the published flight controller's jet model, identified on the test bench by its authors.
+    """
+
+    k_t: Array
+    k_tt: Array
+    k_d: Array
+    k_dd: Array
+    k_td: Array
+    b_u: Array
+    b_t: Array
+    b_d: Array
+    b_uu: Array
+    c: Array
+    throttle_min: Array
+    throttle_max: Array
+
+
+@pytree
+class SecondOrder:
+    """Identified engines, their throttle loop and the noise their estimator assumes."""
+
+    engines: Engines
+    rate_gain_p: Array
+    """[1/s]"""
+    rate_gain_i: Array
+    """[1/s²]"""
+    q: Array
+    """(2, 2) process noise of the estimator."""
+    r: Array
+    """() measurement noise of the estimator."""
+    feedback: Static[str]
+    """Which thrust the flight controller is given, `measured` or `estimated`."""
+
+
+JetsModel: TypeAlias = Ideal | SecondOrder
+
+
+class EngineState(NamedTuple):
+    """What second-order jets remember besides thrust and thrust rate."""
+
+    throttle: Array
+    """(j,) of the last step [%]."""
+    integral: Array
+    """(j,) `∫ (Ṫ − Ṫ*) dt` [N]."""
+    estimate: Array
+    """(j, 2) estimated thrust and thrust rate [N, N/s]."""
+    covariance: Array
+    """(j, 2, 2) of the estimate."""
+
+
+class JetsState(NamedTuple):
+    """The jets at one moment."""
+
+    thrust: Array
+    """(j,) true thrust [N]."""
+    thrust_rate: Array
+    """(j,) true thrust rate [N/s]; under ideal dynamics the last command."""
+    engine: EngineState | None
+    """`None` under ideal dynamics."""
+
+
+def start_jets(settings: JetsConfig, robot: RobotModel, thrust: Array) -> tuple[JetsModel, JetsState]:
+    """Jets at `thrust` (j,) [N] with thrust rate zero."""
+    thrust = jnp.asarray(thrust)
+    rest = JetsState(thrust, jnp.zeros_like(thrust), None)
+    if not isinstance(settings, SecondOrderConfig):
+        return settings, rest
+    names = settings.engines or robot.jets.engines
+    if unknown := set(names) - set(robot.engines):
+        raise ValueError(f"engines {sorted(unknown)} are unknown; {robot.name} has {', '.join(sorted(robot.engines))}")
+    coefficients = jnp.stack([jnp.asarray(robot.engines[name]) for name in names])
+    model = SecondOrder(
+        engines=Engines(*coefficients.T),
+        rate_gain_p=settings.rate_gain_p,
+        rate_gain_i=settings.rate_gain_i,
+        q=settings.ekf.q,
+        r=settings.ekf.r,
+        feedback=settings.feedback,
+    )
+    estimate = jnp.stack([thrust, jnp.zeros_like(thrust)], axis=1)
+    if settings.ekf.init_state is not None:
+        estimate = jnp.broadcast_to(jnp.asarray(settings.ekf.init_state), estimate.shape)
+    covariance = jnp.broadcast_to(jnp.asarray(settings.ekf.init_p), (*thrust.shape, 2, 2))
+    throttle = steady_throttle(model.engines, thrust)
+    return model, rest._replace(engine=EngineState(throttle, jnp.zeros_like(thrust), estimate, covariance))
+
+
+def thrust_feedback(model: JetsModel, state: JetsState) -> Array:
+    """Thrust that the flight controller is given (j,) [N]."""
+    if isinstance(model, SecondOrder) and state.engine is not None and model.feedback == "estimated":
+        return state.engine.estimate[:, 0]
+    return state.thrust
+
+
+def advance_jets(model: JetsModel, state: JetsState, command: Array, dt: Array | float) -> JetsState:
+    """Move every jet on by `dt` [s] under the commanded thrust rates (j,) [N/s], held constant.
+
+    Ideal: `T ← T + Ṫ* dt`, without clipping: the bounds on `Ṫ*` are the controller's. Second order: throttle from the
+    present estimate, then estimator and engine over `dt`.
+    """
+    if not isinstance(model, SecondOrder) or state.engine is None:
+        return JetsState(state.thrust + dt * command, command, None)
+    throttle, integral = _throttle_loop(model, state.engine, command, dt)
+    estimate, covariance = _update_ekf(model, state.engine, state.thrust, throttle, dt)
+    # T̈ at the start of the step, as in the published simulator.
+    acceleration = thrust_acceleration(model.engines, state.thrust, state.thrust_rate, throttle)
+    return JetsState(
+        thrust=state.thrust + dt * (state.thrust_rate + 0.5 * dt * acceleration),
+        thrust_rate=state.thrust_rate + dt * acceleration,
+        engine=EngineState(throttle, integral, estimate, covariance),
+    )
+
+
+def drift(e: Engines, thrust: Array, thrust_rate: Array) -> Array:
+    """`f(T, Ṫ)` [N/s²]: thrust acceleration with `v = 0`."""
+    along = thrust * (e.k_t + e.k_tt * thrust + e.k_td * thrust_rate)
+    return along + thrust_rate * (e.k_d + e.k_dd * thrust_rate) + e.c
+
+
+def input_gain(e: Engines, thrust: Array, thrust_rate: Array) -> Array:
+    """`g(T, Ṫ)` [N/s² per %]; changes sign where the thrust rises fast."""
+    return e.b_u + e.b_t * thrust + e.b_d * thrust_rate
+
+
+def throttle_input(e: Engines, throttle: Array) -> Array:
+    """`v(u) = u + b_uu u²` [%] of a throttle [%]."""
+    return throttle * (1.0 + e.b_uu * throttle)
+
+
+def throttle_from_input(e: Engines, v: Array) -> Array:
+    """Throttle [%] with `v(u) = v`, on the branch through zero: `u = 2 v/(1 + √max(0, 1 + 4 b_uu v))`.
+
+    The published `(−1 + √…)/(2 b_uu)` with the root moved below: also right at `b_uu = 0`. Where no throttle reaches
+    `v`, the one at the parabola's top, so that the answer stays continuous.
+    """
+    discriminant = 1.0 + 4.0 * e.b_uu * v
+    is_past_top = discriminant <= 0.0
+    root = jnp.sqrt(jnp.where(is_past_top, 1.0, discriminant))
+    top = -0.5 / jnp.where(e.b_uu == 0.0, 1.0, e.b_uu)
+    return jnp.where(is_past_top, top, 2.0 * v / (1.0 + root))
+
+
+def steady_throttle(e: Engines, thrust: Array) -> Array:
+    """Throttle [%] that holds a thrust [N]: `f(T, 0) + g(T, 0) v(u) = 0`, within the limits."""
+    rest = jnp.zeros_like(thrust)
+    gain = input_gain(e, thrust, rest)
+    acts = jnp.abs(gain) >= MIN_INPUT_GAIN
+    v = -drift(e, thrust, rest) / jnp.where(acts, gain, 1.0)
+    return jnp.where(acts, _limited_throttle(e, v), e.throttle_min)
+
+
+def thrust_acceleration(e: Engines, thrust: Array, thrust_rate: Array, throttle: Array) -> Array:
+    """`T̈` [N/s²] at a throttle [%], which is limited first."""
+    v = throttle_input(e, jnp.clip(throttle, e.throttle_min, e.throttle_max))
+    return drift(e, thrust, thrust_rate) + input_gain(e, thrust, thrust_rate) * v
+
+
+def _limited_throttle(e: Engines, v: Array) -> Array:
+    limited = jnp.clip(v, throttle_input(e, e.throttle_min), throttle_input(e, e.throttle_max))
+    return jnp.clip(throttle_from_input(e, limited), e.throttle_min, e.throttle_max)
+
+
+def _throttle_loop(model: SecondOrder, state: EngineState, command: Array, dt: Array | float) -> tuple[Array, Array]:
+    """Feedback linearisation of the engine to `T̈ = −k_p e − k_i ∫e`, `e = Ṫ − Ṫ*`: new throttle and integral.
+
+        v = −( k_p e + f(T, Ṫ) + k_i ∫e ) / g(T, Ṫ),   u = v⁻¹(clamp v)
+
+    Source: the published controller. Where `g` is zero or a number is not finite the throttle holds. No anti-windup,
+    as published.
+    """
+    thrust, rate = state.estimate[:, 0], state.estimate[:, 1]
+    error = rate - command
+    gain = input_gain(model.engines, thrust, rate)
+    acts = jnp.abs(gain) >= MIN_INPUT_GAIN
+    feedback = model.rate_gain_p * error + drift(model.engines, thrust, rate) + model.rate_gain_i * state.integral
+    wanted = -feedback / jnp.where(acts, gain, 1.0)
+    acts = acts & jnp.isfinite(wanted)
+    throttle = _limited_throttle(model.engines, jnp.where(acts, wanted, 0.0))
+    return jnp.where(acts, throttle, state.throttle), state.integral + jnp.where(acts, dt * error, 0.0)
+
+
+def _update_ekf(
+    model: SecondOrder, state: EngineState, measured: Array, throttle: Array, dt: Array | float
+) -> tuple[Array, Array]:
+    """Advance the extended Kalman filter of every engine: continuous-time form, forward Euler.
+
+    x̂˙ = ( Ṫ, T̈(x̂, u) ) + P Cᵀ R⁻¹ (y − T),   C = (1 0)
+    Ṗ = A P + P Aᵀ + Q − P Cᵀ R⁻¹ C P,   A = ∂(Ṫ, T̈)/∂x at (x̂, u)
+    """
+    e = model.engines
+    thrust, rate = state.estimate[:, 0], state.estimate[:, 1]
+    v = throttle_input(e, jnp.clip(throttle, e.throttle_min, e.throttle_max))
+    by_thrust = e.k_t + 2.0 * e.k_tt * thrust + e.k_td * rate + e.b_t * v
+    by_rate = e.k_d + 2.0 * e.k_dd * rate + e.k_td * thrust + e.b_d * v
+    p = state.covariance
+    spread = jnp.stack([p[:, 1], by_thrust[:, None] * p[:, 0] + by_rate[:, None] * p[:, 1]], axis=1)
+    gain = p[:, :, 0] / model.r
+    flow = jnp.stack([rate, thrust_acceleration(e, thrust, rate, throttle)], axis=1)
+    estimate = state.estimate + dt * (flow + gain * (measured - thrust)[:, None])
+    learned = gain[:, :, None] * gain[:, None, :] * model.r
+    return estimate, p + dt * (spread + jnp.swapaxes(spread, 1, 2) + model.q - learned)

@@ -1,0 +1,106 @@
+"""From a state to poses, velocities, centre of mass and Jacobians.
+
+Only rotations are composed along the tree. Everything else a body inherits from its ancestors is a sum over them, so
+it is one product with the static matrix of ancestors: few large operations instead of a loop over bodies.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+
+from jax_aero.robot import RobotModel
+from jax_aero.spatial import axis_angle, cross, multiply, rotate, skew
+from jax_aero.types import Array, Kinematics, State
+
+
+def kinematics(robot: RobotModel, state: State) -> Kinematics:
+    """Poses and velocities of all bodies, and the centre of mass."""
+    n = robot.n_joints
+    parents = np.array(robot.parent[1:])
+    moves = sum_over_ancestors(robot, state.velocity.dtype)
+    local = multiply(robot.joint_rotations, axis_angle(jnp.asarray(robot.joint_axes), state.joint_position))
+    rotations = _compose_along_tree(robot, state.base_rotation, local)
+    # Offset of each body from its parent, and the joint's axis, which is the same vector in child and joint frame.
+    arms = rotate(rotations[parents], robot.joint_positions)
+    axes = rotate(rotations[1:], robot.joint_axes)
+    spins = axes * state.velocity[6:, None]
+    angular = state.velocity[3:6] + moves @ spins
+    positions = state.base_position + moves @ arms
+    linear = state.velocity[:3] + moves @ cross(angular[parents], arms)
+    offsets = rotate(rotations, robot.coms) + (positions - state.base_position)
+    com = state.base_position + robot.masses @ offsets / robot.masses.sum()
+    assert axes.shape == (n, 3)
+    return Kinematics(rotations, positions, axes, com, angular, linear)
+
+
+def sum_over_ancestors(robot: RobotModel, dtype: np.dtype[np.generic] | type) -> Array:
+    """(nb, n) matrix that sums, for every body, over the joints between it and the base."""
+    return jnp.asarray(robot.ancestors, dtype)
+
+
+def _compose_along_tree(robot: RobotModel, base_rotation: Array, local: Array) -> Array:
+    """Rotations of all bodies from those relative to the parent, level by level: (nb, 3, 3).
+
+    Bodies of one level are multiplied together; a static permutation puts the levels into the order of the bodies.
+    """
+    levels = robot.levels
+    place_in_level = {body: place for level in levels for place, body in enumerate(level)}
+    done = [base_rotation[None]]
+    for level in levels[1:]:
+        parents = np.array([place_in_level[robot.parent[body]] for body in level])
+        done.append(multiply(done[-1][parents], local[np.array(level) - 1]))
+    order = np.argsort(np.concatenate([np.array(level) for level in levels]))
+    return jnp.concatenate(done)[order]
+
+
+def jacobian(robot: RobotModel, kin: Kinematics, body: int, point: Array) -> tuple[Array, Array]:
+    """Linear and angular Jacobian (3, N) of the point of `body` that is at `point` [m] now."""
+    linear, angular = point_jacobians(robot, kin, (body,), point[None])
+    return linear[0], angular[0]
+
+
+def point_jacobians(robot: RobotModel, kin: Kinematics, bodies: tuple[int, ...], points: Array) -> tuple[Array, Array]:
+    """Linear and angular Jacobians (k, 3, N), (k, 3, N) of points (k, 3) that move with `bodies`.
+
+    Base translation gives the columns `(e_k, 0)`, base rotation `(e_k × r, e_k)`, joint j `(a × (p − o_j), a)` if it
+    moves the body.
+    """
+    k, dtype = len(bodies), points.dtype
+    moves = jnp.asarray(robot.ancestors[np.array(bodies, dtype=int)], dtype)[..., None]
+    unit = jnp.broadcast_to(jnp.eye(3, dtype=dtype), (k, 3, 3))
+    arms = points[:, None, :] - kin.body_positions[None, 1:, :]
+    columns = moves * cross(kin.joint_axes[None], arms)
+    turned = -skew(points - kin.body_positions[0])
+    linear = jnp.concatenate([unit, turned, jnp.swapaxes(columns, 1, 2)], axis=2)
+    axes = jnp.swapaxes(moves * kin.joint_axes[None], 1, 2)
+    angular = jnp.concatenate([jnp.zeros_like(unit), unit, axes], axis=2)
+    return linear, angular
+
+
+def generalised_force(
+    robot: RobotModel, kin: Kinematics, bodies: tuple[int, ...], points: Array, forces: Array
+) -> Array:
+    """`Σ J_kᵀ f_k` (N,) of forces (k, 3) [N] on `bodies` at `points` (k, 3), without forming a Jacobian.
+
+    A joint feels the force and moment of all it carries: `τ_j = a · (Σ p × f − o_j × Σ f)`, about the base origin.
+    """
+    origin = kin.body_positions[0]
+    moves = jnp.asarray(robot.ancestors[np.array(bodies, dtype=int)], forces.dtype)
+    moments = cross(points - origin, forces)
+    carried = moves.T @ jnp.concatenate([forces, moments], axis=1)
+    about_joint = carried[:, 3:] - cross(kin.body_positions[1:] - origin, carried[:, :3])
+    return jnp.concatenate([forces.sum(0), moments.sum(0), jnp.sum(kin.joint_axes * about_joint, axis=1)])
+
+
+def velocities_at(kin: Kinematics, bodies: tuple[int, ...], points: Array) -> Array:
+    """Velocities (k, 3) [m/s] of the points (k, 3) that move with `bodies`."""
+    b = np.array(bodies, dtype=int)
+    return kin.linear_velocities[b] + cross(kin.angular_velocities[b], points - kin.body_positions[b])
+
+
+def frame_poses(kin: Kinematics, bodies: tuple[int, ...], rotations: Array, positions: Array) -> tuple[Array, Array]:
+    """Rotations (k, 3, 3) and origins (k, 3) in inertial axes of frames given in their bodies."""
+    b = np.array(bodies, dtype=int)
+    carriers = kin.body_rotations[b]
+    return multiply(carriers, rotations), rotate(carriers, positions) + kin.body_positions[b]

@@ -1,0 +1,169 @@
+"""The one door to MuJoCo: its model of our robot, its conventions, its smooth dynamics in JAX.
+
+A free joint's velocity is world-linear but body-angular there, and bodies stand in depth-first order; here velocities
+are mixed (both parts in inertial axes) and joints stand in the order of the robot's TOML file. Of MJX only kinematics,
+composite inertias and Newton–Euler are used: no contact, no constraint, no integrator, so reverse mode needs no flags.
+
+It stands below `dynamics`, not in `sim`, because `dynamics` offers it as a backend.
+"""
+
+from __future__ import annotations
+
+import functools
+import tomllib
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import mujoco  # type: ignore[import-untyped]
+import numpy as np
+from mujoco import mjx
+from numpy.typing import NDArray
+
+from jax_aero.robot import RobotModel
+from jax_aero.spatial import multiply, rotate, rotate_back, rotation_from_wxyz, skew, wxyz_from_rotation
+from jax_aero.types import Array, State
+
+
+class Order(NamedTuple):
+    """How MuJoCo orders what we order by the robot's TOML file."""
+
+    bodies: NDArray[np.int64]
+    """MuJoCo body of each of our bodies (its body 0 is the world)."""
+    dofs: NDArray[np.int64]
+    """MuJoCo degree of freedom of each of our velocities."""
+    joints: NDArray[np.int64]
+    """Place of each joint position in `qpos`."""
+
+
+def mujoco_spec(source: str) -> Any:
+    """MuJoCo's description of the robot: its URDF with a free joint, motors on the joints, sites at jets and links."""
+    toml_path = Path(source)
+    table = tomllib.loads(toml_path.read_text())
+    spec = mujoco.MjSpec.from_string(toml_path.with_name(table["urdf"]).read_text())
+    spec.option.gravity = [0.0, 0.0, -table.get("gravity", 9.81)]
+    # Joint limits and friction would make MJX carry a constraint solver through the flight.
+    spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT) | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    spec.body(table["base_link"]).add_freejoint()
+    for name, position in table.get("locked", {}).items():
+        joint = next(joint for joint in spec.joints if joint.name == name)
+        turn, carrier = np.zeros(4), np.zeros(4)
+        mujoco.mju_axisAngle2Quat(turn, joint.axis, position)
+        mujoco.mju_mulQuat(carrier, joint.parent.quat, turn)
+        joint.parent.quat = carrier
+        spec.delete(joint)
+    for entry in table.get("jets", []):
+        spec.body(entry["frame"]).add_site(name=f"jet_{entry['name']}")
+    for entry in table.get("aero_links", []):
+        spec.body(entry["frame"]).add_site(name=f"aero_{entry['name']}", pos=entry["centre"])
+    for entry in (joint for group in table["joint_groups"] for joint in group["joints"]):
+        motor = spec.add_actuator(name=entry["name"], target=entry["name"], trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.set_to_motor()
+    return spec
+
+
+@functools.lru_cache
+def mujoco_model(source: str) -> Any:
+    """Return the compiled `mujoco.MjModel` of the robot whose TOML file is `source`."""
+    return mujoco_spec(source).compile()
+
+
+@functools.lru_cache
+def order_of(source: str, joint_names: tuple[str, ...]) -> Order:
+    """Find our bodies, velocities and joint positions in MuJoCo's arrays."""
+    model = mujoco_model(source)
+    joints = np.array([model.joint(name).id for name in joint_names], dtype=np.int64)
+    base = int(np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)[0])
+    return Order(
+        bodies=np.concatenate([[model.jnt_bodyid[base]], model.jnt_bodyid[joints]]).astype(np.int64),
+        dofs=np.concatenate([np.arange(6) + model.jnt_dofadr[base], model.jnt_dofadr[joints]]).astype(np.int64),
+        joints=model.jnt_qposadr[joints].astype(np.int64),
+    )
+
+
+def to_mujoco(robot: RobotModel, state: State) -> tuple[Array, Array]:
+    """`qpos` and `qvel` of a state."""
+    order = order_of(robot.source, robot.joint_names)
+    dtype = state.velocity.dtype
+    n = 7 + robot.n_joints
+    qpos = jnp.zeros(n, dtype).at[:3].set(state.base_position).at[3:7].set(wxyz_from_rotation(state.base_rotation))
+    qpos = qpos.at[order.joints].set(state.joint_position)
+    angular_b = rotate_back(state.base_rotation, state.velocity[3:6])
+    ours = jnp.concatenate([state.velocity[:3], angular_b, state.velocity[6:]])
+    return qpos, jnp.zeros(n - 1, dtype).at[order.dofs].set(ours)
+
+
+def from_mujoco(robot: RobotModel, qpos: Array, qvel: Array) -> State:
+    """Inverse of `to_mujoco`."""
+    order = order_of(robot.source, robot.joint_names)
+    rotation = rotation_from_wxyz(qpos[3:7])
+    ours = qvel[order.dofs]
+    velocity = jnp.concatenate([ours[:3], rotate(rotation, ours[3:6]), ours[6:]])
+    return State(qpos[:3], rotation, qpos[order.joints], velocity)
+
+
+def mass_matrix_and_bias(robot: RobotModel, state: State) -> tuple[Array, Array]:
+    """`M` (N, N) and `h` (N,) in our order and mixed velocities, from MJX.
+
+    With `ν_mj = T ν`, `T = blkdiag(1, Rᵀ, 1)`: `M = Tᵀ M_mj T` and `h = Tᵀ h_mj`, for `Ṫ ν = −Rᵀ (ω × ω) = 0`.
+    """
+    order = order_of(robot.source, robot.joint_names)
+    model = _mjx_model(robot, state.velocity.dtype)
+    data = _smooth(robot, model, *to_mujoco(robot, state))
+    m = mjx.full_m(model, data)[order.dofs[:, None], order.dofs]
+    r = state.base_rotation
+    rows = jnp.concatenate([m[:3], r @ m[3:6], m[6:]])
+    mass_matrix = jnp.concatenate([rows[:, :3], rows[:, 3:6] @ r.T, rows[:, 6:]], axis=1)
+    bias = data.qfrc_bias[order.dofs]
+    return mass_matrix, jnp.concatenate([bias[:3], r @ bias[3:6], bias[6:]])
+
+
+def _smooth(robot: RobotModel, model: Any, qpos: Array, qvel: Array) -> Any:
+    """MJX data with mass matrix and bias of a state."""
+    with jax.ensure_compile_time_eval():
+        data = mjx.make_data(mujoco_model(robot.source))
+    data = mjx.com_pos(model, mjx.kinematics(model, data.replace(qpos=qpos, qvel=qvel)))
+    data = data.tree_replace({"_impl.cinert": _inertias_about_com(robot, data)})
+    return mjx.rne(model, mjx.com_vel(model, mjx.crb(model, data)))
+
+
+def _inertias_about_com(robot: RobotModel, data: Any) -> Array:
+    """Inertia of every body about the centre of mass of the whole, in MJX's ten numbers.
+
+    MJX starts from principal moments; the robot's full tensors spare a decomposition, which has no gradient where two
+    moments are equal.
+    """
+    bodies = order_of(robot.source, robot.joint_names).bodies
+    rotations = data.xmat[bodies]
+    offsets = data.xipos[bodies] - data.subtree_com[bodies[0]]
+    mass = jnp.asarray(robot.masses, offsets.dtype)[:, None]
+    tensor = multiply(multiply(rotations, robot.inertias), jnp.swapaxes(rotations, -1, -2))
+    tensor = tensor - mass[..., None] * multiply(skew(offsets), skew(offsets))
+    triangle = tensor[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    return jnp.zeros_like(data._impl.cinert).at[bodies].set(jnp.concatenate([triangle, offsets * mass, mass], axis=1))
+
+
+def _mjx_model(robot: RobotModel, dtype: Any) -> Any:
+    """Return MJX's model with the numbers of `robot`, which may be traced; only the structure comes from the file."""
+    bodies = order_of(robot.source, robot.joint_names).bodies
+    with jax.ensure_compile_time_eval():
+        model = _structure(robot.source, jnp.dtype(dtype).name)
+    down = jnp.array([0.0, 0.0, -1.0], dtype)
+    joints = np.array([mujoco_model(robot.source).joint(name).id for name in robot.joint_names], dtype=np.int64)
+    return model.tree_replace(
+        {
+            "opt.gravity": robot.gravity * down,
+            "body_mass": model.body_mass.at[bodies].set(robot.masses),
+            "body_ipos": model.body_ipos.at[bodies].set(robot.coms),
+            "body_pos": model.body_pos.at[bodies[1:]].set(robot.joint_positions),
+            "body_quat": model.body_quat.at[bodies[1:]].set(wxyz_from_rotation(jnp.asarray(robot.joint_rotations))),
+            "jnt_axis": model.jnt_axis.at[joints].set(robot.joint_axes),
+        }
+    )
+
+
+@functools.lru_cache
+def _structure(source: str, dtype: str) -> Any:
+    model = mjx.put_model(mujoco_model(source))
+    return jax.tree.map(lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, model)

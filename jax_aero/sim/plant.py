@@ -1,0 +1,164 @@
+"""The flying robot as physics sees it: rigid bodies, thrusts and wind.
+
+    M(q) ν̇ = S τ + Σ Jᵀ T a + w_aero − h(q, ν)
+
+There is no ground, no joint friction, no motor inertia and no joint limit: none of them acts in a flight that succeeds,
+and one that fails ends with its fall. Integration is that of the Rust crate, step for step.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from jax_aero.aero import (
+    AeroModel,
+    ForceFactors,
+    LinkConventions,
+    aero_model,
+    force_factors,
+    generalised_aero_force,
+    link_forces,
+    weighted,
+)
+from jax_aero.config import SimulatorConfig
+from jax_aero.dynamics import Backend, dynamics, forward_dynamics
+from jax_aero.jets import JetsModel, JetsState, advance_jets, start_jets
+from jax_aero.kinematics import frame_poses, generalised_force, kinematics
+from jax_aero.robot import RobotModel
+from jax_aero.spatial import exp_so3, multiply, rotate, rotation_from_rpy
+from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, State, Static, pytree
+
+
+@pytree
+class Plant:
+    """The world: its numbers are leaves, its switches structure."""
+
+    robot: RobotModel
+    aero: AeroModel
+    aero_factors: ForceFactors | None
+    """Factors on the forces of `aero`."""
+    jets: JetsModel
+    time_step: Array
+    """() [s]."""
+    lever_arm: Static[str]
+    integrator: Static[str]
+    substeps: Static[int]
+    is_frozen: Static[bool]
+    """Whether links stay where they were at the first tick, as far as the air is concerned (published)."""
+    backend: Static[Backend]
+
+
+class PlantState(NamedTuple):
+    """Everything the world remembers."""
+
+    robot: State
+    jets: JetsState
+    first: State | None
+    """State of the first tick, where the aerodynamics is frozen."""
+
+
+class Observation(NamedTuple):
+    """Everything that follows from a plant state and the wind."""
+
+    kinematics: Kinematics
+    dynamics: Dynamics
+    placed: Kinematics
+    """Kinematics that place the links in the wind: the current ones, or the frozen ones."""
+    link_forces: LinkForces
+
+
+def start_plant(config: SimulatorConfig, robot: RobotModel, backend: Backend = "tree") -> tuple[Plant, PlantState]:
+    """Build a world and the state in which the first tick finds it."""
+    initial = config.initial
+    jets, jets_state = start_jets(config.jets, robot, initial.thrust)
+    plant = Plant(
+        robot=robot,
+        aero=aero_model(config.aero, robot),
+        aero_factors=None if config.aero_factors is None else force_factors(config.aero_factors, robot),
+        jets=jets,
+        time_step=jnp.asarray(config.time_step, jnp.asarray(initial.joint_position).dtype),
+        lever_arm=config.lever_arm,
+        integrator=config.integrator,
+        substeps=config.substeps,
+        is_frozen=config.kinematics == "frozen",
+        backend=backend,
+    )
+    joint_position = jnp.asarray(initial.joint_position)
+    state = State(
+        base_position=jnp.asarray(initial.base_position),
+        base_rotation=rotation_from_rpy(jnp.deg2rad(initial.base_rpy_deg)),
+        joint_position=joint_position,
+        velocity=jnp.concatenate([jnp.asarray(initial.base_velocity), jnp.zeros_like(joint_position)]),
+    )
+    if initial.free_fall_tick:
+        state = _fall_freely(plant, state)
+    return plant, PlantState(state, jets_state, state if plant.is_frozen else None)
+
+
+def observe(
+    plant: Plant, state: PlantState, wind: Array, known: tuple[Kinematics, Dynamics] | None = None
+) -> Observation:
+    """Evaluate everything that depends on the state, in the given wind (3,) [m/s].
+
+    `known` are kinematics and dynamics of this robot in this state, where someone has them already.
+    """
+    if known is None:
+        kin = kinematics(plant.robot, state.robot)
+        known = kin, dynamics(plant.robot, state.robot, kin, plant.backend)
+    kin, dyn = known
+    placed = kin
+    if state.first is not None:
+        placed = kinematics(plant.robot, state.first._replace(velocity=state.robot.velocity))
+    conventions = LinkConventions(lever_arm="unrotated" if plant.lever_arm == "unrotated" else "rotated")
+    forces = link_forces(plant.aero, plant.robot, placed, conventions, wind)
+    if plant.aero_factors is not None:
+        forces = weighted(forces, plant.aero_factors)
+    return Observation(kin, dyn, placed, forces)
+
+
+def advance(
+    plant: Plant, state: PlantState, seen: Observation, torque: Array, thrust_rate: Array, wind: Array
+) -> PlantState:
+    """Advance one tick under held torques (n,) [N m] and commanded thrust rates (j,) [N/s].
+
+    `seen` is the observation of `state`; later physics steps of the tick observe anew, commands are held.
+    """
+    step = plant.time_step / plant.substeps
+    robot = _advance_robot(plant, state, seen, torque, step)
+    for _ in range(plant.substeps - 1):
+        between = state._replace(robot=robot)
+        robot = _advance_robot(plant, between, observe(plant, between, wind), torque, step)
+    return state._replace(robot=robot, jets=advance_jets(plant.jets, state.jets, thrust_rate, plant.time_step))
+
+
+def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: Array, step: Array) -> State:
+    robot, kin = plant.robot, seen.kinematics
+    rotations, points = frame_poses(kin, robot.jets.bodies, robot.jets.rotations, robot.jets.positions)
+    thrusts = state.jets.thrust[:, None] * rotate(rotations, robot.jets.axes)
+    # One point for moment and Jacobian: a rigid body cannot tell them apart.
+    force = (
+        generalised_force(robot, kin, robot.jets.bodies, points, thrusts)
+        + generalised_aero_force(robot, seen.placed, seen.link_forces, seen.link_forces.arm_points)
+        + jnp.concatenate([jnp.zeros_like(state.robot.velocity[:6]), torque])
+    )
+    return integrate(plant, state.robot, forward_dynamics(seen.dynamics, force), step)
+
+
+def _fall_freely(plant: Plant, state: State) -> State:
+    """Take the first step of the published model: gravity alone."""
+    dyn = dynamics(plant.robot, state, kinematics(plant.robot, state), plant.backend)
+    return integrate(plant, state, forward_dynamics(dyn, jnp.zeros_like(state.velocity)), plant.time_step)
+
+
+def integrate(plant: Plant, state: State, acceleration: Array, step: Array) -> State:
+    """One Euler step of `step` [s]: pose with the new velocity (semi-implicit) or with the old one (explicit)."""
+    velocity = state.velocity + step * acceleration
+    moving = velocity if plant.integrator == "semi_implicit_euler" else state.velocity
+    return State(
+        base_position=state.base_position + step * moving[:3],
+        base_rotation=multiply(exp_so3(step * moving[3:6]), state.base_rotation),
+        joint_position=state.joint_position + step * moving[6:],
+        velocity=velocity,
+    )

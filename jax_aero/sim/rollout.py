@@ -1,0 +1,143 @@
+"""Flights from start to end: a scan over ticks for gradients and batches, and `fly` for one flight with its log.
+
+>>> from jax_aero import reference
+>>> from jax_aero.sim import fly
+>>> config = reference.load_config("configs/experiments/test2.toml", {"simulator.duration": 0.05})
+>>> fly(config)["thrust"].shape
+(6, 4)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax_aero import reference
+from jax_aero.config import flight_config
+from jax_aero.dynamics import Backend
+from jax_aero.robot import load_robot
+from jax_aero.sim.step import (
+    FLYING,
+    LOST_BY_COM,
+    LOST_BY_ROTATION,
+    Flight,
+    FlightRow,
+    FlightState,
+    prepare,
+    step,
+)
+from jax_aero.sim.summary import summarise
+from jax_aero.types import Array, with_dtype
+
+Kept = TypeVar("Kept")
+
+CHECKPOINT_EVERY = 50
+"""Ticks between the states that reverse mode stores; those between are computed again."""
+
+CHUNK = 250
+"""Ticks that `fly` flies between two looks at the fall and at the keyboard."""
+
+
+def everything(row: FlightRow) -> FlightRow:
+    """Keep the whole row."""
+    return row
+
+
+def rollout(
+    flight: Flight,
+    state: FlightState,
+    n_ticks: int,
+    keep: Callable[[FlightRow], Kept],
+    first_tick: Array | int = 0,
+    checkpoint_every: int = CHECKPOINT_EVERY,
+) -> tuple[FlightState, Kept]:
+    """Fly `n_ticks` ticks; return the state after them and, tick by tick, what `keep` takes from every row.
+
+    Pure: `jit`, `vmap` and `grad` it. Reverse mode stores one state in `checkpoint_every` ticks and what `keep` takes,
+    so its memory does not grow with all that happens within a tick.
+    """
+
+    def one(state: FlightState, tick: Array) -> tuple[FlightState, Kept]:
+        state, row = step(flight, state, tick)
+        return state, keep(row)
+
+    @partial(jax.checkpoint, prevent_cse=False)
+    def several(state: FlightState, ticks: Array) -> tuple[FlightState, Kept]:
+        return jax.lax.scan(one, state, ticks)
+
+    ticks = first_tick + jnp.arange(n_ticks, dtype=jnp.int32)
+    whole = n_ticks // checkpoint_every
+    parts: list[Kept] = []
+    if whole:
+        state, rows = jax.lax.scan(several, state, ticks[: whole * checkpoint_every].reshape(whole, checkpoint_every))
+        parts.append(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), rows))
+    if n_ticks % checkpoint_every:
+        state, rows = several(state, ticks[whole * checkpoint_every :])
+        parts.append(rows)
+    kept: Kept = jax.tree.map(lambda *x: jnp.concatenate(x), *parts)
+    return state, kept
+
+
+@jax.jit(static_argnames=("n_ticks",))
+def fly_chunk(flight: Flight, state: FlightState, first_tick: Array, n_ticks: int) -> tuple[FlightState, FlightRow]:
+    """Fly some ticks forwards, with the whole log."""
+
+    def one(state: FlightState, tick: Array) -> tuple[FlightState, FlightRow]:
+        return step(flight, state, tick)
+
+    return jax.lax.scan(one, state, first_tick + jnp.arange(n_ticks, dtype=jnp.int32))
+
+
+def fly(
+    config: Mapping[str, Any],
+    progress: reference.Progress | None = None,
+    *,
+    backend: Backend = "tree",
+    dtype: Any = np.float64,
+) -> reference.Flight:
+    """Fly one configuration from start to end, or to the fall, as `reference.fly` does and with the same result.
+
+    Works in double precision unless told otherwise, whatever JAX is set to.
+    """
+    with jax.enable_x64(True):
+        typed = flight_config(config)
+        flight, state = with_dtype(prepare(typed, load_robot(typed.robot), backend), dtype)
+        n_ticks = typed.simulator.n_ticks
+        posture = np.asarray(state.memory.posture, np.float64)
+        rows: list[FlightRow] = []
+        for first in range(0, n_ticks + 1, CHUNK):
+            # Chunks are of one length, so that they compile once; the last one flies beyond the end.
+            state, chunk = fly_chunk(flight, state, jnp.array(first, jnp.int32), CHUNK)
+            rows.append(jax.device_get(chunk))
+            if progress is not None:
+                progress(min(first + CHUNK, n_ticks), n_ticks)
+            if int(state.fall) != FLYING:
+                break
+    end = int(state.fall_tick) if 0 <= int(state.fall_tick) <= n_ticks else n_ticks
+    log = {
+        name: np.concatenate([np.asarray(getattr(chunk, name), np.float64) for chunk in rows])[: end + 1]
+        for name in FlightRow._fields
+    }
+    fell = 0 <= int(state.fall_tick) <= n_ticks
+    return reference.Flight(
+        log=log,
+        joint_reference=posture,
+        outcome="fell" if fell else "completed",
+        fall_time=float(log["time"][-1]) if fell else None,
+        fall_reason=fall_reason(int(state.fall), float(state.fall_error)) if fell else None,
+        summary=summarise(log, posture),
+    )
+
+
+def fall_reason(fall: int, error: float) -> str:
+    """Say in words why a flight was lost."""
+    if fall == LOST_BY_ROTATION:
+        return f"rotation error {np.rad2deg(error):.1f} deg"
+    if fall == LOST_BY_COM:
+        return f"CoM error {error:.2f} m"
+    return "state not finite"

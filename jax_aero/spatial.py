@@ -1,0 +1,155 @@
+"""Rotations and small vectors, written so that reverse and forward mode stay finite everywhere.
+
+Transforms are named `a_from_b`: `p_a = a_from_b @ p_b`. Quaternions are `wxyz`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import jax.numpy as jnp
+
+from jax_aero.types import Array
+
+
+def skew(v: Array) -> Array:
+    """Matrix `S(v)` with `S(v) u = v × u`; (..., 3) to (..., 3, 3)."""
+    x, y, z = v[..., 0], v[..., 1], v[..., 2]
+    o = jnp.zeros_like(x)
+    return jnp.stack([jnp.stack([o, -z, y], -1), jnp.stack([z, o, -x], -1), jnp.stack([-y, x, o], -1)], -2)
+
+
+def multiply(a: Array, b: Array) -> Array:
+    """Multiply 3×3 matrices (..., 3, 3) as sums of products, which XLA fuses; small dots it calls one by one."""
+    return sum_of_three(a[..., :, k, None] * b[..., None, k, :] for k in range(3))
+
+
+def rotate(a: Array, v: Array) -> Array:
+    """Return `A v` of 3×3 matrices (..., 3, 3) and vectors (..., 3); see `multiply`."""
+    return sum_of_three(a[..., :, k] * v[..., k, None] for k in range(3))
+
+
+def rotate_back(a: Array, v: Array) -> Array:
+    """Return `Aᵀ v` of 3×3 matrices (..., 3, 3) and vectors (..., 3); see `multiply`."""
+    return sum_of_three(a[..., k, :] * v[..., k, None] for k in range(3))
+
+
+def sum_of_three(terms: Iterable[Array]) -> Array:
+    """Sum without starting from a Python zero."""
+    a, b, c = terms
+    return a + b + c
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Return `a × b` over the last axis."""
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return jnp.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
+
+
+def vee_of_skew_part(a: Array) -> Array:
+    """Vector of the antisymmetric part, `sk(A)^∨` with `sk(A) = (A − Aᵀ)/2`; inverse of `skew`."""
+    return 0.5 * jnp.stack([a[..., 2, 1] - a[..., 1, 2], a[..., 0, 2] - a[..., 2, 0], a[..., 1, 0] - a[..., 0, 1]], -1)
+
+
+def exp_so3(phi: Array) -> Array:
+    """Rotation by the vector `phi` [rad]: `exp(S(φ)) = I + A S + B S²`.
+
+    `A = sin θ/θ` and `B = (1 − cos θ)/θ²` are even in θ, so they are functions of `θ²` and smooth at zero.
+    """
+    square = jnp.sum(phi * phi, -1)[..., None, None]
+    a, b = _sinc_and_cosc(square)
+    s = skew(phi)
+    return jnp.eye(3, dtype=phi.dtype) + a * s + b * multiply(s, s)
+
+
+def _sinc_and_cosc(square: Array) -> tuple[Array, Array]:
+    """`sin θ/θ` and `(1 − cos θ)/θ²` as functions of `θ²`."""
+    is_small = square < 1e-2
+    # `where` alone is not enough: both branches are differentiated, and d√u/du is infinite at 0.
+    theta = jnp.sqrt(jnp.where(is_small, 1.0, square))
+    half = jnp.sin(0.5 * theta) / (0.5 * theta)
+    u = square
+    sinc = 1.0 - u / 6.0 * (1.0 - u / 20.0 * (1.0 - u / 42.0 * (1.0 - u / 72.0 * (1.0 - u / 110.0))))
+    cosc = 0.5 * (1.0 - u / 12.0 * (1.0 - u / 30.0 * (1.0 - u / 56.0 * (1.0 - u / 90.0 * (1.0 - u / 132.0)))))
+    return jnp.where(is_small, sinc, jnp.sin(theta) / theta), jnp.where(is_small, cosc, 0.5 * half * half)
+
+
+def axis_angle(axis: Array, angle: Array) -> Array:
+    """Rotation about a unit axis by an angle [rad]; (..., 3) and (...) to (..., 3, 3)."""
+    s, c = jnp.sin(angle)[..., None, None], jnp.cos(angle)[..., None, None]
+    outer = axis[..., :, None] * axis[..., None, :]
+    return c * jnp.eye(3, dtype=axis.dtype) + s * skew(axis) + (1.0 - c) * outer
+
+
+def safe_norm(v: Array) -> Array:
+    """Length over the last axis, with gradient zero where the vector is zero."""
+    square = jnp.sum(v * v, -1)
+    is_zero = square == 0.0
+    return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, square)))
+
+
+def rotation_angle(r: Array) -> Array:
+    """Angle of a rotation [rad], in [0, π]; exact near both ends (no `acos`)."""
+    return jnp.arctan2(safe_norm(vee_of_skew_part(r)), 0.5 * (jnp.trace(r, axis1=-2, axis2=-1) - 1.0))
+
+
+def rotation_from_rpy(rpy: Array) -> Array:
+    """`Rz(yaw) Ry(pitch) Rx(roll)` for `rpy = (roll, pitch, yaw)` [rad]."""
+    (sr, sp, sy), (cr, cp, cy) = jnp.moveaxis(jnp.sin(rpy), -1, 0), jnp.moveaxis(jnp.cos(rpy), -1, 0)
+    return jnp.stack(
+        [
+            jnp.stack([cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr], -1),
+            jnp.stack([sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr], -1),
+            jnp.stack([-sp, cp * sr, cp * cr], -1),
+        ],
+        -2,
+    )
+
+
+def rpy_from_rotation(r: Array) -> Array:
+    """Inverse of `rotation_from_rpy`, pitch in [−π/2, π/2]."""
+    pitch = jnp.arctan2(-r[..., 2, 0], safe_norm(jnp.stack([r[..., 0, 0], r[..., 1, 0]], -1)))
+    return jnp.stack([jnp.arctan2(r[..., 2, 1], r[..., 2, 2]), pitch, jnp.arctan2(r[..., 1, 0], r[..., 0, 0])], -1)
+
+
+def project_to_so3(near: Array) -> Array:
+    """Nearest rotation to a matrix that is already close to one: two Newton–Schulz steps `R ← R (3 I − RᵀR)/2`."""
+    r = near
+    for _ in range(2):
+        r = 0.5 * r @ (3.0 * jnp.eye(3, dtype=r.dtype) - jnp.swapaxes(r, -1, -2) @ r)
+    return r
+
+
+def rotation_from_wxyz(wxyz: Array) -> Array:
+    """Rotation of a quaternion `wxyz`, normalised first."""
+    q = wxyz / jnp.linalg.norm(wxyz, axis=-1, keepdims=True)
+    w, v = q[..., 0, None, None], q[..., 1:]
+    s = skew(v)
+    rotation: Array = jnp.eye(3, dtype=wxyz.dtype) + 2.0 * (w * s + multiply(s, s))
+    return rotation
+
+
+def wxyz_from_rotation(r: Array) -> Array:
+    """Quaternion `wxyz` of a rotation, with `w ≥ 0`.
+
+    Of the four expressions that each divide by one component, the one with the largest divisor is taken.
+    """
+    m = r
+    trace = jnp.trace(m, axis1=-2, axis2=-1)
+    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    a, b, c = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
+    rows = jnp.stack(
+        [
+            jnp.stack([1.0 + trace, a, b, c], -1),
+            jnp.stack([a, 1.0 + 2.0 * xx - trace, xy, xz], -1),
+            jnp.stack([b, xy, 1.0 + 2.0 * yy - trace, yz], -1),
+            jnp.stack([c, xz, yz, 1.0 + 2.0 * zz - trace], -1),
+        ],
+        -2,
+    )
+    best = jnp.argmax(jnp.diagonal(rows, axis1=-2, axis2=-1), -1)
+    q = jnp.take_along_axis(rows, best[..., None, None], -2)[..., 0, :]
+    q = q / jnp.linalg.norm(q, axis=-1, keepdims=True)
+    return jnp.where(q[..., :1] < 0.0, -q, q)

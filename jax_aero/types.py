@@ -1,0 +1,130 @@
+"""The plain structures that pass from room to room, each for one sample; `vmap` adds the batch in front.
+
+SI units and radians; vectors and Jacobians in inertial axes unless a suffix says otherwise. In the shapes, `n` is the
+number of joints, `N = 6 + n` the length of a velocity, `nb = 1 + n` the number of bodies, `L` of aerodynamic links.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Annotated, Any, NamedTuple, TypeAlias, TypeVar, dataclass_transform
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+Array: TypeAlias = jax.Array
+"""An array; before it enters a traced function it may as well be a NumPy array, which keeps its 64 bits."""
+
+T = TypeVar("T")
+Tree = TypeVar("Tree")
+
+Static: TypeAlias = Annotated[T, "static"]
+"""A field of a `pytree` that is structure, not a leaf: a name or a switch, fixed when a function is compiled."""
+
+
+@dataclass_transform(frozen_default=True)
+def pytree(cls: type[T]) -> type[T]:
+    """Make a frozen dataclass whose fields are leaves or subtrees, but for those annotated `Static[...]`."""
+    made: Any = dataclass(frozen=True)(cls)
+    names = [item.name for item in fields(made)]
+    static = [item.name for item in fields(made) if str(item.type).startswith("Static[")]
+    jax.tree_util.register_dataclass(made, [name for name in names if name not in static], static)
+    decorated: type[T] = made
+    return decorated
+
+
+class State(NamedTuple):
+    """Where the robot is and how it moves.
+
+    Velocities are *mixed*: `ν = (v_B, ω_B, ṡ)` with the velocity of the base origin and the angular velocity of the
+    base, both in inertial axes.
+    """
+
+    base_position: Array
+    """(3,) position of the base origin [m]."""
+    base_rotation: Array
+    """(3, 3) rotation `inertial_from_base`."""
+    joint_position: Array
+    """(n,) [rad]."""
+    velocity: Array
+    """(N,) mixed velocity `ν` [m/s, rad/s, rad/s]."""
+
+
+class Kinematics(NamedTuple):
+    """Poses and velocities of all bodies. Body 0 is the base; joint `i` moves body `i + 1`."""
+
+    body_rotations: Array
+    """(nb, 3, 3) `inertial_from_body`."""
+    body_positions: Array
+    """(nb, 3) origins of the bodies [m]."""
+    joint_axes: Array
+    """(n, 3) unit axes of the joints, inertial axes."""
+    com: Array
+    """(3,) centre of mass [m]."""
+    angular_velocities: Array
+    """(nb, 3) [rad/s]."""
+    linear_velocities: Array
+    """(nb, 3) velocities of the bodies' origins [m/s]."""
+
+
+class Dynamics(NamedTuple):
+    """Rigid-body dynamics `M ν̇ + h = Σ generalised forces` and centroidal momentum `(l, k) = A_G ν`."""
+
+    mass_matrix: Array
+    """(N, N) `M`."""
+    bias: Array
+    """(N,) `h`: Coriolis, centrifugal and gravity forces."""
+    momentum_matrix: Array
+    """(6, N) `A_G`, linear rows first."""
+    momentum: Array
+    """(6,) `A_G ν` [kg m/s, kg m²/s]."""
+    centroidal_inertia: Array
+    """(3, 3) rotational inertia about the centre of mass [kg m²]."""
+
+
+class LinkForces(NamedTuple):
+    """Aerodynamic state of every link."""
+
+    axes: Array
+    """(L, 3) unit axes of symmetry."""
+    v_air: Array
+    """(L, 3) velocity of the air relative to the link [m/s]."""
+    arm_points: Array
+    """(L, 3) points at which moments are formed [m]."""
+    jacobian_points: Array
+    """(L, 3) points whose Jacobians carry the forces [m]."""
+    forces: Array
+    """(L, 3) [N]."""
+
+
+class Reference(NamedTuple):
+    """What the controller follows at one tick. Angular quantities are in axes of the desired base."""
+
+    com_position: Array
+    """(3,) [m]."""
+    com_velocity: Array
+    """(3,) [m/s]."""
+    com_acceleration: Array
+    """(3,) [m/s²]."""
+    com_jerk: Array
+    """(3,) [m/s³]."""
+    rotation: Array
+    """(3, 3) desired `inertial_from_base`."""
+    angular_velocity: Array
+    """(3,) [rad/s]."""
+    angular_acceleration: Array
+    """(3,) [rad/s²]."""
+    angular_jerk: Array
+    """(3,) [rad/s³]."""
+
+
+def with_dtype(tree: Tree, dtype: Any) -> Tree:
+    """Return the tree with every floating-point leaf in this precision."""
+
+    def convert(leaf: Any) -> Any:
+        array = np.asarray(leaf) if isinstance(leaf, float) else leaf
+        return jnp.asarray(array, dtype) if jnp.issubdtype(array.dtype, np.floating) else leaf
+
+    converted: Tree = jax.tree.map(convert, tree)
+    return converted

@@ -1,0 +1,403 @@
+"""Does the Rust crate agree with the JAX floor? Both are run on the same states and through the same flight.
+
+    python -m jax_aero verify                                    # TEST2: random and recorded states, whole flight
+    python -m jax_aero verify --config configs/experiments/test2_published.toml --set wind.velocity=[0,-12,0]
+    python -m jax_aero verify --controller my_controller.toml    # another controller in the same flight
+    python -m jax_aero verify --robot my_robot.toml              # another robot: its kinematics and dynamics
+
+Prints a table, writes it beside a figure, and exits with 1 if anything disagrees. Kernels are compared relative to the
+largest entry of the crate's answers, flights by the absolute difference of every logged signal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from jax_aero import reference
+
+KERNEL_TOLERANCE = 1e-10
+QP_TOLERANCE = 1e-8
+FLIGHT_TOLERANCE = 1e-6
+
+TRUSTED_WHEN_LOST = 8.0
+"""A lost flight is chaotic before its end: its traces are compared up to this time [s], its outcome as a whole."""
+
+SOLUTIONS = {"thrust_rate", "joint_velocity_command", "unlimited_torque", "joint_torque"}
+"""Quantities that a QP solved for, or that follow from one."""
+
+
+@dataclass
+class Row:
+    """How far both are apart in one quantity, over everything that was compared."""
+
+    group: str
+    quantity: str
+    tolerance: float
+    is_relative: bool
+    """Whether the tolerance is on the relative error."""
+    absolute: float = 0.0
+    """Greatest difference."""
+    scale: float = 0.0
+    """Greatest entry of the crate's answers; one sample may be a small difference of large numbers."""
+
+    @property
+    def relative(self) -> float:
+        """Greatest difference over greatest entry."""
+        return self.absolute / self.scale if self.scale > 0.0 else self.absolute
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the difference is within the tolerance; NaN is not."""
+        return bool((self.relative if self.is_relative else self.absolute) <= self.tolerance)
+
+
+class Comparison:
+    """Collects the worst difference of every quantity."""
+
+    def __init__(self) -> None:
+        self._rows: dict[tuple[str, str], Row] = {}
+
+    @property
+    def rows(self) -> list[Row]:
+        """One row for every quantity, in the order they were first seen."""
+        return list(self._rows.values())
+
+    def add(
+        self, group: str, quantity: str, ours: ArrayLike, theirs: ArrayLike, tolerance: float, *, relative: bool = True
+    ) -> None:
+        """Note how far `ours` is from `theirs`."""
+        ours, theirs = np.asarray(ours, np.float64), np.asarray(theirs, np.float64)
+        row = self._rows.setdefault((group, quantity), Row(group, quantity, tolerance, relative))
+        # NaN must win; `max` would drop it.
+        row.absolute = float(np.maximum(row.absolute, np.max(np.abs(ours - theirs), initial=0.0)))
+        row.scale = max(row.scale, float(np.max(np.abs(theirs), initial=0.0)))
+
+
+# --- what is compared ----------------------------------------------------------------------------------------------
+
+
+def verify_robot(robot_path: str, n_states: int, comparison: Comparison, backend: Any = "tree", seed: int = 0) -> None:
+    """Compare kinematics and dynamics on random states of any robot."""
+    import jax
+    import jax.numpy as jnp
+
+    from jax_aero.dynamics import dynamics, forward_dynamics
+    from jax_aero.kinematics import kinematics
+    from jax_aero.robot import load_robot
+    from jax_aero.types import State
+
+    rust, robot = reference.Robot(robot_path), load_robot(robot_path)
+    states = list(random_states(np.random.default_rng(seed), np.array(rust.joint_limits), n_states))
+
+    @jax.jit
+    @jax.vmap
+    def evaluate(state: State) -> Any:
+        kin = kinematics(robot, state)
+        dyn = dynamics(robot, state, kin, backend)
+        return kin, dyn, forward_dynamics(dyn, jnp.cos(state.velocity))
+
+    batch = State(*(jnp.stack([jnp.asarray(value) for value in field]) for field in zip(*states, strict=True)))
+    kin, dyn, accelerations = jax.device_get(evaluate(batch))
+    for i, state in enumerate(states):
+        theirs = reference.dynamics(rust, state)
+        pairs = {"body_positions": kin.body_positions, "body_rotations": kin.body_rotations, "com_position": kin.com}
+        for name, ours in (pairs | dyn._asdict()).items():
+            comparison.add("dynamics", name, ours[i], getattr(theirs, name), KERNEL_TOLERANCE)
+        push = np.cos(np.asarray(state.velocity))
+        acceleration = reference.forward_dynamics(rust, state, push)
+        comparison.add("dynamics", "acceleration", accelerations[i], acceleration, KERNEL_TOLERANCE)
+
+
+def verify_ticks(config: Mapping[str, Any], samples: Sequence[Sample], group: str, comparison: Comparison) -> None:
+    """Compare every intermediate value of the controller, and its command, on given samples."""
+    import jax
+    import jax.numpy as jnp
+
+    from jax_aero.config import flight_config
+    from jax_aero.control import tick as control
+    from jax_aero.robot import load_robot
+    from jax_aero.types import Reference, State
+
+    typed = flight_config(config)
+    robot = load_robot(typed.robot)
+    params = control.controller_params(typed, robot)
+
+    @jax.jit
+    def evaluate(memory: Any, state: State, thrust: Any, wind: Any, followed: Reference) -> Any:
+        memory = control.init(params, robot, state)._replace(**memory)
+        _, command, terms = control.tick(params, robot, memory, jnp.zeros(()), state, thrust, wind, followed)
+        return command, terms
+
+    for sample in samples:
+        rust = reference.Controller(config)
+        rust.set_memory(*sample.memory)
+        theirs = rust.tick(sample.state, sample.thrust, sample.wind, 0.0, sample.reference)
+        memory = dict(zip(("posture", "inertia_0", "velocity_error_integral"), sample.memory, strict=True))
+        followed = Reference(*(jnp.asarray(getattr(sample.reference, name)) for name in Reference._fields))
+        state = State(*(jnp.asarray(value) for value in sample.state))
+        command, terms = jax.device_get(evaluate(memory, state, sample.thrust, sample.wind, followed))
+        for name, ours in _tick_quantities(command, terms).items():
+            tolerance = QP_TOLERANCE if name in SOLUTIONS else KERNEL_TOLERANCE
+            comparison.add(group, name, ours, _named(theirs, name), tolerance)
+
+
+def _tick_quantities(command: Any, terms: Any) -> dict[str, Any]:
+    """Give every value of a tick the name it has in `reference.Tick`."""
+    link, momentum, attitude = terms.link_forces, terms.momentum, terms.attitude
+    shaping, following = terms.momentum_qp, terms.torque_qp
+    return {
+        "com_position": terms.kinematics.com,
+        **terms.dynamics._asdict(),
+        "link_axes": link.axes,
+        "link_v_air": link.v_air,
+        "link_arm_points": link.arm_points,
+        "link_jacobian_points": link.jacobian_points,
+        "aero_force": link.forces,
+        "jet_axes": momentum.jet_axes,
+        "jet_points": momentum.jet_points,
+        "a_t": momentum.a_t,
+        "lambda_t": momentum.lambda_t,
+        "lambda_a": momentum.lambda_a,
+        "momentum_rate_estimate": momentum.rate_estimate,
+        "k_ddot_desired": attitude.k_ddot_desired,
+        "sigma": attitude.sigma,
+        "task": shaping.task,
+        "task_offset": shaping.offset,
+        **{f"momentum_qp.{name}": value for name, value in shaping.problem._asdict().items()},
+        "thrust_rate": command.thrust_rate,
+        "joint_velocity_command": command.joint_velocity,
+        "joint_acceleration_desired": following.acceleration_desired,
+        "joint_acceleration_free": following.acceleration_free,
+        "torque_gain": following.gain,
+        **{f"torque_qp.{name}": value for name, value in following.problem._asdict().items()},
+        "unlimited_torque": terms.unlimited_torque,
+        "joint_torque": command.joint_torque,
+    }
+
+
+def _named(tick: reference.Tick, name: str) -> Any:
+    value: Any = tick
+    for part in name.split("."):
+        value = getattr(value, part)
+    return value
+
+
+def verify_flight(
+    config: Mapping[str, Any], comparison: Comparison, backend: Any = "tree"
+) -> tuple[reference.Flight, reference.Flight]:
+    """Compare a whole flight, signal by signal and tick by tick; return the crate's and ours."""
+    from jax_aero.sim import fly
+
+    rust, ours = reference.fly(config), fly(config, backend=backend)
+    comparison.add("flight", "outcome", ours.outcome != rust.outcome, 0.0, 0.0, relative=False)
+    trusted = rust["time"] <= (TRUSTED_WHEN_LOST if rust.outcome == "fell" else np.inf)
+    last = min(np.count_nonzero(trusted), len(ours["time"]))
+    for name, signal in rust.log.items():
+        if name not in ("qp_iterations", "qp_kkt"):  # those belong to the solver, not to the solution
+            same = _same_branch(name, ours[name][:last], signal[:last])
+            comparison.add("flight", name, same, signal[:last], FLIGHT_TOLERANCE, relative=False)
+    return rust, ours
+
+
+def _same_branch(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Take, of the numbers that mean the same rotation, those next to the crate's: this robot starts at a yaw of π."""
+    if name == "base_quaternion":
+        return np.asarray(ours * np.where(np.sum(ours * theirs, axis=1) < 0.0, -1.0, 1.0)[:, None])
+    if name == "base_rpy_reference":
+        return np.asarray(ours - 2.0 * np.pi * np.round((ours - theirs) / (2.0 * np.pi)))
+    return ours
+
+
+# --- where it is compared ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What a controller is told at a tick, and what it remembers: posture, first inertia, integral."""
+
+    state: reference.State
+    thrust: NDArray[np.float64]
+    wind: NDArray[np.float64]
+    reference: reference.Reference
+    memory: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+
+
+def random_states(rng: np.random.Generator, limits: NDArray[np.float64], count: int) -> Iterator[reference.State]:
+    """States with the base anywhere, fast, and the joints within their limits."""
+    for _ in range(count):
+        wxyz = rng.normal(size=4)
+        joints = rng.uniform(limits[:, 0], limits[:, 1])
+        velocity = np.concatenate([rng.normal(scale=2.0, size=6), rng.normal(scale=1.0, size=len(limits))])
+        yield reference.State(rng.normal(scale=5.0, size=3), rotation_of(wxyz), joints, velocity)
+
+
+def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list[Sample]:
+    """Ticks far from any flight: thrusts up to their limits, strong wind, far references."""
+    rng, robot = np.random.default_rng(seed), reference.Robot(config["robot"])
+    n_joints, n_jets = len(robot.joint_names), len(robot.jet_names)
+    samples = []
+    for state in random_states(rng, np.array(robot.joint_limits), count):
+        vectors = [rng.normal(size=3) for _ in range(7)]
+        com = np.asarray(state.base_position) + 0.3 * vectors[0]
+        turned = np.asarray(state.base_rotation) @ rotation_of(np.array([1.0, *(0.2 * rng.normal(size=3))]))
+        turning = [0.5 * vector for vector in vectors[4:7]]
+        followed = reference.Reference(com, vectors[1], vectors[2], vectors[3], turned, *turning)
+        inertia = np.diag(rng.uniform(0.5, 4.0, 3))
+        memory = (np.asarray(state.joint_position), inertia, 0.05 * rng.normal(size=n_joints))
+        thrust, wind = rng.uniform(10.0, 150.0, n_jets), rng.normal(scale=8.0, size=3)
+        samples.append(Sample(state, thrust, wind, followed, memory))
+    return samples
+
+
+def recorded_samples(config: Mapping[str, Any], flight: reference.Flight, count: int) -> list[Sample]:
+    """Ticks of a recorded flight, evenly spread; memory and reference as they were, the integral at zero."""
+    robot, log = reference.Robot(config["robot"]), flight.log
+
+    def state_at(tick: int) -> reference.State:
+        velocity = np.concatenate([log["base_velocity"][tick], log["joint_velocity"][tick]])
+        rotation = rotation_of(log["base_quaternion"][tick])
+        return reference.State(log["base_position"][tick], rotation, log["joint_position"][tick], velocity)
+
+    first = state_at(0)
+    rotation = np.asarray(first.base_rotation)
+    inertia = rotation.T @ reference.dynamics(robot, first).centroidal_inertia @ rotation
+    followed = reference.reference_trajectory(config, log["com_position"][0], log["base_rpy_reference"][0])
+    names = [name for name in reference.Reference.__annotations__ if name in followed]
+    samples = []
+    for tick in np.linspace(0, len(log["time"]) - 1, count, dtype=int):
+        target = reference.Reference(**{name: followed[name][tick] for name in names})
+        memory = (flight.joint_reference, inertia, np.zeros(len(robot.joint_names)))
+        samples.append(Sample(state_at(tick), log["thrust"][tick], log["wind"][tick], target, memory))
+    return samples
+
+
+def rotation_of(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation of a quaternion, normalised first."""
+    w, x, y, z = wxyz / np.linalg.norm(wxyz)
+    s = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + 2.0 * (w * s + s @ s))
+
+
+# --- what comes of it ----------------------------------------------------------------------------------------------
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Write the rows as a Markdown table."""
+    head = f"| {'group':8} | {'quantity':26} | max abs  | max rel  | tolerance     | verdict   |"
+    rule = f"|{'-' * 10}|{'-' * 28}|---------:|---------:|---------------|-----------|"
+    lines = [
+        f"| {row.group:8} | {row.quantity:26} | {row.absolute:8.1e} | {row.relative:8.1e} "
+        f"| {row.tolerance:5.0e} {'rel' if row.is_relative else 'abs'}     | {_verdict(row)} |"
+        for row in rows
+    ]
+    return "\n".join([head, rule, *lines])
+
+
+def _verdict(row: Row) -> str:
+    return "agrees   " if row.agrees else "DISAGREES"
+
+
+def draw(rows: Sequence[Row], path: Path) -> bool:
+    """Draw every difference beside its tolerance; `False` without matplotlib."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        return False
+    figure = Figure(figsize=(7.0, 0.8 + 0.16 * len(rows)), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    places = np.arange(len(rows))
+    shown = [max(row.relative if row.is_relative else row.absolute, 1e-17) for row in rows]
+    colours = ["#0072b2" if row.agrees else "#d55e00" for row in rows]
+    axes.barh(places, np.nan_to_num(shown, nan=1.0), left=1e-17, color=colours, height=0.7)
+    axes.scatter([max(row.tolerance, 1e-17) for row in rows], places, marker="|", color="black", s=40)
+    axes.set(xscale="log", xlim=(1e-17, 10.0), xlabel="worst difference; tick: tolerance")
+    axes.set_yticks(places, [f"{row.group}: {row.quantity}" for row in rows], fontsize=6)
+    axes.invert_yaxis()
+    figure.savefig(path, dpi=150)
+    return True
+
+
+def write(rows: Sequence[Row], folder: Path, facts: Mapping[str, Any]) -> list[Path]:
+    """Write table, numbers and figure; return what was written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    text, numbers, figure = folder / "verify.md", folder / "verify.json", folder / "verify.png"
+    heading = "\n".join(f"{name}: {value}" for name, value in facts.items())
+    text.write_text(f"# Rust against JAX\n\n{heading}\n\n{table(rows)}\n", encoding="utf-8")
+    document = dict(facts) | {"rows": [asdict(row) | {"relative": row.relative, "agrees": row.agrees} for row in rows]}
+    numbers.write_text(json.dumps(document, indent=1), encoding="utf-8")
+    return [text, numbers, *([figure] if draw(rows, figure) else [])]
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Compare, print and write; 0 if everything agrees, 1 if not, 2 for a mistake in the arguments."""
+    options = _parse(arguments)
+    import jax
+
+    comparison = Comparison()
+    facts: dict[str, Any] = {"crate": reference.__version__, "jax": jax.__version__, "backend": options.backend}
+    try:
+        config = None if options.robot else _config(options)
+    except (OSError, ValueError) as reason:
+        print(f"verify: {reason}")
+        return 2
+    with jax.enable_x64(True):
+        if config is None:
+            facts["robot"] = Path(options.robot).name
+            verify_robot(options.robot, options.states, comparison, options.backend, options.seed)
+        else:
+            facts |= {"flight": config["title"] or options.config.stem, "config": reference.config_digest(config)[:12]}
+            verify_robot(config["robot"], options.states, comparison, options.backend, options.seed)
+            verify_ticks(config, random_samples(config, options.states, options.seed), "random", comparison)
+            rust, _ = verify_flight(config, comparison, options.backend)
+            verify_ticks(config, recorded_samples(config, rust, options.states), "recorded", comparison)
+    rows = comparison.rows
+    print(table(rows))
+    folder = options.out or Path("results") / "verify" / Path(options.robot or options.config).stem
+    written = write(rows, folder, facts)
+    bad = [row for row in rows if not row.agrees]
+    print(f"\n{len(rows) - len(bad)} of {len(rows)} quantities agree; see {', '.join(map(str, written))}")
+    return 1 if bad else 0
+
+
+def _parse(arguments: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m jax_aero verify", description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--config", type=Path, default=Path("configs/experiments/test2.toml"), help="flight to compare")
+    parser.add_argument("--controller", type=Path, help="controller file that replaces the flight's")
+    parser.add_argument("--robot", help="robot file: compare only its kinematics and dynamics")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change the configuration")
+    parser.add_argument("--states", type=int, default=50, help="number of random and of recorded states")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--backend", choices=["tree", "mjx"], default="tree", help="who computes the dynamics")
+    parser.add_argument("--out", type=Path, help="folder for table and figure; default results/verify/NAME")
+    return parser.parse_args(arguments)
+
+
+def _config(options: argparse.Namespace) -> dict[str, Any]:
+    changes = {}
+    for assignment in options.set:
+        key, separator, value = assignment.partition("=")
+        if not separator:
+            raise ValueError(f"--set {assignment}: expected KEY=VALUE")
+        try:
+            changes[key] = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            changes[key] = value
+    if options.controller is None:
+        return reference.load_config(options.config, changes)
+    with tempfile.TemporaryDirectory() as folder:
+        mixed = Path(folder) / options.config.name
+        base, controller = (json.dumps(str(path.resolve())) for path in (options.config, options.controller))
+        mixed.write_text(f"base = {base}\ncontroller = {{ base = {controller} }}\n", encoding="utf-8")
+        return reference.load_config(mixed, changes)

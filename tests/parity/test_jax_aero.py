@@ -1,0 +1,91 @@
+"""The JAX floor's aerodynamics against the Rust crate: forces, and where the controller places them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax_aero import reference
+from jax_aero.aero import LinkConventions, aero_model, link_forces, model_forces, scaled, wrench_about
+from jax_aero.config import aero_config, flight_config
+from jax_aero.kinematics import kinematics
+from jax_aero.robot import load_robot
+from jax_aero.types import State
+
+pytestmark = pytest.mark.usefixtures("x64")
+
+ROOT = Path(__file__).resolve().parents[2]
+EXPERIMENTS = ROOT / "configs" / "experiments"
+TOLERANCE = 1e-10
+MODELS = {
+    "axisymmetric": {"model": "axisymmetric", "coefficients": "corrected", "air_density": 1.225},
+    "off": {"model": "off"},
+}
+SPEEDS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0, 10.0, 40.0, 300.0)
+
+
+@pytest.fixture(scope="module")
+def models():
+    robustness = reference.load_config(EXPERIMENTS / "robustness_axisymmetric_vs_sphere_cylinder.toml")
+    return {**MODELS, "sphere_cylinder": robustness["controller"]["aero"]}
+
+
+@pytest.mark.parametrize("name", ["axisymmetric", "sphere_cylinder", "off"])
+def test_forces(models, name, robot, robot_name, agree):
+    """At every speed, also none, and for wind along the axis from both sides."""
+    table = dict(models[name])
+    ours = load_robot(ROOT / "configs" / "robot" / f"{robot_name}.toml")
+    if name == "axisymmetric":
+        table["coefficients"] = sorted(ours.aero_links.coefficients)[0]
+    model = aero_model(aero_config(table), ours)
+    rng = np.random.default_rng(11)
+    axes = rng.normal(size=(len(SPEEDS), ours.aero_links.count, 3))
+    axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+    v_air = rng.normal(size=axes.shape) * np.array(SPEEDS)[:, None, None]
+    v_air[:, 0], v_air[:, 1] = (axes[:, k] * np.array(SPEEDS)[:, None] * sign for k, sign in ((0, 1.0), (1, -1.0)))
+    forces = np.asarray(jax.jit(jax.vmap(lambda a, v: model_forces(model, a, v)))(axes, v_air))
+    for case in range(len(SPEEDS)):
+        agree(f"{name} forces", forces[case], reference.aero_forces(robot, table, axes[case], v_air[case]), TOLERANCE)
+
+
+@pytest.mark.parametrize("experiment", ["test2", "test2_published", "robustness_axisymmetric_vs_sphere_cylinder"])
+def test_where_the_controller_places_links(experiment, agree):
+    """Axes, relative winds, points and forces of the controller, right and published conventions."""
+    table = reference.load_config(EXPERIMENTS / f"{experiment}.toml")
+    config = flight_config(table).controller
+    robot = load_robot(table["robot"])
+    model = aero_model(config.aero, robot)
+    conventions = LinkConventions(config.lever_arm, config.jacobian_offset, config.link_velocity)
+
+    @jax.jit
+    def place(state, wind):
+        kin = kinematics(robot, state)
+        link = scaled(link_forces(model, robot, kin, conventions, wind), config.aero_feedback.scale)
+        return link, wrench_about(link, kin.com)
+
+    controller = reference.Controller(table)
+    rng = np.random.default_rng(5)
+    start = np.array(table["simulator"]["initial"]["joint_position"])
+    for case in range(8):
+        rotation = np.diag([-1.0, -1.0, 1.0])
+        state = reference.State(
+            rng.normal(size=3), rotation, start + 0.3 * rng.normal(size=23), rng.normal(size=29) * (case > 0)
+        )
+        wind = rng.normal(size=3) * 8.0
+        link, wrench = jax.device_get(place(State(*(jnp.asarray(x) for x in state)), jnp.asarray(wind)))
+        tick = controller.tick(state, thrust=[100.0] * 4, wind=wind)
+        for ours, theirs in [
+            ("axes", "link_axes"),
+            ("v_air", "link_v_air"),
+            ("arm_points", "link_arm_points"),
+            ("jacobian_points", "link_jacobian_points"),
+            ("forces", "aero_force"),
+        ]:
+            agree(f"link {ours}", getattr(link, ours), getattr(tick, theirs), TOLERANCE)
+        lift = wrench[:3] - np.array([0.0, 0.0, robot.mass * robot.gravity])
+        thrust = tick.a_t[:3] @ np.full(4, 100.0)
+        agree("momentum rate, linear", thrust + lift, tick.momentum_rate_estimate[:3], 1e-9)

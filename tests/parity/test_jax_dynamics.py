@@ -1,0 +1,112 @@
+"""The JAX floor's robot, kinematics and dynamics against the Rust crate, for both robots and both backends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax_aero import reference
+from jax_aero.dynamics import dynamics, forward_dynamics
+from jax_aero.kinematics import frame_poses, generalised_force, kinematics, point_jacobians, velocities_at
+from jax_aero.robot import load_robot
+from jax_aero.types import State
+
+pytestmark = pytest.mark.usefixtures("x64")
+
+ROOT = Path(__file__).resolve().parents[2]
+TOLERANCE = 1e-10
+
+
+@pytest.fixture
+def jax_robot(robot_name):
+    return load_robot(ROOT / "configs" / "robot" / f"{robot_name}.toml")
+
+
+@pytest.fixture
+def states(random_states):
+    return [state for state, _ in random_states][:60]
+
+
+def batched(states):
+    return State(*(jnp.stack([np.asarray(value) for value in field]) for field in zip(*states, strict=True)))
+
+
+def test_the_robot_is_the_same(jax_robot, robot):
+    assert jax_robot.joint_names == tuple(robot.joint_names)
+    assert jax_robot.body_names == tuple(robot.body_names)
+    assert jax_robot.jets.names == tuple(robot.jet_names)
+    assert jax_robot.aero_links.names == tuple(robot.aero_link_names)
+    groups = {name: [jax_robot.joint_names[joint] for joint in joints] for name, joints in jax_robot.joint_groups}
+    assert groups == robot.joint_groups
+    assert np.allclose(jax_robot.joint_limits, robot.joint_limits, rtol=1e-15, atol=0)
+    assert np.isclose(jax_robot.mass, robot.mass, rtol=1e-14)
+    assert jax_robot.gravity == robot.gravity
+
+
+@pytest.mark.parametrize("backend", ["tree", "mjx"])
+def test_dynamics(jax_robot, robot, states, agree, backend):
+    @jax.jit
+    @jax.vmap
+    def evaluate(state):
+        kin = kinematics(jax_robot, state)
+        dyn = dynamics(jax_robot, state, kin, backend)
+        return kin, dyn, forward_dynamics(dyn, jnp.cos(state.velocity))
+
+    kin, dyn, acceleration = jax.device_get(evaluate(batched(states)))
+    for i, state in enumerate(states):
+        theirs = reference.dynamics(robot, state)
+        agree("body positions", kin.body_positions[i], theirs.body_positions, TOLERANCE)
+        agree("body rotations", kin.body_rotations[i], theirs.body_rotations, TOLERANCE)
+        agree("centre of mass", kin.com[i], theirs.com_position, TOLERANCE)
+        for name in dyn._fields:
+            agree(f"{backend}: {name}", getattr(dyn, name)[i], getattr(theirs, name), TOLERANCE)
+        forces = np.cos(np.asarray(state.velocity))
+        agree(f"{backend}: acceleration", acceleration[i], reference.forward_dynamics(robot, state, forces), TOLERANCE)
+
+
+def test_jacobians(jax_robot, robot, states, agree):
+    links = jax_robot.aero_links
+
+    @jax.jit
+    @jax.vmap
+    def evaluate(state):
+        kin = kinematics(jax_robot, state)
+        _, points = frame_poses(kin, links.bodies, links.rotations, links.positions)
+        return point_jacobians(jax_robot, kin, links.bodies, points)
+
+    linear, angular = jax.device_get(evaluate(batched(states[:20])))
+    # A frame is asked for by its URDF name; these robots name theirs as the links.
+    frames = [name if name in robot.body_names else None for name in links.names]
+    assert any(frames)
+    for i, state in enumerate(states[:20]):
+        for j, frame in enumerate(frames):
+            if frame is None:
+                continue
+            theirs = reference.frame_jacobian(robot, frame, state)
+            agree("linear Jacobian", linear[i, j], theirs.linear, TOLERANCE)
+            agree("angular Jacobian", angular[i, j], theirs.angular, TOLERANCE)
+
+
+def test_velocities_and_forces_follow_from_the_jacobian(jax_robot, states):
+    """`J ν` is the point's velocity, `Jᵀ f` the generalised force: three ways of saying one thing."""
+    links = jax_robot.aero_links
+    rng = np.random.default_rng(3)
+    forces = jnp.asarray(rng.normal(size=(links.count, 3)))
+    offsets = jnp.asarray(rng.normal(size=(links.count, 3)))
+
+    @jax.jit
+    def both(state):
+        kin = kinematics(jax_robot, state)
+        points = kin.body_positions[np.array(links.bodies)] + offsets
+        linear, _ = point_jacobians(jax_robot, kin, links.bodies, points)
+        velocities = velocities_at(kin, links.bodies, points)
+        force = generalised_force(jax_robot, kin, links.bodies, points, forces)
+        return velocities - linear @ state.velocity, force - jnp.einsum("kic,ki->c", linear, forces)
+
+    for state in states[:5]:
+        for difference in both(State(*(jnp.asarray(value) for value in state))):
+            assert np.abs(difference).max() < 1e-11

@@ -1,0 +1,129 @@
+"""The closed loop of the JAX floor against the Rust crate: whole flights, and single ticks of the simulated world."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax_aero import reference, sim
+from jax_aero.config import flight_config
+from jax_aero.robot import load_robot
+from jax_aero.sim.plant import PlantState, advance, observe, start_plant
+from jax_aero.sim.wind import wind_velocity
+from jax_aero.spatial import rotation_from_wxyz
+from jax_aero.types import State
+from jax_aero.verify import Comparison, verify_flight
+
+ROOT = Path(__file__).resolve().parents[2]
+EXPERIMENTS = ROOT / "configs" / "experiments"
+
+
+@pytest.mark.parametrize("experiment", ["test2", "test2_published"])
+def test_a_flight_of_50_s(experiment, measured):
+    """Every signal at every tick to 1e-6, and the same figures of merit."""
+    comparison = Comparison()
+    rust, ours = verify_flight(reference.load_config(EXPERIMENTS / f"{experiment}.toml"), comparison)
+    for row in comparison.rows:
+        if row.quantity in ("base_position", "joint_position", "thrust", "joint_torque"):
+            measured(f"{experiment}: {row.quantity}", row.absolute)
+    assert [row.quantity for row in comparison.rows if not row.agrees] == []
+    assert len(ours["time"]) == 5001
+    assert ours.log.keys() == rust.log.keys()
+    assert ours.summary.keys() == rust.summary.keys()
+    for name in set(rust.summary) - {"max_kkt", "max_qp_iterations"}:
+        assert ours.summary[name] == pytest.approx(rust.summary[name], rel=1e-6, abs=1e-9), name
+
+
+@pytest.mark.parametrize(("criterion", "limit"), [("com_error", 0.02), ("rotation_error_deg", 0.5)])
+def test_a_flight_that_is_lost(criterion, limit):
+    """The same flight under a strict judge: lost at the same tick for the same reason, and the log ends there."""
+    config = reference.load_config(EXPERIMENTS / "test2.toml", {f"simulator.fall.{criterion}": limit})
+    rust, ours = reference.fly(config), sim.fly(config)
+    assert ours.outcome == rust.outcome == "fell"
+    assert (ours.fall_time, ours.fall_reason) == (rust.fall_time, rust.fall_reason)
+    assert ours["time"].shape == rust["time"].shape
+
+
+VARIANTS = {
+    "second_order_jets": {},
+    "test2": {
+        "simulator.substeps": 3,
+        "simulator.integrator": "explicit_euler",
+        "simulator.kinematics": "frozen",
+        "simulator.lever_arm": "unrotated",
+    },
+}
+
+
+@pytest.mark.parametrize("experiment", VARIANTS)
+@pytest.mark.usefixtures("x64")
+def test_every_tick_of_the_world(experiment, agree):
+    """From each logged state, one tick under the logged commands leads to the next logged state."""
+    changes = {"simulator.duration": 8.0, **VARIANTS[experiment]}
+    table = reference.load_config(EXPERIMENTS / f"{experiment}.toml", changes)
+    config, log = flight_config(table), reference.fly(table).log
+    plant, start = start_plant(config.simulator, load_robot(table["robot"]))
+    velocity = np.concatenate([log["base_velocity"], log["joint_velocity"]], axis=1)
+    agree("first state", start.robot.velocity, velocity[0], 1e-10)
+
+    def one(jets, logged):
+        time, position, wxyz, joints, velocity, torque, thrust_rate = logged
+        state = PlantState(State(position, rotation_from_wxyz(wxyz), joints, velocity), jets, start.first)
+        wind = wind_velocity(config.wind, time)
+        seen = observe(plant, state, wind)
+        after = advance(plant, state, seen, torque, thrust_rate, wind)
+        return after.jets, (seen.link_forces.forces, after.robot, after.jets.thrust, wind)
+
+    names = ("time", "base_position", "base_quaternion", "joint_position")
+    logged = (*(log[name] for name in names), velocity, log["joint_torque"], log["thrust_rate"])
+    _, (forces, after, thrust, wind) = jax.jit(
+        lambda: jax.lax.scan(one, start.jets, jax.tree.map(jnp.asarray, logged))
+    )()
+    agree(f"{experiment}: wind", wind, log["wind"], 1e-12)
+    agree(f"{experiment}: forces", forces, log["aero_force_sim"], 1e-10)
+    agree(f"{experiment}: thrust", thrust[:-1], log["thrust"][1:], 1e-10)
+    agree(f"{experiment}: next position", after.base_position[:-1], log["base_position"][1:], 1e-10)
+    agree(f"{experiment}: next joints", after.joint_position[:-1], log["joint_position"][1:], 1e-10)
+    agree(f"{experiment}: next velocity", after.velocity[:-1], velocity[1:], 1e-10)
+
+
+PERTURBED = {
+    "simulator.duration": 7.0,
+    "wind.ramp_start": 0.5,
+    "wind.ramp_end": 2.0,
+    "simulator.aero_factors.drag": 1.3,
+    "simulator.aero_factors.normal": 0.6,
+    "simulator.aero_factors.links": {"chest": 1.5, "l_upper_leg": 0.5},
+    "controller.model_error.mass_scale": 1.02,
+    "controller.model_error.com_offset": [0.004, -0.002, 0.01],
+}
+
+
+def test_a_flight_of_another_robot_than_the_controller_thinks():
+    """Forces that are not those of the model, masses that are not those of the controller."""
+    comparison = Comparison()
+    verify_flight(reference.load_config(EXPERIMENTS / "test2.toml", PERTURBED), comparison)
+    assert [row.quantity for row in comparison.rows if not row.agrees] == []
+
+
+WINDS = {
+    "constant": {"profile": "constant", "velocity": [1.0, -2.0, 0.5]},
+    "gust": {"profile": "gust", "velocity": [0.0, -4.0, 0.0], "gust": [2.0, 0.0, -1.0], "start": 0.1, "duration": 0.2},
+    "step": {"profile": "ramp", "velocity": [0.0, -3.0, 0.0], "ramp_start": 0.2, "ramp_end": 0.2},
+}
+
+
+@pytest.mark.parametrize("profile", [*WINDS, "file"])
+@pytest.mark.usefixtures("x64")
+def test_winds(profile, tmp_path):
+    samples = tmp_path / "wind.csv"
+    samples.write_text("time,x,y,z\n0.05,1,2,3\n0.1,-1,0.5,0\n0.25,4,-3,1\n")
+    wind = WINDS.get(profile, {"profile": "file", "path": str(samples)})
+    table = reference.load_config(EXPERIMENTS / "test2.toml", {"simulator.duration": 0.4}) | {"wind": wind}
+    log, config = reference.fly(table).log, flight_config(table)
+    ours = jax.vmap(lambda time: wind_velocity(config.wind, time))(jnp.asarray(log["time"]))
+    assert np.allclose(ours, log["wind"], rtol=0, atol=1e-12)

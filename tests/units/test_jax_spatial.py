@@ -1,0 +1,55 @@
+"""Laws of rotations on the JAX floor, and their agreement with scipy."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from jax_aero import spatial
+
+pytestmark = pytest.mark.usefixtures("x64")
+
+RNG = np.random.default_rng(8)
+ANGLES = np.array([0.0, 1e-12, 1e-6, 0.05, 0.1, 0.2, 1.0, 3.1])
+VECTORS = np.concatenate([ANGLES[:, None] * np.array([0.6, 0.0, -0.8]), RNG.normal(size=(20, 3))])
+
+
+def test_exponential_and_angle():
+    ours = spatial.exp_so3(jnp.asarray(VECTORS))
+    assert np.allclose(ours, Rotation.from_rotvec(VECTORS).as_matrix(), rtol=0, atol=1e-15)
+    angles = np.linalg.norm(VECTORS, axis=1)
+    assert np.allclose(spatial.rotation_angle(ours), np.abs((angles + np.pi) % (2 * np.pi) - np.pi), rtol=0, atol=1e-14)
+
+
+def test_roll_pitch_yaw_and_back():
+    rpy = np.stack([RNG.uniform(-3, 3, 30), RNG.uniform(-1.5, 1.5, 30), RNG.uniform(-3, 3, 30)], axis=1)
+    rotations = spatial.rotation_from_rpy(jnp.asarray(rpy))
+    assert np.allclose(rotations, Rotation.from_euler("xyz", rpy).as_matrix(), rtol=0, atol=1e-15)
+    assert np.allclose(spatial.rpy_from_rotation(rotations), rpy, rtol=0, atol=1e-13)
+
+
+def test_quaternions():
+    """Every one of the four ways to divide is taken: turns by π about each axis have `w = 0`."""
+    half_turns = [np.diag([1.0, -1, -1]), np.diag([-1.0, 1, -1]), np.diag([-1.0, -1, 1]), np.eye(3)]
+    rotations = np.concatenate([half_turns, Rotation.random(50, random_state=1).as_matrix()])
+    quaternions = spatial.wxyz_from_rotation(jnp.asarray(rotations))
+    assert np.all(quaternions[:, 0] >= 0.0)
+    assert np.allclose(spatial.rotation_from_wxyz(quaternions), rotations, rtol=0, atol=1e-15)
+
+
+def test_skew_cross_and_products():
+    a, b = RNG.normal(size=(2, 10, 3))
+    m, n = RNG.normal(size=(2, 10, 3, 3))
+    assert np.allclose(spatial.cross(jnp.asarray(a), jnp.asarray(b)), np.cross(a, b))
+    assert np.allclose(spatial.skew(jnp.asarray(a)) @ b[..., None], np.cross(a, b)[..., None])
+    assert np.allclose(spatial.vee_of_skew_part(spatial.skew(jnp.asarray(a))), a)
+    assert np.allclose(spatial.multiply(jnp.asarray(m), jnp.asarray(n)), m @ n)
+    assert np.allclose(spatial.rotate_back(jnp.asarray(m), jnp.asarray(a)), np.einsum("kji,kj->ki", m, a))
+
+
+def test_projection_to_rotations():
+    near = Rotation.random(10, random_state=2).as_matrix() + 1e-4 * RNG.normal(size=(10, 3, 3))
+    projected = np.asarray(spatial.project_to_so3(jnp.asarray(near)))
+    assert np.allclose(np.swapaxes(projected, 1, 2) @ projected, np.eye(3), rtol=0, atol=1e-13)
