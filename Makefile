@@ -40,6 +40,7 @@ lint: $(MODULE) ## check formats, lints, types and import contracts
 bench: $(MODULE) ## measure every part of a tick, and the crate beside Pinocchio, DAQP and Clarabel
 	cargo bench --locked --bench dynamics --bench aero --bench qp --bench flight
 	$(BIN)/python -m experiments.bench
+	$(BIN)/python -m experiments.bench_symbolic
 
 figures: $(MODULE) ## draw every figure whose results are there; flies the demo's flights if they are not
 	$(BIN)/python -m experiments $(DEMO)
@@ -49,6 +50,10 @@ reproduce: $(MODULE) ## fly everything, draw everything, write results/report.md
 	$(BIN)/python -m experiments --all
 	$(BIN)/python -m experiments sweep --all
 	$(BIN)/python -m experiments engine-choice
+	$(BIN)/python -m experiments force-rate
+	$(BIN)/python -m experiments trim hover_posture --map
+	$(BIN)/python -m experiments trim free_joints --map
+	$(BIN)/python -m experiments trajectory
 	-$(BIN)/python -m paper_figs all
 	$(BIN)/python -m experiments report
 
