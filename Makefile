@@ -41,6 +41,7 @@ bench: $(MODULE) ## measure every part of a tick, and the crate beside Pinocchio
 	cargo bench --locked --bench dynamics --bench aero --bench qp --bench flight
 	$(BIN)/python -m experiments.bench
 	$(BIN)/python -m experiments.bench_symbolic
+	$(BIN)/python -m experiments.bench_jax
 
 figures: $(MODULE) ## draw every figure whose results are there; flies the demo's flights if they are not
 	$(BIN)/python -m experiments $(DEMO)
@@ -58,6 +59,7 @@ reproduce: $(MODULE) ## fly everything, draw everything, write results/report.md
 	$(BIN)/python -m experiments report
 
 verify: $(MODULE) ## compare the crate with independent implementations and stored states
+	$(BIN)/python -m jax_aero verify
 	$(BIN)/python -m pytest tests/parity
 
 clean: ## remove what set-up and builds made; results stay

@@ -225,8 +225,9 @@ def _control_cases(flight: Any, hover: Any, wind: Any) -> Iterator[Case]:
 
 def _mjx_cases(robot: RobotModel, state: State) -> Iterator[Case]:
     """Plain MJX on the same URDF: as it comes, with its joint limits, and with constraints disabled."""
-    mjx: Any = importlib.import_module("mujoco.mjx")
     from jax_aero.mujoco_door import mujoco_spec, to_mujoco
+
+    mjx: Any = importlib.import_module("mujoco.mjx")
 
     for name, flags in (("", 0), (", constraints disabled", None)):
         spec = mujoco_spec(robot.source)

@@ -9,7 +9,9 @@ It stands below `dynamics`, not in `sim`, because `dynamics` offers it as a back
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import io
 import tomllib
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,12 +20,14 @@ import jax
 import jax.numpy as jnp
 import mujoco  # type: ignore[import-untyped]
 import numpy as np
-from mujoco import mjx
 from numpy.typing import NDArray
 
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import multiply, rotate, rotate_back, rotation_from_wxyz, skew, wxyz_from_rotation
 from jax_aero.types import Array, State
+
+with contextlib.redirect_stdout(io.StringIO()):  # it prints that a GPU backend nobody asked for is not installed
+    from mujoco import mjx
 
 
 class Order(NamedTuple):

@@ -324,7 +324,7 @@ def draw(rows: Sequence[Row], path: Path) -> bool:
     axes.scatter([max(row.tolerance, 1e-17) for row in rows], places, marker="|", color="black", s=40)
     axes.set(xscale="log", xlim=(1e-17, 10.0), xlabel="worst difference; tick: tolerance")
     axes.set_yticks(places, [f"{row.group}: {row.quantity}" for row in rows], fontsize=6)
-    axes.invert_yaxis()
+    axes.set_ylim(len(rows) - 0.3, -0.7)
     figure.savefig(path, dpi=150)
     return True
 

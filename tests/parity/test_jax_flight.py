@@ -22,14 +22,13 @@ ROOT = Path(__file__).resolve().parents[2]
 EXPERIMENTS = ROOT / "configs" / "experiments"
 
 
-@pytest.mark.parametrize("experiment", ["test2", "test2_published"])
-def test_a_flight_of_50_s(experiment, measured):
+def test_a_flight_of_50_s(measured):
     """Every signal at every tick to 1e-6, and the same figures of merit."""
     comparison = Comparison()
-    rust, ours = verify_flight(reference.load_config(EXPERIMENTS / f"{experiment}.toml"), comparison)
+    rust, ours = verify_flight(reference.load_config(EXPERIMENTS / "test2.toml"), comparison)
     for row in comparison.rows:
         if row.quantity in ("base_position", "joint_position", "thrust", "joint_torque"):
-            measured(f"{experiment}: {row.quantity}", row.absolute)
+            measured(f"TEST2, 50 s: {row.quantity}", row.absolute)
     assert [row.quantity for row in comparison.rows if not row.agrees] == []
     assert len(ours["time"]) == 5001
     assert ours.log.keys() == rust.log.keys()
@@ -66,7 +65,7 @@ def test_every_tick_of_the_world(experiment, agree):
     changes = {"simulator.duration": 8.0, **VARIANTS[experiment]}
     table = reference.load_config(EXPERIMENTS / f"{experiment}.toml", changes)
     config, log = flight_config(table), reference.fly(table).log
-    plant, start = start_plant(config.simulator, load_robot(table["robot"]))
+    plant, start = jax.jit(start_plant)(config.simulator, load_robot(table["robot"]))
     velocity = np.concatenate([log["base_velocity"], log["joint_velocity"]], axis=1)
     agree("first state", start.robot.velocity, velocity[0], 1e-10)
 
@@ -92,7 +91,7 @@ def test_every_tick_of_the_world(experiment, agree):
 
 
 PERTURBED = {
-    "simulator.duration": 7.0,
+    "simulator.duration": 12.0,
     "wind.ramp_start": 0.5,
     "wind.ramp_end": 2.0,
     "simulator.aero_factors.drag": 1.3,
@@ -103,10 +102,10 @@ PERTURBED = {
 }
 
 
-def test_a_flight_of_another_robot_than_the_controller_thinks():
-    """Forces that are not those of the model, masses that are not those of the controller."""
+def test_a_flight_with_everything_wrong():
+    """Published lever arms, forces that are not those of the model, masses that are not those of the controller."""
     comparison = Comparison()
-    verify_flight(reference.load_config(EXPERIMENTS / "test2.toml", PERTURBED), comparison)
+    verify_flight(reference.load_config(EXPERIMENTS / "test2_published.toml", PERTURBED), comparison)
     assert [row.quantity for row in comparison.rows if not row.agrees] == []
 
 

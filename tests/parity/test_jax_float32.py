@@ -1,0 +1,52 @@
+"""What single precision costs: the error budget of every kernel below the controller, against double precision."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax_aero.aero import Axisymmetric, LinkConventions, link_forces
+from jax_aero.dynamics import dynamics, forward_dynamics
+from jax_aero.kinematics import kinematics
+from jax_aero.robot import load_robot
+from jax_aero.types import State, with_dtype
+
+pytestmark = pytest.mark.usefixtures("x64")
+
+ROOT = Path(__file__).resolve().parents[2]
+BUDGET = {"mass_matrix": 2e-6, "bias": 4e-6, "momentum": 4e-6, "acceleration": 3e-4, "forces": 4e-6}
+"""Relative to the largest entry; 10 m from the origin, where positions are good to 1e-6 m."""
+
+
+def test_the_budget_of_single_precision(agree):
+    robot = load_robot(ROOT / "configs" / "robot" / "ironcub_mk1.toml")
+    model = Axisymmetric(0.5 * np.float64(1.225), robot.aero_links.coefficients["corrected"])
+    rng = np.random.default_rng(9)
+    turn = np.linalg.qr(rng.normal(size=(40, 3, 3)))[0]
+    turn *= np.linalg.det(turn)[:, None, None]
+    limits = np.asarray(robot.joint_limits)
+    joints = rng.uniform(limits[:, 0], limits[:, 1], size=(40, 23))
+    states = State(10.0 * rng.uniform(-1, 1, (40, 3)), turn, joints, rng.normal(size=(40, 29)))
+
+    @jax.jit
+    def evaluate(robot, model, states):
+        def one(state):
+            kin = kinematics(robot, state)
+            dyn = dynamics(robot, state, kin)
+            forces = link_forces(
+                model, robot, kin, LinkConventions(), jnp.array([1.0, -9.0, 0.5], state.velocity.dtype)
+            )
+            found = {name: getattr(dyn, name) for name in ("mass_matrix", "bias", "momentum")}
+            return found | {"acceleration": forward_dynamics(dyn, jnp.cos(state.velocity)), "forces": forces.forces}
+
+        return jax.vmap(one)(states)
+
+    inputs = jax.tree.map(jnp.asarray, (robot, model, states))
+    double, single = evaluate(*inputs), evaluate(*with_dtype(inputs, jnp.float32))
+    for name, tolerance in BUDGET.items():
+        assert single[name].dtype == jnp.float32
+        agree(name, single[name], double[name], tolerance)
