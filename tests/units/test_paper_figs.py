@@ -6,7 +6,6 @@ from paper_figs import runs
 from paper_figs.__main__ import FIGURES, main
 from paper_figs.panels import readable
 
-
 # These show studies, not flights; the tests of each study draw its figure from a study of their own.
 STUDIES = {"trim", "trajectory", "force_rate", "identify"}
 
