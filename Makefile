@@ -13,7 +13,7 @@ DEMO := test1 test2 test1_published test2_published
 export PYO3_PYTHON := $(abspath $(BIN)/python)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint bench figures reproduce verify clean
+.PHONY: help setup demo test lint bench figures reproduce verify docs clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -62,8 +62,13 @@ verify: $(MODULE) ## compare the crate with independent implementations and stor
 	$(BIN)/python -m jax_aero verify
 	$(BIN)/python -m pytest tests/parity
 
+docs: $(MODULE) ## build the documentation site into site/, the crate's own beside it
+	$(BIN)/python -m mkdocs build --strict
+	cargo doc --locked --no-deps --package flight-core
+	rm -rf site/rust && cp -r target/doc site/rust
+
 clean: ## remove what set-up and builds made; results stay
-	rm -rf target $(VENV) jax_aero/_core*.so .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf target site $(VENV) jax_aero/_core*.so .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Stamps: a second `make demo` starts at once.

@@ -1,0 +1,130 @@
+"""The documentation builds without a warning, and what it shows, runs."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+from experiments.sweep import spec
+from experiments.sweep.design import Design
+from jax_aero import reference
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+PAGES = sorted([DOCS / "index.md", DOCS / "start.md", *DOCS.glob("tutorial/*.md"), *DOCS.glob("howto/*.md")])
+FENCE = re.compile(r"(?:<!-- test: (?P<kind>[\w-]+) -->\n)?^```(?P<language>\w+)\n(?P<code>.*?)^```$", re.M | re.S)
+KINDS = {
+    ("run", "python"),
+    ("run", "sh"),
+    ("dry-run", "sh"),
+    ("show", "sh"),
+    ("experiment", "toml"),
+    ("sweep", "toml"),
+    (None, "rust"),
+}
+
+
+def name(path: Path) -> str:
+    return str(path.relative_to(DOCS))
+
+
+def blocks(page: Path, kind: str, language: str) -> list[str]:
+    found = FENCE.finditer(page.read_text(encoding="utf-8"))
+    return [block["code"] for block in found if (block["kind"], block["language"]) == (kind, language)]
+
+
+def having(kind: str, language: str) -> list[Path]:
+    pages = [page for page in PAGES if blocks(page, kind, language)]
+    assert pages, (kind, language)
+    return pages
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_every_block_says_how_it_is_tried(page):
+    text = page.read_text(encoding="utf-8")
+    found = list(FENCE.finditer(text))
+    assert 2 * len(found) == len(re.findall("^```", text, re.M))
+    for block in found:
+        assert (block["kind"], block["language"]) in KINDS, block[0]
+        if block["language"] == "rust":  # taken from a program that the crate's tests run
+            assert re.fullmatch(r'--8<-- "rust/core/examples/tutorial\.rs:\w+"\n', block["code"])
+
+
+@pytest.mark.parametrize("page", having("run", "python"), ids=name)
+def test_the_python_of_a_page_is_one_program_that_runs(page):
+    program = "\n".join(blocks(page, "run", "python"))
+    answer = subprocess.run(
+        [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False, timeout=120
+    )
+    assert answer.returncode == 0, answer.stderr
+
+
+@pytest.mark.parametrize("page", having("run", "sh"), ids=name)
+def test_commands_run(page, tmp_path):
+    program = "\n".join(blocks(page, "run", "sh"))
+    environment = {"PATH": f"{Path(sys.executable).parent}:/usr/bin:/bin", "OUT": str(tmp_path), "HOME": str(tmp_path)}
+    answer = subprocess.run(
+        ["bash", "-euo", "pipefail", "-c", program],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+    assert answer.returncode == 0, answer.stderr
+
+
+def test_shown_commands_name_targets_and_modules_that_exist():
+    makefile = (ROOT / "Makefile").read_text()
+    for page in PAGES:
+        for line in "".join(blocks(page, "show", "sh") + blocks(page, "dry-run", "sh")).splitlines():
+            program, *words = line.split("#")[0].split()
+            if program == "make":
+                assert f"\n{words[0]}:" in makefile, line
+            elif program == "python":
+                assert words[0] == "-m", line
+                assert (ROOT / words[1].replace(".", "/")).exists(), line
+            else:
+                assert line == "cargo run --release --example tutorial"
+
+
+@pytest.mark.parametrize("page", having("experiment", "toml"), ids=name)
+def test_shown_experiments_can_fly(page, tmp_path):
+    configs = shutil.copytree(ROOT / "configs", tmp_path / "configs")
+    for number, code in enumerate(blocks(page, "experiment", "toml")):
+        file = configs / "experiments" / f"shown_{number}.toml"
+        file.write_text(code, encoding="utf-8")
+        reference.load_config(file)
+
+
+@pytest.mark.parametrize("page", having("sweep", "toml"), ids=name)
+def test_shown_sweeps_can_be_planned(page, tmp_path):
+    configs = shutil.copytree(ROOT / "configs", tmp_path / "configs")
+    for code in blocks(page, "sweep", "toml"):
+        file = configs / "sweeps" / "shown.toml"
+        file.write_text(code, encoding="utf-8")
+        design = Design(spec.load(str(file)))
+        design.check()
+        assert design.n_rows > 0
+
+
+def test_the_notebook_runs():
+    notebook = nbformat.read(DOCS / "notebooks/first_flight.ipynb", as_version=4)
+    stored = [cell.outputs for cell in notebook.cells if cell.cell_type == "code"]
+    assert any("image/png" in output.get("data", {}) for outputs in stored for output in outputs)
+    NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(ROOT)}}).execute()
+
+
+def test_the_site_builds_without_a_warning(tmp_path):
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path / "site")]
+    answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=300)
+    assert answer.returncode == 0, answer.stdout + answer.stderr
+    fetched = re.compile(r"""<(?:script|link|img)[^>]+(?:src|href)=["']?(?:https?:)?//""")
+    for page in (tmp_path / "site").rglob("*.html"):
+        assert not fetched.search(page.read_text(encoding="utf-8")), f"{page.name} loads something from elsewhere"
