@@ -80,7 +80,8 @@ pub struct Flight {
 }
 
 /// A flight that was stopped from outside.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("interrupted")]
 pub struct Interrupted;
 
 impl Flight {
@@ -195,24 +196,17 @@ impl Flight {
 }
 
 /// Why a flight of a batch has no result.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
 pub enum BatchError {
     /// It could not be built.
-    Build(BuildError),
+    #[error(transparent)]
+    Build(#[from] BuildError),
     /// The batch was stopped.
+    #[error("interrupted")]
     Interrupted,
     /// No threads could be started.
+    #[error("cannot start threads: {0}")]
     NoThreads(String),
-}
-
-impl fmt::Display for BatchError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Build(error) => write!(f, "{error}"),
-            Self::Interrupted => write!(f, "interrupted"),
-            Self::NoThreads(reason) => write!(f, "cannot start threads: {reason}"),
-        }
-    }
 }
 
 /// Flies every configuration, `threads` at a time (`None`: one per core). Results stand in the order
