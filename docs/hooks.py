@@ -1,4 +1,4 @@
-"""What the site does beyond Markdown: it shows a notebook, and links to files outside `docs/` by name only."""
+"""What the site does beyond Markdown: it shows a notebook, and gives pages with wide tables the whole width."""
 
 from __future__ import annotations
 
@@ -10,8 +10,13 @@ from typing import Any
 NOTEBOOK = re.compile(r"<!-- notebook: (?P<path>\S+) -->")
 
 
-def on_page_markdown(markdown: str, *, config: Any, **_: Any) -> str:
+WIDE = {"equations.md", "deviations.md"}
+
+
+def on_page_markdown(markdown: str, *, page: Any, config: Any, **_: Any) -> str:
     """Replace a line `<!-- notebook: PATH -->` by the cells and outputs of that notebook."""
+    if page.file.src_path in WIDE:
+        page.meta["hide"] = ["navigation", "toc"]
     return NOTEBOOK.sub(lambda found: render(Path(config["docs_dir"]) / found["path"]), markdown)
 
 

@@ -2,6 +2,8 @@
 
 The only importer of the compiled module `jax_aero._core`.
 
+Examples
+--------
 >>> from jax_aero import reference
 >>> config = reference.load_config("configs/experiments/test2.toml", {"simulator.duration": 1.0})
 >>> flight = reference.fly(config)
