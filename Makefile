@@ -13,7 +13,7 @@ DEMO := test1 test2 test1_published test2_published
 export PYO3_PYTHON := $(abspath $(BIN)/python)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint bench figures reproduce verify docs clean
+.PHONY: help setup demo view test lint bench figures reproduce verify docs clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -24,6 +24,9 @@ setup: $(MODULE) ## create .venv, install the pinned packages, compile the Rust 
 demo: $(MODULE) ## fly both controllers with right and with published lever arms: table and figure
 	$(BIN)/python -m experiments $(DEMO) --overwrite
 	$(BIN)/python -m paper_figs demo fig5
+
+view: $(MODULE) ## fly in the browser: drag the wind until the robot falls
+	$(BIN)/python -m jax_aero view
 
 test: $(MODULE) ## run every test, Rust first, then Python
 	cargo test --locked

@@ -1,10 +1,18 @@
-"""`python -m jax_aero verify` says whether the Rust controller agrees with the JAX reference."""
+"""Commands of the library.
 
+`verify` says whether the Rust controller agrees with the JAX reference; `view` shows flights in the browser and flies
+them there; `video` and `snapshot` draw them into files.
+"""
+
+import importlib
 import sys
 
-from jax_aero import verify
-
-COMMANDS = {"verify": verify.main}
+COMMANDS = {
+    "verify": "jax_aero.verify:main",
+    "view": "jax_aero.view.command:view",
+    "video": "jax_aero.view.command:video",
+    "snapshot": "jax_aero.view.command:snapshot",
+}
 
 
 def main(arguments: list[str]) -> int:
@@ -12,7 +20,9 @@ def main(arguments: list[str]) -> int:
     if not arguments or arguments[0] not in COMMANDS:
         print(f"usage: python -m jax_aero {{{','.join(COMMANDS)}}} ...", file=sys.stderr)
         return 2
-    return COMMANDS[arguments[0]](arguments[1:])
+    module, function = COMMANDS[arguments[0]].split(":")
+    status: int = getattr(importlib.import_module(module), function)(arguments[1:])
+    return status
 
 
 if __name__ == "__main__":

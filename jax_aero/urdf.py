@@ -98,7 +98,7 @@ def read_tree(urdf_text: str, base_link: str, order: Sequence[str], locked: Mapp
         places[link] = (body, body_from_link)
         for joint in children[link]:
             name, child = joint.attrib["name"], _child(joint, "child").attrib["link"]
-            body_from_joint = body_from_link @ _origin(joint)
+            body_from_joint = body_from_link @ origin_of(joint)
             if name in order:
                 place = list(order).index(name)
                 if place < body:
@@ -136,7 +136,8 @@ def _numbers(text: str) -> Vector:
     return np.array([float(word) for word in text.split()])
 
 
-def _origin(element: ElementTree.Element) -> Pose:
+def origin_of(element: ElementTree.Element) -> Pose:
+    """Pose a URDF element gives by its <origin>; the identity where it has none."""
     origin = element.find("origin")
     if origin is None:
         return IDENTITY
@@ -174,7 +175,7 @@ def _parts(link: ElementTree.Element, body_from_link: Pose) -> list[_Part]:
     mass = float(_child(inertial, "mass").attrib["value"])
     i = {key: float(value) for key, value in _child(inertial, "inertia").attrib.items()}
     tensor = np.array([[i["ixx"], i["ixy"], i["ixz"]], [i["ixy"], i["iyy"], i["iyz"]], [i["ixz"], i["iyz"], i["izz"]]])
-    pose = body_from_link @ _origin(inertial)
+    pose = body_from_link @ origin_of(inertial)
     return [_Part(mass, pose.position, pose.rotation @ tensor @ pose.rotation.T)] if mass > 0.0 else []
 
 

@@ -13,7 +13,7 @@ import yaml
 import jax_aero
 
 ROOT = Path(__file__).resolve().parents[2]
-TARGETS = {"help", "setup", "demo", "test", "lint", "bench", "figures", "reproduce", "verify", "docs", "clean"}
+TARGETS = {"help", "setup", "demo", "test", "lint", "bench", "figures", "reproduce", "verify", "docs", "view", "clean"}
 
 
 def make(*arguments: str) -> str:

@@ -1,0 +1,175 @@
+"""The commands `view`, `video` and `snapshot` of `python -m jax_aero`."""
+
+from __future__ import annotations
+
+import argparse
+import socket
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from jax_aero.view import Refused, recording, require
+
+INTERRUPTED = 130
+
+RESULT = "a folder or run.nc that `python -m experiments NAME` wrote, or the NAME of one in results/flight"
+
+
+def view(words: Sequence[str]) -> int:
+    """Serve the page until Ctrl-C."""
+    parser = argparse.ArgumentParser(
+        prog="python -m jax_aero view",
+        description="Show a flight in the browser, beside another one as a ghost if two are given, and fly it anew "
+        "with other wind, controller, aerodynamics. Without RESULT the baseline is flown.",
+    )
+    parser.add_argument("results", nargs="*", metavar="RESULT", help=f"{RESULT}; at most two")
+    parser.add_argument("--robot", metavar="FILE", help="TOML file of the robot, where a result does not lead to it")
+    parser.add_argument("--host", default="127.0.0.1", help="where to listen (default: this machine alone)")
+    parser.add_argument("--port", type=int, default=8080, help="port; the next free one if it is taken (default 8080)")
+    given = parser.parse_args(words)
+    return _guarded(lambda: _serve(given))
+
+
+def _serve(given: Any) -> int:
+    if len(given.results) > 2:
+        raise Refused(f"{len(given.results)} results are given; expected at most two")
+    _check_address(given.host, given.port)
+    recordings = [recording.read(result, given.robot) for result in given.results]
+    require(["viser"], "the page")
+    from jax_aero.view.page import Page
+    from jax_aero.view.settings import default_config
+
+    config = recordings[0].config if recordings else default_config()
+    page = Page(recordings, config, given.host, given.port)
+    print(f"{page.url} shows {page.solid.title}; Ctrl-C ends it", flush=True)
+    try:
+        threading.Event().wait()
+    finally:
+        page.close()
+    return 0
+
+
+def _check_address(host: str, port: int) -> None:
+    """Refuse what cannot be listened on; what is merely taken is left to the server, which tries the next port."""
+    if not 0 <= port <= 65535:
+        raise Refused(f"port is {port}; expected 0 (any) to 65535")
+    try:
+        socket.create_server((host, 0)).close()
+    except OSError as reason:
+        raise Refused(
+            f"cannot listen on `{host}` ({reason.strerror or reason}); expected an address of this machine"
+        ) from None
+
+
+def video(words: Sequence[str]) -> int:
+    """Write a video."""
+    parser = argparse.ArgumentParser(prog="python -m jax_aero video", description="Film a flight.")
+    _common(parser, Path("flight.mp4"), "1280x720")
+    parser.add_argument("--fps", type=float, default=30.0, help="pictures per second (default 30)")
+    parser.add_argument("--speed", type=float, default=1.0, help="flight seconds per second of video (default 1)")
+    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="where to begin [s]")
+    parser.add_argument("--end", type=float, metavar="S", help="where to stop [s] (default: the end of the flight)")
+    given = parser.parse_args(words)
+
+    def work() -> int:
+        from jax_aero.view.video import write_video
+
+        with _Bar("frame") as bar:
+            write_video(
+                recording.read(given.result, given.robot),
+                given.out,
+                fps=given.fps,
+                speed=given.speed,
+                size=given.size,
+                viewpoint=given.camera,
+                start=given.start,
+                end=given.end,
+                progress=bar,
+            )
+        print(given.out)
+        return 0
+
+    return _guarded(work)
+
+
+def snapshot(words: Sequence[str]) -> int:
+    """Write a picture."""
+    parser = argparse.ArgumentParser(
+        prog="python -m jax_aero snapshot", description="Draw one moment of a flight, or several in one picture."
+    )
+    _common(parser, Path("flight.png"), "1920x1080")
+    parser.add_argument(
+        "--at", type=float, nargs="+", default=[], metavar="S", help="moments [s] (default: six, evenly spread)"
+    )
+    given = parser.parse_args(words)
+
+    def work() -> int:
+        from jax_aero.view.video import write_snapshot
+
+        with _Bar("picture") as bar:
+            write_snapshot(
+                recording.read(given.result, given.robot),
+                given.out,
+                given.at,
+                size=given.size,
+                viewpoint=given.camera,
+                progress=bar,
+            )
+        print(given.out)
+        return 0
+
+    return _guarded(work)
+
+
+def _common(parser: argparse.ArgumentParser, out: Path, size: str) -> None:
+    parser.add_argument("result", metavar="RESULT", help=RESULT)
+    parser.add_argument("--out", type=Path, default=out, metavar="FILE", help=f"what to write (default {out})")
+    parser.add_argument("--size", type=_size, default=_size(size), metavar="WxH", help=f"pixels (default {size})")
+    parser.add_argument("--camera", choices=("chase", "side"), default="chase", help="point of view (default chase)")
+    parser.add_argument("--robot", metavar="FILE", help="TOML file of the robot, where the result does not lead to it")
+
+
+def _size(text: str) -> tuple[int, int]:
+    try:
+        width, height = (int(edge) for edge in text.lower().split("x"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"size is {text!r}; expected WIDTHxHEIGHT, e.g. 1280x720") from None
+    return width, height
+
+
+class _Bar:
+    """A progress bar, where tqdm is installed and somebody looks."""
+
+    def __init__(self, unit: str) -> None:
+        self.unit = unit
+        self.bar: Any = None
+
+    def __enter__(self) -> _Bar:
+        return self
+
+    def __call__(self, done: int, total: int) -> None:
+        if self.bar is None:
+            try:
+                from tqdm import tqdm
+            except ModuleNotFoundError:
+                return
+            self.bar = tqdm(total=total, unit=self.unit, disable=None)
+        self.bar.update(done - self.bar.n)
+
+    def __exit__(self, *_: object) -> None:
+        if self.bar is not None:
+            self.bar.close()
+
+
+def _guarded(work: Callable[[], int]) -> int:
+    """Run; a refusal is a line and status 2, Ctrl-C a line and status 130."""
+    try:
+        return work()
+    except Refused as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED

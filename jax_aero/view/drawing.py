@@ -1,0 +1,170 @@
+"""How a moment of a flight is drawn, whoever draws it: colours, scales, arrows, plumes, meshes.
+
+Colours are those Okabe and Ito chose to stay distinct for colour-blind readers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jax_aero.urdf import Vector
+from jax_aero.view.recording import Instant
+from jax_aero.view.shapes import Look, Role, Shape, rotation_onto
+
+Colour = tuple[int, int, int]
+
+FORCE: Colour = (0, 114, 178)
+WIND: Colour = (86, 180, 233)
+REFERENCE: Colour = (0, 158, 115)
+TRAIL: Colour = (204, 121, 167)
+PLUME: Colour = (230, 159, 0)
+GHOST: Colour = (104, 78, 170)
+FELL: Colour = (213, 94, 0)
+COMPLETED: Colour = (0, 120, 90)
+
+ROLES: dict[Role, Colour] = {
+    "shell": (226, 223, 214),
+    "engine": (72, 76, 84),
+    "sole": (72, 76, 84),
+    "strut": (150, 152, 156),
+}
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Lengths that quantities are drawn with."""
+
+    force: float = 0.15
+    """[m/N]"""
+    thrust: float = 0.0036
+    """[m/N]"""
+    wind: float = 0.08
+    """[m per m/s]"""
+
+    @property
+    def reference_force(self) -> float:
+        """A round force whose arrow is about 0.3 m long [N]: what a legend shows."""
+        wanted = 0.3 / self.force
+        power = 10.0 ** np.floor(np.log10(wanted))
+        return float(power * max(step for step in (1.0, 2.0, 5.0) if step <= 1.0001 * wanted / power))
+
+
+class Placed(NamedTuple):
+    """Where things are: (n, 3) positions [m] and (n, 3, 3) rotations, inertial axes."""
+
+    positions: Vector
+    rotations: Vector
+
+
+def place(shapes: Sequence[Shape], instant: Instant) -> Placed:
+    """Return centres and axes of primitives."""
+    bodies = [shape.body for shape in shapes]
+    offsets = np.array([shape.body_from_shape.position for shape in shapes])
+    turns = np.array([shape.body_from_shape.rotation for shape in shapes])
+    rotations = instant.body_rotations[bodies]
+    return Placed(instant.body_positions[bodies] + np.einsum("nij,nj->ni", rotations, offsets), rotations @ turns)
+
+
+def force_arrows(look: Look, instant: Instant, scales: Scales) -> Vector:
+    """Tail and tip of the aerodynamic force on every link, where it acts, (links, 2, 3)."""
+    if not look.links:
+        return np.zeros((0, 2, 3))
+    bodies = [link.body for link in look.links]
+    offsets = np.array([link.position for link in look.links])
+    tails = instant.body_positions[bodies] + np.einsum("nij,nj->ni", instant.body_rotations[bodies], offsets)
+    return np.stack([tails, tails + scales.force * instant.aero_force], axis=1)
+
+
+class Plumes(NamedTuple):
+    """Cones of exhaust: nozzle [m], direction as z axis, length [m] in proportion to thrust; first axis jets."""
+
+    positions: Vector
+    rotations: Vector
+    lengths: Vector
+
+
+PLUME_RADIUS = 0.042  # m
+OVERHEAD = 0.82  # m, height of the wind's arrow over the centre of mass
+
+
+def plumes(look: Look, instant: Instant, scales: Scales) -> Plumes:
+    """Return the exhaust of every jet."""
+    positions, rotations = [], []
+    for jet in look.jets:
+        body_rotation = instant.body_rotations[jet.body]
+        positions.append(instant.body_positions[jet.body] + body_rotation @ jet.position)
+        rotations.append(rotation_onto(body_rotation @ jet.axis))
+    lengths = scales.thrust * np.maximum(instant.thrust, 0.0)
+    return Plumes(np.reshape(positions, (-1, 3)), np.reshape(rotations, (-1, 3, 3)), lengths)
+
+
+def wind_arrow(instant: Instant, scales: Scales) -> Vector | None:
+    """Tail and tip of an arrow over the robot, (2, 3); `None` in still air."""
+    speed = float(np.linalg.norm(instant.wind))
+    if speed < 0.1:
+        return None
+    half = 0.5 * scales.wind * instant.wind
+    above = instant.com + np.array([0.0, 0.0, OVERHEAD])
+    return np.stack([above - half, above + half])
+
+
+class Mesh(NamedTuple):
+    """(v, 3) vertices [m] and (f, 3) faces, counter-clockwise from outside."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+
+
+def revolve(profile: Sequence[tuple[float, float]], segments: int = 24) -> Mesh:
+    """Turn a profile of (radius, height), from bottom to top, about z; a point given twice makes a sharp edge."""
+    angles = np.linspace(0.0, 2.0 * np.pi, segments, endpoint=False)
+    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    vertices = np.concatenate([np.column_stack([r * ring, np.full(segments, z)]) for r, z in profile])
+    faces = []
+    for low in range(len(profile) - 1):
+        if profile[low] == profile[low + 1]:
+            continue
+        for i in range(segments):
+            a, b = low * segments + i, low * segments + (i + 1) % segments
+            c, d = a + segments, b + segments
+            faces += [(a, b, d)] if profile[low][0] > 0.0 else []
+            faces += [(a, d, c)] if profile[low + 1][0] > 0.0 else []
+    return Mesh(vertices, np.array(faces))
+
+
+def cylinder() -> Mesh:
+    """Radius and height 1, about the origin, edges slightly rounded."""
+    flat, side = (0.93, 0.5), (1.0, 0.47)
+    bottom, rise = (0.93, -0.5), (1.0, -0.47)
+    return revolve([(0.0, -0.5), bottom, bottom, rise, rise, side, side, flat, flat, (0.0, 0.5)])
+
+
+def sphere() -> Mesh:
+    """Radius 1, about the origin."""
+    angles = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 15)
+    return revolve([(max(float(np.cos(a)), 0.0) if abs(a) < 1.57 else 0.0, float(np.sin(a))) for a in angles])
+
+
+def box() -> Mesh:
+    """Edges of length 1, about the origin."""
+    quarter = revolve(
+        [(0.0, -0.5), (0.5**0.5, -0.5), (0.5**0.5, -0.5), (0.5**0.5, 0.5), (0.5**0.5, 0.5), (0.0, 0.5)], 4
+    )
+    turn = rotation_about_z(np.pi / 4)
+    return Mesh(quarter.vertices @ turn.T, quarter.faces)
+
+
+def cone() -> Mesh:
+    """Return a cone: base of radius 1 at the origin, tip at height 1."""
+    return revolve([(0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (0.0, 1.0)])
+
+
+def rotation_about_z(angle: float) -> Vector:
+    """Rotation matrix, (3, 3)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

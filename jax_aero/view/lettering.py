@@ -1,0 +1,143 @@
+"""Words on pictures (Pillow): title, numbers, outcome, scale, and the time that has passed."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from jax_aero.urdf import Vector
+from jax_aero.view import drawing
+from jax_aero.view.drawing import Colour, Scales
+from jax_aero.view.recording import Recording
+
+INK: Colour = (32, 36, 44)
+SOFT: Colour = (88, 94, 104)
+PAPER: Colour = (255, 255, 255)
+
+
+@functools.lru_cache
+def font(size: int) -> Any:
+    """Pillow's own font at a size in pixels: nothing has to be installed."""
+    return ImageFont.load_default(size=size)
+
+
+def letter_video(
+    pixels: Any, recording: Recording, time: float, scales: Scales, pixels_per_metre: float, *, outcome: bool
+) -> Any:
+    """Put everything a frame of a video says onto it, with the outcome if wanted; (h, w, 3) in and out."""
+    picture = Image.fromarray(pixels)
+    draw = ImageDraw.Draw(picture, "RGBA")
+    width, height = picture.size
+    size = max(height // 34, 9)
+    margin = size
+    now = recording.at(time)
+    text(draw, (margin, margin), recording.title, int(1.25 * size), INK)
+    text(draw, (margin, margin + int(1.7 * size)), f"{now.time:.1f} s", size, SOFT)
+    lines = [
+        f"wind {np.linalg.norm(now.wind):.1f} m/s",
+        f"tilt {np.rad2deg(now.rotation_error):.0f}°",
+        f"off course {np.linalg.norm(now.com - now.com_reference):.2f} m",
+        f"speed {np.linalg.norm(now.com_velocity):.1f} m/s",
+        f"height {now.com[2]:.1f} m",
+    ]
+    for i, line in enumerate(lines):
+        text(draw, (width - margin, margin + int(1.35 * i * size)), line, size, INK, anchor="ra")
+    legend(draw, (margin, height - 2 * margin), size, scales, pixels_per_metre)
+    if outcome:
+        badge(draw, (margin + size // 2, margin + int(4.2 * size)), recording, size, "lm")
+    share = now.time / max(recording.duration, 1e-9)
+    draw.rectangle((0, height - max(size // 4, 2), width * share, height), fill=(*drawing.FORCE, 255))
+    return np.asarray(picture)
+
+
+def text(
+    draw: ImageDraw.ImageDraw, place: tuple[float, float], words: str, size: int, colour: Colour, anchor: str = "la"
+) -> None:
+    """Write with a light rim, so that it reads on any ground."""
+    draw.text(
+        place, words, font=font(size), fill=colour, anchor=anchor, stroke_width=max(size // 12, 1), stroke_fill=PAPER
+    )
+
+
+def legend(
+    draw: ImageDraw.ImageDraw, place: tuple[float, float], size: int, scales: Scales, pixels_per_metre: float
+) -> None:
+    """Draw what the colours mean, from the bottom line upwards; the bars are as long as the quantity they name."""
+    force = scales.reference_force
+    rows: list[tuple[Colour, float, str]] = [
+        (drawing.TRAIL, 0.2, "its path"),
+        (drawing.REFERENCE, 0.2, "reference of the centre of mass"),
+        (drawing.WIND, 0.0, "wind"),
+        (drawing.PLUME, scales.thrust * 100.0, "thrust 100 N"),
+        (drawing.FORCE, scales.force * force, f"aerodynamic force {force:g} N"),
+    ]
+    longest = max(length for _, length, _ in rows) * pixels_per_metre
+    for i, (colour, length, words) in enumerate(rows):
+        middle = place[1] - 1.35 * i * size
+        bar = max(length * pixels_per_metre, 0.0) or 0.2 * pixels_per_metre
+        thick = max(size // 7, 1)
+        draw.rectangle((place[0], middle - thick, place[0] + bar, middle + thick), fill=colour)
+        text(draw, (place[0] + longest + 0.6 * size, middle), words, int(0.85 * size), SOFT, anchor="lm")
+
+
+def badge(draw: ImageDraw.ImageDraw, place: tuple[int, int], recording: Recording, size: int, anchor: str) -> None:
+    """Draw the outcome on its colour."""
+    colour = drawing.FELL if recording.fall_time is not None else drawing.COMPLETED
+    left, top, right, bottom = draw.textbbox(place, recording.verdict, font=font(size), anchor=anchor)
+    pad = 0.45 * size
+    draw.rounded_rectangle((left - pad, top - pad, right + pad, bottom + pad), radius=pad, fill=(*colour, 255))
+    draw.text(place, recording.verdict, font=font(size), fill=PAPER, anchor=anchor)
+
+
+def profile(
+    draw: ImageDraw.ImageDraw, box: tuple[int, int, int, int], recording: Recording, times: list[float], size: int
+) -> None:
+    """Draw the path from the side, or from above where it turns, with the instants marked and numbered."""
+    s = recording.signals
+    left, top, right, bottom = box
+    turns = float(np.ptp(s["com_reference"][:, 1])) > 2.0
+    columns = [0, 1] if turns else [0, 2]
+    path, wanted = s["com_position"][:, columns], s["com_reference"][:, columns]
+    everything = np.concatenate([path, wanted])
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    low[1] = min(low[1], 0.0)
+    span = np.maximum(high - low, [1.0, 1.0])
+
+    def pixel(point: Vector) -> tuple[float, float]:
+        share = (point - low) / span
+        return left + float(share[0]) * (right - left), bottom - float(share[1]) * (bottom - top)
+
+    draw.line((left, bottom, right, bottom), fill=SOFT, width=1)
+    draw.line((left, bottom, left, top), fill=SOFT, width=1)
+    for x in _ticks(low[0], low[0] + span[0], 8):
+        place = pixel(np.array([x, low[1]]))
+        draw.line((*place, place[0], place[1] + 0.4 * size), fill=SOFT, width=1)
+        text(draw, (place[0], place[1] + 0.5 * size), f"{x:g} m", int(0.75 * size), SOFT, anchor="ma")
+    for z in _ticks(low[1], low[1] + span[1], 3):
+        place = pixel(np.array([low[0], z]))
+        draw.line((place[0] - 0.4 * size, place[1], *place), fill=SOFT, width=1)
+        text(draw, (place[0] - 0.6 * size, place[1]), f"{z:g} m", int(0.75 * size), SOFT, anchor="rm")
+    text(draw, (right, top - 0.4 * size), "from above" if turns else "from the side", int(0.75 * size), SOFT, "rb")
+    draw.line([pixel(p) for p in wanted[::10]], fill=drawing.REFERENCE, width=max(size // 8, 1))
+    draw.line([pixel(p) for p in path[::10]], fill=drawing.TRAIL, width=max(size // 6, 2))
+    for number, time in enumerate(times, start=1):
+        place = pixel(recording.at(time).com[columns])
+        radius = 0.62 * size
+        draw.ellipse(
+            (place[0] - radius, place[1] - radius, place[0] + radius, place[1] + radius),
+            fill=PAPER,
+            outline=INK,
+            width=2,
+        )
+        draw.text(place, str(number), font=font(int(0.8 * size)), fill=INK, anchor="mm")
+
+
+def _ticks(low: float, high: float, about: int) -> list[float]:
+    """Round numbers between two."""
+    coarse = (high - low) / about
+    power = 10.0 ** np.floor(np.log10(coarse))
+    step = power * min((f for f in (1.0, 2.0, 5.0, 10.0) if f >= coarse / power), default=10.0)
+    return [round(float(i * step), 9) for i in range(int(np.ceil(low / step)), int(np.floor(high / step)) + 1)]

@@ -1,0 +1,371 @@
+"""Pictures of a flight by MuJoCo's offscreen renderer, in software or on a GPU, without a window."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import os
+import subprocess
+import sys
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jax_aero.urdf import Vector
+from jax_aero.view import Refused, drawing, require
+from jax_aero.view.drawing import Colour, Scales
+from jax_aero.view.recording import Instant, Recording
+from jax_aero.view.shapes import Shape, look_of, rotation_onto
+
+Image = NDArray[np.uint8]
+
+BACKENDS = ("egl", "osmesa")
+FIELD_OF_VIEW_DEG = 38.0
+GROUND = 400.0  # m, half an edge
+SUN = (0.25, 0.35, -1.0)  # direction of its light
+SHADOW: Colour = (92, 96, 106)
+
+Viewpoint = Literal["chase", "side"]
+
+
+class Camera(NamedTuple):
+    """Where the picture is taken from: a point looked at [m], and angles and distance [m] from there.
+
+    `azimuth_deg` is the direction of view about +z from +x, `elevation_deg` negative from above.
+    """
+
+    look_at: Vector
+    azimuth_deg: float
+    elevation_deg: float
+    distance: float
+
+
+_PROBE = """
+import importlib, sys
+context = importlib.import_module("mujoco." + sys.argv[1]).GLContext(16, 16)
+context.make_current()
+import mujoco
+model = mujoco.MjModel.from_xml_string("<mujoco/>")
+mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+"""
+
+
+@functools.lru_cache
+def find_backend() -> str:
+    """Name the first way to draw without a window that works here: `MUJOCO_GL` if set, else EGL, else OSMesa.
+
+    Tried in processes of their own: a library that cannot be used may take the process with it.
+
+    Raises
+    ------
+    Refused
+        If none works.
+    """
+    wanted = os.environ.get("MUJOCO_GL", "").lower()
+    candidates = (wanted,) if wanted in BACKENDS else BACKENDS
+    for backend in candidates:
+        environment = os.environ | {"MUJOCO_GL": backend, "PYOPENGL_PLATFORM": backend}
+        try:
+            answer = subprocess.run(
+                [sys.executable, "-c", _PROBE, backend], env=environment, capture_output=True, check=False, timeout=60
+            )
+        except subprocess.TimeoutExpired:
+            continue
+        if answer.returncode == 0:
+            return backend
+    raise Refused(
+        f"no offscreen OpenGL here (tried {', '.join(candidates)}); install EGL or OSMesa, e.g. the Debian packages "
+        "`libegl1 libgl1-mesa-dri` or `libosmesa6`"
+    )
+
+
+class Studio:
+    """Takes pictures of one recording; a context manager, as it holds an OpenGL context.
+
+    Parameters
+    ----------
+    recording
+        What to show.
+    width, height
+        Of the pictures [pixels].
+    """
+
+    def __init__(self, recording: Recording, width: int, height: int, scales: Scales | None = None) -> None:
+        require(["mujoco", "OpenGL", "jax"], "drawing offscreen")
+        backend = find_backend()
+        os.environ["MUJOCO_GL"] = os.environ["PYOPENGL_PLATFORM"] = backend  # read when MuJoCo is first imported
+        self.recording, self.width, self.height = recording, width, height
+        self.scales = Scales() if scales is None else scales
+        self.look = look_of(recording.robot)
+
+        import mujoco  # type: ignore[import-untyped]
+
+        from jax_aero import mujoco_door
+
+        self._mj = mujoco
+        source = str(recording.robot_path)
+        self.model = display_model(recording, width, height)
+        self.data = mujoco.MjData(self.model)
+        order = mujoco_door.order_of(source, tuple(recording.robot.joint_names))
+        self._joints = order.joints
+        self._cone = self.model.mesh("cone").id
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, self.model.mesh_quat[self._cone])
+        self._cone_from_mesh = self.model.mesh_pos[self._cone].copy(), turn.reshape(3, 3)
+        self._scene = mujoco.MjvScene(self.model, maxgeom=6000)
+        self._option = mujoco.MjvOption()
+        self._option.sitegroup[:] = 0
+        # Last, as what has a context must be closed.
+        self._context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
+        self._context.make_current()
+        self._drawer = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._drawer)
+
+    def __enter__(self) -> Studio:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._drawer.free()
+        # It frees itself when it is dropped; at the end of the process it would be too late.
+        del self._drawer, self._context
+
+    def picture(self, time: float, camera: Camera, *, trail: bool = True) -> Image:
+        """Draw one moment [s], (height, width, 3), without any text."""
+        mj, scene = self._mj, self._scene
+        instant = self.recording.at(time)
+        self._pose(time)
+        view = mj.MjvCamera()
+        view.type = mj.mjtCamera.mjCAMERA_FREE
+        view.lookat[:] = camera.look_at
+        view.azimuth, view.elevation, view.distance = camera.azimuth_deg, camera.elevation_deg, camera.distance
+        mj.mjv_updateScene(self.model, self.data, self._option, None, view, mj.mjtCatBit.mjCAT_ALL, scene)
+        self._add_shadow(instant)
+        self._add_forces(instant)
+        self._add_plumes(instant)
+        arrow = drawing.wind_arrow(instant, self.scales)
+        if arrow is not None:
+            self._arrow(arrow, 0.03, drawing.WIND)
+        self._add_reference(instant, trail)
+        pixels = np.empty((self.height, self.width, 3), dtype=np.uint8)
+        viewport = mj.MjrRect(0, 0, self.width, self.height)
+        self._context.make_current()
+        mj.mjr_render(viewport, scene, self._drawer)
+        mj.mjr_readPixels(pixels, None, viewport, self._drawer)
+        return np.ascontiguousarray(pixels[::-1])
+
+    def pixels_per_metre(self, camera: Camera) -> float:
+        """Scale of the picture at the distance of what the camera looks at."""
+        return float(0.5 * self.height / np.tan(0.5 * np.deg2rad(FIELD_OF_VIEW_DEG)) / camera.distance)
+
+    def _pose(self, time: float) -> None:
+        s, t = self.recording.signals, self.recording.signals["time"]
+        place = int(np.clip(np.searchsorted(t, time), 0, t.size - 1))
+        qpos = self.data.qpos
+        qpos[:3], qpos[3:7] = s["base_position"][place], s["base_quaternion"][place]
+        qpos[self._joints] = s["joint_position"][place]
+        self._mj.mj_kinematics(self.model, self.data)
+        self._mj.mj_comPos(self.model, self.data)
+        self._mj.mj_camlight(self.model, self.data)
+
+    def _geom(self, kind: Any, size: Any, position: Any, rotation: Any, colour: Colour, opacity: float = 1.0) -> Any:
+        scene = self._scene
+        if scene.ngeom >= scene.maxgeom:
+            return None
+        geom = scene.geoms[scene.ngeom]
+        rgba = np.array([*(part / 255.0 for part in colour), opacity], dtype=np.float32)
+        self._mj.mjv_initGeom(geom, kind, np.asarray(size, float), position, np.asarray(rotation).reshape(9), rgba)
+        geom.category = self._mj.mjtCatBit.mjCAT_DECOR  # casts no shadow
+        scene.ngeom += 1
+        return geom
+
+    def _arrow(self, ends: Vector, radius: float, colour: Colour) -> None:
+        along = ends[1] - ends[0]
+        length = float(np.linalg.norm(along))
+        if length < 2.0 * radius:
+            return
+        rotation = rotation_onto(along / length)
+        head = min(5.0 * radius, 0.6 * length)
+        middle = ends[0] + 0.5 * (length - head) * along / length
+        kind = self._mj.mjtGeom.mjGEOM_CYLINDER
+        self._geom(kind, [radius, 0.5 * (length - head), 0.0], middle, rotation, colour)
+        self._cone_at(ends[1] - head * along / length, rotation, 2.3 * radius, head, colour)
+
+    def _cone_at(
+        self, base: Vector, rotation: Vector, radius: float, height: float, colour: Colour, opacity: float = 1.0
+    ) -> None:
+        # A mesh has one size, but the matrix of a geom may stretch it. MuJoCo keeps meshes in their principal axes.
+        stretched = rotation * np.array([radius, radius, height])
+        offset, turn = self._cone_from_mesh
+        geom = self._geom(
+            self._mj.mjtGeom.mjGEOM_MESH, np.zeros(3), base + stretched @ offset, np.eye(3), colour, opacity
+        )
+        if geom is not None:
+            geom.mat[:] = stretched @ turn
+            geom.dataid = 2 * self._cone
+
+    def _add_shadow(self, instant: Instant) -> None:
+        """Lay every primitive flat on the ground, along the light, as thin as a sheet of paper."""
+        kinds = {
+            "cylinder": self._mj.mjtGeom.mjGEOM_CYLINDER,
+            "sphere": self._mj.mjtGeom.mjGEOM_SPHERE,
+            "box": self._mj.mjtGeom.mjGEOM_BOX,
+        }
+        flatten = np.array([[1.0, 0.0, -SUN[0] / SUN[2]], [0.0, 1.0, -SUN[1] / SUN[2]], [0.0, 0.0, 1e-3]])
+        for shape, position, rotation in zip(self.look.shapes, *drawing.place(self.look.shapes, instant), strict=True):
+            if shape.role == "strut" or position[2] < 0.0:
+                continue
+            geom = self._geom(kinds[shape.kind], _mujoco_size(shape), flatten @ position, np.eye(3), SHADOW)
+            if geom is not None:
+                geom.pos[2] += 0.004
+                geom.mat[:] = flatten @ rotation
+                geom.specular = 0.0
+
+    def _add_forces(self, instant: Instant) -> None:
+        for ends in drawing.force_arrows(self.look, instant, self.scales):
+            self._arrow(ends, 0.0105, drawing.FORCE)
+
+    def _add_plumes(self, instant: Instant) -> None:
+        plumes = drawing.plumes(self.look, instant, self.scales)
+        for position, rotation, length in zip(*plumes, strict=True):
+            if length > 1e-3:
+                self._cone_at(position, rotation, drawing.PLUME_RADIUS, float(length), drawing.PLUME, 0.85)
+
+    def _add_reference(self, instant: Instant, trail: bool) -> None:
+        at = instant.com_reference
+        for axis in np.eye(3):
+            self._line(at - 0.28 * axis, at + 0.28 * axis, 0.006, drawing.REFERENCE)
+        if trail:
+            self._path("com_reference", instant.time + 12.0, drawing.REFERENCE, 0.006)
+            self._path("com_position", instant.time, drawing.TRAIL, 0.009)
+
+    def _path(self, name: str, until: float, colour: Colour, radius: float) -> None:
+        """Draw a signal between 20 s ago and `until`, as far as it moves."""
+        t = self.recording.signals["time"]
+        first, last = np.searchsorted(t, [until - 20.0, until])
+        points = self.recording.signals[name][first : max(last, first + 1) : 10]
+        start = 0
+        for end in range(1, len(points)):
+            if np.linalg.norm(points[end] - points[start]) > 0.05:
+                self._line(points[start], points[end], radius, colour)
+                start = end
+
+    def _line(self, start: Vector, end: Vector, radius: float, colour: Colour) -> None:
+        length = float(np.linalg.norm(end - start))
+        kind = self._mj.mjtGeom.mjGEOM_CAPSULE
+        rotation = rotation_onto((end - start) / length)
+        self._geom(kind, [radius, 0.5 * length, 0.0], 0.5 * (start + end), rotation, colour)
+
+
+def display_model(recording: Recording, width: int, height: int) -> Any:
+    """MuJoCo's model of the robot as `mujoco_door` builds it, dressed for pictures: it has no geometry of its own."""
+    import mujoco
+
+    from jax_aero import mujoco_door
+
+    spec = mujoco_door.mujoco_spec(str(recording.robot_path))
+    types = {
+        "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+        "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+        "box": mujoco.mjtGeom.mjGEOM_BOX,
+    }
+    spec.compiler.discardvisual = False
+    look, names = look_of(recording.robot), recording.robot.body_names
+    for geom in list(spec.geoms):
+        spec.delete(geom)
+    for shape in look.shapes:
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, shape.body_from_shape.rotation.reshape(9))
+        spec.body(names[shape.body]).add_geom(
+            type=types[shape.kind],
+            size=_mujoco_size(shape),
+            pos=shape.body_from_shape.position,
+            quat=quaternion,
+            rgba=[*(part / 255.0 for part in drawing.ROLES[shape.role]), 1.0],
+            contype=0,
+            conaffinity=0,
+            mass=0.0,
+        )
+    cone = drawing.cone()
+    spec.add_mesh(
+        name="cone",
+        uservert=cone.vertices.reshape(-1).tolist(),
+        userface=cone.faces.reshape(-1).tolist(),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )
+    _dress_world(spec, width, height)
+    return spec.compile()
+
+
+def _mujoco_size(shape: Shape) -> list[float]:
+    x, y, z = shape.size
+    return {"cylinder": [x, 0.5 * z, 0.0], "sphere": [x, 0.0, 0.0], "box": [0.5 * x, 0.5 * y, 0.5 * z]}[shape.kind]
+
+
+def _dress_world(spec: Any, width: int, height: int) -> None:
+    """Ground with lines every metre, sky, sun."""
+    import mujoco
+
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.74, 0.85, 0.95],
+        rgb2=[0.97, 0.98, 0.99],
+        width=256,
+        height=256,
+    )
+    spec.add_texture(
+        name="ground",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        mark=mujoco.mjtMark.mjMARK_EDGE,
+        rgb1=[0.86, 0.87, 0.88],
+        rgb2=[0.82, 0.83, 0.85],
+        markrgb=[0.7, 0.72, 0.75],
+        width=512,
+        height=512,
+    )
+    textures = [""] * int(mujoco.mjtTextureRole.mjNTEXROLE)
+    textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = "ground"
+    spec.add_material(name="ground", textures=textures, texrepeat=[1.0, 1.0], texuniform=True, reflectance=0.0)
+    world = spec.worldbody
+    world.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE, size=[GROUND, GROUND, 1.0], material="ground", contype=0, conaffinity=0
+    )
+    world.add_light(
+        name="sun",
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACK,
+        targetbody=world.first_body().name,
+        pos=[-1.5, -2.0, 6.0],
+        dir=list(SUN),
+        diffuse=[0.55, 0.55, 0.55],
+        ambient=[0.1, 0.1, 0.1],
+        specular=[0.1, 0.1, 0.1],
+        castshadow=False,  # shadow maps cost half the time and speckle; `Studio` draws its own
+    )
+    spec.visual.headlight.ambient = [0.38, 0.38, 0.38]
+    spec.visual.headlight.diffuse = [0.3, 0.3, 0.3]
+    spec.visual.headlight.specular = [0.0, 0.0, 0.0]
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
+    spec.visual.global_.fovy = FIELD_OF_VIEW_DEG
+    spec.visual.quality.offsamples = 4
+    # Relative to the extent, which the huge ground would otherwise set.
+    spec.stat.extent = 2.0
+    spec.stat.center = [0.0, 0.0, 1.0]
+    spec.visual.map.znear, spec.visual.map.zfar = 0.02, 200.0
+    spec.visual.map.haze = 0.3
+
+
+def camera_at(recording: Recording, time: float, viewpoint: Viewpoint, distance: float = 3.3) -> Camera:
+    """Return a camera that goes with the centre of mass: from behind and above, or from the robot's right.
+
+    It turns with the reference heading, so that a tumbling robot does not turn the world.
+    """
+    s = recording.signals
+    yaw = np.rad2deg(np.unwrap(s["base_rpy_reference"][:, 2]))
+    turned = float(np.interp(time, s["time"], yaw) - yaw[0])
+    look_at = recording.at(time).com + np.array([0.0, 0.0, 0.1])
+    azimuth, elevation = {"chase": (32.0, -16.0), "side": (72.0, -7.0)}[viewpoint]
+    return Camera(look_at, azimuth + turned, elevation, distance)

@@ -1,0 +1,337 @@
+"""A flight as it is looked at: read from a result of `python -m experiments`, or just flown."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jax_aero import reference
+from jax_aero.view import Refused, require
+
+Vector = NDArray[np.float64]
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+RUN_FILE, MANIFEST_FILE = "run.nc", "manifest.json"
+
+SETTLED = 3.0
+"""The start-up transient is over by then [s]; position errors count from here on."""
+
+SIGNALS = (
+    "time",
+    "base_position",
+    "base_quaternion",
+    "base_rpy_reference",
+    "joint_position",
+    "com_position",
+    "com_velocity",
+    "com_reference",
+    "rotation_error",
+    "thrust",
+    "wind",
+    "aero_force_sim",
+)
+"""What is read of `run.nc`; units and frames stand in `experiments/record.py`."""
+
+
+class Instant(NamedTuple):
+    """One moment of a flight; inertial axes.
+
+    Attributes
+    ----------
+    time
+        [s]
+    body_positions, body_rotations
+        Origins [m], (bodies, 3), and `i_from_b`, (bodies, 3, 3), in the order of `Robot.body_names`.
+    com, com_velocity, com_reference
+        Centre of mass [m], its velocity [m/s] and its reference [m], (3,).
+    rotation_error
+        Angle between the base and its reference [rad].
+    thrust
+        [N], (jets,).
+    wind
+        Velocity of the air [m/s], (3,).
+    aero_force
+        Aerodynamic force on each link in the simulator [N], (links, 3).
+    """
+
+    time: float
+    body_positions: Vector
+    body_rotations: Vector
+    com: Vector
+    com_velocity: Vector
+    com_reference: Vector
+    rotation_error: float
+    thrust: Vector
+    wind: Vector
+    aero_force: Vector
+
+
+@dataclass(frozen=True)
+class Merit:
+    """What a flight achieved."""
+
+    rotation_error: float
+    """Greatest [rad]."""
+    com_error: float
+    """Greatest after the start-up [m]."""
+    thrust_min: float
+    thrust_max: float
+    """Extremes over all jets [N]."""
+    aero_force: float
+    """Greatest sum over the links [N]."""
+    distance: float
+    """Over ground, along the reference as far as it was flown [m]."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Signals of one flight, the robot that flew it, and how it ended.
+
+    Attributes
+    ----------
+    title
+        One line.
+    signals
+        The arrays of `SIGNALS`, first axis time.
+    robot
+        What gives poses to the signals.
+    robot_path
+        The robot's TOML file.
+    outcome, fall_time, fall_reason
+        As in `reference.Flight`.
+    config
+        Resolved configuration, ready to be flown again; `None` if the file does not say.
+    """
+
+    title: str
+    signals: Mapping[str, Vector]
+    robot: reference.Robot
+    robot_path: Path
+    outcome: str
+    fall_time: float | None
+    fall_reason: str | None
+    config: reference.Config | None = field(default=None, repr=False)
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample [s]."""
+        return float(self.signals["time"][-1])
+
+    @property
+    def verdict(self) -> str:
+        """The outcome in words: `completed`, or `fell at 21.4 s: rotation error 90.1 deg`."""
+        if self.fall_time is None:
+            return self.outcome
+        return f"{self.outcome} at {self.fall_time:.1f} s" + (f": {self.fall_reason}" if self.fall_reason else "")
+
+    @cached_property
+    def merit(self) -> Merit:
+        """Figures of merit over the whole flight."""
+        s = self.signals
+        settled = s["time"] >= min(SETTLED, self.duration)
+        com_error = np.linalg.norm(s["com_position"] - s["com_reference"], axis=1)
+        return Merit(
+            rotation_error=float(s["rotation_error"].max()),
+            com_error=float(com_error[settled].max()),
+            thrust_min=float(s["thrust"].min()),
+            thrust_max=float(s["thrust"].max()),
+            aero_force=float(np.linalg.norm(s["aero_force_sim"].sum(axis=1), axis=1).max()),
+            distance=float(np.linalg.norm(np.diff(s["com_reference"][:, :2], axis=0), axis=1).sum()),
+        )
+
+    def at(self, time: float) -> Instant:
+        """Return the moment `time` [s], between two samples linearly; outside the flight its first or last."""
+        t = self.signals["time"]
+        time = float(np.clip(time, t[0], t[-1]))
+        after = int(np.clip(np.searchsorted(t, time), 1, t.size - 1)) if t.size > 1 else 0
+        before = max(after - 1, 0)
+        share = 0.0 if after == before else (time - t[before]) / (t[after] - t[before])
+
+        def value(name: str) -> Vector:
+            signal = self.signals[name]
+            return np.asarray((1.0 - share) * signal[before] + share * signal[after])
+
+        first, second = self.signals["base_quaternion"][[before, after]]
+        # q and −q are one rotation: blend along the short way.
+        wxyz = (1.0 - share) * first + share * (second if first @ second >= 0.0 else -second)
+        joints = value("joint_position")
+        pose = reference.dynamics(
+            self.robot,
+            reference.State(value("base_position"), rotation_from_wxyz(wxyz), joints, np.zeros(6 + joints.size)),
+        )
+        return Instant(
+            time=time,
+            body_positions=pose.body_positions,
+            body_rotations=pose.body_rotations,
+            com=value("com_position"),
+            com_velocity=value("com_velocity"),
+            com_reference=value("com_reference"),
+            rotation_error=float(value("rotation_error")),
+            thrust=value("thrust"),
+            wind=value("wind"),
+            aero_force=value("aero_force_sim"),
+        )
+
+
+def rotation_from_wxyz(wxyz: Vector) -> Vector:
+    """Rotation matrix of a quaternion of any length but zero, (3, 3)."""
+    w, x, y, z = wxyz / np.linalg.norm(wxyz)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def from_flight(flight: reference.Flight, config: reference.Config, title: str) -> Recording:
+    """Return the recording of a flight just flown."""
+    return Recording(
+        title=title,
+        signals={name: flight.log[name] for name in SIGNALS},
+        robot=reference.Robot(config["robot"]),
+        robot_path=Path(config["robot"]),
+        outcome=flight.outcome,
+        fall_time=flight.fall_time,
+        fall_reason=flight.fall_reason,
+        config=config,
+    )
+
+
+def read(result: str | Path, robot: str | Path | None = None) -> Recording:
+    """Read a result folder, a `run.nc`, or the name of a result in `results/flight`.
+
+    Parameters
+    ----------
+    result
+        Where `python -m experiments NAME` wrote.
+    robot
+        TOML file of the robot, where the result does not lead to it.
+
+    Raises
+    ------
+    Refused
+        Naming the file and what was expected.
+    """
+    path = _run_file(Path(result))
+    signals, facts = _read_signals(path)
+    manifest = _read_manifest(path.with_name(MANIFEST_FILE))
+    config = _here(manifest["config"]) if isinstance(manifest.get("config"), dict) else None
+    robot_path = _robot_path(path, config, robot)
+    try:
+        loaded = reference.Robot(robot_path)
+    except (OSError, ValueError) as reason:
+        raise Refused(f"cannot read the robot of `{path}`: {reason}") from None
+    _check_shapes(path, signals, loaded)
+    if config is not None:
+        config["robot"] = str(robot_path)
+    fall_time = facts.get("fall_time")
+    return Recording(
+        title=str(facts.get("title") or manifest.get("title") or path.parent.name),
+        signals=signals,
+        robot=loaded,
+        robot_path=robot_path,
+        outcome=str(facts.get("outcome", "flown")),
+        fall_time=float(fall_time) if fall_time is not None and np.isfinite(fall_time) else None,
+        fall_reason=str(facts.get("fall_reason") or "") or None,
+        config=config,
+    )
+
+
+EXPECTED = "expected a folder or a run.nc that `python -m experiments NAME` wrote, e.g. results/flight/test2"
+
+
+def _run_file(path: Path) -> Path:
+    named = REPOSITORY / "results" / "flight" / path
+    if not path.exists() and path.parent == Path() and named.is_dir():
+        path = named
+    if path.is_dir():
+        if not (path / RUN_FILE).is_file():
+            raise Refused(f"folder `{path}` holds no {RUN_FILE}; {EXPECTED}")
+        return path / RUN_FILE
+    if not path.is_file():
+        raise Refused(f"there is no `{path}`; {EXPECTED}")
+    return path
+
+
+def _read_signals(path: Path) -> tuple[dict[str, Vector], dict[str, Any]]:
+    require(["h5py"], f"reading `{path}`")
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            if missing := [name for name in SIGNALS if name not in file]:
+                raise Refused(f"`{path}` has no {', '.join(f'`{name}`' for name in missing)}; {EXPECTED}")
+            signals = {name: np.asarray(file[name], dtype=np.float64) for name in SIGNALS}
+            facts = {key: _plain(value) for key, value in file.attrs.items() if not key.startswith("_")}
+    except OSError:
+        raise Refused(f"`{path}` is not a NetCDF-4 file; {EXPECTED}") from None
+    if signals["time"].size == 0:
+        raise Refused(f"`{path}` holds no sample; {EXPECTED}")
+    return signals, facts
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.reshape(-1)[0]
+    return value.decode() if isinstance(value, bytes) else value
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        return {}
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as reason:
+        raise Refused(f"`{path}` is not JSON: {reason}") from None
+    return manifest if isinstance(manifest, dict) else {}
+
+
+def _here(config: reference.Config) -> reference.Config:
+    """Paths of a manifest start at the repository; make them absolute."""
+    placed = copy.deepcopy(config)
+
+    def place(table: dict[str, Any]) -> None:
+        for key, value in table.items():
+            if isinstance(value, dict):
+                place(value)
+            elif key in reference.PATH_KEYS and isinstance(value, str) and (REPOSITORY / value).is_file():
+                table[key] = str(REPOSITORY / value)
+
+    place(placed)
+    return placed
+
+
+def _robot_path(path: Path, config: reference.Config | None, given: str | Path | None) -> Path:
+    if given is not None:
+        return Path(given)
+    if config is None:
+        raise Refused(f"there is no {MANIFEST_FILE} beside `{path}`, which names the robot; give it with --robot FILE")
+    named = Path(str(config.get("robot")))
+    if not named.is_file():
+        raise Refused(f"the robot of `{path}`, `{named}`, is not here; give it with --robot FILE")
+    return named
+
+
+def _check_shapes(path: Path, signals: Mapping[str, Vector], robot: reference.Robot) -> None:
+    n = signals["time"].size
+    expected = {
+        "joint_position": (n, len(robot.joint_names)),
+        "thrust": (n, len(robot.jet_names)),
+        "aero_force_sim": (n, len(robot.aero_link_names), 3),
+        "base_quaternion": (n, 4),
+    }
+    for name, shape in expected.items():
+        if signals[name].shape != shape:
+            raise Refused(
+                f"`{name}` in `{path}` has shape {signals[name].shape}; expected {shape} for robot `{robot.name}`"
+            )

@@ -1,0 +1,161 @@
+"""What can be changed while watching, and how it changes a flight's configuration."""
+
+from __future__ import annotations
+
+import copy
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jax_aero import reference
+from jax_aero.view import Refused
+from jax_aero.view.recording import REPOSITORY
+
+CONFIGS = REPOSITORY / "configs"
+
+MODELS = {
+    "axisymmetric, corrected": "axisymmetric_corrected.toml",
+    "axisymmetric, published": "axisymmetric_published.toml",
+    "axisymmetric, signed": "axisymmetric_signed.toml",
+    "axisymmetric, alternative": "axisymmetric_alternative.toml",
+    "spheres and cylinders": "sphere_cylinder.toml",
+    "no air": "off.toml",
+}
+"""Aerodynamic models by the name a person reads, and their file in `configs/aero`."""
+
+AS_GIVEN = "as in the result"
+"""Stands for an aerodynamic table that is none of `MODELS`."""
+
+CONTROLLERS = ("baseline", "aware")
+ARMS = ("right", "published")
+
+# What distinguishes configs/simulator/flight_published.toml and configs/control/aero_aware_published.toml from the
+# physically right ones, coefficients aside.
+SIMULATOR_ARMS = {
+    "right": {"lever_arm": "rotated", "integrator": "semi_implicit_euler"},
+    "published": {"lever_arm": "unrotated", "integrator": "explicit_euler"},
+}
+CONTROLLER_ARMS = {
+    "right": {"lever_arm": "rotated", "jacobian_offset": "link_rotation", "link_velocity": "at_centre"},
+    "published": {"lever_arm": "unrotated", "jacobian_offset": "base_rotation", "link_velocity": "shifted_twice"},
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the page offers to change.
+
+    Attributes
+    ----------
+    wind_speed
+        [m/s]
+    wind_direction_deg
+        Where the wind comes from: 0 from ahead (+x), 90 from the robot's left (+y).
+    controller
+        `baseline`, which believes that there is no air, or `aware`.
+    model
+        Aerodynamic model of the world, and of a controller that knows of one; a key of `MODELS`
+        or `AS_GIVEN`.
+    arms
+        Convention of the lever arms, in world and controller: `right` or `published`.
+    feedback_scale
+        Factor on every force the controller estimates.
+    """
+
+    wind_speed: float = 10.0
+    wind_direction_deg: float = 90.0
+    controller: str = "baseline"
+    model: str = "axisymmetric, corrected"
+    arms: str = "right"
+    feedback_scale: float = 1.0
+
+    @property
+    def title(self) -> str:
+        """One line that tells this flight from others."""
+        scale = "" if self.controller == "baseline" or self.feedback_scale == 1.0 else f" × {self.feedback_scale:g}"
+        return f"{self.controller}{scale}, {self.wind_speed:g} m/s from {self.wind_direction_deg:g}°, {self.arms} arms"
+
+
+def default_config() -> reference.Config:
+    """TEST1: the flight to start from when no result is given."""
+    path = CONFIGS / "experiments" / "test1.toml"
+    if not path.is_file():
+        raise Refused(f"there is no `{path}`; run this in a checkout of the repository, or give a RESULT")
+    return reference.load_config(path)
+
+
+def settings_of(config: reference.Config) -> Settings:
+    """Read the settings that come closest to a configuration."""
+    velocity = np.array(config["wind"].get("velocity", [0.0, 0.0, 0.0]))
+    speed = float(np.linalg.norm(velocity[:2]))
+    direction = float(np.rad2deg(np.arctan2(-velocity[1], -velocity[0]))) if speed > 0.0 else 90.0
+    is_baseline = config["controller"]["aero"]["model"] == "off"
+    return Settings(
+        wind_speed=round(speed, 6),
+        wind_direction_deg=round(direction, 6) + 0.0,
+        controller="baseline" if is_baseline else "aware",
+        model=_model_of(config["simulator"]["aero"]),
+        arms="published" if config["simulator"]["lever_arm"] == "unrotated" else "right",
+        feedback_scale=float(config["controller"]["aero_feedback"]["scale"]),
+    )
+
+
+def _model_of(aero: dict[str, Any]) -> str:
+    for name in MODELS:
+        table = aero_table(name)
+        if all(aero.get(key) == table.get(key) for key in ("model", "coefficients")):
+            return name
+    return AS_GIVEN
+
+
+def can_change_wind(config: reference.Config) -> bool:
+    """Whether the configuration's wind has a velocity; a recorded wind has none."""
+    return "velocity" in config["wind"]
+
+
+def apply(base: reference.Config, settings: Settings) -> reference.Config:
+    """Return `base` with everything that `settings` asks for and `base` does not have yet.
+
+    What is already as asked for stays untouched, so the settings of a configuration give that same configuration.
+    """
+    before = settings_of(base)
+    config = copy.deepcopy(base)
+    simulator, controller = config["simulator"], config["controller"]
+    if can_change_wind(base) and _wind_of(settings) != _wind_of(before):
+        config["wind"]["velocity"] = _wind_of(settings)
+        if before.wind_speed == 0.0 and config["wind"]["profile"] == "constant":
+            # Still air says nothing of how a wind would rise: as in the paper's flights.
+            config["wind"] |= {"profile": "ramp", "ramp_start": 5.0, "ramp_end": 10.0}
+    if settings.arms != before.arms:
+        simulator |= SIMULATOR_ARMS[settings.arms]
+        controller |= CONTROLLER_ARMS[settings.arms]
+    if settings.model != before.model:
+        simulator["aero"] = aero_table(settings.model)
+    if (settings.controller, settings.model) != (before.controller, before.model):
+        is_baseline = settings.controller == "baseline"
+        controller["aero"] = aero_table("no air") if is_baseline else copy.deepcopy(simulator["aero"])
+    if settings.feedback_scale != before.feedback_scale:
+        controller["aero_feedback"]["scale"] = settings.feedback_scale
+    if config != base:
+        config["title"] = settings.title
+    return config
+
+
+def _wind_of(settings: Settings) -> list[float]:
+    angle = np.deg2rad(settings.wind_direction_deg)
+    velocity = -settings.wind_speed * np.array([np.cos(angle), np.sin(angle), 0.0])
+    return [float(v) for v in np.round(velocity, 9) + 0.0]
+
+
+def aero_table(model: str) -> dict[str, Any]:
+    """Read the table of a model of `MODELS`, with the files it builds on."""
+    return _read(CONFIGS / "aero" / MODELS[model])
+
+
+def _read(path: Path) -> dict[str, Any]:
+    table = tomllib.loads(path.read_text(encoding="utf-8"))
+    base = table.pop("base", None)
+    return table if base is None else _read(path.parent / base) | table

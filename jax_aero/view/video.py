@@ -1,0 +1,203 @@
+"""`python -m jax_aero video` and `snapshot`: a flight as a film, or several of its moments in one picture."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jax_aero.view import Refused, require
+from jax_aero.view.drawing import Scales
+from jax_aero.view.offscreen import Studio, Viewpoint, camera_at
+from jax_aero.view.recording import Recording
+
+HOLD = 1.5  # s the last picture stays, so that the outcome can be read
+PANELS = 6  # moments of a snapshot that names none
+
+Progress = Callable[[int, int], None]
+"""Called with (pictures drawn, pictures in all)."""
+
+
+def frame_times(recording: Recording, fps: float, speed: float, start: float, end: float) -> list[float]:
+    """Moments [s] of the frames of a video that plays from `start` to `end`, and stays where the flight ends."""
+    step = speed / fps
+    times = [start + i * step for i in range(int((end - start) / step + 1e-9) + 1)]
+    if end >= recording.duration:
+        if times[-1] < end:
+            times.append(end)
+        times += [end] * round(HOLD * fps)
+    return times
+
+
+def write_video(
+    recording: Recording,
+    out: Path,
+    *,
+    fps: float = 30.0,
+    speed: float = 1.0,
+    size: tuple[int, int] = (1280, 720),
+    viewpoint: Viewpoint = "chase",
+    start: float = 0.0,
+    end: float | None = None,
+    progress: Progress | None = None,
+) -> int:
+    """Draw and encode a video; `out` appears when it is complete, or not at all. Returns the number of frames.
+
+    Raises
+    ------
+    Refused
+        If there is no way to draw or encode here, or a number makes no sense.
+    """
+    end = recording.duration if end is None else min(end, recording.duration)
+    _check(fps, speed, size, start, end, out)
+    require(["av", "PIL"], "writing a video")
+    import av
+
+    from jax_aero.view.lettering import letter_video
+
+    times = frame_times(recording, fps, speed, start, end)
+    with complete_file(out) as draft, Studio(recording, *size) as studio, av.open(draft, "w", format="mp4") as film:
+        stream: Any = film.add_stream(_encoder(), rate=Fraction(fps).limit_denominator(1001))
+        stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
+        stream.options = {"crf": "20", "preset": "medium"}
+        drawn_at, pixels = -1.0, np.zeros((0, 0, 3), dtype=np.uint8)
+        for number, time in enumerate(times):
+            if time != drawn_at:
+                camera = camera_at(recording, time, viewpoint)
+                pixels = studio.picture(time, camera)
+                scale, ended = studio.pixels_per_metre(camera), time >= recording.duration
+                pixels = letter_video(pixels, recording, time, studio.scales, scale, outcome=ended)
+                drawn_at = time
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
+            if progress is not None:
+                progress(number + 1, len(times))
+        film.mux(stream.encode())
+    return len(times)
+
+
+def _encoder() -> str:
+    import av
+
+    return "libx264" if "libx264" in av.codecs_available else "mpeg4"
+
+
+def _check(fps: float, speed: float, size: tuple[int, int], start: float, end: float, out: Path) -> None:
+    if not 1.0 <= fps <= 240.0:
+        raise Refused(f"fps is {fps:g}; expected 1 to 240")
+    if not 0.0 < speed <= 1000.0:
+        raise Refused(f"speed is {speed:g}; expected a positive factor up to 1000")
+    if any(not 64 <= edge <= 4096 or edge % 2 for edge in size):
+        raise Refused(f"size is {size[0]}x{size[1]}; expected even numbers from 64 to 4096, e.g. 1280x720")
+    if not 0.0 <= start < end:
+        raise Refused(f"the video would run from {start:g} to {end:g} s; expected a start before the end of the flight")
+    _check_out(out, ".mp4")
+
+
+def _check_out(out: Path, suffix: str) -> None:
+    """Before any work is done."""
+    if out.suffix != suffix:
+        raise Refused(f"`{out}` does not end in {suffix}; expected a file like flight{suffix}")
+    if not out.parent.is_dir():
+        raise Refused(f"there is no folder `{out.parent}` for `{out.name}`")
+
+
+def write_snapshot(
+    recording: Recording,
+    out: Path,
+    times: Sequence[float] = (),
+    *,
+    size: tuple[int, int] = (1920, 1080),
+    viewpoint: Viewpoint = "chase",
+    progress: Progress | None = None,
+) -> None:
+    """Draw one moment, or several side by side above the path, as in the paper's Fig. 5a; `out` is a PNG.
+
+    Raises
+    ------
+    Refused
+        If there is no way to draw here, or a time lies outside the flight.
+    """
+    _check_out(out, ".png")
+    if any(not 64 <= edge <= 8192 for edge in size):
+        raise Refused(f"size is {size[0]}x{size[1]}; expected 64 to 8192, e.g. 1920x1080")
+    chosen = [float(t) for t in times] or [float(t) for t in np.linspace(0.0, recording.duration, PANELS)]
+    for time in chosen:
+        if not 0.0 <= time <= recording.duration:
+            raise Refused(f"there is no moment at {time:g} s; expected 0 to {recording.duration:g} s")
+    require(["PIL"], "drawing a snapshot")
+    from PIL import Image
+
+    picture = _single if len(chosen) == 1 else _strip
+    pixels = picture(recording, chosen, size, viewpoint, progress)
+    with complete_file(out) as draft:
+        Image.fromarray(pixels).save(draft, format="PNG")
+
+
+def _single(
+    recording: Recording, times: list[float], size: tuple[int, int], viewpoint: Viewpoint, progress: Progress | None
+) -> Any:
+    from jax_aero.view.lettering import letter_video
+
+    with Studio(recording, *size) as studio:
+        camera = camera_at(recording, times[0], viewpoint)
+        pixels = studio.picture(times[0], camera)
+        if progress is not None:
+            progress(1, 1)
+        scale = studio.pixels_per_metre(camera)
+        return letter_video(pixels, recording, times[0], studio.scales, scale, outcome=True)
+
+
+def _strip(
+    recording: Recording, times: list[float], size: tuple[int, int], viewpoint: Viewpoint, progress: Progress | None
+) -> Any:
+    """Moments side by side, numbered; below them the path from the side, with the same numbers."""
+    from PIL import Image, ImageDraw
+
+    from jax_aero.view import lettering
+
+    width, height = size
+    letters = max(height // 38, 9)
+    top, below = int(4.6 * letters), int(0.27 * height)
+    panel = width // len(times), height - top - below
+    sheet = Image.new("RGB", size, lettering.PAPER)
+    with Studio(recording, *panel) as studio:
+        for i, time in enumerate(times):
+            # Narrow panels are seen from further away, so that the robot fits in with its plumes.
+            distance = 2.9 * max(1.0, 0.7 * panel[1] / panel[0])
+            camera = camera_at(recording, time, viewpoint, distance)
+            sheet.paste(Image.fromarray(studio.picture(time, camera)), (i * panel[0], top))
+            if progress is not None:
+                progress(i + 1, len(times))
+        scale = studio.pixels_per_metre(camera)
+    draw = ImageDraw.Draw(sheet, "RGBA")
+    lettering.text(draw, (letters, 0.5 * letters), recording.title, int(1.3 * letters), lettering.INK)
+    lettering.badge(draw, (width - int(1.2 * letters), int(1.4 * letters)), recording, letters, "rm")
+    for i, time in enumerate(times):
+        left = i * panel[0]
+        now = recording.at(time)
+        words = f"{i + 1}    {time:.1f} s    tilt {np.rad2deg(now.rotation_error):.0f}°"
+        lettering.text(draw, (left + 0.7 * letters, top - 1.5 * letters), words, letters, lettering.INK)
+        if i:
+            draw.line((left, top, left, top + panel[1]), fill=lettering.PAPER, width=max(letters // 6, 2))
+    base = height - int(2.2 * letters)
+    split = int(0.26 * width)
+    lettering.legend(draw, (letters, base), letters, Scales(), scale)
+    box = (split, top + panel[1] + int(1.6 * letters), width - 2 * letters, base)
+    lettering.profile(draw, box, recording, times, letters)
+    return np.asarray(sheet)
+
+
+@contextmanager
+def complete_file(out: Path) -> Iterator[Path]:
+    """Yield a draft beside `out` that takes its place when the block ends well, and vanishes when it does not."""
+    draft = out.with_name(f".{out.stem}.{os.getpid()}.draft{out.suffix}")
+    try:
+        yield draft
+        draft.replace(out)
+    finally:
+        draft.unlink(missing_ok=True)

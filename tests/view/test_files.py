@@ -1,0 +1,168 @@
+"""Videos and snapshots: the right frames, none of them empty, and nothing half-finished left behind."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+
+from jax_aero import __main__ as front_door
+from jax_aero import reference
+from jax_aero.view import Refused, command, offscreen, recording, video
+
+av = pytest.importorskip("av", reason="PyAV is not installed")
+Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
+pytest.importorskip("mujoco", reason="MuJoCo is not installed")
+
+
+@pytest.fixture(scope="module")
+def seen(fallen):
+    return recording.read(fallen)
+
+
+@pytest.fixture(scope="module")
+def _can_draw():
+    try:
+        offscreen.find_backend()
+    except Refused as reason:
+        pytest.skip(str(reason))
+
+
+def colours(picture: np.ndarray) -> int:
+    return len(np.unique(picture.reshape(-1, 3), axis=0))
+
+
+def near(picture: np.ndarray, colour: tuple[int, int, int]) -> int:
+    """Number of pixels with the hue of a colour, in light or shade."""
+    p, c = picture.reshape(-1, 3).astype(float), np.array(colour, dtype=float)
+    cosine = p @ c / (np.linalg.norm(p, axis=1) * np.linalg.norm(c) + 1e-9)
+    return int((cosine > 0.995).sum())
+
+
+@pytest.mark.usefixtures("_can_draw")
+def test_a_clip_has_the_frames_that_were_asked_for(fallen, tmp_path, capsys):
+    out = tmp_path / "clip.mp4"
+    words = ["video", str(fallen), "--out", str(out), "--start", "17", "--end", "18", "--fps", "5", "--size", "320x180"]
+    assert front_door.main(words) == 0
+    assert capsys.readouterr().out.strip() == str(out)
+    with av.open(out) as film:
+        stream = film.streams.video[0]
+        assert (stream.average_rate, stream.width, stream.height) == (5, 320, 180)
+        frames = [frame.to_ndarray(format="rgb24").astype(int) for frame in film.decode(stream)]
+    assert len(frames) == 6
+    assert min(colours(frame) for frame in frames) > 500
+    assert np.abs(frames[0] - frames[-1]).max() > 60
+    assert [entry.name for entry in tmp_path.iterdir()] == ["clip.mp4"]
+
+
+def test_a_video_ends_where_the_flight_ends(seen):
+    times = video.frame_times(seen, fps=10.0, speed=2.0, start=0.0, end=seen.duration)
+    np.testing.assert_allclose(np.diff(times[:100]), 0.2)
+    assert times[-15:] == [seen.duration] * 15
+    assert video.frame_times(seen, fps=30.0, speed=1.0, start=1.0, end=2.0)[-1] == pytest.approx(2.0)
+
+
+@pytest.mark.usefixtures("_can_draw")
+def test_a_snapshot_shows_robot_forces_thrusts_and_wind(fallen, tmp_path):
+    several, one, before = (tmp_path / f"{name}.png" for name in ("several", "one", "before"))
+    assert front_door.main(["snapshot", str(fallen), "--out", str(several), "--size", "640x360"]) == 0
+    assert front_door.main(["snapshot", str(fallen), "--at", "18", "--out", str(one), "--size", "640x360"]) == 0
+    words = ["snapshot", str(fallen), "--at", "1", "--out", str(before), "--size", "640x360", "--camera", "side"]
+    assert front_door.main(words) == 0
+    pictures = {path.stem: np.asarray(Image.open(path).convert("RGB")) for path in (several, one, before)}
+    assert {picture.shape for picture in pictures.values()} == {(360, 640, 3)}
+    assert min(colours(picture) for picture in pictures.values()) > 1000
+    middle = {name: picture[90:270, 160:480] for name, picture in pictures.items()}
+    plume, force = (230, 159, 0), (0, 114, 178)
+    assert near(middle["one"], plume) > 300
+    assert near(middle["one"], force) > 50
+    assert near(middle["before"], force) == 0  # no wind yet
+
+
+@pytest.mark.usefixtures("_can_draw")
+def test_the_robot_drawn_is_the_robot_that_flew(seen):
+    """MuJoCo's bodies, from its own kinematics, are where the crate's are."""
+    moment = float(seen.signals["time"][1500])
+    with offscreen.Studio(seen, 64, 64) as studio:
+        studio.picture(moment, offscreen.camera_at(seen, moment, "chase"))
+        now = seen.at(moment)
+        for name, position, rotation in zip(seen.robot.body_names, now.body_positions, now.body_rotations, strict=True):
+            body = studio.data.body(name)
+            np.testing.assert_allclose(body.xpos, position, atol=1e-6)
+            np.testing.assert_allclose(body.xmat.reshape(3, 3), rotation, atol=1e-6)
+        drawn = int((studio.model.geom_bodyid > 0).sum())
+    assert drawn > seen.robot.urdf_text.count("<visual>")
+
+
+@pytest.mark.usefixtures("_can_draw")
+def test_another_robot_is_drawn_too(seen, tmp_path):
+    """Nothing is about iRonCub alone; this one stands still."""
+    path = recording.REPOSITORY / "configs/robot/sparrow.toml"
+    robot = reference.Robot(path)
+    n, joints, jets, links = 3, len(robot.joint_names), len(robot.jet_names), len(robot.aero_link_names)
+    still = {
+        "time": np.arange(n) * 1.0,
+        "base_position": np.tile([0.0, 0.0, 1.0], (n, 1)),
+        "base_quaternion": np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+        "base_rpy_reference": np.zeros((n, 3)),
+        "joint_position": np.zeros((n, joints)),
+        "com_position": np.tile([0.0, 0.0, 1.0], (n, 1)),
+        "com_velocity": np.zeros((n, 3)),
+        "com_reference": np.tile([0.0, 0.0, 1.0], (n, 1)),
+        "rotation_error": np.zeros(n),
+        "thrust": np.full((n, jets), 40.0),
+        "wind": np.zeros((n, 3)),
+        "aero_force_sim": np.zeros((n, links, 3)),
+    }
+    flight = recording.Recording("sparrow", still, robot, path, "completed", None, None)
+    video.write_snapshot(flight, tmp_path / "sparrow.png", [0.0], size=(320, 180))
+    assert colours(np.asarray(Image.open(tmp_path / "sparrow.png"))) > 500
+
+
+@pytest.mark.usefixtures("_can_draw")
+def test_an_interrupted_video_leaves_nothing(fallen, tmp_path, monkeypatch, capsys):
+    out = tmp_path / "long.mp4"
+    out.write_text("an older one")
+    seen_halfway = []
+
+    def interrupt(bar, done, total):
+        if done == 60:  # the encoder looks ahead before it writes anything
+            seen_halfway.extend(sorted(path.name for path in tmp_path.iterdir()))
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(command._Bar, "__call__", interrupt)
+    assert front_door.main(["video", str(fallen), "--out", str(out), "--size", "128x96"]) == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert len(seen_halfway) == 2  # the draft was there
+    assert out.read_text() == "an older one"
+    assert [path.name for path in tmp_path.iterdir()] == ["long.mp4"]
+
+
+def test_no_way_to_draw_is_said_so(seen, tmp_path, monkeypatch):
+    offscreen.find_backend.cache_clear()
+    monkeypatch.setattr(offscreen, "_PROBE", "raise SystemExit(1)")
+    with pytest.raises(Refused, match=r"no offscreen OpenGL here \(tried .*libosmesa6"):
+        video.write_snapshot(seen, tmp_path / "a.png", [0.0])
+    offscreen.find_backend.cache_clear()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["video", "--size", "321x180"], "even numbers"),
+        (["video", "--fps", "0"], "fps is 0"),
+        (["video", "--speed", "-1"], "positive factor"),
+        (["video", "--start", "30"], "would run from 30 to 21.4 s"),
+        (["video", "--out", "clip.avi"], "does not end in .mp4"),
+        (["snapshot", "--at", "22"], "there is no moment at 22 s; expected 0 to 21.4 s"),
+        (["snapshot", "--out", "a.jpg"], "does not end in .png"),
+        (["snapshot", "--out", f"nowhere{os.sep}a.png", "--at", "0"], "there is no folder `nowhere`"),
+    ],
+)
+def test_numbers_that_make_no_sense_are_refused(words, told, fallen, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert front_door.main([words[0], str(fallen), *words[1:]]) == 2
+    assert told in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,158 @@
+"""The page in a real browser: it draws, plays, scrubs and flies."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jax_aero.view import recording
+from jax_aero.view.settings import default_config
+
+pytest.importorskip("viser", reason="viser is not installed")
+sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+
+CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)
+SWITCHES = (
+    "--no-sandbox",
+    "--use-angle=swiftshader",  # WebGL in software
+    "--enable-unsafe-swiftshader",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+SLOWEST = 60_000  # ms, on a busy machine
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+
+
+class Visit:
+    """A page that is served, and a browser that looks at it."""
+
+    def __init__(self, served: Any, tab: Any, complaints: list[str]) -> None:
+        self.served, self.tab, self.complaints = served, tab, complaints
+
+    def picture(self) -> np.ndarray:
+        """What the scene's canvas shows, (h, w, 3)."""
+        from PIL import Image
+
+        size = self.tab.viewport_size
+        clip = {"x": 0, "y": 0, "width": size["width"] - 400, "height": size["height"]}
+        with Image.open(io.BytesIO(self.tab.screenshot(clip=clip, timeout=SLOWEST))) as image:
+            return np.asarray(image.convert("RGB")).astype(np.int16)
+
+    def set_number(self, label: str, value: str) -> None:
+        """Type into the box beside a slider."""
+        box = self.tab.locator(
+            f"//label[normalize-space(.)='{label}']/ancestor::*[.//input[@type='text']][1]//input[@type='text']"
+        ).first
+        box.fill(value)
+        box.press("Enter")
+
+    def choose(self, label: str, value: str) -> None:
+        """Pick from a list."""
+        box = self.tab.locator(f"//label[normalize-space(.)='{label}']").get_attribute("for")
+        self.tab.locator(f"[id='{box}']").click()
+        self.tab.get_by_role("option", name=value, exact=True).click()
+
+    def outcomes(self) -> list[str]:
+        return list(self.tab.locator(".outcome").all_inner_texts())
+
+    def wait_for(self, holds: Callable[[], bool], what: str) -> None:
+        deadline = time.monotonic() + SLOWEST / 1000.0
+        while not holds():
+            assert time.monotonic() < deadline, f"{what} never came; the page says {self.outcomes()}"
+            self.tab.wait_for_timeout(100)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    with sync_api.sync_playwright() as playwright:
+        opened = playwright.chromium.launch_persistent_context(
+            tmp_path_factory.mktemp("profile"),
+            executable_path=CHROMIUM,
+            headless=True,
+            args=list(SWITCHES),
+            viewport={"width": 900, "height": 480},
+        )
+        yield opened
+        opened.close()
+
+
+@pytest.fixture
+def visit(browser: Any) -> Iterator[Callable[..., Visit]]:
+    from jax_aero.view.page import Page
+
+    served = []
+
+    def open_page(*results: Path) -> Visit:
+        recordings = [recording.read(path) for path in results]
+        page = Page(recordings, recordings[0].config if recordings else default_config(), port=0)
+        served.append(page)
+        tab, complaints = browser.new_page(), []
+        tab.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+        tab.on("pageerror", lambda error: complaints.append(str(error)))
+        tab.goto(page.url, timeout=SLOWEST)
+        tab.locator(".outcome").first.wait_for(timeout=SLOWEST)
+        return Visit(page, tab, complaints)
+
+    yield open_page
+    for page in served:
+        page.close()
+    for tab in browser.pages[1:]:
+        tab.close()
+
+
+def colours(picture: np.ndarray) -> int:
+    return len(np.unique(picture.reshape(-1, 3), axis=0))
+
+
+def changed(first: np.ndarray, second: np.ndarray) -> float:
+    """Share of pixels that are clearly different."""
+    return float((np.abs(first - second).max(axis=-1) > 24).mean())
+
+
+def test_a_result_is_drawn_and_scrubbed(visit, fallen):
+    page = visit(fallen)
+    assert page.served.server.get_host() == "127.0.0.1"  # nobody else is served
+    assert page.outcomes() == ["fell at 21.4 s"]
+    page.wait_for(lambda: colours(page.picture()) > 300, "a picture of many colours")
+    start = page.picture()
+    page.set_number("time [s]", "18")
+    page.wait_for(lambda: page.served.now == 18.0, "the moment asked for")
+    page.wait_for(lambda: changed(start, page.picture()) > 0.02, "another picture")
+    assert "tilt 7" in page.tab.content() or "tilt 6" in page.tab.content()
+    # Playing goes on from there, to the fall.
+    page.tab.get_by_role("button", name="5×").click()
+    page.tab.get_by_role("button", name="Play").click()
+    page.wait_for(lambda: page.served.now == page.served.solid.duration, "the end of the flight")
+    page.tab.get_by_role("button", name="Play").wait_for(timeout=SLOWEST)
+    assert page.complaints == []
+
+
+def test_controls_fly_anew(visit):
+    page = visit()
+    assert page.outcomes() == ["completed"]
+    before = page.served.solid.merit.rotation_error
+    page.set_number("wind [m/s]", "28")
+    page.wait_for(lambda: page.outcomes()[0].startswith("fell at"), "the fall of the baseline")
+    page.choose("controller", "aware")
+    page.wait_for(lambda: page.outcomes() == ["completed"], "the aware controller's flight")
+    assert page.served.solid.merit.rotation_error < before
+    assert "aware, 28 m/s from 90°" in page.tab.content()
+    page.choose("ghost", "TEST1: baseline controller")
+    page.wait_for(lambda: len(page.outcomes()) == 2, "the ghost")
+    page.choose("controller", "baseline")
+    page.set_number("wind [m/s]", "10")
+    page.choose("lever arms", "published")
+    page.choose("air", "axisymmetric, published")
+    page.wait_for(lambda: page.outcomes() == ["fell at 21.4 s", "completed"], "the published fall")
+    assert page.complaints == []

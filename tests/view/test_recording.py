@@ -1,0 +1,231 @@
+"""A result is read as it was written, and everything else is refused by name."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jax_aero import __main__ as front_door
+from jax_aero import reference
+from jax_aero.view import Refused, drawing, recording
+from jax_aero.view.settings import AS_GIVEN, MODELS, Settings, apply, default_config, settings_of
+from jax_aero.view.shapes import look_of
+
+ROOT = recording.REPOSITORY
+ROBOTS = [ROOT / "configs/robot/ironcub_mk1.toml", ROOT / "configs/robot/sparrow.toml"]
+
+
+@pytest.fixture(scope="module")
+def seen(fallen):
+    return recording.read(fallen)
+
+
+def test_a_result_says_how_it_ended(seen):
+    flight = reference.fly(reference.load_config(ROOT / "configs/experiments/test1_published.toml"))
+    assert seen.verdict == f"fell at {flight.fall_time:.1f} s: {flight.fall_reason}"
+    assert seen.merit.rotation_error == flight.summary["max_rotation_error"]
+    assert seen.merit.thrust_max == flight.summary["thrust_max"]
+    np.testing.assert_array_equal(seen.signals["aero_force_sim"], flight["aero_force_sim"])
+
+
+def test_a_result_can_be_flown_again(seen):
+    assert seen.config is not None
+    again = recording.from_flight(reference.fly(seen.config), seen.config, "again")
+    np.testing.assert_array_equal(again.signals["base_position"], seen.signals["base_position"])
+
+
+def test_a_moment_is_the_pose_of_its_sample(seen):
+    k = 1234
+    s = seen.signals
+    state = reference.State(
+        s["base_position"][k],
+        recording.rotation_from_wxyz(s["base_quaternion"][k]),
+        s["joint_position"][k],
+        np.zeros(6 + s["joint_position"].shape[1]),
+    )
+    pose = reference.dynamics(seen.robot, state)
+    now = seen.at(s["time"][k])
+    np.testing.assert_allclose(now.body_positions, pose.body_positions, atol=1e-9)
+    np.testing.assert_allclose(now.body_rotations, pose.body_rotations, atol=1e-9)
+    np.testing.assert_allclose(pose.com_position, s["com_position"][k], atol=1e-9)
+
+
+def test_between_two_samples_lies_their_blend(seen):
+    t = seen.signals["time"]
+    now, first, second = seen.at(0.5 * (t[900] + t[901])), seen.at(t[900]), seen.at(t[901])
+    np.testing.assert_allclose(now.com, 0.5 * (first.com + second.com), atol=1e-12)
+    np.testing.assert_allclose(now.body_rotations, 0.5 * (first.body_rotations + second.body_rotations), atol=1e-4)
+    np.testing.assert_allclose(now.body_rotations[0] @ now.body_rotations[0].T, np.eye(3), atol=1e-12)
+
+
+def test_outside_the_flight_is_its_end(seen):
+    assert seen.at(1e6).time == seen.duration
+    assert seen.at(-1.0).time == 0.0
+
+
+@pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
+def test_jets_and_links_are_drawn_where_the_crate_has_them(path):
+    robot = reference.Robot(path)
+    look = look_of(robot)
+    rng = np.random.default_rng(3)
+    limits = np.array(robot.joint_limits)
+    joints = rng.uniform(limits[:, 0], limits[:, 1])
+    turn = recording.rotation_from_wxyz(rng.normal(size=4))
+    state = reference.State(rng.normal(size=3), turn, joints, np.zeros(6 + joints.size))
+    pose = reference.dynamics(robot, state)
+    assert [jet.name for jet in look.jets] == robot.jet_names
+    assert [link.name for link in look.links] == robot.aero_link_names
+    for mount in (*look.jets, *look.links):
+        at = pose.body_positions[mount.body] + pose.body_rotations[mount.body] @ mount.position
+        assert np.linalg.norm(at - pose.com_position) < 1.5
+    if robot.name != "iRonCub-Mk1":
+        return
+    tick = reference.Controller(default_config()).tick(state, [100.0] * 4, np.zeros(3))
+    exhaust = [pose.body_rotations[jet.body] @ jet.axis for jet in look.jets]
+    nozzles = [pose.body_positions[jet.body] + pose.body_rotations[jet.body] @ jet.position for jet in look.jets]
+    centres = [pose.body_positions[link.body] + pose.body_rotations[link.body] @ link.position for link in look.links]
+    np.testing.assert_allclose(exhaust, -tick.jet_axes, atol=1e-9)
+    np.testing.assert_allclose(nozzles, tick.jet_points, atol=1e-9)
+    np.testing.assert_allclose(centres, tick.link_arm_points, atol=1e-9)
+
+
+@pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
+def test_every_primitive_of_the_urdf_is_drawn(path):
+    robot = reference.Robot(path)
+    drawn = [shape for shape in look_of(robot).shapes if shape.role != "strut"]
+    assert len(drawn) == robot.urdf_text.count("<visual>") > 5
+    assert {"shell", "engine"} <= {shape.role for shape in drawn}
+
+
+def test_arrows_are_as_long_as_the_legend_says(seen):
+    now, scales = seen.at(18.0), drawing.Scales(force=0.2)
+    ends = drawing.force_arrows(look_of(seen.robot), now, scales)
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    np.testing.assert_allclose(lengths, 0.2 * np.linalg.norm(now.aero_force, axis=1), atol=1e-12)
+    assert lengths.max() > 0.1
+    assert drawing.Scales(force=0.15).reference_force == 2.0
+    arrow = drawing.wind_arrow(now, scales)
+    assert arrow is not None
+    np.testing.assert_allclose(arrow[1] - arrow[0], [0.0, -0.8, 0.0], atol=1e-12)
+    assert drawing.wind_arrow(seen.at(0.0), scales) is None
+
+
+@pytest.mark.parametrize("make", [drawing.cylinder, drawing.sphere, drawing.box, drawing.cone])
+def test_meshes_are_closed_and_face_outwards(make):
+    vertices, faces = make()
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    normals = np.cross(b - a, c - a)
+    assert np.linalg.norm(normals.sum(axis=0)) < 1e-9
+    middle = vertices.mean(axis=0)
+    assert np.all(np.einsum("fi,fi->f", normals, (a + b + c) / 3.0 - middle) > 0.0)
+
+
+# --- settings ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["test1", "test2", "test1_published", "no_wind", "engine_out", "closed_circuit"])
+def test_the_settings_of_a_flight_are_that_flight(name):
+    config = reference.load_config(ROOT / f"configs/experiments/{name}.toml")
+    assert apply(config, settings_of(config)) == config
+
+
+def test_published_arms_are_the_published_flights():
+    """By choosing on the page what the experiment files say."""
+    for controller, name in (("baseline", "test1_published"), ("aware", "test2_published")):
+        wanted = Settings(controller=controller, model="axisymmetric, published", arms="published")
+        config = apply(default_config(), wanted)
+        experiment = reference.load_config(ROOT / f"configs/experiments/{name}.toml")
+        assert config["simulator"] == experiment["simulator"]
+        if controller == "aware":  # a baseline has no aerodynamics that could have arms
+            assert config["controller"] == experiment["controller"]
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_every_model_flies(model):
+    config = apply(default_config(), Settings(model=model, controller="aware", wind_direction_deg=-45.0))
+    config["simulator"]["duration"] = 6.0
+    flight = reference.fly(config)
+    assert flight.outcome == "completed"
+    np.testing.assert_allclose(flight["wind"][-1], 0.2 * np.array([-(50**0.5), 50**0.5, 0.0]), atol=1e-6)
+
+
+def test_a_model_of_ones_own_is_kept():
+    config = default_config()
+    config["simulator"]["aero"] = {"model": "axisymmetric", "coefficients": "mine", "air_density": 1.0}
+    start = settings_of(config)
+    assert start.model == AS_GIVEN
+    aware = apply(config, replace(start, controller="aware"))
+    assert aware["controller"]["aero"] == aware["simulator"]["aero"] == config["simulator"]["aero"]
+
+
+# --- refusals ---------------------------------------------------------------------------------------------------
+
+
+def test_a_wrong_file_is_refused_by_name(tmp_path, capsys):
+    text = tmp_path / "notes.nc"
+    text.write_text("no NetCDF")
+    (tmp_path / "empty").mkdir()
+    for path, told in (
+        (tmp_path / "nowhere", "there is no `"),
+        (text, "is not a NetCDF-4 file"),
+        (tmp_path / "empty", "holds no run.nc"),
+    ):
+        for command in ("view", "video", "snapshot"):
+            assert front_door.main([command, str(path)]) == 2
+            said = capsys.readouterr().err
+            assert told in said
+            assert str(path) in said
+            assert "python -m experiments" in said
+
+
+def test_a_file_of_something_else_is_refused(tmp_path):
+    import xarray as xr
+
+    xr.Dataset({"time": ("time", [0.0, 1.0])}).to_netcdf(tmp_path / "run.nc", engine="h5netcdf")
+    with pytest.raises(Refused, match=r"run\.nc` has no `base_position`"):
+        recording.read(tmp_path)
+
+
+def test_a_result_without_its_robot_asks_for_it(made_up_results):
+    folder = made_up_results / "test1"
+    with pytest.raises(Refused, match="--robot FILE"):
+        recording.read(folder)
+    assert recording.read(folder, ROBOTS[0]).config is None
+    with pytest.raises(Refused, match=r"`joint_position` .* expected \(\d+, 5\) for robot `sparrow`"):
+        recording.read(folder, ROBOTS[1])
+
+
+def test_three_results_are_one_too_many(fallen, capsys):
+    assert front_door.main(["view", *[str(fallen)] * 3]) == 2
+    assert "at most two" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [(["--port", "99999"], "port is 99999"), (["--host", "203.0.113.1"], "cannot listen on `203.0.113.1`")],
+)
+def test_an_address_that_is_none_is_refused(words, told, capsys):
+    assert front_door.main(["view", *words]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_an_unknown_command_lists_the_known_ones(capsys):
+    assert front_door.main(["film"]) == 2
+    assert "{verify,view,video,snapshot}" in capsys.readouterr().err
+
+
+def test_a_missing_package_is_named_with_its_extra(monkeypatch, fallen, capsys):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert front_door.main(["view", str(fallen)]) == 2
+    assert "pip install 'jax-aero[view]'" in capsys.readouterr().err
+
+
+def test_the_library_needs_nothing_of_the_viewer():
+    code = (
+        "import sys, jax_aero, jax_aero.__main__, jax_aero.view.command, jax_aero.view.settings, jax_aero.view.shapes;"
+        "print({'viser', 'mujoco', 'av', 'PIL', 'jax', 'h5py', 'playwright'} & set(sys.modules))"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "set()"
