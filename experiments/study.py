@@ -78,6 +78,7 @@ def build_manifest(
     summary: Mapping[str, Any],
     timings: Mapping[str, float],
     command: Sequence[str] | None = None,
+    engine: str = "casadi",
 ) -> dict[str, Any]:
     """Return the manifest of a study, ready for JSON; `timings` are in seconds of wall time."""
     from importlib.metadata import version
@@ -89,11 +90,11 @@ def build_manifest(
         "config_digest": config_digest,
         "config": manifest.portable(config),
         "command": " ".join(str(manifest.portable(word)) for word in command or _command()),
-        "engine": "casadi",
+        "engine": engine,
         "timings_s": {key: round(value, 4) for key, value in timings.items()},
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "git": manifest.git_state(),
-        "versions": manifest.versions() | {"casadi": version("casadi")},
+        "versions": manifest.versions() | {engine: version(engine)},
         "device": manifest.device(),
     }
 

@@ -13,7 +13,10 @@ from matplotlib.figure import Figure
 from paper_figs import (
     ablation,
     demo,
+    fig4_fit,
+    fig4_network,
     fig5_flight,
+    fig6_balancing,
     force_rate,
     identify,
     maps,
@@ -21,22 +24,35 @@ from paper_figs import (
     scatter,
     style,
     suppl7,
+    surrogate,
     sweeps,
+    tip_over,
+    training,
     trajectory,
     trim,
+    tunnel,
 )
 
 Draw = Callable[[Path, Sequence[str]], tuple[Figure, dict[str, str]]]
 
 FIGURES: dict[str, tuple[Draw, Sequence[str], str]] = {
+    "fig2": (tunnel.fig2, (), "Fig. 2 d, e: the wind tunnel's drag by speed and by posture; needs no run"),
+    "fig3": (tunnel.fig3, (), "Fig. 3 a, b: CFD beside the wind tunnel; needs no run"),
+    "supp_mesh": (tunnel.mesh, (), "Suppl. Fig. 5: mesh study; needs no run"),
+    "fig4_fit": (fig4_fit.draw, fig4_fit.RUNS, "Fig. 4 d, e: the axisymmetric model over the CFD"),
+    "fig4_network": (fig4_network.draw, fig4_network.RUNS, "Fig. 4 a-c: the network's drag of the head, two splits"),
+    "training": (training.draw, training.RUNS, "loss curves of a training run"),
     "fig5": (fig5_flight.draw, fig5_flight.RUNS, "Fig. 5 b-i: one envelope flown twice"),
-    "fig5_robustness": (fig5_flight.draw, fig5_flight.ROBUSTNESS, "Fig. 5 b-i with the paper's lower row: robustness"),
-    "suppl7": (suppl7.draw, suppl7.RUNS, "Suppl. Fig. 7 a-f, j: TEST1, TEST2, robustness; right arms"),
-    "suppl7_published": (suppl7.draw, suppl7.PUBLISHED, "Suppl. Fig. 7 a-f, j; published arms"),
+    "fig5_robustness": (fig5_flight.draw, fig5_flight.ROBUSTNESS, "Fig. 5 b-i as the paper fills it: TEST4, robustness"),
+    "fig6": (fig6_balancing.draw, fig6_balancing.RUNS, "Fig. 6 a-l: ground experiments in frontal and lateral wind"),
+    "suppl7": (suppl7.draw, suppl7.RUNS, "Suppl. Fig. 7: TEST1, TEST2, TEST3, robustness; right arms"),
+    "suppl7_published": (suppl7.draw, suppl7.PUBLISHED, "Suppl. Fig. 7; published arms"),
     "demo": (demo.draw, demo.RUNS, "both controllers, right and published lever arms"),
+    "surrogate": (surrogate.draw, surrogate.RUNS, "the panel model beside the wind tunnel"),
     "trim": (trim.draw, trim.RUNS, "winds that can be trimmed, and the thrust that is left"),
     "trajectory": (trajectory.draw, trajectory.RUNS, "planned trajectories, flown beside the paper's envelope"),
     "identify": (identify.draw, identify.RUNS, "aerodynamic coefficients identified from one flight's log"),
+    "tip_over": (tip_over.draw, tip_over.RUNS, "what wind tips the standing robot over"),
     "force_rate": (force_rate.draw, force_rate.RUNS, "the aerodynamic force rate that the controller leaves out"),
 }
 """Figures of single flights."""
@@ -47,6 +63,7 @@ SWEEPS: Sequence[str] = (
     "ablation_scale",
     "ablation_links",
     "ablation_models",
+    "ablation_models_network",
     "ablation_wind_bias",
     "ablation_wind_noise",
     "ablation_wind_noise_filtered",

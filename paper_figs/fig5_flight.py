@@ -18,8 +18,8 @@ from paper_figs import panels, style
 from paper_figs.runs import Run, load
 
 RUNS = ("test2", "test1")
-ROBUSTNESS = ("test2", "robustness_sphere_cylinder_vs_axisymmetric")
-"""As in the paper, with analytic models where it has a network: TEST4 and the robustness test."""
+ROBUSTNESS = ("test4", "robustness")
+"""As in the paper: TEST4 and the robustness test."""
 
 
 def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:

@@ -8,13 +8,20 @@ import xarray as xr
 
 from paper_figs.runs import MissingRun
 
+COMMANDS = {
+    "tip_over": "python -m experiments tip-over",
+    "fit": "python -m experiments fit-aero",
+    "training": "python -m experiments train compact --dataset results/datasets/freestream.nc",
+    "surrogate": "python -m experiments calibrate-surrogate",
+}
+"""What makes a study, where that is not `python -m experiments.KIND NAME`."""
+
 
 def load(results: Path, kind: str, name: str) -> xr.Dataset:
     """Read the study of a kind and name; `results` is the folder of flights, beside which studies lie."""
     path = results.parent / kind / name / "run.nc"
     if not path.is_file():
         option = " --map" if kind == "trim" else ""
-        raise MissingRun(
-            f"no study `{name}` in {path.parents[1]}; make it with: python -m experiments.{kind} {name}{option}"
-        )
+        command = COMMANDS.get(kind, f"python -m experiments.{kind} {name}{option}")
+        raise MissingRun(f"no study `{name}` in {path.parents[1]}; make it with: {command}")
     return xr.load_dataset(path, engine="h5netcdf")

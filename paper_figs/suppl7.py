@@ -1,8 +1,6 @@
 """Supplementary Fig. 7: joint errors, total force and thrusts of the tests, and how far two models are apart.
 
-a–c TEST1    d–f TEST2    j robustness: simulator's minus controller's total force
-
-Panels g to i of the paper show TEST3, whose simulator is a neural network: they have no run to be drawn from here.
+a–c TEST1    d–f TEST2    g–i TEST3    j robustness: simulator's minus controller's total force
 """
 
 from __future__ import annotations
@@ -17,16 +15,16 @@ from matplotlib.figure import Figure, FigureBase
 from paper_figs import panels, style
 from paper_figs.runs import Run, load
 
-RUNS = ("test1", "test2", "robustness_sphere_cylinder_vs_axisymmetric")
-PUBLISHED = ("test1_published", "test2_published", "robustness_axisymmetric_vs_sphere_cylinder")
+RUNS = ("test1", "test2", "test3", "robustness")
+PUBLISHED = tuple(f"{name}_published" for name in RUNS)
 
 
 def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
-    """Draw the figure from three runs: the first fills a to c, the second d to f, the third j."""
+    """Draw the figure from four runs: the first fills a to c, the second d to f, the third g to i, the fourth j."""
     runs = [load(results, name) for name in names]
-    figure = plt.figure(figsize=(style.FULL_WIDTH, 7.6), layout="constrained")
-    upper, middle, lower = figure.subfigures(3, 1, height_ratios=(1.1, 1.1, 1.1), squeeze=False)[:, 0]
-    for part, run, letters in ((upper, runs[0], "abc"), (middle, runs[1], "def")):
+    figure = plt.figure(figsize=(style.FULL_WIDTH, 9.6), layout="constrained")
+    *tests, lower = figure.subfigures(4, 1, squeeze=False)[:, 0]
+    for part, run, letters in zip(tests, runs[:3], ("abc", "def", "ghi"), strict=True):
         part.suptitle(run.title, fontsize=8.5, fontweight="bold", x=0.01, ha="left")
         columns = part.subplots(1, 3)
         panels.joint_errors(columns[0], run)
@@ -35,7 +33,7 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
         for axes, mark in zip(columns, letters, strict=True):
             _finish(axes, run, mark)
             style.legend_above(axes, columns=2 if axes is columns[2] else 3)
-    _robustness(lower, runs[2])
+    _robustness(lower, runs[3])
     end = max(float(run.data["time"][-1]) for run in runs)
     for axes in figure.axes:
         axes.set_xlim(0.0, end)
@@ -61,4 +59,4 @@ def _finish(axes: Axes, run: Run, mark: str) -> None:
         style.letter(axes, mark)
     axes.set_xlabel("time [s]")
     if run.fall_time is not None:
-        style.mark_fall(axes, run.fall_time, f"fell at {run.fall_time:.1f} s" if mark in "ad" else None)
+        style.mark_fall(axes, run.fall_time, f"fell at {run.fall_time:.1f} s" if mark in "adg" else None)

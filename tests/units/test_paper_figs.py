@@ -7,7 +7,7 @@ from paper_figs.__main__ import FIGURES, main
 from paper_figs.panels import readable
 
 # These show studies, not flights; the tests of each study draw its figure from a study of their own.
-STUDIES = {"trim", "trajectory", "force_rate", "identify"}
+STUDIES = {"fig4_fit", "fig4_network", "training", "surrogate", "trim", "trajectory", "force_rate", "identify"}
 
 
 @pytest.mark.parametrize("name", [name for name in FIGURES if name not in STUDIES])
@@ -43,7 +43,7 @@ def test_a_missing_flight_is_named_with_the_command_that_flies_it(tmp_path, caps
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [(["fig99"], "no figure fig99; there are fig5"), (["fig5", "--runs", "test2"], "fig5 shows 2 runs, not 1")],
+    [(["fig99"], "no figure fig99; there are fig2"), (["fig5", "--runs", "test2"], "fig5 shows 2 runs, not 1")],
 )
 def test_a_mistake_is_named(arguments, message, capsys):
     assert main(arguments) == 2

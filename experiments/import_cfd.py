@@ -1,0 +1,112 @@
+"""Turn free-stream simulations into a dataset of this project: `python -m experiments import-cfd --table FILE`.
+
+The public table is in the history of https://github.com/ami-iit/element_cfd-simulation, from before that repository
+had a licence, so it is not shipped here: get it there, as a file (`--table`) or as a clone (`--clone`). The authors'
+training file (`--mat`) is read too. What was checked is printed, and kept in the dataset.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from experiments import Refused, manifest
+from jax_aero.aero.cfd_import import read_mat, read_solver_table
+from jax_aero.aero.dataset import JOINTS, Dataset, Floats, read_postures, save
+
+POSTURES = manifest.REPOSITORY / "configs" / "reference" / "postures.toml"
+OUT = manifest.REPOSITORY / "results" / "datasets"
+
+COMMIT = "0d43057"
+TABLE_PATH = "simulations/ironcub-automatic-cfd/auto-cfd-sim/data/outputParameters.csv"
+"""Where the public table stands in the history of the public repository."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    parser = argparse.ArgumentParser(prog="python -m experiments import-cfd", description=__doc__)
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--table", type=Path, metavar="FILE", help="the solver's table")
+    source.add_argument("--clone", type=Path, metavar="DIR", help="a local clone of element_cfd-simulation")
+    source.add_argument("--mat", type=Path, metavar="FILE", help="the authors' training file")
+    parser.add_argument("--commit", default=COMMIT, help=f"commit of the clone that has the table (default {COMMIT})")
+    parser.add_argument("--joints", type=Path, metavar="FILE", help="joint angles by posture (CSV: name, JOINT_deg, …)")
+    parser.add_argument(
+        "--frame", choices=("base", "wind"), default="base", help="axes of the areas in a .mat file (default base)"
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help="the dataset (default results/datasets/NAME.nc)")
+    given = parser.parse_args(arguments)
+    try:
+        dataset = _read(given)
+        out: Path = given.out or OUT / f"{'training_file' if given.mat else 'freestream'}.nc"
+        save(dataset, out)
+    except (Refused, OSError, ValueError) as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return 2
+    print(summary(dataset))
+    print(f"{out}: sha256 {dataset.sha256}")
+    return 0
+
+
+def _read(given: argparse.Namespace) -> Dataset:
+    if given.mat:
+        return read_mat(given.mat, frame=given.frame)
+    postures = read_postures(given.joints) if given.joints else known_postures()
+    if given.clone:
+        text, source = from_clone(given.clone, given.commit), f"{TABLE_PATH} at {given.commit}"
+    else:
+        try:
+            text, source = given.table.read_text(encoding="utf-8"), given.table.name
+        except UnicodeDecodeError as reason:
+            raise Refused(f"{given.table} is not text: {reason}; expected the solver's CSV table") from reason
+    return read_solver_table(text, postures, source=source)
+
+
+def known_postures(path: Path = POSTURES, sections: Sequence[str] | None = None) -> dict[str, Floats]:
+    """Return the joint angles (19,) [deg] of the named postures."""
+    table = tomllib.loads(path.read_text(encoding="utf-8"))
+    if (order := tuple(table.pop("joints"))) != JOINTS:
+        raise Refused(f"joints of {path} are {list(order)}; expected {list(JOINTS)}")
+    chosen = table if sections is None else {name: table[name] for name in sections}
+    postures = {}
+    for section in chosen.values():
+        for name, angles in section.items():
+            if len(angles) != len(JOINTS):
+                raise Refused(f"posture `{name}` of {path} has {len(angles)} angles; expected {len(JOINTS)}")
+            postures[name] = np.array(angles, dtype=np.float64)
+    return postures
+
+
+def from_clone(clone: Path, commit: str) -> str:
+    """Return the table out of the history of a clone; nothing is checked out."""
+    try:
+        answer = subprocess.run(
+            ["git", "-C", str(clone), "show", f"{commit}:{TABLE_PATH}"], capture_output=True, check=True, timeout=60
+        )
+    except FileNotFoundError as reason:
+        raise Refused("git is not installed; give the table as a file with --table") from reason
+    except subprocess.SubprocessError as reason:
+        said = getattr(reason, "stderr", b"") or b""
+        words = said.decode(errors="replace").strip().splitlines()
+        raise Refused(
+            f"{clone} has no {TABLE_PATH} at commit {commit}: {words[-1] if words else reason}; expected a full clone "
+            "of element_cfd-simulation (a shallow one lacks old commits)"
+        ) from reason
+    return answer.stdout.decode("utf-8")
+
+
+def summary(dataset: Dataset) -> str:
+    """Return what was imported and what was checked."""
+    lines = [f"{len(dataset)} rows of {len(dataset.postures)} postures: {', '.join(dataset.postures[:20])}"]
+    lines += [f"  {name:<62} {value:.4g}" for name, value in dataset.checks.items()]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,120 @@
+"""Compute a full dataset with the panel model, where no free-stream CFD is at hand: `surrogate-dataset --out FILE`.
+
+Postures times 19 pitch and 18 yaw angles, as in the paper's campaign, then mirrored. Every posture is kept as soon as
+it is computed, so an interrupted run goes on with the same command.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import shutil
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from experiments import Refused, manifest
+from experiments.import_cfd import OUT, POSTURES, known_postures, summary
+from jax_aero.aero.cfd_import import AIR_DENSITY, SPEED, checks
+from jax_aero.aero.dataset import Dataset, Floats, save, wind_direction
+from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogate
+from jax_aero.robot import load_robot
+
+ROBOT = manifest.REPOSITORY / "configs" / "robot" / "ironcub_mk1.toml"
+SURROGATE = manifest.REPOSITORY / "configs" / "aero" / "panels" / "surrogate.toml"
+
+PITCHES = np.arange(0.0, 181.0, 10.0)
+YAWS = np.arange(-160.0, 181.0, 20.0)
+"""Angles of the paper's campaign [deg]."""
+SYMMETRIC = ("hovering", "flight30", "flight60")
+COUNTS = (24, 30)
+"""Postures of the paper's dataset and of its simulations."""
+INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    parser = argparse.ArgumentParser(prog="python -m experiments surrogate-dataset", description=__doc__)
+    parser.add_argument("--out", type=Path, default=OUT / "surrogate.nc", metavar="FILE")
+    parser.add_argument("--postures", type=int, choices=COUNTS, default=COUNTS[1], help="how many (default 30)")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="these postures instead")
+    parser.add_argument("--model", type=Path, default=SURROGATE, metavar="FILE", help="coefficients of the panel model")
+    given = parser.parse_args(arguments)
+    try:
+        dataset = compute(given.only or posture_names(given.postures), given.model, parts_of(given.out))
+        save(dataset, given.out)
+    except (Refused, OSError, ValueError) as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(
+            f"interrupted; go on with the same command ({parts_of(given.out).name} has what is done)", file=sys.stderr
+        )
+        return INTERRUPTED
+    shutil.rmtree(parts_of(given.out), ignore_errors=True)
+    print(summary(dataset))
+    print(f"{given.out}: sha256 {dataset.sha256}")
+    return 0
+
+
+def parts_of(out: Path) -> Path:
+    """Return the folder that holds finished postures of a run under way."""
+    return out.with_name(f".{out.name}.parts")
+
+
+def posture_names(count: int) -> list[str]:
+    """Return the three symmetric postures and as many others as are wanted, in the order of the typed table."""
+    free, listed = known_postures(sections=["free_stream"]), known_postures(sections=["listed"])
+    others = [name for name in (*free, *listed) if name not in SYMMETRIC]
+    return [*SYMMETRIC, *others[: count - len(SYMMETRIC)]]
+
+
+def compute(names: Sequence[str], model: Path, parts: Path) -> Dataset:
+    """Compute every posture in every wind; return the dataset with its mirror images."""
+    postures = known_postures()
+    if unknown := sorted(set(names) - set(postures)):
+        raise Refused(f"no posture {', '.join(unknown)}; there are {', '.join(postures)}")
+    robot = load_robot(ROBOT)
+    surrogate = load_surrogate(model, robot)
+    features = batched_features(robot, surrogate.panels, surrogate.wake)
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in (ROBOT, model, POSTURES))).hexdigest()
+    pitch, yaw = (grid.ravel() for grid in np.meshgrid(PITCHES, YAWS, indexing="ij"))
+    wind = wind_direction(pitch, yaw)
+    parts.mkdir(parents=True, exist_ok=True)
+    areas: list[Floats] = []
+    for name in tqdm(names, desc="postures", unit="posture", file=sys.stderr, disable=None):
+        part = parts / f"{name}-{digest[:16]}.npy"
+        if not part.is_file():
+            joints = np.tile(postures[name], (len(wind), 1))
+            found = force_areas(surrogate.coefficients, features(joints, wind))
+            draft = part.with_suffix(".draft")
+            with draft.open("wb") as stream:
+                np.save(stream, found)
+            draft.replace(part)
+        areas.append(np.load(part))
+    n = len(names) * len(wind)
+    dataset = Dataset(
+        posture=np.repeat(list(names), len(wind)),
+        is_mirrored=np.zeros(n, dtype=bool),
+        joint_position_deg=np.repeat([postures[name] for name in names], len(wind), axis=0),
+        wind_b=np.tile(wind, (len(names), 1)),
+        pitch_deg=np.tile(pitch, len(names)),
+        yaw_deg=np.tile(yaw, len(names)),
+        force_area_b=np.concatenate(areas),
+        speed=np.full(n, SPEED),
+        air_density=np.full(n, AIR_DENSITY),
+        provenance={
+            "source": "panel model calibrated on published data (jax_aero/aero/surrogate.py); no free-stream CFD",
+            "model_sha256": hashlib.sha256(model.read_bytes()).hexdigest(),
+            "layout": f"{len(names)} postures, {len(PITCHES)} pitch and {len(YAWS)} yaw angles, mirrored",
+        },
+    ).mirrored()
+    return replace(dataset, checks=checks(dataset))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,253 @@
+"""Tables of the free-stream simulations, as their authors left them, into our `Dataset`, with what was checked.
+
+Two layouts: the solver's table (CSV: posture, angles, drag, lift and side area of the whole robot and of 13 surfaces)
+and the authors' training file (`.mat`).
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from jax_aero.aero.dataset import (
+    JOINTS,
+    LINKS,
+    MIRROR_AXES,
+    Dataset,
+    Floats,
+    mirrored_areas,
+    mirrored_joints,
+    number,
+    tunnel_from_base,
+    wind_direction,
+)
+
+SURFACES: Mapping[str, str] = {
+    "head": "head",
+    "torso": "chest",
+    "left-back-turbine": "chest_l_jet_turbine",
+    "right-back-turbine": "chest_r_jet_turbine",
+    "left-arm": "l_upper_arm",
+    "left-arm-turbine": "l_arm_jet_turbine",
+    "right-arm": "r_upper_arm",
+    "right-arm-turbine": "r_arm_jet_turbine",
+    "root-link": "root_link",
+    "left-leg-upper": "l_upper_leg",
+    "left-leg-lower": "l_lower_leg",
+    "right-leg-upper": "r_upper_leg",
+    "right-leg-lower": "r_lower_leg",
+}
+"""Surface of the solver to link of the robot. The upper arms hold the shoulders, the upper legs the hip's roll links,
+the root link the hip's pitch links, the chest the torso, and the lower legs the feet."""
+
+TOTAL = "ironcub"
+COMPONENTS = ("cd", "cs", "cl")
+"""Drag, side and lift: x, y and z of the tunnel frame."""
+
+SPEED, AIR_DENSITY = 17.0, 1.225
+"""Of the simulations [m/s, kg/m³]; the table's own columns do not say them."""
+
+LARGEST_SUM_ERROR = 1e-5
+"""How far the links may be from the whole robot [m²]; the public table keeps to 1e-8."""
+
+MAT_FIELDS = {
+    "pitchAngles_full": 1,
+    "yawAngles_full": 1,
+    "windDirection_full": 3,
+    "jointPosDeg_full": len(JOINTS),
+    "linkCdAs_matrix": len(LINKS),
+    "linkClAs_matrix": len(LINKS),
+    "linkCsAs_matrix": len(LINKS),
+}
+"""Variables of the authors' training file, and how many columns each has."""
+
+
+def read_solver_table(text: str, postures: Mapping[str, Floats], *, source: str) -> Dataset:
+    """Parse the solver's table.
+
+    Parameters
+    ----------
+    text
+        The CSV itself.
+    postures
+        Joint angles (19,) [deg] by the names in the column `config`.
+    source
+        What the table is called in messages and in the provenance.
+
+    Raises
+    ------
+    ValueError
+        Naming the source, the line, the column, the value and what was expected.
+    """
+    if text.startswith("version https://git-lfs"):
+        raise ValueError(f"{source} is a Git LFS pointer, not the table; fetch it with: git lfs pull")
+    reader = csv.DictReader(io.StringIO(text.removeprefix("\ufeff")))
+    expected = ["config", "pitchAngle", "yawAngle", *(_columns([TOTAL, *SURFACES]))]
+    found = reader.fieldnames or []
+    if missing := [column for column in expected if column not in found]:
+        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+        raise ValueError(
+            f"{source}, line 1: column `{missing[0]}`{more} missing; expected {', '.join(expected[:6])}, …"
+        )
+    names, rows, lines = [], [], []
+    for row in reader:
+        place = f"{source}, line {reader.line_num}"
+        if row["config"] not in postures:
+            raise ValueError(
+                f"{place}, column `config`: no joint angles are known for `{row['config']}`; expected one of "
+                f"{', '.join(postures)}, or a file of joint angles that has it"
+            )
+        rows.append([number(row[column], place, column) for column in expected[1:]])
+        _check_angles(rows[-1], place)
+        names.append(row["config"])
+        lines.append(reader.line_num)
+    if not rows:
+        raise ValueError(f"{source} has no rows; expected one per posture and wind direction")
+    values = np.array(rows)
+    pitch, yaw = values[:, 0], values[:, 1]
+    areas_w = values[:, 2:].reshape(len(rows), 1 + len(SURFACES), 3)
+    sum_error = np.abs(areas_w[:, 1:].sum(axis=1) - areas_w[:, 0]).max(axis=1)
+    worst = int(sum_error.argmax())
+    if sum_error[worst] > LARGEST_SUM_ERROR:
+        raise ValueError(
+            f"{source}, line {lines[worst]}: the surfaces differ by {sum_error[worst]:.3g} m2 from `{TOTAL}-*`; "
+            f"expected at most {LARGEST_SUM_ERROR:g}"
+        )
+    dataset = Dataset(
+        posture=np.array(names),
+        is_mirrored=np.zeros(len(rows), dtype=bool),
+        joint_position_deg=np.stack([postures[name] for name in names]),
+        wind_b=wind_direction(pitch, yaw),
+        pitch_deg=pitch,
+        yaw_deg=yaw,
+        # f_b = R^T f_t with (drag, side, lift) as (x, y, z) of the tunnel frame.
+        force_area_b=np.einsum("nji,nlj->nli", tunnel_from_base(pitch, yaw), areas_w[:, 1:]),
+        speed=np.full(len(rows), SPEED),
+        air_density=np.full(len(rows), AIR_DENSITY),
+        provenance={
+            "source": source,
+            "file_sha256": hashlib.sha256(text.encode()).hexdigest(),
+            "layout": "solver table: drag, lift and side area per surface, wind axes",
+            "surfaces": "; ".join(f"{surface} -> {link}" for surface, link in SURFACES.items()),
+            "speed_and_density": f"{SPEED:g} m/s and {AIR_DENSITY:g} kg/m3, stated by the paper, not by the table",
+        },
+    )
+    return _with_checks(dataset, {"links minus whole robot, largest [m2]": float(sum_error.max())})
+
+
+def read_mat(path: str | PathLike[str], *, frame: Literal["base", "wind"] = "base") -> Dataset:
+    """Read the authors' training file.
+
+    Parameters
+    ----------
+    path
+        The `.mat` file.
+    frame
+        How (CdA, CsA, ClA) are read: as (x, y, z) of the base, as the published simulator does, or as drag, side and
+        lift of the tunnel frame, as the solver writes them. The file itself does not say.
+
+    Raises
+    ------
+    ValueError
+        Naming the variable, row and column, and what was expected.
+    """
+    from scipy.io import loadmat
+
+    data = Path(path).read_bytes()
+    try:
+        variables = loadmat(io.BytesIO(data))
+    except Exception as reason:  # whatever the reader says about a file of another kind
+        raise ValueError(f"{path} is not a MATLAB file of version 4 to 7.2: {reason}") from reason
+    table: dict[str, Floats] = {}
+    rows: int | None = None
+    for name, width in MAT_FIELDS.items():
+        if name not in variables:
+            raise ValueError(f"{path}: variable `{name}` is missing; expected {', '.join(MAT_FIELDS)}")
+        table[name] = np.asarray(variables[name], dtype=np.float64)
+        rows = table[name].shape[0] if rows is None else rows
+        if table[name].shape != (rows, width):
+            raise ValueError(f"{path}: `{name}` has shape {table[name].shape}; expected {(rows, width)}")
+        if not np.isfinite(table[name]).all():
+            row, column = np.argwhere(~np.isfinite(table[name]))[0] + 1
+            raise ValueError(f"{path}: `{name}` row {row}, column {column} is no finite number")
+    pitch, yaw = table["pitchAngles_full"][:, 0], table["yawAngles_full"][:, 0]
+    wind = table["windDirection_full"]
+    off = np.abs(wind - wind_direction(pitch, yaw)).max(axis=1)
+    if off.max() > 1e-3:
+        row = int(off.argmax())
+        wanted = wind_direction(pitch[row], yaw[row]).round(4).tolist()
+        raise ValueError(
+            f"{path}: `windDirection_full` row {row + 1} is {wind[row].round(4).tolist()}; expected {wanted} for "
+            f"pitch {pitch[row]:g} and yaw {yaw[row]:g} degrees"
+        )
+    areas = np.stack([table[f"link{name}As_matrix"] for name in ("Cd", "Cs", "Cl")], axis=2)
+    if frame == "wind":
+        areas = np.einsum("nji,nlj->nli", tunnel_from_base(pitch, yaw), areas)
+    joints = table["jointPosDeg_full"]
+    shapes, number_of = np.unique(np.round(joints, 6), axis=0, return_inverse=True)
+    digits = len(str(len(shapes)))
+    dataset = Dataset(
+        posture=np.array([f"posture_{index + 1:0{digits}}" for index in number_of.reshape(-1)]),
+        is_mirrored=np.zeros(len(pitch), dtype=bool),
+        joint_position_deg=joints,
+        wind_b=wind_direction(pitch, yaw),
+        pitch_deg=pitch,
+        yaw_deg=yaw,
+        force_area_b=areas,
+        speed=np.full(len(pitch), SPEED),
+        air_density=np.full(len(pitch), AIR_DENSITY),
+        provenance={
+            "source": Path(path).name,
+            "file_sha256": hashlib.sha256(data).hexdigest(),
+            "layout": f"training file (.mat), (CdA, CsA, ClA) read in {frame} axes",
+        },
+    )
+    return _with_checks(dataset, {})
+
+
+def checks(dataset: Dataset) -> dict[str, float]:
+    """Measure what can be measured on any dataset: repeated rows, and how far symmetric cases are from symmetric."""
+    areas = dataset.force_area_b
+    order = np.argsort(dataset.group, kind="stable")
+    same = dataset.group[order[1:]] == dataset.group[order[:-1]]
+    repeats = areas[order[1:][same]] - areas[order[:-1][same]]
+    _, sizes = np.unique(dataset.group, return_counts=True)
+    angles, wind = dataset.joint_position_deg, dataset.wind_b
+    alone = np.all(np.abs(mirrored_joints(angles) - angles) < 1e-6, axis=1)
+    alone &= np.all(np.abs(wind * MIRROR_AXES - wind) < 1e-6, axis=1)
+    tilt = mirrored_areas(areas[alone]) - areas[alone]
+    found: dict[str, float] = {
+        "rows": len(dataset),
+        "postures": len(np.unique(dataset.family)),
+        "groups of equal posture and wind that occur more than once": int((sizes > 1).sum()),
+        "variance over the 39 components [m4]": float(areas.reshape(len(dataset), -1).var(axis=0).mean()),
+    }
+    if len(repeats):
+        found["difference within those groups, mean square [m4]"] = float(np.mean(repeats**2))
+    if len(tilt):
+        found["rows that should be their own mirror image"] = int(alone.sum())
+        found["their distance from it, mean square [m4]"] = float(np.mean(tilt**2))
+        found["their distance from it, largest [m2]"] = float(np.abs(tilt).max())
+    return found
+
+
+def _with_checks(dataset: Dataset, more: Mapping[str, float]) -> Dataset:
+    return replace(dataset, checks={**checks(dataset), **more})
+
+
+def _columns(parts: Sequence[str]) -> list[str]:
+    return [f"{part}-{component}" for part in parts for component in COMPONENTS]
+
+
+def _check_angles(row: Sequence[Any], place: str) -> None:
+    for column, value, low, high in (("pitchAngle", row[0], 0.0, 180.0), ("yawAngle", row[1], -180.0, 180.0)):
+        if not low <= value <= high:
+            raise ValueError(f"{place}, column `{column}`: {value:g}; expected {low:g} to {high:g} degrees")

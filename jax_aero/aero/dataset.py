@@ -1,0 +1,355 @@
+"""Force areas of every link for many postures and wind directions: one format for CFD, `.mat` and surrogate data.
+
+    solver table, authors' `.mat`, surrogate ──► Dataset ──► NetCDF;   Dataset ──split──► training, validation
+
+Everything is in base (`root_link`) axes: x backward, y to the robot's right, z up. The tunnel frame of the tables has
+x along the wind and z up, and the robot stands in it with `R_tunnel_from_base = Rz(yaw) Ry(pitch − 90°)`, so pitch is
+the angle of the robot's vertical axis above the horizontal: 90° upright, 0° prone with the head upstream.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+Floats: TypeAlias = npt.NDArray[np.float64]
+Indices: TypeAlias = npt.NDArray[np.int64]
+
+JOINTS = (
+    *("torso_pitch", "torso_roll", "torso_yaw"),
+    *("l_shoulder_pitch", "l_shoulder_roll", "l_shoulder_yaw", "l_elbow"),
+    *("r_shoulder_pitch", "r_shoulder_roll", "r_shoulder_yaw", "r_elbow"),
+    *("l_hip_pitch", "l_hip_roll", "l_hip_yaw", "l_knee"),
+    *("r_hip_pitch", "r_hip_roll", "r_hip_yaw", "r_knee"),
+)
+"""The joints that shape the flow, all but the ankles, in the order of every table."""
+
+LINKS = (
+    *("head", "chest", "chest_l_jet_turbine", "chest_r_jet_turbine"),
+    *("l_upper_arm", "l_arm_jet_turbine", "r_upper_arm", "r_arm_jet_turbine"),
+    *("root_link", "l_upper_leg", "l_lower_leg", "r_upper_leg", "r_lower_leg"),
+)
+"""The links of every table, in the order of the robot's configuration."""
+
+FORMAT = "jax-aero force areas 1"
+AREA_UNITS = "m2"
+
+
+def _twin(name: str) -> str:
+    if name.startswith(("l_", "r_")):
+        return ("r_" if name[0] == "l" else "l_") + name[2:]
+    return name.replace("_l_", "_#_").replace("_r_", "_l_").replace("_#_", "_r_")
+
+
+JOINT_TWINS = np.array([JOINTS.index(_twin(name)) for name in JOINTS])
+"""Index of the joint on the other side."""
+JOINT_SIGNS = np.where(np.isin(JOINTS, ("torso_roll", "torso_yaw")), -1.0, 1.0)
+"""Sign of a joint angle in the mirror: arms and legs are built as mirror images, the torso bends to the other side."""
+LINK_TWINS = np.array([LINKS.index(_twin(name)) for name in LINKS])
+"""Index of the link on the other side."""
+MIRROR_AXES = np.array([1.0, -1.0, 1.0])
+"""Signs of a vector in the mirror, the base's x-z plane."""
+
+
+def mirrored_joints(joint_position_deg: Floats) -> Floats:
+    """Joint angles (..., 19) of the mirror image."""
+    flipped: Floats = joint_position_deg[..., JOINT_TWINS] * JOINT_SIGNS
+    return flipped
+
+
+def mirrored_areas(force_area_b: Floats) -> Floats:
+    """Force areas (..., 13, 3) of the mirror image, base axes."""
+    flipped: Floats = force_area_b[..., LINK_TWINS, :] * MIRROR_AXES
+    return flipped
+
+
+def wind_direction(pitch_deg: npt.ArrayLike, yaw_deg: npt.ArrayLike) -> Floats:
+    """Direction in which the air moves (..., 3), base axes: `(cos p cos y, −sin y, sin p cos y)`, p = pitch − 90°."""
+    return tunnel_from_base(pitch_deg, yaw_deg)[..., 0, :]
+
+
+def tunnel_from_base(pitch_deg: npt.ArrayLike, yaw_deg: npt.ArrayLike) -> Floats:
+    """Rotation `Rz(yaw) Ry(pitch − 90°)` (..., 3, 3)."""
+    p, y = np.broadcast_arrays(np.radians(np.asarray(pitch_deg, float) - 90.0), np.radians(np.asarray(yaw_deg, float)))
+    cp, sp, cy, sy, nil = np.cos(p), np.sin(p), np.cos(y), np.sin(y), np.zeros(p.shape)
+    rows = [[cy * cp, -sy, cy * sp], [sy * cp, cy, sy * sp], [-sp, nil, cp]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Force areas `F / (½ ρ V²)` of links; N rows."""
+
+    posture: npt.NDArray[np.str_]
+    """(N,) name of the posture; a mirror image keeps it."""
+    is_mirrored: npt.NDArray[np.bool_]
+    """(N,) whether the row is the mirror image of one that was computed."""
+    joint_position_deg: Floats
+    """(N, 19) [deg], order of `JOINTS`."""
+    wind_b: Floats
+    """(N, 3) unit vector along which the air moves, base axes."""
+    pitch_deg: Floats
+    """(N,) robot's vertical axis above the horizontal [deg]."""
+    yaw_deg: Floats
+    """(N,) about the tunnel's vertical [deg]."""
+    force_area_b: Floats
+    """(N, 13, 3) [m²], base axes, order of `LINKS`."""
+    speed: Floats
+    """(N,) of the air [m/s]."""
+    air_density: Floats
+    """(N,) [kg/m³]."""
+    provenance: Mapping[str, str] = field(default_factory=dict)
+    """Where the rows come from."""
+    checks: Mapping[str, float] = field(default_factory=dict)
+    """What was measured at the import, by name with unit."""
+
+    def __post_init__(self) -> None:
+        n = len(self.posture)
+        shapes = {"is_mirrored": (n,), "joint_position_deg": (n, len(JOINTS)), "wind_b": (n, 3), "pitch_deg": (n,)}
+        shapes |= {"yaw_deg": (n,), "force_area_b": (n, len(LINKS), 3), "speed": (n,), "air_density": (n,)}
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value.shape != shape:
+                raise ValueError(f"`{name}` has shape {value.shape}; expected {shape} for {n} rows")
+            if not np.all(np.isfinite(value)):
+                row = int(np.argwhere(~np.isfinite(value))[0][0])
+                raise ValueError(f"`{name}` of row {row} (`{self.posture[row]}`) is not finite")
+        lengths = np.linalg.norm(self.wind_b, axis=1)
+        if n and np.abs(lengths - 1.0).max() > 1e-6:
+            row = int(np.abs(lengths - 1.0).argmax())
+            raise ValueError(f"wind_b of row {row} has length {lengths[row]:.6g}; expected a unit vector")
+
+    def __len__(self) -> int:
+        return len(self.posture)
+
+    @cached_property
+    def group(self) -> Indices:
+        """(N,) number shared by rows of one body shape in one wind: poles of the angle grid, own mirror images."""
+        key = np.column_stack([self.joint_position_deg, self.wind_b])
+        # Adding zero makes -0 equal to 0.
+        _, numbers = np.unique(np.round(key, 6) + 0.0, axis=0, return_inverse=True)
+        return np.asarray(numbers, dtype=np.int64).reshape(-1)
+
+    @cached_property
+    def family(self) -> Indices:
+        """(N,) number shared by a posture and its mirror image, whatever they are called."""
+        angles = np.round(self.joint_position_deg, 6) + 0.0
+        images = np.round(mirrored_joints(self.joint_position_deg), 6) + 0.0
+        swap = np.array(
+            [tuple(b) < tuple(a) for a, b in zip(angles.tolist(), images.tolist(), strict=True)], dtype=bool
+        )
+        canonical = np.where(swap[:, None], images, angles) if len(self) else angles
+        _, numbers = np.unique(canonical, axis=0, return_inverse=True)
+        return np.asarray(numbers, dtype=np.int64).reshape(-1)
+
+    @property
+    def postures(self) -> tuple[str, ...]:
+        """Names of the postures, in the order in which they first appear."""
+        return tuple(dict.fromkeys(self.posture.tolist()))
+
+    @property
+    def force_area_w(self) -> Floats:
+        """(N, 13, 3) drag, side and lift area [m²]: along the wind, along y and z of the tunnel frame."""
+        areas: Floats = np.einsum("nij,nlj->nli", tunnel_from_base(self.pitch_deg, self.yaw_deg), self.force_area_b)
+        return areas
+
+    @cached_property
+    def sha256(self) -> str:
+        """Digest of the numbers that a model is trained on: postures, mirroring, joints, wind and areas, in order."""
+        digest = hashlib.sha256(FORMAT.encode())
+        digest.update("\n".join(self.posture.tolist()).encode())
+        digest.update(np.packbits(self.is_mirrored).tobytes())
+        for array in (self.joint_position_deg, self.wind_b, self.force_area_b):
+            digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+        return digest.hexdigest()
+
+    def take(self, rows: npt.NDArray[Any] | slice) -> Dataset:
+        """Return some of the rows."""
+        arrays: dict[str, Any] = {name: getattr(self, name)[rows] for name in ARRAYS}
+        return replace(self, **arrays)
+
+    def select(self, postures: Sequence[str]) -> Dataset:
+        """Return the rows of some postures."""
+        if missing := sorted(set(postures) - set(self.postures)):
+            raise ValueError(f"no posture {', '.join(missing)}; there are {', '.join(self.postures)}")
+        return self.take(np.isin(self.posture, list(postures)))
+
+    def mirrored(self) -> Dataset:
+        """Return the rows followed by their mirror images; of a dataset that holds any, the same dataset."""
+        if self.is_mirrored.any():
+            return self
+        twin = replace(
+            self,
+            is_mirrored=np.ones(len(self), dtype=bool),
+            joint_position_deg=mirrored_joints(self.joint_position_deg),
+            wind_b=self.wind_b * MIRROR_AXES,
+            yaw_deg=-self.yaw_deg,
+            force_area_b=mirrored_areas(self.force_area_b),
+        )
+        arrays: dict[str, Any] = {name: np.concatenate([getattr(self, name), getattr(twin, name)]) for name in ARRAYS}
+        return replace(self, **arrays)
+
+    def random_split(self, seed: int, fraction: float = 0.2) -> tuple[Indices, Indices]:
+        """Rows for training and for validation, drawn at random: the paper's split.
+
+        It leaks: twins and nearly equal rows come to lie on both sides. Report `grouped_split` beside it.
+        """
+        order = np.random.default_rng(seed).permutation(len(self)).astype(np.int64)
+        count = round(_fraction(fraction) * len(self))
+        return np.sort(order[count:]), np.sort(order[:count])
+
+    def grouped_split(
+        self, seed: int, fraction: float = 0.2, hold_out: Sequence[str] | None = None
+    ) -> tuple[Indices, Indices]:
+        """Rows for training and for validation, whole postures at a time and with their mirror images.
+
+        Held out are `hold_out`, or else a random share of the postures, at least one.
+        """
+        if hold_out is not None:
+            self.select(hold_out)  # refuses unknown names
+            held = np.unique(self.family[np.isin(self.posture, list(hold_out))])
+        else:
+            families = np.unique(self.family)
+            count = max(1, round(_fraction(fraction) * len(families)))
+            held = np.random.default_rng(seed).permutation(families)[:count]
+        is_held = np.isin(self.family, held)
+        return np.flatnonzero(~is_held), np.flatnonzero(is_held)
+
+    def grouped_folds(self, seed: int, folds: int = 5) -> list[tuple[Indices, Indices]]:
+        """Return splits like `grouped_split` in which every posture is held out exactly once."""
+        families = np.random.default_rng(seed).permutation(np.unique(self.family))
+        if not 2 <= folds <= len(families):
+            raise ValueError(f"folds is {folds}; expected 2 to {len(families)}, the number of postures")
+        held = [np.isin(self.family, part) for part in np.array_split(families, folds)]
+        return [(np.flatnonzero(~rows), np.flatnonzero(rows)) for rows in held]
+
+
+ARRAYS = (
+    *("posture", "is_mirrored", "joint_position_deg", "wind_b", "pitch_deg", "yaw_deg"),
+    *("force_area_b", "speed", "air_density"),
+)
+"""The fields of `Dataset` with one entry per row."""
+
+_VARIABLES: Mapping[str, tuple[tuple[str, ...], str, str]] = {
+    "joint_position_deg": (("row", "joint"), "degree", "joint angle"),
+    "wind_b": (("row", "xyz"), "1", "unit vector along which the air moves, base axes"),
+    "pitch_deg": (("row",), "degree", "vertical axis of the robot above the horizontal"),
+    "yaw_deg": (("row",), "degree", "yaw about the vertical of the tunnel"),
+    "force_area_b": (("row", "link", "xyz"), AREA_UNITS, "force over dynamic pressure, base axes"),
+    "speed": (("row",), "m s-1", "speed of the air"),
+    "air_density": (("row",), "kg m-3", "density of the air"),
+}
+
+
+def save(dataset: Dataset, path: str | PathLike[str]) -> None:
+    """Write NetCDF; the file appears complete or not at all."""
+    target = Path(path)
+    coords: dict[str, Any] = {
+        "posture": ("row", dataset.posture.astype(str)),
+        "is_mirrored": ("row", dataset.is_mirrored.astype("i1")),
+        "group": ("row", dataset.group, {"long_name": "rows of one body shape in one wind share a number"}),
+        "joint": list(JOINTS),
+        "link": list(LINKS),
+        "xyz": ["x", "y", "z"],
+    }
+    variables = {
+        name: (dims, getattr(dataset, name), {"units": units, "long_name": text})
+        for name, (dims, units, text) in _VARIABLES.items()
+    }
+    facts: dict[str, str | float] = {"format": FORMAT, "sha256": dataset.sha256}
+    facts |= {f"provenance: {key}": value for key, value in dataset.provenance.items()}
+    facts |= {f"check: {key}": float(value) for key, value in dataset.checks.items()}
+    target.parent.mkdir(parents=True, exist_ok=True)
+    draft = target.with_name(f".{target.name}.draft")
+    packed = {"zlib": True, "complevel": 1, "shuffle": True}
+    try:
+        table = xr.Dataset(variables, coords, facts)
+        table.to_netcdf(draft, engine="h5netcdf", encoding=dict.fromkeys(variables, packed))
+        draft.replace(target)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def load(path: str | PathLike[str]) -> Dataset:
+    """Read a file that `save` wrote.
+
+    Raises
+    ------
+    ValueError
+        If it is no such file, or if its numbers are not those that were written.
+    """
+    try:
+        table = xr.load_dataset(path, engine="h5netcdf")
+    except FileNotFoundError:
+        raise
+    except Exception as reason:  # whatever the reader says about a file that is no NetCDF
+        raise ValueError(f"{path} is not a dataset of this project: {reason}") from reason
+    if table.attrs.get("format") != FORMAT:
+        raise ValueError(f"format of {path} is {table.attrs.get('format')!r}; expected {FORMAT!r}")
+    for name, expected in (("joint", JOINTS), ("link", LINKS)):
+        if tuple(table[name].values.tolist()) != expected:
+            raise ValueError(f"{name}s of {path} are {table[name].values.tolist()}; expected {list(expected)}")
+
+    def facts(kind: str) -> dict[str, Any]:
+        return {key.removeprefix(kind): value for key, value in table.attrs.items() if key.startswith(kind)}
+
+    dataset = Dataset(
+        posture=table["posture"].values.astype(str),
+        is_mirrored=table["is_mirrored"].values.astype(bool),
+        **{name: table[name].values.astype(np.float64) for name in _VARIABLES},
+        provenance={key: str(value) for key, value in facts("provenance: ").items()},
+        checks={key: float(value) for key, value in facts("check: ").items()},
+    )
+    if dataset.sha256 != table.attrs["sha256"]:
+        raise ValueError(f"{path} says sha256 {table.attrs['sha256'][:12]}…, its numbers give {dataset.sha256[:12]}…")
+    return dataset
+
+
+def read_postures(path: str | PathLike[str]) -> dict[str, Floats]:
+    """Joint angles (19,) [deg] by posture name, from a CSV with the columns `name` and `<joint>_deg`.
+
+    Raises
+    ------
+    ValueError
+        Naming file, line, column and value.
+    """
+    with Path(path).open(newline="", encoding="utf-8-sig") as stream:
+        reader = csv.DictReader(stream)
+        columns = ["name", *(f"{joint}_deg" for joint in JOINTS)]
+        if missing := [column for column in columns if column not in (reader.fieldnames or [])]:
+            raise ValueError(f"{path}: column {', '.join(missing)} is missing; expected name and one angle per joint")
+        postures = {}
+        for row in reader:
+            place = f"{path}, line {reader.line_num}"
+            if row["name"] in postures:
+                raise ValueError(f"{place}: posture `{row['name']}` stands there twice")
+            postures[row["name"]] = np.array([number(row[c], place, c) for c in columns[1:]])
+    return postures
+
+
+def number(text: str | None, place: str, column: str) -> float:
+    """Return a finite number, or say where there is none."""
+    try:
+        value = float(text if text is not None else "")
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        found = "the line ends before it" if text is None else f"{text!r}"
+        raise ValueError(f"{place}, column `{column}`: {found}; expected a finite number")
+    return value
+
+
+def _fraction(value: float) -> float:
+    if not 0.0 < value < 1.0:
+        raise ValueError(f"fraction is {value}; expected a number between 0 and 1")
+    return value

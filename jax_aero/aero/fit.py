@@ -1,0 +1,266 @@
+"""The paper's axisymmetric model, fitted to a dataset: Lasso chooses the terms of a link family.
+
+    C_D A(α) = Σ_k w_k cos^i α sin^j α,   i + j ≤ 3,   with zero slope at 0° and 180°
+    C_N A(α) = w₅ sin² α cos α
+
+Source: paper, Methods, "Aerodynamic modelling for learning and online control". We differ in what the normal force is:
+it is fitted with its sign, along `(v × k̂) × v`; the published coefficients are fits of its magnitude, which is fitted
+too, for comparison. The Lasso's penalty, which the paper does not give, is chosen by holding out postures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from jax_aero.aero.dataset import LINKS, Dataset, Floats, Indices
+
+FAMILIES: Mapping[str, tuple[str, ...]] = {
+    "head": ("head",),
+    "chest": ("chest",),
+    "chest_jet": ("chest_l_jet_turbine", "chest_r_jet_turbine"),
+    "upper_arm": ("l_upper_arm", "r_upper_arm"),
+    "arm_jet": ("l_arm_jet_turbine", "r_arm_jet_turbine"),
+    "root": ("root_link",),
+    "upper_leg": ("l_upper_leg", "r_upper_leg"),
+    "lower_leg": ("l_lower_leg", "r_lower_leg"),
+}
+"""Links that share coefficients, by the names in the robot's configuration."""
+
+ORDER = 3
+"""Highest power in a candidate term."""
+MODEL_TERMS = ((0, 0), (1, 0), (0, 2), (0, 3), (3, 0))
+"""Powers (of cos, of sin) of `w0 .. w4`."""
+TOLERANCE = 0.01
+"""How much worse than the best a shorter model may be on postures that are held out."""
+
+
+class Angles(NamedTuple):
+    """Links in the wind; N rows, L links."""
+
+    cos: Floats
+    """(N, L) of the angle between the link's axis and where the air comes from."""
+    sin: Floats
+    """(N, L)"""
+    normal: Floats
+    """(N, L, 3) `(ŵ × k̂) × ŵ`, of length sin α."""
+    wind: Floats
+    """(N, 1, 3) unit vector along which the air moves."""
+
+
+class Parts(NamedTuple):
+    """A force area along the wind and across it."""
+
+    drag: Floats
+    """(N, L) [m²]."""
+    across: Floats
+    """(N, L, 3) [m²]."""
+
+
+@dataclass(frozen=True)
+class FamilyFit:
+    """The model of one family of links."""
+
+    terms: tuple[tuple[int, int], ...]
+    """Powers (of cos, of sin) of the terms that were kept."""
+    cda: Floats
+    """(5,) `w0 .. w4` [m²]; zero where a term was dropped."""
+    cna: float
+    """`w5` of the signed normal force [m²]."""
+    cna_of_magnitude: float
+    """`w5` of the magnitude of the normal force [m²], as the paper seems to have fitted it."""
+    penalty: float
+    """Smallest Lasso penalty, relative to the one that drops everything, that keeps just these terms."""
+    held_out_mse: float
+    """Of the drag area on held-out postures [m⁴]."""
+    mse: float
+    """Of the drag area on all rows [m⁴]."""
+    best_mse: float
+    """Of the drag area with all five terms [m⁴]."""
+
+
+def angles(axes: Floats, wind_b: Floats) -> Angles:
+    """Angles of attack of links with unit axes (N, L, 3) in winds (N, 3)."""
+    wind = wind_b[:, None, :]
+    along = np.sum(axes * wind, axis=-1, keepdims=True)
+    cos = np.clip(-along[..., 0], -1.0, 1.0)
+    return Angles(cos, np.sqrt(1.0 - cos**2), axes - along * wind, wind)
+
+
+def parts(force_area_b: Floats, wind: Floats) -> Parts:
+    """Split force areas (N, L, 3) in winds (N, 1, 3)."""
+    drag = np.sum(force_area_b * wind, axis=-1)
+    return Parts(drag, force_area_b - drag[..., None] * wind)
+
+
+def candidate_terms() -> list[tuple[int, int]]:
+    """Powers (i, j) of the terms `cos^i α sin^j α` that may enter the drag area.
+
+    Zero slope at both poles asks for j ≠ 1. Terms that are sums of earlier ones drop out (cos² = 1 − sin²); what is
+    left are the paper's five.
+    """
+    powers = [(i, j) for order in range(ORDER + 1) for i in range(order + 1) for j in [order - i] if j != 1]
+    # Those the paper prefers come first: pure powers, and sines before cosines.
+    powers.sort(key=lambda term: (term[0] > 0 and term[1] > 0, term != (1, 0) and term[0] > 0 and term[0] != 3, *term))
+    alpha = np.linspace(0.0, np.pi, 50)
+    kept: list[tuple[int, int]] = []
+    for term in powers:
+        columns = columns_of([*kept, term], np.cos(alpha), np.sin(alpha))
+        if np.linalg.matrix_rank(columns, tol=1e-9) == len(kept) + 1:
+            kept.append(term)
+    return sorted(kept, key=MODEL_TERMS.index)
+
+
+def columns_of(terms: Sequence[tuple[int, int]], cos: Floats, sin: Floats) -> Floats:
+    """Matrix (n, k) of terms at angles (n,)."""
+    return np.stack([cos**i * sin**j for i, j in terms], axis=1)
+
+
+def fit_family(cos: Floats, sin: Floats, force: Parts, normal: Floats, posture: Indices) -> FamilyFit:
+    """Fit the links of one family: angles (n,), forces, normal directions (n, 3), posture number of each row (n,)."""
+    terms = candidate_terms()
+    matrix = columns_of(terms, cos, sin)
+    supports = lasso_supports(matrix, force.drag)
+    errors = {support: _held_out_error(matrix[:, list(support)], force.drag, posture) for support in supports}
+    enough = (1.0 + TOLERANCE) * min(errors.values())
+    chosen = min((support for support in errors if errors[support] <= enough), key=lambda s: (len(s), errors[s]))
+    weights = np.zeros(len(MODEL_TERMS))
+    places = [MODEL_TERMS.index(terms[index]) for index in chosen]
+    weights[places] = least_squares(matrix[:, list(chosen)], force.drag)
+    shape = sin**2 * cos
+    direction = (sin * cos)[:, None] * normal
+    size = np.linalg.norm(force.across, axis=-1)
+    return FamilyFit(
+        terms=tuple(terms[index] for index in chosen),
+        cda=weights,
+        cna=float(np.sum(direction * force.across) / np.sum(direction**2)),
+        cna_of_magnitude=float(np.sum(np.abs(shape) * size) / np.sum(shape**2)),
+        penalty=supports[chosen],
+        held_out_mse=errors[chosen],
+        mse=_mse(matrix[:, list(chosen)], force.drag),
+        best_mse=_mse(matrix, force.drag),
+    )
+
+
+def lasso_supports(matrix: Floats, target: Floats) -> dict[tuple[int, ...], float]:
+    """Return sets of columns that some Lasso penalty keeps, with the smallest such penalty over the largest useful.
+
+    The first column is the constant. A penalty on it would call up other terms to stand in for it, so it has none:
+    every set comes with it and without it.
+    """
+    # Imported here: everything else of this module works without scikit-learn.
+    from sklearn.linear_model import lasso_path
+
+    others = matrix[:, 1:] - matrix[:, 1:].mean(axis=0)
+    scaled, centred = others / others.std(axis=0), target - target.mean()
+    largest = np.abs(scaled.T @ centred).max() / len(target)
+    penalties, weights, *_ = lasso_path(scaled, centred, alphas=largest * np.geomspace(1.0, 1e-5, 200))
+    found: dict[tuple[int, ...], float] = {}
+    for penalty, column in zip(penalties, weights.T, strict=True):
+        support = tuple(int(index) + 1 for index in np.flatnonzero(column))
+        found[0, *support] = float(penalty / largest)
+        if support:
+            found[support] = float(penalty / largest)
+    found.setdefault(tuple(range(matrix.shape[1])), 0.0)
+    return found
+
+
+def least_squares(matrix: Floats, target: Floats) -> Floats:
+    """Weights (k,) that minimise `|matrix w − target|²`."""
+    return np.asarray(np.linalg.lstsq(matrix, target, rcond=None)[0], dtype=np.float64)
+
+
+def spread(matrix: Floats, target: Floats, posture: Indices) -> Floats:
+    """Return standard errors (k,) of least-squares weights, had other postures been simulated: the jackknife's."""
+    gram, moment = matrix.T @ matrix, matrix.T @ target
+    without = []
+    for number in np.unique(posture):
+        own = matrix[posture == number]
+        without.append(np.linalg.solve(gram - own.T @ own, moment - own.T @ target[posture == number]))
+    k = len(without)
+    table = np.array(without, dtype=np.float64)
+    error: Floats = np.sqrt((k - 1) / k * np.sum((table - table.mean(axis=0)) ** 2, axis=0))
+    return error
+
+
+def fit(dataset: Dataset, axes: Floats) -> dict[str, FamilyFit]:
+    """Fit every family to a dataset whose links have the unit axes (N, 13, 3).
+
+    The paper mirrors its data first; so should the caller.
+    """
+    geometry = angles(axes, dataset.wind_b)
+    force = parts(dataset.force_area_b, geometry.wind)
+    fits = {}
+    for family, members in FAMILIES.items():
+        links = [LINKS.index(name) for name in members]
+        fits[family] = fit_family(
+            geometry.cos[:, links].ravel(),
+            geometry.sin[:, links].ravel(),
+            Parts(force.drag[:, links].ravel(), force.across[:, links].reshape(-1, 3)),
+            geometry.normal[:, links].reshape(-1, 3),
+            np.repeat(dataset.family, len(links)),
+        )
+    return fits
+
+
+def predicted_areas(coefficients: Floats, axes: Floats, wind_b: Floats) -> Floats:
+    """Force areas (N, L, 3) of the axisymmetric model, base axes, from coefficients (L, 6) [m²], axes and winds."""
+    geometry = angles(axes, wind_b)
+    drag = sum(w * geometry.cos**i * geometry.sin**j for w, (i, j) in zip(coefficients.T, MODEL_TERMS, strict=False))
+    normal = coefficients[:, 5] * geometry.sin * geometry.cos
+    areas: Floats = np.asarray(drag)[..., None] * geometry.wind + normal[..., None] * geometry.normal
+    return areas
+
+
+class Quality(NamedTuple):
+    """How good predicted areas are."""
+
+    mse: float
+    """Mean square over rows, links and axes [m⁴]."""
+    r2: float
+    """Share of the variance of the 39 components that is explained."""
+    drag_rms: float
+    """Rms error of the whole robot's drag area over its mean."""
+    lift_side_rms: float
+    """Rms error of the whole robot's force area across the wind [m²]."""
+
+
+def quality(predicted_b: Floats, dataset: Dataset) -> Quality:
+    """Compare predicted areas (N, 13, 3) with those of a dataset."""
+    error = predicted_b - dataset.force_area_b
+    variance = dataset.force_area_b.reshape(len(dataset), -1).var(axis=0).mean()
+    mse = float(np.mean(error**2))
+    wind = dataset.wind_b[:, None, :]
+    total = parts(dataset.force_area_b.sum(axis=1, keepdims=True), wind)
+    off = parts(error.sum(axis=1, keepdims=True), wind)
+    return Quality(
+        mse=mse,
+        r2=float(1.0 - mse / variance),
+        drag_rms=float(np.sqrt(np.mean(off.drag**2)) / np.mean(total.drag)),
+        lift_side_rms=float(np.sqrt(np.mean(np.sum(off.across**2, axis=-1)))),
+    )
+
+
+def coefficients_of(fits: Mapping[str, FamilyFit]) -> Floats:
+    """Coefficients (13, 6) in the order of `LINKS`, signed normal force."""
+    family_of = {link: family for family, members in FAMILIES.items() for link in members}
+    return np.array([[*fits[family_of[link]].cda, fits[family_of[link]].cna] for link in LINKS])
+
+
+def _held_out_error(matrix: Floats, target: Floats, posture: Indices) -> float:
+    """Mean square error on each posture of the fit to all others."""
+    gram, moment = matrix.T @ matrix, matrix.T @ target
+    squares = 0.0
+    for number in np.unique(posture):
+        rows = posture == number
+        own = matrix[rows]
+        weights = np.linalg.lstsq(gram - own.T @ own, moment - own.T @ target[rows], rcond=None)[0]
+        squares += float(np.sum((own @ weights - target[rows]) ** 2))
+    return squares / len(target)
+
+
+def _mse(matrix: Floats, target: Floats) -> float:
+    return float(np.mean((matrix @ least_squares(matrix, target) - target) ** 2))

@@ -1,0 +1,288 @@
+"""A panel model of the robot in the wind that knows about wakes: a source of data where no free-stream CFD is at hand.
+
+Panels i (area A, outward normal n, position x) are fixed to the links, cylinders closed by hemispheres. In a wind with
+unit vector w a panel has c = −n·w, and every cluster k of panels sheds a wake of strength S_k = Σ A max(c, 0) from its
+centre:
+
+    dx = (x_i − x_k)·w,   r = distance across the wind,   s² = κ S_k/π + (grow max(dx, 0))²
+    D_i = Σ_k σ((dx − x₀)/(x₀/4)) S_k/(2π s²) exp(−r²/2s²) exp(−dx/decay),      η_i = exp(−γ D_i)
+    E_i = the same upstream: dx < 0, no growth, length up_len
+
+η is the share of the dynamic pressure that arrives, E how much a body close downstream fills the base. The force area
+of link l in family f is linear in twelve coefficients of the family:
+
+    F_l = Σ_m b_fm G_lm,   G = −Σ_i A n φ_m,   φ: see `TERMS`;   the last term is friction, Σ_i A η (w + c n)
+
+Ours; the coefficients come from published drag curves and from tunnel and CFD tables of two postures, see
+`configs/aero/panels/surrogate.toml`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import tomllib
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax_aero.aero.dataset import LINK_TWINS, LINKS, MIRROR_AXES, Floats, Indices
+from jax_aero.aero.fit import FAMILIES
+from jax_aero.aero.posture import link_frames
+from jax_aero.robot import RobotModel
+from jax_aero.types import Array
+
+TERMS = (
+    *("eta_c", "eta_c2", "eta_c3", "eta_front", "shadow_front", "shadow_c"),
+    *("back", "back_c", "back_c2", "eta_back", "filled_back", "friction"),
+)
+"""The twelve terms: η c₊, η c₊², η c₊³, η [c>0], (1−η) [c>0], (1−η) c₊, [c<0], c₋, c₋², η [c<0], E [c<0], friction."""
+
+TAU = 2.0 * np.pi
+TINY = 1e-9
+"""Area that keeps a wake source without strength finite [m²]."""
+EDGE = 0.05
+"""Within which c goes from front to back."""
+BLOCK = 64
+"""Rows that go through the compiled function at a time."""
+
+
+class Wake(NamedTuple):
+    """How wakes spread; lengths in metres."""
+
+    gamma: float
+    kappa: float
+    grow: float
+    start: float
+    """x₀"""
+    decay: float
+    up_length: float
+
+
+class Panels(NamedTuple):
+    """Panels in link axes; I of them."""
+
+    area: Floats
+    """(I,) [m²]."""
+    normal_l: Floats
+    """(I, 3) outward unit normals."""
+    position_l: Floats
+    """(I, 3) [m]."""
+    link: tuple[int, ...]
+    """(I,) index in `LINKS`."""
+    cluster: tuple[int, ...]
+    """(I,) which wake source a panel belongs to."""
+
+
+class Surrogate(NamedTuple):
+    """The model: panels, wakes and coefficients."""
+
+    panels: Panels
+    wake: Wake
+    coefficients: Floats
+    """(13, 12), the same for the links of a family."""
+
+
+def capsule(diameter: float, length: float, spacing: float) -> tuple[Floats, Floats, Floats]:
+    """Panels of a cylinder about the z axis, closed by hemispheres; of length 0, a sphere.
+
+    Returns areas (I,) [m²], outward normals (I, 3) and positions (I, 3) [m] from its middle, about `spacing` apart. The
+    areas add up to that of the body, and its symmetry planes are those of the panels.
+    """
+    radius, half = 0.5 * diameter, 0.5 * length
+    around = 2 * max(3, round(np.pi * diameter / spacing / 2))
+    rings = max(2, round(0.5 * np.pi * radius / spacing))
+    edges = np.cos(np.linspace(0.0, 0.5 * np.pi, rings + 1))
+    # Rings as (area, polar angle of the normal, height of the middle): both caps, then the barrel.
+    table = []
+    for high, low in itertools.pairwise(edges):
+        area, polar = TAU * radius**2 * (high - low), np.arccos(0.5 * (high + low))
+        table += [(area, polar, half), (area, np.pi - polar, -half)]
+    if length > 0.0:
+        count = max(1, round(length / spacing))
+        heights = ((np.arange(count) + 0.5) / count - 0.5) * length
+        table += [(TAU * radius * length / count, 0.5 * np.pi, height) for height in heights]
+    area, polar, height = (np.repeat(column, around) for column in np.array(table).T)
+    azimuth = np.tile((np.arange(around) + 0.5) * TAU / around, len(table))
+    normal = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=1)
+    return area / around, normal, radius * normal + height[:, None] * np.array([0.0, 0.0, 1.0])
+
+
+def build_panels(robot: RobotModel, spacing: float, cluster_size: float) -> Panels:
+    """Cover every link with a capsule about its axis and centre; a right link gets the mirror image of the left one's.
+
+    Parameters
+    ----------
+    robot
+        Its aerodynamic links must be those of the tables.
+    spacing
+        Wanted distance between panels [m].
+    cluster_size
+        Edge of the cubes, fixed to a link, whose panels make one wake source [m].
+    """
+    links = robot.aero_links
+    straight = link_frames(robot, np.zeros((1, 19)))
+    bodies: list[tuple[Floats, Floats, Floats]] = []
+    numbers: list[Indices] = []
+    for index, name in enumerate(LINKS):
+        twin = int(LINK_TWINS[index])
+        if twin < index:  # the right one of a pair; left ones come first
+            area, normal, position = bodies[twin]
+            mirror = straight.rotations[0, index].T @ np.diag(MIRROR_AXES)
+            turn = mirror @ straight.rotations[0, twin]
+            shift = mirror @ straight.positions[0, twin]
+            shift = shift - straight.rotations[0, index].T @ straight.positions[0, index]
+            bodies.append((area, normal @ turn.T, position @ turn.T + shift))
+            numbers.append(numbers[twin])
+            continue
+        length = 0.0 if links.is_sphere[index] else float(links.lengths[index])
+        area, normal, position = capsule(float(links.diameters[index]), length, spacing)
+        # Cubes are centred on the link, so that sources of a symmetric link are symmetric.
+        _, number = np.unique(np.floor(position / cluster_size + 0.5), axis=0, return_inverse=True)
+        numbers.append(number.reshape(-1).astype(np.int64))
+        turn = _rotation_from_z(np.asarray(links.axes[index]), name)
+        centre = np.asarray(links.centres[index])
+        if twin == index:
+            # A millimetre off the robot's plane of symmetry is manufacture, not aerodynamics.
+            lateral = straight.rotations[0, index, 1]
+            centre = centre - lateral * (lateral @ centre + straight.positions[0, index, 1])
+        bodies.append((area, normal @ turn.T, position @ turn.T + centre))
+    first = np.cumsum([0, *(number.max() + 1 for number in numbers)])
+    return Panels(
+        area=np.concatenate([body[0] for body in bodies]),
+        normal_l=np.concatenate([body[1] for body in bodies]),
+        position_l=np.concatenate([body[2] for body in bodies]),
+        link=tuple(int(index) for index, body in enumerate(bodies) for _ in body[0]),
+        cluster=tuple(int(first[index] + n) for index, number in enumerate(numbers) for n in number),
+    )
+
+
+def _rotation_from_z(axis: Floats, name: str) -> Floats:
+    """Return a rotation that takes z to a coordinate axis, and coordinate planes to such planes."""
+    for place, rows in ((2, [0, 1, 2]), (1, [1, 2, 0]), (0, [2, 0, 1])):
+        if abs(axis[place]) > 1.0 - 1e-9:
+            # Cyclic, so a rotation; a capsule looks the same from both ends.
+            return np.eye(3)[:, rows].T
+    raise ValueError(f"axis of `{name}` is {axis.tolist()}; expected one of the link's own axes")
+
+
+def features_of(panels: Panels, wake: Wake) -> Callable[[Array, Array, Array], Array]:
+    """Return the function (rotations (13, 3, 3), positions (13, 3), wind (3,)) → G (13, 12, 3) [m²], base axes."""
+    link, cluster = np.array(panels.link), np.array(panels.cluster)
+    of_cluster = (np.arange(cluster.max() + 1)[:, None] == cluster).astype(float)
+    of_link = (np.arange(len(LINKS))[:, None] == link).astype(float)
+
+    def features(rotations: Array, positions: Array, wind: Array) -> Array:
+        dtype = wind.dtype
+        area = jnp.asarray(panels.area, dtype)
+        # Matrix units that round to fewer digits would blur positions by centimetres.
+        with jax.default_matmul_precision("highest"):
+            normal = jnp.einsum("iab,ib->ia", rotations[link], jnp.asarray(panels.normal_l, dtype))
+            place = jnp.einsum("iab,ib->ia", rotations[link], jnp.asarray(panels.position_l, dtype)) + positions[link]
+            c = -normal @ wind
+            front, back = jnp.maximum(c, 0.0), jnp.maximum(-c, 0.0)
+            shed = jnp.asarray(of_cluster, dtype) * (area * front)
+            strength = shed.sum(axis=1)
+            # A cluster that sheds nothing has no centre; its strength makes it harmless wherever it is put.
+            source = shed @ place / jnp.maximum(strength, TINY)[:, None]
+            eta, filled = _wakes(wake, place, source, strength, wind)
+            # Panels edge-on to the wind, of which a capsule has rows, must not flip with the last digit of c.
+            is_front, is_back = jax.nn.sigmoid(c / EDGE), jax.nn.sigmoid(-c / EDGE)
+            lost = 1.0 - eta
+            pressure = jnp.stack(
+                [
+                    *(eta * front, eta * front**2, eta * front**3, eta * is_front, lost * is_front, lost * front),
+                    *(is_back, back, back**2, eta * is_back, filled * is_back),
+                ]
+            )
+            pushes = -(area * pressure)[:, :, None] * normal
+            friction = (area * eta)[:, None] * (wind + c[:, None] * normal)
+            return jnp.einsum("li,mia->lma", jnp.asarray(of_link, dtype), jnp.concatenate([pushes, friction[None]]))
+
+    return features
+
+
+def _wakes(wake: Wake, place: Array, source: Array, strength: Array, wind: Array) -> tuple[Array, Array]:
+    """Share of the dynamic pressure η that arrives at each panel, and how much its base is filled, E; (I,) each."""
+    offset = place[:, None, :] - source[None, :, :]
+    dx = offset @ wind
+    across = jnp.maximum(jnp.sum(offset**2, axis=-1) - dx**2, 0.0)
+    width = wake.kappa * strength / jnp.pi + TINY
+    down, up = jnp.maximum(dx, 0.0), jnp.maximum(-dx, 0.0)
+
+    def share(spread: Array, distance: Array, length: float) -> Array:
+        begun = jax.nn.sigmoid((distance - wake.start) * (4.0 / wake.start))
+        profile = strength / (TAU * spread) * jnp.exp(-across / (2.0 * spread) - distance / length)
+        return jnp.sum(begun * profile, axis=1)
+
+    deficit = share(width + (wake.grow * down) ** 2, down, wake.decay)
+    return jnp.exp(-wake.gamma * deficit), share(width, up, wake.up_length)
+
+
+Features: TypeAlias = Callable[[Floats, Floats], Floats]
+
+
+def batched_features(robot: RobotModel, panels: Panels, wake: Wake, dtype: Any = np.float32) -> Features:
+    """Return the function (joint angles (N, 19) [deg], winds (N, 3)) → G (N, 13, 12, 3) [m²], base axes.
+
+    Rows go through one compiled function in blocks of one size. On a CPU the rows of a block are taken one by one, as
+    what a single row needs fits into the cache and what many need does not; on an accelerator all at once.
+    """
+    features = features_of(panels, wake)
+    if jax.default_backend() == "cpu":
+        mapped = jax.jit(lambda *rows: jax.lax.map(lambda row: features(*row), rows))
+    else:
+        mapped = jax.jit(jax.vmap(features))
+
+    def evaluate(joint_position_deg: Floats, wind_b: Floats) -> Floats:
+        shapes, shape_of = np.unique(joint_position_deg, axis=0, return_inverse=True)
+        frames = link_frames(robot, shapes)
+        found = []
+        for start in range(0, len(wind_b), BLOCK):
+            rows = np.arange(start, start + BLOCK).clip(max=len(wind_b) - 1)
+            at = shape_of.reshape(-1)[rows]
+            arrays = (frames.rotations[at], frames.positions[at], wind_b[rows])
+            block = mapped(*(jnp.asarray(array, dtype) for array in arrays))
+            found.append(np.asarray(block, dtype=np.float64)[: len(wind_b) - start])
+        return np.concatenate(found)
+
+    return evaluate
+
+
+def load_surrogate(path: str | PathLike[str], robot: RobotModel) -> Surrogate:
+    """Read `configs/aero/panels/surrogate.toml` or a file like it.
+
+    Raises
+    ------
+    ValueError
+        Naming the key, its value and what was expected.
+    """
+    table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    expected = {"panels": {"spacing", "cluster_size"}, "wake": set(Wake._fields), "coefficients": set(FAMILIES)}
+    for section, keys in expected.items():
+        if section not in table or set(table[section]) != keys:
+            raise ValueError(f"{path}: [{section}] has {sorted(table.get(section, []))}; expected {sorted(keys)}")
+    for section in ("panels", "wake"):
+        for key, value in table[section].items():
+            if not (isinstance(value, int | float) and 0.0 < value < np.inf):
+                raise ValueError(f"{path}: `{section}.{key}` is {value!r}; expected a positive number")
+    rows: dict[str, list[float]] = {}
+    for family, weights in table["coefficients"].items():
+        if len(weights) != len(TERMS) or not np.isfinite(weights).all():
+            raise ValueError(f"{path}: `coefficients.{family}` is {weights!r}; expected {len(TERMS)} numbers")
+        rows |= dict.fromkeys(FAMILIES[family], weights)
+    return Surrogate(
+        panels=build_panels(robot, **table["panels"]),
+        wake=Wake(**table["wake"]),
+        coefficients=np.array([rows[link] for link in LINKS], dtype=np.float64),
+    )
+
+
+def force_areas(coefficients: Floats, features: Floats) -> Floats:
+    """Force areas (N, 13, 3) [m²], base axes, from coefficients (13, 12) and features (N, 13, 12, 3)."""
+    areas: Floats = np.einsum("lm,nlma->nla", coefficients, features)
+    return areas

@@ -1,0 +1,173 @@
+"""Coefficients of the panel model, from published data alone: drag curves of links, and tables of the whole robot.
+
+    minimise  Σ_links Σ_winds w_l (F_l·w − C_D A_l(α))² + Σ_records |Σ_l F_l − F|²/σ_F² + λ₀ |b₀|² + λ Σ_f |b_f − b₀|²
+
+The curves say how much drag each link has, the records what the whole robot's force is, in direction too; the last term
+keeps families, of which the records see only the sum, near a common law of pressure b₀. Penalties are chosen by leaving
+out one posture's records at a time.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from jax_aero.aero.dataset import LINKS, Floats, tunnel_from_base, wind_direction
+from jax_aero.aero.fit import FAMILIES, MODEL_TERMS, angles
+from jax_aero.aero.posture import link_axes
+from jax_aero.aero.surrogate import TERMS, Features
+from jax_aero.robot import RobotModel
+
+FAMILY_OF = np.array([next(i for i, members in enumerate(FAMILIES.values()) if link in members) for link in LINKS])
+"""(13,) number of each link's family."""
+
+N_FAMILIES, N_TERMS = len(FAMILIES), len(TERMS)
+
+
+@dataclass(frozen=True)
+class Records:
+    """Forces on the whole robot; n rows."""
+
+    posture: tuple[str, ...]
+    joint_position_deg: Floats
+    """(n, 19)"""
+    pitch_deg: Floats
+    """(n,)"""
+    yaw_deg: Floats
+    """(n,)"""
+    force_area_w: Floats
+    """(n, 3) drag, side and lift area [m²]."""
+
+    @property
+    def wind_b(self) -> Floats:
+        """(n, 3) unit vectors along which the air moves, base axes."""
+        return wind_direction(self.pitch_deg, self.yaw_deg)
+
+
+class Settings(NamedTuple):
+    """Weights of the fit."""
+
+    force_error: float = 0.007
+    """σ_F: what the model and the records are trusted to [m²]."""
+    curve_error: float = 0.006
+    """Scatter of a link's drag about its curve [m²]."""
+    curve_weight: float = 60.0
+    """How many independent points a curve counts as."""
+    to_common: float = 10.0
+    """λ"""
+    to_zero: float = 0.1
+    """λ₀"""
+
+
+GRID: Mapping[str, tuple[float, ...]] = {
+    "curve_weight": (6.0, 60.0, 600.0),
+    "to_common": (1.0, 10.0, 100.0, 1000.0),
+    "to_zero": (0.01, 0.1, 1.0),
+}
+"""What `choose` tries."""
+
+
+class Normal(NamedTuple):
+    """Normal equations `A b = y` of weights b (8 × 12)."""
+
+    matrix: Floats
+    """(96, 96)"""
+    right: Floats
+    """(96,)"""
+
+
+class Calibration(NamedTuple):
+    """Everything that the fit is made of, worked out once."""
+
+    curves: Normal
+    """Of all curves, each counted as one point of error 1."""
+    design: Floats
+    """(n, 3, 96) force area of the records in the tunnel frame, per weight."""
+    target: Floats
+    """(n, 3) [m²]."""
+    posture: tuple[str, ...]
+    """(n,)"""
+
+
+def prepare(robot: RobotModel, coefficients: Floats, features: Features, records: Records) -> Calibration:
+    """Work out curves and records.
+
+    Parameters
+    ----------
+    robot, coefficients
+        Whose links have the drag curves of the axisymmetric coefficients (13, 6) [m²].
+    features
+        Of the panel model, see `batched_features`.
+    records
+        Their postures are those in which the curves are looked at as well.
+    """
+    pitch, yaw = (grid.ravel() for grid in np.meshgrid(np.arange(0.0, 181.0, 20.0), np.arange(0.0, 181.0, 20.0)))
+    shapes = np.unique(records.joint_position_deg, axis=0)
+    joints, wind = np.repeat(shapes, len(pitch), axis=0), np.tile(wind_direction(pitch, yaw), (len(shapes), 1))
+    geometry = angles(link_axes(robot, joints), wind)
+    drag = np.sum([w * geometry.cos**i * geometry.sin**j for w, (i, j) in _columns(coefficients)], axis=0)
+    along = np.einsum("nlma,na->nlm", features(joints, wind), wind)
+    size = N_FAMILIES * N_TERMS
+    curves = Normal(np.zeros((size, size)), np.zeros(size))
+    for link, family in enumerate(FAMILY_OF):
+        own = slice(N_TERMS * family, N_TERMS * (family + 1))
+        share = 1.0 / (len(wind) * len(FAMILIES[list(FAMILIES)[family]]))
+        curves.matrix[own, own] += share * along[:, link].T @ along[:, link]
+        curves.right[own] += share * along[:, link].T @ drag[:, link]
+    turned = np.einsum(
+        "nij,nlmj->nlim",
+        tunnel_from_base(records.pitch_deg, records.yaw_deg),
+        features(records.joint_position_deg, records.wind_b),
+    )
+    design = np.zeros((len(records.posture), 3, N_FAMILIES, N_TERMS))
+    for link, family in enumerate(FAMILY_OF):
+        design[:, :, family] += turned[:, link]
+    return Calibration(curves, design.reshape(-1, 3, size), records.force_area_w, records.posture)
+
+
+def _columns(coefficients: Floats) -> Iterator[tuple[Floats, tuple[int, int]]]:
+    yield from zip(coefficients.T, MODEL_TERMS, strict=False)
+
+
+def solve(calibration: Calibration, settings: Settings, rows: Floats | None = None) -> Floats:
+    """Return the weights (8, 12) of the families, from some of the records or from all."""
+    use = np.ones(len(calibration.target), dtype=bool) if rows is None else rows
+    design = calibration.design[use].reshape(-1, N_FAMILIES * N_TERMS)
+    weight = settings.curve_weight / settings.curve_error**2
+    matrix = weight * calibration.curves.matrix + design.T @ design / settings.force_error**2
+    right = weight * calibration.curves.right + design.T @ calibration.target[use].ravel() / settings.force_error**2
+    # b = P (b₀, δ): every family has the common law and its own deviation.
+    common = np.tile(np.eye(N_TERMS), (N_FAMILIES, 1))
+    spread = np.hstack([common, np.eye(N_FAMILIES * N_TERMS)])
+    penalty = np.repeat([settings.to_zero, settings.to_common], [N_TERMS, N_FAMILIES * N_TERMS])
+    weights: Floats = spread @ np.linalg.solve(spread.T @ matrix @ spread + np.diag(penalty), spread.T @ right)
+    return weights.reshape(N_FAMILIES, N_TERMS)
+
+
+def errors(calibration: Calibration, weights: Floats) -> Floats:
+    """Force areas of the model minus those of the records (n, 3) [m²]: drag, side, lift."""
+    found: Floats = calibration.design @ weights.ravel() - calibration.target
+    return found
+
+
+def left_out_error(calibration: Calibration, settings: Settings) -> float:
+    """Rms over postures of the rms error of a posture's records, when these are left out of the fit [m²]."""
+    squares = []
+    for posture in dict.fromkeys(calibration.posture):
+        own = np.array([name == posture for name in calibration.posture])
+        off = errors(calibration, solve(calibration, settings, ~own))[own]
+        squares.append(np.mean(np.sum(off**2, axis=1)))
+    return float(np.sqrt(np.mean(squares)))
+
+
+def choose(calibration: Calibration) -> tuple[Settings, dict[Settings, float]]:
+    """Return the settings of `GRID` with the least error on left-out postures, and the error of all."""
+    tried = {}
+    for values in itertools.product(*GRID.values()):
+        settings = Settings()._replace(**dict(zip(GRID, values, strict=True)))
+        tried[settings] = left_out_error(calibration, settings)
+    return min(tried, key=lambda settings: tried[settings]), tried

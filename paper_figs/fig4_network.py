@@ -1,0 +1,80 @@
+"""Fig. 4 a-c: the head's drag area over the local angle of attack, as computed, as predicted, and the error.
+
+The upper row predicts rows drawn at random, as the paper does; the lower row whole postures that no training row shares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from paper_figs import style
+from paper_figs.studies import load
+
+RUNS = ("compact",)
+LINK = "head"
+SPLITS = (("random", "random rows held out"), ("grouped", "whole postures held out"))
+LIMIT = 0.01
+"""Of the errors shown [m²]; what lies beyond is drawn at the edge."""
+
+Values = npt.NDArray[np.float64]
+
+
+def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+    """Draw data, predictions and errors, both splits below each other."""
+    study = load(results, "training", names[0])
+    here = study.sel(link=LINK)
+    figure, grid = plt.subplots(2, 3, figsize=(style.FULL_WIDTH, 4.4), layout="constrained", sharex=True)
+    data, model = _drag(here, "area"), _drag(here, "area_axisymmetric")
+    for row, (split, title) in enumerate(SPLITS):
+        predicted = _drag(here, f"area_{split}")
+        shown = np.isfinite(predicted)
+        angle = here["attack"].values[shown]
+        left, middle, right = grid[row]
+        _cloud(left, angle, data[shown], style.GREY, "CFD")
+        _cloud(middle, angle, predicted[shown], style.BLUE, "network")
+        order = np.argsort(angle)
+        middle.plot(angle[order], model[shown][order], color=style.VERMILION, label="axisymmetric")
+        for values, colour, label in ((model, style.VERMILION, "axisymmetric"), (predicted, style.BLUE, "network")):
+            error = values[shown] - data[shown]
+            text = f"{label}, rms {1e3 * np.sqrt(np.mean(error**2)):.2f}"
+            _cloud(right, angle, np.clip(error, -LIMIT, LIMIT), colour, text)
+        left.set_ylabel(f"{title}\n$C_D A$ [$10^{{-3}}$ m$^2$]")
+        right.set_ylim(-1e3 * LIMIT * 1.05, 1e3 * LIMIT * 1.05)
+        middle.sharey(left)
+        for axes in (middle, right):
+            style.legend_above(axes, columns=2)
+    for axes, title in zip(grid[0], ("data", "prediction", "error [$10^{-3}$ m$^2$]"), strict=True):
+        axes.set_title(title, pad=16)
+    for axes in grid[1]:
+        axes.set_xlabel("angle of attack of the head [deg]")
+    for axes, mark in zip(grid.ravel(), "abcdef", strict=True):
+        style.letter(axes, mark)
+    grid[0, 0].set_xlim(0.0, 180.0)
+    return figure, {names[0]: str(study.attrs["config_hash"])}
+
+
+def _drag(study: xr.Dataset, name: str) -> Values:
+    """Return the part along the wind [m²]."""
+    return np.asarray((study[name] * study["wind"]).sum("xyz", skipna=False), dtype=np.float64)
+
+
+def _cloud(axes: Axes, angle: Values, area: Values, colour: str, label: str) -> None:
+    axes.plot(
+        angle,
+        1e3 * area,
+        ".",
+        color=colour,
+        markersize=1.4,
+        markeredgewidth=0.0,
+        alpha=0.5,
+        label=label,
+        rasterized=True,
+    )

@@ -1,0 +1,75 @@
+"""Fig. 6: the ground experiments, a to f in frontal and g to l in lateral wind that only the controller knows of.
+
+a, g  wind    b, h  total aerodynamic force the controller assumes    c, i  CoM error
+d, j  joints of the left leg    e, k  their torques as commanded    f, l  as they reach the joints
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, FigureBase
+
+from paper_figs import style
+from paper_figs.runs import Run, Series, load
+
+RUNS = ("balancing_front", "balancing_lateral")
+LEG = (
+    ("hip_pitch", style.VERMILION, "-"),
+    ("hip_roll", style.GREEN, "-"),
+    ("hip_yaw", style.GREY, "-"),
+    ("knee", style.BLACK, "--"),
+    ("ankle_pitch", style.ORANGE, "-"),
+    ("ankle_roll", style.BLUE, "-"),
+)
+"""Joints of a leg, how they are drawn."""
+
+
+def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+    """Draw the figure from two runs: the first fills a to f, the second g to l."""
+    runs = [load(results, name) for name in names]
+    figure = plt.figure(figsize=(style.FULL_WIDTH, 8.6), layout="constrained")
+    for part, run, letters in zip(figure.subfigures(2, 1), runs, ("abcdef", "ghijkl"), strict=True):
+        _experiment(part, run, letters)
+    return figure, {run.name: run.config_hash for run in runs}
+
+
+def _experiment(figure: FigureBase, run: Run, letters: str) -> None:
+    figure.suptitle(run.title, fontsize=8.5, fontweight="bold", x=0.01, ha="left")
+    grid = figure.subplots(2, 3, sharex=True)
+    flown = run.flown
+    _vector(grid[0, 0], flown["wind_told"], "wind told [m/s]")
+    _vector(grid[0, 1], flown["aero_force_control"].sum("link"), "aerodynamic force [N]")
+    _vector(grid[0, 2], 1e3 * (flown["com_position"] - flown["com_reference"]), "CoM error [mm]")
+    _leg(grid[1, 0], np.degrees(flown["joint_position"]), "left leg joints [deg]")
+    _leg(grid[1, 1], flown["joint_torque"], "torques, desired [N m]")
+    _leg(grid[1, 2], flown["joint_torque_measured"], "torques, at the joints [N m]")
+    for axes, mark in zip(grid.ravel(), letters, strict=True):
+        style.letter(axes, mark)
+    for axes in grid[0]:
+        style.legend_above(axes, columns=3)
+    for axes in grid[1]:
+        axes.set_xlabel("time [s]")
+    style.legend_above(grid[1, 0], columns=3)
+    grid[0, 0].set_xlim(0.0, float(run.data["time"][-1]))
+    if run.fall_time is not None:
+        for axes in grid.ravel():
+            style.mark_fall(axes, run.fall_time)
+
+
+def _vector(axes: Axes, vectors: Series, label: str) -> None:
+    for axis, colour in style.AXES_COLOURS.items():
+        component = vectors.sel(xyz=axis)
+        axes.plot(component["time"], component, color=colour, label=axis)
+    axes.set_ylabel(label)
+
+
+def _leg(axes: Axes, joints: Series, label: str) -> None:
+    for name, colour, dash in LEG:
+        signal = joints.sel(joint=f"l_{name}")
+        axes.plot(signal["time"], signal, dash, color=colour, label=name.replace("_", " "), linewidth=0.9)
+    axes.set_ylabel(label)

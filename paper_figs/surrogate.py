@@ -1,0 +1,82 @@
+"""The panel model beside the wind tunnel: drag and lift of two postures it has not seen, and its error everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from paper_figs import style
+from paper_figs.studies import load
+
+RUNS = ("calibration",)
+
+MODELS = {"surrogate": (style.BLUE, "panel model"), "corrected": (style.VERMILION, "axisymmetric, corrected")}
+POSTURES = {"flight50": ("o", "-"), "flight60": ("s", "--")}
+
+
+def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+    """Draw curves above, errors by posture below."""
+    study = load(results, "surrogate", names[0])
+    figure, grid = plt.subplot_mosaic("ab;cc", figsize=(style.FULL_WIDTH, 5.2), layout="constrained")
+    for mark, component in (("a", "drag"), ("b", "lift")):
+        _curves(grid[mark], study, component)
+    _errors(grid["c"], study)
+    tunnel = [
+        Line2D(
+            [],
+            [],
+            color=style.BLACK,
+            marker=marker,
+            ls=dash,
+            fillstyle="none",
+            markersize=4,
+            label=f"tunnel, {posture}",
+        )
+        for posture, (marker, dash) in POSTURES.items()
+    ]
+    models = [Line2D([], [], color=colour, label=text) for colour, text in MODELS.values()]
+    style.legend_above(grid["a"], columns=2, handles=tunnel)
+    style.legend_above(grid["b"], columns=2, handles=models)
+    for mark, axes in grid.items():
+        style.letter(axes, str(mark))
+    return figure, {names[0]: str(study.attrs["config_hash"])}
+
+
+def _curves(axes: Axes, study: xr.Dataset, component: str) -> None:
+    for posture, (marker, dash) in POSTURES.items():
+        chosen = study.isel(record=np.flatnonzero(study["posture"].values == posture)).sel(component=component)
+        axes.plot(
+            chosen["pitch_deg"],
+            chosen["measured"],
+            marker,
+            color=style.BLACK,
+            markersize=4,
+            fillstyle="none",
+        )
+        for model, (colour, _) in MODELS.items():
+            axes.plot(chosen["pitch_deg"], chosen["predicted"].sel(model=model), dash, color=colour)
+    axes.set_xlabel(r"angle of attack $\alpha$ [deg]")
+    axes.set_ylabel(rf"{component} area [m$^2$]")
+
+
+def _errors(axes: Axes, study: xr.Dataset) -> None:
+    held_out = str(study.attrs["held_out"]).split()
+    postures = list(dict.fromkeys(study["posture"].values.tolist()))
+    postures.sort(key=lambda name: name in held_out)
+    width = 0.38
+    for shift, (model, (colour, text)) in zip((-0.5, 0.5), MODELS.items(), strict=True):
+        off = study["predicted"].sel(model=model) - study["measured"]
+        squares = (off**2).sum("component")
+        heights = [float(np.sqrt(squares.values[study["posture"].values == name].mean())) for name in postures]
+        axes.bar(np.arange(len(postures)) + shift * width, heights, width, color=colour, label=text)
+    labels = [f"{name}\n(held out)" if name in held_out else name for name in postures]
+    axes.set_xticks(range(len(postures)), labels)
+    axes.set_ylabel(r"rms vector error [m$^2$]")
+    style.legend_above(axes, columns=2)

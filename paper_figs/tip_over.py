@@ -1,0 +1,44 @@
+"""What wind tips the standing robot over: greatest speed and force it stands, against the direction of the wind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from paper_figs import style
+from paper_figs.studies import load
+
+RUNS = ("ground",)
+LOOKS = ((style.BLUE, "o"), (style.VERMILION, "s"))
+DASHES = ("-", "--", ":")
+
+
+def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+    """Draw speeds on the left and horizontal forces on the right."""
+    study = load(results, "tip_over", names[0])
+    figure, (speeds, forces) = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 2.9), layout="constrained", sharex=True)
+    direction = study["direction"]
+    for feedback, (colour, marker) in zip(study["feedback"].values.tolist(), LOOKS, strict=False):
+        for friction, dash in zip(study["friction"].values.tolist(), DASHES, strict=False):
+            cell = study.sel(feedback=feedback, friction=friction)
+            label = f"{feedback}, sole friction {friction:g}"
+            size = np.hypot(cell["force"].sel(xyz="x"), cell["force"].sel(xyz="y"))
+            # A hollow marker: beyond, the robot slips rather than tips.
+            slips = cell["slips"].values.astype(bool)
+            for axes, values in ((speeds, cell["speed"]), (forces, size)):
+                axes.plot(direction, values, dash, color=colour, label=label)
+                axes.plot(direction[~slips], values[~slips], marker, color=colour, markersize=4)
+                axes.plot(direction[slips], values[slips], marker, color=colour, markersize=4, markerfacecolor="white")
+    speeds.set_ylabel("greatest wind withstood [m/s]")
+    forces.set_ylabel("its horizontal force [N]")
+    for axes, mark in ((speeds, "a"), (forces, "b")):
+        style.letter(axes, mark)
+        axes.set_xlabel("direction of the wind [deg], 0 from ahead, 90 from the left")
+        axes.set_xticks(direction)
+        axes.set_ylim(bottom=0.0)
+    style.legend_above(speeds, columns=1)
+    return figure, {names[0]: str(study.attrs["config_hash"])}

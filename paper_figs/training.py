@@ -1,0 +1,57 @@
+"""Loss curves of a training run: every network that was trained, on the rows it saw and on those held out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from paper_figs import style
+from paper_figs.studies import load
+
+RUNS = ("compact",)
+KINDS = (
+    ("grouped", "whole postures held out", style.BLUE),
+    ("random", "random rows held out", style.ORANGE),
+    ("final", "all rows", style.BLACK),
+)
+
+
+def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+    """Draw members on the left, students on the right where there are any."""
+    study = load(results, "training", names[0])
+    curves = [str(name) for name in study["curve"].values]
+    panels = [("member", "networks trained on data")]
+    if any("student" in name for name in curves):
+        panels.append(("student", "students of their mean"))
+    figure, grid = plt.subplots(
+        1, len(panels), figsize=(style.FULL_WIDTH, 2.7), layout="constrained", sharey=True, squeeze=False
+    )
+    for axes, (word, title) in zip(grid[0], panels, strict=True):
+        seen: set[str] = set()
+        for name in curves:
+            if word not in name:
+                continue
+            kind, text, colour = next(entry for entry in KINDS if name.startswith(entry[0]))
+            curve = study.sel(curve=name)
+            for variable, dashes, alpha, suffix in (
+                ("train_loss", ":", 0.5, "while training"),
+                ("validation_loss", "-", 0.8, "held out"),
+            ):
+                values = np.asarray(curve[variable])
+                if not np.isfinite(values).any():
+                    continue
+                label = f"{text}: {suffix}" if f"{kind}{suffix}" not in seen else None
+                seen.add(f"{kind}{suffix}")
+                axes.plot(curve["epoch"], values, dashes, color=colour, alpha=alpha, linewidth=0.9, label=label)
+        axes.set_yscale("log")
+        axes.set_xlabel("epoch")
+        axes.set_title(title)
+    grid[0, 0].set_ylabel("mean squared error [m$^4$]")
+    grid[0, 0].legend(fontsize=6)
+    for axes, mark in zip(grid[0], "ab", strict=False):
+        style.letter(axes, mark)
+    return figure, {names[0]: str(study.attrs["config_hash"])}

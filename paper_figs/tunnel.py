@@ -1,0 +1,243 @@
+"""Figures 2d, 2e, 3a and 3b and the mesh study, from the typed tables of `configs/reference`; no run is needed.
+
+Beside each figure stands what its points say about the paper's claims; `paper_figs` prints it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from paper_figs import style
+
+REFERENCE = Path(__file__).resolve().parent.parent / "configs" / "reference"
+TUNNEL, CFD = "wind_tunnel.toml", "cfd_tunnel.toml"
+
+FINEST = "953C"
+OMEGA, EPSILON = "SST k-omega", "realizable k-epsilon"
+RELIABLE_SPEED = 15.0
+"""Below it the paper suspects the balance's calibration [m/s]."""
+SYMMETRIC = ("flight30", "flight50", "flight60")
+COLOURS = (style.BLUE, style.VERMILION, style.GREEN, style.ORANGE, style.SKY, style.PURPLE, style.BLACK, style.GREY)
+MARKERS = "osD^v<>p"
+
+Array = npt.NDArray[np.float64]
+Table = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One figure of ours beside what the paper says of it."""
+
+    what: str
+    value: float
+    paper: str
+
+    def __str__(self) -> str:
+        return f"  {self.what:<66} {100 * self.value:5.1f} %   paper: {self.paper}"
+
+
+def read(name: str) -> dict[str, Any]:
+    """Read a typed table."""
+    return tomllib.loads((REFERENCE / name).read_text(encoding="utf-8"))
+
+
+def hashes(*names: str) -> dict[str, str]:
+    """Return the digest of each table, to be kept in the figure."""
+    return {f"reference/{name}": hashlib.sha256((REFERENCE / name).read_bytes()).hexdigest() for name in names}
+
+
+def fig2(_results: Path, _names: Sequence[str]) -> tuple[Figure, dict[str, str]]:
+    """Draw the drag area against sideslip at three speeds, and against the angle of attack for eight postures."""
+    tables = read(TUNNEL)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 3.2), layout="constrained")
+    for (speed, curve), colour, marker in zip(hovering(tables).items(), COLOURS, MARKERS, strict=False):
+        left.plot(
+            list(curve), list(curve.values()), marker=marker, markersize=3.5, color=colour, label=f"{speed:.0f} m/s"
+        )
+    left.set_xlabel(r"sideslip $\beta$ [deg]")
+    left.set_title("hovering, α = 90°")
+    for table, colour, marker in zip(tables["flight"], COLOURS, MARKERS, strict=True):
+        dash = "-" if table["posture"] in SYMMETRIC else "--"
+        right.plot(
+            table["alpha_deg"], table["cda"], dash, marker=marker, markersize=3.5, color=colour, label=table["posture"]
+        )
+    right.set_xlabel(r"angle of attack $\alpha$ [deg]")
+    right.set_title("flight postures at 17 m/s, β = 0")
+    for axes, mark in ((left, "d"), (right, "e")):
+        axes.set_ylabel(r"$C_D A$ [m$^2$]")
+        axes.legend()
+        style.letter(axes, mark)
+    tell("figure 2", speed_claims(tables) + posture_claims(tables))
+    return figure, hashes(TUNNEL)
+
+
+def fig3(_results: Path, _names: Sequence[str]) -> tuple[Figure, dict[str, str]]:
+    """Draw drag and lift area of flight30 from tunnel and from CFD with two turbulence models."""
+    tables, runs = read(TUNNEL), read(CFD)["run"]
+    figure, pair = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 2.9), layout="constrained")
+    for axes, key, mark in zip(pair, ("cda", "cla"), "ab", strict=True):
+        record = flight(tables, "flight30")
+        axes.plot(record["alpha_deg"], record[key], "o-", color=style.BLACK, markersize=4, label="wind tunnel")
+        for turbulence, colour, marker in ((OMEGA, style.BLUE, "s"), (EPSILON, style.VERMILION, "^")):
+            run = run_of(runs, "flight30", FINEST, turbulence)
+            label = f"CFD, {turbulence.replace('omega', 'ω').replace('epsilon', 'ε')}"
+            axes.plot(run["alpha_deg"], run[key], marker + "--", color=colour, markersize=4, label=label)
+        axes.set_xlabel(r"angle of attack $\alpha$ [deg]")
+        axes.set_ylabel(rf"$C_{'D' if key == 'cda' else 'L'} A$ [m$^2$]")
+        axes.legend()
+        style.letter(axes, mark)
+    tell("figure 3, flight30 at β = 0", turbulence_claims(tables, runs))
+    return figure, hashes(TUNNEL, CFD)
+
+
+def mesh(_results: Path, _names: Sequence[str]) -> tuple[Figure, dict[str, str]]:
+    """Draw the drag of five meshes beside the tunnel, and their error against their size."""
+    tables, runs = read(TUNNEL), read(CFD)["run"]
+    record = flight(tables, "flight30")
+    figure, grid = plt.subplots(1, 3, figsize=(style.FULL_WIDTH, 2.8), layout="constrained")
+    for axes, key, mark in zip(grid, ("cda", "cla"), "ab", strict=False):
+        axes.plot(record["alpha_deg"], record[key], "o-", color=style.BLACK, markersize=4, label="wind tunnel")
+        for name, colour, marker in zip(meshes(runs), COLOURS, "sD^v<", strict=False):
+            run = run_of(runs, "flight30", name, OMEGA)
+            axes.plot(run["alpha_deg"], run[key], marker + "--", color=colour, markersize=3, linewidth=0.8, label=name)
+        axes.set_xlabel(r"$\alpha$ [deg]")
+        axes.set_ylabel(rf"$C_{'D' if key == 'cda' else 'L'} A$ [m$^2$]")
+        style.letter(axes, mark)
+    grid[0].legend()
+    _mesh_errors(grid[2], record, runs)
+    style.letter(grid[2], "c")
+    tell("mesh study, flight30 at β = 0", mesh_claims(tables, runs))
+    return figure, hashes(TUNNEL, CFD)
+
+
+def _mesh_errors(axes: Axes, record: Table, runs: Sequence[Table]) -> None:
+    for turbulence, colour, marker in ((OMEGA, style.BLUE, "s"), (EPSILON, style.VERMILION, "^")):
+        chosen = [run_of(runs, "flight30", name, turbulence) for name in meshes(runs)]
+        sizes = [run["elements"] for run in chosen]
+        label = turbulence.replace("omega", "ω").replace("epsilon", "ε")
+        axes.plot(
+            sizes,
+            [100 * drag_error(record, run) for run in chosen],
+            marker + "-",
+            color=colour,
+            markersize=4,
+            label=label,
+        )
+    axes.set_xscale("log")
+    axes.set_ylim(0.0, 11.5)
+    axes.set_xlabel("mesh elements")
+    axes.set_ylabel("rms drag error [% of mean]")
+    axes.legend(loc="upper left")
+
+
+def tell(title: str, claims: Sequence[Claim]) -> None:
+    """Print figures beside the paper's."""
+    print("\n".join([title, *(str(claim) for claim in claims)]))
+
+
+def hovering(tables: Table) -> dict[float, dict[int, float]]:
+    """Return drag area by sideslip [deg], by rounded speed [m/s]; where two tests meet, their mean."""
+    found: dict[float, dict[int, list[float]]] = {}
+    for table in tables["hovering"]:
+        curve = found.setdefault(float(round(table["speed"])), {})
+        for beta, area in zip(table["beta_deg"], table["cda"], strict=True):
+            curve.setdefault(beta, []).append(area)
+    return {speed: {b: float(np.mean(curve[b])) for b in sorted(curve)} for speed, curve in sorted(found.items())}
+
+
+def flight(tables: Table, posture: str) -> Table:
+    """Return the record of a flight posture."""
+    found: Table = next(table for table in tables["flight"] if table["posture"] == posture)
+    return found
+
+
+def run_of(runs: Sequence[Table], posture: str, mesh_name: str, turbulence: str) -> Table:
+    """Return the simulations of one posture, mesh and turbulence model."""
+    wanted = (posture, mesh_name, turbulence)
+    return next(run for run in runs if (run["posture"], run["mesh"], run["turbulence"]) == wanted)
+
+
+def meshes(runs: Sequence[Table]) -> list[str]:
+    """Return the names of the meshes of flight30, coarsest first."""
+    return sorted({run["mesh"] for run in runs if run["posture"] == "flight30"})
+
+
+def spread(values: Array) -> Array:
+    """Return largest minus smallest over the mean, along the first axis."""
+    ratio: Array = (values.max(axis=0) - values.min(axis=0)) / values.mean(axis=0)
+    return ratio
+
+
+def speed_claims(tables: Table) -> list[Claim]:
+    """Compare speeds at the sideslips that all have."""
+    curves = hovering(tables)
+    common = sorted(set.intersection(*(set(curve) for curve in curves.values())))
+    areas = {speed: np.array([curve[beta] for beta in common]) for speed, curve in curves.items()}
+    fast = np.stack([area for speed, area in areas.items() if speed > RELIABLE_SPEED])
+    below = "below 5 %"
+    return [
+        Claim("hovering, 19 and 24 m/s: largest spread over sideslip", float(spread(fast).max()), below),
+        Claim("hovering, with 12 m/s", float(spread(np.stack(list(areas.values()))).max()), below),
+    ]
+
+
+def posture_claims(tables: Table) -> list[Claim]:
+    """Compare postures where all were measured."""
+    areas = np.array([table["cda"] for table in tables["flight"]])
+    ratio = dict(zip(tables["flight"][0]["alpha_deg"], spread(areas), strict=True))
+    own = np.array([flight(tables, posture)["cda"] for posture in SYMMETRIC])
+    return [
+        Claim("spread of eight flight postures at α = 25°", float(ratio[25]), "almost 20 %"),
+        Claim("spread of eight flight postures at α = 60°", float(ratio[60]), "almost 20 %"),
+        Claim("spread of flight30, 50 and 60, largest over α", float(spread(own).max()), "-"),
+    ]
+
+
+def drag_error(record: Table, run: Table) -> float:
+    """Return the rms difference of the drag area over its mean in the tunnel."""
+    measured = dict(zip(record["alpha_deg"], record["cda"], strict=True))
+    tunnel = np.array([measured[alpha] for alpha in run["alpha_deg"]])
+    return float(np.sqrt(np.mean((np.array(run["cda"]) - tunnel) ** 2)) / tunnel.mean())
+
+
+def size_error(record: Table, run: Table) -> float:
+    """Return the mean relative error of the magnitude of the force area."""
+    at = [record["alpha_deg"].index(alpha) for alpha in run["alpha_deg"]]
+    tunnel = np.linalg.norm([np.array(record[key])[at] for key in ("cda", "cla", "csa")], axis=0)
+    simulated = np.linalg.norm([run[key] for key in ("cda", "cla", "csa")], axis=0)
+    return float(np.mean(np.abs(simulated / tunnel - 1.0)))
+
+
+def turbulence_claims(tables: Table, runs: Sequence[Table]) -> list[Claim]:
+    """Compare two turbulence models with the tunnel."""
+    record = flight(tables, "flight30")
+    claims = []
+    for turbulence in (OMEGA, EPSILON):
+        run = run_of(runs, "flight30", FINEST, turbulence)
+        claims.append(Claim(f"drag, {turbulence}: rms error over mean", drag_error(record, run), "k-ω better"))
+        claims.append(Claim(f"magnitude, {turbulence}: mean error", size_error(record, run), "below 10 %"))
+    return claims
+
+
+def mesh_claims(tables: Table, runs: Sequence[Table]) -> list[Claim]:
+    """Compare meshes with the tunnel."""
+    record = flight(tables, "flight30")
+    measured = dict(zip(record["alpha_deg"], record["cda"], strict=True))
+    claims = []
+    for name in meshes(runs):
+        run = run_of(runs, "flight30", name, OMEGA)
+        tunnel = np.array([measured[alpha] for alpha in run["alpha_deg"]])
+        worst = float(np.abs(np.array(run["cda"]) / tunnel - 1.0).max())
+        claims.append(Claim(f"drag, mesh {name}: largest error", worst, "at most 15 %"))
+    return claims

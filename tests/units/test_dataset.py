@@ -1,0 +1,168 @@
+"""Frames, mirror images, splits and the file of a dataset of force areas."""
+
+import dataclasses
+
+import h5py
+import numpy as np
+import pytest
+
+from jax_aero.aero import dataset as ds
+from jax_aero.aero.dataset import JOINTS, LINKS, Dataset
+
+
+def made_up(postures=6, winds=20, seed=3) -> Dataset:
+    """Postures in winds, with areas that mean nothing; the first posture is symmetric."""
+    rng = np.random.default_rng(seed)
+    shapes = rng.uniform(-40.0, 40.0, (postures, len(JOINTS)))
+    shapes[0] = 0.5 * (shapes[0] + ds.mirrored_joints(shapes[0]))
+    pitch, yaw = rng.uniform(0.0, 180.0, winds), rng.uniform(-180.0, 180.0, winds)
+    n = postures * winds
+    return Dataset(
+        posture=np.repeat([f"posture_{index}" for index in range(postures)], winds),
+        is_mirrored=np.zeros(n, dtype=bool),
+        joint_position_deg=np.repeat(shapes, winds, axis=0),
+        wind_b=np.tile(ds.wind_direction(pitch, yaw), (postures, 1)),
+        pitch_deg=np.tile(pitch, postures),
+        yaw_deg=np.tile(yaw, postures),
+        force_area_b=rng.normal(scale=0.01, size=(n, len(LINKS), 3)),
+        speed=np.full(n, 17.0),
+        air_density=np.full(n, 1.225),
+        provenance={"source": "made up"},
+        checks={"rows": float(n)},
+    )
+
+
+@pytest.fixture(scope="module")
+def data():
+    return made_up()
+
+
+@pytest.mark.parametrize(
+    ("pitch", "yaw", "direction"),
+    [
+        (90.0, 0.0, (1.0, 0.0, 0.0)),  # upright, facing the wind: the air moves backward
+        (0.0, 0.0, (0.0, 0.0, -1.0)),  # prone, head upstream: from head to feet
+        (180.0, 0.0, (0.0, 0.0, 1.0)),
+        (90.0, 90.0, (0.0, -1.0, 0.0)),  # to the robot's left
+    ],
+)
+def test_the_wind_blows_where_the_angles_say(pitch, yaw, direction):
+    np.testing.assert_allclose(ds.wind_direction(pitch, yaw), direction, atol=1e-15)
+
+
+def test_the_tunnel_frame_is_a_rotation_with_the_wind_along_x():
+    rng = np.random.default_rng(0)
+    pitch, yaw = rng.uniform(0, 180, 50), rng.uniform(-180, 180, 50)
+    turn = ds.tunnel_from_base(pitch, yaw)
+    np.testing.assert_allclose(turn @ np.swapaxes(turn, 1, 2), np.tile(np.eye(3), (50, 1, 1)), atol=1e-14)
+    np.testing.assert_allclose(np.linalg.det(turn), 1.0)
+    p, y = np.radians(pitch - 90.0), np.radians(yaw)
+    expected = np.stack([np.cos(p) * np.cos(y), -np.sin(y), np.sin(p) * np.cos(y)], axis=1)
+    np.testing.assert_allclose(ds.wind_direction(pitch, yaw), expected, atol=1e-14)
+
+
+def test_drag_is_along_the_wind(data):
+    along = np.einsum("nla,na->nl", data.force_area_b, data.wind_b)
+    np.testing.assert_allclose(data.force_area_w[:, :, 0], along, atol=1e-15)
+    # Lift is up: the vertical of the tunnel, at right angles to wind and to side.
+    lengths = np.linalg.norm(data.force_area_b, axis=2)
+    np.testing.assert_allclose(np.linalg.norm(data.force_area_w, axis=2), lengths)
+
+
+def test_the_mirror_is_its_own_inverse_and_swaps_sides(data):
+    np.testing.assert_allclose(ds.mirrored_joints(ds.mirrored_joints(data.joint_position_deg)), data.joint_position_deg)
+    np.testing.assert_allclose(ds.mirrored_areas(ds.mirrored_areas(data.force_area_b)), data.force_area_b)
+    left, right = LINKS.index("l_upper_arm"), LINKS.index("r_upper_arm")
+    np.testing.assert_allclose(
+        ds.mirrored_areas(data.force_area_b)[:, right], data.force_area_b[:, left] * np.array([1.0, -1.0, 1.0])
+    )
+    assert [JOINTS[index] for index in ds.JOINT_TWINS[:4]] == [*JOINTS[:3], "r_shoulder_pitch"]
+    assert [name for name, sign in zip(JOINTS, ds.JOINT_SIGNS, strict=True) if sign < 0] == ["torso_roll", "torso_yaw"]
+
+
+def test_mirrored_rows_keep_drag_and_lift_and_turn_side_around(data):
+    both = data.mirrored()
+    first, second = both.take(slice(0, len(data))), both.take(slice(len(data), None))
+    assert second.is_mirrored.all()
+    np.testing.assert_allclose(second.wind_b, ds.wind_direction(second.pitch_deg, second.yaw_deg), atol=1e-12)
+    swapped = first.force_area_w[:, ds.LINK_TWINS] * np.array([1.0, -1.0, 1.0])
+    np.testing.assert_allclose(second.force_area_w, swapped, atol=1e-15)
+    assert both.mirrored() is both
+
+
+def test_a_posture_and_its_image_are_one_family_and_poles_are_one_group(data):
+    both = data.mirrored()
+    assert len(np.unique(both.family)) == len(data.postures)
+    for name in data.postures:
+        assert len(np.unique(both.family[both.posture == name])) == 1
+    poles = data.take(np.array([0, 0, 1]))
+    assert poles.group[0] == poles.group[1] != poles.group[2]
+
+
+def test_a_grouped_split_keeps_postures_with_their_images_together(data):
+    both = data.mirrored()
+    training, validation = both.grouped_split(seed=5, fraction=0.3)
+    assert set(training) | set(validation) == set(range(len(both)))
+    assert not set(both.posture[training]) & set(both.posture[validation])
+    assert len(np.unique(both.family[validation])) == 2
+    _, chosen = both.grouped_split(seed=5, hold_out=["posture_2"])
+    assert set(both.posture[chosen]) == {"posture_2"}
+    assert both.is_mirrored[chosen].any()
+
+
+def test_folds_hold_every_posture_out_once(data):
+    seen = np.concatenate([held for _, held in data.grouped_folds(seed=1, folds=3)])
+    assert sorted(seen.tolist()) == list(range(len(data)))
+    with pytest.raises(ValueError, match="expected 2 to 6"):
+        data.grouped_folds(seed=1, folds=7)
+
+
+def test_splits_depend_on_the_seed_alone(data):
+    for split in (data.random_split, data.grouped_split):
+        np.testing.assert_array_equal(split(4)[1], split(4)[1])
+        assert len({tuple(split(seed)[1].tolist()) for seed in range(8)}) > 2
+    assert len(data.random_split(1, 0.25)[1]) == len(data) // 4
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        data.random_split(1, 1.0)
+    with pytest.raises(ValueError, match="no posture nobody"):
+        data.grouped_split(1, hold_out=["nobody"])
+
+
+def test_a_file_gives_back_what_was_written(data, tmp_path):
+    path = tmp_path / "deep" / "data.nc"
+    ds.save(data.mirrored(), path)
+    again = ds.load(path)
+    for name in ds.ARRAYS:
+        np.testing.assert_array_equal(getattr(again, name), getattr(data.mirrored(), name))
+    assert (again.provenance, again.checks) == (data.provenance, data.checks)
+    assert again.sha256 == data.mirrored().sha256 != data.sha256
+    assert [entry.name for entry in path.parent.iterdir()] == ["data.nc"]
+
+
+def test_a_file_whose_numbers_were_changed_is_refused(data, tmp_path):
+    path = tmp_path / "data.nc"
+    ds.save(data, path)
+    with h5py.File(path, "r+") as file:
+        file["force_area_b"][3, 2, 1] += 1e-9
+    with pytest.raises(ValueError, match="its numbers give"):
+        ds.load(path)
+
+
+def test_a_file_of_another_kind_is_refused(tmp_path):
+    path = tmp_path / "data.nc"
+    path.write_text("no NetCDF")
+    with pytest.raises(ValueError, match="not a dataset of this project"):
+        ds.load(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"wind_b": np.full((120, 3), 0.4)}, "wind_b of row .* expected a unit vector"),
+        ({"speed": np.full(7, 17.0)}, "`speed` has shape .7,.; expected .120,."),
+        ({"pitch_deg": np.full(120, np.nan)}, "`pitch_deg` of row 0 .`posture_0`. is not finite"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused(data, change, message):
+    with pytest.raises(ValueError, match=message):
+        dataclasses.replace(data, **change)

@@ -1,0 +1,201 @@
+"""The axisymmetric model is recovered from data made with it; on the public table it gives the known comparison."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import xarray as xr
+
+from experiments import fit_aero, import_cfd, study
+from jax_aero.aero import dataset as ds
+from jax_aero.aero import fit
+from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
+from jax_aero.aero.posture import link_axes, link_frames
+from jax_aero.robot import load_robot
+from paper_figs import fig4_fit
+
+ROOT = Path(__file__).resolve().parents[2]
+PUBLIC_TABLE = ROOT.parent / "shared" / "data" / "cfd_freestream.csv"
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return load_robot(fit_aero.ROBOT)
+
+
+@pytest.fixture(scope="module")
+def sampled():
+    """Four postures in random winds, without areas."""
+    postures = import_cfd.known_postures()
+    names = ["hovering", "Config2", "Config101", "Config114"]
+    rng = np.random.default_rng(4)
+    pitch, yaw = rng.uniform(0.0, 180.0, 150), rng.uniform(-180.0, 180.0, 150)
+    n = len(names) * len(pitch)
+    return ds.Dataset(
+        posture=np.repeat(names, len(pitch)),
+        is_mirrored=np.zeros(n, dtype=bool),
+        joint_position_deg=np.repeat([postures[name] for name in names], len(pitch), axis=0),
+        wind_b=np.tile(ds.wind_direction(pitch, yaw), (len(names), 1)),
+        pitch_deg=np.tile(pitch, len(names)),
+        yaw_deg=np.tile(yaw, len(names)),
+        force_area_b=np.zeros((n, 13, 3)),
+        speed=np.full(n, 17.0),
+        air_density=np.full(n, 1.225),
+    )
+
+
+@pytest.fixture(scope="module")
+def axes(robot, sampled):
+    return link_axes(robot, sampled.joint_position_deg)
+
+
+def test_the_candidates_that_meet_the_papers_constraints_are_the_papers_terms():
+    assert fit.candidate_terms() == list(fit.MODEL_TERMS)
+    # Zero slope at both poles, for every candidate, by difference quotients.
+    for pole in (0.0, np.pi):
+        alpha = np.array([pole - 1e-5, pole + 1e-5])
+        values = fit.columns_of(fit.candidate_terms(), np.cos(alpha), np.abs(np.sin(alpha)))
+        np.testing.assert_allclose(values[0], values[1], atol=1e-9)
+
+
+def test_the_prediction_is_the_model_of_the_simulator(robot, sampled, axes, x64):
+    """`F = ρ/2 |v|² × area`, with the force areas of `fit` and the force of `jax_aero.aero`."""
+    areas = np.asarray(robot.aero_links.coefficients["published"])
+    predicted = fit.predicted_areas(areas, axes, sampled.wind_b)
+    for row in range(0, len(sampled), 97):
+        v_air = np.tile(12.0 * sampled.wind_b[row], (13, 1))
+        force = axisymmetric_forces(Axisymmetric(k_a=0.5 * 1.225, areas=areas), axes[row], v_air)
+        np.testing.assert_allclose(force, 0.5 * 1.225 * 144.0 * predicted[row], atol=1e-9)
+
+
+def test_axes_of_the_mirror_image_are_the_mirrored_axes(robot, sampled, axes):
+    """Up to sign, as an axis has two ends: across the wind the model does not mind, along it links differ."""
+    images = link_axes(robot, ds.mirrored_joints(sampled.joint_position_deg[::150]))
+    swapped = axes[::150][:, ds.LINK_TWINS] * ds.MIRROR_AXES
+    lateral = ds.LINKS.index("root_link")
+    signs = np.where(np.arange(13) == lateral, -1.0, 1.0)[:, None]
+    np.testing.assert_allclose(images, swapped * signs, atol=2e-7)
+
+
+def test_frames_have_their_links_where_the_robot_has_them(robot):
+    straight = link_frames(robot, np.zeros((1, 19)))
+    at = {name: straight.positions[0, index] for index, name in enumerate(ds.LINKS)}
+    assert at["head"][2] > at["chest"][2] > at["root_link"][2] > at["l_lower_leg"][2]
+    assert at["r_upper_arm"][1] > 0.1 > -0.1 > at["l_upper_arm"][1]  # y is to the robot's right
+    np.testing.assert_allclose(at["root_link"], 0.0, atol=1e-12)
+
+
+def test_coefficients_are_recovered_from_data_made_with_them(robot, sampled, axes):
+    truth = np.asarray(robot.aero_links.coefficients["signed"])
+    made = dataclasses.replace(sampled, force_area_b=fit.predicted_areas(truth, axes, sampled.wind_b))
+    found = fit.coefficients_of(fit.fit(made, axes))
+    np.testing.assert_allclose(found[:, 5], truth[:, 5], atol=1e-9)
+    np.testing.assert_allclose(found[:, :5], truth[:, :5], atol=1e-9)
+    assert fit.quality(fit.predicted_areas(found, axes, made.wind_b), made).mse < 1e-18
+
+
+def test_with_noise_lasso_drops_terms_that_are_not_there(robot, sampled, axes):
+    truth = np.asarray(robot.aero_links.coefficients["corrected"])
+    areas = fit.predicted_areas(truth, axes, sampled.wind_b)
+    noise = np.random.default_rng(5).normal(scale=1e-3, size=areas.shape)
+    made = dataclasses.replace(sampled, force_area_b=areas + noise)
+    fits = fit.fit(made, axes)
+    assert fits["chest"].terms == ((0, 0), (0, 2))
+    true = {family: truth[ds.LINKS.index(members[0]), :5] != 0.0 for family, members in fit.FAMILIES.items()}
+    right = [family for family, kept in fits.items() if np.array_equal(kept.cda != 0.0, true[family])]
+    assert {"chest", "root", "upper_arm", "arm_jet"} <= set(right)
+    np.testing.assert_allclose(fits["chest"].cda, truth[1, :5], atol=3e-4)
+
+
+def test_a_fit_of_the_magnitude_forgets_the_sign(robot, sampled, axes):
+    """A normal force that changes sides from row to row has no signed coefficient, but a magnitude."""
+    truth = np.asarray(robot.aero_links.coefficients["published"])
+    areas = fit.predicted_areas(truth, axes, sampled.wind_b)
+    force = fit.parts(areas, sampled.wind_b[:, None, :])
+    sides = np.random.default_rng(6).choice([-1.0, 1.0], size=(len(sampled), 1, 1))
+    made = dataclasses.replace(sampled, force_area_b=areas + (sides - 1.0) * force.across)
+    fits = fit.fit(made, axes)
+    for family, kept in fits.items():
+        link = ds.LINKS.index(fit.FAMILIES[family][0])
+        assert kept.cna_of_magnitude == pytest.approx(truth[link, 5], rel=1e-6)
+        assert abs(kept.cna) < 0.2 * truth[link, 5]
+
+
+@pytest.mark.parametrize(
+    ("found", "printed", "same"),
+    [(0.01892, 0.0189, True), (0.0134, 0.0123, False), (-0.00801, -0.00804, True), (-0.0080, -0.0082, False)],
+)
+def test_digits_are_compared_as_printed(found, printed, same):
+    assert fit_aero.same_digits(found, printed, 2) is same
+    assert fit_aero.same_digits(found, printed, 2, slack=2)
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory, robot, sampled, axes):
+    """The command on data made with the corrected model."""
+    folder = tmp_path_factory.mktemp("results")
+    areas = fit.predicted_areas(np.asarray(robot.aero_links.coefficients["corrected"]), axes, sampled.wind_b)
+    ds.save(dataclasses.replace(sampled, force_area_b=areas), folder / "made_up.nc")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "RESULTS", folder)
+        status = fit_aero.main(["--dataset", str(folder / "made_up.nc"), "--name", "freestream"])
+    return folder, status
+
+
+def test_the_command_writes_results_a_manifest_and_toml(result):
+    folder, status = result
+    assert status == 0
+    manifest = json.loads((folder / "fit" / "freestream" / "manifest.json").read_text())
+    assert manifest["summary"]["corrected: link mean square error [m4]"] < 1e-12
+    assert (
+        manifest["summary"]["of these, refitted within 5 %"]
+        == manifest["summary"]["drag coefficients of the published model"]
+    )
+    assert str(folder) not in json.dumps(manifest)
+    text = (folder / "fit" / "freestream" / "refit.toml").read_text()
+    assert "[coefficients.refit]" in text
+    assert "cda = [0.03960, 0.0, -0.00818, 0.0, 0.0]" in text
+
+
+def test_the_figure_is_drawn(result):
+    figure, hashes = fig4_fit.draw(result[0] / "flight")
+    assert len(figure.axes) == 4
+    assert set(hashes) == {"freestream"}
+    plt.close(figure)
+
+
+def test_a_missing_dataset_is_named_with_the_command_that_makes_it(tmp_path, capsys):
+    assert fit_aero.main(["--dataset", str(tmp_path / "none.nc")]) == 2
+    assert "python -m experiments import-cfd" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not PUBLIC_TABLE.is_file(), reason="the public free-stream table is not here")
+def test_the_public_table_gives_the_known_comparison(tmp_path, monkeypatch):
+    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    assert import_cfd.main(["--table", str(PUBLIC_TABLE), "--out", str(tmp_path / "free.nc")]) == 0
+    document, _ = fit_aero.run(tmp_path / "free.nc", "free")
+    found = document["summary"]
+    for variant, mse, r2, drag in (
+        ("published", 1.22e-4, 0.06, 0.31),
+        ("corrected", 5.2e-5, 0.60, 0.13),
+        ("signed", 3.9e-5, 0.70, 0.13),
+    ):
+        assert found[f"{variant}: link mean square error [m4]"] == pytest.approx(mse, rel=0.01)
+        assert found[f"{variant}: R2"] == pytest.approx(r2, abs=0.01)
+        assert found[f"{variant}: whole-robot drag, rms over mean"] == pytest.approx(drag, abs=0.005)
+    assert found["drag coefficients of the published model"] == 28
+    assert found["of these, with the second digit off by at most 1"] == 19
+    # The printed normal-force coefficients are fits of the magnitude.
+    published = np.asarray(load_robot(fit_aero.ROBOT).aero_links.coefficients["published"])
+    for family, members in fit.FAMILIES.items():
+        printed = published[ds.LINKS.index(members[0]), 5]
+        assert found[f"{family}: w5 of the magnitude [m2]"] == pytest.approx(printed, rel=0.02)
+        assert abs(found[f"{family}: w5 signed [m2]"]) < 0.75 * printed
+    # The set that ships is this fit.
+    robot = load_robot(fit_aero.ROBOT)
+    table = xr.load_dataset(tmp_path / "fit" / "free" / "run.nc", engine="h5netcdf")
+    shipped = np.asarray(robot.aero_links.coefficients["refit"])
+    np.testing.assert_allclose(table["coefficients"].sel(variant="refit").values, shipped, atol=6e-5)
