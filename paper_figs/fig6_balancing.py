@@ -33,7 +33,8 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
     """Draw the figure from two runs: the first fills a to f, the second g to l."""
     runs = [load(results, name) for name in names]
     figure = plt.figure(figsize=(style.FULL_WIDTH, 8.6), layout="constrained")
-    for part, run, letters in zip(figure.subfigures(2, 1), runs, ("abcdef", "ghijkl"), strict=True):
+    parts = figure.subfigures(2, 1, squeeze=False)[:, 0]
+    for part, run, letters in zip(parts, runs, ("abcdef", "ghijkl"), strict=True):
         _experiment(part, run, letters)
     return figure, {run.name: run.config_hash for run in runs}
 
@@ -45,7 +46,7 @@ def _experiment(figure: FigureBase, run: Run, letters: str) -> None:
     _vector(grid[0, 0], flown["wind_told"], "wind told [m/s]")
     _vector(grid[0, 1], flown["aero_force_control"].sum("link"), "aerodynamic force [N]")
     _vector(grid[0, 2], 1e3 * (flown["com_position"] - flown["com_reference"]), "CoM error [mm]")
-    _leg(grid[1, 0], np.degrees(flown["joint_position"]), "left leg joints [deg]")
+    _leg(grid[1, 0], flown["joint_position"] * (180.0 / np.pi), "left leg joints [deg]")
     _leg(grid[1, 1], flown["joint_torque"], "torques, desired [N m]")
     _leg(grid[1, 2], flown["joint_torque_measured"], "torques, at the joints [N m]")
     for axes, mark in zip(grid.ravel(), letters, strict=True):

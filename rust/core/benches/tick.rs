@@ -2,8 +2,9 @@
 
 mod common;
 
+use flight_core::control::qp::{ClarabelRowSolver, DualActiveSetSolver};
 use flight_core::sim::{Plant, Wind};
-use flight_core::{BuildError, Flight, RobotModel};
+use flight_core::{BuildError, Flight, Measurement, RobotModel};
 use std::hint::black_box;
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -23,6 +24,10 @@ fn main() -> Result<(), BuildError> {
     ] {
         report(title, &mut tick_times(name)?);
     }
+    report("tick on the ground, side wind to 15 m/s", &mut standing_tick_times()?);
+    let (mut ours, mut clarabel) = standing_qp_times()?;
+    report("its torque QP alone", &mut ours);
+    report("its torque QP by Clarabel", &mut clarabel);
     report("plant, one tick (observe and advance), TEST2", &mut plant_times()?);
     Ok(())
 }
@@ -40,6 +45,41 @@ fn tick_times(name: &str) -> Result<Vec<f64>, BuildError> {
             times.push(microseconds(|| controller.tick(black_box(&measurement)).status));
         }
     }
+    Ok(times)
+}
+
+/// Replays a robot that stands.
+fn standing_tick_times() -> Result<Vec<f64>, BuildError> {
+    let config = common::configuration("balancing_lateral")?;
+    let ticks = common::standing()?;
+    let thrust = vec![0.0; RobotModel::load(&config.robot)?.jets.len()];
+    let mut times = Vec::with_capacity(TICKS + ticks.len());
+    while times.len() < TICKS {
+        let mut controller = common::controller(&config)?;
+        for (index, tick) in ticks.iter().enumerate() {
+            let time = index as f64 * config.simulator.time_step;
+            let measurement = Measurement { time, state: &tick.state, thrust: &thrust, wind: tick.wind };
+            times.push(microseconds(|| {
+                controller.feel(black_box(&tick.feet));
+                controller.tick(black_box(&measurement)).status
+            }));
+        }
+    }
+    Ok(times)
+}
+
+/// The torque QPs of a robot that stands, by our solver and by Clarabel.
+fn standing_qp_times() -> Result<(Vec<f64>, Vec<f64>), BuildError> {
+    let ticks = common::standing()?;
+    let Some(first) = ticks.first() else { return Ok(Default::default()) };
+    let (n, rows) = (first.torque_qp.len(), first.torque_qp.rows());
+    let mut ours = DualActiveSetSolver::new(n, rows);
+    let mut clarabel = ClarabelRowSolver::new(n, rows).without_polish();
+    let mut times = (Vec::new(), Vec::new());
+    for _ in 0..TICKS / ticks.len() {
+        times.0.extend(ticks.iter().map(|tick| microseconds(|| ours.solve(black_box(&tick.torque_qp)).kkt)));
+    }
+    times.1.extend(ticks.iter().map(|tick| microseconds(|| clarabel.solve(black_box(&tick.torque_qp)).kkt)));
     Ok(times)
 }
 

@@ -1,7 +1,7 @@
 //! Aerodynamic force on each link, from the velocity of the air relative to it.
 //!
 //! ```text
-//! AeroConfig, AeroLink[13] ──new──► AeroModel;   axes_i, v_air_i ──link_forces──► forces_i
+//! AeroConfig, RobotModel ──new──► AeroModel;   axes_i, v_air_i ──link_forces──► forces_i
 //! ```
 //!
 //! The simulator's model and the controller's model are two values of [`AeroModel`]: which one is
@@ -13,17 +13,19 @@
 pub mod axisymmetric;
 pub mod factors;
 pub mod link_forces;
+pub mod network;
 pub mod pchip;
 pub mod sphere_cylinder;
 
-pub use axisymmetric::{Axisymmetric, AxisymmetricConfig};
+pub use axisymmetric::{Axisymmetric, AxisymmetricConfig, axisymmetric_force};
 pub use factors::{ForceFactors, ForceFactorsConfig};
 pub use link_forces::{JacobianOffset, LeverArm, LinkConventions, LinkForces, LinkVelocity};
+pub use network::{Network, NetworkConfig, Precision};
 pub use pchip::Pchip;
 pub use sphere_cylinder::{CylinderTables, SphereCylinder, SphereCylinderConfig, SphereTables};
 
 use crate::error::BuildError;
-use crate::robot::AeroLink;
+use crate::robot::RobotModel;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -37,6 +39,8 @@ pub enum AeroConfig {
     Axisymmetric(AxisymmetricConfig),
     /// Literature drag of spheres and finite cylinders.
     SphereCylinder(Box<SphereCylinderConfig>),
+    /// A neural network of wind and posture.
+    Network(NetworkConfig),
 }
 
 impl AeroConfig {
@@ -47,7 +51,7 @@ impl AeroConfig {
     }
 }
 
-/// A checked aerodynamic model for a list of links.
+/// A checked aerodynamic model of one robot.
 #[derive(Debug, Clone)]
 pub enum AeroModel {
     /// No aerodynamic force: what the baseline controller assumes.
@@ -56,18 +60,22 @@ pub enum AeroModel {
     Axisymmetric(Axisymmetric),
     /// Literature drag of spheres and finite cylinders.
     SphereCylinder(SphereCylinder),
+    /// A neural network of wind and posture.
+    Network(Box<Network>),
 }
 
 impl AeroModel {
-    /// Builds the model that `config` asks for, for `links` in their order.
+    /// Builds the model that `config` asks for, for the links of `robot`.
     ///
     /// # Errors
-    /// [`BuildError`] naming the link or table, the value, and what was expected.
-    pub fn new(config: &AeroConfig, links: &[AeroLink]) -> Result<Self, BuildError> {
+    /// [`BuildError`] naming the link, table or file, the value, and what was expected.
+    pub fn new(config: &AeroConfig, robot: &RobotModel) -> Result<Self, BuildError> {
+        let links = &robot.aero_links;
         Ok(match config {
             AeroConfig::Off {} => Self::Off,
             AeroConfig::Axisymmetric(config) => Self::Axisymmetric(Axisymmetric::new(config, links)?),
             AeroConfig::SphereCylinder(config) => Self::SphereCylinder(SphereCylinder::new(config, links)?),
+            AeroConfig::Network(config) => Self::Network(Box::new(Network::new(config, robot)?)),
         })
     }
 
@@ -77,6 +85,9 @@ impl AeroModel {
     /// \[m/s\], both in inertial axes and in the order of the links. Zero at rest; finite for wind
     /// along an axis. Total: slices of different length are served up to the shortest, and a force
     /// without a link is zero. Speeds beyond 1e150 m/s overflow.
+    ///
+    /// A network looks at the whole robot, not at one link at a time: for it forces stay zero here, and
+    /// [`Network::link_forces`] is the way.
     pub fn link_forces(
         &self,
         axes_i: &[Vector3<f64>],
@@ -86,7 +97,7 @@ impl AeroModel {
         forces_i.fill(Vector3::zeros());
         let samples = axes_i.iter().zip(v_air_i).zip(forces_i);
         match self {
-            Self::Off => {}
+            Self::Off | Self::Network(_) => {}
             Self::Axisymmetric(model) => {
                 for (link, ((axis_i, v_air_i), force_i)) in samples.enumerate() {
                     *force_i = model.link_force(link, axis_i, v_air_i);

@@ -16,7 +16,7 @@ use std::path::Path;
 const MAX_DEPTH: usize = 16;
 
 /// Keys whose value is a path, made absolute on reading.
-const PATH_KEYS: [&str; 3] = ["robot", "path", "file"];
+const PATH_KEYS: [&str; 4] = ["robot", "path", "file", "card"];
 
 /// Reads a TOML file and resolves every `base` and path in it. Keys are not judged here.
 ///
@@ -52,6 +52,10 @@ pub fn flight_from_value(value: Value, origin: &str) -> Result<FlightConfig, Bui
                 table.get("envelope").and_then(parse_failure::<crate::control::envelope::EnvelopeConfig>),
             ),
             ("wind", table.get("wind").and_then(parse_failure::<crate::sim::WindConfig>)),
+            (
+                "fictitious_wind",
+                table.get("fictitious_wind").and_then(parse_failure::<Option<crate::sim::WindConfig>>),
+            ),
         ];
         for (section, failure) in parse_failures {
             if let Some(message) = failure {

@@ -7,11 +7,14 @@
 //! A tick does not allocate, does not panic and ends after a bounded number of iterations (with
 //! [`Fallback::Hold`]; the Clarabel fallback allocates, but only where our solver gave no answer).
 //!
-//! Equations: `docs/equations.md`. Unknowns `u = (Ṫ, ṡ)`: thrust rates and joint velocities.
+//! Equations: `docs/equations.md`. Unknowns `u = (Ṫ, ṡ)`: thrust rates and joint velocities. With
+//! `contact` in its configuration the same controller stands on its feet as well: `u = (Ṫ, ḟ_c, ṡ)`, and
+//! torques and foot wrenches are found together.
 
 pub mod attitude;
 pub mod bounds;
 pub mod config;
+pub mod contact;
 pub mod envelope;
 pub mod minimum_jerk;
 pub mod model_error;
@@ -19,6 +22,7 @@ pub mod momentum;
 pub mod qp;
 pub mod recorded;
 pub mod references;
+pub mod standing;
 pub mod tasks;
 pub mod torque;
 pub mod wind_estimate;
@@ -31,12 +35,16 @@ use crate::robot::RobotModel;
 use crate::spatial::rpy_from_rotation;
 use attitude::{AttitudeDemand, attitude_demand};
 use config::{ControllerConfig, Fallback, Solver};
+use contact::Contact;
 use envelope::EnvelopeConfig;
 use momentum::MomentumModel;
-use nalgebra::{DVector, Matrix3, Vector3};
-use qp::{ActiveSetSolver, BoxQp, ClarabelSolver, QpAnswer, QpStatus};
+use nalgebra::{DVector, Matrix3, Vector3, Vector6};
+use qp::{
+    ActiveSetSolver, BoxQp, ClarabelRowSolver, ClarabelSolver, DualActiveSetSolver, QpAnswer, QpStatus, RowQp,
+};
 use recorded::Recording;
 use references::{Reference, ReferenceGenerator};
+use standing::StandingQp;
 use tasks::{MomentumQp, TaskInputs};
 use torque::{TorqueQp, limit_rate};
 
@@ -120,8 +128,12 @@ pub struct Terms {
     pub attitude: AttitudeDemand,
     /// Tasks and the momentum QP.
     pub momentum_qp: MomentumQp,
-    /// The torque QP.
+    /// The torque QP of a robot that does not stand.
     pub torque_qp: TorqueQp,
+    /// The feet, for a controller that can stand.
+    pub contact: Option<Contact>,
+    /// The torque QP of a robot that stands; up to date while the feet carry.
+    pub standing_qp: Option<StandingQp>,
     /// Torques before the rate limiter \[N m\].
     pub unlimited_torque: DVector<f64>,
 }
@@ -148,6 +160,11 @@ pub struct Controller {
     solution: DVector<f64>,
     momentum_solver: QpChain,
     torque_solver: QpChain,
+    standing_solver: Option<RowQpChain>,
+    /// Foot wrenches that were handed over and cannot be used.
+    feet_are_sound: bool,
+    /// What stands for the thrusts where jets are not used.
+    no_thrust: Vec<f64>,
 }
 
 impl Controller {
@@ -167,9 +184,12 @@ impl Controller {
         let robot = config.model_error.believed(robot);
         let (jets, joints) = (robot.jets.len(), robot.joints.len());
         let n = 6 + joints;
+        let feet = robot.feet.len();
+        let contact = config.contact.as_ref();
+        let unknowns = jets + contact.map_or(0, |_| contact::WRENCH * feet) + joints;
         let zero = Vector3::zeros();
         Ok(Self {
-            aero: AeroModel::new(&config.aero, &robot.aero_links)?,
+            aero: AeroModel::new(&config.aero, &robot)?,
             aero_is_on: !config.aero.is_off(),
             aero_factors: ForceFactors::new(
                 &config.aero_feedback.factors(),
@@ -193,6 +213,8 @@ impl Controller {
                 attitude: AttitudeDemand { k_ddot_desired_b: zero, sigma_i: zero },
                 momentum_qp: MomentumQp::new(&config, &robot)?,
                 torque_qp: TorqueQp::new(&config.torque, joints),
+                contact: contact.map(|contact| Contact::new(contact, &robot)),
+                standing_qp: contact.map(|contact| StandingQp::new(&config.torque, contact, joints, feet)),
                 unlimited_torque: DVector::zeros(joints),
             },
             command: Command {
@@ -206,9 +228,12 @@ impl Controller {
             mass_factor: MassFactor::new(n),
             force: DVector::zeros(n),
             velocity_error: DVector::zeros(joints),
-            solution: DVector::zeros(jets + joints),
-            momentum_solver: QpChain::new(jets + joints, &config),
+            solution: DVector::zeros(unknowns),
+            momentum_solver: QpChain::new(unknowns, &config),
             torque_solver: QpChain::new(joints, &config),
+            standing_solver: contact.map(|_| RowQpChain::new(joints, feet, &config)),
+            feet_are_sound: true,
+            no_thrust: vec![0.0; jets],
             robot,
             config,
             envelope,
@@ -242,9 +267,25 @@ impl Controller {
         self.act(measurement)
     }
 
+    /// Takes what each foot feels, until told otherwise: wrenches about the origins of the soles, force
+    /// first, inertial axes \[N, N m\], in the order of the robot's feet. A controller without `contact` in
+    /// its configuration has no use for them.
+    ///
+    /// Numbers that are not finite, or another number of feet, make the next ticks refuse to act, as any
+    /// bad measurement does.
+    pub fn feel(&mut self, feet: &[Vector6<f64>]) {
+        let Some(contact) = &mut self.terms.contact else { return };
+        self.feet_are_sound = feet.len() == contact.measured.len()
+            && feet.iter().all(|wrench| wrench.iter().all(|component| component.is_finite()));
+        if self.feet_are_sound {
+            contact.measured.copy_from_slice(feet);
+        }
+    }
+
     /// Everything that depends on the measurement alone.
     fn observe(&mut self, measurement: &Measurement) {
-        let Terms { kinematics, dynamics, link_forces, momentum, .. } = &mut self.terms;
+        let Terms { kinematics, dynamics, link_forces, momentum, contact, .. } = &mut self.terms;
+        let thrust = if self.config.use_jets { measurement.thrust } else { &self.no_thrust };
         let feedback = &self.config.aero_feedback;
         let conventions = LinkConventions {
             lever_arm: self.config.lever_arm,
@@ -253,14 +294,20 @@ impl Controller {
         };
         kinematics.update(&self.robot, measurement.state);
         dynamics.update(&self.robot, measurement.state, kinematics);
-        link_forces.update(&self.robot, kinematics, conventions, &self.aero, &measurement.wind);
+        link_forces.update(&self.robot, kinematics, conventions, &mut self.aero, &measurement.wind);
         link_forces.scale(feedback.scale);
         self.aero_factors.apply(link_forces);
         let whole = feedback.momentum_rate && feedback.force && feedback.moment;
         let enters = (whole, feedback.lambda);
-        momentum.update(&self.robot, kinematics, dynamics, measurement.thrust, link_forces, enters);
+        momentum.update(&self.robot, kinematics, dynamics, thrust, link_forces, enters);
         if feedback.momentum_rate && !whole {
             momentum.add_part_of_rate(link_forces, &kinematics.com, feedback.force, feedback.moment);
+        }
+        if let Some(contact) = contact {
+            contact.update(&self.robot, kinematics, dynamics, self.time_step);
+            if contact.is_active {
+                momentum.add_contact(&self.robot, kinematics, dynamics, contact);
+            }
         }
     }
 
@@ -273,7 +320,8 @@ impl Controller {
 
     /// Thrust rates and joint velocities that shape momentum and attitude.
     fn solve_momentum_qp(&mut self, measurement: &Measurement) {
-        let Terms { kinematics, dynamics, momentum, reference, attitude, momentum_qp, .. } = &mut self.terms;
+        let Terms { kinematics, dynamics, momentum, reference, attitude, momentum_qp, contact, .. } =
+            &mut self.terms;
         let moment_estimate: Vector3<f64> = momentum.rate_estimate.fixed_rows::<3>(3).into();
         let inertia_0_b = &self.memory.inertia_0_b;
         *attitude = attitude_demand(
@@ -295,6 +343,7 @@ impl Controller {
             attitude,
             inertia_0_b,
             posture: &self.memory.posture,
+            contact: contact.as_ref(),
         };
         momentum_qp.update(&self.robot, &self.config.momentum, &inputs);
 
@@ -307,18 +356,33 @@ impl Controller {
         }
         let jets = self.robot.jets.len();
         self.command.thrust_rate.copy_from(&self.solution.rows(0, jets));
-        self.command.joint_velocity.copy_from(&self.solution.rows(jets, self.robot.joints.len()));
+        let joints = self.robot.joints.len();
+        let first_joint = self.solution.len() - joints;
+        self.command.joint_velocity.copy_from(&self.solution.rows(first_joint, joints));
+        if let Some(contact) = contact {
+            contact.take_rate(&self.solution.as_slice()[jets..first_joint]);
+        }
     }
 
     /// Torques that let the joints follow the commanded velocities.
     fn solve_torque_qp(&mut self, measurement: &Measurement) {
-        let Terms { kinematics, dynamics, link_forces, momentum, torque_qp, unlimited_torque, .. } =
-            &mut self.terms;
+        let Terms {
+            kinematics,
+            dynamics,
+            link_forces,
+            momentum,
+            torque_qp,
+            contact,
+            standing_qp,
+            unlimited_torque,
+            ..
+        } = &mut self.terms;
+        let thrust = if self.config.use_jets { measurement.thrust } else { &self.no_thrust };
         // Σ Jᵀ T a + J_aᵀ f_a − h
         self.force.copy_from(&dynamics.bias);
         self.force.neg_mut();
         for (index, jet) in self.robot.jets.iter().enumerate() {
-            let thrust_force = momentum.jet_axes_i[index] * measurement.thrust[index];
+            let thrust_force = momentum.jet_axes_i[index] * thrust[index];
             let point = &momentum.jet_points_i[index];
             kinematics.add_generalised_force(jet.frame.body, point, &thrust_force, &mut self.force);
         }
@@ -330,8 +394,28 @@ impl Controller {
         }
 
         let mass_is_sound = self.mass_factor.factorise(&dynamics.mass_matrix);
-        let answer = if mass_is_sound {
-            let integral = &self.memory.velocity_error_integral;
+        let integral = &self.memory.velocity_error_integral;
+        let standing = contact.as_mut().zip(standing_qp.as_mut()).zip(self.standing_solver.as_mut());
+        let standing = standing.filter(|((contact, _), _)| contact.is_active);
+        let answer = if !mass_is_sound {
+            no_answer(QpStatus::NotPositiveDefinite)
+        } else if let Some(((contact, qp), solver)) = standing {
+            qp.update(
+                &self.config.torque,
+                contact,
+                &self.mass_factor,
+                &mut self.force,
+                &self.velocity_error,
+                integral,
+            );
+            let (answer, x) = solver.solve(&qp.problem);
+            if answer.status == QpStatus::Solved {
+                let (forces, torques) = x.split_at(contact.force.len());
+                contact.force_of_torques.as_mut_slice().copy_from_slice(forces);
+                unlimited_torque.as_mut_slice().copy_from_slice(torques);
+            }
+            answer
+        } else {
             torque_qp.update(
                 &self.config.torque,
                 &self.mass_factor,
@@ -340,8 +424,6 @@ impl Controller {
                 integral,
             );
             self.torque_solver.solve(&torque_qp.problem, unlimited_torque)
-        } else {
-            no_answer(QpStatus::NotPositiveDefinite)
         };
         self.command.torque_qp = answer;
         if answer.status == QpStatus::Solved {
@@ -396,6 +478,7 @@ impl Controller {
             && measurement.thrust.iter().all(|thrust| thrust.is_finite())
             && measurement.wind.iter().all(|wind| wind.is_finite())
             && measurement.time.is_finite()
+            && self.feet_are_sound
     }
 
     fn refuse_measurement(&mut self) -> &Command {
@@ -524,5 +607,38 @@ impl QpChain {
         let answer = self.clarabel.solve(problem);
         x.as_mut_slice().copy_from_slice(self.clarabel.x());
         answer
+    }
+}
+
+/// The same for the torque QP of a robot that stands.
+#[derive(Debug)]
+struct RowQpChain {
+    solver: Solver,
+    fallback: Fallback,
+    active_set: DualActiveSetSolver,
+    clarabel: ClarabelRowSolver,
+}
+
+impl RowQpChain {
+    fn new(joints: usize, feet: usize, config: &ControllerConfig) -> Self {
+        let (n, rows) = (contact::WRENCH * feet + joints, contact::WRENCH_ROWS * feet);
+        Self {
+            solver: config.qp.solver,
+            fallback: config.qp.fallback,
+            active_set: DualActiveSetSolver::new(n, rows),
+            clarabel: ClarabelRowSolver::new(n, rows),
+        }
+    }
+
+    /// The answer and its `x`, which the caller must not use unless it is solved.
+    fn solve(&mut self, problem: &RowQp) -> (QpAnswer, &[f64]) {
+        if self.solver == Solver::ActiveSet {
+            let answer = self.active_set.solve(problem);
+            if answer.status == QpStatus::Solved || self.fallback == Fallback::Hold {
+                return (answer, self.active_set.x());
+            }
+        }
+        let answer = self.clarabel.solve(problem);
+        (answer, self.clarabel.x())
     }
 }

@@ -87,6 +87,22 @@ impl Dynamics {
         self.momentum_matrix.fixed_view::<3, 1>(0, column) / m
     }
 
+    /// `J̇ ν` of the point of `body` that is at `point_i` now: its linear and angular acceleration with
+    /// ν̇ = 0 \[m/s², rad/s²\]. Belongs to the last [`Dynamics::update`].
+    #[must_use]
+    pub fn velocity_product(
+        &self,
+        kinematics: &Kinematics,
+        body: usize,
+        point_i: &Vector3<f64>,
+    ) -> (Vector3<f64>, Vector3<f64>) {
+        let motion = &kinematics.bodies[body];
+        let arm = point_i - motion.i_from_b.position;
+        let omega = motion.angular_velocity;
+        let (linear, angular) = self.accelerations[body];
+        (linear + angular.cross(&arm) + omega.cross(&omega.cross(&arm)), angular)
+    }
+
     /// Inertia of every body and of every subtree about the base origin.
     fn update_composites(&mut self, robot: &RobotModel, kinematics: &Kinematics) {
         let origin = kinematics.bodies[0].i_from_b.position;

@@ -103,6 +103,8 @@ pub struct Kinematics {
     pub bodies: Vec<BodyMotion>,
     /// Centre of mass \[m, inertial axes\].
     pub com: Vector3<f64>,
+    /// Joint positions these are the kinematics of \[rad\].
+    pub joint_position: Vec<f64>,
     /// For every body the joints between it and the base, base side first.
     chains: Vec<Vec<usize>>,
     mass: f64,
@@ -129,6 +131,7 @@ impl Kinematics {
         let mut kinematics = Self {
             bodies: vec![rest; robot.bodies.len()],
             com: Vector3::zeros(),
+            joint_position: vec![0.0; robot.joints.len()],
             chains,
             mass: robot.bodies.iter().map(|body| body.mass).sum(),
         };
@@ -145,6 +148,7 @@ impl Kinematics {
             joint_axis_i: Vector3::zeros(),
         };
         let joint_velocity = state.joint_velocity();
+        self.joint_position.copy_from_slice(state.joint_position.as_slice());
         for (index, joint) in robot.joints.iter().enumerate() {
             let parent = self.bodies[robot.bodies[index + 1].parent.unwrap_or(0)];
             let axis_b = joint.axis_b.into_inner();

@@ -13,6 +13,7 @@
 //! first in a tick, on what the tick before left in the delays. Source: closed-loop equations 1.2.
 
 pub mod config;
+pub mod ground;
 pub mod log;
 pub mod plant;
 pub mod turbulence;
@@ -71,6 +72,8 @@ pub struct Flight {
     plant: Plant,
     controller: Controller,
     wind: Wind,
+    /// What the controller is told of in its place.
+    fictitious_wind: Option<Wind>,
     /// Between the wind and the controller; `None` where it is told the truth.
     wind_estimator: Option<WindEstimator>,
     time_step: f64,
@@ -100,14 +103,48 @@ impl Flight {
     /// # Errors
     /// [`BuildError`] naming what in the configuration cannot be used.
     pub fn with_robot(config: &FlightConfig, robot: RobotModel) -> Result<Self, BuildError> {
+        for (key, is_there) in [
+            ("simulator.ground", config.simulator.ground.is_some()),
+            ("simulator.motors", config.simulator.motors.is_some()),
+        ] {
+            if is_there {
+                let expected = "none: this engine knows neither ground nor motors; engine = \"mujoco\" does";
+                return Err(BuildError::bad_value(key, "given", expected));
+            }
+        }
+        Self::build(config, robot)
+    }
+
+    /// Refuses a configuration that its own engine cannot fly; reads the robot's files.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming what cannot be used.
+    pub fn check(config: &FlightConfig) -> Result<(), BuildError> {
+        if config.engine != Engine::Mujoco {
+            return Self::new(config).map(|_| ());
+        }
+        if config.simulator.ground.is_none() {
+            let expected = "a table: engine = \"mujoco\" flies nothing that has no ground under it";
+            return Err(BuildError::bad_value("simulator.ground", "absent", expected));
+        }
+        if config.controller.contact.is_none() {
+            let expected = "a table: without feet the controller cannot stand on simulator.ground";
+            return Err(BuildError::bad_value("controller.contact", "absent", expected));
+        }
+        Self::build(config, RobotModel::load(&config.robot)?).map(|_| ())
+    }
+
+    fn build(config: &FlightConfig, robot: RobotModel) -> Result<Self, BuildError> {
         let time_step = config.simulator.time_step;
         let plant = Plant::new(robot.clone(), &config.simulator)?;
         let mut informed = robot;
         config.simulator.jet_faults.inform(&mut informed.jets);
         let (wind, n_ticks) = (Wind::new(&config.wind)?, config.simulator.n_ticks());
+        let fictitious_wind = config.fictitious_wind.as_ref().map(Wind::new).transpose()?;
+        let told = fictitious_wind.as_ref().unwrap_or(&wind);
         let estimator = |estimate| {
             let times = (0..=n_ticks).map(|tick| tick as f64 * time_step);
-            let sum: Vector3<f64> = times.map(|time| wind.velocity(time)).sum();
+            let sum: Vector3<f64> = times.map(|time| told.velocity(time)).sum();
             WindEstimator::new(estimate, time_step, sum / (n_ticks + 1) as f64)
         };
         Ok(Self {
@@ -120,6 +157,7 @@ impl Flight {
                 time_step,
             )?,
             wind,
+            fictitious_wind,
             time_step,
             n_ticks,
             max_rotation_error: config.simulator.fall.rotation_error_deg.to_radians(),
@@ -148,7 +186,8 @@ impl Flight {
             let time = tick as f64 * self.time_step;
             let wind = self.wind.velocity(time);
             self.plant.observe(&wind);
-            let told = self.wind_estimator.as_mut().map_or(wind, |estimator| estimator.update(&wind));
+            let heard = self.fictitious_wind.as_ref().map_or(wind, |wind| wind.velocity(time));
+            let told = self.wind_estimator.as_mut().map_or(heard, |estimator| estimator.update(&heard));
             let measurement = Measurement {
                 time,
                 state: self.plant.state(),

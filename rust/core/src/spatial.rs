@@ -60,6 +60,15 @@ pub fn rotation_angle(r: &Matrix3<f64>) -> f64 {
     vee_of_skew_part(r).norm().atan2(0.5 * (r.trace() - 1.0))
 }
 
+/// Rotation vector \[rad\] of a rotation by less than half a turn: inverse of [`exp_so3`]. Exact near no
+/// rotation, where an `acos` leaves half of the digits.
+#[must_use]
+pub fn log_so3(r: &Matrix3<f64>) -> Vector3<f64> {
+    let along = vee_of_skew_part(r);
+    let sine = along.norm();
+    if sine > 0.0 { along * (rotation_angle(r) / sine) } else { along }
+}
+
 /// Rotation about a unit axis by an angle \[rad\].
 #[must_use]
 pub fn axis_angle(axis: &Vector3<f64>, angle: f64) -> Matrix3<f64> {

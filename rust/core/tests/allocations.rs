@@ -8,16 +8,17 @@
 mod common;
 
 use common::{Loop, experiment, tick_at};
-use flight_core::aero::AeroConfig;
+use flight_core::aero::{AeroConfig, NetworkConfig, Precision};
 use flight_core::config::resolve;
 use flight_core::control::CommandStatus;
 use flight_core::control::config::{Fallback, Solver};
 use flight_core::sim::config::AeroKinematics;
-use flight_core::{FlightConfig, Measurement};
-use nalgebra::Vector3;
+use flight_core::{Controller, FlightConfig, Measurement, RobotModel};
+use nalgebra::{Vector3, Vector6};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::hint::black_box;
+use std::path::Path;
 
 thread_local! {
     /// Allocations and reallocations of this thread: tests run side by side.
@@ -117,6 +118,11 @@ fn sphere_cylinder() -> AeroConfig {
     serde_json::from_value(resolve(&file).unwrap()).unwrap()
 }
 
+fn network() -> AeroConfig {
+    let card = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/network_small.json");
+    AeroConfig::Network(NetworkConfig { card, precision: Precision::F32, air_density: 1.225 })
+}
+
 /// Calm flight, through climb and turbo, with either fallback.
 #[test]
 fn a_calm_tick_does_not_allocate() {
@@ -152,6 +158,13 @@ fn no_model_allocates() {
             }),
         ),
         ("frozen", with("test2", |config| config.simulator.kinematics = AeroKinematics::Frozen)),
+        (
+            "network",
+            with("test2", |config| {
+                config.controller.aero = network();
+                config.simulator.aero = network();
+            }),
+        ),
         ("sub-steps", with("test2", |config| config.simulator.substeps = 4)),
         ("second-order engines", experiment("second_order_jets")),
     ] {
@@ -184,4 +197,39 @@ fn clarabel_allocates() {
     let mut flight = Loop::new(&config);
     flight.run(0.02, |_| SIDE);
     assert!(allocations(|| flight.observe(&SIDE)) > 10);
+}
+
+/// A robot that stands: feet that carry, that let go and carry again, with either fallback.
+#[test]
+fn a_tick_on_the_ground_does_not_allocate() {
+    for fallback in [Fallback::Hold, Fallback::Clarabel] {
+        let mut config = experiment("balancing_lateral");
+        config.controller.qp.fallback = fallback;
+        let robot = RobotModel::load(&config.robot).unwrap();
+        let mut controller =
+            Controller::new(robot, config.controller.clone(), config.envelope.clone(), 0.01).unwrap();
+        let mut state = config.simulator.initial.state();
+        let thrust = [0.0; 4];
+        let (mut counted, mut rows) = (0, 0);
+        for tick in 0..400 {
+            let time = f64::from(tick) * 0.01;
+            let phase = time * 5.0;
+            let carried = if tick % 100 < 90 { 212.5 } else { 0.0 };
+            state.joint_position[15] = 0.02 * phase.sin();
+            state.velocity[6 + 15] = 0.1 * phase.cos();
+            let foot = Vector6::new(0.0, 0.0, carried, 3.0 * phase.sin(), -1.2, 0.0);
+            let measurement = Measurement { time, state: &state, thrust: &thrust, wind: 2.0 * SIDE };
+            let of_this_tick = allocations(|| {
+                controller.feel(&[foot, foot]);
+                controller.tick(&measurement);
+            });
+            if tick > 0 {
+                counted += of_this_tick;
+            }
+            assert_eq!(controller.command().status, CommandStatus::Nominal, "tick {tick}");
+            rows = rows.max(controller.command().torque_qp.active);
+        }
+        assert_eq!(counted, 0, "{fallback:?}");
+        assert!(rows > 0, "no wrench reached its limits");
+    }
 }

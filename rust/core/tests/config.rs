@@ -287,7 +287,7 @@ fn every_aero_file_is_an_aerodynamic_model() {
     let robot = robot("ironcub_mk1");
     for file in files("aero") {
         let config: AeroConfig = parse(&file);
-        AeroModel::new(&config, &robot.aero_links).unwrap();
+        AeroModel::new(&config, &robot).unwrap();
     }
 }
 
@@ -335,7 +335,7 @@ fn every_experiment_file_is_a_flight() {
     for file in files("experiments") {
         let config = load_flight(&file).unwrap();
         assert!(!config.title.is_empty() && !config.description.is_empty(), "{}", file.display());
-        Flight::new(&config).unwrap();
+        Flight::check(&config).unwrap();
     }
 }
 

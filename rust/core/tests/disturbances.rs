@@ -30,6 +30,15 @@ fn step_up(before: usize, after: usize) -> Vec<Vector3<f64>> {
     (0..before + after).map(|tick| if tick < before { Vector3::zeros() } else { up }).collect()
 }
 
+/// The first words of the generator's published demonstration, seed 42 and stream 54.
+#[test]
+fn noise_is_that_of_the_published_generator() {
+    let mut noise = Noise::new(42, 54);
+    for word in [0xa15c_02b7_u32, 0x7b47_f409, 0xba1d_3330, 0x83d2_f293, 0xbfa4_784b, 0xcbed_606e] {
+        assert_eq!(noise.uniform(), (f64::from(word) + 0.5) / 4_294_967_296.0);
+    }
+}
+
 #[test]
 fn noise_is_repeatable_and_normal() {
     let draw = |seed, stream| {

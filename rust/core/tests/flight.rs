@@ -11,6 +11,8 @@ mod common;
 
 #[path = "flight/laws.rs"]
 mod laws;
+#[path = "flight/network.rs"]
+mod network;
 #[path = "flight/published.rs"]
 mod published;
 #[path = "flight/simulator.rs"]

@@ -213,9 +213,15 @@ fn the_sphere_cylinder_forces_agree() {
         let robot = controller.robot();
         let value =
             flight_core::config::resolve(&repository().join("configs/aero/sphere_cylinder.toml")).unwrap();
-        let model = AeroModel::new(&serde_json::from_value(value).unwrap(), &robot.aero_links).unwrap();
+        let mut model = AeroModel::new(&serde_json::from_value(value).unwrap(), robot).unwrap();
         let mut forces = LinkForces::new(robot);
-        forces.update(robot, &controller.terms().kinematics, LinkConventions::default(), &model, &case.wind);
+        forces.update(
+            robot,
+            &controller.terms().kinematics,
+            LinkConventions::default(),
+            &mut model,
+            &case.wind,
+        );
         let flat: Vec<f64> = forces.forces_i.iter().flatten().copied().collect();
         agree("f_aero_cyl", &flat, &case.golden["f_aero_cyl"]);
     }

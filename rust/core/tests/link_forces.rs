@@ -18,7 +18,7 @@ use nalgebra::{DVector, Matrix3xX, Vector3};
 fn axisymmetric(robot: &RobotModel, set: &str) -> AeroModel {
     let text = format!(r#"{{"model": "axisymmetric", "coefficients": "{set}", "air_density": 1.225}}"#);
     let config: AeroConfig = serde_json::from_str(&text).unwrap();
-    AeroModel::new(&config, &robot.aero_links).unwrap()
+    AeroModel::new(&config, robot).unwrap()
 }
 
 fn forces_of(
@@ -31,7 +31,7 @@ fn forces_of(
     let mut kinematics = Kinematics::new(robot);
     kinematics.update(robot, state);
     let mut forces = LinkForces::new(robot);
-    forces.update(robot, &kinematics, conventions, model, wind);
+    forces.update(robot, &kinematics, conventions, &mut model.clone(), wind);
     (kinematics, forces)
 }
 

@@ -7,8 +7,9 @@ mod common;
 
 use common::{random_vector, rng};
 use flight_core::spatial::{
-    Pose, axis_angle, exp_so3, orthonormality_error, project_to_so3, rotation_angle, rotation_from_rpy,
-    rotation_from_wxyz, rpy_from_rotation, skew, unit_vector, vee_of_skew_part, wxyz_from_rotation,
+    Pose, axis_angle, exp_so3, log_so3, orthonormality_error, project_to_so3, rotation_angle,
+    rotation_from_rpy, rotation_from_wxyz, rpy_from_rotation, skew, unit_vector, vee_of_skew_part,
+    wxyz_from_rotation,
 };
 use nalgebra::{Matrix3, Vector3};
 use rand::RngExt;
@@ -72,6 +73,16 @@ fn rotation_angle_is_exact_near_zero_and_pi() {
     assert!(rotation_angle(&Matrix3::identity()) == 0.0);
     let half_turn = Matrix3::from_diagonal(&Vector3::new(-1.0, 1.0, -1.0));
     assert!(rotation_angle(&half_turn) == PI);
+}
+
+/// `log` undoes `exp`, small turns to full precision.
+#[test]
+fn log_is_the_inverse_of_exp() {
+    for phi in rotation_vectors().filter(|phi| phi.norm() < PI - 1e-3) {
+        let relative = (log_so3(&exp_so3(&phi)) - phi).amax() / phi.norm();
+        assert!(relative < 1e-12, "{phi} off by {relative:e}");
+    }
+    assert_eq!(log_so3(&Matrix3::identity()), Vector3::zeros());
 }
 
 /// `S(v) u = v × u`, and the vee of a matrix undoes it and sees nothing symmetric.

@@ -5,10 +5,12 @@ use crate::flight::parse;
 use crate::qp::answer;
 use crate::robot::state;
 use flight_core::control::Memory;
+use flight_core::control::contact::Contact;
 use flight_core::control::recorded::Recording;
 use flight_core::control::references::{Reference, ReferenceGenerator};
+use flight_core::control::standing::StandingQp;
 use flight_core::{Measurement, RobotModel};
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 use pyo3::exceptions::{PyKeyError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -55,7 +57,8 @@ impl Controller {
 
     /// One tick; returns every intermediate value and the command by name. With `reference` (a dict with
     /// the keys of the result's `reference`) the envelope is not asked.
-    #[pyo3(signature = (time, base_position, base_rotation, joint_position, velocity, thrust, wind, reference = None))]
+    /// `foot_wrenches` (feet, 6) is what each foot feels, force first, about the origin of its sole.
+    #[pyo3(signature = (time, base_position, base_rotation, joint_position, velocity, thrust, wind, reference = None, foot_wrenches = None))]
     #[allow(clippy::too_many_arguments)]
     fn tick<'py>(
         &mut self,
@@ -68,11 +71,18 @@ impl Controller {
         thrust: Input<'py>,
         wind: Input<'py>,
         reference: Option<&Bound<'py, PyDict>>,
+        foot_wrenches: Option<Input<'py>>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let (joints, jets) = (self.controller.robot().n_joints(), self.controller.robot().jets.len());
         let state = state(joints, &base_position, &base_rotation, &joint_position, &velocity)?;
         let thrust = entries("thrust", &thrust, &[jets])?;
         let measurement = Measurement { time, state: &state, thrust: &thrust, wind: vector3("wind", &wind)? };
+        if let Some(wrenches) = foot_wrenches {
+            let feet = self.controller.robot().feet.len();
+            let wrenches = entries("foot_wrenches", &wrenches, &[feet, 6])?;
+            let wrenches: Vec<_> = wrenches.chunks_exact(6).map(Vector6::from_column_slice).collect();
+            self.controller.feel(&wrenches);
+        }
         match reference {
             None => self.controller.tick(&measurement),
             Some(given) => {
@@ -134,6 +144,9 @@ impl Controller {
         out.set_item("joint_torque", vector(py, command.joint_torque.as_slice())?)?;
         out.set_item("torque_qp", answer(py, &command.torque_qp)?)?;
 
+        if let (Some(contact), Some(qp)) = (&terms.contact, &terms.standing_qp) {
+            out.set_item("contact", contact_dict(py, contact, qp)?)?;
+        }
         out.set_item("status", format!("{:?}", command.status))?;
         out.set_item("posture", vector(py, memory.posture.as_slice())?)?;
         out.set_item("inertia_0_b", matrix(py, &memory.inertia_0_b)?)?;
@@ -141,6 +154,29 @@ impl Controller {
         out.set_item("reference", reference_to_dict(py, &terms.reference)?)?;
         Ok(out)
     }
+}
+
+/// The feet and the torque QP of a robot that stands; `None` in place of the QP while it does not.
+fn contact_dict<'py>(py: Python<'py>, contact: &Contact, qp: &StandingQp) -> PyResult<Bound<'py, PyDict>> {
+    let out = PyDict::new(py);
+    let feet = contact.soles.len();
+    let wrenches = |forces: &DVector<f64>| array(py, &[feet, 6], forces.as_slice().to_vec());
+    out.set_item("is_active", contact.is_active)?;
+    out.set_item("force", wrenches(&contact.force)?)?;
+    out.set_item("force_rate", wrenches(&contact.force_rate)?)?;
+    out.set_item("force_of_torques", wrenches(&contact.force_of_torques)?)?;
+    out.set_item("a_c", matrix(py, &contact.a_c)?)?;
+    out.set_item("jacobian", matrix(py, &contact.jacobian_transposed.transpose())?)?;
+    out.set_item("velocity_product", vector(py, contact.velocity_product.as_slice())?)?;
+    if contact.is_active {
+        out.set_item("h", matrix(py, &qp.problem.bounded.h)?)?;
+        out.set_item("g", vector(py, qp.problem.bounded.g.as_slice())?)?;
+        out.set_item("lower", vector(py, qp.problem.bounded.lower.as_slice())?)?;
+        out.set_item("upper", vector(py, qp.problem.bounded.upper.as_slice())?)?;
+        out.set_item("rows", matrix(py, &qp.problem.normals.transpose())?)?;
+        out.set_item("limit", vector(py, qp.problem.limit.as_slice())?)?;
+    }
+    Ok(out)
 }
 
 fn reference_to_dict<'py>(py: Python<'py>, reference: &Reference) -> PyResult<Bound<'py, PyDict>> {

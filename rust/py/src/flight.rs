@@ -1,7 +1,10 @@
 //! Configurations and whole flights.
 
-use crate::arrays::{Output, array, value_error, vector};
-use flight_core::sim::{BatchError, FlightConfig, FlightResult, WindConfig, fly_batch as fly_rust_batch};
+use crate::arrays::{Input, Output, array, entries, value_error, vector, vectors};
+use flight_core::aero::{AeroConfig, NetworkConfig};
+use flight_core::sim::{
+    BatchError, FlightConfig, FlightResult, Wind, WindConfig, fly_batch as fly_rust_batch,
+};
 use flight_core::{BuildError, Flight, RobotModel, load_flight};
 use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -36,7 +39,7 @@ pub fn resolve_config(path: PathBuf) -> PyResult<String> {
 /// Raise ValueError unless this configuration can fly.
 #[pyfunction]
 pub fn check_config(config_json: &str) -> PyResult<()> {
-    Flight::new(&parse(config_json)?).map(|_| ()).map_err(value_error)
+    Flight::check(&parse(config_json)?).map_err(value_error)
 }
 
 /// SHA-256 over the configuration and the files it names; the same on every machine.
@@ -48,19 +51,38 @@ pub fn config_digest(config_json: &str) -> PyResult<String> {
     // Where files lie says nothing about the flight; what is in them does.
     value["robot"] = file_name(&config.robot).into();
     let mut hash = Sha256::new();
-    if let WindConfig::File { path } = &config.wind {
-        value["wind"]["path"] = file_name(path).into();
-        hash.update(std::fs::read(path)?);
+    for (key, wind) in [("wind", Some(&config.wind)), ("fictitious_wind", config.fictitious_wind.as_ref())] {
+        if let Some(WindConfig::File { path }) = wind {
+            value[key]["path"] = file_name(path).into();
+            hash.update(std::fs::read(path)?);
+        }
     }
     if let Some(path) = &config.envelope.file {
         value["envelope"]["file"] = file_name(path).into();
         hash.update(std::fs::read(path)?);
+    }
+    for (part, aero) in [("simulator", &config.simulator.aero), ("controller", &config.controller.aero)] {
+        if let AeroConfig::Network(NetworkConfig { card, .. }) = aero {
+            value[part]["aero"]["card"] = file_name(card).into();
+            hash.update(std::fs::read(card)?); // which holds the hash of the weights
+        }
     }
     hash.update(value.to_string());
     hash.update(&robot.toml_text);
     hash.update(&robot.urdf_text);
     let digest = hash.finalize();
     Ok(digest.iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}")))
+}
+
+/// Velocity (times, 3) [m/s, inertial axes] of a wind profile, given as JSON, at times [s].
+#[pyfunction]
+pub fn wind_velocity<'py>(py: Python<'py>, wind_json: &str, times: Input<'py>) -> PyResult<Output<'py>> {
+    let config =
+        serde_json::from_str(wind_json).map_err(|error| value_error(BuildError::malformed("wind", error)))?;
+    let wind = Wind::new(&config).map_err(value_error)?;
+    let times = entries("times", &times, &[times.as_array().len()])?;
+    let velocities: Vec<_> = times.iter().map(|time| wind.velocity(*time)).collect();
+    vectors(py, &velocities)
 }
 
 fn file_name(path: &Path) -> String {

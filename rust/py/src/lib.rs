@@ -21,11 +21,11 @@ mod _core {
     #[pymodule_export]
     use super::control::{Controller, reference_trajectory};
     #[pymodule_export]
-    use super::flight::{check_config, config_digest, fly, fly_batch, resolve_config};
+    use super::flight::{check_config, config_digest, fly, fly_batch, resolve_config, wind_velocity};
     #[pymodule_export]
     use super::qp::{BoxQpSolver, kkt_residual};
     #[pymodule_export]
-    use super::robot::{Robot, aero_forces};
+    use super::robot::{Robot, aero_forces, link_forces};
     use pyo3::prelude::*;
 
     #[pymodule_init]

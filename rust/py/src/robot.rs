@@ -1,7 +1,7 @@
 //! The robot and its rigid-body dynamics.
 
 use crate::arrays::{Input, Output, entries, matrix, matrix3, value_error, vector, vector3, vectors};
-use flight_core::aero::AeroModel;
+use flight_core::aero::{AeroConfig, AeroModel, LinkConventions, LinkForces};
 use flight_core::dynamics::{Dynamics, MassFactor};
 use flight_core::kinematics::{Kinematics, RobotState};
 use flight_core::robot::Frame;
@@ -99,6 +99,11 @@ impl Robot {
     #[getter]
     fn jet_names(&self) -> Vec<String> {
         self.model.jets.iter().map(|jet| jet.name.clone()).collect()
+    }
+
+    #[getter]
+    fn foot_names(&self) -> Vec<String> {
+        self.model.feet.iter().map(|foot| foot.name.clone()).collect()
     }
 
     /// Text of the TOML file.
@@ -226,11 +231,41 @@ pub fn aero_forces<'py>(
     let links = robot.model.aero_links.len();
     let config =
         serde_json::from_str(aero_json).map_err(|error| value_error(BuildError::malformed("aero", error)))?;
-    let model = AeroModel::new(&config, &robot.model.aero_links).map_err(value_error)?;
+    if matches!(config, AeroConfig::Network(_)) {
+        let expected = "a model of single links; `link_forces` evaluates a network";
+        return Err(value_error(BuildError::bad_value("aero.model", "network", expected)));
+    }
+    let model = AeroModel::new(&config, &robot.model).map_err(value_error)?;
     let rows = |name: &str, input: &Input<'_>| -> PyResult<Vec<Vector3<f64>>> {
         Ok(entries(name, input, &[links, 3])?.chunks_exact(3).map(Vector3::from_column_slice).collect())
     };
     let mut forces = vec![Vector3::zeros(); links];
     model.link_forces(&rows("axes", &axes)?, &rows("v_air", &v_air)?, &mut forces);
     vectors(py, &forces)
+}
+
+/// Forces (links, 3) [N] of an aerodynamic model, given as JSON, on a robot in a state and a wind [m/s],
+/// inertial axes.
+#[pyfunction]
+#[allow(clippy::too_many_arguments)] // a state is four arrays
+pub fn link_forces<'py>(
+    py: Python<'py>,
+    robot: &Robot,
+    aero_json: &str,
+    base_position: Input<'py>,
+    base_rotation: Input<'py>,
+    joint_position: Input<'py>,
+    velocity: Input<'py>,
+    wind: Input<'py>,
+) -> PyResult<Output<'py>> {
+    let joints = robot.model.n_joints();
+    let state = state(joints, &base_position, &base_rotation, &joint_position, &velocity)?;
+    let config =
+        serde_json::from_str(aero_json).map_err(|error| value_error(BuildError::malformed("aero", error)))?;
+    let mut model = AeroModel::new(&config, &robot.model).map_err(value_error)?;
+    let (kinematics, _) = robot.evaluate(&state);
+    let mut forces = LinkForces::new(&robot.model);
+    let wind = vector3("wind", &wind)?;
+    forces.update(&robot.model, &kinematics, LinkConventions::default(), &mut model, &wind);
+    vectors(py, &forces.forces_i)
 }

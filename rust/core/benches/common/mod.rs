@@ -1,11 +1,11 @@
 //! Ticks of real flights to measure on.
 #![allow(dead_code)] // each benchmark uses a part
 
-use flight_core::control::qp::BoxQp;
+use flight_core::control::qp::{BoxQp, RowQp};
 use flight_core::kinematics::RobotState;
 use flight_core::sim::{FlightConfig, Plant, Wind};
 use flight_core::{BuildError, Controller, Measurement, RobotModel, load_flight};
-use nalgebra::Vector3;
+use nalgebra::{Vector3, Vector6};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
@@ -80,6 +80,40 @@ pub fn calm() -> Result<Vec<Tick>, BuildError> {
 /// The last two seconds of TEST1 with the published lever arms: about to fall, many bounds active.
 pub fn saturated() -> Result<Vec<Tick>, BuildError> {
     record(&configuration("test1_published")?, &(19.0..=21.0))
+}
+
+/// A tick of a robot that stands, and the torque QP it makes.
+pub struct StandingTick {
+    pub state: RobotState,
+    pub wind: Vector3<f64>,
+    pub feet: [Vector6<f64>; 2],
+    pub torque_qp: RowQp,
+}
+
+/// Ten seconds of standing in a side wind that rises to 15 m/s and that only the controller knows of. There
+/// is no ground here: the joints sway by a degree, the feet feel the weight shift from one to the other.
+pub fn standing() -> Result<Vec<StandingTick>, BuildError> {
+    let config = configuration("balancing_lateral")?;
+    let mut controller = controller(&config)?;
+    let start = config.simulator.initial.state();
+    let thrust = vec![0.0; controller.robot().jets.len()];
+    let mut ticks = Vec::new();
+    for tick in 0..1000 {
+        let time = f64::from(tick) * config.simulator.time_step;
+        let mut state = start.clone();
+        for (joint, s) in state.joint_position.iter_mut().enumerate() {
+            *s += 0.02 * (time + joint as f64).sin();
+            state.velocity[6 + joint] = 0.02 * (time + joint as f64).cos();
+        }
+        let shift = 60.0 * time.sin();
+        let feet = [shift, -shift].map(|shift| Vector6::new(0.0, 0.0, 212.5 + shift, 0.5, -1.2, 0.0));
+        let wind = Vector3::new(0.0, -1.5 * time, 0.0);
+        controller.feel(&feet);
+        controller.tick(&Measurement { time, state: &state, thrust: &thrust, wind });
+        let Some(qp) = &controller.terms().standing_qp else { continue };
+        ticks.push(StandingTick { state, wind, feet, torque_qp: qp.problem.clone() });
+    }
+    Ok(ticks)
 }
 
 /// The p-quantile of sorted times.

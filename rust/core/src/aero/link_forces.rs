@@ -58,7 +58,8 @@ pub struct LinkConventions {
 pub struct LinkForces {
     /// Symmetry axes (unit, inertial axes).
     pub axes_i: Vec<Vector3<f64>>,
-    /// Velocity of the air relative to each link \[m/s, inertial axes\].
+    /// Velocity of the air that each force was computed with \[m/s, inertial axes\]: relative to the
+    /// link, or, for a network, to the base origin.
     pub v_air_i: Vec<Vector3<f64>>,
     /// Points at which moments are formed \[m, inertial axes\], see [`LeverArm`].
     pub arm_points_i: Vec<Vector3<f64>>,
@@ -88,7 +89,7 @@ impl LinkForces {
         robot: &RobotModel,
         kinematics: &Kinematics,
         conventions: LinkConventions,
-        model: &AeroModel,
+        model: &mut AeroModel,
         wind_i: &Vector3<f64>,
     ) {
         let base_rotation = &kinematics.bodies[0].i_from_b.rotation;
@@ -113,7 +114,12 @@ impl LinkForces {
             self.arm_points_i[index] = arm_point;
             self.jacobian_points_i[index] = jacobian_point;
         }
-        model.link_forces(&self.axes_i, &self.v_air_i, &mut self.forces_i);
+        match model {
+            AeroModel::Network(network) => {
+                network.link_forces(robot, kinematics, wind_i, &mut self.v_air_i, &mut self.forces_i);
+            }
+            by_link => by_link.link_forces(&self.axes_i, &self.v_air_i, &mut self.forces_i),
+        }
     }
 
     /// Multiplies every force, the strength of an aerodynamic feedback.

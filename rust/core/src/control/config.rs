@@ -1,5 +1,6 @@
 //! Configuration of the controller, checked against the robot when the controller is built.
 
+use super::contact::ContactConfig;
 use super::model_error::ModelError;
 use super::references::ReferenceConfig;
 use super::wind_estimate::WindEstimateConfig;
@@ -43,6 +44,12 @@ pub struct ControllerConfig {
     pub bounds: BoundsConfig,
     /// The joint torque controller.
     pub torque: TorqueConfig,
+    /// What it takes to stand on the ground; without it the controller knows no feet.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub contact: Option<ContactConfig>,
+    /// Whether thrusts are known of and asked for.
+    #[serde(default = "yes", skip_serializing_if = "is_true")]
+    pub use_jets: bool,
     /// How QPs are solved.
     #[serde(default)]
     pub qp: QpConfig,
@@ -78,6 +85,10 @@ pub struct AeroFeedback {
     /// Factor on the estimated force of a link, by its name; links that are not named keep theirs.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub links: BTreeMap<String, f64>,
+}
+
+fn yes() -> bool {
+    true
 }
 
 #[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
@@ -229,6 +240,13 @@ impl ControllerConfig {
         let positive = |name: &str, value: f64| at(name, value, |x| x > 0.0, "a positive number");
 
         finite("aero_feedback.scale", self.aero_feedback.scale)?;
+        if matches!(self.aero, AeroConfig::Network(_)) {
+            // A network has no such terms to leave out; that its force can be split along the air is another matter.
+            for (key, factor) in [("drag", self.aero_feedback.drag), ("normal", self.aero_feedback.normal)] {
+                let expected = "1 with model network, which knows no drag and normal term; `links` works";
+                at(&format!("aero_feedback.{key}"), factor, |factor| is_one(&factor), expected)?;
+            }
+        }
         if let Some(estimate) = &self.wind_estimate {
             estimate.check()?;
         }
@@ -258,6 +276,9 @@ impl ControllerConfig {
         positive("torque.torque_max", self.torque.torque_max)?;
         positive("torque.torque_rate_max", self.torque.torque_rate_max)?;
         self.references.check()?;
+        if let Some(contact) = &self.contact {
+            contact.check(robot)?;
+        }
 
         per_name("posture_gain", &self.posture_gain, robot.groups.iter().map(|group| group.name.as_str()))?;
         per_name("weights.thrust_rate", &self.weights.thrust_rate, jet_names(robot))?;

@@ -3,10 +3,12 @@
 //! ```text
 //! L̇ = A_T T + Σ_j (f_j, r_j × f_j) − m g e₃                     estimated momentum rate
 //! L̈ = A_T Ṫ + (Λ_T + Λ_a) ν                                     what the controller shapes
+//! on the ground also  A_c f_c*  and  A_c ḟ_c + Λ_c ν
 //! ```
 //!
 //! with `r` the arm from the centre of mass. Source: paper, Methods, "Flight Control Design".
 
+use super::contact::{Contact, WRENCH};
 use crate::aero::LinkForces;
 use crate::dynamics::Dynamics;
 use crate::kinematics::Kinematics;
@@ -93,6 +95,32 @@ impl MomentumModel {
         let (force, moment) = link_forces.wrench_about(com);
         let only = |part, wanted| if wanted { part } else { Vector3::zeros() };
         self.rate_estimate += stack(&only(force, has_force), &only(moment, has_moment));
+    }
+
+    /// Adds the feet that carry: `A_c f_c*` to the momentum rate, `Λ_c` to its derivative.
+    ///
+    /// ```text
+    /// Λ_c = (0 ; −Σ_k S(f_k) (J_k − J_G))
+    /// ```
+    pub fn add_contact(
+        &mut self,
+        robot: &RobotModel,
+        kinematics: &Kinematics,
+        dynamics: &Dynamics,
+        contact: &Contact,
+    ) {
+        for (column, force) in contact.a_c.column_iter().zip(&contact.force) {
+            self.rate_estimate += column * *force;
+        }
+        let wrenches = contact.force.as_slice().chunks_exact(WRENCH);
+        for ((foot, sole), wrench) in robot.feet.iter().zip(&contact.soles).zip(wrenches) {
+            let force = Vector3::from_column_slice(&wrench[..3]);
+            let lambda = &mut self.lambda;
+            kinematics.visit_jacobian_columns(foot.frame.body, &sole.position, |column, j_v, _| {
+                subtract(lambda, column, &stack(&Vector3::zeros(), &force.cross(&j_v)));
+            });
+        }
+        add_com_motion(&mut self.lambda, dynamics, &contact.total_force());
     }
 
     fn place_jets(&mut self, robot: &RobotModel, kinematics: &Kinematics) {

@@ -7,13 +7,22 @@
 //! [`ActiveSetSolver`] flies: exact, warm started, without allocation. [`ClarabelSolver`] is the
 //! reference and the fallback: an interior-point method that shares nothing with it but the data.
 //! Neither is believed: every [`QpAnswer`] carries [`kkt_residual`], computed from the problem alone.
+//!
+//! On the ground the torque QP has general rows as well: [`RowQp`], [`DualActiveSetSolver`] and
+//! [`ClarabelRowSolver`] are the same three for it.
 
 mod active_set;
+mod dual_active_set;
 mod reference;
+mod reference_rows;
+mod rows;
 mod scaled;
 
 pub use active_set::{ActiveSetSolver, PASSES_PER_VARIABLE};
+pub use dual_active_set::DualActiveSetSolver;
 pub use reference::ClarabelSolver;
+pub use reference_rows::ClarabelRowSolver;
+pub use rows::{RowQp, row_kkt_residual};
 
 use crate::linalg;
 use nalgebra::{DMatrix, DVector};

@@ -4,8 +4,8 @@
 //! 10, 13 or 16 of the names in [`COLUMNS`]: derivatives that are left out are differences of what is there.
 
 use crate::error::BuildError;
-use crate::spatial::{exp_so3, rotation_from_rpy};
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use crate::spatial::{exp_so3, log_so3, rotation_from_rpy};
+use nalgebra::{Matrix3, Vector3};
 use std::path::Path;
 
 /// Names of the columns: time, centre of mass, attitude of the base, and then, where they are known,
@@ -111,10 +111,8 @@ impl Recording {
         }
         let rotations: Vec<Matrix3<f64>> =
             rows.iter().map(|row| rotation_from_rpy(&triple(row, 4))).collect();
-        let turns_b: Vec<Vector3<f64>> = rotations
-            .windows(2)
-            .map(|pair| Rotation3::from_matrix_unchecked(pair[0].transpose() * pair[1]).scaled_axis())
-            .collect();
+        let turns_b: Vec<Vector3<f64>> =
+            rotations.windows(2).map(|pair| log_so3(&(pair[0].transpose() * pair[1]))).collect();
         let rates: Vec<Vector3<f64>> =
             turns_b.iter().zip(times.windows(2)).map(|(turn, time)| turn / (time[1] - time[0])).collect();
         let motions = (0..times.len())

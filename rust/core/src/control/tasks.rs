@@ -1,6 +1,6 @@
 //! The momentum QP: tasks stacked into a cost, bounds around the unknowns.
 //!
-//! Unknowns `u = (Ṫ, ṡ)`. Cost `½ uᵀ H u + gᵀ u` of the weighted squares of
+//! Unknowns `u = (Ṫ, ṡ)`, for a robot with feet `u = (Ṫ, ḟ_c, ṡ)`. Cost `½ uᵀ H u + gᵀ u` of the weighted squares of
 //!
 //! ```text
 //! momentum   A_T Ṫ + (Λ_s + K A_s) ṡ + (Λ_b + K A_b) ν_B
@@ -11,12 +11,20 @@
 //! and of ṡ, Ṫ and the differences of paired thrust rates
 //! ```
 //!
+//! Feet that carry add the columns `A_c ḟ_c` to the first two tasks, and the squares of
+//!
+//! ```text
+//! feet       J_c,s ṡ + J_c,b ν_B                                      feet that carry stay
+//! and of ḟ_c
+//! ```
+//!
 //! with `K = K_P + K_D + K_O⁻¹`. The linear task is `e⃛ + 8.75 ë + 22.8 ė + 15 e = 0` in the position
 //! error at the published gains. Source: closed-loop equations 4.2 to 4.4.
 
 use super::attitude::AttitudeDemand;
 use super::bounds::rate_bounds;
 use super::config::{ControllerConfig, MomentumGains};
+use super::contact::{Contact, WRENCH};
 use super::momentum::MomentumModel;
 use super::qp::BoxQp;
 use super::references::Reference;
@@ -49,6 +57,12 @@ pub struct MomentumQp {
     thrust_steepness: f64,
     joint_velocity_max: f64,
     joint_steepness: f64,
+    /// Number of contact unknowns; they stand between thrust rates and joint velocities.
+    forces: usize,
+    force_rate_max: f64,
+    foot_weight: f64,
+    /// Whether thrust rates act on the momentum.
+    jets_act: bool,
 }
 
 /// What the tasks are built from.
@@ -71,6 +85,8 @@ pub struct TaskInputs<'a> {
     pub inertia_0_b: &'a Matrix3<f64>,
     /// Desired posture `s_d` \[rad\].
     pub posture: &'a DVector<f64>,
+    /// The feet of a robot that can stand.
+    pub contact: Option<&'a Contact>,
 }
 
 impl MomentumQp {
@@ -80,7 +96,8 @@ impl MomentumQp {
     /// [`BuildError`] for names the robot does not have.
     pub fn new(config: &ControllerConfig, robot: &RobotModel) -> Result<Self, BuildError> {
         let (jets, joints) = (robot.jets.len(), robot.joints.len());
-        let n = jets + joints;
+        let forces = config.contact.as_ref().map_or(0, |_| WRENCH * robot.feet.len());
+        let n = jets + forces + joints;
         let weights = &config.weights;
         let per_jet = |table: &std::collections::BTreeMap<String, f64>| -> Vec<f64> {
             robot.jets.iter().map(|jet| table.get(&jet.name).copied().unwrap_or(0.0)).collect()
@@ -89,6 +106,9 @@ impl MomentumQp {
             DVector::from_element(n, weights.joint_velocity + weights.posture + weights.regularisation);
         for (index, weight) in per_jet(&weights.thrust_rate).into_iter().enumerate() {
             diagonal[index] = weight + weights.regularisation;
+        }
+        if let Some(contact) = &config.contact {
+            diagonal.rows_mut(jets, forces).fill(contact.weight_force_rate + weights.regularisation);
         }
         let mut posture_gain = DVector::zeros(joints);
         for group in &robot.groups {
@@ -112,6 +132,10 @@ impl MomentumQp {
             thrust_steepness: config.bounds.thrust_steepness,
             joint_velocity_max: config.bounds.joint_velocity_max_deg.to_radians(),
             joint_steepness: config.bounds.joint_steepness,
+            forces,
+            force_rate_max: config.contact.as_ref().map_or(0.0, |contact| contact.force_rate_max),
+            foot_weight: config.contact.as_ref().map_or(0.0, |contact| contact.weight_foot_velocity),
+            jets_act: config.use_jets,
         })
     }
 
@@ -119,7 +143,16 @@ impl MomentumQp {
     pub fn update(&mut self, robot: &RobotModel, gains: &MomentumGains, inputs: &TaskInputs) {
         self.update_linear_task(gains, inputs);
         self.update_angular_tasks(inputs);
+        if let Some(contact) = inputs.contact {
+            self.update_contact_columns(inputs, contact);
+        }
+        if !self.jets_act {
+            self.task.columns_mut(0, inputs.thrust.len()).fill(0.0);
+        }
         self.update_cost(inputs);
+        if let Some(contact) = inputs.contact.filter(|contact| contact.is_active) {
+            self.add_feet(robot, inputs, contact);
+        }
         self.update_bounds(robot, inputs.state, inputs.thrust);
     }
 
@@ -127,6 +160,7 @@ impl MomentumQp {
     fn update_linear_task(&mut self, gains: &MomentumGains, inputs: &TaskInputs) {
         let TaskInputs { kinematics, dynamics, momentum, reference, .. } = inputs;
         let jets = momentum.a_t.ncols();
+        let first_joint = jets + self.forces;
         let mass = kinematics.mass();
         let base_velocity = inputs.state.velocity.fixed_rows::<6>(0);
         for axis in 0..3 {
@@ -136,7 +170,7 @@ impl MomentumQp {
                 self.task[(axis, jet)] = momentum.a_t[(axis, jet)];
             }
             for column in 6..momentum.lambda.ncols() {
-                self.task[(axis, jets + column - 6)] =
+                self.task[(axis, first_joint + column - 6)] =
                     momentum.lambda[(axis, column)] + k * dynamics.momentum_matrix[(axis, column)];
             }
             let mut base_motion = 0.0;
@@ -164,7 +198,7 @@ impl MomentumQp {
         for column in 6..momentum.lambda.ncols() {
             let lambda: Vector3<f64> = momentum.lambda.fixed_view::<3, 1>(3, column).into();
             let a_ang: Vector3<f64> = dynamics.momentum_matrix.fixed_view::<3, 1>(3, column).into();
-            let unknown = jets + column - 6;
+            let unknown = jets + self.forces + column - 6;
             self.task.fixed_view_mut::<3, 1>(3, unknown).copy_from(&(b_from_i * lambda));
             self.task.fixed_view_mut::<3, 1>(6, unknown).copy_from(&(b_from_i * a_ang));
         }
@@ -177,10 +211,53 @@ impl MomentumQp {
         self.offset.fixed_rows_mut::<3>(6).copy_from(&((inertia_b - inputs.inertia_0_b) * w));
     }
 
+    /// `A_c` in the momentum and attitude rows; zero while the feet do not carry.
+    fn update_contact_columns(&mut self, inputs: &TaskInputs, contact: &Contact) {
+        let jets = inputs.thrust.len();
+        let mut columns = self.task.columns_mut(jets, self.forces);
+        columns.fill(0.0);
+        if !contact.is_active {
+            return;
+        }
+        let b_from_i = inputs.kinematics.bodies[0].i_from_b.rotation.transpose();
+        for (mut column, a_c) in columns.column_iter_mut().zip(contact.a_c.column_iter()) {
+            let moment: Vector3<f64> = a_c.fixed_rows::<3>(3).into();
+            column.fixed_rows_mut::<3>(0).copy_from(&a_c.fixed_rows::<3>(0));
+            column.fixed_rows_mut::<3>(3).copy_from(&(b_from_i * moment));
+        }
+    }
+
+    /// `w |J_c,s ṡ + J_c,b ν_B|²`, over the joints of each leg alone.
+    fn add_feet(&mut self, robot: &RobotModel, inputs: &TaskInputs, contact: &Contact) {
+        let BoxQp { h, g, .. } = &mut self.problem;
+        let first_joint = inputs.thrust.len() + self.forces;
+        let jacobian = &contact.jacobian_transposed;
+        for (index, foot) in robot.feet.iter().enumerate() {
+            let chain = inputs.kinematics.chain(foot.frame.body);
+            for row in WRENCH * index..WRENCH * (index + 1) {
+                let of_row = jacobian.column(row);
+                let base: f64 = of_row.rows(0, 6).dot(&inputs.state.velocity.rows(0, 6));
+                for &a in chain {
+                    let weighted = self.foot_weight * of_row[6 + a];
+                    g[first_joint + a] += weighted * base;
+                    for &b in chain {
+                        h[(first_joint + a, first_joint + b)] += weighted * of_row[6 + b];
+                    }
+                }
+            }
+        }
+        // Each product was rounded in its own order; solvers take H to be exactly symmetric.
+        for column in first_joint..h.ncols() {
+            for row in first_joint..column {
+                h[(column, row)] = h[(row, column)];
+            }
+        }
+    }
+
     /// `H = Σ w Gᵀ G + diagonal`, `g = Σ w Gᵀ offset`.
     fn update_cost(&mut self, inputs: &TaskInputs) {
         let n = self.task.ncols();
-        let jets = n - inputs.posture.len();
+        let first_joint = n - inputs.posture.len();
         let BoxQp { h, g, .. } = &mut self.problem;
         for column in 0..n {
             let weighted = self.task.column(column).component_mul(&self.row_weights);
@@ -204,7 +281,7 @@ impl MomentumQp {
         }
         for joint in 0..inputs.posture.len() {
             let error = inputs.state.joint_position[joint] - inputs.posture[joint];
-            g[jets + joint] += self.posture_weight * self.posture_gain[joint] * error;
+            g[first_joint + joint] += self.posture_weight * self.posture_gain[joint] * error;
         }
     }
 
@@ -216,8 +293,12 @@ impl MomentumQp {
                 rate_bounds(thrust[index], limits, self.thrust_rate_max[index], self.thrust_steepness);
         }
         let jets = robot.jets.len();
+        for unknown in jets..jets + self.forces {
+            (lower[unknown], upper[unknown]) = (-self.force_rate_max, self.force_rate_max);
+        }
+        let first_joint = jets + self.forces;
         for (index, joint) in robot.joints.iter().enumerate() {
-            (lower[jets + index], upper[jets + index]) = rate_bounds(
+            (lower[first_joint + index], upper[first_joint + index]) = rate_bounds(
                 state.joint_position[index],
                 joint.limits,
                 self.joint_velocity_max,

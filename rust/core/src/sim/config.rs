@@ -7,6 +7,7 @@ use crate::error::{BuildError, check};
 use crate::jets::{JetFaultsConfig, JetsConfig};
 use crate::kinematics::RobotState;
 use crate::robot::RobotModel;
+use crate::sim::ground::{GroundConfig, MotorsConfig};
 use crate::sim::wind::WindConfig;
 use crate::spatial::{Pose, rotation_from_rpy};
 use nalgebra::{DVector, Vector3};
@@ -36,6 +37,9 @@ pub struct FlightConfig {
     pub envelope: EnvelopeConfig,
     /// The wind, felt by the robot and told to the controller.
     pub wind: WindConfig,
+    /// A wind that the controller is told of in place of the one that blows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fictitious_wind: Option<WindConfig>,
 }
 
 /// Who flies a configuration.
@@ -47,6 +51,8 @@ pub enum Engine {
     Rust,
     /// The batched, differentiable simulation in Python.
     Jax,
+    /// MuJoCo, in Python: the one that knows the ground.
+    Mujoco,
 }
 
 impl Engine {
@@ -86,6 +92,12 @@ pub struct SimulatorConfig {
     /// What is wrong with the jets.
     #[serde(default, skip_serializing_if = "JetFaultsConfig::is_default")]
     pub jet_faults: JetFaultsConfig,
+    /// The ground, where there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ground: Option<GroundConfig>,
+    /// Friction and inertia of the motors; without them, ideal torques.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motors: Option<MotorsConfig>,
     /// State at the beginning.
     pub initial: InitialConfig,
     /// When a flight counts as lost.
@@ -172,6 +184,12 @@ impl SimulatorConfig {
             |x| 0.0 < x && x <= 180.0,
             "degrees in (0, 180]",
         )?;
+        if let Some(ground) = &self.ground {
+            ground.check()?;
+        }
+        if let Some(motors) = &self.motors {
+            motors.check(robot)?;
+        }
         if !(1..=1000).contains(&self.substeps) {
             return Err(BuildError::bad_value(
                 "simulator.substeps",

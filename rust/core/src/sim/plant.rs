@@ -46,7 +46,7 @@ impl Plant {
         config.check(&robot)?;
         let n = 6 + robot.joints.len();
         let mut plant = Self {
-            aero: AeroModel::new(&config.aero, &robot.aero_links)?,
+            aero: AeroModel::new(&config.aero, &robot)?,
             aero_factors: ForceFactors::new(
                 &config.aero_factors,
                 &robot.aero_links,
@@ -117,7 +117,7 @@ impl Plant {
                 kinematics
             }
         };
-        self.link_forces.update(&self.robot, placed, self.conventions, &self.aero, wind_i);
+        self.link_forces.update(&self.robot, placed, self.conventions, &mut self.aero, wind_i);
         self.aero_factors.apply(&mut self.link_forces);
     }
 

@@ -36,7 +36,7 @@ pub struct ClarabelSolver {
 }
 
 /// Rows `A x + slack = b` that carry the bounds.
-struct Bound {
+pub(super) struct Bound {
     variable: usize,
     /// `+1` for `x ≤ b`, `−1` for `−x ≤ b`; fixed variables have `x = b`.
     sign: f64,
@@ -86,25 +86,10 @@ impl ClarabelSolver {
             return QpAnswer::refused(QpStatus::NotPositiveDefinite);
         }
         let (fixed, bounds) = bound_rows(qp);
-        let Some(solution) = run_clarabel(qp, &fixed, &bounds) else {
+        let Some(solution) = run_clarabel(qp, &fixed, &bounds, &GeneralRows::default()) else {
             return QpAnswer::refused(QpStatus::Breakdown);
         };
-        let otherwise = match solution.status {
-            SolverStatus::Solved | SolverStatus::AlmostSolved => QpStatus::Inaccurate,
-            SolverStatus::MaxIterations => QpStatus::IterationLimit,
-            // The first two happen at the edge of double precision; the point is often good and the
-            // certificate decides. The rest cannot happen with finite data, checked bounds, a definite
-            // H, no time limit and no callback: a wrong claim is a breakdown too.
-            SolverStatus::InsufficientProgress
-            | SolverStatus::NumericalError
-            | SolverStatus::Unsolved
-            | SolverStatus::PrimalInfeasible
-            | SolverStatus::DualInfeasible
-            | SolverStatus::AlmostPrimalInfeasible
-            | SolverStatus::AlmostDualInfeasible
-            | SolverStatus::MaxTime
-            | SolverStatus::CallbackTerminated => QpStatus::Breakdown,
-        };
+        let otherwise = unless_certified(solution.status);
         let mut x = clamped(qp, &solution.x);
         if self.polish {
             x = polished(qp, x);
@@ -118,7 +103,7 @@ impl ClarabelSolver {
 }
 
 /// Fixed variables (equations) and finite bounds (inequalities), in this order the rows of Clarabel.
-fn bound_rows(qp: &BoxQp) -> (Vec<Bound>, Vec<Bound>) {
+pub(super) fn bound_rows(qp: &BoxQp) -> (Vec<Bound>, Vec<Bound>) {
     let (mut fixed, mut bounds) = (Vec::new(), Vec::new());
     for (variable, (&lower, &upper)) in qp.lower.iter().zip(qp.upper.iter()).enumerate() {
         if lower >= upper {
@@ -135,10 +120,45 @@ fn bound_rows(qp: &BoxQp) -> (Vec<Bound>, Vec<Bound>) {
     (fixed, bounds)
 }
 
+/// What a point is called that misses the certificate.
+pub(super) fn unless_certified(status: SolverStatus) -> QpStatus {
+    match status {
+        SolverStatus::Solved | SolverStatus::AlmostSolved => QpStatus::Inaccurate,
+        SolverStatus::MaxIterations => QpStatus::IterationLimit,
+        // The first two happen at the edge of double precision; the point is often good and the
+        // certificate decides. The rest cannot happen with finite data, checked bounds, a definite
+        // H, no time limit and no callback: a wrong claim is a breakdown too.
+        SolverStatus::InsufficientProgress
+        | SolverStatus::NumericalError
+        | SolverStatus::Unsolved
+        | SolverStatus::PrimalInfeasible
+        | SolverStatus::DualInfeasible
+        | SolverStatus::AlmostPrimalInfeasible
+        | SolverStatus::AlmostDualInfeasible
+        | SolverStatus::MaxTime
+        | SolverStatus::CallbackTerminated => QpStatus::Breakdown,
+    }
+}
+
+/// Inequalities `Cᵀ x ≤ limit` that stand below the bounds.
+#[derive(Default)]
+pub(super) struct GeneralRows {
+    /// Row, variable and value of the entries that are not zero.
+    pub entries: Vec<(usize, usize, f64)>,
+    /// Right-hand sides.
+    pub limits: Vec<f64>,
+}
+
 /// `None` if Clarabel refuses the data.
-fn run_clarabel(qp: &BoxQp, fixed: &[Bound], bounds: &[Bound]) -> Option<DefaultSolution<f64>> {
+pub(super) fn run_clarabel(
+    qp: &BoxQp,
+    fixed: &[Bound],
+    bounds: &[Bound],
+    general: &GeneralRows,
+) -> Option<DefaultSolution<f64>> {
     let n = qp.len();
     let rows = || fixed.iter().chain(bounds);
+    let GeneralRows { entries, limits } = general;
     let (mut p_rows, mut p_columns, mut p_values) = (Vec::new(), Vec::new(), Vec::new());
     for j in 0..n {
         for i in 0..=j {
@@ -148,15 +168,16 @@ fn run_clarabel(qp: &BoxQp, fixed: &[Bound], bounds: &[Bound]) -> Option<Default
         }
     }
     let p = CscMatrix::new_from_triplets(n, n, p_rows, p_columns, p_values);
+    let above = fixed.len() + bounds.len();
     let a = CscMatrix::new_from_triplets(
-        fixed.len() + bounds.len(),
+        above + limits.len(),
         n,
-        (0..fixed.len() + bounds.len()).collect(),
-        rows().map(|row| row.variable).collect(),
-        rows().map(|row| row.sign).collect(),
+        (0..above).chain(entries.iter().map(|(row, _, _)| above + row)).collect(),
+        rows().map(|row| row.variable).chain(entries.iter().map(|(_, variable, _)| *variable)).collect(),
+        rows().map(|row| row.sign).chain(entries.iter().map(|(_, _, value)| *value)).collect(),
     );
-    let b: Vec<f64> = rows().map(|row| row.b).collect();
-    let cones = [ZeroConeT(fixed.len()), NonnegativeConeT(bounds.len())];
+    let b: Vec<f64> = rows().map(|row| row.b).chain(limits.iter().copied()).collect();
+    let cones = [ZeroConeT(fixed.len()), NonnegativeConeT(bounds.len() + limits.len())];
     let settings = DefaultSettings {
         verbose: false,
         max_iter: ITERATION_LIMIT,
@@ -235,7 +256,7 @@ fn gradient(qp: &BoxQp, x: &[f64]) -> Vec<f64> {
 }
 
 /// Inside the bounds; a NaN stays one.
-fn clamped(qp: &BoxQp, x: &[f64]) -> Vec<f64> {
+pub(super) fn clamped(qp: &BoxQp, x: &[f64]) -> Vec<f64> {
     let bounds = qp.lower.iter().zip(qp.upper.iter());
     x.iter().zip(bounds).map(|(x, (&lower, &upper))| x.clamp(lower, upper)).collect()
 }

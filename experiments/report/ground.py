@@ -1,0 +1,97 @@
+"""What a report says about a ground experiment, from its `run.nc`: what moved, where to, whether sums are right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from experiments import record
+
+GRAVITY = 9.81
+VISIBLE = 1e-3
+"""Way of the CoM that one can see in a figure [m]."""
+CALM = 3.0
+"""Length of the calm before the wind, and of the end, that means are taken over [s]."""
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Ground:
+    """One ground experiment in numbers."""
+
+    name: str
+    completed: bool
+    ending: str
+    always_carried: bool
+    shift: Vector
+    """(3,) way of the CoM from before the wind to the end [m]."""
+    force: Vector
+    """(3,) total force the controller assumes at the end [N]."""
+    left_leg: dict[str, float]
+    """Way of each joint of the left leg, without its side [deg]."""
+    rate_peak: float
+    """Greatest horizontal momentum rate the controller estimates, once the wind rises [N]."""
+    rate_end: float
+    onset: float
+    """From the start of the ramp to the first visible motion of the CoM [s]; NaN without one."""
+    identity: float
+    """Greatest violation of "rate = foot forces + aerodynamic forces − weight" [N]."""
+    vertical: tuple[float, float]
+    """Vertical foot forces f_c* less the weight, and less the weight and the aerodynamic lift, at the end [N]."""
+
+
+def read(folder: Path, mass: float) -> Ground | None:
+    """Return the numbers of a result folder, or `None` where no robot stood."""
+    document = record.read_manifest(folder)
+    if document is None:
+        return None
+    with xr.open_dataset(folder / record.RUN_FILE, engine="h5netcdf") as opened:
+        if "contact_force" not in opened or "fictitious_wind" not in document["config"]:
+            return None
+        start = float(document["config"]["fictitious_wind"].get("ramp_start", 0.0))
+        return measure(folder.name, opened.load(), start, mass)
+
+
+def measure(name: str, run: xr.Dataset, ramp_start: float, mass: float) -> Ground:
+    """Return the numbers of a run whose wind starts to rise at `ramp_start` [s]."""
+    time: Vector = run["time"].values
+    calm = (time >= ramp_start - CALM) & (time < ramp_start)
+    end, windy = time >= time[-1] - CALM, time >= ramp_start
+
+    def way(signal: Vector) -> Vector:
+        return np.asarray(signal[end].mean(axis=0) - signal[calm].mean(axis=0))
+
+    com = (run["com_position"] - run["com_reference"]).values
+    moved = np.linalg.norm(com - com[calm].mean(axis=0), axis=1) > VISIBLE
+    force = run["aero_force_control"].sum("link").values
+    feet = run["contact_force"].sum("foot").values[:, :3]
+    rate = run["momentum_rate_estimate"].values[:, :3]
+    expected = feet + force - np.array([0.0, 0.0, mass * GRAVITY])
+    horizontal = np.linalg.norm(rate[:, :2], axis=1)
+    joints = [str(joint) for joint in run["joint"].values]
+    turned = np.degrees(way(run["joint_position"].values))
+    fell = run.attrs["outcome"] != "completed"
+    vertical = float((feet[end, 2] - mass * GRAVITY).mean())
+    return Ground(
+        name=name,
+        completed=not fell,
+        ending=f"fell at {run.attrs['fall_time']:.1f} s ({run.attrs['fall_reason']})" if fell else "stands to the end",
+        always_carried=bool((run["feet_carry"].values == 1).all()),
+        shift=way(com),
+        force=np.asarray(force[end].mean(axis=0)),
+        left_leg={
+            joint.removeprefix("l_"): float(turned[index])
+            for index, joint in enumerate(joints)
+            if str(run["joint_group"].values[index]) == "left_leg"
+        },
+        rate_peak=float(horizontal[windy].max()),
+        rate_end=float(horizontal[end].mean()),
+        onset=float(time[windy & moved][0] - ramp_start) if (windy & moved).any() else np.nan,
+        identity=float(np.abs(rate - expected)[run["feet_carry"].values == 1].max(initial=0.0)),
+        vertical=(vertical, vertical + float(force[end, 2].mean())),
+    )

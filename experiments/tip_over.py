@@ -1,0 +1,220 @@
+"""What wind tips a standing robot over: the wind really blows, and the controller is told of it, or of still air.
+
+`python -m experiments tip-over [NAME]` reads `configs/tip_over/NAME.toml` (default ground), and seeks for every
+direction of the wind, by halving the interval, the speed from which on the robot does not stand to the end of a trial.
+A trial that was made is kept beside the result until the study is finished: an interrupted study goes on where it
+stopped. The result goes to `results/tip_over/NAME/`; `python -m paper_figs tip_over` draws it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from tqdm import tqdm
+
+from experiments import Refused, engines, study
+from jax_aero import reference
+
+KEYS: Mapping[str, Any] = {
+    "title": str,
+    "experiment": str,
+    "duration": (int, float),
+    "ramp": list,
+    "directions_deg": list,
+    "speeds": list,
+    "resolution": (int, float),
+    "friction": list,
+}
+FEEDBACK = ("told of the wind", "told of still air")
+STILL = {"profile": "constant", "velocity": [0.0, 0.0, 0.0]}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    parser = argparse.ArgumentParser(prog="python -m experiments tip-over", description=__doc__)
+    parser.add_argument("name", nargs="?", default="ground", help="a file stem in configs/tip_over, or a path")
+    given = parser.parse_args(arguments)
+    try:
+        document = run(study.find("tip_over", given.name))
+    except Refused as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted; the trials made so far are kept, the same command goes on", file=sys.stderr)
+        return 130
+    for key, value in document["summary"].items():
+        print(f"{key:<60} {value if value is None else format(value, '.4g')}")
+    return 0
+
+
+def run(path: Path, results: Path = study.RESULTS) -> dict[str, Any]:
+    """Make every trial that is not made yet, write, return the manifest."""
+    table = study.read(path)
+    study.check_keys(path, table, KEYS)
+    base = reference.load_config((path.parent / table["experiment"]).resolve())
+    digest = study.digest({**table, "experiment": reference.config_digest(base)}, [])
+    folder = results / "tip_over" / path.stem
+    trials = Trials(folder.with_name(f".{path.stem}.trials.json"))
+    started = time.perf_counter()
+    low, high = table["speeds"]
+    shape = (len(FEEDBACK), len(table["friction"]), len(table["directions_deg"]))
+    limit, slips = np.full(shape, np.nan), np.zeros(shape, dtype=np.int8)
+    force = np.full((*shape, 3), np.nan)
+    cells = list(np.ndindex(shape))
+    steps = int(np.ceil(np.log2((high - low) / table["resolution"])))
+    with tqdm(total=len(cells) * (steps + 2), unit="trial", disable=not sys.stderr.isatty()) as bar:
+        for cell in cells:
+            feedback, friction, direction = cell
+
+            def stands(
+                speed: float, told: bool = feedback == 0, friction: int = friction, direction: int = direction
+            ) -> dict[str, Any]:
+                bar.update()
+                config = trial(
+                    base, table, speed, table["directions_deg"][direction], table["friction"][friction], told=told
+                )
+                return trials.make(config)
+
+            found = seek(stands, low, high, table["resolution"])
+            limit[cell] = found["speed"]
+            slips[cell] = found["slipped"]
+            force[cell] = found["force"]
+    dataset = to_dataset(table, limit, slips, force)
+    dataset.attrs["config_hash"] = digest
+    document = study.build_manifest(
+        path.stem,
+        table["title"],
+        {**table, "experiment": base},
+        digest,
+        summary=figures(dataset),
+        timings={"this call": time.perf_counter() - started},
+        engine="mujoco",
+    )
+    study.write(folder, dataset, document)
+    trials.path.unlink(missing_ok=True)
+    return document
+
+
+class Trials:
+    """The trials of a study made so far, by the digests of their configurations."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._made: dict[str, dict[str, Any]] = {}
+        if path.is_file():
+            self._made = json.loads(path.read_text(encoding="utf-8"))
+
+    def make(self, config: reference.Config) -> dict[str, Any]:
+        """Return how a trial ended; make it if it was not made."""
+        key = reference.config_digest(config)
+        if key not in self._made:
+            self._made[key] = _outcome(engines.engine("mujoco").fly(config))
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            draft = self.path.with_suffix(".draft")
+            draft.write_text(json.dumps(self._made), encoding="utf-8")
+            draft.replace(self.path)
+        return self._made[key]
+
+
+def trial(
+    base: reference.Config, table: Mapping[str, Any], speed: float, direction_deg: float, friction: float, *, told: bool
+) -> reference.Config:
+    """Return the configuration of one trial."""
+    angle = np.radians(direction_deg)
+    # 0 blows from ahead of a robot that looks along +x, 90 from its left, which is +y.
+    velocity = [-speed * float(np.cos(angle)), -speed * float(np.sin(angle)), 0.0]
+    start, end = table["ramp"]
+    wind = {"profile": "ramp", "velocity": velocity, "ramp_start": start, "ramp_end": end}
+    config = {**base, "wind": wind, "fictitious_wind": wind if told else STILL}
+    ground = {**base["simulator"]["ground"], "friction": friction}
+    config["simulator"] = {**base["simulator"], "duration": float(table["duration"]), "ground": ground}
+    return config
+
+
+def _outcome(flight: reference.Flight) -> dict[str, Any]:
+    log = flight.log
+    carried = log["foot_wrench"][:, :, 2].sum(axis=1) > 1.0
+    return {
+        "stands": flight.outcome == "completed",
+        "fall_time": flight.fall_time,
+        "com_error": float(np.linalg.norm(log["com_position"] - log["com_reference"], axis=1).max()),
+        "force": log["aero_force_sim"].sum(axis=1)[carried][-1].tolist() if carried.any() else [0.0, 0.0, 0.0],
+        "slipped": bool(_slip(log) > SLIP),
+    }
+
+
+SLIP = 0.02
+"""A sole that has moved further than this along the ground before the robot tips has slipped [m]."""
+
+
+def _slip(log: Mapping[str, Any]) -> float:
+    """Greatest way of a sole along the ground while both carry their share [m]."""
+    shift = np.linalg.norm((log["sole_position"] - log["sole_position"][0])[:, :, :2], axis=2).max(axis=1)
+    both = (log["foot_wrench"][:, :, 2] > 20.0).all(axis=1)
+    return float(shift[both].max(initial=0.0))
+
+
+def seek(stands: Any, low: float, high: float, resolution: float) -> dict[str, Any]:
+    """Halve the interval between a speed that is stood and one that is not; the answer is the greatest that is stood.
+
+    NaN where even the lowest tips the robot; the highest tried where nothing does.
+    """
+    lost = stands(high)
+    held = stands(low)
+    if lost["stands"]:
+        return {**lost, "speed": high}
+    if not held["stands"]:
+        return {**held, "speed": np.nan}
+    while high - low > resolution:
+        middle = 0.5 * (low + high)
+        outcome = stands(middle)
+        if outcome["stands"]:
+            low, held = middle, outcome
+        else:
+            high, lost = middle, outcome
+    return {"speed": low, "slipped": lost["slipped"], "force": held["force"]}
+
+
+def to_dataset(table: Mapping[str, Any], limit: Any, slips: Any, force: Any) -> xr.Dataset:
+    """Label the limits."""
+    dims = ("feedback", "friction", "direction")
+    return xr.Dataset(
+        {
+            "speed": (dims, limit, {"units": "m s-1", "long_name": "greatest wind the robot stands in"}),
+            "slips": (dims, slips, {"units": "1", "long_name": "whether it slips rather than tips beyond"}),
+            "force": ((*dims, "xyz"), force, {"units": "N", "long_name": "aerodynamic force at that wind"}),
+        },
+        {
+            "feedback": list(FEEDBACK),
+            "friction": table["friction"],
+            "direction": ("direction", table["directions_deg"], {"units": "deg", "long_name": "0 from ahead"}),
+            "xyz": ["x", "y", "z"],
+        },
+        {"title": table["title"], "resolution": float(table["resolution"])},
+    )
+
+
+def figures(dataset: xr.Dataset) -> dict[str, float | None]:
+    """Return the limits by name."""
+    return dict(_figures(dataset))
+
+
+def _figures(dataset: xr.Dataset) -> Iterator[tuple[str, float | None]]:
+    for feedback in dataset["feedback"].values.tolist():
+        for friction in dataset["friction"].values.tolist():
+            for direction in dataset["direction"].values.tolist():
+                value = float(dataset["speed"].sel(feedback=feedback, friction=friction, direction=direction))
+                key = f"{feedback}, friction {friction:g}, from {direction:g} deg [m/s]"
+                yield key, None if np.isnan(value) else value
+
+
+if __name__ == "__main__":
+    sys.exit(main())

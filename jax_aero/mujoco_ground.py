@@ -1,0 +1,368 @@
+"""A robot that stands: MuJoCo's contact under our robot, the Rust controller in the loop.
+
+```text
+observe   state and foot wrenches of MuJoCo at x_k; aerodynamic forces of the wind that blows
+control   torques from what the controller is told: the state, what the feet feel, and perhaps another wind
+record    and stop if the robot has tipped over
+advance   sub-steps of MuJoCo to x_{k+1} under held torques and forces
+```
+
+The crate simulates no ground; this is the engine that does. A foot touches with the corners of its sole, small spheres
+whose lowest points are those of the robot's file. Joints have no stops, as in the crate's plant.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import mujoco  # type: ignore[import-untyped]
+import numpy as np
+from numpy.typing import NDArray
+
+from jax_aero import mujoco_door, reference
+
+Array = NDArray[np.float64]
+
+CORNER_RADIUS = 0.005
+"""Radius of the spheres at the corners of a sole [m]."""
+HOLD_STIFFNESS, HOLD_DAMPING = 4000.0, 60.0
+"""Of the joints while the robot is put down [N m/rad, N m s/rad]."""
+SETTLING_TIME = 3.0
+"""Start of a run that its summary leaves out, as the crate does [s]."""
+
+
+class Observed(NamedTuple):
+    """What the world is like at a tick."""
+
+    state: reference.State
+    foot_wrenches: Array
+    """(feet, 6) [N, N m] about the origin of each sole, force first, inertial axes."""
+    joint_torque: Array
+    """(n,) [N m] that reaches the joints: what the motors give, less their friction."""
+    aero_force: Array
+    """(links, 3) [N]."""
+    soles: Array
+    """(feet, 3) origins of the soles [m]."""
+
+
+class GroundPlant:
+    """The standing robot as MuJoCo sees it.
+
+    Parameters
+    ----------
+    config
+        A resolved configuration with `simulator.ground`.
+    """
+
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        self.source: str = config["robot"]
+        self.robot = reference.Robot(self.source)
+        self._table = tomllib.loads(Path(self.source).read_text(encoding="utf-8"))
+        simulator = config["simulator"]
+        self._aero = simulator["aero"]
+        self._substeps: int = simulator["substeps"]
+        self.model = _model(self.source, simulator)
+        self.data = mujoco.MjData(self.model)
+        self._order = mujoco_door.order_of(self.source, tuple(self.robot.joint_names))
+        self._soles = [self.model.site(f"foot_{foot['name']}").id for foot in self._table["feet"]]
+        self._foot_of_geom = {
+            self.model.geom(f"{foot['name']}_{corner}").id: index
+            for index, foot in enumerate(self._table["feet"])
+            for corner in range(len(foot["vertices"]))
+        }
+        self._links = [self.model.site(f"aero_{link['name']}").id for link in self._table["aero_links"]]
+        self._stand(simulator["initial"], simulator["ground"]["settling"])
+
+    def _stand(self, initial: Mapping[str, Any], settling: float) -> None:
+        """Put the robot down with stiff joints; what is left is at rest but for rounding."""
+        qpos, model = self.data.qpos, self.model
+        qpos[:3] = initial["base_position"]
+        mujoco.mju_euler2Quat(qpos[3:7], np.radians(initial["base_rpy_deg"]), "XYZ")
+        qpos[self._order.joints] = initial["joint_position"]
+        model.jnt_stiffness[1:] = HOLD_STIFFNESS
+        model.qpos_spring[:] = qpos
+        own_damping = model.dof_damping.copy()
+        model.dof_damping[6:] = HOLD_DAMPING
+        for _ in range(round(settling / model.opt.timestep)):
+            mujoco.mj_step(model, self.data)
+        self.data.qfrc_actuator[:] = self.data.qfrc_passive  # what held the joints, for the first measurement
+        held = self.data.qfrc_passive[self._order.dofs[6:]].copy()
+        model.jnt_stiffness[:] = 0.0
+        model.dof_damping[:] = own_damping
+        self.data.time = 0.0
+        self.data.ctrl[:] = held
+        mujoco.mj_forward(model, self.data)
+
+    def observe(self, wind: Array) -> Observed:
+        """Return what is there at this tick, in a wind [m/s, inertial axes], and hold its forces."""
+        model, data, order = self.model, self.data, self._order
+        mujoco.mj_forward(model, data)
+        rotation = data.xmat[order.bodies[0]].reshape(3, 3).copy()
+        nu = data.qvel[order.dofs]
+        nu[3:6] = rotation @ nu[3:6]  # the angular part is in body axes there
+        state = reference.State(data.qpos[:3].copy(), rotation, data.qpos[order.joints], nu)
+        torque = (data.qfrc_actuator + data.qfrc_passive + self._dry_friction())[order.dofs[6:]]
+        return Observed(
+            state, self._foot_wrenches(), torque, self._blow(state, wind), data.site_xpos[self._soles].copy()
+        )
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether every number of the state is finite."""
+        return bool(np.isfinite(self.data.qpos).all() and np.isfinite(self.data.qvel).all())
+
+    def advance(self, torque: Array) -> None:
+        """Advance one tick under held torques [N m]."""
+        self.data.ctrl[:] = torque
+        mujoco.mj_step(self.model, self.data, self._substeps)
+
+    def _foot_wrenches(self) -> Array:
+        data = self.data
+        wrenches, count = np.zeros((len(self._soles), 6)), data.ncon
+        if count == 0:
+            return wrenches
+        local = np.zeros((count, 6))
+        for index in range(count):
+            mujoco.mj_contactForce(self.model, data, index, local[index])
+        contact = data.contact
+        feet = [self._foot_of_geom[geom] for geom in contact.geom2.tolist()]
+        # The rows of a contact's frame are its axes; a corner that touches has no moment of its own.
+        force = (contact.frame.reshape(-1, 3, 3) * local[:, :3, None]).sum(axis=1)
+        arm = contact.pos - data.site_xpos[self._soles][feet]
+        np.add.at(wrenches, feet, np.hstack([force, np.cross(arm, force)]))
+        return wrenches
+
+    def _dry_friction(self) -> Array:
+        """Generalised force of dry friction, which MuJoCo solves for as a constraint."""
+        data, force = self.data, np.zeros(self.model.nv)
+        rows = np.flatnonzero(data.efc_type[: data.nefc] == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
+        force[data.efc_id[rows]] = data.efc_force[rows]
+        return force
+
+    def _blow(self, state: reference.State, wind: Array) -> Array:
+        """Compute the link forces in a wind and apply them until the next tick."""
+        model, data = self.model, self.data
+        forces = reference.link_forces(self.robot, self._aero, state, wind)
+        data.qfrc_applied[:] = 0.0
+        nothing = np.zeros(3)
+        for site, force in zip(self._links, forces, strict=True):
+            body = model.site_bodyid[site]
+            mujoco.mj_applyFT(model, data, force, nothing, data.site_xpos[site], body, data.qfrc_applied)
+        return forces
+
+
+def _model(source: str, simulator: Mapping[str, Any]) -> Any:
+    """MuJoCo's model of the robot on a plane, with the motors of the configuration."""
+    ground, motors = simulator["ground"], simulator.get("motors", {})
+    table = tomllib.loads(Path(source).read_text(encoding="utf-8"))
+    spec = mujoco_door.mujoco_spec(source)
+    option = spec.option
+    # Without the reset, a run that blows up ends there instead of starting over.
+    disabled = mujoco.mjtDisableBit.mjDSBL_LIMIT, mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    option.disableflags = sum(int(bit) for bit in disabled)
+    option.timestep = simulator["time_step"] / simulator["substeps"]
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.impratio = 100.0  # hardly any creep along the ground
+    option.tolerance = 1e-10
+    for geom in spec.geoms:
+        geom.contype = geom.conaffinity = 0
+    contact = {
+        "friction": [ground["friction"], 0.005, 0.0001],
+        "solref": [ground["contact_time"], 1.0],
+        "solimp": [0.95, 0.99, 0.001, 0.5, 2.0],
+    }
+    spec.worldbody.add_geom(
+        name="ground",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0.0, 0.0, 1.0],
+        contype=0,
+        conaffinity=1,
+        condim=3,
+        **contact,
+    )
+    for foot in table["feet"]:
+        body = spec.body(foot["frame"])
+        body.add_site(name=f"foot_{foot['name']}")
+        for corner, vertex in enumerate(foot["vertices"]):
+            body.add_geom(
+                name=f"{foot['name']}_{corner}",
+                type=mujoco.mjtGeom.mjGEOM_SPHERE,
+                size=[CORNER_RADIUS, 0.0, 0.0],
+                pos=np.add(vertex, [0.0, 0.0, CORNER_RADIUS]),
+                mass=0.0,
+                contype=1,
+                conaffinity=0,
+                condim=3,
+                **contact,
+            )
+    model = spec.compile()
+    model.dof_frictionloss[6:] = motors.get("friction", 0.0)
+    for joint, friction in motors.get("friction_of", {}).items():
+        model.joint(joint).frictionloss[:] = friction
+    # Dry friction is a soft constraint there, softened by the inertia of the limb alone: as it comes, an ankle that
+    # carries the robot creeps at degrees per second below its breakaway torque.
+    model.dof_solref[6:] = [2.0 * option.timestep, 1.0]
+    model.dof_solimp[6:] = [0.9999, 0.9999, 0.001, 0.5, 2.0]
+    model.dof_damping[6:] = motors.get("damping", 0.0)
+    model.dof_armature[6:] = motors.get("inertia", 0.0)
+    return model
+
+
+def fly(config: Mapping[str, Any], progress: reference.Progress | None = None) -> reference.Flight:
+    """Let the robot of a configuration stand, to the end or until it tips over.
+
+    Returns what `reference.fly` returns, with the signals of the ground besides: see `GROUND_SIGNALS` of
+    `experiments/record.py`.
+
+    Raises
+    ------
+    ValueError
+        If the configuration has no ground, or asks for what this engine does not know.
+    """
+    reference.check_config(config)
+    simulator = config["simulator"]
+    if "ground" not in simulator:
+        raise ValueError("`simulator.ground` is absent; expected a table: this engine flies nothing without ground")
+    for key in ("aero_factors", "jet_faults"):
+        if key in simulator:
+            raise ValueError(f"this engine does not know `simulator.{key}`")
+    if "wind_estimate" in config["controller"]:
+        raise ValueError("this engine does not know `controller.wind_estimate`")
+    plant, controller = GroundPlant(config), reference.Controller(config)
+    blowing = reference.wind_velocity(config["wind"], _times(simulator))
+    told = reference.wind_velocity(config.get("fictitious_wind", config["wind"]), _times(simulator))
+    thrust = np.asarray(simulator["initial"]["thrust"], dtype=np.float64)
+    rows: list[dict[str, Any]] = []
+    fall: tuple[float, str] | None = None
+    posture = None
+    for k, time in enumerate(_times(simulator)):
+        if not plant.is_sound:
+            fall = (time, "state not finite")
+            break
+        seen = plant.observe(blowing[k])
+        tick = controller.tick(seen.state, thrust, told[k], time, foot_wrenches=seen.foot_wrenches)
+        posture = tick.posture
+        row = _row(plant, seen, tick, time, thrust, blowing[k], told[k])
+        rows.append(row)
+        fall = _fall(row, simulator["fall"], time)
+        if fall is not None:
+            break
+        plant.advance(tick.joint_torque)
+        if progress is not None:
+            progress(k, len(blowing) - 1)
+    log = {name: np.array([row[name] for row in rows], dtype=np.float64) for name in rows[0]}
+    return reference.Flight(
+        log=log,
+        joint_reference=np.asarray(posture),
+        outcome="completed" if fall is None else "fell",
+        fall_time=None if fall is None else fall[0],
+        fall_reason=None if fall is None else fall[1],
+        summary=_summary(log),
+    )
+
+
+def _times(simulator: Mapping[str, Any]) -> Array:
+    ticks = int(np.floor(simulator["duration"] / simulator["time_step"] + 0.5))
+    return np.asarray(np.arange(ticks + 1) * float(simulator["time_step"]), dtype=np.float64)
+
+
+def _row(
+    plant: GroundPlant, seen: Observed, tick: reference.Tick, time: float, thrust: Array, wind: Array, told: Array
+) -> dict[str, Any]:
+    """Every signal of one tick."""
+    truth = reference.dynamics(plant.robot, seen.state)
+    position, rotation, joints, nu = (np.asarray(part) for part in seen.state)
+    desired = np.asarray(tick.reference.rotation)
+    wxyz = np.zeros(4)
+    mujoco.mju_mat2Quat(wxyz, rotation.ravel())
+    contact = tick.contact
+    if contact is None:
+        raise ValueError("`controller.contact` is absent; expected a table: without feet the controller cannot stand")
+    return {
+        "time": time,
+        "base_position": position,
+        "base_quaternion": wxyz if wxyz[0] >= 0.0 else -wxyz,
+        "base_velocity": nu[:6],
+        "base_rpy_reference": _rpy(desired),
+        "joint_position": joints,
+        "joint_velocity": nu[6:],
+        "com_position": truth.com_position,
+        "com_velocity": truth.momentum[:3] / plant.robot.mass,
+        "com_reference": np.asarray(tick.reference.com_position),
+        "rotation_error": _angle(desired.T @ rotation),
+        "thrust": thrust,
+        "thrust_rate": tick.thrust_rate,
+        "joint_velocity_command": tick.joint_velocity_command,
+        "joint_torque": tick.joint_torque,
+        "wind": wind,
+        "aero_force_sim": seen.aero_force,
+        "aero_force_control": tick.aero_force,
+        "momentum": truth.momentum,
+        "momentum_reference": np.append(plant.robot.mass * np.asarray(tick.reference.com_velocity), np.zeros(3)),
+        "momentum_rate_estimate": tick.momentum_rate_estimate,
+        "qp_status": [tick.momentum_answer.status_code, tick.torque_answer.status_code],
+        "qp_kkt": [tick.momentum_answer.kkt, tick.torque_answer.kkt],
+        "qp_iterations": [tick.momentum_answer.iterations, tick.torque_answer.iterations],
+        "wind_told": told,
+        "joint_torque_measured": seen.joint_torque,
+        "foot_wrench": seen.foot_wrenches,
+        "sole_position": seen.soles,
+        "feet_carry": float(contact.is_active),
+        "contact_force": contact.force,
+        "contact_force_rate": contact.force_rate,
+        "contact_force_torque": contact.force_of_torques,
+    }
+
+
+def _fall(row: Mapping[str, Any], limits: Mapping[str, float], time: float) -> tuple[float, str] | None:
+    """Judge as the crate does."""
+    angle = np.degrees(row["rotation_error"])
+    distance = float(np.linalg.norm(row["com_position"] - row["com_reference"]))
+    if not np.isfinite(angle) or not np.isfinite(distance):
+        return time, "state not finite"
+    if angle > limits["rotation_error_deg"]:
+        return time, f"rotation error {angle:.1f} deg"
+    if distance > limits["com_error"]:
+        return time, f"CoM error {distance:.2f} m"
+    return None
+
+
+def _summary(log: Mapping[str, Array]) -> dict[str, float]:
+    settled = log["time"] >= SETTLING_TIME
+    error = (log["com_position"] - log["com_reference"])[settled]
+    distance = np.linalg.norm(error, axis=1)
+    kkt = log["qp_kkt"][np.isfinite(log["qp_kkt"])]
+    greatest = np.abs(error).max(axis=0, initial=0.0)
+    return {
+        "max_com_error": float(distance.max(initial=0.0)),
+        "max_com_error_x": float(greatest[0]),
+        "max_com_error_y": float(greatest[1]),
+        "max_com_error_z": float(greatest[2]),
+        "max_rotation_error": float(log["rotation_error"].max()),
+        "thrust_min": float(log["thrust"].min()),
+        "thrust_max": float(log["thrust"].max()),
+        "max_torque": float(np.abs(log["joint_torque"]).max()),
+        "min_com_height": float(log["com_position"][:, 2].min()),
+        "ticks_without_solution": float((log["qp_status"] != 0).any(axis=1).sum()),
+        "max_aero_force": float(np.linalg.norm(log["aero_force_sim"].sum(axis=1), axis=1).max()),
+        "max_kkt": float(kkt.max(initial=0.0)),
+        "max_qp_iterations": float(log["qp_iterations"].max()),
+        "time_off_the_ground": float((log["feet_carry"] == 0).sum() * (log["time"][1] if len(settled) > 1 else 0.0)),
+    }
+
+
+def _angle(rotation: Array) -> float:
+    vee = 0.5 * np.array(
+        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+    )
+    return float(np.arctan2(np.linalg.norm(vee), 0.5 * (np.trace(rotation) - 1.0)))
+
+
+def _rpy(rotation: Array) -> Array:
+    """Roll, pitch, yaw; the reference never comes near gimbal lock."""
+    pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
+    return np.array([np.arctan2(rotation[2, 1], rotation[2, 2]), pitch, np.arctan2(rotation[1, 0], rotation[0, 0])])

@@ -1,0 +1,326 @@
+//! Force areas of all links at once, from a neural network of wind and posture.
+//!
+//! ```text
+//! card + weights, RobotModel ──new──► Network;   Kinematics, wind ──link_forces──► forces_i
+//! features ► Evaluator (mlp) ► scale, offset ► mean with the mirrored question ► base axes ► + baseline
+//! ```
+//!
+//! `card` reads what the weights mean, `tensors` the weights, `mirror` the robot's symmetry; `mlp`
+//! evaluates. Everything that a card or a file can get wrong is refused here, once; evaluating is
+//! total and allocates nothing.
+
+mod card;
+mod mirror;
+mod mlp;
+mod tensors;
+
+pub use card::{
+    Activation, Architecture, Baseline, Card, Feature, Inputs, Layout, Output, OutputFrame, Weights,
+};
+
+use super::axisymmetric_force;
+use crate::error::{BuildError, check};
+use crate::kinematics::Kinematics;
+use crate::robot::{AxisymmetricCoefficients, RobotModel};
+use mirror::{Mirror, reflect};
+use mlp::{Evaluator, Pair};
+use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+use tensors::Tensors;
+
+/// `h` \[m\]: over this distance a link passes from before another to behind it.
+const SHADOW_LENGTH: f64 = 0.05;
+/// `w` \[m\]: standard deviation of a link's shadow.
+const SHADOW_RADIUS: f64 = 0.10;
+
+/// Which network, and how it is evaluated.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NetworkConfig {
+    /// The network's JSON card; the weights lie beside it.
+    pub card: PathBuf,
+    /// Precision of the weighted sums.
+    #[serde(default)]
+    pub precision: Precision,
+    /// Density of the air \[kg/m³\].
+    pub air_density: f64,
+}
+
+/// Precision of the weighted sums; everything around them is double.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Precision {
+    /// Single, as networks are trained.
+    #[default]
+    F32,
+    /// Double: the same weights widened, to compare implementations with.
+    F64,
+}
+
+/// A network for one robot, checked, with the space to evaluate it in.
+#[derive(Debug, Clone)]
+pub struct Network {
+    /// `k_a = ρ/2` \[kg/m³\].
+    k_a: f64,
+    features: Vec<Feature>,
+    frame: OutputFrame,
+    layout: Layout,
+    /// Joints that are features, as indices of the robot.
+    joints: Vec<usize>,
+    mirror: Option<Mirror>,
+    baseline: Option<Vec<AxisymmetricCoefficients>>,
+    scale: Vec<f32>,
+    offset: Vec<f32>,
+    evaluator: Evaluator,
+    inputs: Vec<Pair>,
+    outputs: Vec<Pair>,
+    links: Vec<PlacedLink>,
+}
+
+/// One link as seen from the base, and what the network makes of it.
+#[derive(Debug, Clone, Copy)]
+struct PlacedLink {
+    /// Axes of the link in those of the base.
+    b_from_l: Matrix3<f64>,
+    /// Aerodynamic centre from the base origin \[m, base axes\].
+    centre_b: Vector3<f64>,
+    /// How far it stands in the wake of the others; only where that is a feature.
+    shadow: f64,
+    /// Force area \[m², base axes\].
+    area_b: Vector3<f64>,
+}
+
+impl Network {
+    /// Reads card and weights, and checks them against each other and the robot.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming file, key or tensor, the value found and what was expected.
+    pub fn new(config: &NetworkConfig, robot: &RobotModel) -> Result<Self, BuildError> {
+        let air_density =
+            check("air_density", config.air_density, |rho| rho > 0.0, "a positive density in kg/m³")?;
+        let card = Card::load(&config.card, robot)?;
+        let (path, bytes) = card.read_weights(&config.card)?;
+        let mut tensors = Tensors::parse(&path, &bytes)?;
+        let (inputs, outputs) = (card.n_inputs(), 3 * robot.aero_links.len());
+        let is_double = config.precision == Precision::F64;
+        let evaluator = Evaluator::load(&mut tensors, &card.architecture, (inputs, outputs), is_double)?;
+        let (scale, offset) =
+            (tensors.take("output.scale", &[outputs])?, tensors.take("output.offset", &[outputs])?);
+        tensors.finish()?;
+        let joints: Vec<usize> =
+            card.inputs.joints.iter().filter_map(|name| robot.joint_index(name)).collect();
+        let at_base = PlacedLink {
+            b_from_l: Matrix3::identity(),
+            centre_b: Vector3::zeros(),
+            shadow: 0.0,
+            area_b: Vector3::zeros(),
+        };
+        Ok(Self {
+            k_a: 0.5 * air_density,
+            mirror: card.architecture.mirror.then(|| Mirror::new(robot, &joints)).transpose()?,
+            baseline: card.baseline_coefficients(),
+            features: card.inputs.features,
+            frame: card.output.frame,
+            layout: card.output.layout,
+            joints,
+            scale,
+            offset,
+            evaluator,
+            inputs: vec![[0.0; 2]; inputs],
+            outputs: vec![[0.0; 2]; outputs],
+            links: vec![at_base; robot.aero_links.len()],
+        })
+    }
+
+    /// Writes the force on every link \[N\] and the velocity of the air it was computed with \[m/s\],
+    /// both in inertial axes. Zero in still air.
+    ///
+    /// ```text
+    /// F_j = k_a |v|² R_B c_j(û, s),   v = v_wind − v_B,   û = R_Bᵀ v / |v|
+    /// ```
+    ///
+    /// The velocity is that of the *base origin* for all links: what the network was trained on has
+    /// one wind for the whole robot. Source: the published simulator and training, see
+    /// `docs/deviations.md`.
+    pub fn link_forces(
+        &mut self,
+        robot: &RobotModel,
+        kinematics: &Kinematics,
+        wind_i: &Vector3<f64>,
+        v_air_i: &mut [Vector3<f64>],
+        forces_i: &mut [Vector3<f64>],
+    ) {
+        let base = &kinematics.bodies[0];
+        let i_from_b = base.i_from_b.rotation;
+        let v_i = wind_i - base.linear_velocity;
+        v_air_i.fill(v_i);
+        let wind_b = (i_from_b.transpose() * v_i).try_normalize(0.0).unwrap_or_else(Vector3::x);
+        self.place_links(robot, kinematics);
+        self.fill_inputs(&wind_b, &kinematics.joint_position);
+        self.evaluator.evaluate(&self.inputs, &mut self.outputs);
+        self.read_areas(&wind_b);
+        self.add_baseline(robot, &wind_b);
+        let pressure = self.k_a * v_i.norm_squared();
+        for (force_i, link) in forces_i.iter_mut().zip(&self.links) {
+            *force_i = i_from_b * link.area_b * pressure;
+        }
+    }
+
+    fn place_links(&mut self, robot: &RobotModel, kinematics: &Kinematics) {
+        let base = kinematics.bodies[0].i_from_b;
+        let b_from_i = base.rotation.transpose();
+        for (placed, link) in self.links.iter_mut().zip(&robot.aero_links) {
+            let pose = kinematics.frame_pose(&link.frame);
+            placed.b_from_l = b_from_i * pose.rotation;
+            placed.centre_b = b_from_i * (pose.transform_point(&link.centre_l) - base.position);
+        }
+    }
+
+    /// The question, and beside every number that of the mirrored question.
+    fn fill_inputs(&mut self, wind_b: &Vector3<f64>, joint_position: &[f64]) {
+        let mut first = 0;
+        for feature in &self.features {
+            let block = &mut self.inputs[first..];
+            let mirror = self.mirror.as_ref();
+            first += match feature {
+                Feature::Wind => {
+                    write(block, 0, 0, wind_b);
+                    write(block, 1, 0, &reflect(wind_b));
+                    3
+                }
+                Feature::Joints => {
+                    for (place, &joint) in self.joints.iter().enumerate() {
+                        let angle = joint_position[joint].to_degrees() / 180.0;
+                        block[place][0] = angle;
+                        if let Some((image, sign)) = mirror.map(|mirror| mirror.joints[place]) {
+                            block[image][1] = sign * angle;
+                        }
+                    }
+                    self.joints.len()
+                }
+                Feature::LinkWind => {
+                    for (index, link) in self.links.iter().enumerate() {
+                        let wind_l = link.b_from_l.tr_mul(wind_b);
+                        write(block, 0, index, &wind_l);
+                        if let Some((image, image_from_l)) = mirror.map(|mirror| mirror.links[index]) {
+                            write(block, 1, image, &(image_from_l * wind_l));
+                        }
+                    }
+                    3 * self.links.len()
+                }
+                Feature::LinkPosition => {
+                    for (index, link) in self.links.iter().enumerate() {
+                        write(block, 0, index, &link.centre_b);
+                        if let Some((image, _)) = mirror.map(|mirror| mirror.links[index]) {
+                            write(block, 1, image, &reflect(&link.centre_b));
+                        }
+                    }
+                    3 * self.links.len()
+                }
+                Feature::LinkShadow => {
+                    shade(&mut self.links, wind_b);
+                    for (index, link) in self.links.iter().enumerate() {
+                        block[index][0] = link.shadow;
+                        if let Some((image, _)) = mirror.map(|mirror| mirror.links[index]) {
+                            block[image][1] = link.shadow;
+                        }
+                    }
+                    self.links.len()
+                }
+            };
+        }
+    }
+
+    /// From the answer, and the answer to the mirrored question, to force areas in base axes.
+    fn read_areas(&mut self, wind_b: &Vector3<f64>) {
+        for ((output, scale), offset) in self.outputs.iter_mut().zip(&self.scale).zip(&self.offset) {
+            for y in output {
+                *y = f64::from(*scale) * *y + f64::from(*offset);
+            }
+        }
+        let n = self.links.len();
+        let (frame, layout, outputs) = (self.frame, self.layout, &self.outputs);
+        // Along, across and up, or x, y and z.
+        let read = |sample: usize, link: usize| match layout {
+            Layout::Component => {
+                Vector3::new(outputs[link][sample], outputs[2 * n + link][sample], outputs[n + link][sample])
+            }
+            Layout::Link => Vector3::from_fn(|axis, _| outputs[3 * link + axis][sample]),
+        };
+        let b_from_tunnel = b_from_tunnel(wind_b);
+        for (index, link) in self.links.iter_mut().enumerate() {
+            let mut area = read(0, index);
+            if let Some(mirror) = &self.mirror {
+                let (image, _) = mirror.links[index];
+                let of_image = read(1, image);
+                // Along, across and up mirror like x, y and z.
+                area += match frame {
+                    OutputFrame::Link => mirror.links[image].1 * of_image,
+                    OutputFrame::Base | OutputFrame::Wind => reflect(&of_image),
+                };
+                area *= 0.5;
+            }
+            link.area_b = match frame {
+                OutputFrame::Base => area,
+                OutputFrame::Link => link.b_from_l * area,
+                OutputFrame::Wind => b_from_tunnel * area,
+            };
+        }
+    }
+
+    fn add_baseline(&mut self, robot: &RobotModel, wind_b: &Vector3<f64>) {
+        let Some(baseline) = &self.baseline else { return };
+        for ((link, aero_link), areas) in self.links.iter_mut().zip(&robot.aero_links).zip(baseline) {
+            let axis_b = link.b_from_l * aero_link.axis_l.into_inner();
+            link.area_b += axisymmetric_force(areas, &axis_b, wind_b, 1.0);
+        }
+    }
+}
+
+/// Writes a vector of one sample to place `index` of a block of vectors.
+fn write(block: &mut [Pair], sample: usize, index: usize, v: &Vector3<f64>) {
+    for (slot, x) in block[3 * index..].iter_mut().zip(v.iter()) {
+        slot[sample] = *x;
+    }
+}
+
+/// How far every link stands in the wake of the others.
+///
+/// ```text
+/// S_l = Σ_k≠l σ(d·û / h) exp(−r² / 2w²),   d = x_l − x_k,   r² = |d|² − (d·û)²,   σ(u) = 1/(1 + e⁻ᵘ)
+/// ```
+fn shade(links: &mut [PlacedLink], wind_b: &Vector3<f64>) {
+    for link in &mut *links {
+        link.shadow = 0.0;
+    }
+    for index in 1..links.len() {
+        let (before, rest) = links.split_at_mut(index);
+        let link = &mut rest[0];
+        for other in before {
+            let d = link.centre_b - other.centre_b;
+            let along = d.dot(wind_b);
+            let across_squared = d.norm_squared() - along * along;
+            let overlap = (-across_squared / (2.0 * SHADOW_RADIUS * SHADOW_RADIUS)).exp();
+            let behind = 1.0 / (1.0 + (-along / SHADOW_LENGTH).exp());
+            link.shadow += behind * overlap;
+            other.shadow += (1.0 - behind) * overlap;
+        }
+    }
+}
+
+/// Axes of the wind tunnel (along the air, sideways, up) in those of the base, from the unit vector of
+/// the air's velocity.
+///
+/// ```text
+/// û = (cos p cos y, −sin y, sin p cos y)   with cos y ≥ 0;   up = (−sin p, 0, cos p)
+/// ```
+///
+/// Air along the base's y axis leaves p open: zero.
+fn b_from_tunnel(wind_b: &Vector3<f64>) -> Matrix3<f64> {
+    let cos_y = wind_b.x.hypot(wind_b.z);
+    let (cos_p, sin_p) = if cos_y < 1e-12 { (1.0, 0.0) } else { (wind_b.x / cos_y, wind_b.z / cos_y) };
+    let sin_y = -wind_b.y;
+    let side = Vector3::new(sin_y * cos_p, cos_y, sin_y * sin_p);
+    Matrix3::from_columns(&[*wind_b, side, Vector3::new(-sin_p, 0.0, cos_p)])
+}

@@ -1,0 +1,297 @@
+//! The card of a network: what its weights mean, and how they came about.
+
+use crate::error::{BuildError, check};
+use crate::robot::{AxisymmetricCoefficients, RobotModel};
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// The `format` of every card.
+const FORMAT: &str = "flight-aero-network";
+/// The `version` understood here.
+const VERSION: u32 = 1;
+/// Widest layer and greatest number of layers or members; far beyond what can be flown.
+const MAX_SIZE: usize = 1 << 16;
+
+/// A JSON card as it is read; unknown keys are refused.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Card {
+    format: String,
+    version: u32,
+    /// What people read in tables and figures.
+    pub name: String,
+    /// What the network is.
+    pub description: String,
+    /// The file with the numbers.
+    pub weights: Weights,
+    /// What goes in.
+    pub inputs: Inputs,
+    /// What comes out.
+    pub output: Output,
+    /// What lies between.
+    pub architecture: Architecture,
+    /// How it was trained; for people.
+    pub training: serde_json::Map<String, serde_json::Value>,
+}
+
+/// The file with the numbers.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Weights {
+    /// Name of the safetensors file beside the card.
+    pub file: PathBuf,
+    /// SHA-256 of that file in hexadecimal digits.
+    pub sha256: String,
+}
+
+/// What goes in.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Inputs {
+    /// Blocks of features, in the order of the input vector.
+    pub features: Vec<Feature>,
+    /// Joints that the network knows, in the robot's order.
+    pub joints: Vec<String>,
+    /// Aerodynamic links, in the robot's order.
+    pub links: Vec<String>,
+}
+
+/// One block of the input vector. `û` is the unit vector of the air's velocity relative to the base
+/// origin, the x axis of the base in still air.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Feature {
+    /// `û` in base axes.
+    Wind,
+    /// Joint angles in degrees over 180.
+    Joints,
+    /// `û` in the axes of every link, link by link.
+    LinkWind,
+    /// Every link's aerodynamic centre from the base origin \[m, base axes\], link by link.
+    LinkPosition,
+    /// How far every link stands in the wake of the others; one number each.
+    LinkShadow,
+}
+
+/// What comes out: a force area for each link.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Output {
+    /// Axes of the areas.
+    pub frame: OutputFrame,
+    /// Order of the numbers.
+    pub layout: Layout,
+    /// Always `m^2`.
+    pub unit: String,
+}
+
+/// Axes of the force areas.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OutputFrame {
+    /// Axes of the base.
+    Base,
+    /// Axes of the link.
+    Link,
+    /// Axes of the wind tunnel: along the air, sideways, up.
+    Wind,
+}
+
+/// Order of the numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Layout {
+    /// All `C_D A`, then all `C_L A`, then all `C_S A`: x, z and y, as published.
+    Component,
+    /// x, y, z, link by link.
+    Link,
+}
+
+/// What lies between.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Architecture {
+    /// Widths of the hidden layers.
+    pub hidden: Vec<usize>,
+    /// After every hidden layer.
+    pub activation: Activation,
+    /// Networks of this shape whose answers are averaged.
+    pub members: usize,
+    /// Whether the answer to the mirrored question is mirrored and averaged in.
+    pub mirror: bool,
+    /// What the network's answer is added to.
+    pub baseline: Option<Baseline>,
+}
+
+/// After every hidden layer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Activation {
+    /// `max(x, 0)`
+    Relu,
+    /// `tanh x`
+    Tanh,
+    /// `x / (1 + e⁻ˣ)`
+    Silu,
+}
+
+/// What the network's answer is added to.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Baseline {
+    /// The axisymmetric model, evaluated with the network's wind.
+    Axisymmetric {
+        /// Coefficients by link.
+        links: BTreeMap<String, AxisymmetricCoefficients>,
+    },
+}
+
+impl Card {
+    /// Reads a card and checks it against the robot.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the file, the key, its value and what was expected.
+    pub fn load(path: &Path, robot: &RobotModel) -> Result<Self, BuildError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| BuildError::Unreadable { path: path.to_owned(), source })?;
+        let origin = path.display().to_string();
+        let card: Self =
+            serde_json::from_str(&text).map_err(|error| BuildError::malformed(&origin, error))?;
+        card.check(&origin, robot)?;
+        Ok(card)
+    }
+
+    /// The bytes of the weights file beside the card at `path`, if they are those the card was written
+    /// for, and where they were found.
+    ///
+    /// # Errors
+    /// [`BuildError`] for a file that cannot be read or has another checksum.
+    pub fn read_weights(&self, path: &Path) -> Result<(PathBuf, Vec<u8>), BuildError> {
+        let file = path.with_file_name(&self.weights.file);
+        let bytes =
+            std::fs::read(&file).map_err(|source| BuildError::Unreadable { path: file.clone(), source })?;
+        let digest =
+            Sha256::digest(&bytes).iter().fold(String::new(), |hex, byte| hex + &format!("{byte:02x}"));
+        if digest != self.weights.sha256.to_lowercase() {
+            return Err(BuildError::bad_value(
+                format!("SHA-256 of {}", file.display()),
+                digest,
+                format!("{}, as on the card {}", self.weights.sha256, path.display()),
+            ));
+        }
+        Ok((file, bytes))
+    }
+
+    /// Length of the input vector.
+    #[must_use]
+    pub fn n_inputs(&self) -> usize {
+        let (joints, links) = (self.inputs.joints.len(), self.inputs.links.len());
+        let features = self.inputs.features.iter();
+        features
+            .map(|feature| match feature {
+                Feature::Wind => 3,
+                Feature::Joints => joints,
+                Feature::LinkWind | Feature::LinkPosition => 3 * links,
+                Feature::LinkShadow => links,
+            })
+            .sum()
+    }
+
+    /// Numbers of the baseline in the order of the links.
+    #[must_use]
+    pub fn baseline_coefficients(&self) -> Option<Vec<AxisymmetricCoefficients>> {
+        let Baseline::Axisymmetric { links } = self.architecture.baseline.as_ref()?;
+        // Every link is there: `check` has seen to it.
+        Some(self.inputs.links.iter().filter_map(|link| links.get(link).copied()).collect())
+    }
+
+    fn check(&self, origin: &str, robot: &RobotModel) -> Result<(), BuildError> {
+        let refuse = |key: &str, value: String, expected: &str| {
+            Err(BuildError::bad_value(format!("`{key}` in {origin}"), value, expected))
+        };
+        if self.format != FORMAT {
+            return refuse("format", self.format.clone(), FORMAT);
+        }
+        if self.version != VERSION {
+            return refuse("version", self.version.to_string(), &VERSION.to_string());
+        }
+        if self.weights.file.components().count() != 1 || self.weights.file.file_name().is_none() {
+            return refuse("weights.file", self.weights.file.display().to_string(), "a name beside the card");
+        }
+        if self.output.unit != "m^2" {
+            return refuse("output.unit", self.output.unit.clone(), "m^2");
+        }
+        let Output { frame, layout, .. } = self.output;
+        if (frame, layout) == (OutputFrame::Link, Layout::Component)
+            || (frame, layout) == (OutputFrame::Wind, Layout::Link)
+        {
+            let expected = "base with either layout, link with link, wind with component";
+            return refuse("output", format!("frame {frame:?} with layout {layout:?}"), expected);
+        }
+        self.check_inputs(origin, robot)?;
+        let Architecture { hidden, members, .. } = &self.architecture;
+        if *members == 0 || *members > MAX_SIZE {
+            return refuse("architecture.members", members.to_string(), "at least one network");
+        }
+        if hidden.len() > MAX_SIZE {
+            return refuse("architecture.hidden", format!("{} layers", hidden.len()), "fewer layers");
+        }
+        if let Some(width) = hidden.iter().find(|width| !(1..=MAX_SIZE).contains(*width)) {
+            return refuse("architecture.hidden", width.to_string(), "widths from 1 to 65536");
+        }
+        self.check_baseline(origin)
+    }
+
+    fn check_inputs(&self, origin: &str, robot: &RobotModel) -> Result<(), BuildError> {
+        let Inputs { features, joints, links } = &self.inputs;
+        if features.is_empty() {
+            let item = format!("`inputs.features` in {origin}");
+            return Err(BuildError::bad_value(item, "empty", "at least one block of features"));
+        }
+        for (index, feature) in features.iter().enumerate() {
+            if features[..index].contains(feature) {
+                let item = format!("`inputs.features` in {origin}");
+                return Err(BuildError::bad_value(item, format!("{feature:?} twice"), "each block once"));
+            }
+        }
+        let robot_links = robot.aero_links.iter().map(|link| link.name.as_str());
+        if !robot_links.clone().eq(links.iter().map(String::as_str)) {
+            let item = format!("`inputs.links` in {origin}");
+            let expected: Vec<&str> = robot_links.collect();
+            return Err(BuildError::bad_value(item, links.join(", "), expected.join(", ")));
+        }
+        let mut last = None;
+        for name in joints {
+            let index = robot.joint_index(name).ok_or_else(|| {
+                let known = robot.joints.iter().map(|joint| joint.name.as_str());
+                BuildError::unknown_name(format!("`inputs.joints` in {origin}"), name, known)
+            })?;
+            if last.is_some_and(|last| index <= last) {
+                let item = format!("order of `inputs.joints` in {origin}");
+                return Err(BuildError::bad_value(item, joints.join(", "), "joints in the robot's order"));
+            }
+            last = Some(index);
+        }
+        Ok(())
+    }
+
+    fn check_baseline(&self, origin: &str) -> Result<(), BuildError> {
+        let Some(Baseline::Axisymmetric { links }) = &self.architecture.baseline else { return Ok(()) };
+        let item = || format!("`architecture.baseline.links` in {origin}");
+        if let Some(name) = links.keys().find(|name| !self.inputs.links.contains(name)) {
+            return Err(BuildError::unknown_name(item(), name, &self.inputs.links));
+        }
+        for name in &self.inputs.links {
+            let Some(set) = links.get(name) else {
+                return Err(BuildError::bad_value(item(), format!("without `{name}`"), "all links"));
+            };
+            for (index, w) in set.cda.iter().chain([&set.cna]).enumerate() {
+                let coefficient = format!("coefficient w{index} of link `{name}` in {origin}");
+                check(&coefficient, *w, |_| true, "a finite area in m²")?;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,93 @@
+//! The robot in a mirror: which joint and link is whose image, read off the robot itself.
+
+use crate::error::BuildError;
+use crate::kinematics::{Kinematics, RobotState};
+use crate::robot::RobotModel;
+use nalgebra::{Matrix3, Vector3};
+
+/// How far images may be from where the mirror shows them \[m\], and joint axes from parallel.
+const TOLERANCE: f64 = 0.02;
+
+/// Reflection about the x-z plane of the base.
+#[must_use]
+pub fn reflect(v: &Vector3<f64>) -> Vector3<f64> {
+    Vector3::new(v.x, -v.y, v.z)
+}
+
+/// Who is whose image.
+#[derive(Debug, Clone)]
+pub struct Mirror {
+    /// For every joint in question the place of its image among them, and the sign of its angle there.
+    pub joints: Vec<(usize, f64)>,
+    /// For every link its image, and the map from its axes to those of the image:
+    ///
+    /// ```text
+    /// T_l = R_l'ᵀ S R_l   at zero joints, S = diag(1, −1, 1)
+    /// ```
+    pub links: Vec<(usize, Matrix3<f64>)>,
+}
+
+impl Mirror {
+    /// Finds the image of every link, and of every joint in `joints` (indices of the robot).
+    ///
+    /// Names pair left and right; kinematics at zero joints says which way images turn and whether
+    /// they are images at all.
+    ///
+    /// # Errors
+    /// A joint or link whose image is absent, somewhere else, or turns about another axis.
+    pub fn new(robot: &RobotModel, joints: &[usize]) -> Result<Self, BuildError> {
+        let mut kinematics = Kinematics::new(robot);
+        kinematics.update(robot, &RobotState::zero(robot.joints.len()));
+        let names: Vec<&str> = joints.iter().map(|&joint| robot.joints[joint].name.as_str()).collect();
+        let joint_images = joints.iter().zip(&names).map(|(&joint, name)| {
+            let image = place_of_image(&names, name, "joint")?;
+            let (axis, other) = (
+                kinematics.bodies[joint + 1].joint_axis_i,
+                kinematics.bodies[joints[image] + 1].joint_axis_i,
+            );
+            // An axis of rotation is mirrored like a torque: against the reflection.
+            let cosine = -other.dot(&reflect(&axis));
+            if cosine.abs() < 1.0 - TOLERANCE {
+                let item = format!("axis of joint `{name}`, mirrored, against that of its image");
+                return Err(BuildError::bad_value(item, cosine, "a cosine of ±1"));
+            }
+            Ok((image, cosine.signum()))
+        });
+        let names: Vec<&str> = robot.aero_links.iter().map(|link| link.name.as_str()).collect();
+        let link_images = robot.aero_links.iter().map(|link| {
+            let image = place_of_image(&names, &link.name, "aerodynamic link")?;
+            let other = &robot.aero_links[image];
+            let (pose, image_pose) =
+                (kinematics.frame_pose(&link.frame), kinematics.frame_pose(&other.frame));
+            let centre = pose.transform_point(&link.centre_l);
+            let distance = (image_pose.transform_point(&other.centre_l) - reflect(&centre)).norm();
+            if distance > TOLERANCE {
+                let item = format!("distance of link `{}`, mirrored, from its image [m]", link.name);
+                return Err(BuildError::bad_value(item, distance, format!("at most {TOLERANCE}")));
+            }
+            let reflection = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, 1.0));
+            Ok((image, image_pose.rotation.transpose() * reflection * pose.rotation))
+        });
+        Ok(Self {
+            joints: joint_images.collect::<Result<_, _>>()?,
+            links: link_images.collect::<Result<_, _>>()?,
+        })
+    }
+}
+
+/// Where the image of `name` stands among `names`: left for right, itself in the middle.
+fn place_of_image(names: &[&str], name: &str, kind: &str) -> Result<usize, BuildError> {
+    let swapped: Vec<&str> = name
+        .split('_')
+        .map(|part| match part {
+            "l" => "r",
+            "r" => "l",
+            other => other,
+        })
+        .collect();
+    let image = swapped.join("_");
+    names
+        .iter()
+        .position(|known| *known == image)
+        .ok_or_else(|| BuildError::unknown_name(format!("mirror image of {kind} `{name}`"), image, names))
+}

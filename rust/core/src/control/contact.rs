@@ -1,0 +1,265 @@
+//! Feet on the ground: when they carry, what they carry, and what they may carry.
+//!
+//! ```text
+//! carrying        every foot feels more than a threshold of vertical force
+//! L̇  gains        A_c f_c,   A_c = (1 0 ; S(r_k) 1) for each foot k
+//! Λ  gains        Λ_c = (0 ; −Σ_k S(f_k) (J_k − J_G))
+//! feet stay       J_c ν = 0,   J_c ν̇ + J̇_c ν = 0
+//! f_c*            ∫ ḟ_c* dt, from what the feet felt when they began to carry
+//! ```
+//!
+//! `f_c*` is the integral of the momentum QP's own answer, not a measurement: it is the estimate in the
+//! momentum rate and the reference of the torque QP alike. Wrenches are about the sole's origin, force
+//! first, inertial axes. Source: closed-loop equations 4.1, 9.2 and 9.3.
+
+use crate::dynamics::Dynamics;
+use crate::error::{BuildError, check};
+use crate::kinematics::Kinematics;
+use crate::robot::RobotModel;
+use crate::spatial::{Pose, skew};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Vector3, Vector6};
+use serde::{Deserialize, Serialize};
+
+/// Numbers of a wrench: force and moment.
+pub const WRENCH: usize = 6;
+
+/// Corners of the friction polygon, four to a quadrant with its ends.
+const FRICTION_SIDES: usize = 12;
+
+/// Inequalities on the wrench of one foot: friction, torsion, unilateral, centre of pressure.
+pub const WRENCH_ROWS: usize = FRICTION_SIDES + 2 + 1 + 4;
+
+/// What a controller needs to stand; without it, it flies.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ContactConfig {
+    /// Vertical force beyond which a foot carries \[N\]; all feet have to.
+    pub vertical_force_min: f64,
+    /// Whether `f_c*` starts with the measured moment about y besides the vertical force.
+    pub start_with_moment: bool,
+    /// Greatest rate of every component of `f_c*` \[N/s, N m/s\].
+    pub force_rate_max: f64,
+    /// Rates below this are not integrated \[N/s, N m/s\].
+    pub force_rate_dead_zone: f64,
+    /// Weight of `ḟ_c → 0` in the momentum QP.
+    pub weight_force_rate: f64,
+    /// Weight of `J_c ν = 0` in the momentum QP.
+    pub weight_foot_velocity: f64,
+    /// Weight of `J_c ν̇ + J̇_c ν = 0` in the torque QP.
+    pub weight_foot_acceleration: f64,
+    /// Weight of `f_c → f_c*` in the torque QP.
+    pub weight_force: f64,
+    /// What the wrench of a foot may be.
+    pub wrench: WrenchLimits,
+}
+
+/// What the wrench of one foot may be, in sole axes about the sole's origin.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WrenchLimits {
+    /// Friction `|f_xy| ≤ μ f_z`, as the regular polygon of twelve corners inside the circle.
+    pub friction: f64,
+    /// Torsion `|m_z| ≤ κ f_z` \[m\].
+    pub torsional_friction: f64,
+    /// Least vertical force \[N\].
+    pub vertical_force_min: f64,
+    /// Least and greatest x of the centre of pressure `−m_y/f_z` \[m\].
+    pub centre_of_pressure_x: [f64; 2],
+    /// Least and greatest y of the centre of pressure `m_x/f_z` \[m\].
+    pub centre_of_pressure_y: [f64; 2],
+}
+
+impl ContactConfig {
+    /// Refuses numbers that mean nothing, and a robot without feet.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
+        let at = |name: &str, value: f64, accept: fn(f64) -> bool, expected: &str| {
+            check(&format!("controller.contact.{name}"), value, accept, expected).map(|_| ())
+        };
+        let non_negative = |name: &str, value: f64| at(name, value, |x| x >= 0.0, "a number ≥ 0");
+        let positive = |name: &str, value: f64| at(name, value, |x| x > 0.0, "a positive number");
+        if robot.feet.is_empty() {
+            return Err(BuildError::bad_value(
+                "number of feet of the robot",
+                0,
+                "at least one, to stand on (`controller.contact`)",
+            ));
+        }
+        positive("vertical_force_min", self.vertical_force_min)?;
+        positive("force_rate_max", self.force_rate_max)?;
+        non_negative("force_rate_dead_zone", self.force_rate_dead_zone)?;
+        non_negative("weight_force_rate", self.weight_force_rate)?;
+        non_negative("weight_foot_velocity", self.weight_foot_velocity)?;
+        non_negative("weight_foot_acceleration", self.weight_foot_acceleration)?;
+        non_negative("weight_force", self.weight_force)?;
+        let limits = &self.wrench;
+        positive("wrench.friction", limits.friction)?;
+        non_negative("wrench.torsional_friction", limits.torsional_friction)?;
+        non_negative("wrench.vertical_force_min", limits.vertical_force_min)?;
+        for (name, [low, high]) in [
+            ("wrench.centre_of_pressure_x", limits.centre_of_pressure_x),
+            ("wrench.centre_of_pressure_y", limits.centre_of_pressure_y),
+        ] {
+            at(name, low, |_| true, "two finite numbers")?;
+            check(
+                &format!("controller.contact.{name}[1]"),
+                high,
+                |high| high > low,
+                "more than the first number",
+            )?;
+        }
+        Ok(())
+    }
+}
+
+impl WrenchLimits {
+    /// The inequalities `row · (f, m) ≤ bound` on the wrench of a foot, in sole axes.
+    #[must_use]
+    pub fn rows(&self) -> [(Vector6<f64>, f64); WRENCH_ROWS] {
+        let mut rows = [(Vector6::zeros(), 0.0); WRENCH_ROWS];
+        let half_side = std::f64::consts::PI / FRICTION_SIDES as f64;
+        // A side lies between two corners of the circle, so cos(half side) nearer than they.
+        let reach = self.friction * half_side.cos();
+        for (side, (row, _)) in rows.iter_mut().take(FRICTION_SIDES).enumerate() {
+            let (sin, cos) = (half_side * (2 * side + 1) as f64).sin_cos();
+            *row = Vector6::new(cos, sin, -reach, 0.0, 0.0, 0.0);
+        }
+        let torsion = self.torsional_friction;
+        let [x_min, x_max] = self.centre_of_pressure_x;
+        let [y_min, y_max] = self.centre_of_pressure_y;
+        rows[12].0 = Vector6::new(0.0, 0.0, -torsion, 0.0, 0.0, 1.0);
+        rows[13].0 = Vector6::new(0.0, 0.0, -torsion, 0.0, 0.0, -1.0);
+        rows[14] = (Vector6::new(0.0, 0.0, -1.0, 0.0, 0.0, 0.0), -self.vertical_force_min);
+        rows[15].0 = Vector6::new(0.0, 0.0, -x_max, 0.0, -1.0, 0.0);
+        rows[16].0 = Vector6::new(0.0, 0.0, x_min, 0.0, 1.0, 0.0);
+        rows[17].0 = Vector6::new(0.0, 0.0, -y_max, 1.0, 0.0, 0.0);
+        rows[18].0 = Vector6::new(0.0, 0.0, y_min, -1.0, 0.0, 0.0);
+        rows
+    }
+}
+
+/// The feet of one tick; preallocated.
+#[derive(Debug, Clone)]
+pub struct Contact {
+    /// Whether all feet carry.
+    pub is_active: bool,
+    /// Wrench each foot feels.
+    pub measured: Vec<Vector6<f64>>,
+    /// `f_c*`, foot after foot; zero while the feet do not carry.
+    pub force: DVector<f64>,
+    /// `ḟ_c*` of this tick, integrated when the next one begins.
+    pub force_rate: DVector<f64>,
+    /// `f_c` of the torque QP's answer.
+    pub force_of_torques: DVector<f64>,
+    /// Poses of the soles.
+    pub soles: Vec<Pose>,
+    /// `A_c` (6 × 6 feet).
+    pub a_c: Matrix6xX<f64>,
+    /// `J_cᵀ` (n × 6 feet): linear rows of each foot first.
+    pub jacobian_transposed: DMatrix<f64>,
+    /// `J̇_c ν` (6 feet).
+    pub velocity_product: DVector<f64>,
+    config: ContactConfig,
+}
+
+impl Contact {
+    /// Space for the feet of `robot`, which carry nothing yet.
+    #[must_use]
+    pub fn new(config: &ContactConfig, robot: &RobotModel) -> Self {
+        let feet = robot.feet.len();
+        let nothing = DVector::zeros(WRENCH * feet);
+        Self {
+            is_active: false,
+            measured: vec![Vector6::zeros(); feet],
+            force: nothing.clone(),
+            force_rate: nothing.clone(),
+            force_of_torques: nothing.clone(),
+            soles: vec![Pose::identity(); feet],
+            a_c: Matrix6xX::zeros(WRENCH * feet),
+            jacobian_transposed: DMatrix::zeros(6 + robot.joints.len(), WRENCH * feet),
+            velocity_product: nothing,
+            config: config.clone(),
+        }
+    }
+
+    /// Its numbers.
+    #[must_use]
+    pub fn config(&self) -> &ContactConfig {
+        &self.config
+    }
+
+    /// Advances `f_c*` by the last tick's rate, decides from the measured wrenches whether the feet carry
+    /// (when that changes, `f_c*` starts anew), and recomputes what depends on the state.
+    pub fn update(
+        &mut self,
+        robot: &RobotModel,
+        kinematics: &Kinematics,
+        dynamics: &Dynamics,
+        time_step: f64,
+    ) {
+        // Forward Euler: a rate is used in its own tick and integrated into the next.
+        self.force.axpy(time_step, &self.force_rate, 1.0);
+        self.force_rate.fill(0.0);
+        let threshold = self.config.vertical_force_min;
+        let carries = self.measured.iter().all(|wrench| wrench[2] > threshold);
+        if carries != self.is_active {
+            self.is_active = carries;
+            self.restart();
+        }
+        for (index, foot) in robot.feet.iter().enumerate() {
+            let sole = kinematics.frame_pose(&foot.frame);
+            let first = WRENCH * index;
+            let jacobian = &mut self.jacobian_transposed;
+            kinematics.visit_jacobian_columns(foot.frame.body, &sole.position, |column, v, w| {
+                for axis in 0..3 {
+                    jacobian[(column, first + axis)] = v[axis];
+                    jacobian[(column, first + 3 + axis)] = w[axis];
+                }
+            });
+            let (linear, angular) = dynamics.velocity_product(kinematics, foot.frame.body, &sole.position);
+            self.velocity_product.fixed_rows_mut::<3>(first).copy_from(&linear);
+            self.velocity_product.fixed_rows_mut::<3>(first + 3).copy_from(&angular);
+
+            let arm = skew(&(sole.position - kinematics.com));
+            let one = Matrix3::identity();
+            self.a_c.fixed_view_mut::<3, 3>(0, first).copy_from(&one);
+            self.a_c.fixed_view_mut::<3, 3>(3, first).copy_from(&arm);
+            self.a_c.fixed_view_mut::<3, 3>(3, first + 3).copy_from(&one);
+            self.soles[index] = sole;
+        }
+    }
+
+    /// Vertical force and, where wanted, moment about y, of each foot as it is felt; all else zero.
+    fn restart(&mut self) {
+        self.force.fill(0.0);
+        self.force_of_torques.fill(0.0);
+        if !self.is_active {
+            return;
+        }
+        for (foot, wrench) in self.measured.iter().enumerate() {
+            self.force[WRENCH * foot + 2] = wrench[2];
+            if self.config.start_with_moment {
+                self.force[WRENCH * foot + 4] = wrench[4];
+            }
+        }
+    }
+
+    /// Takes the rate of the momentum QP's answer; feet that carry nothing have none.
+    pub fn take_rate(&mut self, rate: &[f64]) {
+        if !self.is_active {
+            return;
+        }
+        for (to, rate) in self.force_rate.iter_mut().zip(rate) {
+            *to = if rate.abs() < self.config.force_rate_dead_zone { 0.0 } else { *rate };
+        }
+    }
+
+    /// Total force `Σ f_k` of `f_c*` \[N\].
+    #[must_use]
+    pub fn total_force(&self) -> Vector3<f64> {
+        let feet = self.force.as_slice().chunks_exact(WRENCH);
+        feet.map(|wrench| Vector3::from_column_slice(&wrench[..3])).sum()
+    }
+}

@@ -1,0 +1,463 @@
+//! The controller on the ground: what a foot may carry, when it carries, and what the two QPs make of it.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has failed")]
+#![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
+
+mod common;
+
+use common::{TIME_STEP, configs, random_state, rng};
+use flight_core::control::CommandStatus;
+use flight_core::control::config::{ControllerConfig, Solver};
+use flight_core::control::contact::{Contact, ContactConfig, WRENCH_ROWS};
+use flight_core::control::envelope::EnvelopeConfig;
+use flight_core::dynamics::Dynamics;
+use flight_core::kinematics::Kinematics;
+use flight_core::spatial::exp_so3;
+use flight_core::{Controller, Flight, FlightConfig, Measurement, RobotModel, RobotState};
+use nalgebra::{DMatrix, DVector, Vector3, Vector6};
+use rand::RngExt;
+
+fn standing() -> FlightConfig {
+    common::experiment("balancing_front")
+}
+
+fn contact_config() -> ContactConfig {
+    standing().controller.contact.unwrap()
+}
+
+fn controller(change: impl FnOnce(&mut ControllerConfig)) -> Controller {
+    let FlightConfig { robot, mut controller, envelope, .. } = standing();
+    change(&mut controller);
+    Controller::new(RobotModel::load(&robot).unwrap(), controller, envelope, TIME_STEP).unwrap()
+}
+
+fn at_rest() -> RobotState {
+    standing().simulator.initial.state()
+}
+
+/// Half the weight on each foot, pressing somewhat before its middle.
+fn weight_on_both() -> [Vector6<f64>; 2] {
+    [Vector6::new(0.0, 0.0, 212.5, 0.4, -1.2, 0.0), Vector6::new(0.0, 0.0, 212.5, -0.4, -1.2, 0.0)]
+}
+
+const THRUST: [f64; 4] = [0.0; 4];
+
+fn measurement(state: &RobotState, wind: Vector3<f64>) -> Measurement<'_> {
+    Measurement { time: 0.0, state, thrust: &THRUST, wind }
+}
+
+/// Inside the rows is inside the polygon of twelve corners on the friction circle, within the torsion, above
+/// the least force, with the centre of pressure on the sole: judged by geometry, corner by corner.
+#[test]
+fn wrench_rows_are_the_geometry_they_stand_for() {
+    let limits = contact_config().wrench;
+    let rows = limits.rows();
+    assert_eq!(rows.len(), WRENCH_ROWS);
+    let mut rng = rng(1);
+    let corner = |k: u32| {
+        let angle = f64::from(k) * std::f64::consts::TAU / 12.0;
+        (limits.friction * angle.cos(), limits.friction * angle.sin())
+    };
+    let (mut inside, mut outside) = (0, 0);
+    for _ in 0..200_000 {
+        let fz = rng.random_range(-5.0..60.0_f64);
+        let size = fz.abs().max(1.0);
+        let (fx, fy) = (rng.random_range(-0.13..0.13) * size, rng.random_range(-0.13..0.13) * size);
+        let (mx, my) = (rng.random_range(-0.06..0.06) * size, rng.random_range(-0.14..0.09) * size);
+        let wrench = Vector6::new(fx, fy, fz, mx, my, rng.random_range(-0.016..0.016) * size);
+        // A convex polygon holds what lies to the left of each of its sides.
+        let in_polygon = (0..12).all(|k| {
+            let ((ax, ay), (bx, by)) = (corner(k), corner(k + 1));
+            (bx - ax) * (fy / fz - ay) - (by - ay) * (fx / fz - ax) >= 0.0
+        });
+        let (px, py) = (-my / fz, mx / fz);
+        let expected = fz >= limits.vertical_force_min
+            && in_polygon
+            && wrench[5].abs() <= limits.torsional_friction * fz
+            && (limits.centre_of_pressure_x[0]..=limits.centre_of_pressure_x[1]).contains(&px)
+            && (limits.centre_of_pressure_y[0]..=limits.centre_of_pressure_y[1]).contains(&py);
+        let found = rows.iter().all(|(row, bound)| row.dot(&wrench) <= *bound);
+        assert_eq!(found, expected, "{wrench}");
+        if found { inside += 1 } else { outside += 1 }
+    }
+    assert!(inside > 5_000 && outside > 5_000, "{inside} inside, {outside} outside");
+}
+
+/// Any forces at the corners of the allowed sole, each within the polygon's inner circle, give a wrench that
+/// the rows accept but for torsion, which corners can exceed.
+#[test]
+fn what_corners_can_do_is_allowed() {
+    let limits = contact_config().wrench;
+    let rows = limits.rows();
+    let mut rng = rng(2);
+    let inner = limits.friction * (std::f64::consts::PI / 12.0).cos();
+    for _ in 0..20_000 {
+        let mut wrench = Vector6::zeros();
+        for x in limits.centre_of_pressure_x {
+            for y in limits.centre_of_pressure_y {
+                let fz = rng.random_range(0.25..50.0_f64);
+                let (direction, size) = (rng.random_range(0.0..6.3_f64), rng.random_range(0.0..inner) * fz);
+                let force = Vector3::new(size * direction.cos(), size * direction.sin(), fz);
+                let moment = Vector3::new(x, y, 0.0).cross(&force);
+                wrench += Vector6::new(force.x, force.y, force.z, moment.x, moment.y, moment.z);
+            }
+        }
+        for (k, (row, bound)) in rows.iter().enumerate() {
+            assert!(k == 12 || k == 13 || row.dot(&wrench) <= bound + 1e-9, "row {k}: {wrench}");
+        }
+    }
+}
+
+/// `L̇ = Σ f_c* + Σ f_a − m g e₃` and its moments, at every tick, whatever the state and the wind.
+#[test]
+fn the_momentum_rate_is_the_sum_of_what_acts() {
+    let mut controller = controller(|_| ());
+    let mut rng = rng(3);
+    for _ in 0..40 {
+        let mut state = at_rest();
+        state.joint_position.iter_mut().for_each(|s| *s += rng.random_range(-0.05..0.05));
+        state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.2..0.2));
+        controller.feel(&weight_on_both());
+        let wind = common::random_vector(&mut rng, 15.0);
+        let status = controller.tick(&measurement(&state, wind)).status;
+        assert_eq!(status, CommandStatus::Nominal);
+        let terms = controller.terms();
+        let contact = terms.contact.as_ref().unwrap();
+        let (mut force, mut moment) = terms.link_forces.wrench_about(&terms.kinematics.com);
+        assert!(force.norm() > 0.01);
+        force.z -= terms.kinematics.mass() * 9.81;
+        for (foot, sole) in contact.soles.iter().enumerate() {
+            let f = Vector3::from(contact.force.fixed_rows::<3>(6 * foot));
+            force += f;
+            moment += Vector3::from(contact.force.fixed_rows::<3>(6 * foot + 3));
+            moment += (sole.position - terms.kinematics.com).cross(&f);
+        }
+        let rate = terms.momentum.rate_estimate;
+        assert!((Vector3::from(rate.fixed_rows::<3>(0)) - force).norm() < 1e-9);
+        assert!((Vector3::from(rate.fixed_rows::<3>(3)) - moment).norm() < 1e-9);
+    }
+}
+
+fn moved(state: &RobotState, time: f64) -> RobotState {
+    let mut to = state.clone();
+    to.base.position += state.base_linear_velocity() * time;
+    to.base.rotation = exp_so3(&(state.base_angular_velocity() * time)) * state.base.rotation;
+    to.joint_position.axpy(time, &DVector::from_column_slice(state.joint_velocity()), 1.0);
+    to
+}
+
+/// `Λ_c ν` is how the moment of held foot forces about the CoM changes; `J_c ν` and `J̇_c ν` are the feet's
+/// velocity and its change: all by central differences along the motion.
+#[test]
+fn rates_of_the_feet_are_their_differences() {
+    let robot = common::robot("ironcub_mk1");
+    let mut rng = rng(4);
+    for _ in 0..20 {
+        let state = random_state(&mut rng, &robot);
+        let mut contact = Contact::new(&contact_config(), &robot);
+        contact.measured.iter_mut().for_each(|wrench| wrench[2] = 200.0);
+        let (mut kinematics, mut dynamics) = (Kinematics::new(&robot), Dynamics::new(&robot));
+        let held = DVector::from_fn(12, |_, _| rng.random_range(-50.0..50.0));
+        let mut at = |time: f64| {
+            let state = moved(&state, time);
+            kinematics.update(&robot, &state);
+            dynamics.update(&robot, &state, &kinematics);
+            contact.update(&robot, &kinematics, &dynamics, 0.0);
+            contact.force.copy_from(&held);
+            let velocity = contact.jacobian_transposed.tr_mul(&state.velocity);
+            let mut momentum = flight_core::control::momentum::MomentumModel::new(&robot);
+            momentum.add_contact(&robot, &kinematics, &dynamics, &contact);
+            let positions: Vec<f64> = contact
+                .soles
+                .iter()
+                .flat_map(|sole| sole.position.iter().copied().collect::<Vec<_>>())
+                .collect();
+            let rate = &momentum.lambda * &state.velocity;
+            (momentum.rate_estimate, rate, velocity, contact.velocity_product.clone(), positions)
+        };
+        let step = 1e-5;
+        let (before, now, after) = (at(-step), at(0.0), at(step));
+        let moment_rate = (after.0 - before.0) / (2.0 * step);
+        assert!((moment_rate - now.1).norm() < 1e-5 * (1.0 + now.1.norm()), "{moment_rate} {}", now.1);
+        let acceleration = (&after.2 - &before.2) / (2.0 * step);
+        assert!((&acceleration - &now.3).norm() < 1e-6 * (1.0 + now.3.norm()));
+        for foot in 0..2 {
+            for axis in 0..3 {
+                let difference = (after.4[3 * foot + axis] - before.4[3 * foot + axis]) / (2.0 * step);
+                assert!((difference - now.2[6 * foot + axis]).abs() < 1e-6);
+            }
+        }
+    }
+}
+
+/// The torque QP is the cost it is said to be: from `M`, `h`, `J_c` and the weights alone, by dense algebra.
+#[test]
+fn the_standing_qp_is_its_definition() {
+    let mut controller = controller(|_| ());
+    let mut rng = rng(5);
+    let mut state = at_rest();
+    state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.2..0.2));
+    controller.feel(&weight_on_both());
+    controller.tick(&measurement(&state, Vector3::new(-8.0, 3.0, 0.0)));
+    let (terms, command) = (controller.terms(), controller.command());
+    let (contact, qp) = (terms.contact.as_ref().unwrap(), terms.standing_qp.as_ref().unwrap());
+    let config = contact_config();
+    let n = 29;
+    let inverse = terms.dynamics.mass_matrix.clone().try_inverse().unwrap();
+    let mut b = DMatrix::zeros(n, 35);
+    b.columns_mut(0, 12).copy_from(&contact.jacobian_transposed);
+    for joint in 0..23 {
+        b[(6 + joint, 12 + joint)] = 1.0;
+    }
+    let mut force = -&terms.dynamics.bias;
+    let robot = controller.robot();
+    terms.link_forces.add_generalised_force(robot, &terms.kinematics, &mut force);
+    let desired = DVector::from_fn(23, |j, _| -10.0 * (state.velocity[6 + j] - command.joint_velocity[j]));
+    let cost = |u: &DVector<f64>| {
+        let acceleration = &inverse * (&b * u + &force);
+        let feet = contact.jacobian_transposed.tr_mul(&acceleration) + &contact.velocity_product;
+        let joints = acceleration.rows(6, 23) - &desired;
+        let off = u.rows(0, 12) - &contact.force;
+        0.5 * (joints.norm_squared()
+            + config.weight_foot_acceleration * feet.norm_squared()
+            + config.weight_force * off.norm_squared()
+            + 0.001 * u.rows(12, 23).norm_squared()
+            + 1e-4 * u.norm_squared())
+    };
+    let zero = cost(&DVector::zeros(35));
+    for _ in 0..50 {
+        let u = DVector::from_fn(35, |i, _| rng.random_range(-1.0..1.0) * if i < 12 { 200.0 } else { 30.0 });
+        let (ours, defined) = (qp.problem.bounded.objective(u.as_slice()), cost(&u) - zero);
+        assert!((ours - defined).abs() < 1e-8 * defined.abs(), "{ours} {defined}");
+    }
+    // And its answer respects the wrenches in the soles' own axes.
+    for (foot, sole) in contact.soles.iter().enumerate() {
+        let wrench = contact.force_of_torques.fixed_rows::<6>(6 * foot);
+        let turn = sole.rotation.transpose();
+        let (f, m) = (turn * wrench.fixed_rows::<3>(0), turn * wrench.fixed_rows::<3>(3));
+        let of_sole = Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z);
+        for (row, bound) in config.wrench.rows() {
+            assert!(row.dot(&of_sole) <= bound + 1e-6);
+        }
+    }
+}
+
+/// The momentum QP on the ground has the rows of the tasks and nothing else: `H` and `g` from their squares.
+#[test]
+fn the_momentum_qp_on_the_ground_is_its_tasks() {
+    let mut controller = controller(|_| ());
+    let mut rng = rng(6);
+    let mut state = at_rest();
+    state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.2..0.2));
+    controller.feel(&weight_on_both());
+    controller.tick(&measurement(&state, Vector3::new(-8.0, 3.0, 0.0)));
+    let terms = controller.terms();
+    let (contact, qp) = (terms.contact.as_ref().unwrap(), &terms.momentum_qp);
+    assert_eq!(qp.problem.len(), 39);
+    let weights = DVector::from_fn(9, |i, _| if i < 6 { 10.0 } else { 150.0 });
+    let task = DMatrix::from_fn(9, 39, |i, j| qp.task[(i, j)]);
+    let offset = DVector::from_fn(9, |i, _| qp.offset[i]);
+    let mut feet = DMatrix::zeros(12, 39);
+    for joint in 0..23 {
+        feet.column_mut(16 + joint).copy_from(&contact.jacobian_transposed.row(6 + joint).transpose());
+    }
+    let base = contact.jacobian_transposed.rows(0, 6).tr_mul(&state.velocity.rows(0, 6));
+    let mut h = task.tr_mul(&(DMatrix::from_diagonal(&weights) * &task)) + 150.0 * feet.tr_mul(&feet);
+    let mut g = task.tr_mul(&weights.component_mul(&offset)) + 150.0 * feet.tr_mul(&base);
+    for i in 0..39 {
+        h[(i, i)] += 1e-4 + if i < 16 { 0.01 } else { 10.0 + 2.5 };
+    }
+    for (a, b) in [(0, 1), (2, 3)] {
+        h[(a, a)] += 0.1;
+        h[(b, b)] += 0.1;
+        h[(a, b)] -= 0.1;
+        h[(b, a)] -= 0.1;
+    }
+    // The posture of the first tick is where the robot is.
+    g.rows_mut(0, 4).fill(0.0);
+    assert!((&h - &qp.problem.h).amax() < 1e-9 * h.amax());
+    assert!((&g - &qp.problem.g).amax() < 1e-9 * g.amax());
+    assert_eq!(qp.problem.h, qp.problem.h.transpose(), "exactly symmetric");
+    // Jets do not act, and are not asked.
+    assert_eq!(qp.task.columns(0, 4).amax(), 0.0);
+    assert_eq!(controller.command().thrust_rate.amax(), 0.0);
+    // A_c of the linear rows is the identity, twice.
+    assert_eq!(qp.task[(0, 4)], 1.0);
+    assert_eq!(qp.task[(2, 12)], 1.0);
+}
+
+/// Both feet above the threshold, or none: `f_c*` starts from what is felt and is zero otherwise.
+#[test]
+fn contact_switches_with_what_the_feet_feel() {
+    let mut controller = controller(|_| ());
+    let state = at_rest();
+    let still = Vector3::zeros();
+    let mut tick = |feet: &[Vector6<f64>; 2]| {
+        controller.feel(feet);
+        assert_eq!(controller.tick(&measurement(&state, still)).status, CommandStatus::Nominal);
+        let contact = controller.terms().contact.as_ref().unwrap();
+        (contact.is_active, contact.force.clone(), contact.force_rate.clone())
+    };
+    let (active, force, rate) = tick(&[Vector6::zeros(); 2]);
+    assert!(!active && force.amax() == 0.0 && rate.amax() == 0.0);
+
+    let both = weight_on_both();
+    let (active, force, rate) = tick(&both);
+    assert!(active);
+    let started =
+        DVector::from_column_slice(&[0.0, 0.0, 212.5, 0.0, -1.2, 0.0, 0.0, 0.0, 212.5, 0.0, -1.2, 0.0]);
+    assert_eq!(force, started);
+    assert!(rate.amax() > 0.0);
+    // The rate of one tick is integrated into the next.
+    let (_, force, _) = tick(&both);
+    assert_eq!(force, &started + rate * TIME_STEP);
+
+    // One foot at the threshold does not carry.
+    let mut light = both;
+    light[1][2] = 3.5;
+    let (active, force, rate) = tick(&light);
+    assert!(!active && force.amax() == 0.0 && rate.amax() == 0.0);
+    light[1][2] = 3.51;
+    let (active, force, _) = tick(&light);
+    assert!(active && force[8] == 3.51 && force[2] == 212.5);
+}
+
+/// Rates inside the dead zone are not integrated.
+#[test]
+fn small_force_rates_are_dropped() {
+    let robot = common::robot("ironcub_mk1");
+    let mut contact = Contact::new(&contact_config(), &robot);
+    contact.is_active = true;
+    let mut rates = vec![9e-6; 12];
+    (rates[3], rates[4]) = (1.1e-5, -1.1e-5);
+    contact.take_rate(&rates);
+    let kept: Vec<usize> = (0..12).filter(|i| contact.force_rate[*i] != 0.0).collect();
+    assert_eq!(kept, [3, 4]);
+    contact.is_active = false;
+    contact.force_rate.fill(0.0);
+    contact.take_rate(&rates);
+    assert_eq!(contact.force_rate.amax(), 0.0, "feet in the air have no rate");
+}
+
+/// In the air a controller that could stand flies as one that could not.
+#[test]
+fn in_the_air_feet_change_nothing() {
+    let flight = common::experiment("test2");
+    let robot = RobotModel::load(&flight.robot).unwrap();
+    let make = |contact: Option<ContactConfig>| {
+        let config = ControllerConfig { contact, ..flight.controller.clone() };
+        let envelope: EnvelopeConfig = flight.envelope.clone();
+        Controller::new(robot.clone(), config, envelope, TIME_STEP).unwrap()
+    };
+    let (mut with, mut without) = (make(Some(contact_config())), make(None));
+    let mut rng = rng(7);
+    let mut state = flight.simulator.initial.state();
+    for tick in 0..200 {
+        state.joint_position.iter_mut().for_each(|s| *s += rng.random_range(-0.01..0.01));
+        let thrust = [98.0, 98.0, 113.0, 113.0];
+        let wind = common::random_vector(&mut rng, 10.0);
+        let time = f64::from(tick) * TIME_STEP;
+        let measurement = Measurement { time, state: &state, thrust: &thrust, wind };
+        let (a, b) = (with.tick(&measurement).clone(), without.tick(&measurement).clone());
+        assert!((a.thrust_rate - b.thrust_rate).amax() < 1e-7);
+        assert!((a.joint_velocity - b.joint_velocity).amax() < 1e-9);
+        assert!((a.joint_torque - b.joint_torque).amax() < 1e-7);
+    }
+}
+
+/// Clarabel finds the same commands.
+#[test]
+fn clarabel_commands_the_same() {
+    let mut ours = controller(|_| ());
+    let mut theirs = controller(|config| config.qp.solver = Solver::Clarabel);
+    let mut rng = rng(8);
+    for _ in 0..20 {
+        let mut state = at_rest();
+        state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.05..0.05));
+        let wind = common::random_vector(&mut rng, 10.0);
+        for controller in [&mut ours, &mut theirs] {
+            controller.feel(&weight_on_both());
+            let status = controller.tick(&measurement(&state, wind)).status;
+            assert_eq!(status, CommandStatus::Nominal);
+        }
+        let difference = (&ours.terms().unlimited_torque - &theirs.terms().unlimited_torque).amax();
+        assert!(difference < 1e-5, "{difference} N m");
+    }
+}
+
+/// Feet that feel what is no number, or a foot too many, stop the controller until they are sound again.
+#[test]
+fn unsound_feet_are_a_bad_measurement() {
+    let mut controller = controller(|_| ());
+    let state = at_rest();
+    let mut status = |feet: &[Vector6<f64>]| {
+        controller.feel(feet);
+        controller.tick(&measurement(&state, Vector3::zeros())).status
+    };
+    assert_eq!(status(&weight_on_both()), CommandStatus::Nominal);
+    let mut bad = weight_on_both();
+    bad[0][3] = f64::NAN;
+    assert_eq!(status(&bad), CommandStatus::BadMeasurement);
+    assert_eq!(status(&[Vector6::zeros()]), CommandStatus::BadMeasurement);
+    assert_eq!(status(&weight_on_both()), CommandStatus::Nominal);
+}
+
+/// What is no foot, no ground, no motor is refused by name; so is a world that its engine does not know.
+#[test]
+fn bad_numbers_are_refused_by_name() {
+    #[track_caller]
+    fn refused(expected: &[&str], change: impl FnOnce(&mut FlightConfig)) {
+        let mut config = standing();
+        change(&mut config);
+        let said = Flight::check(&config).expect_err("refused").to_string();
+        assert!(expected.iter().all(|part| said.contains(part)), "{said}");
+    }
+    fn contact(config: &mut FlightConfig) -> &mut ContactConfig {
+        config.controller.contact.as_mut().unwrap()
+    }
+    Flight::check(&standing()).unwrap();
+    refused(&["contact.vertical_force_min is 0", "positive"], |c| contact(c).vertical_force_min = 0.0);
+    refused(&["contact.weight_force is -1"], |c| contact(c).weight_force = -1.0);
+    refused(&["wrench.friction is NaN"], |c| contact(c).wrench.friction = f64::NAN);
+    refused(&["wrench.centre_of_pressure_x[1] is -0.1"], |c| {
+        contact(c).wrench.centre_of_pressure_x = [0.0, -0.1];
+    });
+    refused(&["simulator.ground.friction is 0"], |c| c.simulator.ground.as_mut().unwrap().friction = 0.0);
+    refused(&["simulator.motors.damping is -1"], |c| c.simulator.motors.as_mut().unwrap().damping = -1.0);
+    refused(&["friction_of", "`tail`", "l_ankle_pitch"], |c| {
+        c.simulator.motors.as_mut().unwrap().friction_of.insert("tail".into(), 1.0);
+    });
+    refused(&["simulator.ground is absent", "ground under it"], |c| c.simulator.ground = None);
+    refused(&["controller.contact is absent"], |c| c.controller.contact = None);
+    refused(&["simulator.ground is given", "engine = \"mujoco\""], |c| {
+        c.engine = flight_core::sim::Engine::Rust;
+    });
+    assert!(Flight::new(&standing()).is_err(), "this engine has no ground");
+    let said = common::experiment("test2");
+    let mut sparrow = said.controller.clone();
+    sparrow.contact = Some(contact_config());
+    let mut footless = common::robot("ironcub_mk1");
+    footless.feet.clear();
+    let said = sparrow.check(&footless).expect_err("refused").to_string();
+    assert!(said.contains("number of feet") && said.contains("controller.contact"), "{said}");
+    let text = std::fs::read_to_string(configs("control/balancing.toml")).unwrap();
+    let unknown = text.replace("weight_force =", "weight_farce =");
+    assert!(toml::from_str::<ControllerConfig>(&unknown).is_err());
+}
+
+/// A wind that is told and does not blow: the controller's forces see it, the simulator's do not.
+#[test]
+fn a_fictitious_wind_is_told_and_does_not_blow() {
+    let mut config = common::experiment("test2");
+    config.simulator.duration = 0.2;
+    let wind = flight_core::sim::WindConfig::Constant { velocity: [0.0, -10.0, 0.0] };
+    config.wind = flight_core::sim::WindConfig::Constant { velocity: [0.0; 3] };
+    config.fictitious_wind = Some(wind);
+    let result = common::fly(&[config]).remove(0);
+    let sideways = |name: &str| {
+        let series = result.log.series(name).unwrap();
+        series.row(10).chunks_exact(3).map(|force| force[1]).sum::<f64>()
+    };
+    assert!(sideways("aero_force_control") < -10.0);
+    assert!(sideways("aero_force_sim").abs() < 0.5);
+}

@@ -1,0 +1,353 @@
+//! Claims about the network: it says what JAX says, obeys the laws, and refuses what it cannot trust.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on fails")]
+
+mod common;
+#[path = "common/network.rs"]
+mod network;
+
+use common::{experiment, random_state, random_vector, rng, robot};
+use flight_core::aero::{AeroConfig, AeroModel, LinkConventions, LinkForces, NetworkConfig, Precision};
+use flight_core::kinematics::Kinematics;
+use flight_core::sim::Plant;
+use flight_core::spatial::rotation_from_wxyz;
+use flight_core::{BuildError, Controller, RobotModel, RobotState};
+use nalgebra::{DVector, Vector3};
+use network::{
+    COMPACT, Shape, Tensor, card, file_of, n_inputs, paper, random_network, random_tensors, write,
+};
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+
+const SMALL: &str = "tests/data/network_small.json";
+
+fn data(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
+}
+
+fn config(card: PathBuf, precision: Precision) -> AeroConfig {
+    AeroConfig::Network(NetworkConfig { card, precision, air_density: 1.225 })
+}
+
+fn forces(robot: &RobotModel, model: &mut AeroModel, state: &RobotState, wind: Vector3<f64>) -> LinkForces {
+    let mut kinematics = Kinematics::new(robot);
+    kinematics.update(robot, state);
+    let mut forces = LinkForces::new(robot);
+    forces.update(robot, &kinematics, LinkConventions::default(), model, &wind);
+    forces
+}
+
+/// Greatest difference over the greatest force.
+fn distance(a: &[Vector3<f64>], b: &[Vector3<f64>]) -> f64 {
+    let scale = a.iter().map(Vector3::norm).fold(1e-300, f64::max);
+    a.iter().zip(b).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max) / scale
+}
+
+/// Networks that differ in features, axes, layout, activation, symmetry and number of members.
+fn shapes() -> [(&'static str, Shape); 5] {
+    let base = paper(&[20, 70]);
+    [
+        ("paper", paper(&[40; 3])),
+        ("linear", paper(&[])),
+        ("symmetric", Shape { mirror: true, activation: "tanh", members: 3, ..paper(&[33]) }),
+        ("tunnel axes", Shape { frame: "wind", mirror: true, has_baseline: true, ..base }),
+        ("compact", COMPACT),
+    ]
+}
+
+// --- what it says ------------------------------------------------------------------------------------------------
+
+/// Answers of the JAX network, in both precisions; `tests/data/make_network.py` wrote them.
+#[test]
+fn a_network_says_what_jax_says() {
+    let robot = robot("ironcub_mk1");
+    let text = std::fs::read_to_string(data("tests/data/network_small_areas.json")).unwrap();
+    let cases: Vec<Value> = serde_json::from_str(&text).unwrap();
+    assert!(cases.len() >= 4);
+    let numbers = |value: &Value| -> Vec<f64> { serde_json::from_value(value.clone()).unwrap() };
+    for (name, precision, tolerance) in [("f64", Precision::F64, 1e-12), ("f32", Precision::F32, 1e-6)] {
+        let mut model = AeroModel::new(&config(data(SMALL), precision), &robot).unwrap();
+        for case in &cases {
+            let mut state = RobotState::zero(robot.joints.len());
+            state.joint_position = DVector::from_vec(numbers(&case["joint_position"]));
+            let wind = Vector3::from_column_slice(&numbers(&case["v_air_b"]));
+            let found = forces(&robot, &mut model, &state, wind).forces_i;
+            let rows: Vec<[f64; 3]> = serde_json::from_value(case[name].clone()).unwrap();
+            let pressure = 0.5 * 1.225 * wind.norm_squared();
+            let expected: Vec<Vector3<f64>> = rows.iter().map(|row| Vector3::from(*row) * pressure).collect();
+            let worst = distance(&expected, &found);
+            assert!(worst < tolerance, "{name}: {worst:e}");
+        }
+    }
+}
+
+/// Single precision is double precision to six digits, whatever the shape.
+#[test]
+fn precisions_agree() {
+    let (robot, mut rng) = (robot("ironcub_mk1"), rng(1));
+    for (name, shape) in shapes() {
+        let build =
+            |precision| AeroModel::new(&random_network(&robot, &shape, name, precision), &robot).unwrap();
+        let (mut single, mut double) = (build(Precision::F32), build(Precision::F64));
+        for _ in 0..20 {
+            let (state, wind) = (random_state(&mut rng, &robot), random_vector(&mut rng, 10.0));
+            let a = forces(&robot, &mut double, &state, wind).forces_i;
+            let worst = distance(&a, &forces(&robot, &mut single, &state, wind).forces_i);
+            assert!(worst < 2e-6 && worst > 0.0, "{name}: {worst:e}");
+        }
+    }
+}
+
+// --- laws --------------------------------------------------------------------------------------------------------
+
+/// Forces grow with the square of the speed, turn with the world, and vanish in still air.
+#[test]
+fn forces_follow_wind_and_world() {
+    let (robot, mut rng) = (robot("ironcub_mk1"), rng(2));
+    for (name, shape) in shapes() {
+        let config = random_network(&robot, &shape, name, Precision::F64);
+        let mut model = AeroModel::new(&config, &robot).unwrap();
+        for _ in 0..10 {
+            let mut state = random_state(&mut rng, &robot);
+            state.velocity.fill(0.0);
+            let wind = random_vector(&mut rng, 10.0);
+            let here = forces(&robot, &mut model, &state, wind).forces_i;
+            let thrice: Vec<Vector3<f64>> = here.iter().map(|force| force * 9.0).collect();
+            assert!(
+                distance(&thrice, &forces(&robot, &mut model, &state, wind * 3.0).forces_i) < 1e-12,
+                "{name}"
+            );
+
+            let turn = rotation_from_wxyz(&[0.4, -0.2, 0.7, 0.5]);
+            let turned: Vec<Vector3<f64>> = here.iter().map(|force| turn * force).collect();
+            state.base.rotation = turn * state.base.rotation;
+            state.base.position += Vector3::new(3.0, -2.0, 5.0);
+            let there = forces(&robot, &mut model, &state, turn * wind).forces_i;
+            assert!(distance(&turned, &there) < 1e-11, "{name}: {:e}", distance(&turned, &there));
+
+            let still = forces(&robot, &mut model, &state, Vector3::zeros()).forces_i;
+            assert!(still.iter().all(|force| *force == Vector3::zeros()), "{name}");
+        }
+    }
+}
+
+/// Only the velocity of the base origin enters, and it enters as wind: the model's definition.
+#[test]
+fn the_wind_is_that_of_the_base_origin() {
+    let (robot, mut rng) = (robot("ironcub_mk1"), rng(3));
+    let mut model = AeroModel::new(&config(data(SMALL), Precision::F64), &robot).unwrap();
+    let (mut state, wind) = (random_state(&mut rng, &robot), random_vector(&mut rng, 10.0));
+    let moving = forces(&robot, &mut model, &state, wind);
+    let relative = wind - state.base_linear_velocity();
+    assert!(moving.v_air_i.iter().all(|v| (v - relative).norm() < 1e-14));
+    state.velocity.fill(0.0);
+    let still = forces(&robot, &mut model, &state, relative);
+    assert!(distance(&moving.forces_i, &still.forces_i) < 1e-13);
+}
+
+/// A symmetric network's answer to the mirrored question is the mirrored answer; another one's is not.
+#[test]
+fn a_symmetric_network_is_symmetric() {
+    let (robot, mut rng) = (robot("ironcub_mk1"), rng(4));
+    let swapped = |name: &str| -> String {
+        let parts = name.split('_').map(|part| match part {
+            "l" => "r",
+            "r" => "l",
+            other => other,
+        });
+        parts.collect::<Vec<_>>().join("_")
+    };
+    let reflect = |v: Vector3<f64>| Vector3::new(v.x, -v.y, v.z);
+    // Features that come from the links' places see that the robot itself is not quite symmetric.
+    let plain = Shape { mirror: true, ..paper(&[40]) };
+    // An axis across the robot, as that of its root link, has two ends: a baseline may tell them apart.
+    let in_link_axes = Shape { has_baseline: false, ..COMPACT };
+    let lopsided = paper(&[40]);
+    for (name, shape, tolerance) in [
+        ("mirror", &plain, 1e-12),
+        ("mirror in link axes", &in_link_axes, 1e-2),
+        ("no mirror", &lopsided, f64::INFINITY),
+    ] {
+        let mut model = AeroModel::new(&random_network(&robot, shape, name, Precision::F64), &robot).unwrap();
+        for _ in 0..20 {
+            let mut state = RobotState::zero(robot.joints.len());
+            state.joint_position = random_state(&mut rng, &robot).joint_position * 0.5;
+            let wind = random_vector(&mut rng, 10.0);
+            let mut image = state.clone();
+            for (joint, angle) in robot.joints.iter().zip(state.joint_position.iter()) {
+                let sign =
+                    if ["torso_roll", "torso_yaw"].contains(&joint.name.as_str()) { -1.0 } else { 1.0 };
+                image.joint_position[robot.joint_index(&swapped(&joint.name)).unwrap()] = sign * angle;
+            }
+            let here = forces(&robot, &mut model, &state, wind).forces_i;
+            let there = forces(&robot, &mut model, &image, reflect(wind)).forces_i;
+            let expected: Vec<Vector3<f64>> = robot
+                .aero_links
+                .iter()
+                .map(|link| {
+                    let image =
+                        robot.aero_links.iter().position(|other| other.name == swapped(&link.name)).unwrap();
+                    reflect(there[image])
+                })
+                .collect();
+            let worst = distance(&here, &expected);
+            assert!(worst < tolerance, "{name}: {worst:e}");
+            assert!(tolerance.is_finite() || worst > 1e-2, "{name}: {worst:e}");
+        }
+    }
+}
+
+/// Any robot with aerodynamic links may have a network.
+#[test]
+fn other_robots_have_networks_too() {
+    let (robot, mut rng) = (robot("sparrow"), rng(5));
+    let shape = Shape { mirror: false, ..COMPACT };
+    let mut model =
+        AeroModel::new(&random_network(&robot, &shape, "sparrow", Precision::F32), &robot).unwrap();
+    let found = forces(&robot, &mut model, &random_state(&mut rng, &robot), Vector3::new(3.0, 4.0, 5.0));
+    assert!(found.forces_i.iter().all(|force| force.norm() > 0.0 && force.norm() < 100.0));
+}
+
+// --- refusals ----------------------------------------------------------------------------------------------------
+
+#[track_caller]
+fn assert_says(error: &BuildError, words: &[&str]) {
+    let message = error.to_string();
+    for word in words {
+        assert!(message.contains(word), "`{word}` is not in: {message}");
+    }
+}
+
+/// What is wrong with a card whose value at `pointer` is `value`.
+fn error_of_card(pointer: &str, value: Value) -> BuildError {
+    let robot = robot("ironcub_mk1");
+    let mut card: Value = serde_json::from_slice(&std::fs::read(data(SMALL)).unwrap()).unwrap();
+    let (parent, key) = pointer.rsplit_once('/').unwrap();
+    card.pointer_mut(parent).unwrap()[key] = value;
+    let weights = std::fs::read(data(SMALL).with_extension("safetensors")).unwrap();
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("cards").join(pointer.replace('/', "_"));
+    let path = write(&folder, "network_small", &card, &weights);
+    AeroModel::new(&config(path, Precision::F32), &robot).unwrap_err()
+}
+
+/// Every key of a card is looked at, and the error names it, its value and what was expected.
+#[test]
+fn bad_cards_are_refused() {
+    let links = || robot("ironcub_mk1").aero_links.into_iter().map(|link| link.name);
+    for (pointer, value, words) in [
+        ("/format", json!("onnx"), vec!["format", "onnx", "flight-aero-network"]),
+        ("/version", json!(2), vec!["version", "2", "expected 1"]),
+        ("/wieghts", json!(1), vec!["wieghts", "unknown"]),
+        ("/weights/sha256", json!("00"), vec!["SHA-256", "expected 00"]),
+        ("/weights/file", json!("../network_small.safetensors"), vec!["weights.file", "../"]),
+        ("/weights/file", json!("absent.safetensors"), vec!["cannot read", "absent.safetensors"]),
+        ("/inputs/features", json!([]), vec!["inputs.features", "empty"]),
+        ("/inputs/features", json!(["wind", "wind"]), vec!["Wind twice"]),
+        ("/inputs/features", json!(["smell"]), vec!["smell"]),
+        ("/inputs/features", json!(["wind"]), vec!["member.0.layer.0.weight", "[5, 113]", "[5, 3]"]),
+        ("/inputs/joints", json!(["torso_pitch", "tail"]), vec!["inputs.joints", "tail", "known", "l_elbow"]),
+        ("/inputs/joints", json!(["l_elbow", "torso_pitch"]), vec!["order", "l_elbow, torso_pitch"]),
+        (
+            "/inputs/links",
+            json!(links().rev().collect::<Vec<_>>()),
+            vec!["inputs.links", "r_lower_leg, r_upper"],
+        ),
+        ("/output/frame", json!("wind"), vec!["output", "frame Wind with layout Link"]),
+        ("/output/unit", json!("ft^2"), vec!["output.unit", "ft^2", "m^2"]),
+        ("/architecture/hidden", json!([5, 0]), vec!["architecture.hidden", "0", "65536"]),
+        ("/architecture/hidden", json!([5]), vec!["member.0.layer.1.weight", "shape"]),
+        ("/architecture/members", json!(0), vec!["architecture.members", "0"]),
+        ("/architecture/members", json!(3), vec!["member.2.layer.0.weight", "does not exist"]),
+        ("/architecture/members", json!(1), vec!["member.1.layer.0.bias", "no layer"]),
+        ("/architecture/activation", json!("step"), vec!["step", "silu"]),
+        ("/architecture/baseline/links", json!({}), vec!["baseline", "without `head`"]),
+        ("/architecture/baseline/kind", json!("magic"), vec!["magic"]),
+    ] {
+        assert_says(&error_of_card(pointer, value), &words);
+    }
+}
+
+/// What is wrong with these tensors, or with the file they were made into.
+fn error_of_weights(
+    name: &str,
+    change: impl FnOnce(&mut Vec<Tensor>),
+    spoil: impl FnOnce(&mut Vec<u8>),
+) -> BuildError {
+    let robot = robot("ironcub_mk1");
+    let shape = paper(&[4]);
+    let mut tensors = random_tensors(n_inputs(&robot, &shape), 39, &shape, 1);
+    change(&mut tensors);
+    let mut weights = file_of(&tensors);
+    spoil(&mut weights);
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("weights");
+    let path = write(&folder, name, &card(&robot, &shape, name, &weights), &weights);
+    AeroModel::new(&config(path, Precision::F32), &robot).unwrap_err()
+}
+
+/// Shapes, types, numbers that are not finite, and files that are no safetensors files.
+#[test]
+fn bad_weights_are_refused() {
+    let tensors = |name: &str, change: fn(&mut Vec<Tensor>)| error_of_weights(name, change, |_| {});
+    let words = ["member.0.layer.0.bias", "entry 2", "NaN", "nan.safetensors"];
+    assert_says(&tensors("nan", |tensors| tensors[1].2[2] = f32::NAN), &words);
+    assert_says(&tensors("inf", |tensors| tensors[4].2[0] = f32::INFINITY), &["output.scale", "inf"]);
+    let transposed = tensors("transposed", |tensors| tensors[0].1.reverse());
+    assert_says(&transposed, &["shape", "member.0.layer.0.weight", "[22, 4]", "[4, 22]"]);
+    let more = tensors("more", |tensors| tensors.push(("extra".to_owned(), vec![1], vec![0.0])));
+    assert_says(&more, &["extra", "no layer"]);
+    let fewer = tensors("fewer", |tensors| drop(tensors.pop()));
+    assert_says(&fewer, &["output.offset", "does not exist"]);
+    let promised = tensors("promised", |tensors| {
+        tensors[0].1 = vec![4, 22];
+        tensors[0].2.truncate(80);
+    });
+    assert_says(&promised, &["bytes", "320", "352"]);
+
+    let file = |name: &str, spoil: fn(&mut Vec<u8>)| error_of_weights(name, |_| {}, spoil);
+    assert_says(&file("cut", |bytes| bytes.truncate(bytes.len() - 1)), &["cut.safetensors", "output.offset"]);
+    assert_says(&file("long", |bytes| bytes.push(0)), &["long.safetensors", "end at byte"]);
+    assert_says(&file("empty", Vec::clear), &["empty.safetensors", "0 bytes"]);
+    assert_says(&file("huge", |bytes| bytes[7] = 0x7f), &["announces", "shorter"]);
+    assert_says(&file("no table", |bytes| bytes[8] = b'x'), &["no table.safetensors", "its table"]);
+    let half = |bytes: &mut Vec<u8>| {
+        let text = String::from_utf8_lossy(&bytes[8..]).find("F32").unwrap() + 8;
+        bytes[text..text + 3].copy_from_slice(b"F16");
+    };
+    assert_says(&file("half", half), &["dtype", "F16", "F32"]);
+}
+
+/// A network has no drag and normal term for the controller to leave out; links it has. What the simulator
+/// scales is no term but the part of the force along the air.
+#[test]
+fn factors_on_terms_of_other_models_are_refused() {
+    let mut flight = experiment("test2");
+    let network = config(data(SMALL), Precision::F32);
+    let robot = robot("ironcub_mk1");
+    flight.simulator.aero = network.clone();
+    flight.simulator.aero_factors.normal = 0.5;
+    Plant::new(robot.clone(), &flight.simulator).unwrap();
+    flight.controller.aero = network;
+    let build = |feedback: &str, factor| {
+        let mut controller = flight.controller.clone();
+        match feedback {
+            "drag" => controller.aero_feedback.drag = factor,
+            "normal" => controller.aero_feedback.normal = factor,
+            link => drop(controller.aero_feedback.links.insert(link.to_owned(), factor)),
+        }
+        Controller::new(robot.clone(), controller, flight.envelope.clone(), 0.01)
+    };
+    build("head", 0.0).unwrap();
+    for key in ["drag", "normal"] {
+        build(key, 1.0).unwrap();
+        let key_in_full = format!("controller.aero_feedback.{key}");
+        assert_says(&build(key, 0.5).unwrap_err(), &[&key_in_full, "0.5", "network"]);
+    }
+}
+
+/// A robot without a mirror image has no symmetric network.
+#[test]
+fn a_lopsided_robot_is_refused() {
+    let mut robot = robot("ironcub_mk1");
+    robot.aero_links[4].centre_l.x += 0.1;
+    let config = random_network(&robot, &COMPACT, "lopsided", Precision::F32);
+    assert_says(&AeroModel::new(&config, &robot).unwrap_err(), &["l_upper_arm", "mirrored", "image"]);
+}

@@ -1,0 +1,336 @@
+//! The QP with general rows: optimality on every answer, agreement with Clarabel, with the box solver and with
+//! enumeration, degenerate corners, and total behaviour.
+
+#![allow(clippy::expect_used, reason = "a test that cannot go on has failed")]
+#![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
+
+mod common;
+
+use common::rng;
+use flight_core::control::contact::WrenchLimits;
+use flight_core::control::qp::{
+    ActiveSetSolver, ClarabelRowSolver, DualActiveSetSolver, KKT_TOLERANCE, QpStatus, RowQp, row_kkt_residual,
+};
+use nalgebra::{DMatrix, DVector, Vector6};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
+const FEET: usize = 2;
+const FORCES: usize = 6 * FEET;
+const JOINTS: usize = 23;
+const N: usize = FORCES + JOINTS;
+
+fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    (0..12).map(|_| rng.random_range(-0.5..0.5)).sum()
+}
+
+fn limits() -> WrenchLimits {
+    WrenchLimits {
+        friction: 0.1,
+        torsional_friction: 1.0 / 75.0,
+        vertical_force_min: 1.0,
+        centre_of_pressure_x: [-0.07, 0.12],
+        centre_of_pressure_y: [-0.045, 0.05],
+    }
+}
+
+/// A problem like the torque QP of a standing robot: `P W P` of rank 29 with the published weights, the
+/// wrench rows of two feet. `push` moves the wanted wrenches towards and across their limits.
+fn standing_problem(rng: &mut ChaCha8Rng, push: f64) -> RowQp {
+    let rows = limits().rows();
+    let mut qp = RowQp::new(N, rows.len() * FEET);
+    let y = DMatrix::from_fn(29, N, |_, j| normal(rng) * if j < FORCES { 0.7 } else { 3.0 });
+    let p = y.tr_mul(&y);
+    let weights = DVector::from_fn(N, |i, _| if i < FORCES { 100.0 } else { 1.0 });
+    let own = DVector::from_fn(N, |i, _| if i < FORCES { 1.0 } else { 0.001 } + 1e-4);
+    let h = &p * DMatrix::from_diagonal(&weights) * &p + DMatrix::from_diagonal(&own);
+    let wanted = DVector::from_fn(N, |i, _| match i {
+        2 | 8 => 212.0 + push * 100.0 * normal(rng),
+        i if i < FORCES => push * normal(rng) * if i % 6 < 3 { 20.0 } else { 10.0 },
+        _ => push * 30.0 * normal(rng),
+    });
+    qp.bounded.g = -(&h * wanted);
+    qp.bounded.h = 0.5 * (&h + h.transpose());
+    qp.bounded.lower.rows_mut(FORCES, JOINTS).fill(-50.0);
+    qp.bounded.upper.rows_mut(FORCES, JOINTS).fill(50.0);
+    for foot in 0..FEET {
+        for (k, (row, bound)) in rows.iter().enumerate() {
+            let column = rows.len() * foot + k;
+            qp.normals.fixed_view_mut::<6, 1>(6 * foot, column).copy_from(row);
+            qp.limit[column] = *bound;
+        }
+    }
+    qp
+}
+
+/// Random rows through a point that satisfies them all, so that there is an answer.
+fn random_problem(rng: &mut ChaCha8Rng, n: usize, rows: usize) -> RowQp {
+    let mut qp = RowQp::new(n, rows);
+    let root = DMatrix::from_fn(n, n, |_, _| normal(rng));
+    let mut h = root.tr_mul(&root);
+    for i in 0..n {
+        h[(i, i)] += 10.0_f64.powf(rng.random_range(-4.0..0.0));
+    }
+    qp.bounded.h = 0.5 * (&h + h.transpose());
+    qp.bounded.g = DVector::from_fn(n, |_, _| 5.0 * normal(rng));
+    let inside = DVector::from_fn(n, |_, _| normal(rng));
+    for i in 0..n {
+        qp.bounded.lower[i] = inside[i] - rng.random_range(0.0..2.0);
+        qp.bounded.upper[i] = inside[i] + rng.random_range(0.0..2.0);
+    }
+    qp.normals = DMatrix::from_fn(n, rows, |_, _| normal(rng));
+    qp.limit = qp.normals.tr_mul(&inside).map(|value| value + rng.random_range(0.0..1.0));
+    qp
+}
+
+#[track_caller]
+fn solved(qp: &RowQp) -> (DVector<f64>, u32) {
+    let mut solver = DualActiveSetSolver::new(qp.len(), qp.rows());
+    let answer = solver.solve(qp);
+    assert_eq!(answer.status, QpStatus::Solved, "{answer:?}");
+    let x = solver.x();
+    assert!(answer.kkt <= KKT_TOLERANCE && answer.kkt == row_kkt_residual(qp, x, solver.multipliers()));
+    for (x, (lower, upper)) in x.iter().zip(qp.bounded.lower.iter().zip(qp.bounded.upper.iter())) {
+        assert!(lower <= x && x <= upper, "{lower} <= {x} <= {upper}");
+    }
+    (DVector::from_column_slice(x), answer.active)
+}
+
+fn difference(a: &DVector<f64>, b: &DVector<f64>) -> f64 {
+    (a - b).amax() / (1.0 + a.amax())
+}
+
+/// From calm to far beyond the limits: certified, and the same point as polished Clarabel's.
+#[test]
+fn standing_problems_are_solved_and_agree_with_clarabel() {
+    let mut rng = rng(1);
+    for (push, fewest) in [(0.02, 0.0), (0.3, 0.3), (1.0, 2.0), (5.0, 8.0)] {
+        let (mut active, mut agreed) = (0.0, 0);
+        let count = 60;
+        for _ in 0..count {
+            let qp = standing_problem(&mut rng, push);
+            let (x, held) = solved(&qp);
+            active += f64::from(held) / f64::from(count);
+            let mut clarabel = ClarabelRowSolver::new(qp.len(), qp.rows());
+            let answer = clarabel.solve(&qp);
+            let other = DVector::from_column_slice(clarabel.x());
+            let (ours, theirs) = (qp.bounded.objective(x.as_slice()), qp.bounded.objective(other.as_slice()));
+            assert!(ours <= theirs + 1e-8 * theirs.abs().max(1.0), "{ours} {theirs}");
+            if answer.status == QpStatus::Solved {
+                agreed += 1;
+                assert!(difference(&x, &other) < 1e-7, "push {push}: {:e}", difference(&x, &other));
+            }
+        }
+        assert!(agreed > count * 8 / 10, "push {push}: Clarabel certified {agreed} of {count}");
+        println!("push {push}: {active} active, Clarabel certified {agreed} of {count}");
+        assert!(active >= fewest, "push {push}: {active} constraints active on average");
+    }
+}
+
+/// Any size, more rows than variables: certified, and no worse than Clarabel.
+#[test]
+fn random_problems_of_every_size_are_solved() {
+    let mut rng = rng(2);
+    for (n, rows) in [(1, 3), (2, 9), (5, 5), (12, 40), (35, 38), (40, 1)] {
+        for _ in 0..60 {
+            let qp = random_problem(&mut rng, n, rows);
+            let (x, _) = solved(&qp);
+            let mut clarabel = ClarabelRowSolver::new(n, rows);
+            if clarabel.solve(&qp).status == QpStatus::Solved {
+                let other = DVector::from_column_slice(clarabel.x());
+                assert!(difference(&x, &other) < 1e-7, "{n} variables, {rows} rows");
+            }
+        }
+    }
+}
+
+/// Without rows it is the box problem, and has the box solver's answer.
+#[test]
+fn without_rows_it_is_the_box_problem() {
+    let mut rng = rng(3);
+    for _ in 0..200 {
+        let qp = random_problem(&mut rng, 20, 0);
+        let mut bounded = ActiveSetSolver::new(20);
+        assert_eq!(bounded.solve(&qp.bounded).status, QpStatus::Solved);
+        let (x, _) = solved(&qp);
+        assert!(difference(&x, &DVector::from_column_slice(bounded.x())) < 1e-9);
+    }
+}
+
+/// Brute force over all sets of rows that could hold, for problems small enough.
+#[test]
+fn tiny_problems_agree_with_enumeration() {
+    let mut rng = rng(4);
+    for _ in 0..150 {
+        let mut qp = random_problem(&mut rng, 3, 5);
+        qp.bounded.lower.fill(f64::NEG_INFINITY);
+        qp.bounded.upper.fill(f64::INFINITY);
+        let (h, g) = (&qp.bounded.h, &qp.bounded.g);
+        let mut best = (f64::INFINITY, DVector::zeros(3));
+        for set in 0..32_u32 {
+            let held: Vec<usize> = (0..5).filter(|k| set & (1 << k) != 0).collect();
+            let m = held.len();
+            let mut system = DMatrix::zeros(3 + m, 3 + m);
+            system.view_mut((0, 0), (3, 3)).copy_from(h);
+            let mut right = DVector::zeros(3 + m);
+            right.rows_mut(0, 3).copy_from(&-g);
+            for (place, &k) in held.iter().enumerate() {
+                system.view_mut((0, 3 + place), (3, 1)).copy_from(&qp.normals.column(k));
+                system.view_mut((3 + place, 0), (1, 3)).copy_from(&qp.normals.column(k).transpose());
+                right[3 + place] = qp.limit[k];
+            }
+            let Some(solution) = system.lu().solve(&right) else { continue };
+            let x: DVector<f64> = solution.rows(0, 3).into();
+            let slack = &qp.limit - qp.normals.tr_mul(&x);
+            let value = qp.bounded.objective(x.as_slice());
+            if slack.min() > -1e-9 && value < best.0 {
+                best = (value, x);
+            }
+        }
+        let (x, _) = solved(&qp);
+        assert!(difference(&x, &best.1) < 1e-7, "{x} {}", best.1);
+    }
+}
+
+/// Rows that repeat, that touch the minimiser, and that meet in one corner: multipliers are not unique,
+/// the minimiser is.
+#[test]
+fn degenerate_corners_do_not_cycle() {
+    let mut rng = rng(5);
+    for case in 0..200 {
+        let mut qp = random_problem(&mut rng, 8, 24);
+        let corner = DVector::from_fn(8, |_, _| normal(&mut rng));
+        qp.bounded.lower.fill(-100.0);
+        qp.bounded.upper.fill(100.0);
+        for k in 0..24 {
+            if k % 3 == 2 {
+                let twin: DVector<f64> = qp.normals.column(k - 1).into();
+                qp.normals.set_column(k, &(twin * 2.0));
+            }
+            qp.limit[k] = qp.normals.column(k).dot(&corner);
+        }
+        if case % 2 == 0 {
+            // The minimiser is the corner itself.
+            let pull = &qp.normals * DVector::from_fn(24, |_, _| rng.random_range(0.0..1.0));
+            qp.bounded.g = -(&qp.bounded.h * &corner) - pull;
+            let (x, _) = solved(&qp);
+            assert!((x - &corner).amax() < 1e-7);
+        } else {
+            solved(&qp);
+        }
+    }
+}
+
+/// The certificate sees an error of every kind.
+#[test]
+fn the_certificate_sees_small_errors_of_every_kind() {
+    let mut rng = rng(6);
+    let qp = standing_problem(&mut rng, 1.0);
+    let mut solver = DualActiveSetSolver::new(N, qp.rows());
+    assert_eq!(solver.solve(&qp).status, QpStatus::Solved);
+    let (x, u) = (solver.x().to_vec(), solver.multipliers().to_vec());
+    assert!(u.iter().any(|u| *u > 0.0), "no row presses");
+    for i in 0..N {
+        let mut moved = x.clone();
+        moved[i] += 1e-3 * (1.0 + x[i].abs());
+        assert!(row_kkt_residual(&qp, &moved, &u) > KKT_TOLERANCE, "x[{i}]");
+    }
+    let roots = qp.bounded.h.diagonal().map(f64::sqrt);
+    let size = qp.bounded.g.component_div(&roots).amax();
+    for k in 0..qp.rows() {
+        let length = qp.normals.column(k).component_div(&roots).norm();
+        for change in [1e-7, -1e-7] {
+            let mut moved = u.clone();
+            moved[k] += change * size / length;
+            assert!(row_kkt_residual(&qp, &x, &moved) > KKT_TOLERANCE, "u[{k}] by {change}");
+        }
+    }
+    assert!(row_kkt_residual(&qp, &x[1..], &u).is_nan());
+    assert!(row_kkt_residual(&qp, &x, &u[1..]).is_nan());
+}
+
+/// What cannot be solved is said, `x` stays, and the solver goes on to solve the next problem.
+#[test]
+fn bad_problems_are_reported_and_leave_the_solvers_usable() {
+    let mut rng = rng(7);
+    let good = standing_problem(&mut rng, 0.3);
+    let spoilt = |spoil: &dyn Fn(&mut RowQp)| {
+        let mut qp = good.clone();
+        spoil(&mut qp);
+        qp
+    };
+    let cases = [
+        (spoilt(&|qp| qp.bounded.g[3] = f64::NAN), QpStatus::NonFinite),
+        (spoilt(&|qp| qp.normals[(2, 5)] = f64::NAN), QpStatus::NonFinite),
+        (spoilt(&|qp| qp.limit[5] = f64::NAN), QpStatus::NonFinite),
+        (spoilt(&|qp| qp.bounded.h[(4, 4)] = f64::INFINITY), QpStatus::NonFinite),
+        (spoilt(&|qp| qp.limit[5] = f64::NEG_INFINITY), QpStatus::InfeasibleBounds),
+        (spoilt(&|qp| qp.bounded.lower[20] = 60.0), QpStatus::InfeasibleBounds),
+        (spoilt(&|qp| qp.bounded.h[(13, 13)] = -1.0), QpStatus::NotPositiveDefinite),
+        (spoilt(&|qp| qp.bounded.h.fill(1.0)), QpStatus::NotPositiveDefinite),
+        // Two rows that exclude one another.
+        (
+            spoilt(&|qp| {
+                let opposite: DVector<f64> = -DVector::from(qp.normals.column(0));
+                qp.normals.set_column(1, &opposite);
+                (qp.limit[0], qp.limit[1]) = (-3.0, -3.0);
+            }),
+            QpStatus::InfeasibleBounds,
+        ),
+        (RowQp::new(N, 3), QpStatus::SizeMismatch),
+        (RowQp::new(3, good.rows()), QpStatus::SizeMismatch),
+    ];
+    let mut ours = DualActiveSetSolver::new(N, good.rows());
+    for (qp, expected) in &cases {
+        let before = ours.x().to_vec();
+        assert_eq!(ours.solve(qp).status, *expected);
+        assert_eq!(ours.x(), before, "x moved");
+        assert_eq!(ours.solve(&good).status, QpStatus::Solved);
+        let theirs = ClarabelRowSolver::new(N, good.rows()).solve(qp).status;
+        assert!(theirs != QpStatus::Solved, "Clarabel solved what {expected:?} says");
+    }
+}
+
+/// Rows without limit or without entries say nothing; a problem without variables has the empty answer.
+#[test]
+fn empty_rows_and_problems_are_problems_too() {
+    let mut rng = rng(8);
+    let mut qp = standing_problem(&mut rng, 0.3);
+    let (x, _) = solved(&qp);
+    let mut more = RowQp::new(N, qp.rows() + 2);
+    more.bounded = qp.bounded.clone();
+    more.normals.columns_mut(0, qp.rows()).copy_from(&qp.normals);
+    more.limit.rows_mut(0, qp.rows()).copy_from(&qp.limit);
+    more.normals.fixed_view_mut::<6, 1>(0, qp.rows()).copy_from(&Vector6::repeat(1.0));
+    more.limit[qp.rows() + 1] = 0.0;
+    assert_eq!(solved(&more).0, x);
+    qp = RowQp::new(0, 2);
+    assert!(qp.is_empty());
+    assert_eq!(solved(&qp).0.len(), 0);
+}
+
+/// Other units of variables and of rows do not change the answer.
+#[test]
+fn units_do_not_matter() {
+    let mut rng = rng(9);
+    for _ in 0..50 {
+        let qp = standing_problem(&mut rng, 1.0);
+        let (x, _) = solved(&qp);
+        let s = DVector::from_fn(N, |_, _| 10.0_f64.powf(rng.random_range(-3.0..3.0)));
+        let scale = DMatrix::from_diagonal(&s);
+        let mut other = qp.clone();
+        other.bounded.h = &scale * &qp.bounded.h * &scale;
+        other.bounded.h = 0.5 * (&other.bounded.h + other.bounded.h.transpose());
+        other.bounded.g = &scale * &qp.bounded.g;
+        other.bounded.lower = qp.bounded.lower.component_div(&s);
+        other.bounded.upper = qp.bounded.upper.component_div(&s);
+        other.normals = &scale * &qp.normals;
+        for k in 0..qp.rows() {
+            let unit = 10.0_f64.powf(rng.random_range(-3.0..3.0));
+            other.normals.column_mut(k).scale_mut(unit);
+            other.limit[k] *= unit;
+        }
+        let (y, _) = solved(&other);
+        assert!(difference(&x, &y.component_mul(&s)) < 1e-7);
+    }
+}

@@ -1,0 +1,290 @@
+"""A robot that stands: MuJoCo under it, the crate's controller in it."""
+
+from pathlib import Path
+
+import daqp
+import mujoco
+import numpy as np
+import pytest
+import xarray as xr
+
+from experiments import Refused, engines, flight, record, tip_over
+from experiments.report import ground
+from jax_aero import reference
+from jax_aero.mujoco_ground import GroundPlant, fly
+from paper_figs.__main__ import main as draw
+
+ROOT = Path(__file__).resolve().parents[2]
+STILL = {"profile": "constant", "velocity": [0.0, 0.0, 0.0]}
+FREE_JOINTS = {
+    "simulator.motors.friction": 0.0,
+    "simulator.motors.friction_of": {},
+    "simulator.motors.damping": 0.0,
+    "simulator.motors.inertia": 0.0,
+    "simulator.substeps": 10,
+}
+COARSE = {"simulator.substeps": 5}
+"""Larger physics steps, for speed; joints without friction or inertia need the finer ones."""
+
+
+def standing(**overrides):
+    return reference.load_config(ROOT / "configs/experiments/balancing_front.toml", COARSE | overrides)
+
+
+def early_wind(velocity, told=True, duration=9.0, **overrides):
+    """The ground experiment with its wind between 1 and 4 s."""
+    wind = {"profile": "ramp", "velocity": velocity, "ramp_start": 1.0, "ramp_end": 4.0}
+    return standing(**{"simulator.duration": duration, ("fictitious_wind" if told else "wind"): wind} | overrides)
+
+
+@pytest.fixture(scope="module")
+def frontal():
+    return fly(early_wind([-12.0, 0.0, 0.0]))
+
+
+def test_the_feet_carry_the_robot():
+    plant = GroundPlant(standing())
+    seen = plant.observe(np.zeros(3))
+    total = seen.foot_wrenches[:, :3].sum(axis=0)
+    assert total == pytest.approx([0.0, 0.0, plant.robot.mass * 9.81], abs=0.05)
+    # Moments about the inertial origin: the weight acts at the centre of mass.
+    soles = np.cross(seen.soles, seen.foot_wrenches[:, :3]) + seen.foot_wrenches[:, 3:]
+    com = reference.dynamics(plant.robot, seen.state).com_position
+    assert soles.sum(axis=0) == pytest.approx(np.cross(com, total), abs=0.05)
+    assert np.abs(seen.soles[:, 2]).max() < 1e-3
+
+
+def test_state_and_dynamics_are_those_of_the_crate():
+    """The same torques and forces accelerate MuJoCo's robot, its feet off the ground, as they do ours."""
+    in_the_air = {"simulator.initial.base_position": [0.0, 0.0, 1.5], "simulator.ground.settling": 0.0}
+    config = standing(**in_the_air | FREE_JOINTS)
+    plant = GroundPlant(config)
+    rng = np.random.default_rng(1)
+    plant.data.qvel[:] = rng.uniform(-0.5, 0.5, plant.model.nv)
+    plant.data.ctrl[:] = rng.uniform(-5.0, 5.0, 23)
+    seen = plant.observe(np.array([8.0, -5.0, 0.0]))
+    assert not seen.foot_wrenches.any()
+    mujoco.mj_forward(plant.model, plant.data)  # now with the wind
+    force = np.concatenate([np.zeros(6), seen.joint_torque])
+    for index, point in enumerate(plant._links):
+        body = plant.data.body(plant.model.site_bodyid[point])
+        arm = plant.data.site_xpos[point] - body.xpos
+        jacobian = reference.frame_jacobian(plant.robot, body.name, seen.state)
+        force += jacobian.linear.T @ seen.aero_force[index] + jacobian.angular.T @ np.cross(arm, seen.aero_force[index])
+    ours = reference.forward_dynamics(plant.robot, seen.state, force)
+    theirs = plant.data.qacc[plant._order.dofs].copy()
+    rotation, omega = np.asarray(seen.state.base_rotation), np.asarray(seen.state.velocity)[3:6]
+    theirs[3:6] = rotation @ theirs[3:6]
+    assert np.linalg.norm(omega) > 0.1
+    np.testing.assert_allclose(theirs, ours, rtol=1e-6, atol=1e-6 * np.abs(ours).max())
+
+
+def test_a_robot_with_free_joints_stands_still_for_a_minute():
+    """No friction holds it: within 1 mm once the start of f_c*, which knows no moment about x, has settled."""
+    log = fly(standing(**{"simulator.duration": 60.0, "fictitious_wind": STILL} | FREE_JOINTS)).log
+    com = log["com_position"][log["time"] >= 5.0]
+    assert np.ptp(com, axis=0).max() < 1e-3
+    assert np.linalg.norm(log["com_position"][-1] - log["com_reference"][-1]) < 1e-3
+    assert np.linalg.norm(log["sole_position"][-1] - log["sole_position"][0], axis=1).max() < 1e-4
+    assert not log["qp_status"].any()
+    assert log["feet_carry"].all()
+
+
+def test_the_sums_are_right_at_every_tick(frontal):
+    log = frontal.log
+    weight = reference.Robot(standing()["robot"]).mass * 9.81
+    expected = log["contact_force"][:, :, :3].sum(axis=1) + log["aero_force_control"].sum(axis=1) - [0.0, 0.0, weight]
+    np.testing.assert_allclose(log["momentum_rate_estimate"][:, :3], expected, atol=1e-9)
+    lift = log["aero_force_control"].sum(axis=1)[-1, 2]
+    assert log["contact_force"][-1, :, 2].sum() + lift == pytest.approx(weight, abs=0.1)
+
+
+def test_in_frontal_wind_it_leans_forward_by_its_ankles(frontal):
+    assert frontal.outcome == "completed"
+    log, names = frontal.log, reference.Robot(standing()["robot"]).joint_names
+    moved = log["com_position"][-1] - log["com_position"][90]
+    assert moved[0] > 0.01 > 5 * abs(moved[1])
+    assert log["aero_force_control"].sum(axis=1)[-1, 0] < -15.0
+    assert np.abs(log["aero_force_sim"].sum(axis=1)[-1]).max() < 0.01, "no wind blows"
+    turned = np.abs(log["joint_position"][-1] - log["joint_position"][90])
+    assert {names[index] for index in np.argsort(-turned)[:2]} == {"l_ankle_pitch", "r_ankle_pitch"}
+    rate = np.abs(log["momentum_rate_estimate"][:, 0])
+    assert rate[-1] < min(0.95 * rate.max(), 0.25 * 18.9)
+    assert not log["qp_status"].any()
+
+
+def test_wind_that_blows_is_withstood_better_by_a_controller_that_knows_of_it():
+    gale = {"wind": {"profile": "ramp", "velocity": [-17.0, 0.0, 0.0], "ramp_start": 1.0, "ramp_end": 4.0}}
+    knows = fly(standing(**{"simulator.duration": 8.0, "fictitious_wind": gale["wind"]} | gale))
+    ignores = fly(standing(**{"simulator.duration": 8.0, "fictitious_wind": STILL} | gale))
+    assert knows.outcome == "completed"
+    assert knows.summary["max_com_error"] < 0.01
+    assert ignores.outcome == "fell"
+    assert ignores.fall_reason.startswith(("CoM error", "rotation error"))
+
+
+def test_the_standing_qp_agrees_with_daqp():
+    """Problems harvested from a robot that leans, tips and slips."""
+    config = early_wind([-20.0, 14.0, 0.0], duration=6.0, **FREE_JOINTS)
+    plant, controller = GroundPlant(config), reference.Controller(config)
+    winds = reference.wind_velocity(config["fictitious_wind"], np.arange(600) * 0.01)
+    checked = pressing = 0
+    for k, wind in enumerate(winds):
+        seen = plant.observe(np.zeros(3))
+        tick = controller.tick(seen.state, np.zeros(4), wind, 0.01 * k, foot_wrenches=seen.foot_wrenches)
+        plant.advance(tick.joint_torque)
+        qp = tick.contact.standing_qp
+        if np.abs(tick.com_position - tick.reference.com_position).max() > 0.3:
+            break
+        if k % 3 or qp is None:
+            continue
+        assert tick.torque_answer.status == "Solved"
+        x = np.concatenate([tick.contact.force_of_torques.ravel(), tick.unlimited_torque])
+        # DAQP takes bounds of the variables first, then those of the rows.
+        upper = np.clip(np.concatenate([qp.upper, qp.limit]), None, 1e30)
+        lower = np.clip(np.concatenate([qp.lower, np.full(qp.limit.size, -1e30)]), -1e30, None)
+        kinds = np.zeros(upper.size, dtype=np.int32)
+        theirs, _, flag, _ = daqp.solve(qp.h, qp.g, qp.rows, upper, lower, kinds, primal_tol=1e-10)
+        assert flag == 1
+        value = [0.5 * z @ qp.h @ z + qp.g @ z for z in (x, theirs)]
+        assert value[0] == pytest.approx(value[1], rel=1e-9)
+        np.testing.assert_allclose(x, theirs, atol=1e-5 * np.abs(x).max())
+        assert (qp.rows @ x <= qp.limit + 1e-7).all()
+        checked += 1
+        pressing += int((qp.rows @ x > qp.limit - 1e-6).any())
+    assert checked >= 20
+    assert pressing >= 3
+
+
+def test_a_run_is_recorded_and_measured(frontal, tmp_path):
+    robot = reference.Robot(standing()["robot"])
+    dataset = record.to_dataset(frontal, robot, title="t", config_digest="d", engine="mujoco")
+    assert dataset["foot_wrench"].dims == ("time", "foot", "six")
+    assert dataset["foot"].values.tolist() == ["l_sole", "r_sole"]
+    path = tmp_path / "run.nc"
+    record.write_dataset(dataset, path)
+    found = ground.measure("x", xr.load_dataset(path, engine="h5netcdf"), 1.0, robot.mass)
+    assert found.identity < 1e-9
+    assert found.shift[0] > 0.01
+    assert max(found.left_leg, key=lambda joint: abs(found.left_leg[joint])) == "ankle_pitch"
+    assert 0.0 < found.onset < 8.0
+    assert found.always_carried
+
+
+def test_the_ground_figure_is_drawn_from_its_runs(frontal, tmp_path):
+    robot = reference.Robot(standing()["robot"])
+    for name in ("balancing_front", "balancing_lateral"):
+        dataset = record.to_dataset(frontal, robot, title=name, config_digest="d")
+        record.write_run(tmp_path / "flight" / name, dataset, {"name": name, "config_digest": "d"})
+    out = tmp_path / "out"
+    assert draw(["fig6", "--results", str(tmp_path / "flight"), "--out", str(out)]) == 0
+    assert (out / "fig6.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_an_incomplete_log_is_refused(frontal):
+    robot = reference.Robot(standing()["robot"])
+    log = {name: signal for name, signal in frontal.log.items() if name != "foot_wrench"}
+    broken = reference.Flight(log, frontal.joint_reference, "completed", None, None, {})
+    with pytest.raises(ValueError, match="no `foot_wrench`"):
+        record.to_dataset(broken, robot, title="t", config_digest="d")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "named"),
+    [
+        ({"simulator.ground.friction": 0.0}, "simulator.ground.friction is 0"),
+        ({"simulator.motors.friction_of": {"tail": 1.0}}, "friction_of names `tail`"),
+        ({"controller.contact.wrench.friction": -1.0}, "wrench.friction is -1"),
+        ({"engine": "rust"}, 'engine = "mujoco"'),
+    ],
+)
+def test_bad_ground_is_refused(overrides, named):
+    with pytest.raises(ValueError, match=named):
+        standing(**overrides)
+
+
+def test_engines_refuse_what_they_do_not_know(monkeypatch):
+    flying = reference.load_config(ROOT / "configs/experiments/test2.toml")
+    with pytest.raises(ValueError, match=r"simulator.ground.* is absent"):
+        engines.engine("mujoco").fly(flying)
+    with pytest.raises(ValueError, match=r"simulator\.ground"):
+        reference.fly(standing())
+    with pytest.raises(ValueError, match="wind_estimate"):
+        fly(standing(**{"controller.wind_estimate": {"bias": [1.0, 0.0, 0.0]}}))
+    monkeypatch.setitem(__import__("sys").modules, "jax_aero.mujoco_ground", None)
+    with pytest.raises(Refused, match='engine = "mujoco" needs'):
+        engines.engine("mujoco")
+
+
+def test_the_differentiable_floor_refuses_feet_by_name():
+    from jax_aero.config import flight_config
+
+    config = standing(engine="mujoco")
+    with pytest.raises(ValueError, match=r"does not know .*`fictitious_wind`"):
+        flight_config(config)
+    del config["fictitious_wind"]
+    with pytest.raises(ValueError, match=r"`simulator\.ground`, `simulator\.motors`"):
+        flight_config(config)
+    del config["simulator"]["ground"], config["simulator"]["motors"]
+    with pytest.raises(ValueError, match=r"`controller\.contact`, `controller\.use_jets`"):
+        flight_config(config)
+
+
+def test_the_commands_have_a_title():
+    assert dict(flight.available())["balancing_front"].startswith("Ground experiment")
+
+
+# --- what tips it over ---------------------------------------------------------------------------------------------
+
+
+def outcome(speed, limit):
+    return {"stands": speed < limit, "slipped": False, "force": [speed, 0.0, 0.0]}
+
+
+@pytest.mark.parametrize("limit", [4.2, 11.0, 39.9])
+def test_the_limit_is_found_to_the_resolution(limit):
+    found = tip_over.seek(lambda speed: outcome(speed, limit), 4.0, 44.0, 0.5)
+    assert limit - 0.5 <= found["speed"] < limit
+    assert found["force"][0] == found["speed"]
+
+
+def test_what_nothing_or_everything_tips_is_said():
+    assert tip_over.seek(lambda speed: outcome(speed, 100.0), 4.0, 44.0, 0.5)["speed"] == 44.0
+    assert np.isnan(tip_over.seek(lambda speed: outcome(speed, 1.0), 4.0, 44.0, 0.5)["speed"])
+
+
+def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
+    made = []
+
+    class Engine:
+        def fly(self, config):
+            speed = np.linalg.norm(config["wind"]["velocity"])
+            made.append(speed)
+            if len(made) == 5:
+                raise KeyboardInterrupt
+            n = 3
+            log = {
+                "foot_wrench": np.tile([0.0, 0.0, 200.0, 0.0, 0.0, 0.0], (n, 2, 1)),
+                "com_position": np.zeros((n, 3)),
+                "com_reference": np.zeros((n, 3)),
+                "aero_force_sim": np.full((n, 13, 3), speed / 13),
+                "sole_position": np.zeros((n, 2, 3)),
+            }
+            return reference.Flight(log, np.zeros(23), "fell" if speed > 15.0 else "completed", None, None, {})
+
+    monkeypatch.setattr(tip_over.engines, "engine", lambda _: Engine())
+    text = (ROOT / "configs/tip_over/ground.toml").read_text().replace("../", f"{ROOT}/configs/")
+    path = tmp_path / "small.toml"
+    path.write_text(text.replace("[0.0, 30.0, 60.0, 90.0, 120.0, 150.0, 180.0]", "[0.0, 90.0]"))
+    with pytest.raises(KeyboardInterrupt):
+        tip_over.run(path, tmp_path)
+    interrupted = len(made)
+    document = tip_over.run(path, tmp_path)
+    assert all(14.5 <= value <= 15.0 for value in document["summary"].values())
+    assert len(document["summary"]) == 4
+    assert list((tmp_path / "tip_over").glob(".*")) == []
+    # Four cells of two ends and seven halvings; the four trials before the interrupt are not made again.
+    assert len(made) == 4 * 9 + 1
+    assert interrupted == 5
+    results, out = str(tmp_path / "flight"), str(tmp_path / "out")
+    assert draw(["tip_over", "--runs", "small", "--results", results, "--out", out]) == 0
