@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments import manifest
+from experiments import bench_jaxsim, manifest
 from jax_aero import reference, sim
 from jax_aero.aero import LinkConventions, aero_model, link_forces
 from jax_aero.config import aero_config, flight_config
@@ -30,6 +30,7 @@ from jax_aero.control import qp
 from jax_aero.control import tick as control
 from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.kinematics import kinematics
+from jax_aero.linalg import CHUNK
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.sim.rollout import fly_chunk
 from jax_aero.types import State, with_dtype
@@ -37,10 +38,15 @@ from jax_aero.types import State, with_dtype
 untyped: Any = jax
 """The parts of JAX that carry no types."""
 
+EXPERIMENTS = manifest.REPOSITORY / "configs" / "experiments"
 HOVER = 1000
 """Tick of TEST2 at which the states are taken: hovering in the full wind."""
 TICKS = 20
 """Ticks of a measured rollout."""
+
+
+FLIGHT_TICKS = 5001
+"""Ticks of a flight of 50 s, which throughput is also given in."""
 
 
 class Case(NamedTuple):
@@ -54,53 +60,110 @@ class Case(NamedTuple):
     """Second argument; the batch varies its State."""
     divide_by: int = 1
     """Parts of a sample that count on their own, such as the ticks of a rollout."""
+    is_slow: bool = False
+    """Whether it compiles for long; left out of a quick run."""
+    in_pieces: bool = False
+    """Whether a CPU must be given few samples at a time: it calls LAPACK in a way that can wait for itself for ever."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = argparse.ArgumentParser(prog="python -m experiments.bench_jax", description=__doc__)
-    parser.add_argument("--batch", type=int, nargs="+", default=[1, 64, 1024], help="batch sizes")
-    parser.add_argument("--only", help="measure only what has this text in its name")
-    parser.add_argument("--seconds", type=float, default=1.0, help="time spent on one figure, about")
+    parser.add_argument("--batch", type=int, nargs="+", help="batch sizes (default 1 64 1024; quick: 1 64)")
+    parser.add_argument("--only", nargs="+", metavar="TEXT", help="measure only what has one of these in its name")
+    parser.add_argument("--seconds", type=float, help="time spent on one figure, about (default 1; quick: 0.3)")
+    parser.add_argument(
+        "--quick", action="store_true", help="a few minutes: fewer sizes, nothing that compiles for long"
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help="write the tables there, too")
     given = parser.parse_args(arguments)
+    sizes = given.batch or ([1, 64] if given.quick else [1, 64, 1024])
+    seconds = given.seconds or (0.3 if given.quick else 1.0)
     untyped.config.update("jax_enable_x64", True)
+    lines: list[str] = []
+
+    def say(line: str) -> None:
+        print(line, flush=True)
+        lines.append(line)
+        if given.out is not None:  # after every line: a run that is interrupted leaves what it has
+            given.out.parent.mkdir(parents=True, exist_ok=True)
+            given.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
     with tempfile.TemporaryDirectory() as cache:
         untyped.config.update("jax_compilation_cache_dir", cache)
         untyped.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-        _print_machine()
-        heads = "".join(f" batch {size} |" for size in given.batch)
-        print(f"| what | {heads} compile, cold | cached |\n|---|{'---|' * (len(given.batch) + 2)}")
-        for case in cases():
-            if given.only is None or given.only in case.name:
-                print(_row(case, given.batch, given.seconds), flush=True)
+        say(_machine())
+        flight, hover = _hovering()
+        heads = "".join(f" batch {size} |" for size in sizes)
+        say(f"| what | {heads} compile, cold | cached |\n|---|{'---|' * (len(sizes) + 2)}")
+        for case in cases(flight, hover, say):
+            wanted = given.only is None or any(text in case.name for text in given.only)
+            if wanted and not (given.quick and case.is_slow):
+                say(_row(case, sizes, seconds))
+        if given.only is None or "throughput" in given.only:
+            say("\n| throughput: batch | precision | ticks per second | flights of 50 s per second | compile |")
+            say("|---|---|---|---|---|")
+            for line in _throughput(flight, hover, seconds, quick=given.quick):
+                say(line)
     return 0
 
 
-def _print_machine() -> None:
+def _machine() -> str:
     device = jax.devices()[0]
     versions = manifest.versions()
-    print(f"Device: {device.device_kind} ({device.platform}), {os.cpu_count()} cores; jax {jax.__version__}, ", end="")
-    print(f"numpy {versions.get('numpy', '?')}; load {os.getloadavg()[0]:.1f}")
+    facts = f"{device.device_kind} ({device.platform}), {os.cpu_count()} cores; jax {jax.__version__}, "
+    text = f"Device: {facts}numpy {versions.get('numpy', '?')}; load {os.getloadavg()[0]:.1f}\n"
     if os.getloadavg()[0] > 0.5 * (os.cpu_count() or 1):
-        print("The machine is busy: trust ratios more than times.")
-    print()
+        text += "The machine is busy: trust ratios more than times.\n"
+    return text
 
 
 def _row(case: Case, sizes: Sequence[int], seconds: float) -> str:
     times, compiles = [], (0.0, 0.0)
     for size in sizes:
-        batched = jax.jit(jax.vmap(case.function, in_axes=(None, 0)))
         sample = _spread(case.sample, size)
-        started = time.perf_counter()
-        compiled = batched.lower(case.shared, sample).compile()
-        cold = time.perf_counter() - started
-        untyped.clear_caches()
-        started = time.perf_counter()
-        jax.jit(jax.vmap(case.function, in_axes=(None, 0))).lower(case.shared, sample).compile()
-        compiles = max(compiles, (cold, time.perf_counter() - started))
+        compiled, cold = _compile(case, sample)
+        cached = compiles[1]
+        if size == sizes[-1]:
+            untyped.clear_caches()
+            cached = _compile(case, sample)[1]
+        compiles = max(compiles[0], cold), cached
         times.append(_median(lambda: untyped.block_until_ready(compiled(case.shared, sample)), seconds))  # noqa: B023
     figures = "".join(f" {1e6 * t / size / case.divide_by:.1f} µs |" for t, size in zip(times, sizes, strict=True))
     return f"| {case.name} |{figures} {compiles[0]:.1f} s | {compiles[1]:.1f} s |"
+
+
+def _compile(case: Case, sample: Any) -> tuple[Any, float]:
+    started = time.perf_counter()
+    batched: Any = jax.vmap(case.function, in_axes=(None, 0))
+    if case.in_pieces and jax.devices()[0].platform == "cpu":
+        batched = _in_pieces(case.function)
+    compiled = jax.jit(batched).lower(case.shared, sample).compile()
+    return compiled, time.perf_counter() - started
+
+
+def _in_pieces(function: Callable[..., Any]) -> Callable[..., Any]:
+    def batched(shared: Any, samples: Any) -> Any:
+        return jax.lax.map(lambda sample: function(shared, sample), samples, batch_size=CHUNK)
+
+    return batched
+
+
+def _throughput(flight: Any, hover: Any, seconds: float, *, quick: bool) -> Iterator[str]:
+    """Fly batches that grow fourfold, until a larger one brings less than a tenth."""
+    start = 16 if jax.devices()[0].platform == "cpu" else 256
+    for name, dtype in (("float64", jnp.float64), ("float32", jnp.float32))[: 1 if quick else 2]:
+        best, size = 0.0, start
+        flying, hovering = with_dtype((flight, hover), dtype)
+        while size <= (64 if quick else 65536):
+            case = Case("", _rollout, flying, _spread(hovering, size))
+            compiled, cold = _compile(case, case.sample)
+            took = _median(lambda: untyped.block_until_ready(compiled(case.shared, case.sample)), seconds)  # noqa: B023
+            rate = size * TICKS / took
+            yield f"| {size} | {name} | {rate:.0f} | {rate / FLIGHT_TICKS:.2f} | {cold:.1f} s |"
+            if rate < 1.1 * best:
+                break
+            best, size = rate, 4 * size
 
 
 def _median(call: Callable[[], Any], seconds: float) -> float:
@@ -131,23 +194,26 @@ def _spread(sample: Any, size: int) -> Any:
 # --- what is measured ----------------------------------------------------------------------------------------------
 
 
-def cases() -> Iterator[Case]:
-    """Everything that is measured, ours first."""
-    experiments = manifest.REPOSITORY / "configs" / "experiments"
-    config = flight_config(reference.load_config(experiments / "test2.toml"))
+def _hovering() -> tuple[Any, Any]:
+    """TEST2, and its state where it hovers in the full wind."""
+    config = flight_config(reference.load_config(EXPERIMENTS / "test2.toml"))
     flight, start = sim.prepare(config, load_robot(config.robot))
-    hover, _ = fly_chunk(flight, start, jnp.array(0, jnp.int32), HOVER)
+    return flight, fly_chunk(flight, start, jnp.array(0, jnp.int32), HOVER)[0]
+
+
+def cases(flight: Any, hover: Any, say: Callable[[str], None]) -> Iterator[Case]:
+    """Everything that is measured, ours first."""
     robot, state = flight.plant.robot, hover.plant.robot
     wind = jnp.array([0.0, -10.0, 0.0])
     yield from _dynamics_cases(robot, state)
-    yield from _aero_cases(experiments, robot, state, wind)
+    yield from _aero_cases(robot, state, wind)
     yield from _control_cases(flight, hover, wind)
     for name, dtype in (("", jnp.float64), (", float32", jnp.float32)):
         flying, hovering = with_dtype((flight, hover), dtype)
         yield Case(f"closed-loop tick, of a rollout of {TICKS}{name}", _rollout, flying, hovering, TICKS)
-    yield Case(f"its gradient by the aerodynamic areas, of {TICKS}", _gradient, flight, hover, TICKS)
+    yield Case(f"its gradient by the aerodynamic areas, of {TICKS}", _gradient, flight, hover, TICKS, is_slow=True)
     yield from _mjx_cases(robot, state)
-    yield from _jaxsim_cases(robot, state)
+    yield from _jaxsim_cases(robot, state, say)
 
 
 def _rollout(flight: Any, state: Any) -> Any:
@@ -186,12 +252,12 @@ def _dynamics_cases(robot: RobotModel, state: State) -> Iterator[Case]:
     yield Case("kinematics, M, h, A_G (mjx)", bundle("mjx"), robot, state)
     yield Case("forward dynamics (tree)", forward("tree"), robot, state)
     yield Case("forward dynamics (mjx)", forward("mjx"), robot, state)
-    yield Case("gradient of forward dynamics (tree)", gradient("tree"), robot, state)
-    yield Case("gradient of forward dynamics (mjx)", gradient("mjx"), robot, state)
+    yield Case("gradient of forward dynamics (tree)", gradient("tree"), robot, state, is_slow=True)
+    yield Case("gradient of forward dynamics (mjx)", gradient("mjx"), robot, state, is_slow=True)
 
 
-def _aero_cases(experiments: Path, robot: RobotModel, state: State, wind: Any) -> Iterator[Case]:
-    table = reference.load_config(experiments / "robustness_axisymmetric_vs_sphere_cylinder.toml")
+def _aero_cases(robot: RobotModel, state: State, wind: Any) -> Iterator[Case]:
+    table = reference.load_config(EXPERIMENTS / "robustness_axisymmetric_vs_sphere_cylinder.toml")
     for name, part in (("axisymmetric", "simulator"), ("sphere and cylinder", "controller")):
         model = aero_model(aero_config(table[part]["aero"]), robot)
         kin = jax.jit(kinematics)(robot, state)
@@ -246,30 +312,18 @@ def _mjx_cases(robot: RobotModel, state: State) -> Iterator[Case]:
                 after = function(model, load(state))
                 return after.qpos, after.qacc
 
-            yield Case(f"mjx.{function.__name__}{name}", run, mjx_model, state)
+            # MJX factors matrices with jaxlib's batched kernels; see `jax_aero.linalg`.
+            yield Case(f"mjx.{function.__name__}{name}", run, mjx_model, state, in_pieces=True)
 
 
-def _jaxsim_cases(robot: RobotModel, state: State) -> Iterator[Case]:
-    """Jaxsim's articulated-body algorithm, if it is installed; it reads the URDF itself."""
+def _jaxsim_cases(robot: RobotModel, state: State, say: Callable[[str], None]) -> Iterator[Case]:
     try:
-        api: Any = importlib.import_module("jaxsim.api")
-    except ImportError:
+        model, functions = bench_jaxsim.functions(load_robot(robot.source))
+    except ImportError as reason:
+        say(f"| jaxsim: left out ({reason}) |")
         return
-    urdf = Path(robot.source).with_suffix(".urdf")
-    model = api.model.JaxSimModel.build_from_model_description(urdf, considered_joints=list(robot.joint_names))
-
-    def run(model: Any, state: State) -> Any:
-        data = api.data.JaxSimModelData.build(
-            model=model,
-            base_position=state.base_position,
-            joint_positions=state.joint_position,
-            base_linear_velocity=state.velocity[:3],
-            base_angular_velocity=state.velocity[3:6],
-            joint_velocities=state.velocity[6:],
-        )
-        return api.model.forward_dynamics_aba(model=model, data=data)
-
-    yield Case("jaxsim, forward_dynamics_aba", run, model, state)
+    for name, function in functions.items():
+        yield Case(name, function, model, state, in_pieces=True)
 
 
 if __name__ == "__main__":

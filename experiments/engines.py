@@ -1,4 +1,4 @@
-"""Who flies a configuration: `engine = "rust"` or `"jax"`, in an experiment, in a sweep, or with --engine.
+"""Who flies a configuration: `engine = "rust"`, `"jax"` or `"mujoco"`, in an experiment, in a sweep, or with --engine.
 
 An engine turns a resolved configuration into the same `reference.Flight`. A flight of a batch that cannot be flown
 gives a `Failure` in its place, so that it is recorded and the others go on.
@@ -62,9 +62,10 @@ class Jax:
         try:
             module = importlib.import_module("jax_aero.sim")
             self._fly: Callable[..., reference.Flight] = module.fly
+            self._fly_batch: Callable[..., list[reference.Flight]] = module.fly_batch
         except (ImportError, AttributeError) as reason:
             raise Refused(
-                'engine = "jax" needs `jax_aero.sim.fly` and the packages it builds on, which are not here '
+                'engine = "jax" needs `jax_aero.sim` and the packages it builds on, which are not here '
                 f'({reason}); engine = "rust" flies the same configurations'
             ) from None
 
@@ -78,7 +79,37 @@ class Jax:
         threads: int | None = None,  # noqa: ARG002 - JAX keeps its own threads
         progress: reference.Progress | None = None,
     ) -> list[reference.Flight | Failure]:
-        """Fly one after the other: every flight of one shape shares one compilation."""
+        """Fly flights of one structure together; where one is refused, fly the others without it."""
+        plain = [_without_engine(config) for config in configs]
+        try:
+            return list(self._fly_batch(plain, progress))
+        except ValueError:
+            return [_alone(lambda config: self._fly_batch([config])[0], config) for config in plain]
+
+
+class Mujoco:
+    """MuJoCo with the ground under the robot and the crate's controller in the loop: needs its package."""
+
+    def __init__(self) -> None:
+        try:
+            module = importlib.import_module("jax_aero.mujoco_ground")
+            self._fly: Callable[..., reference.Flight] = module.fly
+        except ImportError as reason:
+            raise Refused(
+                f'engine = "mujoco" needs the packages of the extra `twin`, which are not here ({reason})'
+            ) from None
+
+    def fly(self, config: Config, progress: reference.Progress | None = None) -> reference.Flight:
+        """Let one robot stand."""
+        return self._fly(config, progress)
+
+    def fly_batch(
+        self,
+        configs: Sequence[Config],
+        threads: int | None = None,  # noqa: ARG002 - Python drives every tick
+        progress: reference.Progress | None = None,
+    ) -> list[reference.Flight | Failure]:
+        """One after the other."""
         flights: list[reference.Flight | Failure] = []
         for config in configs:
             flights.append(_alone(self.fly, config))
@@ -87,7 +118,7 @@ class Jax:
         return flights
 
 
-ENGINES: Mapping[str, Callable[[], Engine]] = {"rust": Rust, "jax": Jax}
+ENGINES: Mapping[str, Callable[[], Engine]] = {"rust": Rust, "jax": Jax, "mujoco": Mujoco}
 
 
 def engine(name: str) -> Engine:

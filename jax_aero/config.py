@@ -15,11 +15,13 @@ from __future__ import annotations
 import types
 import typing
 from collections.abc import Mapping
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, field, fields, is_dataclass
+from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypeVar, cast
 
 import numpy as np
 
+from jax_aero import noise
 from jax_aero.types import Array, Static, pytree
 
 T = TypeVar("T")
@@ -30,6 +32,11 @@ JacobianOffset: TypeAlias = Literal["link_rotation", "base_rotation"]
 """Which point's Jacobian carries a link's force: `p + R c`, or as published `p + R_B c`."""
 LinkVelocity: TypeAlias = Literal["at_centre", "shifted_twice"]
 """Which point's velocity makes the relative wind: the centre, or as published the Jacobian's point shifted again."""
+
+
+def _default(value: Any) -> Any:
+    """Field that a table may leave out: number or array of double precision."""
+    return field(default_factory=lambda: _number(value))
 
 
 # --- aerodynamics ------------------------------------------------------------------------------------------------
@@ -84,7 +91,19 @@ class SphereCylinderConfig:
     sphere: SphereTables
 
 
-AeroConfig: TypeAlias = Off | AxisymmetricConfig | SphereCylinderConfig
+@pytree
+class NetworkConfig:
+    """A neural network of wind and posture."""
+
+    card: Static[str]
+    """Path of the network's JSON card; the weights lie beside it."""
+    air_density: Array
+    """[kg/m³]"""
+    precision: Static[Literal["f32", "f64"]] = "f32"
+    """Of the weighted sums."""
+
+
+AeroConfig: TypeAlias = Off | AxisymmetricConfig | SphereCylinderConfig | NetworkConfig
 """Which aerodynamic model, and its numbers: one file of `configs/aero/`."""
 
 
@@ -92,11 +111,11 @@ AeroConfig: TypeAlias = Off | AxisymmetricConfig | SphereCylinderConfig
 class ForceFactorsConfig:
     """Factors on the forces of a model: coefficients that are not what they are thought to be."""
 
-    drag: Array
+    drag: Array = _default(1.0)
     """() on the part along the air."""
-    normal: Array
+    normal: Array = _default(1.0)
     """() on the part across it."""
-    links: dict[str, Array]
+    links: dict[str, Array] = field(default_factory=dict)
     """() on the whole force of a link, by its name."""
 
 
@@ -138,6 +157,42 @@ class SecondOrderConfig:
 
 
 JetsConfig: TypeAlias = Ideal | SecondOrderConfig
+
+
+@pytree
+class JetFailureConfig:
+    """A jet that stops obeying."""
+
+    jet: Static[str]
+    time: Array
+    """When it fails [s]."""
+    kind: Static[Literal["off", "stuck"]]
+    """Whether its thrust goes, or stays where it is."""
+    decay: Array = _default(0.0)
+    """Time constant with which a jet that is off loses its thrust [s]; zero for at once."""
+
+
+@pytree
+class MeasurementNoiseConfig:
+    """White noise on the thrust that estimators of second-order jets measure."""
+
+    std: Array
+    """[N]"""
+    seed: Static[int] = 0
+
+
+@pytree
+class JetFaultsConfig:
+    """What is wrong with the jets."""
+
+    limit_is_known: Static[bool] = False
+    """Whether the controller's own limits are scaled as well."""
+    lag: Array = _default(0.0)
+    """Time constant with which the commanded thrust rate takes effect [s]; zero for at once."""
+    thrust_limit_scale: Array | None = None
+    """Thrust stays between zero and this times the robot's greatest thrust; without it nothing limits it."""
+    failure: JetFailureConfig | None = None
+    measurement_noise: MeasurementNoiseConfig | None = None
 
 
 # --- wind --------------------------------------------------------------------------------------------------------
@@ -187,7 +242,30 @@ class RecordedWind:
     """(k, 3) [m/s]."""
 
 
-WindConfig: TypeAlias = ConstantWind | RampWind | GustWind | RecordedWind
+@pytree
+class TurbulentWind:
+    """A ramp with turbulence on top, which rises with it: a sum of waves with the spectrum of a Gauss–Markov process.
+
+    Its random numbers are drawn when the configuration is built, so that they are numbers like all others.
+    """
+
+    velocity: Array
+    """(3,) mean after the ramp [m/s]."""
+    ramp_start: Array
+    """[s]"""
+    ramp_end: Array
+    """[s]"""
+    std: Array
+    """(3,) standard deviation of the turbulence [m/s]."""
+    time_scale: Array
+    """() [s]."""
+    places: Array
+    """(3, 24) where in the spectrum each wave stands, in bands of equal variance."""
+    phases: Array
+    """(3, 24) [rad]."""
+
+
+WindConfig: TypeAlias = ConstantWind | RampWind | GustWind | RecordedWind | TurbulentWind
 
 
 # --- controller --------------------------------------------------------------------------------------------------
@@ -205,6 +283,33 @@ class AeroFeedback:
     """`J_aᵀ f_a` in the torque law."""
     scale: Array
     """() factor on all estimated forces."""
+    force: Array = _default(1.0)
+    """() 1 or 0: whether the total force enters `A_a f_a`."""
+    moment: Array = _default(1.0)
+    """() the same of the total moment."""
+    drag: Array | None = None
+    """() factor on the part of each estimated force along the air's velocity; one without it."""
+    normal: Array | None = None
+    """() factor on the part across it; one without it."""
+    links: dict[str, Array] = field(default_factory=dict)
+    """() factors on the estimated force of links, by name; the others keep theirs."""
+
+
+@pytree
+class WindEstimateConfig:
+    """Errors of the wind that the controller is told."""
+
+    bias: Array = _default([0.0, 0.0, 0.0])
+    """(3,) added to the wind [m/s, inertial axes]."""
+    noise_std: Array = _default(0.0)
+    """() standard deviation of white noise on every axis, drawn anew each tick [m/s]."""
+    delay: Array = _default(0.0)
+    """() age of the wind that is told, rounded to ticks [s]."""
+    time_constant: Array = _default(0.0)
+    """() of a first-order low pass behind all other errors [s]; zero for none."""
+    mean_only: Array = _default(0.0)
+    """() 1 or 0: whether only the mean over the flight is told."""
+    seed: Static[int] = 0
 
 
 @pytree
@@ -306,9 +411,9 @@ class ReferenceConfig:
 class ModelError:
     """How the controller's robot differs from the one that flies."""
 
-    mass_scale: Array
+    mass_scale: Array = _default(1.0)
     """() factor on all masses and inertias."""
-    com_offset: Array
+    com_offset: Array = _default([0.0, 0.0, 0.0])
     """(3,) added to the base body's centre of mass [m, base axes]."""
 
 
@@ -330,6 +435,25 @@ class ControllerConfig:
     qp: QpConfig
     references: ReferenceConfig
     model_error: ModelError | None = None
+    wind_estimate: WindEstimateConfig | None = None
+
+
+@pytree
+class RecordedReference:
+    """A reference computed beforehand, sample by sample; derivatives that are missing are differences."""
+
+    times: Array
+    """(k,) [s], increasing."""
+    com_position: Array
+    """(k, 3) [m]."""
+    rpy: Array
+    """(k, 3) roll, pitch, yaw of the base [rad]."""
+    com_velocity: Array | None
+    """(k, 3) [m/s]."""
+    com_acceleration: Array | None
+    """(k, 3) [m/s²]."""
+    com_jerk: Array | None
+    """(k, 3) [m/s³]."""
 
 
 @pytree
@@ -342,6 +466,8 @@ class EnvelopeConfig:
     forward_turbo: Array
     pitch_up: Array
     yaw_left: Array
+    file: RecordedReference | None = None
+    """A recorded reference to fly instead of any command."""
 
 
 # --- simulator ---------------------------------------------------------------------------------------------------
@@ -394,6 +520,7 @@ class SimulatorConfig:
     initial: InitialConfig
     fall: FallConfig
     aero_factors: ForceFactorsConfig | None = None
+    jet_faults: JetFaultsConfig | None = None
 
     @property
     def n_ticks(self) -> int:
@@ -438,9 +565,20 @@ def aero_config(table: Mapping[str, Any]) -> AeroConfig:
 
 # Tagged tables: the key that says which kind, and the type of each kind.
 _KINDS: dict[str, dict[str, type]] = {
-    "model": {"off": Off, "axisymmetric": AxisymmetricConfig, "sphere_cylinder": SphereCylinderConfig},
+    "model": {
+        "off": Off,
+        "axisymmetric": AxisymmetricConfig,
+        "sphere_cylinder": SphereCylinderConfig,
+        "network": NetworkConfig,
+    },
     "dynamics": {"ideal": Ideal, "second_order": SecondOrderConfig},
-    "profile": {"constant": ConstantWind, "ramp": RampWind, "gust": GustWind, "file": RecordedWind},
+    "profile": {
+        "constant": ConstantWind,
+        "ramp": RampWind,
+        "gust": GustWind,
+        "file": RecordedWind,
+        "turbulent": TurbulentWind,
+    },
 }
 _TAGS = {AeroConfig: "model", JetsConfig: "dynamics", WindConfig: "profile"}
 
@@ -462,6 +600,8 @@ def _build_union(union: Any, table: Mapping[str, Any], where: str) -> Any:
     rest = {key: value for key, value in table.items() if key != tag}
     if kind == "file":
         return _recorded_wind(rest, where)
+    if kind == "turbulent":
+        rest |= _waves(rest.pop("seed", 0))
     return _build(_KINDS[tag][str(kind)], rest, where)
 
 
@@ -470,6 +610,34 @@ def _recorded_wind(table: Mapping[str, Any], where: str) -> RecordedWind:
         raise ValueError(f"`{where}` of profile file has keys {sorted(table)}; expected only `path`")
     samples = np.loadtxt(table["path"], delimiter=",", skiprows=1, ndmin=2)
     return RecordedWind(times=_number(samples[:, 0]), velocities=_number(samples[:, 1:4]))
+
+
+WAVES = 24
+"""Waves of turbulence per axis."""
+TURBULENCE_STREAM = 2
+
+
+def _waves(seed: int) -> dict[str, Any]:
+    """Draw the waves of turbulence: axis by axis, a place in every band and a phase."""
+    draws = noise.uniforms(seed, TURBULENCE_STREAM, 3 * WAVES * 2).reshape(3, WAVES, 2)
+    # Not up to the edge of a band: the last one has none.
+    places = (np.arange(WAVES) + 0.25 + 0.5 * draws[..., 0]) / WAVES
+    return {"places": places, "phases": 2.0 * np.pi * draws[..., 1]}
+
+
+def recorded_reference(path: str) -> RecordedReference:
+    """Read a recorded reference: CSV, `#` begins a comment, the header names 7, 10, 13 or 16 columns.
+
+    `reference.check_config` says what is wrong with a file that the crate refuses; here its shape alone is checked.
+    """
+    text = Path(path).read_text(encoding="utf-8").splitlines()
+    lines = [line for line in text if line.strip() and not line.lstrip().startswith("#")]
+    rows = np.array([line.split(",") for line in lines[1:]], dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] not in (7, 10, 13, 16) or len(rows) < 2:
+        raise ValueError(f"reference file {path} has shape {rows.shape}; expected 2 rows or more of 7, 10, 13 or 16")
+    columns = [_number(rows[:, first : first + 3]) for first in range(1, rows.shape[1], 3)]
+    known: list[Any] = [*columns, None, None, None]
+    return RecordedReference(_number(rows[:, 0]), *known[:5])
 
 
 def _build(cls: type[T], table: Mapping[str, Any], where: str) -> T:
@@ -483,7 +651,7 @@ def _build(cls: type[T], table: Mapping[str, Any], where: str) -> T:
     for key, item in keys.items():
         if key in table:
             values[item.name] = _value(hints[item.name], table[key], f"{where}.{key}".lstrip("."))
-        elif item.default is MISSING:
+        elif item.default is MISSING and item.default_factory is MISSING:
             raise ValueError(f"`{where}.{key}` is missing".replace("`.", "`"))
     return cls(**values)
 
@@ -493,6 +661,8 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         return _build_union(hint, value, where)
     if isinstance(hint, types.UnionType):  # `X | None`
         hint = next(option for option in typing.get_args(hint) if option is not type(None))
+    if hint is RecordedReference:
+        return recorded_reference(value)
     if is_dataclass(hint):
         return _build(cast(type[Any], hint), value, where)
     if hint is Array:

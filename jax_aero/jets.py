@@ -121,8 +121,12 @@ def thrust_feedback(model: JetsModel, state: JetsState) -> Array:
     return state.thrust
 
 
-def advance_jets(model: JetsModel, state: JetsState, command: Array, dt: Array | float) -> JetsState:
+def advance_jets(
+    model: JetsModel, state: JetsState, command: Array, dt: Array | float, measured: Array | None = None
+) -> JetsState:
     """Move every jet on by `dt` [s] under the commanded thrust rates (j,) [N/s], held constant.
+
+    Estimators are given the thrust `measured` (j,) [N], the true one without it.
 
     Ideal: `T ← T + Ṫ* dt`, without clipping: the bounds on `Ṫ*` are the controller's. Second order: throttle from the
     present estimate, then estimator and engine over `dt`.
@@ -130,7 +134,8 @@ def advance_jets(model: JetsModel, state: JetsState, command: Array, dt: Array |
     if not isinstance(model, SecondOrder) or state.engine is None:
         return JetsState(state.thrust + dt * command, command, None)
     throttle, integral = _throttle_loop(model, state.engine, command, dt)
-    estimate, covariance = _update_ekf(model, state.engine, state.thrust, throttle, dt)
+    seen = state.thrust if measured is None else measured
+    estimate, covariance = _update_ekf(model, state.engine, seen, throttle, dt)
     # T̈ at the start of the step, as in the published simulator.
     acceleration = thrust_acceleration(model.engines, state.thrust, state.thrust_rate, throttle)
     return JetsState(

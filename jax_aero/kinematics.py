@@ -31,7 +31,7 @@ def kinematics(robot: RobotModel, state: State) -> Kinematics:
     offsets = rotate(rotations, robot.coms) + (positions - state.base_position)
     com = state.base_position + robot.masses @ offsets / robot.masses.sum()
     assert axes.shape == (n, 3)
-    return Kinematics(rotations, positions, axes, com, angular, linear)
+    return Kinematics(rotations, positions, axes, com, angular, linear, state.joint_position)
 
 
 def sum_over_ancestors(robot: RobotModel, dtype: np.dtype[np.generic] | type) -> Array:

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 __all__ = [
     "BoxQpSolver",
     "Config",
+    "ContactTick",
     "Controller",
     "Dynamics",
     "Flight",
@@ -52,6 +53,7 @@ __all__ = [
     "QpProblem",
     "Reference",
     "Robot",
+    "RowProblem",
     "State",
     "Tick",
     "__version__",
@@ -65,8 +67,10 @@ __all__ = [
     "forward_dynamics",
     "frame_jacobian",
     "kkt_residual",
+    "link_forces",
     "load_config",
     "reference_trajectory",
+    "wind_velocity",
 ]
 
 Array = NDArray[np.float64]
@@ -74,7 +78,7 @@ Array = NDArray[np.float64]
 Config = dict[str, Any]
 """A resolved flight configuration: nested tables of plain values, every default written out."""
 
-PATH_KEYS = ("robot", "path", "file")
+PATH_KEYS = ("robot", "path", "file", "card")
 """Keys whose value is a path, as the crate knows them."""
 
 Progress = Callable[[int, int], None]
@@ -152,6 +156,17 @@ class QpProblem(NamedTuple):
     upper: Array
 
 
+class RowProblem(NamedTuple):
+    """Minimise ½ xᵀ H x + gᵀ x subject to lower ≤ x ≤ upper and rows @ x ≤ limit."""
+
+    h: Array
+    g: Array
+    lower: Array
+    upper: Array
+    rows: Array
+    limit: Array
+
+
 class QpAnswer(NamedTuple):
     """What a solver says about its x; `kkt` is `kkt_residual`, `active` counts variables on a bound."""
 
@@ -180,6 +195,34 @@ class Reference:
         """Return the reference that stays where it is."""
         rest = np.zeros(3)
         return cls(com_position, rest, rest, rest, rotation, rest, rest, rest)
+
+
+@dataclass(frozen=True)
+class ContactTick:
+    """The feet at one tick, for a controller that can stand; wrenches are (feet, 6), force first, inertial axes.
+
+    Attributes
+    ----------
+    is_active
+        Whether all feet carry.
+    force, force_rate
+        f_c* and its rate [N, N m, and per s].
+    force_of_torques
+        f_c that comes with the torques.
+    a_c, jacobian, velocity_product
+        A_c (6, 6 feet), J_c (6 feet, 6 + n) and J̇_c ν (6 feet).
+    standing_qp
+        The torque QP in (f_c, τ); `None` while the feet do not carry, when `Tick.torque_qp` is the one solved.
+    """
+
+    is_active: bool
+    force: Array
+    force_rate: Array
+    force_of_torques: Array
+    a_c: Array
+    jacobian: Array
+    velocity_product: Array
+    standing_qp: RowProblem | None
 
 
 @dataclass(frozen=True)
@@ -218,6 +261,9 @@ class Tick:
         What the controller remembers after the tick, see `Controller.set_memory`.
     reference
         What was followed.
+    contact
+        The feet; `None` for a controller that cannot stand. Its force rates are unknowns of `momentum_qp` too, between
+        thrust rates and joint velocities.
     """
 
     com_position: Array
@@ -257,6 +303,7 @@ class Tick:
     inertia_0_b: Array
     velocity_error_integral: Array
     reference: Reference
+    contact: ContactTick | None = None
 
 
 class Controller:
@@ -290,6 +337,7 @@ class Controller:
         wind: ArrayLike,
         time: float = 0.0,
         reference: Reference | None = None,
+        foot_wrenches: ArrayLike | None = None,
     ) -> Tick:
         """Compute one tick.
 
@@ -305,9 +353,14 @@ class Controller:
             Time since the flight began [s]; the envelope's references advance by one tick with every call.
         reference
             Followed instead of the envelope, if given.
+        foot_wrenches
+            What each foot feels [N, N m], (feet, 6): force first, about the origin of its sole, inertial axes. Kept
+            until given again; nothing at first.
         """
         given = None if reference is None else {name: _array(value) for name, value in vars(reference).items()}
-        raw = self._core.tick(time, *_arrays(state), _array(thrust), _array(wind), given)
+        feet = None if foot_wrenches is None else _array(foot_wrenches)
+        raw = self._core.tick(time, *_arrays(state), _array(thrust), _array(wind), given, feet)
+        contact = raw.pop("contact", None)
         momentum = QpProblem(raw.pop("h"), raw.pop("g"), raw.pop("lower"), raw.pop("upper"))
         h, g = raw.pop("torque_h"), raw.pop("torque_g")
         torque = QpProblem(h, g, np.full_like(g, -self._torque_max), np.full_like(g, self._torque_max))
@@ -317,8 +370,14 @@ class Controller:
             momentum_qp=momentum,
             torque_qp=torque,
             reference=Reference(**raw.pop("reference")),
+            contact=None if contact is None else _contact_tick(contact),
             **raw,
         )
+
+
+def _contact_tick(raw: dict[str, Any]) -> ContactTick:
+    parts = {name: raw.pop(name) for name in RowProblem._fields if name in raw}
+    return ContactTick(standing_qp=RowProblem(**parts) if parts else None, **raw)
 
 
 @dataclass(frozen=True)
@@ -433,16 +492,36 @@ def aero_forces(robot: Robot, aero: Mapping[str, Any], axes: ArrayLike, v_air: A
     Parameters
     ----------
     aero
-        A table as in `configs/aero/*.toml`.
+        A table as in `configs/aero/*.toml`, of a model that looks at one link at a time.
     axes, v_air
         Unit symmetry axes and velocities of the air relative to the links [m/s], each (links, 3).
     """
     return _core.aero_forces(robot, _to_json(aero), _array(axes), _array(v_air))
 
 
+def link_forces(robot: Robot, aero: Mapping[str, Any], state: State, wind: ArrayLike) -> Array:
+    """Return the aerodynamic force on each link [N], (links, 3), inertial axes, of a robot in a state and a wind.
+
+    Unlike `aero_forces` this serves every model, a network included.
+
+    Parameters
+    ----------
+    aero
+        A table as in `configs/aero/*.toml`, with its paths resolved.
+    wind
+        Velocity of the air (3,) [m/s, inertial axes].
+    """
+    return _core.link_forces(robot, _to_json(aero), *_arrays(state), _array(wind))
+
+
 def reference_trajectory(config: Mapping[str, Any], com: ArrayLike, rpy: ArrayLike) -> dict[str, Array]:
     """Return the references of a whole flight, raw and smoothed, from a start at `com` [m] and `rpy` [rad]."""
     return _core.reference_trajectory(_to_json(config), _array(com), _array(rpy))
+
+
+def wind_velocity(wind: Mapping[str, Any], times: ArrayLike) -> Array:
+    """Return the velocity of the air [m/s, inertial axes], (times, 3), of a wind profile at times [s]."""
+    return _core.wind_velocity(_to_json(wind), _array(times))
 
 
 def config_keys(config: Mapping[str, Any], prefix: str = "") -> Iterator[str]:

@@ -94,6 +94,15 @@ def rotation_angle(r: Array) -> Array:
     return jnp.arctan2(safe_norm(vee_of_skew_part(r)), 0.5 * (jnp.trace(r, axis1=-2, axis2=-1) - 1.0))
 
 
+def log_so3(r: Array) -> Array:
+    """Rotation vector (..., 3) of a rotation by less than half a turn: inverse of `exp_so3`."""
+    v = vee_of_skew_part(r)
+    sine = safe_norm(v)
+    is_small = sine < 1e-150
+    factor = jnp.where(is_small, 1.0, rotation_angle(r) / jnp.where(is_small, 1.0, sine))
+    return factor[..., None] * v
+
+
 def rotation_from_rpy(rpy: Array) -> Array:
     """`Rz(yaw) Ry(pitch) Rx(roll)` for `rpy = (roll, pitch, yaw)` [rad]."""
     (sr, sp, sy), (cr, cp, cy) = jnp.moveaxis(jnp.sin(rpy), -1, 0), jnp.moveaxis(jnp.cos(rpy), -1, 0)

@@ -66,6 +66,8 @@ class Kinematics(NamedTuple):
     """(nb, 3) [rad/s]."""
     linear_velocities: Array
     """(nb, 3) velocities of the bodies' origins [m/s]."""
+    joint_position: Array
+    """(n,) joint positions these are the kinematics of [rad]."""
 
 
 class Dynamics(NamedTuple):
@@ -89,7 +91,8 @@ class LinkForces(NamedTuple):
     axes: Array
     """(L, 3) unit axes of symmetry."""
     v_air: Array
-    """(L, 3) velocity of the air relative to the link [m/s]."""
+    """(L, 3) velocity of the air that each force was computed with [m/s]: relative to the link, or, for a network, to
+    the base origin."""
     arm_points: Array
     """(L, 3) points at which moments are formed [m]."""
     jacobian_points: Array

@@ -4,6 +4,7 @@
     python -m jax_aero verify --config configs/experiments/test2_published.toml --set wind.velocity=[0,-12,0]
     python -m jax_aero verify --controller my_controller.toml    # another controller in the same flight
     python -m jax_aero verify --robot my_robot.toml              # another robot: its kinematics and dynamics
+    python -m jax_aero verify --config configs/experiments/test4.toml    # the network, in double precision
 
 Prints a table, writes it beside a figure, and exits with 1 if anything disagrees. Kernels are compared relative to the
 largest entry of the crate's answers, flights by the absolute difference of every logged signal.
@@ -348,7 +349,7 @@ def main(arguments: Sequence[str]) -> int:
     comparison = Comparison()
     facts: dict[str, Any] = {"crate": reference.__version__, "jax": jax.__version__, "backend": options.backend}
     try:
-        config = None if options.robot else _config(options)
+        config = None if options.robot else in_double_precision(_config(options))
     except (OSError, ValueError) as reason:
         print(f"verify: {reason}")
         return 2
@@ -382,6 +383,14 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--backend", choices=["tree", "mjx"], default="tree", help="who computes the dynamics")
     parser.add_argument("--out", type=Path, help="folder for table and figure; default results/verify/NAME")
     return parser.parse_args(arguments)
+
+
+def in_double_precision(config: dict[str, Any]) -> dict[str, Any]:
+    """Return the configuration with its networks in double precision: in single, both round differently."""
+    for part in ("simulator", "controller"):
+        if config[part]["aero"]["model"] == "network":
+            config[part]["aero"]["precision"] = "f64"
+    return config
 
 
 def _config(options: argparse.Namespace) -> dict[str, Any]:

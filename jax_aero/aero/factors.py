@@ -21,11 +21,11 @@ class ForceFactors:
     """(L,) on the whole force of a link."""
 
 
-def force_factors(settings: ForceFactorsConfig, robot: RobotModel) -> ForceFactors:
-    """Bring factors into the order of the links; links that are not named keep their force."""
+def force_factors(settings: ForceFactorsConfig, robot: RobotModel, table: str = "aero_factors") -> ForceFactors:
+    """Bring factors into the order of the links; links that are not named keep their force. Errors name the `table`."""
     names = robot.aero_links.names
     if unknown := set(settings.links) - set(names):
-        raise ValueError(f"aero_factors.links names {sorted(unknown)}; {robot.name} has {', '.join(names)}")
+        raise ValueError(f"{table}.links names {sorted(unknown)}; {robot.name} has {', '.join(names)}")
     one = jnp.ones_like(jnp.asarray(settings.drag))
     return ForceFactors(settings.drag, settings.normal, jnp.stack([settings.links.get(name, one) for name in names]))
 

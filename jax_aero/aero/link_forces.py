@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jax_aero.aero.model import AeroModel, model_forces
+from jax_aero.aero.model import AeroModel, NetworkModel, model_forces, whole_robot_forces
 from jax_aero.config import JacobianOffset, LeverArm, LinkVelocity
 from jax_aero.kinematics import frame_poses, generalised_force, velocities_at
 from jax_aero.robot import RobotModel
@@ -40,6 +40,10 @@ def link_forces(
     velocity_points = jacobian_points + links.centres if shifted_twice else centres
     axes = rotate(rotations, links.axes)
     v_air = wind - velocities_at(kin, links.bodies, velocity_points)
+    if isinstance(model, NetworkModel):
+        base_wind = jnp.broadcast_to(wind - kin.linear_velocities[0], v_air.shape)
+        forces = whole_robot_forces(model, robot, kin, wind)
+        return LinkForces(axes, base_wind, arm_points, jacobian_points, forces)
     return LinkForces(axes, v_air, arm_points, jacobian_points, model_forces(model, axes, v_air))
 
 

@@ -56,8 +56,12 @@ def momentum_model(
     *,
     rate_feedback: bool = True,
     lambda_feedback: bool = True,
+    share: Array | None = None,
 ) -> MomentumModel:
-    """Evaluate all terms; the switches say whether link forces enter the momentum rate and its derivative."""
+    """Evaluate all terms; the switches say whether link forces enter the momentum rate and its derivative.
+
+    With `share` (6,) only that share of the total force and moment enters the momentum rate.
+    """
     jets = robot.jets
     rotations, points = frame_poses(kin, jets.bodies, jets.rotations, jets.positions)
     axes = rotate(rotations, jets.axes)
@@ -71,7 +75,8 @@ def momentum_model(
 
     rate_estimate = jnp.sum(a_t * thrust, axis=1)
     if rate_feedback:
-        rate_estimate = rate_estimate + wrench_about(link, kin.com)
+        wrench = wrench_about(link, kin.com)
+        rate_estimate = rate_estimate + (wrench if share is None else share * wrench)
     rate_estimate = rate_estimate.at[2].add(-robot.masses.sum() * robot.gravity)
     return MomentumModel(axes, points, a_t, lambda_t, lambda_a, rate_estimate)
 

@@ -15,7 +15,8 @@ import numpy as np
 from jax import lax
 
 from jax_aero.config import EnvelopeConfig, ReferenceConfig
-from jax_aero.spatial import multiply, project_to_so3, rotation_from_rpy, skew, vee_of_skew_part
+from jax_aero.control.recorded import Recording, motion_at
+from jax_aero.spatial import multiply, project_to_so3, rotation_from_rpy, rpy_from_rotation, skew, vee_of_skew_part
 from jax_aero.types import Array, Reference
 
 # --- autopilot ----------------------------------------------------------------------------------------------------
@@ -177,13 +178,15 @@ def start(com: Array, rpy: Array) -> ReferenceState:
 
 
 def update(
-    params: ReferenceParams, envelope: EnvelopeConfig, state: ReferenceState, time: Array
+    params: ReferenceParams, envelope: EnvelopeConfig | Recording, state: ReferenceState, time: Array
 ) -> tuple[ReferenceState, Reference]:
-    """Return the reference of the tick at `time` [s].
+    """Return the reference of the tick at `time` [s]: that of the autopilot's commands, or a recorded one.
 
     The smoothed attitude follows the raw one by `ω = −K sk(R_refᵀ R)^∨`, forward Euler on the matrix; its projection
     back onto SO(3) every tick removes the drift of that step.
     """
+    if isinstance(envelope, Recording):
+        return _follow(params, envelope, state, time)
     raw_position, raw_rpy, turbo_ticks = _advance_raw(params, state, autopilot_command(envelope, time))
     position = filter_update(params.position_filter, state.position, raw_position)
     acceleration = filter_update(params.jerk_filter, state.acceleration, position.derivatives[2])
@@ -205,6 +208,19 @@ def update(
         angular_jerk=angular.derivatives[2],
     )
     return ReferenceState(raw_position, raw_rpy, turbo_ticks, position, acceleration, angular, turned), reference
+
+
+def _follow(
+    params: ReferenceParams, recording: Recording, state: ReferenceState, time: Array
+) -> tuple[ReferenceState, Reference]:
+    """Follow a recording as it is; only its angular velocity is filtered, for the derivatives that it does not have."""
+    motion = motion_at(recording, time)
+    angular = filter_update(params.angular_velocity_filter, state.angular_velocity, motion.angular_velocity)
+    com, rates = motion.com, angular.derivatives
+    reference = Reference(com[0], com[1], com[2], com[3], motion.rotation, rates[0], rates[1], rates[2])
+    rpy = rpy_from_rotation(motion.rotation)
+    after = state._replace(raw_position=com[0], raw_rpy=rpy, angular_velocity=angular, rotation=motion.rotation)
+    return after, reference
 
 
 def _advance_raw(
@@ -243,7 +259,9 @@ class Trajectory(NamedTuple):
     reference: Reference
 
 
-def trajectory(params: ReferenceParams, envelope: EnvelopeConfig, com: Array, rpy: Array, n_ticks: int) -> Trajectory:
+def trajectory(
+    params: ReferenceParams, envelope: EnvelopeConfig | Recording, com: Array, rpy: Array, n_ticks: int
+) -> Trajectory:
     """Return the references of `n_ticks` ticks from time zero, for a robot that starts at `com` and `rpy`."""
 
     def tick(state: ReferenceState, index: Array) -> tuple[ReferenceState, Trajectory]:

@@ -18,12 +18,24 @@ from typing import NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 
-from jax_aero.aero import AeroModel, LinkConventions, Off, aero_model, generalised_aero_force, link_forces, scaled
-from jax_aero.config import EnvelopeConfig, FlightConfig, MomentumGains, TorqueConfig
+from jax_aero.aero import (
+    AeroModel,
+    ForceFactors,
+    LinkConventions,
+    Off,
+    aero_model,
+    force_factors,
+    generalised_aero_force,
+    link_forces,
+    scaled,
+    weighted,
+)
+from jax_aero.config import AeroFeedback, EnvelopeConfig, FlightConfig, ForceFactorsConfig, MomentumGains, TorqueConfig
 from jax_aero.control import qp, references
 from jax_aero.control.attitude import AttitudeDemand, attitude_demand
 from jax_aero.control.momentum import MomentumModel, momentum_model
 from jax_aero.control.qp import QpAnswer, WarmStart
+from jax_aero.control.recorded import Recording, recording
 from jax_aero.control.references import ReferenceParams, ReferenceState
 from jax_aero.control.tasks import MomentumQp, TaskParams, momentum_qp, symmetric_pairs, task_params
 from jax_aero.control.torque import TorqueQp, limit_rate, torque_qp
@@ -72,11 +84,16 @@ class ControllerParams:
     """The aerodynamic model that the controller believes in."""
     aero_scale: Array
     """() factor on all estimated forces."""
+    aero_factors: ForceFactors | None
+    """Factors on parts of the estimated forces; `None` if all are one."""
+    aero_share: Array
+    """(6,) share of the total estimated force and moment that enters the momentum rate."""
     momentum: MomentumGains
     tasks: TaskParams
     torque: TorqueConfig
     references: ReferenceParams
-    envelope: EnvelopeConfig
+    envelope: EnvelopeConfig | Recording
+    """What to follow: the autopilot's commands, or a recorded reference."""
     time_step: Array
     """() [s]."""
 
@@ -151,13 +168,26 @@ def controller_params(config: FlightConfig, robot: RobotModel) -> ControllerPara
         ),
         aero=aero_model(controller.aero, robot),
         aero_scale=feedback.scale,
+        aero_factors=_factors(feedback, robot),
+        aero_share=jnp.repeat(jnp.stack([jnp.asarray(feedback.force), jnp.asarray(feedback.moment)]), 3),
         momentum=controller.momentum,
         tasks=task_params(controller, robot),
         torque=controller.torque,
         references=references.reference_params(controller.references, time_step),
-        envelope=config.envelope,
+        envelope=config.envelope if config.envelope.file is None else recording(config.envelope.file),
         time_step=time_step,
     )
+
+
+def _factors(feedback: AeroFeedback, robot: RobotModel) -> ForceFactors | None:
+    if feedback.drag is None and feedback.normal is None and not feedback.links:
+        return None
+    factors = ForceFactorsConfig(_or_one(feedback.drag), _or_one(feedback.normal), feedback.links)
+    return force_factors(factors, robot, "aero_feedback")
+
+
+def _or_one(factor: Array | None) -> Array:
+    return jnp.ones(()) if factor is None else jnp.asarray(factor)
 
 
 def init(params: ControllerParams, robot: RobotModel, state: State) -> ControllerState:
@@ -221,6 +251,8 @@ def _act(
     kin = kinematics(robot, state)
     dyn = dynamics(robot, state, kin)
     link = scaled(link_forces(params.aero, robot, kin, switches.conventions, wind), params.aero_scale)
+    if params.aero_factors is not None:
+        link = weighted(link, params.aero_factors)
     feels_air = not isinstance(params.aero, Off)
     momentum = momentum_model(
         robot,
@@ -230,6 +262,7 @@ def _act(
         link,
         rate_feedback=switches.momentum_rate and feels_air,
         lambda_feedback=switches.lambda_a and feels_air,
+        share=params.aero_share,
     )
 
     # Thrust rates and joint velocities that shape momentum and attitude.

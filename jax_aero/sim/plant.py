@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from jax_aero.aero import (
@@ -24,6 +25,7 @@ from jax_aero.aero import (
 )
 from jax_aero.config import SimulatorConfig
 from jax_aero.dynamics import Backend, dynamics, forward_dynamics
+from jax_aero.jet_faults import FaultState, JetFaults, delayed, limited, measured, start_faults
 from jax_aero.jets import JetsModel, JetsState, advance_jets, start_jets
 from jax_aero.kinematics import frame_poses, generalised_force, kinematics
 from jax_aero.robot import RobotModel
@@ -40,6 +42,8 @@ class Plant:
     aero_factors: ForceFactors | None
     """Factors on the forces of `aero`."""
     jets: JetsModel
+    jet_faults: JetFaults | None
+    """What is wrong with the jets."""
     time_step: Array
     """() [s]."""
     lever_arm: Static[str]
@@ -57,6 +61,8 @@ class PlantState(NamedTuple):
     jets: JetsState
     first: State | None
     """State of the first tick, where the aerodynamics is frozen."""
+    faults: FaultState | None = None
+    """What the jets' faults remember, where there are some."""
 
 
 class Observation(NamedTuple):
@@ -70,14 +76,18 @@ class Observation(NamedTuple):
 
 
 def start_plant(config: SimulatorConfig, robot: RobotModel, backend: Backend = "tree") -> tuple[Plant, PlantState]:
-    """Build a world and the state in which the first tick finds it."""
+    """Build a world and the state in which the first tick finds it. Outside loops: noise is drawn here."""
     initial = config.initial
     jets, jets_state = start_jets(config.jets, robot, initial.thrust)
+    faults, fault_state = None, None
+    if config.jet_faults is not None:
+        faults, fault_state = start_faults(config.jet_faults, config.jets, robot, config.n_ticks)
     plant = Plant(
         robot=robot,
         aero=aero_model(config.aero, robot),
         aero_factors=None if config.aero_factors is None else force_factors(config.aero_factors, robot),
         jets=jets,
+        jet_faults=faults,
         time_step=jnp.asarray(config.time_step, jnp.asarray(initial.joint_position).dtype),
         lever_arm=config.lever_arm,
         integrator=config.integrator,
@@ -94,7 +104,7 @@ def start_plant(config: SimulatorConfig, robot: RobotModel, backend: Backend = "
     )
     if initial.free_fall_tick:
         state = _fall_freely(plant, state)
-    return plant, PlantState(state, jets_state, state if plant.is_frozen else None)
+    return plant, PlantState(state, jets_state, state if plant.is_frozen else None, fault_state)
 
 
 def observe(
@@ -130,7 +140,18 @@ def advance(
     for _ in range(plant.substeps - 1):
         between = state._replace(robot=robot)
         robot = _advance_robot(plant, between, observe(plant, between, wind), torque, step)
-    return state._replace(robot=robot, jets=advance_jets(plant.jets, state.jets, thrust_rate, plant.time_step))
+    jets, faults = _advance_jets(plant, state, thrust_rate)
+    return state._replace(robot=robot, jets=jets, faults=faults)
+
+
+def _advance_jets(plant: Plant, state: PlantState, command: Array) -> tuple[JetsState, FaultState | None]:
+    dt, wrong, faults = plant.time_step, plant.jet_faults, state.faults
+    if wrong is None or faults is None:
+        return advance_jets(plant.jets, state.jets, command, dt), None
+    arriving = delayed(wrong, faults, command, dt)
+    jets = advance_jets(plant.jets, state.jets, arriving, dt, measured(wrong, faults, state.jets.thrust))
+    thrust, thrust_rate, faults = limited(wrong, faults, jets.thrust, jets.thrust_rate, dt)
+    return jets._replace(thrust=thrust, thrust_rate=thrust_rate), faults._replace(command=arriving)
 
 
 def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: Array, step: Array) -> State:
@@ -146,6 +167,7 @@ def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: A
     return integrate(plant, state.robot, forward_dynamics(seen.dynamics, force), step)
 
 
+@jax.jit
 def _fall_freely(plant: Plant, state: State) -> State:
     """Take the first step of the published model: gravity alone."""
     dyn = dynamics(plant.robot, state, kinematics(plant.robot, state), plant.backend)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +31,7 @@ from jax_aero.sim.step import (
     prepare,
     step,
 )
-from jax_aero.sim.summary import summarise
+from jax_aero.sim.summary import condense, figures
 from jax_aero.types import Array, with_dtype
 
 Kept = TypeVar("Kept")
@@ -118,19 +118,34 @@ def fly(
                 progress(min(first + CHUNK, n_ticks), n_ticks)
             if int(state.fall) != FLYING:
                 break
-    end = int(state.fall_tick) if 0 <= int(state.fall_tick) <= n_ticks else n_ticks
     log = {
-        name: np.concatenate([np.asarray(getattr(chunk, name), np.float64) for chunk in rows])[: end + 1]
+        name: np.concatenate([np.asarray(getattr(chunk, name), np.float64) for chunk in rows])
         for name in FlightRow._fields
     }
-    fell = 0 <= int(state.fall_tick) <= n_ticks
+    return finished(log, posture, Ending(int(state.fall), float(state.fall_error), int(state.fall_tick)), n_ticks)
+
+
+class Ending(NamedTuple):
+    """How a flight was lost, as in `FlightState`."""
+
+    fall: int
+    error: float
+    tick: int
+
+
+def finished(
+    signals: Mapping[str, Any], posture: Any, ending: Ending, n_ticks: int, *, is_whole_log: bool = True
+) -> reference.Flight:
+    """Return the flight of these signals: whole rows, or condensed ones without a log. Ticks beyond its end are cut."""
+    fell = 0 <= ending.tick <= n_ticks
+    signals = {name: signal[: (ending.tick if fell else n_ticks) + 1] for name, signal in signals.items()}
     return reference.Flight(
-        log=log,
+        log=signals if is_whole_log else {},
         joint_reference=posture,
         outcome="fell" if fell else "completed",
-        fall_time=float(log["time"][-1]) if fell else None,
-        fall_reason=fall_reason(int(state.fall), float(state.fall_error)) if fell else None,
-        summary=summarise(log, posture),
+        fall_time=float(signals["time"][-1]) if fell else None,
+        fall_reason=fall_reason(ending.fall, ending.error) if fell else None,
+        summary=figures(condense(signals, posture) if is_whole_log else signals),
     )
 
 

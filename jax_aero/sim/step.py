@@ -18,10 +18,12 @@ from typing import NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 
-from jax_aero.config import FallConfig, FlightConfig, ModelError, WindConfig
+from jax_aero.config import FallConfig, FlightConfig, WindConfig
 from jax_aero.control import tick as control
 from jax_aero.control.tick import Command, ControllerParams, ControllerState, Terms
+from jax_aero.control.wind_estimate import WindEstimate, told_wind, wind_estimate
 from jax_aero.dynamics import Backend
+from jax_aero.jet_faults import known_limits
 from jax_aero.jets import thrust_feedback
 from jax_aero.robot import RobotModel
 from jax_aero.sim import plant as world
@@ -46,6 +48,8 @@ class Flight:
     fall: FallConfig
     believed_robot: RobotModel | None
     """What the controller takes the robot for; `None` if it knows it."""
+    wind_estimate: WindEstimate | None
+    """Errors of the wind that the controller is told; `None` if it is told the truth."""
 
 
 class FlightState(NamedTuple):
@@ -53,6 +57,8 @@ class FlightState(NamedTuple):
 
     plant: PlantState
     memory: ControllerState
+    told_wind: Array
+    """(3,) wind that the controller was told last [m/s]."""
     fall: Array
     """() int32: `FLYING`, or by which criterion the flight was lost."""
     fall_error: Array
@@ -91,28 +97,46 @@ class FlightRow(NamedTuple):
 
 
 def prepare(config: FlightConfig, robot: RobotModel, backend: Backend = "tree") -> tuple[Flight, FlightState]:
-    """Build a flight and the state in which its first tick finds it."""
-    # Titles are structure: two flights that differ in nothing else must not compile twice.
-    config = replace(config, title="", description="", robot="", engine="rust")
-    ready: tuple[Flight, FlightState] = _prepare(config, robot, backend)
+    """Build a flight and the state in which its first tick finds it. Outside loops: tables and noise are made here.
+
+    Raises
+    ------
+    ValueError
+        Naming what in the configuration does not fit the robot.
+    """
+    plant, state = world.start_plant(config.simulator, robot, backend)
+    controller = control.controller_params(config, robot)
+    told = config.controller.wind_estimate
+    flight = Flight(
+        plant=plant,
+        controller=controller,
+        wind=config.wind,
+        fall=config.simulator.fall,
+        believed_robot=believed_robot(config, robot),
+        wind_estimate=None if told is None else wind_estimate(told, plant.time_step, _winds(config)),
+    )
+    ready: tuple[Flight, FlightState] = jax.tree.map(jnp.asarray, (flight, begin(flight, state)))
     return ready
 
 
-@jax.jit(static_argnames="backend")
-def _prepare(config: FlightConfig, robot: RobotModel, backend: Backend) -> tuple[Flight, FlightState]:
-    plant, state = world.start_plant(config.simulator, robot, backend)
-    error = config.controller.model_error
-    believed = None if error is None else believed_robot(error, robot)
-    controller = control.controller_params(config, robot)
-    flight = Flight(plant, controller, config.wind, config.simulator.fall, believed)
-    return flight, begin(flight, state)
+def _winds(config: FlightConfig) -> Array:
+    """Wind at every tick of the flight (ticks, 3) [m/s]."""
+    times = jnp.arange(config.simulator.n_ticks + 1) * config.simulator.time_step
+    winds: Array = jax.jit(jax.vmap(wind_velocity, in_axes=(None, 0)))(config.wind, times)
+    return winds
 
 
-def believed_robot(error: ModelError, robot: RobotModel) -> RobotModel:
-    """Return the robot that a controller with this error believes in."""
-    masses, inertias = error.mass_scale * robot.masses, error.mass_scale * robot.inertias
-    coms = jnp.asarray(robot.coms).at[0].add(error.com_offset)
-    return replace(robot, masses=masses, coms=coms, inertias=inertias)
+def believed_robot(config: FlightConfig, robot: RobotModel) -> RobotModel | None:
+    """Return the robot that the controller believes in; `None` if it is the one that flies."""
+    error, faults = config.controller.model_error, config.simulator.jet_faults
+    believed = robot
+    if faults is not None and faults.limit_is_known:
+        believed = replace(robot, jets=replace(robot.jets, thrust_max=known_limits(faults, robot)))
+    if error is not None:
+        masses, inertias = error.mass_scale * robot.masses, error.mass_scale * robot.inertias
+        coms = jnp.asarray(robot.coms).at[0].add(error.com_offset)
+        believed = replace(believed, masses=masses, coms=coms, inertias=inertias)
+    return None if believed is robot else believed
 
 
 def begin(flight: Flight, plant: PlantState) -> FlightState:
@@ -120,11 +144,15 @@ def begin(flight: Flight, plant: PlantState) -> FlightState:
     robot = flight.plant.robot if flight.believed_robot is None else flight.believed_robot
     return FlightState(
         plant=plant,
-        memory=control.init(flight.controller, robot, plant.robot),
+        memory=_init(flight.controller, robot, plant.robot),
+        told_wind=jnp.zeros_like(plant.robot.velocity[:3]),
         fall=jnp.array(FLYING, jnp.int32),
         fall_error=jnp.zeros_like(plant.robot.velocity[0]),
         fall_tick=jnp.array(-1, jnp.int32),
     )
+
+
+_init = jax.jit(control.init)
 
 
 def step(flight: Flight, state: FlightState, tick: Array) -> tuple[FlightState, FlightRow]:
@@ -133,7 +161,8 @@ def step(flight: Flight, state: FlightState, tick: Array) -> tuple[FlightState, 
     wind = wind_velocity(flight.wind, time)
     robot, thrust = state.plant.robot, thrust_feedback(flight.plant.jets, state.plant.jets)
     believed = flight.plant.robot if flight.believed_robot is None else flight.believed_robot
-    memory, command, terms = control.tick(flight.controller, believed, state.memory, time, robot, thrust, wind)
+    told = wind if flight.wind_estimate is None else _told_wind(flight, state, tick)
+    memory, command, terms = control.tick(flight.controller, believed, state.memory, time, robot, thrust, told)
     seen = _observe(flight, state.plant, terms, wind)
 
     rotation_error = rotation_angle(multiply(terms.reference.rotation.T, robot.base_rotation))
@@ -147,11 +176,21 @@ def step(flight: Flight, state: FlightState, tick: Array) -> tuple[FlightState, 
     after = FlightState(
         plant=_where(goes_on, moved, state.plant),
         memory=_where(goes_on, memory, state.memory),
+        told_wind=told,
         fall=jnp.where(lost_now, fall, state.fall),
         fall_error=jnp.where(lost_now, error, state.fall_error),
         fall_tick=jnp.where(lost_now, tick.astype(jnp.int32), state.fall_tick),
     )
     return after, row
+
+
+def _told_wind(flight: Flight, state: FlightState, tick: Array) -> Array:
+    assert flight.wind_estimate is not None
+
+    def wind_at(time: Array) -> Array:
+        return wind_velocity(flight.wind, time)
+
+    return told_wind(flight.wind_estimate, wind_at, state.told_wind, tick, flight.plant.time_step)
 
 
 def _observe(flight: Flight, state: PlantState, terms: Terms, wind: Array) -> Observation:

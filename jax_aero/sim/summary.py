@@ -1,8 +1,12 @@
-"""Figures of merit of a flight's log, the same as the Rust crate's."""
+"""Figures of merit of a flight's log, the same as the Rust crate's.
+
+log ──condense──► the few signals that figures are made of ──figures──► figures of merit
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,36 +18,49 @@ TILTED = np.pi / 4
 """Rotation error beyond which a robot that still flies counts as tilted [rad]."""
 
 
-def summarise(log: Mapping[str, NDArray[np.float64]], joint_reference: NDArray[np.float64]) -> dict[str, float]:
-    """Extremes and means of a log."""
-    settled = log["time"] >= SETTLING_TIME
-    com_error = (log["com_position"] - log["com_reference"])[settled]
+def condense(log: Mapping[str, Any], joint_reference: Any) -> dict[str, Any]:
+    """Keep of a log, or of one tick of it, what `figures` asks for. Arrays of NumPy or of JAX."""
+    same = ("time", "com_position", "rotation_error", "thrust", "qp_status", "qp_kkt", "qp_iterations")
+    return {name: log[name] for name in same} | {
+        "com_error": log["com_position"] - log["com_reference"],
+        "largest_torque": abs(log["joint_torque"]).max(-1),
+        "joint_error": abs(log["joint_position"] - joint_reference).sum(-1),
+        "simulated": log["aero_force_sim"].sum(-2),
+        "estimated": log["aero_force_control"].sum(-2),
+    }
+
+
+def figures(signals: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
+    """Extremes and means of condensed signals; the first axis is time."""
+    time, com_error, rotation_error = signals["time"], signals["com_error"], signals["rotation_error"]
+    settled = time >= SETTLING_TIME
+    com_error = com_error[settled]
     distance = np.linalg.norm(com_error, axis=1)
-    simulated, estimated = log["aero_force_sim"].sum(1), log["aero_force_control"].sum(1)
-    tick = float(log["time"][1]) if log["time"].size > 1 else 0.0
-    kkt = log["qp_kkt"][np.isfinite(log["qp_kkt"])]
-    figures = {
+    simulated, estimated = signals["simulated"], signals["estimated"]
+    tick = float(time[1]) if time.size > 1 else 0.0
+    kkt = signals["qp_kkt"][np.isfinite(signals["qp_kkt"])]
+    found = {
         "max_com_error": _greatest(distance),
         "max_com_error_x": _greatest(np.abs(com_error[:, 0])),
         "max_com_error_y": _greatest(np.abs(com_error[:, 1])),
         "max_com_error_z": _greatest(np.abs(com_error[:, 2])),
-        "max_rotation_error": _greatest(log["rotation_error"]),
-        "thrust_min": log["thrust"].min(),
-        "thrust_max": log["thrust"].max(),
-        "max_torque": _greatest(np.abs(log["joint_torque"])),
-        "min_com_height": log["com_position"][:, 2].min(),
-        "min_com_x_settling": np.min(log["com_position"][~settled, 0], initial=np.inf),
-        "ticks_without_solution": np.count_nonzero(np.any(log["qp_status"] != 0.0, axis=1)),
+        "max_rotation_error": _greatest(rotation_error),
+        "thrust_min": signals["thrust"].min(),
+        "thrust_max": signals["thrust"].max(),
+        "max_torque": _greatest(signals["largest_torque"]),
+        "min_com_height": signals["com_position"][:, 2].min(),
+        "min_com_x_settling": np.min(signals["com_position"][~settled, 0], initial=np.inf),
+        "ticks_without_solution": np.count_nonzero(np.any(signals["qp_status"] != 0.0, axis=1)),
         "rms_com_error": _root_mean_square(distance),
-        "rms_rotation_error": _root_mean_square(log["rotation_error"][settled]),
-        "time_tilted": tick * np.count_nonzero(log["rotation_error"] > TILTED),
-        "max_joint_error": _greatest(np.abs(log["joint_position"] - joint_reference).sum(1)),
+        "rms_rotation_error": _root_mean_square(rotation_error[settled]),
+        "time_tilted": tick * np.count_nonzero(rotation_error > TILTED),
+        "max_joint_error": _greatest(signals["joint_error"]),
         "max_aero_force": _greatest(np.linalg.norm(simulated, axis=1)),
         "max_aero_force_difference": _greatest(np.linalg.norm(simulated - estimated, axis=1)),
         "max_kkt": _greatest(kkt),
-        "max_qp_iterations": _greatest(log["qp_iterations"]),
+        "max_qp_iterations": _greatest(signals["qp_iterations"]),
     }
-    return {name: float(value) for name, value in figures.items()}
+    return {name: float(value) for name, value in found.items()}
 
 
 def _greatest(values: NDArray[np.float64]) -> float:

@@ -11,7 +11,7 @@ import pytest
 
 from jax_aero import reference
 from jax_aero.config import flight_config
-from jax_aero.control import references
+from jax_aero.control import recorded, references
 
 pytestmark = pytest.mark.usefixtures("x64")
 
@@ -37,6 +37,34 @@ def test_references(name, agree):
     assert ours.keys() == theirs.keys()
     for signal, expected in theirs.items():
         agree(signal, ours[signal], expected, TOLERANCE.get(signal, 1e-12))
+
+
+HEADER = ["time", "x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "ax", "ay", "az", "jx", "jy", "jz"]
+
+
+@pytest.mark.parametrize("columns", [7, 10, 13, 16])
+def test_recorded_references(columns, agree, tmp_path):
+    """Uneven samples with all or some derivatives: before, on, between and after them."""
+    rng = np.random.default_rng(columns)
+    times = np.round(np.concatenate([[0.05], np.cumsum(rng.uniform(0.01, 0.3, 9)) + 0.05]), 2)
+    rows = np.column_stack([times, 0.3 * rng.normal(size=(10, columns - 1))])
+    path = tmp_path / "reference.csv"
+    lines = ["# made up", ",".join(HEADER[:columns]), *(",".join(map(repr, map(float, row))) for row in rows)]
+    path.write_text("\n".join(lines) + "\n")
+    table = reference.load_config(EXPERIMENTS / "min_time.toml", {"simulator.duration": 2.0})
+    table["envelope"]["file"] = str(path)
+    reference.check_config(table)
+    config = flight_config(table)
+
+    @jax.jit
+    def follow(recording):
+        params = references.reference_params(config.controller.references, jnp.array(config.simulator.time_step))
+        return references.trajectory(params, recording, *START, config.simulator.n_ticks + 1)
+
+    found = jax.device_get(follow(recorded.recording(config.envelope.file)))
+    ours = found.reference._asdict() | {"raw_position": found.raw_position, "raw_rpy": found.raw_rpy}
+    for signal, expected in reference.reference_trajectory(table, *START).items():
+        agree(f"recorded: {signal}", ours[signal], expected, TOLERANCE.get(signal, 1e-12))
 
 
 def test_float32_references_stay_within_a_millimetre_and_a_hundredth_of_a_degree():

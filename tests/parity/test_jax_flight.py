@@ -47,7 +47,66 @@ def test_a_flight_that_is_lost(criterion, limit):
     assert ours["time"].shape == rust["time"].shape
 
 
+RECORDED = ("min_time", "min_fuel")
+
+
+@pytest.fixture(scope="module")
+def recorded_flights():
+    """Along recorded references, as both engines fly them, and as the crate does with the last bit of a thrust changed.
+
+    Both recordings have as many samples, so they fly together.
+    """
+    tables = [reference.load_config(EXPERIMENTS / f"{name}.toml") for name in RECORDED]
+    nudged = [reference.load_config(EXPERIMENTS / f"{name}.toml") for name in RECORDED]
+    for table in nudged:
+        table["simulator"]["initial"]["thrust"][0] *= 1.0 + 1e-15
+    flights = zip(
+        sim.fly_batch(tables, full_log=True), map(reference.fly, tables), map(reference.fly, nudged), strict=True
+    )
+    return dict(zip(RECORDED, flights, strict=True))
+
+
+STATES = ("base_position", "base_velocity", "joint_position", "joint_velocity", "com_position", "thrust")
+
+
+def departures(flight, other):
+    """Largest difference in any state at every tick."""
+    of_signals = [np.abs(flight[name] - other[name]).reshape(len(flight["time"]), -1).max(axis=1) for name in STATES]
+    return np.max(of_signals, axis=0)
+
+
+def test_a_flight_along_a_recorded_reference(recorded_flights, measured):
+    """The fastest way: every state at every tick to 1e-6."""
+    ours, rust, _ = recorded_flights["min_time"]
+    apart = departures(ours, rust)
+    measured("minimum time, 26 s: every state", float(apart.max()))
+    assert ours.outcome == rust.outcome == "completed"
+    assert np.max(np.abs(ours["com_reference"] - rust["com_reference"])) < 1e-12
+    assert apart.max() < 1e-6
+
+
+def test_a_flight_along_a_recorded_reference_that_magnifies_errors(recorded_flights, measured):
+    """The most frugal way has a second in which an error grows tenfold every 0.1 s, in either engine.
+
+    Until the crate leaves itself, both fly the same; then ours is no farther from the crate than it is from itself.
+    """
+    ours, rust, nudged = recorded_flights["min_fuel"]
+    apart, own = departures(ours, rust), departures(nudged, rust)
+    trusted = int(np.argmax(own > 1e-9))
+    measured("minimum fuel: every state, until the crate leaves itself", float(apart[:trusted].max()))
+    measured("minimum fuel: seconds until then", f"{rust['time'][trusted]:.2f}")
+    assert ours.outcome == rust.outcome == "completed"
+    assert rust["time"][trusted] > 11.0, "the recording begins at 10 s"
+    assert apart[:trusted].max() < 1e-6
+    assert np.max(np.abs(ours["com_reference"] - rust["com_reference"])) < 1e-12
+
+
 VARIANTS = {
+    "engine_out": {
+        "simulator.duration": 24.0,
+        "simulator.jet_faults.lag": 0.04,
+        "simulator.jet_faults.thrust_limit_scale": 0.85,
+    },
     "second_order_jets": {},
     "test2": {
         "simulator.substeps": 3,
@@ -62,25 +121,27 @@ VARIANTS = {
 @pytest.mark.usefixtures("x64")
 def test_every_tick_of_the_world(experiment, agree):
     """From each logged state, one tick under the logged commands leads to the next logged state."""
-    changes = {"simulator.duration": 8.0, **VARIANTS[experiment]}
+    changes = {"simulator.duration": 8.0} | VARIANTS[experiment]
     table = reference.load_config(EXPERIMENTS / f"{experiment}.toml", changes)
+    reference.check_config(table)
     config, log = flight_config(table), reference.fly(table).log
     plant, start = jax.jit(start_plant)(config.simulator, load_robot(table["robot"]))
     velocity = np.concatenate([log["base_velocity"], log["joint_velocity"]], axis=1)
     agree("first state", start.robot.velocity, velocity[0], 1e-10)
 
-    def one(jets, logged):
+    def one(remembered, logged):
         time, position, wxyz, joints, velocity, torque, thrust_rate = logged
-        state = PlantState(State(position, rotation_from_wxyz(wxyz), joints, velocity), jets, start.first)
+        robot = State(position, rotation_from_wxyz(wxyz), joints, velocity)
+        state = PlantState(robot, remembered[0], start.first, remembered[1])
         wind = wind_velocity(config.wind, time)
         seen = observe(plant, state, wind)
         after = advance(plant, state, seen, torque, thrust_rate, wind)
-        return after.jets, (seen.link_forces.forces, after.robot, after.jets.thrust, wind)
+        return (after.jets, after.faults), (seen.link_forces.forces, after.robot, after.jets.thrust, wind)
 
     names = ("time", "base_position", "base_quaternion", "joint_position")
     logged = (*(log[name] for name in names), velocity, log["joint_torque"], log["thrust_rate"])
     _, (forces, after, thrust, wind) = jax.jit(
-        lambda: jax.lax.scan(one, start.jets, jax.tree.map(jnp.asarray, logged))
+        lambda: jax.lax.scan(one, (start.jets, start.faults), jax.tree.map(jnp.asarray, logged))
     )()
     agree(f"{experiment}: wind", wind, log["wind"], 1e-12)
     agree(f"{experiment}: forces", forces, log["aero_force_sim"], 1e-10)
@@ -109,7 +170,18 @@ def test_a_flight_with_everything_wrong():
     assert [row.quantity for row in comparison.rows if not row.agrees] == []
 
 
+TURBULENT = {
+    "profile": "turbulent",
+    "velocity": [0.0, -3.0, 0.0],
+    "ramp_start": 0.1,
+    "ramp_end": 0.3,
+    "std": [1.0, 2.0, 0.5],
+    "time_scale": 0.6,
+    "seed": 4,
+}
 WINDS = {
+    "turbulent": TURBULENT,
+    "calm that is turbulent": TURBULENT | {"velocity": [0.0, 0.0, 0.0], "seed": 2**60 + 7},
     "constant": {"profile": "constant", "velocity": [1.0, -2.0, 0.5]},
     "gust": {"profile": "gust", "velocity": [0.0, -4.0, 0.0], "gust": [2.0, 0.0, -1.0], "start": 0.1, "duration": 0.2},
     "step": {"profile": "ramp", "velocity": [0.0, -3.0, 0.0], "ramp_start": 0.2, "ramp_end": 0.2},

@@ -22,19 +22,29 @@ def test_an_absent_engine_says_what_is_missing(monkeypatch):
         engines.engine("jax")
 
 
-def test_the_jax_engine_plugs_in_with_one_function(monkeypatch, make_flight):
+def test_the_jax_engine_plugs_in_with_two_functions(monkeypatch, make_flight):
     asked = []
 
     class Module:
         @staticmethod
-        def fly(config, progress=None):  # noqa: ARG004 - the engine's signature
-            asked.append(config)
-            return make_flight(step=0.5)
+        def fly(config, progress=None):
+            return Module.fly_batch([config], progress)[0]
+
+        @staticmethod
+        def fly_batch(configs, progress=None):  # noqa: ARG004 - the engine's signature
+            if any(config["title"] == "refused" for config in configs):
+                raise ValueError("no such jet")
+            asked.append(configs)
+            return [make_flight(step=0.5) for _ in configs]
 
     monkeypatch.setitem(sys.modules, "jax_aero.sim", Module)
-    flights = engines.engine("jax").fly_batch([{"engine": "jax", "title": "a"}, {"title": "b"}])
+    jax = engines.engine("jax")
+    flights = jax.fly_batch([{"engine": "jax", "title": "a"}, {"title": "b"}])
     assert [flight.outcome for flight in flights] == ["completed", "completed"]
-    assert asked == [{"title": "a"}, {"title": "b"}]
+    assert asked == [[{"title": "a"}, {"title": "b"}]]
+    refused, flown = jax.fly_batch([{"title": "refused"}, {"title": "b"}])
+    assert refused == engines.Failure("no such jet")
+    assert flown.outcome == "completed"
 
 
 def test_a_configuration_may_name_its_engine():

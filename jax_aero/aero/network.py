@@ -1,0 +1,404 @@
+"""Neural network of the whole robot's link forces: one wind for all links, and every joint that moves a link.
+
+The published network sees the unit vector of the air's velocity relative to the *base origin*, in base axes, and 19
+joint angles; it answers with the 13 × 3 force areas of the links. Ours may also see the wind in link axes and where
+the links are, be symmetric by construction, average over members, and correct an axisymmetric model.
+
+    wind, joints, LinkGeometry ──features──► x (n,) ──raw_output──► y (39,) ──to_base_axes──► areas (13, 3) [m²]
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Literal, NamedTuple, TypeAlias, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
+from jax_aero.kinematics import frame_poses, kinematics
+from jax_aero.robot import RobotModel
+from jax_aero.spatial import rotate, rotate_back, safe_norm
+from jax_aero.types import Array, Kinematics, State, Static, pytree
+
+Block: TypeAlias = Literal["wind", "joints", "link_wind", "link_position", "link_shadow"]
+Frame: TypeAlias = Literal["base", "link", "wind"]
+Layout: TypeAlias = Literal["component", "link"]
+Activation: TypeAlias = Literal["relu", "tanh", "silu"]
+
+BLOCKS: tuple[Block, ...] = ("wind", "joints", "link_wind", "link_position", "link_shadow")
+ACTIVATIONS: dict[str, Any] = {"relu": jax.nn.relu, "tanh": jnp.tanh, "silu": jax.nn.silu}
+ODD_JOINTS = ("torso_roll", "torso_yaw")
+"""Joints whose angle changes sign in the mirror; those of the limbs only change sides."""
+SHADOW_LENGTH = 0.05
+"""Distance over which a link passes from before another to behind it [m]."""
+SHADOW_RADIUS = 0.10
+"""Width of a link's shadow, a standard deviation [m]."""
+POLE = 1e-12
+"""Wind this close to the lateral axis has no pitch: it is taken as zero."""
+
+
+class LinkGeometry(NamedTuple):
+    """Where the links are, seen from the base."""
+
+    rotations: Array
+    """(L, 3, 3) `base_from_link`."""
+    centres: Array
+    """(L, 3) aerodynamic centres from the base origin, base axes [m]."""
+    axes: Array
+    """(L, 3) unit axes of symmetry, base axes."""
+
+
+@pytree
+class Layer:
+    """One affine layer of all members."""
+
+    weight: Array
+    """(m, out, in)."""
+    bias: Array
+    """(m, out)."""
+
+
+@pytree
+class Mirror:
+    """Reflection about the base's x-z plane as matrices: of the features, and of the raw output."""
+
+    features: Array
+    """(n, n)."""
+    output: Array
+    """(39, 39)."""
+
+
+@pytree
+class Network:
+    """A network of link force areas; build it with `init_network` or read it with `network_card.load_network`."""
+
+    blocks: Static[tuple[Block, ...]]
+    frame: Static[Frame]
+    layout: Static[Layout]
+    activation: Static[Activation]
+    joints: Static[tuple[int, ...]]
+    """Indices of the 19 joints it sees in the robot's joint vector."""
+    layers: tuple[Layer, ...]
+    scale: Array
+    """(39,) [m²]."""
+    offset: Array
+    """(39,) [m²]."""
+    mirror: Mirror | None
+    """Present if the prediction is symmetrised."""
+    baseline: Array | None
+    """(L, 6) axisymmetric coefficients `w0 .. w5` [m²] to which the output is added."""
+
+    @property
+    def members(self) -> int:
+        """Number of networks that are averaged."""
+        return int(self.layers[0].weight.shape[0])
+
+    @property
+    def hidden(self) -> tuple[int, ...]:
+        """Widths of the hidden layers."""
+        return tuple(int(layer.weight.shape[1]) for layer in self.layers[:-1])
+
+    @property
+    def parameters(self) -> int:
+        """Number of weights and biases of all members."""
+        return sum(layer.weight.size + layer.bias.size for layer in self.layers)
+
+
+# --- the robot as the network sees it ----------------------------------------------------------------------------
+
+
+def network_joints(robot: RobotModel) -> tuple[int, ...]:
+    """Joints that move an aerodynamic link, in the robot's order: all but the ankles."""
+    moves = robot.ancestors[np.array(robot.aero_links.bodies, dtype=int)].any(axis=0)
+    return tuple(int(joint) for joint in np.flatnonzero(moves))
+
+
+def link_geometry(robot: RobotModel, joint_position: Array) -> LinkGeometry:
+    """Geometry of the links at joint positions (n,) [rad]."""
+    zero = jnp.zeros(robot.n_velocities, joint_position.dtype)
+    state = State(zero[:3], jnp.eye(3, dtype=joint_position.dtype), joint_position, zero)
+    return geometry_from_kinematics(robot, kinematics(robot, state))
+
+
+_geometry = jax.jit(link_geometry)
+
+
+def geometry_from_kinematics(robot: RobotModel, kin: Kinematics) -> LinkGeometry:
+    """Geometry of the links in base axes, of a robot anywhere."""
+    links = robot.aero_links
+    rotations, origins = frame_poses(kin, links.bodies, links.rotations, links.positions)
+    base = kin.body_rotations[0]
+    centres = rotate_back(base, origins + rotate(rotations, links.centres) - kin.body_positions[0])
+    base_from_link = jnp.einsum("ji,ljk->lik", base, rotations)
+    return LinkGeometry(base_from_link, centres, rotate(base_from_link, links.axes))
+
+
+def wind_direction(v_air_b: Array) -> Array:
+    """Return the unit vector of the air's velocity relative to the base (3,), base axes; (1, 0, 0) at rest."""
+    speed = safe_norm(v_air_b)
+    is_still = speed == 0.0
+    forward = jnp.zeros_like(v_air_b).at[0].set(1.0)
+    return jnp.where(is_still, forward, v_air_b / jnp.where(is_still, 1.0, speed))
+
+
+def features(blocks: Sequence[str], wind_b: Array, joint_position: Array, geometry: LinkGeometry) -> Array:
+    """Return the inputs (n,) of a network: its blocks of features, one after the other.
+
+    `wind` is the unit vector `wind_b` (3,); `joints` the 19 angles [deg / 180] of `joint_position` (19,) [rad];
+    `link_wind` the unit vector in each link's axes (39); `link_position` the aerodynamic centres from the base origin
+    in base axes (39) [m], link by link; `link_shadow` how far each link stands behind the others (13).
+
+    Angles are not standardised: joints that hardly move in the data would blow up on unseen postures.
+    """
+    made = {
+        "wind": lambda: wind_b,
+        "joints": lambda: joint_position / np.pi,
+        "link_wind": lambda: rotate_back(geometry.rotations, wind_b).reshape(-1),
+        "link_position": lambda: geometry.centres.reshape(-1),
+        "link_shadow": lambda: link_shadow(wind_b, geometry.centres),
+    }
+    return jnp.concatenate([made[block]() for block in blocks])
+
+
+def link_shadow(wind_b: Array, centres: Array) -> Array:
+    """How far each link stands in the wake of the others (L,).
+
+        S_l = Σ_k≠l sigmoid(d·w / h) exp(−r² / 2σ²),   d = x_l − x_k,   r² = |d|² − (d·w)²
+
+    A feature, not a model: it tells the network which of its inputs matter, which 15 postures do not.
+    """
+    d = centres[:, None, :] - centres[None, :, :]
+    along = jnp.einsum("lki,i->lk", d, wind_b)
+    across = jnp.sum(d * d, -1) - along**2
+    shadow = jax.nn.sigmoid(along / SHADOW_LENGTH) * jnp.exp(-across / (2.0 * SHADOW_RADIUS**2))
+    return jnp.sum(shadow * (1.0 - jnp.eye(len(centres), dtype=shadow.dtype)), axis=1)
+
+
+def mirror_of(robot: RobotModel, blocks: Sequence[str], layout: str, frame: str) -> Mirror:
+    """Reflection of features and raw output about the base's x-z plane, from the robot's names and kinematics.
+
+        joint l ↔ r, torso roll and yaw change sign;   link l ↔ r;   base vectors by S = diag(1, −1, 1)
+        vectors in link axes by T_l = R_l'ᵀ S R_l, at zero joints; l' is the link opposite to l
+
+    T is constant as far as the robot is symmetric, and no mere change of signs where a link's axes are turned.
+    """
+    # In double precision whatever the caller's is: reflected twice, everything has to come back.
+    with jax.enable_x64(True):
+        rotations = np.asarray(_geometry(robot, np.zeros(robot.n_joints)).rotations)
+    s = np.diag([1.0, -1.0, 1.0])
+    opposite_link = _opposite(robot.aero_links.names)
+    turns = [rotations[other].T @ s @ rotations[link] for link, other in enumerate(opposite_link)]
+    names = [robot.joint_names[joint] for joint in network_joints(robot)]
+    joints = np.zeros((len(names), len(names)))
+    for joint, other in enumerate(_opposite(names)):
+        joints[other, joint] = -1.0 if names[joint] in ODD_JOINTS else 1.0
+    links_by_turn, links_by_s = _blocks(opposite_link, turns), _blocks(opposite_link, [s] * len(turns))
+    swap = np.eye(len(opposite_link))[opposite_link]
+    parts = {"wind": s, "joints": joints, "link_wind": links_by_turn, "link_position": links_by_s, "link_shadow": swap}
+    if layout == "component":
+        count = len(opposite_link)
+        output = np.zeros((3 * count, 3 * count))
+        for component, sign in enumerate((1.0, 1.0, -1.0)):  # drag and lift keep their sign, side changes it
+            for link, other in enumerate(opposite_link):
+                output[component * count + other, component * count + link] = sign
+    else:
+        output = links_by_turn if frame == "link" else links_by_s
+    return Mirror(cast(Array, _on_diagonal([parts[block] for block in blocks])), cast(Array, output))
+
+
+def _opposite(names: Sequence[str]) -> list[int]:
+    swapped = {"l_": "r_", "r_": "l_", "chest_l_": "chest_r_", "chest_r_": "chest_l_"}
+    found = []
+    for name in names:
+        side = next((prefix for prefix in swapped if name.startswith(prefix)), "")
+        twin = swapped.get(side, "") + name.removeprefix(side)
+        if twin not in names:
+            raise ValueError(f"`{name}` has no `{twin}` opposite to it")
+        found.append(list(names).index(twin))
+    return found
+
+
+def _blocks(opposite: Sequence[int], blocks: Sequence[Any]) -> Any:
+    matrix = np.zeros((3 * len(opposite), 3 * len(opposite)))
+    for link, (other, block) in enumerate(zip(opposite, blocks, strict=True)):
+        matrix[3 * other : 3 * other + 3, 3 * link : 3 * link + 3] = block
+    return matrix
+
+
+def _on_diagonal(blocks: Sequence[Any]) -> Any:
+    matrix = np.zeros((sum(len(block) for block in blocks),) * 2)
+    start = 0
+    for block in blocks:
+        matrix[start : start + len(block), start : start + len(block)] = block
+        start += len(block)
+    return matrix
+
+
+# --- evaluation --------------------------------------------------------------------------------------------------
+
+
+def init_network(
+    key: Array,
+    robot: RobotModel,
+    *,
+    hidden: Sequence[int],
+    blocks: Sequence[Block] = ("wind", "joints"),
+    activation: Activation = "relu",
+    members: int = 1,
+    mirror: bool = False,
+    frame: Frame = "base",
+    layout: Layout = "component",
+    baseline: Array | None = None,
+    start: Literal["published", "unit"] = "published",
+) -> Network:
+    """Return a network with random weights in single precision.
+
+    `published` draws weights and biases uniformly within ±1/√in, the default of the published training's library;
+    `unit` draws weights within ±√(3/in), which keeps the variance from layer to layer, and sets biases to zero.
+    """
+    check_output(frame, layout)
+    reflection = mirror_of(robot, blocks, layout, frame)
+    sizes = [reflection.features.shape[0], *hidden, reflection.output.shape[0]]
+    layers = []
+    for narrow, wide in itertools.pairwise(sizes):
+        key, for_weight, for_bias = jax.random.split(key, 3)
+        small = 1.0 / np.sqrt(narrow)
+        bound, most = (small, small) if start == "published" else (np.sqrt(3.0) * small, 0.0)
+        weight = jax.random.uniform(for_weight, (members, wide, narrow), jnp.float32, -bound, bound)
+        layers.append(Layer(weight, jax.random.uniform(for_bias, (members, wide), jnp.float32, -most, most)))
+    return Network(
+        blocks=tuple(blocks),
+        frame=frame,
+        layout=layout,
+        activation=activation,
+        joints=network_joints(robot),
+        layers=tuple(layers),
+        scale=jnp.ones(sizes[-1], jnp.float32),
+        offset=jnp.zeros(sizes[-1], jnp.float32),
+        mirror=reflection if mirror else None,
+        baseline=baseline,
+    )
+
+
+def check_output(frame: str, layout: str) -> None:
+    """Refuse a layout that says nothing in a frame.
+
+    Raises
+    ------
+    ValueError
+        Naming both.
+    """
+    possible = {"base": ("component", "link"), "link": ("link",), "wind": ("component",)}
+    if layout not in possible.get(frame, ()):
+        raise ValueError(f"output frame is {frame!r} with layout {layout!r}; expected one of {possible}")
+
+
+def members_output(network: Network, x: Array) -> Array:
+    """Mean output of the members (39,) for features (n,), before scaling."""
+    activation = ACTIVATIONS[network.activation]
+    h = jnp.broadcast_to(x, (network.members, *x.shape))
+    for layer in network.layers[:-1]:
+        h = activation(_affine(layer, h))
+    return _affine(network.layers[-1], h).mean(0)
+
+
+def _affine(layer: Layer, h: Array) -> Array:
+    return jnp.einsum("moi,mi->mo", layer.weight, h) + layer.bias
+
+
+def raw_output(network: Network, x: Array) -> Array:
+    """Return the output (39,) [m²] in the network's own frame and layout; in the precision of the weights.
+
+    f(x) = scale · mean over members + offset;   symmetric: (f(x) + M f(M x)) / 2
+    """
+    x = x.astype(network.scale.dtype)
+    if network.mirror is None:
+        return network.scale * members_output(network, x) + network.offset
+    there = network.mirror.features.astype(x.dtype) @ x
+    both = network.scale * jax.vmap(lambda one: members_output(network, one))(jnp.stack([x, there])) + network.offset
+    return 0.5 * (both[0] + network.mirror.output.astype(x.dtype) @ both[1])
+
+
+def to_base_axes(frame: str, layout: str, y: Array, wind_b: Array, rotations: Array) -> Array:
+    """Force areas of the links (L, 3) in base axes from an output (3L,) in its own frame and layout."""
+    if layout == "link":
+        vectors = y.reshape(-1, 3)
+        return rotate(rotations, vectors) if frame == "link" else vectors
+    drag, lift, side = y.reshape(3, -1)
+    vectors = jnp.stack([drag, side, lift], axis=-1)
+    return vectors @ tunnel_from_base(wind_b) if frame == "wind" else vectors
+
+
+def from_base_axes(frame: str, layout: str, areas: Array, wind_b: Array, rotations: Array) -> Array:
+    """Inverse of `to_base_axes`: areas (L, 3) in base axes as an output (3L,). Sums of squares are kept."""
+    if layout == "link":
+        return (rotate_back(rotations, areas) if frame == "link" else areas).reshape(-1)
+    vectors = areas @ tunnel_from_base(wind_b).T if frame == "wind" else areas
+    return vectors[:, jnp.array([0, 2, 1])].T.reshape(-1)
+
+
+def tunnel_from_base(wind_b: Array) -> Array:
+    """Rotation (3, 3) to tunnel axes, x along the wind and z up: `Rz(yaw) Ry(pitch − 90°)` of the tables.
+
+    With the wind across the robot the pitch is undefined, and taken as 90°.
+    """
+    square = wind_b[0] ** 2 + wind_b[2] ** 2
+    is_pole = square < POLE**2
+    rho = jnp.sqrt(jnp.where(is_pole, 1.0, square))
+    c, s = jnp.where(is_pole, 1.0, wind_b[0] / rho), jnp.where(is_pole, 0.0, wind_b[2] / rho)
+    cos_yaw, sin_yaw = jnp.where(is_pole, 0.0, rho), -wind_b[1]
+    side = jnp.stack([sin_yaw * c, cos_yaw, sin_yaw * s])
+    return jnp.stack([wind_b, side, jnp.stack([-s, jnp.zeros_like(s), c])])
+
+
+def network_areas(network: Network, wind_b: Array, joint_position: Array, geometry: LinkGeometry) -> Array:
+    """Force areas `F / (ρ/2 |v|²)` of the links (L, 3) [m²], base axes.
+
+    Parameters
+    ----------
+    wind_b
+        (3,) unit vector of the air's velocity relative to the base origin, base axes; see `wind_direction`.
+    joint_position
+        (19,) angles of the joints it sees [rad].
+    geometry
+        The links at these angles.
+    """
+    y = raw_output(network, features(network.blocks, wind_b, joint_position, geometry)).astype(wind_b.dtype)
+    areas = to_base_axes(network.frame, network.layout, y, wind_b, geometry.rotations)
+    return areas if network.baseline is None else areas + baseline_areas(network.baseline, wind_b, geometry.axes)
+
+
+def baseline_areas(coefficients: Array, wind_b: Array, axes_b: Array) -> Array:
+    """Force areas (L, 3) [m²] of the axisymmetric model with coefficients (L, 6), all links in the same wind."""
+    one = jnp.ones((), wind_b.dtype)
+    return axisymmetric_forces(Axisymmetric(one, coefficients), axes_b, jnp.broadcast_to(wind_b, axes_b.shape))
+
+
+def network_forces(
+    network: Network, robot: RobotModel, kin: Kinematics, joint_position: Array, wind: Array, air_density: Array
+) -> Array:
+    """Return the forces on the links (L, 3) [N], inertial axes, in a wind (3,) [m/s, inertial axes].
+
+        F = ρ/2 |v|² R_B c(v/|v|, s),   v = wind − velocity of the base origin
+
+    All links see the wind of the base origin: that is the published model's definition, not an approximation of ours.
+    """
+    base = kin.body_rotations[0]
+    v_air_b = rotate_back(base, wind - kin.linear_velocities[0])
+    seen = joint_position[jnp.array(network.joints)]
+    areas = network_areas(network, wind_direction(v_air_b), seen, geometry_from_kinematics(robot, kin))
+    return 0.5 * air_density * jnp.sum(v_air_b**2) * rotate(base, areas)
+
+
+def with_precision(network: Network, dtype: Any) -> Network:
+    """Return the network with weights, scale and offset in this precision; features and geometry keep theirs."""
+
+    def convert(leaf: Any) -> Array:
+        return jnp.asarray(leaf, dtype)
+
+    layers = tuple(Layer(convert(layer.weight), convert(layer.bias)) for layer in network.layers)
+    return replace(network, layers=layers, scale=convert(network.scale), offset=convert(network.offset))

@@ -1,0 +1,259 @@
+"""The door between training and flight: weights as `NAME.safetensors` with their card `NAME.json` beside them.
+
+The card says what goes in, what comes out and in which axes, how the network is built, what it was trained on and how
+far it is off; the Rust crate and this floor read the same two files, and refuse what they do not understand.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from typing import Any, cast
+
+import jax
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load as parse_tensors
+from safetensors.numpy import save as dump_tensors
+
+from jax_aero.aero.network import (
+    ACTIVATIONS,
+    BLOCKS,
+    Layer,
+    Network,
+    check_output,
+    mirror_of,
+    network_joints,
+)
+from jax_aero.robot import RobotModel
+from jax_aero.types import Array
+
+FORMAT = "flight-aero-network"
+VERSION = 1
+
+_KEYS: Mapping[str, set[str]] = {
+    "": {"format", "version", "name", "description", "weights", "inputs", "output", "architecture", "training"},
+    "weights": {"file", "sha256"},
+    "inputs": {"features", "joints", "links"},
+    "output": {"frame", "layout", "unit"},
+    "architecture": {"hidden", "activation", "members", "mirror", "baseline"},
+}
+_BASELINE_KEYS = {"kind", "links"}
+
+
+def save_network(
+    path: str | PathLike[str],
+    network: Network,
+    robot: RobotModel,
+    *,
+    description: str,
+    training: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Write `path` (ending in .json) and the weights beside it, in single precision; return the card."""
+    target = Path(path)
+    if target.suffix != ".json":
+        raise ValueError(f"path is {target.name!r}; expected the card's name, ending in .json")
+    tensors = dump_tensors(_tensors(network))
+    card = {
+        "format": FORMAT,
+        "version": VERSION,
+        "name": target.stem,
+        "description": description,
+        "weights": {"file": f"{target.stem}.safetensors", "sha256": hashlib.sha256(tensors).hexdigest()},
+        "inputs": {
+            "features": list(network.blocks),
+            "joints": [robot.joint_names[joint] for joint in network.joints],
+            "links": list(robot.aero_links.names),
+        },
+        "output": {"frame": network.frame, "layout": network.layout, "unit": "m^2"},
+        "architecture": {
+            "hidden": list(network.hidden),
+            "activation": network.activation,
+            "members": network.members,
+            "mirror": network.mirror is not None,
+            "baseline": _baseline_table(network.baseline, robot.aero_links.names),
+        },
+        "training": dict(training),
+    }
+    target.parent.mkdir(parents=True, exist_ok=True)
+    # Weights first: a card never names weights that are not there yet.
+    target.with_suffix(".safetensors").write_bytes(tensors)
+    target.write_text(json.dumps(card, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+    return card
+
+
+def load_network(path: str | PathLike[str], robot: RobotModel) -> Network:
+    """Read a card and its weights, in single precision.
+
+    Raises
+    ------
+    ValueError
+        Naming the card's key or the tensor, its value and what was expected: unknown or missing keys, another format,
+        joints or links that are not the robot's, weights of another hash or shape, numbers that are not finite.
+    """
+    card = read_card(path)
+    joints = network_joints(robot)
+    _expect("inputs.joints", card["inputs"]["joints"], [robot.joint_names[joint] for joint in joints])
+    _expect("inputs.links", card["inputs"]["links"], list(robot.aero_links.names))
+    blocks, output, shape = card["inputs"]["features"], card["output"], card["architecture"]
+    reflection = mirror_of(robot, blocks, output["layout"], output["frame"])
+    tensors = _read_tensors(Path(path).parent / card["weights"]["file"], card["weights"]["sha256"])
+    sizes = [reflection.features.shape[0], *shape["hidden"], reflection.output.shape[0]]
+    layers, scale, offset = _layers(tensors, sizes, shape["members"])
+    return Network(
+        blocks=tuple(blocks),
+        frame=output["frame"],
+        layout=output["layout"],
+        activation=shape["activation"],
+        joints=joints,
+        layers=layers,
+        scale=scale,
+        offset=offset,
+        mirror=reflection if shape["mirror"] else None,
+        baseline=_baseline_rows(shape["baseline"], robot.aero_links.names),
+    )
+
+
+def read_card(path: str | PathLike[str]) -> dict[str, Any]:
+    """Read a card and check everything that can be told without a robot or the weights."""
+    try:
+        card = json.loads(Path(path).read_text(encoding="utf-8"))
+    except ValueError as reason:
+        raise ValueError(f"card {Path(path).name}: no JSON: {reason}") from None
+    for section, keys in _KEYS.items():
+        table = card if not section else card[section]
+        where = section or "the card"
+        if not isinstance(table, dict):
+            raise ValueError(f"`{where}` is {table!r}; expected a table")
+        if unknown := set(table) - keys:
+            raise ValueError(f"unknown keys {sorted(unknown)} in {where}")
+        if missing := keys - set(table):
+            raise ValueError(f"keys {sorted(missing)} are missing in {where}")
+    _expect("format", card["format"], FORMAT)
+    _expect("version", card["version"], VERSION)
+    _expect("output.unit", card["output"]["unit"], "m^2")
+    features = card["inputs"]["features"]
+    if not features or len(set(features)) < len(features) or set(features) - set(BLOCKS):
+        raise ValueError(f"`inputs.features` is {features!r}; expected some of {', '.join(BLOCKS)}, each once")
+    check_output(card["output"]["frame"], card["output"]["layout"])
+    _check_architecture(card["architecture"])
+    file = card["weights"]["file"]
+    if not isinstance(file, str) or Path(file).name != file:
+        raise ValueError(f"`weights.file` is {file!r}; expected a file's name, beside the card")
+    return cast(dict[str, Any], card)
+
+
+def _check_architecture(shape: Mapping[str, Any]) -> None:
+    hidden, members = shape["hidden"], shape["members"]
+    if not isinstance(hidden, list) or not all(_is_count(width) for width in hidden):
+        raise ValueError(f"`architecture.hidden` is {hidden!r}; expected positive widths")
+    if shape["activation"] not in ACTIVATIONS:
+        raise ValueError(
+            f"`architecture.activation` is {shape['activation']!r}; expected one of {', '.join(ACTIVATIONS)}"
+        )
+    if not _is_count(members):
+        raise ValueError(f"`architecture.members` is {members!r}; expected a positive number")
+    if not isinstance(shape["mirror"], bool):
+        raise ValueError(f"`architecture.mirror` is {shape['mirror']!r}; expected true or false")
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value > 0
+
+
+def _expect(key: str, value: Any, expected: Any) -> None:
+    if value != expected:
+        raise ValueError(f"`{key}` is {value!r}; expected {expected!r}")
+
+
+def _tensors(network: Network) -> dict[str, Any]:
+    named: dict[str, Any] = {}
+    for member in range(network.members):
+        for index, layer in enumerate(network.layers):
+            prefix = f"member.{member}.layer.{index}"
+            named[f"{prefix}.weight"], named[f"{prefix}.bias"] = layer.weight[member], layer.bias[member]
+    named |= {"output.scale": network.scale, "output.offset": network.offset}
+    tensors = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in named.items()}
+    for name, value in tensors.items():
+        _check_finite(name, value)
+    return tensors
+
+
+def _read_tensors(path: Path, sha256: str) -> dict[str, Any]:
+    content = path.read_bytes()
+    _expect("weights.sha256", sha256, hashlib.sha256(content).hexdigest())
+    try:
+        return parse_tensors(content)
+    except (SafetensorError, KeyError) as reason:
+        raise ValueError(f"{path.name}: no safetensors file: {reason}") from None
+
+
+def _layers(tensors: dict[str, Any], sizes: Sequence[int], members: int) -> tuple[tuple[Layer, ...], Array, Array]:
+    shapes: dict[str, tuple[int, ...]] = {"output.scale": (sizes[-1],), "output.offset": (sizes[-1],)}
+    for index, (narrow, wide) in enumerate(itertools.pairwise(sizes)):
+        for member in range(members):
+            shapes[f"member.{member}.layer.{index}.weight"] = (wide, narrow)
+            shapes[f"member.{member}.layer.{index}.bias"] = (wide,)
+    if unknown := set(tensors) - set(shapes):
+        raise ValueError(f"unknown tensors {sorted(unknown)}")
+    for name, shape in shapes.items():
+        if name not in tensors:
+            raise ValueError(f"tensor `{name}` is missing")
+        if tensors[name].shape != shape or tensors[name].dtype != np.float32:
+            found = f"{tensors[name].dtype} of shape {tensors[name].shape}"
+            raise ValueError(f"tensor `{name}` is {found}; expected float32 of shape {shape}")
+        _check_finite(name, tensors[name])
+    layers = tuple(
+        Layer(
+            *(
+                jax.numpy.asarray(np.stack([tensors[f"member.{k}.layer.{index}.{part}"] for k in range(members)]))
+                for part in ("weight", "bias")
+            )
+        )
+        for index in range(len(sizes) - 1)
+    )
+    return layers, jax.numpy.asarray(tensors["output.scale"]), jax.numpy.asarray(tensors["output.offset"])
+
+
+def _check_finite(name: str, value: Any) -> None:
+    if not np.isfinite(value).all():
+        place = tuple(int(index) for index in np.argwhere(~np.isfinite(value))[0])
+        raise ValueError(f"tensor `{name}` is {value[place]} at {place}; expected finite numbers")
+
+
+def _baseline_table(rows: Array | None, names: Sequence[str]) -> dict[str, Any] | None:
+    if rows is None:
+        return None
+    links = {
+        name: {"cda": [float(w) for w in row[:5]], "cna": float(row[5])}
+        for name, row in zip(names, np.asarray(rows, dtype=np.float64), strict=True)
+    }
+    return {"kind": "axisymmetric", "links": links}
+
+
+def _baseline_rows(table: Mapping[str, Any] | None, names: Sequence[str]) -> Array | None:
+    if table is None:
+        return None
+    if not isinstance(table, dict) or set(table) != _BASELINE_KEYS or table["kind"] != "axisymmetric":
+        raise ValueError(f"`architecture.baseline` is {table!r}; expected null, or kind axisymmetric with links")
+    if set(table["links"]) != set(names):
+        raise ValueError(f"links of `architecture.baseline` are {sorted(table['links'])}; expected {sorted(names)}")
+    rows = []
+    for name in names:
+        row = table["links"][name]
+        if set(row) != {"cda", "cna"} or len(row["cda"]) != 5:
+            raise ValueError(f"`architecture.baseline` of link `{name}` is {row!r}; expected five cda, and cna")
+        rows.append([*row["cda"], row["cna"]])
+        if not np.isfinite(rows[-1]).all():
+            raise ValueError(f"`architecture.baseline` of link `{name}` is {row!r}; expected finite numbers")
+    return cast(Array, np.array(rows, dtype=np.float64))
+
+
+def with_weights(network: Network, layers: Sequence[Layer]) -> Network:
+    """Return the network with other weights of the same shapes."""
+    return replace(network, layers=tuple(layers))

@@ -1,0 +1,84 @@
+"""A reference that was computed beforehand: `envelope = { file = "…" }`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jax_aero.config import RecordedReference
+from jax_aero.spatial import exp_so3, log_so3, multiply, rotation_from_rpy
+from jax_aero.types import Array
+
+
+class RecordedMotion(NamedTuple):
+    """Where a recorded reference is, at one time or, with one more axis in front, at every sample."""
+
+    com: Array
+    """(4, 3) position of the centre of mass and its first three derivatives [m, m/s, m/s², m/s³]."""
+    rotation: Array
+    """(3, 3) `inertial_from_base`."""
+    angular_velocity: Array
+    """(3,) of the base [rad/s, base axes]."""
+
+
+class Recording(NamedTuple):
+    """A recorded reference, ready for use; `k` samples."""
+
+    times: Array
+    """(k,) [s], increasing."""
+    samples: RecordedMotion
+    """At every sample."""
+    turns: Array
+    """(k − 1, 3) rotation vector from each sample to the next, in axes of the former [rad]."""
+
+
+@jax.jit
+def recording(recorded: RecordedReference) -> Recording:
+    """Work out what the samples leave out: derivatives by differences, turns, angular velocities."""
+    times = jnp.asarray(recorded.times)
+    com = [jnp.asarray(recorded.com_position)]
+    for known in (recorded.com_velocity, recorded.com_acceleration, recorded.com_jerk):
+        com.append(_differences(times, com[-1]) if known is None else jnp.asarray(known))
+    rotations = rotation_from_rpy(jnp.asarray(recorded.rpy))
+    turns = log_so3(multiply(jnp.swapaxes(rotations[:-1], 1, 2), rotations[1:]))
+    rates = turns / jnp.diff(times)[:, None]
+    # Mean of the turns before and after; at an end there is only one.
+    mean = 0.5 * (jnp.concatenate([rates[:1], rates]) + jnp.concatenate([rates, rates[-1:]]))
+    return Recording(times, RecordedMotion(jnp.stack(com, axis=1), rotations, mean), turns)
+
+
+def motion_at(recording: Recording, time: Array) -> RecordedMotion:
+    """Return the reference at `time` [s]: before the first sample and after the last one it stands still there.
+
+    Between samples position, velocity and acceleration each follow the cubic that has the next derivative as its slope
+    at both samples; jerk and angular velocity are linear, the base turns at a constant rate.
+    """
+    times = recording.times
+    before = jnp.clip(jnp.searchsorted(times, time, side="right") - 1, 0, len(times) - 2)
+    a, b = (jax.tree.map(lambda leaf, at=at: leaf[at], recording.samples) for at in (before, before + 1))
+    h = times[before + 1] - times[before]
+    s = jnp.clip((time - times[before]) / h, 0.0, 1.0)
+    r = 1.0 - s
+    cubics = (
+        a.com[:3] * (r * r * (1.0 + 2.0 * s))
+        + b.com[:3] * (s * s * (1.0 + 2.0 * r))
+        + (a.com[1:] * r - b.com[1:] * s) * (h * s * r)
+    )
+    com = jnp.concatenate([cubics, a.com[3:] + s * (b.com[3:] - a.com[3:])])
+    # The last sample itself is still part of the recording.
+    moves = (time >= times[0]) & (time <= times[-1])
+    return RecordedMotion(
+        com=jnp.where(moves | (jnp.arange(4) == 0)[:, None], com, 0.0),
+        rotation=multiply(a.rotation, exp_so3(recording.turns[before] * s)),
+        angular_velocity=jnp.where(moves, a.angular_velocity + s * (b.angular_velocity - a.angular_velocity), 0.0),
+    )
+
+
+def _differences(times: Array, values: Array) -> Array:
+    """Slopes at the samples: of the parabola through each sample and its neighbours, of the line at both ends."""
+    steps = jnp.diff(times)[:, None]
+    slopes = jnp.diff(values, axis=0) / steps
+    inner = (slopes[:-1] * steps[1:] + slopes[1:] * steps[:-1]) / (steps[:-1] + steps[1:])
+    return jnp.concatenate([slopes[:1], inner, slopes[-1:]])

@@ -1,0 +1,146 @@
+"""Jets that do less than their dynamics promise: a slow response, too little thrust, a dead engine, a noisy sensor.
+
+    thrust rate command ──delayed──► jets ──limited──► thrust        thrust ──measured──► estimators
+
+Kept apart from `jets`, so that every fault goes with every kind of dynamics. Which faults there are is numbers, not
+structure: flights with different faults share one compilation.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jax_aero import noise
+from jax_aero.config import Ideal, JetFaultsConfig, JetsConfig
+from jax_aero.robot import RobotModel
+from jax_aero.types import Array
+
+MEASUREMENT_STREAM = 1
+
+
+class JetFaults(NamedTuple):
+    """Faults of `j` jets; without a fault a number is such that nothing happens."""
+
+    lag: Array
+    """() time constant of the response [s]."""
+    lower: Array
+    """(j,) least thrust [N]."""
+    upper: Array
+    """(j,) greatest thrust [N]."""
+    fails: Array
+    """(j,) whether this is the jet that fails, bool."""
+    is_stuck: Array
+    """() whether it keeps its thrust, bool; otherwise it loses it."""
+    failure_time: Array
+    """() [s]."""
+    decay: Array
+    """() time constant with which it loses it [s]."""
+    sensor_noise: Array | None
+    """(ticks, j) added to the thrust that estimators measure [N]; `None` where there are no estimators."""
+
+
+class FaultState(NamedTuple):
+    """What faults remember."""
+
+    command: Array
+    """(j,) thrust rates that reach the jets [N/s]."""
+    left: Array
+    """() time until the failure [s]; negative behind it."""
+    held: Array
+    """() thrust of the failing jet at its failure [N]."""
+    tick: Array
+    """() int32: number of steps taken."""
+
+
+def start_faults(
+    settings: JetFaultsConfig, dynamics: JetsConfig, robot: RobotModel, n_ticks: int
+) -> tuple[JetFaults, FaultState]:
+    """Faults of a flight of `n_ticks` ticks, and their beginning.
+
+    Raises
+    ------
+    ValueError
+        For a jet that the robot does not have, and for measurement noise without an estimator that measures.
+    """
+    names, failure = robot.jets.names, settings.failure
+    if failure is not None and failure.jet not in names:
+        raise ValueError(f"jet_faults.failure.jet is `{failure.jet}`; {robot.name} has {', '.join(names)}")
+    if settings.measurement_noise is not None and isinstance(dynamics, Ideal):
+        raise ValueError("jet_faults.measurement_noise disturbs estimators, which jets of dynamics `ideal` do not have")
+    thrust_max, zero = jnp.asarray(robot.jets.thrust_max), jnp.zeros(())
+    scale = settings.thrust_limit_scale
+    drawn: Array | None = None
+    if not isinstance(dynamics, Ideal):
+        drawn = _sensor_noise(settings, n_ticks, len(names))
+    faults = JetFaults(
+        lag=settings.lag,
+        lower=jnp.full(thrust_max.shape, -np.inf if scale is None else 0.0),
+        upper=jnp.full(thrust_max.shape, np.inf) if scale is None else scale * thrust_max,
+        fails=jnp.array([failure is not None and name == failure.jet for name in names]),
+        is_stuck=jnp.array(failure is not None and failure.kind == "stuck"),
+        failure_time=zero if failure is None else failure.time,
+        decay=zero if failure is None else failure.decay,
+        sensor_noise=drawn,
+    )
+    rest = jnp.zeros_like(thrust_max)
+    return faults, FaultState(rest, jnp.asarray(faults.failure_time), rest[0], jnp.array(0, jnp.int32))
+
+
+def _sensor_noise(settings: JetFaultsConfig, n_ticks: int, jets: int) -> Array:
+    """Every jet is measured once a tick, in order."""
+    found = settings.measurement_noise
+    if found is None:
+        return jnp.zeros((n_ticks + 1, jets))
+    drawn = noise.normals(found.seed, MEASUREMENT_STREAM, (n_ticks + 1) * jets)
+    return jnp.asarray(found.std) * drawn.reshape(-1, jets)
+
+
+def known_limits(settings: JetFaultsConfig, robot: RobotModel) -> Array:
+    """Thrust limits (j,) [N] of which the controller knows."""
+    if settings.limit_is_known and settings.thrust_limit_scale is not None:
+        return jnp.asarray(settings.thrust_limit_scale * robot.jets.thrust_max)
+    return robot.jets.thrust_max
+
+
+def delayed(faults: JetFaults, state: FaultState, command: Array, dt: Array) -> Array:
+    """Thrust rates (j,) [N/s] that reach the jets when these are commanded for the next `dt` [s]."""
+    has_lag = faults.lag > 0.0
+    share = -jnp.expm1(-dt / jnp.where(has_lag, faults.lag, 1.0))
+    return jnp.where(has_lag, state.command + (command - state.command) * share, command)
+
+
+def measured(faults: JetFaults, state: FaultState, thrust: Array) -> Array:
+    """Thrust (j,) [N] that estimators are given."""
+    if faults.sensor_noise is None:
+        return thrust
+    return thrust + faults.sensor_noise[jnp.minimum(state.tick, faults.sensor_noise.shape[0] - 1)]
+
+
+def limited(
+    faults: JetFaults, state: FaultState, thrust: Array, thrust_rate: Array, dt: Array
+) -> tuple[Array, Array, FaultState]:
+    """Thrust and thrust rate that the jets really have after a step of `dt` [s], and what is remembered of it.
+
+    A jet that is off decays from the thrust of its failure: `T = T₀ exp(−(t − t₀)/τ)`.
+    """
+    is_over, is_under = thrust > faults.upper, thrust < faults.lower
+    rate = jnp.where(is_over, jnp.minimum(thrust_rate, 0.0), thrust_rate)
+    rate = jnp.where(is_under, jnp.maximum(thrust_rate, 0.0), rate)
+    thrust = jnp.clip(thrust, faults.lower, faults.upper)
+
+    left = state.left - dt
+    # Half a step of slack: the sum of many steps is not exact.
+    had_failed, has_failed = state.left <= -0.5 * dt, left <= -0.5 * dt
+    now = jnp.sum(jnp.where(faults.fails, thrust, 0.0))
+    held = jnp.where(had_failed, state.held, now)
+    decays = faults.decay > 0.0
+    tau = jnp.where(decays, faults.decay, 1.0)
+    fading = jnp.where(decays, held * jnp.exp(jnp.minimum(left, 0.0) / tau), 0.0)
+    failed_thrust = jnp.where(faults.is_stuck, held, fading)
+    failed_rate = jnp.where(faults.is_stuck, 0.0, -fading / tau)
+    is_dead = faults.fails & has_failed
+    after = state._replace(left=left, held=held, tick=state.tick + 1)
+    return jnp.where(is_dead, failed_thrust, thrust), jnp.where(is_dead, failed_rate, rate), after

@@ -1,0 +1,35 @@
+"""Training of the network of link forces: plain JAX, single precision, one Adam of our own.
+
+    Dataset ──samples──► Samples ──fit──► Network ──distil──► a smaller Network;   checkpoint keeps a run that stops
+
+A run is a function of its settings, its samples and its seed: random numbers come from the number of the epoch, so a
+run that was stopped and taken up again ends with the same bits as one that was not.
+"""
+
+from jax_aero.train.adam import AdamState, adam_start, adam_step
+from jax_aero.train.baselines import baseline_errors
+from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from jax_aero.train.distil import distil_samples
+from jax_aero.train.loop import Fitted, Interrupted, Settings, fit
+from jax_aero.train.loss import batch_output, mean_squared_error
+from jax_aero.train.samples import Samples, predict_areas, samples_of
+
+__all__ = [
+    "AdamState",
+    "Checkpoint",
+    "Fitted",
+    "Interrupted",
+    "Samples",
+    "Settings",
+    "adam_start",
+    "adam_step",
+    "baseline_errors",
+    "batch_output",
+    "distil_samples",
+    "fit",
+    "load_checkpoint",
+    "mean_squared_error",
+    "predict_areas",
+    "samples_of",
+    "save_checkpoint",
+]

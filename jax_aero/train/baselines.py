@@ -1,0 +1,47 @@
+"""What a network has to beat: the axisymmetric models, the nearest rows, and a linear map."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from jax_aero.aero.dataset import Dataset, Floats
+from jax_aero.aero.network import init_network
+from jax_aero.robot import RobotModel
+from jax_aero.train.samples import samples_of
+
+AXISYMMETRIC = ("published", "corrected", "signed")
+NEIGHBOURS = 4
+
+
+def baseline_errors(robot: RobotModel, training: Dataset, validation: Dataset) -> dict[str, float]:
+    """Mean squared errors [m⁴] over the 13 × 3 components of the validation rows, by model.
+
+    `nearest` is the mean of the four nearest training rows, weighted by the inverse distance in wind (unit vector) and
+    joints (degrees / 180); `linear` is a least-squares map from the same 22 numbers.
+    """
+    found = {f"axisymmetric, {name}": _axisymmetric(robot, name, validation) for name in AXISYMMETRIC}
+    x, y = _plain(training)
+    x_new, y_new = _plain(validation)
+    distance, index = KDTree(x).query(x_new, k=NEIGHBOURS)
+    weight = 1.0 / (distance + 1e-6)
+    nearest = (y[index] * weight[..., None]).sum(axis=1) / weight.sum(axis=1, keepdims=True)
+    found["nearest"] = float(np.mean((nearest - y_new) ** 2))
+    ones = np.ones((len(x), 1))
+    solution = np.linalg.lstsq(np.hstack([x, ones]), y, rcond=None)[0]
+    linear = np.hstack([x_new, np.ones((len(x_new), 1))]) @ solution
+    return found | {"linear": float(np.mean((linear - y_new) ** 2))}
+
+
+def _plain(dataset: Dataset) -> tuple[Floats, Floats]:
+    x = np.hstack([dataset.wind_b, dataset.joint_position_deg / 180.0])
+    return x, dataset.force_area_b.reshape(len(dataset), -1)
+
+
+def _axisymmetric(robot: RobotModel, coefficients: str, dataset: Dataset) -> float:
+    import jax
+
+    rows = robot.aero_links.coefficients[coefficients]
+    bare = init_network(jax.random.key(0), robot, hidden=(), blocks=("wind",), baseline=rows)
+    left = samples_of(bare, robot, dataset).y.astype(np.float64)
+    return float(np.mean(left**2))

@@ -1,0 +1,66 @@
+"""A training run that can stop and go on: everything that the next epoch depends on, in one file."""
+
+from __future__ import annotations
+
+import json
+import os
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+
+class Checkpoint(NamedTuple):
+    """A run after some epochs."""
+
+    digest: str
+    """Of settings and samples: another run's checkpoint is refused."""
+    epoch: int
+    """Epochs done."""
+    state: Any
+    """Weights, moments of Adam, best weights so far: any tree of arrays."""
+    facts: dict[str, Any]
+    """Loss curves and what early stopping has to remember; goes through JSON."""
+
+
+def save_checkpoint(path: str | PathLike[str], checkpoint: Checkpoint) -> None:
+    """Write a checkpoint; the file appears complete or not at all."""
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    leaves = {f"leaf_{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(checkpoint.state))}
+    meta = json.dumps({"digest": checkpoint.digest, "epoch": checkpoint.epoch, "facts": checkpoint.facts})
+    draft = target.with_name(f".{target.name}.{os.getpid()}.draft.npz")
+    try:
+        np.savez(draft, meta=np.array(meta), **leaves)  # type: ignore[arg-type]  # the stub forbids names from a dict
+        draft.replace(target)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def load_checkpoint(path: str | PathLike[str], like: Any, digest: str) -> Checkpoint | None:
+    """Read a checkpoint of the same run, or `None` where there is none; `like` is a tree of the same shapes.
+
+    Raises
+    ------
+    ValueError
+        If the file is a checkpoint of another run, or damaged.
+    """
+    target = Path(path)
+    if not target.is_file():
+        return None
+    expected, structure = jax.tree.flatten(like)
+    try:
+        with np.load(target, allow_pickle=False) as file:
+            meta = json.loads(str(file["meta"]))
+            leaves = [file[f"leaf_{i}"] for i in range(len(expected))]
+    except (OSError, ValueError, KeyError) as reason:
+        raise ValueError(f"{target.name} is no checkpoint that can be read: {reason}; remove it") from reason
+    if meta["digest"] != digest:
+        raise ValueError(f"{target.name} belongs to other settings or data; remove it, or ask for a new start")
+    for leaf, model in zip(leaves, expected, strict=True):
+        if leaf.shape != np.shape(model) or leaf.dtype != np.asarray(model).dtype:
+            raise ValueError(f"{target.name} holds {leaf.dtype}{leaf.shape}; expected {np.shape(model)}")
+    state = jax.tree.unflatten(structure, [jax.numpy.asarray(leaf) for leaf in leaves])
+    return Checkpoint(digest, int(meta["epoch"]), state, meta["facts"])

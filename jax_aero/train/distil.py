@@ -1,0 +1,55 @@
+"""One network that answers as the mean of several: what an ensemble knows, at the price of one evaluation."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+
+from jax_aero.aero.dataset import Dataset, Floats
+from jax_aero.aero.network import Network, raw_output
+from jax_aero.robot import RobotModel
+from jax_aero.train.samples import Samples, chunks, make_samples
+from jax_aero.types import Array
+
+
+def distil_samples(
+    teachers: Sequence[Network], robot: RobotModel, dataset: Dataset, *, count: int, spread_deg: float, seed: int
+) -> Samples:
+    """Return samples answered by the mean of the teachers: the dataset's rows and `count` made-up ones.
+
+    Made up are postures between two of the dataset's, joint by joint in the same proportion, with normal deviations of
+    `spread_deg`, in winds from anywhere. What was measured does not enter: a student sees no noise of the data.
+    """
+    rng = np.random.default_rng(seed)
+    postures = np.unique(dataset.joint_position_deg, axis=0)
+    joints, wind = made_up(rng, postures, count, spread_deg)
+    joints = np.concatenate([dataset.joint_position_deg, joints])
+    wind = np.concatenate([dataset.wind_b, wind])
+    x = make_samples(teachers[0], robot, joints, wind, None).x
+    return Samples(x, mean_output(teachers, x).astype(np.float32))
+
+
+def made_up(rng: np.random.Generator, postures: Floats, count: int, spread_deg: float) -> tuple[Floats, Floats]:
+    """Return joint angles (count, 19) [deg] between those of postures (P, 19), and unit winds (count, 3)."""
+    first, second = rng.integers(len(postures), size=(2, count))
+    part = rng.uniform(size=(count, 1))
+    joints = part * postures[first] + (1.0 - part) * postures[second]
+    joints = joints + rng.normal(scale=spread_deg, size=joints.shape)
+    wind = rng.normal(size=(count, 3))
+    return joints, wind / np.linalg.norm(wind, axis=1, keepdims=True)
+
+
+def mean_output(networks: Sequence[Network], x: np.ndarray[tuple[int, int], np.dtype[np.float32]]) -> Floats:
+    """Return the mean of the raw outputs (N, 39) of networks of one frame and layout."""
+    total = np.zeros((len(x), networks[0].scale.shape[0]))
+    for network in networks:
+        total += np.concatenate([np.asarray(_raw_rows(network, rows))[:count] for count, (rows,) in chunks(x)])
+    return total / len(networks)
+
+
+@jax.jit
+def _raw_rows(network: Network, x: Array) -> Array:
+    return jax.vmap(functools.partial(raw_output, network))(x)

@@ -1,0 +1,295 @@
+"""The training loop: epochs of minibatches, validation without dropout, early stopping, checkpoints."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax_aero.aero.network import Layer, Network, raw_output
+from jax_aero.train.adam import AdamState, adam_start, adam_step
+from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from jax_aero.train.loss import batch_output, mean_squared_error
+from jax_aero.train.samples import Samples, chunks
+from jax_aero.types import Array, pytree
+
+MATMUL = {"float32": "float32", "tf32": "tensorfloat32", "bf16": "bfloat16"}
+"""Precision of matrix products, by the name in a configuration; what a CPU makes of the lower ones is its affair."""
+
+BLOCK_SIZES = {"wind": 3, "joints": 19, "link_wind": 39, "link_position": 39, "link_shadow": 13}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a network is trained; one table of a file in `configs/training/`."""
+
+    epochs: int
+    learning_rate: float
+    batch: int = 0
+    """Rows per step; 0 takes all of them. Rows that do not fill a batch wait for another epoch's order."""
+    schedule: Literal["constant", "cosine"] = "constant"
+    """Whether the rate stays, or falls to zero along half a cosine."""
+    warm_up: int = 0
+    """Steps over which the rate rises from zero."""
+    beta2: float = 0.999
+    weight_decay: float = 0.0
+    dropout: float = 0.0
+    noise: tuple[tuple[str, float], ...] = ()
+    """Standard deviation of noise on the features, by block: nearby postures should feel nearly the same."""
+    matmul: Literal["float32", "tf32", "bf16"] = "float32"
+    scale_output: bool = True
+    """Whether the network answers in units of the spread of its targets, about their mean."""
+    validate_every: int = 1
+    """Epochs."""
+    patience: int = 0
+    """Epochs without a better validation after which training stops, with the best weights; 0 never stops."""
+
+    def __post_init__(self) -> None:
+        checks = {
+            "epochs": (self.epochs > 0, "a positive number"),
+            "learning_rate": (self.learning_rate > 0.0, "a positive number"),
+            "batch": (self.batch >= 0, "0 for all rows, or a positive number"),
+            "schedule": (self.schedule in ("constant", "cosine"), "constant or cosine"),
+            "warm_up": (self.warm_up >= 0, "0 or more steps"),
+            "beta2": (0.0 < self.beta2 < 1.0, "a number between 0 and 1"),
+            "weight_decay": (self.weight_decay >= 0.0, "0 or more"),
+            "dropout": (0.0 <= self.dropout < 1.0, "0 or more, below 1"),
+            "matmul": (self.matmul in MATMUL, f"one of {', '.join(MATMUL)}"),
+            "validate_every": (self.validate_every > 0, "a positive number"),
+            "patience": (self.patience >= 0, "0 or more"),
+        }
+        for key, (is_right, expected) in checks.items():
+            if not is_right:
+                raise ValueError(f"`{key}` is {getattr(self, key)!r}; expected {expected}")
+        if unknown := {block for block, _ in self.noise} - set(BLOCK_SIZES):
+            raise ValueError(f"`noise` names {sorted(unknown)}; expected blocks of features, {', '.join(BLOCK_SIZES)}")
+
+
+Curve: TypeAlias = tuple[int, float, float | None]
+"""Epochs done, training loss (with dropout and noise, mean over the epoch), validation loss [m⁴] if there is one."""
+
+
+class Fitted(NamedTuple):
+    """A trained network, and how it came about."""
+
+    network: Network
+    curves: tuple[Curve, ...]
+    """Loss curves, one entry per validation."""
+    epochs: int
+    """Epochs done."""
+    seconds_per_epoch: float
+    """Of this call; the first epoch, which compiles, is left out when there are more."""
+
+
+class Interrupted(KeyboardInterrupt):
+    """Training was stopped by hand; the checkpoint holds the last whole epoch."""
+
+
+@pytree
+class _State:
+    layers: tuple[Layer, ...]
+    adam: AdamState
+    best: tuple[Layer, ...]
+
+
+class _Now(NamedTuple):
+    """Where a run stands after a whole epoch."""
+
+    state: _State
+    epoch: int
+    best_error: float
+    best_epoch: int
+    curves: tuple[Curve, ...]
+
+
+def fit(
+    network: Network,
+    training: Samples,
+    validation: Samples | None,
+    settings: Settings,
+    seed: int,
+    *,
+    checkpoint: Path | None = None,
+    checkpoint_seconds: float = 30.0,
+    on_epoch: Callable[[int, float, float | None], None] | None = None,
+) -> Fitted:
+    """Train a network, from where its checkpoint stands if there is one.
+
+    Parameters
+    ----------
+    network
+        Its weights are the start; scale and offset are set from the training samples, where asked for.
+    training, validation
+        Mirror images are the caller's affair. Without validation there is no early stopping.
+    seed
+        Of the order of rows, dropout and noise.
+    on_epoch
+        Called with epochs done, training and validation loss.
+
+    Raises
+    ------
+    ValueError
+        If the checkpoint belongs to another run, or a batch is larger than the data.
+    Interrupted
+        On Ctrl-C, after the checkpoint is written.
+    """
+    count = len(training.x)
+    batch = settings.batch or count
+    if batch > count:
+        raise ValueError(f"`batch` is {batch}; there are {count} rows")
+    network = _scaled(network, training) if settings.scale_output else network
+    digest = _digest(network, training, validation, settings, seed)
+    now = _Now(_State(network.layers, adam_start(network.layers), network.layers), 0, np.inf, 0, ())
+    if checkpoint is not None and (found := load_checkpoint(checkpoint, now.state, digest)):
+        best_error, best_epoch = found.facts["best"] or (np.inf, 0)
+        curves = tuple((row[0], row[1], row[2]) for row in found.facts["curves"])
+        now = _Now(found.state, found.epoch, best_error, best_epoch, curves)
+    data = (jnp.asarray(training.x), jnp.asarray((training.y - network.offset) / network.scale))
+    noise = _noise(network, settings)
+    run = functools.partial(_epoch, settings, network.activation, batch)
+    unit = float(network.scale[0]) ** 2
+    times: list[float] = []
+    saved = time.perf_counter()
+    with jax.default_matmul_precision(MATMUL[settings.matmul]):
+        try:
+            while now.epoch < settings.epochs and not _is_stuck(settings, now):
+                started = time.perf_counter()
+                layers, adam, loss = run(
+                    now.state.layers, now.state.adam, data, noise, jnp.uint32(seed), jnp.uint32(now.epoch)
+                )
+                train_error, error = float(loss) * unit, None
+                if not np.isfinite(train_error):
+                    raise FloatingPointError(f"training loss is {train_error} in epoch {now.epoch + 1}: rate too large")
+                is_due = (now.epoch + 1) % settings.validate_every == 0 or now.epoch + 1 == settings.epochs
+                if validation is not None and is_due:
+                    error = validation_error(replace(network, layers=layers), validation)
+                # One assignment: an interruption leaves the last whole epoch.
+                now = _after(now, layers, adam, train_error, error, is_due=is_due)
+                times.append(time.perf_counter() - started)
+                if on_epoch is not None:
+                    on_epoch(now.epoch, train_error, error)
+                if checkpoint is not None and time.perf_counter() - saved > checkpoint_seconds:
+                    _keep(checkpoint, digest, now)
+                    saved = time.perf_counter()
+        except KeyboardInterrupt:
+            if checkpoint is not None:
+                _keep(checkpoint, digest, now)
+            raise Interrupted from None
+    if checkpoint is not None:
+        _keep(checkpoint, digest, now)
+    is_best = settings.patience and validation is not None
+    final = now.state.best if is_best else now.state.layers
+    steady = times[1:] or times or [0.0]
+    return Fitted(replace(network, layers=final), now.curves, now.epoch, float(np.mean(steady)))
+
+
+def _is_stuck(settings: Settings, now: _Now) -> bool:
+    return settings.patience > 0 and now.best_epoch > 0 and now.epoch - now.best_epoch >= settings.patience
+
+
+def _after(
+    now: _Now, layers: tuple[Layer, ...], adam: AdamState, train_error: float, error: float | None, *, is_due: bool
+) -> _Now:
+    epoch = now.epoch + 1
+    curves = (*now.curves, (epoch, train_error, error)) if is_due else now.curves
+    if error is not None and error < now.best_error:
+        return _Now(_State(layers, adam, layers), epoch, error, epoch, curves)
+    return _Now(_State(layers, adam, now.state.best), epoch, now.best_error, now.best_epoch, curves)
+
+
+def _keep(path: Path, digest: str, now: _Now) -> None:
+    best = [now.best_error, now.best_epoch] if now.best_epoch else None
+    save_checkpoint(path, Checkpoint(digest, now.epoch, now.state, {"curves": list(now.curves), "best": best}))
+
+
+def validation_error(network: Network, samples: Samples) -> float:
+    """Mean squared error [m⁴] of the network as it flies: no dropout, no noise, symmetrised if it is symmetric."""
+    total = sum(float(_sum_of_squares(network, x, y, count)) for count, (x, y) in chunks(samples.x, samples.y))
+    return total / samples.y.size
+
+
+@jax.jit
+def _sum_of_squares(network: Network, x: Array, y: Array, count: int) -> Array:
+    """Sum over the first `count` rows."""
+    squares = jnp.sum((jax.vmap(functools.partial(raw_output, network))(x) - y) ** 2, axis=1)
+    return jnp.sum(jnp.where(jnp.arange(len(squares)) < count, squares, 0.0))
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1, 2))
+def _epoch(
+    settings: Settings,
+    activation: str,
+    batch: int,
+    layers: tuple[Layer, ...],
+    adam: AdamState,
+    data: tuple[Array, Array],
+    noise: Array,
+    seed: Array,
+    epoch: Array,
+) -> tuple[tuple[Layer, ...], AdamState, Array]:
+    """One pass over the data; its random numbers depend on seed and epoch alone."""
+    x, y = data
+    steps = x.shape[0] // batch
+    key = jax.random.fold_in(jax.random.key(seed), epoch)
+    order_key, noise_key = jax.random.split(key)
+    order = jax.random.permutation(order_key, x.shape[0]) if steps > 1 else jnp.arange(x.shape[0])
+
+    def loss(layers: tuple[Layer, ...], rows: Array, key: Array) -> Array:
+        for_noise, for_dropout = jax.random.split(key)
+        seen = x[rows]
+        if settings.noise:
+            seen = seen + noise * jax.random.normal(for_noise, seen.shape, seen.dtype)
+        output = batch_output(layers, activation, seen, for_dropout, settings.dropout)
+        return mean_squared_error(output, y[rows])
+
+    def step(carry: Any, entry: Any) -> tuple[Any, Array]:
+        layers, adam = carry
+        index, rows = entry
+        value, gradient = jax.value_and_grad(loss)(layers, rows, jax.random.fold_in(noise_key, index))
+        rate = _rate(settings, adam.count, steps)
+        adam, layers = adam_step(adam, layers, gradient, rate, beta2=settings.beta2, weight_decay=settings.weight_decay)
+        return (layers, adam), value
+
+    rows = order[: steps * batch].reshape(steps, batch)
+    (layers, adam), losses = jax.lax.scan(step, (layers, adam), (jnp.arange(steps), rows))
+    return layers, adam, losses.mean()
+
+
+def _rate(settings: Settings, count: Array, steps_per_epoch: int) -> Array:
+    done = (count + 1).astype(jnp.float32)
+    rate = jnp.float32(settings.learning_rate)
+    if settings.schedule == "cosine":
+        total = jnp.float32(steps_per_epoch * settings.epochs)
+        rate = rate * 0.5 * (1.0 + jnp.cos(jnp.float32(np.pi) * done / total))
+    risen: Array = rate * jnp.minimum(1.0, done / max(settings.warm_up, 1))
+    return risen
+
+
+def _scaled(network: Network, training: Samples) -> Network:
+    """Answer in units of the spread of all targets, about the mean of each."""
+    offset = training.y.mean(axis=0)
+    scale = np.full_like(offset, training.y.std())
+    return replace(network, scale=jnp.asarray(scale), offset=jnp.asarray(offset))
+
+
+def _noise(network: Network, settings: Settings) -> Array:
+    parts = [np.full(BLOCK_SIZES[block], dict(settings.noise).get(block, 0.0), np.float32) for block in network.blocks]
+    return jnp.asarray(np.concatenate(parts))
+
+
+def _digest(network: Network, training: Samples, validation: Samples | None, settings: Settings, seed: int) -> str:
+    total = hashlib.sha256(json.dumps([asdict(settings), seed], sort_keys=True).encode())
+    shape = (network.blocks, network.frame, network.layout, network.activation, network.mirror is None)
+    total.update(repr(shape).encode())
+    for array in (*training, *(validation or ()), *jax.tree.leaves(network.layers)):
+        total.update(np.ascontiguousarray(array).tobytes())
+    return total.hexdigest()

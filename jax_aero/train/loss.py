@@ -1,0 +1,38 @@
+"""Output of a network for a batch, with the noise of training, and its mean squared error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+
+from jax_aero.aero.network import ACTIVATIONS, Layer
+from jax_aero.types import Array
+
+
+def batch_output(
+    layers: Sequence[Layer], activation: str, x: Array, key: Array | None = None, dropout: float = 0.0
+) -> Array:
+    """Output (m, B, 39) of all members for features (B, n), before scaling.
+
+    With a key, each unit of the hidden layers but the first is dropped with probability `dropout` and the others are
+    scaled up, as in the published network, which drops behind its nine square layers. Without one nothing is dropped:
+    that is how a network is validated and flown.
+    """
+    act = ACTIVATIONS[activation]
+    h = jnp.broadcast_to(x, (layers[0].weight.shape[0], *x.shape))
+    for index, layer in enumerate(layers):
+        h = jnp.einsum("moi,mbi->mbo", layer.weight, h) + layer.bias[:, None, :]
+        if index < len(layers) - 1:
+            h = act(h)
+            if key is not None and dropout > 0.0 and index > 0:
+                key, here = jax.random.split(key)
+                kept = jax.random.bernoulli(here, 1.0 - dropout, h.shape)
+                h = jnp.where(kept, h / (1.0 - dropout), jnp.zeros_like(h))
+    return h
+
+
+def mean_squared_error(output: Array, y: Array) -> Array:
+    """Mean over members, rows and components of `(output − y)²`."""
+    return jnp.mean((output - y) ** 2)

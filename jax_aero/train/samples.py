@@ -1,0 +1,126 @@
+"""From a dataset to the rows a network is trained on, and from a network back to force areas."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import numpy.typing as npt
+
+from jax_aero.aero.dataset import JOINTS, Dataset, Floats, Indices
+from jax_aero.aero.network import (
+    LinkGeometry,
+    Network,
+    baseline_areas,
+    features,
+    from_base_axes,
+    link_geometry,
+    network_areas,
+)
+from jax_aero.robot import RobotModel
+from jax_aero.types import Array
+
+CHUNK = 1024
+"""Rows that are evaluated together."""
+POSTURES = 32
+"""Postures whose geometry is worked out together."""
+
+
+class Samples(NamedTuple):
+    """What a network sees, and what it should answer; N rows in single precision."""
+
+    x: npt.NDArray[np.float32]
+    """(N, n) features."""
+    y: npt.NDArray[np.float32]
+    """(N, 39) force areas in the network's frame and layout, less the baseline [m²]."""
+
+    def take(self, rows: Any) -> Samples:
+        """Return some of the rows."""
+        return Samples(self.x[rows], self.y[rows])
+
+
+def samples_of(network: Network, robot: RobotModel, dataset: Dataset) -> Samples:
+    """Return features and targets of all rows.
+
+    Turning the targets into link axes keeps sums of squares, so the error of a sample is that of the force areas.
+    """
+    return make_samples(network, robot, dataset.joint_position_deg, dataset.wind_b, dataset.force_area_b)
+
+
+def make_samples(
+    network: Network, robot: RobotModel, joint_position_deg: Floats, wind_b: Floats, force_area_b: Floats | None
+) -> Samples:
+    """Return features of joint angles (N, 19) [deg] and winds (N, 3), and targets of areas (N, 13, 3) if there are."""
+    areas = np.zeros((len(wind_b), robot.aero_links.count, 3)) if force_area_b is None else force_area_b
+    with jax.enable_x64(True):
+        x, y = _in_chunks(_sample_rows, network, robot, joint_position_deg, wind_b, areas)
+    return Samples(x.astype(np.float32), y.astype(np.float32))
+
+
+def predict_areas(network: Network, robot: RobotModel, dataset: Dataset) -> Floats:
+    """Return the network's force areas (N, 13, 3) [m²] for the rows of a dataset, base axes; weights as they are."""
+    with jax.enable_x64(True):
+        (areas,) = _in_chunks(_area_rows, network, robot, dataset.joint_position_deg, dataset.wind_b)
+    return np.asarray(areas, dtype=np.float64)
+
+
+# Compiled once per architecture: rows come in chunks of one size, postures too.
+
+
+@jax.jit
+def _sample_rows(network: Network, wind: Array, joints: Array, geometry: LinkGeometry, areas: Array) -> Any:
+    def one(wind: Array, joints: Array, geometry: LinkGeometry, areas: Array) -> tuple[Array, Array]:
+        x = features(network.blocks, wind, joints, geometry)
+        if network.baseline is not None:
+            areas = areas - baseline_areas(network.baseline, wind, geometry.axes)
+        return x, from_base_axes(network.frame, network.layout, areas, wind, geometry.rotations)
+
+    return jax.vmap(one)(wind, joints, geometry, areas)
+
+
+@jax.jit
+def _area_rows(network: Network, wind: Array, joints: Array, geometry: LinkGeometry) -> Any:
+    return (jax.vmap(functools.partial(network_areas, network))(wind, joints, geometry),)
+
+
+@jax.jit
+def _geometries(robot: RobotModel, angles: Array) -> LinkGeometry:
+    return jax.vmap(functools.partial(link_geometry, robot))(angles)
+
+
+def posture_geometry(robot: RobotModel, joint_position_deg: Floats) -> tuple[LinkGeometry, Indices]:
+    """Return the geometry of the different postures among rows (N, 19) [deg], and each row's place among them."""
+    postures, number = np.unique(joint_position_deg, axis=0, return_inverse=True)
+    seen = np.array([robot.joint_names.index(name) for name in JOINTS])
+    parts = []
+    with jax.enable_x64(True):
+        for start in range(0, len(postures), POSTURES):
+            angles = np.zeros((POSTURES, robot.n_joints))
+            here = postures[start : start + POSTURES]
+            angles[: len(here), seen] = np.radians(here)
+            parts.append(jax.tree.map(np.asarray, _geometries(robot, angles)))
+    whole: LinkGeometry = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+    return whole, np.asarray(number, dtype=np.int64).reshape(-1)
+
+
+def chunks(*arrays: Any) -> Iterator[tuple[int, list[Any]]]:
+    """Yield pieces of `CHUNK` rows and how many of them count; the last is filled up with copies of its first row."""
+    for start in range(0, len(arrays[0]), CHUNK):
+        pieces = [array[start : start + CHUNK] for array in arrays]
+        count = len(pieces[0])
+        missing = CHUNK - count
+        yield count, [np.concatenate([piece, np.repeat(piece[:1], missing, axis=0)]) for piece in pieces]
+
+
+def _in_chunks(
+    evaluate: Any, network: Network, robot: RobotModel, joint_position_deg: Floats, wind_b: Floats, *more: Any
+) -> list[Any]:
+    geometry, number = posture_geometry(robot, joint_position_deg)
+    parts = []
+    for count, (wind, joints, at, *rest) in chunks(wind_b, np.radians(joint_position_deg), number, *more):
+        here = jax.tree.map(lambda leaf, at=at: leaf[at], geometry)
+        parts.append([np.asarray(out)[:count] for out in evaluate(network, wind, joints, here, *rest)])
+    return [np.concatenate(column) for column in zip(*parts, strict=True)]

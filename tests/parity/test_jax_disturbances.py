@@ -1,0 +1,91 @@
+"""Everything that can be made worse, on the JAX floor against the Rust crate: flights that share one compilation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jax_aero import reference, sim
+
+EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
+TOLERANCE = 1e-9
+"""Relative to the largest value of a signal over the flight; below one, absolute."""
+
+# What all have, so that they are of one structure: engines with estimators, turbulence, another robot, factors.
+COMMON = {
+    "simulator.duration": 4.0,
+    "controller.model_error.mass_scale": 1.01,
+    "controller.aero_feedback.drag": 0.8,
+    "controller.aero_feedback.normal": 1.2,
+}
+TURBULENT = {
+    "profile": "turbulent",
+    "velocity": [1.0, -5.0, 0.0],
+    "ramp_start": 0.3,
+    "ramp_end": 1.5,
+    "std": [0.5, 1.0, 0.3],
+    "time_scale": 0.7,
+    "seed": 11,
+}
+CASES = {
+    "a late and noisy estimate, a jet that fades": {
+        "controller.wind_estimate": {"bias": [0.4, 0.2, -0.3], "noise_std": 0.6, "delay": 0.13, "time_constant": 0.2},
+        "controller.aero_feedback.force": False,
+        "simulator.jet_faults.failure": {"jet": "chest_l_jet", "time": 3.4, "kind": "off", "decay": 0.4},
+        "simulator.jet_faults.measurement_noise": {"std": 2.0, "seed": 3},
+        "simulator.jet_faults.lag": 0.05,
+    },
+    "the mean alone, a jet that is stuck": {
+        "controller.wind_estimate": {"mean_only": True, "noise_std": 0.1, "seed": 5},
+        "controller.aero_feedback.moment": False,
+        "simulator.jet_faults.failure": {"jet": "l_arm_jet", "time": 2.0, "kind": "stuck"},
+    },
+    "noise as it comes, weak jets that are known to be weak": {
+        "controller.wind_estimate": {"noise_std": 1.5, "seed": 2**40 + 1},
+        "controller.aero_feedback.links": {"chest": 0.3, "l_upper_leg": 1.6},
+        "simulator.jet_faults": {"thrust_limit_scale": 0.62, "limit_is_known": True},
+    },
+    "a jet that dies at once": {
+        "controller.wind_estimate": {"delay": 0.5},
+        "simulator.jet_faults.failure": {"jet": "r_arm_jet", "time": 3.8, "kind": "off"},
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def flights():
+    """Every case as both engines fly it."""
+    configs = []
+    for changes in CASES.values():
+        table = reference.load_config(EXPERIMENTS / "sensor_noise.toml", COMMON | changes) | {"wind": TURBULENT}
+        reference.check_config(table)
+        configs.append(table)
+    pairs = zip(sim.fly_batch(configs, full_log=True), map(reference.fly, configs), strict=True)
+    return dict(zip(CASES, pairs, strict=True))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_disturbed_flight(case, flights, measured):
+    ours, rust = flights[case]
+    assert ours.outcome == rust.outcome == "completed"
+    assert ours.log.keys() == rust.log.keys()
+    worst = {}
+    for name in rust.log.keys() - {"qp_kkt", "qp_iterations"}:
+        scale = max(1.0, float(np.max(np.abs(rust[name]))))
+        worst[name] = float(np.max(np.abs(ours[name] - rust[name]))) / scale
+    measured(case, max(worst.values()))
+    assert {name: error for name, error in worst.items() if not error <= TOLERANCE} == {}
+    for name in rust.summary.keys() - {"max_kkt", "max_qp_iterations"}:
+        assert ours.summary[name] == pytest.approx(rust.summary[name], rel=1e-8, abs=1e-8), name
+
+
+def test_the_disturbances_are_felt(flights):
+    """Each case is what it says, so that agreement means something."""
+    fading, stuck, weak, dead = (rust for _, rust in flights.values())
+    assert fading["thrust"][-1, 2] < 0.3 * fading["thrust"][330, 2]
+    assert np.ptp(stuck["thrust"][210:, 0]) == 0.0
+    assert np.all(weak["thrust"][:, :2].max(axis=0) == 0.62 * 160.0)
+    assert np.all(dead["thrust"][385:, 1] == 0.0)
+    assert np.std(fading["wind"][200:, 1]) > 0.2

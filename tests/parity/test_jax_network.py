@@ -1,0 +1,110 @@
+"""The network of the JAX floor against the Rust crate: forces of every kind of network, and whole flights with one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax_aero import reference
+from jax_aero.aero import LinkConventions, aero_model, link_forces
+from jax_aero.aero.network import init_network
+from jax_aero.aero.network_card import save_network
+from jax_aero.config import aero_config
+from jax_aero.kinematics import kinematics
+from jax_aero.robot import load_robot
+from jax_aero.types import State
+from jax_aero.verify import Comparison, random_states, verify_flight
+
+pytestmark = pytest.mark.usefixtures("x64")
+
+ROOT = Path(__file__).resolve().parents[2]
+ROBOT = ROOT / "configs" / "robot" / "ironcub_mk1.toml"
+TOLERANCE = {"f32": 1e-6, "f64": 1e-12}
+"""On the forces of all links, relative to the greatest."""
+STATES = 30
+
+ALL = ("wind", "joints", "link_wind", "link_position", "link_shadow")
+SHAPES = {
+    "paper": {"hidden": (64, 64, 64)},
+    "linear": {"hidden": ()},
+    "symmetric": {"hidden": (33,), "activation": "tanh", "members": 3, "mirror": True},
+    "tunnel axes": {"hidden": (20, 70), "frame": "wind", "mirror": True},
+    "base axes by link": {"hidden": (17,), "blocks": ALL, "layout": "link", "mirror": True, "activation": "silu"},
+    "compact": {
+        "hidden": (128, 128),
+        "blocks": ("link_wind", "link_position", "link_shadow"),
+        "activation": "silu",
+        "frame": "link",
+        "layout": "link",
+        "mirror": True,
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def ours():
+    return load_robot(ROBOT)
+
+
+@pytest.mark.parametrize("precision", ["f32", "f64"])
+@pytest.mark.parametrize("name", SHAPES)
+def test_forces(name, precision, ours, tmp_path, measured):
+    """Anywhere, moving, in any wind and in none."""
+    theirs = reference.Robot(ROBOT)
+    baseline = ours.aero_links.coefficients["signed"] if name in ("tunnel axes", "compact") else None
+    network = init_network(jax.random.key(5), ours, baseline=baseline, **SHAPES[name])
+    card = tmp_path / "random.json"
+    save_network(card, network, ours, description="Random.", training={})
+    table = {"model": "network", "card": str(card), "precision": precision, "air_density": 1.225}
+    model = aero_model(aero_config(table), ours)
+    rng = np.random.default_rng(7)
+    states = list(random_states(rng, np.array(theirs.joint_limits), STATES))
+    winds = rng.normal(size=(STATES, 3)) * 10.0
+    winds[0] = np.asarray(states[0].velocity)[:3]  # moving with the air: still
+
+    @jax.jit
+    def forces_of(state, wind):
+        return link_forces(model, ours, kinematics(ours, state), LinkConventions(), wind).forces
+
+    worst = 0.0
+    for state, wind in zip(states, winds, strict=True):
+        expected = reference.link_forces(theirs, table, state, wind)
+        found = np.asarray(forces_of(State(*(jnp.asarray(x) for x in state)), jnp.asarray(wind)))
+        assert np.isfinite(found).all()
+        worst = max(worst, np.abs(found - expected).max() / max(np.abs(expected).max(), 1e-12))
+    measured(f"network {name}, {precision}: forces", worst)
+    assert worst < TOLERANCE[precision]
+    assert not np.any(reference.link_forces(theirs, table, states[0], winds[0]))
+
+
+@pytest.mark.parametrize(
+    ("experiment", "precision", "tolerance"),
+    [("test4_published", "f64", 1e-9), ("test4", "f32", 1e-4)],
+)
+def test_a_flight(experiment, precision, tolerance, measured):
+    """Two seconds in a wind that rises at once; single precision rounds differently here and there."""
+    changes = {
+        "simulator.duration": 2.0,
+        "wind.ramp_start": 0.1,
+        "wind.ramp_end": 0.6,
+        "simulator.aero.precision": precision,
+        "controller.aero.precision": precision,
+    }
+    comparison = Comparison()
+    config = reference.load_config(ROOT / "configs" / "experiments" / f"{experiment}.toml", changes)
+    rust, _ = verify_flight(config, comparison)
+    assert np.linalg.norm(rust["aero_force_sim"].sum(axis=1), axis=1).max() > 5.0
+    worst = max(comparison.rows, key=lambda row: row.absolute)
+    measured(f"network, {experiment}, {precision}, 2 s: {worst.quantity}", worst.absolute)
+    assert worst.absolute < tolerance
+
+
+def test_the_door_for_single_links_refuses_a_network(ours):
+    table = reference.load_config(ROOT / "configs" / "experiments" / "test4.toml")["simulator"]["aero"]
+    axes = np.tile([0.0, 0.0, 1.0], (ours.aero_links.count, 1))
+    with pytest.raises(ValueError, match=r"aero\.model is network"):
+        reference.aero_forces(reference.Robot(ROBOT), table, axes, axes)

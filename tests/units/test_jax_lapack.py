@@ -1,0 +1,82 @@
+"""Batches reach LAPACK a few samples at a time: jaxlib's kernels for larger ones can wait for each other for ever.
+
+The programs are made for a CPU but not compiled, so nothing can hang here; see `docs/decisions.md`.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax_aero import reference, sim
+from jax_aero.config import flight_config
+from jax_aero.control import qp
+from jax_aero.linalg import CHUNK, solve_positive_definite
+from jax_aero.robot import load_robot
+
+pytestmark = pytest.mark.usefixtures("x64")
+
+ROOT = Path(__file__).resolve().parents[2]
+BATCH = 64
+"""Large enough for jaxlib to split: it does at 33."""
+
+
+def lapack_batches(function, *arguments):
+    """Samples per call of every call of LAPACK in the program of a function of a batch; 1 without a batch axis."""
+    lowered = jax.jit(function).trace(*arguments).lower(lowering_platforms=("cpu",)).as_text()
+    calls = re.findall(r"custom_call @lapack\w+\(.*?: \(tensor<([0-9x]+)xf(?:32|64)>", lowered)
+    # What StableHLO knows itself would be a way round the kernels' names.
+    calls += re.findall(r"stablehlo\.(?:cholesky|triangular_solve).*?tensor<([0-9x]+)xf(?:32|64)>", lowered)
+    return [int(np.prod([int(size) for size in shape.split("x")][:-2])) for shape in calls]
+
+
+@pytest.mark.parametrize("function", [jnp.linalg.cholesky, jnp.linalg.inv, jnp.linalg.eigh, jnp.linalg.svd])
+def test_raw_linear_algebra_is_what_is_looked_for(function):
+    """Without this, a test that finds nothing would pass."""
+    found = lapack_batches(jax.vmap(function), jnp.zeros((BATCH, 5, 5)))
+    assert found
+    assert max(found) == BATCH
+
+
+def test_ours_goes_in_pieces():
+    assert set(
+        lapack_batches(jax.vmap(solve_positive_definite), jnp.zeros((BATCH, 5, 5)), jnp.zeros((BATCH, 5, 2)))
+    ) == {CHUNK}
+
+
+def test_a_tick_of_many_flights():
+    """The whole closed loop: controller, both QPs, plant, jets."""
+    config = flight_config(reference.load_config(ROOT / "configs" / "experiments" / "second_order_jets.toml"))
+    # Shapes are enough: nothing is computed.
+    flight, state = jax.eval_shape(lambda: sim.prepare(config, load_robot(config.robot)))
+    states = jax.tree.map(lambda x: jax.ShapeDtypeStruct((BATCH, *x.shape), x.dtype), state)
+
+    def tick(flight, states):
+        return jax.vmap(sim.step, in_axes=(None, 0, None))(flight, states, jnp.array(3))
+
+    found = lapack_batches(tick, flight, states)
+    assert len(found) > 5
+    assert max(found) <= CHUNK
+
+
+def test_gradients_of_many_samples():
+    """Of the only two doors to LAPACK; what else a tick differentiates has no such kernel in it."""
+    n = 5
+    matrix, vector = jnp.zeros((BATCH, n, n)), jnp.zeros((BATCH, n))
+
+    def accelerations(matrix, vector):
+        return jnp.sum(jax.vmap(solve_positive_definite)(matrix, vector[:, :, None]) ** 2)
+
+    def commands(matrix, vector):
+        answers = jax.vmap(lambda h, g: qp.solve(qp.BoxQp(h, g, g - 1.0, g + 1.0)).x)(matrix, vector)
+        return jnp.sum(answers**2)
+
+    for cost in (accelerations, commands):
+        found = lapack_batches(jax.grad(cost, argnums=(0, 1)), matrix, vector)
+        assert len(found) > 2
+        assert max(found) <= CHUNK
