@@ -55,6 +55,7 @@ reproduce: $(MODULE) ## fly everything, draw everything, write results/report.md
 	$(BIN)/python -m experiments sweep --all
 	$(BIN)/python -m experiments engine-choice
 	$(BIN)/python -m experiments force-rate
+	$(BIN)/python -m experiments tip-over
 	$(BIN)/python -m experiments trim hover_posture --map
 	$(BIN)/python -m experiments trim free_joints --map
 	$(BIN)/python -m experiments trajectory
@@ -63,6 +64,7 @@ reproduce: $(MODULE) ## fly everything, draw everything, write results/report.md
 
 verify: $(MODULE) ## compare the crate with independent implementations and stored states
 	$(BIN)/python -m jax_aero verify
+	$(BIN)/python -m jax_aero verify --config configs/experiments/test4.toml
 	$(BIN)/python -m pytest tests/parity
 
 docs: $(MODULE) ## build the documentation site into site/, the crate's own beside it

@@ -30,15 +30,22 @@ COMMANDS = {
     "trim": "experiments.trim",
     "trajectory": "experiments.trajectory",
     "force-rate": "experiments.force_rate",
+    "tip-over": "experiments.tip_over",
+    "import-cfd": "experiments.import_cfd",
+    "fit-aero": "experiments.fit_aero",
+    "calibrate-surrogate": "experiments.calibrate_surrogate",
+    "surrogate-dataset": "experiments.surrogate_dataset",
+    "train": "experiments.training.command",
+    "train-search": "experiments.training.search",
 }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if words and words[0] in COMMANDS:
+    if words and (name := words[0].replace("_", "-")) in COMMANDS:
         # Imported when asked for: a single flight needs none of what they need.
-        run_command: Callable[[Sequence[str]], int] = importlib.import_module(COMMANDS[words[0]]).main
+        run_command: Callable[[Sequence[str]], int] = importlib.import_module(COMMANDS[name]).main
         return run_command(words[1:])
     given = _parser().parse_args(words)
     names = [name for name, _ in flight.available()] if given.all else given.names

@@ -68,6 +68,24 @@ SIGNALS: Mapping[str, Signal] = {
 }
 """Every variable of `run.nc` except the coordinates and `joint_reference`."""
 
+WRENCH = "N (force), N m (moment)"
+
+GROUND_SIGNALS: Mapping[str, Signal] = {
+    "wind_told": Signal(("time", "xyz"), "m s-1", "wind velocity the controller is told of, inertial frame"),
+    "joint_torque_measured": Signal(
+        ("time", "joint"), "N m", "torque that reaches the joint: of the motor, less its friction"
+    ),
+    "foot_wrench": Signal(("time", "foot", "six"), WRENCH, "wrench on each sole about its origin, inertial axes"),
+    "sole_position": Signal(("time", "foot", "xyz"), "m", "origin of each sole, inertial frame"),
+    "feet_carry": Signal(("time",), "1", "whether the controller takes the feet to carry", dtype="i1"),
+    "contact_force": Signal(("time", "foot", "six"), WRENCH, "foot wrenches f_c* that the controller integrates"),
+    "contact_force_rate": Signal(
+        ("time", "foot", "six"), "N s-1 (force), N m s-1 (moment)", "rate of f_c* the momentum QP asks for"
+    ),
+    "contact_force_torque": Signal(("time", "foot", "six"), WRENCH, "foot wrenches that come with the torques"),
+}
+"""What a robot that stands adds to them."""
+
 
 class RobotNames(Protocol):
     """The part of a robot that labels a log; `jax_aero.reference.Robot` is one."""
@@ -80,6 +98,8 @@ class RobotNames(Protocol):
     def aero_link_names(self) -> Sequence[str]: ...  # noqa: D102
     @property
     def jet_names(self) -> Sequence[str]: ...  # noqa: D102
+    @property
+    def foot_names(self) -> Sequence[str]: ...  # noqa: D102
 
 
 def to_dataset(
@@ -88,7 +108,11 @@ def to_dataset(
     """Label a flight's log with dimensions, coordinates and units."""
     coords = _coordinates(flight, robot)
     variables: dict[str, Any] = {}
-    for name, signal in SIGNALS.items():
+    signals = SIGNALS
+    if not GROUND_SIGNALS.keys().isdisjoint(flight.log):
+        signals = {**SIGNALS, **GROUND_SIGNALS}
+        coords["foot"] = ("foot", np.array(list(robot.foot_names), dtype=str))
+    for name, signal in signals.items():
         if name not in flight.log:
             raise ValueError(f"the flight's log has no `{name}`")
         shape = tuple(coords[dim][1].shape[0] for dim in signal.dims)
@@ -96,7 +120,7 @@ def to_dataset(
             raise ValueError(f"`{name}` has shape {flight.log[name].shape}; expected {shape} for {signal.dims}")
         attributes = {"units": signal.units, "long_name": signal.long_name}
         variables[name] = (signal.dims, flight.log[name].astype(signal.dtype), attributes)
-    if unlabelled := flight.log.keys() - SIGNALS.keys() - {"time"}:
+    if unlabelled := flight.log.keys() - signals.keys() - {"time"}:
         raise ValueError(f"no unit is written down for {', '.join(sorted(unlabelled))}; add them to SIGNALS")
     variables["joint_reference"] = (
         ("joint",),

@@ -43,7 +43,11 @@ FIGURES: dict[str, tuple[Draw, Sequence[str], str]] = {
     "fig4_network": (fig4_network.draw, fig4_network.RUNS, "Fig. 4 a-c: the network's drag of the head, two splits"),
     "training": (training.draw, training.RUNS, "loss curves of a training run"),
     "fig5": (fig5_flight.draw, fig5_flight.RUNS, "Fig. 5 b-i: one envelope flown twice"),
-    "fig5_robustness": (fig5_flight.draw, fig5_flight.ROBUSTNESS, "Fig. 5 b-i as the paper fills it: TEST4, robustness"),
+    "fig5_robustness": (
+        fig5_flight.draw,
+        fig5_flight.ROBUSTNESS,
+        "Fig. 5 b-i as the paper fills it: TEST4, robustness",
+    ),
     "fig6": (fig6_balancing.draw, fig6_balancing.RUNS, "Fig. 6 a-l: ground experiments in frontal and lateral wind"),
     "suppl7": (suppl7.draw, suppl7.RUNS, "Suppl. Fig. 7: TEST1, TEST2, TEST3, robustness; right arms"),
     "suppl7_published": (suppl7.draw, suppl7.PUBLISHED, "Suppl. Fig. 7; published arms"),

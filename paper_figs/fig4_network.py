@@ -1,6 +1,6 @@
 """Fig. 4 a-c: the head's drag area over the local angle of attack, as computed, as predicted, and the error.
 
-The upper row predicts rows drawn at random, as the paper does; the lower row whole postures that no training row shares.
+Above, rows drawn at random are predicted, as in the paper; below, whole postures that no training row shares.
 """
 
 from __future__ import annotations
@@ -41,16 +41,18 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
         _cloud(left, angle, data[shown], style.GREY, "CFD")
         _cloud(middle, angle, predicted[shown], style.BLUE, "network")
         order = np.argsort(angle)
-        middle.plot(angle[order], model[shown][order], color=style.VERMILION, label="axisymmetric")
-        for values, colour, label in ((model, style.VERMILION, "axisymmetric"), (predicted, style.BLUE, "network")):
+        middle.plot(angle[order], 1e3 * model[shown][order], color=style.VERMILION, label="axisymmetric")
+        for values, colour, label in ((model, style.VERMILION, "axisym."), (predicted, style.BLUE, "network")):
             error = values[shown] - data[shown]
-            text = f"{label}, rms {1e3 * np.sqrt(np.mean(error**2)):.2f}"
+            text = f"{label}: rms {1e3 * np.sqrt(np.mean(error**2)):.2f}"
             _cloud(right, angle, np.clip(error, -LIMIT, LIMIT), colour, text)
         left.set_ylabel(f"{title}\n$C_D A$ [$10^{{-3}}$ m$^2$]")
         right.set_ylim(-1e3 * LIMIT * 1.05, 1e3 * LIMIT * 1.05)
         middle.sharey(left)
         for axes in (middle, right):
             style.legend_above(axes, columns=2)
+            for handle in axes.get_legend().legend_handles:  # dots of a cloud are too small for a legend
+                handle.set(alpha=1.0, markersize=5.0)
     for axes, title in zip(grid[0], ("data", "prediction", "error [$10^{-3}$ m$^2$]"), strict=True):
         axes.set_title(title, pad=16)
     for axes in grid[1]:

@@ -11,7 +11,9 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
-from experiments.report import metrics
+from experiments import engine_choice
+from experiments.report import ground, metrics
+from jax_aero import reference
 
 Cell = Mapping[str, Any]
 
@@ -48,6 +50,14 @@ class Results:
         """Return every plain flight, by name; those with --set are somebody's own business."""
         folders = sorted((self.folder / "flight").glob("*/manifest.json"))
         read = ((path.parent.name, metrics.read(path.parent)) for path in folders if "--" not in path.parent.name)
+        return {name: found for name, found in read if found is not None}
+
+    @cached_property
+    def standing(self) -> dict[str, ground.Ground]:
+        """Return every plain ground experiment, by name."""
+        mass = reference.Robot(str(engine_choice.ROBOT)).mass
+        folders = sorted((self.folder / "flight").glob("*/manifest.json"))
+        read = ((path.parent.name, ground.read(path.parent, mass)) for path in folders if "--" not in path.parent.name)
         return {name: found for name, found in read if found is not None}
 
     @cached_property

@@ -6,9 +6,11 @@ import copy
 import hashlib
 import itertools
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 from experiments import Refused, flight, manifest
 from experiments.sweep import keys
@@ -85,7 +87,7 @@ class Design:
     @cached_property
     def digest(self) -> str:
         """Return a hash of everything that decides the result, but for the code."""
-        cells = [[(level.label, level.base, dict(level.set)) for level in levels] for levels in self.cells]
+        cells = [[(level.label, level.base, manifest.portable(level.set)) for level in levels] for levels in self.cells]
         what = {
             "bases": {name: reference.config_digest(config) for name, config in self.bases.items()},
             "cells": cells,
@@ -93,6 +95,9 @@ class Design:
             "perturbation": vars(self.spec.perturbation),
             "numbers": [self.spec.seed, self.spec.repeats, self.spec.chunk, self.spec.engine],
         }
+        cards = {card for levels in self.cells for level in levels for card in _cards(level.set)}
+        if cards:  # other weights under the same name are another sweep
+            what["cards"] = sorted(hashlib.sha256(Path(card).read_bytes()).hexdigest() for card in cards)
         return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
 
     def check(self) -> None:
@@ -123,6 +128,15 @@ def _load(sweep: str, name: str) -> reference.Config:
         return reference.load_config(flight.find(name))
     except ValueError as reason:
         raise Refused(f"sweep {sweep}: {reason}") from None
+
+
+def _cards(value: Any) -> Iterator[str]:
+    """Yield the paths of the networks that changes name."""
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            if key == "card":
+                yield item
+            yield from _cards(item)
 
 
 def config_hash(config: reference.Config) -> str:

@@ -127,10 +127,15 @@ def from_table(name: str, table: Mapping[str, Any]) -> Spec:
 
 
 def _with_files(value: Any, folder: Path) -> Any:
-    """Return `value` with every table `{ file = "..." }` in it replaced by that file's table."""
+    """Return `value` with every table `{ file = "..." }` in it replaced by that file's table.
+
+    A network's `card` in such a table is a path that starts there, too.
+    """
     if isinstance(value, Mapping):
         if value.keys() == {"file"}:
             return _with_files(_read(folder / value["file"]), (folder / value["file"]).parent)
+        if isinstance(card := value.get("card"), str):
+            value = {**value, "card": str((folder / card).resolve())}
         return {key: _with_files(item, folder) for key, item in value.items()}
     return [_with_files(item, folder) for item in value] if isinstance(value, list) else value
 

@@ -1,0 +1,193 @@
+"""Train a network of link forces and say how far it is off: `python -m experiments train NAME --dataset FILE`.
+
+A file of `configs/training/` is trained once per fold of whole postures (`grouped`), once on a random split, which
+leaks (`random`), and once on everything; errors are those of held-out rows, beside simpler models on the same rows.
+A run that was stopped goes on with the same command. `--write` also puts the weights where flights find them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import shutil
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from experiments import Refused, manifest, overrides, study
+from experiments.training import config, parts, result
+from experiments.training.parts import Finished
+from jax_aero.aero.dataset import Dataset, load
+from jax_aero.aero.network import Network
+from jax_aero.train import Interrupted
+
+RESULTS = study.RESULTS / "training"
+INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    parser = argparse.ArgumentParser(prog="python -m experiments train", description=__doc__)
+    parser.add_argument("name", help="a file stem in configs/training, or a path")
+    parser.add_argument(
+        "--dataset", type=Path, required=True, metavar="FILE", help="from import-cfd or surrogate-dataset"
+    )
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change one key of the file")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="result folder (default results/training/NAME)")
+    parser.add_argument("--write", type=Path, metavar="CARD", help="write weights and card there too (…/NAME.json)")
+    parser.add_argument("--restart", action="store_true", help="throw away what an unfinished run left")
+    given = parser.parse_args(arguments)
+    try:
+        errors = run(given)
+    except (Refused, ValueError, OSError) as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return 2
+    except Interrupted:
+        print("interrupted; the same command goes on where this one stopped", file=sys.stderr)
+        return INTERRUPTED
+    print(table(errors))
+    return 0
+
+
+def run(given: argparse.Namespace) -> dict[str, Any]:
+    """Train all parts, write the result, return the errors of the splits."""
+    started = time.perf_counter()
+    path = study.find("training", given.name)
+    training, document = config.read(path, overrides.parse(given.set))
+    if given.write and not training.has_final:
+        raise Refused(f"{path.name}: final is false, so there are no weights to --write")
+    dataset = load(given.dataset)
+    if training.is_mirrored:
+        dataset = dataset.mirrored()
+    folder: Path = given.out or RESULTS / path.stem
+    digest = hashlib.sha256(f"{study.digest(document, [config.ROBOT])}{dataset.sha256}".encode()).hexdigest()
+    work = _work_folder(folder, digest, restart=given.restart)
+    finished, network = _train(training, dataset, work)
+    errors = result.summarise(finished, training.chosen_on)
+    final = None
+    if network is not None:
+        facts = result.card_facts(
+            dataset,
+            errors,
+            epochs=training.epochs,
+            seed=training.seed,
+            source=given.dataset.name,
+            held_out=f"final weights: all rows; errors: {_held_out(training)}",
+        ) | {"check": result.check_rows(network, config.robot(), dataset)}
+        final = result.Final(network, config.robot(), training.description, facts)
+    document = _manifest(folder.name, training, document, digest, finished, errors, time.perf_counter() - started)
+    data = result.to_dataset(config.robot(), dataset, finished, training.title)
+    data.attrs["config_hash"] = digest
+    result.write(folder, data, document, final)
+    if given.write and final is not None:
+        final.save(given.write)
+    shutil.rmtree(work)
+    print(f"{manifest.portable(folder.resolve())}: {document['summary']['parameters']} parameters")
+    return errors
+
+
+def _manifest(
+    name: str,
+    training: config.Training,
+    table: dict[str, Any],
+    digest: str,
+    finished: list[Finished],
+    errors: dict[str, Any],
+    seconds: float,
+) -> dict[str, Any]:
+    copies = training.members if training.keep == "mean" else 1
+    summary = {
+        "errors": errors,
+        "parameters": training.start(config.robot(), 0).parameters * copies,
+        "seconds_per_epoch": {one.part.name: one.errors["seconds_per_epoch"] for one in finished},
+    }
+    timings = {one.part.name: float(one.errors["seconds"]) for one in finished} | {"this call": seconds}
+    return study.build_manifest(name, training.title, table, digest, summary=summary, timings=timings, engine="jax")
+
+
+def _held_out(training: config.Training) -> str:
+    held = training.validation
+    folds = f"{held.folds_run} of {held.folds}" if held.folds_run < held.folds else f"{held.folds}"
+    return (
+        f"grouped: {folds} folds of whole postures with their mirror images, fold seeds {list(held.fold_seeds)}; "
+        f"random: {held.fraction:.0%} of all rows, seeds {list(held.random_seeds)}"
+    )
+
+
+def _train(training: config.Training, dataset: Dataset, work: Path) -> tuple[list[Finished], Network | None]:
+    robot = config.robot()
+    todo = list(parts.parts(training, dataset))
+    finished: list[Finished] = []
+    network = None
+    is_quiet = not sys.stderr.isatty()
+    with tqdm(total=len(todo) * training.epochs, unit="epoch", disable=is_quiet, dynamic_ncols=True) as bar:
+        for part in todo:
+            bar.set_description(part.name)
+
+            def on_epoch(train: float, error: float | None) -> None:
+                shown = {"train": f"{train:.2e}"} | ({} if error is None else {"held out": f"{error:.2e}"})
+                bar.set_postfix(shown, refresh=False)
+                bar.update()
+
+            # The last part is trained again if need be: its weights are what is wanted.
+            done = parts.recall(work, part) if part.split != "final" else None
+            if done is None:
+                done, network = parts.run(part, training, robot, dataset, work, on_epoch)
+                if part.split != "final":
+                    parts.keep(work, done)
+                    network = None
+            else:
+                bar.update(training.epochs)
+            finished.append(done)
+            if is_quiet:
+                mse = f", held out {done.errors['mse']:.3e} m4" if "mse" in done.errors else ""
+                print(
+                    f"{part.name}: train {done.errors['train_mse']:.3e}{mse}, {done.errors['seconds']:.0f} s",
+                    file=sys.stderr,
+                    flush=True,
+                )
+    return finished, network
+
+
+def _work_folder(folder: Path, digest: str, *, restart: bool) -> Path:
+    work = folder.with_name(f".{folder.name}.work")
+    if restart and work.exists():
+        shutil.rmtree(work)
+    mark = work / "digest"
+    if mark.is_file() and mark.read_text(encoding="utf-8") != digest:
+        raise Refused(
+            f"{work.name} holds an unfinished run with other settings or data; finish that one, or add --restart"
+        )
+    work.mkdir(parents=True, exist_ok=True)
+    mark.write_text(digest, encoding="utf-8")
+    return work
+
+
+def table(errors: dict[str, Any]) -> str:
+    """Return the errors as a table: both splits beside each other, never one without the other."""
+    names = list(next(iter(errors.values()))["baselines"]) if errors else []
+    splits = [split for split in ("random", "grouped") if split in errors]
+    lines = ["mean squared error of held-out rows [m^4]".ljust(44) + "".join(split.rjust(12) for split in splits)]
+    lines.append("network".ljust(44) + "".join(f"{errors[split]['mse']:.3e}".rjust(12) for split in splits))
+    for key, text in (("fold_std", "  standard deviation over folds"), ("fold_max", "  worst fold")):
+        cells = [errors[split][key] for split in splits]
+        lines.append(text.ljust(44) + "".join(("-" if c is None else f"{c:.3e}").rjust(12) for c in cells))
+    if (elsewhere := errors.get("grouped", {}).get("elsewhere_mse")) is not None:
+        text = "  postures on which nothing was chosen"
+        lines.append(
+            text.ljust(44) + "".join((f"{elsewhere:.3e}" if s == "grouped" else "-").rjust(12) for s in splits)
+        )
+    for key, text in (("ensemble_mse", "mean of all members"), ("train_mse", "network, rows it was trained on")):
+        lines.append(text.ljust(44) + "".join(f"{errors[split][key]:.3e}".rjust(12) for split in splits))
+    for name in names:
+        cells = [f"{errors[split]['baselines'][name]:.3e}".rjust(12) for split in splits]
+        lines.append(name.ljust(44) + "".join(cells))
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,183 @@
+"""One part of a training run: train on some rows, predict the held-out ones, keep both until the run is complete."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from experiments.training.config import Training
+from jax_aero.aero.dataset import Dataset, Floats, Indices
+from jax_aero.aero.network import Layer, Network
+from jax_aero.robot import RobotModel
+from jax_aero.train import Samples, baseline_errors, distil_samples, fit, predict_areas, samples_of
+
+OnEpoch = Callable[[float, float | None], None]
+
+
+@dataclass(frozen=True)
+class Part:
+    """What one part trains on and holds out."""
+
+    name: str
+    split: str
+    """`random`, `grouped` or `final`."""
+    seed: int
+    """Of the split; the network's random numbers depend on it too."""
+    train: Indices
+    held_out: Indices
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A part that is done."""
+
+    part: Part
+    errors: Mapping[str, Any]
+    """`mse`, `train_mse`, `by_posture`, `by_link`, baselines, times."""
+    areas: npt.NDArray[np.float32]
+    """(held out, 13, 3) predictions, base axes."""
+    curves: Mapping[str, list[list[float | None]]]
+    """Loss curves by name of the network: rows of epoch, training, validation."""
+
+
+def parts(training: Training, dataset: Dataset) -> Iterator[Part]:
+    """Return the parts of a run, the grouped ones first."""
+    held = training.validation
+    for seed in held.fold_seeds:
+        for fold, (train, rest) in enumerate(dataset.grouped_folds(seed, held.folds)[: held.folds_run]):
+            yield Part(f"grouped-{seed}-{fold}", "grouped", seed, train, rest)
+    for seed in held.random_seeds:
+        train, rest = dataset.random_split(seed, held.fraction)
+        yield Part(f"random-{seed}", "random", seed, train, rest)
+    if training.has_final:
+        everything = np.arange(len(dataset), dtype=np.int64)
+        yield Part("final", "final", 0, everything, everything[:0])
+
+
+def run(
+    part: Part, training: Training, robot: RobotModel, dataset: Dataset, work: Path, on_epoch: OnEpoch
+) -> tuple[Finished, Network]:
+    """Train one part, from where its checkpoints stand."""
+    started = time.perf_counter()
+    rows, held_out = dataset.take(part.train), dataset.take(part.held_out)
+    model = training.start(robot, training.seed)
+    samples = samples_of(model, robot, rows)
+    unseen = samples_of(model, robot, held_out) if len(held_out) else None
+    curves: dict[str, list[list[float | None]]] = {}
+    seconds = []
+    members = []
+    for member in range(training.members):
+        seed = training.seed + 1000 * part.seed + member
+        name = f"{part.name}-member-{member}"
+        fitted = fit(
+            training.start(robot, seed),
+            samples,
+            unseen,
+            training.settings,
+            seed,
+            checkpoint=work / f"{name}.npz",
+            on_epoch=lambda _, train, error: on_epoch(train, error),
+        )
+        members.append(fitted.network)
+        seconds.append(fitted.seconds_per_epoch)
+        curves[name] = [list(row) for row in fitted.curves]
+    network = mean_of(members)
+    if training.distillation is not None:
+        network = _student(part, training, robot, rows, unseen, members, work, on_epoch, curves)
+    errors: dict[str, Any] = {
+        "train_mse": float(np.mean((predict_areas(network, robot, rows) - rows.force_area_b) ** 2)),
+        "seconds": time.perf_counter() - started,
+        "seconds_per_epoch": float(np.median(seconds)),
+        "rows": len(rows),
+        "held_out": len(held_out),
+    }
+    areas = np.zeros((0, *dataset.force_area_b.shape[1:]), np.float32)
+    if len(held_out):
+        predicted = predict_areas(network, robot, held_out)
+        teachers = predict_areas(mean_of(members), robot, held_out) if training.distillation else predicted
+        areas = predicted.astype(np.float32)
+        errors |= _errors(predicted, held_out) | {"baselines": baseline_errors(robot, rows, held_out)}
+        errors["ensemble_mse"] = float(np.mean((teachers - held_out.force_area_b) ** 2))
+    return Finished(part, errors, areas, curves), network
+
+
+def _student(
+    part: Part,
+    training: Training,
+    robot: RobotModel,
+    rows: Dataset,
+    unseen: Samples | None,
+    teachers: list[Network],
+    work: Path,
+    on_epoch: OnEpoch,
+    curves: dict[str, list[list[float | None]]],
+) -> Network:
+    assert training.distillation is not None
+    how = training.distillation
+    seed = training.seed + 1000 * part.seed + training.members
+    lessons = distil_samples(teachers, robot, rows, count=how.samples, spread_deg=how.spread_deg, seed=seed)
+    name = f"{part.name}-student"
+    fitted = fit(
+        training.start(robot, seed),
+        lessons,
+        unseen,
+        how.settings,
+        seed,
+        checkpoint=work / f"{name}.npz",
+        on_epoch=lambda _, train, error: on_epoch(train, error),
+    )
+    curves[name] = [list(row) for row in fitted.curves]
+    return fitted.network
+
+
+def mean_of(members: list[Network]) -> Network:
+    """Return one network whose members are those of several: their mean, as it can be flown."""
+    layers = tuple(
+        Layer(*(np.concatenate([getattr(net.layers[i], name) for net in members]) for name in ("weight", "bias")))  # type: ignore[arg-type]  # NumPy arrays are leaves as good
+        for i in range(len(members[0].layers))
+    )
+    return dataclasses.replace(members[0], layers=layers)
+
+
+def _errors(predicted: Floats, held_out: Dataset) -> dict[str, Any]:
+    square = (predicted - held_out.force_area_b) ** 2
+    spread = float(np.mean((held_out.force_area_b - held_out.force_area_b.mean(axis=0)) ** 2))
+    total = np.linalg.norm((predicted - held_out.force_area_b).sum(axis=1), axis=1)
+    return {
+        "mse": float(square.mean()),
+        "r2": 1.0 - float(square.mean()) / spread,
+        "whole_robot_rms": float(np.sqrt(np.mean(total**2))),
+        "by_posture": {name: float(square[held_out.posture == name].mean()) for name in held_out.postures},
+        "by_link": [float(value) for value in square.mean(axis=(0, 2))],
+    }
+
+
+def keep(work: Path, finished: Finished) -> None:
+    """Write a part that is done; its checkpoints are not needed any more."""
+    name = finished.part.name
+    np.savez(work / f"{name}.areas.npz", areas=finished.areas)
+    text = json.dumps({"errors": finished.errors, "curves": finished.curves})
+    draft = work / f".{name}.draft"
+    draft.write_text(text, encoding="utf-8")
+    draft.replace(work / f"{name}.json")
+    for path in work.glob(f"{name}-*.npz"):
+        path.unlink()
+
+
+def recall(work: Path, part: Part) -> Finished | None:
+    """Return a part that an earlier call finished."""
+    path = work / f"{part.name}.json"
+    if not path.is_file():
+        return None
+    document = json.loads(path.read_text(encoding="utf-8"))
+    with np.load(work / f"{part.name}.areas.npz") as file:
+        areas = file["areas"]
+    return Finished(part, document["errors"], areas, document["curves"])

@@ -1,0 +1,224 @@
+"""What a training run leaves behind: predictions of held-out rows, loss curves, errors, a card with weights."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from experiments import Refused, record
+from experiments.training.parts import Finished
+from jax_aero.aero.dataset import JOINTS, LINKS, Dataset, Floats
+from jax_aero.aero.network import Network, baseline_areas, with_precision
+from jax_aero.aero.network_card import save_network
+from jax_aero.robot import RobotModel
+from jax_aero.train.samples import posture_geometry, predict_areas
+
+FREESTREAM_NOTE = (
+    "Trained on free-stream simulations that the authors of the paper made public in the history of the repository "
+    "ami-iit/element_cfd-simulation (commit 0d43057), from before that repository had a licence file. The table itself "
+    "is not part of this project: import it from there. These weights are this project's own result."
+)
+SURROGATE_NOTE = (
+    "Trained on the project's own surrogate of interfering panels, which was calibrated on published data alone; no "
+    "free-stream table entered."
+)
+
+
+def summarise(finished: Sequence[Finished], chosen_on: Sequence[str] = ()) -> dict[str, Any]:
+    """Return the errors of each split: mean over rows, spread over folds, and the baselines on the same rows.
+
+    Settings that were chosen by looking at some postures are judged by the others too: `elsewhere_mse`.
+    """
+    found: dict[str, Any] = {}
+    for split in ("random", "grouped"):
+        here = [one for one in finished if one.part.split == split]
+        if not here:
+            continue
+        weights = np.array([one.errors["held_out"] for one in here], dtype=float)
+        folds = np.array([one.errors["mse"] for one in here])
+
+        def mean(values: Sequence[float], weights: Any = weights) -> float:
+            return float(np.average(values, weights=weights))
+
+        found[split] = {
+            "mse": mean([one.errors["mse"] for one in here]),
+            "folds": len(here),
+            "fold_std": float(folds.std(ddof=1)) if len(here) > 1 else None,
+            "fold_min": float(folds.min()),
+            "fold_max": float(folds.max()),
+            "train_mse": mean([one.errors["train_mse"] for one in here]),
+            "ensemble_mse": mean([one.errors["ensemble_mse"] for one in here]),
+            "whole_robot_rms": float(np.sqrt(mean([one.errors["whole_robot_rms"] ** 2 for one in here]))),
+            "by_link": dict(
+                zip(LINKS, np.average([one.errors["by_link"] for one in here], axis=0, weights=weights), strict=True)
+            ),
+            "baselines": {
+                name: mean([one.errors["baselines"][name] for one in here]) for name in here[0].errors["baselines"]
+            },
+        }
+        if split == "grouped":
+            names = sorted({name for one in here for name in one.errors["by_posture"]})
+            rows = {
+                name: [one.errors["by_posture"][name] for one in here if name in one.errors["by_posture"]]
+                for name in names
+            }
+            means = {name: float(np.mean(values)) for name, values in rows.items()}
+            others = [value for name, value in means.items() if name not in chosen_on]
+            found[split]["by_posture"] = means
+            found[split]["elsewhere_mse"] = float(np.mean(others)) if chosen_on and others else None
+    return found
+
+
+def to_dataset(robot: RobotModel, dataset: Dataset, finished: Sequence[Finished], title: str) -> xr.Dataset:
+    """Label predictions of the first seed of each split, those of the axisymmetric model, and all loss curves."""
+    areas = dataset.force_area_b.astype(np.float32)
+    axes = link_axes(robot, dataset)
+    corrected = robot.aero_links.coefficients["corrected"]
+    variables: dict[str, Any] = {
+        "area": (("row", "link", "xyz"), areas, _unit("force area, as given")),
+        "wind": (("row", "xyz"), dataset.wind_b, {"units": "1", "long_name": "unit wind, base axes"}),
+        "joint_position": (("row", "joint"), dataset.joint_position_deg, {"units": "degree"}),
+        "attack": (
+            ("row", "link"),
+            np.degrees(np.arccos(np.clip(-np.einsum("nli,ni->nl", axes, dataset.wind_b), -1.0, 1.0))),
+            {"units": "degree", "long_name": "angle between the link's axis and where the wind comes from"},
+        ),
+        "area_axisymmetric": (
+            ("row", "link", "xyz"),
+            axisymmetric_areas(corrected, dataset, axes).astype(np.float32),
+            _unit("force area of the published axisymmetric model, head corrected"),
+        ),
+    }
+    for split in ("random", "grouped"):
+        here = [one for one in finished if one.part.split == split]
+        if not here:
+            continue
+        predicted = np.full_like(areas, np.nan)
+        for one in here:
+            if one.part.seed == here[0].part.seed:
+                predicted[one.part.held_out] = one.areas
+        text = f"force area predicted for rows held out, {split} split; nan where a row was trained on"
+        variables[f"area_{split}"] = (("row", "link", "xyz"), predicted, _unit(text))
+    curves = {name: rows for one in finished for name, rows in one.curves.items()}
+    longest = max((len(rows) for rows in curves.values()), default=0)
+    filled = np.full((len(curves), longest, 3), np.nan)
+    for index, rows in enumerate(curves.values()):
+        if rows:
+            filled[index, : len(rows)] = [[np.nan if v is None else v for v in row] for row in rows]
+    for column, (name, unit, text) in enumerate(
+        (
+            ("epoch", "1", "epochs done"),
+            ("train_loss", "m4", "mean squared error while training, with dropout and noise"),
+            ("validation_loss", "m4", "mean squared error of held-out rows, without dropout"),
+        )
+    ):
+        variables[name] = (("curve", "step"), filled[:, :, column], {"units": unit, "long_name": text})
+    coords: dict[str, Any] = {
+        "posture": ("row", dataset.posture.astype(str)),
+        "is_mirrored": ("row", dataset.is_mirrored.astype("i1")),
+        "pitch": ("row", dataset.pitch_deg, {"units": "degree"}),
+        "yaw": ("row", dataset.yaw_deg, {"units": "degree"}),
+        "joint": list(JOINTS),
+        "link": list(LINKS),
+        "xyz": ["x", "y", "z"],
+        "curve": list(curves),
+    }
+    return xr.Dataset(variables, coords, {"title": title})
+
+
+def link_axes(robot: RobotModel, dataset: Dataset) -> Floats:
+    """Return the axes of symmetry of the links (N, 13, 3), base axes."""
+    geometry, number = posture_geometry(robot, dataset.joint_position_deg)
+    return np.asarray(geometry.axes, dtype=np.float64)[number]
+
+
+def axisymmetric_areas(coefficients: Any, dataset: Dataset, axes: Floats) -> Floats:
+    """Return the force areas (N, 13, 3) of an axisymmetric model, base axes."""
+    with jax.enable_x64(True):
+        areas = jax.vmap(lambda wind, k: baseline_areas(jnp.asarray(coefficients), wind, k))(
+            jnp.asarray(dataset.wind_b), jnp.asarray(axes)
+        )
+    return np.asarray(areas, dtype=np.float64)
+
+
+def _unit(text: str) -> dict[str, str]:
+    return {"units": "m2", "long_name": text}
+
+
+def card_facts(
+    dataset: Dataset, errors: Mapping[str, Any], *, epochs: int, seed: int, source: str, held_out: str
+) -> dict[str, Any]:
+    """Return what a card says about its training: nothing of this machine."""
+    baselines = {split: errors[split]["baselines"] for split in errors}
+    plain = {
+        split: {key: value for key, value in found.items() if key not in ("baselines", "by_link")}
+        for split, found in errors.items()
+    }
+    is_surrogate = "surrogate" in " ".join([*dataset.provenance, *dataset.provenance.values()]).lower()
+    return {
+        "dataset": source,
+        "dataset_sha256": dataset.sha256,
+        "rows": len(dataset),
+        "split": held_out,
+        "seed": seed,
+        "epochs": epochs,
+        "errors": plain,
+        "error_unit": "m^4, mean over 13 x 3 components of held-out rows",
+        "baselines": baselines,
+        "note": SURROGATE_NOTE if is_surrogate else FREESTREAM_NOTE,
+    }
+
+
+def check_rows(network: Network, robot: RobotModel, dataset: Dataset) -> list[dict[str, Any]]:
+    """Return a few answers of the network, by which a reader can tell that it reads the weights as they were meant.
+
+    The last row is made up: no posture of the data, and a wind off the grid.
+    """
+    # What flies are the single-precision weights; what they are compared in is double precision.
+    some = dataset.take(np.array([0, len(dataset) // 3, len(dataset) // 3]))
+    joints = some.joint_position_deg.copy()
+    wind = some.wind_b.copy()
+    joints[-1] = np.linspace(-30.0, 30.0, len(JOINTS))
+    wind[-1] = np.array([2.0, -3.0, 6.0]) / 7.0
+    some = replace(some, joint_position_deg=joints, wind_b=wind)
+    with jax.enable_x64(True):
+        areas = predict_areas(with_precision(network, np.float64), robot, some)
+    return [
+        {"joint_position_deg": q.tolist(), "wind_b": w.tolist(), "areas_b": a.tolist()}
+        for q, w, a in zip(joints, wind, areas, strict=True)
+    ]
+
+
+class Final(NamedTuple):
+    """The network that was trained on everything."""
+
+    network: Network
+    robot: RobotModel
+    description: str
+    facts: Mapping[str, Any]
+
+    def save(self, card: Path) -> None:
+        """Write card and weights."""
+        save_network(card, self.network, self.robot, description=self.description, training=self.facts)
+
+
+def write(folder: Path, data: xr.Dataset, document: Mapping[str, Any], final: Final | None) -> None:
+    """Write a result folder at once, in the place of an older result of the same name."""
+    card = f"{folder.name}.json"
+    own = {card, f"{folder.name}.safetensors"}
+    if folder.exists() and (more := set(record.strangers(folder)) - own):
+        raise Refused(f"{folder.name} holds more than a result ({min(more)}), so it is not replaced")
+    with record.complete_folder(folder, replace=True) as draft:
+        record.write_dataset(data, draft / record.RUN_FILE)
+        if final is not None:
+            final.save(draft / card)
+        text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        (draft / record.MANIFEST_FILE).write_text(text, encoding="utf-8")

@@ -1,0 +1,155 @@
+"""Search for better settings: `python -m experiments train-search NAME --dataset FILE`.
+
+A file of `configs/training_search/` names a training file and ranges for some of its keys. A trial trains one network
+per inner fold of whole postures, without members or students, and is judged by the mean error of the rows held out.
+Trials are kept in a SQLite file, so a search goes on where it stopped, and several processes can share one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import csv
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+
+from experiments import Refused, study
+from experiments.training import config
+from experiments.training.command import INTERRUPTED
+from jax_aero.aero.dataset import Dataset, load
+from jax_aero.train import fit, samples_of
+
+RESULTS = study.RESULTS / "training_search"
+KEYS = {"base": str, "trials": int, "seed": int, "fold_seed": int, "folds": int, "folds_run": int, "space": dict}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    parser = argparse.ArgumentParser(prog="python -m experiments train-search", description=__doc__)
+    parser.add_argument("name", help="a file stem in configs/training_search, or a path")
+    parser.add_argument("--dataset", type=Path, required=True, metavar="FILE", help="what to train on")
+    parser.add_argument(
+        "--trials", type=int, metavar="N", help="stop when there are so many (default: what the file says)"
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="result folder (default results/training_search/NAME)")
+    given = parser.parse_args(arguments)
+    try:
+        return run(given)
+    except (Refused, ValueError, OSError) as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted; the same command goes on with the next trial", file=sys.stderr)
+        return INTERRUPTED
+
+
+def run(given: argparse.Namespace) -> int:
+    """Search until there are enough trials; write the table of them."""
+    path = study.find("training_search", given.name)
+    table = study.read(path)
+    study.check_keys(path, table, KEYS)
+    base = study.read(path.parent / table["base"])
+    dataset = load(given.dataset)
+    out: Path = given.out or RESULTS / path.stem
+    out.mkdir(parents=True, exist_ok=True)
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    # One study per question: another dataset or space must not be mixed in.
+    digest = study.digest({"table": table, "base": base, "data": dataset.sha256}, [])
+    search = optuna.create_study(
+        study_name=digest[:16],
+        storage=f"sqlite:///{(out / 'trials.db').resolve()}",
+        sampler=optuna.samplers.TPESampler(seed=table["seed"]),
+        direction="minimize",
+        load_if_exists=True,
+    )
+    wanted = given.trials or table["trials"]
+
+    def objective(trial: optuna.Trial) -> float:
+        return error_of(path, changed(path, base, suggestions(trial, path, table["space"])), dataset, table)
+
+    while (done := _complete(search)) < wanted:
+        search.optimize(objective, n_trials=1)
+        newest = search.trials[-1]
+        print(
+            f"trial {done + 1} of {wanted}: {newest.value:.3e} m4 (best {search.best_value:.3e}) "
+            f"in {newest.duration.total_seconds() if newest.duration else 0.0:.0f} s: {newest.params}",
+            flush=True,
+        )
+    _write(out, search, base, digest)
+    print(f"best of {_complete(search)}: {search.best_value:.3e} m4 with {search.best_params}")
+    return 0
+
+
+def _complete(search: optuna.Study) -> int:
+    return sum(trial.state == optuna.trial.TrialState.COMPLETE for trial in search.trials)
+
+
+def suggestions(trial: optuna.Trial, path: Path, space: Mapping[str, Any]) -> dict[str, Any]:
+    """Return one value for every key of the space."""
+    chosen: dict[str, Any] = {}
+    for key, entry in space.items():
+        if set(entry) == {"choices"}:
+            # Optuna knows no lists: their texts stand for them.
+            chosen[key] = json.loads(trial.suggest_categorical(key, [json.dumps(value) for value in entry["choices"]]))
+        elif {"low", "high"} <= set(entry) <= {"low", "high", "log"}:
+            chosen[key] = trial.suggest_float(key, entry["low"], entry["high"], log=entry.get("log", False))
+        else:
+            raise Refused(f"{path.name}: `space.{key}` is {entry}; expected choices, or low and high, perhaps log")
+    return chosen
+
+
+def changed(path: Path, base: Mapping[str, Any], changes: Mapping[str, Any]) -> config.Training:
+    """Return the base file with some keys changed; noise of features that a trial lacks is left out."""
+    table = copy.deepcopy(dict(base))
+    for key, value in changes.items():
+        config.change(table, key, value)
+    noise = table["training"]["noise"]
+    table["training"]["noise"] = {block: std for block, std in noise.items() if block in table["network"]["features"]}
+    return config.parse(path, table)
+
+
+def error_of(path: Path, training: config.Training, dataset: Dataset, table: Mapping[str, Any]) -> float:
+    """Return the mean error over the inner folds [m⁴]."""
+    if not 1 <= table["folds_run"] <= table["folds"]:
+        raise Refused(f"{path.name}: `folds_run` is {table['folds_run']}; expected 1 to folds, {table['folds']}")
+    rows = dataset.mirrored() if training.is_mirrored else dataset
+    robot = config.robot()
+    errors = []
+    for train, held_out in rows.grouped_folds(table["fold_seed"], table["folds"])[: table["folds_run"]]:
+        start = training.start(robot, training.seed)
+        samples, unseen = (samples_of(start, robot, rows.take(part)) for part in (train, held_out))
+        fitted = fit(start, samples, unseen, training.settings, training.seed)
+        errors.append(fitted.curves[-1][2])
+    return float(np.mean([np.inf if error is None else error for error in errors]))
+
+
+def _write(out: Path, search: optuna.Study, base: Mapping[str, Any], digest: str) -> None:
+    keys = sorted({key for trial in search.trials for key in trial.params})
+    with (out / "trials.csv").open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["trial", "state", "error_m4", "seconds", *keys])
+        for trial in search.trials:
+            seconds = trial.duration.total_seconds() if trial.duration else ""
+            writer.writerow(
+                [trial.number, trial.state.name, trial.value, seconds, *(trial.params.get(key) for key in keys)]
+            )
+    document = study.build_manifest(
+        out.name,
+        "Search for training settings",
+        base,
+        digest,
+        summary={"best_error_m4": search.best_value, "best": search.best_params, "trials": _complete(search)},
+        timings={"all trials": sum(t.duration.total_seconds() for t in search.trials if t.duration)},
+        engine="optuna",
+    )
+    (out / "manifest.json").write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

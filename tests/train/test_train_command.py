@@ -1,0 +1,164 @@
+"""The training commands from end to end, on a small made-up dataset."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+from PIL import Image
+
+from experiments.__main__ import main
+from experiments.training import command
+from jax_aero.aero.dataset import save
+from jax_aero.aero.network_card import load_network, read_card
+from jax_aero.train import predict_areas
+from paper_figs.__main__ import main as draw
+
+# A small plain network: what is compiled is what takes the time.
+SMALL = {
+    "network.features": '["wind", "joints"]',
+    "network.frame": "base",
+    "network.layout": "component",
+    "network.mirror": "false",
+    "training.epochs": "4",
+    "training.batch": "32",
+    "training.validate_every": "2",
+    "network.hidden": "[8]",
+    "ensemble.members": "2",
+    "distillation.samples": "40",
+    "distillation.training.epochs": "2",
+    "distillation.training.batch": "32",
+    "distillation.training.validate_every": "1",
+    "validation.fraction": "0.333333",  # as many rows as a fold: the same shapes, compiled once
+    "validation.folds": "3",
+    "validation.folds_run": "2",
+    "chosen_on": '["posture0"]',
+}
+
+
+@pytest.fixture(scope="module")
+def data(made_up_dataset, tmp_path_factory):
+    path = tmp_path_factory.mktemp("data") / "made_up.nc"
+    save(made_up_dataset, path)
+    return path
+
+
+def words(data, out, **changes):
+    settings = SMALL | {key.replace("__", "."): value for key, value in changes.items()}
+    options = [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
+    return ["train", "compact", "--dataset", str(data), "--out", str(out), *options]
+
+
+@pytest.fixture(scope="module")
+def result(data, tmp_path_factory):
+    results = tmp_path_factory.mktemp("results")
+    out = results / "training" / "compact"
+    assert main([*words(data, out), "--write", str(results / "networks" / "small.json")]) == 0
+    return results
+
+
+def test_a_result_holds_errors_of_both_splits_beside_baselines(result, made_up_dataset):
+    document = json.loads((result / "training" / "compact" / "manifest.json").read_text())
+    errors = document["summary"]["errors"]
+    assert set(errors) == {"random", "grouped"}
+    assert errors["grouped"]["folds"] == 2
+    assert "axisymmetric, signed" in errors["grouped"]["baselines"]
+    table = xr.load_dataset(result / "training" / "compact" / "run.nc", engine="h5netcdf")
+    predicted = table["area_grouped"].values
+    held = np.isfinite(predicted[:, 0, 0])
+    assert held.sum() == 4 * 24 * 2
+    # Whole postures, their mirror images with them, and no others.
+    assert len(set(table["posture"].values[held])) == 4
+    assert not set(table["posture"].values[held]) & set(table["posture"].values[~held])
+    mse = np.mean((predicted[held] - table["area"].values[held]) ** 2)
+    assert errors["grouped"]["mse"] == pytest.approx(mse, rel=1e-5)
+    elsewhere = [value for name, value in errors["grouped"]["by_posture"].items() if name != "posture0"]
+    assert errors["grouped"]["elsewhere_mse"] == pytest.approx(np.mean(elsewhere))
+    assert np.isfinite(table["train_loss"].sel(curve="grouped-0-0-member-1").values[:2]).all()
+
+
+def test_the_weights_are_written_where_flights_find_them(result, ironcub, made_up_dataset):
+    written, kept = result / "networks" / "small.json", result / "training" / "compact" / "compact.json"
+    card = read_card(written)
+    assert card["training"]["dataset_sha256"] == made_up_dataset.mirrored().sha256
+    assert card["training"]["errors"]["grouped"]["mse"] > 0.0
+    assert card["weights"]["sha256"] == read_card(kept)["weights"]["sha256"]
+    network = load_network(written, ironcub)
+    error = predict_areas(network, ironcub, made_up_dataset) - made_up_dataset.force_area_b
+    assert np.mean(error**2) < np.mean(made_up_dataset.force_area_b**2)
+
+
+def test_figures_are_drawn_from_the_result(result, tmp_path):
+    flights = ["--results", str(result / "flight"), "--out", str(tmp_path)]
+    assert draw(["fig4_network", "training", *flights]) == 0
+    for name in ("fig4_network", "training"):
+        with Image.open(tmp_path / f"{name}.png") as picture:
+            assert "compact config" in picture.info["Description"]
+
+
+def test_an_interrupted_run_goes_on_and_ends_as_if_nothing_had_been(result, data, tmp_path, monkeypatch, capsys):
+    out = tmp_path / "compact"
+    run = command.parts.run
+    done = []
+
+    def stop_at_the_second(part, *arguments):
+        done.append(part.name)
+        if len(done) == 2:
+            raise command.Interrupted
+        return run(part, *arguments)
+
+    monkeypatch.setattr(command.parts, "run", stop_at_the_second)
+    assert main(words(data, out)) == command.INTERRUPTED
+    assert "the same command goes on" in capsys.readouterr().err
+    assert not out.exists()
+    assert main(words(data, out, training__epochs="5")) == 2
+    assert "holds an unfinished run with other settings" in capsys.readouterr().err
+    assert main(words(data, out)) == 0
+    assert done == ["grouped-0-0", "grouped-0-1", "grouped-0-1", "random-56", "final"]
+    whole = result / "training" / "compact" / "compact.safetensors"
+    assert (out / "compact.safetensors").read_bytes() == whole.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"network.colour": "1"}, "--set network.colour: there is no such key"),
+        ({"training.dropout": "2.0"}, "`dropout` is 2.0"),
+        ({"network.activation": "gelu"}, "`network.activation` is 'gelu'; expected one of"),
+        ({"network.baseline": "best"}, "`network.baseline` is"),
+        ({"validation.folds_run": "9"}, "expected folds_run from 1 to folds"),
+        ({"training.noise": "{ colour = 1.0 }"}, "`noise` names ['colour']"),
+        ({"training.epochs": '"many"'}, "`training.epochs` is 'many'; expected an integer"),
+    ],
+)
+def test_a_wrong_setting_is_named(data, tmp_path, capsys, change, message):
+    options = [word for key, value in change.items() for word in ("--set", f"{key}={value}")]
+    assert main(["train", "compact", "--dataset", str(data), "--out", str(tmp_path / "x"), *options]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):
+    pytest.importorskip("optuna")
+    base = tmp_path / "base.toml"
+    options = "\n".join(f"{key} = {value}" for key, value in {"epochs": 2, "batch": 32, "validate_every": 1}.items())
+    text = (command.study.CONFIGS / "training" / "plain.toml").read_text()
+    for line in options.splitlines():
+        key = line.split(" ")[0]
+        text = "\n".join(line if row.startswith(f"{key} ") else row for row in text.splitlines())
+    base.write_text(text)
+    search = tmp_path / "small.toml"
+    search.write_text(
+        'base = "base.toml"\ntrials = 2\nseed = 1\nfold_seed = 0\nfolds = 3\nfolds_run = 1\n[space]\n'
+        '"network.hidden" = { choices = [[4], [6]] }\n'
+        '"training.learning_rate" = { low = 1e-3, high = 1e-2, log = true }\n'
+    )
+    out = tmp_path / "out"
+    arguments = ["train-search", str(search), "--dataset", str(data), "--out", str(out)]
+    assert main([*arguments, "--trials", "1"]) == 0
+    assert main(arguments) == 0
+    assert "trial 2 of 2" in capsys.readouterr().out
+    with (out / "trials.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["state"] for row in rows] == ["COMPLETE", "COMPLETE"]
+    assert json.loads((out / "manifest.json").read_text())["summary"]["trials"] == 2
