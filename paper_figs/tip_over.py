@@ -25,7 +25,7 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
     for feedback, (colour, marker) in zip(study["feedback"].values.tolist(), LOOKS, strict=False):
         for friction, dash in zip(study["friction"].values.tolist(), DASHES, strict=False):
             cell = study.sel(feedback=feedback, friction=friction)
-            label = f"{feedback}, sole friction {friction:g}"
+            label = feedback + (f", sole friction {friction:g}" if study["friction"].size > 1 else "")
             size = np.hypot(cell["force"].sel(xyz="x"), cell["force"].sel(xyz="y"))
             # A hollow marker: beyond, the robot slips rather than tips.
             slips = cell["slips"].values.astype(bool)
@@ -37,7 +37,7 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
     forces.set_ylabel("its horizontal force [N]")
     for axes, mark in ((speeds, "a"), (forces, "b")):
         style.letter(axes, mark)
-        axes.set_xlabel("direction of the wind [deg], 0 from ahead, 90 from the left")
+        axes.set_xlabel("wind from [deg]: 0 ahead, 90 left, 180 behind")
         axes.set_xticks(direction)
         axes.set_ylim(bottom=0.0)
     style.legend_above(speeds, columns=1)
