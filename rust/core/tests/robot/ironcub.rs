@@ -186,7 +186,10 @@ fn axisymmetric_coefficients() {
             let expected: Vec<_> = expected
                 .map(|(set, cda, cna)| (set.to_owned(), AxisymmetricCoefficients { cda, cna }))
                 .into();
-            let found: Vec<_> = link.coefficients.clone().into_iter().collect();
+            // `refit` is our own fit; `tests/units/test_fit_aero.py` holds it to the data it was made from.
+            let found: Vec<_> =
+                link.coefficients.clone().into_iter().filter(|(set, _)| set != "refit").collect();
+            assert!(link.coefficients.contains_key("refit"), "{name}");
             assert_eq!(found, expected, "{name}");
             seen += 1;
         }
