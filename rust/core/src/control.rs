@@ -161,7 +161,7 @@ pub struct Controller {
     momentum_solver: QpChain,
     torque_solver: QpChain,
     standing_solver: Option<RowQpChain>,
-    /// Foot wrenches that were handed over and cannot be used.
+    /// Whether the foot wrenches that were handed over last can be used.
     feet_are_sound: bool,
     /// What stands for the thrusts where jets are not used.
     no_thrust: Vec<f64>,
