@@ -56,6 +56,8 @@ reproduce: $(MODULE) ## fly everything, draw everything, write results/report.md
 	$(BIN)/python -m experiments engine-choice
 	$(BIN)/python -m experiments force-rate
 	$(BIN)/python -m experiments tip-over
+	$(BIN)/python -m experiments calibrate-surrogate
+	$(BIN)/python -m experiments identify-aero
 	$(BIN)/python -m experiments trim hover_posture --map
 	$(BIN)/python -m experiments trim free_joints --map
 	$(BIN)/python -m experiments trajectory

@@ -1,7 +1,9 @@
 """Run flights by name and say how they ended.
 
-Other commands: `sweep` (many perturbed flights), `report` (all results in one page), `engine-choice` (battery against
-fuel); `python -m experiments COMMAND --help` explains each.
+Other commands, each explained by `python -m experiments COMMAND --help`: `sweep` (many perturbed flights), `report`
+(all results on one page), `trim`, `trajectory`, `force-rate`, `tip-over`, `engine-choice` (battery against fuel),
+`identify-aero` (coefficients from a flight's log), `import-cfd`, `fit-aero`, `calibrate-surrogate`,
+`surrogate-dataset` (data to learn from), `train` and `train-search` (networks).
 
 A result goes to `results/flight/NAME/`; with --set, the folder's name tells the changes, e.g.
 `test1--wind.velocity=0_-12_0`. With --out DIR it goes to `DIR/NAME/`, whatever was set.
@@ -31,6 +33,7 @@ COMMANDS = {
     "trajectory": "experiments.trajectory",
     "force-rate": "experiments.force_rate",
     "tip-over": "experiments.tip_over",
+    "identify-aero": "experiments.identify_aero",
     "import-cfd": "experiments.import_cfd",
     "fit-aero": "experiments.fit_aero",
     "calibrate-surrogate": "experiments.calibrate_surrogate",

@@ -1,6 +1,6 @@
 """A worked example of differentiability: find a robot's aerodynamic coefficients from the log of one flight.
 
-`python -m experiments.identify_aero` flies TEST2 with a robot whose force areas are not those of its file, writes down
+`python -m experiments identify-aero` flies TEST2 with a robot whose force areas are not those of its file, writes down
 what sensors would (positions, velocities with noise, thrusts and torques as commanded, the wind), and asks which areas
 explain the log. From many logged states it simulates the next 0.1 s under the logged commands, compares the velocities,
 and follows the gradient through that simulation. The controller knows nothing of this. Whether the answer is good is
@@ -70,7 +70,7 @@ class Segments(NamedTuple):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
-    parser = argparse.ArgumentParser(prog="python -m experiments.identify_aero", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m experiments identify-aero", description=__doc__)
     parser.add_argument("--seed", type=int, default=1, help="of the true areas and of the noise (default 1)")
     parser.add_argument("--steps", type=int, default=STEPS, help=f"steps of the descent (default {STEPS})")
     given = parser.parse_args(arguments)
