@@ -50,7 +50,7 @@ figures: $(MODULE) ## draw every figure whose results are there; flies the demo'
 	$(BIN)/python -m experiments $(DEMO)
 	-$(BIN)/python -m paper_figs all
 
-reproduce: $(MODULE) ## fly everything, draw everything, write results/report.md and .html (half an hour on 2 cores)
+reproduce: $(MODULE) ## fly everything, draw everything, write results/report.md and .html (20 minutes on 2 cores)
 	$(BIN)/python -m experiments --all
 	$(BIN)/python -m experiments sweep --all
 	$(BIN)/python -m experiments engine-choice
