@@ -68,9 +68,8 @@ def _map(
     axes: Axes, cells: pd.DataFrame, names: tuple[str, str], quantity: str, colours: str, limits: tuple[float, float]
 ) -> AxesImage:
     table = cells.assign(share=100.0 * cells["completed"] / cells["flights"].clip(lower=1))
-    values = table.pivot_table(
-        index=names[0], columns=names[1], values="share" if quantity == "completed" else quantity
-    )
+    # Not `pivot_table`, which drops a level that has no number anywhere and so moves the others.
+    values = table.pivot(index=names[0], columns=names[1], values="share" if quantity == "completed" else quantity)
     norm = Normalize(*limits)
     image = axes.imshow(values, cmap=colours, norm=norm, aspect="auto", origin="lower")
     axes.set_xticks(range(values.shape[1]), [f"{value:g}" for value in values.columns])

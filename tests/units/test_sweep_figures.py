@@ -8,10 +8,11 @@ import pandas as pd
 import pytest
 from PIL import Image
 
+from paper_figs import maps
 from paper_figs.__main__ import SWEEPS, main
 from paper_figs.ablation import _is_geometric
 from paper_figs.scatter import correlations
-from paper_figs.sweeps import Sweep, axis_label
+from paper_figs.sweeps import Sweep, axis_label, load
 
 AXES = {
     "world": {"name": "world", "label": "world", "unit": "", "levels": ["side", "ahead"]},
@@ -70,6 +71,19 @@ def test_every_drawing_gives_pdf_and_png_with_the_hash_of_its_sweep(drawing, axe
     with Image.open(tmp_path / "made_up.png") as picture:
         assert picture.width > 1000
         assert picture.info["Description"] == f"sweep made_up config {'ab' * 32}"
+
+
+def test_a_map_keeps_the_row_of_a_level_without_any_number(tmp_path):
+    write(tmp_path, "made_up", "map", ["world", "scale", "speed"])
+    cells = pd.read_parquet(tmp_path / "made_up/cells.parquet")
+    cells.loc[(cells["world"] == "ahead") & (cells["scale"] == 0.0), "com_error_worst"] = np.nan  # lost at once
+    cells.to_parquet(tmp_path / "made_up/cells.parquet")
+    figure = maps.draw(load(tmp_path, "made_up"))
+    panels = [axes for axes in figure.axes if axes.get_images()]
+    assert len(panels) == 6
+    assert [axes.get_images()[0].get_array().shape for axes in panels] == 6 * [(3, 2)]
+    labels = [[label.get_text() for label in axes.get_yticklabels()] for axes in panels]
+    assert labels == 3 * [["0", "1", "2"], []]  # the left panel of each pair says it for both
 
 
 def test_the_same_results_give_the_same_bytes(tmp_path):
