@@ -44,7 +44,7 @@ bench: $(MODULE) ## measure every part of a tick, and the crate beside Pinocchio
 	cargo bench --locked --bench dynamics --bench aero --bench qp --bench flight
 	$(BIN)/python -m experiments.bench
 	$(BIN)/python -m experiments.bench_symbolic
-	$(BIN)/python -m experiments.bench_jax
+	$(BIN)/python -m experiments.bench_jax --quick
 
 figures: $(MODULE) ## draw every figure whose results are there; flies the demo's flights if they are not
 	$(BIN)/python -m experiments $(DEMO)

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 
 def main() -> None:
-    """Draw the hovering robot from its left and from behind."""
+    """Draw the hovering robot from its right and from behind."""
     mpl.rcParams.update({"font.size": 9, "axes.spines.right": False, "axes.spines.top": False})
     config = reference.load_config(EXPERIMENT)
     jax.config.update("jax_enable_x64", True)

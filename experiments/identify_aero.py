@@ -18,7 +18,6 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from typing import Any, NamedTuple
 
 import jax
@@ -27,7 +26,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import Refused, manifest, study
+from experiments import Refused, study
 from jax_aero import reference, sim
 from jax_aero.aero import Axisymmetric
 from jax_aero.config import flight_config
@@ -113,23 +112,20 @@ def run(seed: int = 1, steps: int = STEPS) -> dict[str, Any]:
         forces = forces_along(judge, {"file": model, "identified": found, "true": true_model})
 
     dataset = to_dataset(families, truth, theta, losses, forces, flight.plant.robot.aero_links.names, member.ravel())
-    digest = study.digest(config, [])
+    asked = {"flight": config, "judge": JUDGE, "seed": seed, "steps": steps}
+    digest = study.digest(asked, [])
     dataset.attrs["loss_true"] = loss_true
     dataset.attrs |= {"title": "Aerodynamic coefficients from a flight's log", "config_hash": digest}
-    document = {
-        "name": "aero",
-        "title": dataset.attrs["title"],
-        "summary": figures(dataset),
-        "config_digest": digest,
-        "config": manifest.portable({"flight": config, "judge": JUDGE, "seed": seed, "steps": steps}),
-        "command": f"python -m experiments.identify_aero --seed {seed} --steps {steps}",
-        "engine": "jax",
-        "timings_s": {key: round(value, 2) for key, value in seconds.items()},
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "git": manifest.git_state(),
-        "versions": manifest.versions() | {"jax": jax.__version__},
-        "device": manifest.device(),
-    }
+    document = study.build_manifest(
+        "aero",
+        dataset.attrs["title"],
+        asked,
+        digest,
+        summary=figures(dataset),
+        timings=seconds,
+        command=["python", "-m", "experiments", "identify-aero", "--seed", str(seed), "--steps", str(steps)],
+        engine="jax",
+    )
     study.write(study.RESULTS / "identify" / "aero", dataset, document)
     return document
 

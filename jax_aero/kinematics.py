@@ -16,7 +16,6 @@ from jax_aero.types import Array, Kinematics, State
 
 def kinematics(robot: RobotModel, state: State) -> Kinematics:
     """Poses and velocities of all bodies, and the centre of mass."""
-    n = robot.n_joints
     parents = np.array(robot.parent[1:])
     moves = sum_over_ancestors(robot, state.velocity.dtype)
     local = multiply(robot.joint_rotations, axis_angle(jnp.asarray(robot.joint_axes), state.joint_position))
@@ -29,14 +28,18 @@ def kinematics(robot: RobotModel, state: State) -> Kinematics:
     positions = state.base_position + moves @ arms
     linear = state.velocity[:3] + moves @ cross(angular[parents], arms)
     offsets = rotate(rotations, robot.coms) + (positions - state.base_position)
-    com = state.base_position + robot.masses @ offsets / robot.masses.sum()
-    assert axes.shape == (n, 3)
+    com = state.base_position + robot.masses @ offsets / robot.mass
     return Kinematics(rotations, positions, axes, com, angular, linear, state.joint_position)
 
 
 def sum_over_ancestors(robot: RobotModel, dtype: np.dtype[np.generic] | type) -> Array:
     """(nb, n) matrix that sums, for every body, over the joints between it and the base."""
     return jnp.asarray(robot.ancestors, dtype)
+
+
+def carriers(robot: RobotModel, bodies: tuple[int, ...], dtype: np.dtype[np.generic] | type) -> Array:
+    """(k, n) static mask: whether joint `j` moves the body of point `k`."""
+    return jnp.asarray(robot.ancestors[np.array(bodies, dtype=int)], dtype)
 
 
 def _compose_along_tree(robot: RobotModel, base_rotation: Array, local: Array) -> Array:
@@ -54,12 +57,6 @@ def _compose_along_tree(robot: RobotModel, base_rotation: Array, local: Array) -
     return jnp.concatenate(done)[order]
 
 
-def jacobian(robot: RobotModel, kin: Kinematics, body: int, point: Array) -> tuple[Array, Array]:
-    """Linear and angular Jacobian (3, N) of the point of `body` that is at `point` [m] now."""
-    linear, angular = point_jacobians(robot, kin, (body,), point[None])
-    return linear[0], angular[0]
-
-
 def point_jacobians(robot: RobotModel, kin: Kinematics, bodies: tuple[int, ...], points: Array) -> tuple[Array, Array]:
     """Linear and angular Jacobians (k, 3, N), (k, 3, N) of points (k, 3) that move with `bodies`.
 
@@ -67,7 +64,7 @@ def point_jacobians(robot: RobotModel, kin: Kinematics, bodies: tuple[int, ...],
     moves the body.
     """
     k, dtype = len(bodies), points.dtype
-    moves = jnp.asarray(robot.ancestors[np.array(bodies, dtype=int)], dtype)[..., None]
+    moves = carriers(robot, bodies, dtype)[..., None]
     unit = jnp.broadcast_to(jnp.eye(3, dtype=dtype), (k, 3, 3))
     arms = points[:, None, :] - kin.body_positions[None, 1:, :]
     columns = moves * cross(kin.joint_axes[None], arms)
@@ -86,7 +83,7 @@ def generalised_force(
     A joint feels the force and moment of all it carries: `τ_j = a · (Σ p × f − o_j × Σ f)`, about the base origin.
     """
     origin = kin.body_positions[0]
-    moves = jnp.asarray(robot.ancestors[np.array(bodies, dtype=int)], forces.dtype)
+    moves = carriers(robot, bodies, forces.dtype)
     moments = cross(points - origin, forces)
     carried = moves.T @ jnp.concatenate([forces, moments], axis=1)
     about_joint = carried[:, 3:] - cross(kin.body_positions[1:] - origin, carried[:, :3])

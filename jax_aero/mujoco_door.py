@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero.robot import RobotModel
-from jax_aero.spatial import multiply, rotate, rotate_back, rotation_from_wxyz, skew, wxyz_from_rotation
+from jax_aero.spatial import multiply, rotate_back, skew, wxyz_from_rotation
 from jax_aero.types import Array, State
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that a GPU backend nobody asked for is not installed
@@ -96,15 +96,6 @@ def to_mujoco(robot: RobotModel, state: State) -> tuple[Array, Array]:
     angular_b = rotate_back(state.base_rotation, state.velocity[3:6])
     ours = jnp.concatenate([state.velocity[:3], angular_b, state.velocity[6:]])
     return qpos, jnp.zeros(n - 1, dtype).at[order.dofs].set(ours)
-
-
-def from_mujoco(robot: RobotModel, qpos: Array, qvel: Array) -> State:
-    """Inverse of `to_mujoco`."""
-    order = order_of(robot.source, robot.joint_names)
-    rotation = rotation_from_wxyz(qpos[3:7])
-    ours = qvel[order.dofs]
-    velocity = jnp.concatenate([ours[:3], rotate(rotation, ours[3:6]), ours[6:]])
-    return State(qpos[:3], rotation, qpos[order.joints], velocity)
 
 
 def mass_matrix_and_bias(robot: RobotModel, state: State) -> tuple[Array, Array]:

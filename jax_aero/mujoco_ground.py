@@ -88,8 +88,7 @@ class GroundPlant:
         model.dof_damping[6:] = HOLD_DAMPING
         for _ in range(round(settling / model.opt.timestep)):
             mujoco.mj_step(model, self.data)
-        self.data.qfrc_actuator[:] = self.data.qfrc_passive  # what held the joints, for the first measurement
-        held = self.data.qfrc_passive[self._order.dofs[6:]].copy()
+        held = self.data.qfrc_passive[self._order.dofs[6:]].copy()  # for the first measurement
         model.jnt_stiffness[:] = 0.0
         model.dof_damping[:] = own_damping
         self.data.time = 0.0
@@ -233,13 +232,14 @@ def fly(config: Mapping[str, Any], progress: reference.Progress | None = None) -
     if "wind_estimate" in config["controller"]:
         raise ValueError("this engine does not know `controller.wind_estimate`")
     plant, controller = GroundPlant(config), reference.Controller(config)
-    blowing = reference.wind_velocity(config["wind"], _times(simulator))
-    told = reference.wind_velocity(config.get("fictitious_wind", config["wind"]), _times(simulator))
+    times = _times(simulator)
+    blowing = reference.wind_velocity(config["wind"], times)
+    told = reference.wind_velocity(config.get("fictitious_wind", config["wind"]), times)
     thrust = np.asarray(simulator["initial"]["thrust"], dtype=np.float64)
     rows: list[dict[str, Any]] = []
     fall: tuple[float, str] | None = None
     posture = None
-    for k, time in enumerate(_times(simulator)):
+    for k, time in enumerate(times):
         if not plant.is_sound:
             fall = (time, "state not finite")
             break

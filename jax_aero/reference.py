@@ -234,7 +234,8 @@ class Tick:
     com_position, mass_matrix, bias, momentum_matrix, momentum, centroidal_inertia
         As in `Dynamics`.
     link_axes, link_v_air
-        Symmetry axis and velocity of the air relative to each aerodynamic link [m/s], (links, 3).
+        Symmetry axis of each aerodynamic link and velocity of the air relative to it (for a network, to the base
+        origin) [m/s], (links, 3).
     link_arm_points, link_jacobian_points
         Where moments are formed and whose Jacobians carry the forces [m], (links, 3).
     aero_force

@@ -76,20 +76,6 @@ class AeroLinks:
 
 
 @pytree
-class Feet:
-    """Sole frames and the corners that can touch the ground."""
-
-    names: Static[tuple[str, ...]]
-    bodies: Static[tuple[int, ...]]
-    rotations: Array
-    """(f, 3, 3) `body_from_sole`."""
-    positions: Array
-    """(f, 3) origins in body axes [m]."""
-    vertices: tuple[Array, ...]
-    """For each foot (k, 3): corners in sole axes [m]."""
-
-
-@pytree
 class RobotModel:
     """A robot. Body 0 is the floating base; joint `i` moves body `i + 1`; ancestors come first."""
 
@@ -120,7 +106,6 @@ class RobotModel:
     """() [m/s²], positive; pulls along −z."""
     jets: Jets
     aero_links: AeroLinks
-    feet: Feet
     engines: dict[str, Array]
     """By name: (12,) coefficients in the order of `ENGINE_KEYS`."""
 
@@ -128,11 +113,6 @@ class RobotModel:
     def n_joints(self) -> int:
         """Number of joints that move."""
         return len(self.joint_names)
-
-    @property
-    def n_bodies(self) -> int:
-        """Number of bodies, the base included."""
-        return len(self.parent)
 
     @property
     def n_velocities(self) -> int:
@@ -215,7 +195,6 @@ def load_robot(path: str | PathLike[str]) -> RobotModel:
         gravity=_leaf(table.get("gravity", 9.81)),
         jets=_jets(table.get("jets", []), tree, table.get("engines", {})),
         aero_links=_aero_links(table.get("aero_links", []), tree, table.get("coefficients", {})),
-        feet=_feet(table.get("feet", []), tree),
         engines={
             name: _leaf([engine[key] for key in ENGINE_KEYS]) for name, engine in table.get("engines", {}).items()
         },
@@ -311,15 +290,4 @@ def _aero_links(entries: Sequence[Mapping[str, Any]], tree: BodyTree, sets: Mapp
         diameters=_leaf([entry["diameter"] for entry in entries]),
         lengths=_leaf([entry["length"] for entry in entries]),
         coefficients=coefficients,
-    )
-
-
-def _feet(entries: Sequence[Mapping[str, Any]], tree: BodyTree) -> Feet:
-    bodies, rotations, positions = _frames(entries, tree)
-    return Feet(
-        names=tuple(entry["name"] for entry in entries),
-        bodies=bodies,
-        rotations=rotations,
-        positions=positions,
-        vertices=tuple(_leaf(entry["vertices"]) for entry in entries),
     )

@@ -122,6 +122,12 @@ class Reference(NamedTuple):
     """(3,) [rad/s³]."""
 
 
+def where(condition: Array, yes: Tree, no: Tree) -> Tree:
+    """Return `yes` where the condition holds and `no` elsewhere, leaf by leaf."""
+    chosen: Tree = jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
+    return chosen
+
+
 def with_dtype(tree: Tree, dtype: Any) -> Tree:
     """Return the tree with every floating-point leaf in this precision."""
 

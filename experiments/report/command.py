@@ -165,9 +165,9 @@ def _sweep(page: Page, results: Results, name: str, sweep: Sweep) -> None:
 def _edge(sweep: Sweep) -> str:
     """Say up to where all is well along a single number, world by world."""
     document = sweep.document
-    if document["drawing"] != "curve":
+    if document["drawing"] != "curve" or not document["panels"]:
         return ""
-    panel, axis = document["panels"], document["axes"][-1]
+    axis = document["axes"][-1]
     between = [part["name"] for part in document["axes"][:-1]]
     groups: dict[tuple[str, ...], list[dict[str, object]]] = {}
     for cell in sweep.cells:
@@ -180,7 +180,7 @@ def _edge(sweep: Sweep) -> str:
         said.append(
             f"{where}: {_spans(sound, [cell[axis['name']] for cell in cells])}{unit}" if sound else f"{where}: nowhere"
         )
-    return f"All flights of a point complete at — {'; '.join(said)}." if panel else ""
+    return f"All flights of a point complete at — {'; '.join(said)}."
 
 
 def _spans(values: Sequence[object], known: Sequence[object]) -> str:

@@ -1,4 +1,4 @@
-"""Everything a report is made from, read once: flights, sweeps, the engine comparison."""
+"""Everything a report is made from, read once: flights, ground experiments, sweeps."""
 
 from __future__ import annotations
 
@@ -68,12 +68,6 @@ class Results:
             document = json.loads((path.parent / "sweep.json").read_text(encoding="utf-8"))
             found[path.parent.name] = Sweep(document, pq.read_table(path).to_pylist())
         return found
-
-    @cached_property
-    def engine_choice(self) -> dict[str, Any] | None:
-        """Return the comparison of battery and fuel, if it was made."""
-        path = self.folder / "engine_choice.json"
-        return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
 
     def figure(self, name: str) -> str | None:
         """Return the path of a figure beside the report, if it was drawn."""

@@ -41,11 +41,6 @@ class Axis:
     low: float = 0.0
     high: float = 0.0
 
-    @property
-    def is_numeric(self) -> bool:
-        """Return whether the axis is a number line."""
-        return all(isinstance(level.label, float) for level in self.levels)
-
     def sampled(self, value: float) -> Level:
         """Return the level of one value."""
         return Level(value, dict.fromkeys(self.keys, value))

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-import numpy as np
 
 from experiments import Refused, manifest, study
 from jax_aero.aero.network import ACTIVATIONS, BLOCKS, Network, check_output, init_network
@@ -206,8 +205,3 @@ def _settings(table: Mapping[str, Any]) -> Settings:
 def robot() -> RobotModel:
     """Return the robot whose links the datasets describe."""
     return load_robot(ROBOT)
-
-
-def finite(value: float) -> float | None:
-    """Return a number as JSON knows it."""
-    return float(value) if np.isfinite(value) else None

@@ -10,8 +10,9 @@ aerodynamic centre, where its force acts.
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
 from jax_aero.aero.factors import ForceFactors, force_factors, weighted
 from jax_aero.aero.link_forces import LinkConventions, generalised_aero_force, link_forces, scaled, wrench_about
-from jax_aero.aero.model import AeroModel, NetworkModel, Off, aero_model, model_forces
+from jax_aero.aero.model import AeroModel, NetworkModel, aero_model, model_forces
 from jax_aero.aero.sphere_cylinder import SphereCylinder, sphere_cylinder_forces
+from jax_aero.config import Off
 
 __all__ = [
     "AeroModel",

@@ -206,12 +206,18 @@ def fit(dataset: Dataset, axes: Floats) -> dict[str, FamilyFit]:
     return fits
 
 
+def drag_areas(coefficients: Floats, geometry: Angles) -> Floats:
+    """Drag areas (N, L) [m²] of the axisymmetric model from coefficients (L, 6) [m²]."""
+    terms = zip(coefficients.T, MODEL_TERMS, strict=False)
+    return np.asarray(sum(w * geometry.cos**i * geometry.sin**j for w, (i, j) in terms))
+
+
 def predicted_areas(coefficients: Floats, axes: Floats, wind_b: Floats) -> Floats:
     """Force areas (N, L, 3) of the axisymmetric model, base axes, from coefficients (L, 6) [m²], axes and winds."""
     geometry = angles(axes, wind_b)
-    drag = sum(w * geometry.cos**i * geometry.sin**j for w, (i, j) in zip(coefficients.T, MODEL_TERMS, strict=False))
+    drag = drag_areas(coefficients, geometry)
     normal = coefficients[:, 5] * geometry.sin * geometry.cos
-    areas: Floats = np.asarray(drag)[..., None] * geometry.wind + normal[..., None] * geometry.normal
+    areas: Floats = drag[..., None] * geometry.wind + normal[..., None] * geometry.normal
     return areas
 
 

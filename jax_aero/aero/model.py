@@ -11,13 +11,9 @@ from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
 from jax_aero.aero.network import Network, network_forces, with_precision
 from jax_aero.aero.network_card import load_network
 from jax_aero.aero.sphere_cylinder import SphereCylinder, sphere_cylinder_forces, sphere_cylinder_model
+from jax_aero.config import Off
 from jax_aero.robot import RobotModel
 from jax_aero.types import Array, Kinematics, Static, pytree
-
-
-@pytree
-class Off:
-    """No aerodynamic force: what the baseline controller assumes."""
 
 
 @pytree

@@ -22,7 +22,7 @@ from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
 from jax_aero.kinematics import frame_poses, kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import rotate, rotate_back, safe_norm
-from jax_aero.types import Array, Kinematics, State, Static, pytree
+from jax_aero.types import Array, Kinematics, State, Static, pytree, with_dtype
 
 Block: TypeAlias = Literal["wind", "joints", "link_wind", "link_position", "link_shadow"]
 Frame: TypeAlias = Literal["base", "link", "wind"]
@@ -396,9 +396,5 @@ def network_forces(
 
 def with_precision(network: Network, dtype: Any) -> Network:
     """Return the network with weights, scale and offset in this precision; features and geometry keep theirs."""
-
-    def convert(leaf: Any) -> Array:
-        return jnp.asarray(leaf, dtype)
-
-    layers = tuple(Layer(convert(layer.weight), convert(layer.bias)) for layer in network.layers)
-    return replace(network, layers=layers, scale=convert(network.scale), offset=convert(network.offset))
+    layers, scale, offset = with_dtype((network.layers, network.scale, network.offset), dtype)
+    return replace(network, layers=layers, scale=scale, offset=offset)

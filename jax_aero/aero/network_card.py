@@ -10,7 +10,6 @@ import hashlib
 import itertools
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any, cast
@@ -252,8 +251,3 @@ def _baseline_rows(table: Mapping[str, Any] | None, names: Sequence[str]) -> Arr
         if not np.isfinite(rows[-1]).all():
             raise ValueError(f"`architecture.baseline` of link `{name}` is {row!r}; expected finite numbers")
     return cast(Array, np.array(rows, dtype=np.float64))
-
-
-def with_weights(network: Network, layers: Sequence[Layer]) -> Network:
-    """Return the network with other weights of the same shapes."""
-    return replace(network, layers=tuple(layers))

@@ -10,14 +10,14 @@ out one posture's records at a time.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from jax_aero.aero.dataset import LINKS, Floats, tunnel_from_base, wind_direction
-from jax_aero.aero.fit import FAMILIES, MODEL_TERMS, angles
+from jax_aero.aero.fit import FAMILIES, angles, drag_areas
 from jax_aero.aero.posture import link_axes
 from jax_aero.aero.surrogate import TERMS, Features
 from jax_aero.robot import RobotModel
@@ -109,7 +109,7 @@ def prepare(robot: RobotModel, coefficients: Floats, features: Features, records
     shapes = np.unique(records.joint_position_deg, axis=0)
     joints, wind = np.repeat(shapes, len(pitch), axis=0), np.tile(wind_direction(pitch, yaw), (len(shapes), 1))
     geometry = angles(link_axes(robot, joints), wind)
-    drag = np.sum([w * geometry.cos**i * geometry.sin**j for w, (i, j) in _columns(coefficients)], axis=0)
+    drag = drag_areas(coefficients, geometry)
     along = np.einsum("nlma,na->nlm", features(joints, wind), wind)
     size = N_FAMILIES * N_TERMS
     curves = Normal(np.zeros((size, size)), np.zeros(size))
@@ -127,10 +127,6 @@ def prepare(robot: RobotModel, coefficients: Floats, features: Features, records
     for link, family in enumerate(FAMILY_OF):
         design[:, :, family] += turned[:, link]
     return Calibration(curves, design.reshape(-1, 3, size), records.force_area_w, records.posture)
-
-
-def _columns(coefficients: Floats) -> Iterator[tuple[Floats, tuple[int, int]]]:
-    yield from zip(coefficients.T, MODEL_TERMS, strict=False)
 
 
 def solve(calibration: Calibration, settings: Settings, rows: Floats | None = None) -> Floats:

@@ -16,10 +16,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 
 from jax_aero.aero import wrench_about
-from jax_aero.kinematics import frame_poses
+from jax_aero.kinematics import carriers, frame_poses
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import cross, rotate, skew
 from jax_aero.types import Array, Dynamics, Kinematics, LinkForces
@@ -67,7 +66,7 @@ def momentum_model(
     axes = rotate(rotations, jets.axes)
     a_t = jnp.concatenate([axes, cross(points - kin.com, axes)], axis=1).T
 
-    com_jacobian = dyn.momentum_matrix[:3] / robot.masses.sum()
+    com_jacobian = dyn.momentum_matrix[:3] / robot.mass
     lambda_t = _lambda_t(robot, kin, com_jacobian, points, thrust[:, None] * axes)
     lambda_a = jnp.zeros_like(lambda_t)
     if lambda_feedback:
@@ -77,7 +76,7 @@ def momentum_model(
     if rate_feedback:
         wrench = wrench_about(link, kin.com)
         rate_estimate = rate_estimate + (wrench if share is None else share * wrench)
-    rate_estimate = rate_estimate.at[2].add(-robot.masses.sum() * robot.gravity)
+    rate_estimate = rate_estimate.at[2].add(-robot.mass * robot.gravity)
     return MomentumModel(axes, points, a_t, lambda_t, lambda_a, rate_estimate)
 
 
@@ -94,7 +93,7 @@ def _lambda_t(robot: RobotModel, kin: Kinematics, com_jacobian: Array, points: A
     base = kin.body_positions[0]
     moments = cross(points - base, forces)
     total, total_moment = forces.sum(0), moments.sum(0)
-    carried = _moves(robot, robot.jets.bodies, forces).T @ jnp.concatenate([forces, moments], axis=1)
+    carried = carriers(robot, robot.jets.bodies, forces.dtype).T @ jnp.concatenate([forces, moments], axis=1)
     force, moment_about_base = carried[:, :3], carried[:, 3:]
     origins = kin.body_positions[1:]
     moment = moment_about_base - cross(origins - base, force)
@@ -123,7 +122,7 @@ def _lambda_a(robot: RobotModel, kin: Kinematics, com_jacobian: Array, link: Lin
     arms = link.jacobian_points - base
     products = (arms[:, :, None] * link.forces[:, None, :]).reshape(-1, 9)
     sums = jnp.concatenate([link.forces, products], axis=1)
-    carried = _moves(robot, robot.aero_links.bodies, sums).T @ sums
+    carried = carriers(robot, robot.aero_links.bodies, sums.dtype).T @ sums
     force, about_base = carried[:, :3], carried[:, 3:].reshape(-1, 3, 3)
     origins = kin.body_positions[1:] - base
     p = about_base - origins[:, :, None] * force[:, None, :]
@@ -139,8 +138,3 @@ def _lambda_a(robot: RobotModel, kin: Kinematics, com_jacobian: Array, link: Lin
 def _com_motion(total_force: Array, com_jacobian: Array) -> Array:
     """Part `(0 ; Σ S(f) J_G)` that all forces share: arms shorten when the centre of mass follows."""
     return jnp.concatenate([jnp.zeros_like(com_jacobian), cross(total_force, com_jacobian.T).T])
-
-
-def _moves(robot: RobotModel, bodies: tuple[int, ...], like: Array) -> Array:
-    """(k, n) static mask: whether joint `j` moves the body of point `k`."""
-    return jnp.asarray(robot.ancestors[np.array(bodies, dtype=int)], like.dtype)

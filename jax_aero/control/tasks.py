@@ -122,7 +122,7 @@ def momentum_qp(
     posture: Array,
 ) -> MomentumQp:
     """Build tasks, cost and bounds of one tick."""
-    linear, linear_offset = _linear_task(gains, robot.masses.sum(), state, kin, dyn, momentum, reference)
+    linear, linear_offset = _linear_task(gains, robot.mass, state, kin, dyn, momentum, reference)
     angular, angular_offset = _angular_tasks(state, dyn, momentum, attitude, inertia_0)
     task = jnp.concatenate([linear, angular])
     offset = jnp.concatenate([linear_offset, angular_offset])

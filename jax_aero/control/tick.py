@@ -13,7 +13,7 @@ Unknowns of the momentum QP: `u = (Ṫ, ṡ)`, thrust rates and joint velocities
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -43,9 +43,7 @@ from jax_aero.dynamics import dynamics
 from jax_aero.kinematics import generalised_force, kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import multiply, rpy_from_rotation
-from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, Reference, State
-
-Tree = TypeVar("Tree")
+from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, Reference, State, where
 
 NOMINAL, BAD_MEASUREMENT, MOMENTUM_HELD, TORQUE_HELD, BOTH_HELD = range(5)
 """Codes of `Command.status`: whether a command is what the controller wanted, as in the Rust crate.
@@ -227,14 +225,14 @@ def tick(
     """
     with jax.default_matmul_precision("highest"):
         accepted = _is_finite((time, state, thrust, wind))
-        time, state, thrust, wind = _where(accepted, (time, state, thrust, wind), _at_rest(memory, thrust))
+        time, state, thrust, wind = where(accepted, (time, state, thrust, wind), _at_rest(memory, thrust))
         generator = memory.references
         if reference is None:
             generator, reference = references.update(params.references, params.envelope, generator, time)
         after, command, terms = _act(
             params, robot, memory._replace(references=generator), state, thrust, wind, reference
         )
-        return _where(accepted, after, memory), _where(accepted, command, _refusal(memory, command)), terms
+        return where(accepted, after, memory), where(accepted, command, _refusal(memory, command)), terms
 
 
 def _act(
@@ -329,11 +327,6 @@ def _act(
 
 def _is_finite(tree: object) -> Array:
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(tree)]))
-
-
-def _where(condition: Array, yes: Tree, no: Tree) -> Tree:
-    chosen: Tree = jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
-    return chosen
 
 
 def _at_rest(memory: ControllerState, thrust: Array) -> tuple[Array, State, Array, Array]:

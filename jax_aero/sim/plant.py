@@ -23,7 +23,7 @@ from jax_aero.aero import (
     link_forces,
     weighted,
 )
-from jax_aero.config import SimulatorConfig
+from jax_aero.config import LeverArm, SimulatorConfig
 from jax_aero.dynamics import Backend, dynamics, forward_dynamics
 from jax_aero.jet_faults import FaultState, JetFaults, delayed, limited, measured, start_faults
 from jax_aero.jets import JetsModel, JetsState, advance_jets, start_jets
@@ -46,7 +46,7 @@ class Plant:
     """What is wrong with the jets."""
     time_step: Array
     """() [s]."""
-    lever_arm: Static[str]
+    lever_arm: Static[LeverArm]
     integrator: Static[str]
     substeps: Static[int]
     is_frozen: Static[bool]
@@ -121,7 +121,7 @@ def observe(
     placed = kin
     if state.first is not None:
         placed = kinematics(plant.robot, state.first._replace(velocity=state.robot.velocity))
-    conventions = LinkConventions(lever_arm="unrotated" if plant.lever_arm == "unrotated" else "rotated")
+    conventions = LinkConventions(lever_arm=plant.lever_arm)
     forces = link_forces(plant.aero, plant.robot, placed, conventions, wind)
     if plant.aero_factors is not None:
         forces = weighted(forces, plant.aero_factors)

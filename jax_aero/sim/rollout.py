@@ -86,11 +86,8 @@ def rollout(
 @jax.jit(static_argnames=("n_ticks",))
 def fly_chunk(flight: Flight, state: FlightState, first_tick: Array, n_ticks: int) -> tuple[FlightState, FlightRow]:
     """Fly some ticks forwards, with the whole log."""
-
-    def one(state: FlightState, tick: Array) -> tuple[FlightState, FlightRow]:
-        return step(flight, state, tick)
-
-    return jax.lax.scan(one, state, first_tick + jnp.arange(n_ticks, dtype=jnp.int32))
+    ticks = first_tick + jnp.arange(n_ticks, dtype=jnp.int32)
+    return jax.lax.scan(partial(step, flight), state, ticks)
 
 
 def fly(

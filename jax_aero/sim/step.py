@@ -13,7 +13,7 @@ as in the Rust crate. A lost flight stays where it was lost: its status is stick
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,9 +30,7 @@ from jax_aero.sim import plant as world
 from jax_aero.sim.plant import Observation, Plant, PlantState
 from jax_aero.sim.wind import wind_velocity
 from jax_aero.spatial import multiply, rotation_angle, rpy_from_rotation, safe_norm, wxyz_from_rotation
-from jax_aero.types import Array, State, pytree
-
-Tree = TypeVar("Tree")
+from jax_aero.types import Array, State, pytree, where
 
 FLYING, LOST_BY_ROTATION, LOST_BY_COM, LOST_NOT_FINITE = range(4)
 """Codes of `FlightState.fall`."""
@@ -174,8 +172,8 @@ def step(flight: Flight, state: FlightState, tick: Array) -> tuple[FlightState, 
     moved = world.advance(flight.plant, state.plant, seen, command.joint_torque, command.thrust_rate, wind)
     goes_on = (state.fall == FLYING) & (fall == FLYING)
     after = FlightState(
-        plant=_where(goes_on, moved, state.plant),
-        memory=_where(goes_on, memory, state.memory),
+        plant=where(goes_on, moved, state.plant),
+        memory=where(goes_on, memory, state.memory),
         told_wind=told,
         fall=jnp.where(lost_now, fall, state.fall),
         fall_error=jnp.where(lost_now, error, state.fall_error),
@@ -248,8 +246,3 @@ def _row(
         qp_kkt=jnp.stack([answer.kkt for answer in answers]),
         qp_iterations=jnp.stack([answer.iterations for answer in answers]),
     )
-
-
-def _where(condition: Array, yes: Tree, no: Tree) -> Tree:
-    chosen: Tree = jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
-    return chosen

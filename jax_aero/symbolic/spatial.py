@@ -12,11 +12,6 @@ from jax_aero.symbolic.robot import Array
 SX = ca.SX
 
 
-def skew(v: SX) -> SX:
-    """Return S(v) with S(v) u = v × u."""
-    return ca.skew(v)
-
-
 def turn_about(axis: Array, angle: SX | float) -> SX:
     """Return the rotation by an angle about a constant unit axis: 1 + sin S + (1 − cos) S²."""
     s = ca.skew(ca.DM(axis))
@@ -35,7 +30,7 @@ def small_turn(phi: SX) -> SX:
     It agrees with exp S(φ) up to second order. So at φ = 0 the rate of φ is the angular velocity and its second
     derivative is the angular acceleration: coordinates of rotations near any given one, free of singularities there.
     """
-    s = skew(phi)
+    s = ca.skew(phi)
     return ca.SX.eye(3) + (s + 0.5 * ca.mtimes(s, s)) / (1 + 0.25 * ca.dot(phi, phi))
 
 

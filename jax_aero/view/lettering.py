@@ -70,14 +70,14 @@ def legend(
     rows: list[tuple[Colour, float, str]] = [
         (drawing.TRAIL, 0.2, "its path"),
         (drawing.REFERENCE, 0.2, "reference of the centre of mass"),
-        (drawing.WIND, 0.0, "wind"),
+        (drawing.WIND, 0.2, "wind"),
         (drawing.PLUME, scales.thrust * 100.0, "thrust 100 N"),
         (drawing.FORCE, scales.force * force, f"aerodynamic force {force:g} N"),
     ]
     longest = max(length for _, length, _ in rows) * pixels_per_metre
     for i, (colour, length, words) in enumerate(rows):
         middle = place[1] - 1.35 * i * size
-        bar = max(length * pixels_per_metre, 0.0) or 0.2 * pixels_per_metre
+        bar = length * pixels_per_metre
         thick = max(size // 7, 1)
         draw.rectangle((place[0], middle - thick, place[0] + bar, middle + thick), fill=colour)
         text(draw, (place[0] + longest + 0.6 * size, middle), words, int(0.85 * size), SOFT, anchor="lm")

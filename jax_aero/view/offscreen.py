@@ -16,7 +16,7 @@ from jax_aero.urdf import Vector
 from jax_aero.view import Refused, drawing, require
 from jax_aero.view.drawing import Colour, Scales
 from jax_aero.view.recording import Instant, Recording
-from jax_aero.view.shapes import Shape, look_of, rotation_onto
+from jax_aero.view.shapes import Look, Shape, look_of, rotation_onto
 
 Image = NDArray[np.uint8]
 
@@ -105,7 +105,7 @@ class Studio:
 
         self._mj = mujoco
         source = str(recording.robot_path)
-        self.model = display_model(recording, width, height)
+        self.model = display_model(recording, self.look, width, height)
         self.data = mujoco.MjData(self.model)
         order = mujoco_door.order_of(source, tuple(recording.robot.joint_names))
         self._joints = order.joints
@@ -257,7 +257,7 @@ class Studio:
         self._geom(kind, [radius, 0.5 * length, 0.0], 0.5 * (start + end), rotation, colour)
 
 
-def display_model(recording: Recording, width: int, height: int) -> Any:
+def display_model(recording: Recording, look: Look, width: int, height: int) -> Any:
     """MuJoCo's model of the robot as `mujoco_door` builds it, dressed for pictures: it has no geometry of its own."""
     import mujoco
 
@@ -270,7 +270,7 @@ def display_model(recording: Recording, width: int, height: int) -> Any:
         "box": mujoco.mjtGeom.mjGEOM_BOX,
     }
     spec.compiler.discardvisual = False
-    look, names = look_of(recording.robot), recording.robot.body_names
+    names = recording.robot.body_names
     for geom in list(spec.geoms):
         spec.delete(geom)
     for shape in look.shapes:

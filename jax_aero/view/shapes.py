@@ -54,8 +54,6 @@ class Mount:
     """[m], body axes."""
     axis: Vector
     """Unit vector, body axes."""
-    capacity: float = 0.0
-    """Greatest thrust of a jet [N]."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +122,7 @@ def _struts(tree: BodyTree, shapes: list[Shape]) -> list[Shape]:
 def _jet(entry: dict[str, Any], tree: BodyTree) -> Mount:
     body, body_from_frame = tree.places[entry["frame"]]
     exhaust = -body_from_frame.rotation @ np.asarray(entry["axis"], dtype=np.float64)
-    return Mount(entry["name"], body, body_from_frame.position, exhaust, float(entry["thrust_max"]))
+    return Mount(entry["name"], body, body_from_frame.position, exhaust)
 
 
 def _link(entry: dict[str, Any], tree: BodyTree) -> Mount:

@@ -128,7 +128,7 @@ pub struct Terms {
     pub attitude: AttitudeDemand,
     /// Tasks and the momentum QP.
     pub momentum_qp: MomentumQp,
-    /// The torque QP of a robot that does not stand.
+    /// The torque QP of a robot that does not stand; of an earlier tick while the feet carry.
     pub torque_qp: TorqueQp,
     /// The feet, for a controller that can stand.
     pub contact: Option<Contact>,

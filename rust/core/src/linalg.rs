@@ -231,16 +231,17 @@ pub fn gram_of_lower(w: &[f64], n: usize, product: &mut [f64]) {
     }
 }
 
-/// Writes the symmetric product `Aᵀ A` of an `n × n` matrix.
+/// Writes the symmetric product `Aᵀ A` of a matrix with `rows` rows and as many columns as `a` holds.
 ///
 /// # Panics
-/// If either slice does not hold an `n × n` matrix.
-pub fn gram(a: &[f64], n: usize, product: &mut [f64]) {
-    for j in 0..n {
+/// If `product` does not hold a square matrix of that many columns.
+pub fn gram(a: &[f64], rows: usize, product: &mut [f64]) {
+    let columns = a.len() / rows.max(1);
+    for j in 0..columns {
         for i in 0..=j {
-            let entry = dot(&a[i * n..][..n], &a[j * n..][..n]);
-            product[i + j * n] = entry;
-            product[j + i * n] = entry;
+            let entry = dot(&a[i * rows..][..rows], &a[j * rows..][..rows]);
+            product[i + j * columns] = entry;
+            product[j + i * columns] = entry;
         }
     }
 }

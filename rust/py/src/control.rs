@@ -156,7 +156,7 @@ impl Controller {
     }
 }
 
-/// The feet and the torque QP of a robot that stands; `None` in place of the QP while it does not.
+/// The feet and the torque QP of a robot that stands; without the keys of the QP while it does not.
 fn contact_dict<'py>(py: Python<'py>, contact: &Contact, qp: &StandingQp) -> PyResult<Bound<'py, PyDict>> {
     let out = PyDict::new(py);
     let feet = contact.soles.len();

@@ -218,6 +218,10 @@ impl Robot {
     }
 }
 
+fn aero_config(aero_json: &str) -> PyResult<AeroConfig> {
+    serde_json::from_str(aero_json).map_err(|error| value_error(BuildError::malformed("aero", error)))
+}
+
 /// Forces (links, 3) [N] of an aerodynamic model, given as JSON, on a robot's links: unit axes and air
 /// velocities (links, 3), inertial axes.
 #[pyfunction]
@@ -229,8 +233,7 @@ pub fn aero_forces<'py>(
     v_air: Input<'py>,
 ) -> PyResult<Output<'py>> {
     let links = robot.model.aero_links.len();
-    let config =
-        serde_json::from_str(aero_json).map_err(|error| value_error(BuildError::malformed("aero", error)))?;
+    let config = aero_config(aero_json)?;
     if matches!(config, AeroConfig::Network(_)) {
         let expected = "a model of single links; `link_forces` evaluates a network";
         return Err(value_error(BuildError::bad_value("aero.model", "network", expected)));
@@ -260,8 +263,7 @@ pub fn link_forces<'py>(
 ) -> PyResult<Output<'py>> {
     let joints = robot.model.n_joints();
     let state = state(joints, &base_position, &base_rotation, &joint_position, &velocity)?;
-    let config =
-        serde_json::from_str(aero_json).map_err(|error| value_error(BuildError::malformed("aero", error)))?;
+    let config = aero_config(aero_json)?;
     let mut model = AeroModel::new(&config, &robot.model).map_err(value_error)?;
     let (kinematics, _) = robot.evaluate(&state);
     let mut forces = LinkForces::new(&robot.model);

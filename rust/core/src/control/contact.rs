@@ -17,7 +17,7 @@ use crate::error::{BuildError, check};
 use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
 use crate::spatial::{Pose, skew};
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Vector6};
 use serde::{Deserialize, Serialize};
 
 /// Numbers of a wrench: force and moment.
@@ -254,12 +254,5 @@ impl Contact {
         for (to, rate) in self.force_rate.iter_mut().zip(rate) {
             *to = if rate.abs() < self.config.force_rate_dead_zone { 0.0 } else { *rate };
         }
-    }
-
-    /// Total force `Σ f_k` of `f_c*` \[N\].
-    #[must_use]
-    pub fn total_force(&self) -> Vector3<f64> {
-        let feet = self.force.as_slice().chunks_exact(WRENCH);
-        feet.map(|wrench| Vector3::from_column_slice(&wrench[..3])).sum()
     }
 }

@@ -113,14 +113,16 @@ impl MomentumModel {
             self.rate_estimate += column * *force;
         }
         let wrenches = contact.force.as_slice().chunks_exact(WRENCH);
+        let mut total = Vector3::zeros();
         for ((foot, sole), wrench) in robot.feet.iter().zip(&contact.soles).zip(wrenches) {
             let force = Vector3::from_column_slice(&wrench[..3]);
+            total += force;
             let lambda = &mut self.lambda;
             kinematics.visit_jacobian_columns(foot.frame.body, &sole.position, |column, j_v, _| {
                 subtract(lambda, column, &stack(&Vector3::zeros(), &force.cross(&j_v)));
             });
         }
-        add_com_motion(&mut self.lambda, dynamics, &contact.total_force());
+        add_com_motion(&mut self.lambda, dynamics, &total);
     }
 
     fn place_jets(&mut self, robot: &RobotModel, kinematics: &Kinematics) {

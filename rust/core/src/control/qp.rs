@@ -105,11 +105,12 @@ impl BoxQp {
 pub enum QpStatus {
     /// `x` is the minimiser: its [`kkt_residual`] is at most [`KKT_TOLERANCE`].
     Solved = 0,
-    /// Iterations ran out; `x` is feasible and no worse than the point the solver started from.
+    /// Iterations ran out; `x` is feasible and no worse than the point the solver started from, or, after the
+    /// dual method, unchanged.
     IterationLimit = 1,
     /// `H` is not positive definite, to working precision, on a set of variables that were free.
     NotPositiveDefinite = 2,
-    /// Some `lower > upper`, or a bound leaves no finite value; `x` is unchanged.
+    /// Some `lower > upper`, or bounds and rows leave no finite value; `x` is unchanged.
     InfeasibleBounds = 3,
     /// NaN or infinity in the data (bounds may be infinite outwards), or overflow; do not use `x`.
     NonFinite = 4,
@@ -140,11 +141,11 @@ impl QpStatus {
 pub struct QpAnswer {
     /// How the solve ended.
     pub status: QpStatus,
-    /// Factorisations (active set) or interior-point iterations (Clarabel).
+    /// Factorisations (active set), changes of the active set (dual) or interior-point iterations (Clarabel).
     pub iterations: u32,
-    /// [`kkt_residual`] of `x`; NaN where there is no answer to judge.
+    /// [`kkt_residual`] or [`row_kkt_residual`] of `x`; NaN where there is no answer to judge.
     pub kkt: f64,
-    /// Variables that sit on a bound, fixed ones included.
+    /// Variables that sit on a bound, fixed ones included, and rows with a multiplier.
     pub active: u32,
 }
 
@@ -156,7 +157,11 @@ impl QpAnswer {
 
     /// Judges `x` by the certificate alone. `otherwise` is the status where it does not pass.
     fn judged(qp: &BoxQp, x: &[f64], iterations: u32, otherwise: QpStatus) -> Self {
-        let kkt = kkt_residual(qp, x);
+        Self::certified(kkt_residual(qp, x), on_bounds(qp, x), iterations, otherwise)
+    }
+
+    /// The status that a certificate allows.
+    fn certified(kkt: f64, active: u32, iterations: u32, otherwise: QpStatus) -> Self {
         let status = if kkt <= KKT_TOLERANCE {
             QpStatus::Solved
         } else if kkt.is_finite() {
@@ -164,11 +169,14 @@ impl QpAnswer {
         } else {
             QpStatus::NonFinite
         };
-        let bounds = qp.lower.iter().zip(qp.upper.iter());
-        let active =
-            x.iter().zip(bounds).map(|(x, (lower, upper))| u32::from(x <= lower || x >= upper)).sum();
         Self { status, iterations, kkt, active }
     }
+}
+
+/// Number of variables on a bound.
+fn on_bounds(qp: &BoxQp, x: &[f64]) -> u32 {
+    let bounds = qp.lower.iter().zip(qp.upper.iter());
+    x.iter().zip(bounds).map(|(x, (lower, upper))| u32::from(x <= lower || x >= upper)).sum()
 }
 
 /// How far `x` is from satisfying the optimality conditions, without units.

@@ -23,11 +23,11 @@ pub struct StandingQp {
     /// The QP handed to the solver; unknowns `(f_c, τ)`.
     pub problem: RowQp,
     /// `P = Bᵀ M⁻¹ B`.
-    pub gain: DMatrix<f64>,
+    gain: DMatrix<f64>,
     /// Accelerations of feet and joints without `u`, less those wanted.
-    pub free_error: DVector<f64>,
+    free_error: DVector<f64>,
     /// Desired joint accelerations `s̈*` \[rad/s²\].
-    pub acceleration_desired: DVector<f64>,
+    acceleration_desired: DVector<f64>,
     /// `Y`, columns of n.
     factored: DMatrix<f64>,
     joint_inverse: DMatrix<f64>,
@@ -106,14 +106,7 @@ impl StandingQp {
             to[..6].fill(0.0);
             to[6..].copy_from_slice(from);
         }
-        let y = self.factored.as_slice();
-        for column in 0..forces + joints {
-            for row in 0..=column {
-                let entry = linalg::dot(&y[row * n..][..n], &y[column * n..][..n]);
-                self.gain[(row, column)] = entry;
-                self.gain[(column, row)] = entry;
-            }
-        }
+        linalg::gram(self.factored.as_slice(), n, self.gain.as_mut_slice());
     }
 
     fn update_cost(&mut self, torque: &TorqueConfig, contact: &Contact, forces: usize, joints: usize) {

@@ -1,6 +1,7 @@
 //! The momentum QP: tasks stacked into a cost, bounds around the unknowns.
 //!
-//! Unknowns `u = (Ṫ, ṡ)`, for a robot with feet `u = (Ṫ, ḟ_c, ṡ)`. Cost `½ uᵀ H u + gᵀ u` of the weighted squares of
+//! Unknowns `u = (Ṫ, ṡ)`, for a controller with `contact` `u = (Ṫ, ḟ_c, ṡ)`.
+//! Cost `½ uᵀ H u + gᵀ u` of the weighted squares of
 //!
 //! ```text
 //! momentum   A_T Ṫ + (Λ_s + K A_s) ṡ + (Λ_b + K A_b) ν_B

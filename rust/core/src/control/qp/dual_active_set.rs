@@ -457,7 +457,7 @@ impl DualActiveSetSolver {
 
     /// Lets go of constraints that the corrected multipliers would pull on; `false` if there are none.
     fn drop_pulling(&mut self, changes: &mut usize) -> bool {
-        let size = self.pressure.iter().fold(1.0_f64, |size, pressure| size.max(pressure.abs()));
+        let size = linalg::max_abs(&self.pressure).max(1.0);
         let mut any = false;
         let mut k = 0;
         while k < self.active.len() {

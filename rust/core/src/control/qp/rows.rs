@@ -130,16 +130,7 @@ pub(super) fn judged_with_rows(
     iterations: u32,
     otherwise: QpStatus,
 ) -> QpAnswer {
-    let kkt = row_kkt_residual(qp, x, multipliers);
-    let status = if kkt <= super::KKT_TOLERANCE {
-        QpStatus::Solved
-    } else if kkt.is_finite() {
-        otherwise
-    } else {
-        QpStatus::NonFinite
-    };
-    let bounds = qp.bounded.lower.iter().zip(qp.bounded.upper.iter());
-    let held: u32 = x.iter().zip(bounds).map(|(x, (lower, upper))| u32::from(x <= lower || x >= upper)).sum();
     let pressing: u32 = multipliers.iter().map(|multiplier| u32::from(*multiplier > 0.0)).sum();
-    QpAnswer { status, iterations, kkt, active: held + pressing }
+    let active = super::on_bounds(&qp.bounded, x) + pressing;
+    QpAnswer::certified(row_kkt_residual(qp, x, multipliers), active, iterations, otherwise)
 }
