@@ -6,6 +6,7 @@ differentiated; everything that gives the computation its shape (names, parents,
 
 from __future__ import annotations
 
+import difflib
 import functools
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -166,12 +167,23 @@ def load_robot(path: str | PathLike[str]) -> RobotModel:
     """
     toml_path = Path(path).resolve()
     table = tomllib.loads(toml_path.read_text())
-    _refuse_unknown_keys(table)
+    try:
+        return _robot(toml_path, table)
+    except ValueError as reason:
+        raise ValueError(f"{toml_path.name}: {reason}") from None
+
+
+def _robot(toml_path: Path, table: Mapping[str, Any]) -> RobotModel:
+    _check_keys(table, _FILE, "")
     groups = [(group["name"], group["joints"]) for group in table["joint_groups"]]
     entries = [entry for _, joints in groups for entry in joints]
     order = [entry["name"] for entry in entries]
     urdf_text = toml_path.with_name(table["urdf"]).read_text()
-    tree = read_tree(urdf_text, table["base_link"], order, table.get("locked", {}))
+    locked = {
+        name: float(_numbers(f"position of locked joint `{name}`", position, ()))
+        for name, position in table.get("locked", {}).items()
+    }
+    tree = read_tree(urdf_text, table["base_link"], order, locked)
     limits = [_limits(entry, joint.limits) for entry, joint in zip(entries, tree.joints, strict=True)]
     ends = np.cumsum([len(joints) for _, joints in groups])
     starts = [0, *ends[:-1].tolist()]
@@ -192,32 +204,81 @@ def load_robot(path: str | PathLike[str]) -> RobotModel:
         joint_positions=_leaf([joint.parent_from_child.position for joint in tree.joints]),
         joint_axes=_leaf([joint.axis for joint in tree.joints]),
         joint_limits=_leaf(limits),
-        gravity=_leaf(table.get("gravity", 9.81)),
+        gravity=_numbers("gravity", table.get("gravity", 9.81), (), positive=True),
         jets=_jets(table.get("jets", []), tree, table.get("engines", {})),
         aero_links=_aero_links(table.get("aero_links", []), tree, table.get("coefficients", {})),
         engines={
-            name: _leaf([engine[key] for key in ENGINE_KEYS]) for name, engine in table.get("engines", {}).items()
+            name: _numbers(f"engines.{name}", [engine[key] for key in ENGINE_KEYS], (len(ENGINE_KEYS),))
+            for name, engine in table.get("engines", {}).items()
         },
     )
 
 
-_KEYS = {
-    "": {
-        *("name", "urdf", "base_link", "gravity", "joint_groups", "locked", "aero_links"),
-        *("coefficients", "jets", "engines", "feet"),
+_ENTRY = {"name": True, "frame": True}
+_FILE: dict[str, Any] = {
+    "name": True,
+    "urdf": True,
+    "base_link": True,
+    "gravity": False,
+    "locked": False,
+    "joint_groups[]": {"name": True, "joints[]": {"name": True, "limits_deg": False}},
+    "aero_links[]": {
+        **_ENTRY,
+        **dict.fromkeys(["family", "axis", "centre", "diameter", "length"], True),
+        "is_sphere": False,
     },
-    "joint_groups": {"name", "joints"},
-    "aero_links": {"name", "frame", "family", "axis", "centre", "diameter", "length", "is_sphere"},
-    "jets": {"name", "frame", "axis", "thrust_max", "engine"},
-    "feet": {"name", "frame", "vertices"},
+    "coefficients": {"*": {"*": {"cda": True, "cna": True}}},
+    "jets[]": {**_ENTRY, "axis": True, "thrust_max": True, "engine": True},
+    "engines": {"*": dict.fromkeys(ENGINE_KEYS, True)},
+    "feet[]": {**_ENTRY, "vertices": True},
 }
+"""Keys of a robot's file, and whether they must be there; `[]` marks lists of tables, `*` any name."""
 
 
-def _refuse_unknown_keys(table: Mapping[str, Any]) -> None:
-    rows = [("", table), *((key, row) for key in _KEYS if key for row in table.get(key, []))]
-    for section, row in rows:
-        if unknown := set(row) - _KEYS[section]:
-            raise ValueError(f"unknown keys {sorted(unknown)} in {section or 'the robot file'}")
+_TEXTS = ("name", "urdf", "base_link", "frame", "family", "engine")
+
+
+def _check_keys(table: Any, keys: Mapping[str, Any], where: str) -> None:
+    """Refuse unknown and missing keys, naming where they stand."""
+    if not isinstance(table, Mapping):
+        raise ValueError(f"`{where}` is {table!r}; expected a table")
+    place = f"{where}." if where else ""
+    if "*" in keys:
+        for name, entry in table.items():
+            _check_keys(entry, keys["*"], place + name)
+        return
+    known = {key.removesuffix("[]"): inner for key, inner in keys.items()}
+    for key in table:
+        if key not in known:
+            near = difflib.get_close_matches(key, known, n=1)
+            hint = f"did you mean `{near[0]}`?" if near else f"expected one of {', '.join(known)}"
+            raise ValueError(f"unknown key `{place}{key}`; {hint}")
+    for key, inner in known.items():
+        if key not in table:
+            if inner is True or key in ("joint_groups", "joints"):
+                raise ValueError(f"`{place}{key}` is missing")
+        elif key in _TEXTS and not isinstance(table[key], str):
+            raise ValueError(f"`{place}{key}` is {table[key]!r}; expected a text")
+        elif f"{key}[]" in keys:
+            if not isinstance(table[key], list):
+                raise ValueError(f"`{place}{key}` is {table[key]!r}; expected a list of tables")
+            for number, entry in enumerate(table[key]):
+                _check_keys(entry, inner, f"{place}{key}[{number}]")
+        elif isinstance(inner, Mapping):
+            _check_keys(table[key], inner, place + key)
+
+
+def _numbers(where: str, value: Any, shape: tuple[int, ...], *, positive: bool = False) -> Array:
+    """Return finite numbers of this shape."""
+    kind = "positive" if positive else "finite"
+    try:
+        numbers = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        numbers = np.full((), np.nan)
+    if numbers.shape != shape or not np.all(np.isfinite(numbers)) or (positive and not np.all(numbers > 0.0)):
+        expected = f"{shape[0]} {kind} numbers" if shape else f"a {kind} number"
+        raise ValueError(f"{where} is {value!r}; expected {expected}")
+    return cast(Array, numbers)
 
 
 def _leaf(value: Any) -> Array:
@@ -226,7 +287,9 @@ def _leaf(value: Any) -> Array:
 
 def _limits(entry: Mapping[str, Any], urdf: tuple[float, float] | None) -> tuple[float, float]:
     if "limits_deg" in entry:
-        lower, upper = (float(np.deg2rad(limit)) for limit in entry["limits_deg"])
+        lower, upper = np.deg2rad(
+            _numbers(f"limits_deg of joint `{entry['name']}`", entry["limits_deg"], (2,))
+        ).tolist()
     elif urdf is not None:
         lower, upper = urdf
     else:
@@ -247,8 +310,12 @@ def _frames(entries: Sequence[Mapping[str, Any]], tree: BodyTree) -> tuple[tuple
     return tuple(body for body, _ in places), _leaf(rotations), _leaf(positions)
 
 
+def _size(entry: Mapping[str, Any], key: str) -> Array:
+    return _numbers(f"{key} of `{entry['name']}`", entry[key], (), positive=True)
+
+
 def _unit(entry: Mapping[str, Any]) -> Any:
-    axis = np.asarray(entry["axis"], dtype=np.float64)
+    axis = _numbers(f"axis of `{entry['name']}`", entry["axis"], (3,))
     length = np.linalg.norm(axis)
     if abs(length - 1.0) > 1e-6:
         raise ValueError(f"axis of `{entry['name']}` is {entry['axis']}; expected a vector of length 1")
@@ -267,7 +334,7 @@ def _jets(entries: Sequence[Mapping[str, Any]], tree: BodyTree, engines: Mapping
         rotations=rotations,
         positions=positions,
         axes=_leaf(np.reshape([_unit(entry) for entry in entries], (-1, 3))),
-        thrust_max=_leaf([entry["thrust_max"] for entry in entries]),
+        thrust_max=_leaf([_size(entry, "thrust_max") for entry in entries]),
     )
 
 
@@ -277,8 +344,14 @@ def _aero_links(entries: Sequence[Mapping[str, Any]], tree: BodyTree, sets: Mapp
     for name, families in sets.items():
         if missing := {entry["family"] for entry in entries} - set(families):
             raise ValueError(f"coefficient set `{name}` lacks the families {sorted(missing)}")
-        rows = [families[entry["family"]] for entry in entries]
-        coefficients[name] = _leaf(np.reshape([[*row["cda"], row["cna"]] for row in rows], (-1, 6)))
+        rows = [
+            [
+                *_numbers(f"cda of coefficients.{name}.{family}", families[family]["cda"], (5,)),
+                _numbers(f"cna of coefficients.{name}.{family}", families[family]["cna"], ()),
+            ]
+            for family in (entry["family"] for entry in entries)
+        ]
+        coefficients[name] = _leaf(np.reshape(rows, (-1, 6)))
     return AeroLinks(
         names=tuple(entry["name"] for entry in entries),
         bodies=bodies,
@@ -286,8 +359,10 @@ def _aero_links(entries: Sequence[Mapping[str, Any]], tree: BodyTree, sets: Mapp
         rotations=rotations,
         positions=positions,
         axes=_leaf(np.reshape([_unit(entry) for entry in entries], (-1, 3))),
-        centres=_leaf(np.reshape([entry["centre"] for entry in entries], (-1, 3))),
-        diameters=_leaf([entry["diameter"] for entry in entries]),
-        lengths=_leaf([entry["length"] for entry in entries]),
+        centres=_leaf(
+            np.reshape([_numbers(f"centre of `{entry['name']}`", entry["centre"], (3,)) for entry in entries], (-1, 3))
+        ),
+        diameters=_leaf([_size(entry, "diameter") for entry in entries]),
+        lengths=_leaf([_size(entry, "length") for entry in entries]),
         coefficients=coefficients,
     )

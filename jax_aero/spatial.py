@@ -97,9 +97,11 @@ def rotation_angle(r: Array) -> Array:
 def log_so3(r: Array) -> Array:
     """Rotation vector (..., 3) of a rotation by less than half a turn: inverse of `exp_so3`."""
     v = vee_of_skew_part(r)
-    sine = safe_norm(v)
-    is_small = sine < 1e-150
-    factor = jnp.where(is_small, 1.0, rotation_angle(r) / jnp.where(is_small, 1.0, sine))
+    square, cosine = jnp.sum(v * v, -1), 0.5 * (jnp.trace(r, axis1=-2, axis2=-1) - 1.0)
+    # There θ/sin θ = 1 + sin²θ/6 to the last bit. At half a turn sin θ may be zero too, and the axis is lost.
+    is_small = (cosine > 0.0) & (square < jnp.finfo(r.dtype).eps) | (square == 0.0)
+    sine = jnp.sqrt(jnp.where(is_small, 1.0, square))
+    factor = jnp.where(is_small, 1.0 + square / 6.0, jnp.arctan2(sine, cosine) / sine)
     return factor[..., None] * v
 
 
@@ -117,9 +119,18 @@ def rotation_from_rpy(rpy: Array) -> Array:
 
 
 def rpy_from_rotation(r: Array) -> Array:
-    """Inverse of `rotation_from_rpy`, pitch in [−π/2, π/2]."""
+    """Inverse of `rotation_from_rpy`, pitch in [−π/2, π/2].
+
+    At a pitch of ±π/2, where roll and yaw are not defined, both are zero and all derivatives finite.
+    """
     pitch = jnp.arctan2(-r[..., 2, 0], safe_norm(jnp.stack([r[..., 0, 0], r[..., 1, 0]], -1)))
-    return jnp.stack([jnp.arctan2(r[..., 2, 1], r[..., 2, 2]), pitch, jnp.arctan2(r[..., 1, 0], r[..., 0, 0])], -1)
+    return jnp.stack([_safe_arctan2(r[..., 2, 1], r[..., 2, 2]), pitch, _safe_arctan2(r[..., 1, 0], r[..., 0, 0])], -1)
+
+
+def _safe_arctan2(y: Array, x: Array) -> Array:
+    """`atan2(y, x)`, zero with gradient zero where both are zero (to rounding of their squares)."""
+    is_zero = x * x + y * y == 0.0
+    return jnp.where(is_zero, 0.0, jnp.arctan2(y, jnp.where(is_zero, 1.0, x)))
 
 
 def project_to_so3(near: Array) -> Array:

@@ -76,16 +76,21 @@ def read_tree(urdf_text: str, base_link: str, order: Sequence[str], locked: Mapp
     ValueError
         Naming the link or joint that cannot be.
     """
-    root = ElementTree.fromstring(urdf_text)
+    try:
+        root = ElementTree.fromstring(urdf_text)
+    except ElementTree.ParseError as reason:
+        raise ValueError(f"the URDF is no XML: {reason}") from None
     links = {element.attrib["name"]: element for element in root.iter("link")}
     joints = list(root.findall("joint"))
     _refuse_unknown("joint order", order, [joint.attrib["name"] for joint in joints])
     _refuse_unknown("list of locked joints", locked, [joint.attrib["name"] for joint in joints])
     children: dict[str, list[ElementTree.Element]] = {name: [] for name in links}
     for joint in joints:
-        children[_child(joint, "parent").attrib["link"]].append(joint)
-    if base_link not in links:
-        raise ValueError(f"base_link is `{base_link}`; the URDF knows {', '.join(links)}")
+        parent = _child(joint, "parent").attrib["link"]
+        _refuse_unknown(f"parent of joint `{joint.attrib['name']}`", [parent], list(links))
+        children[parent].append(joint)
+    _refuse_unknown("base_link", [base_link], list(links))
+    motions = {joint.attrib["name"]: _motion(joint, order, locked) for joint in joints}
 
     parts: list[list[_Part]] = [[] for _ in range(len(order) + 1)]
     names, parents = [base_link] + [""] * len(order), [-1] * (len(order) + 1)
@@ -99,24 +104,44 @@ def read_tree(urdf_text: str, base_link: str, order: Sequence[str], locked: Mapp
         for joint in children[link]:
             name, child = joint.attrib["name"], _child(joint, "child").attrib["link"]
             body_from_joint = body_from_link @ origin_of(joint)
-            if name in order:
+            _refuse_unknown(f"child of joint `{name}`", [child], list(links))
+            motion = motions[name]
+            if motion == "moving":
                 place = list(order).index(name)
                 if place < body:
                     raise ValueError(f"joint `{name}` stands before its ancestor `{order[body - 1]}` in the order")
                 names[place + 1], parents[place + 1] = child, body
                 moving[place] = Joint(name, body_from_joint, _axis(joint), _limits(joint))
                 to_visit.append((child, place + 1, IDENTITY))
-            elif name in locked:
+            elif motion == "locked":
                 turn = Pose(_rotation_about(_axis(joint), locked[name]), np.zeros(3))
                 to_visit.append((child, body, body_from_joint @ turn))
-            elif joint.attrib["type"] == "fixed":
-                to_visit.append((child, body, body_from_joint))
             else:
-                raise ValueError(f"joint `{name}` is neither in the joint order nor locked; expected one of both")
+                to_visit.append((child, body, body_from_joint))
     if unreached := set(links) - set(places):
         raise ValueError(f"links {sorted(unreached)} do not hang from the base link `{base_link}`")
     bodies = [_merge(*body) for body in zip(names, parents, parts, strict=True)]
     return BodyTree(bodies, [moving[place] for place in range(len(order))], places)
+
+
+def _motion(joint: ElementTree.Element, order: Sequence[str], locked: Mapping[str, float]) -> str:
+    """Say whether a joint is `fixed`, `locked` or `moving`; refuse what cannot be either."""
+    name, kind = joint.attrib["name"], joint.attrib.get("type")
+    mimic = joint.find("mimic")
+    if mimic is not None:
+        raise ValueError(
+            f"joint `{name}` is a mimic of `{mimic.attrib.get('joint')}`; expected a joint that moves on its own"
+        )
+    if kind == "fixed":
+        if name in order or name in locked:
+            raise ValueError(f"type of joint `{name}` is fixed; expected revolute or continuous, as it is listed")
+        return "fixed"
+    if kind not in ("revolute", "continuous"):
+        raise ValueError(f"type of joint `{name}` is {kind}; expected revolute, continuous or fixed")
+    if (name in order) == (name in locked):
+        found = "both in the joint order and locked" if name in order else "neither in the joint order nor locked"
+        raise ValueError(f"joint `{name}` is {found}; expected one of both")
+    return "moving" if name in order else "locked"
 
 
 def _refuse_unknown(item: str, names: Iterable[str], known: Sequence[str]) -> None:
@@ -159,6 +184,8 @@ def _limits(joint: ElementTree.Element) -> tuple[float, float] | None:
     if joint.attrib["type"] == "continuous":
         return None
     limit = _child(joint, "limit").attrib
+    if missing := {"lower", "upper"} - set(limit):
+        raise ValueError(f"URDF limit of joint `{joint.attrib['name']}` lacks {' and '.join(sorted(missing))}")
     return float(limit["lower"]), float(limit["upper"])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -33,18 +34,18 @@ def link_frames(robot: RobotModel, joint_position_deg: Floats) -> LinkFrames:
     """
     if robot.aero_links.names != LINKS or not set(JOINTS) <= set(robot.joint_names):
         raise ValueError(f"{robot.name} has not the links and joints of the tables: {', '.join(LINKS)}")
-    places = np.array([robot.joint_names.index(name) for name in JOINTS])
-    links = robot.aero_links
-
-    def frames(angles: Array) -> tuple[Array, Array]:
-        joints = jnp.zeros(robot.n_joints).at[places].set(angles)
-        still = State(jnp.zeros(3), jnp.eye(3), joints, jnp.zeros(6 + robot.n_joints))
-        return frame_poses(kinematics(robot, still), links.bodies, links.rotations, links.positions)
-
     with jax.enable_x64(True):
-        # Compiled once for one posture and mapped over the few there are.
-        rotations, positions = jax.jit(jax.vmap(frames))(np.radians(joint_position_deg))
+        rotations, positions = _frames(robot, np.radians(joint_position_deg))
     return LinkFrames(np.asarray(rotations), np.asarray(positions))
+
+
+@jax.jit
+@partial(jax.vmap, in_axes=(None, 0))
+def _frames(robot: RobotModel, angles: Array) -> tuple[Array, Array]:
+    places, links = np.array([robot.joint_names.index(name) for name in JOINTS]), robot.aero_links
+    joints = jnp.zeros(robot.n_joints).at[places].set(angles)
+    still = State(jnp.zeros(3), jnp.eye(3), joints, jnp.zeros(6 + robot.n_joints))
+    return frame_poses(kinematics(robot, still), links.bodies, links.rotations, links.positions)
 
 
 def link_axes(robot: RobotModel, joint_position_deg: Floats) -> Floats:

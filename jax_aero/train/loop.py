@@ -23,7 +23,7 @@ from jax_aero.train.samples import Samples, chunks
 from jax_aero.types import Array, pytree
 
 MATMUL = {"float32": "float32", "tf32": "tensorfloat32", "bf16": "bfloat16"}
-"""Precision of matrix products, by the name in a configuration; what a CPU makes of the lower ones is its affair."""
+"""Precision of the matrix products of a training step, by the name in a configuration; a CPU may be more exact."""
 
 BLOCK_SIZES = {"wind": 3, "joints": 19, "link_wind": 39, "link_position": 39, "link_shadow": 13}
 
@@ -212,8 +212,12 @@ def _keep(path: Path, digest: str, now: _Now) -> None:
 
 
 def validation_error(network: Network, samples: Samples) -> float:
-    """Mean squared error [m⁴] of the network as it flies: no dropout, no noise, symmetrised if it is symmetric."""
-    total = sum(float(_sum_of_squares(network, x, y, count)) for count, (x, y) in chunks(samples.x, samples.y))
+    """Mean squared error [m⁴] of the network as it flies: no dropout, no noise, symmetrised if it is symmetric.
+
+    Matrix products are as precise as in flight, whatever precision training uses.
+    """
+    with jax.default_matmul_precision("highest"):
+        total = sum(float(_sum_of_squares(network, x, y, count)) for count, (x, y) in chunks(samples.x, samples.y))
     return total / samples.y.size
 
 

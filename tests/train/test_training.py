@@ -19,6 +19,7 @@ from jax_aero.train import (
     distil_samples,
     fit,
     load_checkpoint,
+    loop,
     mean_squared_error,
     predict_areas,
     samples_of,
@@ -172,10 +173,20 @@ def test_validation_is_that_of_the_network_as_it_flies(task, ironcub, made_up_da
     assert validation_error(trained, samples_of(trained, ironcub, rows)) == pytest.approx(expected, rel=1e-4)
 
 
-def test_lower_precision_trains_too(task):
+def test_lower_precision_trains_too(task, monkeypatch):
+    """The setting governs the training steps alone: validation is as precise as the flight."""
     network, training, _ = task
-    found = fit(network, training, None, replace(SETTINGS, epochs=2, matmul="bf16"), seed=0)
+    used = []
+
+    def validate(network, x, y, count):
+        used.append(jax.config.jax_default_matmul_precision)
+        return 1.0
+
+    monkeypatch.setattr(loop, "_sum_of_squares", validate)
+    found = fit(network, training, training, replace(SETTINGS, epochs=2, matmul="bf16"), seed=0)
     assert np.isfinite(found.curves[-1][1])
+    assert used
+    assert set(used) == {"highest"}
     for name in MATMUL.values():
         with jax.default_matmul_precision(name):
             pass

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -28,6 +29,33 @@ def test_roll_pitch_yaw_and_back():
     rotations = spatial.rotation_from_rpy(jnp.asarray(rpy))
     assert np.allclose(rotations, Rotation.from_euler("xyz", rpy).as_matrix(), rtol=0, atol=1e-15)
     assert np.allclose(spatial.rpy_from_rotation(rotations), rpy, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_logarithm_and_its_derivative(dtype):
+    """Inverse of the exponential to 8 roundings, a small turn included; finite derivatives, at the identity too."""
+    angles = np.array([0.0, 1e-30, 1e-9, 3e-4, 0.1, 1.5, 3.0], dtype)
+    vectors = jnp.asarray(angles[:, None] * np.array([0.6, 0.0, -0.8], dtype))
+    rotations = spatial.exp_so3(vectors)
+    found = spatial.log_so3(rotations)
+    assert found.dtype == dtype
+    # Entries of a rotation carry one rounding; at 3 rad the sine is 0.14 and magnifies it by 3/0.14.
+    assert np.allclose(found, vectors, rtol=0, atol=8 * np.finfo(dtype).eps * 3.0 / 0.14)
+    assert np.array_equal(spatial.log_so3(jnp.eye(3, dtype=dtype)), np.zeros(3))
+    slopes = jax.vmap(jax.jacrev(spatial.log_so3))(rotations)
+    assert np.all(np.isfinite(slopes))
+    assert np.allclose(slopes[0], jax.jacrev(spatial.vee_of_skew_part)(rotations[0]), rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("pitch", [-np.pi / 2, np.pi / 2])
+def test_roll_pitch_yaw_at_gimbal_lock(pitch):
+    """Roll and yaw are not defined there; values and derivatives stay finite."""
+    exact = jnp.array([[0.0, 0.0, np.sign(pitch)], [0.0, 1.0, 0.0], [-np.sign(pitch), 0.0, 0.0]])
+    for rotation in (exact, spatial.rotation_from_rpy(jnp.array([0.3, pitch, -0.2]))):
+        rpy, slopes = spatial.rpy_from_rotation(rotation), jax.jacrev(spatial.rpy_from_rotation)(rotation)
+        assert rpy[1] == pytest.approx(pitch, abs=1e-15)
+        assert np.all(np.isfinite(rpy))
+        assert np.all(np.isfinite(slopes))
 
 
 def test_quaternions():

@@ -11,6 +11,7 @@ from experiments import calibrate_surrogate, import_cfd, study, surrogate_datase
 from jax_aero.aero import dataset as ds
 from jax_aero.aero import fit, surrogate, surrogate_fit
 from jax_aero.aero.dataset import LINKS
+from jax_aero.aero.posture import _frames, link_frames
 from jax_aero.robot import load_robot
 from paper_figs import surrogate as surrogate_figure
 
@@ -33,6 +34,13 @@ def cases():
     joints[0] = import_cfd.known_postures()["hovering"]
     wind = rng.normal(size=(6, 3))
     return joints, wind / np.linalg.norm(wind, axis=1, keepdims=True)
+
+
+def test_link_frames_compile_once(robot):
+    link_frames(robot, np.zeros((1, 19)))
+    compiled = _frames._cache_size()
+    link_frames(robot, np.ones((1, 19)))
+    assert _frames._cache_size() == compiled
 
 
 @pytest.fixture(scope="module")
