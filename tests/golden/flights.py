@@ -1,0 +1,104 @@
+"""Flights whose signals are stored: how they are flown, which rows are stored, and under which names.
+
+A stored name stays when a signal is renamed; `LOG_NAMES` says what the signal is called in the log now.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments import engines
+from jax_aero import reference
+
+FOLDER = Path(__file__).parent / "flights"
+EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
+NAMES = sorted(path.stem for path in EXPERIMENTS.glob("*.toml"))
+
+LOG_NAMES = {
+    "com_setpoint": "com_reference",
+    "base_rpy_setpoint": "base_rpy_reference",
+    "momentum_setpoint": "momentum_reference",
+    "measured_wind": "wind_told",
+}
+"""Stored name to name in the log, where the two differ."""
+
+SUMMARY_NAMES = {"time_above_45_deg": "time_tilted"}
+"""Stored name to name in the summary, where the two differ."""
+
+NOT_STORED = {"time", "qp_kkt", "qp_iterations", "max_kkt", "max_qp_iterations"}
+"""Residuals of the QP are rounding, and the number of iterations is no property of the flight."""
+
+DOUBLE = 1e-9
+"""Tolerance in parts of a signal's range. Rounding differs by 2e-16 per operation, and where a row is stored a flight
+multiplies a difference of 1e-13 to at most 1e-10 (measured, see `make.py`)."""
+
+SINGLE = 1e-5
+"""Tolerance where a last bit has become a rounding of a network in single precision (6e-8) or a residual of MuJoCo's
+constraint solver (its tolerance is 1e-8): differences of at most 1e-6 were measured there."""
+
+SMALL = 1e-3
+"""Least range of a signal, in its unit: what stays smaller (a rotation error of 1e-9 rad, say) is rounding of larger
+terms."""
+
+
+class Stored(NamedTuple):
+    """Some rows of a flight."""
+
+    row: NDArray[np.int64]
+    end: dict[str, Any]
+    """Outcome and fall time, where they are certain, and the figures of the summary that are."""
+    signals: dict[str, NDArray[np.float64]]
+    tolerance: dict[str, NDArray[np.float64]]
+    """Of each signal in each row."""
+
+
+def load(name: str) -> reference.Config:
+    """Return the resolved configuration of an experiment."""
+    return reference.load_config(EXPERIMENTS / f"{name}.toml")
+
+
+def fly(config: reference.Config) -> reference.Flight:
+    """Fly a configuration with its own engine."""
+    return engines.engine(engines.engine_of(config)).fly(config)
+
+
+def rounds_coarsely(config: reference.Config) -> bool:
+    """Tell whether a network (single precision) or an iterative contact solver takes part."""
+    models = (config["simulator"]["aero"]["model"], config["controller"]["aero"]["model"])
+    return "network" in models or engines.engine_of(config) == "mujoco"
+
+
+def signals(flight: reference.Flight) -> dict[str, NDArray[np.float64]]:
+    """Return the log under the stored names."""
+    return _renamed(flight.log, LOG_NAMES)
+
+
+def summary(flight: reference.Flight) -> dict[str, float]:
+    """Return the summary under the stored names."""
+    return _renamed(flight.summary, SUMMARY_NAMES)
+
+
+def stored(name: str) -> Stored:
+    """Return what is stored of a flight."""
+    with np.load(FOLDER / f"{name}.npz") as file:
+        content = dict(file)
+    row, end, coarse = content.pop("row"), json.loads(str(content.pop("end"))), content.pop("coarse")
+    tolerance = np.where(coarse, SINGLE, DOUBLE)
+    return Stored(row, end, content, dict(zip(content, tolerance, strict=True)))
+
+
+def difference(found: NDArray[np.float64], expected: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the largest difference of each row, relative to the range of the signal over the rows."""
+    scale = max(float(np.abs(expected).max(initial=0.0)), SMALL)
+    return np.abs(found - expected).reshape(len(expected), -1).max(axis=1) / scale
+
+
+def _renamed(values: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
+    stored_names = {now: name for name, now in names.items()}
+    return {stored_names.get(now, now): value for now, value in values.items() if now not in NOT_STORED}

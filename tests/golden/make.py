@@ -1,0 +1,105 @@
+"""Compute the stored flights anew: `python -m tests.golden.make [NAME ...]`.
+
+A row is stored if last bits do not decide it: flights from initial states 1e-13 apart, and the same flight with other
+variants of the mathematical library, agree there to a tenth of the tolerance of the test, in parts of each signal's
+range. Flights that round coarsely (`flights.rounds_coarsely`) may differ more, signal by signal.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jax_aero import reference
+from tests.golden import flights
+
+PLAIN_PROCESSOR = "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-AVX512VL,-AVX512DQ"
+"""Makes the C library take its variants of sin, cos, exp without fused multiply-add, which round differently."""
+
+
+def main(names: list[str]) -> None:
+    """Fly, compare and store the flights of these names, of all if there is none."""
+    names = names or flights.NAMES
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "flights"
+        command = [sys.executable, "-m", "tests.golden.make", "--plain", str(path), *names]
+        subprocess.run(command, check=True, env=os.environ | {"GLIBC_TUNABLES": PLAIN_PROCESSOR})
+        plain = pickle.loads(path.read_bytes())
+    for name in names:
+        config = flights.load(name)
+        neighbours = [plain[name], *map(flights.fly, neighbours_of(config))]
+        store(name, config, flights.fly(config), neighbours)
+
+
+def neighbours_of(config: reference.Config) -> Iterator[reference.Config]:
+    """Yield the configuration with initial states that differ by 1e-13 of their size."""
+    for key, step in (("joint_position", 1e-13), ("joint_position", -1e-13), ("thrust", 1e-11)):
+        changed = copy.deepcopy(config)
+        start = changed["simulator"]["initial"]
+        start[key] = [value + step * (1 + index % 3) for index, value in enumerate(start[key])]
+        if key != "thrust" or any(config["simulator"]["initial"]["thrust"]):
+            yield changed
+
+
+def store(name: str, config: reference.Config, flight: reference.Flight, neighbours: list[reference.Flight]) -> None:
+    """Store the rows and the parts of the ending in which all flights agree."""
+    log = flights.signals(flight)
+    length = min(len(each.log["time"]) for each in [flight, *neighbours])
+    total = len(flight.log["time"])
+    stride = 50 * -(-total // (20 * 50))
+    rows = np.array([0, 1, 2, *range(stride, length, stride)])
+    others = [flights.signals(each) for each in neighbours]
+    allowed = flights.SINGLE if flights.rounds_coarsely(config) else flights.DOUBLE
+    while True:
+        worst = {
+            key: np.max([flights.difference(other[key][rows], value[rows]) for other in others], axis=0)
+            for key, value in log.items()
+        }
+        agree = np.max(list(worst.values()), axis=0) <= allowed / 10
+        if agree.all():
+            break
+        rows = rows[agree]
+    coarse = np.array([each > flights.DOUBLE / 10 for each in worst.values()])
+
+    end: dict[str, Any] = {}
+    for key in ("outcome", "fall_time"):
+        if all(getattr(each, key) == getattr(flight, key) for each in neighbours):
+            end[key] = getattr(flight, key)
+    found = flights.summary(flight)
+    end["summary"] = {
+        key: value
+        for key, value in found.items()
+        if all(
+            abs(flights.summary(each)[key] - value) <= allowed / 10 * max(abs(value), flights.SMALL)
+            for each in neighbours
+        )
+    }
+    flights.FOLDER.mkdir(exist_ok=True)
+    np.savez_compressed(
+        flights.FOLDER / f"{name}.npz",
+        row=rows,
+        coarse=coarse,
+        end=np.array(json.dumps(end)),
+        **{key: value[rows] for key, value in log.items()},
+    )
+    left_out = sorted(set(found) - set(end["summary"]))
+    share = 1.0 - coarse.mean()
+    print(f"{name}: {len(rows)} rows to {rows[-1]} of {total}, {share:.0%} to {flights.DOUBLE}; without {left_out}")
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--plain"]:
+        found = {name: flights.fly(flights.load(name)) for name in sys.argv[3:]}
+        Path(sys.argv[2]).write_bytes(pickle.dumps(found))
+    else:
+        main(sys.argv[1:])

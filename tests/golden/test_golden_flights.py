@@ -1,0 +1,38 @@
+"""Flights are those that are stored: every signal to 1e-9 of its range, as far as last bits do not decide.
+
+`tests/golden/README.md` says where the stored flights come from.
+"""
+
+import pytest
+
+from tests.golden import flights
+
+
+@pytest.mark.parametrize("name", flights.NAMES)
+def test_a_flight_is_the_stored_one(name):
+    stored = flights.stored(name)
+    config = flights.load(name)
+    flight = flights.fly(config)
+    found = flights.signals(flight)
+    assert set(found) == set(stored.signals)
+    wrong = {}
+    for signal, expected in stored.signals.items():
+        excess = flights.difference(found[signal][stored.row], expected) / stored.tolerance[signal]
+        if not (excess <= 1.0).all():
+            first = int((~(excess <= 1.0)).argmax())
+            wrong[signal] = (
+                f"tick {stored.row[first]}: {excess[first] * stored.tolerance[signal][first]:.1e} of its range"
+            )
+    assert not wrong
+
+    for key in ("outcome", "fall_time"):
+        if key in stored.end:
+            assert getattr(flight, key) == stored.end[key]
+    tolerance = flights.SINGLE if flights.rounds_coarsely(config) else flights.DOUBLE
+    summary = flights.summary(flight)
+    for key, expected in stored.end["summary"].items():
+        assert abs(summary[key] - expected) <= tolerance * max(abs(expected), flights.SMALL), key
+
+
+def test_every_experiment_is_stored():
+    assert sorted(path.stem for path in flights.FOLDER.glob("*.npz")) == flights.NAMES
