@@ -1,0 +1,20 @@
+"""Every intermediate value of stored ticks, to 1e-9 of the largest entry of each array."""
+
+import pytest
+
+from tests.golden import flights, ticks
+
+NAMES = [f"{name}_{row}" for name, rows in ticks.INSTANTS.items() for row in rows]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_tick_is_the_stored_one(name):
+    given, expected = ticks.stored(name)
+    found = ticks.compute(flights.load(name.rpartition("_")[0]), given)
+    assert set(found) == set(expected)
+    wrong = {}
+    for key, value in expected.items():
+        worst = flights.difference(found[key][None], value[None])[0]
+        if not worst <= flights.DOUBLE:
+            wrong[key] = f"{worst:.1e}"
+    assert not wrong

@@ -1,0 +1,104 @@
+"""Complete ticks of the controller: what it was given, and every intermediate value it computed.
+
+A stored name stays when a value is renamed; `TICK_NAMES` says what it is called in `reference.Tick` now.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jax_aero import reference
+from jax_aero.reference import Controller, State
+from tests.golden import flights
+
+FOLDER = Path(__file__).parent / "ticks"
+INSTANTS = {"test1": (2200, 3000), "test2": (700, 2600), "test4": (1400,), "thrust_saturation": (1200, 2000)}
+"""Rows of flights whose state, thrust and wind the ticks start from."""
+
+TICK_NAMES = {"setpoint": "reference"}
+"""First word of a stored name to that of the value in `Tick`, where the two differ."""
+
+MEMORY = ("posture", "inertia_0_b", "velocity_error_integral")
+GIVEN = ("base_position", "base_rotation", "joint_position", "velocity", "thrust", "wind", "time")
+
+Values = dict[str, NDArray[np.float64]]
+
+
+def compute(config: reference.Config, given: Values) -> Values:
+    """Compute the tick of a controller with this memory and set-point, all values by their stored names."""
+    controller = Controller(config)
+    controller.set_memory(*(given[f"memory.{key}"] for key in MEMORY))
+    state = State(*(given[key] for key in GIVEN[:4]))
+    setpoint = {key.split(".")[1]: value for key, value in given.items() if key.startswith("setpoint.")}
+    tick = controller.tick(
+        state, given["thrust"], given["wind"], float(given["time"]), reference=reference.Reference(**setpoint)
+    )
+    return values(tick)
+
+
+def values(tick: reference.Tick) -> Values:
+    """Return every number of a tick by its stored name, nested ones with a dot."""
+    stored_names = {now: name for name, now in TICK_NAMES.items()}
+    found: Values = {}
+
+    def add(name: str, value: Any) -> None:
+        if isinstance(value, np.ndarray):
+            found[name] = value
+        elif hasattr(value, "_asdict") or hasattr(value, "__dataclass_fields__"):
+            parts = value._asdict() if hasattr(value, "_asdict") else vars(value)
+            for key, part in parts.items():
+                add(f"{name}.{key}", part)
+
+    for key, value in vars(tick).items():
+        add(stored_names.get(key, key), value)
+    return found
+
+
+def stored(name: str) -> tuple[Values, Values]:
+    """Return what a stored tick was given, and what came out."""
+    with np.load(FOLDER / f"{name}.npz") as file:
+        content = dict(file)
+    given = {key.removeprefix("given "): value for key, value in content.items() if key.startswith("given ")}
+    return given, {key: value for key, value in content.items() if not key.startswith("given ")}
+
+
+def make() -> None:
+    """Fly, take the instants and store their ticks."""
+    FOLDER.mkdir(exist_ok=True)
+    for name, rows in INSTANTS.items():
+        config = flights.load(name)
+        log = flights.fly(config).log
+        controller = Controller(config)
+        before: reference.Tick | None = None
+        for row in range(max(rows) + 1):
+            given: Values = {
+                "base_position": log["base_position"][row],
+                "base_rotation": _rotation(log["base_quaternion"][row]),
+                "joint_position": log["joint_position"][row],
+                "velocity": np.concatenate([log["base_velocity"][row], log["joint_velocity"][row]]),
+                "thrust": log["thrust"][row],
+                "wind": log["wind"][row],
+                "time": log["time"][row],
+            }
+            tick = controller.tick(State(*(given[key] for key in GIVEN[:4])), *(given[key] for key in GIVEN[4:]))
+            if row in rows and before is not None:
+                given |= {f"memory.{key}": getattr(before, key) for key in MEMORY}
+                given |= {key: value for key, value in values(tick).items() if key.startswith("setpoint.")}
+                found = compute(config, given)
+                prefixed = {f"given {key}": value for key, value in given.items()}
+                np.savez_compressed(FOLDER / f"{name}_{row}.npz", **prefixed, **found)
+            before = tick
+
+
+def _rotation(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """R(q) = (w² − |v|²) 1 + 2 v vᵀ + 2 w S(v); the rows of `cross` are e_k × v, and S is antisymmetric."""
+    w, v = wxyz[0], wxyz[1:]
+    return (w * w - v @ v) * np.eye(3) + 2.0 * np.outer(v, v) + 2.0 * w * np.cross(np.eye(3), v)
+
+
+if __name__ == "__main__":
+    make()
