@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.kinematics import Kinematics, frame_poses, kinematics
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.types import State
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 def main() -> None:
     """Draw the hovering robot from its right and from behind."""
     mpl.rcParams.update({"font.size": 9, "axes.spines.right": False, "axes.spines.top": False})
-    config = reference.load_config(EXPERIMENT)
+    config = rust.load_config(EXPERIMENT)
     jax.config.update("jax_enable_x64", True)
     robot = load_robot(config["robot"])
     initial = config["simulator"]["initial"]

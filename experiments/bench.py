@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from experiments import Refused
 from experiments.bench_native import FOLDER, QPS, URDF, Times, build, cargo, run, take_turns
 from experiments.manifest import REPOSITORY
-from jax_aero import reference
-from jax_aero.reference import QpProblem, State
+from jax_aero import rust
+from jax_aero.rust import QpProblem, State
 
 Array = NDArray[np.float64]
 Rows = Iterator[tuple[str, str, float]]
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _from_python() -> Rows:
-    robot = reference.Robot(URDF.with_suffix(".toml"))
+    robot = rust.Robot(URDF.with_suffix(".toml"))
     states = _read_states()
     yield DYNAMICS[0], "ours, `Robot.dynamics`", _per_item(lambda state: robot.dynamics(*state), states)
     yield from _pinocchio_rows(robot, states)
@@ -70,16 +70,16 @@ def _from_python() -> Rows:
         problems = _read_problems(name)
         for rows in (_our_rows, _daqp_rows, _clarabel_rows):
             yield from ((name, by, ns) for by, ns in rows(len(problems[0].g), problems))
-    config = reference.load_config(REPOSITORY / "configs" / "experiments" / "test2.toml")
-    yield "flight of 50 s", "ours, `reference.fly`, full log", _per_item(reference.fly, [config])
+    config = rust.load_config(REPOSITORY / "configs" / "experiments" / "test2.toml")
+    yield "flight of 50 s", "ours, `rust.fly`, full log", _per_item(rust.fly, [config])
 
 
 def _our_rows(n: int, problems: Sequence[QpProblem]) -> Iterator[tuple[str, float]]:
-    solver = reference.BoxQpSolver(n)
+    solver = rust.BoxQpSolver(n)
     yield "ours, `BoxQpSolver.solve`, warm", _per_item(lambda qp: solver.solve(*qp), problems)
 
 
-def _pinocchio_rows(robot: reference.Robot, states: Sequence[State]) -> Rows:
+def _pinocchio_rows(robot: rust.Robot, states: Sequence[State]) -> Rows:
     try:
         pin: Any = importlib.import_module("pinocchio")
     except ImportError:

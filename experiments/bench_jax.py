@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments import bench_jaxsim, manifest
-from jax_aero import reference, sim
+from jax_aero import rust, sim
 from jax_aero.aero import LinkConventions, aero_model, link_forces
 from jax_aero.config import aero_config, flight_config
 from jax_aero.control import qp
@@ -196,7 +196,7 @@ def _spread(sample: Any, size: int) -> Any:
 
 def _hovering() -> tuple[Any, Any]:
     """TEST2, and its state where it hovers in the full wind."""
-    config = flight_config(reference.load_config(EXPERIMENTS / "test2.toml"))
+    config = flight_config(rust.load_config(EXPERIMENTS / "test2.toml"))
     flight, start = sim.prepare(config, load_robot(config.robot))
     return flight, fly_chunk(flight, start, jnp.array(0, jnp.int32), HOVER)[0]
 
@@ -257,7 +257,7 @@ def _dynamics_cases(robot: RobotModel, state: State) -> Iterator[Case]:
 
 
 def _aero_cases(robot: RobotModel, state: State, wind: Any) -> Iterator[Case]:
-    table = reference.load_config(EXPERIMENTS / "robustness_axisymmetric_vs_sphere_cylinder.toml")
+    table = rust.load_config(EXPERIMENTS / "robustness_axisymmetric_vs_sphere_cylinder.toml")
     for name, part in (("axisymmetric", "simulator"), ("sphere and cylinder", "controller")):
         model = aero_model(aero_config(table[part]["aero"]), robot)
         kin = jax.jit(kinematics)(robot, state)
@@ -291,7 +291,7 @@ def _control_cases(flight: Any, hover: Any, wind: Any) -> Iterator[Case]:
 
 def _mjx_cases(robot: RobotModel, state: State) -> Iterator[Case]:
     """Plain MJX on the same URDF: as it comes, with its joint limits, and with constraints disabled."""
-    from jax_aero.mujoco_door import mujoco_spec, to_mujoco
+    from jax_aero.mujoco_model import mujoco_spec, to_mujoco
 
     mjx: Any = importlib.import_module("mujoco.mjx")
 

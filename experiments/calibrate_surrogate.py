@@ -28,7 +28,7 @@ from jax_aero.aero.surrogate_fit import Records, Settings
 from jax_aero.robot import RobotModel, load_robot
 
 ROBOT = study.CONFIGS / "robot" / "ironcub_mk1.toml"
-TUNNEL, CFD = (study.CONFIGS / "reference" / name for name in ("wind_tunnel.toml", "cfd_tunnel.toml"))
+TUNNEL, CFD = (study.CONFIGS / "tables" / name for name in ("wind_tunnel.toml", "cfd_tunnel.toml"))
 
 JUDGES = ("flight50", "flight60")
 """Postures that no coefficient has seen."""
@@ -167,7 +167,7 @@ def toml(weights: Floats, settings: Settings) -> str:
     """Return the file that `load_surrogate` reads."""
     lines = [
         "# The panel model of jax_aero/aero/surrogate.py. Our fit to published data alone: drag curves of the links,",
-        "# wind tunnel and CFD of configs/reference without flight50 and flight60, by",
+        "# wind tunnel and CFD of configs/tables without flight50 and flight60, by",
         "# python -m experiments calibrate-surrogate",
         f"# Penalties by leaving out postures: {', '.join(f'{k} {v:g}' for k, v in settings._asdict().items())}.",
         "",

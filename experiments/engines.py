@@ -1,6 +1,6 @@
 """Who flies a configuration: `engine = "rust"`, `"jax"` or `"mujoco"`, in an experiment, in a sweep, or with --engine.
 
-An engine turns a resolved configuration into the same `reference.Flight`. A flight of a batch that cannot be flown
+An engine turns a resolved configuration into the same `rust.Flight`. A flight of a batch that cannot be flown
 gives a `Failure` in its place, so that it is recorded and the others go on.
 """
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from experiments import Refused
-from jax_aero import reference
+from jax_aero import rust
 
 Config = Mapping[str, Any]
 
@@ -27,13 +27,13 @@ class Failure:
 class Engine(Protocol):
     """One way to fly."""
 
-    def fly(self, config: Config, progress: reference.Progress | None = None) -> reference.Flight:
+    def fly(self, config: Config, progress: rust.Progress | None = None) -> rust.Flight:
         """Fly one configuration, with its whole log."""
         ...
 
     def fly_batch(
-        self, configs: Sequence[Config], threads: int | None = None, progress: reference.Progress | None = None
-    ) -> list[reference.Flight | Failure]:
+        self, configs: Sequence[Config], threads: int | None = None, progress: rust.Progress | None = None
+    ) -> list[rust.Flight | Failure]:
         """Fly many; only outcomes and summaries are sure to be there. The order is that of `configs`."""
         ...
 
@@ -41,16 +41,16 @@ class Engine(Protocol):
 class Rust:
     """The crate: one flight per thread."""
 
-    def fly(self, config: Config, progress: reference.Progress | None = None) -> reference.Flight:
+    def fly(self, config: Config, progress: rust.Progress | None = None) -> rust.Flight:
         """Fly one configuration."""
-        return reference.fly(config, progress)
+        return rust.fly(config, progress)
 
     def fly_batch(
-        self, configs: Sequence[Config], threads: int | None = None, progress: reference.Progress | None = None
-    ) -> list[reference.Flight | Failure]:
+        self, configs: Sequence[Config], threads: int | None = None, progress: rust.Progress | None = None
+    ) -> list[rust.Flight | Failure]:
         """Fly many over threads; where the crate refuses one, fly the others without it."""
         try:
-            return list(reference.fly_batch(configs, threads, progress))
+            return list(rust.fly_batch(configs, threads, progress))
         except ValueError:
             return [_alone(_fly_without_log, config) for config in configs]
 
@@ -61,15 +61,15 @@ class Jax:
     def __init__(self) -> None:
         try:
             module = importlib.import_module("jax_aero.sim")
-            self._fly: Callable[..., reference.Flight] = module.fly
-            self._fly_batch: Callable[..., list[reference.Flight]] = module.fly_batch
+            self._fly: Callable[..., rust.Flight] = module.fly
+            self._fly_batch: Callable[..., list[rust.Flight]] = module.fly_batch
         except (ImportError, AttributeError) as reason:
             raise Refused(
                 'engine = "jax" needs `jax_aero.sim` and the packages it builds on, which are not here '
                 f'({reason}); engine = "rust" flies the same configurations'
             ) from None
 
-    def fly(self, config: Config, progress: reference.Progress | None = None) -> reference.Flight:
+    def fly(self, config: Config, progress: rust.Progress | None = None) -> rust.Flight:
         """Fly one configuration."""
         return self._fly(_without_engine(config), progress)
 
@@ -77,8 +77,8 @@ class Jax:
         self,
         configs: Sequence[Config],
         threads: int | None = None,  # noqa: ARG002 - JAX keeps its own threads
-        progress: reference.Progress | None = None,
-    ) -> list[reference.Flight | Failure]:
+        progress: rust.Progress | None = None,
+    ) -> list[rust.Flight | Failure]:
         """Fly flights of one structure together; where one is refused, fly the others without it."""
         plain = [_without_engine(config) for config in configs]
         try:
@@ -93,13 +93,13 @@ class Mujoco:
     def __init__(self) -> None:
         try:
             module = importlib.import_module("jax_aero.mujoco_ground")
-            self._fly: Callable[..., reference.Flight] = module.fly
+            self._fly: Callable[..., rust.Flight] = module.fly
         except ImportError as reason:
             raise Refused(
                 f'engine = "mujoco" needs the packages of the extra `twin`, which are not here ({reason})'
             ) from None
 
-    def fly(self, config: Config, progress: reference.Progress | None = None) -> reference.Flight:
+    def fly(self, config: Config, progress: rust.Progress | None = None) -> rust.Flight:
         """Let one robot stand."""
         return self._fly(config, progress)
 
@@ -107,10 +107,10 @@ class Mujoco:
         self,
         configs: Sequence[Config],
         threads: int | None = None,  # noqa: ARG002 - Python drives every tick
-        progress: reference.Progress | None = None,
-    ) -> list[reference.Flight | Failure]:
+        progress: rust.Progress | None = None,
+    ) -> list[rust.Flight | Failure]:
         """One after the other."""
-        flights: list[reference.Flight | Failure] = []
+        flights: list[rust.Flight | Failure] = []
         for config in configs:
             flights.append(_alone(self.fly, config))
             if progress is not None:
@@ -133,11 +133,11 @@ def engine_of(config: Config) -> str:
     return str(config.get("engine", "rust"))
 
 
-def _fly_without_log(config: Config) -> reference.Flight:
-    return reference.fly_batch([config], 1)[0]
+def _fly_without_log(config: Config) -> rust.Flight:
+    return rust.fly_batch([config], 1)[0]
 
 
-def _alone(fly: Callable[[Config], reference.Flight], config: Config) -> reference.Flight | Failure:
+def _alone(fly: Callable[[Config], rust.Flight], config: Config) -> rust.Flight | Failure:
     try:
         return fly(config)
     except ValueError as reason:

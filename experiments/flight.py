@@ -14,7 +14,7 @@ from typing import Any
 from tqdm import tqdm
 
 from experiments import Refused, engines, manifest, overrides, record
-from jax_aero import reference
+from jax_aero import rust
 
 CONFIGS = manifest.REPOSITORY / "configs" / "experiments"
 RESULTS = manifest.REPOSITORY / "results" / "flight"
@@ -48,12 +48,12 @@ def run(
 ) -> dict[str, Any]:
     """Fly one configuration and write its folder, unless it is already there; return the manifest."""
     try:
-        config = reference.load_config(path, changes)
+        config = rust.load_config(path, changes)
     except ValueError as reason:
         raise Refused(f"{path.stem}: {reason}") from None
     name = path.stem if out else path.stem + overrides.folder_suffix(changes)
     folder = (out or RESULTS) / name
-    finished = existing(folder, reference.config_digest(config), overwrite=overwrite)
+    finished = existing(folder, rust.config_digest(config), overwrite=overwrite)
     if finished is not None:
         return finished
 
@@ -67,7 +67,7 @@ def run(
     )
     dataset = record.to_dataset(
         flight,
-        reference.Robot(config["robot"]),
+        rust.Robot(config["robot"]),
         title=document["title"],
         config_digest=document["config_digest"],
         engine=document["engine"],
@@ -94,7 +94,7 @@ def existing(folder: Path, digest: str, *, overwrite: bool) -> dict[str, Any] | 
     raise Refused(f"{shown} holds {what}; choose another --out, or --overwrite it")
 
 
-def _fly(config: reference.Config, name: str) -> reference.Flight:
+def _fly(config: rust.Config, name: str) -> rust.Flight:
     with tqdm(desc=name, unit="tick", disable=not sys.stderr.isatty(), leave=False) as bar:
 
         def show(tick: int, n_ticks: int) -> None:

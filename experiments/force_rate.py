@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 
 from experiments import Refused, flight, study
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.momentum import ForceRate
 
@@ -48,16 +48,16 @@ def run(name: str = "test2", duration: float | None = None) -> dict[str, Any]:
     """Fly, split, write; return the manifest."""
     path = flight.find(name)
     overrides = {} if duration is None else {"simulator.duration": duration}
-    config = reference.load_config(path, overrides)
+    config = rust.load_config(path, overrides)
     started = time.perf_counter()
     model = MomentumModel(load_robot(config["robot"]), config["simulator"]["aero"])
     built = time.perf_counter()
-    log = reference.fly(config).log
+    log = rust.fly(config).log
     flown = time.perf_counter()
     parts, mismatch = split(model, log)
     timings = {"build": built - started, "fly": flown - built, "split": time.perf_counter() - flown}
 
-    digest = reference.config_digest(config)
+    digest = rust.config_digest(config)
     dataset = to_dataset(log["time"][1:-1], parts, title=f"{config['title']}: second derivative of the momentum")
     dataset.attrs["config_hash"] = digest
     summary = figures(dataset) | {"mismatch with differences of the log, rms over rms": mismatch}

@@ -27,7 +27,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from experiments import Refused, study
-from jax_aero import reference, sim
+from jax_aero import rust, sim
 from jax_aero.aero import Axisymmetric
 from jax_aero.config import flight_config
 from jax_aero.jets import JetsState
@@ -85,8 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run(seed: int = 1, steps: int = STEPS) -> dict[str, Any]:
     """Fly, identify, judge, write; return the manifest."""
-    config = reference.load_config(study.CONFIGS / "experiments" / f"{FLIGHT}.toml")
-    judge = reference.load_config(study.CONFIGS / "experiments" / f"{JUDGE}.toml", {"simulator.duration": 20.0})
+    config = rust.load_config(study.CONFIGS / "experiments" / f"{FLIGHT}.toml")
+    judge = rust.load_config(study.CONFIGS / "experiments" / f"{JUDGE}.toml", {"simulator.duration": 20.0})
     with jax.enable_x64(True):
         started = time.perf_counter()
         typed = flight_config(config)
@@ -220,7 +220,7 @@ def forces_along(config: Mapping[str, Any], models: Mapping[str, Axisymmetric]) 
     from jax_aero.aero import LinkConventions, link_forces, wrench_about
     from jax_aero.kinematics import kinematics
 
-    log, robot = reference.fly(config).log, load_robot(config["robot"])
+    log, robot = rust.fly(config).log, load_robot(config["robot"])
     chosen = log["time"] >= FIRST_TICK * config["simulator"]["time_step"]
 
     @jax.jit

@@ -20,7 +20,7 @@ from experiments import Refused, manifest
 from jax_aero.aero.cfd_import import read_mat, read_solver_table
 from jax_aero.aero.dataset import JOINTS, Dataset, Floats, read_postures, save
 
-POSTURES = manifest.REPOSITORY / "configs" / "reference" / "postures.toml"
+POSTURES = manifest.REPOSITORY / "configs" / "tables" / "postures.toml"
 OUT = manifest.REPOSITORY / "results" / "datasets"
 
 COMMIT = "0d43057"

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path, PurePath
 from typing import Any
 
-from jax_aero import reference
+from jax_aero import rust
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -20,7 +20,7 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 def build(
     name: str,
     config: Mapping[str, Any],
-    flight: reference.Flight,
+    flight: rust.Flight,
     *,
     overrides: Mapping[str, Any],
     command: str,
@@ -35,7 +35,7 @@ def build(
         "fall_reason": flight.fall_reason,
         # JSON knows no infinity, which is where a fall may end.
         "summary": {key: value if math.isfinite(value) else None for key, value in flight.summary.items()},
-        "config_digest": reference.config_digest(config),
+        "config_digest": rust.config_digest(config),
         "config": portable(config),
         "overrides": portable(overrides),
         "seed": dict(seeds(config)) or None,
@@ -92,7 +92,7 @@ def _git(*arguments: str) -> str | None:
 
 def versions() -> dict[str, str]:
     """Return the versions a number in the result could depend on."""
-    found = {"python": platform.python_version(), "flight-core": reference.__version__}
+    found = {"python": platform.python_version(), "flight-core": rust.__version__}
     for package in ("jax-aero", "numpy", "scipy", "xarray", "h5netcdf", "pyarrow"):
         try:
             found[package] = importlib.metadata.version(package)

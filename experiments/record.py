@@ -18,7 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 import xarray as xr
 
-from jax_aero.reference import Flight
+from jax_aero.rust import Flight
 
 RUN_FILE = "run.nc"
 MANIFEST_FILE = "manifest.json"
@@ -88,7 +88,7 @@ GROUND_SIGNALS: Mapping[str, Signal] = {
 
 
 class RobotNames(Protocol):
-    """The part of a robot that labels a log; `jax_aero.reference.Robot` is one."""
+    """The part of a robot that labels a log; `jax_aero.rust.Robot` is one."""
 
     @property
     def joint_names(self) -> Sequence[str]: ...  # noqa: D102

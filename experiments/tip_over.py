@@ -21,7 +21,7 @@ import xarray as xr
 from tqdm import tqdm
 
 from experiments import Refused, engines, study
-from jax_aero import reference
+from jax_aero import rust
 
 KEYS: Mapping[str, Any] = {
     "title": str,
@@ -59,8 +59,8 @@ def run(path: Path, results: Path = study.RESULTS) -> dict[str, Any]:
     """Make every trial that is not made yet, write, return the manifest."""
     table = study.read(path)
     study.check_keys(path, table, KEYS)
-    base = reference.load_config((path.parent / table["experiment"]).resolve())
-    digest = study.digest({**table, "experiment": reference.config_digest(base)}, [])
+    base = rust.load_config((path.parent / table["experiment"]).resolve())
+    digest = study.digest({**table, "experiment": rust.config_digest(base)}, [])
     folder = results / "tip_over" / path.stem
     trials = Trials(folder.with_name(f".{path.stem}.trials.json"))
     started = time.perf_counter()
@@ -112,9 +112,9 @@ class Trials:
         if path.is_file():
             self._made = json.loads(path.read_text(encoding="utf-8"))
 
-    def make(self, config: reference.Config) -> dict[str, Any]:
+    def make(self, config: rust.Config) -> dict[str, Any]:
         """Return how a trial ended; make it if it was not made."""
-        key = reference.config_digest(config)
+        key = rust.config_digest(config)
         if key not in self._made:
             self._made[key] = _outcome(engines.engine("mujoco").fly(config))
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -125,8 +125,8 @@ class Trials:
 
 
 def trial(
-    base: reference.Config, table: Mapping[str, Any], speed: float, direction_deg: float, friction: float, *, told: bool
-) -> reference.Config:
+    base: rust.Config, table: Mapping[str, Any], speed: float, direction_deg: float, friction: float, *, told: bool
+) -> rust.Config:
     """Return the configuration of one trial."""
     angle = np.radians(direction_deg)
     # 0 blows from ahead of a robot that looks along +x, 90 from its left, which is +y.
@@ -139,7 +139,7 @@ def trial(
     return config
 
 
-def _outcome(flight: reference.Flight) -> dict[str, Any]:
+def _outcome(flight: rust.Flight) -> dict[str, Any]:
     log = flight.log
     carried = log["foot_wrench"][:, :, 2].sum(axis=1) > 1.0
     return {

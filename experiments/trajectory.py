@@ -20,7 +20,7 @@ import numpy as np
 import xarray as xr
 
 from experiments import Refused, study
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.robot import Robot
 from jax_aero.symbolic.trajectory import Trajectory, TrajectoryProblem, TrajectorySettings
@@ -81,7 +81,7 @@ def run(path: Path, *, export: bool = False, changes: Mapping[str, Any] | None =
     config = study.read(path) | dict(changes or {})
     study.check_keys(path, config, KEYS)
     flight_path = (path.parent / config["flight"]).resolve()
-    base = reference.load_config(flight_path)
+    base = rust.load_config(flight_path)
     robot = load_robot(base["robot"])
     problem = TrajectoryProblem(MomentumModel(robot, base["simulator"]["aero"]), settings(path, config, base, robot))
     plan = problem.solve(config["sample_time"])
@@ -90,7 +90,7 @@ def run(path: Path, *, export: bool = False, changes: Mapping[str, Any] | None =
     text = csv_of(plan, config["start_time"], f"{config['title']}: python -m experiments.trajectory {path.stem}")
 
     started = time.perf_counter()
-    flown, paper = fly(base, text, config["start_time"] + plan.duration + config["hold_time"]), reference.fly(base)
+    flown, paper = fly(base, text, config["start_time"] + plan.duration + config["hold_time"]), rust.fly(base)
     timings = {"build": plan.build_time, "solve": plan.solve_time, "fly": time.perf_counter() - started}
     digest = study.digest(config, [flight_path])
     dataset = to_dataset(plan, flown, paper, robot, config, digest)
@@ -112,7 +112,7 @@ def settings(path: Path, config: Mapping[str, Any], base: Mapping[str, Any], rob
     """Put the numbers of a configuration into SI units, names into indices."""
     if config["goal"] not in GOALS:
         raise Refused(f"{path.name}: goal is `{config['goal']}`; expected one of {', '.join(GOALS)}")
-    groups = reference.Robot(base["robot"]).joint_groups
+    groups = rust.Robot(base["robot"]).joint_groups
     if unknown := set(config["free_groups"]) - set(groups):
         raise Refused(f"{path.name}: free_groups names `{min(unknown)}`; the robot has {', '.join(groups)}")
     free = sorted(robot.joint_names.index(joint) for group in config["free_groups"] for joint in groups[group])
@@ -168,20 +168,20 @@ def csv_of(plan: Trajectory, start_time: float, about: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def fly(base: Mapping[str, Any], text: str, duration: float) -> reference.Flight:
+def fly(base: Mapping[str, Any], text: str, duration: float) -> rust.Flight:
     """Fly a reference in closed loop, everything else as in the flight `base`."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "reference.csv"
         file.write_text(text, encoding="utf-8")
         step = base["simulator"]["time_step"]
         simulator = {**base["simulator"], "duration": round(duration / step) * step}
-        return reference.fly({**base, "simulator": simulator, "envelope": {"file": str(file)}})
+        return rust.fly({**base, "simulator": simulator, "envelope": {"file": str(file)}})
 
 
 def to_dataset(
     plan: Trajectory,
-    flown: reference.Flight,
-    paper: reference.Flight,
+    flown: rust.Flight,
+    paper: rust.Flight,
     robot: Robot,
     config: Mapping[str, Any],
     digest: str,

@@ -1,6 +1,6 @@
 """Commands of the library.
 
-`verify` says whether the Rust controller agrees with the JAX reference; `view` shows flights in the browser and flies
+`verify` compares the Rust crate with JAX; `view` shows flights in the browser and flies
 them there; `video` and `snapshot` draw them into files.
 """
 

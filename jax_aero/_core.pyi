@@ -1,6 +1,6 @@
 """Types of the compiled module; the crate itself is `rust/py`.
 
-Names with a leading underscore exist for the type checker only. `tests/house/test_stub.py`
+Names with a leading underscore exist for the type checker only. `tests/project/test_stub.py`
 keeps the others equal to what the module really exports.
 """
 

@@ -1,11 +1,11 @@
 """A flight's configuration as typed pytrees, field for field what the Rust crate reads.
 
 Numbers are leaves, so gains, weights, coefficients or winds can be batched and differentiated; names and switches are
-static. `flight_config` builds them from what `jax_aero.reference.load_config` returns, which has checked every value;
+static. `flight_config` builds them from what `jax_aero.rust.load_config` returns, which has checked every value;
 here unknown and missing keys are refused once more, so that no setting is ever silently ignored.
 
->>> from jax_aero import reference
->>> config = flight_config(reference.load_config("configs/experiments/test2.toml"))
+>>> from jax_aero import rust
+>>> config = flight_config(rust.load_config("configs/experiments/test2.toml"))
 >>> float(config.controller.momentum.c0)
 50.0
 """
@@ -548,7 +548,7 @@ class FlightConfig:
 
 
 def flight_config(table: Mapping[str, Any]) -> FlightConfig:
-    """Build a flight's configuration from a resolved table, as `reference.load_config` returns it.
+    """Build a flight's configuration from a resolved table, as `rust.load_config` returns it.
 
     Raises
     ------
@@ -628,7 +628,7 @@ def _waves(seed: int) -> dict[str, Any]:
 def recorded_reference(path: str) -> RecordedReference:
     """Read a recorded reference: CSV, `#` begins a comment, the header names 7, 10, 13 or 16 columns.
 
-    `reference.check_config` says what is wrong with a file that the crate refuses; here its shape alone is checked.
+    `rust.check_config` says what is wrong with a file that the crate refuses; here its shape alone is checked.
     """
     text = Path(path).read_text(encoding="utf-8").splitlines()
     lines = [line for line in text if line.strip() and not line.lstrip().startswith("#")]

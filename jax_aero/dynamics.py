@@ -26,7 +26,7 @@ Backend: TypeAlias = Literal["tree", "mjx"]
 def dynamics(robot: RobotModel, state: State, kin: Kinematics, backend: Backend = "tree") -> Dynamics:
     """Rigid-body dynamics of one state; `kin` must belong to it."""
     if backend == "mjx":
-        from jax_aero.mujoco_door import mass_matrix_and_bias  # MuJoCo is loaded only by those who ask for it
+        from jax_aero.mujoco_model import mass_matrix_and_bias  # MuJoCo is loaded only by those who ask for it
 
         mass_matrix, bias = mass_matrix_and_bias(robot, state)
     else:

@@ -22,7 +22,7 @@ import mujoco  # type: ignore[import-untyped]
 import numpy as np
 from numpy.typing import NDArray
 
-from jax_aero import mujoco_door, reference
+from jax_aero import mujoco_model, rust
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ SETTLING_TIME = 3.0
 class Observed(NamedTuple):
     """What the world is like at a tick."""
 
-    state: reference.State
+    state: rust.State
     foot_wrenches: Array
     """(feet, 6) [N, N m] about the origin of each sole, force first, inertial axes."""
     joint_torque: Array
@@ -59,14 +59,14 @@ class GroundPlant:
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         self.source: str = config["robot"]
-        self.robot = reference.Robot(self.source)
+        self.robot = rust.Robot(self.source)
         self._table = tomllib.loads(Path(self.source).read_text(encoding="utf-8"))
         simulator = config["simulator"]
         self._aero = simulator["aero"]
         self._substeps: int = simulator["substeps"]
         self.model = _model(self.source, simulator)
         self.data = mujoco.MjData(self.model)
-        self._order = mujoco_door.order_of(self.source, tuple(self.robot.joint_names))
+        self._order = mujoco_model.order_of(self.source, tuple(self.robot.joint_names))
         self._soles = [self.model.site(f"foot_{foot['name']}").id for foot in self._table["feet"]]
         self._foot_of_geom = {
             self.model.geom(f"{foot['name']}_{corner}").id: index
@@ -102,7 +102,7 @@ class GroundPlant:
         rotation = data.xmat[order.bodies[0]].reshape(3, 3).copy()
         nu = data.qvel[order.dofs]
         nu[3:6] = rotation @ nu[3:6]  # the angular part is in body axes there
-        state = reference.State(data.qpos[:3].copy(), rotation, data.qpos[order.joints], nu)
+        state = rust.State(data.qpos[:3].copy(), rotation, data.qpos[order.joints], nu)
         torque = (data.qfrc_actuator + data.qfrc_passive + self._dry_friction())[order.dofs[6:]]
         return Observed(
             state, self._foot_wrenches(), torque, self._blow(state, wind), data.site_xpos[self._soles].copy()
@@ -141,10 +141,10 @@ class GroundPlant:
         force[data.efc_id[rows]] = data.efc_force[rows]
         return force
 
-    def _blow(self, state: reference.State, wind: Array) -> Array:
+    def _blow(self, state: rust.State, wind: Array) -> Array:
         """Compute the link forces in a wind and apply them until the next tick."""
         model, data = self.model, self.data
-        forces = reference.link_forces(self.robot, self._aero, state, wind)
+        forces = rust.link_forces(self.robot, self._aero, state, wind)
         data.qfrc_applied[:] = 0.0
         nothing = np.zeros(3)
         for site, force in zip(self._links, forces, strict=True):
@@ -157,7 +157,7 @@ def _model(source: str, simulator: Mapping[str, Any]) -> Any:
     """MuJoCo's model of the robot on a plane, with the motors of the configuration."""
     ground, motors = simulator["ground"], simulator.get("motors", {})
     table = tomllib.loads(Path(source).read_text(encoding="utf-8"))
-    spec = mujoco_door.mujoco_spec(source)
+    spec = mujoco_model.mujoco_spec(source)
     option = spec.option
     # Without the reset, a run that blows up ends there instead of starting over.
     disabled = mujoco.mjtDisableBit.mjDSBL_LIMIT, mujoco.mjtDisableBit.mjDSBL_AUTORESET
@@ -211,10 +211,10 @@ def _model(source: str, simulator: Mapping[str, Any]) -> Any:
     return model
 
 
-def fly(config: Mapping[str, Any], progress: reference.Progress | None = None) -> reference.Flight:
+def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rust.Flight:
     """Let the robot of a configuration stand, to the end or until it tips over.
 
-    Returns what `reference.fly` returns, with the signals of the ground besides: see `GROUND_SIGNALS` of
+    Returns what `rust.fly` returns, with the signals of the ground besides: see `GROUND_SIGNALS` of
     `experiments/record.py`.
 
     Raises
@@ -222,7 +222,7 @@ def fly(config: Mapping[str, Any], progress: reference.Progress | None = None) -
     ValueError
         If the configuration has no ground, or asks for what this engine does not know.
     """
-    reference.check_config(config)
+    rust.check_config(config)
     simulator = config["simulator"]
     if "ground" not in simulator:
         raise ValueError("`simulator.ground` is absent; expected a table: this engine flies nothing without ground")
@@ -231,10 +231,10 @@ def fly(config: Mapping[str, Any], progress: reference.Progress | None = None) -
             raise ValueError(f"this engine does not know `simulator.{key}`")
     if "wind_estimate" in config["controller"]:
         raise ValueError("this engine does not know `controller.wind_estimate`")
-    plant, controller = GroundPlant(config), reference.Controller(config)
+    plant, controller = GroundPlant(config), rust.Controller(config)
     times = _times(simulator)
-    blowing = reference.wind_velocity(config["wind"], times)
-    told = reference.wind_velocity(config.get("fictitious_wind", config["wind"]), times)
+    blowing = rust.wind_velocity(config["wind"], times)
+    told = rust.wind_velocity(config.get("fictitious_wind", config["wind"]), times)
     thrust = np.asarray(simulator["initial"]["thrust"], dtype=np.float64)
     rows: list[dict[str, Any]] = []
     fall: tuple[float, str] | None = None
@@ -255,7 +255,7 @@ def fly(config: Mapping[str, Any], progress: reference.Progress | None = None) -
         if progress is not None:
             progress(k, len(blowing) - 1)
     log = {name: np.array([row[name] for row in rows], dtype=np.float64) for name in rows[0]}
-    return reference.Flight(
+    return rust.Flight(
         log=log,
         joint_reference=np.asarray(posture),
         outcome="completed" if fall is None else "fell",
@@ -271,10 +271,10 @@ def _times(simulator: Mapping[str, Any]) -> Array:
 
 
 def _row(
-    plant: GroundPlant, seen: Observed, tick: reference.Tick, time: float, thrust: Array, wind: Array, told: Array
+    plant: GroundPlant, seen: Observed, tick: rust.Tick, time: float, thrust: Array, wind: Array, told: Array
 ) -> dict[str, Any]:
     """Every signal of one tick."""
-    truth = reference.dynamics(plant.robot, seen.state)
+    truth = rust.dynamics(plant.robot, seen.state)
     position, rotation, joints, nu = (np.asarray(part) for part in seen.state)
     desired = np.asarray(tick.reference.rotation)
     wxyz = np.zeros(4)

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jax_aero import reference
+from jax_aero import rust
 
 KERNEL_TOLERANCE = 1e-10
 QP_TOLERANCE = 1e-8
@@ -97,8 +97,8 @@ def verify_robot(robot_path: str, n_states: int, comparison: Comparison, backend
     from jax_aero.robot import load_robot
     from jax_aero.types import State
 
-    rust, robot = reference.Robot(robot_path), load_robot(robot_path)
-    states = list(random_states(np.random.default_rng(seed), np.array(rust.joint_limits), n_states))
+    crate_robot, robot = rust.Robot(robot_path), load_robot(robot_path)
+    states = list(random_states(np.random.default_rng(seed), np.array(crate_robot.joint_limits), n_states))
 
     @jax.jit
     @jax.vmap
@@ -110,12 +110,12 @@ def verify_robot(robot_path: str, n_states: int, comparison: Comparison, backend
     batch = State(*(jnp.stack([jnp.asarray(value) for value in field]) for field in zip(*states, strict=True)))
     kin, dyn, accelerations = jax.device_get(evaluate(batch))
     for i, state in enumerate(states):
-        theirs = reference.dynamics(rust, state)
+        theirs = rust.dynamics(crate_robot, state)
         pairs = {"body_positions": kin.body_positions, "body_rotations": kin.body_rotations, "com_position": kin.com}
         for name, ours in (pairs | dyn._asdict()).items():
             comparison.add("dynamics", name, ours[i], getattr(theirs, name), KERNEL_TOLERANCE)
         push = np.cos(np.asarray(state.velocity))
-        acceleration = reference.forward_dynamics(rust, state, push)
+        acceleration = rust.forward_dynamics(crate_robot, state, push)
         comparison.add("dynamics", "acceleration", accelerations[i], acceleration, KERNEL_TOLERANCE)
 
 
@@ -140,9 +140,9 @@ def verify_ticks(config: Mapping[str, Any], samples: Sequence[Sample], group: st
         return command, terms
 
     for sample in samples:
-        rust = reference.Controller(config)
-        rust.set_memory(*sample.memory)
-        theirs = rust.tick(sample.state, sample.thrust, sample.wind, 0.0, sample.reference)
+        controller = rust.Controller(config)
+        controller.set_memory(*sample.memory)
+        theirs = controller.tick(sample.state, sample.thrust, sample.wind, 0.0, sample.reference)
         memory = dict(zip(("posture", "inertia_0", "velocity_error_integral"), sample.memory, strict=True))
         followed = Reference(*(jnp.asarray(getattr(sample.reference, name)) for name in Reference._fields))
         state = State(*(jnp.asarray(value) for value in sample.state))
@@ -153,7 +153,7 @@ def verify_ticks(config: Mapping[str, Any], samples: Sequence[Sample], group: st
 
 
 def _tick_quantities(command: Any, terms: Any) -> dict[str, Any]:
-    """Give every value of a tick the name it has in `reference.Tick`."""
+    """Give every value of a tick the name it has in `rust.Tick`."""
     link, momentum, attitude = terms.link_forces, terms.momentum, terms.attitude
     shaping, following = terms.momentum_qp, terms.torque_qp
     return {
@@ -186,7 +186,7 @@ def _tick_quantities(command: Any, terms: Any) -> dict[str, Any]:
     }
 
 
-def _named(tick: reference.Tick, name: str) -> Any:
+def _named(tick: rust.Tick, name: str) -> Any:
     value: Any = tick
     for part in name.split("."):
         value = getattr(value, part)
@@ -195,19 +195,19 @@ def _named(tick: reference.Tick, name: str) -> Any:
 
 def verify_flight(
     config: Mapping[str, Any], comparison: Comparison, backend: Any = "tree"
-) -> tuple[reference.Flight, reference.Flight]:
+) -> tuple[rust.Flight, rust.Flight]:
     """Compare a whole flight, signal by signal and tick by tick; return the crate's and ours."""
     from jax_aero.sim import fly
 
-    rust, ours = reference.fly(config), fly(config, backend=backend)
-    comparison.add("flight", "outcome", ours.outcome != rust.outcome, 0.0, 0.0, relative=False)
-    trusted = rust["time"] <= (TRUSTED_WHEN_LOST if rust.outcome == "fell" else np.inf)
+    expected, ours = rust.fly(config), fly(config, backend=backend)
+    comparison.add("flight", "outcome", ours.outcome != expected.outcome, 0.0, 0.0, relative=False)
+    trusted = expected["time"] <= (TRUSTED_WHEN_LOST if expected.outcome == "fell" else np.inf)
     last = min(np.count_nonzero(trusted), len(ours["time"]))
-    for name, signal in rust.log.items():
+    for name, signal in expected.log.items():
         if name not in ("qp_iterations", "qp_kkt"):  # those belong to the solver, not to the solution
             same = _same_branch(name, ours[name][:last], signal[:last])
             comparison.add("flight", name, same, signal[:last], FLIGHT_TOLERANCE, relative=False)
-    return rust, ours
+    return expected, ours
 
 
 def _same_branch(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -226,25 +226,25 @@ def _same_branch(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float6
 class Sample:
     """What a controller is told at a tick, and what it remembers: posture, first inertia, integral."""
 
-    state: reference.State
+    state: rust.State
     thrust: NDArray[np.float64]
     wind: NDArray[np.float64]
-    reference: reference.Reference
+    reference: rust.Reference
     memory: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
-def random_states(rng: np.random.Generator, limits: NDArray[np.float64], count: int) -> Iterator[reference.State]:
+def random_states(rng: np.random.Generator, limits: NDArray[np.float64], count: int) -> Iterator[rust.State]:
     """States with the base anywhere, fast, and the joints within their limits."""
     for _ in range(count):
         wxyz = rng.normal(size=4)
         joints = rng.uniform(limits[:, 0], limits[:, 1])
         velocity = np.concatenate([rng.normal(scale=2.0, size=6), rng.normal(scale=1.0, size=len(limits))])
-        yield reference.State(rng.normal(scale=5.0, size=3), rotation_of(wxyz), joints, velocity)
+        yield rust.State(rng.normal(scale=5.0, size=3), rotation_of(wxyz), joints, velocity)
 
 
 def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list[Sample]:
     """Ticks far from any flight: thrusts up to their limits, strong wind, far references."""
-    rng, robot = np.random.default_rng(seed), reference.Robot(config["robot"])
+    rng, robot = np.random.default_rng(seed), rust.Robot(config["robot"])
     n_joints, n_jets = len(robot.joint_names), len(robot.jet_names)
     samples = []
     for state in random_states(rng, np.array(robot.joint_limits), count):
@@ -252,7 +252,7 @@ def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list
         com = np.asarray(state.base_position) + 0.3 * vectors[0]
         turned = np.asarray(state.base_rotation) @ rotation_of(np.array([1.0, *(0.2 * rng.normal(size=3))]))
         turning = [0.5 * vector for vector in vectors[4:7]]
-        followed = reference.Reference(com, vectors[1], vectors[2], vectors[3], turned, *turning)
+        followed = rust.Reference(com, vectors[1], vectors[2], vectors[3], turned, *turning)
         inertia = np.diag(rng.uniform(0.5, 4.0, 3))
         memory = (np.asarray(state.joint_position), inertia, 0.05 * rng.normal(size=n_joints))
         thrust, wind = rng.uniform(10.0, 150.0, n_jets), rng.normal(scale=8.0, size=3)
@@ -260,23 +260,23 @@ def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list
     return samples
 
 
-def recorded_samples(config: Mapping[str, Any], flight: reference.Flight, count: int) -> list[Sample]:
+def recorded_samples(config: Mapping[str, Any], flight: rust.Flight, count: int) -> list[Sample]:
     """Ticks of a recorded flight, evenly spread; memory and reference as they were, the integral at zero."""
-    robot, log = reference.Robot(config["robot"]), flight.log
+    robot, log = rust.Robot(config["robot"]), flight.log
 
-    def state_at(tick: int) -> reference.State:
+    def state_at(tick: int) -> rust.State:
         velocity = np.concatenate([log["base_velocity"][tick], log["joint_velocity"][tick]])
         rotation = rotation_of(log["base_quaternion"][tick])
-        return reference.State(log["base_position"][tick], rotation, log["joint_position"][tick], velocity)
+        return rust.State(log["base_position"][tick], rotation, log["joint_position"][tick], velocity)
 
     first = state_at(0)
     rotation = np.asarray(first.base_rotation)
-    inertia = rotation.T @ reference.dynamics(robot, first).centroidal_inertia @ rotation
-    followed = reference.reference_trajectory(config, log["com_position"][0], log["base_rpy_reference"][0])
-    names = [name for name in reference.Reference.__annotations__ if name in followed]
+    inertia = rotation.T @ rust.dynamics(robot, first).centroidal_inertia @ rotation
+    followed = rust.reference_trajectory(config, log["com_position"][0], log["base_rpy_reference"][0])
+    names = [name for name in rust.Reference.__annotations__ if name in followed]
     samples = []
     for tick in np.linspace(0, len(log["time"]) - 1, count, dtype=int):
-        target = reference.Reference(**{name: followed[name][tick] for name in names})
+        target = rust.Reference(**{name: followed[name][tick] for name in names})
         memory = (flight.joint_reference, inertia, np.zeros(len(robot.joint_names)))
         samples.append(Sample(state_at(tick), log["thrust"][tick], log["wind"][tick], target, memory))
     return samples
@@ -347,7 +347,7 @@ def main(arguments: Sequence[str]) -> int:
     import jax
 
     comparison = Comparison()
-    facts: dict[str, Any] = {"crate": reference.__version__, "jax": jax.__version__, "backend": options.backend}
+    facts: dict[str, Any] = {"crate": rust.__version__, "jax": jax.__version__, "backend": options.backend}
     try:
         config = None if options.robot else in_double_precision(_config(options))
     except (OSError, ValueError) as reason:
@@ -358,11 +358,11 @@ def main(arguments: Sequence[str]) -> int:
             facts["robot"] = Path(options.robot).name
             verify_robot(options.robot, options.states, comparison, options.backend, options.seed)
         else:
-            facts |= {"flight": config["title"] or options.config.stem, "config": reference.config_digest(config)[:12]}
+            facts |= {"flight": config["title"] or options.config.stem, "config": rust.config_digest(config)[:12]}
             verify_robot(config["robot"], options.states, comparison, options.backend, options.seed)
             verify_ticks(config, random_samples(config, options.states, options.seed), "random", comparison)
-            rust, _ = verify_flight(config, comparison, options.backend)
-            verify_ticks(config, recorded_samples(config, rust, options.states), "recorded", comparison)
+            expected, _ = verify_flight(config, comparison, options.backend)
+            verify_ticks(config, recorded_samples(config, expected, options.states), "recorded", comparison)
     rows = comparison.rows
     print(table(rows))
     folder = options.out or Path("results") / "verify" / Path(options.robot or options.config).stem
@@ -404,9 +404,9 @@ def _config(options: argparse.Namespace) -> dict[str, Any]:
         except tomllib.TOMLDecodeError:
             changes[key] = value
     if options.controller is None:
-        return reference.load_config(options.config, changes)
+        return rust.load_config(options.config, changes)
     with tempfile.TemporaryDirectory() as folder:
         mixed = Path(folder) / options.config.name
         base, controller = (json.dumps(str(path.resolve())) for path in (options.config, options.controller))
         mixed.write_text(f"base = {base}\ncontroller = {{ base = {controller} }}\n", encoding="utf-8")
-        return reference.load_config(mixed, changes)
+        return rust.load_config(mixed, changes)

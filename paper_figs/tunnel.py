@@ -1,4 +1,4 @@
-"""Figures 2d, 2e, 3a and 3b and the mesh study, from the typed tables of `configs/reference`; no run is needed.
+"""Figures 2d, 2e, 3a and 3b and the mesh study, from the typed tables of `configs/tables`; no run is needed.
 
 Beside each figure stands what its points say about the paper's claims; `paper_figs` prints it.
 """
@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 from paper_figs import style
 
-REFERENCE = Path(__file__).resolve().parent.parent / "configs" / "reference"
+TABLES = Path(__file__).resolve().parent.parent / "configs" / "tables"
 TUNNEL, CFD = "wind_tunnel.toml", "cfd_tunnel.toml"
 
 FINEST = "953C"
@@ -49,12 +49,12 @@ class Claim:
 
 def read(name: str) -> dict[str, Any]:
     """Read a typed table."""
-    return tomllib.loads((REFERENCE / name).read_text(encoding="utf-8"))
+    return tomllib.loads((TABLES / name).read_text(encoding="utf-8"))
 
 
 def hashes(*names: str) -> dict[str, str]:
     """Return the digest of each table, to be kept in the figure."""
-    return {f"reference/{name}": hashlib.sha256((REFERENCE / name).read_bytes()).hexdigest() for name in names}
+    return {f"tables/{name}": hashlib.sha256((TABLES / name).read_bytes()).hexdigest() for name in names}
 
 
 def fig2(_results: Path, _names: Sequence[str]) -> tuple[Figure, dict[str, str]]:

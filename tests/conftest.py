@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from experiments import record
-from jax_aero.reference import Flight
+from jax_aero.rust import Flight
 
 
 def _leg(side: str) -> list[str]:

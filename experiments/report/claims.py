@@ -13,7 +13,7 @@ from experiments import engine_choice
 from experiments.report.ground import Ground
 from experiments.report.metrics import FINAL, Metrics
 from experiments.report.results import Results, Sweep, count
-from jax_aero import reference
+from jax_aero import rust
 
 RIGHT, HEAD, PUBLISHED = (
     "right arms, 10 m/s from the side",
@@ -103,7 +103,7 @@ def _agreement(right: bool, published: bool) -> str:
 
 
 def _mass(_: Results) -> tuple[str, str]:
-    mass = reference.Robot(str(engine_choice.ROBOT)).mass
+    mass = rust.Robot(str(engine_choice.ROBOT)).mass
     return f"{mass:.2f} kg in the model", "holds" if abs(mass - 43.3) < 0.05 else "does not hold"
 
 

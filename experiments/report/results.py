@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from experiments import engine_choice
 from experiments.report import ground, metrics
-from jax_aero import reference
+from jax_aero import rust
 
 Cell = Mapping[str, Any]
 
@@ -55,7 +55,7 @@ class Results:
     @cached_property
     def standing(self) -> dict[str, ground.Ground]:
         """Return every plain ground experiment, by name."""
-        mass = reference.Robot(str(engine_choice.ROBOT)).mass
+        mass = rust.Robot(str(engine_choice.ROBOT)).mass
         folders = sorted((self.folder / "flight").glob("*/manifest.json"))
         read = ((path.parent.name, ground.read(path.parent, mass)) for path in folders if "--" not in path.parent.name)
         return {name: found for name, found in read if found is not None}

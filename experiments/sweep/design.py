@@ -15,7 +15,7 @@ from typing import Any
 from experiments import Refused, flight, manifest
 from experiments.sweep import keys
 from experiments.sweep.spec import Level, Spec
-from jax_aero import reference
+from jax_aero import rust
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Design:
         return range(index * self.spec.chunk, min((index + 1) * self.spec.chunk, self.n_rows))
 
     @cached_property
-    def bases(self) -> dict[str, reference.Config]:
+    def bases(self) -> dict[str, rust.Config]:
         """Return the flights that cells start from, by name."""
         names = {self.spec.base, *(level.base for axis in self.spec.axes for level in axis.levels if level.base)}
         return {name: _load(self.spec.name, name) for name in sorted(names)}
@@ -65,9 +65,9 @@ class Design:
     @cached_property
     def links(self) -> list[str]:
         """Return the aerodynamic links of the robot."""
-        return list(reference.Robot(self.bases[self.spec.base]["robot"]).aero_link_names)
+        return list(rust.Robot(self.bases[self.spec.base]["robot"]).aero_link_names)
 
-    def cell_config(self, cell: int) -> reference.Config:
+    def cell_config(self, cell: int) -> rust.Config:
         """Return the unperturbed configuration of a cell."""
         levels = self.cells[cell]
         base = next((level.base for level in levels if level.base), self.spec.base)
@@ -77,7 +77,7 @@ class Design:
             keys.set_all(config, level.set)
         return config
 
-    def row_config(self, row: int) -> reference.Config:
+    def row_config(self, row: int) -> rust.Config:
         """Return the configuration of a row: its cell's, perturbed by its repeat's draws."""
         cell, repeat = divmod(row, self.spec.repeats)
         config = self.cell_config(cell)
@@ -89,7 +89,7 @@ class Design:
         """Return a hash of everything that decides the result, but for the code."""
         cells = [[(level.label, level.base, manifest.portable(level.set)) for level in levels] for levels in self.cells]
         what = {
-            "bases": {name: reference.config_digest(config) for name, config in self.bases.items()},
+            "bases": {name: rust.config_digest(config) for name, config in self.bases.items()},
             "cells": cells,
             "set": dict(self.spec.set),
             "perturbation": vars(self.spec.perturbation),
@@ -104,7 +104,7 @@ class Design:
         """Refuse a sweep with a cell that cannot fly, before the first flight."""
         for cell, levels in enumerate(self.cells):
             try:
-                reference.check_config(self.cell_config(cell))
+                rust.check_config(self.cell_config(cell))
             except ValueError as reason:
                 labels = ", ".join(f"{axis.name} = {x.label}" for axis, x in zip(self.spec.axes, levels, strict=True))
                 raise Refused(f"sweep {self.spec.name}: cell {cell} ({labels}): {reason}") from None
@@ -123,9 +123,9 @@ def _unit_points(design: str, dimensions: int, samples: int, seed: int) -> Seque
     return found
 
 
-def _load(sweep: str, name: str) -> reference.Config:
+def _load(sweep: str, name: str) -> rust.Config:
     try:
-        return reference.load_config(flight.find(name))
+        return rust.load_config(flight.find(name))
     except ValueError as reason:
         raise Refused(f"sweep {sweep}: {reason}") from None
 
@@ -139,7 +139,7 @@ def _cards(value: Any) -> Iterator[str]:
             yield from _cards(item)
 
 
-def config_hash(config: reference.Config) -> str:
+def config_hash(config: rust.Config) -> str:
     """Return a short hash of one row's configuration, the same on every machine."""
     text = json.dumps(manifest.portable(config), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -27,7 +27,7 @@ from experiments import Refused, engines, manifest
 from experiments.sweep import table
 from experiments.sweep.design import Design
 from experiments.sweep.progress import Progress
-from jax_aero import reference
+from jax_aero import rust
 
 RESULTS = manifest.REPOSITORY / "results" / "sweeps"
 
@@ -58,7 +58,7 @@ def fly_chunk(
     chunk: int,
     engine: engines.Engine,
     threads: int | None = None,
-    progress: reference.Progress | None = None,
+    progress: rust.Progress | None = None,
 ) -> Any:
     """Return the table of one chunk."""
     indices = design.chunk(chunk)

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 
 from experiments.engines import Failure
 from experiments.sweep.design import Design, config_hash
-from jax_aero.reference import Flight
+from jax_aero.rust import Flight
 
 SUMMARY = (
     "max_com_error",

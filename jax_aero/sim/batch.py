@@ -1,7 +1,7 @@
 """Many flights at once: `vmap` over everything in which they differ, split over the devices there are.
 
 Flights of one structure (the same models, switches and lengths) share one compilation and fly together; numbers that
-are the same in all of them are not copied. `fly_batch` has the signature and the result of `reference.fly_batch`.
+are the same in all of them are not copied. `fly_batch` has the signature and the result of `rust.fly_batch`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.config import FlightConfig, flight_config
 from jax_aero.dynamics import Backend
 from jax_aero.robot import RobotModel, load_robot
@@ -53,14 +53,14 @@ class Group(NamedTuple):
 
 def fly_batch(
     configs: Iterable[Mapping[str, Any]],
-    progress: reference.Progress | None = None,
+    progress: rust.Progress | None = None,
     *,
     full_log: bool = False,
     backend: Backend = "tree",
     dtype: Any = np.float64,
     most_together: int | None = None,
     devices: Sequence[jax.Device] | None = None,
-) -> list[reference.Flight]:
+) -> list[rust.Flight]:
     """Fly many configurations; the results do not depend on which fly together, but for rounding.
 
     Without `full_log` only outcome and summary are sure to be there. `progress(done, total)` counts flights.
@@ -77,7 +77,7 @@ def fly_batch(
         # All configurations are read before the first flight is prepared: mistakes show at once.
         groups = list(_groups(_prepared(list(_typed(configs)), backend, dtype)))
         total = sum(len(group.places) for group in groups)
-        flights: dict[int, reference.Flight] = {}
+        flights: dict[int, rust.Flight] = {}
         for group in groups:
             size = len(crew) * min(together, _power_of_two(-(-len(group.places) // len(crew))))
             shared = _shared(group.leaves)
@@ -142,7 +142,7 @@ def _power_of_two(n: int) -> int:
 
 def _fly_together(
     group: Group, shared: tuple[bool, ...], size: int, full_log: bool, devices: tuple[jax.Device, ...]
-) -> list[reference.Flight]:
+) -> list[rust.Flight]:
     # Always `size` flights: what is missing is the last one again.
     rows = [min(row, len(group.places) - 1) for row in range(size)]
     leaves = tuple(

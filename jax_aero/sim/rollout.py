@@ -1,8 +1,8 @@
 """Flights from start to end: a scan over ticks for gradients and batches, and `fly` for one flight with its log.
 
->>> from jax_aero import reference
+>>> from jax_aero import rust
 >>> from jax_aero.sim import fly
->>> config = reference.load_config("configs/experiments/test2.toml", {"simulator.duration": 0.05})
+>>> config = rust.load_config("configs/experiments/test2.toml", {"simulator.duration": 0.05})
 >>> fly(config)["thrust"].shape
 (6, 4)
 """
@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.config import flight_config
 from jax_aero.dynamics import Backend
 from jax_aero.robot import load_robot
@@ -92,12 +92,12 @@ def fly_chunk(flight: Flight, state: FlightState, first_tick: Array, n_ticks: in
 
 def fly(
     config: Mapping[str, Any],
-    progress: reference.Progress | None = None,
+    progress: rust.Progress | None = None,
     *,
     backend: Backend = "tree",
     dtype: Any = np.float64,
-) -> reference.Flight:
-    """Fly one configuration from start to end, or to the fall, as `reference.fly` does and with the same result.
+) -> rust.Flight:
+    """Fly one configuration from start to end, or to the fall, as `rust.fly` does and with the same result.
 
     Works in double precision unless told otherwise, whatever JAX is set to.
     """
@@ -132,11 +132,11 @@ class Ending(NamedTuple):
 
 def finished(
     signals: Mapping[str, Any], posture: Any, ending: Ending, n_ticks: int, *, is_whole_log: bool = True
-) -> reference.Flight:
+) -> rust.Flight:
     """Return the flight of these signals: whole rows, or condensed ones without a log. Ticks beyond its end are cut."""
     fell = 0 <= ending.tick <= n_ticks
     signals = {name: signal[: (ending.tick if fell else n_ticks) + 1] for name, signal in signals.items()}
-    return reference.Flight(
+    return rust.Flight(
         log=signals if is_whole_log else {},
         joint_reference=posture,
         outcome="fell" if fell else "completed",

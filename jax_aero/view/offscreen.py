@@ -101,13 +101,13 @@ class Studio:
 
         import mujoco  # type: ignore[import-untyped]
 
-        from jax_aero import mujoco_door
+        from jax_aero import mujoco_model
 
         self._mj = mujoco
         source = str(recording.robot_path)
         self.model = display_model(recording, self.look, width, height)
         self.data = mujoco.MjData(self.model)
-        order = mujoco_door.order_of(source, tuple(recording.robot.joint_names))
+        order = mujoco_model.order_of(source, tuple(recording.robot.joint_names))
         self._joints = order.joints
         self._cone = self.model.mesh("cone").id
         turn = np.zeros(9)
@@ -258,12 +258,12 @@ class Studio:
 
 
 def display_model(recording: Recording, look: Look, width: int, height: int) -> Any:
-    """MuJoCo's model of the robot as `mujoco_door` builds it, dressed for pictures: it has no geometry of its own."""
+    """MuJoCo's model of the robot as `mujoco_model` builds it, dressed for pictures: it has no geometry of its own."""
     import mujoco
 
-    from jax_aero import mujoco_door
+    from jax_aero import mujoco_model
 
-    spec = mujoco_door.mujoco_spec(str(recording.robot_path))
+    spec = mujoco_model.mujoco_spec(str(recording.robot_path))
     types = {
         "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
         "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,

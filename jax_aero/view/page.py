@@ -14,7 +14,7 @@ import numpy as np
 import viser
 from viser import uplot
 
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.view import drawing, panel
 from jax_aero.view.drawing import Scales
 from jax_aero.view.nodes import LIT, RobotNodes, segments, sky, thinned
@@ -46,7 +46,7 @@ class Page:
     def __init__(
         self,
         recordings: Sequence[Recording],
-        config: reference.Config | None,
+        config: rust.Config | None,
         host: str = "127.0.0.1",
         port: int = 8080,
     ) -> None:
@@ -55,7 +55,7 @@ class Page:
         if not self.results:
             if config is None:
                 raise ValueError("neither a recording nor a configuration; expected at least one of them")
-            self.results = [from_flight(reference.fly(config), config, str(config.get("title", "flown here")))]
+            self.results = [from_flight(rust.fly(config), config, str(config.get("title", "flown here")))]
         self.solid = self.results[0]
         self.others = self.results[1:]
         self.ghost: Recording | None = self.others[0] if self.others else None
@@ -387,7 +387,7 @@ class Page:
                 continue
             try:
                 config = apply(self.base, wanted)
-                flown = from_flight(reference.fly(config), config, wanted.title)
+                flown = from_flight(rust.fly(config), config, wanted.title)
             except (ValueError, RuntimeError) as reason:
                 self.card.content = panel.note(f"This cannot be flown: {reason}")
                 continue

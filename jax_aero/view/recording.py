@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.view import Refused, require
 
 Vector = NDArray[np.float64]
@@ -106,19 +106,19 @@ class Recording:
     robot_path
         The robot's TOML file.
     outcome, fall_time, fall_reason
-        As in `reference.Flight`.
+        As in `rust.Flight`.
     config
         Resolved configuration, ready to be flown again; `None` if the file does not say.
     """
 
     title: str
     signals: Mapping[str, Vector]
-    robot: reference.Robot
+    robot: rust.Robot
     robot_path: Path
     outcome: str
     fall_time: float | None
     fall_reason: str | None
-    config: reference.Config | None = field(default=None, repr=False)
+    config: rust.Config | None = field(default=None, repr=False)
 
     @property
     def duration(self) -> float:
@@ -163,9 +163,9 @@ class Recording:
         # q and −q are one rotation: blend along the short way.
         wxyz = (1.0 - share) * first + share * (second if first @ second >= 0.0 else -second)
         joints = value("joint_position")
-        pose = reference.dynamics(
+        pose = rust.dynamics(
             self.robot,
-            reference.State(value("base_position"), rotation_from_wxyz(wxyz), joints, np.zeros(6 + joints.size)),
+            rust.State(value("base_position"), rotation_from_wxyz(wxyz), joints, np.zeros(6 + joints.size)),
         )
         return Instant(
             time=time,
@@ -193,12 +193,12 @@ def rotation_from_wxyz(wxyz: Vector) -> Vector:
     )
 
 
-def from_flight(flight: reference.Flight, config: reference.Config, title: str) -> Recording:
+def from_flight(flight: rust.Flight, config: rust.Config, title: str) -> Recording:
     """Return the recording of a flight just flown."""
     return Recording(
         title=title,
         signals={name: flight.log[name] for name in SIGNALS},
-        robot=reference.Robot(config["robot"]),
+        robot=rust.Robot(config["robot"]),
         robot_path=Path(config["robot"]),
         outcome=flight.outcome,
         fall_time=flight.fall_time,
@@ -228,7 +228,7 @@ def read(result: str | Path, robot: str | Path | None = None) -> Recording:
     config = _here(manifest["config"]) if isinstance(manifest.get("config"), dict) else None
     robot_path = _robot_path(path, config, robot)
     try:
-        loaded = reference.Robot(robot_path)
+        loaded = rust.Robot(robot_path)
     except (OSError, ValueError) as reason:
         raise Refused(f"cannot read the robot of `{path}`: {reason}") from None
     _check_shapes(path, signals, loaded)
@@ -296,7 +296,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
     return manifest if isinstance(manifest, dict) else {}
 
 
-def _here(config: reference.Config) -> reference.Config:
+def _here(config: rust.Config) -> rust.Config:
     """Paths of a manifest start at the repository; make them absolute."""
     placed = copy.deepcopy(config)
 
@@ -304,14 +304,14 @@ def _here(config: reference.Config) -> reference.Config:
         for key, value in table.items():
             if isinstance(value, dict):
                 place(value)
-            elif key in reference.PATH_KEYS and isinstance(value, str) and (REPOSITORY / value).is_file():
+            elif key in rust.PATH_KEYS and isinstance(value, str) and (REPOSITORY / value).is_file():
                 table[key] = str(REPOSITORY / value)
 
     place(placed)
     return placed
 
 
-def _robot_path(path: Path, config: reference.Config | None, given: str | Path | None) -> Path:
+def _robot_path(path: Path, config: rust.Config | None, given: str | Path | None) -> Path:
     if given is not None:
         return Path(given)
     if config is None:
@@ -322,7 +322,7 @@ def _robot_path(path: Path, config: reference.Config | None, given: str | Path |
     return named
 
 
-def _check_shapes(path: Path, signals: Mapping[str, Vector], robot: reference.Robot) -> None:
+def _check_shapes(path: Path, signals: Mapping[str, Vector], robot: rust.Robot) -> None:
     n = signals["time"].size
     expected = {
         "joint_position": (n, len(robot.joint_names)),

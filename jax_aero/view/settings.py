@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.view import Refused
 from jax_aero.view.recording import REPOSITORY
 
@@ -79,15 +79,15 @@ class Settings:
         return f"{self.controller}{scale}, {self.wind_speed:g} m/s from {self.wind_direction_deg:g}°, {self.arms} arms"
 
 
-def default_config() -> reference.Config:
+def default_config() -> rust.Config:
     """TEST1: the flight to start from when no result is given."""
     path = CONFIGS / "experiments" / "test1.toml"
     if not path.is_file():
         raise Refused(f"there is no `{path}`; run this in a checkout of the repository, or give a RESULT")
-    return reference.load_config(path)
+    return rust.load_config(path)
 
 
-def settings_of(config: reference.Config) -> Settings:
+def settings_of(config: rust.Config) -> Settings:
     """Read the settings that come closest to a configuration."""
     velocity = np.array(config["wind"].get("velocity", [0.0, 0.0, 0.0]))
     speed = float(np.linalg.norm(velocity[:2]))
@@ -111,12 +111,12 @@ def _model_of(aero: dict[str, Any]) -> str:
     return AS_GIVEN
 
 
-def can_change_wind(config: reference.Config) -> bool:
+def can_change_wind(config: rust.Config) -> bool:
     """Whether the configuration's wind has a velocity; a recorded wind has none."""
     return "velocity" in config["wind"]
 
 
-def apply(base: reference.Config, settings: Settings) -> reference.Config:
+def apply(base: rust.Config, settings: Settings) -> rust.Config:
     """Return `base` with everything that `settings` asks for and `base` does not have yet.
 
     What is already as asked for stays untouched, so the settings of a configuration give that same configuration.

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.urdf import IDENTITY, BodyTree, Pose, Vector, origin_of, read_tree
 
 STRUT_RADIUS = 0.022  # m
@@ -65,7 +65,7 @@ class Look:
     links: tuple[Mount, ...]
 
 
-def look_of(robot: reference.Robot) -> Look:
+def look_of(robot: rust.Robot) -> Look:
     """Read what a robot looks like from its own TOML and URDF text; meshes are left out."""
     table = tomllib.loads(robot.toml_text)
     tree = read_tree(robot.urdf_text, table["base_link"], robot.joint_names, table.get("locked", {}))

@@ -58,7 +58,7 @@ def write_video(
     require(["av", "PIL"], "writing a video")
     import av
 
-    from jax_aero.view.lettering import letter_video
+    from jax_aero.view.labels import letter_video
 
     times = frame_times(recording, fps, speed, start, end)
     with complete_file(out) as draft, Studio(recording, *size) as studio, av.open(draft, "w", format="mp4") as film:
@@ -141,7 +141,7 @@ def write_snapshot(
 def _single(
     recording: Recording, times: list[float], size: tuple[int, int], viewpoint: Viewpoint, progress: Progress | None
 ) -> Any:
-    from jax_aero.view.lettering import letter_video
+    from jax_aero.view.labels import letter_video
 
     with Studio(recording, *size) as studio:
         camera = camera_at(recording, times[0], viewpoint)
@@ -158,13 +158,13 @@ def _strip(
     """Moments side by side, numbered; below them the path from the side, with the same numbers."""
     from PIL import Image, ImageDraw
 
-    from jax_aero.view import lettering
+    from jax_aero.view import labels
 
     width, height = size
     letters = max(height // 38, 9)
     top, below = int(4.6 * letters), int(0.27 * height)
     panel = width // len(times), height - top - below
-    sheet = Image.new("RGB", size, lettering.PAPER)
+    sheet = Image.new("RGB", size, labels.PAPER)
     with Studio(recording, *panel) as studio:
         for i, time in enumerate(times):
             # Narrow panels are seen from further away, so that the robot fits in with its plumes.
@@ -175,20 +175,20 @@ def _strip(
                 progress(i + 1, len(times))
         scale = studio.pixels_per_metre(camera)
     draw = ImageDraw.Draw(sheet, "RGBA")
-    lettering.text(draw, (letters, 0.5 * letters), recording.title, int(1.3 * letters), lettering.INK)
-    lettering.badge(draw, (width - int(1.2 * letters), int(1.4 * letters)), recording, letters, "rm")
+    labels.text(draw, (letters, 0.5 * letters), recording.title, int(1.3 * letters), labels.INK)
+    labels.badge(draw, (width - int(1.2 * letters), int(1.4 * letters)), recording, letters, "rm")
     for i, time in enumerate(times):
         left = i * panel[0]
         now = recording.at(time)
         words = f"{i + 1}    {time:.1f} s    tilt {np.rad2deg(now.rotation_error):.0f}°"
-        lettering.text(draw, (left + 0.7 * letters, top - 1.5 * letters), words, letters, lettering.INK)
+        labels.text(draw, (left + 0.7 * letters, top - 1.5 * letters), words, letters, labels.INK)
         if i:
-            draw.line((left, top, left, top + panel[1]), fill=lettering.PAPER, width=max(letters // 6, 2))
+            draw.line((left, top, left, top + panel[1]), fill=labels.PAPER, width=max(letters // 6, 2))
     base = height - int(2.2 * letters)
     split = int(0.26 * width)
-    lettering.legend(draw, (letters, base), letters, Scales(), scale)
+    labels.legend(draw, (letters, base), letters, Scales(), scale)
     box = (split, top + panel[1] + int(1.6 * letters), width - 2 * letters, base)
-    lettering.profile(draw, box, recording, times, letters)
+    labels.profile(draw, box, recording, times, letters)
     return np.asarray(sheet)
 
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.config import flight_config
 from jax_aero.control import references, tick
 from jax_aero.control.attitude import attitude_demand
@@ -68,7 +68,7 @@ def rng():
 
 @pytest.fixture(scope="module")
 def twin(x64):
-    config = flight_config(reference.load_config(EXPERIMENTS / "test2.toml"))
+    config = flight_config(rust.load_config(EXPERIMENTS / "test2.toml"))
     robot = load_robot(config.robot)
     return config, robot, tick.controller_params(config, robot)
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.config import flight_config
 from jax_aero.robot import load_robot
 from jax_aero.sim import begin, prepare, rollout
@@ -29,7 +29,7 @@ PARAMETERS = (
 def problem(x64):
     """A cost of tracking, as a function of everything the issue asks for, and its compiled value and gradient."""
     wind = {"wind.ramp_start": -1.0, "wind.ramp_end": 0.5}
-    config = flight_config(reference.load_config(ROOT / "configs" / "experiments" / "test2.toml", wind))
+    config = flight_config(rust.load_config(ROOT / "configs" / "experiments" / "test2.toml", wind))
     flight, start = prepare(config, load_robot(config.robot))
     controller, robot_state = flight.controller, start.plant.robot
     at = {

@@ -9,7 +9,7 @@ import pytest
 
 from jax_aero.control import qp
 from jax_aero.control.qp import BoxQp
-from jax_aero.reference import BoxQpSolver
+from jax_aero.rust import BoxQpSolver
 
 pytestmark = pytest.mark.usefixtures("x64")
 

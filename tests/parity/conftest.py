@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from jax_aero.reference import Robot, State
+from jax_aero.rust import Robot, State
 
 ROOT = Path(__file__).resolve().parents[2]
 ROBOTS = ("ironcub_mk1", "sparrow")

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
 
-from jax_aero import reference
-from jax_aero.reference import Robot
+from jax_aero import rust
+from jax_aero.rust import Robot
 
 ROOT = Path(__file__).resolve().parents[2]
 AERO = ROOT / "configs" / "aero"
@@ -78,7 +78,7 @@ def test_axisymmetric_forces_follow_the_printed_formula(iron_cub, table, coeffic
             printed_force(areas["cda"], areas["cna"], axis, v, aero["air_density"])
             for areas, axis, v in zip(sets, axes, v_air, strict=True)
         ]
-        compare(agree, f"axisymmetric, {coefficients}", reference.aero_forces(iron_cub, aero, axes, v_air), theirs)
+        compare(agree, f"axisymmetric, {coefficients}", rust.aero_forces(iron_cub, aero, axes, v_air), theirs)
 
 
 # --- spheres and cylinders -----------------------------------------------------------------------------------------
@@ -135,7 +135,7 @@ def test_sphere_and_cylinder_forces_follow_the_published_tables(iron_cub, table,
             tables.force(link, axis, v, aero["air_density"], aero["dynamic_viscosity"])
             for link, axis, v in zip(links, axes, v_air, strict=True)
         ]
-        compare(agree, "sphere and cylinder", reference.aero_forces(iron_cub, aero, axes, v_air), theirs)
+        compare(agree, "sphere and cylinder", rust.aero_forces(iron_cub, aero, axes, v_air), theirs)
         reynolds += [np.linalg.norm(v) * link["diameter"] for v, link in zip(v_air, links, strict=True)]
     # Both the laminar end and the drag crisis of both tables were visited.
     scale = aero["air_density"] / aero["dynamic_viscosity"]
@@ -154,9 +154,9 @@ def test_wind_along_an_axis_is_the_limit_of_wind_beside_it(iron_cub, name):
     axes = np.tile([0.6, 0.0, 0.8], (links, 1))
     across = np.array([0.8, 0.0, -0.6])
     for direction in (-1.0, 1.0):
-        along = reference.aero_forces(iron_cub, aero, axes, 10 * direction * axes)
-        beside = reference.aero_forces(iron_cub, aero, axes, 10 * direction * axes + 1e-7 * across)
+        along = rust.aero_forces(iron_cub, aero, axes, 10 * direction * axes)
+        beside = rust.aero_forces(iron_cub, aero, axes, 10 * direction * axes + 1e-7 * across)
         assert np.all(np.isfinite(along))
         np.testing.assert_allclose(along, beside, rtol=0, atol=1e-5)
         np.testing.assert_allclose(np.cross(along, axes), 0, atol=1e-5)
-    assert np.all(reference.aero_forces(iron_cub, aero, axes, np.zeros((links, 3))) == 0)
+    assert np.all(rust.aero_forces(iron_cub, aero, axes, np.zeros((links, 3))) == 0)

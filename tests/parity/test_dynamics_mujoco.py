@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from jax_aero import reference
-from jax_aero.reference import Robot
+from jax_aero import rust
+from jax_aero.rust import Robot
 
 TOLERANCE = 1e-10
 LOCKED = {"sparrow": {"neck": ((0, 1, 0), 0.2)}}
@@ -50,7 +50,7 @@ class Oracle:
         self.v = np.array([*range(6), *(joint.dofadr[0] for joint in joints)])
         assert self.model.nv == len(self.v)
 
-    def set(self, state: reference.State, wxyz: np.ndarray) -> None:
+    def set(self, state: rust.State, wxyz: np.ndarray) -> None:
         rotation = np.asarray(state.base_rotation)
         self.x = np.eye(self.model.nv)
         self.x[3:6, 3:6] = rotation
@@ -105,7 +105,7 @@ def test_the_whole_state_agrees(robot, oracle, random_states, agree):
     bodies = [oracle.model.body(name).id for name in robot.body_names]
     for state, wxyz in random_states:
         oracle.set(state, wxyz)
-        ours = reference.dynamics(robot, state)
+        ours = rust.dynamics(robot, state)
         agree("body positions", ours.body_positions, oracle.data.xpos[bodies], TOLERANCE)
         agree("body rotations", ours.body_rotations, oracle.data.xmat[bodies].reshape(-1, 3, 3), TOLERANCE)
         agree("CoM", ours.com_position, oracle.data.subtree_com[1], TOLERANCE)
@@ -132,7 +132,7 @@ def test_every_frame_jacobian_agrees(robot, oracle, random_states, agree):
     for state, wxyz in random_states:
         oracle.set(state, wxyz)
         for frame in frames:
-            ours, (linear, angular) = reference.frame_jacobian(robot, frame, state), oracle.jacobian(frame)
+            ours, (linear, angular) = rust.frame_jacobian(robot, frame, state), oracle.jacobian(frame)
             agree("frame Jacobians, linear", ours.linear, linear, TOLERANCE)
             agree("frame Jacobians, angular", ours.angular, angular, TOLERANCE)
 
@@ -142,7 +142,7 @@ def test_forward_dynamics_agrees(robot, oracle, random_states, agree):
     for state, wxyz in random_states:
         oracle.set(state, wxyz)
         force = rng.normal(size=oracle.model.nv) * np.where(np.arange(oracle.model.nv) < 6, 200, 20)
-        ours, theirs = reference.forward_dynamics(robot, state, force), oracle.forward_dynamics(force)
+        ours, theirs = rust.forward_dynamics(robot, state, force), oracle.forward_dynamics(force)
         agree("acceleration", ours, theirs, TOLERANCE)
 
 

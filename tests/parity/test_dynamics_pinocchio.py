@@ -14,8 +14,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from jax_aero import reference
-from jax_aero.reference import Robot
+from jax_aero import rust
+from jax_aero.rust import Robot
 
 TOLERANCE = 1e-10
 LOCKED = {"sparrow": {"neck": 0.2}}
@@ -38,7 +38,7 @@ class Oracle:
         self.v = np.array([*range(6), *(joint.idx_v for joint in self.joints)])
         assert model.nv == len(self.v)
 
-    def set(self, state: reference.State, wxyz: np.ndarray) -> None:
+    def set(self, state: rust.State, wxyz: np.ndarray) -> None:
         rotation, velocity = np.asarray(state.base_rotation), np.asarray(state.velocity)
         self.x = np.eye(self.model.nv)
         self.x[:3, :3] = self.x[3:6, 3:6] = rotation
@@ -81,7 +81,7 @@ def test_the_whole_state_agrees(robot, oracle, random_states, agree):
     bodies = [oracle.model.getFrameId(name, pin.FrameType.BODY) for name in robot.body_names]
     for state, wxyz in random_states:
         oracle.set(state, wxyz)
-        ours = reference.dynamics(robot, state)
+        ours = rust.dynamics(robot, state)
         pin.framesForwardKinematics(oracle.model, oracle.data, oracle.q)
         poses = [oracle.data.oMf[body] for body in bodies]
         agree("body positions", ours.body_positions, [pose.translation for pose in poses], TOLERANCE)
@@ -114,7 +114,7 @@ def test_every_frame_jacobian_agrees(robot, oracle, random_states, agree):
         oracle.set(state, wxyz)
         pin.computeJointJacobians(oracle.model, oracle.data, oracle.q)
         for frame, index in zip(frames, ids, strict=True):
-            ours = reference.frame_jacobian(robot, frame, state)
+            ours = rust.frame_jacobian(robot, frame, state)
             theirs = oracle.mixed(pin.getFrameJacobian(oracle.model, oracle.data, index, WORLD_AXES))
             agree("frame Jacobians, linear", ours.linear, theirs[:3], TOLERANCE)
             agree("frame Jacobians, angular", ours.angular, theirs[3:], TOLERANCE)
@@ -125,7 +125,7 @@ def test_forward_dynamics_agrees(robot, oracle, random_states, agree):
     for state, wxyz in random_states:
         oracle.set(state, wxyz)
         force = rng.normal(size=oracle.model.nv) * np.where(np.arange(oracle.model.nv) < 6, 200, 20)
-        ours, theirs = reference.forward_dynamics(robot, state, force), oracle.forward_dynamics(force)
+        ours, theirs = rust.forward_dynamics(robot, state, force), oracle.forward_dynamics(force)
         agree("acceleration", ours, theirs, TOLERANCE)
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jax_aero import reference
-from jax_aero.reference import Controller, Reference, Robot, State
+from jax_aero import rust
+from jax_aero.rust import Controller, Reference, Robot, State
 
 ROOT = Path(__file__).resolve().parents[2]
 PATH = ROOT / ".." / "shared" / "golden" / "states.json"
@@ -34,7 +34,7 @@ def iron_cub():
 
 def tick_of(experiment, golden):
     """One tick at a golden state, with physically right points and the printed coefficients."""
-    config = reference.load_config(ROOT / "configs" / "experiments" / f"{experiment}.toml")
+    config = rust.load_config(ROOT / "configs" / "experiments" / f"{experiment}.toml")
     if config["controller"]["aero"]["model"] == "axisymmetric":
         config["controller"]["aero"]["coefficients"] = "published"
     controller = Controller(config)
@@ -48,7 +48,7 @@ def state_of(golden):
 
 
 def test_dynamics(golden, iron_cub, agree):
-    ours = reference.dynamics(iron_cub, state_of(golden))
+    ours = rust.dynamics(iron_cub, state_of(golden))
     agree("mass", iron_cub.mass, golden["mass"], TOLERANCE)
     agree("M", ours.mass_matrix, golden["M"], TOLERANCE)
     agree("h", ours.bias, golden["h"], TOLERANCE)
@@ -68,7 +68,7 @@ def test_aerodynamics(golden, iron_cub, agree):
 
     jacobians = []
     for link, centre in zip(tomllib.loads(iron_cub.toml_text)["aero_links"], tick.link_arm_points, strict=True):
-        linear, angular = reference.frame_jacobian(iron_cub, link["frame"], state_of(golden))
+        linear, angular = rust.frame_jacobian(iron_cub, link["frame"], state_of(golden))
         # Base rotation moves the frame's origin by −S(r) ω; another point of the link by −S(offset) J_ω more.
         r = np.array([linear[1, 5], linear[2, 3], linear[0, 4]])
         offset = centre - np.asarray(golden["p"]) - r
@@ -76,7 +76,7 @@ def test_aerodynamics(golden, iron_cub, agree):
     agree("J_aero", jacobians, golden["J_aero"], TOLERANCE)
 
     cylinder = tomllib.loads((ROOT / "configs" / "aero" / "sphere_cylinder.toml").read_text(encoding="utf-8"))
-    ours = reference.aero_forces(iron_cub, cylinder, tick.link_axes, tick.link_v_air)
+    ours = rust.aero_forces(iron_cub, cylinder, tick.link_axes, tick.link_v_air)
     agree("f_aero_cyl", ours, golden["f_aero_cyl"], TOLERANCE)
 
 

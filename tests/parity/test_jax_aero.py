@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.aero import LinkConventions, aero_model, link_forces, model_forces, scaled, wrench_about
 from jax_aero.config import aero_config, flight_config
 from jax_aero.kinematics import kinematics
@@ -30,7 +30,7 @@ SPEEDS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0, 10.0, 40.0, 300.0)
 
 @pytest.fixture(scope="module")
 def models():
-    robustness = reference.load_config(EXPERIMENTS / "robustness_axisymmetric_vs_sphere_cylinder.toml")
+    robustness = rust.load_config(EXPERIMENTS / "robustness_axisymmetric_vs_sphere_cylinder.toml")
     return {**MODELS, "sphere_cylinder": robustness["controller"]["aero"]}
 
 
@@ -49,13 +49,13 @@ def test_forces(models, name, robot, robot_name, agree):
     v_air[:, 0], v_air[:, 1] = (axes[:, k] * np.array(SPEEDS)[:, None] * sign for k, sign in ((0, 1.0), (1, -1.0)))
     forces = np.asarray(jax.jit(jax.vmap(lambda a, v: model_forces(model, a, v)))(axes, v_air))
     for case in range(len(SPEEDS)):
-        agree(f"{name} forces", forces[case], reference.aero_forces(robot, table, axes[case], v_air[case]), TOLERANCE)
+        agree(f"{name} forces", forces[case], rust.aero_forces(robot, table, axes[case], v_air[case]), TOLERANCE)
 
 
 @pytest.mark.parametrize("experiment", ["test2", "test2_published", "robustness_axisymmetric_vs_sphere_cylinder"])
 def test_where_the_controller_places_links(experiment, agree):
     """Axes, relative winds, points and forces of the controller, right and published conventions."""
-    table = reference.load_config(EXPERIMENTS / f"{experiment}.toml")
+    table = rust.load_config(EXPERIMENTS / f"{experiment}.toml")
     config = flight_config(table).controller
     robot = load_robot(table["robot"])
     model = aero_model(config.aero, robot)
@@ -67,12 +67,12 @@ def test_where_the_controller_places_links(experiment, agree):
         link = scaled(link_forces(model, robot, kin, conventions, wind), config.aero_feedback.scale)
         return link, wrench_about(link, kin.com)
 
-    controller = reference.Controller(table)
+    controller = rust.Controller(table)
     rng = np.random.default_rng(5)
     start = np.array(table["simulator"]["initial"]["joint_position"])
     for case in range(8):
         rotation = np.diag([-1.0, -1.0, 1.0])
-        state = reference.State(
+        state = rust.State(
             rng.normal(size=3), rotation, start + 0.3 * rng.normal(size=23), rng.normal(size=29) * (case > 0)
         )
         wind = rng.normal(size=3) * 8.0

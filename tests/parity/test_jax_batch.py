@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jax_aero import reference, sim
+from jax_aero import rust, sim
 from jax_aero.sim import batch
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,7 +28,7 @@ def test_flights_on_two_devices():
     """Three flights on two devices, so that one flies twice and is dropped; the second one is lost, and ends there."""
     changes = {"simulator.duration": 1.5, "wind.ramp_start": 0.2, "wind.ramp_end": 0.8, "wind.velocity": [0, -6.0, 0]}
     tables = [
-        reference.load_config(ROOT / "configs" / "experiments" / "test2.toml", changes | more)
+        rust.load_config(ROOT / "configs" / "experiments" / "test2.toml", changes | more)
         for more in ({}, {"simulator.fall.com_error": 0.02}, {"controller.momentum.c0": 40.0, "title": "softer"})
     ]
     # Two devices are made of one processor; compiled without optimisation, which takes half the time.
@@ -45,9 +45,9 @@ def test_flights_on_two_devices():
     devices, *ours = json.loads(done[-1])
     assert devices == 2
     assert done[-2] == "3 3"
-    rust = reference.fly_batch(tables)
-    assert [flight.outcome for flight in rust] == ["completed", "fell", "completed"]
-    for (outcome, fall_time, fall_reason, summary), flight in zip(ours, rust, strict=True):
+    expected = rust.fly_batch(tables)
+    assert [flight.outcome for flight in expected] == ["completed", "fell", "completed"]
+    for (outcome, fall_time, fall_reason, summary), flight in zip(ours, expected, strict=True):
         assert (outcome, fall_time, fall_reason) == (flight.outcome, flight.fall_time, flight.fall_reason)
         for name in flight.summary.keys() - {"max_kkt", "max_qp_iterations"}:
             assert summary[name] == pytest.approx(flight.summary[name], rel=1e-9, abs=1e-9), name
@@ -57,7 +57,7 @@ def test_flights_of_one_structure_fly_together(monkeypatch):
     """Flights are sorted by structure and length; what is the same in all of them is not copied."""
     names = ("test2", "test1", "test2", "test2_published")
     tables = [
-        reference.load_config(ROOT / "configs" / "experiments" / f"{name}.toml", {"wind.velocity": [0, -speed, 0]})
+        rust.load_config(ROOT / "configs" / "experiments" / f"{name}.toml", {"wind.velocity": [0, -speed, 0]})
         for speed, name in enumerate(names)
     ]
     asked = []
@@ -80,7 +80,7 @@ def test_flights_of_one_structure_fly_together(monkeypatch):
 
 
 def test_a_flight_that_cannot_be_flown_is_named():
-    table = reference.load_config(ROOT / "configs" / "experiments" / "test2.toml")
+    table = rust.load_config(ROOT / "configs" / "experiments" / "test2.toml")
     spoilt = table | {"wind": {"profile": "storm"}}
     with pytest.raises(ValueError, match=r"flight 1 of the batch: `wind.profile` is 'storm'"):
         sim.fly_batch([table, spoilt])

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.config import flight_config
 from jax_aero.control import recorded, references
 
@@ -23,7 +23,7 @@ TOLERANCE = {"com_jerk": 1e-11}
 
 @pytest.mark.parametrize("name", ["test2", "closed_circuit", "closed_circuit_no_turbo"])
 def test_references(name, agree):
-    table = reference.load_config(EXPERIMENTS / f"{name}.toml")
+    table = rust.load_config(EXPERIMENTS / f"{name}.toml")
     config = flight_config(table)
 
     @jax.jit(static_argnums=1)
@@ -33,7 +33,7 @@ def test_references(name, agree):
 
     found = jax.device_get(fly(config, config.simulator.n_ticks + 1))
     ours = found.reference._asdict() | {"raw_position": found.raw_position, "raw_rpy": found.raw_rpy}
-    theirs = reference.reference_trajectory(table, *START)
+    theirs = rust.reference_trajectory(table, *START)
     assert ours.keys() == theirs.keys()
     for signal, expected in theirs.items():
         agree(signal, ours[signal], expected, TOLERANCE.get(signal, 1e-12))
@@ -51,9 +51,9 @@ def test_recorded_references(columns, agree, tmp_path):
     path = tmp_path / "reference.csv"
     lines = ["# made up", ",".join(HEADER[:columns]), *(",".join(map(repr, map(float, row))) for row in rows)]
     path.write_text("\n".join(lines) + "\n")
-    table = reference.load_config(EXPERIMENTS / "min_time.toml", {"simulator.duration": 2.0})
+    table = rust.load_config(EXPERIMENTS / "min_time.toml", {"simulator.duration": 2.0})
     table["envelope"]["file"] = str(path)
-    reference.check_config(table)
+    rust.check_config(table)
     config = flight_config(table)
 
     @jax.jit
@@ -63,17 +63,17 @@ def test_recorded_references(columns, agree, tmp_path):
 
     found = jax.device_get(follow(recorded.recording(config.envelope.file)))
     ours = found.reference._asdict() | {"raw_position": found.raw_position, "raw_rpy": found.raw_rpy}
-    for signal, expected in reference.reference_trajectory(table, *START).items():
+    for signal, expected in rust.reference_trajectory(table, *START).items():
         agree(f"recorded: {signal}", ours[signal], expected, TOLERANCE.get(signal, 1e-12))
 
 
 def test_float32_references_stay_within_a_millimetre_and_a_hundredth_of_a_degree():
-    table = reference.load_config(EXPERIMENTS / "test2.toml")
+    table = rust.load_config(EXPERIMENTS / "test2.toml")
     with jax.enable_x64(False):
         config = flight_config(table)
         params = references.reference_params(config.controller.references, jnp.float32(config.simulator.time_step))
         found = jax.device_get(references.trajectory(params, config.envelope, *map(jnp.float32, START), 5001))
-    theirs = reference.reference_trajectory(table, *START)
+    theirs = rust.reference_trajectory(table, *START)
     assert found.reference.com_position.dtype == np.float32
     assert np.max(np.abs(found.reference.com_position - theirs["com_position"])) < 1e-3
     assert np.max(np.abs(found.reference.rotation - theirs["rotation"])) < 2e-4

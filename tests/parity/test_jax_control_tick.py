@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.config import flight_config
 from jax_aero.control import qp, tick
 from jax_aero.robot import load_robot
@@ -60,13 +60,13 @@ def random_samples(robot, count, seed=7):
 
 def crate_tick(config, sample):
     memory, state, thrust, wind, followed = sample
-    controller = reference.Controller(config)
+    controller = rust.Controller(config)
     controller.set_memory(memory["posture"], memory["inertia_0"], memory["velocity_error_integral"])
-    return controller.tick(reference.State(*state), thrust, wind, 0.0, reference.Reference(**followed._asdict()))
+    return controller.tick(rust.State(*state), thrust, wind, 0.0, rust.Reference(**followed._asdict()))
 
 
 def values(command, terms):
-    """Give every value of a tick the name it has in `reference.Tick`."""
+    """Give every value of a tick the name it has in `rust.Tick`."""
     link, momentum, following = terms.link_forces, terms.momentum, terms.torque_qp
     return {
         "com_position": terms.kinematics.com,
@@ -107,7 +107,7 @@ class Twin:
     """The controller of an experiment on both floors."""
 
     def __init__(self, name, overrides=None):
-        self.table = reference.load_config(EXPERIMENTS / f"{name}.toml", overrides)
+        self.table = rust.load_config(EXPERIMENTS / f"{name}.toml", overrides)
         config = flight_config(self.table)
         self.robot = load_robot(config.robot)
         self.params = tick.controller_params(config, self.robot)
@@ -223,7 +223,7 @@ def test_safe_commands(published, ticks):
 def flown():
     """Two seconds of a flight as the crate's simulator logged them, from its first tick."""
     twin = Twin("test2", {"simulator.duration": 2.0, "wind.ramp_start": 0.2, "wind.ramp_end": 1.0})
-    log = reference.fly(twin.table).log
+    log = rust.fly(twin.table).log
     rotations = np.stack([rotation_of(wxyz) for wxyz in log["base_quaternion"]])
     velocity = np.concatenate([log["base_velocity"], log["joint_velocity"]], axis=1)
     states = State(log["base_position"], rotations, log["joint_position"], velocity)

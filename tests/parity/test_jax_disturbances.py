@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jax_aero import reference, sim
+from jax_aero import rust, sim
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
 TOLERANCE = 1e-9
@@ -59,31 +59,31 @@ def flights():
     """Every case as both engines fly it."""
     configs = []
     for changes in CASES.values():
-        table = reference.load_config(EXPERIMENTS / "sensor_noise.toml", COMMON | changes) | {"wind": TURBULENT}
-        reference.check_config(table)
+        table = rust.load_config(EXPERIMENTS / "sensor_noise.toml", COMMON | changes) | {"wind": TURBULENT}
+        rust.check_config(table)
         configs.append(table)
-    pairs = zip(sim.fly_batch(configs, full_log=True), map(reference.fly, configs), strict=True)
+    pairs = zip(sim.fly_batch(configs, full_log=True), map(rust.fly, configs), strict=True)
     return dict(zip(CASES, pairs, strict=True))
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_a_disturbed_flight(case, flights, measured):
-    ours, rust = flights[case]
-    assert ours.outcome == rust.outcome == "completed"
-    assert ours.log.keys() == rust.log.keys()
+    ours, expected = flights[case]
+    assert ours.outcome == expected.outcome == "completed"
+    assert ours.log.keys() == expected.log.keys()
     worst = {}
-    for name in rust.log.keys() - {"qp_kkt", "qp_iterations"}:
-        scale = max(1.0, float(np.max(np.abs(rust[name]))))
-        worst[name] = float(np.max(np.abs(ours[name] - rust[name]))) / scale
+    for name in expected.log.keys() - {"qp_kkt", "qp_iterations"}:
+        scale = max(1.0, float(np.max(np.abs(expected[name]))))
+        worst[name] = float(np.max(np.abs(ours[name] - expected[name]))) / scale
     measured(case, max(worst.values()))
     assert {name: error for name, error in worst.items() if not error <= TOLERANCE} == {}
-    for name in rust.summary.keys() - {"max_kkt", "max_qp_iterations"}:
-        assert ours.summary[name] == pytest.approx(rust.summary[name], rel=1e-8, abs=1e-8), name
+    for name in expected.summary.keys() - {"max_kkt", "max_qp_iterations"}:
+        assert ours.summary[name] == pytest.approx(expected.summary[name], rel=1e-8, abs=1e-8), name
 
 
 def test_the_disturbances_are_felt(flights):
     """Each case is what it says, so that agreement means something."""
-    fading, stuck, weak, dead = (rust for _, rust in flights.values())
+    fading, stuck, weak, dead = (expected for _, expected in flights.values())
     assert fading["thrust"][-1, 2] < 0.3 * fading["thrust"][330, 2]
     assert np.ptp(stuck["thrust"][210:, 0]) == 0.0
     assert np.all(weak["thrust"][:, :2].max(axis=0) == 0.62 * 160.0)

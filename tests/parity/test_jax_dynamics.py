@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.kinematics import frame_poses, generalised_force, kinematics, point_jacobians, velocities_at
 from jax_aero.robot import load_robot
@@ -58,14 +58,14 @@ def test_dynamics(jax_robot, robot, states, agree, backend):
 
     kin, dyn, acceleration = jax.device_get(evaluate(batched(states)))
     for i, state in enumerate(states):
-        theirs = reference.dynamics(robot, state)
+        theirs = rust.dynamics(robot, state)
         agree("body positions", kin.body_positions[i], theirs.body_positions, TOLERANCE)
         agree("body rotations", kin.body_rotations[i], theirs.body_rotations, TOLERANCE)
         agree("centre of mass", kin.com[i], theirs.com_position, TOLERANCE)
         for name in dyn._fields:
             agree(f"{backend}: {name}", getattr(dyn, name)[i], getattr(theirs, name), TOLERANCE)
         forces = np.cos(np.asarray(state.velocity))
-        agree(f"{backend}: acceleration", acceleration[i], reference.forward_dynamics(robot, state, forces), TOLERANCE)
+        agree(f"{backend}: acceleration", acceleration[i], rust.forward_dynamics(robot, state, forces), TOLERANCE)
 
 
 def test_jacobians(jax_robot, robot, states, agree):
@@ -86,7 +86,7 @@ def test_jacobians(jax_robot, robot, states, agree):
         for j, frame in enumerate(frames):
             if frame is None:
                 continue
-            theirs = reference.frame_jacobian(robot, frame, state)
+            theirs = rust.frame_jacobian(robot, frame, state)
             agree("linear Jacobian", linear[i, j], theirs.linear, TOLERANCE)
             agree("angular Jacobian", angular[i, j], theirs.angular, TOLERANCE)
 

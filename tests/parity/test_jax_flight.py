@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import reference, sim
+from jax_aero import rust, sim
 from jax_aero.config import flight_config
 from jax_aero.robot import load_robot
 from jax_aero.sim.plant import PlantState, advance, observe, start_plant
@@ -25,26 +25,26 @@ EXPERIMENTS = ROOT / "configs" / "experiments"
 def test_a_flight_of_50_s(measured):
     """Every signal at every tick to 1e-6, and the same figures of merit."""
     comparison = Comparison()
-    rust, ours = verify_flight(reference.load_config(EXPERIMENTS / "test2.toml"), comparison)
+    expected, ours = verify_flight(rust.load_config(EXPERIMENTS / "test2.toml"), comparison)
     for row in comparison.rows:
         if row.quantity in ("base_position", "joint_position", "thrust", "joint_torque"):
             measured(f"TEST2, 50 s: {row.quantity}", row.absolute)
     assert [row.quantity for row in comparison.rows if not row.agrees] == []
     assert len(ours["time"]) == 5001
-    assert ours.log.keys() == rust.log.keys()
-    assert ours.summary.keys() == rust.summary.keys()
-    for name in set(rust.summary) - {"max_kkt", "max_qp_iterations"}:
-        assert ours.summary[name] == pytest.approx(rust.summary[name], rel=1e-6, abs=1e-9), name
+    assert ours.log.keys() == expected.log.keys()
+    assert ours.summary.keys() == expected.summary.keys()
+    for name in set(expected.summary) - {"max_kkt", "max_qp_iterations"}:
+        assert ours.summary[name] == pytest.approx(expected.summary[name], rel=1e-6, abs=1e-9), name
 
 
 @pytest.mark.parametrize(("criterion", "limit"), [("com_error", 0.02), ("rotation_error_deg", 0.5)])
 def test_a_flight_that_is_lost(criterion, limit):
     """The same flight under a strict judge: lost at the same tick for the same reason, and the log ends there."""
-    config = reference.load_config(EXPERIMENTS / "test2.toml", {f"simulator.fall.{criterion}": limit})
-    rust, ours = reference.fly(config), sim.fly(config)
-    assert ours.outcome == rust.outcome == "fell"
-    assert (ours.fall_time, ours.fall_reason) == (rust.fall_time, rust.fall_reason)
-    assert ours["time"].shape == rust["time"].shape
+    config = rust.load_config(EXPERIMENTS / "test2.toml", {f"simulator.fall.{criterion}": limit})
+    expected, ours = rust.fly(config), sim.fly(config)
+    assert ours.outcome == expected.outcome == "fell"
+    assert (ours.fall_time, ours.fall_reason) == (expected.fall_time, expected.fall_reason)
+    assert ours["time"].shape == expected["time"].shape
 
 
 RECORDED = ("min_time", "min_fuel")
@@ -56,13 +56,11 @@ def recorded_flights():
 
     Both recordings have as many samples, so they fly together.
     """
-    tables = [reference.load_config(EXPERIMENTS / f"{name}.toml") for name in RECORDED]
-    nudged = [reference.load_config(EXPERIMENTS / f"{name}.toml") for name in RECORDED]
+    tables = [rust.load_config(EXPERIMENTS / f"{name}.toml") for name in RECORDED]
+    nudged = [rust.load_config(EXPERIMENTS / f"{name}.toml") for name in RECORDED]
     for table in nudged:
         table["simulator"]["initial"]["thrust"][0] *= 1.0 + 1e-15
-    flights = zip(
-        sim.fly_batch(tables, full_log=True), map(reference.fly, tables), map(reference.fly, nudged), strict=True
-    )
+    flights = zip(sim.fly_batch(tables, full_log=True), map(rust.fly, tables), map(rust.fly, nudged), strict=True)
     return dict(zip(RECORDED, flights, strict=True))
 
 
@@ -77,11 +75,11 @@ def departures(flight, other):
 
 def test_a_flight_along_a_recorded_reference(recorded_flights, measured):
     """The fastest way: every state at every tick to 1e-6."""
-    ours, rust, _ = recorded_flights["min_time"]
-    apart = departures(ours, rust)
+    ours, expected, _ = recorded_flights["min_time"]
+    apart = departures(ours, expected)
     measured("minimum time, 26 s: every state", float(apart.max()))
-    assert ours.outcome == rust.outcome == "completed"
-    assert np.max(np.abs(ours["com_reference"] - rust["com_reference"])) < 1e-12
+    assert ours.outcome == expected.outcome == "completed"
+    assert np.max(np.abs(ours["com_reference"] - expected["com_reference"])) < 1e-12
     assert apart.max() < 1e-6
 
 
@@ -90,15 +88,15 @@ def test_a_flight_along_a_recorded_reference_that_magnifies_errors(recorded_flig
 
     Until the crate leaves itself, both fly the same; then ours is no farther from the crate than it is from itself.
     """
-    ours, rust, nudged = recorded_flights["min_fuel"]
-    apart, own = departures(ours, rust), departures(nudged, rust)
+    ours, expected, nudged = recorded_flights["min_fuel"]
+    apart, own = departures(ours, expected), departures(nudged, expected)
     trusted = int(np.argmax(own > 1e-9))
     measured("minimum fuel: every state, until the crate leaves itself", float(apart[:trusted].max()))
-    measured("minimum fuel: seconds until then", f"{rust['time'][trusted]:.2f}")
-    assert ours.outcome == rust.outcome == "completed"
-    assert rust["time"][trusted] > 11.0, "the recording begins at 10 s"
+    measured("minimum fuel: seconds until then", f"{expected['time'][trusted]:.2f}")
+    assert ours.outcome == expected.outcome == "completed"
+    assert expected["time"][trusted] > 11.0, "the recording begins at 10 s"
     assert apart[:trusted].max() < 1e-6
-    assert np.max(np.abs(ours["com_reference"] - rust["com_reference"])) < 1e-12
+    assert np.max(np.abs(ours["com_reference"] - expected["com_reference"])) < 1e-12
 
 
 VARIANTS = {
@@ -122,9 +120,9 @@ VARIANTS = {
 def test_every_tick_of_the_world(experiment, agree):
     """From each logged state, one tick under the logged commands leads to the next logged state."""
     changes = {"simulator.duration": 8.0} | VARIANTS[experiment]
-    table = reference.load_config(EXPERIMENTS / f"{experiment}.toml", changes)
-    reference.check_config(table)
-    config, log = flight_config(table), reference.fly(table).log
+    table = rust.load_config(EXPERIMENTS / f"{experiment}.toml", changes)
+    rust.check_config(table)
+    config, log = flight_config(table), rust.fly(table).log
     plant, start = jax.jit(start_plant)(config.simulator, load_robot(table["robot"]))
     velocity = np.concatenate([log["base_velocity"], log["joint_velocity"]], axis=1)
     agree("first state", start.robot.velocity, velocity[0], 1e-10)
@@ -166,7 +164,7 @@ PERTURBED = {
 def test_a_flight_with_everything_wrong():
     """Published lever arms, forces that are not those of the model, masses that are not those of the controller."""
     comparison = Comparison()
-    verify_flight(reference.load_config(EXPERIMENTS / "test2_published.toml", PERTURBED), comparison)
+    verify_flight(rust.load_config(EXPERIMENTS / "test2_published.toml", PERTURBED), comparison)
     assert [row.quantity for row in comparison.rows if not row.agrees] == []
 
 
@@ -194,7 +192,7 @@ def test_winds(profile, tmp_path):
     samples = tmp_path / "wind.csv"
     samples.write_text("time,x,y,z\n0.05,1,2,3\n0.1,-1,0.5,0\n0.25,4,-3,1\n")
     wind = WINDS.get(profile, {"profile": "file", "path": str(samples)})
-    table = reference.load_config(EXPERIMENTS / "test2.toml", {"simulator.duration": 0.4}) | {"wind": wind}
-    log, config = reference.fly(table).log, flight_config(table)
+    table = rust.load_config(EXPERIMENTS / "test2.toml", {"simulator.duration": 0.4}) | {"wind": wind}
+    log, config = rust.fly(table).log, flight_config(table)
     ours = jax.vmap(lambda time: wind_velocity(config.wind, time))(jnp.asarray(log["time"]))
     assert np.allclose(ours, log["wind"], rtol=0, atol=1e-12)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.aero import LinkConventions, aero_model, link_forces
 from jax_aero.aero.network import init_network
 from jax_aero.aero.network_card import save_network
@@ -54,7 +54,7 @@ def ours():
 @pytest.mark.parametrize("name", SHAPES)
 def test_forces(name, precision, ours, tmp_path, measured):
     """Anywhere, moving, in any wind and in none."""
-    theirs = reference.Robot(ROBOT)
+    theirs = rust.Robot(ROBOT)
     baseline = ours.aero_links.coefficients["signed"] if name in ("tunnel axes", "compact") else None
     network = init_network(jax.random.key(5), ours, baseline=baseline, **SHAPES[name])
     card = tmp_path / "random.json"
@@ -72,13 +72,13 @@ def test_forces(name, precision, ours, tmp_path, measured):
 
     worst = 0.0
     for state, wind in zip(states, winds, strict=True):
-        expected = reference.link_forces(theirs, table, state, wind)
+        expected = rust.link_forces(theirs, table, state, wind)
         found = np.asarray(forces_of(State(*(jnp.asarray(x) for x in state)), jnp.asarray(wind)))
         assert np.isfinite(found).all()
         worst = max(worst, np.abs(found - expected).max() / max(np.abs(expected).max(), 1e-12))
     measured(f"network {name}, {precision}: forces", worst)
     assert worst < TOLERANCE[precision]
-    assert not np.any(reference.link_forces(theirs, table, states[0], winds[0]))
+    assert not np.any(rust.link_forces(theirs, table, states[0], winds[0]))
 
 
 @pytest.mark.parametrize(
@@ -95,16 +95,16 @@ def test_a_flight(experiment, precision, tolerance, measured):
         "controller.aero.precision": precision,
     }
     comparison = Comparison()
-    config = reference.load_config(ROOT / "configs" / "experiments" / f"{experiment}.toml", changes)
-    rust, _ = verify_flight(config, comparison)
-    assert np.linalg.norm(rust["aero_force_sim"].sum(axis=1), axis=1).max() > 5.0
+    config = rust.load_config(ROOT / "configs" / "experiments" / f"{experiment}.toml", changes)
+    expected, _ = verify_flight(config, comparison)
+    assert np.linalg.norm(expected["aero_force_sim"].sum(axis=1), axis=1).max() > 5.0
     worst = max(comparison.rows, key=lambda row: row.absolute)
     measured(f"network, {experiment}, {precision}, 2 s: {worst.quantity}", worst.absolute)
     assert worst.absolute < tolerance
 
 
 def test_the_door_for_single_links_refuses_a_network(ours):
-    table = reference.load_config(ROOT / "configs" / "experiments" / "test4.toml")["simulator"]["aero"]
+    table = rust.load_config(ROOT / "configs" / "experiments" / "test4.toml")["simulator"]["aero"]
     axes = np.tile([0.0, 0.0, 1.0], (ours.aero_links.count, 1))
     with pytest.raises(ValueError, match=r"aero\.model is network"):
-        reference.aero_forces(reference.Robot(ROBOT), table, axes, axes)
+        rust.aero_forces(rust.Robot(ROBOT), table, axes, axes)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.control import qp
 from jax_aero.control.qp import BoxQp
 
@@ -28,14 +28,14 @@ def rotation_of(wxyz):
 
 def harvest(name):
     """Momentum and torque QPs of every `EVERY`th tick of a flight."""
-    config = reference.load_config(EXPERIMENTS / f"{name}.toml")
-    log = reference.fly(config).log
-    controller = reference.Controller(config)
+    config = rust.load_config(EXPERIMENTS / f"{name}.toml")
+    log = rust.fly(config).log
+    controller = rust.Controller(config)
     momentum, torque = [], []
     for k, time in enumerate(log["time"]):
         velocity = np.concatenate([log["base_velocity"][k], log["joint_velocity"][k]])
         rotation = rotation_of(log["base_quaternion"][k])
-        state = reference.State(log["base_position"][k], rotation, log["joint_position"][k], velocity)
+        state = rust.State(log["base_position"][k], rotation, log["joint_position"][k], velocity)
         tick = controller.tick(state, log["thrust"][k], log["wind"][k], time)
         if k % EVERY == 0:
             momentum.append(tick.momentum_qp)
@@ -55,7 +55,7 @@ def exactly(problem, count, rng):
 
 def crate(problem):
     """Cold answers of the crate: x, status codes."""
-    solver = reference.BoxQpSolver(problem.g.shape[1])
+    solver = rust.BoxQpSolver(problem.g.shape[1])
     answers = []
     for one in zip(*problem, strict=True):
         solver.reset()
@@ -80,7 +80,7 @@ def cold(problem):
 
 def assert_solves(answer, problem, measured, what):
     x, _ = crate(problem)
-    kkt = [reference.kkt_residual(*one) for one in zip(*problem, np.asarray(answer.x), strict=True)]
+    kkt = [rust.kkt_residual(*one) for one in zip(*problem, np.asarray(answer.x), strict=True)]
     error = np.max(np.abs(answer.x - x) / (problem.upper - problem.lower))
     measured(f"{what}: error of range", float(error))
     measured(f"{what}: most passes", float(answer.iterations.max()))

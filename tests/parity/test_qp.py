@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from jax_aero import reference
-from jax_aero.reference import BoxQpSolver, Controller, QpProblem, State
+from jax_aero import rust
+from jax_aero.rust import BoxQpSolver, Controller, QpProblem, State
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
 HARVESTED, ADVERSARIAL, EVERY = 6000, 4000, 5
@@ -40,7 +40,7 @@ class Case(NamedTuple):
 # --- harvested ---------------------------------------------------------------------------------------------------
 
 
-def cases_of(tick: reference.Tick, kind: str) -> Iterator[Case]:
+def cases_of(tick: rust.Tick, kind: str) -> Iterator[Case]:
     u = np.concatenate([tick.thrust_rate, tick.joint_velocity_command])
     yield Case(f"momentum, {kind}", tick.momentum_qp, u, tick.momentum_answer.status == "Solved")
     yield Case(f"torque, {kind}", tick.torque_qp, tick.unlimited_torque, tick.torque_answer.status == "Solved")
@@ -53,12 +53,12 @@ def rotation_of(wxyz: np.ndarray) -> np.ndarray:
 
 def harvest(name: str, thrown: int, rng: np.random.Generator) -> Iterator[Case]:
     """Every fifth tick of a flight, and `thrown` ticks at states that it never came near."""
-    config = reference.load_config(EXPERIMENTS / f"{name}.toml")
-    flight = reference.fly(config)
+    config = rust.load_config(EXPERIMENTS / f"{name}.toml")
+    flight = rust.fly(config)
     flown, elsewhere = Controller(config), Controller(config)
     log = [flight[key] for key in ("base_position", "base_quaternion", "joint_position", "base_velocity")]
     chosen = set(rng.choice(len(flight["time"]), thrown, replace=False))
-    limits = np.array(reference.Robot(config["robot"]).joint_limits)
+    limits = np.array(rust.Robot(config["robot"]).joint_limits)
     for k, time in enumerate(flight["time"]):
         position, quaternion, joints, twist = (signal[k] for signal in log)
         state = State(position, rotation_of(quaternion), joints, np.concatenate([twist, flight["joint_velocity"][k]]))
@@ -245,7 +245,7 @@ def test_every_answer_satisfies_the_optimality_conditions(cases, measured):
         assert case.solved, case
         assert residual <= KKT_TOLERANCE, case
         assert np.all((case.x >= case.problem.lower) & (case.x <= case.problem.upper))
-        assert reference.kkt_residual(*case.problem, case.x) <= KKT_TOLERANCE
+        assert rust.kkt_residual(*case.problem, case.x) <= KKT_TOLERANCE
 
 
 def test_x_is_that_of_daqp(cases, measured):

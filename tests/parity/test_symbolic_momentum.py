@@ -13,14 +13,14 @@ import jax
 import numpy as np
 import pytest
 
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.aero import LinkConventions, aero_model, link_forces
 from jax_aero.config import flight_config
 from jax_aero.control.momentum import momentum_model
 from jax_aero.dynamics import dynamics
 from jax_aero.kinematics import kinematics
-from jax_aero.reference import Controller, Robot
 from jax_aero.robot import load_robot as twin_robot
+from jax_aero.rust import Controller, Robot
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.aero import load_aero
 from jax_aero.types import State as TwinState
@@ -32,7 +32,7 @@ COUNT = 60
 """States of each robot in each model of the air."""
 
 
-def rust(path, aero):
+def crate(path, aero):
     """The Rust crate, through one tick of its controller."""
     controller = Controller(_flight(path, aero))
 
@@ -72,13 +72,13 @@ def twin(path, aero):
     return terms
 
 
-IMPLEMENTATIONS = {"rust": rust, "jax": twin}
+IMPLEMENTATIONS = {"rust": crate, "jax": twin}
 
 
 def _flight(path, aero):
     """The TEST2 configuration, fitted to the names and lengths of another robot."""
     robot = Robot(path)
-    config = copy.deepcopy(reference.load_config(ROOT / "configs/experiments/test2.toml"))
+    config = copy.deepcopy(rust.load_config(ROOT / "configs/experiments/test2.toml"))
     config["robot"] = os.fspath(path)
     config["simulator"]["aero"] = config["controller"]["aero"] = json.loads(json.dumps(aero))
     config["simulator"]["initial"] |= {

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from experiments import Refused, engines
-from jax_aero import reference
+from jax_aero import rust
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -48,9 +48,9 @@ def test_the_jax_engine_plugs_in_with_two_functions(monkeypatch, make_flight):
 
 
 def test_a_configuration_may_name_its_engine():
-    config = reference.load_config(ROOT / "configs/experiments/test1.toml", {"engine": "jax"})
+    config = rust.load_config(ROOT / "configs/experiments/test1.toml", {"engine": "jax"})
     assert engines.engine_of(config) == "jax"
-    plain = reference.load_config(ROOT / "configs/experiments/test1.toml")
+    plain = rust.load_config(ROOT / "configs/experiments/test1.toml")
     assert engines.engine_of(plain) == "rust"
     with pytest.raises(ValueError, match="matlab"):
-        reference.load_config(ROOT / "configs/experiments/test1.toml", {"engine": "matlab"})
+        rust.load_config(ROOT / "configs/experiments/test1.toml", {"engine": "matlab"})

@@ -10,7 +10,7 @@ from experiments import flight as runner
 from experiments import manifest
 from experiments.__main__ import main
 from experiments.table import outcome_table
-from jax_aero import reference
+from jax_aero import rust
 
 
 @pytest.fixture
@@ -22,11 +22,11 @@ def flown(monkeypatch, make_flight):
         configs.append(config)
         progress(5, 10)
         flight = make_flight(step=0.5)
-        robot = reference.Robot(config["robot"])
+        robot = rust.Robot(config["robot"])
         assert len(robot.joint_names) == flight["joint_position"].shape[1]
         return flight
 
-    monkeypatch.setattr(reference, "fly", fly)
+    monkeypatch.setattr(rust, "fly", fly)
     return configs
 
 
@@ -95,7 +95,7 @@ def test_ctrl_c_leaves_nothing_behind(monkeypatch, tmp_path, capsys):
     def interrupted(config, progress=None):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(reference, "fly", interrupted)
+    monkeypatch.setattr(rust, "fly", interrupted)
     assert main(["test1", "--out", str(tmp_path)]) == 130
     assert "interrupted" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

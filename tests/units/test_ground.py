@@ -10,7 +10,7 @@ import xarray as xr
 
 from experiments import Refused, engines, flight, record, tip_over
 from experiments.report import ground
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.mujoco_ground import GroundPlant, fly
 from paper_figs.__main__ import main as draw
 
@@ -28,7 +28,7 @@ COARSE = {"simulator.substeps": 5}
 
 
 def standing(**overrides):
-    return reference.load_config(ROOT / "configs/experiments/balancing_front.toml", COARSE | overrides)
+    return rust.load_config(ROOT / "configs/experiments/balancing_front.toml", COARSE | overrides)
 
 
 def early_wind(velocity, told=True, duration=9.0, **overrides):
@@ -49,7 +49,7 @@ def test_the_feet_carry_the_robot():
     assert total == pytest.approx([0.0, 0.0, plant.robot.mass * 9.81], abs=0.05)
     # Moments about the inertial origin: the weight acts at the centre of mass.
     soles = np.cross(seen.soles, seen.foot_wrenches[:, :3]) + seen.foot_wrenches[:, 3:]
-    com = reference.dynamics(plant.robot, seen.state).com_position
+    com = rust.dynamics(plant.robot, seen.state).com_position
     assert soles.sum(axis=0) == pytest.approx(np.cross(com, total), abs=0.05)
     assert np.abs(seen.soles[:, 2]).max() < 1e-3
 
@@ -69,9 +69,9 @@ def test_state_and_dynamics_are_those_of_the_crate():
     for index, point in enumerate(plant._links):
         body = plant.data.body(plant.model.site_bodyid[point])
         arm = plant.data.site_xpos[point] - body.xpos
-        jacobian = reference.frame_jacobian(plant.robot, body.name, seen.state)
+        jacobian = rust.frame_jacobian(plant.robot, body.name, seen.state)
         force += jacobian.linear.T @ seen.aero_force[index] + jacobian.angular.T @ np.cross(arm, seen.aero_force[index])
-    ours = reference.forward_dynamics(plant.robot, seen.state, force)
+    ours = rust.forward_dynamics(plant.robot, seen.state, force)
     theirs = plant.data.qacc[plant._order.dofs].copy()
     rotation, omega = np.asarray(seen.state.base_rotation), np.asarray(seen.state.velocity)[3:6]
     theirs[3:6] = rotation @ theirs[3:6]
@@ -92,7 +92,7 @@ def test_a_robot_with_free_joints_stands_still_for_a_minute():
 
 def test_the_sums_are_right_at_every_tick(frontal):
     log = frontal.log
-    weight = reference.Robot(standing()["robot"]).mass * 9.81
+    weight = rust.Robot(standing()["robot"]).mass * 9.81
     expected = log["contact_force"][:, :, :3].sum(axis=1) + log["aero_force_control"].sum(axis=1) - [0.0, 0.0, weight]
     np.testing.assert_allclose(log["momentum_rate_estimate"][:, :3], expected, atol=1e-9)
     lift = log["aero_force_control"].sum(axis=1)[-1, 2]
@@ -101,7 +101,7 @@ def test_the_sums_are_right_at_every_tick(frontal):
 
 def test_in_frontal_wind_it_leans_forward_by_its_ankles(frontal):
     assert frontal.outcome == "completed"
-    log, names = frontal.log, reference.Robot(standing()["robot"]).joint_names
+    log, names = frontal.log, rust.Robot(standing()["robot"]).joint_names
     moved = log["com_position"][-1] - log["com_position"][90]
     assert moved[0] > 0.01 > 5 * abs(moved[1])
     assert log["aero_force_control"].sum(axis=1)[-1, 0] < -15.0
@@ -126,8 +126,8 @@ def test_wind_that_blows_is_withstood_better_by_a_controller_that_knows_of_it():
 def test_the_standing_qp_agrees_with_daqp():
     """Problems harvested from a robot that leans, tips and slips."""
     config = early_wind([-20.0, 14.0, 0.0], duration=6.0, **FREE_JOINTS)
-    plant, controller = GroundPlant(config), reference.Controller(config)
-    winds = reference.wind_velocity(config["fictitious_wind"], np.arange(600) * 0.01)
+    plant, controller = GroundPlant(config), rust.Controller(config)
+    winds = rust.wind_velocity(config["fictitious_wind"], np.arange(600) * 0.01)
     checked = pressing = 0
     for k, wind in enumerate(winds):
         seen = plant.observe(np.zeros(3))
@@ -157,7 +157,7 @@ def test_the_standing_qp_agrees_with_daqp():
 
 
 def test_a_run_is_recorded_and_measured(frontal, tmp_path):
-    robot = reference.Robot(standing()["robot"])
+    robot = rust.Robot(standing()["robot"])
     dataset = record.to_dataset(frontal, robot, title="t", config_digest="d", engine="mujoco")
     assert dataset["foot_wrench"].dims == ("time", "foot", "six")
     assert dataset["foot"].values.tolist() == ["l_sole", "r_sole"]
@@ -172,7 +172,7 @@ def test_a_run_is_recorded_and_measured(frontal, tmp_path):
 
 
 def test_the_ground_figure_is_drawn_from_its_runs(frontal, tmp_path):
-    robot = reference.Robot(standing()["robot"])
+    robot = rust.Robot(standing()["robot"])
     for name in ("balancing_front", "balancing_lateral"):
         dataset = record.to_dataset(frontal, robot, title=name, config_digest="d")
         record.write_run(tmp_path / "flight" / name, dataset, {"name": name, "config_digest": "d"})
@@ -182,9 +182,9 @@ def test_the_ground_figure_is_drawn_from_its_runs(frontal, tmp_path):
 
 
 def test_an_incomplete_log_is_refused(frontal):
-    robot = reference.Robot(standing()["robot"])
+    robot = rust.Robot(standing()["robot"])
     log = {name: signal for name, signal in frontal.log.items() if name != "foot_wrench"}
-    broken = reference.Flight(log, frontal.joint_reference, "completed", None, None, {})
+    broken = rust.Flight(log, frontal.joint_reference, "completed", None, None, {})
     with pytest.raises(ValueError, match="no `foot_wrench`"):
         record.to_dataset(broken, robot, title="t", config_digest="d")
 
@@ -204,11 +204,11 @@ def test_bad_ground_is_refused(overrides, named):
 
 
 def test_engines_refuse_what_they_do_not_know(monkeypatch):
-    flying = reference.load_config(ROOT / "configs/experiments/test2.toml")
+    flying = rust.load_config(ROOT / "configs/experiments/test2.toml")
     with pytest.raises(ValueError, match=r"simulator.ground.* is absent"):
         engines.engine("mujoco").fly(flying)
     with pytest.raises(ValueError, match=r"simulator\.ground"):
-        reference.fly(standing())
+        rust.fly(standing())
     with pytest.raises(ValueError, match="wind_estimate"):
         fly(standing(**{"controller.wind_estimate": {"bias": [1.0, 0.0, 0.0]}}))
     monkeypatch.setitem(__import__("sys").modules, "jax_aero.mujoco_ground", None)
@@ -270,7 +270,7 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
                 "aero_force_sim": np.full((n, 13, 3), speed / 13),
                 "sole_position": np.zeros((n, 2, 3)),
             }
-            return reference.Flight(log, np.zeros(23), "fell" if speed > 15.0 else "completed", None, None, {})
+            return rust.Flight(log, np.zeros(23), "fell" if speed > 15.0 else "completed", None, None, {})
 
     monkeypatch.setattr(tip_over.engines, "engine", lambda _: Engine())
     text = (ROOT / "configs/tip_over/ground.toml").read_text().replace("../", f"{ROOT}/configs/")

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.config import AxisymmetricConfig, flight_config
 from jax_aero.robot import ancestors_of, levels_of, load_robot
 from jax_aero.types import Static, pytree, with_dtype
@@ -23,7 +23,7 @@ MK1 = ROOT / "configs" / "robot" / "ironcub_mk1.toml"
 
 @pytest.fixture(scope="module")
 def table():
-    return reference.load_config(ROOT / "configs" / "experiments" / "test2.toml")
+    return rust.load_config(ROOT / "configs" / "experiments" / "test2.toml")
 
 
 def test_numbers_are_leaves_and_names_are_structure(table):
@@ -131,7 +131,7 @@ def test_importing_the_package_is_light():
 def test_importing_and_flying_change_no_global_setting():
     code = (
         "import jax, json; before = dict(jax.config.values)\n"
-        "from jax_aero import reference, sim, verify\n"
+        "from jax_aero import rust, sim, verify\n"
         "import jax_aero.control.tick\n"
         "print(jax.config.values == before, jax.numpy.ones(1).dtype)"
     )

@@ -18,7 +18,7 @@ from experiments.sweep import keys, run, spec, table
 from experiments.sweep.design import Design
 from experiments.sweep.perturbation import Perturbation
 from experiments.sweep.progress import Progress
-from jax_aero import reference
+from jax_aero import rust
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -147,7 +147,7 @@ def test_every_sweep_of_the_repository_can_fly(name):
     loaded = Design(spec.load(name))
     step = max(1, len(loaded.cells) // 7)
     for cell in [*range(0, len(loaded.cells), step), len(loaded.cells) - 1]:
-        reference.check_config(loaded.row_config(cell * loaded.spec.repeats))
+        rust.check_config(loaded.row_config(cell * loaded.spec.repeats))
     assert loaded.spec.title
     assert loaded.spec.description
 

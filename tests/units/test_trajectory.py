@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments import Refused, study
 from experiments import trajectory as experiment
-from jax_aero import reference
+from jax_aero import rust
 from jax_aero.symbolic import MomentumModel, load_robot, trajectory
 from jax_aero.symbolic.trajectory import TrajectoryProblem, _lagrange, _lagrange_derivatives, _radau_weights
 from paper_figs import trajectory as trajectory_figure
@@ -23,7 +23,7 @@ PATH = ROOT / "configs/trajectory/min_time.toml"
 
 @pytest.fixture(scope="module")
 def base():
-    return reference.load_config(ROOT / "configs/experiments/test2.toml", {"wind.velocity": [0.0, -4.0, 0.0]})
+    return rust.load_config(ROOT / "configs/experiments/test2.toml", {"wind.velocity": [0.0, -4.0, 0.0]})
 
 
 @pytest.fixture(scope="module")
@@ -83,18 +83,18 @@ def test_velocity_acceleration_and_jerk_belong_together(plan):
 def test_the_acceleration_is_what_the_crate_says(climb, plan, base):
     """The centroidal model, at its planned states, against the momentum rate of the Rust crate."""
     _, _, settings = climb
-    controller = reference.Controller(base)
-    robot = reference.Robot(base["robot"])
+    controller = rust.Controller(base)
+    robot = rust.Robot(base["robot"])
     for sample in np.linspace(0, plan.time.size - 1, 7).astype(int):
         rotation = Rotation.from_euler("xyz", plan.base_rpy[sample]).as_matrix()
         joints = plan.joint_position[sample]
         velocity = np.concatenate([np.zeros(6), plan.joint_velocity[sample]])
-        found = reference.dynamics(robot, reference.State(np.zeros(3), rotation, joints, velocity))
+        found = rust.dynamics(robot, rust.State(np.zeros(3), rotation, joints, velocity))
         spin = np.linalg.solve(found.centroidal_inertia, plan.angular_momentum[sample] - found.momentum[3:])
         velocity[3:6] = spin
-        found = reference.dynamics(robot, reference.State(np.zeros(3), rotation, joints, velocity))
+        found = rust.dynamics(robot, rust.State(np.zeros(3), rotation, joints, velocity))
         velocity[:3] = plan.com[sample, 1] - found.momentum[:3] / robot.mass
-        state = reference.State(np.zeros(3), rotation, joints, velocity)
+        state = rust.State(np.zeros(3), rotation, joints, velocity)
         tick = controller.tick(state, plan.thrust[sample], settings.wind)
         np.testing.assert_allclose(tick.momentum[:3] / robot.mass, plan.com[sample, 1], atol=1e-9)
         np.testing.assert_allclose(tick.momentum[3:], plan.angular_momentum[sample], atol=1e-9)
@@ -169,7 +169,7 @@ def test_the_result_names_its_reference_and_its_flights(tmp_path, monkeypatch, c
         "thrust": np.full((3, 4), 100.0),
         "rotation_error": np.zeros(3),
     }
-    flight = reference.Flight(log, np.zeros(23), "completed", None, None, {})
+    flight = rust.Flight(log, np.zeros(23), "completed", None, None, {})
     dataset = experiment.to_dataset(plan, flight, flight, model.robot, config, "0" * 64)
     monkeypatch.setattr(study, "RESULTS", tmp_path)
     document = study.build_manifest("small", "Small", config, "0" * 64, summary={}, timings={"solve": 1.0})

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments import Refused, study
 from experiments import trim as experiment
-from jax_aero import reference
+from jax_aero import rust
 from paper_figs import trim as trim_figure
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -29,14 +29,14 @@ def free():
 
 @pytest.fixture(scope="module")
 def flight():
-    return reference.load_config(ROOT / "configs/experiments/test2.toml")
+    return rust.load_config(ROOT / "configs/experiments/test2.toml")
 
 
 def rust_imbalance(flight, result, wind, velocity=(0.0, 0.0, 0.0)):
     """What the crate makes of a trim: the momentum rate [N, N m] and the joint accelerations [rad/s²]."""
     rotation = Rotation.from_euler("xyz", result.base_rpy).as_matrix()
-    state = reference.State(np.zeros(3), rotation, result.joint_position, [*velocity, *np.zeros(26)])
-    tick = reference.Controller(flight).tick(state, result.thrust, wind)
+    state = rust.State(np.zeros(3), rotation, result.joint_position, [*velocity, *np.zeros(26)])
+    tick = rust.Controller(flight).tick(state, result.thrust, wind)
     return tick.momentum_rate_estimate, tick.joint_acceleration_free + tick.torque_gain @ result.joint_torque
 
 
@@ -111,7 +111,7 @@ def test_the_closed_loop_stays_where_the_trim_put_it(free, flight):
         "envelope": {},
         "wind": {"profile": "constant", "velocity": list(SIDE_WIND)},
     }
-    log = reference.fly(config).log
+    log = rust.fly(config).log
     assert np.abs(log["thrust"] - result.thrust).max() < 0.1
     assert np.abs(log["com_position"] - log["com_position"][0]).max() < 2e-3
     assert log["rotation_error"].max() < 1e-3

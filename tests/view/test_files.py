@@ -7,8 +7,8 @@ import os
 import numpy as np
 import pytest
 
-from jax_aero import __main__ as front_door
-from jax_aero import reference
+from jax_aero import __main__ as commands
+from jax_aero import rust
 from jax_aero.view import Refused, command, offscreen, recording, video
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
@@ -44,7 +44,7 @@ def near(picture: np.ndarray, colour: tuple[int, int, int]) -> int:
 def test_a_clip_has_the_frames_that_were_asked_for(fallen, tmp_path, capsys):
     out = tmp_path / "clip.mp4"
     words = ["video", str(fallen), "--out", str(out), "--start", "17", "--end", "18", "--fps", "5", "--size", "320x180"]
-    assert front_door.main(words) == 0
+    assert commands.main(words) == 0
     assert capsys.readouterr().out.strip() == str(out)
     with av.open(out) as film:
         stream = film.streams.video[0]
@@ -66,10 +66,10 @@ def test_a_video_ends_where_the_flight_ends(seen):
 @pytest.mark.usefixtures("_can_draw")
 def test_a_snapshot_shows_robot_forces_thrusts_and_wind(fallen, tmp_path):
     several, one, before = (tmp_path / f"{name}.png" for name in ("several", "one", "before"))
-    assert front_door.main(["snapshot", str(fallen), "--out", str(several), "--size", "640x360"]) == 0
-    assert front_door.main(["snapshot", str(fallen), "--at", "18", "--out", str(one), "--size", "640x360"]) == 0
+    assert commands.main(["snapshot", str(fallen), "--out", str(several), "--size", "640x360"]) == 0
+    assert commands.main(["snapshot", str(fallen), "--at", "18", "--out", str(one), "--size", "640x360"]) == 0
     words = ["snapshot", str(fallen), "--at", "1", "--out", str(before), "--size", "640x360", "--camera", "side"]
-    assert front_door.main(words) == 0
+    assert commands.main(words) == 0
     pictures = {path.stem: np.asarray(Image.open(path).convert("RGB")) for path in (several, one, before)}
     assert {picture.shape for picture in pictures.values()} == {(360, 640, 3)}
     assert min(colours(picture) for picture in pictures.values()) > 1000
@@ -99,7 +99,7 @@ def test_the_robot_drawn_is_the_robot_that_flew(seen):
 def test_another_robot_is_drawn_too(seen, tmp_path):
     """Nothing is about iRonCub alone; this one stands still."""
     path = recording.REPOSITORY / "configs/robot/sparrow.toml"
-    robot = reference.Robot(path)
+    robot = rust.Robot(path)
     n, joints, jets, links = 3, len(robot.joint_names), len(robot.jet_names), len(robot.aero_link_names)
     still = {
         "time": np.arange(n) * 1.0,
@@ -132,7 +132,7 @@ def test_an_interrupted_video_leaves_nothing(fallen, tmp_path, monkeypatch, caps
             raise KeyboardInterrupt
 
     monkeypatch.setattr(command._Bar, "__call__", interrupt)
-    assert front_door.main(["video", str(fallen), "--out", str(out), "--size", "128x96"]) == 130
+    assert commands.main(["video", str(fallen), "--out", str(out), "--size", "128x96"]) == 130
     assert "interrupted" in capsys.readouterr().err
     assert len(seen_halfway) == 2  # the draft was there
     assert out.read_text() == "an older one"
@@ -163,6 +163,6 @@ def test_no_way_to_draw_is_said_so(seen, tmp_path, monkeypatch):
 )
 def test_numbers_that_make_no_sense_are_refused(words, told, fallen, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert front_door.main([words[0], str(fallen), *words[1:]]) == 2
+    assert commands.main([words[0], str(fallen), *words[1:]]) == 2
     assert told in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jax_aero import __main__ as front_door
-from jax_aero import reference
+from jax_aero import __main__ as commands
+from jax_aero import rust
 from jax_aero.view import Refused, drawing, recording
 from jax_aero.view.settings import AS_GIVEN, MODELS, Settings, apply, default_config, settings_of
 from jax_aero.view.shapes import look_of
@@ -23,7 +23,7 @@ def seen(fallen):
 
 
 def test_a_result_says_how_it_ended(seen):
-    flight = reference.fly(reference.load_config(ROOT / "configs/experiments/test1_published.toml"))
+    flight = rust.fly(rust.load_config(ROOT / "configs/experiments/test1_published.toml"))
     assert seen.verdict == f"fell at {flight.fall_time:.1f} s: {flight.fall_reason}"
     assert seen.merit.rotation_error == flight.summary["max_rotation_error"]
     assert seen.merit.thrust_max == flight.summary["thrust_max"]
@@ -32,20 +32,20 @@ def test_a_result_says_how_it_ended(seen):
 
 def test_a_result_can_be_flown_again(seen):
     assert seen.config is not None
-    again = recording.from_flight(reference.fly(seen.config), seen.config, "again")
+    again = recording.from_flight(rust.fly(seen.config), seen.config, "again")
     np.testing.assert_array_equal(again.signals["base_position"], seen.signals["base_position"])
 
 
 def test_a_moment_is_the_pose_of_its_sample(seen):
     k = 1234
     s = seen.signals
-    state = reference.State(
+    state = rust.State(
         s["base_position"][k],
         recording.rotation_from_wxyz(s["base_quaternion"][k]),
         s["joint_position"][k],
         np.zeros(6 + s["joint_position"].shape[1]),
     )
-    pose = reference.dynamics(seen.robot, state)
+    pose = rust.dynamics(seen.robot, state)
     now = seen.at(s["time"][k])
     np.testing.assert_allclose(now.body_positions, pose.body_positions, atol=1e-9)
     np.testing.assert_allclose(now.body_rotations, pose.body_rotations, atol=1e-9)
@@ -67,14 +67,14 @@ def test_outside_the_flight_is_its_end(seen):
 
 @pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
 def test_jets_and_links_are_drawn_where_the_crate_has_them(path):
-    robot = reference.Robot(path)
+    robot = rust.Robot(path)
     look = look_of(robot)
     rng = np.random.default_rng(3)
     limits = np.array(robot.joint_limits)
     joints = rng.uniform(limits[:, 0], limits[:, 1])
     turn = recording.rotation_from_wxyz(rng.normal(size=4))
-    state = reference.State(rng.normal(size=3), turn, joints, np.zeros(6 + joints.size))
-    pose = reference.dynamics(robot, state)
+    state = rust.State(rng.normal(size=3), turn, joints, np.zeros(6 + joints.size))
+    pose = rust.dynamics(robot, state)
     assert [jet.name for jet in look.jets] == robot.jet_names
     assert [link.name for link in look.links] == robot.aero_link_names
     for mount in (*look.jets, *look.links):
@@ -82,7 +82,7 @@ def test_jets_and_links_are_drawn_where_the_crate_has_them(path):
         assert np.linalg.norm(at - pose.com_position) < 1.5
     if robot.name != "iRonCub-Mk1":
         return
-    tick = reference.Controller(default_config()).tick(state, [100.0] * 4, np.zeros(3))
+    tick = rust.Controller(default_config()).tick(state, [100.0] * 4, np.zeros(3))
     exhaust = [pose.body_rotations[jet.body] @ jet.axis for jet in look.jets]
     nozzles = [pose.body_positions[jet.body] + pose.body_rotations[jet.body] @ jet.position for jet in look.jets]
     centres = [pose.body_positions[link.body] + pose.body_rotations[link.body] @ link.position for link in look.links]
@@ -93,7 +93,7 @@ def test_jets_and_links_are_drawn_where_the_crate_has_them(path):
 
 @pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
 def test_every_primitive_of_the_urdf_is_drawn(path):
-    robot = reference.Robot(path)
+    robot = rust.Robot(path)
     drawn = [shape for shape in look_of(robot).shapes if shape.role != "strut"]
     assert len(drawn) == robot.urdf_text.count("<visual>") > 5
     assert {"shell", "engine"} <= {shape.role for shape in drawn}
@@ -127,7 +127,7 @@ def test_meshes_are_closed_and_face_outwards(make):
 
 @pytest.mark.parametrize("name", ["test1", "test2", "test1_published", "no_wind", "engine_out", "closed_circuit"])
 def test_the_settings_of_a_flight_are_that_flight(name):
-    config = reference.load_config(ROOT / f"configs/experiments/{name}.toml")
+    config = rust.load_config(ROOT / f"configs/experiments/{name}.toml")
     assert apply(config, settings_of(config)) == config
 
 
@@ -136,7 +136,7 @@ def test_published_arms_are_the_published_flights():
     for controller, name in (("baseline", "test1_published"), ("aware", "test2_published")):
         wanted = Settings(controller=controller, model="axisymmetric, published", arms="published")
         config = apply(default_config(), wanted)
-        experiment = reference.load_config(ROOT / f"configs/experiments/{name}.toml")
+        experiment = rust.load_config(ROOT / f"configs/experiments/{name}.toml")
         assert config["simulator"] == experiment["simulator"]
         if controller == "aware":  # a baseline has no aerodynamics that could have arms
             assert config["controller"] == experiment["controller"]
@@ -146,7 +146,7 @@ def test_published_arms_are_the_published_flights():
 def test_every_model_flies(model):
     config = apply(default_config(), Settings(model=model, controller="aware", wind_direction_deg=-45.0))
     config["simulator"]["duration"] = 6.0
-    flight = reference.fly(config)
+    flight = rust.fly(config)
     assert flight.outcome == "completed"
     np.testing.assert_allclose(flight["wind"][-1], 0.2 * np.array([-(50**0.5), 50**0.5, 0.0]), atol=1e-6)
 
@@ -173,7 +173,7 @@ def test_a_wrong_file_is_refused_by_name(tmp_path, capsys):
         (tmp_path / "empty", "holds no run.nc"),
     ):
         for command in ("view", "video", "snapshot"):
-            assert front_door.main([command, str(path)]) == 2
+            assert commands.main([command, str(path)]) == 2
             said = capsys.readouterr().err
             assert told in said
             assert str(path) in said
@@ -198,7 +198,7 @@ def test_a_result_without_its_robot_asks_for_it(made_up_results):
 
 
 def test_three_results_are_one_too_many(fallen, capsys):
-    assert front_door.main(["view", *[str(fallen)] * 3]) == 2
+    assert commands.main(["view", *[str(fallen)] * 3]) == 2
     assert "at most two" in capsys.readouterr().err
 
 
@@ -207,18 +207,18 @@ def test_three_results_are_one_too_many(fallen, capsys):
     [(["--port", "99999"], "port is 99999"), (["--host", "203.0.113.1"], "cannot listen on `203.0.113.1`")],
 )
 def test_an_address_that_is_none_is_refused(words, told, capsys):
-    assert front_door.main(["view", *words]) == 2
+    assert commands.main(["view", *words]) == 2
     assert told in capsys.readouterr().err
 
 
 def test_an_unknown_command_lists_the_known_ones(capsys):
-    assert front_door.main(["film"]) == 2
+    assert commands.main(["film"]) == 2
     assert "{verify,view,video,snapshot}" in capsys.readouterr().err
 
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch, fallen, capsys):
     monkeypatch.setitem(sys.modules, "viser", None)
-    assert front_door.main(["view", str(fallen)]) == 2
+    assert commands.main(["view", str(fallen)]) == 2
     assert "pip install 'jax-aero[view]'" in capsys.readouterr().err
 
 

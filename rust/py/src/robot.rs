@@ -118,7 +118,7 @@ impl Robot {
         &self.model.urdf_text
     }
 
-    /// Kinematics and dynamics of one state, by name; see `jax_aero.reference.Robot`.
+    /// Kinematics and dynamics of one state, by name; see `jax_aero.rust.Robot`.
     fn dynamics<'py>(
         &self,
         py: Python<'py>,

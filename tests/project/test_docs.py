@@ -12,7 +12,7 @@ from nbclient import NotebookClient
 
 from experiments.sweep import spec
 from experiments.sweep.design import Design
-from jax_aero import reference
+from jax_aero import rust
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -100,7 +100,7 @@ def test_shown_experiments_can_fly(page, tmp_path):
     for number, code in enumerate(blocks(page, "experiment", "toml")):
         file = configs / "experiments" / f"shown_{number}.toml"
         file.write_text(code, encoding="utf-8")
-        reference.load_config(file)
+        rust.load_config(file)
 
 
 @pytest.mark.parametrize("page", having("sweep", "toml"), ids=name)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from jax_aero import reference
+from jax_aero import rust
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -62,7 +62,7 @@ def test_make_targets_exist(code):
 def test_the_example_configuration_can_fly(code, tmp_path):
     path = shutil.copytree(ROOT / "configs", tmp_path / "configs") / "experiments" / "half.toml"
     path.write_text(code, encoding="utf-8")
-    config = reference.load_config(path)
+    config = rust.load_config(path)
     assert config["title"] == tomllib.loads(code)["title"]
     assert config["controller"]["aero_feedback"]["scale"] == 0.5
 

@@ -26,9 +26,9 @@ def test_the_import_contracts_hold(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_only_the_reference_imports_the_compiled_module(path):
+def test_only_jax_aero_rust_imports_the_compiled_module(path):
     importers = [path] if "jax_aero._core" in imported(path) else []
-    assert importers in ([], [ROOT / "jax_aero" / "reference.py"])
+    assert importers in ([], [ROOT / "jax_aero" / "rust.py"])
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))

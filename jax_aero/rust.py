@@ -4,19 +4,19 @@ The only importer of the compiled module `jax_aero._core`.
 
 Examples
 --------
->>> from jax_aero import reference
->>> config = reference.load_config("configs/experiments/test2.toml", {"simulator.duration": 1.0})
->>> flight = reference.fly(config)
+>>> from jax_aero import rust
+>>> config = rust.load_config("configs/experiments/test2.toml", {"simulator.duration": 1.0})
+>>> flight = rust.fly(config)
 >>> flight["thrust"].shape[1]
 4
 
 One state, one tick, every intermediate value:
 
->>> robot = reference.Robot(config["robot"])
->>> state = reference.State.at_rest(robot)
->>> reference.dynamics(robot, state).mass_matrix.shape
+>>> robot = rust.Robot(config["robot"])
+>>> state = rust.State.at_rest(robot)
+>>> rust.dynamics(robot, state).mass_matrix.shape
 (29, 29)
->>> tick = reference.Controller(config).tick(state, thrust=[100.0] * 4, wind=[0.0, -10.0, 0.0])
+>>> tick = rust.Controller(config).tick(state, thrust=[100.0] * 4, wind=[0.0, -10.0, 0.0])
 >>> tick.momentum_answer.status
 'Solved'
 """
