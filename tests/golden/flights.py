@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments import engines
-from jax_aero import reference
+from jax_aero import rust
 
 FOLDER = Path(__file__).parent / "flights"
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
@@ -58,28 +58,28 @@ class Stored(NamedTuple):
     """Of each signal in each row."""
 
 
-def load(name: str) -> reference.Config:
+def load(name: str) -> rust.Config:
     """Return the resolved configuration of an experiment."""
-    return reference.load_config(EXPERIMENTS / f"{name}.toml")
+    return rust.load_config(EXPERIMENTS / f"{name}.toml")
 
 
-def fly(config: reference.Config) -> reference.Flight:
+def fly(config: rust.Config) -> rust.Flight:
     """Fly a configuration with its own engine."""
     return engines.engine(engines.engine_of(config)).fly(config)
 
 
-def rounds_coarsely(config: reference.Config) -> bool:
+def rounds_coarsely(config: rust.Config) -> bool:
     """Tell whether a network (single precision) or an iterative contact solver takes part."""
     models = (config["simulator"]["aero"]["model"], config["controller"]["aero"]["model"])
     return "network" in models or engines.engine_of(config) == "mujoco"
 
 
-def signals(flight: reference.Flight) -> dict[str, NDArray[np.float64]]:
+def signals(flight: rust.Flight) -> dict[str, NDArray[np.float64]]:
     """Return the log under the stored names."""
     return _renamed(flight.log, LOG_NAMES)
 
 
-def summary(flight: reference.Flight) -> dict[str, float]:
+def summary(flight: rust.Flight) -> dict[str, float]:
     """Return the summary under the stored names."""
     return _renamed(flight.summary, SUMMARY_NAMES)
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from jax_aero import reference
+from jax_aero import rust
 from tests.golden import flights
 
 PLAIN_PROCESSOR = "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-AVX512VL,-AVX512DQ"
@@ -41,7 +41,7 @@ def main(names: list[str]) -> None:
         store(name, config, flights.fly(config), neighbours)
 
 
-def neighbours_of(config: reference.Config) -> Iterator[reference.Config]:
+def neighbours_of(config: rust.Config) -> Iterator[rust.Config]:
     """Yield the configuration with initial states that differ by 1e-13 of their size."""
     for key, step in (("joint_position", 1e-13), ("joint_position", -1e-13), ("thrust", 1e-11)):
         changed = copy.deepcopy(config)
@@ -51,7 +51,7 @@ def neighbours_of(config: reference.Config) -> Iterator[reference.Config]:
             yield changed
 
 
-def store(name: str, config: reference.Config, flight: reference.Flight, neighbours: list[reference.Flight]) -> None:
+def store(name: str, config: rust.Config, flight: rust.Flight, neighbours: list[rust.Flight]) -> None:
     """Store the rows and the parts of the ending in which all flights agree."""
     log = flights.signals(flight)
     length = min(len(each.log["time"]) for each in [flight, *neighbours])

@@ -1,6 +1,6 @@
 """Complete ticks of the controller: what it was given, and every intermediate value it computed.
 
-A stored name stays when a value is renamed; `TICK_NAMES` says what it is called in `reference.Tick` now.
+A stored name stays when a value is renamed; `TICK_NAMES` says what it is called in `rust.Tick` now.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jax_aero import reference
-from jax_aero.reference import Controller, State
+from jax_aero import rust
+from jax_aero.rust import Controller, State
 from tests.golden import flights
 
 FOLDER = Path(__file__).parent / "ticks"
@@ -28,19 +28,19 @@ GIVEN = ("base_position", "base_rotation", "joint_position", "velocity", "thrust
 Values = dict[str, NDArray[np.float64]]
 
 
-def compute(config: reference.Config, given: Values) -> Values:
+def compute(config: rust.Config, given: Values) -> Values:
     """Compute the tick of a controller with this memory and set-point, all values by their stored names."""
     controller = Controller(config)
     controller.set_memory(*(given[f"memory.{key}"] for key in MEMORY))
     state = State(*(given[key] for key in GIVEN[:4]))
     setpoint = {key.split(".")[1]: value for key, value in given.items() if key.startswith("setpoint.")}
     tick = controller.tick(
-        state, given["thrust"], given["wind"], float(given["time"]), reference=reference.Reference(**setpoint)
+        state, given["thrust"], given["wind"], float(given["time"]), reference=rust.Reference(**setpoint)
     )
     return values(tick)
 
 
-def values(tick: reference.Tick) -> Values:
+def values(tick: rust.Tick) -> Values:
     """Return every number of a tick by its stored name, nested ones with a dot."""
     stored_names = {now: name for name, now in TICK_NAMES.items()}
     found: Values = {}
@@ -73,7 +73,7 @@ def make() -> None:
         config = flights.load(name)
         log = flights.fly(config).log
         controller = Controller(config)
-        before: reference.Tick | None = None
+        before: rust.Tick | None = None
         for row in range(max(rows) + 1):
             given: Values = {
                 "base_position": log["base_position"][row],

@@ -111,7 +111,7 @@ def test_a_robot_that_cannot_be_is_refused_in_both_languages(tmp_path, old, new,
     assert any(old in text for text in texts.values())
     for suffix, text in texts.items():
         (tmp_path / "sparrow").with_suffix(suffix).write_text(text.replace(old, new, 1))
-    for load in (reference.Robot, load_robot):
+    for load in (rust.Robot, load_robot):
         with pytest.raises(ValueError) as refusal:  # noqa: PT011 - the words follow
             load(tmp_path / "sparrow.toml")
         assert all(word.lower() in str(refusal.value).lower() for word in words)
