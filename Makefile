@@ -9,15 +9,26 @@ MODULE := $(VENV)/.module
 RUST_SOURCES := Cargo.toml Cargo.lock $(shell find rust -name '*.rs' -o -name Cargo.toml)
 DEMO := test1 test2 test1_published test2_published
 
+# Where the Rust tests write what they measured, for the summary that pytest prints.
+MEASURED := $(abspath target/measured)
+
+# Another processor: no AVX in the C library's functions, in what XLA compiles, in OpenBLAS or in NumPy.
+OTHER_PROCESSOR = GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-AVX512VL,-AVX512DQ \
+	XLA_FLAGS=--xla_cpu_max_isa=SSE4_2 OPENBLAS_CORETYPE=Nehalem NPY_DISABLE_CPU_FEATURES="$(NUMPY_FEATURES)"
+NUMPY_FEATURES = $(shell $(BIN)/python -c 'import numpy; \
+	print(*numpy.show_config(mode="dicts")["SIMD Extensions"].get("found", []))')
+NUMERICAL := $(if $(QUICK),tests/parity/test_qp.py tests/parity/test_jax_qp_box.py tests/parity/test_aero.py, \
+	tests/parity tests/gradients tests/units tests/train)
+
 # One interpreter for every build of the bindings, so that cargo does not build them again for another.
 export PYO3_PYTHON := $(abspath $(BIN)/python)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo view test lint bench figures reproduce verify docs clean
+.PHONY: help setup demo view test lint bench figures reproduce verify docs clean portability
 .DELETE_ON_ERROR:
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: $(MODULE) ## create .venv, install the pinned packages, compile the Rust module
 
@@ -29,8 +40,13 @@ view: $(MODULE) ## fly in the browser: drag the wind until the robot falls
 	$(BIN)/python -m jax_aero view
 
 test: $(MODULE) ## run every test, Rust first, then Python
-	cargo test --locked
-	$(BIN)/python -m pytest
+	rm -rf $(MEASURED)
+	MEASURED=$(MEASURED) cargo test --locked
+	MEASURED=$(MEASURED) $(BIN)/python -m pytest
+
+portability: $(MODULE) ## run the numerical tests as another processor would, on one core and on two (QUICK=1: a minute)
+	$(if $(QUICK),,$(OTHER_PROCESSOR) cargo test --locked)
+	for cores in 0 0,1; do $(OTHER_PROCESSOR) taskset --cpu-list $$cores $(BIN)/python -m pytest -q $(NUMERICAL) || exit; done
 
 lint: $(MODULE) ## check formats, lints, types and import contracts
 	cargo fmt --all --check

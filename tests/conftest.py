@@ -1,16 +1,47 @@
-"""A made-up flight of a made-up robot: the right shapes, plausible sizes, no physics."""
+"""What many tests use: measurements, processes that end, a made-up flight of a made-up robot."""
 
 from __future__ import annotations
 
+import signal
+import subprocess
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from experiments import record
 from jax_aero.rust import Flight
+
+pytest_plugins = ["tests.measurements"]
+
+
+# --- processes ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., subprocess.Popen[Any]]]:
+    """Start processes that SIGINT interrupts, also where the tests themselves ignore it, and end them with the test."""
+    with ExitStack() as processes:
+
+        def start(*command: object, **options: Any) -> subprocess.Popen[Any]:
+            # A child ignores what its parent ignores, while a signal that its parent handles is back at its default.
+            before = signal.signal(signal.SIGINT, signal.default_int_handler)
+            try:
+                process = subprocess.Popen([str(word) for word in command], **options)
+            finally:
+                signal.signal(signal.SIGINT, before)
+            processes.enter_context(process)
+            processes.callback(process.kill)
+            return process
+
+        yield start
+
+
+# --- a made-up flight ---------------------------------------------------------------------------------------------
 
 
 def _leg(side: str) -> list[str]:

@@ -1,63 +1,18 @@
-"""Random states of both robots, and a table of how well everything agreed, printed at the end of a run."""
+"""Random states of both robots."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from jax_aero.rust import Robot, State
 
 ROOT = Path(__file__).resolve().parents[2]
 ROBOTS = ("ironcub_mk1", "sparrow")
-
-Agree = Callable[[str, ArrayLike, ArrayLike, float], None]
-Measured = Callable[[str, float | str], None]
-
-_measured: dict[tuple[str, str], float | str] = {}
-
-
-@pytest.fixture
-def measured(request: pytest.FixtureRequest) -> Measured:
-    """Put a figure into the table at the end of the run; of several numbers of one name the largest stays."""
-
-    def note(what: str, figure: float | str) -> None:
-        before = _measured.get((request.node.path.stem, what))
-        if isinstance(figure, float) and isinstance(before, float):
-            figure = max(figure, before)
-        _measured[request.node.path.stem, what] = figure
-
-    return note
-
-
-@pytest.fixture
-def agree(measured: Measured) -> Agree:
-    """Compare two arrays relative to the largest entry of the second."""
-
-    def compare(quantity: str, ours: ArrayLike, theirs: ArrayLike, tolerance: float) -> None:
-        ours, theirs = np.asarray(ours), np.asarray(theirs)
-        assert ours.shape == theirs.shape, quantity
-        error = float(np.max(np.abs(ours - theirs)) / max(float(np.max(np.abs(theirs))), 1e-300))
-        measured(quantity, error)
-        assert error <= tolerance, f"{quantity}: relative error {error:.2e}, allowed {tolerance:.0e}"
-
-    return compare
-
-
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    if not _measured:
-        return
-    terminalreporter.section("parity: worst relative errors and counts")
-    rows = [
-        (module.removeprefix("test_"), what, figure if isinstance(figure, str) else f"{figure:.1e}")
-        for (module, what), figure in _measured.items()
-    ]
-    widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
-    for module, what, figure in sorted(rows, key=lambda row: row[0]):
-        terminalreporter.write_line(f"{module:<{widths[0]}}  {what:<{widths[1]}}  {figure}")
 
 
 @pytest.fixture(params=ROBOTS)

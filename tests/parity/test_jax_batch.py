@@ -32,7 +32,8 @@ def test_flights_on_two_devices():
         for more in ({}, {"simulator.fall.com_error": 0.02}, {"controller.momentum.c0": 40.0, "title": "softer"})
     ]
     # Two devices are made of one processor; compiled without optimisation, which takes half the time.
-    flags = "--xla_force_host_platform_device_count=2 --xla_backend_optimization_level=0"
+    flags = os.environ.get("XLA_FLAGS", "")
+    flags += " --xla_force_host_platform_device_count=2 --xla_backend_optimization_level=0"
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT],
         input=json.dumps(tables),

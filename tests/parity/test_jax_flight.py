@@ -68,35 +68,32 @@ STATES = ("base_position", "base_velocity", "joint_position", "joint_velocity", 
 
 
 def departures(flight, other):
-    """Largest difference in any state at every tick."""
-    of_signals = [np.abs(flight[name] - other[name]).reshape(len(flight["time"]), -1).max(axis=1) for name in STATES]
+    """Largest difference in any state at every tick that both have."""
+    n = min(len(flight["time"]), len(other["time"]))
+    of_signals = [np.abs(flight[name][:n] - other[name][:n]).reshape(n, -1).max(axis=1) for name in STATES]
     return np.max(of_signals, axis=0)
 
 
-def test_a_flight_along_a_recorded_reference(recorded_flights, measured):
-    """The fastest way: every state at every tick to 1e-6."""
-    ours, expected, _ = recorded_flights["min_time"]
-    apart = departures(ours, expected)
-    measured("minimum time, 26 s: every state", float(apart.max()))
-    assert ours.outcome == expected.outcome == "completed"
-    assert np.max(np.abs(ours["com_reference"] - expected["com_reference"])) < 1e-12
-    assert apart.max() < 1e-6
+@pytest.mark.parametrize("name", RECORDED)
+def test_a_flight_along_a_recorded_reference(recorded_flights, measured, name):
+    """As long as a last bit does not decide, every state at every tick to 1e-6.
 
-
-def test_a_flight_along_a_recorded_reference_that_magnifies_errors(recorded_flights, measured):
-    """The most frugal way has a second in which an error grows tenfold every 0.1 s, in either engine.
-
-    Until the crate leaves itself, both fly the same; then ours is no farther from the crate than it is from itself.
+    The nudge is 1e-13 N and JAX rounds about a thousand times as much on the way, so the crate's own departure from
+    itself is multiplied by 1000. Minimum fuel has a second in which an error grows tenfold every 0.1 s, in either
+    implementation: from there on neither state nor outcome are a claim.
     """
-    ours, expected, nudged = recorded_flights["min_fuel"]
+    ours, expected, nudged = recorded_flights[name]
     apart, own = departures(ours, expected), departures(nudged, expected)
-    trusted = int(np.argmax(own > 1e-9))
-    measured("minimum fuel: every state, until the crate leaves itself", float(apart[:trusted].max()))
-    measured("minimum fuel: seconds until then", f"{expected['time'][trusted]:.2f}")
-    assert ours.outcome == expected.outcome == "completed"
-    assert expected["time"][trusted] > 11.0, "the recording begins at 10 s"
-    assert apart[:trusted].max() < 1e-6
-    assert np.max(np.abs(ours["com_reference"] - expected["com_reference"])) < 1e-12
+    reproducible = own <= 1e-9
+    until = len(own) if reproducible.all() else int(np.argmin(reproducible))
+    measured(f"{name}: seconds until a last bit decides", f"{expected['time'][until - 1]:.1f}")
+    measured(f"{name}: every state until then", apart[:until].max(), 1e-6)
+    assert expected["time"][until - 1] > 11.0, "the recording begins at 10 s"
+    n = len(apart)
+    setpoint_error = np.max(np.abs(ours["com_reference"][:n] - expected["com_reference"][:n]))
+    measured(f"{name}: reference", setpoint_error, 1e-12)
+    if reproducible.all():
+        assert ours.outcome == expected.outcome == "completed"
 
 
 VARIANTS = {
@@ -195,4 +192,4 @@ def test_winds(profile, tmp_path):
     table = rust.load_config(EXPERIMENTS / "test2.toml", {"simulator.duration": 0.4}) | {"wind": wind}
     log, config = rust.fly(table).log, flight_config(table)
     ours = jax.vmap(lambda time: wind_velocity(config.wind, time))(jnp.asarray(log["time"]))
-    assert np.allclose(ours, log["wind"], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(ours, log["wind"], rtol=0, atol=1e-12)

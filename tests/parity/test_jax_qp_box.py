@@ -19,6 +19,7 @@ EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
 EVERY = 12
 OF_RANGE = 1e-9
 COUNT = 1024
+UNIT_ROUNDOFF = np.finfo(np.float64).eps / 2
 
 
 def rotation_of(wxyz):
@@ -78,18 +79,32 @@ def cold(problem):
     return jax.tree.map(lambda x: jnp.stack([x] * len(problem.g)), qp.cold_start(problem.g.shape[1], jnp.float64))
 
 
+def evaluation_rounding(problem, x):
+    """Bound of what rounding does to `kkt_residual`, per unit roundoff and problem.
+
+    `H x + g` is a sum of n + 1 products, divided by √H_ii and by the residual's scale: n + 3 roundings of
+    `max_i (|H| |x| + |g|)_i / √H_ii / scale` (Higham, Accuracy and Stability of Numerical Algorithms, section 3.1).
+    """
+    root = np.sqrt(np.diagonal(problem.h, axis1=1, axis2=2))
+    terms = np.einsum("kij,kj->ki", np.abs(problem.h), np.abs(x)) + np.abs(problem.g)
+    scale = np.maximum(1, np.maximum(np.abs(problem.g / root).max(axis=1), np.abs(root * x).max(axis=1)))
+    return (x.shape[1] + 3) * (terms / root).max(axis=1) / scale
+
+
 def assert_solves(answer, problem, measured, what):
     x, _ = crate(problem)
-    kkt = [rust.kkt_residual(*one) for one in zip(*problem, np.asarray(answer.x), strict=True)]
+    kkt = np.array([rust.kkt_residual(*one) for one in zip(*problem, np.asarray(answer.x), strict=True)])
     error = np.max(np.abs(answer.x - x) / (problem.upper - problem.lower))
-    measured(f"{what}: error of range", float(error))
     measured(f"{what}: most passes", float(answer.iterations.max()))
     assert np.all(answer.status == qp.SOLVED)
     assert np.all((answer.x >= problem.lower) & (answer.x <= problem.upper))
-    assert error < OF_RANGE
-    assert np.max(kkt) < 1e-12
-    # The residual reported is the crate's, up to rounding of the product H x.
-    np.testing.assert_allclose(answer.kkt, kkt, rtol=0, atol=1e-14)
+    measured(f"{what}: error of range", error, OF_RANGE)
+    # A Cholesky solve of n = 27 unknowns leaves (3 n + 1) n u = 2.5e-13 of the scale (Higham, theorem 10.4, with
+    # |Lᵀ| |L| ≤ √(H_ii H_jj)), and evaluating that takes part in it.
+    rounding = UNIT_ROUNDOFF * evaluation_rounding(problem, np.asarray(answer.x))
+    measured(f"{what}: optimality residual", np.max(kkt - rounding), 2.5e-13)
+    # The residual reported is the crate's, up to the rounding of either.
+    measured(f"{what}: residual reported, of its rounding", np.max(np.abs(answer.kkt - kkt) / (2 * rounding)), 1.0)
 
 
 @pytest.mark.parametrize("which", [0, 1], ids=["momentum", "torque"])
@@ -156,14 +171,35 @@ def test_odd_boxes_and_data_without_an_answer(harvested, solve):
     assert np.all(np.isnan(answer.kkt[4:9]))
 
 
-def test_float32_answers_are_certified_to_1e_5_and_right_to_two_per_cent_of_range(harvested, measured):
+@pytest.mark.close_to_tolerance("an answer is accepted anywhere below the certificate's tolerance")
+def test_float32_answers_are_certified_and_as_low_as_that_promises(harvested, measured):
+    """Judged in float64 with the data that were not rounded: the residual r and the objective; x is promised nothing.
+
+    Single precision rounds data and certificate; either adds at most `evaluation_rounding` to the tolerance κ. In
+    the units y = √H_ii x let p = y − r be the projection that defines r, q the gradient and y* the minimiser. Then
+    (p − y + q)·(y* − p) ≥ 0, and with convexity f(y) − f(y*) ≤ q·(y − y*) ≤ |r|∞ Σ_i (|q_i| + |p_i − y*_i|).
+    The flight's condition number 2e8 exceeds 1/u = 1.7e7, so x may be off by much of its range along flat directions.
+    """
     problem = exactly(harvested[0], COUNT, np.random.default_rng(5))
-    x, _ = crate(problem)
+    best, _ = crate(problem)
     with jax.enable_x64(False):
         answer = jax.jit(jax.vmap(qp.solve))(BoxQp(*(np.float32(part) for part in problem)))
         assert answer.x.dtype == jnp.float32
         answer = jax.device_get(answer)
-    error = np.max(np.abs(answer.x - x) / (problem.upper - problem.lower))
-    measured("float32: error of range", float(error))
     assert np.all(answer.status == qp.SOLVED)
-    assert error < 0.02
+    x = np.asarray(answer.x, np.float64)
+    measured("float32: error of range", float(np.max(np.abs(x - best) / (problem.upper - problem.lower))))
+
+    kkt = np.array([rust.kkt_residual(*one) for one in zip(*problem, x, strict=True)])
+    certified = qp.kkt_tolerance(jnp.float32) + np.finfo(np.float32).eps * evaluation_rounding(problem, x)
+    measured("float32: optimality residual, of what is certified", np.max(kkt / certified), 1.0)
+
+    root = np.sqrt(np.diagonal(problem.h, axis1=1, axis2=2))
+    gradient = (np.einsum("kij,kj->ki", problem.h, x) + problem.g) / root
+    projection = np.clip(root * x - gradient, root * problem.lower, root * problem.upper)
+    scale = np.maximum(1, np.maximum(np.abs(problem.g / root).max(axis=1), np.abs(root * x).max(axis=1)))
+    promised = certified * scale * (np.abs(gradient) + np.abs(projection - root * best)).sum(axis=1)
+    step = x - best
+    # f(x) − f(x*) without the cancellation of two objectives: q(x)·d − ½ d·H d.
+    above = np.sum(root * gradient * step, axis=1) - np.einsum("ki,kij,kj->k", step, problem.h, step) / 2
+    measured("float32: objective above the minimum, of what that promises", np.max(above / promised), 1.0)

@@ -240,14 +240,13 @@ def test_there_are_ten_thousand_of_every_kind(cases, measured):
 
 def test_every_answer_satisfies_the_optimality_conditions(cases, measured):
     for case in cases:
-        residual = kkt(case.problem, case.x)
-        measured(f"KKT residual, {case.kind}", residual)
         assert case.solved, case
-        assert residual <= KKT_TOLERANCE, case
         assert np.all((case.x >= case.problem.lower) & (case.x <= case.problem.upper))
-        assert rust.kkt_residual(*case.problem, case.x) <= KKT_TOLERANCE
+        measured(f"KKT residual, {case.kind}", kkt(case.problem, case.x), KKT_TOLERANCE)
+        measured("KKT residual, the crate's", rust.kkt_residual(*case.problem, case.x), KKT_TOLERANCE)
 
 
+@pytest.mark.close_to_tolerance("the bound is first order in eps cond(H): ill-conditioned problems come near it")
 def test_x_is_that_of_daqp(cases, measured):
     """To 1e-8 of the bound range, or to what the condition of H leaves of sixteen digits of the largest unknown."""
     beyond, raw_misses = 0, Counter()
@@ -264,24 +263,45 @@ def test_x_is_that_of_daqp(cases, measured):
         rounding = np.finfo(float).eps * eigenvalues[-1] / eigenvalues[0] * np.abs(theirs).max()
         difference = np.abs(y - theirs)
         measured(f"x − DAQP over bound range, {case.kind}", float((difference / spread).max()))
-        assert np.all(difference <= np.maximum(X_TOLERANCE * spread, rounding)), case
+        allowed = np.maximum(X_TOLERANCE * spread, rounding)
+        measured(f"x − DAQP, of what rounding allows, {case.kind}", (difference / allowed).max(), 1.0)
         beyond += bool(np.any(difference > X_TOLERANCE * spread))
     measured("x − DAQP beyond 1e-8, within eps cond(H) |x|", f"{beyond} of {len(cases)}")
     missed = ", ".join(f"{kind} {count}" for kind, count in raw_misses.items() if count)
     measured("DAQP in raw units not exact (KKT above 1e-9)", missed or "none")
 
 
+def higher_by(problem: QpProblem, x: np.ndarray, other: np.ndarray) -> tuple[float, float]:
+    """By how much the objective is higher at `other` than at the minimiser x, and what rounding may take from that.
+
+    Objectives of 1e6 carry rounding of 1e6 n u: two of them subtracted say nothing below a relative 1e-12. Instead
+
+        f(x + d) − f(x) = q·d + ½ d·H d,   q = H x + g,
+
+    where d is small and every feasible d has q·d ≥ 0, up to the rounding of q: (n + 3) u (|H| |x| + |g|) when it is
+    evaluated here, and (3 n + 1) u √H_ii Σ_j √H_jj |x_j| that the Cholesky solve of x leaves (Higham, Accuracy and
+    Stability of Numerical Algorithms, section 3.1 and theorem 10.4 with |Lᵀ| |L| ≤ √(H_ii H_jj)).
+    """
+    h, g, *_ = problem
+    n, d, root = len(x), other - x, np.sqrt(np.diag(h))
+    evaluated = (n + 3) * (np.abs(h) @ np.abs(x) + np.abs(g))
+    solved = (3 * n + 1) * root * (root @ np.abs(x))
+    rounding = np.finfo(float).eps / 2 * np.abs(d) @ (evaluated + solved)
+    return float((h @ x + g) @ d + d @ h @ d / 2), float(rounding)
+
+
+@pytest.mark.close_to_tolerance("AlmostSolved is Clarabel's own inaccuracy, which it does not bound as tightly")
 def test_the_objective_is_that_of_clarabel(cases, measured):
+    """Ours is never the higher one: in extended precision, at most 1e-17 above Clarabel's where that is 1e6."""
     statuses = Counter()
     for case in cases:
         even, unit = in_even_units(case.problem)
         y, status = ask_clarabel(even)
         statuses[status] += 1
         h, g, *_ = case.problem
-        ours, theirs = (0.5 * x @ h @ x + g @ x for x in (case.x, y * unit))
-        gap = float(abs(ours - theirs) / max(1, abs(ours)))
-        measured(f"objective − Clarabel's, {case.kind}, {status}", gap)
-        assert gap <= OBJECTIVE_TOLERANCE[status], (status, case)
+        gap, rounding = higher_by(case.problem, case.x, y * unit)
+        objective = max(1.0, abs(case.x @ h @ case.x / 2 + g @ case.x))
+        measured(f"Clarabel's objective above ours, {status}", gap / objective, OBJECTIVE_TOLERANCE[status])
         # Clarabel's point is cut back to the box, so it may be above the minimum but not below.
-        assert ours <= theirs + 1e-12 * max(1, abs(ours)), (status, case)
+        measured("our objective above Clarabel's, of rounding", -gap / max(rounding, 1e-300), 1.0)
     measured("what Clarabel said", ", ".join(f"{status} {count}" for status, count in statuses.items()))

@@ -13,7 +13,21 @@ import yaml
 import jax_aero
 
 ROOT = Path(__file__).resolve().parents[2]
-TARGETS = {"help", "setup", "demo", "test", "lint", "bench", "figures", "reproduce", "verify", "docs", "view", "clean"}
+TARGETS = {
+    "help",
+    "setup",
+    "demo",
+    "test",
+    "lint",
+    "bench",
+    "figures",
+    "reproduce",
+    "verify",
+    "docs",
+    "view",
+    "clean",
+    "portability",
+}
 
 
 def make(*arguments: str) -> str:
@@ -34,12 +48,26 @@ def test_every_target_has_a_recipe(target):
     assert make("-n", target).strip()
 
 
-def test_ci_runs_lint_and_the_command_of_the_readme():
+def test_ci_runs_lint_portability_and_the_command_of_the_readme():
     ci = ROOT / ".ci" / "run"
     assert os.access(ci, os.X_OK)
     text = ci.read_text(encoding="utf-8")
     assert "set -euo pipefail" in text
-    assert text.rstrip().splitlines()[-1].startswith("exec make --no-print-directory test")
+    commands = re.findall(r"^(?:exec )?make --no-print-directory (.*?)(?: #.*)?$", text, re.MULTILINE)
+    assert commands == ["lint", "portability QUICK=1", "test"]
+
+
+def test_lint_runs_every_check():
+    recipe = make("-n", "lint")
+    for check in (
+        "cargo fmt --all --check",
+        "cargo clippy",
+        "ruff check",
+        "ruff format --check",
+        "mypy",
+        "lint-imports",
+    ):
+        assert check in recipe
 
 
 def test_there_is_one_version():

@@ -26,6 +26,7 @@ from jax_aero.train import (
     save_checkpoint,
 )
 from jax_aero.train.loop import MATMUL, validation_error
+from tests.measurements import measured
 
 SETTINGS = Settings(epochs=8, learning_rate=3e-3, batch=32, dropout=0.1, noise=(("wind", 0.02),), validate_every=2)
 
@@ -234,4 +235,4 @@ def test_the_baselines_are_what_they_say(ironcub, made_up_dataset):
     assert found["linear"] < 0.2 * np.var(made_up_dataset.force_area_b)
     # Rows that were trained on are their own neighbours.
     known = made_up_dataset.take(train)
-    assert baseline_errors(ironcub, known, known)["nearest"] < 1e-12
+    measured("nearest neighbour of known samples", baseline_errors(ironcub, known, known)["nearest"], 1e-12)

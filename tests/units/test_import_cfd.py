@@ -10,6 +10,7 @@ from scipy.io import savemat
 from experiments import import_cfd
 from jax_aero.aero import cfd_import, dataset
 from jax_aero.aero.dataset import JOINTS, LINKS
+from tests.measurements import measured
 
 ROOT = Path(__file__).resolve().parents[2]
 PUBLIC_TABLE = ROOT.parent / "shared" / "data" / "cfd_freestream.csv"
@@ -60,7 +61,7 @@ def test_poles_are_found_and_checks_are_kept():
     data = read(table())
     # Pitch 0, yaw 40 is pitch 180, yaw 140.
     assert data.checks["groups of equal posture and wind that occur more than once"] == 2
-    assert data.checks["links minus whole robot, largest [m2]"] < 1e-9
+    measured("links minus whole robot [m2]", data.checks["links minus whole robot, largest [m2]"], 1e-9)
     assert data.checks["rows that should be their own mirror image"] == 1  # hovering, straight from ahead
     assert len(data.provenance["file_sha256"]) == 64
 
@@ -176,10 +177,10 @@ def test_the_public_table_imports_and_keeps_its_known_properties(tmp_path, capsy
     assert import_cfd.main(["--table", str(PUBLIC_TABLE), "--out", str(tmp_path / "f.nc")]) == 0
     data = dataset.load(tmp_path / "f.nc")
     assert (len(data), len(data.postures)) == (4826, 15)
-    assert data.checks["links minus whole robot, largest [m2]"] < 1e-8
+    measured("links minus whole robot [m2]", data.checks["links minus whole robot, largest [m2]"], 1e-8)
     assert data.checks["groups of equal posture and wind that occur more than once"] == 254
     # The poles were simulated once and written twice: our frames bring the two to the same base axes.
-    assert data.checks["difference within those groups, mean square [m4]"] < 1e-8
+    measured("difference within groups [m4]", data.checks["difference within those groups, mean square [m4]"], 1e-8)
     # Half of this, 1.9e-6, is what one run violates symmetry by.
     assert data.checks["their distance from it, mean square [m4]"] == pytest.approx(3.8e-6, rel=0.01)
     assert data.checks["variance over the 39 components [m4]"] == pytest.approx(1.30e-4, rel=0.005)

@@ -105,16 +105,10 @@ rust.fly_batch([config] * 2000) if sys.argv[1] == "batch" else rust.fly(
 
 
 @pytest.mark.parametrize("call", ["batch", "single"])
-def test_ctrl_c_ends_a_long_call_at_once(call):
+def test_ctrl_c_ends_a_long_call_at_once(call, start):
     """The interrupt arrives while Rust flies with the interpreter lock released."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", SLOW_BATCH, call],
-        cwd=REPOSITORY,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout is not None
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = start(sys.executable, "-c", SLOW_BATCH, call, cwd=REPOSITORY, **pipes)
     assert process.stdout.readline() == "ready\n"
     time.sleep(0.5)
     process.send_signal(signal.SIGINT)

@@ -14,6 +14,7 @@ from jax_aero.aero.dataset import LINKS
 from jax_aero.aero.posture import _frames, link_frames
 from jax_aero.robot import load_robot
 from paper_figs import surrogate as surrogate_figure
+from tests.measurements import measured
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +93,7 @@ def test_left_and_right_feel_the_same_where_all_is_symmetric(features, model):
     joints = import_cfd.known_postures()["hovering"][None]
     areas = surrogate.force_areas(model.coefficients, features(joints, np.array([[1.0, 0.0, 0.0]])))
     np.testing.assert_allclose(ds.mirrored_areas(areas), areas, atol=2e-5)
-    assert abs(areas.sum(axis=1)[0, 1]) < 2e-5
+    measured("side area [m2]", abs(areas.sum(axis=1)[0, 1]), 2e-5)
 
 
 def test_drag_is_positive_in_every_wind(features, model):
@@ -180,7 +181,7 @@ def test_common_law_and_curves_are_recovered_from_forces_made_with_them(robot):
     made = surrogate_fit.Calibration(nothing, design, design @ truth, ("a",) * 30 + ("b",) * 30)
     settings = surrogate_fit.Settings(to_common=1e6, to_zero=1e-9)
     np.testing.assert_allclose(surrogate_fit.solve(made, settings).ravel(), truth, atol=1e-4)
-    assert surrogate_fit.left_out_error(made, settings) < 1e-3
+    measured("left-out error", surrogate_fit.left_out_error(made, settings), 1e-3)
 
 
 def test_a_small_dataset_is_written_interrupted_and_resumed(tmp_path, monkeypatch, capsys):
@@ -204,7 +205,7 @@ def test_a_small_dataset_is_written_interrupted_and_resumed(tmp_path, monkeypatc
     assert calls == [9, 9, 9]  # the first posture was not computed again
     data = ds.load(out)
     assert (len(data), data.postures) == (36, ("hovering", "Config2"))
-    assert data.checks["their distance from it, largest [m2]"] < 1e-4
+    measured("distance [m2]", data.checks["their distance from it, largest [m2]"], 1e-4)
     assert [path.name for path in tmp_path.iterdir()] == ["s.nc"]
 
 

@@ -256,14 +256,14 @@ def test_a_finished_sweep_is_kept_and_another_of_its_name_protected(flown, tmp_p
     assert "holds another sweep of this name" in capsys.readouterr().err
 
 
-def test_a_killed_sweep_goes_on_and_ends_with_the_same_bytes(tmp_path):
+def test_a_killed_sweep_goes_on_and_ends_with_the_same_bytes(tmp_path, start):
     path = quick(tmp_path, repeats=60, duration=1.0)
 
-    def start(out: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "experiments", "sweep", str(path), "--out", str(tmp_path / out)]
-        return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    def sweep(out: str) -> subprocess.Popen[bytes]:
+        command = (sys.executable, "-m", "experiments", "sweep", path, "--out", tmp_path / out)
+        return start(*command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
-    whole, killed = start("whole"), start("killed")
+    whole, killed = sweep("whole"), sweep("killed")
     chunks = tmp_path / "killed" / "quick" / "chunks"
     while len(list(chunks.glob("0*.parquet"))) < 3:
         assert killed.poll() is None, "it ended before it could be killed"
@@ -276,7 +276,7 @@ def test_a_killed_sweep_goes_on_and_ends_with_the_same_bytes(tmp_path):
     for name in survived:
         pq.read_table(chunks / name)  # every chunk that is there is whole
 
-    again = start("killed")
+    again = sweep("killed")
     _, said = again.communicate(timeout=120)
     assert again.returncode == 0, said.decode()
     assert "flights are there already" in said.decode()

@@ -6,13 +6,12 @@ mod common;
 mod network;
 
 use criterion::Criterion;
-use flight_core::BuildError;
 use flight_core::aero::{AeroConfig, AeroModel, LinkConventions, LinkForces, Precision};
 use flight_core::kinematics::Kinematics;
 use std::hint::black_box;
 use std::time::Duration;
 
-fn main() -> Result<(), BuildError> {
+fn main() -> Result<(), Box<dyn std::error::Error>> {
     let ticks = common::calm()?;
     let tick = &ticks[0];
     let config = common::configuration("robustness_axisymmetric_vs_sphere_cylinder")?;
@@ -42,8 +41,10 @@ fn main() -> Result<(), BuildError> {
     }
     let shipped = common::configuration("test4")?.simulator.aero;
     // What a network costs depends on its shape, not on its weights: the others' are random.
-    let random =
-        |name, hidden, precision| network::random_network(robot, &network::paper(hidden), name, precision);
+    let folder = tempfile::tempdir()?;
+    let random = |name, hidden, precision| {
+        network::random_network(folder.path(), robot, &network::paper(hidden), name, precision)
+    };
     for precision in [Precision::F32, Precision::F64] {
         let mut shipped = shipped.clone();
         if let AeroConfig::Network(network) = &mut shipped {

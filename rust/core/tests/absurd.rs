@@ -22,8 +22,9 @@ fn rpy_at_gimbal_lock_names_the_rotation() {
 /// A field too many is refused whatever it says.
 #[test]
 fn wind_file_with_a_trailing_word_is_refused() {
-    for (k, line) in ["0,1,2,3,gusty", "0,1,2,3,"].iter().enumerate() {
-        let path = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("trailing{k}.csv"));
+    let folder = tempfile::tempdir().unwrap();
+    for line in ["0,1,2,3,gusty", "0,1,2,3,"] {
+        let path = folder.path().join("trailing.csv");
         std::fs::write(&path, format!("time,x,y,z\n{line}\n")).unwrap();
         assert!(Wind::new(&WindConfig::File { path }).is_err(), "{line}");
     }

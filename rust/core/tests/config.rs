@@ -16,17 +16,10 @@ use flight_core::{BuildError, Flight};
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
+use tempfile::{TempDir, tempdir};
 
-/// An empty folder of a test's own.
-fn folder(test: &str) -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("config").join(test);
-    let _ = std::fs::remove_dir_all(&folder);
-    std::fs::create_dir_all(&folder).unwrap();
-    folder
-}
-
-fn write(folder: &Path, name: &str, text: &str) -> PathBuf {
-    let path = folder.join(name);
+fn write(folder: &TempDir, name: &str, text: &str) -> PathBuf {
+    let path = folder.path().join(name);
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
     std::fs::write(&path, text).unwrap();
     path
@@ -50,7 +43,7 @@ fn parse<T: DeserializeOwned>(file: &Path) -> T {
 /// Keys beside `base` are laid over the base's table, table by table; lists are replaced whole.
 #[test]
 fn base_merges_table_by_table() {
-    let folder = folder("merge");
+    let folder = tempdir().unwrap();
     write(&folder, "bottom.toml", "a = 1\nlist = [1, 2, 3]\n[inner]\nb = 2\nc = 3\n[inner.deep]\nd = 4\n");
     write(&folder, "middle.toml", "base = 'bottom.toml'\nlist = [9]\n[inner]\nc = 30\n");
     let top = write(&folder, "top.toml", "base = 'middle.toml'\ne = 5\n[inner.deep]\nf = 6\n");
@@ -64,7 +57,7 @@ fn base_merges_table_by_table() {
 /// A `base` may stand in any table, and starts at the file that names it.
 #[test]
 fn base_may_stand_in_any_table() {
-    let folder = folder("inner");
+    let folder = tempdir().unwrap();
     write(&folder, "parts/wheel.toml", "base = 'common/round.toml'\nsize = 2\n");
     write(&folder, "parts/common/round.toml", "corners = 0\nsize = 1\n");
     let top = write(&folder, "top.toml", "front = { base = 'parts/wheel.toml', size = 3 }\n");
@@ -74,7 +67,7 @@ fn base_may_stand_in_any_table() {
 /// A table that changes its kind takes no key of the old kind along; one that repeats it does.
 #[test]
 fn another_kind_replaces_the_table() {
-    let folder = folder("kind");
+    let folder = tempdir().unwrap();
     write(
         &folder,
         "wind.toml",
@@ -137,7 +130,7 @@ fn the_baseline_is_the_aware_controller_without_air() {
 /// `robot` and `path` become absolute, starting at the file that names them, through any `base`.
 #[test]
 fn paths_start_at_the_file_that_names_them() {
-    let folder = folder("paths");
+    let folder = tempdir().unwrap();
     let robot = write(&folder, "deep/robots/r.toml", "");
     let wind = write(&folder, "winds/w.csv", "time,x,y,z\n0,1,2,3\n");
     write(&folder, "deep/base.toml", "robot = 'robots/r.toml'\n");
@@ -166,7 +159,7 @@ fn assert_says(error: &BuildError, words: &[&str]) {
 /// Files that name one another in a circle are refused, by name.
 #[test]
 fn circles_are_refused() {
-    let folder = folder("circle");
+    let folder = tempdir().unwrap();
     write(&folder, "a.toml", "base = 'b.toml'\n");
     let b = write(&folder, "b.toml", "base = 'a.toml'\n");
     assert_says(&resolve(&b).unwrap_err(), &["more than 16 deep", ".toml"]);
@@ -177,7 +170,7 @@ fn circles_are_refused() {
 /// A file that is absent, that is no TOML, or a `base` that is no path, is named.
 #[test]
 fn unreadable_files_are_named() {
-    let folder = folder("unreadable");
+    let folder = tempdir().unwrap();
     let absent = write(&folder, "top.toml", "base = 'absent.toml'\n");
     assert_says(&resolve(&absent).unwrap_err(), &["cannot read", "absent.toml"]);
     let robot = write(&folder, "robot.toml", "robot = 'nobody.toml'\n");
@@ -187,7 +180,7 @@ fn unreadable_files_are_named() {
     let number = write(&folder, "number.toml", "base = 7\n");
     assert_says(&resolve(&number).unwrap_err(), &["`base`", "is 7", "the path of a TOML file"]);
     let mut gone = experiment("test2");
-    gone.robot = folder.join("nobody.toml");
+    gone.robot = folder.path().join("nobody.toml");
     assert_says(&Flight::new(&gone).unwrap_err(), &["cannot read", "nobody.toml"]);
 }
 

@@ -17,6 +17,7 @@ use network::{
 };
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
+use tempfile::tempdir;
 
 const SMALL: &str = "tests/data/network_small.json";
 
@@ -83,10 +84,11 @@ fn a_network_says_what_jax_says() {
 /// Single precision is double precision to six digits, whatever the shape.
 #[test]
 fn precisions_agree() {
-    let (robot, mut rng) = (robot("ironcub_mk1"), rng(1));
+    let (robot, mut rng, folder) = (robot("ironcub_mk1"), rng(1), tempdir().unwrap());
     for (name, shape) in shapes() {
-        let build =
-            |precision| AeroModel::new(&random_network(&robot, &shape, name, precision), &robot).unwrap();
+        let build = |precision| {
+            AeroModel::new(&random_network(folder.path(), &robot, &shape, name, precision), &robot).unwrap()
+        };
         let (mut single, mut double) = (build(Precision::F32), build(Precision::F64));
         for _ in 0..20 {
             let (state, wind) = (random_state(&mut rng, &robot), random_vector(&mut rng, 10.0));
@@ -102,9 +104,9 @@ fn precisions_agree() {
 /// Forces grow with the square of the speed, turn with the world, and vanish in still air.
 #[test]
 fn forces_follow_wind_and_world() {
-    let (robot, mut rng) = (robot("ironcub_mk1"), rng(2));
+    let (robot, mut rng, folder) = (robot("ironcub_mk1"), rng(2), tempdir().unwrap());
     for (name, shape) in shapes() {
-        let config = random_network(&robot, &shape, name, Precision::F64);
+        let config = random_network(folder.path(), &robot, &shape, name, Precision::F64);
         let mut model = AeroModel::new(&config, &robot).unwrap();
         for _ in 0..10 {
             let mut state = random_state(&mut rng, &robot);
@@ -147,7 +149,7 @@ fn the_wind_is_that_of_the_base_origin() {
 /// A symmetric network's answer to the mirrored question is the mirrored answer; another one's is not.
 #[test]
 fn a_symmetric_network_is_symmetric() {
-    let (robot, mut rng) = (robot("ironcub_mk1"), rng(4));
+    let (robot, mut rng, folder) = (robot("ironcub_mk1"), rng(4), tempdir().unwrap());
     let swapped = |name: &str| -> String {
         let parts = name.split('_').map(|part| match part {
             "l" => "r",
@@ -167,7 +169,9 @@ fn a_symmetric_network_is_symmetric() {
         ("mirror in link axes", &in_link_axes, 1e-2),
         ("no mirror", &lopsided, f64::INFINITY),
     ] {
-        let mut model = AeroModel::new(&random_network(&robot, shape, name, Precision::F64), &robot).unwrap();
+        let mut model =
+            AeroModel::new(&random_network(folder.path(), &robot, shape, name, Precision::F64), &robot)
+                .unwrap();
         for _ in 0..20 {
             let mut state = RobotState::zero(robot.joints.len());
             state.joint_position = random_state(&mut rng, &robot).joint_position * 0.5;
@@ -199,10 +203,11 @@ fn a_symmetric_network_is_symmetric() {
 /// Any robot with aerodynamic links may have a network.
 #[test]
 fn other_robots_have_networks_too() {
-    let (robot, mut rng) = (robot("sparrow"), rng(5));
+    let (robot, mut rng, folder) = (robot("sparrow"), rng(5), tempdir().unwrap());
     let shape = Shape { mirror: false, ..COMPACT };
     let mut model =
-        AeroModel::new(&random_network(&robot, &shape, "sparrow", Precision::F32), &robot).unwrap();
+        AeroModel::new(&random_network(folder.path(), &robot, &shape, "sparrow", Precision::F32), &robot)
+            .unwrap();
     let found = forces(&robot, &mut model, &random_state(&mut rng, &robot), Vector3::new(3.0, 4.0, 5.0));
     assert!(found.forces_i.iter().all(|force| force.norm() > 0.0 && force.norm() < 100.0));
 }
@@ -224,8 +229,8 @@ fn error_of_card(pointer: &str, value: Value) -> BuildError {
     let (parent, key) = pointer.rsplit_once('/').unwrap();
     card.pointer_mut(parent).unwrap()[key] = value;
     let weights = std::fs::read(data(SMALL).with_extension("safetensors")).unwrap();
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("cards").join(pointer.replace('/', "_"));
-    let path = write(&folder, "network_small", &card, &weights);
+    let folder = tempdir().unwrap();
+    let path = write(folder.path(), "network_small", &card, &weights);
     AeroModel::new(&config(path, Precision::F32), &robot).unwrap_err()
 }
 
@@ -278,8 +283,8 @@ fn error_of_weights(
     change(&mut tensors);
     let mut weights = file_of(&tensors);
     spoil(&mut weights);
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("weights");
-    let path = write(&folder, name, &card(&robot, &shape, name, &weights), &weights);
+    let folder = tempdir().unwrap();
+    let path = write(folder.path(), name, &card(&robot, &shape, name, &weights), &weights);
     AeroModel::new(&config(path, Precision::F32), &robot).unwrap_err()
 }
 
@@ -346,8 +351,8 @@ fn factors_on_terms_of_other_models_are_refused() {
 /// A robot without a mirror image has no symmetric network.
 #[test]
 fn a_lopsided_robot_is_refused() {
-    let mut robot = robot("ironcub_mk1");
+    let (mut robot, folder) = (robot("ironcub_mk1"), tempdir().unwrap());
     robot.aero_links[4].centre_l.x += 0.1;
-    let config = random_network(&robot, &COMPACT, "lopsided", Precision::F32);
+    let config = random_network(folder.path(), &robot, &COMPACT, "lopsided", Precision::F32);
     assert_says(&AeroModel::new(&config, &robot).unwrap_err(), &["l_upper_arm", "mirrored", "image"]);
 }

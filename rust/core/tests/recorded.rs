@@ -10,7 +10,8 @@ use flight_core::{Flight, load_flight};
 use nalgebra::Vector3;
 use std::fmt::Write;
 use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
+use std::path::Path;
+use tempfile::tempdir;
 
 const EXPERIMENTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/experiments");
 
@@ -144,26 +145,9 @@ fn an_envelope_without_a_file_is_written_without_the_key() {
     assert!(!text.contains("file"), "{text}");
 }
 
-/// A folder of this test alone, gone when it ends.
-struct Scratch(PathBuf);
-
-impl Scratch {
-    fn new(name: &str) -> Self {
-        let folder = std::env::temp_dir().join(format!("{name}-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        Self(folder)
-    }
-}
-
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
-}
-
 #[test]
 fn the_controller_flies_a_file_named_beside_its_configuration() {
-    let scratch = Scratch::new("recorded-flight");
+    let folder = tempdir().unwrap();
     // One metre up between 4 and 8 s, as a minimum-jerk motion; position and attitude alone.
     let mut text = "time,x,y,z,roll,pitch,yaw\n".to_owned();
     for sample in 0..=80 {
@@ -171,14 +155,14 @@ fn the_controller_flies_a_file_named_beside_its_configuration() {
         let rise = s.powi(3) * (10.0 - 15.0 * s + 6.0 * s * s);
         writeln!(text, "{t},-0.00365,0.00041,{},0,0,3.14159265358979", 0.751_881 + rise).unwrap();
     }
-    std::fs::write(scratch.0.join("rise.csv"), text).unwrap();
+    std::fs::write(folder.path().join("rise.csv"), text).unwrap();
     let flight = format!(
         "base = \"{EXPERIMENTS}/no_wind.toml\"\nenvelope = {{ base = \"{EXPERIMENTS}/../envelope/hover.toml\", \
          file = \"rise.csv\" }}\nsimulator = {{ duration = 10.0 }}\n"
     );
-    std::fs::write(scratch.0.join("flight.toml"), flight).unwrap();
+    std::fs::write(folder.path().join("flight.toml"), flight).unwrap();
 
-    let mut config = load_flight(&scratch.0.join("flight.toml")).unwrap();
+    let mut config = load_flight(&folder.path().join("flight.toml")).unwrap();
     let envelope = EnvelopeConfig { file: config.envelope.file.take(), ..EnvelopeConfig::default() };
     assert!(envelope.file.as_ref().is_some_and(|file| file.is_absolute()));
     config.envelope = envelope;
@@ -191,9 +175,9 @@ fn the_controller_flies_a_file_named_beside_its_configuration() {
 
 #[test]
 fn a_file_that_is_missing_is_named() {
-    let scratch = Scratch::new("recorded-missing");
+    let folder = tempdir().unwrap();
     let flight = format!("base = \"{EXPERIMENTS}/no_wind.toml\"\nenvelope = {{ file = \"nowhere.csv\" }}\n");
-    std::fs::write(scratch.0.join("flight.toml"), flight).unwrap();
-    let message = load_flight(&scratch.0.join("flight.toml")).unwrap_err().to_string();
+    std::fs::write(folder.path().join("flight.toml"), flight).unwrap();
+    let message = load_flight(&folder.path().join("flight.toml")).unwrap_err().to_string();
     assert!(message.contains("nowhere.csv"), "{message}");
 }

@@ -130,18 +130,22 @@ pub fn n_inputs(robot: &RobotModel, shape: &Shape) -> usize {
 
 /// Writes card and weights; the path of the card.
 pub fn write(folder: &Path, name: &str, card: &Value, weights: &[u8]) -> PathBuf {
-    std::fs::create_dir_all(folder).unwrap();
     std::fs::write(folder.join(name).with_extension("safetensors"), weights).unwrap();
     let path = folder.join(name).with_extension("json");
     std::fs::write(&path, card.to_string()).unwrap();
     path
 }
 
-/// A configuration of a network of this shape with random weights, in a folder of the build.
-pub fn random_network(robot: &RobotModel, shape: &Shape, name: &str, precision: Precision) -> AeroConfig {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("networks");
+/// A configuration of a network of this shape with random weights, whose files are in `folder`.
+pub fn random_network(
+    folder: &Path,
+    robot: &RobotModel,
+    shape: &Shape,
+    name: &str,
+    precision: Precision,
+) -> AeroConfig {
     let tensors = random_tensors(n_inputs(robot, shape), 3 * robot.aero_links.len(), shape, 7);
     let weights = file_of(&tensors);
-    let card = write(&folder, name, &card(robot, shape, name, &weights), &weights);
+    let card = write(folder, name, &card(robot, shape, name, &weights), &weights);
     AeroConfig::Network(NetworkConfig { card, precision, air_density: 1.225 })
 }

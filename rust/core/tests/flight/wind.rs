@@ -3,6 +3,7 @@
 use flight_core::sim::{Wind, WindConfig};
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
+use tempfile::tempdir;
 
 fn wind(config: &WindConfig) -> Wind {
     Wind::new(config).unwrap()
@@ -62,9 +63,7 @@ fn gust_is_one_minus_cosine() {
     assert!((strongest - 8.0).abs() < 1e-12);
 }
 
-fn file(name: &str, text: &str) -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("wind");
-    std::fs::create_dir_all(&folder).unwrap();
+fn file(folder: &Path, name: &str, text: &str) -> PathBuf {
     let path = folder.join(name);
     std::fs::write(&path, text).unwrap();
     path
@@ -73,7 +72,8 @@ fn file(name: &str, text: &str) -> PathBuf {
 /// A recorded wind is linear between its samples and constant outside; blanks and empty lines are nothing.
 #[test]
 fn recorded_wind_is_interpolated() {
-    let path = file("good.csv", "time, x, y, z\n0,1,2,3\n\n 2.0, 3, 2 ,-1\r\n10,3,2,-1\n");
+    let folder = tempdir().unwrap();
+    let path = file(folder.path(), "good.csv", "time, x, y, z\n0,1,2,3\n\n 2.0, 3, 2 ,-1\r\n10,3,2,-1\n");
     let wind = wind(&WindConfig::File { path });
     for (time, velocity) in [
         (-5.0, [1.0, 2.0, 3.0]),
@@ -85,7 +85,8 @@ fn recorded_wind_is_interpolated() {
     ] {
         assert_blows(&wind, time, velocity);
     }
-    let single = Wind::new(&WindConfig::File { path: file("single.csv", "time,x,y,z\n3,1,2,3\n") }).unwrap();
+    let path = file(folder.path(), "single.csv", "time,x,y,z\n3,1,2,3\n");
+    let single = Wind::new(&WindConfig::File { path }).unwrap();
     assert_blows(&single, 0.0, [1.0, 2.0, 3.0]);
     assert_blows(&single, 9.0, [1.0, 2.0, 3.0]);
 }
@@ -93,6 +94,7 @@ fn recorded_wind_is_interpolated() {
 /// A wind file that cannot be read as one is refused, with the line and what stands there.
 #[test]
 fn bad_wind_files_are_refused_with_their_line() {
+    let folder = tempdir().unwrap();
     for (name, text, words) in [
         ("empty.csv", "", ["line 1", "empty"]),
         ("header.csv", "t,x,y,z\n0,1,2,3\n", ["line 1", "t,x,y,z"]),
@@ -106,7 +108,8 @@ fn bad_wind_files_are_refused_with_their_line() {
         ("late.csv", "time,x,y,z\n1,0,0,0\n0,0,0,0\n", ["line 3", "later than the line before"]),
         ("twice.csv", "time,x,y,z\n1,0,0,0\n\n1,0,0,0\n", ["line 4", "later than the line before"]),
     ] {
-        let message = Wind::new(&WindConfig::File { path: file(name, text) }).unwrap_err().to_string();
+        let path = file(folder.path(), name, text);
+        let message = Wind::new(&WindConfig::File { path }).unwrap_err().to_string();
         assert!(message.contains(name), "{message}");
         for word in words {
             assert!(message.contains(word), "{name}: `{message}` does not say `{word}`");
