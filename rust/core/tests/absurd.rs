@@ -15,8 +15,8 @@ fn rpy_at_gimbal_lock_names_the_rotation() {
     for (yaw, sign) in [(0.7_f64, 1.0), (-2.0, 1.0), (0.7, -1.0), (3.0, -1.0)] {
         let (s, c) = yaw.sin_cos();
         let r = Matrix3::new(0.0, -s, sign * c, 0.0, c, sign * s, -sign, 0.0, 0.0);
-        assert!(orthonormality_error(&r) < 1e-15);
-        assert!((rotation_from_rpy(&rpy_from_rotation(&r)) - r).amax() < 1e-12);
+        crate::common::assert_within!(orthonormality_error(&r), 1e-15);
+        crate::common::assert_within!((rotation_from_rpy(&rpy_from_rotation(&r)) - r).amax(), 1e-12);
     }
 }
 /// A field too many is refused whatever it says.

@@ -133,8 +133,8 @@ fn the_momentum_rate_is_the_sum_of_what_acts() {
             moment += (sole.position - terms.kinematics.com).cross(&f);
         }
         let rate = terms.momentum.rate_estimate;
-        assert!((Vector3::from(rate.fixed_rows::<3>(0)) - force).norm() < 1e-9);
-        assert!((Vector3::from(rate.fixed_rows::<3>(3)) - moment).norm() < 1e-9);
+        crate::common::assert_within!((Vector3::from(rate.fixed_rows::<3>(0)) - force).norm(), 1e-9);
+        crate::common::assert_within!((Vector3::from(rate.fixed_rows::<3>(3)) - moment).norm(), 1e-9);
     }
 }
 
@@ -178,13 +178,18 @@ fn rates_of_the_feet_are_their_differences() {
         let step = 1e-5;
         let (before, now, after) = (at(-step), at(0.0), at(step));
         let moment_rate = (after.0 - before.0) / (2.0 * step);
-        assert!((moment_rate - now.1).norm() < 1e-5 * (1.0 + now.1.norm()), "{moment_rate} {}", now.1);
+        crate::common::assert_within!(
+            (moment_rate - now.1).norm(),
+            1e-5 * (1.0 + now.1.norm()),
+            "{moment_rate} {}",
+            now.1
+        );
         let acceleration = (&after.2 - &before.2) / (2.0 * step);
-        assert!((&acceleration - &now.3).norm() < 1e-6 * (1.0 + now.3.norm()));
+        crate::common::assert_within!((&acceleration - &now.3).norm(), 1e-6 * (1.0 + now.3.norm()));
         for foot in 0..2 {
             for axis in 0..3 {
                 let difference = (after.4[3 * foot + axis] - before.4[3 * foot + axis]) / (2.0 * step);
-                assert!((difference - now.2[6 * foot + axis]).abs() < 1e-6);
+                crate::common::assert_within!((difference - now.2[6 * foot + axis]).abs(), 1e-6);
             }
         }
     }
@@ -228,7 +233,7 @@ fn the_standing_qp_is_its_definition() {
     for _ in 0..50 {
         let u = DVector::from_fn(35, |i, _| rng.random_range(-1.0..1.0) * if i < 12 { 200.0 } else { 30.0 });
         let (ours, defined) = (qp.problem.bounded.objective(u.as_slice()), cost(&u) - zero);
-        assert!((ours - defined).abs() < 1e-8 * defined.abs(), "{ours} {defined}");
+        crate::common::assert_within!((ours - defined).abs(), 1e-8 * defined.abs(), "{ours} {defined}");
     }
     // And its answer respects the wrenches in the soles' own axes.
     for (foot, sole) in contact.soles.iter().enumerate() {
@@ -237,7 +242,7 @@ fn the_standing_qp_is_its_definition() {
         let (f, m) = (turn * wrench.fixed_rows::<3>(0), turn * wrench.fixed_rows::<3>(3));
         let of_sole = Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z);
         for (row, bound) in config.wrench.rows() {
-            assert!(row.dot(&of_sole) <= bound + 1e-6);
+            crate::common::assert_within!(row.dot(&of_sole), bound + 1e-6);
         }
     }
 }
@@ -275,8 +280,8 @@ fn the_momentum_qp_on_the_ground_is_its_tasks() {
     }
     // The posture of the first tick is where the robot is.
     g.rows_mut(0, 4).fill(0.0);
-    assert!((&h - &qp.problem.h).amax() < 1e-9 * h.amax());
-    assert!((&g - &qp.problem.g).amax() < 1e-9 * g.amax());
+    crate::common::assert_within!((&h - &qp.problem.h).amax(), 1e-9 * h.amax());
+    crate::common::assert_within!((&g - &qp.problem.g).amax(), 1e-9 * g.amax());
     assert_eq!(qp.problem.h, qp.problem.h.transpose(), "exactly symmetric");
     // Jets do not act, and are not asked.
     assert_eq!(qp.task.columns(0, 4).amax(), 0.0);
@@ -359,9 +364,9 @@ fn in_the_air_feet_change_nothing() {
         let time = f64::from(tick) * TIME_STEP;
         let measurement = Measurement { time, state: &state, thrust: &thrust, wind };
         let (a, b) = (with.tick(&measurement).clone(), without.tick(&measurement).clone());
-        assert!((a.thrust_rate - b.thrust_rate).amax() < 1e-7);
-        assert!((a.joint_velocity - b.joint_velocity).amax() < 1e-9);
-        assert!((a.joint_torque - b.joint_torque).amax() < 1e-7);
+        crate::common::assert_within!((a.thrust_rate - b.thrust_rate).amax(), 1e-7);
+        crate::common::assert_within!((a.joint_velocity - b.joint_velocity).amax(), 1e-9);
+        crate::common::assert_within!((a.joint_torque - b.joint_torque).amax(), 1e-7);
     }
 }
 
@@ -381,7 +386,7 @@ fn clarabel_commands_the_same() {
             assert_eq!(status, CommandStatus::Nominal);
         }
         let difference = (&ours.terms().unlimited_torque - &theirs.terms().unlimited_torque).amax();
-        assert!(difference < 1e-5, "{difference} N m");
+        crate::common::assert_within!(difference, 1e-5, "{difference} N m");
     }
 }
 

@@ -67,7 +67,7 @@ fn numbers(command: &Command) -> Vec<f64> {
 fn assert_equal(what: &str, a: &[f64], b: &[f64], tolerance: f64) {
     assert_eq!(a.len(), b.len(), "{what}");
     let worst = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-    assert!(worst <= tolerance, "{what}: {worst:e} apart");
+    crate::common::assert_within!(worst, tolerance, "{what}: {worst:e} apart");
 }
 
 type Spoil = (&'static str, fn(&mut Told));
@@ -172,7 +172,7 @@ fn without_a_momentum_answer_nothing_moves() {
         // s̈* = −K_D ṡ of the moving joint
         assert_eq!(command.torque_qp.status, QpStatus::Solved);
         let braking = controller.terms().torque_qp.acceleration_desired[3];
-        assert!((braking + 20.0 * 0.4).abs() < 1e-12, "{braking}");
+        crate::common::assert_within!((braking + 20.0 * 0.4).abs(), 1e-12, "{braking}");
     }
 }
 
@@ -256,7 +256,7 @@ fn absurd_states_are_held() {
             assert!(numbers(command).iter().all(|x| x.is_finite()), "{size:e} in part {part}");
             assert!(command.joint_torque.amax() <= 50.0);
             let step = (&command.joint_torque - &torque).amax();
-            assert!(step <= 3.0 + 1e-12, "torques move by {step}");
+            crate::common::assert_within!(step, 3.0 + 1e-12, "torques move by {step}");
             assert!(command.thrust_rate.amax() <= 100.0);
         }
     }
@@ -346,8 +346,11 @@ fn each_part_of_the_feedback_can_be_left_out() {
     let terms = full.terms();
     let (force, moment) = terms.link_forces.wrench_about(&terms.kinematics.com);
     for axis in 0..3 {
-        assert!((rate(&full)[axis] - rate(&baseline)[axis] - force[axis]).abs() < 1e-12);
-        assert!((rate(&full)[3 + axis] - rate(&baseline)[3 + axis] - moment[axis]).abs() < 1e-12);
+        crate::common::assert_within!((rate(&full)[axis] - rate(&baseline)[axis] - force[axis]).abs(), 1e-12);
+        crate::common::assert_within!(
+            (rate(&full)[3 + axis] - rate(&baseline)[3 + axis] - moment[axis]).abs(),
+            1e-12
+        );
     }
     assert!(lambda(&full).amax() > 0.1 && lambda(&baseline).amax() == 0.0);
     assert!((free(&full) - free(&baseline)).amax() > 0.1);
@@ -447,13 +450,13 @@ fn torques_move_by_at_most_three_newton_metres() {
         for joint in 0..23 {
             let target = controller.terms().unlimited_torque[joint];
             let step = torque[joint] - last[joint];
-            assert!(step.abs() <= 3.0 + 1e-12);
+            crate::common::assert_within!(step.abs(), 3.0 + 1e-12);
             assert!(target.abs() <= 50.0);
             if (target - last[joint]).abs() > 3.0 {
                 limited += 1;
-                assert!((step - 3.0 * (target - last[joint]).signum()).abs() < 1e-12);
+                crate::common::assert_within!((step - 3.0 * (target - last[joint]).signum()).abs(), 1e-12);
             } else {
-                assert!((torque[joint] - target).abs() < 1e-12);
+                crate::common::assert_within!((torque[joint] - target).abs(), 1e-12);
             }
         }
         last = torque;
@@ -475,9 +478,15 @@ fn the_torque_law_integrates_after_use() {
         let wanted = told.tell(&mut controller).joint_velocity.clone();
         let error = told.state.velocity.rows(6, 23) - wanted;
         let law = &error * -20.0 - &integral * 100.0;
-        assert!((&controller.terms().torque_qp.acceleration_desired - law).amax() < 1e-12);
+        crate::common::assert_within!(
+            (&controller.terms().torque_qp.acceleration_desired - law).amax(),
+            1e-12
+        );
         integral += error * 0.01;
-        assert!((&controller.memory().velocity_error_integral - &integral).amax() < 1e-14);
+        crate::common::assert_within!(
+            (&controller.memory().velocity_error_integral - &integral).amax(),
+            1e-14
+        );
     }
 }
 
@@ -512,7 +521,7 @@ fn lambda_is_the_derivative_of_the_momentum_rate() {
         let lambda = &controller.terms().momentum.lambda * &told.state.velocity;
         let size = lambda.amax();
         let error = (lambda - difference).amax();
-        assert!(error < 1e-6 * size, "pass {pass}: {error:e} of {size}");
+        crate::common::assert_within!(error, 1e-6 * size, "pass {pass}: {error:e} of {size}");
     }
 }
 
@@ -545,7 +554,7 @@ fn lambda_a_is_the_derivative_of_the_aerodynamic_moment() {
         };
         let difference = (moment(STEP) - moment(-STEP)) / (2.0 * STEP);
         let angular: Vector3<f64> = lambda.fixed_rows::<3>(3).into();
-        assert!((difference - angular).amax() < 1e-6 * angular.amax().max(1.0));
+        crate::common::assert_within!((difference - angular).amax(), 1e-6 * angular.amax().max(1.0));
         assert_eq!(lambda.fixed_rows::<3>(0).amax(), 0.0, "the linear rows are zero");
     }
 }

@@ -72,9 +72,9 @@ fn a_delayed_estimate_tells_the_wind_of_then() {
 fn a_low_pass_has_gone_63_percent_after_its_time_constant() {
     let config = WindEstimateConfig { time_constant: 0.5, ..WindEstimateConfig::default() };
     let estimates = told(&config, &step_up(10, 200));
-    assert!((estimates[9].y).abs() < 1e-12);
+    crate::common::assert_within!((estimates[9].y).abs(), 1e-12);
     let reached = estimates[9 + 50].y / -10.0;
-    assert!((reached - (1.0 - (-1.0_f64).exp())).abs() < 1e-9, "{reached}");
+    crate::common::assert_within!((reached - (1.0 - (-1.0_f64).exp())).abs(), 1e-9, "{reached}");
 }
 
 #[test]
@@ -112,7 +112,7 @@ fn a_controller_can_believe_in_another_robot() {
     let real = robot("ironcub_mk1");
     let error = ModelError { mass_scale: 1.1, com_offset: [0.02, 0.0, -0.01] };
     let believed = error.believed(real.clone());
-    assert!((believed.mass() - 1.1 * real.mass()).abs() < 1e-12);
+    crate::common::assert_within!((believed.mass() - 1.1 * real.mass()).abs(), 1e-12);
     assert_eq!(believed.bodies[0].com_b, real.bodies[0].com_b + Vector3::new(0.02, 0.0, -0.01));
     assert_eq!(believed.bodies[3].com_b, real.bodies[3].com_b);
 
@@ -163,11 +163,11 @@ fn an_engine_that_is_off_gives_nothing_and_the_others_go_on() {
 #[test]
 fn a_stuck_engine_keeps_its_thrust_and_a_dying_one_loses_it_slowly() {
     let stuck = run(jets(&JetsConfig::Ideal {}, &failure(FailureKind::Stuck, 0.0)), 10.0, 100);
-    assert!((stuck[100][1] - stuck[51][1]).abs() < 1e-12);
-    assert!((stuck[51][1] - 103.1).abs() < 1e-9, "{}", stuck[51][1]);
+    crate::common::assert_within!((stuck[100][1] - stuck[51][1]).abs(), 1e-12);
+    crate::common::assert_within!((stuck[51][1] - 103.1).abs(), 1e-9, "{}", stuck[51][1]);
     let dying = run(jets(&JetsConfig::Ideal {}, &failure(FailureKind::Off, 0.2)), 10.0, 100);
     let expected = dying[71][1] / dying[51][1];
-    assert!((expected - (-1.0_f64).exp()).abs() < 1e-9, "{expected}");
+    crate::common::assert_within!((expected - (-1.0_f64).exp()).abs(), 1e-9, "{expected}");
 }
 
 #[test]
@@ -179,7 +179,7 @@ fn limits_hold_and_what_lies_beyond_is_not_remembered() {
     }
     assert_eq!(jets.thrust(), [112.0, 112.0, 154.0, 154.0]);
     jets.advance(&[-100.0; 4], STEP);
-    assert!((jets.thrust()[0] - 111.0).abs() < 1e-12, "no wind-up");
+    crate::common::assert_within!((jets.thrust()[0] - 111.0).abs(), 1e-12, "no wind-up");
     for _ in 0..300 {
         jets.advance(&[-100.0; 4], STEP);
     }
@@ -279,7 +279,7 @@ fn known_limits_reach_the_controller() {
         })
     };
     let (secret, known) = (limited(false), limited(true));
-    assert!(secret.summary.thrust_range.1 <= 0.55 * 220.0 + 1e-9);
+    crate::common::assert_within!(secret.summary.thrust_range.1, 0.55 * 220.0 + 1e-9);
     assert_ne!(secret.log, known.log);
 }
 

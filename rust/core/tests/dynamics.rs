@@ -85,7 +85,7 @@ where
 
 #[track_caller]
 fn assert_small(what: &str, error: f64, scale: f64, tolerance: f64) {
-    assert!(error <= tolerance * scale, "{what}: error {error:e} against {scale:e}");
+    crate::common::assert_within!(error, tolerance * scale, "{what}: error {error:e} against {scale:e}");
 }
 
 fn frames(robot: &RobotModel) -> Vec<&Frame> {

@@ -79,7 +79,11 @@ fn one_arm() -> (RobotModel, RobotState) {
 
 #[track_caller]
 fn assert_is(what: &str, found: &Vector3<f64>, expected: [f64; 3]) {
-    assert!((found - Vector3::from(expected)).amax() < 1e-13, "{what}: {found} instead of {expected:?}");
+    crate::common::assert_within!(
+        (found - Vector3::from(expected)).amax(),
+        1e-13,
+        "{what}: {found} instead of {expected:?}"
+    );
 }
 
 /// The default is what physics says: all three points are the aerodynamic centre.
@@ -178,7 +182,7 @@ fn unrotated_arms_turn_the_chest_jets_upside_down() {
         let (kinematics, found) = forces_of(&robot, &state, conventions, &AeroModel::Off, &Vector3::zeros());
         for link in [2, 3] {
             let z = found.arm_points_i[link].z - kinematics.com.z;
-            assert!((z - height).abs() < 1e-3, "{}: {z} m", robot.aero_links[link].name);
+            crate::common::assert_within!((z - height).abs(), 1e-3, "{}: {z} m", robot.aero_links[link].name);
         }
     }
 }
@@ -229,12 +233,13 @@ fn wrench_is_force_and_moment_about_a_point() {
         }
         let point = random_vector(&mut rng, 5.0);
         let (f, m) = forces.wrench_about(&point);
-        assert!((f - force).amax() < 1e-13);
-        assert!((m - (moment_about_origin - point.cross(&force))).amax() < 1e-12);
+        crate::common::assert_within!((f - force).amax(), 1e-13);
+        crate::common::assert_within!((m - (moment_about_origin - point.cross(&force))).amax(), 1e-12);
 
         forces.scale(-0.25);
         let (scaled_f, scaled_m) = forces.wrench_about(&point);
-        assert!((scaled_f + f * 0.25).amax() < 1e-13 && (scaled_m + m * 0.25).amax() < 1e-12);
+        crate::common::assert_within!((scaled_f + f * 0.25).amax(), 1e-13);
+        crate::common::assert_within!((scaled_m + m * 0.25).amax(), 1e-12);
     }
 }
 
@@ -258,7 +263,7 @@ fn generalised_force_uses_the_jacobian_points() {
             }
             let mut generalised = DVector::zeros(kinematics.n_velocities());
             found.add_generalised_force(&robot, &kinematics, &mut generalised);
-            assert!((generalised - &expected).amax() < 1e-12 * expected.amax());
+            crate::common::assert_within!((generalised - &expected).amax(), 1e-12 * expected.amax());
             assert!(expected.amax() > 0.01);
         }
     }
@@ -278,7 +283,7 @@ fn link_forces_do_their_work() {
         found.add_generalised_force(&robot, &kinematics, &mut generalised);
         let power: f64 = found.forces_i.iter().zip(&found.v_air_i).map(|(f, v)| f.dot(&(wind - v))).sum();
         let scale: f64 = found.forces_i.iter().map(Vector3::norm).sum::<f64>() * 10.0;
-        assert!((generalised.dot(&state.velocity) - power).abs() < 1e-13 * scale);
+        crate::common::assert_within!((generalised.dot(&state.velocity) - power).abs(), 1e-13 * scale);
     }
 }
 
@@ -307,7 +312,7 @@ fn frozen_kinematics_keep_axes_and_points_of_the_first_tick() {
     for (index, link) in robot.aero_links.iter().enumerate() {
         let (jacobian, _) = kinematics.jacobian(link.frame.body, &found.arm_points_i[index]);
         let v_air = wind - jacobian * &state.velocity;
-        assert!((found.v_air_i[index] - v_air).amax() < 1e-13);
+        crate::common::assert_within!((found.v_air_i[index] - v_air).amax(), 1e-13);
     }
     // Rigid bodies are where they are.
     let mut now = Kinematics::new(&robot);

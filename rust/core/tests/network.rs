@@ -76,7 +76,7 @@ fn a_network_says_what_jax_says() {
             let pressure = 0.5 * 1.225 * wind.norm_squared();
             let expected: Vec<Vector3<f64>> = rows.iter().map(|row| Vector3::from(*row) * pressure).collect();
             let worst = distance(&expected, &found);
-            assert!(worst < tolerance, "{name}: {worst:e}");
+            crate::common::assert_within!(worst, tolerance, "{name}: {worst:e}");
         }
     }
 }
@@ -114,8 +114,9 @@ fn forces_follow_wind_and_world() {
             let wind = random_vector(&mut rng, 10.0);
             let here = forces(&robot, &mut model, &state, wind).forces_i;
             let thrice: Vec<Vector3<f64>> = here.iter().map(|force| force * 9.0).collect();
-            assert!(
-                distance(&thrice, &forces(&robot, &mut model, &state, wind * 3.0).forces_i) < 1e-12,
+            crate::common::assert_within!(
+                distance(&thrice, &forces(&robot, &mut model, &state, wind * 3.0).forces_i),
+                1e-12,
                 "{name}"
             );
 
@@ -124,7 +125,12 @@ fn forces_follow_wind_and_world() {
             state.base.rotation = turn * state.base.rotation;
             state.base.position += Vector3::new(3.0, -2.0, 5.0);
             let there = forces(&robot, &mut model, &state, turn * wind).forces_i;
-            assert!(distance(&turned, &there) < 1e-11, "{name}: {:e}", distance(&turned, &there));
+            crate::common::assert_within!(
+                distance(&turned, &there),
+                1e-11,
+                "{name}: {:e}",
+                distance(&turned, &there)
+            );
 
             let still = forces(&robot, &mut model, &state, Vector3::zeros()).forces_i;
             assert!(still.iter().all(|force| *force == Vector3::zeros()), "{name}");
@@ -143,7 +149,7 @@ fn the_wind_is_that_of_the_base_origin() {
     assert!(moving.v_air_i.iter().all(|v| (v - relative).norm() < 1e-14));
     state.velocity.fill(0.0);
     let still = forces(&robot, &mut model, &state, relative);
-    assert!(distance(&moving.forces_i, &still.forces_i) < 1e-13);
+    crate::common::assert_within!(distance(&moving.forces_i, &still.forces_i), 1e-13);
 }
 
 /// A symmetric network's answer to the mirrored question is the mirrored answer; another one's is not.
@@ -194,7 +200,7 @@ fn a_symmetric_network_is_symmetric() {
                 })
                 .collect();
             let worst = distance(&here, &expected);
-            assert!(worst < tolerance, "{name}: {worst:e}");
+            crate::common::assert_within!(worst, tolerance, "{name}: {worst:e}");
             assert!(tolerance.is_finite() || worst > 1e-2, "{name}: {worst:e}");
         }
     }

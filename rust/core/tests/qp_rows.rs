@@ -115,10 +115,15 @@ fn standing_problems_are_solved_and_agree_with_clarabel() {
             let answer = clarabel.solve(&qp);
             let other = DVector::from_column_slice(clarabel.x());
             let (ours, theirs) = (qp.bounded.objective(x.as_slice()), qp.bounded.objective(other.as_slice()));
-            assert!(ours <= theirs + 1e-8 * theirs.abs().max(1.0), "{ours} {theirs}");
+            crate::common::assert_within!(ours, theirs + 1e-8 * theirs.abs().max(1.0), "{ours} {theirs}");
             if answer.status == QpStatus::Solved {
                 agreed += 1;
-                assert!(difference(&x, &other) < 1e-7, "push {push}: {:e}", difference(&x, &other));
+                crate::common::assert_within!(
+                    difference(&x, &other),
+                    1e-7,
+                    "push {push}: {:e}",
+                    difference(&x, &other)
+                );
             }
         }
         assert!(agreed > count * 8 / 10, "push {push}: Clarabel certified {agreed} of {count}");
@@ -138,7 +143,7 @@ fn random_problems_of_every_size_are_solved() {
             let mut clarabel = ClarabelRowSolver::new(n, rows);
             if clarabel.solve(&qp).status == QpStatus::Solved {
                 let other = DVector::from_column_slice(clarabel.x());
-                assert!(difference(&x, &other) < 1e-7, "{n} variables, {rows} rows");
+                crate::common::assert_within!(difference(&x, &other), 1e-7, "{n} variables, {rows} rows");
             }
         }
     }
@@ -153,7 +158,7 @@ fn without_rows_it_is_the_box_problem() {
         let mut bounded = ActiveSetSolver::new(20);
         assert_eq!(bounded.solve(&qp.bounded).status, QpStatus::Solved);
         let (x, _) = solved(&qp);
-        assert!(difference(&x, &DVector::from_column_slice(bounded.x())) < 1e-9);
+        crate::common::assert_within!(difference(&x, &DVector::from_column_slice(bounded.x())), 1e-9);
     }
 }
 
@@ -188,7 +193,7 @@ fn tiny_problems_agree_with_enumeration() {
             }
         }
         let (x, _) = solved(&qp);
-        assert!(difference(&x, &best.1) < 1e-7, "{x} {}", best.1);
+        crate::common::assert_within!(difference(&x, &best.1), 1e-7, "{x} {}", best.1);
     }
 }
 
@@ -214,7 +219,7 @@ fn degenerate_corners_do_not_cycle() {
             let pull = &qp.normals * DVector::from_fn(24, |_, _| rng.random_range(0.0..1.0));
             qp.bounded.g = -(&qp.bounded.h * &corner) - pull;
             let (x, _) = solved(&qp);
-            assert!((x - &corner).amax() < 1e-7);
+            crate::common::assert_within!((x - &corner).amax(), 1e-7);
         } else {
             solved(&qp);
         }
@@ -331,6 +336,6 @@ fn units_do_not_matter() {
             other.limit[k] *= unit;
         }
         let (y, _) = solved(&other);
-        assert!(difference(&x, &y.component_mul(&s)) < 1e-7);
+        crate::common::assert_within!(difference(&x, &y.component_mul(&s)), 1e-7);
     }
 }

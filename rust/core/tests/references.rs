@@ -102,14 +102,25 @@ fn the_in_line_reference_is_the_published_one() {
         for (found, printed) in lengths {
             // A speed that is printed as a bare 0 is one below half a mm/s.
             let tolerance = if printed == 0.0 { 0.5e-3 } else { 0.51e-4 };
-            assert!((found - printed).abs() < tolerance, "{} s: {found} m, printed {printed}", row[0]);
+            crate::common::assert_within!(
+                (found - printed).abs(),
+                tolerance,
+                "{} s: {found} m, printed {printed}",
+                row[0]
+            );
         }
         let pitch = rpy_from_rotation(&smooth.rotation).y;
         for (found, printed) in [(raw.rpy.y, row[3]), (pitch, row[8])] {
             let found = found.to_degrees();
-            assert!((found - printed).abs() < 0.51e-2, "{} s: {found} deg, printed {printed}", row[0]);
+            crate::common::assert_within!(
+                (found - printed).abs(),
+                0.51e-2,
+                "{} s: {found} deg, printed {printed}",
+                row[0]
+            );
         }
-        assert!((raw.position.y - 0.00041).abs() < 1e-5 && (smooth.com_position.y - 0.00041).abs() < 1e-5);
+        crate::common::assert_within!((raw.position.y - 0.00041).abs(), 1e-5);
+        crate::common::assert_within!((smooth.com_position.y - 0.00041).abs(), 1e-5);
     }
 }
 
@@ -153,16 +164,20 @@ fn the_in_line_reference_has_the_published_ticks() {
             _ => 1448 - k,
         };
         let expected = 0.0075 * (1.0 + 0.02 * boost as f64);
-        assert!((step - expected).abs() < 1e-12, "step {k}: {step} m, expected {expected}");
+        crate::common::assert_within!(
+            (step - expected).abs(),
+            1e-12,
+            "step {k}: {step} m, expected {expected}"
+        );
     }
     // A step between rows k and k + 1 belongs to tick k + 1: the first turbo tick is 20.01 s.
     let moving: Vec<usize> = (0..steps.len()).filter(|&k| steps[k].x.abs() > 1e-9).collect();
     assert_eq!((moving[0] + 1, moving[moving.len() - 1] + 1), (2001, 3449));
     let total: f64 = forwards.iter().sum();
-    assert!((total - 78.3).abs() < 1e-10);
+    crate::common::assert_within!((total - 78.3).abs(), 1e-10);
     let pitches: Vec<f64> = flight.iter().map(|(raw, _)| raw.rpy.y.to_degrees()).collect();
     assert_eq!(pitches.windows(2).filter(|pair| pair[1] > pair[0] + 0.1).count(), 99);
-    assert!((pitches[5000] + 0.3).abs() < 1e-9);
+    crate::common::assert_within!((pitches[5000] + 0.3).abs(), 1e-9);
 }
 
 /// An interval is open at both ends, also where k · 0.01 is rounded.
@@ -189,9 +204,14 @@ fn turbo_ignores_other_commands() {
     for _ in 0..2 {
         raw.advance(&config, others);
     }
-    assert!(raw.position.z.abs() < 1e-15 && (raw.rpy.z - PI).abs() < 1e-15, "{raw:?}");
-    assert!((raw.rpy.y.to_degrees() + 4.0 * 0.3).abs() < 1e-12, "{raw:?}");
-    assert!((raw.position.x - 0.0075 * (4.0 + 0.02 * (1.0 + 2.0 + 1.0))).abs() < 1e-15, "{raw:?}");
+    crate::common::assert_within!(raw.position.z.abs(), 1e-15, "{raw:?}");
+    crate::common::assert_within!((raw.rpy.z - PI).abs(), 1e-15, "{raw:?}");
+    crate::common::assert_within!((raw.rpy.y.to_degrees() + 4.0 * 0.3).abs(), 1e-12, "{raw:?}");
+    crate::common::assert_within!(
+        (raw.position.x - 0.0075 * (4.0 + 0.02 * (1.0 + 2.0 + 1.0))).abs(),
+        1e-15,
+        "{raw:?}"
+    );
     raw.advance(&config, others);
     assert!(raw.position.z > 0.007 && raw.rpy.z > PI, "{raw:?}");
 }
@@ -207,7 +227,7 @@ fn raw_pitch_is_clamped() {
     for _ in 0..200 {
         raw.advance(&config, command(-1));
     }
-    assert!((raw.rpy.y.to_degrees() + 30.0).abs() < 1e-12);
+    crate::common::assert_within!((raw.rpy.y.to_degrees() + 30.0).abs(), 1e-12);
 }
 
 /// Where a closed circuit ends: four legs, each turned by 299 ticks of 0.3 deg against the one before.
@@ -225,11 +245,12 @@ fn the_closed_circuit_ends_where_it_should() {
     let slower: f64 = (0..450).map(|k| 0.0075 * (1.0 + 0.02 * f64::from(k))).sum();
     let leg = faster + 249.0 * 0.075 + slower;
     let end = first_com() + circuit_end(leg);
-    assert!((raw.position - end).amax() < 1e-9, "{} instead of {end}", raw.position);
-    assert!((smooth.com_position - end).amax() < 1e-6, "{}", smooth.com_position);
-    assert!((raw.rpy.z - PI - (4.0 * 89.7_f64).to_radians()).abs() < 1e-9);
-    assert!((raw.rpy.y.to_degrees() + 0.3).abs() < 1e-9);
-    assert!(smooth.com_velocity.amax() < 1e-9 && smooth.angular_velocity_b.amax() < 1e-6);
+    crate::common::assert_within!((raw.position - end).amax(), 1e-9, "{} instead of {end}", raw.position);
+    crate::common::assert_within!((smooth.com_position - end).amax(), 1e-6, "{}", smooth.com_position);
+    crate::common::assert_within!((raw.rpy.z - PI - (4.0 * 89.7_f64).to_radians()).abs(), 1e-9);
+    crate::common::assert_within!((raw.rpy.y.to_degrees() + 0.3).abs(), 1e-9);
+    crate::common::assert_within!(smooth.com_velocity.amax(), 1e-9);
+    crate::common::assert_within!(smooth.angular_velocity_b.amax(), 1e-6);
     // Farthest from the start: two legs forwards and sideways.
     let far = flight.iter().map(|(raw, _)| raw.position.y).fold(f64::MIN, f64::max);
     assert!((far - leg).abs() < 0.02 * leg, "{far} m to the side, legs of {leg} m");
@@ -241,12 +262,12 @@ fn the_closed_circuit_without_turbo_ends_where_it_should() {
     let flight = generate(&envelope("closed_circuit_no_turbo"), 115.0);
     let (raw, smooth) = flight.last().unwrap();
     let end = first_com() + circuit_end(699.0 * 0.0075);
-    assert!((raw.position - end).amax() < 1e-9, "{} instead of {end}", raw.position);
-    assert!((smooth.com_position - end).amax() < 1e-6, "{}", smooth.com_position);
-    assert!((raw.rpy.z - PI - (4.0 * 89.7_f64).to_radians()).abs() < 1e-9);
+    crate::common::assert_within!((raw.position - end).amax(), 1e-9, "{} instead of {end}", raw.position);
+    crate::common::assert_within!((smooth.com_position - end).amax(), 1e-6, "{}", smooth.com_position);
+    crate::common::assert_within!((raw.rpy.z - PI - (4.0 * 89.7_f64).to_radians()).abs(), 1e-9);
     assert!(flight.iter().all(|(raw, _)| raw.rpy.y == 0.0));
     let top = flight.iter().map(|(raw, _)| raw.position.z).fold(f64::MIN, f64::max);
-    assert!((top - first_com().z - 5.2425).abs() < 1e-9);
+    crate::common::assert_within!((top - first_com().z - 5.2425).abs(), 1e-9);
 }
 
 /// Without commands the reference stays exactly where it starts.
@@ -254,16 +275,17 @@ fn the_closed_circuit_without_turbo_ends_where_it_should() {
 fn no_command_is_no_motion() {
     let start = first_com();
     for (_, reference) in generate(&envelope("hover"), 5.0) {
-        assert!((reference.com_position - start).amax() < 1e-13);
+        crate::common::assert_within!((reference.com_position - start).amax(), 1e-13);
         for derivative in [reference.com_velocity, reference.com_acceleration, reference.com_jerk] {
-            assert!(derivative.amax() < 1e-10);
+            crate::common::assert_within!(derivative.amax(), 1e-10);
         }
-        assert!(
+        crate::common::assert_within!(
             rotation_angle(
                 &(rotation_from_rpy(&Vector3::new(0.0, 0.0, PI)).transpose() * reference.rotation)
-            ) < 1e-14
+            ),
+            1e-14
         );
-        assert!(reference.angular_velocity_b.amax() < 1e-14);
+        crate::common::assert_within!(reference.angular_velocity_b.amax(), 1e-14);
     }
 }
 
@@ -273,7 +295,7 @@ fn the_smoothed_attitude_is_a_rotation() {
     for (name, duration) in [("in_line", 50.0), ("closed_circuit", 135.0), ("closed_circuit_no_turbo", 112.0)]
     {
         for (_, reference) in generate(&envelope(name), duration) {
-            assert!(orthonormality_error(&reference.rotation) < 1e-14);
+            crate::common::assert_within!(orthonormality_error(&reference.rotation), 1e-14);
             assert!(reference.rotation.determinant() > 0.0);
         }
     }
@@ -285,7 +307,7 @@ fn the_smoothed_pitch_follows_the_sine_of_its_error() {
     let mut theta = 0.0_f64;
     for (raw, reference) in generate(&envelope("in_line"), 50.0) {
         let pitch = rpy_from_rotation(&reference.rotation).y;
-        assert!((pitch - theta).abs() < 1e-5, "{pitch} instead of {theta}");
+        crate::common::assert_within!((pitch - theta).abs(), 1e-5, "{pitch} instead of {theta}");
         // Forward Euler: what is handed out is the angle before the step.
         theta -= TIME_STEP * (theta - raw.rpy.y).sin();
     }
@@ -300,14 +322,24 @@ fn references_are_derivatives_of_one_another() {
         let (_, now) = &window[1];
         // The trapezoidal rule of the filter is exact between its own states.
         let mean = (before.com_velocity + now.com_velocity) * 0.5;
-        assert!((now.com_position - before.com_position - mean * TIME_STEP).amax() < 1e-12);
+        crate::common::assert_within!(
+            (now.com_position - before.com_position - mean * TIME_STEP).amax(),
+            1e-12
+        );
         let mean = (before.com_acceleration + now.com_acceleration) * 0.5;
-        assert!((now.com_velocity - before.com_velocity - mean * TIME_STEP).amax() < 1e-12);
+        crate::common::assert_within!(
+            (now.com_velocity - before.com_velocity - mean * TIME_STEP).amax(),
+            1e-12
+        );
         let mean = (before.angular_acceleration_b + now.angular_acceleration_b) * 0.5;
-        assert!((now.angular_velocity_b - before.angular_velocity_b - mean * TIME_STEP).amax() < 1e-12);
+        crate::common::assert_within!(
+            (now.angular_velocity_b - before.angular_velocity_b - mean * TIME_STEP).amax(),
+            1e-12
+        );
         let mean = (before.angular_jerk_b + now.angular_jerk_b) * 0.5;
-        assert!(
-            (now.angular_acceleration_b - before.angular_acceleration_b - mean * TIME_STEP).amax() < 1e-12
+        crate::common::assert_within!(
+            (now.angular_acceleration_b - before.angular_acceleration_b - mean * TIME_STEP).amax(),
+            1e-12
         );
     }
 }
@@ -385,8 +417,9 @@ fn the_filter_is_the_bilinear_transform() {
                 let expected = equation.update(input[k % 3]);
                 let found = outputs[k / 3][k % 3];
                 let scale = smoothing_time.powi(-i32::try_from(k / 3).unwrap());
-                assert!(
-                    (found - expected).abs() < tolerance * scale,
+                crate::common::assert_within!(
+                    (found - expected).abs(),
+                    tolerance * scale,
                     "T = {smoothing_time}, derivative {}: {found} instead of {expected}",
                     k / 3
                 );
@@ -403,8 +436,8 @@ fn the_filter_has_a_triple_pole() {
     for tick in 1..=2000 {
         last = filter.update(&(Vector3::x() * f64::from(tick) * TIME_STEP)).value.x;
     }
-    assert!((20.0 - last - 3.0 * 1.5 / 5.322_335).abs() < 1e-4, "lag {}", 20.0 - last);
-    assert!((20.0 - last - 0.8455).abs() < 1e-4);
+    crate::common::assert_within!((20.0 - last - 3.0 * 1.5 / 5.322_335).abs(), 1e-4, "lag {}", 20.0 - last);
+    crate::common::assert_within!((20.0 - last - 0.8455).abs(), 1e-4);
 
     // T = 0.005 s: one pole at −0.684, so a pulse leaves a tail that alternates and dies as n² (−0.684)ⁿ.
     let mut filter = MinimumJerkFilter::new(0.005, TIME_STEP, Vector3::zeros());
@@ -412,12 +445,16 @@ fn the_filter_has_a_triple_pole() {
     let tail: Vec<f64> = (0..60).map(|_| filter.update(&Vector3::zeros()).value.x).collect();
     let p = -5.322_335 / 0.005;
     let pole = (1.0 + 0.5 * TIME_STEP * p) / (1.0 - 0.5 * TIME_STEP * p);
-    assert!((pole + 0.684).abs() < 5e-4, "{pole}");
+    crate::common::assert_within!((pole + 0.684).abs(), 5e-4, "{pole}");
     // With a triple pole q the third difference of y_n/qⁿ vanishes.
     let scaled: Vec<f64> = (0..30_u8).map(|n| tail[usize::from(n)] / pole.powi(i32::from(n))).collect();
     let size = scaled.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
     for y in scaled[2..].windows(4) {
-        assert!((y[3] - 3.0 * y[2] + 3.0 * y[1] - y[0]).abs() < 1e-3 * size, "{y:?} of {size}");
+        crate::common::assert_within!(
+            (y[3] - 3.0 * y[2] + 3.0 * y[1] - y[0]).abs(),
+            1e-3 * size,
+            "{y:?} of {size}"
+        );
     }
 }
 
@@ -430,15 +467,16 @@ fn the_filter_starts_in_equilibrium_and_ends_at_its_input() {
         for _ in 0..100 {
             let out = filter.update(&initial);
             let scale = smoothing_time.powi(-2);
-            assert!((out.value - initial).amax() < 1e-13);
-            assert!(out.rate.amax() < 1e-11 * scale && out.acceleration.amax() < 1e-11 * scale);
+            crate::common::assert_within!((out.value - initial).amax(), 1e-13);
+            crate::common::assert_within!(out.rate.amax(), 1e-11 * scale);
+            crate::common::assert_within!(out.acceleration.amax(), 1e-11 * scale);
         }
         let target = Vector3::new(-5.0, 0.0, 0.5);
         let mut out = filter.update(&target);
         for _ in 0..1000 {
             out = filter.update(&target);
         }
-        assert!((out.value - target).amax() < 1e-9, "{}", out.value);
+        crate::common::assert_within!((out.value - target).amax(), 1e-9, "{}", out.value);
     }
 }
 
@@ -465,5 +503,5 @@ fn the_smoothed_yaw_follows_a_whole_circle() {
         last = yaw;
         assert!((unwrapped - raw.rpy.z).abs() < 1.2, "{unwrapped} behind {}", raw.rpy.z);
     }
-    assert!((unwrapped - PI - (4.0 * 89.7_f64).to_radians()).abs() < 1e-3);
+    crate::common::assert_within!((unwrapped - PI - (4.0 * 89.7_f64).to_radians()).abs(), 1e-3);
 }

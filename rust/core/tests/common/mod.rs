@@ -3,6 +3,11 @@
 #![allow(dead_code, reason = "no test binary needs everything")]
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
+pub mod measured;
+
+#[allow(unused_imports, reason = "no test binary needs everything")]
+pub(crate) use measured::assert_within;
+
 use flight_core::sim::{Plant, fly_batch};
 use flight_core::spatial::{Pose, rotation_from_wxyz};
 use flight_core::{Controller, FlightConfig, FlightResult, Measurement, RobotModel, RobotState, load_flight};

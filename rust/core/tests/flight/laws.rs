@@ -27,7 +27,7 @@ fn an_unknown_wrench_is_held_with_an_error() {
         let mut flight = Loop::new(&config);
         let blow = |time: f64| Vector3::from(wind) * ((time - 5.0) / 5.0).clamp(0.0, 1.0);
         flight.run(80.0, blow);
-        assert!(flight.plant.state().velocity.amax() < 1e-3, "settled");
+        crate::common::assert_within!(flight.plant.state().velocity.amax(), 1e-3, "settled");
 
         let terms = flight.controller.terms();
         let rotation = flight.plant.state().base.rotation;
@@ -42,7 +42,7 @@ fn an_unknown_wrench_is_held_with_an_error() {
 
         let offset = flight.plant.kinematics().com - terms.reference.com_position;
         let per_newton = (gains.kd_linear[0] + 1.0) / (gains.kp_linear[0] * flight.plant.kinematics().mass());
-        assert!((per_newton - 0.0135).abs() < 5e-5, "{per_newton} m/N");
+        crate::common::assert_within!((per_newton - 0.0135).abs(), 5e-5, "{per_newton} m/N");
         let law = force * per_newton;
         assert!((offset - law).norm() < 0.005 * law.norm(), "{wind:?}: CoM off by {offset}, law {law}");
     }
@@ -61,8 +61,11 @@ fn a_known_wrench_is_held_without_an_error() {
     flight.run(60.0, |time| Vector3::new(0.0, -10.0, 0.0) * ((time - 5.0) / 5.0).clamp(0.0, 1.0));
     let terms = flight.controller.terms();
     let error = terms.reference.rotation.transpose() * flight.plant.state().base.rotation;
-    assert!(vee_of_skew_part(&error).norm() < 2e-3);
-    assert!((flight.plant.kinematics().com - terms.reference.com_position).norm() < 2e-4);
+    crate::common::assert_within!(vee_of_skew_part(&error).norm(), 2e-3);
+    crate::common::assert_within!(
+        (flight.plant.kinematics().com - terms.reference.com_position).norm(),
+        2e-4
+    );
 }
 
 /// Pose and posture after three seconds in a rising wind.

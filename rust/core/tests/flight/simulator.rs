@@ -56,7 +56,7 @@ fn the_log_has_every_signal_of_every_tick() {
     }
     assert!(result.log.series("typo").is_none());
     for (tick, time) in data(&result, "time").iter().enumerate() {
-        assert!((time - 0.01 * tick as f64).abs() < 1e-12);
+        crate::common::assert_within!((time - 0.01 * tick as f64).abs(), 1e-12);
     }
     assert_eq!(result.log.joint_reference.len(), 23);
     assert!(FlightLog::new(&RobotModel::load(&short(1.0).robot).unwrap(), 10).is_empty());
@@ -73,11 +73,11 @@ fn logged_signals_belong_together() {
     for tick in 0..n {
         let quaternion: [f64; 4] = row("base_quaternion", tick).try_into().unwrap();
         assert!(quaternion[0] >= 0.0);
-        assert!((quaternion.iter().map(|q| q * q).sum::<f64>() - 1.0).abs() < 1e-12);
-        assert!(orthonormality_error(&rotation_from_wxyz(&quaternion)) < 1e-12);
+        crate::common::assert_within!((quaternion.iter().map(|q| q * q).sum::<f64>() - 1.0).abs(), 1e-12);
+        crate::common::assert_within!(orthonormality_error(&rotation_from_wxyz(&quaternion)), 1e-12);
         let (velocity, momentum) = (row("com_velocity", tick), row("momentum", tick));
         for axis in 0..3 {
-            assert!((momentum[axis] - mass * velocity[axis]).abs() < 1e-9);
+            crate::common::assert_within!((momentum[axis] - mass * velocity[axis]).abs(), 1e-9);
         }
         assert_eq!(row("aero_force_sim", tick), row("aero_force_control", tick));
         if tick > 0 {
@@ -85,7 +85,11 @@ fn logged_signals_belong_together() {
             for (name, rate) in [("base_position", "base_velocity"), ("joint_position", "joint_velocity")] {
                 let (now, before, rate) = (row(name, tick), row(name, tick - 1), row(rate, tick));
                 for k in 0..now.len() {
-                    assert!((now[k] - before[k] - 0.01 * rate[k]).abs() < 1e-12, "{name} {k}");
+                    crate::common::assert_within!(
+                        (now[k] - before[k] - 0.01 * rate[k]).abs(),
+                        1e-12,
+                        "{name} {k}"
+                    );
                 }
             }
         }
@@ -113,7 +117,7 @@ fn the_summary_is_that_of_the_log() {
         |(a, b): (&[f64], &[f64])| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
     let distances: Vec<f64> = com.map(distance).collect();
     let settled = distances[300..].iter().copied().fold(0.0, f64::max);
-    assert!((summary.max_com_error - settled).abs() < 1e-15);
+    crate::common::assert_within!((summary.max_com_error - settled).abs(), 1e-15);
     assert!(distances.iter().copied().fold(0.0, f64::max) > 2.0 * settled);
 }
 
@@ -251,8 +255,13 @@ fn without_thrust_the_centre_of_mass_falls_freely() {
         let result = run(&config);
         assert!(result.fall.is_none());
         for (velocity, time) in data(&result, "com_velocity").chunks(3).zip(data(&result, "time")) {
-            assert!((velocity[2] + 9.81 * time).abs() < tolerance, "{velocity:?} at {time} s");
-            assert!(velocity[0].abs() < tolerance && velocity[1].abs() < tolerance, "{velocity:?}");
+            crate::common::assert_within!(
+                (velocity[2] + 9.81 * time).abs(),
+                tolerance,
+                "{velocity:?} at {time} s"
+            );
+            crate::common::assert_within!(velocity[0].abs(), tolerance, "{velocity:?}");
+            crate::common::assert_within!(velocity[1].abs(), tolerance, "{velocity:?}");
         }
         let moving = data(&result, "joint_velocity").iter().fold(0.0_f64, |m, v| m.max(v.abs()));
         assert!(moving > 0.1, "joints move at {moving} rad/s");

@@ -1,0 +1,53 @@
+//! Numbers that tests compare with their tolerances, written down for the summary at the end of `make test`.
+
+#![allow(clippy::unwrap_used, reason = "a measurement that cannot be written down fails its test")]
+
+use std::collections::HashMap;
+use std::fs::{File, create_dir_all};
+use std::io::Write;
+use std::panic::Location;
+use std::path::PathBuf;
+use std::sync::{LazyLock, Mutex};
+
+/// A file of this process alone in the folder `MEASURED`, and the largest fraction of its tolerance that each
+/// place has used; `None` where no summary is wanted.
+static MEASUREMENTS: LazyLock<Option<Mutex<(File, HashMap<Location<'static>, f64>)>>> = LazyLock::new(|| {
+    let folder = PathBuf::from(std::env::var_os("MEASURED")?);
+    create_dir_all(&folder).unwrap();
+    let file = File::create(folder.join(format!("{}.tsv", std::process::id()))).unwrap();
+    Some(Mutex::new((file, HashMap::new())))
+});
+
+/// Writes down what the running test measured, if it used more of its tolerance than before.
+#[track_caller]
+pub fn record(figure: f64, tolerance: f64, reason: &str) {
+    let Some(measurements) = &*MEASUREMENTS else { return };
+    let (file, most) = &mut *measurements.lock().unwrap();
+    let (place, used) = (*Location::caller(), figure / tolerance);
+    if most.get(&place).is_none_or(|before| used > *before) {
+        most.insert(place, used);
+        let test = std::thread::current();
+        let (name, path, line) = (test.name().unwrap_or("main"), place.file(), place.line());
+        file.write_all(
+            format!("{path}: {name}\tline {line}\t{figure:e}\t{tolerance:e}\t{reason}\n").as_bytes(),
+        )
+        .unwrap();
+    }
+}
+
+/// `figure ≤ tolerance`, written down; `because` says why more than a tenth of the tolerance may be used.
+#[allow(unused_macros, reason = "no test binary needs everything")]
+macro_rules! assert_within {
+    ($figure:expr, $tolerance:expr, because $reason:literal) => {{
+        let (figure, tolerance): (f64, f64) = ($figure, $tolerance);
+        $crate::common::measured::record(figure, tolerance, $reason);
+        assert!(figure <= tolerance, "{figure:e}, allowed {tolerance:e}");
+    }};
+    ($figure:expr, $tolerance:expr) => { $crate::common::assert_within!($figure, $tolerance, because "") };
+    ($figure:expr, $tolerance:expr, $($message:tt)+) => {{
+        let (figure, tolerance): (f64, f64) = ($figure, $tolerance);
+        $crate::common::measured::record(figure, tolerance, "");
+        assert!(figure <= tolerance, "{figure:e}, allowed {tolerance:e}: {}", format_args!($($message)+));
+    }};
+}
+pub(crate) use assert_within;
