@@ -87,7 +87,7 @@ verify: $(MODULE) ## compare the crate with independent implementations and stor
 
 docs: $(MODULE) ## build the documentation site into site/, the crate's own beside it
 	$(BIN)/python -m mkdocs build --strict
-	cargo doc --locked --no-deps --package flight-core
+	cargo doc --locked --no-deps --package flight-core --package flight-io --package flight-sim
 	rm -rf site/rust && cp -r target/doc site/rust
 
 clean: ## remove what set-up and builds made; results stay

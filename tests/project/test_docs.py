@@ -52,7 +52,7 @@ def test_every_block_says_how_it_is_tried(page):
     for block in found:
         assert (block["kind"], block["language"]) in KINDS, block[0]
         if block["language"] == "rust":  # taken from a program that the crate's tests run
-            assert re.fullmatch(r'--8<-- "rust/core/examples/tutorial\.rs:\w+"\n', block["code"])
+            assert re.fullmatch(r'--8<-- "rust/sim/examples/tutorial\.rs:\w+"\n', block["code"])
 
 
 @pytest.mark.parametrize("page", having("run", "python"), ids=name)

@@ -1,7 +1,7 @@
 //! Aerodynamic force on each link, from the velocity of the air relative to it.
 //!
 //! ```text
-//! AeroConfig, RobotModel ──new──► AeroModel;   axes_i, v_air_i ──link_forces──► forces_i
+//! coefficients, RobotModel ──new──► AeroModel;   axes_i, v_air_i ──link_forces──► forces_i
 //! ```
 //!
 //! The simulator's model and the controller's model are two values of [`AeroModel`]: which one is
@@ -20,36 +20,11 @@ pub mod sphere_cylinder;
 pub use axisymmetric::{Axisymmetric, AxisymmetricConfig, axisymmetric_force};
 pub use factors::{ForceFactors, ForceFactorsConfig};
 pub use link_forces::{JacobianOffset, LeverArm, LinkConventions, LinkForces, LinkVelocity};
-pub use network::{Network, NetworkConfig, Precision};
+pub use network::{Network, Precision};
 pub use pchip::Pchip;
 pub use sphere_cylinder::{CylinderTables, SphereCylinder, SphereCylinderConfig, SphereTables};
 
-use crate::error::BuildError;
-use crate::robot::RobotModel;
 use nalgebra::Vector3;
-use serde::{Deserialize, Serialize};
-
-/// Which aerodynamic model, and its numbers: one file of `configs/aero/`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "model", rename_all = "snake_case", deny_unknown_fields)]
-pub enum AeroConfig {
-    /// No aerodynamic force. Braces, because serde lets unknown keys pass beside a bare name.
-    Off {},
-    /// Fitted force areas of axisymmetric links.
-    Axisymmetric(AxisymmetricConfig),
-    /// Literature drag of spheres and finite cylinders.
-    SphereCylinder(Box<SphereCylinderConfig>),
-    /// A neural network of wind and posture.
-    Network(NetworkConfig),
-}
-
-impl AeroConfig {
-    /// Whether there is no aerodynamic force at all.
-    #[must_use]
-    pub fn is_off(&self) -> bool {
-        matches!(self, Self::Off {})
-    }
-}
 
 /// A checked aerodynamic model of one robot.
 #[derive(Debug, Clone)]
@@ -65,20 +40,6 @@ pub enum AeroModel {
 }
 
 impl AeroModel {
-    /// Builds the model that `config` asks for, for the links of `robot`.
-    ///
-    /// # Errors
-    /// [`BuildError`] naming the link, table or file, the value, and what was expected.
-    pub fn new(config: &AeroConfig, robot: &RobotModel) -> Result<Self, BuildError> {
-        let links = &robot.aero_links;
-        Ok(match config {
-            AeroConfig::Off {} => Self::Off,
-            AeroConfig::Axisymmetric(config) => Self::Axisymmetric(Axisymmetric::new(config, links)?),
-            AeroConfig::SphereCylinder(config) => Self::SphereCylinder(SphereCylinder::new(config, links)?),
-            AeroConfig::Network(config) => Self::Network(Box::new(Network::new(config, robot)?)),
-        })
-    }
-
     /// Writes the force on each link \[N\], inertial axes, acting at its aerodynamic centre.
     ///
     /// `axes_i` are unit symmetry axes and `v_air_i` velocities of the air relative to each link

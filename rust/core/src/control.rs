@@ -15,8 +15,8 @@ pub mod attitude;
 pub mod bounds;
 pub mod config;
 pub mod contact;
-pub mod envelope;
 pub mod minimum_jerk;
+pub mod mission;
 pub mod model_error;
 pub mod momentum;
 pub mod qp;
@@ -34,15 +34,16 @@ use crate::kinematics::{Kinematics, RobotState};
 use crate::robot::RobotModel;
 use crate::spatial::rpy_from_rotation;
 use attitude::{AttitudeDemand, attitude_demand};
-use config::{ControllerConfig, Fallback, Solver};
+use config::ControllerConfig;
+#[cfg(feature = "clarabel")]
+use config::{Fallback, QpConfig, Solver};
 use contact::Contact;
-use envelope::EnvelopeConfig;
+use mission::Mission;
 use momentum::MomentumModel;
 use nalgebra::{DVector, Matrix3, Vector3, Vector6};
-use qp::{
-    ActiveSetSolver, BoxQp, ClarabelRowSolver, ClarabelSolver, DualActiveSetSolver, QpAnswer, QpStatus, RowQp,
-};
-use recorded::Recording;
+use qp::{ActiveSetSolver, BoxQp, DualActiveSetSolver, QpAnswer, QpStatus, RowQp};
+#[cfg(feature = "clarabel")]
+use qp::{ClarabelRowSolver, ClarabelSolver};
 use references::{Reference, ReferenceGenerator};
 use standing::StandingQp;
 use tasks::{MomentumQp, TaskInputs};
@@ -143,13 +144,10 @@ pub struct Terms {
 pub struct Controller {
     robot: RobotModel,
     config: ControllerConfig,
-    envelope: EnvelopeConfig,
+    mission: Mission,
     time_step: f64,
     aero: AeroModel,
-    aero_is_on: bool,
     aero_factors: ForceFactors,
-    /// Waits here for the first tick.
-    recording: Option<Recording>,
     references: Option<ReferenceGenerator>,
     memory: Memory,
     terms: Terms,
@@ -174,12 +172,14 @@ impl Controller {
     /// [`BuildError`] naming what in the configuration does not fit the robot.
     pub fn new(
         robot: RobotModel,
+        aero: AeroModel,
+        mission: Mission,
         config: ControllerConfig,
-        envelope: EnvelopeConfig,
         time_step: f64,
     ) -> Result<Self, BuildError> {
         config.check(&robot)?;
-        envelope.check()?;
+        config.aero_feedback.check(&aero)?;
+        mission.check()?;
         check("controller time step", time_step, |dt| dt > 0.0, "a positive number of seconds")?;
         let robot = config.model_error.believed(robot);
         let (jets, joints) = (robot.jets.len(), robot.joints.len());
@@ -189,14 +189,12 @@ impl Controller {
         let unknowns = jets + contact.map_or(0, |_| contact::WRENCH * feet) + joints;
         let zero = Vector3::zeros();
         Ok(Self {
-            aero: AeroModel::new(&config.aero, &robot)?,
-            aero_is_on: !config.aero.is_off(),
+            aero,
             aero_factors: ForceFactors::new(
                 &config.aero_feedback.factors(),
                 &robot.aero_links,
                 "controller.aero_feedback",
             )?,
-            recording: envelope.file.as_deref().map(Recording::load).transpose()?,
             references: None,
             memory: Memory {
                 posture: DVector::zeros(joints),
@@ -236,7 +234,7 @@ impl Controller {
             no_thrust: vec![0.0; jets],
             robot,
             config,
-            envelope,
+            mission,
             time_step,
         })
     }
@@ -252,12 +250,12 @@ impl Controller {
             return self.refuse_measurement();
         }
         if let Some(references) = &mut self.references {
-            self.terms.reference = references.update(&self.envelope, measurement.time);
+            self.terms.reference = references.update(&self.mission, measurement.time);
         }
         self.act(measurement)
     }
 
-    /// One tick that follows a given reference instead of the envelope.
+    /// One tick that follows a given reference instead of the mission.
     pub fn tick_with_reference(&mut self, measurement: &Measurement, reference: &Reference) -> &Command {
         if !self.accepts(measurement) {
             return self.refuse_measurement();
@@ -386,7 +384,7 @@ impl Controller {
             let point = &momentum.jet_points_i[index];
             kinematics.add_generalised_force(jet.frame.body, point, &thrust_force, &mut self.force);
         }
-        if self.aero_is_on && self.config.aero_feedback.torque {
+        if self.config.aero_feedback.torque && !matches!(self.aero, AeroModel::Off) {
             link_forces.add_generalised_force(&self.robot, kinematics, &mut self.force);
         }
         for (joint, velocity) in measurement.state.joint_velocity().iter().enumerate() {
@@ -458,13 +456,12 @@ impl Controller {
         if inertia.try_inverse().is_none() || !inertia.iter().chain(com).all(|x| x.is_finite()) {
             return false;
         }
-        let generator = ReferenceGenerator::new(
+        self.references = Some(ReferenceGenerator::new(
             &self.config.references,
             self.time_step,
             self.terms.kinematics.com,
             rpy_from_rotation(rotation),
-        );
-        self.references = Some(generator.with_recording(self.recording.take()));
+        ));
         self.memory.posture.copy_from(&state.joint_position);
         self.memory.inertia_0_b = inertia;
         true
@@ -565,45 +562,45 @@ fn nearest_to_zero(problem: &BoxQp, x: &mut DVector<f64>) {
     }
 }
 
-/// The configured solver, and Clarabel behind it where that is wanted.
+/// The active-set solver, and Clarabel before or behind it where that is configured.
 #[derive(Debug)]
 struct QpChain {
-    solver: Solver,
-    fallback: Fallback,
+    #[cfg(feature = "clarabel")]
+    qp: QpConfig,
     active_set: ActiveSetSolver,
+    #[cfg(feature = "clarabel")]
     clarabel: ClarabelSolver,
 }
 
 impl QpChain {
+    #[cfg_attr(not(feature = "clarabel"), allow(unused_variables, reason = "`check` allows one chain"))]
     fn new(n: usize, config: &ControllerConfig) -> Self {
         Self {
-            solver: config.qp.solver,
-            fallback: config.qp.fallback,
+            #[cfg(feature = "clarabel")]
+            qp: config.qp,
             active_set: ActiveSetSolver::new(n),
+            #[cfg(feature = "clarabel")]
             clarabel: ClarabelSolver::new(n),
         }
     }
 
     /// Solves into `x`; the caller must look at the status before using it.
     fn solve(&mut self, problem: &BoxQp, x: &mut DVector<f64>) -> QpAnswer {
-        let mut answer = match self.solver {
-            Solver::ActiveSet => {
-                let answer = self.active_set.solve(problem);
-                x.as_mut_slice().copy_from_slice(self.active_set.x());
-                answer
-            }
-            Solver::Clarabel => self.ask_clarabel(problem, x),
-        };
-        if answer.status != QpStatus::Solved
-            && self.solver == Solver::ActiveSet
-            && self.fallback == Fallback::Clarabel
-        {
-            answer = self.ask_clarabel(problem, x);
+        #[cfg(feature = "clarabel")]
+        if self.qp.solver == Solver::Clarabel {
+            return self.solve_by_clarabel(problem, x);
+        }
+        let answer = self.active_set.solve(problem);
+        x.as_mut_slice().copy_from_slice(self.active_set.x());
+        #[cfg(feature = "clarabel")]
+        if answer.status != QpStatus::Solved && self.qp.fallback == Fallback::Clarabel {
+            return self.solve_by_clarabel(problem, x);
         }
         answer
     }
 
-    fn ask_clarabel(&mut self, problem: &BoxQp, x: &mut DVector<f64>) -> QpAnswer {
+    #[cfg(feature = "clarabel")]
+    fn solve_by_clarabel(&mut self, problem: &BoxQp, x: &mut DVector<f64>) -> QpAnswer {
         let answer = self.clarabel.solve(problem);
         x.as_mut_slice().copy_from_slice(self.clarabel.x());
         answer
@@ -613,32 +610,37 @@ impl QpChain {
 /// The same for the torque QP of a robot that stands.
 #[derive(Debug)]
 struct RowQpChain {
-    solver: Solver,
-    fallback: Fallback,
+    #[cfg(feature = "clarabel")]
+    qp: QpConfig,
     active_set: DualActiveSetSolver,
+    #[cfg(feature = "clarabel")]
     clarabel: ClarabelRowSolver,
 }
 
 impl RowQpChain {
+    #[cfg_attr(not(feature = "clarabel"), allow(unused_variables, reason = "`check` allows one chain"))]
     fn new(joints: usize, feet: usize, config: &ControllerConfig) -> Self {
         let (n, rows) = (contact::WRENCH * feet + joints, contact::WRENCH_ROWS * feet);
         Self {
-            solver: config.qp.solver,
-            fallback: config.qp.fallback,
+            #[cfg(feature = "clarabel")]
+            qp: config.qp,
             active_set: DualActiveSetSolver::new(n, rows),
+            #[cfg(feature = "clarabel")]
             clarabel: ClarabelRowSolver::new(n, rows),
         }
     }
 
     /// The answer and its `x`, which the caller must not use unless it is solved.
     fn solve(&mut self, problem: &RowQp) -> (QpAnswer, &[f64]) {
-        if self.solver == Solver::ActiveSet {
-            let answer = self.active_set.solve(problem);
-            if answer.status == QpStatus::Solved || self.fallback == Fallback::Hold {
-                return (answer, self.active_set.x());
-            }
+        #[cfg(feature = "clarabel")]
+        if self.qp.solver == Solver::Clarabel {
+            return (self.clarabel.solve(problem), self.clarabel.x());
         }
-        let answer = self.clarabel.solve(problem);
-        (answer, self.clarabel.x())
+        let answer = self.active_set.solve(problem);
+        #[cfg(feature = "clarabel")]
+        if answer.status != QpStatus::Solved && self.qp.fallback == Fallback::Clarabel {
+            return (self.clarabel.solve(problem), self.clarabel.x());
+        }
+        (answer, self.active_set.x())
     }
 }

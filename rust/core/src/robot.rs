@@ -1,23 +1,15 @@
 //! The robot: a tree of rigid bodies with named frames, read once, checked once, then trusted.
 //!
-//! Body 0 is the floating base; joint `i` moves body `i + 1`. Joints stand in the order of the TOML
-//! file, which must list every joint after its ancestors: then a loop over bodies walks from the
-//! base outwards, and the same loop backwards walks from the tips inwards.
-//!
-//! The URDF says what the robot is made of; the TOML file beside it says what it is used for: the
-//! order of the joints, where air and engines push, what the feet look like. `load` turns both into
-//! a [`RobotModel`], `tree` finds what moves, `merge` joins what does not, `check` refuses what cannot be.
+//! Body 0 is the floating base; joint `i` moves body `i + 1`. Every joint stands after its ancestors:
+//! then a loop over bodies walks from the base outwards, and the same loop backwards walks from the
+//! tips inwards. [`check`] holds what the numbers of a robot must satisfy.
 
-mod check;
-mod load;
-mod merge;
-mod tree;
+pub mod check;
 
-use crate::{error::BuildError, spatial::Pose};
+use crate::spatial::Pose;
 use nalgebra::{Matrix3, Unit, Vector3};
 use serde::Deserialize;
 use std::collections::BTreeMap;
-use std::path::Path;
 
 /// A robot that has passed every check.
 #[derive(Debug, Clone)]
@@ -40,30 +32,9 @@ pub struct RobotModel {
     pub engines: BTreeMap<String, EngineCoefficients>,
     /// Strength of gravity, a positive number \[m/s²\]; it pulls along −z of the inertial frame.
     pub gravity: f64,
-    /// The TOML text the model was built from, as it was read: a manifest hashes it.
-    pub toml_text: String,
-    /// The URDF text the model was built from, as it was read.
-    pub urdf_text: String,
 }
 
 impl RobotModel {
-    /// Reads a robot's TOML file and the URDF file it names (a path relative to the TOML file).
-    ///
-    /// # Errors
-    /// [`BuildError`] naming the item and its value, for a file that cannot be read or parsed and for
-    /// a robot that cannot be.
-    pub fn load(toml_path: &Path) -> Result<Self, BuildError> {
-        load::from_files(toml_path)
-    }
-
-    /// As [`RobotModel::load`], from texts; `origin` names the TOML text in error messages.
-    ///
-    /// # Errors
-    /// As [`RobotModel::load`].
-    pub fn from_text(toml_text: &str, urdf_text: &str, origin: &str) -> Result<Self, BuildError> {
-        load::from_text(toml_text, urdf_text, origin)
-    }
-
     /// Total mass \[kg\].
     #[must_use]
     pub fn mass(&self) -> f64 {
@@ -92,7 +63,7 @@ impl RobotModel {
 /// A rigid body: everything a joint moves, fixed links merged.
 #[derive(Debug, Clone)]
 pub struct Body {
-    /// Name of the URDF link at the body's origin.
+    /// Name of the link at the body's origin.
     pub name: String,
     /// Index of the parent body; `None` for the base.
     pub parent: Option<usize>,
@@ -107,7 +78,7 @@ pub struct Body {
 /// A revolute joint; its child frame is the frame of the body it moves.
 #[derive(Debug, Clone)]
 pub struct Joint {
-    /// Name as in URDF and TOML.
+    /// Name.
     pub name: String,
     /// Pose of the child body in the parent body at joint position zero.
     pub parent_from_child: Pose,
@@ -120,7 +91,7 @@ pub struct Joint {
 /// A frame fixed to a body.
 #[derive(Debug, Clone)]
 pub struct Frame {
-    /// Name of the URDF link.
+    /// Name of the link.
     pub name: String,
     /// Index of the body that carries it.
     pub body: usize,

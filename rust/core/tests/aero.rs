@@ -3,11 +3,12 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use approx::assert_relative_eq;
+use flight_core::BuildError;
 use flight_core::aero::axisymmetric::axisymmetric_force;
-use flight_core::aero::{AeroConfig, AeroModel, Attack, Pchip, SphereCylinder, SphereCylinderConfig};
+use flight_core::aero::{AeroModel, Attack, Pchip, SphereCylinder, SphereCylinderConfig};
 use flight_core::robot::{AeroLink, AxisymmetricCoefficients, Frame};
 use flight_core::spatial::{Pose, axis_angle};
-use flight_core::{BuildError, RobotModel};
+use flight_io::{AeroConfig, load_aero, load_robot};
 use nalgebra::{Matrix3, Unit, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -85,9 +86,9 @@ fn sphere_cylinder_config() -> SphereCylinderConfig {
 
 /// A model for these links, on a robot that has no say in it.
 fn model_of(config: &AeroConfig, links: &[AeroLink]) -> Result<AeroModel, BuildError> {
-    let mut robot = RobotModel::load(&configs().join("../robot/sparrow.toml")).unwrap();
+    let mut robot = load_robot(&configs().join("../robot/sparrow.toml")).unwrap();
     robot.aero_links = links.to_vec();
-    AeroModel::new(config, &robot)
+    load_aero(config, &robot)
 }
 
 /// Every model of `configs/aero`, with its name.

@@ -3,17 +3,19 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
+#[path = "../../sim/tests/common/mod.rs"]
 mod common;
 
 use common::{TIME_STEP, configs, random_state, rng};
 use flight_core::control::CommandStatus;
 use flight_core::control::config::{ControllerConfig, Solver};
 use flight_core::control::contact::{Contact, ContactConfig, WRENCH_ROWS};
-use flight_core::control::envelope::EnvelopeConfig;
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::spatial::exp_so3;
-use flight_core::{Controller, Flight, FlightConfig, Measurement, RobotModel, RobotState};
+use flight_core::{Controller, Measurement, RobotState};
+use flight_io::{ControllerSection, load_controller, load_robot};
+use flight_sim::{Flight, FlightConfig};
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 use rand::RngExt;
 
@@ -22,13 +24,13 @@ fn standing() -> FlightConfig {
 }
 
 fn contact_config() -> ContactConfig {
-    standing().controller.contact.unwrap()
+    standing().controller.law.contact.unwrap()
 }
 
 fn controller(change: impl FnOnce(&mut ControllerConfig)) -> Controller {
     let FlightConfig { robot, mut controller, envelope, .. } = standing();
-    change(&mut controller);
-    Controller::new(RobotModel::load(&robot).unwrap(), controller, envelope, TIME_STEP).unwrap()
+    change(&mut controller.law);
+    load_controller(load_robot(&robot).unwrap(), &controller, &envelope, TIME_STEP).unwrap()
 }
 
 fn at_rest() -> RobotState {
@@ -348,11 +350,11 @@ fn small_force_rates_are_dropped() {
 #[test]
 fn in_the_air_feet_change_nothing() {
     let flight = common::experiment("test2");
-    let robot = RobotModel::load(&flight.robot).unwrap();
+    let robot = load_robot(&flight.robot).unwrap();
     let make = |contact: Option<ContactConfig>| {
-        let config = ControllerConfig { contact, ..flight.controller.clone() };
-        let envelope: EnvelopeConfig = flight.envelope.clone();
-        Controller::new(robot.clone(), config, envelope, TIME_STEP).unwrap()
+        let mut controller = flight.controller.clone();
+        controller.law.contact = contact;
+        load_controller(robot.clone(), &controller, &flight.envelope, TIME_STEP).unwrap()
     };
     let (mut with, mut without) = (make(Some(contact_config())), make(None));
     let mut rng = rng(7);
@@ -418,7 +420,7 @@ fn bad_numbers_are_refused_by_name() {
         assert!(expected.iter().all(|part| said.contains(part)), "{said}");
     }
     fn contact(config: &mut FlightConfig) -> &mut ContactConfig {
-        config.controller.contact.as_mut().unwrap()
+        config.controller.law.contact.as_mut().unwrap()
     }
     Flight::check(&standing()).unwrap();
     refused(&["contact.vertical_force_min is 0", "positive"], |c| contact(c).vertical_force_min = 0.0);
@@ -433,21 +435,21 @@ fn bad_numbers_are_refused_by_name() {
         c.simulator.motors.as_mut().unwrap().friction_of.insert("tail".into(), 1.0);
     });
     refused(&["simulator.ground is absent", "ground under it"], |c| c.simulator.ground = None);
-    refused(&["controller.contact is absent"], |c| c.controller.contact = None);
+    refused(&["controller.contact is absent"], |c| c.controller.law.contact = None);
     refused(&["simulator.ground is given", "engine = \"mujoco\""], |c| {
-        c.engine = flight_core::sim::Engine::Rust;
+        c.engine = flight_sim::Engine::Rust;
     });
     assert!(Flight::new(&standing()).is_err(), "this engine has no ground");
     let said = common::experiment("test2");
     let mut sparrow = said.controller.clone();
-    sparrow.contact = Some(contact_config());
+    sparrow.law.contact = Some(contact_config());
     let mut footless = common::robot("ironcub_mk1");
     footless.feet.clear();
-    let said = sparrow.check(&footless).expect_err("refused").to_string();
+    let said = sparrow.law.check(&footless).expect_err("refused").to_string();
     assert!(said.contains("number of feet") && said.contains("controller.contact"), "{said}");
     let text = std::fs::read_to_string(configs("control/balancing.toml")).unwrap();
     let unknown = text.replace("weight_force =", "weight_farce =");
-    assert!(toml::from_str::<ControllerConfig>(&unknown).is_err());
+    assert!(toml::from_str::<ControllerSection>(&unknown).is_err());
 }
 
 /// A wind that is told and does not blow: the controller's forces see it, the simulator's do not.
@@ -455,8 +457,8 @@ fn bad_numbers_are_refused_by_name() {
 fn a_fictitious_wind_is_told_and_does_not_blow() {
     let mut config = common::experiment("test2");
     config.simulator.duration = 0.2;
-    let wind = flight_core::sim::WindConfig::Constant { velocity: [0.0, -10.0, 0.0] };
-    config.wind = flight_core::sim::WindConfig::Constant { velocity: [0.0; 3] };
+    let wind = flight_sim::WindConfig::Constant { velocity: [0.0, -10.0, 0.0] };
+    config.wind = flight_sim::WindConfig::Constant { velocity: [0.0; 3] };
     config.fictitious_wind = Some(wind);
     let result = common::fly(&[config]).remove(0);
     let sideways = |name: &str| {

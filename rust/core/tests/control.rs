@@ -4,20 +4,19 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
+#[path = "../../sim/tests/common/mod.rs"]
 mod common;
 
 use common::{Loop, configs, experiment, random_state, random_vector, rng, robot, tick_at};
-use flight_core::aero::AeroConfig;
-use flight_core::config::{flight_from_value, resolve};
 use flight_core::control::bounds::rate_bounds;
 use flight_core::control::config::{Fallback, Solver};
 use flight_core::control::qp::QpStatus;
 use flight_core::control::torque::limit_rate;
 use flight_core::control::{CommandStatus, Memory};
-use flight_core::sim::Plant;
-use flight_core::{
-    Command, Controller, FlightConfig, Measurement, RobotModel, RobotState, spatial::rotation_angle,
-};
+use flight_core::spatial::rotation_angle;
+use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
+use flight_io::{AeroConfig, load_controller, load_robot, resolve};
+use flight_sim::{FlightConfig, Plant, flight_from_value};
 use nalgebra::{DVector, Matrix3, Vector3};
 use rand::RngExt;
 use serde_json::json;
@@ -29,8 +28,8 @@ fn wind() -> Vector3<f64> {
 }
 
 fn controller(config: &FlightConfig) -> Controller {
-    let robot = RobotModel::load(&config.robot).unwrap();
-    Controller::new(robot, config.controller.clone(), config.envelope.clone(), 0.01).unwrap()
+    let robot = load_robot(&config.robot).unwrap();
+    load_controller(robot, &config.controller, &config.envelope, 0.01).unwrap()
 }
 
 /// What a controller is told: a measurement that owns its parts.
@@ -45,7 +44,7 @@ struct Told {
 impl Told {
     /// The robot as its flight starts.
     fn start(config: &FlightConfig) -> Self {
-        let robot = RobotModel::load(&config.robot).unwrap();
+        let robot = load_robot(&config.robot).unwrap();
         let plant = Plant::new(robot, &config.simulator).unwrap();
         let thrust = plant.jets().thrust().to_vec();
         Self { time: 0.0, state: plant.state().clone(), thrust, wind: wind() }
@@ -146,14 +145,14 @@ fn a_bad_first_measurement_starts_nothing() {
 #[test]
 fn without_a_momentum_answer_nothing_moves() {
     let mut config = experiment("test2");
-    config.controller.weights.momentum = 1e305;
+    config.controller.law.weights.momentum = 1e305;
     for (solver, fallback) in [
         (Solver::ActiveSet, Fallback::Hold),
         (Solver::ActiveSet, Fallback::Clarabel),
         (Solver::Clarabel, Fallback::Clarabel),
     ] {
-        config.controller.qp.solver = solver;
-        config.controller.qp.fallback = fallback;
+        config.controller.law.qp.solver = solver;
+        config.controller.law.qp.fallback = fallback;
         let mut controller = controller(&config);
         let mut told = Told::start(&config);
         told.state.velocity[6 + 3] = 0.4;
@@ -181,12 +180,12 @@ fn without_a_momentum_answer_nothing_moves() {
 #[test]
 fn a_singular_momentum_qp_is_said_to_be_one() {
     let mut config = experiment("test2");
-    let weights = &mut config.controller.weights;
+    let weights = &mut config.controller.law.weights;
     (weights.joint_velocity, weights.posture, weights.symmetry) = (0.0, 0.0, 0.0);
     weights.thrust_rate.values_mut().for_each(|weight| *weight = 0.0);
     weights.regularisation = 1e-18;
     let mut tick = |fallback| {
-        config.controller.qp.fallback = fallback;
+        config.controller.law.qp.fallback = fallback;
         Told::start(&config).tell(&mut controller(&config)).clone()
     };
     let (held, asked) = (tick(Fallback::Hold), tick(Fallback::Clarabel));
@@ -209,9 +208,9 @@ fn without_a_torque_answer_torques_stay() {
     let start = Told::start(&config);
     start.tell(&mut sound);
     let mut spoilt_config = config.clone();
-    spoilt_config.controller.torque.weight_acceleration = 1e306;
+    spoilt_config.controller.law.torque.weight_acceleration = 1e306;
     for fallback in [Fallback::Hold, Fallback::Clarabel] {
-        spoilt_config.controller.qp.fallback = fallback;
+        spoilt_config.controller.law.qp.fallback = fallback;
         let mut controller = controller(&spoilt_config);
         let command = start.tell(&mut controller);
         assert_eq!(command.status, CommandStatus::TorqueHeld);
@@ -228,8 +227,8 @@ fn without_a_torque_answer_torques_stay() {
 #[test]
 fn without_any_answer_both_hold() {
     let mut config = experiment("test2");
-    config.controller.weights.momentum = 1e305;
-    config.controller.torque.weight_acceleration = 1e306;
+    config.controller.law.weights.momentum = 1e305;
+    config.controller.law.torque.weight_acceleration = 1e306;
     let mut controller = controller(&config);
     let command = Told::start(&config).tell(&mut controller);
     assert_eq!(command.status, CommandStatus::BothHeld);
@@ -283,12 +282,12 @@ fn compare(config: &FlightConfig, other: &FlightConfig, seconds: f64, wind: Vect
 fn clarabel_commands_the_same() {
     let config = experiment("test2");
     let mut other = config.clone();
-    other.controller.qp.solver = Solver::Clarabel;
+    other.controller.law.qp.solver = Solver::Clarabel;
     compare(&config, &other, 1.0, wind(), 1e-6);
     // In a struggle, with many bounds active.
     let config = experiment("test1");
     let mut other = config.clone();
-    other.controller.qp.solver = Solver::Clarabel;
+    other.controller.law.qp.solver = Solver::Clarabel;
     compare(&config, &other, 1.5, Vector3::new(-25.0, 30.0, 0.0), 1e-6);
 }
 
@@ -297,7 +296,7 @@ fn clarabel_commands_the_same() {
 fn the_fallback_does_nothing_while_there_are_answers() {
     let config = experiment("test2");
     let mut other = config.clone();
-    other.controller.qp.fallback = Fallback::Hold;
+    other.controller.law.qp.fallback = Fallback::Hold;
     compare(&config, &other, 1.0, wind(), 0.0);
 }
 
@@ -307,7 +306,7 @@ fn the_fallback_does_nothing_while_there_are_answers() {
 fn the_baseline_is_the_aware_controller_without_forces() {
     let baseline = experiment("test1");
     let mut scaled = experiment("test2");
-    scaled.controller.aero_feedback.scale = 0.0;
+    scaled.controller.law.aero_feedback.scale = 0.0;
     compare(&baseline, &scaled, 2.0, wind(), 0.0);
 
     let mut resting = Told::start(&baseline);
@@ -335,9 +334,9 @@ fn each_part_of_the_feedback_can_be_left_out() {
     };
     let full = tick(&|_| ());
     let baseline = tick(&|config| config.controller.aero = AeroConfig::Off {});
-    let no_rate = tick(&|config| config.controller.aero_feedback.momentum_rate = false);
-    let no_lambda = tick(&|config| config.controller.aero_feedback.lambda = false);
-    let no_torque = tick(&|config| config.controller.aero_feedback.torque = false);
+    let no_rate = tick(&|config| config.controller.law.aero_feedback.momentum_rate = false);
+    let no_lambda = tick(&|config| config.controller.law.aero_feedback.lambda = false);
+    let no_torque = tick(&|config| config.controller.law.aero_feedback.torque = false);
 
     let rate = |c: &Controller| c.terms().momentum.rate_estimate;
     let lambda = |c: &Controller| c.terms().momentum.lambda_a.clone();
@@ -366,7 +365,7 @@ fn each_part_of_the_feedback_can_be_left_out() {
         assert_equal("free acceleration", free(controller).as_slice(), free(of(has[2])).as_slice(), 1e-10);
     }
     // The scale multiplies every estimated force.
-    let half = tick(&|config| config.controller.aero_feedback.scale = 0.5);
+    let half = tick(&|config| config.controller.law.aero_feedback.scale = 0.5);
     for (half, full) in half.terms().link_forces.forces_i.iter().zip(&terms.link_forces.forces_i) {
         assert_eq!(half * 2.0, *full);
     }
@@ -499,8 +498,8 @@ fn lambda_is_the_derivative_of_the_momentum_rate() {
     let mut rng = rng(5);
     for pass in 0..50 {
         // Jets alone, then with the air's forces, whose own change Λ_a neglects: they are held.
-        config.controller.aero_feedback.momentum_rate = false;
-        config.controller.aero_feedback.lambda = false;
+        config.controller.law.aero_feedback.momentum_rate = false;
+        config.controller.law.aero_feedback.lambda = false;
         let mut controller = controller(&config);
         let mut told = Told::start(&config);
         told.state = random_state(&mut rng, controller.robot());
@@ -599,61 +598,61 @@ type Refusal = (&'static str, fn(&mut FlightConfig), &'static str);
 fn bad_numbers_are_refused_by_key() {
     const NAN: f64 = f64::NAN;
     let refusals: [Refusal; 58] = [
-        ("controller.aero_feedback.scale", |c| c.controller.aero_feedback.scale = NAN, "NaN"),
-        ("controller.aero_feedback.scale", |c| c.controller.aero_feedback.scale = f64::INFINITY, "inf"),
-        ("controller.momentum.kp_linear", |c| c.controller.momentum.kp_linear[1] = -1.0, "-1"),
-        ("controller.momentum.kp_linear", |c| c.controller.momentum.kp_linear[2] = NAN, "NaN"),
-        ("controller.momentum.kd_linear", |c| c.controller.momentum.kd_linear[0] = -1.0, "-1"),
-        ("controller.momentum.ko", |c| c.controller.momentum.ko = 0.0, "0"),
-        ("controller.momentum.ko", |c| c.controller.momentum.ko = -10.0, "-10"),
-        ("controller.momentum.c0", |c| c.controller.momentum.c0 = -50.0, "-50"),
-        ("controller.momentum.c1", |c| c.controller.momentum.c1 = NAN, "NaN"),
-        ("controller.weights.momentum", |c| c.controller.weights.momentum = -10.0, "-10"),
-        ("controller.weights.angular_momentum", |c| c.controller.weights.angular_momentum = -1.0, "-1"),
-        ("controller.weights.posture", |c| c.controller.weights.posture = NAN, "NaN"),
-        ("controller.weights.joint_velocity", |c| c.controller.weights.joint_velocity = -1.0, "-1"),
-        ("controller.weights.symmetry", |c| c.controller.weights.symmetry = -0.1, "-0.1"),
-        ("controller.weights.regularisation", |c| c.controller.weights.regularisation = 0.0, "0"),
-        ("controller.weights.regularisation", |c| c.controller.weights.regularisation = NAN, "NaN"),
-        ("controller.weights.thrust_rate.l_arm_jet", |c| set(&mut c.controller.weights.thrust_rate, "l_arm_jet", -1.0), "-1"),
-        ("controller.weights.thrust_rate.l_arm_jet", |c| remove(&mut c.controller.weights.thrust_rate, "l_arm_jet"), "absent"),
-        ("controller.weights.thrust_rate", |c| set(&mut c.controller.weights.thrust_rate, "tail_jet", 1.0), "tail_jet"),
-        ("controller.weights.symmetric_jets", |c| c.controller.weights.symmetric_jets[1][0] = "tail_jet".into(), "tail_jet"),
-        ("controller.bounds.thrust_rate_max.chest_r_jet", |c| set(&mut c.controller.bounds.thrust_rate_max, "chest_r_jet", NAN), "NaN"),
-        ("controller.bounds.thrust_rate_max.chest_r_jet", |c| remove(&mut c.controller.bounds.thrust_rate_max, "chest_r_jet"), "absent"),
-        ("controller.bounds.thrust_rate_max", |c| set(&mut c.controller.bounds.thrust_rate_max, "tail_jet", 1.0), "known: l_arm_jet, r_arm_jet, chest_l_jet, chest_r_jet"),
-        ("controller.bounds.thrust_steepness", |c| c.controller.bounds.thrust_steepness = 0.0, "0"),
-        ("controller.bounds.joint_velocity_max_deg", |c| c.controller.bounds.joint_velocity_max_deg = 0.0, "0"),
-        ("controller.bounds.joint_steepness", |c| c.controller.bounds.joint_steepness = -5.0, "-5"),
-        ("controller.posture_gain.torso", |c| set(&mut c.controller.posture_gain, "torso", -30.0), "-30"),
-        ("controller.posture_gain.torso", |c| remove(&mut c.controller.posture_gain, "torso"), "absent"),
-        ("controller.posture_gain", |c| set(&mut c.controller.posture_gain, "tail", 1.0), "known: torso, left_arm, right_arm, left_leg, right_leg"),
-        ("controller.torque.kd", |c| c.controller.torque.kd = -20.0, "-20"),
-        ("controller.torque.kp", |c| c.controller.torque.kp = NAN, "NaN"),
-        ("controller.torque.weight_acceleration", |c| c.controller.torque.weight_acceleration = -1.0, "-1"),
-        ("controller.torque.weight_torque", |c| c.controller.torque.weight_torque = -1.0, "-1"),
-        ("controller.torque.regularisation", |c| c.controller.torque.regularisation = 0.0, "0"),
-        ("controller.torque.torque_max", |c| c.controller.torque.torque_max = 0.0, "0"),
-        ("controller.torque.torque_max", |c| c.controller.torque.torque_max = f64::INFINITY, "inf"),
-        ("controller.torque.torque_rate_max", |c| c.controller.torque.torque_rate_max = -300.0, "-300"),
-        ("controller.references.position_smoothing", |c| c.controller.references.position_smoothing = 0.0, "0"),
-        ("controller.references.acceleration_smoothing", |c| c.controller.references.acceleration_smoothing = NAN, "NaN"),
-        ("controller.references.angular_velocity_smoothing", |c| c.controller.references.angular_velocity_smoothing = -1.0, "-1"),
-        ("controller.references.turbo_ramp", |c| c.controller.references.turbo_ramp = 0.0, "0"),
-        ("controller.references.turbo_boost", |c| c.controller.references.turbo_boost = -9.0, "-9"),
-        ("controller.references.attitude_gain", |c| c.controller.references.attitude_gain = -1.0, "-1"),
-        ("controller.references.step_position", |c| c.controller.references.step_position[1] = NAN, "NaN"),
-        ("controller.references.step_attitude_deg", |c| c.controller.references.step_attitude_deg[0] = -0.3, "-0.3"),
-        ("controller.references.pitch_limits_deg[0]", |c| c.controller.references.pitch_limits_deg = [1.0, 0.0], "is 1"),
-        ("controller.references.pitch_limits_deg[0]", |c| c.controller.references.pitch_limits_deg[0] = NAN, "NaN"),
-        ("controller.references.pitch_limits_deg[1]", |c| c.controller.references.pitch_limits_deg[1] = f64::INFINITY, "inf"),
-        ("start of an interval of envelope.up", |c| c.envelope.up[0].0 = NAN, "NaN"),
-        ("end of an interval of envelope.up", |c| c.envelope.up[0].1 = 10.0, "a time after the start 10"),
-        ("end of an interval of envelope.down", |c| c.envelope.down[0].1 = NAN, "NaN"),
-        ("envelope.forward", |c| c.envelope.forward.push((3.0, 2.0)), "is 2"),
-        ("envelope.forward_turbo", |c| c.envelope.forward_turbo[0].1 = f64::INFINITY, "inf"),
-        ("envelope.pitch_up", |c| c.envelope.pitch_up[0].0 = f64::NEG_INFINITY, "-inf"),
-        ("envelope.yaw_left", |c| c.envelope.yaw_left.push((1.0, 1.0)), "is 1"),
+        ("controller.aero_feedback.scale", |c| c.controller.law.aero_feedback.scale = NAN, "NaN"),
+        ("controller.aero_feedback.scale", |c| c.controller.law.aero_feedback.scale = f64::INFINITY, "inf"),
+        ("controller.momentum.kp_linear", |c| c.controller.law.momentum.kp_linear[1] = -1.0, "-1"),
+        ("controller.momentum.kp_linear", |c| c.controller.law.momentum.kp_linear[2] = NAN, "NaN"),
+        ("controller.momentum.kd_linear", |c| c.controller.law.momentum.kd_linear[0] = -1.0, "-1"),
+        ("controller.momentum.ko", |c| c.controller.law.momentum.ko = 0.0, "0"),
+        ("controller.momentum.ko", |c| c.controller.law.momentum.ko = -10.0, "-10"),
+        ("controller.momentum.c0", |c| c.controller.law.momentum.c0 = -50.0, "-50"),
+        ("controller.momentum.c1", |c| c.controller.law.momentum.c1 = NAN, "NaN"),
+        ("controller.weights.momentum", |c| c.controller.law.weights.momentum = -10.0, "-10"),
+        ("controller.weights.angular_momentum", |c| c.controller.law.weights.angular_momentum = -1.0, "-1"),
+        ("controller.weights.posture", |c| c.controller.law.weights.posture = NAN, "NaN"),
+        ("controller.weights.joint_velocity", |c| c.controller.law.weights.joint_velocity = -1.0, "-1"),
+        ("controller.weights.symmetry", |c| c.controller.law.weights.symmetry = -0.1, "-0.1"),
+        ("controller.weights.regularisation", |c| c.controller.law.weights.regularisation = 0.0, "0"),
+        ("controller.weights.regularisation", |c| c.controller.law.weights.regularisation = NAN, "NaN"),
+        ("controller.weights.thrust_rate.l_arm_jet", |c| set(&mut c.controller.law.weights.thrust_rate, "l_arm_jet", -1.0), "-1"),
+        ("controller.weights.thrust_rate.l_arm_jet", |c| remove(&mut c.controller.law.weights.thrust_rate, "l_arm_jet"), "absent"),
+        ("controller.weights.thrust_rate", |c| set(&mut c.controller.law.weights.thrust_rate, "tail_jet", 1.0), "tail_jet"),
+        ("controller.weights.symmetric_jets", |c| c.controller.law.weights.symmetric_jets[1][0] = "tail_jet".into(), "tail_jet"),
+        ("controller.bounds.thrust_rate_max.chest_r_jet", |c| set(&mut c.controller.law.bounds.thrust_rate_max, "chest_r_jet", NAN), "NaN"),
+        ("controller.bounds.thrust_rate_max.chest_r_jet", |c| remove(&mut c.controller.law.bounds.thrust_rate_max, "chest_r_jet"), "absent"),
+        ("controller.bounds.thrust_rate_max", |c| set(&mut c.controller.law.bounds.thrust_rate_max, "tail_jet", 1.0), "known: l_arm_jet, r_arm_jet, chest_l_jet, chest_r_jet"),
+        ("controller.bounds.thrust_steepness", |c| c.controller.law.bounds.thrust_steepness = 0.0, "0"),
+        ("controller.bounds.joint_velocity_max_deg", |c| c.controller.law.bounds.joint_velocity_max_deg = 0.0, "0"),
+        ("controller.bounds.joint_steepness", |c| c.controller.law.bounds.joint_steepness = -5.0, "-5"),
+        ("controller.posture_gain.torso", |c| set(&mut c.controller.law.posture_gain, "torso", -30.0), "-30"),
+        ("controller.posture_gain.torso", |c| remove(&mut c.controller.law.posture_gain, "torso"), "absent"),
+        ("controller.posture_gain", |c| set(&mut c.controller.law.posture_gain, "tail", 1.0), "known: torso, left_arm, right_arm, left_leg, right_leg"),
+        ("controller.torque.kd", |c| c.controller.law.torque.kd = -20.0, "-20"),
+        ("controller.torque.kp", |c| c.controller.law.torque.kp = NAN, "NaN"),
+        ("controller.torque.weight_acceleration", |c| c.controller.law.torque.weight_acceleration = -1.0, "-1"),
+        ("controller.torque.weight_torque", |c| c.controller.law.torque.weight_torque = -1.0, "-1"),
+        ("controller.torque.regularisation", |c| c.controller.law.torque.regularisation = 0.0, "0"),
+        ("controller.torque.torque_max", |c| c.controller.law.torque.torque_max = 0.0, "0"),
+        ("controller.torque.torque_max", |c| c.controller.law.torque.torque_max = f64::INFINITY, "inf"),
+        ("controller.torque.torque_rate_max", |c| c.controller.law.torque.torque_rate_max = -300.0, "-300"),
+        ("controller.references.position_smoothing", |c| c.controller.law.references.position_smoothing = 0.0, "0"),
+        ("controller.references.acceleration_smoothing", |c| c.controller.law.references.acceleration_smoothing = NAN, "NaN"),
+        ("controller.references.angular_velocity_smoothing", |c| c.controller.law.references.angular_velocity_smoothing = -1.0, "-1"),
+        ("controller.references.turbo_ramp", |c| c.controller.law.references.turbo_ramp = 0.0, "0"),
+        ("controller.references.turbo_boost", |c| c.controller.law.references.turbo_boost = -9.0, "-9"),
+        ("controller.references.attitude_gain", |c| c.controller.law.references.attitude_gain = -1.0, "-1"),
+        ("controller.references.step_position", |c| c.controller.law.references.step_position[1] = NAN, "NaN"),
+        ("controller.references.step_attitude_deg", |c| c.controller.law.references.step_attitude_deg[0] = -0.3, "-0.3"),
+        ("controller.references.pitch_limits_deg[0]", |c| c.controller.law.references.pitch_limits_deg = [1.0, 0.0], "is 1"),
+        ("controller.references.pitch_limits_deg[0]", |c| c.controller.law.references.pitch_limits_deg[0] = NAN, "NaN"),
+        ("controller.references.pitch_limits_deg[1]", |c| c.controller.law.references.pitch_limits_deg[1] = f64::INFINITY, "inf"),
+        ("start of an interval of envelope.up", |c| c.envelope.commands.up[0].0 = NAN, "NaN"),
+        ("end of an interval of envelope.up", |c| c.envelope.commands.up[0].1 = 10.0, "a time after the start 10"),
+        ("end of an interval of envelope.down", |c| c.envelope.commands.down[0].1 = NAN, "NaN"),
+        ("envelope.forward", |c| c.envelope.commands.forward.push((3.0, 2.0)), "is 2"),
+        ("envelope.forward_turbo", |c| c.envelope.commands.forward_turbo[0].1 = f64::INFINITY, "inf"),
+        ("envelope.pitch_up", |c| c.envelope.commands.pitch_up[0].0 = f64::NEG_INFINITY, "-inf"),
+        ("envelope.yaw_left", |c| c.envelope.commands.yaw_left.push((1.0, 1.0)), "is 1"),
         ("coefficient", |c| c.controller.aero = aero("nobodys", 1.225), "nobodys"),
         ("air_density", |c| c.controller.aero = aero("published", -1.0), "-1"),
         ("air_density", |c| c.controller.aero = aero("published", 0.0), "0"),
@@ -662,7 +661,7 @@ fn bad_numbers_are_refused_by_key() {
     for (key, spoil, words) in refusals {
         let mut config = experiment("test2");
         spoil(&mut config);
-        match Controller::new(robot.clone(), config.controller, config.envelope, 0.01) {
+        match load_controller(robot.clone(), &config.controller, &config.envelope, 0.01) {
             Ok(_) => panic!("{key} was accepted"),
             Err(error) => {
                 let message = error.to_string();
@@ -689,7 +688,7 @@ fn aero(coefficients: &str, air_density: f64) -> AeroConfig {
 #[test]
 fn a_controller_does_not_fit_another_robot() {
     let config = experiment("test2");
-    let error = Controller::new(robot("sparrow"), config.controller, config.envelope, 0.01).unwrap_err();
+    let error = load_controller(robot("sparrow"), &config.controller, &config.envelope, 0.01).unwrap_err();
     let message = error.to_string();
     assert!(message.contains("controller.posture_gain names `left_arm`"), "{message}");
     assert!(message.contains("known: legs, upper_body"), "{message}");
@@ -716,7 +715,7 @@ fn sparrow() -> (FlightConfig, RobotModel) {
     initial["joint_position"] = json!([0.0, 0.0, 0.0, 0.0, 0.0]);
     initial["thrust"] = json!([12.0, 61.0, 61.0]);
     let config = flight_from_value(value, "sparrow").unwrap();
-    let mut robot = RobotModel::load(&config.robot).unwrap();
+    let mut robot = load_robot(&config.robot).unwrap();
     for jet in &mut robot.jets {
         jet.thrust_max = 100.0;
     }

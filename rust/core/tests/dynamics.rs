@@ -5,6 +5,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
+#[path = "../../sim/tests/common/mod.rs"]
 mod common;
 
 use common::{both_robots, random_state, random_vector, rng};

@@ -2,23 +2,24 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
+#[path = "../../sim/tests/common/mod.rs"]
 mod common;
 
 use common::{Loop, both_robots, experiment, random_state, random_vector, rng, robot};
-use flight_core::aero::{
-    AeroConfig, AeroModel, JacobianOffset, LeverArm, LinkConventions, LinkForces, LinkVelocity,
-};
+use flight_core::aero::{AeroModel, JacobianOffset, LeverArm, LinkConventions, LinkForces, LinkVelocity};
 use flight_core::kinematics::Kinematics;
-use flight_core::sim::Plant;
-use flight_core::sim::config::AeroKinematics;
 use flight_core::spatial::rotation_from_rpy;
 use flight_core::{RobotModel, RobotState};
+use flight_io::robot_from_text;
+use flight_io::{AeroConfig, load_aero, load_robot};
+use flight_sim::Plant;
+use flight_sim::config::AeroKinematics;
 use nalgebra::{DVector, Matrix3xX, Vector3};
 
 fn axisymmetric(robot: &RobotModel, set: &str) -> AeroModel {
     let text = format!(r#"{{"model": "axisymmetric", "coefficients": "{set}", "air_density": 1.225}}"#);
     let config: AeroConfig = serde_json::from_str(&text).unwrap();
-    AeroModel::new(&config, robot).unwrap()
+    load_aero(&config, robot).unwrap()
 }
 
 fn forces_of(
@@ -68,7 +69,7 @@ arm = { cda = [0.02, 0.0, 0.0, 0.0, 0.0], cna = 0.0 }
 /// Base at (10, 20, 30), turned a quarter about z; the elbow, 1 m along base x, bent a quarter about x.
 /// So `R_B x = y, R_B y = −x, R_B z = z` and, for the arm, `R x = y, R y = z, R z = x`.
 fn one_arm() -> (RobotModel, RobotState) {
-    let robot = RobotModel::from_text(ONE_ARM_TOML, ONE_ARM_URDF, "one arm").unwrap();
+    let robot = robot_from_text(ONE_ARM_TOML, ONE_ARM_URDF, "one arm").unwrap();
     let mut state = RobotState::zero(1);
     state.base.position = Vector3::new(10.0, 20.0, 30.0);
     state.base.rotation = rotation_from_rpy(&Vector3::new(0.0, 0.0, std::f64::consts::FRAC_PI_2));
@@ -161,14 +162,14 @@ fn each_quirk_moves_its_own_point() {
 #[test]
 fn configuration_names_choose_the_quirks() {
     let published = experiment("test2_published");
-    assert_eq!(published.controller.lever_arm, LeverArm::Unrotated);
-    assert_eq!(published.controller.jacobian_offset, JacobianOffset::BaseRotation);
-    assert_eq!(published.controller.link_velocity, LinkVelocity::ShiftedTwice);
+    assert_eq!(published.controller.law.lever_arm, LeverArm::Unrotated);
+    assert_eq!(published.controller.law.jacobian_offset, JacobianOffset::BaseRotation);
+    assert_eq!(published.controller.law.link_velocity, LinkVelocity::ShiftedTwice);
     assert_eq!(published.simulator.lever_arm, LeverArm::Unrotated);
     let right = experiment("test2");
-    assert_eq!(right.controller.lever_arm, LeverArm::Rotated);
-    assert_eq!(right.controller.jacobian_offset, JacobianOffset::LinkRotation);
-    assert_eq!(right.controller.link_velocity, LinkVelocity::AtCentre);
+    assert_eq!(right.controller.law.lever_arm, LeverArm::Rotated);
+    assert_eq!(right.controller.law.jacobian_offset, JacobianOffset::LinkRotation);
+    assert_eq!(right.controller.law.link_velocity, LinkVelocity::AtCentre);
     assert_eq!(right.simulator.lever_arm, LeverArm::Rotated);
 }
 
@@ -293,7 +294,7 @@ fn frozen_kinematics_keep_axes_and_points_of_the_first_tick() {
     let mut config = experiment("test2");
     config.simulator.kinematics = AeroKinematics::Frozen;
     // The first tick is the state after the free fall.
-    let robot = RobotModel::load(&config.robot).unwrap();
+    let robot = load_robot(&config.robot).unwrap();
     let first = Plant::new(robot.clone(), &config.simulator).unwrap().state().clone();
     let wind = Vector3::new(3.0, -6.0, 1.0);
     let mut flight = Loop::new(&config);
@@ -329,7 +330,7 @@ fn simulator_quirks_leave_the_forces_of_the_first_tick() {
         let mut value = serde_json::to_value(&config.simulator).unwrap();
         value["lever_arm"] = lever_arm.into();
         value["kinematics"] = kinematics.into();
-        let robot = RobotModel::load(&config.robot).unwrap();
+        let robot = load_robot(&config.robot).unwrap();
         let mut plant = Plant::new(robot, &serde_json::from_value(value).unwrap()).unwrap();
         plant.observe(&wind);
         (plant.link_forces().forces_i.clone(), plant.link_forces().wrench_about(&plant.kinematics().com))

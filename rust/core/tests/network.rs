@@ -1,16 +1,18 @@
 //! Claims about the network: it says what JAX says, obeys the laws, and refuses what it cannot trust.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on fails")]
 
+#[path = "../../sim/tests/common/mod.rs"]
 mod common;
-#[path = "common/network.rs"]
+#[path = "../../sim/tests/common/network.rs"]
 mod network;
 
 use common::{experiment, random_state, random_vector, rng, robot};
-use flight_core::aero::{AeroConfig, AeroModel, LinkConventions, LinkForces, NetworkConfig, Precision};
+use flight_core::aero::{AeroModel, LinkConventions, LinkForces, Precision};
 use flight_core::kinematics::Kinematics;
-use flight_core::sim::Plant;
 use flight_core::spatial::rotation_from_wxyz;
-use flight_core::{BuildError, Controller, RobotModel, RobotState};
+use flight_core::{BuildError, RobotModel, RobotState};
+use flight_io::{AeroConfig, NetworkConfig, load_aero, load_controller};
+use flight_sim::Plant;
 use nalgebra::{DVector, Vector3};
 use network::{
     COMPACT, Shape, Tensor, card, file_of, n_inputs, paper, random_network, random_tensors, write,
@@ -66,7 +68,7 @@ fn a_network_says_what_jax_says() {
     assert!(cases.len() >= 4);
     let numbers = |value: &Value| -> Vec<f64> { serde_json::from_value(value.clone()).unwrap() };
     for (name, precision, tolerance) in [("f64", Precision::F64, 1e-12), ("f32", Precision::F32, 1e-6)] {
-        let mut model = AeroModel::new(&config(data(SMALL), precision), &robot).unwrap();
+        let mut model = load_aero(&config(data(SMALL), precision), &robot).unwrap();
         for case in &cases {
             let mut state = RobotState::zero(robot.joints.len());
             state.joint_position = DVector::from_vec(numbers(&case["joint_position"]));
@@ -87,7 +89,7 @@ fn precisions_agree() {
     let (robot, mut rng, folder) = (robot("ironcub_mk1"), rng(1), tempdir().unwrap());
     for (name, shape) in shapes() {
         let build = |precision| {
-            AeroModel::new(&random_network(folder.path(), &robot, &shape, name, precision), &robot).unwrap()
+            load_aero(&random_network(folder.path(), &robot, &shape, name, precision), &robot).unwrap()
         };
         let (mut single, mut double) = (build(Precision::F32), build(Precision::F64));
         for _ in 0..20 {
@@ -107,7 +109,7 @@ fn forces_follow_wind_and_world() {
     let (robot, mut rng, folder) = (robot("ironcub_mk1"), rng(2), tempdir().unwrap());
     for (name, shape) in shapes() {
         let config = random_network(folder.path(), &robot, &shape, name, Precision::F64);
-        let mut model = AeroModel::new(&config, &robot).unwrap();
+        let mut model = load_aero(&config, &robot).unwrap();
         for _ in 0..10 {
             let mut state = random_state(&mut rng, &robot);
             state.velocity.fill(0.0);
@@ -142,7 +144,7 @@ fn forces_follow_wind_and_world() {
 #[test]
 fn the_wind_is_that_of_the_base_origin() {
     let (robot, mut rng) = (robot("ironcub_mk1"), rng(3));
-    let mut model = AeroModel::new(&config(data(SMALL), Precision::F64), &robot).unwrap();
+    let mut model = load_aero(&config(data(SMALL), Precision::F64), &robot).unwrap();
     let (mut state, wind) = (random_state(&mut rng, &robot), random_vector(&mut rng, 10.0));
     let moving = forces(&robot, &mut model, &state, wind);
     let relative = wind - state.base_linear_velocity();
@@ -176,8 +178,7 @@ fn a_symmetric_network_is_symmetric() {
         ("no mirror", &lopsided, f64::INFINITY),
     ] {
         let mut model =
-            AeroModel::new(&random_network(folder.path(), &robot, shape, name, Precision::F64), &robot)
-                .unwrap();
+            load_aero(&random_network(folder.path(), &robot, shape, name, Precision::F64), &robot).unwrap();
         for _ in 0..20 {
             let mut state = RobotState::zero(robot.joints.len());
             state.joint_position = random_state(&mut rng, &robot).joint_position * 0.5;
@@ -212,8 +213,7 @@ fn other_robots_have_networks_too() {
     let (robot, mut rng, folder) = (robot("sparrow"), rng(5), tempdir().unwrap());
     let shape = Shape { mirror: false, ..COMPACT };
     let mut model =
-        AeroModel::new(&random_network(folder.path(), &robot, &shape, "sparrow", Precision::F32), &robot)
-            .unwrap();
+        load_aero(&random_network(folder.path(), &robot, &shape, "sparrow", Precision::F32), &robot).unwrap();
     let found = forces(&robot, &mut model, &random_state(&mut rng, &robot), Vector3::new(3.0, 4.0, 5.0));
     assert!(found.forces_i.iter().all(|force| force.norm() > 0.0 && force.norm() < 100.0));
 }
@@ -237,7 +237,7 @@ fn error_of_card(pointer: &str, value: Value) -> BuildError {
     let weights = std::fs::read(data(SMALL).with_extension("safetensors")).unwrap();
     let folder = tempdir().unwrap();
     let path = write(folder.path(), "network_small", &card, &weights);
-    AeroModel::new(&config(path, Precision::F32), &robot).unwrap_err()
+    load_aero(&config(path, Precision::F32), &robot).unwrap_err()
 }
 
 /// Every key of a card is looked at, and the error names it, its value and what was expected.
@@ -291,7 +291,7 @@ fn error_of_weights(
     spoil(&mut weights);
     let folder = tempdir().unwrap();
     let path = write(folder.path(), name, &card(&robot, &shape, name, &weights), &weights);
-    AeroModel::new(&config(path, Precision::F32), &robot).unwrap_err()
+    load_aero(&config(path, Precision::F32), &robot).unwrap_err()
 }
 
 /// Shapes, types, numbers that are not finite, and files that are no safetensors files.
@@ -340,11 +340,11 @@ fn factors_on_terms_of_other_models_are_refused() {
     let build = |feedback: &str, factor| {
         let mut controller = flight.controller.clone();
         match feedback {
-            "drag" => controller.aero_feedback.drag = factor,
-            "normal" => controller.aero_feedback.normal = factor,
-            link => drop(controller.aero_feedback.links.insert(link.to_owned(), factor)),
+            "drag" => controller.law.aero_feedback.drag = factor,
+            "normal" => controller.law.aero_feedback.normal = factor,
+            link => drop(controller.law.aero_feedback.links.insert(link.to_owned(), factor)),
         }
-        Controller::new(robot.clone(), controller, flight.envelope.clone(), 0.01)
+        load_controller(robot.clone(), &controller, &flight.envelope, 0.01)
     };
     build("head", 0.0).unwrap();
     for key in ["drag", "normal"] {
@@ -360,5 +360,5 @@ fn a_lopsided_robot_is_refused() {
     let (mut robot, folder) = (robot("ironcub_mk1"), tempdir().unwrap());
     robot.aero_links[4].centre_l.x += 0.1;
     let config = random_network(folder.path(), &robot, &COMPACT, "lopsided", Precision::F32);
-    assert_says(&AeroModel::new(&config, &robot).unwrap_err(), &["l_upper_arm", "mirrored", "image"]);
+    assert_says(&load_aero(&config, &robot).unwrap_err(), &["l_upper_arm", "mirrored", "image"]);
 }

@@ -4,6 +4,7 @@
 #![allow(clippy::expect_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
+#[path = "../../sim/tests/common/mod.rs"]
 mod common;
 
 use common::rng;

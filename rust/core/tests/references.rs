@@ -4,26 +4,26 @@
 #![allow(clippy::approx_constant, reason = "-3.14 is an angle in a table")]
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
+#[path = "../../sim/tests/common/mod.rs"]
 mod common;
 
 use common::{TIME_STEP, configs, experiment, random_vector, rng, tick_at};
-use flight_core::RobotModel;
-use flight_core::config::resolve;
-use flight_core::control::envelope::{AutopilotCommand, EnvelopeConfig};
 use flight_core::control::minimum_jerk::MinimumJerkFilter;
+use flight_core::control::mission::{AutopilotCommand, Commands, Mission};
 use flight_core::control::references::{RawReference, Reference, ReferenceConfig, ReferenceGenerator};
-use flight_core::sim::Plant;
 use flight_core::spatial::{
     exp_so3, orthonormality_error, rotation_angle, rotation_from_rpy, rpy_from_rotation,
 };
+use flight_io::{load_robot, resolve};
+use flight_sim::Plant;
 use nalgebra::Vector3;
 use std::f64::consts::{PI, TAU};
 
 fn config() -> ReferenceConfig {
-    experiment("test2").controller.references
+    experiment("test2").controller.law.references
 }
 
-fn envelope(name: &str) -> EnvelopeConfig {
+fn commands(name: &str) -> Commands {
     let file = configs("envelope").join(name).with_extension("toml");
     serde_json::from_value(resolve(&file).unwrap()).unwrap()
 }
@@ -31,19 +31,20 @@ fn envelope(name: &str) -> EnvelopeConfig {
 /// Centre of mass at the first tick of the published flight.
 fn first_com() -> Vector3<f64> {
     let config = experiment("test2_published");
-    let robot = RobotModel::load(&config.robot).unwrap();
+    let robot = load_robot(&config.robot).unwrap();
     let mut plant = Plant::new(robot, &config.simulator).unwrap();
     plant.observe(&Vector3::zeros());
     plant.kinematics().com
 }
 
 /// Raw and smoothed reference of every tick from 0 to `duration`.
-fn generate(envelope: &EnvelopeConfig, duration: f64) -> Vec<(RawReference, Reference)> {
+fn generate(name: &str, duration: f64) -> Vec<(RawReference, Reference)> {
+    let mission = Mission::Commands(commands(name));
     let rpy = Vector3::new(0.0, 0.0, PI);
     let mut generator = ReferenceGenerator::new(&config(), TIME_STEP, first_com(), rpy);
     (0..=tick_at(duration))
         .map(|tick| {
-            let reference = generator.update(envelope, tick as f64 * TIME_STEP);
+            let reference = generator.update(&mission, tick as f64 * TIME_STEP);
             (*generator.raw(), reference)
         })
         .collect()
@@ -88,7 +89,7 @@ const LAST_ROW: [f64; 9] = [50.0, 78.2964, 0.7519, -0.3, 78.2964, 0.7523, 0.0, -
 /// Every number of the table of the in-line flight, to the last printed digit.
 #[test]
 fn the_in_line_reference_is_the_published_one() {
-    let flight = generate(&envelope("in_line"), 50.0);
+    let flight = generate("in_line", 50.0);
     for row in TABLE.iter().chain([&LAST_ROW]) {
         let (raw, smooth) = &flight[tick_at(row[0])];
         let lengths = [
@@ -127,7 +128,7 @@ fn the_in_line_reference_is_the_published_one() {
 /// Greatest derivatives of the in-line reference.
 #[test]
 fn the_in_line_reference_has_the_published_peaks() {
-    let flight = generate(&envelope("in_line"), 50.0);
+    let flight = generate("in_line", 50.0);
     let peak = |f: &dyn Fn(&Reference) -> f64| flight.iter().map(|(_, r)| f(r)).fold(0.0, f64::max);
     for (what, found, printed, digit) in [
         ("ax accelerating", peak(&|r| r.com_acceleration.x), 1.54, 0.01),
@@ -147,7 +148,7 @@ fn the_in_line_reference_has_the_published_peaks() {
 /// 549 at 7.5 m/s, 450 that get slower, 78.300 m in all.
 #[test]
 fn the_in_line_reference_has_the_published_ticks() {
-    let flight = generate(&envelope("in_line"), 50.0);
+    let flight = generate("in_line", 50.0);
     let steps: Vec<Vector3<f64>> =
         flight.windows(2).map(|pair| pair[1].0.position - pair[0].0.position).collect();
     let count = |moves: &dyn Fn(&Vector3<f64>) -> bool| steps.iter().filter(|step| moves(step)).count();
@@ -183,11 +184,11 @@ fn the_in_line_reference_has_the_published_ticks() {
 /// An interval is open at both ends, also where k · 0.01 is rounded.
 #[test]
 fn intervals_are_open() {
-    let envelope = envelope("in_line");
+    let commands = commands("in_line");
     for (tick, vertical) in [(1000, 0), (1001, 1), (1699, 1), (1700, 0), (4000, 0), (4001, -1), (4700, 0)] {
-        assert_eq!(envelope.command(f64::from(tick) * TIME_STEP).vertical, vertical, "tick {tick}");
+        assert_eq!(commands.command(f64::from(tick) * TIME_STEP).vertical, vertical, "tick {tick}");
     }
-    let both = EnvelopeConfig { up: vec![(1.0, 2.0)], down: vec![(1.5, 3.0)], ..EnvelopeConfig::default() };
+    let both = Commands { up: vec![(1.0, 2.0)], down: vec![(1.5, 3.0)], ..Commands::default() };
     assert_eq!([1.2, 1.7, 2.5].map(|time| both.command(time).vertical), [1, 0, -1]);
 }
 
@@ -239,7 +240,7 @@ fn circuit_end(leg: f64) -> Vector3<f64> {
 /// With turbo a leg is 450 faster, 249 full and 450 slower steps.
 #[test]
 fn the_closed_circuit_ends_where_it_should() {
-    let flight = generate(&envelope("closed_circuit"), 140.0);
+    let flight = generate("closed_circuit", 140.0);
     let (raw, smooth) = flight.last().unwrap();
     let faster: f64 = (1..=450).map(|k| 0.0075 * (1.0 + 0.02 * f64::from(k))).sum();
     let slower: f64 = (0..450).map(|k| 0.0075 * (1.0 + 0.02 * f64::from(k))).sum();
@@ -259,7 +260,7 @@ fn the_closed_circuit_ends_where_it_should() {
 /// Without turbo a leg is 699 plain steps, and the nose stays level.
 #[test]
 fn the_closed_circuit_without_turbo_ends_where_it_should() {
-    let flight = generate(&envelope("closed_circuit_no_turbo"), 115.0);
+    let flight = generate("closed_circuit_no_turbo", 115.0);
     let (raw, smooth) = flight.last().unwrap();
     let end = first_com() + circuit_end(699.0 * 0.0075);
     crate::common::assert_within!((raw.position - end).amax(), 1e-9, "{} instead of {end}", raw.position);
@@ -274,7 +275,7 @@ fn the_closed_circuit_without_turbo_ends_where_it_should() {
 #[test]
 fn no_command_is_no_motion() {
     let start = first_com();
-    for (_, reference) in generate(&envelope("hover"), 5.0) {
+    for (_, reference) in generate("hover", 5.0) {
         crate::common::assert_within!((reference.com_position - start).amax(), 1e-13);
         for derivative in [reference.com_velocity, reference.com_acceleration, reference.com_jerk] {
             crate::common::assert_within!(derivative.amax(), 1e-10);
@@ -294,7 +295,7 @@ fn no_command_is_no_motion() {
 fn the_smoothed_attitude_is_a_rotation() {
     for (name, duration) in [("in_line", 50.0), ("closed_circuit", 135.0), ("closed_circuit_no_turbo", 112.0)]
     {
-        for (_, reference) in generate(&envelope(name), duration) {
+        for (_, reference) in generate(name, duration) {
             crate::common::assert_within!(orthonormality_error(&reference.rotation), 1e-14);
             assert!(reference.rotation.determinant() > 0.0);
         }
@@ -305,7 +306,7 @@ fn the_smoothed_attitude_is_a_rotation() {
 #[test]
 fn the_smoothed_pitch_follows_the_sine_of_its_error() {
     let mut theta = 0.0_f64;
-    for (raw, reference) in generate(&envelope("in_line"), 50.0) {
+    for (raw, reference) in generate("in_line", 50.0) {
         let pitch = rpy_from_rotation(&reference.rotation).y;
         crate::common::assert_within!((pitch - theta).abs(), 1e-5, "{pitch} instead of {theta}");
         // Forward Euler: what is handed out is the angle before the step.
@@ -316,7 +317,7 @@ fn the_smoothed_pitch_follows_the_sine_of_its_error() {
 /// References are derivatives of one another: velocity is the rate of position, and so on.
 #[test]
 fn references_are_derivatives_of_one_another() {
-    let flight = generate(&envelope("closed_circuit"), 135.0);
+    let flight = generate("closed_circuit", 135.0);
     for window in flight.windows(2) {
         let (_, before) = &window[0];
         let (_, now) = &window[1];
@@ -494,7 +495,7 @@ fn the_step_response_resembles_a_minimum_jerk_motion() {
 /// A turn by more than half a circle is followed the way it was commanded, not by the short cut.
 #[test]
 fn the_smoothed_yaw_follows_a_whole_circle() {
-    let flight = generate(&envelope("closed_circuit"), 135.0);
+    let flight = generate("closed_circuit", 135.0);
     let mut unwrapped = PI;
     let mut last = PI;
     for (raw, reference) in &flight {

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
+#[path = "../../sim/tests/common/mod.rs"]
 mod common;
 
 use common::{random_vector, rng};

@@ -4,12 +4,12 @@ use crate::arrays::{Input, array, entries, matrix, matrix3, value_error, vector,
 use crate::flight::parse;
 use crate::qp::answer;
 use crate::robot::state;
+use flight_core::Measurement;
 use flight_core::control::Memory;
 use flight_core::control::contact::Contact;
-use flight_core::control::recorded::Recording;
 use flight_core::control::references::{Reference, ReferenceGenerator};
 use flight_core::control::standing::StandingQp;
-use flight_core::{Measurement, RobotModel};
+use flight_io::{load_controller, load_mission, load_robot};
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 use pyo3::exceptions::{PyKeyError, PyValueError};
 use pyo3::prelude::*;
@@ -26,9 +26,8 @@ impl Controller {
     #[new]
     fn new(config_json: &str) -> PyResult<Self> {
         let config = parse(config_json)?;
-        let robot = RobotModel::load(&config.robot).map_err(value_error)?;
-        let time_step = config.simulator.time_step;
-        flight_core::Controller::new(robot, config.controller, config.envelope, time_step)
+        let robot = load_robot(&config.robot).map_err(value_error)?;
+        load_controller(robot, &config.controller, &config.envelope, config.simulator.time_step)
             .map(|controller| Self { controller })
             .map_err(value_error)
     }
@@ -223,17 +222,16 @@ pub fn reference_trajectory<'py>(
     rpy: Input<'py>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let config = parse(config_json)?;
-    config.controller.references.check().map_err(value_error)?;
-    config.envelope.check().map_err(value_error)?;
+    config.controller.law.references.check().map_err(value_error)?;
+    let mission = load_mission(&config.envelope).map_err(value_error)?;
     let dt = config.simulator.time_step;
     let ticks = config.simulator.n_ticks() + 1;
     let mut generator = ReferenceGenerator::new(
-        &config.controller.references,
+        &config.controller.law.references,
         dt,
         vector3("com", &com)?,
         vector3("rpy", &rpy)?,
-    )
-    .with_recording(config.envelope.file.as_deref().map(Recording::load).transpose().map_err(value_error)?);
+    );
     let mut signals: [(&str, DMatrix<f64>); 9] = [
         "raw_position",
         "raw_rpy",
@@ -248,7 +246,7 @@ pub fn reference_trajectory<'py>(
     .map(|name| (name, DMatrix::zeros(ticks, 3)));
     let mut rotations = Vec::with_capacity(9 * ticks);
     for tick in 0..ticks {
-        let reference = generator.update(&config.envelope, tick as f64 * dt);
+        let reference = generator.update(&mission, tick as f64 * dt);
         let raw = generator.raw();
         let values = [
             raw.position,

@@ -1,11 +1,12 @@
 //! Configurations and whole flights.
 
 use crate::arrays::{Input, Output, array, entries, value_error, vector, vectors};
-use flight_core::aero::{AeroConfig, NetworkConfig};
-use flight_core::sim::{
-    BatchError, FlightConfig, FlightResult, Wind, WindConfig, fly_batch as fly_rust_batch,
+use flight_core::BuildError;
+use flight_io::{AeroConfig, NetworkConfig, RobotFiles};
+use flight_sim::{
+    BatchError, Flight, FlightConfig, FlightResult, Wind, WindConfig, flight_from_value,
+    fly_batch as fly_rust_batch, load_flight,
 };
-use flight_core::{BuildError, Flight, RobotModel, load_flight};
 use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -22,7 +23,7 @@ const REPORT_INTERVAL: Duration = Duration::from_millis(50);
 pub fn parse(config_json: &str) -> PyResult<FlightConfig> {
     let value = serde_json::from_str(config_json)
         .map_err(|error| value_error(BuildError::malformed("configuration", error)))?;
-    flight_core::config::flight_from_value(value, "configuration").map_err(value_error)
+    flight_from_value(value, "configuration").map_err(value_error)
 }
 
 fn to_value(config: &FlightConfig) -> PyResult<serde_json::Value> {
@@ -46,7 +47,7 @@ pub fn check_config(config_json: &str) -> PyResult<()> {
 #[pyfunction]
 pub fn config_digest(config_json: &str) -> PyResult<String> {
     let config = parse(config_json)?;
-    let robot = RobotModel::load(&config.robot).map_err(value_error)?;
+    let robot = RobotFiles::read(&config.robot).map_err(value_error)?;
     let mut value = to_value(&config)?;
     // Where files lie says nothing about the flight; what is in them does.
     value["robot"] = file_name(&config.robot).into();
@@ -68,8 +69,8 @@ pub fn config_digest(config_json: &str) -> PyResult<String> {
         }
     }
     hash.update(value.to_string());
-    hash.update(&robot.toml_text);
-    hash.update(&robot.urdf_text);
+    hash.update(&robot.toml);
+    hash.update(&robot.urdf);
     let digest = hash.finalize();
     Ok(digest.iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}")))
 }

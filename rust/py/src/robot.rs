@@ -1,12 +1,13 @@
 //! The robot and its rigid-body dynamics.
 
 use crate::arrays::{Input, Output, entries, matrix, matrix3, value_error, vector, vector3, vectors};
-use flight_core::aero::{AeroConfig, AeroModel, LinkConventions, LinkForces};
+use flight_core::aero::{LinkConventions, LinkForces};
 use flight_core::dynamics::{Dynamics, MassFactor};
 use flight_core::kinematics::{Kinematics, RobotState};
 use flight_core::robot::Frame;
 use flight_core::spatial::{Pose, orthonormality_error};
 use flight_core::{BuildError, RobotModel};
+use flight_io::{AeroConfig, RobotFiles, load_aero};
 use nalgebra::{DVector, Vector3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -17,6 +18,7 @@ use std::path::PathBuf;
 /// A robot, read from its TOML file and the URDF named there.
 #[pyclass(frozen, module = "jax_aero._core")]
 pub struct Robot {
+    files: RobotFiles,
     model: RobotModel,
 }
 
@@ -47,7 +49,9 @@ pub fn state(
 impl Robot {
     #[new]
     fn new(path: PathBuf) -> PyResult<Self> {
-        RobotModel::load(&path).map(|model| Self { model }).map_err(value_error)
+        let files = RobotFiles::read(&path).map_err(value_error)?;
+        let model = files.model().map_err(value_error)?;
+        Ok(Self { files, model })
     }
 
     #[getter]
@@ -109,13 +113,13 @@ impl Robot {
     /// Text of the TOML file.
     #[getter]
     fn toml_text(&self) -> &str {
-        &self.model.toml_text
+        &self.files.toml
     }
 
     /// Text of the URDF file.
     #[getter]
     fn urdf_text(&self) -> &str {
-        &self.model.urdf_text
+        &self.files.urdf
     }
 
     /// Kinematics and dynamics of one state, by name; see `jax_aero.rust.Robot`.
@@ -238,7 +242,7 @@ pub fn aero_forces<'py>(
         let expected = "a model of single links; `link_forces` evaluates a network";
         return Err(value_error(BuildError::bad_value("aero.model", "network", expected)));
     }
-    let model = AeroModel::new(&config, &robot.model).map_err(value_error)?;
+    let model = load_aero(&config, &robot.model).map_err(value_error)?;
     let rows = |name: &str, input: &Input<'_>| -> PyResult<Vec<Vector3<f64>>> {
         Ok(entries(name, input, &[links, 3])?.chunks_exact(3).map(Vector3::from_column_slice).collect())
     };
@@ -264,7 +268,7 @@ pub fn link_forces<'py>(
     let joints = robot.model.n_joints();
     let state = state(joints, &base_position, &base_rotation, &joint_position, &velocity)?;
     let config = aero_config(aero_json)?;
-    let mut model = AeroModel::new(&config, &robot.model).map_err(value_error)?;
+    let mut model = load_aero(&config, &robot.model).map_err(value_error)?;
     let (kinematics, _) = robot.evaluate(&state);
     let mut forces = LinkForces::new(&robot.model);
     let wind = vector3("wind", &wind)?;

@@ -5,8 +5,8 @@
 //! features ► Evaluator (mlp) ► scale, offset ► mean with the mirrored question ► base axes ► + baseline
 //! ```
 //!
-//! `card` reads what the weights mean, `tensors` the weights, `mirror` the robot's symmetry; `mlp`
-//! evaluates. Everything that a card or a file can get wrong is refused here, once; evaluating is
+//! `card` says what the weights mean, `tensors` holds the weights, `mirror` the robot's symmetry; `mlp`
+//! evaluates. Everything that card or weights can get wrong is refused here, once; evaluating is
 //! total and allocates nothing.
 
 mod card;
@@ -14,9 +14,8 @@ mod mirror;
 mod mlp;
 mod tensors;
 
-pub use card::{
-    Activation, Architecture, Baseline, Card, Feature, Inputs, Layout, Output, OutputFrame, Weights,
-};
+pub use card::{Activation, Architecture, Baseline, Card, Feature, Inputs, Layout, Output, OutputFrame};
+pub use tensors::{Tensor, Tensors};
 
 use super::axisymmetric_force;
 use crate::error::{BuildError, check};
@@ -26,26 +25,11 @@ use mirror::{Mirror, reflect};
 use mlp::{Evaluator, Pair};
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
-use tensors::Tensors;
 
 /// `h` \[m\]: over this distance a link passes from before another to behind it.
 const SHADOW_LENGTH: f64 = 0.05;
 /// `w` \[m\]: standard deviation of a link's shadow.
 const SHADOW_RADIUS: f64 = 0.10;
-
-/// Which network, and how it is evaluated.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct NetworkConfig {
-    /// The network's JSON card; the weights lie beside it.
-    pub card: PathBuf,
-    /// Precision of the weighted sums.
-    #[serde(default)]
-    pub precision: Precision,
-    /// Density of the air \[kg/m³\].
-    pub air_density: f64,
-}
 
 /// Precision of the weighted sums; everything around them is double.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -92,18 +76,21 @@ struct PlacedLink {
 }
 
 impl Network {
-    /// Reads card and weights, and checks them against each other and the robot.
+    /// Checks card and weights against each other and the robot.
     ///
     /// # Errors
-    /// [`BuildError`] naming file, key or tensor, the value found and what was expected.
-    pub fn new(config: &NetworkConfig, robot: &RobotModel) -> Result<Self, BuildError> {
-        let air_density =
-            check("air_density", config.air_density, |rho| rho > 0.0, "a positive density in kg/m³")?;
-        let card = Card::load(&config.card, robot)?;
-        let (path, bytes) = card.read_weights(&config.card)?;
-        let mut tensors = Tensors::parse(&path, &bytes)?;
+    /// [`BuildError`] naming key or tensor, the value found and what was expected.
+    pub fn new(
+        card: Card,
+        mut tensors: Tensors,
+        precision: Precision,
+        air_density: f64,
+        robot: &RobotModel,
+    ) -> Result<Self, BuildError> {
+        let air_density = check("air_density", air_density, |rho| rho > 0.0, "a positive density in kg/m³")?;
+        card.check(robot)?;
         let (inputs, outputs) = (card.n_inputs(), 3 * robot.aero_links.len());
-        let is_double = config.precision == Precision::F64;
+        let is_double = precision == Precision::F64;
         let evaluator = Evaluator::load(&mut tensors, &card.architecture, (inputs, outputs), is_double)?;
         let (scale, offset) =
             (tensors.take("output.scale", &[outputs])?, tensors.take("output.offset", &[outputs])?);

@@ -4,18 +4,16 @@ use super::contact::ContactConfig;
 use super::model_error::ModelError;
 use super::references::ReferenceConfig;
 use super::wind_estimate::WindEstimateConfig;
-use crate::aero::{AeroConfig, ForceFactorsConfig, JacobianOffset, LeverArm, LinkVelocity};
+use crate::aero::{AeroModel, ForceFactorsConfig, JacobianOffset, LeverArm, LinkVelocity};
 use crate::error::{BuildError, check};
 use crate::robot::RobotModel;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Everything that makes a controller; one file in `configs/control/`.
+/// The control law: everything that makes a controller besides robot, aerodynamic model and mission.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ControllerConfig {
-    /// The controller's own aerodynamic model; `off` is the baseline controller.
-    pub aero: AeroConfig,
     /// Where the aerodynamic estimate enters.
     #[serde(default)]
     pub aero_feedback: AeroFeedback,
@@ -102,6 +100,21 @@ fn is_one(value: &f64) -> bool {
 }
 
 impl AeroFeedback {
+    /// Refuses factors on terms that `aero` does not have.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check(&self, aero: &AeroModel) -> Result<(), BuildError> {
+        if matches!(aero, AeroModel::Network(_)) {
+            // A network has no such terms to leave out; that its force can be split along the air is another matter.
+            for (key, factor) in [("drag", self.drag), ("normal", self.normal)] {
+                let expected = "1 with model network, which knows no drag and normal term; `links` works";
+                at(&format!("aero_feedback.{key}"), factor, |factor| is_one(&factor), expected)?;
+            }
+        }
+        Ok(())
+    }
+
     /// The factors among these settings.
     #[must_use]
     pub fn factors(&self) -> ForceFactorsConfig {
@@ -229,6 +242,25 @@ pub struct QpConfig {
     pub fallback: Fallback,
 }
 
+impl QpConfig {
+    /// Refuses a solver that this build does not have.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check(&self) -> Result<(), BuildError> {
+        for (key, is_clarabel, other) in [
+            ("solver", self.solver == Solver::Clarabel, "active_set"),
+            ("fallback", self.fallback == Fallback::Clarabel, "hold"),
+        ] {
+            if is_clarabel && !cfg!(feature = "clarabel") {
+                let expected = format!("{other}: this build lacks the feature `clarabel`");
+                return Err(BuildError::bad_value(format!("controller.qp.{key}"), "clarabel", expected));
+            }
+        }
+        Ok(())
+    }
+}
+
 impl ControllerConfig {
     /// Refuses numbers and names that do not make a controller for `robot`.
     ///
@@ -240,13 +272,6 @@ impl ControllerConfig {
         let positive = |name: &str, value: f64| at(name, value, |x| x > 0.0, "a positive number");
 
         finite("aero_feedback.scale", self.aero_feedback.scale)?;
-        if matches!(self.aero, AeroConfig::Network(_)) {
-            // A network has no such terms to leave out; that its force can be split along the air is another matter.
-            for (key, factor) in [("drag", self.aero_feedback.drag), ("normal", self.aero_feedback.normal)] {
-                let expected = "1 with model network, which knows no drag and normal term; `links` works";
-                at(&format!("aero_feedback.{key}"), factor, |factor| is_one(&factor), expected)?;
-            }
-        }
         if let Some(estimate) = &self.wind_estimate {
             estimate.check()?;
         }
@@ -276,6 +301,7 @@ impl ControllerConfig {
         positive("torque.torque_max", self.torque.torque_max)?;
         positive("torque.torque_rate_max", self.torque.torque_rate_max)?;
         self.references.check()?;
+        self.qp.check()?;
         if let Some(contact) = &self.contact {
             contact.check(robot)?;
         }

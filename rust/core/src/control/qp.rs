@@ -13,14 +13,18 @@
 
 mod active_set;
 mod dual_active_set;
+#[cfg(feature = "clarabel")]
 mod reference;
+#[cfg(feature = "clarabel")]
 mod reference_rows;
 mod rows;
 mod scaled;
 
 pub use active_set::{ActiveSetSolver, PASSES_PER_VARIABLE};
 pub use dual_active_set::DualActiveSetSolver;
+#[cfg(feature = "clarabel")]
 pub use reference::ClarabelSolver;
+#[cfg(feature = "clarabel")]
 pub use reference_rows::ClarabelRowSolver;
 pub use rows::{RowQp, row_kkt_residual};
 

@@ -1,20 +1,11 @@
-//! A reference that was computed beforehand and is read from a file: `envelope = { file = "…" }`.
-//!
-//! The file is CSV in SI units and radians; lines that start with `#` are comments. Its header is the first 7,
-//! 10, 13 or 16 of the names in [`COLUMNS`]: derivatives that are left out are differences of what is there.
+//! A reference that was computed beforehand: samples in time, and what lies between them.
 
 use crate::error::BuildError;
 use crate::spatial::{exp_so3, log_so3, rotation_from_rpy};
 use nalgebra::{Matrix3, Vector3};
-use std::path::Path;
 
-/// Names of the columns: time, centre of mass, attitude of the base, and then, where they are known,
-/// velocity, acceleration and jerk of the centre of mass.
-pub const COLUMNS: [&str; 16] =
-    ["time", "x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "ax", "ay", "az", "jx", "jy", "jz"];
-
-/// Columns that every file has: time, position, attitude.
-const REQUIRED: usize = 7;
+/// Numbers that every sample has: time, position, attitude.
+pub const REQUIRED: usize = 7;
 
 /// Where the reference is at one time.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,55 +36,33 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Reads a file.
+    /// A recording of samples in order of time, row by row: time, position, roll, pitch and yaw \[rad\], and
+    /// then, where they are known, velocity, acceleration and jerk. `origin` and `place` name the whole and
+    /// a row in errors.
     ///
     /// # Errors
-    /// [`BuildError`] naming the file, the line and what was expected.
-    pub fn load(path: &Path) -> Result<Self, BuildError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| BuildError::Unreadable { path: path.to_owned(), source })?;
-        Self::parse(&text, &path.display().to_string())
-    }
-
-    /// Reads the text of a file; `origin` is named in errors.
-    ///
-    /// # Errors
-    /// As [`Self::load`].
-    pub fn parse(text: &str, origin: &str) -> Result<Self, BuildError> {
-        let place = |line: usize| format!("line {} of reference file {origin}", line + 1);
-        let mut lines = text.lines().enumerate().filter(|(_, line)| {
-            let line = line.trim();
-            !line.is_empty() && !line.starts_with('#')
-        });
-        let (header_line, header) = lines.next().unwrap_or((0, "empty"));
-        let names: Vec<&str> = header.split(',').map(str::trim).collect();
-        let width = names.len();
-        if width < REQUIRED
-            || !(width - REQUIRED).is_multiple_of(3)
-            || COLUMNS.get(..width) != Some(&names[..])
-        {
-            let expected = format!("the first 7, 10, 13 or 16 names of {}", COLUMNS.join(","));
-            return Err(BuildError::bad_value(place(header_line), header, expected));
-        }
-        let mut rows: Vec<Vec<f64>> = Vec::new();
-        for (number, line) in lines {
-            let row: Vec<f64> = line.split(',').map_while(|field| field.trim().parse().ok()).collect();
-            if row.len() != width || line.split(',').count() != width {
-                return Err(BuildError::bad_value(place(number), line, format!("{width} numbers")));
-            }
-            if !row.iter().all(|value| value.is_finite()) {
-                return Err(BuildError::bad_value(place(number), line, "finite numbers"));
-            }
-            if rows.last().is_some_and(|before| before[0] >= row[0]) {
-                return Err(BuildError::bad_value(place(number), line, "a time later than the line before"));
-            }
-            rows.push(row);
-        }
+    /// [`BuildError::BadValue`] naming the row and what was expected.
+    pub fn new(rows: &[Vec<f64>], origin: &str, place: impl Fn(usize) -> String) -> Result<Self, BuildError> {
         if rows.len() < 2 {
-            let found = format!("{} samples long", rows.len());
-            return Err(BuildError::bad_value(format!("reference file {origin}"), found, "at least 2"));
+            return Err(BuildError::bad_value(origin, format!("{} samples long", rows.len()), "at least 2"));
         }
-        Ok(Self::from_rows(&rows, width))
+        let width = rows[0].len();
+        if width < REQUIRED || width > REQUIRED + 9 || !(width - REQUIRED).is_multiple_of(3) {
+            return Err(BuildError::bad_value(place(0), format!("{:?}", rows[0]), "7, 10, 13 or 16 numbers"));
+        }
+        for (index, row) in rows.iter().enumerate() {
+            let expected = if row.len() != width {
+                format!("{width} numbers")
+            } else if !row.iter().all(|value| value.is_finite()) {
+                "finite numbers".to_owned()
+            } else if index > 0 && rows[index - 1][0] >= row[0] {
+                "a time later than the one before".to_owned()
+            } else {
+                continue;
+            };
+            return Err(BuildError::bad_value(place(index), format!("{row:?}"), expected));
+        }
+        Ok(Self::from_rows(rows, width))
     }
 
     fn from_rows(rows: &[Vec<f64>], width: usize) -> Self {

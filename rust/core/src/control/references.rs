@@ -2,9 +2,9 @@
 //!
 //! Source: `docs/equations.md`, rows "references"; the published flight-control library.
 
-use super::envelope::{AutopilotCommand, EnvelopeConfig};
 use super::minimum_jerk::MinimumJerkFilter;
-use super::recorded::Recording;
+use super::mission::{AutopilotCommand, Mission};
+use super::recorded::RecordedMotion;
 use crate::error::{BuildError, check};
 use crate::spatial::{project_to_so3, rotation_from_rpy, rpy_from_rotation, skew, vee_of_skew_part};
 use nalgebra::{Matrix3, Rotation3, Vector3};
@@ -173,7 +173,6 @@ pub struct ReferenceGenerator {
     jerk_filter: MinimumJerkFilter,
     angular_velocity_filter: MinimumJerkFilter,
     rotation: Matrix3<f64>,
-    recording: Option<Recording>,
 }
 
 impl ReferenceGenerator {
@@ -193,15 +192,7 @@ impl ReferenceGenerator {
                 zero,
             ),
             rotation: rotation_from_rpy(&rpy),
-            recording: None,
         }
-    }
-
-    /// Follows a recorded reference instead of commands, if there is one.
-    #[must_use]
-    pub fn with_recording(mut self, recording: Option<Recording>) -> Self {
-        self.recording = recording;
-        self
     }
 
     /// Raw reference of the last tick.
@@ -217,25 +208,12 @@ impl ReferenceGenerator {
     ///
     /// A recording is followed as it is; only its angular velocity passes through the filter, whose
     /// outputs are the derivatives that a recording does not have.
-    pub fn update(&mut self, envelope: &EnvelopeConfig, time: f64) -> Reference {
-        if let Some(recording) = &self.recording {
-            let motion = recording.at(time);
-            let [com_position, com_velocity, com_acceleration, com_jerk] = motion.com;
-            let angular = self.angular_velocity_filter.update(&motion.angular_velocity_b);
-            self.raw = RawReference::new(com_position, rpy_from_rotation(&motion.rotation));
-            self.rotation = motion.rotation;
-            return Reference {
-                com_position,
-                com_velocity,
-                com_acceleration,
-                com_jerk,
-                rotation: motion.rotation,
-                angular_velocity_b: angular.value,
-                angular_acceleration_b: angular.rate,
-                angular_jerk_b: angular.acceleration,
-            };
-        }
-        self.raw.advance(&self.config, envelope.command(time));
+    pub fn update(&mut self, mission: &Mission, time: f64) -> Reference {
+        let commands = match mission {
+            Mission::Commands(commands) => commands,
+            Mission::Recorded(recording) => return self.follow(&recording.at(time)),
+        };
+        self.raw.advance(&self.config, commands.command(time));
 
         let position = self.position_filter.update(&self.raw.position);
         let acceleration = self.jerk_filter.update(&position.acceleration);
@@ -252,6 +230,23 @@ impl ReferenceGenerator {
             com_acceleration: position.acceleration,
             com_jerk: acceleration.rate,
             rotation,
+            angular_velocity_b: angular.value,
+            angular_acceleration_b: angular.rate,
+            angular_jerk_b: angular.acceleration,
+        }
+    }
+
+    fn follow(&mut self, motion: &RecordedMotion) -> Reference {
+        let [com_position, com_velocity, com_acceleration, com_jerk] = motion.com;
+        let angular = self.angular_velocity_filter.update(&motion.angular_velocity_b);
+        self.raw = RawReference::new(com_position, rpy_from_rotation(&motion.rotation));
+        self.rotation = motion.rotation;
+        Reference {
+            com_position,
+            com_velocity,
+            com_acceleration,
+            com_jerk,
+            rotation: motion.rotation,
             angular_velocity_b: angular.value,
             angular_acceleration_b: angular.rate,
             angular_jerk_b: angular.acceleration,

@@ -9,7 +9,10 @@ use nalgebra::{Matrix3, Unit, Vector3};
 const ROUNDING_OF_MOMENTS: f64 = 1e-6;
 
 /// Refuses a name that occurs twice.
-pub(super) fn unique<'a>(kind: &str, names: impl IntoIterator<Item = &'a str>) -> Result<(), BuildError> {
+///
+/// # Errors
+/// [`BuildError::BadValue`] naming it.
+pub fn unique<'a>(kind: &str, names: impl IntoIterator<Item = &'a str>) -> Result<(), BuildError> {
     let mut seen = std::collections::BTreeSet::new();
     for name in names {
         if !seen.insert(name) {
@@ -24,7 +27,10 @@ pub(super) fn unique<'a>(kind: &str, names: impl IntoIterator<Item = &'a str>) -
 }
 
 /// Refuses a vector that is not finite.
-pub(super) fn finite(item: &str, v: &[f64; 3]) -> Result<Vector3<f64>, BuildError> {
+///
+/// # Errors
+/// [`BuildError::BadValue`] naming `item`.
+pub fn finite(item: &str, v: &[f64; 3]) -> Result<Vector3<f64>, BuildError> {
     if v.iter().all(|x| x.is_finite()) {
         Ok(Vector3::from(*v))
     } else {
@@ -33,12 +39,18 @@ pub(super) fn finite(item: &str, v: &[f64; 3]) -> Result<Vector3<f64>, BuildErro
 }
 
 /// Refuses a direction that is not of length 1.
-pub(super) fn unit(item: &str, v: &[f64; 3]) -> Result<Unit<Vector3<f64>>, BuildError> {
+///
+/// # Errors
+/// [`BuildError::BadValue`] naming `item`.
+pub fn unit(item: &str, v: &[f64; 3]) -> Result<Unit<Vector3<f64>>, BuildError> {
     unit_vector(finite(item, v)?).ok_or_else(|| BuildError::bad_value(item, show(v), "a vector of length 1"))
 }
 
 /// Refuses limits that leave nothing between them, or that are not finite.
-pub(super) fn interval(item: &str, lower: f64, upper: f64) -> Result<(f64, f64), BuildError> {
+///
+/// # Errors
+/// [`BuildError::BadValue`] naming `item`.
+pub fn interval(item: &str, lower: f64, upper: f64) -> Result<(f64, f64), BuildError> {
     if lower.is_finite() && upper.is_finite() && lower < upper {
         Ok((lower, upper))
     } else {
@@ -53,8 +65,11 @@ pub(super) fn interval(item: &str, lower: f64, upper: f64) -> Result<(f64, f64),
 /// Refuses an inertia about a centre of mass that no distribution of mass has.
 ///
 /// Its principal moments must not be negative, and none may exceed the sum of the other two. Symmetry
-/// needs no check: URDF writes each product of inertia once.
-pub(super) fn inertia(item: &str, inertia: &Matrix3<f64>) -> Result<(), BuildError> {
+/// needs no check: a robot's file writes each product of inertia once.
+///
+/// # Errors
+/// [`BuildError::BadValue`] naming `item`.
+pub fn inertia(item: &str, inertia: &Matrix3<f64>) -> Result<(), BuildError> {
     let moments = principal_moments(item, inertia)?;
     let [least, middle, greatest] = moments;
     let slack = ROUNDING_OF_MOMENTS * greatest.abs();
@@ -69,7 +84,10 @@ pub(super) fn inertia(item: &str, inertia: &Matrix3<f64>) -> Result<(), BuildErr
 
 /// As [`inertia`], and refuses a body that does not resist rotation about every axis: a joint could
 /// spin it without effort, and the mass matrix would be singular.
-pub(super) fn inertia_of_moving_body(item: &str, matrix: &Matrix3<f64>) -> Result<(), BuildError> {
+///
+/// # Errors
+/// [`BuildError::BadValue`] naming `item`.
+pub fn inertia_of_moving_body(item: &str, matrix: &Matrix3<f64>) -> Result<(), BuildError> {
     let moments = principal_moments(item, matrix)?;
     if moments[0] <= 0.0 {
         return Err(refused_moments(item, &moments, "three positive moments"));

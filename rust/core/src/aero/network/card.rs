@@ -3,47 +3,22 @@
 use crate::error::{BuildError, check};
 use crate::robot::{AxisymmetricCoefficients, RobotModel};
 use serde::Deserialize;
-use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
 
-/// The `format` of every card.
-const FORMAT: &str = "flight-aero-network";
-/// The `version` understood here.
-const VERSION: u32 = 1;
 /// Widest layer and greatest number of layers or members; far beyond what can be flown.
 const MAX_SIZE: usize = 1 << 16;
 
-/// A JSON card as it is read; unknown keys are refused.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
+/// What the weights of a network mean.
+#[derive(Debug, Clone, PartialEq)]
 pub struct Card {
-    format: String,
-    version: u32,
-    /// What people read in tables and figures.
-    pub name: String,
-    /// What the network is.
-    pub description: String,
-    /// The file with the numbers.
-    pub weights: Weights,
+    /// Where the card comes from; named in errors.
+    pub origin: String,
     /// What goes in.
     pub inputs: Inputs,
     /// What comes out.
     pub output: Output,
     /// What lies between.
     pub architecture: Architecture,
-    /// How it was trained; for people.
-    pub training: serde_json::Map<String, serde_json::Value>,
-}
-
-/// The file with the numbers.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Weights {
-    /// Name of the safetensors file beside the card.
-    pub file: PathBuf,
-    /// SHA-256 of that file in hexadecimal digits.
-    pub sha256: String,
 }
 
 /// What goes in.
@@ -149,41 +124,6 @@ pub enum Baseline {
 }
 
 impl Card {
-    /// Reads a card and checks it against the robot.
-    ///
-    /// # Errors
-    /// [`BuildError`] naming the file, the key, its value and what was expected.
-    pub fn load(path: &Path, robot: &RobotModel) -> Result<Self, BuildError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| BuildError::Unreadable { path: path.to_owned(), source })?;
-        let origin = path.display().to_string();
-        let card: Self =
-            serde_json::from_str(&text).map_err(|error| BuildError::malformed(&origin, error))?;
-        card.check(&origin, robot)?;
-        Ok(card)
-    }
-
-    /// The bytes of the weights file beside the card at `path`, if they are those the card was written
-    /// for, and where they were found.
-    ///
-    /// # Errors
-    /// [`BuildError`] for a file that cannot be read or has another checksum.
-    pub fn read_weights(&self, path: &Path) -> Result<(PathBuf, Vec<u8>), BuildError> {
-        let file = path.with_file_name(&self.weights.file);
-        let bytes =
-            std::fs::read(&file).map_err(|source| BuildError::Unreadable { path: file.clone(), source })?;
-        let digest =
-            Sha256::digest(&bytes).iter().fold(String::new(), |hex, byte| hex + &format!("{byte:02x}"));
-        if digest != self.weights.sha256.to_lowercase() {
-            return Err(BuildError::bad_value(
-                format!("SHA-256 of {}", file.display()),
-                digest,
-                format!("{}, as on the card {}", self.weights.sha256, path.display()),
-            ));
-        }
-        Ok((file, bytes))
-    }
-
     /// Length of the input vector.
     #[must_use]
     pub fn n_inputs(&self) -> usize {
@@ -207,19 +147,15 @@ impl Card {
         Some(self.inputs.links.iter().filter_map(|link| links.get(link).copied()).collect())
     }
 
-    fn check(&self, origin: &str, robot: &RobotModel) -> Result<(), BuildError> {
+    /// Refuses a card that makes no sense, or not for `robot`.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the card, the key, its value and what was expected.
+    pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
+        let origin = self.origin.as_str();
         let refuse = |key: &str, value: String, expected: &str| {
             Err(BuildError::bad_value(format!("`{key}` in {origin}"), value, expected))
         };
-        if self.format != FORMAT {
-            return refuse("format", self.format.clone(), FORMAT);
-        }
-        if self.version != VERSION {
-            return refuse("version", self.version.to_string(), &VERSION.to_string());
-        }
-        if self.weights.file.components().count() != 1 || self.weights.file.file_name().is_none() {
-            return refuse("weights.file", self.weights.file.display().to_string(), "a name beside the card");
-        }
         if self.output.unit != "m^2" {
             return refuse("output.unit", self.output.unit.clone(), "m^2");
         }

@@ -1,0 +1,33 @@
+//! From one file of `configs/control/` to a controller.
+
+use crate::{AeroConfig, MissionConfig, load_aero, load_mission};
+use flight_core::control::config::ControllerConfig;
+use flight_core::{BuildError, Controller, RobotModel};
+use serde::{Deserialize, Serialize};
+
+/// One file of `configs/control/`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ControllerSection {
+    /// The controller's own aerodynamic model; `off` is the baseline controller.
+    pub aero: AeroConfig,
+    /// The control law; its keys stand beside `aero`.
+    #[serde(flatten)]
+    pub law: ControllerConfig,
+}
+
+/// A controller of `robot` that ticks every `time_step` \[s\].
+///
+/// # Errors
+/// [`BuildError`] naming the file, or what does not fit the robot.
+pub fn load_controller(
+    robot: RobotModel,
+    controller: &ControllerSection,
+    mission: &MissionConfig,
+    time_step: f64,
+) -> Result<Controller, BuildError> {
+    // First, so that gains of another robot are named before its missing coefficients.
+    controller.law.check(&robot)?;
+    let aero = load_aero(&controller.aero, &robot)?;
+    Controller::new(robot, aero, load_mission(mission)?, controller.law.clone(), time_step)
+}

@@ -1,0 +1,98 @@
+//! Missions: tables of commands, and recorded references read from CSV files.
+//!
+//! A file has a header line and one line per sample: the first 7, 10, 13 or 16 of the names in
+//! [`COLUMNS`]. Derivatives that are left out are differences of what is there.
+
+use crate::read_text;
+use flight_core::BuildError;
+use flight_core::control::mission::{Commands, Mission};
+use flight_core::control::recorded::{REQUIRED, Recording};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Names of the columns: time, centre of mass, attitude of the base, and then, where they are known,
+/// velocity, acceleration and jerk of the centre of mass.
+pub const COLUMNS: [&str; 16] =
+    ["time", "x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "ax", "ay", "az", "jx", "jy", "jz"];
+
+/// One file of `configs/envelope/`: commands, or the file of a recorded reference.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MissionConfig {
+    /// When the autopilot commands what.
+    #[serde(flatten)]
+    pub commands: Commands,
+    /// A recorded reference to fly instead of any command. Relative paths start at the configuration
+    /// file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub file: Option<PathBuf>,
+}
+
+impl MissionConfig {
+    /// Refuses intervals that [`Commands::check`] refuses, and commands beside a file.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the list and the interval.
+    pub fn check(&self) -> Result<(), BuildError> {
+        if let Some(file) = &self.file
+            && let Some((name, [(start, end), ..])) =
+                self.commands.lists().into_iter().find(|(_, intervals)| !intervals.is_empty())
+        {
+            return Err(BuildError::bad_value(
+                format!("envelope.{name}"),
+                format!("[[{start}, {end}], …] beside the recorded reference {}", file.display()),
+                "either commands or a file",
+            ));
+        }
+        self.commands.check()
+    }
+}
+
+/// The mission of a table; reads its file, if it has one.
+///
+/// # Errors
+/// [`BuildError`] naming the key, or the file, the line and what was expected.
+pub fn load_mission(config: &MissionConfig) -> Result<Mission, BuildError> {
+    config.check()?;
+    match &config.file {
+        None => Ok(Mission::Commands(config.commands.clone())),
+        Some(file) => load_recording(file).map(Mission::Recorded),
+    }
+}
+
+/// Reads a recorded reference.
+///
+/// # Errors
+/// [`BuildError`] naming the file, the line and what was expected.
+pub fn load_recording(path: &Path) -> Result<Recording, BuildError> {
+    parse_recording(&read_text(path)?, &path.display().to_string())
+}
+
+/// Reads the text of a recorded reference; `origin` is named in errors.
+///
+/// # Errors
+/// As [`load_recording`].
+pub fn parse_recording(text: &str, origin: &str) -> Result<Recording, BuildError> {
+    let place = |line: usize| format!("line {} of reference file {origin}", line + 1);
+    let mut lines = text.lines().enumerate().filter(|(_, line)| {
+        let line = line.trim();
+        !line.is_empty() && !line.starts_with('#')
+    });
+    let (header_line, header) = lines.next().unwrap_or((0, "empty"));
+    let names: Vec<&str> = header.split(',').map(str::trim).collect();
+    let width = names.len();
+    if width < REQUIRED || !(width - REQUIRED).is_multiple_of(3) || COLUMNS.get(..width) != Some(&names[..]) {
+        let expected = format!("the first 7, 10, 13 or 16 names of {}", COLUMNS.join(","));
+        return Err(BuildError::bad_value(place(header_line), header, expected));
+    }
+    let (mut places, mut rows) = (Vec::new(), Vec::new());
+    for (number, line) in lines {
+        let row: Vec<f64> = line.split(',').map_while(|field| field.trim().parse().ok()).collect();
+        if row.len() != width || line.split(',').count() != width {
+            return Err(BuildError::bad_value(place(number), line, format!("{width} numbers")));
+        }
+        places.push(place(number));
+        rows.push(row);
+    }
+    Recording::new(&rows, &format!("reference file {origin}"), |row| places[row].clone())
+}

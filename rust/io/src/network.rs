@@ -1,0 +1,100 @@
+//! Networks: a JSON card that says what the weights mean, a safetensors file with the weights.
+
+use crate::aero::NetworkConfig;
+use crate::{read_text, tensors};
+use flight_core::aero::network::{Architecture, Card, Inputs, Network, Output};
+use flight_core::{BuildError, RobotModel};
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
+use std::path::{Path, PathBuf};
+
+/// The `format` of every card.
+const FORMAT: &str = "flight-aero-network";
+/// The `version` understood here.
+const VERSION: u32 = 1;
+
+/// A JSON card as it is read; unknown keys are refused.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CardFile {
+    format: String,
+    version: u32,
+    /// What people read in tables and figures.
+    #[serde(rename = "name")]
+    _name: String,
+    #[serde(rename = "description")]
+    _description: String,
+    weights: Weights,
+    inputs: Inputs,
+    output: Output,
+    architecture: Architecture,
+    /// How it was trained; for people.
+    #[serde(rename = "training")]
+    _training: serde_json::Map<String, serde_json::Value>,
+}
+
+/// The file with the numbers.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Weights {
+    /// Name of the safetensors file beside the card.
+    file: PathBuf,
+    /// SHA-256 of that file in hexadecimal digits.
+    sha256: String,
+}
+
+/// Reads card and weights, and checks them against each other and the robot.
+///
+/// # Errors
+/// [`BuildError`] naming file, key or tensor, the value found and what was expected.
+pub fn load_network(config: &NetworkConfig, robot: &RobotModel) -> Result<Network, BuildError> {
+    let origin = config.card.display().to_string();
+    let file: CardFile = serde_json::from_str(&read_text(&config.card)?)
+        .map_err(|error| BuildError::malformed(&origin, error))?;
+    file.check(&origin)?;
+    let CardFile { weights, inputs, output, architecture, .. } = file;
+    let card = Card { origin, inputs, output, architecture };
+    // The card first: weights of another robot say less about what is wrong.
+    card.check(robot)?;
+    let (path, bytes) = weights.read(&config.card)?;
+    let tensors = tensors::parse(&path, &bytes)?;
+    Network::new(card, tensors, config.precision, config.air_density, robot)
+}
+
+impl CardFile {
+    fn check(&self, origin: &str) -> Result<(), BuildError> {
+        let refuse = |key: &str, value: String, expected: &str| {
+            Err(BuildError::bad_value(format!("`{key}` in {origin}"), value, expected))
+        };
+        if self.format != FORMAT {
+            return refuse("format", self.format.clone(), FORMAT);
+        }
+        if self.version != VERSION {
+            return refuse("version", self.version.to_string(), &VERSION.to_string());
+        }
+        if self.weights.file.components().count() != 1 || self.weights.file.file_name().is_none() {
+            return refuse("weights.file", self.weights.file.display().to_string(), "a name beside the card");
+        }
+        Ok(())
+    }
+}
+
+impl Weights {
+    /// The bytes of the weights file beside the card at `card`, if they are those the card was written
+    /// for, and where they were found.
+    fn read(&self, card: &Path) -> Result<(PathBuf, Vec<u8>), BuildError> {
+        let file = card.with_file_name(&self.file);
+        let bytes =
+            std::fs::read(&file).map_err(|source| BuildError::Unreadable { path: file.clone(), source })?;
+        let digest =
+            Sha256::digest(&bytes).iter().fold(String::new(), |hex, byte| hex + &format!("{byte:02x}"));
+        if digest != self.sha256.to_lowercase() {
+            return Err(BuildError::bad_value(
+                format!("SHA-256 of {}", file.display()),
+                digest,
+                format!("{}, as on the card {}", self.sha256, card.display()),
+            ));
+        }
+        Ok((file, bytes))
+    }
+}

@@ -1,0 +1,319 @@
+//! From a robot's files to a [`RobotModel`]: names to indices, degrees to radians, unknown keys refused,
+//! every value checked once.
+//!
+//! The URDF says what the robot is made of; the TOML file beside it says what it is used for: the
+//! order of the joints, where air and engines push, what the feet look like. `tree` finds what moves,
+//! `merge` joins what does not, `urdf` converts single values.
+
+mod merge;
+mod tree;
+mod urdf;
+
+use crate::read_text;
+use flight_core::error::{BuildError, check as check_number};
+use flight_core::robot::{
+    AeroLink, AxisymmetricCoefficients, EngineCoefficients, Foot, Jet, Joint, JointGroup, RobotModel, check,
+};
+use nalgebra::Vector3;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::Path;
+use tree::Tree;
+
+/// A robot's TOML file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RobotFile {
+    name: String,
+    /// URDF file, relative to this one.
+    urdf: String,
+    base_link: String,
+    #[serde(default = "default_gravity")]
+    gravity: f64,
+    joint_groups: Vec<GroupEntry>,
+    /// Joints held at a position \[rad\].
+    #[serde(default)]
+    locked: BTreeMap<String, f64>,
+    #[serde(default)]
+    aero_links: Vec<AeroEntry>,
+    /// Coefficients by set, then by link family.
+    #[serde(default)]
+    coefficients: BTreeMap<String, BTreeMap<String, AxisymmetricCoefficients>>,
+    #[serde(default)]
+    jets: Vec<JetEntry>,
+    #[serde(default)]
+    engines: BTreeMap<String, EngineCoefficients>,
+    #[serde(default)]
+    feet: Vec<FootEntry>,
+}
+
+/// Gravity of a robot that does not say \[m/s²\].
+fn default_gravity() -> f64 {
+    9.81
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct GroupEntry {
+    name: String,
+    joints: Vec<JointEntry>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct JointEntry {
+    name: String,
+    /// Without it, the limits of the URDF hold.
+    limits_deg: Option<[f64; 2]>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct AeroEntry {
+    name: String,
+    frame: String,
+    family: String,
+    axis: [f64; 3],
+    centre: [f64; 3],
+    diameter: f64,
+    length: f64,
+    #[serde(default)]
+    is_sphere: bool,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct JetEntry {
+    name: String,
+    frame: String,
+    axis: [f64; 3],
+    thrust_max: f64,
+    engine: String,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FootEntry {
+    name: String,
+    frame: String,
+    vertices: Vec<[f64; 3]>,
+}
+
+/// The texts of a robot's files, as they were read: a manifest hashes them.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RobotFiles {
+    /// The TOML file.
+    pub toml: String,
+    /// The URDF file it names.
+    pub urdf: String,
+    /// The TOML file's path; named in errors.
+    pub origin: String,
+}
+
+impl RobotFiles {
+    /// Reads a robot's TOML file and the URDF file it names (a path relative to the TOML file).
+    ///
+    /// # Errors
+    /// [`BuildError`] for a file that cannot be read or parsed.
+    pub fn read(path: &Path) -> Result<Self, BuildError> {
+        let origin = path.display().to_string();
+        let toml = read_text(path)?;
+        let urdf = read_text(&path.with_file_name(&parse_toml(&toml, &origin)?.urdf))?;
+        Ok(Self { toml, urdf, origin })
+    }
+
+    /// The robot they describe.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the item and its value, for a file that does not parse and for a robot that
+    /// cannot be.
+    pub fn model(&self) -> Result<RobotModel, BuildError> {
+        robot_from_text(&self.toml, &self.urdf, &self.origin)
+    }
+}
+
+/// The robot of a TOML text and a URDF text; `origin` is named in errors.
+///
+/// # Errors
+/// As [`RobotFiles::model`].
+pub fn robot_from_text(toml: &str, urdf: &str, origin: &str) -> Result<RobotModel, BuildError> {
+    build(parse_toml(toml, origin)?, urdf, origin)
+}
+
+/// The robot of a TOML file and the URDF file it names.
+///
+/// # Errors
+/// As [`RobotFiles::read`] and [`RobotFiles::model`].
+pub fn load_robot(path: &Path) -> Result<RobotModel, BuildError> {
+    RobotFiles::read(path)?.model()
+}
+
+fn parse_toml(text: &str, origin: &str) -> Result<RobotFile, BuildError> {
+    ::toml::from_str(text).map_err(|error| BuildError::malformed(origin, error))
+}
+
+fn build(file: RobotFile, urdf_text: &str, origin: &str) -> Result<RobotModel, BuildError> {
+    let urdf = urdf_rs::read_from_string(urdf_text)
+        .map_err(|error| BuildError::malformed(format!("{origin}: urdf `{}`", file.urdf), error))?;
+    let order: Vec<&str> =
+        file.joint_groups.iter().flat_map(|group| &group.joints).map(|joint| joint.name.as_str()).collect();
+    let tree = tree::build(&urdf, &file.base_link, &order, &file.locked)?;
+    check_coefficients(&file)?;
+    check_engines(&file.engines)?;
+
+    Ok(RobotModel {
+        gravity: check_number("gravity", file.gravity, |g| g > 0.0, "a positive number, in m/s²")?,
+        joints: joints(&file, &tree)?,
+        groups: groups(&file)?,
+        aero_links: aero_links(&file, &tree)?,
+        jets: jets(&file, &tree)?,
+        feet: feet(&file, &tree)?,
+        bodies: tree.bodies,
+        name: file.name,
+        engines: file.engines,
+    })
+}
+
+fn joints(file: &RobotFile, tree: &Tree) -> Result<Vec<Joint>, BuildError> {
+    let entries = file.joint_groups.iter().flat_map(|group| &group.joints);
+    entries
+        .zip(&tree.joints)
+        .map(|(entry, joint)| {
+            let item = format!("limits_deg of joint `{}`", entry.name);
+            let limits = match (entry.limits_deg, joint.limits) {
+                (Some([lower, upper]), _) => {
+                    check::interval(&item, lower, upper)?;
+                    (lower.to_radians(), upper.to_radians())
+                }
+                (None, Some(limits)) => limits,
+                (None, None) => {
+                    let expected = "limits, as the joint is continuous in the URDF";
+                    return Err(BuildError::bad_value(item, "missing", expected));
+                }
+            };
+            Ok(Joint {
+                name: entry.name.clone(),
+                parent_from_child: joint.parent_from_child,
+                axis_b: joint.axis_b,
+                limits,
+            })
+        })
+        .collect()
+}
+
+fn groups(file: &RobotFile) -> Result<Vec<JointGroup>, BuildError> {
+    check::unique("joint group", file.joint_groups.iter().map(|group| group.name.as_str()))?;
+    let mut next = 0;
+    let groups = file.joint_groups.iter().map(|group| {
+        let first = next;
+        next += group.joints.len();
+        JointGroup { name: group.name.clone(), joints: (first..next).collect() }
+    });
+    Ok(groups.collect())
+}
+
+fn aero_links(file: &RobotFile, tree: &Tree) -> Result<Vec<AeroLink>, BuildError> {
+    check::unique("aerodynamic link", file.aero_links.iter().map(|link| link.name.as_str()))?;
+    let link = |entry: &AeroEntry| {
+        let of = |what: &str| format!("{what} of aerodynamic link `{}`", entry.name);
+        let size = |what: &str, value| check_number(&of(what), value, |x| x > 0.0, "a positive size, in m");
+        let coefficients = file.coefficients.iter().map(|(set, families)| {
+            let found = families.get(&entry.family).copied().ok_or_else(|| {
+                let item = format!("{}, in coefficient set `{set}`,", of("family"));
+                BuildError::unknown_name(item, &entry.family, families.keys())
+            });
+            found.map(|coefficients| (set.clone(), coefficients))
+        });
+        Ok(AeroLink {
+            name: entry.name.clone(),
+            frame: tree.frame(&of("frame"), &entry.frame)?,
+            axis_l: check::unit(&of("axis"), &entry.axis)?,
+            centre_l: check::finite(&of("centre"), &entry.centre)?,
+            diameter: size("diameter", entry.diameter)?,
+            length: size("length", entry.length)?,
+            is_sphere: entry.is_sphere,
+            coefficients: coefficients.collect::<Result<_, _>>()?,
+        })
+    };
+    file.aero_links.iter().map(link).collect()
+}
+
+fn check_coefficients(file: &RobotFile) -> Result<(), BuildError> {
+    for (set, families) in &file.coefficients {
+        for (family, areas) in families {
+            let of = format!("coefficient set `{set}`, family `{family}`");
+            if !file.aero_links.iter().any(|link| link.family == *family) {
+                let known = file.aero_links.iter().map(|link| &link.family);
+                return Err(BuildError::unknown_name(format!("coefficient set `{set}`"), family, known));
+            }
+            for (index, value) in areas.cda.iter().chain([&areas.cna]).enumerate() {
+                check_number(&format!("w{index} of {of}"), *value, |_| true, "a finite area, in m²")?;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn jets(file: &RobotFile, tree: &Tree) -> Result<Vec<Jet>, BuildError> {
+    check::unique("jet", file.jets.iter().map(|jet| jet.name.as_str()))?;
+    let jet = |entry: &JetEntry| {
+        let of = |what: &str| format!("{what} of jet `{}`", entry.name);
+        if !file.engines.contains_key(&entry.engine) {
+            return Err(BuildError::unknown_name(of("engine"), &entry.engine, file.engines.keys()));
+        }
+        Ok(Jet {
+            name: entry.name.clone(),
+            frame: tree.frame(&of("frame"), &entry.frame)?,
+            axis_f: check::unit(&of("axis"), &entry.axis)?,
+            thrust_max: check_number(
+                &of("thrust_max"),
+                entry.thrust_max,
+                |t| t > 0.0,
+                "a positive force, in N",
+            )?,
+            engine: entry.engine.clone(),
+        })
+    };
+    file.jets.iter().map(jet).collect()
+}
+
+fn check_engines(engines: &BTreeMap<String, EngineCoefficients>) -> Result<(), BuildError> {
+    for (name, e) in engines {
+        let values = [
+            ("k_t", e.k_t),
+            ("k_tt", e.k_tt),
+            ("k_d", e.k_d),
+            ("k_dd", e.k_dd),
+            ("k_td", e.k_td),
+            ("b_u", e.b_u),
+            ("b_t", e.b_t),
+            ("b_d", e.b_d),
+            ("b_uu", e.b_uu),
+            ("c", e.c),
+            ("throttle_min", e.throttle_min),
+            ("throttle_max", e.throttle_max),
+        ];
+        for (key, value) in values {
+            check_number(&format!("{key} of engine `{name}`"), value, |_| true, "a finite number")?;
+        }
+        check::interval(&format!("throttle range of engine `{name}`"), e.throttle_min, e.throttle_max)?;
+    }
+    Ok(())
+}
+
+fn feet(file: &RobotFile, tree: &Tree) -> Result<Vec<Foot>, BuildError> {
+    check::unique("foot", file.feet.iter().map(|foot| foot.name.as_str()))?;
+    let foot = |entry: &FootEntry| {
+        let of = |what: &str| format!("{what} of foot `{}`", entry.name);
+        if entry.vertices.is_empty() {
+            return Err(BuildError::bad_value(of("vertices"), "[]", "at least one point"));
+        }
+        let vertices = entry.vertices.iter().map(|vertex| check::finite(&of("vertices"), vertex));
+        Ok(Foot {
+            name: entry.name.clone(),
+            frame: tree.frame(&of("frame"), &entry.frame)?,
+            vertices_f: vertices.collect::<Result<Vec<Vector3<f64>>, _>>()?,
+        })
+    };
+    file.feet.iter().map(foot).collect()
+}

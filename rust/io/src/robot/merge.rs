@@ -1,0 +1,64 @@
+//! Links that nothing moves become one body with what carries them.
+
+use super::urdf::pose;
+use flight_core::error::{BuildError, check as check_number};
+use flight_core::robot::{Body, check};
+use flight_core::spatial::Pose;
+use nalgebra::{Matrix3, Vector3};
+
+/// The mass of a link, seen from the body that carries it.
+#[derive(Clone)]
+pub(super) struct Part {
+    mass: f64,
+    com_b: Vector3<f64>,
+    /// About the part's own centre of mass, body axes.
+    inertia_b: Matrix3<f64>,
+}
+
+/// A link's mass in its body; `None` for a link that is only a frame.
+pub(super) fn part(link: &urdf_rs::Link, body_from_link: &Pose) -> Result<Option<Part>, BuildError> {
+    let inertial = &link.inertial;
+    let mass_item = format!("mass of link `{}`", link.name);
+    let mass =
+        check_number(&mass_item, inertial.mass.value, |m| m >= 0.0, "a mass that is not negative, in kg")?;
+    let i = &inertial.inertia;
+    let inertia = Matrix3::new(i.ixx, i.ixy, i.ixz, i.ixy, i.iyy, i.iyz, i.ixz, i.iyz, i.izz);
+    let inertia_item = format!("inertia of link `{}`", link.name);
+    check::inertia(&inertia_item, &inertia)?;
+    let body_from_inertial =
+        *body_from_link * pose(&format!("the inertia of link `{}`", link.name), &inertial.origin)?;
+    if mass == 0.0 {
+        return if inertia == Matrix3::zeros() {
+            Ok(None)
+        } else {
+            let value = format!("principal part {:?}", [i.ixx, i.iyy, i.izz]);
+            Err(BuildError::bad_value(inertia_item, value, "zero, as the link has no mass"))
+        };
+    }
+    let r = body_from_inertial.rotation;
+    Ok(Some(Part { mass, com_b: body_from_inertial.position, inertia_b: r * inertia * r.transpose() }))
+}
+
+/// One body of several parts.
+///
+/// ```text
+/// I = Σ I_k + m_k (d_k² 1 − d_k d_kᵀ),   d_k = c_k − c
+/// ```
+pub(super) fn merge(name: String, parent: Option<usize>, parts: &[Part]) -> Result<Body, BuildError> {
+    // From 0.0, not `sum`, whose empty sum is −0 and reads oddly in an error.
+    let total = parts.iter().fold(0.0, |total, part| total + part.mass);
+    let mass = check_number(&format!("mass of body `{name}`"), total, |m| m > 0.0, "a positive mass, in kg")?;
+    let com_b = parts.iter().map(|part| part.mass * part.com_b).sum::<Vector3<f64>>() / mass;
+    let about_com: Matrix3<f64> = parts
+        .iter()
+        .map(|part| {
+            let d = part.com_b - com_b;
+            part.inertia_b
+                + part.mass * (Matrix3::from_diagonal_element(d.norm_squared()) - d * d.transpose())
+        })
+        .sum();
+    // Rotating a part leaves a last-digit asymmetry.
+    let inertia_b = 0.5 * (about_com + about_com.transpose());
+    check::inertia_of_moving_body(&format!("inertia of body `{name}`"), &inertia_b)?;
+    Ok(Body { name, parent, mass, com_b, inertia_b })
+}

@@ -1,0 +1,239 @@
+//! From a URDF's links and joints to a tree of bodies that move.
+
+use super::merge::{merge, part};
+use super::urdf::{axis, limits, pose};
+use flight_core::error::{BuildError, check as check_number};
+use flight_core::robot::{Body, Frame, check};
+use flight_core::spatial::{Pose, axis_angle};
+use nalgebra::{Unit, Vector3};
+use std::collections::{BTreeMap, BTreeSet};
+use urdf_rs::JointType;
+
+/// A URDF robot, its fixed and locked joints gone.
+pub(super) struct Tree {
+    /// Base first, then the body moved by each joint of the order.
+    pub(super) bodies: Vec<Body>,
+    /// One for each joint of the order.
+    pub(super) joints: Vec<TreeJoint>,
+    /// The body that carries each link, and the link's pose in it.
+    places: BTreeMap<String, (usize, Pose)>,
+}
+
+/// What the URDF says about a joint.
+pub(super) struct TreeJoint {
+    pub(super) parent_from_child: Pose,
+    pub(super) axis_b: Unit<Vector3<f64>>,
+    /// Limits of the URDF \[rad\]; a continuous joint has none.
+    pub(super) limits: Option<(f64, f64)>,
+}
+
+impl Tree {
+    /// The frame of a link; `item` says who asks.
+    pub(super) fn frame(&self, item: &str, link: &str) -> Result<Frame, BuildError> {
+        let (body, body_from_frame) =
+            *self.places.get(link).ok_or_else(|| BuildError::unknown_name(item, link, self.places.keys()))?;
+        Ok(Frame { name: link.to_owned(), body, body_from_frame })
+    }
+}
+
+/// Builds the tree whose moving joints are those of `order`; `locked` ones stay at their position \[rad\].
+pub(super) fn build(
+    urdf: &urdf_rs::Robot,
+    base_link: &str,
+    order: &[&str],
+    locked: &BTreeMap<String, f64>,
+) -> Result<Tree, BuildError> {
+    check::unique("URDF link", urdf.links.iter().map(|link| link.name.as_str()))?;
+    check::unique("URDF joint", urdf.joints.iter().map(|joint| joint.name.as_str()))?;
+    let children = children_of_links(urdf)?;
+    let motions = motions(urdf, order, locked)?;
+
+    let n_bodies = order.len() + 1;
+    let mut names = vec![String::new(); n_bodies];
+    let mut parents = vec![None; n_bodies];
+    let mut parts = vec![Vec::new(); n_bodies];
+    let mut joints: Vec<Option<TreeJoint>> = order.iter().map(|_| None).collect();
+    let mut places = BTreeMap::new();
+
+    let base = base_index(urdf, &children, base_link)?;
+    base_link.clone_into(&mut names[0]);
+    let mut to_visit = vec![(base, 0, Pose::identity())];
+    while let Some((link_index, body, body_from_link)) = to_visit.pop() {
+        let link = &urdf.links[link_index];
+        parts[body].extend(part(link, &body_from_link)?);
+        places.insert(link.name.clone(), (body, body_from_link));
+        for &(joint_index, child) in &children[link_index] {
+            let joint = &urdf.joints[joint_index];
+            let body_from_joint = body_from_link * pose(&format!("joint `{}`", joint.name), &joint.origin)?;
+            match motions[joint_index] {
+                Motion::Fixed => to_visit.push((child, body, body_from_joint)),
+                Motion::Locked(position) => {
+                    let rotation = axis_angle(&axis(joint)?.into_inner(), position);
+                    let turned = Pose { rotation, position: Vector3::zeros() };
+                    to_visit.push((child, body, body_from_joint * turned));
+                }
+                Motion::Moving(place) => {
+                    let moved = place + 1;
+                    names[moved].clone_from(&urdf.links[child].name);
+                    parents[moved] = Some(body);
+                    joints[place] = Some(TreeJoint {
+                        parent_from_child: body_from_joint,
+                        axis_b: axis(joint)?,
+                        limits: limits(joint)?,
+                    });
+                    to_visit.push((child, moved, Pose::identity()));
+                }
+            }
+        }
+    }
+    check_all_reached(urdf, &places, base_link)?;
+    check_ancestors_first(order, &parents)?;
+
+    let bodies = names
+        .into_iter()
+        .zip(parents)
+        .zip(parts)
+        .map(|((name, parent), parts)| merge(name, parent, &parts))
+        .collect::<Result<_, _>>()?;
+    // Every joint of the order exists and every link was reached, so none is missing.
+    Ok(Tree { bodies, joints: joints.into_iter().flatten().collect(), places })
+}
+
+/// What a URDF joint does here.
+#[derive(Clone, Copy)]
+enum Motion {
+    Fixed,
+    /// Held at a position \[rad\].
+    Locked(f64),
+    /// Moves, at this place in the joint order.
+    Moving(usize),
+}
+
+fn motions(
+    urdf: &urdf_rs::Robot,
+    order: &[&str],
+    locked: &BTreeMap<String, f64>,
+) -> Result<Vec<Motion>, BuildError> {
+    check::unique("joint", order.iter().copied().chain(locked.keys().map(String::as_str)))?;
+    let is_known = |name: &str| urdf.joints.iter().any(|joint| joint.name == name);
+    let known = || urdf.joints.iter().map(|joint| joint.name.as_str());
+    if let Some(name) = order.iter().find(|name| !is_known(name)) {
+        return Err(BuildError::unknown_name("joint order", *name, known()));
+    }
+    if let Some(name) = locked.keys().find(|name| !is_known(name)) {
+        return Err(BuildError::unknown_name("list of locked joints", name, known()));
+    }
+
+    let motion = |joint: &urdf_rs::Joint| {
+        let name = joint.name.as_str();
+        let item = format!("type of joint `{name}`");
+        if let Some(mimic) = &joint.mimic {
+            let item = format!("joint `{name}`");
+            let value = format!("a mimic of `{}`", mimic.joint);
+            return Err(BuildError::bad_value(item, value, "a joint that moves on its own"));
+        }
+        let place = order.iter().position(|listed| *listed == name);
+        let locked_at = locked.get(name);
+        match joint.joint_type {
+            JointType::Fixed if place.is_none() && locked_at.is_none() => Ok(Motion::Fixed),
+            JointType::Fixed => {
+                Err(BuildError::bad_value(item, "fixed", "revolute or continuous, as it is listed"))
+            }
+            JointType::Revolute | JointType::Continuous => match (place, locked_at) {
+                (Some(place), _) => Ok(Motion::Moving(place)),
+                (None, Some(&position)) => {
+                    let item = format!("position of locked joint `{name}`");
+                    check_number(&item, position, |_| true, "a finite angle").map(Motion::Locked)
+                }
+                (None, None) => Err(BuildError::bad_value(
+                    format!("joint `{name}`"),
+                    "neither in the joint order nor locked",
+                    "one of both",
+                )),
+            },
+            ref other => {
+                let value = format!("{other:?}").to_lowercase();
+                Err(BuildError::bad_value(item, value, "revolute, continuous or fixed"))
+            }
+        }
+    };
+    urdf.joints.iter().map(motion).collect()
+}
+
+/// For each link, the joints that hang from it and the links these carry.
+fn children_of_links(urdf: &urdf_rs::Robot) -> Result<Vec<Vec<(usize, usize)>>, BuildError> {
+    let index_of: BTreeMap<&str, usize> =
+        urdf.links.iter().enumerate().map(|(i, link)| (link.name.as_str(), i)).collect();
+    let find = |item: String, name: &str| {
+        index_of.get(name).copied().ok_or_else(|| BuildError::unknown_name(item, name, index_of.keys()))
+    };
+    let mut children = vec![Vec::new(); urdf.links.len()];
+    let mut carrier: Vec<Option<&str>> = vec![None; urdf.links.len()];
+    for (joint_index, joint) in urdf.joints.iter().enumerate() {
+        let parent = find(format!("parent of joint `{}`", joint.name), &joint.parent.link)?;
+        let child = find(format!("child of joint `{}`", joint.name), &joint.child.link)?;
+        if let Some(first) = carrier[child].replace(&joint.name) {
+            return Err(BuildError::bad_value(
+                format!("link `{}`", joint.child.link),
+                format!("the child of `{first}` and of `{}`", joint.name),
+                "the child of one joint",
+            ));
+        }
+        children[parent].push((joint_index, child));
+    }
+    Ok(children)
+}
+
+/// The link nothing carries, which must be the base.
+fn base_index(
+    urdf: &urdf_rs::Robot,
+    children: &[Vec<(usize, usize)>],
+    base_link: &str,
+) -> Result<usize, BuildError> {
+    let names = || urdf.links.iter().map(|link| link.name.as_str());
+    let base = names()
+        .position(|name| name == base_link)
+        .ok_or_else(|| BuildError::unknown_name("base_link", base_link, names()))?;
+    let carried: BTreeSet<usize> = children.iter().flatten().map(|&(_, child)| child).collect();
+    let roots: Vec<&str> =
+        names().enumerate().filter(|(i, _)| !carried.contains(i)).map(|(_, name)| name).collect();
+    if roots == [base_link] {
+        Ok(base)
+    } else if roots.is_empty() {
+        Err(BuildError::bad_value("set of root links", "empty: the joints form a cycle", "one root"))
+    } else {
+        let expected = format!("only the base link, `{base_link}`");
+        Err(BuildError::bad_value("set of root links", roots.join(", "), expected))
+    }
+}
+
+/// With one root, a link out of its reach hangs from a cycle.
+fn check_all_reached(
+    urdf: &urdf_rs::Robot,
+    places: &BTreeMap<String, (usize, Pose)>,
+    base_link: &str,
+) -> Result<(), BuildError> {
+    match urdf.links.iter().find(|link| !places.contains_key(&link.name)) {
+        None => Ok(()),
+        Some(link) => Err(BuildError::bad_value(
+            format!("link `{}`", link.name),
+            "part of a cycle of joints",
+            format!("a link that hangs from the base link, `{base_link}`"),
+        )),
+    }
+}
+
+fn check_ancestors_first(order: &[&str], parents: &[Option<usize>]) -> Result<(), BuildError> {
+    for (place, name) in order.iter().enumerate() {
+        if let Some(parent) = parents[place + 1]
+            && parent > place
+        {
+            return Err(BuildError::bad_value(
+                format!("place of joint `{name}` in the joint order"),
+                place,
+                format!("a place after its ancestor `{}`, which is at {}", order[parent - 1], parent - 1),
+            ));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,371 @@
+//! iRonCub-Mk1's files hold the published figures.
+
+use super::{assert_close, robot_file};
+use flight_core::robot::{AxisymmetricCoefficients, EngineCoefficients, RobotModel};
+use flight_core::spatial::{Pose, axis_angle};
+use flight_io::{RobotFiles, load_robot};
+use nalgebra::{Matrix3, Vector3};
+use std::path::PathBuf;
+
+fn ironcub() -> RobotModel {
+    load_robot(&robot_file("ironcub_mk1.toml")).unwrap()
+}
+
+#[test]
+fn has_its_bodies_and_mass() {
+    let robot = ironcub();
+    assert_eq!(robot.name, "iRonCub-Mk1");
+    assert_eq!(robot.bodies.len(), 24);
+    assert_eq!(robot.n_joints(), 23);
+    assert_close("mass", robot.mass(), 43.321_631, 1e-12);
+    assert_close("gravity", robot.gravity, 9.81, 0.0);
+    assert_eq!(robot.bodies[0].name, "root_link");
+    assert_eq!(robot.bodies[0].parent, None);
+    let files = RobotFiles::read(&robot_file("ironcub_mk1.toml")).unwrap();
+    assert!(files.toml.contains("iRonCub-Mk1") && files.urdf.contains("<robot"));
+}
+
+#[test]
+fn joints_stand_in_the_order_of_the_published_controller() {
+    let robot = ironcub();
+    let arm = ["shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow"];
+    let leg = ["hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll"];
+    let mut expected: Vec<String> = ["torso_pitch", "torso_roll", "torso_yaw"].map(String::from).into();
+    for side in ["l", "r"] {
+        expected.extend(arm.iter().map(|joint| format!("{side}_{joint}")));
+    }
+    for side in ["l", "r"] {
+        expected.extend(leg.iter().map(|joint| format!("{side}_{joint}")));
+    }
+    let names: Vec<&str> = robot.joints.iter().map(|joint| joint.name.as_str()).collect();
+    assert_eq!(names, expected);
+    assert_eq!(robot.joint_index("l_knee"), Some(14));
+    assert_eq!(robot.joint_index("neck_pitch"), None);
+
+    let groups: Vec<(&str, usize)> =
+        robot.groups.iter().map(|group| (group.name.as_str(), group.joints.len())).collect();
+    let sizes = [("torso", 3), ("left_arm", 4), ("right_arm", 4), ("left_leg", 6), ("right_leg", 6)];
+    assert_eq!(groups, sizes);
+    let in_groups: Vec<usize> = robot.groups.iter().flat_map(|group| group.joints.clone()).collect();
+    assert_eq!(in_groups, (0..23).collect::<Vec<_>>());
+}
+
+/// Limits typed from the published controller: raw limits times 0.7, 0.8 and 0.5.
+#[test]
+fn controller_limits() {
+    let robot = ironcub();
+    let torso = [(-20.0, 70.0), (-30.0, 30.0), (-50.0, 50.0)];
+    let arm = [(-90.0, 10.0), (0.0, 160.0), (-35.0, 80.0), (15.0, 105.0)];
+    let leg = [(-35.0, 80.0), (-15.0, 90.0), (-70.0, 70.0), (-100.0, 0.0), (-30.0, 30.0), (-20.0, 20.0)];
+    let scaled = |raw: &[(f64, f64)], scale: f64| -> Vec<(f64, f64)> {
+        raw.iter().map(|(lower, upper)| (lower * scale, upper * scale)).collect()
+    };
+    let expected =
+        [scaled(&torso, 0.7), scaled(&arm, 0.8), scaled(&arm, 0.8), scaled(&leg, 0.5), scaled(&leg, 0.5)]
+            .concat();
+    for (joint, (lower, upper)) in robot.joints.iter().zip(expected) {
+        assert_close(&joint.name, joint.limits.0.to_degrees(), lower, 1e-12);
+        assert_close(&joint.name, joint.limits.1.to_degrees(), upper, 1e-12);
+    }
+}
+
+#[test]
+fn aero_links_are_the_thirteen_in_their_order() {
+    let robot = ironcub();
+    // Name, body that carries it, axis (0 x, 1 y, 2 z), diameter and length [m].
+    let expected = [
+        ("head", "chest", 1, 0.1929, 0.1929),
+        ("chest", "chest", 1, 0.2467, 0.1734),
+        ("chest_l_jet_turbine", "chest", 2, 0.102, 0.2955),
+        ("chest_r_jet_turbine", "chest", 2, 0.102, 0.2955),
+        ("l_upper_arm", "l_shoulder_3", 2, 0.0864, 0.135),
+        ("l_arm_jet_turbine", "l_elbow_1", 2, 0.0845, 0.223),
+        ("r_upper_arm", "r_shoulder_3", 2, 0.0864, 0.135),
+        ("r_arm_jet_turbine", "r_elbow_1", 2, 0.0845, 0.223),
+        ("root_link", "root_link", 1, 0.1476, 0.2282),
+        ("l_upper_leg", "l_upper_leg", 2, 0.1256, 0.1573),
+        ("l_lower_leg", "l_lower_leg", 2, 0.1197, 0.2351),
+        ("r_upper_leg", "r_upper_leg", 2, 0.1256, 0.1573),
+        ("r_lower_leg", "r_lower_leg", 2, 0.1197, 0.2351),
+    ];
+    assert_eq!(robot.aero_links.len(), expected.len());
+    for (link, (name, body, axis, diameter, length)) in robot.aero_links.iter().zip(expected) {
+        assert_eq!(link.name, name);
+        assert_eq!(robot.bodies[link.frame.body].name, body, "{name}");
+        assert_close(name, link.axis_l[axis], 1.0, 0.0);
+        assert_close(name, link.diameter, diameter, 0.0);
+        assert_close(name, link.length, length, 0.0);
+        assert_eq!(link.is_sphere, name == "head");
+    }
+}
+
+/// One row for each family: `[w₀, w₁, w₂, w₃, w₄]` and `w₅` as published, `w₅` fitted with sign, then
+/// `[w₀, w₁, w₂, w₃, w₄]` and `w₅` of the balancing experiments \[m²\].
+#[test]
+fn axisymmetric_coefficients() {
+    type Row = (&'static [&'static str], [f64; 5], f64, f64, [f64; 5], f64);
+    let rows: [Row; 8] = [
+        (
+            &["head"],
+            [0.00373, 0.0189, 0.0123, 0.00163, -0.175],
+            0.0402,
+            0.0125,
+            [0.0, 0.0188, 0.0310, -0.0136, -0.0172],
+            0.0578,
+        ),
+        (
+            &["chest"],
+            [0.0396, 0.0, -0.00818, 0.0, 0.0],
+            0.05,
+            -0.0147,
+            [0.0399, 0.0, -0.00817, 0.0, 0.0],
+            0.0511,
+        ),
+        (
+            &["chest_l_jet_turbine", "chest_r_jet_turbine"],
+            [0.00941, -0.00308, 0.0032, 0.0, 0.00433],
+            0.0323,
+            0.0076,
+            [0.00956, -0.00319, 0.00302, 0.0, 0.00461],
+            0.0325,
+        ),
+        (
+            &["l_upper_arm", "r_upper_arm"],
+            [0.00113, 0.00225, 0.00684, 0.0, 0.0],
+            0.0114,
+            0.0073,
+            [0.00172, 0.00167, 0.00575, 0.0, 0.0],
+            0.0108,
+        ),
+        (
+            &["l_arm_jet_turbine", "r_arm_jet_turbine"],
+            [0.0052, 0.00128, 0.0086, 0.0, 0.00163],
+            0.0152,
+            0.0102,
+            [0.00559, 0.0015, 0.00769, 0.0, 0.00136],
+            0.0146,
+        ),
+        (
+            &["root_link"],
+            [0.0154, 0.0, 0.0346, -0.0331, 0.0],
+            0.0289,
+            0.0022,
+            [0.0156, 0.0, 0.0362, -0.0353, 0.0],
+            0.0289,
+        ),
+        (
+            &["l_upper_leg", "r_upper_leg"],
+            [0.0, -0.00261, 0.0152, 0.0, 0.0],
+            0.0219,
+            0.0157,
+            [0.0, -0.00219, 0.0152, 0.0, 0.0],
+            0.0224,
+        ),
+        (
+            &["l_lower_leg", "r_lower_leg"],
+            [0.00853, -0.00881, 0.0424, -0.0258, 0.00434],
+            0.0321,
+            0.0178,
+            [0.0092, -0.00712, 0.0428, -0.0276, 0.00242],
+            0.0324,
+        ),
+    ];
+    let robot = ironcub();
+    let mut seen = 0;
+    for (names, published, cna, cna_signed, alternative, cna_alternative) in rows {
+        let mut corrected = published;
+        if names == ["head"] {
+            corrected[4] = -0.0175;
+        }
+        for name in names {
+            let link = robot.aero_links.iter().find(|link| link.name == *name).unwrap();
+            let expected = [
+                ("alternative", alternative, cna_alternative),
+                ("corrected", corrected, cna),
+                ("published", published, cna),
+                ("signed", corrected, cna_signed),
+            ];
+            let expected: Vec<_> = expected
+                .map(|(set, cda, cna)| (set.to_owned(), AxisymmetricCoefficients { cda, cna }))
+                .into();
+            // `refit` is our own fit; `tests/units/test_fit_aero.py` holds it to the data it was made from.
+            let found: Vec<_> =
+                link.coefficients.clone().into_iter().filter(|(set, _)| set != "refit").collect();
+            assert!(link.coefficients.contains_key("refit"), "{name}");
+            assert_eq!(found, expected, "{name}");
+            seen += 1;
+        }
+    }
+    assert_eq!(seen, 13);
+}
+
+#[test]
+fn jets_and_feet() {
+    let robot = ironcub();
+    let jets: Vec<(&str, &str, f64, &str)> = robot
+        .jets
+        .iter()
+        .map(|jet| (jet.name.as_str(), jet.frame.name.as_str(), jet.thrust_max, jet.engine.as_str()))
+        .collect();
+    let expected = [
+        ("l_arm_jet", "l_arm_jet_turbine", 160.0, "P160"),
+        ("r_arm_jet", "r_arm_jet_turbine", 160.0, "P160"),
+        ("chest_l_jet", "chest_l_jet_turbine", 220.0, "P220"),
+        ("chest_r_jet", "chest_r_jet_turbine", 220.0, "P220"),
+    ];
+    assert_eq!(jets, expected);
+    assert!(robot.jets.iter().all(|jet| jet.axis_f.into_inner() == Vector3::new(0.0, 0.0, -1.0)));
+
+    let corners = [[-0.06, 0.04, 0.0], [0.11, 0.04, 0.0], [0.11, -0.035, 0.0], [-0.06, -0.035, 0.0]];
+    for (foot, (sole, body)) in robot.feet.iter().zip([("l_sole", "l_ankle_2"), ("r_sole", "r_ankle_2")]) {
+        assert_eq!(foot.frame.name, sole);
+        assert_eq!(robot.bodies[foot.frame.body].name, body);
+        assert_eq!(foot.vertices_f, corners.map(Vector3::from));
+    }
+    assert_eq!(robot.feet.len(), 2);
+}
+
+#[test]
+#[allow(clippy::unreadable_literal, reason = "written as they are published")]
+fn engines() {
+    let robot = ironcub();
+    let engine = |v: [f64; 10]| EngineCoefficients {
+        k_t: v[0],
+        k_tt: v[1],
+        k_d: v[2],
+        k_dd: v[3],
+        k_td: v[4],
+        b_u: v[5],
+        b_t: v[6],
+        b_d: v[7],
+        b_uu: v[8],
+        c: v[9],
+        throttle_min: 0.0,
+        throttle_max: 120.0,
+    };
+    #[rustfmt::skip]
+    let expected = [
+        ("P100", [-1.497225, -0.059093, -2.429288, 0.107146, 0.124828, 0.520267, 0.01847, -0.046559, 0.014813, -19.928301]),
+        ("P160", [0.30653, -0.024867, -0.973422, 0.055786, 0.022618, 0.68871, 0.038025, -0.089879, -0.001393, -0.958953]),
+        ("P160_diesel", [-1.49676, -0.045206, -2.43303, 0.020352, 0.064188, 0.589177, 0.016715, -0.021258, 0.013878, -19.926756]),
+        ("P220", [0.237755, -0.012799, -0.860374, 0.023606, 0.008599, 1.139026, 0.019914, -0.050257, 0.000302, -0.692913]),
+        ("P220_balancing", [-1.953561, -0.045804, 1.781593, 0.023776, -0.006976, 0.27746, 0.079341, -0.071026, 0.003995, -5.844843]),
+        ("P220_diesel", [-0.482993, -0.013562, 1.292093, 0.055923, 0.006887, 0.130662, 0.022564, -0.052168, 0.004485, -5.436267]),
+    ];
+    let found: Vec<_> = robot.engines.clone().into_iter().collect();
+    assert_eq!(found, expected.map(|(name, values)| (name.to_owned(), engine(values))));
+}
+
+/// At the first tick of the published flight the centre of mass is where the authors' model has it,
+/// which involves every mass, every offset and every joint axis.
+#[test]
+fn centre_of_mass_in_the_initial_posture() {
+    let robot = ironcub();
+    #[rustfmt::skip]
+    let joint_pos = [
+        0.1744, 0.0007, 0.0001,
+        -0.1745, 0.4363, 0.6981, 0.2618,
+        -0.1745, 0.4363, 0.6981, 0.2618,
+        0.0003, 0.0, -0.0001, 0.0004, -0.0004, 0.0003,
+        0.0002, 0.0001, -0.0002, 0.0004, -0.0005, 0.0003,
+    ];
+    let rotation = Matrix3::from_diagonal(&Vector3::new(-1.0, -1.0, 1.0));
+    let mut i_from_body = vec![Pose { rotation, position: Vector3::new(0.0, 0.0, 0.8) }];
+    for (joint, (body, angle)) in robot.joints.iter().zip(robot.bodies[1..].iter().zip(joint_pos)) {
+        let turned = Pose { rotation: axis_angle(&joint.axis_b, angle), position: Vector3::zeros() };
+        i_from_body.push(i_from_body[body.parent.unwrap()] * joint.parent_from_child * turned);
+    }
+    let moment: Vector3<f64> =
+        robot.bodies.iter().zip(&i_from_body).map(|(b, pose)| b.mass * pose.transform_point(&b.com_b)).sum();
+    let com = moment / robot.mass();
+    for (axis, expected) in [-0.003_650, 0.000_410, 0.751_881].into_iter().enumerate() {
+        assert_close("centre of mass", com[axis], expected, 5e-7);
+    }
+    let sole = &robot.feet[0].frame;
+    let height = (i_from_body[sole.body] * sole.body_from_frame).position.z;
+    assert_close("height of the sole", height, 0.180_562, 5e-7);
+}
+
+/// Every body, joint and frame against the full list of figures, where that list is at hand.
+#[test]
+fn agrees_with_the_list_of_figures() {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/design/robot_facts.toml");
+    let Ok(text) = std::fs::read_to_string(&path) else {
+        println!("skipped: {} is not here", path.display());
+        return;
+    };
+    let facts: toml::Table = text.parse().unwrap();
+    let vector = |v: &toml::Value| {
+        let v: Vec<f64> = v.as_array().unwrap().iter().map(|x| x.as_float().unwrap()).collect();
+        Vector3::new(v[0], v[1], v[2])
+    };
+    let matrix = |m: &toml::Value| {
+        let rows: Vec<_> = m.as_array().unwrap().iter().map(|row| vector(row).transpose()).collect();
+        Matrix3::from_rows(&rows)
+    };
+    let text_of = |v: &toml::Value| v.as_str().unwrap().to_owned();
+
+    let robot = ironcub();
+    let bodies = facts["body"].as_array().unwrap();
+    assert_eq!(bodies.len(), 24);
+    for fact in bodies {
+        let name = text_of(&fact["name"]);
+        let body = &robot.bodies[robot.body_index(&name).unwrap()];
+        assert_close(&name, body.mass, fact["mass"].as_float().unwrap(), 1e-14);
+        assert!((body.com_b - vector(&fact["com"])).amax() < 1e-15, "com of {name}");
+        assert!((body.inertia_b - matrix(&fact["inertia"])).amax() < 1e-15, "inertia of {name}");
+        let Some(parent) = body.parent else { continue };
+        assert_eq!(robot.bodies[parent].name, text_of(&fact["parent"]));
+        let place = robot.joint_index(&text_of(&fact["joint"])).unwrap();
+        assert_eq!(robot.bodies[place + 1].name, name);
+        let joint = &robot.joints[place];
+        assert!((joint.parent_from_child.position - vector(&fact["pos"])).amax() < 1e-15, "pos of {name}");
+        assert!((joint.parent_from_child.rotation - matrix(&fact["R"])).amax() < 1e-13, "R of {name}");
+        assert!((joint.axis_b.into_inner() - vector(&fact["axis"])).amax() < 1e-13, "axis of {name}");
+        assert_close(&name, joint.limits.0, fact["ctrl_lower"].as_float().unwrap(), 1e-15);
+        assert_close(&name, joint.limits.1, fact["ctrl_upper"].as_float().unwrap(), 1e-15);
+    }
+
+    // A frame name may occur once as an aerodynamic frame and once as a jet's.
+    for fact in facts["frame"].as_array().unwrap() {
+        let name = text_of(&fact["name"]);
+        let frame = match fact["kind"].as_str().unwrap() {
+            "aero" => {
+                let link = robot.aero_links.iter().find(|link| link.name == name).unwrap();
+                assert!((link.centre_l - vector(&fact["aero_centre"])).amax() < 1e-15, "centre of {name}");
+                &link.frame
+            }
+            "jet" => &robot.jets.iter().find(|jet| jet.frame.name == name).unwrap().frame,
+            _ => &robot.feet.iter().find(|foot| foot.frame.name == name).unwrap().frame,
+        };
+        assert_eq!(robot.bodies[frame.body].name, text_of(&fact["body"]), "{name}");
+        assert!((frame.body_from_frame.position - vector(&fact["pos"])).amax() < 1e-15, "pos of {name}");
+        assert!((frame.body_from_frame.rotation - matrix(&fact["R"])).amax() < 1e-13, "R of {name}");
+    }
+}
+
+/// What one sees is what the sphere/cylinder model computes with.
+#[test]
+fn visuals_show_the_published_link_sizes() {
+    let robot = ironcub();
+    let urdf =
+        urdf_rs::read_from_string(&RobotFiles::read(&robot_file("ironcub_mk1.toml")).unwrap().urdf).unwrap();
+    for aero in &robot.aero_links {
+        let link = urdf.links.iter().find(|link| link.name == aero.frame.name).unwrap();
+        let [visual] = link.visual.as_slice() else { panic!("{}: one visual expected", aero.name) };
+        match visual.geometry {
+            urdf_rs::Geometry::Sphere { radius } if aero.is_sphere => {
+                assert_close(&aero.name, 2.0 * radius, aero.diameter, 1e-15);
+            }
+            urdf_rs::Geometry::Cylinder { radius, length } if !aero.is_sphere => {
+                assert_close(&aero.name, 2.0 * radius, aero.diameter, 1e-15);
+                assert_close(&aero.name, length, aero.length, 0.0);
+                // A URDF cylinder stands along its own z axis.
+                let r = flight_core::spatial::rotation_from_rpy(&Vector3::from(*visual.origin.rpy));
+                assert!((r * Vector3::z()).cross(&aero.axis_l).norm() < 1e-15, "axis of {}", aero.name);
+            }
+            ref other => panic!("{}: {other:?}", aero.name),
+        }
+        assert!((Vector3::from(*visual.origin.xyz) - aero.centre_l).norm() < 1e-15, "{}", aero.name);
+    }
+}

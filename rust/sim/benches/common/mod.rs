@@ -1,0 +1,127 @@
+//! Ticks of real flights to measure on.
+#![allow(dead_code)] // each benchmark uses a part
+
+use flight_core::control::qp::{BoxQp, RowQp};
+use flight_core::kinematics::RobotState;
+use flight_core::{BuildError, Controller, Measurement};
+use flight_io::{load_controller, load_robot};
+use flight_sim::{FlightConfig, Plant, Wind, load_flight};
+use nalgebra::{Vector3, Vector6};
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+
+/// What the controller was told at a tick, and the problems it made of it.
+pub struct Tick {
+    pub time: f64,
+    pub state: RobotState,
+    pub thrust: Vec<f64>,
+    pub wind: Vector3<f64>,
+    pub momentum_qp: BoxQp,
+    pub torque_qp: BoxQp,
+}
+
+impl Tick {
+    pub fn measurement(&self) -> Measurement<'_> {
+        Measurement { time: self.time, state: &self.state, thrust: &self.thrust, wind: self.wind }
+    }
+}
+
+pub fn repository() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
+/// A flight of `configs/experiments/`.
+pub fn configuration(name: &str) -> Result<FlightConfig, BuildError> {
+    load_flight(&repository().join(format!("configs/experiments/{name}.toml")))
+}
+
+pub fn controller(config: &FlightConfig) -> Result<Controller, BuildError> {
+    let robot = load_robot(&config.robot)?;
+    load_controller(robot, &config.controller, &config.envelope, config.simulator.time_step)
+}
+
+/// Flies a configuration and keeps the ticks of a span of time \[s\].
+pub fn record(config: &FlightConfig, span: &RangeInclusive<f64>) -> Result<Vec<Tick>, BuildError> {
+    let mut controller = controller(config)?;
+    let mut plant = Plant::new(controller.robot().clone(), &config.simulator)?;
+    let wind_profile = Wind::new(&config.wind)?;
+    let time_step = config.simulator.time_step;
+    let mut ticks = Vec::new();
+    for tick in 0..=config.simulator.n_ticks() {
+        let time = tick as f64 * time_step;
+        if time > *span.end() {
+            break;
+        }
+        let wind = wind_profile.velocity(time);
+        plant.observe(&wind);
+        let thrust = plant.jets().thrust_feedback();
+        controller.tick(&Measurement { time, state: plant.state(), thrust, wind });
+        if span.contains(&time) {
+            ticks.push(Tick {
+                time,
+                state: plant.state().clone(),
+                thrust: thrust.to_vec(),
+                wind,
+                momentum_qp: controller.terms().momentum_qp.problem.clone(),
+                torque_qp: controller.terms().torque_qp.problem.clone(),
+            });
+        }
+        let command = controller.command();
+        let (torque, thrust_rate) = (command.joint_torque.as_slice(), command.thrust_rate.as_slice());
+        plant.advance(torque, thrust_rate, &wind, time_step);
+    }
+    Ok(ticks)
+}
+
+/// Two seconds of hovering in the full wind: TEST2, few bounds active.
+pub fn calm() -> Result<Vec<Tick>, BuildError> {
+    record(&configuration("test2")?, &(10.0..=12.0))
+}
+
+/// The last two seconds of TEST1 with the published lever arms: about to fall, many bounds active.
+pub fn saturated() -> Result<Vec<Tick>, BuildError> {
+    record(&configuration("test1_published")?, &(19.0..=21.0))
+}
+
+/// A tick of a robot that stands, and the torque QP it makes.
+pub struct StandingTick {
+    pub state: RobotState,
+    pub wind: Vector3<f64>,
+    pub feet: [Vector6<f64>; 2],
+    pub torque_qp: RowQp,
+}
+
+/// Ten seconds of standing in a side wind that rises to 15 m/s and that only the controller knows of. There
+/// is no ground here: the joints sway by a degree, the feet feel the weight shift from one to the other.
+pub fn standing() -> Result<Vec<StandingTick>, BuildError> {
+    let config = configuration("balancing_lateral")?;
+    let mut controller = controller(&config)?;
+    let start = config.simulator.initial.state();
+    let thrust = vec![0.0; controller.robot().jets.len()];
+    let mut ticks = Vec::new();
+    for tick in 0..1000 {
+        let time = f64::from(tick) * config.simulator.time_step;
+        let mut state = start.clone();
+        for (joint, s) in state.joint_position.iter_mut().enumerate() {
+            *s += 0.02 * (time + joint as f64).sin();
+            state.velocity[6 + joint] = 0.02 * (time + joint as f64).cos();
+        }
+        let shift = 60.0 * time.sin();
+        let feet = [shift, -shift].map(|shift| Vector6::new(0.0, 0.0, 212.5 + shift, 0.5, -1.2, 0.0));
+        let wind = Vector3::new(0.0, -1.5 * time, 0.0);
+        controller.feel(&feet);
+        controller.tick(&Measurement { time, state: &state, thrust: &thrust, wind });
+        let Some(qp) = &controller.terms().standing_qp else { continue };
+        ticks.push(StandingTick { state, wind, feet, torque_qp: qp.problem.clone() });
+    }
+    Ok(ticks)
+}
+
+/// The p-quantile of sorted times.
+pub fn quantile(sorted: &[f64], p: f64) -> f64 {
+    let last = sorted.len().saturating_sub(1);
+    // Truncation is meant: the nearest rank, never past the end.
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+    let rank = (p * last as f64).round() as usize;
+    sorted.get(rank).copied().unwrap_or(f64::NAN)
+}

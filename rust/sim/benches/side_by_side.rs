@@ -1,0 +1,211 @@
+//! Our side of the comparison with Pinocchio, DAQP and Clarabel: `python -m experiments.bench` runs it.
+//!
+//! Every line is `what <tab> median <tab> minimum`, nanoseconds per state or problem over rounds of 201. With
+//! `--dump DIR` the states and problems are written there first, for the others to work on, each file a list
+//! of f64: count, size, then row by row
+//!
+//! ```text
+//! states.f64      base position (3), rotation (9, row-major), joints, velocity (6 + joints)
+//! NAME.f64        H, g, lower, upper, and our x
+//! ```
+//!
+//! `joints.txt` and `frames.txt` hold names; `check.f64` holds what the dynamics must come to.
+
+mod common;
+
+use clarabel::algebra::CscMatrix;
+use clarabel::solver::SupportedConeT::NonnegativeConeT;
+use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver};
+use common::Tick;
+use flight_core::RobotModel;
+use flight_core::control::qp::{ActiveSetSolver, BoxQp, ClarabelSolver};
+use flight_core::dynamics::Dynamics;
+use flight_core::kinematics::Kinematics;
+use flight_sim::Flight;
+use nalgebra::Matrix6xX;
+use std::error::Error;
+use std::hint::black_box;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let (calm, saturated) = (common::calm()?, common::saturated()?);
+    let controller = common::controller(&common::configuration("test2")?)?;
+    let robot = controller.robot();
+    let mut arguments = std::env::args().skip_while(|argument| argument != "--dump").skip(1);
+    let folder = arguments.next().map(PathBuf::from);
+    if let Some(folder) = &folder {
+        write_states(folder, robot, &calm)?;
+    }
+    let mut bundle = Bundle::new(robot);
+    report("dynamics, without Jacobians", 300, calm.len(), || {
+        for tick in &calm {
+            bundle.update_dynamics(robot, black_box(tick));
+        }
+    });
+    report("dynamics, with 17 frame Jacobians", 300, calm.len(), || {
+        for tick in &calm {
+            bundle.update_dynamics(robot, black_box(tick));
+            bundle.update_jacobians(robot);
+        }
+    });
+    for (case, ticks) in [("calm", &calm), ("saturated", &saturated)] {
+        let momentum: Vec<&BoxQp> = ticks.iter().map(|tick| &tick.momentum_qp).collect();
+        let torque: Vec<&BoxQp> = ticks.iter().map(|tick| &tick.torque_qp).collect();
+        for (name, problems) in [("momentum", momentum), ("torque", torque)] {
+            let name = format!("{name} QP, {case}");
+            if let Some(folder) = &folder {
+                write_problems(&folder.join(format!("{name}.f64")), &problems)?;
+            }
+            time_solvers(&name, &problems);
+        }
+    }
+    let config = common::configuration("test2")?;
+    report("flight of 50 s", 5, 1, || {
+        let flown = Flight::new(&config).map(|flight| flight.run(|_, _| ControlFlow::Continue(())));
+        black_box(flown.is_ok());
+    });
+    Ok(())
+}
+
+/// Kinematics, mass matrix, bias, momentum matrix, centroidal inertia, and one dense Jacobian per frame.
+struct Bundle {
+    kinematics: Kinematics,
+    dynamics: Dynamics,
+    jacobians: Vec<Matrix6xX<f64>>,
+}
+
+impl Bundle {
+    fn new(robot: &RobotModel) -> Self {
+        let kinematics = Kinematics::new(robot);
+        let frames = robot.aero_links.len() + robot.jets.len();
+        let jacobians = vec![Matrix6xX::zeros(kinematics.n_velocities()); frames];
+        Self { kinematics, dynamics: Dynamics::new(robot), jacobians }
+    }
+
+    fn update_dynamics(&mut self, robot: &RobotModel, tick: &Tick) {
+        self.kinematics.update(robot, &tick.state);
+        self.dynamics.update(robot, &tick.state, &self.kinematics);
+    }
+
+    fn update_jacobians(&mut self, robot: &RobotModel) {
+        let links = robot.aero_links.iter().map(|link| &link.frame);
+        for (frame, out) in links.chain(robot.jets.iter().map(|jet| &jet.frame)).zip(&mut self.jacobians) {
+            let point = self.kinematics.frame_pose(frame).position;
+            // Columns that are zero for this frame stay zero.
+            self.kinematics.visit_jacobian_columns(frame.body, &point, |column, linear, angular| {
+                let mut out = out.column_mut(column);
+                out.fixed_rows_mut::<3>(0).copy_from(&linear);
+                out.fixed_rows_mut::<3>(3).copy_from(&angular);
+            });
+        }
+    }
+
+    /// Squares of the Frobenius norms: the same in every velocity convention.
+    fn check(&self) -> [f64; 3] {
+        let jacobians = self.jacobians.iter().map(Matrix6xX::norm_squared).sum();
+        [self.dynamics.mass_matrix.norm_squared(), self.dynamics.momentum_matrix.norm_squared(), jacobians]
+    }
+}
+
+fn time_solvers(name: &str, problems: &[&BoxQp]) {
+    let n = problems[0].len();
+    let mut solver = ActiveSetSolver::new(n);
+    report(&format!("{name}, warm"), 200, problems.len(), || {
+        for qp in problems {
+            black_box(solver.solve(black_box(qp)));
+        }
+    });
+    report(&format!("{name}, cold"), 200, problems.len(), || {
+        for qp in problems {
+            solver.reset();
+            black_box(solver.solve(black_box(qp)));
+        }
+    });
+    let mut reference = ClarabelSolver::new(n);
+    report(&format!("{name}, Clarabel at 1e-12 and polished"), 5, problems.len(), || {
+        for qp in problems {
+            black_box(reference.solve(black_box(qp)));
+        }
+    });
+    report(&format!("{name}, Clarabel as it comes"), 5, problems.len(), || {
+        for qp in problems {
+            black_box(plain_clarabel(black_box(qp)));
+        }
+    });
+}
+
+/// Clarabel with its default settings, bounds as inequalities.
+fn plain_clarabel(qp: &BoxQp) -> Option<f64> {
+    let n = qp.len();
+    let upper_triangle = || (0..n).flat_map(|j| (0..=j).map(move |i| (i, j)));
+    let p = CscMatrix::new_from_triplets(
+        n,
+        n,
+        upper_triangle().map(|(i, _)| i).collect(),
+        upper_triangle().map(|(_, j)| j).collect(),
+        upper_triangle().map(|index| qp.h[index]).collect(),
+    );
+    let signs: Vec<f64> = [1.0, -1.0].iter().flat_map(|sign| std::iter::repeat_n(*sign, n)).collect();
+    let a = CscMatrix::new_from_triplets(2 * n, n, (0..2 * n).collect(), (0..n).chain(0..n).collect(), signs);
+    let b: Vec<f64> = qp.upper.iter().copied().chain(qp.lower.iter().map(|lower| -lower)).collect();
+    let settings = DefaultSettings { verbose: false, ..DefaultSettings::default() };
+    let mut solver =
+        DefaultSolver::new(&p, qp.g.as_slice(), &a, &b, &[NonnegativeConeT(2 * n)], settings).ok()?;
+    solver.solve();
+    Some(solver.solution.obj_val)
+}
+
+/// Times `rounds` rounds of `count` states or problems each, after one to warm up.
+fn report(what: &str, rounds: usize, count: usize, mut round: impl FnMut()) {
+    round();
+    let mut times: Vec<f64> = (0..rounds)
+        .map(|_| {
+            let begin = Instant::now();
+            round();
+            1e9 * begin.elapsed().as_secs_f64() / count as f64
+        })
+        .collect();
+    times.sort_unstable_by(f64::total_cmp);
+    println!("{what}\t{:.1}\t{:.1}", common::quantile(&times, 0.5), common::quantile(&times, 0.0));
+}
+
+// --- files -----------------------------------------------------------------------------------------------------
+
+fn write_states(folder: &Path, robot: &RobotModel, ticks: &[Tick]) -> std::io::Result<()> {
+    let mut data = vec![ticks.len() as f64, robot.n_joints() as f64];
+    let mut check = Vec::new();
+    let mut bundle = Bundle::new(robot);
+    for tick in ticks {
+        let base = &tick.state.base;
+        data.extend(base.position.iter());
+        data.extend(base.rotation.transpose().iter());
+        data.extend(tick.state.joint_position.iter());
+        data.extend(tick.state.velocity.iter());
+        bundle.update_dynamics(robot, tick);
+        bundle.update_jacobians(robot);
+        check.extend(bundle.check());
+    }
+    let joints: Vec<&str> = robot.joints.iter().map(|joint| joint.name.as_str()).collect();
+    let links = robot.aero_links.iter().map(|link| link.frame.name.as_str());
+    let frames: Vec<&str> = links.chain(robot.jets.iter().map(|jet| jet.frame.name.as_str())).collect();
+    std::fs::write(folder.join("joints.txt"), joints.join("\n"))?;
+    std::fs::write(folder.join("frames.txt"), frames.join("\n"))?;
+    write(&folder.join("check.f64"), &check)?;
+    write(&folder.join("states.f64"), &data)
+}
+
+fn write_problems(path: &Path, problems: &[&BoxQp]) -> std::io::Result<()> {
+    let mut solver = ActiveSetSolver::new(problems[0].len());
+    let mut data = vec![problems.len() as f64, problems[0].len() as f64];
+    for qp in problems {
+        solver.solve(qp);
+        data.extend(qp.h.iter().chain(&qp.g).chain(&qp.lower).chain(&qp.upper).chain(solver.x()));
+    }
+    write(path, &data)
+}
+
+fn write(path: &Path, data: &[f64]) -> std::io::Result<()> {
+    std::fs::write(path, data.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>())
+}

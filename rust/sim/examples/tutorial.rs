@@ -1,0 +1,92 @@
+//! The tutorial of the documentation, `docs/tutorial/rust.md`, as a program.
+//!
+//! ```text
+//! cargo run --release --example tutorial
+//! ```
+
+use flight_core::Measurement;
+use flight_io::{MissionConfig, load_controller, load_robot};
+use flight_sim::{Flight, FlightConfig, Plant, WindConfig, fly_batch, load_flight};
+use nalgebra::Vector3;
+use std::error::Error;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+/// A file or folder of `configs/`.
+fn configs(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs").join(name)
+}
+
+// --8<-- [start:hover]
+fn hover() -> Result<FlightConfig, Box<dyn Error>> {
+    let mut config = load_flight(&configs("experiments/test2.toml"))?;
+    config.envelope = MissionConfig::default(); // no commands: stay where the flight starts
+    config.wind = WindConfig::Constant { velocity: [0.0, 0.0, 0.0] };
+    config.simulator.duration = 10.0;
+
+    let result = Flight::new(&config)?.run(|_, _| ControlFlow::Continue(()))?;
+    let (low, high) = result.summary.thrust_range;
+    println!("fall: {:?}; thrusts from {low:.0} to {high:.0} N", result.fall);
+    Ok(config)
+}
+// --8<-- [end:hover]
+
+// --8<-- [start:wind]
+fn wind(mut aware: FlightConfig) -> Result<(), Box<dyn Error>> {
+    aware.wind = WindConfig::Ramp { velocity: [0.0, -12.0, 0.0], ramp_start: 1.0, ramp_end: 4.0 };
+    aware.simulator.duration = 20.0;
+    let mut baseline = aware.clone();
+    baseline.controller = load_flight(&configs("experiments/test1.toml"))?.controller;
+
+    let lean = |result: flight_sim::FlightResult| result.summary.max_rotation_error.to_degrees();
+    let leans = fly_batch(&[aware, baseline], None, lean, |_, _| ControlFlow::Continue(()))?;
+    for (name, lean) in ["aware", "baseline"].iter().zip(leans) {
+        println!("{name}: {:.1} deg at most", lean?);
+    }
+    Ok(())
+}
+// --8<-- [end:wind]
+
+// --8<-- [start:own_loop]
+fn own_loop(config: FlightConfig) -> Result<(), Box<dyn Error>> {
+    let robot = load_robot(&config.robot)?;
+    let time_step = config.simulator.time_step;
+    let mut plant = Plant::new(robot.clone(), &config.simulator)?; // your robot stands here
+    let mut controller = load_controller(robot, &config.controller, &config.envelope, time_step)?;
+    let wind = Vector3::new(0.0, -5.0, 0.0);
+
+    for tick in 0..200 {
+        plant.observe(&wind);
+        let thrust = plant.jets().thrust_feedback();
+        let time = f64::from(tick) * time_step;
+        let command = controller.tick(&Measurement { time, state: plant.state(), thrust, wind });
+        plant.advance(command.joint_torque.as_slice(), command.thrust_rate.as_slice(), &wind, time_step);
+    }
+    println!("after 2 s: height {:.3} m", plant.kinematics().com.z);
+    Ok(())
+}
+// --8<-- [end:own_loop]
+
+// --8<-- [start:own_robot]
+fn own_robot() -> Result<(), Box<dyn Error>> {
+    let robot = load_robot(&configs("robot/sparrow.toml"))?;
+    println!("{}: {} joints, {} jets", robot.name, robot.joints.len(), robot.jets.len());
+
+    // A controller is tuned to a robot: its gains name joint groups and jets.
+    let config = load_flight(&configs("experiments/test2.toml"))?;
+    match load_controller(robot, &config.controller, &config.envelope, 0.01) {
+        Ok(_) => Err("gains of another robot were accepted".into()),
+        Err(refusal) => {
+            println!("{refusal}");
+            Ok(())
+        }
+    }
+}
+// --8<-- [end:own_robot]
+
+pub(crate) fn main() -> Result<(), Box<dyn Error>> {
+    let config = hover()?;
+    wind(config.clone())?;
+    own_loop(config)?;
+    own_robot()
+}

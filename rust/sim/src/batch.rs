@@ -1,0 +1,64 @@
+//! Many flights at once.
+
+use crate::config::FlightConfig;
+use crate::flight::{Flight, Interrupted};
+use crate::log::FlightResult;
+use flight_core::error::BuildError;
+use rayon::prelude::*;
+use std::ops::ControlFlow;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+/// Why a flight of a batch has no result.
+#[derive(Debug, thiserror::Error)]
+pub enum BatchError {
+    /// It could not be built.
+    #[error(transparent)]
+    Build(#[from] BuildError),
+    /// The batch was stopped.
+    #[error("interrupted")]
+    Interrupted,
+    /// No threads could be started.
+    #[error("cannot start threads: {0}")]
+    NoThreads(String),
+}
+
+/// Flies every configuration, `threads` at a time (`None`: one per core). Results stand in the order
+/// of the configurations and do not depend on the number of threads: flights share nothing.
+///
+/// `progress(done, total)` is called as flights end, from the thread that ended one, never two at a
+/// time; it may stop the batch.
+///
+/// # Errors
+/// For the whole batch only [`BatchError::NoThreads`]; every flight has its own result.
+pub fn fly_batch<T: Send>(
+    configs: &[FlightConfig],
+    threads: Option<usize>,
+    reduce: impl Fn(FlightResult) -> T + Sync,
+    progress: impl FnMut(usize, usize) -> ControlFlow<()> + Send,
+) -> Result<Vec<Result<T, BatchError>>, BatchError> {
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads.unwrap_or(0))
+        .build()
+        .map_err(|error| BatchError::NoThreads(error.to_string()))?;
+    let (done, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let progress = Mutex::new(progress);
+    let go_on =
+        || if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+    let fly = |config: &FlightConfig| {
+        if go_on().is_break() {
+            return Err(BatchError::Interrupted);
+        }
+        let flight = Flight::new(config).map_err(BatchError::Build)?;
+        let result = flight.run(|_, _| go_on()).map_err(|Interrupted| BatchError::Interrupted)?;
+        let result = reduce(result);
+        let count = done.fetch_add(1, Ordering::Relaxed) + 1;
+        if let Ok(mut progress) = progress.lock()
+            && progress(count, configs.len()).is_break()
+        {
+            stop.store(true, Ordering::Relaxed);
+        }
+        Ok(result)
+    };
+    Ok(pool.install(|| configs.par_iter().map(fly).collect()))
+}

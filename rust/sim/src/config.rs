@@ -1,0 +1,293 @@
+//! Configuration of the simulator and of a whole flight.
+
+use crate::ground::{GroundConfig, MotorsConfig};
+use crate::jets::{JetFaultsConfig, JetsConfig};
+use crate::wind::WindConfig;
+use flight_core::aero::{ForceFactorsConfig, LeverArm};
+use flight_core::error::{BuildError, check};
+use flight_core::kinematics::RobotState;
+use flight_core::robot::RobotModel;
+use flight_core::spatial::{Pose, rotation_from_rpy};
+use flight_io::{AeroConfig, ControllerSection, MissionConfig, resolve};
+use nalgebra::{DVector, Vector3};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+
+/// One flight: which robot, in which simulator and wind, under which controller, on which envelope.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FlightConfig {
+    /// What people read in tables and figures.
+    #[serde(default)]
+    pub title: String,
+    /// What the flight is for.
+    #[serde(default)]
+    pub description: String,
+    /// Which engine flies it. This crate is one of them and reads the files of both.
+    #[serde(default, skip_serializing_if = "Engine::is_rust")]
+    pub engine: Engine,
+    /// The robot's TOML file.
+    pub robot: PathBuf,
+    /// The world.
+    pub simulator: SimulatorConfig,
+    /// The controller.
+    pub controller: ControllerSection,
+    /// When the autopilot asks for what.
+    pub envelope: MissionConfig,
+    /// The wind, felt by the robot and told to the controller.
+    pub wind: WindConfig,
+    /// A wind that the controller is told of in place of the one that blows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fictitious_wind: Option<WindConfig>,
+}
+
+/// Reads a flight configuration file.
+///
+/// # Errors
+/// As [`resolve`], and for unknown, missing or ill-typed keys.
+pub fn load_flight(path: &Path) -> Result<FlightConfig, BuildError> {
+    flight_from_value(resolve(path)?, &path.display().to_string())
+}
+
+/// A flight configuration from a resolved value; `origin` is named in errors.
+///
+/// # Errors
+/// [`BuildError::Malformed`] for unknown, missing or ill-typed keys.
+pub fn flight_from_value(value: Value, origin: &str) -> Result<FlightConfig, BuildError> {
+    // Section by section, so that an error says where: serde's own messages name only the key.
+    if let Value::Object(table) = &value {
+        let section = |key: &str, parse_failure: fn(&Value) -> Option<String>| match table
+            .get(key)
+            .and_then(parse_failure)
+        {
+            Some(message) => Err(BuildError::malformed(format!("{origin}, section {key}"), message)),
+            None => Ok(()),
+        };
+        section("simulator", parse_failure::<SimulatorConfig>)?;
+        section("controller", parse_failure::<ControllerSection>)?;
+        section("envelope", parse_failure::<MissionConfig>)?;
+        section("wind", parse_failure::<WindConfig>)?;
+        section("fictitious_wind", parse_failure::<Option<WindConfig>>)?;
+    }
+    serde_json::from_value(value).map_err(|error| BuildError::malformed(origin, error))
+}
+
+fn parse_failure<T: DeserializeOwned>(value: &Value) -> Option<String> {
+    serde_json::from_value::<T>(value.clone()).err().map(|error| error.to_string())
+}
+
+/// Who flies a configuration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Engine {
+    /// This crate.
+    #[default]
+    Rust,
+    /// The batched, differentiable simulation in Python.
+    Jax,
+    /// MuJoCo, in Python: the one that knows the ground.
+    Mujoco,
+}
+
+impl Engine {
+    #[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
+    fn is_rust(&self) -> bool {
+        *self == Self::Rust
+    }
+}
+
+/// The world the robot flies in.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SimulatorConfig {
+    /// Length of the flight \[s\].
+    pub duration: f64,
+    /// Tick of controller and physics \[s\].
+    pub time_step: f64,
+    /// Physics steps within a tick; forces that depend on the state follow it, commands are held.
+    #[serde(default = "one")]
+    pub substeps: u32,
+    /// How a physics step is taken.
+    #[serde(default)]
+    pub integrator: Integrator,
+    /// Aerodynamics of the world.
+    pub aero: AeroConfig,
+    /// Factors on the forces of that model: coefficients that are not what they are thought to be.
+    #[serde(default, skip_serializing_if = "ForceFactorsConfig::is_default")]
+    pub aero_factors: ForceFactorsConfig,
+    /// Point at which link forces act.
+    #[serde(default)]
+    pub lever_arm: LeverArm,
+    /// Which kinematics place the links in the wind.
+    #[serde(default)]
+    pub kinematics: AeroKinematics,
+    /// How thrust follows the command.
+    pub jets: JetsConfig,
+    /// What is wrong with the jets.
+    #[serde(default, skip_serializing_if = "JetFaultsConfig::is_default")]
+    pub jet_faults: JetFaultsConfig,
+    /// The ground, where there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ground: Option<GroundConfig>,
+    /// Friction and inertia of the motors; without them, ideal torques.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motors: Option<MotorsConfig>,
+    /// State at the beginning.
+    pub initial: InitialConfig,
+    /// When a flight counts as lost.
+    pub fall: FallConfig,
+}
+
+fn one() -> u32 {
+    1
+}
+
+/// How a physics step is taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Integrator {
+    /// Velocity first, pose with the new velocity: feeds no energy into fast joint motion.
+    #[default]
+    SemiImplicitEuler,
+    /// Pose and velocity both advance with the old velocity and acceleration (published).
+    ExplicitEuler,
+}
+
+/// Which kinematics place the links in the wind.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AeroKinematics {
+    /// Those of the robot now.
+    #[default]
+    Current,
+    /// Those of the first tick for the whole flight (published): axes, points and Jacobians stay,
+    /// only velocities are current.
+    Frozen,
+}
+
+/// State at the beginning of a flight.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct InitialConfig {
+    /// Position of the base origin \[m\].
+    pub base_position: [f64; 3],
+    /// Roll, pitch, yaw of the base \[deg\].
+    pub base_rpy_deg: [f64; 3],
+    /// Joint positions in the robot's order \[rad\].
+    pub joint_position: Vec<f64>,
+    /// Velocity of the base origin, then angular velocity, inertial axes \[m/s, rad/s\].
+    #[serde(default)]
+    pub base_velocity: [f64; 6],
+    /// Thrusts in the robot's order \[N\].
+    pub thrust: Vec<f64>,
+    /// Whether the first physics step has neither thrust nor torque, as the delays of the published
+    /// model make it: the controller first sees a robot that has fallen for one tick.
+    #[serde(default = "yes")]
+    pub free_fall_tick: bool,
+}
+
+fn yes() -> bool {
+    true
+}
+
+/// When a flight counts as lost. A state that is not finite always does.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FallConfig {
+    /// Greatest rotation between base and reference \[deg\].
+    pub rotation_error_deg: f64,
+    /// Greatest distance between centre of mass and reference \[m\].
+    pub com_error: f64,
+}
+
+impl SimulatorConfig {
+    /// Refuses numbers that do not make a world for `robot`.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming key, value and expectation.
+    pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
+        let positive = |name: &str, value: f64| {
+            check(&format!("simulator.{name}"), value, |x| x > 0.0, "a positive number").map(|_| ())
+        };
+        positive("duration", self.duration)?;
+        positive("time_step", self.time_step)?;
+        positive("fall.com_error", self.fall.com_error)?;
+        check(
+            "simulator.fall.rotation_error_deg",
+            self.fall.rotation_error_deg,
+            |x| 0.0 < x && x <= 180.0,
+            "degrees in (0, 180]",
+        )?;
+        if let Some(ground) = &self.ground {
+            ground.check()?;
+        }
+        if let Some(motors) = &self.motors {
+            motors.check(robot)?;
+        }
+        if !(1..=1000).contains(&self.substeps) {
+            return Err(BuildError::bad_value(
+                "simulator.substeps",
+                self.substeps,
+                "an integer from 1 to 1000",
+            ));
+        }
+        if self.n_ticks() > 10_000_000 {
+            return Err(BuildError::bad_value(
+                "simulator.duration / simulator.time_step",
+                self.n_ticks(),
+                "at most ten million ticks",
+            ));
+        }
+        let initial = &self.initial;
+        let finite = |name: &str, values: &[f64]| -> Result<(), BuildError> {
+            for value in values {
+                check(&format!("simulator.initial.{name}"), *value, |_| true, "finite numbers")?;
+            }
+            Ok(())
+        };
+        finite("base_position", &initial.base_position)?;
+        finite("base_rpy_deg", &initial.base_rpy_deg)?;
+        finite("base_velocity", &initial.base_velocity)?;
+        finite("joint_position", &initial.joint_position)?;
+        for thrust in &initial.thrust {
+            check("simulator.initial.thrust", *thrust, |t| t >= 0.0, "newtons ≥ 0")?;
+        }
+        let length = |name: &str, found: usize, expected: usize, of: &str| {
+            if found == expected {
+                Ok(())
+            } else {
+                Err(BuildError::bad_value(
+                    format!("length of simulator.initial.{name}"),
+                    found,
+                    format!("{expected}, one entry per {of} of {}", robot.name),
+                ))
+            }
+        };
+        length("joint_position", initial.joint_position.len(), robot.joints.len(), "joint")?;
+        length("thrust", initial.thrust.len(), robot.jets.len(), "jet")
+    }
+
+    /// Number of ticks after the one at time zero.
+    #[must_use]
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: positive, at most 1e7
+    pub fn n_ticks(&self) -> usize {
+        (self.duration / self.time_step).round() as usize
+    }
+}
+
+impl InitialConfig {
+    /// The robot's state before the first physics step.
+    #[must_use]
+    pub fn state(&self) -> RobotState {
+        let mut state = RobotState::zero(self.joint_position.len());
+        state.base = Pose {
+            rotation: rotation_from_rpy(&Vector3::from(self.base_rpy_deg.map(f64::to_radians))),
+            position: Vector3::from(self.base_position),
+        };
+        state.joint_position = DVector::from_column_slice(&self.joint_position);
+        state.velocity.as_mut_slice()[..6].copy_from_slice(&self.base_velocity);
+        state
+    }
+}

@@ -1,0 +1,72 @@
+//! The ground and the motors of a world in which the robot stands.
+
+use flight_core::error::{BuildError, check};
+use flight_core::robot::RobotModel;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// The plane z = 0 under the robot's feet. Only engines that know contact fly a world that has it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GroundConfig {
+    /// Coulomb friction of soles on the ground.
+    pub friction: f64,
+    /// Time in which a touching corner comes to rest \[s\]: softer with a longer one.
+    pub contact_time: f64,
+    /// How long stiff joints hold the initial posture before the controller takes over at time zero \[s\].
+    pub settling: f64,
+}
+
+/// What stands between a motor's torque and its joint.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MotorsConfig {
+    /// Dry friction of every joint \[N m\].
+    pub friction: f64,
+    /// Dry friction of joints that have another, by name \[N m\].
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub friction_of: BTreeMap<String, f64>,
+    /// Viscous friction of every joint \[N m s\].
+    pub damping: f64,
+    /// Rotor inertia seen at every joint \[kg m²\].
+    pub inertia: f64,
+}
+
+impl GroundConfig {
+    /// Refuses numbers that are no ground.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check(&self) -> Result<(), BuildError> {
+        check("simulator.ground.friction", self.friction, |x| x > 0.0, "a positive number")?;
+        check("simulator.ground.contact_time", self.contact_time, |x| x > 0.0, "a positive time in s")?;
+        check("simulator.ground.settling", self.settling, |x| x >= 0.0, "a time ≥ 0 in s")?;
+        Ok(())
+    }
+}
+
+impl MotorsConfig {
+    /// Refuses numbers that are no motors, and joints that `robot` does not have.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the key.
+    pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
+        for (name, value) in
+            [("friction", self.friction), ("damping", self.damping), ("inertia", self.inertia)]
+        {
+            check(&format!("simulator.motors.{name}"), value, |x| x >= 0.0, "a number ≥ 0")?;
+        }
+        for (joint, friction) in &self.friction_of {
+            let item = "simulator.motors.friction_of";
+            if robot.joint_index(joint).is_none() {
+                return Err(BuildError::unknown_name(
+                    item,
+                    joint,
+                    robot.joints.iter().map(|joint| joint.name.as_str()),
+                ));
+            }
+            check(&format!("{item}.{joint}"), *friction, |x| x >= 0.0, "a number ≥ 0")?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,275 @@
+//! The simulated jet engines: thrust, from the thrust rate that the controller commands.
+//!
+//! ```text
+//! thrust_rate_command ──Jets::advance──► thrust (physics),  thrust_feedback (controller)
+//! ```
+//!
+//! Two dynamics: `ideal` obeys the command exactly, as in every published flight; `second_order` is
+//! the identified engine, with the throttle loop and the estimator that the real robot needs.
+
+pub mod failure;
+
+pub use failure::{FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise};
+
+use flight_core::error::{BuildError, check};
+use flight_core::jets::{EkfConfig, EngineDynamics, EngineModel, ThrustEkf, ThrustRateController};
+use flight_core::robot::{EngineCoefficients, Jet};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// How thrust follows the commanded thrust rate.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "dynamics", rename_all = "snake_case", deny_unknown_fields)]
+pub enum JetsConfig {
+    /// Thrust is the integral of the command. Braces, because serde lets unknown keys pass beside a
+    /// bare name.
+    Ideal {},
+    /// Identified second-order engines behind a throttle loop.
+    SecondOrder(SecondOrderConfig),
+}
+
+/// Numbers of the second-order engines; the defaults are the published ones.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SecondOrderConfig {
+    /// Proportional gain of the thrust-rate loop \[1/s\].
+    pub rate_gain_p: f64,
+    /// Integral gain of the thrust-rate loop \[1/s²\].
+    pub rate_gain_i: f64,
+    /// The thrust estimator.
+    pub ekf: EkfConfig,
+    /// What the flight controller is given as thrust; the throttle loop always uses the estimate.
+    pub feedback: ThrustFeedback,
+    /// Engine of each jet, by name; without it, those of the robot.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub engines: Option<Vec<String>>,
+}
+
+impl Default for SecondOrderConfig {
+    fn default() -> Self {
+        Self {
+            rate_gain_p: 150.0,
+            rate_gain_i: 0.0,
+            ekf: EkfConfig::default(),
+            feedback: ThrustFeedback::default(),
+            engines: None,
+        }
+    }
+}
+
+/// Which thrust the flight controller sees.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ThrustFeedback {
+    /// The true thrust, without noise.
+    #[default]
+    Measured,
+    /// The estimate of the [`ThrustEkf`].
+    Estimated,
+}
+
+/// One second-order jet: the engine, and what steers it.
+#[derive(Debug, Clone)]
+struct ThrottledEngine {
+    engine: EngineDynamics,
+    controller: ThrustRateController,
+    ekf: ThrustEkf,
+}
+
+/// What moves the thrusts.
+#[derive(Debug, Clone)]
+enum Dynamics {
+    Ideal,
+    SecondOrder { jets: Vec<ThrottledEngine>, feedback: ThrustFeedback },
+}
+
+/// The jets of a robot and their present thrust.
+#[derive(Debug, Clone)]
+pub struct Jets {
+    dynamics: Dynamics,
+    faults: Option<JetFaults>,
+    thrust: Vec<f64>,
+    thrust_rate: Vec<f64>,
+    /// Empty under ideal dynamics, as `estimate`.
+    throttle: Vec<f64>,
+    estimate: Vec<f64>,
+}
+
+impl Jets {
+    /// Jets at `initial_thrust` \[N\] with thrust rate zero, in the order of `jets`.
+    ///
+    /// # Errors
+    /// A thrust per jet is missing or not finite; under second-order dynamics also an engine that
+    /// does not exist, a gain that is negative, or numbers that [`EngineModel::new`] or
+    /// [`ThrustEkf::new`] refuse.
+    pub fn new(
+        config: &JetsConfig,
+        jets: &[Jet],
+        engines: &BTreeMap<String, EngineCoefficients>,
+        initial_thrust: &[f64],
+    ) -> Result<Self, BuildError> {
+        one_per_jet("initial_thrust", initial_thrust.len(), jets)?;
+        for (jet, thrust) in jets.iter().zip(initial_thrust) {
+            let item = format!("initial thrust of jet `{}`", jet.name);
+            check(&item, *thrust, |_| true, "a finite force in N")?;
+        }
+        let thrust = initial_thrust.to_vec();
+        let thrust_rate = vec![0.0; jets.len()];
+        let config = match config {
+            JetsConfig::Ideal {} => {
+                let dynamics = Dynamics::Ideal;
+                return Ok(Self {
+                    dynamics,
+                    faults: None,
+                    thrust,
+                    thrust_rate,
+                    throttle: Vec::new(),
+                    estimate: Vec::new(),
+                });
+            }
+            JetsConfig::SecondOrder(config) => config,
+        };
+        if let Some(names) = &config.engines {
+            one_per_jet("engines", names.len(), jets)?;
+        }
+        let jets: Vec<ThrottledEngine> = jets
+            .iter()
+            .zip(initial_thrust)
+            .enumerate()
+            .map(|(i, (jet, &thrust))| {
+                let name = config.engines.as_ref().and_then(|names| names.get(i)).unwrap_or(&jet.engine);
+                let coefficients = engines.get(name).ok_or_else(|| {
+                    BuildError::unknown_name(format!("engine of jet `{}`", jet.name), name, engines.keys())
+                })?;
+                let model = EngineModel::new(name, *coefficients)?;
+                let throttle = model.steady_throttle(thrust);
+                Ok(ThrottledEngine {
+                    engine: EngineDynamics::new(model, thrust, 0.0),
+                    controller: ThrustRateController::new(config.rate_gain_p, config.rate_gain_i, throttle)?,
+                    ekf: ThrustEkf::new(&config.ekf, model, thrust)?,
+                })
+            })
+            .collect::<Result<_, BuildError>>()?;
+        Ok(Self {
+            throttle: jets.iter().map(|jet| jet.controller.throttle()).collect(),
+            estimate: jets.iter().map(|jet| jet.ekf.thrust()).collect(),
+            dynamics: Dynamics::SecondOrder { jets, feedback: config.feedback },
+            faults: None,
+            thrust,
+            thrust_rate,
+        })
+    }
+
+    /// The same jets with these faults.
+    ///
+    /// # Errors
+    /// As [`JetFaultsConfig::check`]; also measurement noise without an estimator to measure it.
+    pub fn with_faults(mut self, config: &JetFaultsConfig, jets: &[Jet]) -> Result<Self, BuildError> {
+        if config.measurement_noise.is_some() && matches!(self.dynamics, Dynamics::Ideal) {
+            return Err(BuildError::bad_value(
+                "simulator.jets.dynamics",
+                "ideal",
+                "second_order, whose estimators simulator.jet_faults.measurement_noise disturbs",
+            ));
+        }
+        self.faults = if config.is_default() { None } else { Some(JetFaults::new(config, jets)?) };
+        Ok(self)
+    }
+
+    /// Moves every jet on by `dt` \[s\] under the commanded thrust rates \[N/s\], held constant.
+    ///
+    /// Ideal: `T ← T + Ṫ* dt`, without clipping: the bounds on `Ṫ*` are the controller's. Second
+    /// order: throttle from the present estimate, then estimator and engine over `dt`. Total: a jet
+    /// without a command stays as it is. No allocation. Faults change the command before and the
+    /// thrust after.
+    pub fn advance(&mut self, thrust_rate_command: &[f64], dt: f64) {
+        // Taken out for as long as they and the jets both change.
+        let Some(mut faults) = self.faults.take() else {
+            return self.follow(thrust_rate_command, dt, |thrust| thrust);
+        };
+        let JetFaults { response, sensor, .. } = &mut faults;
+        self.follow(response.delayed(thrust_rate_command, dt), dt, |thrust| sensor.measured(thrust));
+        for jet in 0..self.thrust.len() {
+            let (thrust, rate) = faults.limited(jet, self.thrust[jet], self.thrust_rate[jet], dt);
+            (self.thrust[jet], self.thrust_rate[jet]) = (thrust, rate);
+            if let Dynamics::SecondOrder { jets, .. } = &mut self.dynamics {
+                (jets[jet].engine.thrust, jets[jet].engine.thrust_rate) = (thrust, rate);
+            }
+        }
+        self.faults = Some(faults);
+    }
+
+    fn follow(&mut self, thrust_rate_command: &[f64], dt: f64, mut measured: impl FnMut(f64) -> f64) {
+        match &mut self.dynamics {
+            Dynamics::Ideal => {
+                let jets = self.thrust.iter_mut().zip(&mut self.thrust_rate);
+                for ((thrust, thrust_rate), &command) in jets.zip(thrust_rate_command) {
+                    *thrust += dt * command;
+                    *thrust_rate = command;
+                }
+            }
+            Dynamics::SecondOrder { jets, .. } => {
+                let thrusts = self.thrust.iter_mut().zip(&mut self.thrust_rate);
+                let inner = self.throttle.iter_mut().zip(&mut self.estimate);
+                let jets = jets.iter_mut().zip(thrusts.zip(inner));
+                for ((jet, ((thrust, thrust_rate), (throttle, estimate))), &command) in
+                    jets.zip(thrust_rate_command)
+                {
+                    *throttle = jet.controller.update(
+                        jet.engine.model(),
+                        jet.ekf.thrust(),
+                        jet.ekf.thrust_rate(),
+                        command,
+                        dt,
+                    );
+                    jet.ekf.update(measured(jet.engine.thrust), *throttle, dt);
+                    jet.engine.step(*throttle, dt);
+                    *thrust = jet.engine.thrust;
+                    *thrust_rate = jet.engine.thrust_rate;
+                    *estimate = jet.ekf.thrust();
+                }
+            }
+        }
+    }
+
+    /// True thrust \[N\], per jet.
+    #[must_use]
+    pub fn thrust(&self) -> &[f64] {
+        &self.thrust
+    }
+
+    /// Thrust that the flight controller is given \[N\], per jet.
+    #[must_use]
+    pub fn thrust_feedback(&self) -> &[f64] {
+        match self.dynamics {
+            Dynamics::SecondOrder { feedback: ThrustFeedback::Estimated, .. } => &self.estimate,
+            _ => &self.thrust,
+        }
+    }
+
+    /// True thrust rate \[N/s\], per jet; under ideal dynamics the last command.
+    #[must_use]
+    pub fn thrust_rate(&self) -> &[f64] {
+        &self.thrust_rate
+    }
+
+    /// Throttle of the last step \[%\], per jet; at first the one that holds the initial thrust.
+    /// Empty under ideal dynamics, which have no throttle.
+    #[must_use]
+    pub fn throttle(&self) -> &[f64] {
+        &self.throttle
+    }
+}
+
+/// Refuses a list that does not have one entry per jet.
+fn one_per_jet(item: &str, count: usize, jets: &[Jet]) -> Result<(), BuildError> {
+    if count == jets.len() {
+        return Ok(());
+    }
+    let names: Vec<&str> = jets.iter().map(|jet| jet.name.as_str()).collect();
+    Err(BuildError::bad_value(
+        item,
+        format!("{count} entries long"),
+        format!("{} entries, one per jet ({})", jets.len(), names.join(", ")),
+    ))
+}

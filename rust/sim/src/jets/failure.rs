@@ -1,0 +1,238 @@
+//! Jets that do less than their dynamics promise: a slow response, too little thrust, a dead engine.
+//!
+//! Kept apart from [`super::JetsConfig`], so that every fault goes with every kind of dynamics.
+
+use flight_core::error::{BuildError, check};
+use flight_core::noise::Noise;
+use flight_core::robot::Jet;
+use serde::{Deserialize, Serialize};
+
+/// Stream of the measurement noise.
+const MEASUREMENT_STREAM: u64 = 1;
+
+/// Faults of the jets; none by default.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct JetFaultsConfig {
+    /// One jet that fails.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub failure: Option<JetFailure>,
+    /// Thrust stays between zero and this times the robot's greatest thrust; without it nothing
+    /// but the controller limits thrust, as published.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub thrust_limit_scale: Option<f64>,
+    /// Whether the controller's own limits are scaled as well.
+    pub limit_is_known: bool,
+    /// Time constant with which the commanded thrust rate takes effect \[s\]; zero for at once.
+    pub lag: f64,
+    /// Noise on the thrust that the estimators of second-order jets measure.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub measurement_noise: Option<MeasurementNoise>,
+}
+
+impl Default for JetFaultsConfig {
+    fn default() -> Self {
+        Self {
+            failure: None,
+            thrust_limit_scale: None,
+            limit_is_known: false,
+            lag: 0.0,
+            measurement_noise: None,
+        }
+    }
+}
+
+/// A jet that stops obeying.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JetFailure {
+    /// Name of the jet.
+    pub jet: String,
+    /// When it fails \[s\].
+    pub time: f64,
+    /// How.
+    pub kind: FailureKind,
+    /// Time constant with which a jet that is off loses its thrust \[s\]; zero for at once.
+    #[serde(default)]
+    pub decay: f64,
+}
+
+/// What a failed jet does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FailureKind {
+    /// Its thrust goes.
+    Off,
+    /// Its thrust stays where it is.
+    Stuck,
+}
+
+/// White noise on measured thrusts.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MeasurementNoise {
+    /// Standard deviation \[N\].
+    pub std: f64,
+    /// Seed.
+    #[serde(default)]
+    pub seed: u64,
+}
+
+impl JetFaultsConfig {
+    /// Whether the jets are sound.
+    #[must_use]
+    pub fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// Refuses names and numbers that mean nothing for `jets`.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the key, its value and what was expected.
+    pub fn check(&self, jets: &[Jet]) -> Result<(), BuildError> {
+        let at = |name: &str, value: f64, accept: &dyn Fn(f64) -> bool, expected: &str| {
+            check(&format!("simulator.jet_faults.{name}"), value, accept, expected).map(|_| ())
+        };
+        if let Some(failure) = &self.failure {
+            index_of(&failure.jet, jets)?;
+            at("failure.time", failure.time, &|t| t >= 0.0, "seconds ≥ 0")?;
+            at("failure.decay", failure.decay, &|t| t >= 0.0, "seconds ≥ 0")?;
+        }
+        if let Some(scale) = self.thrust_limit_scale {
+            at("thrust_limit_scale", scale, &|x| x > 0.0, "a positive factor")?;
+        }
+        if let Some(noise) = &self.measurement_noise {
+            at("measurement_noise.std", noise.std, &|x| x >= 0.0, "newtons ≥ 0")?;
+        }
+        at("lag", self.lag, &|t| t >= 0.0, "seconds ≥ 0")
+    }
+
+    /// Scales the limits that a controller who knows of them reads from its robot.
+    pub fn inform(&self, jets: &mut [Jet]) {
+        if let (true, Some(scale)) = (self.limit_is_known, self.thrust_limit_scale) {
+            for jet in jets {
+                jet.thrust_max *= scale;
+            }
+        }
+    }
+}
+
+/// Place of a jet in every thrust vector.
+fn index_of(name: &str, jets: &[Jet]) -> Result<usize, BuildError> {
+    let names = || jets.iter().map(|jet| jet.name.as_str());
+    names()
+        .position(|jet| jet == name)
+        .ok_or_else(|| BuildError::unknown_name("simulator.jet_faults.failure.jet", name, names()))
+}
+
+/// Faults in time.
+#[derive(Debug, Clone)]
+pub struct JetFaults {
+    /// Between the command and the jets.
+    pub response: Response,
+    /// Between the jets and their estimators.
+    pub sensor: Sensor,
+    /// Greatest thrust of each jet \[N\]; empty without limits.
+    limits: Vec<f64>,
+    failing: Option<Failing>,
+}
+
+/// A thrust rate that takes effect late.
+#[derive(Debug, Clone)]
+pub struct Response {
+    lag: f64,
+    command: Vec<f64>,
+}
+
+impl Response {
+    /// Thrust rates \[N/s\] that reach the jets when these are commanded for the next `dt` \[s\].
+    pub fn delayed(&mut self, command: &[f64], dt: f64) -> &[f64] {
+        for (delayed, command) in self.command.iter_mut().zip(command) {
+            let share = if self.lag > 0.0 { -(-dt / self.lag).exp_m1() } else { 1.0 };
+            *delayed = if share < 1.0 { *delayed + (command - *delayed) * share } else { *command };
+        }
+        &self.command
+    }
+}
+
+/// A thrust sensor with white noise.
+#[derive(Debug, Clone)]
+pub struct Sensor {
+    std: f64,
+    noise: Noise,
+}
+
+impl Sensor {
+    /// What is measured of a thrust \[N\].
+    pub fn measured(&mut self, thrust: f64) -> f64 {
+        if self.std > 0.0 { thrust + self.std * self.noise.normal() } else { thrust }
+    }
+}
+
+#[derive(Debug, Clone)]
+struct Failing {
+    jet: usize,
+    kind: FailureKind,
+    decay: f64,
+    /// Time until the failure \[s\]; negative behind it.
+    left: f64,
+    /// Thrust at the failure \[N\].
+    thrust: Option<f64>,
+}
+
+impl JetFaults {
+    /// Checked faults of `jets`.
+    ///
+    /// # Errors
+    /// As [`JetFaultsConfig::check`].
+    pub fn new(config: &JetFaultsConfig, jets: &[Jet]) -> Result<Self, BuildError> {
+        config.check(jets)?;
+        let failing = |failure: &JetFailure| {
+            Ok(Failing {
+                jet: index_of(&failure.jet, jets)?,
+                kind: failure.kind,
+                decay: failure.decay,
+                left: failure.time,
+                thrust: None,
+            })
+        };
+        let limits = config.thrust_limit_scale.iter();
+        let (std, seed) = config.measurement_noise.as_ref().map_or((0.0, 0), |noise| (noise.std, noise.seed));
+        Ok(Self {
+            response: Response { lag: config.lag, command: vec![0.0; jets.len()] },
+            sensor: Sensor { std, noise: Noise::new(seed, MEASUREMENT_STREAM) },
+            limits: limits.flat_map(|scale| jets.iter().map(move |jet| jet.thrust_max * scale)).collect(),
+            failing: config.failure.as_ref().map(failing).transpose()?,
+        })
+    }
+
+    /// What a jet really gives after a step of `dt` \[s\] to `thrust` \[N\] and `thrust_rate` \[N/s\].
+    /// Call once per step and jet.
+    pub fn limited(&mut self, jet: usize, thrust: f64, thrust_rate: f64, dt: f64) -> (f64, f64) {
+        let (mut thrust, mut thrust_rate) = (thrust, thrust_rate);
+        if let Some(limit) = self.limits.get(jet) {
+            if thrust > *limit {
+                (thrust, thrust_rate) = (*limit, thrust_rate.min(0.0));
+            } else if thrust < 0.0 {
+                (thrust, thrust_rate) = (0.0, thrust_rate.max(0.0));
+            }
+        }
+        let Some(failing) = self.failing.as_mut().filter(|failing| failing.jet == jet) else {
+            return (thrust, thrust_rate);
+        };
+        failing.left -= dt;
+        // Half a step of slack: the sum of many steps is not exact.
+        if failing.left > -0.5 * dt {
+            return (thrust, thrust_rate);
+        }
+        let held = *failing.thrust.get_or_insert(thrust);
+        match failing.kind {
+            FailureKind::Stuck => (held, 0.0),
+            FailureKind::Off if failing.decay > 0.0 => {
+                let thrust = held * (failing.left / failing.decay).exp();
+                (thrust, -thrust / failing.decay)
+            }
+            FailureKind::Off => (0.0, 0.0),
+        }
+    }
+}

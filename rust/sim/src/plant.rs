@@ -1,0 +1,199 @@
+//! The flying robot as physics sees it: rigid bodies, thrusts and wind.
+//!
+//! ```text
+//! M(q) ν̇ = S τ + Σ Jᵀ T a + w_aero − h(q, ν)
+//! ```
+//!
+//! There is no ground, no joint friction, no motor inertia and no joint limit: none of them acts in a
+//! flight that succeeds, and one that fails ends with its fall.
+
+use crate::config::{AeroKinematics, Integrator, SimulatorConfig};
+use crate::jets::Jets;
+use flight_core::aero::{AeroModel, ForceFactors, LinkConventions, LinkForces};
+use flight_core::dynamics::{Dynamics, MassFactor};
+use flight_core::error::BuildError;
+use flight_core::kinematics::{Kinematics, RobotState};
+use flight_core::robot::RobotModel;
+use flight_core::spatial::exp_so3;
+use flight_io::load_aero;
+use nalgebra::{DVector, Vector3};
+
+/// The simulated robot in its wind.
+#[derive(Debug, Clone)]
+pub struct Plant {
+    robot: RobotModel,
+    aero: AeroModel,
+    aero_factors: ForceFactors,
+    conventions: LinkConventions,
+    integrator: Integrator,
+    substeps: u32,
+    state: RobotState,
+    jets: Jets,
+    kinematics: Kinematics,
+    dynamics: Dynamics,
+    link_forces: LinkForces,
+    /// First-tick pose with current velocities, where the aerodynamics is frozen.
+    frozen: Option<(RobotState, Kinematics)>,
+    mass_factor: MassFactor,
+    acceleration: DVector<f64>,
+}
+
+impl Plant {
+    /// A robot in its initial state; the configuration is checked here.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming what does not fit.
+    pub fn new(robot: RobotModel, config: &SimulatorConfig) -> Result<Self, BuildError> {
+        config.check(&robot)?;
+        let n = 6 + robot.joints.len();
+        let mut plant = Self {
+            aero: load_aero(&config.aero, &robot)?,
+            aero_factors: ForceFactors::new(
+                &config.aero_factors,
+                &robot.aero_links,
+                "simulator.aero_factors",
+            )?,
+            conventions: LinkConventions { lever_arm: config.lever_arm, ..LinkConventions::default() },
+            integrator: config.integrator,
+            substeps: config.substeps,
+            state: config.initial.state(),
+            jets: Jets::new(&config.jets, &robot.jets, &robot.engines, &config.initial.thrust)?
+                .with_faults(&config.jet_faults, &robot.jets)?,
+            kinematics: Kinematics::new(&robot),
+            dynamics: Dynamics::new(&robot),
+            link_forces: LinkForces::new(&robot),
+            frozen: None,
+            mass_factor: MassFactor::new(n),
+            acceleration: DVector::zeros(n),
+            robot,
+        };
+        if config.initial.free_fall_tick {
+            plant.fall_freely(config.time_step);
+        }
+        if config.kinematics == AeroKinematics::Frozen {
+            plant.frozen = Some((plant.state.clone(), Kinematics::new(&plant.robot)));
+        }
+        Ok(plant)
+    }
+
+    /// Pose and velocity.
+    #[must_use]
+    pub fn state(&self) -> &RobotState {
+        &self.state
+    }
+
+    /// The engines.
+    #[must_use]
+    pub fn jets(&self) -> &Jets {
+        &self.jets
+    }
+
+    /// Poses and centre of mass of the last [`Self::observe`].
+    #[must_use]
+    pub fn kinematics(&self) -> &Kinematics {
+        &self.kinematics
+    }
+
+    /// Momentum and mass matrix of the last [`Self::observe`].
+    #[must_use]
+    pub fn dynamics(&self) -> &Dynamics {
+        &self.dynamics
+    }
+
+    /// Aerodynamic forces of the last [`Self::observe`].
+    #[must_use]
+    pub fn link_forces(&self) -> &LinkForces {
+        &self.link_forces
+    }
+
+    /// Evaluates everything that depends on the state, in the given wind \[m/s\].
+    pub fn observe(&mut self, wind_i: &Vector3<f64>) {
+        self.kinematics.update(&self.robot, &self.state);
+        self.dynamics.update(&self.robot, &self.state, &self.kinematics);
+        let placed = match &mut self.frozen {
+            None => &self.kinematics,
+            Some((first, kinematics)) => {
+                first.velocity.copy_from(&self.state.velocity);
+                kinematics.update(&self.robot, first);
+                kinematics
+            }
+        };
+        self.link_forces.update(&self.robot, placed, self.conventions, &mut self.aero, wind_i);
+        self.aero_factors.apply(&mut self.link_forces);
+    }
+
+    /// Advances one tick of `time_step` \[s\] under held torques and commanded thrust rates. The
+    /// forces of the first sub-step are those of the last [`Self::observe`].
+    pub fn advance(
+        &mut self,
+        torque: &[f64],
+        thrust_rate_command: &[f64],
+        wind_i: &Vector3<f64>,
+        time_step: f64,
+    ) {
+        let step = time_step / f64::from(self.substeps);
+        for substep in 0..self.substeps {
+            if substep > 0 {
+                self.observe(wind_i);
+            }
+            self.gather_forces(torque);
+            self.integrate(step);
+        }
+        self.jets.advance(thrust_rate_command, time_step);
+    }
+
+    /// `S τ + Σ Jᵀ T a + w_aero − h`
+    fn gather_forces(&mut self, torque: &[f64]) {
+        let force = &mut self.acceleration;
+        force.copy_from(&self.dynamics.bias);
+        force.neg_mut();
+        for (joint, torque) in torque.iter().enumerate() {
+            force[6 + joint] += torque;
+        }
+        for (jet, thrust) in self.robot.jets.iter().zip(self.jets.thrust()) {
+            let pose = self.kinematics.frame_pose(&jet.frame);
+            let thrust_force = pose.rotation * jet.axis_f.into_inner() * *thrust;
+            self.kinematics.add_generalised_force(jet.frame.body, &pose.position, &thrust_force, force);
+        }
+        let placed = self.frozen.as_ref().map_or(&self.kinematics, |(_, kinematics)| kinematics);
+        for (index, link) in self.robot.aero_links.iter().enumerate() {
+            // One point for moment and Jacobian: a rigid body cannot tell them apart.
+            let point = &self.link_forces.arm_points_i[index];
+            placed.add_generalised_force(link.frame.body, point, &self.link_forces.forces_i[index], force);
+        }
+    }
+
+    /// The first step of the published model: gravity alone.
+    fn fall_freely(&mut self, time_step: f64) {
+        self.kinematics.update(&self.robot, &self.state);
+        self.dynamics.update(&self.robot, &self.state, &self.kinematics);
+        self.acceleration.copy_from(&self.dynamics.bias);
+        self.acceleration.neg_mut();
+        self.integrate(time_step);
+    }
+
+    /// Turns the gathered forces into accelerations and takes one Euler step.
+    fn integrate(&mut self, step: f64) {
+        if self.mass_factor.factorise(&self.dynamics.mass_matrix) {
+            self.mass_factor.solve_in_place(&mut self.acceleration);
+        } else {
+            // Only a state that is not finite gets here; the flight ends on it.
+            self.acceleration.fill(f64::NAN);
+        }
+        if self.integrator == Integrator::SemiImplicitEuler {
+            self.state.velocity.axpy(step, &self.acceleration, 1.0);
+        }
+        let linear = self.state.base_linear_velocity();
+        let angular = self.state.base_angular_velocity();
+        self.state.base.position += linear * step;
+        self.state.base.rotation = exp_so3(&(angular * step)) * self.state.base.rotation;
+        for (position, velocity) in
+            self.state.joint_position.iter_mut().zip(&self.state.velocity.as_slice()[6..])
+        {
+            *position += velocity * step;
+        }
+        if self.integrator == Integrator::ExplicitEuler {
+            self.state.velocity.axpy(step, &self.acceleration, 1.0);
+        }
+    }
+}

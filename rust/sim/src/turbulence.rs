@@ -1,0 +1,59 @@
+//! Turbulent wind as a function of time: a sum of waves, so that it needs no state and no table.
+
+use flight_core::noise::Noise;
+use nalgebra::Vector3;
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+/// Waves per axis.
+const WAVES: usize = 24;
+
+/// One axis' wave.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Wave {
+    frequency: f64,
+    phase: f64,
+}
+
+/// Fluctuations about the mean wind with the spectrum of a first-order Gauss–Markov process.
+///
+/// ```text
+/// S(ω) ∝ σ² τ / (1 + ω² τ²)
+/// ```
+///
+/// Every wave stands for the same share of the variance, at a random frequency within its band and
+/// with a random phase. Source: ours; the longitudinal Dryden spectrum has this form.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Turbulence {
+    amplitude: Vector3<f64>,
+    waves: [[Wave; WAVES]; 3],
+}
+
+impl Turbulence {
+    /// Turbulence of a standard deviation per axis \[m/s\] and a time scale τ \[s\].
+    #[must_use]
+    pub fn new(std: &Vector3<f64>, time_scale: f64, seed: u64) -> Self {
+        let mut noise = Noise::new(seed, 2);
+        let mut wave = |band: usize| {
+            // Not up to the edge of the band: the last one has none.
+            let place = band as f64 + 0.25 + 0.5 * noise.uniform();
+            Wave {
+                frequency: (FRAC_PI_2 * place / WAVES as f64).tan() / time_scale,
+                phase: TAU * noise.uniform(),
+            }
+        };
+        Self {
+            amplitude: std * (2.0 / WAVES as f64).sqrt(),
+            waves: std::array::from_fn(|_| std::array::from_fn(&mut wave)),
+        }
+    }
+
+    /// Velocity added to the mean wind at `time` \[s\]: m/s, inertial axes.
+    #[must_use]
+    pub fn velocity(&self, time: f64) -> Vector3<f64> {
+        Vector3::from_fn(|axis, _| {
+            let sum: f64 =
+                self.waves[axis].iter().map(|wave| (wave.frequency * time + wave.phase).sin()).sum();
+            self.amplitude[axis] * sum
+        })
+    }
+}

@@ -1,0 +1,209 @@
+//! Wind as a function of time: the velocity of the air in inertial axes, the same everywhere.
+
+use crate::turbulence::Turbulence;
+use flight_core::error::{BuildError, check};
+use flight_io::read_text;
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
+use std::path::{Path, PathBuf};
+
+/// A wind profile; all velocities in m/s, inertial axes, all times in s.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "profile", rename_all = "snake_case", deny_unknown_fields)]
+pub enum WindConfig {
+    /// The same all the time.
+    Constant {
+        /// Velocity of the air.
+        velocity: [f64; 3],
+    },
+    /// Still, then rising linearly to a constant: the published profile.
+    Ramp {
+        /// Velocity after the ramp.
+        velocity: [f64; 3],
+        /// When the wind starts to rise.
+        ramp_start: f64,
+        /// When it has risen.
+        ramp_end: f64,
+    },
+    /// A steady wind with one "1 − cos" gust on top.
+    Gust {
+        /// Steady velocity.
+        velocity: [f64; 3],
+        /// Velocity added at the peak of the gust.
+        gust: [f64; 3],
+        /// When the gust begins.
+        start: f64,
+        /// How long it lasts.
+        duration: f64,
+    },
+    /// The published profile with turbulence on top, which rises with it.
+    Turbulent {
+        /// Mean velocity after the ramp.
+        velocity: [f64; 3],
+        /// When the wind starts to rise.
+        ramp_start: f64,
+        /// When it has risen.
+        ramp_end: f64,
+        /// Standard deviation of the turbulence on each axis.
+        std: [f64; 3],
+        /// Time scale of the turbulence.
+        time_scale: f64,
+        /// Seed of the turbulence.
+        #[serde(default)]
+        seed: u64,
+    },
+    /// A recorded wind: a CSV file with header `time,x,y,z`, linear in between, constant outside.
+    File {
+        /// The file; relative paths start at the configuration file.
+        path: PathBuf,
+    },
+}
+
+/// A checked wind profile.
+#[derive(Debug, Clone)]
+pub enum Wind {
+    /// Velocity times a factor that rises from 0 to 1.
+    Ramp {
+        /// Final velocity \[m/s\].
+        velocity: Vector3<f64>,
+        /// Start and end of the rise \[s\]; equal for a constant wind.
+        ramp: (f64, f64),
+    },
+    /// A ramp with turbulence that rises with it.
+    Turbulent {
+        /// Final mean velocity \[m/s\].
+        velocity: Vector3<f64>,
+        /// Start and end of the rise \[s\].
+        ramp: (f64, f64),
+        /// What is added after the rise.
+        turbulence: Box<Turbulence>,
+    },
+    /// Steady wind and one gust.
+    Gust {
+        /// Steady velocity \[m/s\].
+        velocity: Vector3<f64>,
+        /// Added velocity at the peak \[m/s\].
+        gust: Vector3<f64>,
+        /// Begin \[s\].
+        start: f64,
+        /// Duration \[s\].
+        duration: f64,
+    },
+    /// Recorded samples `(time, velocity)` in order of time.
+    Recorded(Vec<(f64, Vector3<f64>)>),
+}
+
+impl Wind {
+    /// Checks a profile and reads its file, if it has one.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the key or the file and line.
+    pub fn new(config: &WindConfig) -> Result<Self, BuildError> {
+        let vector = |name: &str, v: &[f64; 3]| -> Result<Vector3<f64>, BuildError> {
+            for component in v {
+                check(&format!("wind.{name}"), *component, |_| true, "three finite numbers in m/s")?;
+            }
+            Ok(Vector3::from(*v))
+        };
+        Ok(match config {
+            WindConfig::Constant { velocity } => {
+                Self::Ramp { velocity: vector("velocity", velocity)?, ramp: (f64::MIN, f64::MIN) }
+            }
+            WindConfig::Ramp { velocity, ramp_start, ramp_end } => {
+                Self::Ramp { velocity: vector("velocity", velocity)?, ramp: ramp(*ramp_start, *ramp_end)? }
+            }
+            WindConfig::Turbulent { velocity, ramp_start, ramp_end, std, time_scale, seed } => {
+                for std in std {
+                    check("wind.std", *std, |std| std >= 0.0, "three numbers ≥ 0 in m/s")?;
+                }
+                let scale = check("wind.time_scale", *time_scale, |t| t > 0.0, "a positive time in s")?;
+                Self::Turbulent {
+                    velocity: vector("velocity", velocity)?,
+                    ramp: ramp(*ramp_start, *ramp_end)?,
+                    turbulence: Box::new(Turbulence::new(&Vector3::from(*std), scale, *seed)),
+                }
+            }
+            WindConfig::Gust { velocity, gust, start, duration } => Self::Gust {
+                velocity: vector("velocity", velocity)?,
+                gust: vector("gust", gust)?,
+                start: check("wind.start", *start, |_| true, "a finite time in s")?,
+                duration: check("wind.duration", *duration, |d| d > 0.0, "a positive time in s")?,
+            },
+            WindConfig::File { path } => Self::Recorded(read_samples(path)?),
+        })
+    }
+
+    /// Velocity of the air at `time` \[s\]: m/s, inertial axes.
+    #[must_use]
+    pub fn velocity(&self, time: f64) -> Vector3<f64> {
+        match self {
+            Self::Ramp { velocity, ramp } => velocity * risen(ramp, time),
+            Self::Turbulent { velocity, ramp, turbulence } => {
+                (velocity + turbulence.velocity(time)) * risen(ramp, time)
+            }
+            Self::Gust { velocity, gust, start, duration } => {
+                let phase = (time - start) / duration;
+                let strength =
+                    if (0.0..=1.0).contains(&phase) { 0.5 * (1.0 - (TAU * phase).cos()) } else { 0.0 };
+                velocity + gust * strength
+            }
+            Self::Recorded(samples) => {
+                let after = samples.partition_point(|(t, _)| *t <= time);
+                match (after.checked_sub(1).and_then(|before| samples.get(before)), samples.get(after)) {
+                    (Some((t0, v0)), Some((t1, v1))) => v0 + (v1 - v0) * ((time - t0) / (t1 - t0)),
+                    (Some((_, v)), None) | (None, Some((_, v))) => *v,
+                    (None, None) => Vector3::zeros(),
+                }
+            }
+        }
+    }
+}
+
+/// Start and end of a rise.
+fn ramp(start: f64, end: f64) -> Result<(f64, f64), BuildError> {
+    let start = check("wind.ramp_start", start, |_| true, "a finite time in s")?;
+    let expected = format!("a time ≥ ramp_start ({start})");
+    Ok((start, check("wind.ramp_end", end, |end| end >= start, &expected)?))
+}
+
+/// How far a rise has come, from 0 to 1.
+fn risen((start, end): &(f64, f64), time: f64) -> f64 {
+    if time >= *end { 1.0 } else { ((time - start) / (end - start)).max(0.0) }
+}
+
+fn read_samples(path: &Path) -> Result<Vec<(f64, Vector3<f64>)>, BuildError> {
+    let text = read_text(path)?;
+    let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
+    let place = |line: usize| format!("line {} of wind file {}", line + 1, path.display());
+    match lines.next() {
+        Some((_, header)) if header.replace(' ', "") == "time,x,y,z" => {}
+        header => {
+            let value = header.map_or("empty", |(_, line)| line);
+            return Err(BuildError::bad_value(place(0), value, "the header time,x,y,z"));
+        }
+    }
+    let mut samples: Vec<(f64, Vector3<f64>)> = Vec::new();
+    for (number, line) in lines {
+        let fields: Result<Vec<f64>, _> = line.split(',').map(|field| field.trim().parse()).collect();
+        let fields = fields.unwrap_or_default();
+        let [time, x, y, z] = fields[..] else {
+            return Err(BuildError::bad_value(place(number), line, "four numbers time,x,y,z"));
+        };
+        if !fields.iter().all(|field| field.is_finite()) {
+            return Err(BuildError::bad_value(place(number), line, "finite numbers"));
+        }
+        if samples.last().is_some_and(|(before, _)| *before >= time) {
+            return Err(BuildError::bad_value(place(number), line, "a time later than the line before"));
+        }
+        samples.push((time, Vector3::new(x, y, z)));
+    }
+    if samples.is_empty() {
+        return Err(BuildError::bad_value(
+            format!("wind file {}", path.display()),
+            "empty",
+            "at least one sample",
+        ));
+    }
+    Ok(samples)
+}

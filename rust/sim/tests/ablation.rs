@@ -1,0 +1,171 @@
+//! Parts of the aerodynamic information are left out exactly as the configuration says, and a
+//! configuration that leaves nothing out flies as one that does not mention it.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
+#![allow(clippy::float_cmp, reason = "the same computation gives the same bits")]
+
+mod common;
+
+use common::{experiment, fly};
+use flight_core::control::model_error::ModelError;
+use flight_core::control::wind_estimate::WindEstimateConfig;
+use flight_core::{Controller, Measurement};
+use flight_io::{load_controller, load_robot};
+use flight_sim::FlightConfig;
+use nalgebra::{Vector3, Vector6};
+use std::collections::BTreeMap;
+
+/// TEST2 where the wind has risen, cut short.
+fn short(name: &str) -> FlightConfig {
+    let mut config = experiment(name);
+    config.simulator.duration = 12.0;
+    config
+}
+
+fn with(change: impl Fn(&mut FlightConfig)) -> FlightConfig {
+    let mut config = short("test2");
+    change(&mut config);
+    config
+}
+
+/// A controller behind its first tick in a wind askew to every link.
+fn first_tick(config: &FlightConfig) -> Controller {
+    let robot = load_robot(&config.robot).unwrap();
+    let mut controller = load_controller(robot, &config.controller, &config.envelope, 0.01).unwrap();
+    let state = config.simulator.initial.state();
+    controller.tick(&Measurement {
+        time: 0.0,
+        state: &state,
+        thrust: &config.simulator.initial.thrust,
+        wind: Vector3::new(-4.0, -9.0, 1.5),
+    });
+    controller
+}
+
+fn rate(config: &FlightConfig) -> Vector6<f64> {
+    first_tick(config).terms().momentum.rate_estimate
+}
+
+#[test]
+fn settings_that_change_nothing_leave_every_bit_of_a_flight() {
+    let spoken = with(|config| {
+        config.controller.law.wind_estimate = Some(WindEstimateConfig::default());
+        config.controller.law.model_error = ModelError::default();
+        config.controller.law.aero_feedback.links = BTreeMap::from([("head".to_owned(), 1.0)]);
+        config.simulator.jet_faults.lag = 0.0;
+    });
+    let mut plain = short("test2");
+    // A table with one factor of one takes the long way; the others must be exact.
+    plain.controller.law.aero_feedback.links = spoken.controller.law.aero_feedback.links.clone();
+    let results = fly(&[plain, spoken]);
+    assert_eq!(results[0].log, results[1].log);
+}
+
+#[test]
+fn silent_defaults_are_not_written_out() {
+    let text = serde_json::to_string(&experiment("test2")).unwrap();
+    for key in ["wind_estimate", "model_error", "jet_faults", "aero_factors", "moment\"", "normal", "engine"]
+    {
+        assert!(!text.contains(key), "{key}");
+    }
+}
+
+#[test]
+fn force_and_moment_together_are_the_whole_wrench() {
+    let none = rate(&with(|config| config.controller.law.aero_feedback.momentum_rate = false));
+    let whole = rate(&with(|_| {})) - none;
+    let force = rate(&with(|config| config.controller.law.aero_feedback.moment = false)) - none;
+    let moment = rate(&with(|config| config.controller.law.aero_feedback.force = false)) - none;
+    assert!(whole.fixed_rows::<3>(0).norm() > 10.0 && whole.fixed_rows::<3>(3).norm() > 0.1);
+    crate::common::assert_within!((force + moment - whole).norm(), 1e-12);
+    crate::common::assert_within!(force.fixed_rows::<3>(3).norm(), 1e-12);
+    crate::common::assert_within!(moment.fixed_rows::<3>(0).norm(), 1e-12);
+    let neither = with(|config| {
+        config.controller.law.aero_feedback.force = false;
+        config.controller.law.aero_feedback.moment = false;
+    });
+    assert_eq!(rate(&neither), none);
+}
+
+#[test]
+fn drag_lies_along_the_air_and_the_normal_part_across_it() {
+    let whole = first_tick(&with(|_| {}));
+    let drag = first_tick(&with(|config| config.controller.law.aero_feedback.normal = 0.0));
+    let normal = first_tick(&with(|config| config.controller.law.aero_feedback.drag = 0.0));
+    let forces = |controller: &Controller| controller.terms().link_forces.forces_i.clone();
+    let air = &whole.terms().link_forces.v_air_i;
+    for (link, v_air) in air.iter().enumerate() {
+        let (f, d, n) = (forces(&whole)[link], forces(&drag)[link], forces(&normal)[link]);
+        crate::common::assert_within!((d + n - f).norm(), 1e-12, "link {link}");
+        crate::common::assert_within!(
+            d.cross(v_air).norm(),
+            1e-12 * v_air.norm(),
+            "link {link}: drag is askew"
+        );
+        crate::common::assert_within!(
+            n.dot(v_air).abs(),
+            1e-12 * v_air.norm(),
+            "link {link}: the normal part does work"
+        );
+    }
+    assert!(forces(&normal).iter().map(nalgebra::Matrix::norm).sum::<f64>() > 1.0);
+}
+
+#[test]
+fn a_link_can_be_left_out() {
+    let whole = first_tick(&with(|_| {}));
+    let without = with(|config| {
+        config.controller.law.aero_feedback.links = BTreeMap::from([("chest".to_owned(), 0.0)]);
+    });
+    let without = first_tick(&without);
+    let names = &whole.robot().aero_links;
+    for (index, link) in names.iter().enumerate() {
+        let (before, after) =
+            (whole.terms().link_forces.forces_i[index], without.terms().link_forces.forces_i[index]);
+        let expected = if link.name == "chest" { Vector3::zeros() } else { before };
+        crate::common::assert_within!((after - expected).norm(), 1e-13, "{}", link.name);
+    }
+}
+
+#[test]
+fn the_simulator_has_the_same_factors() {
+    let doubled = with(|config| {
+        config.simulator.aero_factors.drag = 2.0;
+        config.simulator.aero_factors.normal = 2.0;
+    });
+    let results = fly(&[short("test2"), doubled]);
+    let force = |flight: usize, tick: usize| {
+        let series = results[flight].log.series("aero_force_sim").unwrap();
+        Vector3::from_column_slice(&series.row(tick)[..3])
+    };
+    // The first tick, where both robots have fallen for one step alike.
+    assert!(force(0, 0).norm() > 0.0);
+    crate::common::assert_within!((force(1, 0) - 2.0 * force(0, 0)).norm(), 1e-12 * force(0, 0).norm());
+    assert!(results[1].summary.max_aero_force > 1.8 * results[0].summary.max_aero_force);
+}
+
+#[test]
+fn a_feedback_of_scale_zero_flies_like_no_feedback() {
+    let off = with(|config| config.controller.law.aero_feedback.scale = 0.0);
+    let results = fly(&[short("test1"), off]);
+    let angle = |flight: usize| results[flight].summary.max_rotation_error;
+    crate::common::assert_within!((angle(0) - angle(1)).abs(), 1e-6, "{} against {}", angle(0), angle(1));
+}
+
+#[test]
+fn what_cannot_be_left_out_is_refused_by_name() {
+    let message = |change: &dyn Fn(&mut FlightConfig)| {
+        let config = with(change);
+        let robot = load_robot(&config.robot).unwrap();
+        flight_sim::Flight::with_robot(&config, robot).unwrap_err().to_string()
+    };
+    let unknown = message(&|config| {
+        config.controller.law.aero_feedback.links = BTreeMap::from([("tail".to_owned(), 0.0)]);
+    });
+    assert!(unknown.contains("controller.aero_feedback.links") && unknown.contains("`tail`"), "{unknown}");
+    assert!(unknown.contains("l_lower_leg"), "{unknown}");
+    let nan = message(&|config| config.controller.law.aero_feedback.drag = f64::NAN);
+    assert!(nan.contains("controller.aero_feedback.drag is NaN"), "{nan}");
+    let plant = message(&|config| config.simulator.aero_factors.normal = f64::INFINITY);
+    assert!(plant.contains("simulator.aero_factors.normal is inf"), "{plant}");
+}

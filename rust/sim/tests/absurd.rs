@@ -1,0 +1,94 @@
+//! What cannot be right is refused where it is built, or does not outlive its tick.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+mod common;
+use common::experiment;
+use flight_core::control::{CommandStatus, Memory};
+use flight_core::spatial::{orthonormality_error, rotation_from_rpy, rpy_from_rotation};
+use flight_core::{Controller, Measurement};
+use flight_io::{load_controller, load_robot};
+use flight_sim::{Plant, Wind, WindConfig};
+use nalgebra::{DVector, Matrix3, Vector3};
+
+/// At gimbal lock itself, where only one of roll and yaw is left, the rotation still comes back.
+#[test]
+fn rpy_at_gimbal_lock_names_the_rotation() {
+    for (yaw, sign) in [(0.7_f64, 1.0), (-2.0, 1.0), (0.7, -1.0), (3.0, -1.0)] {
+        let (s, c) = yaw.sin_cos();
+        let r = Matrix3::new(0.0, -s, sign * c, 0.0, c, sign * s, -sign, 0.0, 0.0);
+        crate::common::assert_within!(orthonormality_error(&r), 1e-15);
+        crate::common::assert_within!((rotation_from_rpy(&rpy_from_rotation(&r)) - r).amax(), 1e-12);
+    }
+}
+/// A field too many is refused whatever it says.
+#[test]
+fn wind_file_with_a_trailing_word_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    for line in ["0,1,2,3,gusty", "0,1,2,3,"] {
+        let path = folder.path().join("trailing.csv");
+        std::fs::write(&path, format!("time,x,y,z\n{line}\n")).unwrap();
+        assert!(Wind::new(&WindConfig::File { path }).is_err(), "{line}");
+    }
+}
+fn controller() -> (Controller, Plant) {
+    let c = experiment("test2");
+    let robot = load_robot(&c.robot).unwrap();
+    let plant = Plant::new(robot.clone(), &c.simulator).unwrap();
+    (load_controller(robot, &c.controller, &c.envelope, 0.01).unwrap(), plant)
+}
+/// A memory that is not finite is refused.
+#[test]
+fn memories_that_are_not_finite_are_refused() {
+    for part in 0..3 {
+        let (mut controller, _) = controller();
+        let mut memory = Memory {
+            posture: DVector::zeros(23),
+            inertia_0_b: Matrix3::identity(),
+            velocity_error_integral: DVector::zeros(23),
+            torque_is_known: false,
+        };
+        match part {
+            0 => memory.posture[3] = f64::NAN,
+            1 => memory.velocity_error_integral[3] = f64::NAN,
+            _ => memory.inertia_0_b[(0, 0)] = f64::NAN,
+        }
+        assert!(controller.set_memory(memory).is_err(), "part {part}");
+    }
+}
+/// A velocity of another length is a bad measurement, not a panic.
+#[test]
+fn a_velocity_of_another_length_is_a_bad_measurement() {
+    for length in [28, 30, 0] {
+        let (mut controller, plant) = controller();
+        let mut state = plant.state().clone();
+        state.velocity = DVector::zeros(length);
+        let m =
+            Measurement { time: 0.0, state: &state, thrust: plant.jets().thrust(), wind: Vector3::zeros() };
+        assert_eq!(controller.tick(&m).status, CommandStatus::BadMeasurement);
+    }
+}
+/// One absurd sample does not cost the flight: a tick later the torques are sensible again.
+#[test]
+fn one_absurd_velocity_is_forgotten() {
+    let (mut controller, plant) = controller();
+    let good = plant.state().clone();
+    let mut absurd = good.clone();
+    absurd.velocity[9] = 1e12;
+    let mut tick = |state: &flight_core::RobotState, k: u32| {
+        let m = Measurement {
+            time: f64::from(k) * 0.01,
+            state,
+            thrust: plant.jets().thrust(),
+            wind: Vector3::zeros(),
+        };
+        let c = controller.tick(&m).clone();
+        (c.status, controller.terms().unlimited_torque.amax(), c.joint_torque.amax())
+    };
+    tick(&good, 0);
+    tick(&absurd, 1);
+    for k in 2..100 {
+        tick(&good, k);
+    }
+    let last = tick(&good, 100);
+    assert!(last.1 < 40.0, "{last:?}");
+}

@@ -1,0 +1,235 @@
+//! A tick works in preallocated space: after the first one neither controller nor plant allocates.
+//!
+//! A test binary of its own, because it replaces the allocator by one that counts.
+
+#![allow(unsafe_code, reason = "a global allocator cannot be written without")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+mod common;
+
+use common::{Loop, experiment, tick_at};
+use flight_core::Measurement;
+use flight_core::aero::Precision;
+use flight_core::control::CommandStatus;
+use flight_core::control::config::{Fallback, Solver};
+use flight_io::{AeroConfig, NetworkConfig, load_controller, load_robot, resolve};
+use flight_sim::FlightConfig;
+use flight_sim::config::AeroKinematics;
+use nalgebra::{Vector3, Vector6};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::hint::black_box;
+use std::path::Path;
+
+thread_local! {
+    /// Allocations and reallocations of this thread: tests run side by side.
+    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
+}
+
+struct Counting;
+
+fn count() {
+    // A thread that is ending has no counter any more.
+    let _ = ALLOCATIONS.try_with(|allocations| allocations.set(allocations.get() + 1));
+}
+
+// SAFETY: every call goes to the system's allocator as it came.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        // SAFETY: the caller's promises are passed on.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Allocations of this thread while `work` runs.
+fn allocations(work: impl FnOnce()) -> usize {
+    let before = ALLOCATIONS.get();
+    work();
+    ALLOCATIONS.get() - before
+}
+
+/// The counter counts: otherwise every test below would pass.
+#[test]
+fn the_counter_counts() {
+    assert_eq!(allocations(|| drop(black_box(Box::new(1)))), 1);
+    assert_eq!(allocations(|| drop(black_box(vec![0_u8; 100]))), 1);
+    let mut growing = Vec::with_capacity(1);
+    assert_eq!(allocations(|| black_box(&mut growing).extend([1, 2, 3])), 1);
+    assert_eq!(allocations(|| ()), 0);
+}
+
+/// Flies and counts; returns the greatest number of active bounds and whether every tick was nominal.
+#[track_caller]
+fn assert_no_allocations(what: &str, config: &FlightConfig, seconds: f64, wind: Vector3<f64>) -> (u32, bool) {
+    let mut flight = Loop::new(config);
+    let (mut in_ticks, mut in_plant, mut active, mut nominal) = (0, 0, 0, true);
+    for tick in 0..tick_at(seconds) {
+        let blow = wind * (tick as f64 * 0.01).min(1.0);
+        in_plant += allocations(|| flight.plant.observe(&blow));
+        let thrust = flight.plant.jets().thrust_feedback();
+        let measurement =
+            Measurement { time: tick as f64 * 0.01, state: flight.plant.state(), thrust, wind: blow };
+        let of_this_tick = allocations(|| {
+            flight.controller.tick(&measurement);
+        });
+        if tick > 0 {
+            in_ticks += of_this_tick;
+        }
+        let command = flight.controller.command();
+        active = active.max(command.momentum_qp.active).max(command.torque_qp.active);
+        nominal &= command.status == CommandStatus::Nominal;
+        let (torque, rate) = (command.joint_torque.as_slice(), command.thrust_rate.as_slice());
+        in_plant += allocations(|| flight.plant.advance(torque, rate, &blow, 0.01));
+    }
+    assert_eq!((in_ticks, in_plant), (0, 0), "{what}: allocations in ticks and in the plant");
+    (active, nominal)
+}
+
+const SIDE: Vector3<f64> = Vector3::new(0.0, -10.0, 0.0);
+
+fn with(name: &str, change: impl FnOnce(&mut FlightConfig)) -> FlightConfig {
+    let mut config = experiment(name);
+    change(&mut config);
+    config
+}
+
+fn sphere_cylinder() -> AeroConfig {
+    let file = common::configs("aero/sphere_cylinder.toml");
+    serde_json::from_value(resolve(&file).unwrap()).unwrap()
+}
+
+fn network() -> AeroConfig {
+    let card = Path::new(env!("CARGO_MANIFEST_DIR")).join("../core/tests/data/network_small.json");
+    AeroConfig::Network(NetworkConfig { card, precision: Precision::F32, air_density: 1.225 })
+}
+
+/// Calm flight, through climb and turbo, with either fallback.
+#[test]
+fn a_calm_tick_does_not_allocate() {
+    for fallback in [Fallback::Hold, Fallback::Clarabel] {
+        let config = with("test2", |config| config.controller.law.qp.fallback = fallback);
+        let (_, nominal) = assert_no_allocations(&format!("{fallback:?}"), &config, 25.0, SIDE);
+        assert!(nominal);
+    }
+}
+
+/// A robot that is being lost, with most unknowns at their bounds, with either fallback.
+#[test]
+fn a_saturated_tick_does_not_allocate() {
+    for fallback in [Fallback::Hold, Fallback::Clarabel] {
+        let config = with("test1_published", |config| config.controller.law.qp.fallback = fallback);
+        let (active, nominal) =
+            assert_no_allocations(&format!("{fallback:?}"), &config, 3.0, Vector3::new(9.0, -20.0, 0.0));
+        assert!(nominal && active >= 15, "nominal: {nominal}, {active} bounds active at most");
+    }
+}
+
+/// Every model and quirk, sub-steps, second-order engines.
+#[test]
+fn no_model_allocates() {
+    for (what, config) in [
+        ("published", experiment("test2_published")),
+        ("baseline", experiment("test1")),
+        (
+            "sphere/cylinder",
+            with("test2", |config| {
+                config.controller.aero = sphere_cylinder();
+                config.simulator.aero = sphere_cylinder();
+            }),
+        ),
+        ("frozen", with("test2", |config| config.simulator.kinematics = AeroKinematics::Frozen)),
+        (
+            "network",
+            with("test2", |config| {
+                config.controller.aero = network();
+                config.simulator.aero = network();
+            }),
+        ),
+        ("sub-steps", with("test2", |config| config.simulator.substeps = 4)),
+        ("second-order engines", experiment("second_order_jets")),
+    ] {
+        let (_, nominal) = assert_no_allocations(what, &config, 3.0, SIDE);
+        assert!(nominal, "{what}");
+    }
+}
+
+/// Holding allocates no more than flying does: with `hold` also a tick without answers, or one that is
+/// told a number that is not finite.
+#[test]
+fn a_tick_that_holds_does_not_allocate() {
+    let unanswerable = with("test2", |config| {
+        config.controller.law.qp.fallback = Fallback::Hold;
+        config.controller.law.weights.momentum = 1e305;
+        config.controller.law.torque.weight_acceleration = 1e306;
+    });
+    let (_, nominal) = assert_no_allocations("no answers", &unanswerable, 0.1, SIDE);
+    assert!(!nominal);
+    let config = with("test2", |config| config.controller.law.qp.fallback = Fallback::Hold);
+    let bad = Vector3::new(0.0, f64::NAN, 0.0);
+    let (_, nominal) = assert_no_allocations("bad measurements", &config, 0.1, bad);
+    assert!(!nominal);
+}
+
+/// Clarabel does allocate, as its documentation says; the counter would see it in a tick.
+#[test]
+fn clarabel_allocates() {
+    let config = with("test2", |config| config.controller.law.qp.solver = Solver::Clarabel);
+    let mut flight = Loop::new(&config);
+    flight.run(0.02, |_| SIDE);
+    assert!(allocations(|| flight.observe(&SIDE)) > 10);
+}
+
+/// A robot that stands: feet that carry, that let go and carry again, with either fallback.
+#[test]
+fn a_tick_on_the_ground_does_not_allocate() {
+    for fallback in [Fallback::Hold, Fallback::Clarabel] {
+        let mut config = experiment("balancing_lateral");
+        config.controller.law.qp.fallback = fallback;
+        let robot = load_robot(&config.robot).unwrap();
+        let mut controller = load_controller(robot, &config.controller, &config.envelope, 0.01).unwrap();
+        let mut state = config.simulator.initial.state();
+        let thrust = [0.0; 4];
+        let (mut counted, mut rows) = (0, 0);
+        for tick in 0..400 {
+            let time = f64::from(tick) * 0.01;
+            let phase = time * 5.0;
+            let carried = if tick % 100 < 90 { 212.5 } else { 0.0 };
+            state.joint_position[15] = 0.02 * phase.sin();
+            state.velocity[6 + 15] = 0.1 * phase.cos();
+            let foot = Vector6::new(0.0, 0.0, carried, 3.0 * phase.sin(), -1.2, 0.0);
+            let measurement = Measurement { time, state: &state, thrust: &thrust, wind: 2.0 * SIDE };
+            let of_this_tick = allocations(|| {
+                controller.feel(&[foot, foot]);
+                controller.tick(&measurement);
+            });
+            if tick > 0 {
+                counted += of_this_tick;
+            }
+            assert_eq!(controller.command().status, CommandStatus::Nominal, "tick {tick}");
+            rows = rows.max(controller.command().torque_qp.active);
+        }
+        assert_eq!(counted, 0, "{fallback:?}");
+        assert!(rows > 0, "no wrench reached its limits");
+    }
+}

@@ -1,0 +1,118 @@
+//! What several tests start from: the files of `configs/`, random states, batches of flights.
+
+#![allow(dead_code, reason = "no test binary needs everything")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
+
+pub mod measured;
+
+#[allow(unused_imports, reason = "no test binary needs everything")]
+pub(crate) use measured::assert_within;
+
+use flight_core::spatial::{Pose, rotation_from_wxyz};
+use flight_core::{Controller, Measurement, RobotModel, RobotState};
+use flight_io::{load_controller, load_robot};
+use flight_sim::{FlightConfig, FlightResult, Plant, fly_batch, load_flight};
+use nalgebra::Vector3;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+/// Tick of every flight here \[s\].
+pub const TIME_STEP: f64 = 0.01;
+
+/// A file or folder of `configs/`.
+pub fn configs(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs").join(name)
+}
+
+pub fn robot(name: &str) -> RobotModel {
+    load_robot(&configs("robot").join(name).with_extension("toml")).unwrap()
+}
+
+/// Two robots that differ in everything: 23 joints and 4 jets, 5 joints and 3 jets.
+pub fn both_robots() -> [RobotModel; 2] {
+    [robot("ironcub_mk1"), robot("sparrow")]
+}
+
+pub fn experiment(name: &str) -> FlightConfig {
+    load_flight(&configs("experiments").join(name).with_extension("toml")).unwrap()
+}
+
+pub fn rng(seed: u64) -> ChaCha8Rng {
+    ChaCha8Rng::seed_from_u64(seed)
+}
+
+pub fn random_vector(rng: &mut ChaCha8Rng, size: f64) -> Vector3<f64> {
+    Vector3::from_fn(|_, _| rng.random_range(-size..size))
+}
+
+/// Any attitude, joints within ±1.5 rad, velocities up to 3 m/s and 3 rad/s.
+pub fn random_state(rng: &mut ChaCha8Rng, robot: &RobotModel) -> RobotState {
+    let mut state = RobotState::zero(robot.joints.len());
+    let wxyz = [(); 4].map(|()| rng.random_range(-1.0..1.0_f64));
+    state.base = Pose { rotation: rotation_from_wxyz(&wxyz), position: random_vector(rng, 2.0) };
+    state.joint_position.iter_mut().for_each(|s| *s = rng.random_range(-1.5..1.5));
+    state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-3.0..3.0));
+    state
+}
+
+/// Tick of a flight at a time \[s\].
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a few thousand, at least zero")]
+pub fn tick_at(time: f64) -> usize {
+    (time / TIME_STEP).round() as usize
+}
+
+/// Flies all configurations, on all cores.
+pub fn fly(flights: &[FlightConfig]) -> Vec<FlightResult> {
+    let results = fly_batch(flights, None, |result| result, |_, _| ControlFlow::Continue(())).unwrap();
+    results.into_iter().map(Result::unwrap).collect()
+}
+
+/// Plant and controller of a flight, for tests that want to see inside a tick.
+pub struct Loop {
+    pub plant: Plant,
+    pub controller: Controller,
+    pub tick: usize,
+}
+
+impl Loop {
+    pub fn new(config: &FlightConfig) -> Self {
+        let robot = load_robot(&config.robot).unwrap();
+        Self::with_robot(config, robot)
+    }
+
+    pub fn with_robot(config: &FlightConfig, robot: RobotModel) -> Self {
+        let plant = Plant::new(robot.clone(), &config.simulator).unwrap();
+        let controller = load_controller(robot, &config.controller, &config.envelope, TIME_STEP).unwrap();
+        Self { plant, controller, tick: 0 }
+    }
+
+    /// Plant and controller see the same state in the same wind.
+    pub fn observe(&mut self, wind: &Vector3<f64>) {
+        self.plant.observe(wind);
+        let time = self.tick as f64 * TIME_STEP;
+        let thrust = self.plant.jets().thrust_feedback();
+        self.controller.tick(&Measurement { time, state: self.plant.state(), thrust, wind: *wind });
+    }
+
+    /// The plant obeys the last command.
+    pub fn advance(&mut self, wind: &Vector3<f64>) {
+        let command = self.controller.command();
+        self.plant.advance(command.joint_torque.as_slice(), command.thrust_rate.as_slice(), wind, TIME_STEP);
+        self.tick += 1;
+    }
+
+    /// Ticks for some seconds; afterwards plant and controller are between observing and advancing.
+    pub fn run(&mut self, seconds: f64, wind: impl Fn(f64) -> Vector3<f64>) {
+        let end = self.tick + tick_at(seconds);
+        loop {
+            let wind = wind(self.tick as f64 * TIME_STEP);
+            self.observe(&wind);
+            if self.tick == end {
+                break;
+            }
+            self.advance(&wind);
+        }
+    }
+}

@@ -1,0 +1,328 @@
+//! A wind that is not known well, a robot that is not known well, and jets that do not obey.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
+#![allow(clippy::float_cmp, reason = "the same computation gives the same bits")]
+
+mod common;
+
+use common::{experiment, fly, robot};
+use flight_core::control::model_error::ModelError;
+use flight_core::control::wind_estimate::{WindEstimateConfig, WindEstimator};
+use flight_core::noise::Noise;
+use flight_sim::jets::{
+    FailureKind, JetFailure, JetFaultsConfig, Jets, JetsConfig, MeasurementNoise, SecondOrderConfig,
+};
+use flight_sim::{Flight, FlightConfig, FlightResult, Wind, WindConfig};
+use nalgebra::Vector3;
+
+const STEP: f64 = 0.01;
+const THRUST: [f64; 4] = [98.0, 98.0, 113.0, 113.0];
+
+fn told(config: &WindEstimateConfig, winds: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+    let mean = Vector3::new(1.0, 2.0, 3.0);
+    let mut estimator = WindEstimator::new(config, STEP, mean).unwrap();
+    winds.iter().map(|wind| estimator.update(wind)).collect()
+}
+
+fn step_up(before: usize, after: usize) -> Vec<Vector3<f64>> {
+    let up = Vector3::new(0.0, -10.0, 0.0);
+    (0..before + after).map(|tick| if tick < before { Vector3::zeros() } else { up }).collect()
+}
+
+/// The first words of the generator's published demonstration, seed 42 and stream 54.
+#[test]
+fn noise_is_that_of_the_published_generator() {
+    let mut noise = Noise::new(42, 54);
+    for word in [0xa15c_02b7_u32, 0x7b47_f409, 0xba1d_3330, 0x83d2_f293, 0xbfa4_784b, 0xcbed_606e] {
+        assert_eq!(noise.uniform(), (f64::from(word) + 0.5) / 4_294_967_296.0);
+    }
+}
+
+#[test]
+fn noise_is_repeatable_and_normal() {
+    let draw = |seed, stream| {
+        let mut noise = Noise::new(seed, stream);
+        (0..20_000).map(|_| noise.normal()).collect::<Vec<f64>>()
+    };
+    let samples = draw(7, 0);
+    assert_eq!(samples, draw(7, 0));
+    assert_ne!(samples, draw(8, 0));
+    assert_ne!(samples, draw(7, 1));
+    let mean = samples.iter().sum::<f64>() / 2e4;
+    let variance = samples.iter().map(|x| x * x).sum::<f64>() / 2e4;
+    assert!(mean.abs() < 0.03 && (variance - 1.0).abs() < 0.05, "mean {mean}, variance {variance}");
+    let neighbours = samples.windows(2).map(|pair| pair[0] * pair[1]).sum::<f64>() / 2e4;
+    assert!(neighbours.abs() < 0.03, "neighbours correlate: {neighbours}");
+    let beyond_two = samples.iter().filter(|x| x.abs() > 2.0).count() as f64 / 2e4;
+    assert!((beyond_two - 0.0455).abs() < 0.006, "{beyond_two} of 0.0455 beyond two sigma");
+}
+
+#[test]
+fn a_delayed_estimate_tells_the_wind_of_then() {
+    let config = WindEstimateConfig { delay: 0.3, ..WindEstimateConfig::default() };
+    let winds = step_up(50, 100);
+    let estimates = told(&config, &winds);
+    for tick in 0..150 {
+        assert_eq!(estimates[tick], winds[tick.saturating_sub(30)], "tick {tick}");
+    }
+}
+
+#[test]
+fn a_low_pass_has_gone_63_percent_after_its_time_constant() {
+    let config = WindEstimateConfig { time_constant: 0.5, ..WindEstimateConfig::default() };
+    let estimates = told(&config, &step_up(10, 200));
+    crate::common::assert_within!((estimates[9].y).abs(), 1e-12);
+    let reached = estimates[9 + 50].y / -10.0;
+    crate::common::assert_within!((reached - (1.0 - (-1.0_f64).exp())).abs(), 1e-9, "{reached}");
+}
+
+#[test]
+fn bias_mean_and_noise_are_what_they_say() {
+    let winds = step_up(0, 5000);
+    let bias = WindEstimateConfig { bias: [1.0, 0.0, -2.0], ..WindEstimateConfig::default() };
+    assert_eq!(told(&bias, &winds)[3], Vector3::new(1.0, -10.0, -2.0));
+    let mean = WindEstimateConfig { mean_only: true, ..WindEstimateConfig::default() };
+    assert_eq!(told(&mean, &winds)[3], Vector3::new(1.0, 2.0, 3.0));
+    let noisy = WindEstimateConfig { noise_std: 2.0, seed: 3, ..WindEstimateConfig::default() };
+    let estimates = told(&noisy, &winds);
+    assert_eq!(estimates, told(&noisy, &winds));
+    let spread = estimates.iter().map(|wind| (wind.y + 10.0).powi(2)).sum::<f64>() / 5000.0;
+    assert!((spread.sqrt() - 2.0).abs() < 0.1, "{spread}");
+}
+
+#[test]
+fn only_the_controller_is_told_wrong() {
+    let mut biased = experiment("test2");
+    biased.simulator.duration = 12.0;
+    biased.controller.law.wind_estimate =
+        Some(WindEstimateConfig { bias: [0.0, 10.0, 0.0], ..WindEstimateConfig::default() });
+    let result = &fly(&[biased])[0];
+    // The bias cancels the wind: what is estimated is the robot's own motion.
+    assert_eq!(result.log.series("wind").unwrap().row(1100)[1], -10.0);
+    let total = |name: &str| -> f64 {
+        result.log.series(name).unwrap().row(1100).chunks_exact(3).map(|force| force[1]).sum()
+    };
+    assert!(total("aero_force_sim") < -5.0, "{}", total("aero_force_sim"));
+    assert!(total("aero_force_control").abs() < 1.0, "{}", total("aero_force_control"));
+}
+
+#[test]
+fn a_controller_can_believe_in_another_robot() {
+    let real = robot("ironcub_mk1");
+    let error = ModelError { mass_scale: 1.1, com_offset: [0.02, 0.0, -0.01] };
+    let believed = error.believed(real.clone());
+    crate::common::assert_within!((believed.mass() - 1.1 * real.mass()).abs(), 1e-12);
+    assert_eq!(believed.bodies[0].com_b, real.bodies[0].com_b + Vector3::new(0.02, 0.0, -0.01));
+    assert_eq!(believed.bodies[3].com_b, real.bodies[3].com_b);
+
+    let mut heavy = experiment("no_wind");
+    heavy.simulator.duration = 8.0;
+    let mut sound = heavy.clone();
+    sound.controller.law.model_error = ModelError::default();
+    heavy.controller.law.model_error.mass_scale = 1.03;
+    let results = fly(&[sound, heavy]);
+    // Thrust for weight that is not there: the robot hovers too high, held by the position task alone.
+    let height = |flight: usize| results[flight].log.series("com_position").unwrap().row(800)[2];
+    assert!(height(1) > height(0) + 0.05, "{} against {}", height(1), height(0));
+}
+
+fn jets(config: &JetsConfig, faults: &JetFaultsConfig) -> Jets {
+    let robot = robot("ironcub_mk1");
+    Jets::new(config, &robot.jets, &robot.engines, &THRUST).unwrap().with_faults(faults, &robot.jets).unwrap()
+}
+
+fn failure(kind: FailureKind, decay: f64) -> JetFaultsConfig {
+    let failure = JetFailure { jet: "r_arm_jet".to_owned(), time: 0.5, kind, decay };
+    JetFaultsConfig { failure: Some(failure), ..JetFaultsConfig::default() }
+}
+
+/// Thrusts every step, under the same command all the time.
+fn run(mut jets: Jets, rate: f64, steps: usize) -> Vec<Vec<f64>> {
+    let mut record = vec![jets.thrust().to_vec()];
+    for _ in 0..steps {
+        jets.advance(&[rate; 4], STEP);
+        record.push(jets.thrust().to_vec());
+    }
+    record
+}
+
+#[test]
+fn an_engine_that_is_off_gives_nothing_and_the_others_go_on() {
+    for config in [JetsConfig::Ideal {}, JetsConfig::SecondOrder(SecondOrderConfig::default())] {
+        let sound = run(jets(&config, &JetFaultsConfig::default()), 10.0, 100);
+        let record = run(jets(&config, &failure(FailureKind::Off, 0.0)), 10.0, 100);
+        assert_eq!(record[50], sound[50], "nothing before its time");
+        assert_eq!(record[51][1], 0.0);
+        assert_eq!(record[100][1], 0.0);
+        assert_eq!(record[100][0], sound[100][0]);
+        assert_eq!(record[100][2..], sound[100][2..]);
+    }
+}
+
+#[test]
+fn a_stuck_engine_keeps_its_thrust_and_a_dying_one_loses_it_slowly() {
+    let stuck = run(jets(&JetsConfig::Ideal {}, &failure(FailureKind::Stuck, 0.0)), 10.0, 100);
+    crate::common::assert_within!((stuck[100][1] - stuck[51][1]).abs(), 1e-12);
+    crate::common::assert_within!((stuck[51][1] - 103.1).abs(), 1e-9, "{}", stuck[51][1]);
+    let dying = run(jets(&JetsConfig::Ideal {}, &failure(FailureKind::Off, 0.2)), 10.0, 100);
+    let expected = dying[71][1] / dying[51][1];
+    crate::common::assert_within!((expected - (-1.0_f64).exp()).abs(), 1e-9, "{expected}");
+}
+
+#[test]
+fn limits_hold_and_what_lies_beyond_is_not_remembered() {
+    let faults = JetFaultsConfig { thrust_limit_scale: Some(0.7), ..JetFaultsConfig::default() };
+    let mut jets = jets(&JetsConfig::Ideal {}, &faults);
+    for _ in 0..300 {
+        jets.advance(&[100.0; 4], STEP);
+    }
+    assert_eq!(jets.thrust(), [112.0, 112.0, 154.0, 154.0]);
+    jets.advance(&[-100.0; 4], STEP);
+    crate::common::assert_within!((jets.thrust()[0] - 111.0).abs(), 1e-12, "no wind-up");
+    for _ in 0..300 {
+        jets.advance(&[-100.0; 4], STEP);
+    }
+    assert_eq!(jets.thrust(), [0.0; 4]);
+}
+
+#[test]
+fn a_lag_delays_the_thrust_by_its_time_constant() {
+    let lagged = JetFaultsConfig { lag: 0.2, ..JetFaultsConfig::default() };
+    let late = run(jets(&JetsConfig::Ideal {}, &lagged), 10.0, 300);
+    let sound = run(jets(&JetsConfig::Ideal {}, &JetFaultsConfig::default()), 10.0, 300);
+    let behind = sound[300][0] - late[300][0];
+    // ∫ of the first-order response: late by τ, and half a step as each step acts at its beginning.
+    assert!((behind - 10.0 * (0.2 - 0.5 * STEP)).abs() < 0.02, "{behind}");
+}
+
+#[test]
+fn measurement_noise_enters_the_estimate_alone() {
+    let noisy = |seed| JetFaultsConfig {
+        measurement_noise: Some(MeasurementNoise { std: 2.0, seed }),
+        ..JetFaultsConfig::default()
+    };
+    let estimated = JetsConfig::SecondOrder(SecondOrderConfig {
+        feedback: flight_sim::jets::ThrustFeedback::Estimated,
+        ..SecondOrderConfig::default()
+    });
+    let feedback = |seed| {
+        let mut jets = jets(&estimated, &noisy(seed));
+        for _ in 0..100 {
+            jets.advance(&[0.0; 4], STEP);
+        }
+        jets.thrust_feedback().to_vec()
+    };
+    assert_eq!(feedback(1), feedback(1));
+    assert_ne!(feedback(1), feedback(2));
+
+    let robot = robot("ironcub_mk1");
+    let ideal = Jets::new(&JetsConfig::Ideal {}, &robot.jets, &robot.engines, &THRUST).unwrap();
+    let message = ideal.with_faults(&noisy(1), &robot.jets).unwrap_err().to_string();
+    assert!(message.contains("measurement_noise") && message.contains("ideal"), "{message}");
+}
+
+#[test]
+fn turbulence_has_its_standard_deviation_and_rises_with_the_ramp() {
+    let wind = |seed| {
+        Wind::new(&WindConfig::Turbulent {
+            velocity: [0.0, -10.0, 0.0],
+            ramp_start: 5.0,
+            ramp_end: 10.0,
+            std: [1.0, 2.0, 0.5],
+            time_scale: 2.0,
+            seed,
+        })
+        .unwrap()
+    };
+    assert_eq!(wind(1).velocity(4.0), Vector3::zeros());
+    assert_eq!(wind(1).velocity(20.0), wind(1).velocity(20.0));
+    assert_ne!(wind(1).velocity(20.0), wind(2).velocity(20.0));
+    let (mut mean, mut square) = (Vector3::<f64>::zeros(), Vector3::<f64>::zeros());
+    for seed in 0..200 {
+        let wind = wind(seed);
+        for sample in 0..50 {
+            let gust = wind.velocity(10.0 + 3.7 * f64::from(sample)) - Vector3::new(0.0, -10.0, 0.0);
+            mean += gust / 1e4;
+            square += gust.component_mul(&gust) / 1e4;
+        }
+    }
+    for (axis, std) in [1.0, 2.0, 0.5].into_iter().enumerate() {
+        assert!(mean[axis].abs() < 0.06 * std, "axis {axis}: mean {}", mean[axis]);
+        assert!((square[axis].sqrt() / std - 1.0).abs() < 0.05, "axis {axis}: {}", square[axis].sqrt());
+    }
+}
+
+fn one(change: impl Fn(&mut FlightConfig)) -> FlightResult {
+    let mut config = experiment("test2");
+    config.simulator.duration = 20.0;
+    change(&mut config);
+    fly(&[config]).remove(0)
+}
+
+#[test]
+fn a_flight_loses_an_arm_engine_and_falls() {
+    let result = one(|config| {
+        config.simulator.jet_faults = failure(FailureKind::Off, 0.0);
+    });
+    let fall = result.fall.unwrap();
+    assert!(fall.time > 0.5 && fall.time < 10.0, "{fall:?}");
+    assert_eq!(result.log.series("thrust").unwrap().row(60)[1], 0.0);
+}
+
+#[test]
+fn known_limits_reach_the_controller() {
+    let limited = |known| {
+        one(move |config| {
+            config.simulator.jet_faults.thrust_limit_scale = Some(0.55);
+            config.simulator.jet_faults.limit_is_known = known;
+        })
+    };
+    let (secret, known) = (limited(false), limited(true));
+    crate::common::assert_within!(secret.summary.thrust_range.1, 0.55 * 220.0 + 1e-9);
+    assert_ne!(secret.log, known.log);
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_by_name() {
+    let message = |change: &dyn Fn(&mut FlightConfig)| {
+        let mut config = experiment("test2");
+        change(&mut config);
+        Flight::new(&config).unwrap_err().to_string()
+    };
+    let estimate = |estimate: WindEstimateConfig| {
+        message(&|config: &mut FlightConfig| config.controller.law.wind_estimate = Some(estimate.clone()))
+    };
+    let default = WindEstimateConfig::default;
+    for (key, text) in [
+        ("noise_std is -1", estimate(WindEstimateConfig { noise_std: -1.0, ..default() })),
+        ("delay is 1e9", estimate(WindEstimateConfig { delay: 1e9, ..default() })),
+        ("time_constant is NaN", estimate(WindEstimateConfig { time_constant: f64::NAN, ..default() })),
+        ("bias is inf", estimate(WindEstimateConfig { bias: [f64::INFINITY, 0.0, 0.0], ..default() })),
+    ] {
+        let key = key.replace("1e9", "1000000000");
+        assert!(text.contains(&format!("controller.wind_estimate.{key}")), "{text}");
+        assert!(text.contains("expected"), "{text}");
+    }
+    let mass = message(&|config| config.controller.law.model_error.mass_scale = 0.0);
+    assert!(mass.contains("controller.model_error.mass_scale is 0"), "{mass}");
+    let lag = message(&|config| config.simulator.jet_faults.lag = -0.1);
+    assert!(lag.contains("simulator.jet_faults.lag is -0.1"), "{lag}");
+    let limit = message(&|config| config.simulator.jet_faults.thrust_limit_scale = Some(0.0));
+    assert!(limit.contains("simulator.jet_faults.thrust_limit_scale is 0"), "{limit}");
+    let jet = message(&|config| {
+        config.simulator.jet_faults = failure(FailureKind::Off, 0.0);
+        config.simulator.jet_faults.failure.as_mut().unwrap().jet = "tail".to_owned();
+    });
+    assert!(jet.contains("failure.jet") && jet.contains("`tail`") && jet.contains("r_arm_jet"), "{jet}");
+    let std = message(&|config| {
+        config.wind = WindConfig::Turbulent {
+            velocity: [0.0; 3],
+            ramp_start: 0.0,
+            ramp_end: 0.0,
+            std: [0.0, -1.0, 0.0],
+            time_scale: 1.0,
+            seed: 0,
+        };
+    });
+    assert!(std.contains("wind.std is -1"), "{std}");
+}

@@ -1,0 +1,76 @@
+//! Whole flights: what the published flights must give, in which world, and what the simulator promises.
+//!
+//! "Published" flights use the printed coefficients and explicit Euler, as the numbers they are compared
+//! with did. After thrusts and joints saturate a falling robot moves chaotically: there only the outcome
+//! and a window for its time are claimed.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
+#![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
+
+mod common;
+
+#[path = "flight/laws.rs"]
+mod laws;
+#[path = "flight/network.rs"]
+mod network;
+#[path = "flight/published.rs"]
+mod published;
+#[path = "flight/simulator.rs"]
+mod simulator;
+#[path = "flight/wind.rs"]
+mod wind;
+
+use flight_io::AeroConfig;
+use flight_sim::config::Integrator;
+use flight_sim::{FlightConfig, FlightResult, WindConfig};
+
+/// A flight with something changed.
+fn with(mut config: FlightConfig, change: impl FnOnce(&mut FlightConfig)) -> FlightConfig {
+    change(&mut config);
+    config
+}
+
+/// An experiment of ours in the world that the published numbers come from: printed coefficients on both
+/// sides, explicit Euler.
+fn as_published(name: &str) -> FlightConfig {
+    with(common::experiment(name), |config| {
+        config.simulator.integrator = Integrator::ExplicitEuler;
+        let printed = common::experiment("test2_published").simulator.aero;
+        if config.controller.aero != (AeroConfig::Off {}) {
+            config.controller.aero = printed.clone();
+        }
+        config.simulator.aero = printed;
+    })
+}
+
+/// The published ramp to another wind.
+fn ramp_to(velocity: [f64; 3]) -> WindConfig {
+    WindConfig::Ramp { velocity, ramp_start: 5.0, ramp_end: 10.0 }
+}
+
+const STILL: WindConfig = WindConfig::Constant { velocity: [0.0; 3] };
+const NO_AIR: AeroConfig = AeroConfig::Off {};
+
+fn data<'a>(result: &'a FlightResult, name: &str) -> &'a [f64] {
+    &result.log.series(name).unwrap_or_else(|| panic!("no series `{name}`")).data
+}
+
+/// Greatest of a signal between two times.
+fn peak(result: &FlightResult, name: &str, from: f64, to: f64) -> f64 {
+    let times = data(result, "time").iter().zip(data(result, name));
+    times.filter(|(time, _)| (from..=to).contains(*time)).map(|(_, value)| *value).fold(f64::MIN, f64::max)
+}
+
+/// Error of the CoM along an axis, the one of greatest size, after the start has settled.
+fn com_offset(result: &FlightResult, axis: usize) -> f64 {
+    let rows = data(result, "com_position").chunks(3).zip(data(result, "com_reference").chunks(3));
+    let errors = rows.zip(data(result, "time")).filter(|(_, time)| **time >= 3.0);
+    errors
+        .map(|((com, desired), _)| com[axis] - desired[axis])
+        .fold(0.0, |worst: f64, e| if e.abs() > worst.abs() { e } else { worst })
+}
+
+/// Rotation error at a time \[deg\].
+fn rotation_error_at(result: &FlightResult, time: f64) -> f64 {
+    data(result, "rotation_error")[common::tick_at(time)].to_degrees()
+}

@@ -1,0 +1,156 @@
+//! Laws of the closed loop, whatever the numbers: where it settles, and what a finer step tends to.
+
+use super::common::{Loop, experiment, fly};
+use super::{as_published, data, ramp_to, with};
+use flight_core::aero::LeverArm;
+use flight_core::spatial::vee_of_skew_part;
+use flight_sim::FlightConfig;
+use flight_sim::config::Integrator;
+use nalgebra::Vector3;
+
+/// A constant force and moment that the controller does not know of: the attitude settles at
+/// `e = (1 + I₀/c₀) d`, d the moment in body axes, and the CoM at `(K_D + 1)/(K_P m)` metres per newton.
+#[test]
+fn an_unknown_wrench_is_held_with_an_error() {
+    let cases = [
+        ([0.0, -4.0, 0.0], LeverArm::Rotated),
+        ([0.0, -8.0, 0.0], LeverArm::Rotated),
+        ([0.0, -6.0, 0.0], LeverArm::Unrotated),
+        ([-6.0, 0.0, 0.0], LeverArm::Rotated),
+        ([5.0, 4.0, 0.0], LeverArm::Rotated),
+    ];
+    for (wind, lever_arm) in cases {
+        let config = with(as_published("test1"), |config| {
+            config.simulator.lever_arm = lever_arm;
+            config.envelope = experiment_envelope("hover");
+        });
+        let mut flight = Loop::new(&config);
+        let blow = |time: f64| Vector3::from(wind) * ((time - 5.0) / 5.0).clamp(0.0, 1.0);
+        flight.run(80.0, blow);
+        crate::common::assert_within!(flight.plant.state().velocity.amax(), 1e-3, "settled");
+
+        let terms = flight.controller.terms();
+        let rotation = flight.plant.state().base.rotation;
+        let (force, moment) = flight.plant.link_forces().wrench_about(&flight.plant.kinematics().com);
+        let gains = &config.controller.law.momentum;
+
+        let error = vee_of_skew_part(&(terms.reference.rotation.transpose() * rotation));
+        let d = rotation.transpose() * moment;
+        let law = d + flight.controller.memory().inertia_0_b * d / gains.c0;
+        assert!((error - law).norm() < 0.01 * law.norm(), "{wind:?}: e = {error}, law {law}");
+        assert!(law.norm() > 0.1, "{wind:?} tips the robot");
+
+        let offset = flight.plant.kinematics().com - terms.reference.com_position;
+        let per_newton = (gains.kd_linear[0] + 1.0) / (gains.kp_linear[0] * flight.plant.kinematics().mass());
+        crate::common::assert_within!((per_newton - 0.0135).abs(), 5e-5, "{per_newton} m/N");
+        let law = force * per_newton;
+        assert!((offset - law).norm() < 0.005 * law.norm(), "{wind:?}: CoM off by {offset}, law {law}");
+    }
+}
+
+fn experiment_envelope(name: &str) -> flight_io::MissionConfig {
+    let file = super::common::configs("envelope").join(name).with_extension("toml");
+    serde_json::from_value(flight_io::resolve(&file).unwrap()).unwrap()
+}
+
+/// The aware controller that knows the wrench holds it without an error.
+#[test]
+fn a_known_wrench_is_held_without_an_error() {
+    let config = with(as_published("test2"), |config| config.envelope = experiment_envelope("hover"));
+    let mut flight = Loop::new(&config);
+    flight.run(60.0, |time| Vector3::new(0.0, -10.0, 0.0) * ((time - 5.0) / 5.0).clamp(0.0, 1.0));
+    let terms = flight.controller.terms();
+    let error = terms.reference.rotation.transpose() * flight.plant.state().base.rotation;
+    crate::common::assert_within!(vee_of_skew_part(&error).norm(), 2e-3);
+    crate::common::assert_within!(
+        (flight.plant.kinematics().com - terms.reference.com_position).norm(),
+        2e-4
+    );
+}
+
+/// Pose and posture after three seconds in a rising wind.
+fn end(config: &FlightConfig) -> Vec<f64> {
+    let result = &fly(std::slice::from_ref(config))[0];
+    let last = |name: &str| {
+        let series = result.log.series(name).unwrap();
+        series.row(result.log.len() - 1).to_vec()
+    };
+    [last("base_position"), last("base_quaternion"), last("joint_position"), last("thrust")].concat()
+}
+
+fn distance(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+}
+
+/// Both integrators are of first order and have the same limit: halving the sub-step halves the
+/// distance to it.
+#[test]
+fn substeps_agree_in_the_limit() {
+    let flight = |integrator: Integrator, substeps: u32| {
+        end(&with(experiment("test1"), |config| {
+            config.simulator.duration = 3.0;
+            config.simulator.substeps = substeps;
+            config.simulator.integrator = integrator;
+            config.wind =
+                flight_sim::WindConfig::Ramp { velocity: [4.0, -8.0, 0.0], ramp_start: 0.0, ramp_end: 3.0 };
+        }))
+    };
+    // Richardson: from two first-order answers to one of second order.
+    let fine = flight(Integrator::SemiImplicitEuler, 64);
+    let coarse = flight(Integrator::SemiImplicitEuler, 32);
+    let limit: Vec<f64> = fine.iter().zip(&coarse).map(|(fine, coarse)| 2.0 * fine - coarse).collect();
+    for integrator in [Integrator::SemiImplicitEuler, Integrator::ExplicitEuler] {
+        let errors = [4, 8, 16].map(|substeps| distance(&flight(integrator, substeps), &limit));
+        for pair in errors.windows(2) {
+            let ratio = pair[0] / pair[1];
+            assert!((1.8..2.2).contains(&ratio), "{integrator:?}: errors {errors:?}");
+        }
+    }
+}
+
+/// The step of the integrator matters little for the published flights: 1.1 deg in TEST1, 0.2 in TEST2.
+///
+/// TEST1 is flown without finer steps of explicit Euler: with two of them in a tick the legs' arc at 21 s
+/// (see `test1_with_right_arms_is_degraded`) reaches 42 deg, with six the robot falls.
+#[test]
+fn the_integrator_hardly_matters() {
+    use Integrator::{ExplicitEuler, SemiImplicitEuler};
+    let test1 = [(ExplicitEuler, 1), (SemiImplicitEuler, 1), (SemiImplicitEuler, 2), (SemiImplicitEuler, 10)];
+    let test2 = [test1.as_slice(), &[(ExplicitEuler, 2), (ExplicitEuler, 10)]].concat();
+    for (name, limit, variants) in [("test1", 1.1, test1.to_vec()), ("test2", 0.2, test2)] {
+        let base = as_published(name);
+        let variants: Vec<FlightConfig> = variants
+            .into_iter()
+            .map(|(integrator, substeps)| {
+                with(base.clone(), |config| {
+                    config.simulator.integrator = integrator;
+                    config.simulator.substeps = substeps;
+                })
+            })
+            .collect();
+        let flights = fly(&variants);
+        let errors: Vec<f64> =
+            flights.iter().map(|flight| flight.summary.max_rotation_error.to_degrees()).collect();
+        assert!(flights.iter().all(|flight| flight.fall.is_none()));
+        for error in &errors {
+            assert!((error - errors[0]).abs() <= limit, "{name}: {errors:?} deg");
+        }
+    }
+}
+
+/// Mirror: a wind from the other side tips the baseline to the other side by about as much.
+#[test]
+fn left_and_right_wind_are_mirror_images() {
+    let side = |y: f64| {
+        with(as_published("test1"), |config| {
+            config.wind = ramp_to([0.0, y, 0.0]);
+            config.simulator.duration = 15.0;
+        })
+    };
+    let flights = fly(&[side(-6.0), side(6.0)]);
+    let y_at_end = |k: usize| {
+        let com = data(&flights[k], "com_position");
+        com[com.len() - 2] - 0.000_41
+    };
+    assert!((y_at_end(0) + y_at_end(1)).abs() < 0.02 * y_at_end(1).abs(), "{} {}", y_at_end(0), y_at_end(1));
+}

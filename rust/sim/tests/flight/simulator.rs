@@ -1,0 +1,329 @@
+//! What the simulator promises besides physics: the log, batches, interruption, falls, refusals.
+
+use super::common::{experiment, fly, tick_at};
+use super::{STILL, data, ramp_to, with};
+use flight_core::spatial::{orthonormality_error, rotation_from_wxyz};
+use flight_io::{load_controller, load_robot};
+use flight_sim::{
+    BatchError, Fall, FallReason, Flight, FlightConfig, FlightLog, FlightResult, Interrupted, fly_batch,
+};
+use std::ops::ControlFlow;
+
+fn short(seconds: f64) -> FlightConfig {
+    with(experiment("test2"), |config| config.simulator.duration = seconds)
+}
+
+fn run(config: &FlightConfig) -> FlightResult {
+    Flight::new(config).unwrap().run(|_, _| ControlFlow::Continue(())).unwrap()
+}
+
+/// The log has every signal of a result file, a row of the stated shape for every tick, time 0 included.
+#[test]
+fn the_log_has_every_signal_of_every_tick() {
+    let result = run(&short(0.5));
+    let expected: [(&str, &[usize]); 24] = [
+        ("time", &[]),
+        ("base_position", &[3]),
+        ("base_quaternion", &[4]),
+        ("base_velocity", &[6]),
+        ("base_rpy_reference", &[3]),
+        ("joint_position", &[23]),
+        ("joint_velocity", &[23]),
+        ("com_position", &[3]),
+        ("com_velocity", &[3]),
+        ("com_reference", &[3]),
+        ("rotation_error", &[]),
+        ("thrust", &[4]),
+        ("thrust_rate", &[4]),
+        ("joint_velocity_command", &[23]),
+        ("joint_torque", &[23]),
+        ("wind", &[3]),
+        ("aero_force_sim", &[13, 3]),
+        ("aero_force_control", &[13, 3]),
+        ("momentum", &[6]),
+        ("momentum_reference", &[6]),
+        ("momentum_rate_estimate", &[6]),
+        ("qp_status", &[2]),
+        ("qp_kkt", &[2]),
+        ("qp_iterations", &[2]),
+    ];
+    assert_eq!(result.log.len(), 51);
+    for (name, shape) in expected {
+        let series = result.log.series(name).unwrap();
+        assert_eq!(series.row_shape, shape, "{name}");
+        assert_eq!(series.data.len(), 51 * shape.iter().product::<usize>(), "{name}");
+        assert_eq!(series.row(50).len(), series.width());
+        assert!(series.row(51).is_empty());
+        assert!(series.data.iter().all(|x| x.is_finite()), "{name}");
+    }
+    assert!(result.log.series("typo").is_none());
+    for (tick, time) in data(&result, "time").iter().enumerate() {
+        crate::common::assert_within!((time - 0.01 * tick as f64).abs(), 1e-12);
+    }
+    assert_eq!(result.log.joint_reference.len(), 23);
+    assert!(FlightLog::new(&load_robot(&short(1.0).robot).unwrap(), 10).is_empty());
+}
+
+/// Signals belong together: velocities are rates, momentum is that of the CoM, attitudes are rotations,
+/// forces of a controller that knows the air are those of the air.
+#[test]
+fn logged_signals_belong_together() {
+    let result = run(&with(short(12.0), |config| config.wind = ramp_to([3.0, -9.0, 1.0])));
+    let mass = load_robot(&short(1.0).robot).unwrap().mass();
+    let n = result.log.len();
+    let row = |name: &str, tick: usize| result.log.series(name).unwrap().row(tick).to_vec();
+    for tick in 0..n {
+        let quaternion: [f64; 4] = row("base_quaternion", tick).try_into().unwrap();
+        assert!(quaternion[0] >= 0.0);
+        crate::common::assert_within!((quaternion.iter().map(|q| q * q).sum::<f64>() - 1.0).abs(), 1e-12);
+        crate::common::assert_within!(orthonormality_error(&rotation_from_wxyz(&quaternion)), 1e-12);
+        let (velocity, momentum) = (row("com_velocity", tick), row("momentum", tick));
+        for axis in 0..3 {
+            crate::common::assert_within!((momentum[axis] - mass * velocity[axis]).abs(), 1e-9);
+        }
+        assert_eq!(row("aero_force_sim", tick), row("aero_force_control", tick));
+        if tick > 0 {
+            // Semi-implicit: positions follow the new velocities.
+            for (name, rate) in [("base_position", "base_velocity"), ("joint_position", "joint_velocity")] {
+                let (now, before, rate) = (row(name, tick), row(name, tick - 1), row(rate, tick));
+                for k in 0..now.len() {
+                    crate::common::assert_within!(
+                        (now[k] - before[k] - 0.01 * rate[k]).abs(),
+                        1e-12,
+                        "{name} {k}"
+                    );
+                }
+            }
+        }
+    }
+    assert_eq!(row("wind", 500), [0.0, 0.0, 0.0]);
+    assert_eq!(row("wind", n - 1), [3.0, -9.0, 1.0]);
+    assert_eq!(result.log.joint_reference, row("joint_position", 0));
+}
+
+/// Figures of merit are those of the log.
+#[test]
+fn the_summary_is_that_of_the_log() {
+    let result = run(&short(12.0));
+    let summary = &result.summary;
+    let greatest = |name: &str| data(&result, name).iter().copied().fold(f64::MIN, f64::max);
+    assert_eq!(summary.max_rotation_error, greatest("rotation_error"));
+    assert_eq!(summary.thrust_range.1, greatest("thrust"));
+    assert_eq!(summary.max_kkt, greatest("qp_kkt"));
+    assert_eq!(summary.max_qp_iterations, greatest("qp_iterations"));
+    let largest = data(&result, "joint_torque").iter().fold(0.0_f64, |m, torque| m.max(torque.abs()));
+    assert_eq!(summary.max_torque, largest);
+    // The start is out of equilibrium: its errors are left out of the tracking errors.
+    let com = data(&result, "com_position").chunks(3).zip(data(&result, "com_reference").chunks(3));
+    let distance =
+        |(a, b): (&[f64], &[f64])| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+    let distances: Vec<f64> = com.map(distance).collect();
+    let settled = distances[300..].iter().copied().fold(0.0, f64::max);
+    crate::common::assert_within!((summary.max_com_error - settled).abs(), 1e-15);
+    assert!(distances.iter().copied().fold(0.0, f64::max) > 2.0 * settled);
+}
+
+fn bits(log: &FlightLog) -> Vec<Vec<u64>> {
+    log.series.iter().map(|series| series.data.iter().map(|x| x.to_bits()).collect()).collect()
+}
+
+/// A batch gives the same bits on one, two and three threads, in the order of its configurations, and the
+/// same as flying one by one; saturated flights too.
+#[test]
+fn batches_do_not_depend_on_threads() {
+    let winds = [[0.0, -10.0, 0.0], [-15.0, 0.0, 0.0], [0.0, 6.0, 0.0], [9.0, -9.0, 2.0], [0.0, -18.0, 0.0]];
+    let configs: Vec<FlightConfig> = winds
+        .iter()
+        .map(|wind| {
+            with(experiment("test1_published"), |config| {
+                config.simulator.duration = 14.0;
+                config.wind = ramp_to(*wind);
+            })
+        })
+        .collect();
+    let fly_on = |threads: usize| -> Vec<Vec<Vec<u64>>> {
+        let results =
+            fly_batch(&configs, Some(threads), |result| bits(&result.log), |_, _| ControlFlow::Continue(()));
+        results.unwrap().into_iter().map(Result::unwrap).collect()
+    };
+    let alone: Vec<_> = configs.iter().map(|config| bits(&run(config).log)).collect();
+    for threads in [1, 2, 3] {
+        assert!(fly_on(threads) == alone, "{threads} threads");
+    }
+    assert!(alone[0] != alone[1]);
+}
+
+/// `progress` is told every tick and may end the flight.
+#[test]
+fn a_flight_can_be_interrupted() {
+    let flight = Flight::new(&short(1.0)).unwrap();
+    assert_eq!(flight.n_ticks(), 100);
+    let mut seen = Vec::new();
+    let result = flight.run(|tick, of| {
+        seen.push((tick, of));
+        if tick == 7 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    });
+    assert!(matches!(result, Err(Interrupted)));
+    assert_eq!(seen, (0..=7).map(|tick| (tick, 100)).collect::<Vec<_>>());
+}
+
+/// A batch tells how many flights are done, keeps what is done when it is stopped, and says so.
+#[test]
+fn a_batch_can_be_interrupted() {
+    let configs = vec![short(0.2); 6];
+    let mut seen = Vec::new();
+    let results = fly_batch(
+        &configs,
+        Some(1),
+        |result| result.log.len(),
+        |done, total| {
+            seen.push((done, total));
+            if done == 2 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        },
+    )
+    .unwrap();
+    assert_eq!(seen, [(1, 6), (2, 6)]);
+    let (done, stopped): (Vec<_>, Vec<_>) = results.into_iter().partition(Result::is_ok);
+    assert_eq!(done.into_iter().map(Result::unwrap).collect::<Vec<_>>(), [21, 21]);
+    assert_eq!(stopped.len(), 4);
+    for result in stopped {
+        assert!(matches!(result, Err(BatchError::Interrupted)));
+    }
+}
+
+/// A flight that cannot be built is told apart and costs the others nothing.
+#[test]
+fn a_batch_survives_a_flight_that_cannot_be_built() {
+    let bad = with(short(0.2), |config| config.simulator.duration = -1.0);
+    let configs = [short(0.2), bad, short(0.2)];
+    let results =
+        fly_batch(&configs, Some(2), |result| result.log.len(), |_, _| ControlFlow::Continue(())).unwrap();
+    assert!(results[0].is_ok() && results[2].is_ok());
+    match &results[1] {
+        Err(error @ BatchError::Build(_)) => assert!(error.to_string().contains("simulator.duration")),
+        other => panic!("{other:?}"),
+    }
+    assert!(fly_batch(&[], None, |_| (), |_, _| ControlFlow::Continue(())).unwrap().is_empty());
+}
+
+/// A flight ends on the tick that exceeds a limit, with its reason and its row in the log.
+#[test]
+fn falls_have_their_reason() {
+    let tipped = with(experiment("test1"), |config| config.simulator.fall.rotation_error_deg = 10.0);
+    let shoved = with(experiment("test1"), |config| config.simulator.fall.com_error = 0.1);
+    let blasted = with(short(1.0), |config| {
+        config.wind = flight_sim::WindConfig::Constant { velocity: [0.0, 1e200, 0.0] };
+    });
+    let flights = fly(&[tipped, shoved, blasted]);
+    let last = |flight: &FlightResult, name: &str| *data(flight, name).last().unwrap();
+    for flight in &flights {
+        let Fall { time, .. } = flight.fall.unwrap();
+        assert_eq!(last(flight, "time"), time);
+        assert_eq!(flight.log.len(), tick_at(time) + 1);
+    }
+    let reason = |k: usize| flights[k].fall.unwrap().reason;
+
+    let FallReason::RotationError(angle) = reason(0) else { panic!("{}", reason(0)) };
+    assert_eq!(angle, last(&flights[0], "rotation_error"));
+    let errors = data(&flights[0], "rotation_error");
+    assert!(angle.to_degrees() > 10.0 && errors[errors.len() - 2].to_degrees() <= 10.0);
+    assert_eq!(reason(0).to_string(), format!("rotation error {:.1} deg", angle.to_degrees()));
+
+    let FallReason::ComError(distance) = reason(1) else { panic!("{}", reason(1)) };
+    assert!((0.1..0.11).contains(&distance));
+    assert_eq!(reason(1).to_string(), "CoM error 0.10 m");
+
+    assert_eq!(reason(2), FallReason::NotFinite);
+    assert_eq!(reason(2).to_string(), "state not finite");
+    assert!(flights[2].fall.unwrap().time <= 0.02, "{:?}", flights[2].fall);
+}
+
+/// A robot that nothing touches falls freely whatever the controller commands of its joints, but for the
+/// error of the integrator, which shrinks with its step.
+#[test]
+fn without_thrust_the_centre_of_mass_falls_freely() {
+    for (substeps, tolerance) in [(1, 2e-3), (10, 2e-4), (100, 2e-5)] {
+        let config = with(short(0.4), |config| {
+            config.wind = STILL;
+            config.simulator.substeps = substeps;
+            config.simulator.aero = super::NO_AIR;
+            config.simulator.initial.thrust = vec![0.0; 4];
+            config.simulator.initial.free_fall_tick = false;
+            config.simulator.fall.rotation_error_deg = 180.0;
+            for rate in config.controller.law.bounds.thrust_rate_max.values_mut() {
+                *rate = 0.0;
+            }
+        });
+        let result = run(&config);
+        assert!(result.fall.is_none());
+        for (velocity, time) in data(&result, "com_velocity").chunks(3).zip(data(&result, "time")) {
+            crate::common::assert_within!(
+                (velocity[2] + 9.81 * time).abs(),
+                tolerance,
+                "{velocity:?} at {time} s"
+            );
+            crate::common::assert_within!(velocity[0].abs(), tolerance, "{velocity:?}");
+            crate::common::assert_within!(velocity[1].abs(), tolerance, "{velocity:?}");
+        }
+        let moving = data(&result, "joint_velocity").iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+        assert!(moving > 0.1, "joints move at {moving} rad/s");
+    }
+}
+
+type Refusal = (&'static str, fn(&mut FlightConfig), &'static str);
+
+/// Every number of the simulator that cannot be is refused by name, with its value.
+#[test]
+#[rustfmt::skip]
+fn bad_simulators_are_refused_by_name() {
+    let refusals: [Refusal; 24] = [
+        ("simulator.duration", |c| c.simulator.duration = 0.0, "is 0"),
+        ("simulator.duration", |c| c.simulator.duration = -5.0, "is -5"),
+        ("simulator.duration", |c| c.simulator.duration = f64::NAN, "is NaN"),
+        ("simulator.duration", |c| c.simulator.duration = f64::INFINITY, "is inf"),
+        ("simulator.time_step", |c| c.simulator.time_step = 0.0, "is 0"),
+        ("simulator.time_step", |c| c.simulator.time_step = -0.01, "is -0.01"),
+        ("simulator.time_step", |c| c.simulator.time_step = f64::NAN, "is NaN"),
+        ("simulator.duration / simulator.time_step", |c| c.simulator.time_step = 1e-9, "at most ten million"),
+        ("simulator.duration / simulator.time_step", |c| (c.simulator.duration, c.simulator.time_step) = (1e300, 1e-300), "at most ten million"),
+        ("simulator.substeps", |c| c.simulator.substeps = 0, "is 0"),
+        ("simulator.substeps", |c| c.simulator.substeps = 1001, "is 1001"),
+        ("simulator.fall.rotation_error_deg", |c| c.simulator.fall.rotation_error_deg = 0.0, "is 0"),
+        ("simulator.fall.rotation_error_deg", |c| c.simulator.fall.rotation_error_deg = 181.0, "is 181"),
+        ("simulator.fall.com_error", |c| c.simulator.fall.com_error = 0.0, "is 0"),
+        ("simulator.fall.com_error", |c| c.simulator.fall.com_error = f64::NAN, "is NaN"),
+        ("simulator.initial.base_position", |c| c.simulator.initial.base_position[1] = f64::NAN, "is NaN"),
+        ("simulator.initial.base_rpy_deg", |c| c.simulator.initial.base_rpy_deg[2] = f64::INFINITY, "is inf"),
+        ("simulator.initial.base_velocity", |c| c.simulator.initial.base_velocity[5] = f64::NAN, "is NaN"),
+        ("simulator.initial.joint_position", |c| c.simulator.initial.joint_position[7] = f64::NAN, "is NaN"),
+        ("simulator.initial.thrust", |c| c.simulator.initial.thrust[3] = -1.0, "is -1"),
+        ("simulator.initial.thrust", |c| c.simulator.initial.thrust[3] = f64::NAN, "is NaN"),
+        ("length of simulator.initial.joint_position", |c| { c.simulator.initial.joint_position.pop(); }, "is 22; expected 23"),
+        ("length of simulator.initial.thrust", |c| c.simulator.initial.thrust.push(0.0), "is 5; expected 4"),
+        ("coefficients", |c| c.simulator.aero = serde_json::from_str(r#"{"model": "axisymmetric", "coefficients": "nobodys", "air_density": 1.2}"#).unwrap(), "nobodys"),
+    ];
+    for (item, spoil, value) in refusals {
+        let message = Flight::new(&with(experiment("test2"), spoil)).unwrap_err().to_string();
+        assert!(message.contains(item) && message.contains(value), "{item}: {message}");
+    }
+}
+
+/// The controller's own time step is refused too: it may be built without a simulator.
+#[test]
+fn bad_time_steps_are_refused_by_the_controller() {
+    let config = experiment("test2");
+    let robot = load_robot(&config.robot).unwrap();
+    for time_step in [0.0, -0.01, f64::NAN, f64::INFINITY] {
+        let controller = load_controller(robot.clone(), &config.controller, &config.envelope, time_step);
+        let message = controller.unwrap_err().to_string();
+        assert!(message.contains("controller time step is"), "{message}");
+    }
+}
+
+/// A flight of less than half a tick has its first row.
+#[test]
+fn the_shortest_flight_has_one_row() {
+    let result = run(&short(0.004));
+    assert_eq!(result.log.len(), 1);
+    assert!(result.fall.is_none());
+}
