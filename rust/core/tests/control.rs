@@ -255,7 +255,7 @@ fn absurd_states_are_held() {
             assert!(numbers(command).iter().all(|x| x.is_finite()), "{size:e} in part {part}");
             assert!(command.joint_torque.amax() <= 50.0);
             let step = (&command.joint_torque - &torque).amax();
-            crate::common::assert_within!(step, 3.0 + 1e-12, "torques move by {step}");
+            crate::common::assert_within!(step - 3.0, 1e-12, "torques move by {step}");
             assert!(command.thrust_rate.amax() <= 100.0);
         }
     }
@@ -449,7 +449,7 @@ fn torques_move_by_at_most_three_newton_metres() {
         for joint in 0..23 {
             let target = controller.terms().unlimited_torque[joint];
             let step = torque[joint] - last[joint];
-            crate::common::assert_within!(step.abs(), 3.0 + 1e-12);
+            crate::common::assert_within!(step.abs() - 3.0, 1e-12);
             assert!(target.abs() <= 50.0);
             if (target - last[joint]).abs() > 3.0 {
                 limited += 1;

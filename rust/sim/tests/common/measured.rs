@@ -9,9 +9,11 @@ use std::panic::Location;
 use std::path::PathBuf;
 use std::sync::{LazyLock, Mutex};
 
-/// A file of this process alone in the folder `MEASURED`, and the largest fraction of its tolerance that each
-/// place has used; `None` where no summary is wanted.
-static MEASUREMENTS: LazyLock<Option<Mutex<(File, HashMap<Location<'static>, f64>)>>> = LazyLock::new(|| {
+/// The file of this process, and the largest fraction of its tolerance that each place has used.
+type Measurements = (File, HashMap<Location<'static>, f64>);
+
+/// Written to the folder `MEASURED`; `None` where no summary is wanted.
+static MEASUREMENTS: LazyLock<Option<Mutex<Measurements>>> = LazyLock::new(|| {
     let folder = PathBuf::from(std::env::var_os("MEASURED")?);
     create_dir_all(&folder).unwrap();
     let file = File::create(folder.join(format!("{}.tsv", std::process::id()))).unwrap();
@@ -38,16 +40,13 @@ pub fn record(figure: f64, tolerance: f64, reason: &str) {
 /// `figure ≤ tolerance`, written down; `because` says why more than a tenth of the tolerance may be used.
 #[allow(unused_macros, reason = "no test binary needs everything")]
 macro_rules! assert_within {
-    ($figure:expr, $tolerance:expr, because $reason:literal) => {{
+    ($figure:expr, $tolerance:expr, because $reason:literal $(, $($message:tt)+)?) => {{
         let (figure, tolerance): (f64, f64) = ($figure, $tolerance);
         $crate::common::measured::record(figure, tolerance, $reason);
-        assert!(figure <= tolerance, "{figure:e}, allowed {tolerance:e}");
+        assert!(figure <= tolerance, "{figure:e}, allowed {tolerance:e} {}", String::new() $(+ &format!($($message)+))?);
     }};
-    ($figure:expr, $tolerance:expr) => { $crate::common::assert_within!($figure, $tolerance, because "") };
-    ($figure:expr, $tolerance:expr, $($message:tt)+) => {{
-        let (figure, tolerance): (f64, f64) = ($figure, $tolerance);
-        $crate::common::measured::record(figure, tolerance, "");
-        assert!(figure <= tolerance, "{figure:e}, allowed {tolerance:e}: {}", format_args!($($message)+));
-    }};
+    ($figure:expr, $tolerance:expr $(, $($message:tt)+)?) => {
+        $crate::common::assert_within!($figure, $tolerance, because "" $(, $($message)+)?)
+    };
 }
 pub(crate) use assert_within;
