@@ -1,26 +1,90 @@
-"""What the site does beyond Markdown: it shows a notebook, and gives pages with wide tables the whole width."""
+"""What the site does beyond Markdown: equations, notebooks, and the whole width for pages with wide tables."""
 
 from __future__ import annotations
 
 import json
 import re
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
+
+from latex2mathml.converter import convert
 
 NOTEBOOK = re.compile(r"<!-- notebook: (?P<path>\S+) -->")
+EQUATION = re.compile(r"^```math\n(?P<latex>.*?)^```$", re.MULTILINE | re.DOTALL)
+INLINE = re.compile(r"\$(?P<latex>[^$\n]+)\$")
+NUMBER = re.compile(r"\\tag\{(?P<number>M\d+)\}")
+CODE = re.compile(r"^Code: (?P<places>.*)$", re.MULTILINE)
+MODEL = "model.md"
+WIDE = {"deviations.md"}
 
-
-WIDE = {"equations.md", "deviations.md"}
+TIGHT = {"|", "\u2016", "/"}
+"""Operators without space around them."""
 
 
 def on_page_markdown(markdown: str, *, page: Any, config: Any, **_: Any) -> str:
-    """Replace a line `<!-- notebook: PATH -->` by the cells and outputs of that notebook."""
+    """Typeset equations, put notebooks in place of `<!-- notebook: PATH -->`, link `[M12]` to its equation."""
+    docs = Path(config["docs_dir"])
     if page.file.src_path in WIDE:
         page.meta["hide"] = ["navigation", "toc"]
-    return NOTEBOOK.sub(lambda found: render(Path(config["docs_dir"]) / found["path"]), markdown)
+    if EQUATION.search(markdown):
+        markdown = EQUATION.sub(lambda match: numbered_equation(match["latex"]), markdown)
+        markdown = INLINE.sub(lambda match: f"<span>{mathml(match['latex'], 'inline')}</span>", markdown)
+        markdown = CODE.sub(r'<div class="places" markdown>\g<places></div>', markdown)
+    links = [f"[{number}]: /{MODEL}#{number.lower()}" for number in NUMBER.findall((docs / MODEL).read_text())]
+    markdown = NOTEBOOK.sub(lambda match: notebook(docs / match["path"]), markdown)
+    return "\n".join([markdown, "", *links])
 
 
-def render(path: Path) -> str:
+def numbered_equation(latex: str) -> str:
+    """Return a displayed equation as HTML, its number at the right if it has one."""
+    found = NUMBER.search(latex)
+    formula = f'<div class="formula">{mathml(NUMBER.sub("", latex), "block")}</div>'
+    if found is None:
+        return f'<div class="equation">{formula}</div>\n'
+    number = found["number"]
+    anchor = number.lower()
+    return f'<div class="equation" id="{anchor}">{formula}<a class="number" href="#{anchor}">({number})</a></div>\n'
+
+
+def mathml(latex: str, display: str) -> str:
+    """Return LaTeX as MathML, which browsers typeset themselves: the page asks no other host for anything."""
+    # The converter knows `aligned` by the name of its sibling.
+    root = ElementTree.fromstring(convert(latex.replace("{aligned}", "{split}"), display=display))
+    for element in root.iter():
+        element.tag = element.tag.partition("}")[2]
+    for element in root.iter():
+        text = element.text or ""
+        if element.tag == "mover":
+            element.set("accent", "true")  # nothing but accents stands above a letter here
+        elif element.tag == "mo" and text in TIGHT:
+            element.set("lspace", "0")
+            element.set("rspace", "0")
+        elif element.tag == "mo" and len(text) > 1 and text.isalpha():
+            element.tag = "mi"  # a function's name, not an operator with space on both sides
+    for element in list(root.iter()):
+        space_functions(element)
+    return ElementTree.tostring(root, encoding="unicode").replace("*", "&#42;")  # a star is emphasis in Markdown
+
+
+def space_functions(row: ElementTree.Element) -> None:
+    """Put a thin space between the name of a function and a neighbour that is not an operator."""
+    if row.tag not in ("mrow", "mtd", "math"):
+        return
+    for position, (left, right) in reversed(list(enumerate(pairwise(row), start=1))):
+        near_function = is_function(left) or is_function(right)
+        if near_function and left.tag not in ("mo", "mspace") and right.tag not in ("mo", "mspace"):
+            row.insert(position, ElementTree.Element("mspace", width="0.17em"))
+
+
+def is_function(element: ElementTree.Element) -> bool:
+    """Whether this is the name of a function, perhaps with an exponent."""
+    name = element[0] if element.tag in ("msup", "msub") else element
+    return name.tag == "mi" and len(name.text or "") > 1
+
+
+def notebook(path: Path) -> str:
     """Return a notebook as Markdown, pictures included."""
     parts = []
     for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:

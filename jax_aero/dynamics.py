@@ -5,6 +5,8 @@
 
 Two backends give `M` and `h`; everything else follows from these. `tree` is written for this package: sums over
 ancestors and descendants are products with one static matrix. `mjx` asks MuJoCo's JAX implementation.
+
+Equations M11 to M14 and M17 of `docs/model.md`.
 """
 
 from __future__ import annotations

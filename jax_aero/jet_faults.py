@@ -4,6 +4,8 @@
 
 Kept apart from `jets`, so that every fault goes with every kind of dynamics. Which faults there are is numbers, not
 structure: flights with different faults share one compilation.
+
+Equation M41 of `docs/model.md`.
 """
 
 from __future__ import annotations

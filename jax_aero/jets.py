@@ -4,6 +4,8 @@
 
 Two dynamics: `ideal` obeys the command exactly, as in every published flight; `second_order` is the identified engine,
 with the throttle loop and the estimator that the real robot needs. All functions serve all jets at once.
+
+Equations M31 to M35 of `docs/model.md`.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 Only rotations are composed along the tree. Everything else a body inherits from its ancestors is a sum over them, so
 it is one product with the static matrix of ancestors: few large operations instead of a loop over bodies.
+
+Equations M8 to M10 of `docs/model.md`.
 """
 
 from __future__ import annotations

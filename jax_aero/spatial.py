@@ -1,6 +1,8 @@
 """Rotations and small vectors, written so that reverse and forward mode stay finite everywhere.
 
 Transforms are named `a_from_b`: `p_a = a_from_b @ p_b`. Quaternions are `wxyz`.
+
+Equations M1 to M5 of `docs/model.md`.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 SI units and radians; vectors and Jacobians in inertial axes unless a suffix says otherwise. In the shapes, `n` is the
 number of joints, `N = 6 + n` the length of a velocity, `nb = 1 + n` the number of bodies, `L` of aerodynamic links.
+
+Equation M7 of `docs/model.md`.
 """
 
 from __future__ import annotations

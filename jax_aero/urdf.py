@@ -1,6 +1,8 @@
 """The door where a URDF becomes a tree of bodies: fixed and locked joints merged, names resolved, numbers checked.
 
 Reads files once with NumPy in double precision; nothing here is traced.
+
+Equation M6 of `docs/model.md`.
 """
 
 from __future__ import annotations

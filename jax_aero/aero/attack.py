@@ -1,4 +1,7 @@
-"""Angle of attack of a link, and the direction of its normal force."""
+"""Angle of attack of a link, and the direction of its normal force.
+
+Equation M19 of `docs/model.md`.
+"""
 
 from __future__ import annotations
 

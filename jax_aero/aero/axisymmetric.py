@@ -1,4 +1,7 @@
-"""The paper's axisymmetric model: drag and normal force areas fitted per link to CFD."""
+"""The paper's axisymmetric model: drag and normal force areas fitted per link to CFD.
+
+Equation M20 of `docs/model.md`.
+"""
 
 from __future__ import annotations
 

@@ -5,6 +5,8 @@
 Everything is in base (`root_link`) axes: x backward, y to the robot's right, z up. The tunnel frame of the tables has
 x along the wind and z up, and the robot stands in it with `R_tunnel_from_base = Rz(yaw) Ry(pitch − 90°)`, so pitch is
 the angle of the robot's vertical axis above the horizontal: 90° upright, 0° prone with the head upstream.
+
+Equation M28 of `docs/model.md`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Aerodynamic forces that are stronger or weaker than a model says: along the air, across it, by link."""
+"""Aerodynamic forces that are stronger or weaker than a model says: along the air, across it, by link.
+
+Equation M40 of `docs/model.md`.
+"""
 
 from __future__ import annotations
 

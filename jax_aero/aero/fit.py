@@ -6,6 +6,8 @@
 Source: paper, Methods, "Aerodynamic modelling for learning and online control". We differ in what the normal force is:
 it is fitted with its sign, along `(v × k̂) × v`; the published coefficients are fits of its magnitude, which is fitted
 too, for comparison. The Lasso's penalty, which the paper does not give, is chosen by holding out postures.
+
+Equation M29 of `docs/model.md`.
 """
 
 from __future__ import annotations

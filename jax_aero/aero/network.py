@@ -5,6 +5,8 @@ joint angles; it answers with the 13 × 3 force areas of the links. Ours may als
 the links are, be symmetric by construction, average over members, and correct an axisymmetric model.
 
     wind, joints, LinkGeometry ──features──► x (n,) ──raw_output──► y (39,) ──to_base_axes──► areas (13, 3) [m²]
+
+Equations M23 to M26 of `docs/model.md`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Links as spheres and finite cylinders, with the drag of the literature at their Reynolds number."""
+"""Links as spheres and finite cylinders, with the drag of the literature at their Reynolds number.
+
+Equations M21 and M22 of `docs/model.md`.
+"""
 
 from __future__ import annotations
 

@@ -15,6 +15,8 @@ of link l in family f is linear in twelve coefficients of the family:
 
 Ours; the coefficients come from published drag curves and from tunnel and CFD tables of two postures, see
 `configs/aero/panels/surrogate.toml`.
+
+Equation M30 of `docs/model.md`.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ k̈* = I₀ ω̈_d − ė − (1 + c₀ I₀⁻¹)(k̇ − I₀ ω̇_d) − c₀
 ```
 
 The task asks `Rᵀ (L̈_ang − σ) = k̈*`. There is no integral action: a constant moment `d` that the controller does not
-know of settles at `e = (1 + I₀/c₀) d`. Source: closed-loop equations 4.3.
+know of settles at `e = (1 + I₀/c₀) d`. Equations M59 to M61 of `docs/model.md`.
 """
 
 from __future__ import annotations

@@ -16,6 +16,6 @@ def rate_bounds(value: Array, lower: Array, upper: Array, rate_max: Array, steep
 
     Far from the limits this is ±r; at a limit the rate towards it must vanish; beyond a limit the bound changes sign
     and demands a way back. `lower ≤ upper` holds for every x, since `tanh a + tanh b` has the sign of
-    `a + b = ε (x_max − x_min) ≥ 0`. Source: closed-loop equations 4.4.
+    `a + b = ε (x_max − x_min) ≥ 0`. Equation M65 of `docs/model.md`.
     """
     return -rate_max * jnp.tanh(steepness * (value - lower)), rate_max * jnp.tanh(steepness * (upper - value))

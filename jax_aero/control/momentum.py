@@ -9,6 +9,8 @@ with `r` the arm from the centre of mass. Source: paper, Methods, "Flight Contro
 
 A column of `Λ` is the change of all forces while one joint turns at unit speed. It needs no Jacobian: only the sums of
 forces and moments over what the joint carries, which are one product with the static matrix of ancestors.
+
+Equations M50 to M52, M55 and M56 of `docs/model.md`.
 """
 
 from __future__ import annotations

@@ -13,6 +13,8 @@ Derivative: the active set does not move under a small change of the data, so `x
 (implicit function theorem), in both modes and to any order. Where that is not so, see `solve`.
 
 float64 is needed for an answer to 1e-9: the flight's `H` has a condition number of about 2e8.
+
+Equation M66 of `docs/model.md`.
 """
 
 from __future__ import annotations

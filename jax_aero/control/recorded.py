@@ -1,4 +1,7 @@
-"""A reference that was computed beforehand: `envelope = { file = "…" }`."""
+"""A reference that was computed beforehand: `envelope = { file = "…" }`.
+
+Equation M49 of `docs/model.md`.
+"""
 
 from __future__ import annotations
 

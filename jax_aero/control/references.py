@@ -3,7 +3,7 @@
 `start`, then `update` once a tick: a pure state that `lax.scan` carries. Everything is float arithmetic of the
 configuration's numbers but the turbo counter, so references can be differentiated by steps, gains and smoothing times.
 
-Source: the published flight-control library; `docs/equations.md`, rows "references".
+Equations M43 to M48 of `docs/model.md`. Source: the published flight-control library.
 """
 
 from __future__ import annotations

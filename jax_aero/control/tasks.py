@@ -11,7 +11,7 @@ posture    ṡ + K_s (s − s_d)
 and of ṡ, Ṫ and the differences of paired thrust rates
 ```
 
-with `K = K_P + K_D + K_O⁻¹`. Source: closed-loop equations 4.2 to 4.4.
+with `K = K_P + K_D + K_O⁻¹`. Equations M57 and M61 to M64 of `docs/model.md`.
 """
 
 from __future__ import annotations

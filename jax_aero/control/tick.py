@@ -7,7 +7,7 @@ tasks, QP, torques. It is a pure function of one sample; `vmap`, `jit`, `grad` a
 >>> memory = init(params, robot, state)
 >>> memory, command, terms = tick(params, robot, memory, time, state, thrust, wind)
 
-Unknowns of the momentum QP: `u = (Ṫ, ṡ)`, thrust rates and joint velocities. Equations: `docs/equations.md`.
+Unknowns of the momentum QP: `u = (Ṫ, ṡ)`, thrust rates and joint velocities. Equations: `docs/model.md`.
 """
 
 from __future__ import annotations

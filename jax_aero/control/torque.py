@@ -7,7 +7,7 @@ min ½ w_a |s̈(τ) − s̈*|² + ½ (w_τ + ε) |τ|²   subject to |τ| ≤ τ
 ```
 
 followed by a rate limiter. The robot floats: `G` is the joint block of the inverse mass matrix, not the inverse of the
-joint block. Source: closed-loop equations 5.
+joint block. Equations M68 to M72 of `docs/model.md`.
 """
 
 from __future__ import annotations

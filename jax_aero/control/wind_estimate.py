@@ -5,6 +5,8 @@ wind ──(mean only)──► delay ──► + bias + noise ──► low pas
 ```
 
 The wind is a function of time, so a delay needs no memory; noise is drawn before the flight.
+
+Equation M39 of `docs/model.md`.
 """
 
 from __future__ import annotations

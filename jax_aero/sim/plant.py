@@ -4,6 +4,8 @@
 
 There is no ground, no joint friction, no motor inertia and no joint limit: none of them acts in a flight that succeeds,
 and one that fails ends with its fall. Integration is that of the Rust crate, step for step.
+
+Equations M78 and M79 of `docs/model.md`.
 """
 
 from __future__ import annotations

@@ -8,6 +8,8 @@ At tick k, t = k h:
     advance   x_{k+1} from x_k, T_k and the torques;  T_{k+1} = T_k + h Ṫ*
 
 as in the Rust crate. A lost flight stays where it was lost: its status is sticky, and later rows repeat.
+
+Equations M77 and M80 of `docs/model.md`.
 """
 
 from __future__ import annotations

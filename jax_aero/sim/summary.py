@@ -1,6 +1,8 @@
 """Figures of merit of a flight's log, the same as the Rust crate's.
 
 log ──condense──► the few signals that figures are made of ──figures──► figures of merit
+
+Equation M81 of `docs/model.md`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Wind as a function of time: the velocity of the air in inertial axes, the same everywhere."""
+"""Wind as a function of time: the velocity of the air in inertial axes, the same everywhere.
+
+Equations M36 to M38 of `docs/model.md`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Aerodynamic force on a link from the velocity it has relative to the air, after the paper."""
+"""Aerodynamic force on a link from the velocity it has relative to the air, after the paper.
+
+Equations M19 and M20 of `docs/model.md`.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +72,7 @@ def _axisymmetric(config: Mapping[str, Any], robot: Robot) -> LinkForce:
 
 
 def _sphere_cylinder(config: Mapping[str, Any], links: Sequence[AeroLink]) -> LinkForce:
-    """Spheres and finite cylinders with the drag of the literature; closed-loop equations, section 7.3.
+    """Spheres and finite cylinders with the drag of the literature; M21 and M22 of `docs/model.md`.
 
     With ρ|v|d/μ the Reynolds number, C₉₀ the drag of a cylinder across the wind (on d l, finite length) and C₀ that
     along its axis, the drag is C₀ + (C₉₀ − C₀) sin³ α and the normal force C₉₀ sin² α cos α, then divided by sin α.

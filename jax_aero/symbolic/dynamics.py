@@ -1,4 +1,7 @@
-"""Energy and momentum of the tree, and what follows from them by differentiation."""
+"""Energy and momentum of the tree, and what follows from them by differentiation.
+
+Equations M10 to M14 of `docs/model.md`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The tree of links as transforms of the coordinates; velocities are derivatives along the motion."""
+"""The tree of links as transforms of the coordinates; velocities are derivatives along the motion.
+
+Equations M7 and M8 of `docs/model.md`.
+"""
 
 from __future__ import annotations
 

@@ -2,9 +2,11 @@
 
     L̇ = Σ_i T_i (a_i ; r_i × a_i) + Σ_j (f_j ; r_j × f_j) − m g e₃    r: arm from the centre of mass
 
-Differentiating it along q̇ gives the rows of `docs/equations.md`: what changes with the thrusts is A_T, what changes
+Differentiating it along q̇ gives M50 to M53 of `docs/model.md`: what changes with the thrusts is A_T, what changes
 with the place and direction of the jets is Λ_T, what changes with the place of the link forces, these held constant, is
 Λ_a. What is then left over is the change of the link forces themselves, which the paper neglects: `force_rate`.
+
+Equations M9, M18, M27 and M56 of `docs/model.md`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Rotations and rigid transforms as expressions."""
+"""Rotations and rigid transforms as expressions.
+
+Equations M2 and M3 of `docs/model.md`.
+"""
 
 from __future__ import annotations
 

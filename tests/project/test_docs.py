@@ -44,6 +44,12 @@ def having(kind: str, language: str) -> list[Path]:
     return pages
 
 
+def test_the_architecture_page_names_every_module_of_the_core_crate():
+    page = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"^\| `(\w+)` \|", page, re.M))
+    assert named == {path.stem for path in (ROOT / "rust/core/src").glob("*.rs")} - {"lib"}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_every_block_says_how_it_is_tried(page):
     text = page.read_text(encoding="utf-8")

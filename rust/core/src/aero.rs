@@ -9,6 +9,8 @@
 //! the *air* relative to the link (wind − link velocity), the negative of the paper's `v_a`, so drag
 //! points along `+v_air_i`. Forces act at the link's aerodynamic centre; no model gives a moment
 //! about it.
+//!
+//! Equation M19 of `docs/model.md`.
 
 pub mod axisymmetric;
 pub mod factors;

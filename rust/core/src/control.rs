@@ -7,7 +7,7 @@
 //! A tick does not allocate, does not panic and ends after a bounded number of iterations (with
 //! [`Fallback::Hold`]; the Clarabel fallback allocates, but only where our solver gave no answer).
 //!
-//! Equations: `docs/equations.md`. Unknowns `u = (Ṫ, ṡ)`: thrust rates and joint velocities. With
+//! Equations: `docs/model.md`, the integral of M68 here. Unknowns `u = (Ṫ, ṡ)`: thrust rates and joint velocities. With
 //! `contact` in its configuration the same controller stands on its feet as well: `u = (Ṫ, ḟ_c, ṡ)`, and
 //! torques and foot wrenches are found together.
 

@@ -8,6 +8,8 @@
 //! Everything is in inertial axes about the origin of the base, so that one set of composite
 //! inertias, summed from the tips to the base, gives `M`, `A_G`, the centre-of-mass Jacobian
 //! `l / m` and the centroidal inertia together.
+//!
+//! Equations M11 to M17 of `docs/model.md`.
 
 use crate::kinematics::{Kinematics, RobotState};
 use crate::linalg;

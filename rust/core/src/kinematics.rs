@@ -7,6 +7,8 @@
 //! The quirks of the published code (`docs/deviations.md`) put a force at a wrong point in space.
 //! That is why Jacobians are asked for as "the point `p` moving with body `b`": right and published
 //! lever arms differ in nothing but the point.
+//!
+//! Equations M7 to M10 of `docs/model.md`.
 
 use crate::robot::{Frame, RobotModel};
 use crate::spatial::{Pose, axis_angle};

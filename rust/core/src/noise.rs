@@ -1,4 +1,6 @@
 //! Repeatable noise: the same seed gives the same numbers on every run and every number of threads.
+//!
+//! Equation M42 of `docs/model.md`.
 
 use std::f64::consts::TAU;
 

@@ -2,6 +2,8 @@
 //!
 //! Transforms are named `a_from_b`: `p_a = a_from_b * p_b`. Frames are a suffix: `_i` inertial,
 //! `_b` body. This is the only file that knows the order of a quaternion: `wxyz`, everywhere.
+//!
+//! Equations M1 to M5 of `docs/model.md`.
 
 use nalgebra::{Matrix3, Quaternion, Rotation3, Unit, UnitQuaternion, Vector3};
 

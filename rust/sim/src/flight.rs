@@ -10,7 +10,7 @@
 //! ```
 //!
 //! which is the published order of execution with its unit delays written out: its physics block runs
-//! first in a tick, on what the tick before left in the delays. Source: closed-loop equations 1.2.
+//! first in a tick, on what the tick before left in the delays. Equation M77 of `docs/model.md`, the end of a flight M80.
 
 use crate::config::{Engine, FlightConfig};
 use crate::log::{FlightLog, FlightResult, LogRow, Summary, TrackingErrors};

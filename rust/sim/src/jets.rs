@@ -6,6 +6,8 @@
 //!
 //! Two dynamics: `ideal` obeys the command exactly, as in every published flight; `second_order` is
 //! the identified engine, with the throttle loop and the estimator that the real robot needs.
+//!
+//! Equation M31 of `docs/model.md`.
 
 pub mod failure;
 

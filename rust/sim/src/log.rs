@@ -1,4 +1,6 @@
 //! What a flight leaves behind: every plotted signal, tick by tick.
+//!
+//! Equation M81 of `docs/model.md`.
 
 use crate::flight::Fall;
 use crate::plant::Plant;

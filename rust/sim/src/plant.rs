@@ -6,6 +6,8 @@
 //!
 //! There is no ground, no joint friction, no motor inertia and no joint limit: none of them acts in a
 //! flight that succeeds, and one that fails ends with its fall.
+//!
+//! Equations M78 and M79 of `docs/model.md`.
 
 use crate::config::{AeroKinematics, Integrator, SimulatorConfig};
 use crate::jets::Jets;

@@ -1,4 +1,6 @@
 //! Turbulent wind as a function of time: a sum of waves, so that it needs no state and no table.
+//!
+//! Equation M38 of `docs/model.md`.
 
 use flight_core::noise::Noise;
 use nalgebra::Vector3;

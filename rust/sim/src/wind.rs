@@ -1,4 +1,6 @@
 //! Wind as a function of time: the velocity of the air in inertial axes, the same everywhere.
+//!
+//! Equations M36 and M37 of `docs/model.md`.
 
 use crate::turbulence::Turbulence;
 use flight_core::error::{BuildError, check};

@@ -1,4 +1,6 @@
 //! The paper's axisymmetric model: drag and normal force areas fitted per link to CFD.
+//!
+//! Equation M20 of `docs/model.md`.
 
 use super::{Attack, normal_direction};
 use crate::error::{BuildError, check};

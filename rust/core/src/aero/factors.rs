@@ -2,6 +2,8 @@
 //!
 //! The simulator's forces get factors to stand for coefficients that are not known exactly, the
 //! controller's estimates get them to leave parts of the information out.
+//!
+//! Equation M40 of `docs/model.md`.
 
 use super::LinkForces;
 use crate::error::{BuildError, check};

@@ -2,6 +2,8 @@
 //!
 //! The published code misplaces the points (`docs/deviations.md`): each way of doing so is one enum
 //! here, with the physically right way as the default.
+//!
+//! Equations M18 and M27 of `docs/model.md`.
 
 use super::AeroModel;
 use crate::kinematics::Kinematics;

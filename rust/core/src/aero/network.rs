@@ -8,6 +8,8 @@
 //! `card` says what the weights mean, `tensors` holds the weights, `mirror` the robot's symmetry; `mlp`
 //! evaluates. Everything that card or weights can get wrong is refused here, once; evaluating is
 //! total and allocates nothing.
+//!
+//! Equations M23, M24 and M26 of `docs/model.md`.
 
 mod card;
 mod mirror;

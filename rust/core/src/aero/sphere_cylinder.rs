@@ -1,4 +1,6 @@
 //! Links as spheres and finite cylinders, with the drag of the literature at their Reynolds number.
+//!
+//! Equations M21 and M22 of `docs/model.md`.
 
 use super::{Attack, Pchip, normal_direction};
 use crate::error::{BuildError, check};

@@ -12,7 +12,7 @@
 //! The task asks `Rᵀ (L̈_ang − σ) = k̈*`. There is no integral action: a constant moment `d` that the
 //! controller does not know of settles at `e = (1 + I₀/c₀) d`.
 //!
-//! Source: closed-loop equations 4.3.
+//! Equations M59 to M61 and, for the last sentence, M67 of `docs/model.md`.
 
 use super::config::MomentumGains;
 use super::references::Reference;

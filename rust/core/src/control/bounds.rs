@@ -10,7 +10,7 @@
 /// bound changes sign and demands a way back. `lower ≤ upper` holds for every x, since
 /// `tanh a + tanh b` has the sign of `a + b = ε (x_max − x_min) ≥ 0`.
 ///
-/// Source: closed-loop equations 4.4 (paper: "bounds on the input and its integral").
+/// Equation M65 of `docs/model.md` (paper: "bounds on the input and its integral").
 #[must_use]
 pub fn rate_bounds(value: f64, limits: (f64, f64), rate_max: f64, steepness: f64) -> (f64, f64) {
     let (lower, upper) = limits;

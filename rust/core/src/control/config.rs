@@ -138,7 +138,7 @@ impl Default for AeroFeedback {
     }
 }
 
-/// Gains of the momentum task (4.2 of the closed-loop equations) and the attitude task (4.3).
+/// Gains of the momentum task (M57 of `docs/model.md`) and the attitude task (M60).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MomentumGains {

@@ -10,7 +10,7 @@
 //!
 //! `f_c*` is the integral of the momentum QP's own answer, not a measurement: it is the estimate in the
 //! momentum rate and the reference of the torque QP alike. Wrenches are about the sole's origin, force
-//! first, inertial axes. Source: closed-loop equations 4.1, 9.2 and 9.3.
+//! first, inertial axes. Equations M54, M74 and M75 of `docs/model.md`.
 
 use crate::dynamics::Dynamics;
 use crate::error::{BuildError, check};

@@ -1,4 +1,6 @@
 //! The minimum-jerk filter that smooths references.
+//!
+//! Equations M45 and M46 of `docs/model.md`.
 
 use nalgebra::{Matrix3, Vector3};
 

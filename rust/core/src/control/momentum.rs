@@ -7,6 +7,8 @@
 //! ```
 //!
 //! with `r` the arm from the centre of mass. Source: paper, Methods, "Flight Control Design".
+//!
+//! Equations M50 to M52 and M54 to M56 of `docs/model.md`.
 
 use super::contact::{Contact, WRENCH};
 use crate::aero::LinkForces;

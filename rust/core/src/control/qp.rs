@@ -10,6 +10,8 @@
 //!
 //! On the ground the torque QP has general rows as well: [`RowQp`], [`DualActiveSetSolver`] and
 //! [`ClarabelRowSolver`] are the same three for it.
+//!
+//! Equation M66 of `docs/model.md`.
 
 mod active_set;
 mod dual_active_set;

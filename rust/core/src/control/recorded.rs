@@ -1,4 +1,6 @@
 //! A reference that was computed beforehand: samples in time, and what lies between them.
+//!
+//! Equation M49 of `docs/model.md`.
 
 use crate::error::BuildError;
 use crate::spatial::{exp_so3, log_so3, rotation_from_rpy};

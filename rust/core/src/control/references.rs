@@ -1,6 +1,6 @@
 //! From autopilot commands to smooth references for centre of mass, attitude and their derivatives.
 //!
-//! Source: `docs/equations.md`, rows "references"; the published flight-control library.
+//! Equations M43, M44, M47 and M48 of `docs/model.md`. Source: the published flight-control library.
 
 use super::minimum_jerk::MinimumJerkFilter;
 use super::mission::{AutopilotCommand, Mission};

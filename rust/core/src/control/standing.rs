@@ -8,7 +8,7 @@
 //! ```
 //!
 //! One Gram matrix gives both accelerations, because what is measured (feet, joints) is what is pushed.
-//! Source: closed-loop equations 5 and 9.3.
+//! Equations M75 and M76 of `docs/model.md`.
 
 use super::config::TorqueConfig;
 use super::contact::{Contact, ContactConfig, WRENCH, WRENCH_ROWS};

@@ -20,7 +20,7 @@
 //! ```
 //!
 //! with `K = K_P + K_D + K_O⁻¹`. The linear task is `e⃛ + 8.75 ë + 22.8 ė + 15 e = 0` in the position
-//! error at the published gains. Source: closed-loop equations 4.2 to 4.4.
+//! error at the published gains. Equations M57, M58, M61 to M64 and M73 of `docs/model.md`.
 
 use super::attitude::AttitudeDemand;
 use super::bounds::rate_bounds;

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! followed by a rate limiter. The robot floats: `G` is the joint block of the inverse mass matrix,
-//! not the inverse of the joint block. Source: closed-loop equations 5 (the paper prints
+//! not the inverse of the joint block. Equations M68 to M72 of `docs/model.md` (the paper prints
 //! `τ = b̄ − M̄⁻¹ s̈**`, which contradicts its own `M̄ s̈ + b̄ = τ`; see `docs/deviations.md`).
 
 use super::config::TorqueConfig;

@@ -3,6 +3,8 @@
 //! ```text
 //! wind ──(mean_only)──► delay ──► + bias + noise ──► low pass ──► Measurement::wind
 //! ```
+//!
+//! Equation M39 of `docs/model.md`.
 
 use crate::error::{BuildError, check};
 use crate::noise::Noise;

@@ -1,4 +1,6 @@
 //! Estimates thrust and thrust rate of one engine from its measured thrust.
+//!
+//! Equation M35 of `docs/model.md`.
 
 use super::EngineModel;
 use crate::error::{BuildError, check};

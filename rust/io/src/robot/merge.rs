@@ -1,4 +1,6 @@
 //! Links that nothing moves become one body with what carries them.
+//!
+//! Equation M6 of `docs/model.md`.
 
 use super::urdf::pose;
 use flight_core::error::{BuildError, check as check_number};

@@ -1,6 +1,8 @@
 //! Jets that do less than their dynamics promise: a slow response, too little thrust, a dead engine.
 //!
 //! Kept apart from [`super::JetsConfig`], so that every fault goes with every kind of dynamics.
+//!
+//! Equation M41 of `docs/model.md`.
 
 use flight_core::error::{BuildError, check};
 use flight_core::noise::Noise;

@@ -1,4 +1,6 @@
 //! The robot in a mirror: which joint and link is whose image, read off the robot itself.
+//!
+//! Equation M25 of `docs/model.md`.
 
 use crate::error::BuildError;
 use crate::kinematics::{Kinematics, RobotState};

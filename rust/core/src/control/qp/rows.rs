@@ -1,4 +1,6 @@
 //! The box QP with further rows: what the torques of a standing robot have to respect.
+//!
+//! Equation M66 of `docs/model.md`.
 
 use super::{BoxQp, QpAnswer, QpStatus};
 use crate::linalg;

@@ -1,0 +1,66 @@
+"""Equations of docs/model.md: numbers are unique, places exist, and files that compute an equation cite its number."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+MODEL = (ROOT / "docs/model.md").read_text(encoding="utf-8")
+EQUATION = re.compile(r"^```math\n(?P<latex>.*?)^```\nCode: (?P<places>[^\n]*)$", re.M | re.S)
+TAG = re.compile(r"\\tag\{M(\d+)\}")
+CITATION = re.compile(r"\bM(\d+)\b(?: to M(\d+)\b)?")
+SOURCES = [
+    path
+    for folder in ("rust", "jax_aero")
+    for path in sorted((ROOT / folder).rglob("*"))
+    if path.suffix in (".rs", ".py")
+]
+
+
+def equations() -> dict[int, str]:
+    """The places that compute each equation, by its number."""
+    return {
+        int(number): match["places"] for match in EQUATION.finditer(MODEL) for number in TAG.findall(match["latex"])
+    }
+
+
+def places(text: str) -> list[tuple[Path, list[str]]]:
+    """Files in the order of a line of places, each with the names that stand behind it."""
+    found: list[tuple[Path, list[str]]] = []
+    for word in re.findall(r"`([^`]+)`", text):
+        if "/" in word:
+            found.append((ROOT / word, []))
+        else:
+            found[-1][1].append(word)
+    return found
+
+
+def cited(text: str) -> set[int]:
+    """Numbers that a text cites, ranges included."""
+    return {number for first, last in CITATION.findall(text) for number in range(int(first), int(last or first) + 1)}
+
+
+def test_every_equation_has_one_number_and_a_place():
+    tags = [int(tag) for tag in TAG.findall(MODEL)]
+    assert len(tags) == len(set(tags)) == MODEL.count("```math\n")
+    assert set(tags) == set(equations())
+
+
+@pytest.mark.parametrize("number", equations())
+def test_files_and_names_of_an_equation_exist_and_cite_it(number):
+    for path, names in places(equations()[number]):
+        assert path.is_file(), path
+        text = path.read_text(encoding="utf-8")
+        for name in names:
+            assert re.search(rf"\b{re.escape(name)}\b", text), f"{name} is not in {path.name}"
+        if path in SOURCES and "tests" not in path.parts:
+            assert number in cited(text), f"{path.relative_to(ROOT)} does not cite M{number}"
+
+
+def test_every_number_that_is_cited_exists():
+    known = set(equations())
+    pages = sorted((ROOT / "docs").rglob("*.md"))
+    for path in [*SOURCES, *pages]:
+        unknown = cited(path.read_text(encoding="utf-8")) - known
+        assert not unknown, f"{path.relative_to(ROOT)} cites {sorted(unknown)}"
