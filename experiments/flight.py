@@ -82,7 +82,7 @@ def existing(folder: Path, digest: str, *, overwrite: bool) -> dict[str, Any] | 
         return None
     shown = os.path.relpath(folder)
     if overwrite:
-        if not folder.is_dir() or record.strangers(folder):
+        if not folder.is_dir() or record.unrelated_files(folder):
             raise Refused(f"{shown} holds more than a result, so it is not overwritten")
         return None
     finished = record.read_manifest(folder)

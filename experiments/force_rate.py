@@ -19,10 +19,10 @@ import xarray as xr
 
 from experiments import Refused, flight, study
 from jax_aero import rust
+from jax_aero.summary import SETTLING_TIME
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.momentum import ForceRate
 
-SETTLED = 3.0
 """The first seconds of a flight, a free fall and its recovery, are left out of the figures [s]; as in the crate."""
 
 KNOWN = ("thrust_rate", "lambda_t", "lambda_a")
@@ -84,7 +84,7 @@ def split(model: MomentumModel, log: Mapping[str, Any]) -> tuple[ForceRate, floa
     velocity = np.hstack([log["base_velocity"], log["joint_velocity"]])
     parts = model.force_rate(
         log["base_position"][inner].T,
-        np.hstack(list(_rotations(log["base_quaternion"][inner]))),
+        np.hstack(list(rust.rotation_from_wxyz(log["base_quaternion"][inner]))),
         log["joint_position"][inner].T,
         velocity[inner].T,
         log["thrust"][inner].T,
@@ -94,16 +94,9 @@ def split(model: MomentumModel, log: Mapping[str, Any]) -> tuple[ForceRate, floa
         wind_rate=rate(log["wind"]),
     )
     found, expected = sum(parts), rate(log["momentum_rate_estimate"])
-    settled = t[inner] >= SETTLED
+    settled = t[inner] >= SETTLING_TIME
     error = np.linalg.norm((found - expected)[:, settled]) / np.linalg.norm(expected[:, settled])
     return parts, float(error)
-
-
-def _rotations(wxyz: Any) -> Any:
-    """Return `inertial_from_base`, (k, 3, 3), of unit quaternions: (w² − |v|²) 1 + 2 v vᵀ + 2 w S(v)."""
-    w, v = wxyz[:, :1, None], wxyz[:, 1:]
-    skew = np.cross(np.eye(3)[None], v[:, None, :])
-    return (w * w - (v * v).sum(axis=1)[:, None, None]) * np.eye(3) + 2 * v[:, :, None] * v[:, None, :] + 2 * w * skew
 
 
 def to_dataset(t: Any, parts: ForceRate, *, title: str) -> xr.Dataset:
@@ -122,12 +115,14 @@ def to_dataset(t: Any, parts: ForceRate, *, title: str) -> xr.Dataset:
         for name, text in meaning.items()
     }
     six = [f"{kind}_{axis}" for kind in ("linear", "angular") for axis in "xyz"]
-    return xr.Dataset(variables, {"time": ("time", t, {"units": "s"}), "six": six}, {"title": title})
+    return xr.Dataset(
+        variables, {"time": ("time", t, {"units": "s"}), "six": six}, {"title": title, "settling_time": SETTLING_TIME}
+    )
 
 
 def figures(dataset: xr.Dataset) -> dict[str, float]:
     """Return the sizes of known and neglected parts over the settled flight."""
-    data = dataset.sel(time=slice(SETTLED, None))
+    data = dataset.sel(time=slice(SETTLING_TIME, None))
     neglected = _sum(data, NEGLECTED)
     whole = neglected + _sum(data, KNOWN)
     found = {}

@@ -4,33 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import re
-import tomllib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 from experiments import Refused
+from jax_aero.keys import parse_assignments
 
-BARE_WORD = re.compile(r"[A-Za-z_./][\w./-]*")
 SUFFIX_LENGTH = 100
 
 
 def parse(assignments: Iterable[str]) -> dict[str, Any]:
-    """Read `key=value` texts; a value is written as in TOML, and a bare word is a text."""
-    return dict(_parse_one(assignment) for assignment in assignments)
-
-
-def _parse_one(assignment: str) -> tuple[str, Any]:
-    key, equals, text = (part.strip() for part in assignment.partition("="))
-    if not equals or not all(key.split(".")):
-        raise Refused(f"--set {assignment}: expected key=value, e.g. wind.velocity=[0,-12,0]")
+    """Return the values of `key=value` texts by key; see `jax_aero.keys.parse_assignments`."""
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError as reason:
-        # A shell strips quotes, so `simulator.lever_arm=unrotated` has to work as it stands.
-        if BARE_WORD.fullmatch(text) is None:
-            raise Refused(f"--set {assignment}: `{text}` is no TOML value ({reason})") from None
-        value = text
-    return key, value
+        return parse_assignments(assignments)
+    except ValueError as reason:
+        raise Refused(str(reason)) from None
 
 
 def folder_suffix(overrides: Mapping[str, Any]) -> str:

@@ -7,10 +7,7 @@ was flown, by which code, on what machine). It appears complete or not at all.
 from __future__ import annotations
 
 import json
-import os
-import shutil
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -18,6 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 import xarray as xr
 
+from jax_aero.files import complete_folder, write_json
 from jax_aero.rust import Flight
 
 RUN_FILE = "run.nc"
@@ -170,30 +168,7 @@ def write_run(folder: Path, dataset: xr.Dataset, manifest: Mapping[str, Any], *,
     """Write a whole result folder at once."""
     with complete_folder(folder, replace=replace) as draft:
         write_dataset(dataset, draft / RUN_FILE)
-        text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
-        (draft / MANIFEST_FILE).write_text(text, encoding="utf-8")
-
-
-@contextmanager
-def complete_folder(folder: Path, *, replace: bool = False) -> Iterator[Path]:
-    """Yield a draft folder that becomes `folder` when the block ends well, and vanishes when it does not."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    # Beside its target, so that the rename stays on one file system and is atomic.
-    draft = folder.with_name(f".{folder.name}.{os.getpid()}.draft")
-    retired = folder.with_name(f".{folder.name}.{os.getpid()}.old")
-    draft.mkdir()
-    try:
-        yield draft
-        if replace and folder.exists():
-            folder.rename(retired)
-        draft.rename(folder)
-    except BaseException:
-        if retired.exists() and not folder.exists():
-            retired.rename(folder)
-        raise
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
-        shutil.rmtree(retired, ignore_errors=True)
+        write_json(draft / MANIFEST_FILE, manifest)
 
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:
@@ -205,6 +180,6 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
     return manifest if isinstance(manifest, dict) and (folder / RUN_FILE).is_file() else None
 
 
-def strangers(folder: Path) -> list[str]:
-    """Return what lies in a folder besides a result: it must not be thrown away with it."""
+def unrelated_files(folder: Path) -> list[str]:
+    """Return the names in a folder that belong to no result; replacing the result would delete them."""
     return sorted(entry.name for entry in folder.iterdir() if entry.name not in (RUN_FILE, MANIFEST_FILE))

@@ -18,6 +18,7 @@ from typing import Any
 import xarray as xr
 
 from experiments import Refused, manifest, record
+from jax_aero.files import complete_folder, write_json
 
 RESULTS = manifest.REPOSITORY / "results"
 CONFIGS = manifest.REPOSITORY / "configs"
@@ -113,11 +114,10 @@ def write(
 ) -> None:
     """Write a result folder at once, in the place of an older result; `texts` are further files by name."""
     texts = texts or {}
-    if folder.exists() and (more := set(record.strangers(folder)) - set(texts)):
+    if folder.exists() and (more := set(record.unrelated_files(folder)) - set(texts)):
         raise Refused(f"{manifest.portable(folder)} holds more than a result ({min(more)}), so it is not replaced")
-    with record.complete_folder(folder, replace=True) as draft:
+    with complete_folder(folder, replace=True) as draft:
         record.write_dataset(dataset, draft / record.RUN_FILE)
         for name, text in texts.items():
             (draft / name).write_text(text, encoding="utf-8")
-        text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        (draft / record.MANIFEST_FILE).write_text(text, encoding="utf-8")
+        write_json(draft / record.MANIFEST_FILE, document)

@@ -22,6 +22,7 @@ from experiments.import_cfd import OUT, POSTURES, known_postures, summary
 from jax_aero.aero.cfd_import import AIR_DENSITY, SPEED, checks
 from jax_aero.aero.dataset import Dataset, Floats, save, wind_direction
 from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogate
+from jax_aero.files import complete_file
 from jax_aero.robot import load_robot
 
 ROBOT = manifest.REPOSITORY / "configs" / "robot" / "ironcub_mk1.toml"
@@ -91,10 +92,8 @@ def compute(names: Sequence[str], model: Path, parts: Path) -> Dataset:
         if not part.is_file():
             joints = np.tile(postures[name], (len(wind), 1))
             found = force_areas(surrogate.coefficients, features(joints, wind))
-            draft = part.with_suffix(".draft")
-            with draft.open("wb") as stream:
-                np.save(stream, found)
-            draft.replace(part)
+            with complete_file(part) as draft:
+                np.save(draft, found)
         areas.append(np.load(part))
     n = len(names) * len(wind)
     dataset = Dataset(

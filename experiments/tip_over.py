@@ -22,6 +22,8 @@ from tqdm import tqdm
 
 from experiments import Refused, engines, study
 from jax_aero import rust
+from jax_aero.files import write_json
+from jax_aero.wind_direction import wind_from
 
 KEYS: Mapping[str, Any] = {
     "title": str,
@@ -117,10 +119,7 @@ class Trials:
         key = rust.config_digest(config)
         if key not in self._made:
             self._made[key] = _outcome(engines.engine("mujoco").fly(config))
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            draft = self.path.with_suffix(".draft")
-            draft.write_text(json.dumps(self._made), encoding="utf-8")
-            draft.replace(self.path)
+            write_json(self.path, self._made)
         return self._made[key]
 
 
@@ -128,11 +127,8 @@ def trial(
     base: rust.Config, table: Mapping[str, Any], speed: float, direction_deg: float, friction: float, *, told: bool
 ) -> rust.Config:
     """Return the configuration of one trial."""
-    angle = np.radians(direction_deg)
-    # 0 blows from ahead of a robot that looks along +x, 90 from its left, which is +y.
-    velocity = [-speed * float(np.cos(angle)), -speed * float(np.sin(angle)), 0.0]
     start, end = table["ramp"]
-    wind = {"profile": "ramp", "velocity": velocity, "ramp_start": start, "ramp_end": end}
+    wind = {"profile": "ramp", "velocity": wind_from(speed, direction_deg), "ramp_start": start, "ramp_end": end}
     config = {**base, "wind": wind, "fictitious_wind": wind if told else STILL}
     ground = {**base["simulator"]["ground"], "friction": friction}
     config["simulator"] = {**base["simulator"], "duration": float(table["duration"]), "ground": ground}

@@ -21,6 +21,7 @@ from experiments import Refused, study
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.aero import load_aero
 from jax_aero.symbolic.trim import Objective, Trim, TrimResult, TrimSettings
+from jax_aero.wind_direction import wind_from
 
 OBJECTIVES: tuple[Objective, ...] = ("max_margin", "min_thrust")
 
@@ -96,12 +97,6 @@ def files(path: Path, config: dict[str, Any]) -> list[Path]:
     return [*named, robot.with_name(study.read(robot)["urdf"])]
 
 
-def wind_from(direction_deg: float, speed: float) -> tuple[float, float, float]:
-    """Return the velocity of air that comes from a direction: 0 from ahead (+x), 90 from the left (+y)."""
-    angle = np.radians(direction_deg)
-    return (-speed * float(np.cos(angle)), -speed * float(np.sin(angle)), 0.0)
-
-
 def report(trim: Trim, result: TrimResult) -> str:
     """Say what a trim is, or what is in its way."""
     robot = trim.model.robot
@@ -145,7 +140,7 @@ def run_map(path: Path) -> dict[str, Any]:
     with tqdm(total=2 * len(there), desc=path.stem, unit="wind", disable=not sys.stderr.isatty(), leave=False) as bar:
         for cells, step in ((there, -1), (there[::-1], 1)):
             for objective, d, s in cells:
-                wind = wind_from(directions[d], speeds[s])
+                wind = wind_from(speeds[s], directions[d])
                 neighbours = (found.get((objective, d, s + step)), found.get((objective, d + step, s)))
                 starts: list[TrimResult | None] = [other for other in neighbours if other and other.feasible]
                 if step < 0:

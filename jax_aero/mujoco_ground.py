@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import mujoco_model, rust
+from jax_aero.summary import condense, figures
 
 Array = NDArray[np.float64]
 
@@ -30,7 +31,6 @@ CORNER_RADIUS = 0.005
 """Radius of the spheres at the corners of a sole [m]."""
 HOLD_STIFFNESS, HOLD_DAMPING = 4000.0, 60.0
 """Of the joints while the robot is put down [N m/rad, N m s/rad]."""
-SETTLING_TIME = 3.0
 """Start of a run that its summary leaves out, as the crate does [s]."""
 
 
@@ -261,7 +261,7 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
         outcome="completed" if fall is None else "fell",
         fall_time=None if fall is None else fall[0],
         fall_reason=None if fall is None else fall[1],
-        summary=_summary(log),
+        summary=_summary(log, np.asarray(posture)),
     )
 
 
@@ -331,28 +331,10 @@ def _fall(row: Mapping[str, Any], limits: Mapping[str, float], time: float) -> t
     return None
 
 
-def _summary(log: Mapping[str, Array]) -> dict[str, float]:
-    settled = log["time"] >= SETTLING_TIME
-    error = (log["com_position"] - log["com_reference"])[settled]
-    distance = np.linalg.norm(error, axis=1)
-    kkt = log["qp_kkt"][np.isfinite(log["qp_kkt"])]
-    greatest = np.abs(error).max(axis=0, initial=0.0)
-    return {
-        "max_com_error": float(distance.max(initial=0.0)),
-        "max_com_error_x": float(greatest[0]),
-        "max_com_error_y": float(greatest[1]),
-        "max_com_error_z": float(greatest[2]),
-        "max_rotation_error": float(log["rotation_error"].max()),
-        "thrust_min": float(log["thrust"].min()),
-        "thrust_max": float(log["thrust"].max()),
-        "max_torque": float(np.abs(log["joint_torque"]).max()),
-        "min_com_height": float(log["com_position"][:, 2].min()),
-        "ticks_without_solution": float((log["qp_status"] != 0).any(axis=1).sum()),
-        "max_aero_force": float(np.linalg.norm(log["aero_force_sim"].sum(axis=1), axis=1).max()),
-        "max_kkt": float(kkt.max(initial=0.0)),
-        "max_qp_iterations": float(log["qp_iterations"].max()),
-        "time_off_the_ground": float((log["feet_carry"] == 0).sum() * (log["time"][1] if len(settled) > 1 else 0.0)),
-    }
+def _summary(log: Mapping[str, Array], joint_reference: Array) -> dict[str, float]:
+    airborne = np.count_nonzero(log["feet_carry"] == 0)
+    tick = float(log["time"][1]) if len(log["time"]) > 1 else 0.0
+    return figures(condense(log, joint_reference)) | {"time_off_the_ground": tick * airborne}
 
 
 def _angle(rotation: Array) -> float:

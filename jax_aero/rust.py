@@ -34,9 +34,11 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from jax_aero import _core
 from jax_aero._core import BoxQpSolver, Robot, __version__, kkt_residual
+from jax_aero.keys import set_key
 
 if TYPE_CHECKING:
     from jax_aero._core import _Flight
@@ -70,6 +72,7 @@ __all__ = [
     "link_forces",
     "load_config",
     "reference_trajectory",
+    "rotation_from_wxyz",
     "wind_velocity",
 ]
 
@@ -500,6 +503,11 @@ def aero_forces(robot: Robot, aero: Mapping[str, Any], axes: ArrayLike, v_air: A
     return _core.aero_forces(robot, _to_json(aero), _array(axes), _array(v_air))
 
 
+def rotation_from_wxyz(wxyz: ArrayLike) -> Array:
+    """Return the rotation matrices (..., 3, 3) of quaternions (..., 4) of any length but zero."""
+    return np.asarray(Rotation.from_quat(wxyz, scalar_first=True).as_matrix(), dtype=np.float64)
+
+
 def link_forces(robot: Robot, aero: Mapping[str, Any], state: State, wind: ArrayLike) -> Array:
     """Return the aerodynamic force on each link [N], (links, 3), inertial axes, of a robot in a state and a wind.
 
@@ -560,14 +568,9 @@ def _with_overrides(config: Config, overrides: Mapping[str, Any]) -> Config:
 
 
 def _set(config: Config, key: str, value: Any) -> None:
-    *parents, name = key.split(".")
-    table = config
-    for depth, parent in enumerate(parents, start=1):
-        table = table.setdefault(parent, {})
-        if not isinstance(table, dict):
-            raise ValueError(f"cannot set `{key}`: `{'.'.join(parents[:depth])}` is a value ({table!r}), not a table")
-    # In a file a path starts at that file; here there is none, so it starts at the current folder.
-    table[name] = str(Path(value).resolve()) if name in PATH_KEYS and isinstance(value, str) else value
+    # In a file, a path is relative to that file; here it is relative to the current folder.
+    is_path = key.rsplit(".", 1)[-1] in PATH_KEYS and isinstance(value, str)
+    set_key(config, key, str(Path(value).resolve()) if is_path else value)
 
 
 def _refuse_unknown(config: Config, key: str, value: Any) -> None:

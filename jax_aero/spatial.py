@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import jax.numpy as jnp
+import numpy as np
 
 from jax_aero.types import Array
 
@@ -101,7 +102,7 @@ def log_so3(r: Array) -> Array:
     v = vee_of_skew_part(r)
     square, cosine = jnp.sum(v * v, -1), 0.5 * (jnp.trace(r, axis1=-2, axis2=-1) - 1.0)
     # There θ/sin θ = 1 + sin²θ/6 to the last bit. At half a turn sin θ may be zero too, and the axis is lost.
-    is_small = (cosine > 0.0) & (square < jnp.finfo(r.dtype).eps) | (square == 0.0)
+    is_small = (cosine > 0.0) & (square < np.finfo(r.dtype).eps) | (square == 0.0)
     sine = jnp.sqrt(jnp.where(is_small, 1.0, square))
     factor = jnp.where(is_small, 1.0 + square / 6.0, jnp.arctan2(sine, cosine) / sine)
     return factor[..., None] * v

@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -25,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jax_aero import rust
+from jax_aero.keys import parse_assignments
 
 KERNEL_TOLERANCE = 1e-10
 QP_TOLERANCE = 1e-8
@@ -239,7 +239,7 @@ def random_states(rng: np.random.Generator, limits: NDArray[np.float64], count: 
         wxyz = rng.normal(size=4)
         joints = rng.uniform(limits[:, 0], limits[:, 1])
         velocity = np.concatenate([rng.normal(scale=2.0, size=6), rng.normal(scale=1.0, size=len(limits))])
-        yield rust.State(rng.normal(scale=5.0, size=3), rotation_of(wxyz), joints, velocity)
+        yield rust.State(rng.normal(scale=5.0, size=3), rust.rotation_from_wxyz(wxyz), joints, velocity)
 
 
 def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list[Sample]:
@@ -250,7 +250,7 @@ def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list
     for state in random_states(rng, np.array(robot.joint_limits), count):
         vectors = [rng.normal(size=3) for _ in range(7)]
         com = np.asarray(state.base_position) + 0.3 * vectors[0]
-        turned = np.asarray(state.base_rotation) @ rotation_of(np.array([1.0, *(0.2 * rng.normal(size=3))]))
+        turned = np.asarray(state.base_rotation) @ rust.rotation_from_wxyz(np.array([1.0, *(0.2 * rng.normal(size=3))]))
         turning = [0.5 * vector for vector in vectors[4:7]]
         followed = rust.Reference(com, vectors[1], vectors[2], vectors[3], turned, *turning)
         inertia = np.diag(rng.uniform(0.5, 4.0, 3))
@@ -266,7 +266,7 @@ def recorded_samples(config: Mapping[str, Any], flight: rust.Flight, count: int)
 
     def state_at(tick: int) -> rust.State:
         velocity = np.concatenate([log["base_velocity"][tick], log["joint_velocity"][tick]])
-        rotation = rotation_of(log["base_quaternion"][tick])
+        rotation = rust.rotation_from_wxyz(log["base_quaternion"][tick])
         return rust.State(log["base_position"][tick], rotation, log["joint_position"][tick], velocity)
 
     first = state_at(0)
@@ -280,13 +280,6 @@ def recorded_samples(config: Mapping[str, Any], flight: rust.Flight, count: int)
         memory = (flight.joint_reference, inertia, np.zeros(len(robot.joint_names)))
         samples.append(Sample(state_at(tick), log["thrust"][tick], log["wind"][tick], target, memory))
     return samples
-
-
-def rotation_of(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation of a quaternion, normalised first."""
-    w, x, y, z = wxyz / np.linalg.norm(wxyz)
-    s = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + 2.0 * (w * s + s @ s))
 
 
 # --- what comes of it ----------------------------------------------------------------------------------------------
@@ -394,15 +387,7 @@ def in_double_precision(config: dict[str, Any]) -> dict[str, Any]:
 
 
 def _config(options: argparse.Namespace) -> dict[str, Any]:
-    changes = {}
-    for assignment in options.set:
-        key, separator, value = assignment.partition("=")
-        if not separator:
-            raise ValueError(f"--set {assignment}: expected KEY=VALUE")
-        try:
-            changes[key] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
-            changes[key] = value
+    changes = parse_assignments(options.set)
     if options.controller is None:
         return rust.load_config(options.config, changes)
     with tempfile.TemporaryDirectory() as folder:

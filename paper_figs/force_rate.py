@@ -20,14 +20,12 @@ NEGLECTED = (
     ("acceleration", "links accelerate", style.SKY),
     ("wind", "wind changes", style.GREEN),
 )
-SETTLED = 3.0
-"""The free fall at the start is not shown [s]."""
 
 
 def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
     """Draw sizes of known and neglected parts above, the neglected ones by cause below."""
     study = load(results, "force_rate", names[0])
-    data = study.sel(time=slice(SETTLED, None))
+    data = study.sel(time=slice(study.attrs["settling_time"], None))
     figure, grid = plt.subplots(2, 2, figsize=(style.FULL_WIDTH, 4.6), layout="constrained", sharex=True)
     for column, (rows, title, unit) in enumerate(
         ((slice(0, 3), "rate of the force", "N/s"), (slice(3, 6), "rate of the moment", "N m/s"))

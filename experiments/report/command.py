@@ -11,6 +11,7 @@ from experiments.report import claims
 from experiments.report.metrics import Metrics
 from experiments.report.page import Heading, Page, Picture, Table, Text
 from experiments.report.results import Results, Sweep, count
+from jax_aero.files import write_text
 
 PAPER_RUNS = ("test1", "test2", "test3", "test4", "robustness")
 PUBLISHED_RUNS = tuple(f"{name}_published" for name in PAPER_RUNS)
@@ -45,9 +46,7 @@ def main(arguments: Sequence[str]) -> int:
     results.folder.mkdir(parents=True, exist_ok=True)
     for name, text in (("report.md", page.markdown()), ("report.html", page.html())):
         path = results.folder / name
-        draft = path.with_name(f".{name}.draft")
-        draft.write_text(text, encoding="utf-8")
-        draft.replace(path)
+        write_text(path, text)
         print(path)
     return 0
 

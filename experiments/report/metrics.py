@@ -11,9 +11,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from experiments import record
+from jax_aero.summary import SETTLING_TIME
 
-SETTLING_TIME = 3.0
-"""Start-up transient, which errors leave out [s]."""
 WINDY = 3.0
 """Slowest relative wind whose direction means something [m/s]."""
 FINAL = 3.0

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from experiments import Refused
-from experiments.sweep import keys
+from jax_aero import keys
 
 SEED_KEYS = ("wind.seed", "controller.wind_estimate.seed", "simulator.jet_faults.measurement_noise.seed")
 """Keys that get a seed of their own in every repeat, where their table is there and made of chance."""

@@ -28,6 +28,7 @@ from experiments.sweep import table
 from experiments.sweep.design import Design
 from experiments.sweep.progress import Progress
 from jax_aero import rust
+from jax_aero.files import write_json
 
 RESULTS = manifest.REPOSITORY / "results" / "sweeps"
 
@@ -80,10 +81,10 @@ def run(design: Design, crew: Crew, *, out: Path | None = None, overwrite: bool 
     if (folder / "sweep.json").is_file():
         _same(folder, design, running=True)
     chunks.mkdir(parents=True, exist_ok=True)
-    for draft in chunks.glob(".*.draft"):
+    for draft in chunks.glob(".*.draft.parquet"):
         draft.unlink()
     document = _document(design)
-    _write_json(folder / "sweep.json", document)
+    write_json(folder / "sweep.json", document)
 
     missing = [chunk for chunk in range(design.n_chunks) if not _path(chunks, chunk).is_file()]
     flown = sum(len(design.chunk(chunk)) for chunk in missing)
@@ -111,7 +112,7 @@ def _finish(folder: Path, design: Design, document: dict[str, Any], flown: int, 
         "flights_per_minute": round(60.0 * flown / seconds, 1) if flown else None,
         "outcomes": {outcome: outcomes.count(outcome) for outcome in ("completed", "fell", "error")},
     }
-    _write_json(folder / "sweep.json", document)
+    write_json(folder / "sweep.json", document)
     table.write(table.cells(design, whole), folder / "cells.parquet")
     shutil.rmtree(chunks)
 
@@ -182,9 +183,3 @@ def _clear(folder: Path) -> None:
     if strangers:
         raise Refused(f"{os.path.relpath(folder)} also holds {', '.join(sorted(strangers))}, so it is not overwritten")
     shutil.rmtree(folder)
-
-
-def _write_json(path: Path, document: dict[str, Any]) -> None:
-    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
-    draft.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-    draft.replace(path)

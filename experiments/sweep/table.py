@@ -6,7 +6,6 @@ Nothing in these tables depends on when, where or in which order flights were fl
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,9 @@ import pyarrow.parquet as pq
 
 from experiments.engines import Failure
 from experiments.sweep.design import Design, config_hash
+from jax_aero.files import complete_file
 from jax_aero.rust import Flight
+from jax_aero.summary import SETTLING_TIME
 
 SUMMARY = (
     "max_com_error",
@@ -45,8 +46,6 @@ ON_COURSE_ROTATION = math.radians(15.0)
 ON_COURSE_COM = 0.25
 """A flight that was never this far off [rad, m] counts as on course, a stricter word than completed."""
 
-SETTLING_TIME = 3.0
-"""Start-up transient that the crate leaves out of position errors [s]."""
 
 QUANTITIES = {
     "rotation_error_deg": ("max_rotation_error", math.degrees(1.0)),
@@ -161,11 +160,6 @@ def write(table: pa.Table, path: Path) -> None:
 
 def write_parts(parts: Iterable[pa.Table], schema: pa.Schema, path: Path) -> None:
     """Write tables one after the other into one file, with one of them in memory at a time."""
-    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
-    try:
-        with pq.ParquetWriter(draft, schema, compression="zstd") as writer:
-            for part in parts:
-                writer.write_table(part)
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
+    with complete_file(path) as draft, pq.ParquetWriter(draft, schema, compression="zstd") as writer:
+        for part in parts:
+            writer.write_table(part)

@@ -11,6 +11,7 @@ import jax
 
 from experiments import Refused, manifest, study
 from jax_aero.aero.network import ACTIVATIONS, BLOCKS, Network, check_output, init_network
+from jax_aero.keys import get, set_key
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.train import Settings
 
@@ -132,13 +133,10 @@ def read(path: Path, changes: Mapping[str, Any] | None = None) -> tuple[Training
 
 
 def change(table: dict[str, Any], key: str, value: Any) -> None:
-    """Set a dotted key that is there."""
-    *where, last = key.split(".")
-    for word in where:
-        table = table.get(word, {})
-    if last not in table:
+    """Set a dotted key that the file has."""
+    if get(table, key) is None:
         raise Refused(f"--set {key}: there is no such key in the file")
-    table[last] = value
+    set_key(table, key, value)
 
 
 def parse(path: Path, table: Mapping[str, Any]) -> Training:

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from experiments.training.config import Training
 from jax_aero.aero.dataset import Dataset, Floats, Indices
 from jax_aero.aero.network import Layer, Network
+from jax_aero.files import write_json
 from jax_aero.robot import RobotModel
 from jax_aero.train import Samples, baseline_errors, distil_samples, fit, predict_areas, samples_of
 
@@ -164,10 +165,7 @@ def keep(work: Path, finished: Finished) -> None:
     """Write a part that is done; its checkpoints are not needed any more."""
     name = finished.part.name
     np.savez(work / f"{name}.areas.npz", areas=finished.areas)
-    text = json.dumps({"errors": finished.errors, "curves": finished.curves})
-    draft = work / f".{name}.draft"
-    draft.write_text(text, encoding="utf-8")
-    draft.replace(work / f"{name}.json")
+    write_json(work / f"{name}.json", {"errors": finished.errors, "curves": finished.curves})
     for path in work.glob(f"{name}-*.npz"):
         path.unlink()
 

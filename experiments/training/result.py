@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from experiments.training.parts import Finished
 from jax_aero.aero.dataset import JOINTS, LINKS, Dataset, Floats
 from jax_aero.aero.network import Network, baseline_areas, with_precision
 from jax_aero.aero.network_card import save_network
+from jax_aero.files import complete_folder, write_json
 from jax_aero.robot import RobotModel
 from jax_aero.train.samples import posture_geometry, predict_areas
 
@@ -214,11 +214,10 @@ def write(folder: Path, data: xr.Dataset, document: Mapping[str, Any], final: Fi
     """Write a result folder at once, in the place of an older result of the same name."""
     card = f"{folder.name}.json"
     own = {card, f"{folder.name}.safetensors"}
-    if folder.exists() and (more := set(record.strangers(folder)) - own):
+    if folder.exists() and (more := set(record.unrelated_files(folder)) - own):
         raise Refused(f"{folder.name} holds more than a result ({min(more)}), so it is not replaced")
-    with record.complete_folder(folder, replace=True) as draft:
+    with complete_folder(folder, replace=True) as draft:
         record.write_dataset(data, draft / record.RUN_FILE)
         if final is not None:
             final.save(draft / card)
-        text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        (draft / record.MANIFEST_FILE).write_text(text, encoding="utf-8")
+        write_json(draft / record.MANIFEST_FILE, document)

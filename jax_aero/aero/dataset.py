@@ -24,6 +24,8 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
+from jax_aero.files import complete_file
+
 Floats: TypeAlias = npt.NDArray[np.float64]
 Indices: TypeAlias = npt.NDArray[np.int64]
 
@@ -271,15 +273,10 @@ def save(dataset: Dataset, path: str | PathLike[str]) -> None:
     facts: dict[str, str | float] = {"format": FORMAT, "sha256": dataset.sha256}
     facts |= {f"provenance: {key}": value for key, value in dataset.provenance.items()}
     facts |= {f"check: {key}": float(value) for key, value in dataset.checks.items()}
-    target.parent.mkdir(parents=True, exist_ok=True)
-    draft = target.with_name(f".{target.name}.draft")
     packed = {"zlib": True, "complevel": 1, "shuffle": True}
-    try:
-        table = xr.Dataset(variables, coords, facts)
+    table = xr.Dataset(variables, coords, facts)
+    with complete_file(target) as draft:
         table.to_netcdf(draft, engine="h5netcdf", encoding=dict.fromkeys(variables, packed))
-        draft.replace(target)
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 def load(path: str | PathLike[str]) -> Dataset:

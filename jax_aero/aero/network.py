@@ -139,7 +139,7 @@ def geometry_from_kinematics(robot: RobotModel, kin: Kinematics) -> LinkGeometry
     return LinkGeometry(base_from_link, centres, rotate(base_from_link, links.axes))
 
 
-def wind_direction(v_air_b: Array) -> Array:
+def unit_wind(v_air_b: Array) -> Array:
     """Return the unit vector of the air's velocity relative to the base (3,), base axes; (1, 0, 0) at rest."""
     speed = safe_norm(v_air_b)
     is_still = speed == 0.0
@@ -332,18 +332,18 @@ def to_base_axes(frame: str, layout: str, y: Array, wind_b: Array, rotations: Ar
         return rotate(rotations, vectors) if frame == "link" else vectors
     drag, lift, side = y.reshape(3, -1)
     vectors = jnp.stack([drag, side, lift], axis=-1)
-    return vectors @ tunnel_from_base(wind_b) if frame == "wind" else vectors
+    return vectors @ wind_axes_from_base(wind_b) if frame == "wind" else vectors
 
 
 def from_base_axes(frame: str, layout: str, areas: Array, wind_b: Array, rotations: Array) -> Array:
     """Inverse of `to_base_axes`: areas (L, 3) in base axes as an output (3L,). Sums of squares are kept."""
     if layout == "link":
         return (rotate_back(rotations, areas) if frame == "link" else areas).reshape(-1)
-    vectors = areas @ tunnel_from_base(wind_b).T if frame == "wind" else areas
+    vectors = areas @ wind_axes_from_base(wind_b).T if frame == "wind" else areas
     return vectors[:, jnp.array([0, 2, 1])].T.reshape(-1)
 
 
-def tunnel_from_base(wind_b: Array) -> Array:
+def wind_axes_from_base(wind_b: Array) -> Array:
     """Rotation (3, 3) to tunnel axes, x along the wind and z up: `Rz(yaw) Ry(pitch − 90°)` of the tables.
 
     With the wind across the robot the pitch is undefined, and taken as 90°.
@@ -363,7 +363,7 @@ def network_areas(network: Network, wind_b: Array, joint_position: Array, geomet
     Parameters
     ----------
     wind_b
-        (3,) unit vector of the air's velocity relative to the base origin, base axes; see `wind_direction`.
+        (3,) unit vector of the air's velocity relative to the base origin, base axes; see `unit_wind`.
     joint_position
         (19,) angles of the joints it sees [rad].
     geometry
@@ -392,7 +392,7 @@ def network_forces(
     base = kin.body_rotations[0]
     v_air_b = rotate_back(base, wind - kin.linear_velocities[0])
     seen = joint_position[jnp.array(network.joints)]
-    areas = network_areas(network, wind_direction(v_air_b), seen, geometry_from_kinematics(robot, kin))
+    areas = network_areas(network, unit_wind(v_air_b), seen, geometry_from_kinematics(robot, kin))
     return 0.5 * air_density * jnp.sum(v_air_b**2) * rotate(base, areas)
 
 

@@ -22,7 +22,7 @@ from jax_aero.dynamics import Backend
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.sim.rollout import CHUNK, Ending, finished
 from jax_aero.sim.step import FLYING, Flight, FlightState, prepare, step
-from jax_aero.sim.summary import condense
+from jax_aero.summary import condense
 from jax_aero.types import Array, with_dtype
 
 MOST_TOGETHER = {"cpu": 64}

@@ -31,7 +31,7 @@ from jax_aero.sim.step import (
     prepare,
     step,
 )
-from jax_aero.sim.summary import condense, figures
+from jax_aero.summary import condense, figures
 from jax_aero.types import Array, with_dtype
 
 Kept = TypeVar("Kept")

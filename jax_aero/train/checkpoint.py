@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+
+from jax_aero.files import complete_file
 
 
 class Checkpoint(NamedTuple):
@@ -28,15 +29,10 @@ class Checkpoint(NamedTuple):
 def save_checkpoint(path: str | PathLike[str], checkpoint: Checkpoint) -> None:
     """Write a checkpoint; the file appears complete or not at all."""
     target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
     leaves = {f"leaf_{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(checkpoint.state))}
     meta = json.dumps({"digest": checkpoint.digest, "epoch": checkpoint.epoch, "facts": checkpoint.facts})
-    draft = target.with_name(f".{target.name}.{os.getpid()}.draft.npz")
-    try:
-        np.savez(draft, meta=np.array(meta), **leaves)  # type: ignore[arg-type]  # the stub forbids names from a dict
-        draft.replace(target)
-    finally:
-        draft.unlink(missing_ok=True)
+    with complete_file(target) as draft, draft.open("wb") as stream:
+        np.savez(stream, meta=np.array(meta), **leaves)  # type: ignore[arg-type]  # the stub forbids names from a dict
 
 
 def load_checkpoint(path: str | PathLike[str], like: Any, digest: str) -> Checkpoint | None:

@@ -14,15 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import rust
+from jax_aero.summary import SETTLING_TIME
 from jax_aero.view import Refused, require
 
 Vector = NDArray[np.float64]
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 RUN_FILE, MANIFEST_FILE = "run.nc", "manifest.json"
-
-SETTLED = 3.0
-"""The start-up transient is over by then [s]; position errors count from here on."""
 
 SIGNALS = (
     "time",
@@ -136,7 +134,7 @@ class Recording:
     def merit(self) -> Merit:
         """Figures of merit over the whole flight."""
         s = self.signals
-        settled = s["time"] >= min(SETTLED, self.duration)
+        settled = s["time"] >= min(SETTLING_TIME, self.duration)
         com_error = np.linalg.norm(s["com_position"] - s["com_reference"], axis=1)
         return Merit(
             rotation_error=float(s["rotation_error"].max()),
@@ -165,7 +163,12 @@ class Recording:
         joints = value("joint_position")
         pose = rust.dynamics(
             self.robot,
-            rust.State(value("base_position"), rotation_from_wxyz(wxyz), joints, np.zeros(6 + joints.size)),
+            rust.State(
+                value("base_position"),
+                rust.rotation_from_wxyz(wxyz),
+                joints,
+                np.zeros(6 + joints.size),
+            ),
         )
         return Instant(
             time=time,
@@ -179,18 +182,6 @@ class Recording:
             wind=value("wind"),
             aero_force=value("aero_force_sim"),
         )
-
-
-def rotation_from_wxyz(wxyz: Vector) -> Vector:
-    """Rotation matrix of a quaternion of any length but zero, (3, 3)."""
-    w, x, y, z = wxyz / np.linalg.norm(wxyz)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 def from_flight(flight: rust.Flight, config: rust.Config, title: str) -> Recording:

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from jax_aero import rust
 from jax_aero.view import Refused
 from jax_aero.view.recording import REPOSITORY
+from jax_aero.wind_direction import speed_and_direction, wind_from
 
 CONFIGS = REPOSITORY / "configs"
 
@@ -89,9 +88,8 @@ def default_config() -> rust.Config:
 
 def settings_of(config: rust.Config) -> Settings:
     """Read the settings that come closest to a configuration."""
-    velocity = np.array(config["wind"].get("velocity", [0.0, 0.0, 0.0]))
-    speed = float(np.linalg.norm(velocity[:2]))
-    direction = float(np.rad2deg(np.arctan2(-velocity[1], -velocity[0]))) if speed > 0.0 else 90.0
+    velocity = config["wind"].get("velocity", [0.0, 0.0, 0.0])
+    speed, direction = speed_and_direction(velocity) if any(velocity[:2]) else (0.0, 90.0)
     is_baseline = config["controller"]["aero"]["model"] == "off"
     return Settings(
         wind_speed=round(speed, 6),
@@ -124,8 +122,9 @@ def apply(base: rust.Config, settings: Settings) -> rust.Config:
     before = settings_of(base)
     config = copy.deepcopy(base)
     simulator, controller = config["simulator"], config["controller"]
-    if can_change_wind(base) and _wind_of(settings) != _wind_of(before):
-        config["wind"]["velocity"] = _wind_of(settings)
+    wind, wind_before = (wind_from(one.wind_speed, one.wind_direction_deg) for one in (settings, before))
+    if can_change_wind(base) and wind != wind_before:
+        config["wind"]["velocity"] = wind
         if before.wind_speed == 0.0 and config["wind"]["profile"] == "constant":
             # Still air says nothing of how a wind would rise: as in the paper's flights.
             config["wind"] |= {"profile": "ramp", "ramp_start": 5.0, "ramp_end": 10.0}
@@ -142,12 +141,6 @@ def apply(base: rust.Config, settings: Settings) -> rust.Config:
     if config != base:
         config["title"] = settings.title
     return config
-
-
-def _wind_of(settings: Settings) -> list[float]:
-    angle = np.deg2rad(settings.wind_direction_deg)
-    velocity = -settings.wind_speed * np.array([np.cos(angle), np.sin(angle), 0.0])
-    return [float(v) for v in np.round(velocity, 9) + 0.0]
 
 
 def aero_table(model: str) -> dict[str, Any]:

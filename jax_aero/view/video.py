@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from jax_aero.files import complete_file
 from jax_aero.view import Refused, require
 from jax_aero.view.drawing import Scales
 from jax_aero.view.offscreen import Studio, Viewpoint, camera_at
@@ -190,14 +189,3 @@ def _strip(
     box = (split, top + panel[1] + int(1.6 * letters), width - 2 * letters, base)
     labels.profile(draw, box, recording, times, letters)
     return np.asarray(sheet)
-
-
-@contextmanager
-def complete_file(out: Path) -> Iterator[Path]:
-    """Yield a draft beside `out` that takes its place when the block ends well, and vanishes when it does not."""
-    draft = out.with_name(f".{out.stem}.{os.getpid()}.draft{out.suffix}")
-    try:
-        yield draft
-        draft.replace(out)
-    finally:
-        draft.unlink(missing_ok=True)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from jax_aero import rust
 from jax_aero.rust import Robot, State
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,13 +31,6 @@ def urdf(robot_name: str) -> Path:
     return ROOT / "configs" / "robot" / f"{robot_name}.urdf"
 
 
-def rotation_of(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
-    """R(q) = (w² − |v|²) 1 + 2 v vᵀ + 2 w S(v) of a unit quaternion."""
-    w, v = wxyz[0], wxyz[1:]
-    skew = np.cross(np.eye(3), v)  # rows e_k × v = −S(v) e_k, and S is antisymmetric
-    return (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * skew
-
-
 @pytest.fixture
 def random_states(robot: Robot) -> Iterator[tuple[State, NDArray[np.float64]]]:
     """200 states, base anywhere, joints within their limits and beyond, fast; with the base's quaternion wxyz."""
@@ -54,6 +48,6 @@ def random_states(robot: Robot) -> Iterator[tuple[State, NDArray[np.float64]]]:
         velocity = np.concatenate(
             [rng.normal(scale=3, size=3), rng.normal(scale=4, size=3), rng.normal(scale=5, size=n)]
         )
-        return State(rng.normal(scale=10, size=3), rotation_of(wxyz), joints, velocity), wxyz
+        return State(rng.normal(scale=10, size=3), rust.rotation_from_wxyz(wxyz), joints, velocity), wxyz
 
     return map(draw, range(200))

@@ -27,23 +27,17 @@ STATUS = ["Nominal", "BadMeasurement", "MomentumHeld", "TorqueHeld", "BothHeld"]
 BATCH = 32
 
 
-def rotation_of(wxyz):
-    w, v = wxyz[0], wxyz[1:] / np.linalg.norm(wxyz)
-    w = w / np.linalg.norm(wxyz)
-    return (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * np.cross(np.eye(3), v)
-
-
 def random_samples(robot, count, seed=7):
     """Anywhere, fast, thrusts up to and at their limits, in a gale; one without wind, one where nothing moves."""
     rng = np.random.default_rng(seed)
     n, limits = robot.n_joints, np.asarray(robot.joint_limits)
     samples = []
     for index in range(count):
-        rotation = rotation_of(rng.normal(size=4))
+        rotation = rust.rotation_from_wxyz(rng.normal(size=4))
         state = State(
             rng.normal(scale=5, size=3), rotation, rng.uniform(*limits.T), rng.normal(scale=1.0 + index % 3, size=6 + n)
         )
-        near = rotation @ rotation_of(np.array([1.0, *(0.2 * rng.normal(size=3))]))
+        near = rotation @ rust.rotation_from_wxyz(np.array([1.0, *(0.2 * rng.normal(size=3))]))
         followed = Reference(
             state.base_position + 0.3 * rng.normal(size=3), *rng.normal(size=(3, 3)), near, *rng.normal(size=(3, 3))
         )
@@ -226,7 +220,7 @@ def flown():
     """Two seconds of a flight as the crate's simulator logged them, from its first tick."""
     twin = Twin("test2", {"simulator.duration": 2.0, "wind.ramp_start": 0.2, "wind.ramp_end": 1.0})
     log = rust.fly(twin.table).log
-    rotations = np.stack([rotation_of(wxyz) for wxyz in log["base_quaternion"]])
+    rotations = np.stack([rust.rotation_from_wxyz(wxyz) for wxyz in log["base_quaternion"]])
     velocity = np.concatenate([log["base_velocity"], log["joint_velocity"]], axis=1)
     states = State(log["base_position"], rotations, log["joint_position"], velocity)
     return twin, log, (log["time"], states, log["thrust"], log["wind"])

@@ -22,11 +22,6 @@ COUNT = 1024
 UNIT_ROUNDOFF = np.finfo(np.float64).eps / 2
 
 
-def rotation_of(wxyz):
-    w, v = wxyz[0], wxyz[1:]
-    return (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * np.cross(np.eye(3), v)
-
-
 def harvest(name):
     """Momentum and torque QPs of every `EVERY`th tick of a flight."""
     config = rust.load_config(EXPERIMENTS / f"{name}.toml")
@@ -35,7 +30,7 @@ def harvest(name):
     momentum, torque = [], []
     for k, time in enumerate(log["time"]):
         velocity = np.concatenate([log["base_velocity"][k], log["joint_velocity"][k]])
-        rotation = rotation_of(log["base_quaternion"][k])
+        rotation = rust.rotation_from_wxyz(log["base_quaternion"][k])
         state = rust.State(log["base_position"][k], rotation, log["joint_position"][k], velocity)
         tick = controller.tick(state, log["thrust"][k], log["wind"][k], time)
         if k % EVERY == 0:

@@ -46,11 +46,6 @@ def cases_of(tick: rust.Tick, kind: str) -> Iterator[Case]:
     yield Case(f"torque, {kind}", tick.torque_qp, tick.unlimited_torque, tick.torque_answer.status == "Solved")
 
 
-def rotation_of(wxyz: np.ndarray) -> np.ndarray:
-    w, v = wxyz[0], wxyz[1:]
-    return (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * np.cross(np.eye(3), v)
-
-
 def harvest(name: str, thrown: int, rng: np.random.Generator) -> Iterator[Case]:
     """Every fifth tick of a flight, and `thrown` ticks at states that it never came near."""
     config = rust.load_config(EXPERIMENTS / f"{name}.toml")
@@ -61,7 +56,12 @@ def harvest(name: str, thrown: int, rng: np.random.Generator) -> Iterator[Case]:
     limits = np.array(rust.Robot(config["robot"]).joint_limits)
     for k, time in enumerate(flight["time"]):
         position, quaternion, joints, twist = (signal[k] for signal in log)
-        state = State(position, rotation_of(quaternion), joints, np.concatenate([twist, flight["joint_velocity"][k]]))
+        state = State(
+            position,
+            rust.rotation_from_wxyz(quaternion),
+            joints,
+            np.concatenate([twist, flight["joint_velocity"][k]]),
+        )
         tick = flown.tick(state, flight["thrust"][k], flight["wind"][k], time)
         # The logged flight and this replay are one: else these would be problems nobody ever flew.
         np.testing.assert_allclose(tick.thrust_rate, flight["thrust_rate"][k], rtol=1e-6, atol=1e-6)
@@ -71,7 +71,7 @@ def harvest(name: str, thrown: int, rng: np.random.Generator) -> Iterator[Case]:
             turn = rng.normal(size=4) * [0, 1, 1, 1] * rng.choice([0.05, 0.5]) + [1, 0, 0, 0]
             far = State(
                 position + rng.normal(scale=0.2, size=3),
-                np.asarray(state.base_rotation) @ rotation_of(turn / np.linalg.norm(turn)),
+                np.asarray(state.base_rotation) @ rust.rotation_from_wxyz(turn / np.linalg.norm(turn)),
                 np.where(rng.random(23) < 0.3, rng.choice(limits.T), joints) + rng.normal(scale=0.05, size=23),
                 np.asarray(state.velocity) + rng.normal(scale=0.5, size=29),
             )

@@ -131,17 +131,17 @@ def test_the_gradient_is_finite_at_rest_and_at_the_poles(ironcub):
     for velocity in (jnp.zeros(3), jnp.array([0.0, 9.0, 0.0]), jnp.array([0.0, -1.0, 0.0])):
 
         def force(v):
-            areas = N.network_areas(network, N.wind_direction(v), q[jnp.array(network.joints)], geometry)
+            areas = N.network_areas(network, N.unit_wind(v), q[jnp.array(network.joints)], geometry)
             return jnp.sum(v * v) * areas
 
         assert np.isfinite(jax.jit(jax.jacfwd(force))(velocity)).all()
-    assert N.wind_direction(jnp.zeros(3)).tolist() == [1.0, 0.0, 0.0]
+    assert N.unit_wind(jnp.zeros(3)).tolist() == [1.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize(("pitch", "yaw"), [(90.0, 0.0), (30.0, 40.0), (150.0, -70.0), (90.0, 90.0)])
 def test_the_tunnel_frame_is_that_of_the_tables(pitch, yaw):
     expected = tunnel_from_base(pitch, yaw)
-    np.testing.assert_allclose(N.tunnel_from_base(jnp.asarray(expected[0])), expected, atol=1e-12)
+    np.testing.assert_allclose(N.wind_axes_from_base(jnp.asarray(expected[0])), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(

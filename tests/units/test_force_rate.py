@@ -7,7 +7,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
-from scipy.spatial.transform import Rotation
 
 from experiments import force_rate, study
 from paper_figs import force_rate as force_rate_figure
@@ -54,10 +53,3 @@ def test_the_manifest_and_the_figure(result):
     plt.close(figure)
     with pytest.raises(MissingRun, match=r"make it with: python -m experiments\.force_rate test9"):
         force_rate_figure.draw(folder / "flight", ("test9",))
-
-
-def test_quaternions_become_rotations():
-    wxyz = np.random.default_rng(1).normal(size=(5, 4))
-    wxyz /= np.linalg.norm(wxyz, axis=1, keepdims=True)
-    expected = Rotation.from_quat(wxyz[:, [1, 2, 3, 0]]).as_matrix()
-    np.testing.assert_allclose(force_rate._rotations(wxyz), expected, atol=1e-14)

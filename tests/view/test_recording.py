@@ -41,7 +41,7 @@ def test_a_moment_is_the_pose_of_its_sample(seen):
     s = seen.signals
     state = rust.State(
         s["base_position"][k],
-        recording.rotation_from_wxyz(s["base_quaternion"][k]),
+        rust.rotation_from_wxyz(s["base_quaternion"][k]),
         s["joint_position"][k],
         np.zeros(6 + s["joint_position"].shape[1]),
     )
@@ -72,7 +72,7 @@ def test_jets_and_links_are_drawn_where_the_crate_has_them(path):
     rng = np.random.default_rng(3)
     limits = np.array(robot.joint_limits)
     joints = rng.uniform(limits[:, 0], limits[:, 1])
-    turn = recording.rotation_from_wxyz(rng.normal(size=4))
+    turn = rust.rotation_from_wxyz(rng.normal(size=4))
     state = rust.State(rng.normal(size=3), turn, joints, np.zeros(6 + joints.size))
     pose = rust.dynamics(robot, state)
     assert [jet.name for jet in look.jets] == robot.jet_names

@@ -1,0 +1,69 @@
+"""Dotted keys of configurations, such as `wind.velocity`, and assignments `key=value` as written on a command line."""
+
+from __future__ import annotations
+
+import copy
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+BARE_WORD = re.compile(r"[A-Za-z_./][\w./-]*")
+
+
+def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
+    """Return the values of `key=value` texts by key; values are TOML, and a bare word is a string.
+
+    Raises
+    ------
+    ValueError
+        If a text has no `=`, an empty part of a key, or a value that TOML cannot read.
+    """
+    return dict(_parse_assignment(assignment) for assignment in assignments)
+
+
+def _parse_assignment(assignment: str) -> tuple[str, Any]:
+    key, equals, text = (part.strip() for part in assignment.partition("="))
+    if not equals or not all(key.split(".")):
+        raise ValueError(f"--set {assignment}: expected key=value, e.g. wind.velocity=[0,-12,0]")
+    try:
+        return key, tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError as reason:
+        # Shells remove quotes, so `simulator.lever_arm=unrotated` is accepted without them.
+        if BARE_WORD.fullmatch(text) is None:
+            raise ValueError(f"--set {assignment}: `{text}` is no TOML value ({reason})") from None
+        return key, text
+
+
+def get(config: Mapping[str, Any], key: str) -> Any:
+    """Return the value of a dotted key, or `None` if the key is missing."""
+    value: Any = config
+    for part in key.split("."):
+        if not isinstance(value, Mapping) or part not in value:
+            return None
+        value = value[part]
+    return value
+
+
+def set_key(config: dict[str, Any], key: str, value: Any) -> None:
+    """Set a dotted key in place to a copy of `value`. Missing tables are added; a number is an index into a list.
+
+    Raises
+    ------
+    ValueError
+        If a part of the key names a value that is no table, or an index outside its list.
+    """
+    *parents, last = key.split(".")
+    table: Any = config
+    for depth, part in enumerate(parents, start=1):
+        table = table[_index(key, table, part)] if isinstance(table, list) else table.setdefault(part, {})
+        if not isinstance(table, dict | list):
+            path = ".".join(parents[:depth])
+            raise ValueError(f"cannot set `{key}`: `{path}` is a value ({table!r}), not a table")
+    table[_index(key, table, last) if isinstance(table, list) else last] = copy.deepcopy(value)
+
+
+def _index(key: str, entries: list[Any], part: str) -> int:
+    if not part.isdecimal() or int(part) >= len(entries):
+        raise ValueError(f"cannot set `{key}`: `{part}` is no index into a list of {len(entries)}")
+    return int(part)

@@ -1,0 +1,19 @@
+"""Horizontal wind as speed and the direction it comes from.
+
+Seen by a robot that flies along +x, the direction is 0 from ahead (+x), 90 from its left (+y) and 180 from behind.
+"""
+
+import math
+
+
+def wind_from(speed: float, direction_deg: float) -> list[float]:
+    """Return the velocity (3,) [m/s], inertial frame, of wind that comes from a direction [deg]."""
+    angle = math.radians(direction_deg)
+    # Rounded, so that wind from the side has no component from ahead; adding zero turns -0.0 into 0.0.
+    return [round(-speed * part, 12) + 0.0 for part in (math.cos(angle), math.sin(angle), 0.0)]
+
+
+def speed_and_direction(velocity: list[float]) -> tuple[float, float]:
+    """Return horizontal speed [m/s] and direction [deg, -180 to 180] of a velocity: the inverse of `wind_from`."""
+    x, y, _ = velocity
+    return math.hypot(x, y), math.degrees(math.atan2(-y, -x))
