@@ -1,4 +1,4 @@
-# The front door: `make` lists every target. Each does its own set-up.
+# `make` lists every target. Each target sets up what it needs.
 
 VENV ?= .venv
 BIN := $(VENV)/bin

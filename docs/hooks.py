@@ -49,8 +49,8 @@ def numbered_equation(latex: str) -> str:
 
 
 def mathml(latex: str, display: str) -> str:
-    """Return LaTeX as MathML, which browsers typeset themselves: the page asks no other host for anything."""
-    # The converter knows `aligned` by the name of its sibling.
+    """Return LaTeX as MathML, which browsers typeset themselves: the page loads nothing from other hosts."""
+    # The converter supports `aligned` under another name.
     root = ElementTree.fromstring(convert(latex.replace("{aligned}", "{split}"), display=display))
     for element in root.iter():
         element.tag = element.tag.partition("}")[2]

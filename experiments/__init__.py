@@ -2,4 +2,4 @@
 
 
 class Refused(Exception):
-    """The user asked for something that cannot, or must not, be done; the message says what and why."""
+    """A request of the user that cannot, or must not, be carried out; the message states what and why."""

@@ -5,7 +5,7 @@ Other commands, each explained by `python -m experiments COMMAND --help`: `sweep
 `identify-aero` (coefficients from a flight's log), `import-cfd`, `fit-aero`, `calibrate-surrogate`,
 `surrogate-dataset` (data to learn from), `train` and `train-search` (networks).
 
-A result goes to `results/flight/NAME/`; with --set, the folder's name tells the changes, e.g.
+A result goes to `results/flight/NAME/`; with --set, the folder's name states the changes, e.g.
 `test1--wind.velocity=0_-12_0`. With --out DIR it goes to `DIR/NAME/`, whatever was set.
 """
 
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words and (name := words[0].replace("_", "-")) in COMMANDS:
-        # Imported when asked for: a single flight needs none of what they need.
+        # Imported on demand: a single flight needs none of their dependencies.
         run_command: Callable[[Sequence[str]], int] = importlib.import_module(COMMANDS[name]).main
         return run_command(words[1:])
     given = _parser().parse_args(words)
@@ -83,7 +83,7 @@ def _parser() -> argparse.ArgumentParser:
         help="change one key of the configuration; the value as in TOML, e.g. wind.velocity=[0,-12,0]",
     )
     parser.add_argument("--all", action="store_true", help="every experiment of configs/experiments")
-    parser.add_argument("--engine", choices=sorted(ENGINES), help="who flies (default: what the configuration says)")
+    parser.add_argument("--engine", choices=sorted(ENGINES), help="engine (default: that of the configuration)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/flight)")
     parser.add_argument("--overwrite", action="store_true", help="fly again and replace a result that is there")
     parser.add_argument("--list", action="store_true", help="list the experiments and stop")

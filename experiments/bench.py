@@ -232,8 +232,8 @@ def _print_native(ours: Times, pinocchio: Times, daqp: Times, missing: Iterable[
         print(f"\n{reason}")
 
 
-def _print_row(what: str, ours: float, theirs: float, who: str) -> None:
-    print(f"| {what} | {_microseconds(ours)} | {_microseconds(theirs)} | {ours / theirs:.2f} | {who} |")
+def _print_row(what: str, ours: float, theirs: float, other: str) -> None:
+    print(f"| {what} | {_microseconds(ours)} | {_microseconds(theirs)} | {ours / theirs:.2f} | {other} |")
 
 
 def _print_python(rows: Rows) -> None:

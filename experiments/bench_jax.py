@@ -1,4 +1,4 @@
-"""Measure the JAX floor, beside plain MJX and jaxsim on the same robot in one run: `python -m experiments.bench_jax`.
+"""Measure JAX beside plain MJX and jaxsim on the same robot in one run: `python -m experiments.bench_jax`.
 
 Times are per sample of a batch, in double precision unless said, on whatever device JAX finds; a compile is cold or
 comes from JAX's persistent cache. States are those of TEST2 hovering in the full wind. Prints Markdown, which
@@ -114,7 +114,7 @@ def _machine() -> str:
     facts = f"{device.device_kind} ({device.platform}), {os.cpu_count()} cores; jax {jax.__version__}, "
     text = f"Device: {facts}numpy {versions.get('numpy', '?')}; load {os.getloadavg()[0]:.1f}\n"
     if os.getloadavg()[0] > 0.5 * (os.cpu_count() or 1):
-        text += "The machine is busy: trust ratios more than times.\n"
+        text += "The machine is busy: ratios are more reliable than times.\n"
     return text
 
 

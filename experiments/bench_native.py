@@ -29,7 +29,7 @@ SOURCES = REPOSITORY / "rust" / "core" / "benches" / "native"
 URDF = REPOSITORY / "configs" / "robot" / "ironcub_mk1.urdf"
 QPS = tuple(f"{name} QP, {case}" for name in ("momentum", "torque") for case in ("calm", "saturated"))
 EIGEN = "cmeel-eigen==3.4.1"  # the headers that Pinocchio was compiled with are not in its wheel
-# What the configuration of Pinocchio asks for.
+# What the configuration of Pinocchio requires.
 PINOCCHIO_DEFINES = (
     "-DBOOST_MPL_LIMIT_LIST_SIZE=30",
     "-DBOOST_MPL_LIMIT_VECTOR_SIZE=30",

@@ -1,4 +1,6 @@
-"""Measure the symbolic floor: `python -m experiments.bench_symbolic`. Prints a Markdown table for `docs/benchmarks.md`.
+"""Measure the symbolic implementation: `python -m experiments.bench_symbolic`.
+
+It prints a Markdown table for `docs/benchmarks.md`.
 
 What a user waits for, wall time and processor time: import, building expressions, evaluating them, a trim. Optimal
 trajectories take a minute or more; their times stand in the manifests of `results/trajectory/`.

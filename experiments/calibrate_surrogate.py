@@ -36,7 +36,7 @@ LARGEST_SIDESLIP = 20.0
 """Beyond it the support stands in the wind [deg]."""
 MESH, TURBULENCE = "953C", "SST k-omega"
 CURVES = "corrected"
-"""Coefficient set with the published drag curves, the head's misprint put right."""
+"""Coefficient set with the published drag curves, the head's misprint corrected."""
 COMPARED = ("corrected", "signed", "refit")
 
 PANELS = {"spacing": 0.045, "cluster_size": 0.12}

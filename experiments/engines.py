@@ -1,4 +1,4 @@
-"""Who flies a configuration: `engine = "rust"`, `"jax"` or `"mujoco"`, in an experiment, in a sweep, or with --engine.
+"""Engines that fly a configuration: `engine = "rust"`, `"jax"` or `"mujoco"`, in a file or with --engine.
 
 An engine turns a resolved configuration into the same `rust.Flight`. A flight of a batch that cannot be flown
 gives a `Failure` in its place, so that it is recorded and the others go on.
@@ -129,7 +129,7 @@ def engine(name: str) -> Engine:
 
 
 def engine_of(config: Config) -> str:
-    """Return the name of the engine a configuration asks for."""
+    """Return the name of the engine of a configuration."""
     return str(config.get("engine", "rust"))
 
 
@@ -145,5 +145,5 @@ def _alone(fly: Callable[[Config], rust.Flight], config: Config) -> rust.Flight 
 
 
 def _without_engine(config: Config) -> dict[str, Any]:
-    """Return what the simulation itself has to know."""
+    """Return the configuration without the keys that only select the engine."""
     return {key: value for key, value in config.items() if key != "engine"}

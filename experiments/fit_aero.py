@@ -1,6 +1,6 @@
 """Fit the paper's axisymmetric model to a dataset: `python -m experiments fit-aero --dataset FILE`.
 
-Lasso chooses terms, least squares fits them, family by family. Beside that: the published terms fitted anew, what the
+Lasso chooses terms, least squares fits them, family by family. Beside that: the published terms refitted, what the
 published normal-force coefficients are fits of, and how well every coefficient set of the robot explains the data. The
 result goes to `results/fit/NAME/`, with the new coefficients as TOML; `python -m paper_figs fig4_fit` draws it.
 """
@@ -91,10 +91,10 @@ def variants_of(robot: RobotModel, fits: Mapping[str, fit.FamilyFit]) -> dict[st
 
 
 class Refitted(NamedTuple):
-    """The published model of one family, and its terms fitted anew."""
+    """The published model of one family, and its terms refitted."""
 
     printed: Floats
-    """(5,) drag weights, the head's misprint put right [m²]."""
+    """(5,) drag weights, the head's misprint corrected [m²]."""
     found: Floats
     """(5,) weights of the same terms [m²]."""
     spread: Floats
@@ -124,7 +124,7 @@ def published_terms(robot: RobotModel, dataset: Dataset, axes: Floats) -> dict[s
 
 
 def same_digits(found: float, printed: float, digits: int, slack: int = 0) -> bool:
-    """Tell whether two numbers agree when both are rounded to significant digits, the last off by at most `slack`."""
+    """Whether two numbers agree when both are rounded to significant digits, the last off by at most `slack`."""
     step = 10.0 ** (np.floor(np.log10(abs(printed))) - digits + 1)
     return bool(abs(round(found / step) - round(printed / step)) <= slack)
 

@@ -60,7 +60,7 @@ def run(
     started = time.perf_counter()
     try:
         flight = _fly(config, name)
-    except ValueError as reason:  # an engine that does not know a setting
+    except ValueError as reason:  # an engine that does not support a setting
         raise Refused(f"{name}: {reason}") from None
     document = manifest.build(
         name, config, flight, overrides=changes, command=command, wall_time=time.perf_counter() - started

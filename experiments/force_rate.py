@@ -1,9 +1,9 @@
 """How large is what the paper's controller neglects: the rate of the aerodynamic forces, along a flight.
 
 `python -m experiments.force_rate [NAME]` flies an experiment (default test2) and splits the second derivative of the
-centroidal momentum at every tick, with the derivatives of the symbolic floor, into what the controller's QP knows
-(A_T Ṫ, Λ_T ν, Λ_a ν) and what it leaves out (link forces that change as links turn, as they accelerate, as the wind
-changes). The result goes to `results/force_rate/NAME/`.
+centroidal momentum at every tick, with the derivatives of the symbolic implementation, into what the controller's QP
+models (A_T Ṫ, Λ_T ν, Λ_a ν) and what it leaves out (link forces that change as links turn, as they accelerate, as the
+wind changes). The result goes to `results/force_rate/NAME/`.
 """
 
 from __future__ import annotations

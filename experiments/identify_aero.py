@@ -1,10 +1,10 @@
 """A worked example of differentiability: find a robot's aerodynamic coefficients from the log of one flight.
 
 `python -m experiments identify-aero` flies TEST2 with a robot whose force areas are not those of its file, writes down
-what sensors would (positions, velocities with noise, thrusts and torques as commanded, the wind), and asks which areas
+what sensors would (positions, velocities with noise, thrusts and torques as commanded, the wind), and finds which areas
 explain the log. From many logged states it simulates the next 0.1 s under the logged commands, compares the velocities,
-and follows the gradient through that simulation. The controller knows nothing of this. Whether the answer is good is
-judged where it was not asked: by the forces of another flight, in head wind.
+and follows the gradient through that simulation. The controller is not involved. The result is
+validated on the forces of another flight, in head wind.
 
     minimise  Σ ((ν_simulated − ν_logged)/σ)² / 2  +  Σ (θ/0.3)² / 2      areas = (1 + θ) · those of the file
 

@@ -33,7 +33,7 @@ def build(
         "outcome": flight.outcome,
         "fall_time": flight.fall_time,
         "fall_reason": flight.fall_reason,
-        # JSON knows no infinity, which is where a fall may end.
+        # JSON has no infinity, and the errors of a fall may be infinite.
         "summary": {key: value if math.isfinite(value) else None for key, value in flight.summary.items()},
         "config_digest": rust.config_digest(config),
         "config": portable(config),

@@ -1,4 +1,4 @@
-"""The door between runs and figures: what a result folder holds, and how it comes to be there.
+"""Result folders: what they hold and how they are written; the interface between runs and figures.
 
 A folder holds `run.nc` (every signal, with unit and named coordinates) and `manifest.json` (what
 was flown, by which code, on what machine). It appears complete or not at all.
@@ -50,7 +50,7 @@ SIGNALS: Mapping[str, Signal] = {
     "base_rpy_reference": Signal(("time", "rpy"), "rad", "smoothed reference of the base: roll, pitch, yaw"),
     "thrust": Signal(("time", "jet"), "N", "thrust of each jet"),
     "thrust_rate": Signal(("time", "jet"), "N s-1", "commanded thrust rate"),
-    "joint_velocity_command": Signal(("time", "joint"), "rad s-1", "joint velocity the momentum QP asks for"),
+    "joint_velocity_command": Signal(("time", "joint"), "rad s-1", "joint velocity command of the momentum QP"),
     "joint_torque": Signal(("time", "joint"), "N m", "commanded joint torque, after the rate limiter"),
     "wind": Signal(("time", "xyz"), "m s-1", "wind velocity, inertial frame"),
     "aero_force_sim": Signal(("time", "link", "xyz"), "N", "aerodynamic force in the simulator, inertial frame"),
@@ -69,7 +69,7 @@ SIGNALS: Mapping[str, Signal] = {
 WRENCH = "N (force), N m (moment)"
 
 GROUND_SIGNALS: Mapping[str, Signal] = {
-    "wind_told": Signal(("time", "xyz"), "m s-1", "wind velocity the controller is told of, inertial frame"),
+    "wind_told": Signal(("time", "xyz"), "m s-1", "measured wind velocity, inertial frame"),
     "joint_torque_measured": Signal(
         ("time", "joint"), "N m", "torque that reaches the joint: of the motor, less its friction"
     ),
@@ -78,7 +78,7 @@ GROUND_SIGNALS: Mapping[str, Signal] = {
     "feet_carry": Signal(("time",), "1", "whether the controller takes the feet to carry", dtype="i1"),
     "contact_force": Signal(("time", "foot", "six"), WRENCH, "foot wrenches f_c* that the controller integrates"),
     "contact_force_rate": Signal(
-        ("time", "foot", "six"), "N s-1 (force), N m s-1 (moment)", "rate of f_c* the momentum QP asks for"
+        ("time", "foot", "six"), "N s-1 (force), N m s-1 (moment)", "rate of f_c* commanded by the momentum QP"
     ),
     "contact_force_torque": Signal(("time", "foot", "six"), WRENCH, "foot wrenches that come with the torques"),
 }
@@ -128,7 +128,7 @@ def to_dataset(
     facts: dict[str, str | float] = {
         "title": title,
         "outcome": flight.outcome,
-        # NetCDF attributes know no null: NaN and the empty text stand for "did not fall".
+        # NetCDF attributes have no null: NaN and the empty text stand for "did not fall".
         "fall_time": np.nan if flight.fall_time is None else flight.fall_time,
         "fall_reason": flight.fall_reason or "",
         "engine": engine,

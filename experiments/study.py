@@ -1,7 +1,7 @@
 """Studies: results that are no flight, such as a trim or an optimal trajectory. One folder each, like a flight's.
 
 A study is configured by a TOML file of its own. Paths in it start at that file; every file named counts towards the
-digest, so that a result can tell whether it is still the answer to its question.
+digest, so that an outdated result is recognised.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def build_manifest(
 
 
 def _command() -> list[str]:
-    # argv[0] is the path of the module that runs: `experiments.trim`, or the front door, `experiments`.
+    # argv[0] is the path of the module that runs: `experiments.trim`, or `experiments`.
     module = Path(sys.argv[0]).stem
     return ["python", "-m", "experiments" if module == "__main__" else f"experiments.{module}", *sys.argv[1:]]
 

@@ -1,4 +1,4 @@
-"""What wind tips a standing robot over: the wind really blows, and the controller is told of it, or of still air.
+"""The wind speed that tips a standing robot over, when the measured wind is the real one, and when it is zero.
 
 `python -m experiments tip-over [NAME]` reads `configs/tip_over/NAME.toml` (default ground), and seeks for every
 direction of the wind, by halving the interval, the speed from which on the robot does not stand to the end of a trial.
@@ -35,7 +35,7 @@ KEYS: Mapping[str, Any] = {
     "resolution": (int, float),
     "friction": list,
 }
-FEEDBACK = ("told of the wind", "told of still air")
+FEEDBACK = ("measured wind", "no measured wind")
 STILL = {"profile": "constant", "velocity": [0.0, 0.0, 0.0]}
 
 
@@ -77,11 +77,16 @@ def run(path: Path, results: Path = study.RESULTS) -> dict[str, Any]:
             feedback, friction, direction = cell
 
             def stands(
-                speed: float, told: bool = feedback == 0, friction: int = friction, direction: int = direction
+                speed: float, is_measured: bool = feedback == 0, friction: int = friction, direction: int = direction
             ) -> dict[str, Any]:
                 bar.update()
                 config = trial(
-                    base, table, speed, table["directions_deg"][direction], table["friction"][friction], told=told
+                    base,
+                    table,
+                    speed,
+                    table["directions_deg"][direction],
+                    table["friction"][friction],
+                    is_measured=is_measured,
                 )
                 return trials.make(config)
 
@@ -124,12 +129,18 @@ class Trials:
 
 
 def trial(
-    base: rust.Config, table: Mapping[str, Any], speed: float, direction_deg: float, friction: float, *, told: bool
+    base: rust.Config,
+    table: Mapping[str, Any],
+    speed: float,
+    direction_deg: float,
+    friction: float,
+    *,
+    is_measured: bool,
 ) -> rust.Config:
     """Return the configuration of one trial."""
     start, end = table["ramp"]
     wind = {"profile": "ramp", "velocity": wind_from(speed, direction_deg), "ramp_start": start, "ramp_end": end}
-    config = {**base, "wind": wind, "fictitious_wind": wind if told else STILL}
+    config = {**base, "wind": wind, "fictitious_wind": wind if is_measured else STILL}
     ground = {**base["simulator"]["ground"], "friction": friction}
     config["simulator"] = {**base["simulator"], "duration": float(table["duration"]), "ground": ground}
     return config

@@ -136,7 +136,7 @@ def run_map(path: Path) -> dict[str, Any]:
     started = time.perf_counter()
     found: dict[tuple[str, int, int], TrimResult] = {}
     there = [(objective, d, s) for objective in OBJECTIVES for d in range(len(directions)) for s in range(len(speeds))]
-    # There are many local answers. Once through the map from neighbours already solved, once back; the best one stays.
+    # There are many local minima: solve the map forwards from solved neighbours, then backwards, and keep the best.
     with tqdm(total=2 * len(there), desc=path.stem, unit="wind", disable=not sys.stderr.isatty(), leave=False) as bar:
         for cells, step in ((there, -1), (there[::-1], 1)):
             for objective, d, s in cells:
@@ -158,7 +158,7 @@ def run_map(path: Path) -> dict[str, Any]:
     results = list(found.values())
     solved = [result.solve_time for result in results if result.feasible]
     summary = {
-        "trims asked for": len(results),
+        "trims requested": len(results),
         "trims found": sum(result.feasible for result in results),
         "largest residual of a trim [N, N m]": max(np.abs(r.residual).max() for r in results if r.feasible),
         "median solve time of a trim [s]": float(np.median(solved)),

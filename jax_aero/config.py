@@ -297,18 +297,18 @@ class AeroFeedback:
 
 @pytree
 class WindEstimateConfig:
-    """Errors of the wind that the controller is told."""
+    """Errors of the measured wind."""
 
     bias: Array = _default([0.0, 0.0, 0.0])
     """(3,) added to the wind [m/s, inertial axes]."""
     noise_std: Array = _default(0.0)
-    """() standard deviation of white noise on every axis, drawn anew each tick [m/s]."""
+    """() standard deviation of white noise on every axis, independent in every tick [m/s]."""
     delay: Array = _default(0.0)
-    """() age of the wind that is told, rounded to ticks [s]."""
+    """() delay of the measured wind, rounded to ticks [s]."""
     time_constant: Array = _default(0.0)
     """() of a first-order low pass behind all other errors [s]; zero for none."""
     mean_only: Array = _default(0.0)
-    """() 1 or 0: whether only the mean over the flight is told."""
+    """() 1 or 0: whether the measured wind is its mean over the flight."""
     seed: Static[int] = 0
 
 
@@ -377,7 +377,7 @@ class TorqueConfig:
 
 @pytree
 class QpConfig:
-    """How the Rust crate solves its QPs; this floor has one solver."""
+    """How the Rust crate solves its QPs; JAX has one solver."""
 
     solver: Static[Literal["active_set", "clarabel"]]
     fallback: Static[Literal["clarabel", "hold"]]
@@ -503,7 +503,7 @@ class FallConfig:
 
 @pytree
 class SimulatorConfig:
-    """The world the robot flies in."""
+    """Simulator of the robot's surroundings."""
 
     duration: Static[float]
     """[s]"""
@@ -541,7 +541,7 @@ class FlightConfig:
     envelope: EnvelopeConfig
     wind: WindConfig
     engine: Static[Literal["rust", "jax"]] = "rust"
-    """Which engine the experiment asks for; this one flies either."""
+    """Engine of the experiment; JAX flies configurations of either."""
 
 
 # --- from a resolved table ---------------------------------------------------------------------------------------
@@ -646,7 +646,7 @@ def _build(cls: type[T], table: Mapping[str, Any], where: str) -> T:
     keys = {_KEYS_IN_FILES.get((cls.__name__, item.name), item.name): item for item in fields(cls)}
     if unknown := set(table) - set(keys):
         listed = ", ".join(f"`{where}.{key}`".replace("`.", "`") for key in sorted(unknown))
-        raise ValueError(f"this engine does not know {listed}")
+        raise ValueError(f"this engine does not support {listed}")
     values = {}
     for key, item in keys.items():
         if key in table:

@@ -4,7 +4,7 @@
     (l, k) = A_G(q) ν                        momentum about the centre of mass
 
 Two backends give `M` and `h`; everything else follows from these. `tree` is written for this package: sums over
-ancestors and descendants are products with one static matrix. `mjx` asks MuJoCo's JAX implementation.
+ancestors and descendants are products with one static matrix. `mjx` calls MuJoCo's JAX implementation.
 
 Equations M11 to M14 and M17 of `docs/model.md`.
 """
@@ -28,7 +28,7 @@ Backend: TypeAlias = Literal["tree", "mjx"]
 def dynamics(robot: RobotModel, state: State, kin: Kinematics, backend: Backend = "tree") -> Dynamics:
     """Rigid-body dynamics of one state; `kin` must belong to it."""
     if backend == "mjx":
-        from jax_aero.mujoco_model import mass_matrix_and_bias  # MuJoCo is loaded only by those who ask for it
+        from jax_aero.mujoco_model import mass_matrix_and_bias  # MuJoCo is imported only where this backend is chosen
 
         mass_matrix, bias = mass_matrix_and_bias(robot, state)
     else:

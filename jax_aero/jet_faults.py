@@ -45,7 +45,7 @@ class JetFaults(NamedTuple):
 
 
 class FaultState(NamedTuple):
-    """What faults remember."""
+    """State of the faults."""
 
     command: Array
     """(j,) thrust rates that reach the jets [N/s]."""
@@ -101,7 +101,7 @@ def _sensor_noise(settings: JetFaultsConfig, n_ticks: int, jets: int) -> Array:
 
 
 def known_limits(settings: JetFaultsConfig, robot: RobotModel) -> Array:
-    """Thrust limits (j,) [N] of which the controller knows."""
+    """Thrust limits (j,) [N] in the controller's bounds."""
     if settings.limit_is_known and settings.thrust_limit_scale is not None:
         return jnp.asarray(settings.thrust_limit_scale * robot.jets.thrust_max)
     return robot.jets.thrust_max

@@ -67,7 +67,7 @@ JetsModel: TypeAlias = Ideal | SecondOrder
 
 
 class EngineState(NamedTuple):
-    """What second-order jets remember besides thrust and thrust rate."""
+    """State of second-order jets besides thrust and thrust rate."""
 
     throttle: Array
     """(j,) of the last step [%]."""

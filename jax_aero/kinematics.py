@@ -82,7 +82,7 @@ def generalised_force(
 ) -> Array:
     """`Σ J_kᵀ f_k` (N,) of forces (k, 3) [N] on `bodies` at `points` (k, 3), without forming a Jacobian.
 
-    A joint feels the force and moment of all it carries: `τ_j = a · (Σ p × f − o_j × Σ f)`, about the base origin.
+    A joint carries the force and moment of its subtree: `τ_j = a · (Σ p × f − o_j × Σ f)`, about the base origin.
     """
     origin = kin.body_positions[0]
     moves = carriers(robot, bodies, forces.dtype)

@@ -2,7 +2,7 @@
 
 ```text
 observe   state and foot wrenches of MuJoCo at x_k; aerodynamic forces of the wind that blows
-control   torques from what the controller is told: the state, what the feet feel, and perhaps another wind
+control   torques from the controller's measurement: state, foot wrenches, and a measured wind that may differ
 record    and stop if the robot has tipped over
 advance   sub-steps of MuJoCo to x_{k+1} under held torques and forces
 ```
@@ -35,7 +35,7 @@ HOLD_STIFFNESS, HOLD_DAMPING = 4000.0, 60.0
 
 
 class Observed(NamedTuple):
-    """What the world is like at a tick."""
+    """State of the simulation at a tick."""
 
     state: rust.State
     foot_wrenches: Array
@@ -220,7 +220,7 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
     Raises
     ------
     ValueError
-        If the configuration has no ground, or asks for what this engine does not know.
+        If the configuration has no ground, or contains settings that this engine does not support.
     """
     rust.check_config(config)
     simulator = config["simulator"]
@@ -228,7 +228,7 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
         raise ValueError("`simulator.ground` is absent; expected a table: this engine flies nothing without ground")
     for key in ("aero_factors", "jet_faults"):
         if key in simulator:
-            raise ValueError(f"this engine does not know `simulator.{key}`")
+            raise ValueError(f"this engine does not support `simulator.{key}`")
     if "wind_estimate" in config["controller"]:
         raise ValueError("this engine does not know `controller.wind_estimate`")
     plant, controller = GroundPlant(config), rust.Controller(config)

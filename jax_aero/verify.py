@@ -1,4 +1,4 @@
-"""Does the Rust crate agree with the JAX floor? Both are run on the same states and through the same flight.
+"""Comparison of the Rust crate with JAX. Both are run on the same states and through the same flight.
 
     python -m jax_aero verify                                    # TEST2: random and recorded states, whole flight
     python -m jax_aero verify --config configs/experiments/test2_published.toml --set wind.velocity=[0,-12,0]
@@ -224,7 +224,7 @@ def _same_branch(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float6
 
 @dataclass(frozen=True)
 class Sample:
-    """What a controller is told at a tick, and what it remembers: posture, first inertia, integral."""
+    """Measurement and state of a controller at a tick: posture, first inertia, integral."""
 
     state: rust.State
     thrust: NDArray[np.float64]
@@ -373,7 +373,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change the configuration")
     parser.add_argument("--states", type=int, default=50, help="number of random and of recorded states")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--backend", choices=["tree", "mjx"], default="tree", help="who computes the dynamics")
+    parser.add_argument("--backend", choices=["tree", "mjx"], default="tree", help="implementation of the dynamics")
     parser.add_argument("--out", type=Path, help="folder for table and figure; default results/verify/NAME")
     return parser.parse_args(arguments)
 

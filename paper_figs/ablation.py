@@ -1,7 +1,7 @@
 """One thing varied, its effect: share of flights that arrive, rotation error, position error.
 
 Named levels stand as dots in rows, numbers as lines. A panel's level (world, controller) has one colour and marker
-everywhere; in between it is told by both.
+everywhere; in between, both identify it.
 """
 
 from __future__ import annotations

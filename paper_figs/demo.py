@@ -1,4 +1,4 @@
-"""What aerodynamic feedback is for: both controllers, with right and with published lever arms."""
+"""What aerodynamic feedback is for: both controllers, with corrected and with published lever arms."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from paper_figs import panels, style
 from paper_figs.runs import Run, load
 
 RUNS = ("test1", "test2", "test1_published", "test2_published")
-COLUMNS = ("right lever arms", "published lever arms")
+COLUMNS = ("corrected lever arms", "published lever arms")
 CONTROLLERS = (("baseline", style.VERMILION, "-"), ("aerodynamic-aware", style.BLUE, "--"))
 
 
 def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
-    """Draw four runs: baseline and aware with right arms, then the same with published arms."""
+    """Draw four runs: baseline and aware with corrected arms, then the same with published arms."""
     runs = [load(results, name) for name in names]
     figure, grid = plt.subplots(
         5,

@@ -1,4 +1,4 @@
-"""Fig. 6: the ground experiments, a to f in frontal and g to l in lateral wind that only the controller knows of.
+"""Fig. 6: the ground experiments, a to f in frontal and g to l in a lateral measured wind that does not blow.
 
 a, g  wind    b, h  total aerodynamic force the controller assumes    c, i  CoM error
 d, j  joints of the left leg    e, k  their torques as commanded    f, l  as they reach the joints
@@ -43,7 +43,7 @@ def _experiment(figure: FigureBase, run: Run, letters: str) -> None:
     figure.suptitle(run.title, fontsize=8.5, fontweight="bold", x=0.01, ha="left")
     grid = figure.subplots(2, 3, sharex=True)
     flown = run.flown
-    _vector(grid[0, 0], flown["wind_told"], "wind told [m/s]")
+    _vector(grid[0, 0], flown["wind_told"], "measured wind [m/s]")
     _vector(grid[0, 1], flown["aero_force_control"].sum("link"), "aerodynamic force [N]")
     _vector(grid[0, 2], 1e3 * (flown["com_position"] - flown["com_reference"]), "CoM error [mm]")
     _leg(grid[1, 0], flown["joint_position"] * (180.0 / np.pi), "left leg joints [deg]")

@@ -1,4 +1,4 @@
-"""What the paper's controller neglects: the rate of the aerodynamic forces, beside what it knows, along a flight."""
+"""What the paper's controller neglects: the rate of the aerodynamic forces, beside what it models, along a flight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a flight's log tells about the robot's aerodynamic coefficients: the worked example of identification."""
+"""The robot's aerodynamic coefficients identified from a flight's log."""
 
 from __future__ import annotations
 

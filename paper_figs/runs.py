@@ -66,7 +66,7 @@ def load(results: Path, name: str) -> Run:
         elsewhere = "" if results.resolve() == default_results().resolve() else f" --out {results}"
         raise MissingRun(
             f"no flight `{name}` in {results}; fly it with: python -m experiments {stem}{elsewhere}"
-            + (" --set ... (the changes its name tells)" if stem != name else "")
+            + (" --set ... (the changes in its name)" if stem != name else "")
         )
     return Run(name, xr.load_dataset(path, engine="h5netcdf"))
 

@@ -33,7 +33,7 @@ class Sweep:
 
     @property
     def title(self) -> str:
-        """Return what the sweep asks."""
+        """Return the title of the sweep."""
         return str(self.document["title"])
 
     @property

@@ -78,7 +78,7 @@ def fig2(_results: Path, _names: Sequence[str]) -> tuple[Figure, dict[str, str]]
         axes.set_ylabel(r"$C_D A$ [m$^2$]")
         axes.legend()
         style.letter(axes, mark)
-    tell("figure 2", speed_claims(tables) + posture_claims(tables))
+    print_claims("figure 2", speed_claims(tables) + posture_claims(tables))
     return figure, hashes(TUNNEL)
 
 
@@ -97,7 +97,7 @@ def fig3(_results: Path, _names: Sequence[str]) -> tuple[Figure, dict[str, str]]
         axes.set_ylabel(rf"$C_{'D' if key == 'cda' else 'L'} A$ [m$^2$]")
         axes.legend()
         style.letter(axes, mark)
-    tell("figure 3, flight30 at β = 0", turbulence_claims(tables, runs))
+    print_claims("figure 3, flight30 at β = 0", turbulence_claims(tables, runs))
     return figure, hashes(TUNNEL, CFD)
 
 
@@ -117,7 +117,7 @@ def mesh(_results: Path, _names: Sequence[str]) -> tuple[Figure, dict[str, str]]
     grid[0].legend()
     _mesh_errors(grid[2], record, runs)
     style.letter(grid[2], "c")
-    tell("mesh study, flight30 at β = 0", mesh_claims(tables, runs))
+    print_claims("mesh study, flight30 at β = 0", mesh_claims(tables, runs))
     return figure, hashes(TUNNEL, CFD)
 
 
@@ -141,7 +141,7 @@ def _mesh_errors(axes: Axes, record: Table, runs: Sequence[Table]) -> None:
     axes.legend(loc="upper left")
 
 
-def tell(title: str, claims: Sequence[Claim]) -> None:
+def print_claims(title: str, claims: Sequence[Claim]) -> None:
     """Print figures beside the paper's."""
     print("\n".join([title, *(str(claim) for claim in claims)]))
 

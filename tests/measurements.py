@@ -110,7 +110,7 @@ def pytest_unconfigure() -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
-    """Remember whose measurements these are."""
+    """Store the name of the test that measures."""
     _running[:] = [item]
     try:
         return (yield)

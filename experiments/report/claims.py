@@ -16,11 +16,11 @@ from experiments.report.results import Results, Sweep, count
 from jax_aero import rust
 
 RIGHT, HEAD, PUBLISHED = (
-    "right arms, 10 m/s from the side",
-    "right arms, 18 m/s from ahead",
+    "corrected arms, 10 m/s from the side",
+    "corrected arms, 18 m/s from ahead",
     "published arms, 10 m/s from the side",
 )
-"""The worlds of the ablations, as configs/sweeps/axes/worlds.toml calls them."""
+"""Levels of the axis `world` of the ablations, as named in configs/sweeps/axes/worlds.toml."""
 
 LEAST_FIRST = (
     "total moment only",
@@ -31,7 +31,7 @@ LEAST_FIRST = (
     "without Λ_a",
     "without J_aᵀ f_a",
 )
-"""Levels of the ablation of terms by how much the controller has to know."""
+"""Levels of the ablation of terms, from no feedback to all of it."""
 
 TILTED = 45.0
 """Rotation error beyond which a flight that arrives does not count as balanced [deg]."""
@@ -94,12 +94,12 @@ def _sweep(results: Results, name: str) -> Sweep:
     return results.sweeps[name]
 
 
-def _agreement(right: bool, published: bool) -> str:
-    if right and published:
+def _agreement(corrected: bool, published: bool) -> str:
+    if corrected and published:
         return "holds"
     if published:
         return "holds with the published lever arms only"
-    return "holds with right lever arms only" if right else "does not hold"
+    return "holds with corrected lever arms only" if corrected else "does not hold"
 
 
 def _mass(_: Results) -> tuple[str, str]:
@@ -117,11 +117,11 @@ def _engine_choice(_: Results) -> tuple[str, str]:
 
 
 def _pair(results: Results, test: str) -> tuple[str, list[Mapping[str, float]]]:
-    """Say how a test ends with right and with published arms, and return how often its neighbours complete."""
+    """How a test ends with corrected and with published lever arms, and how often its perturbed flights complete."""
     cells = _sweep(results, "paper_tests")
     name = test.upper() if test.startswith("test") else test
     texts, shares = [], []
-    for arms, run in (("right", test), ("published", f"{test}_published")):
+    for arms, run in (("corrected", test), ("published", f"{test}_published")):
         found, share = _flight(results, run), cells.cell(test=f"{name}, {arms} arms")
         texts.append(
             f"{arms} arms: {found.ending}, rotation error {found.rotation_error:.1f}°, "
@@ -185,7 +185,7 @@ def _robustness(results: Results) -> tuple[str, str]:
 
 def _transitions(results: Results) -> tuple[str, str]:
     texts, times = [], []
-    for arms, name in (("right", "robustness"), ("published", "robustness_published")):
+    for arms, name in (("corrected", "robustness"), ("published", "robustness_published")):
         run = _flight(results, name)
         texts.append(f"{arms} arms: {run.force_difference:.1f} N of {run.force:.1f} N, at {run.difference_time:.0f} s")
         times.append(run.difference_time)
@@ -200,7 +200,7 @@ def _thrusts_alike(results: Results) -> tuple[str, str]:
     axisymmetric, network = (_flight(results, name).thrust for name in ("test2", "test4"))
     text = (
         f"TEST2 {axisymmetric[0]:.1f} to {axisymmetric[1]:.1f} N, TEST4 {network[0]:.1f} to {network[1]:.1f} N; "
-        "right arms"
+        "corrected arms"
     )
     apart = max(abs(one - other) for one, other in zip(axisymmetric, network, strict=True))
     return text, "holds" if apart < 10.0 else "does not hold"
@@ -226,7 +226,7 @@ def _minimum(results: Results) -> tuple[str, str]:
 def answer(results: Results) -> str:
     """Say what the least aerodynamic information is that still flies, from the ablation of terms.
 
-    A level is as good as everything in a world if its share reaches the low end of everything's interval.
+    A level is as good as everything in a world if its success rate reaches the low end of everything's interval.
     """
     cells = _sweep(results, "ablation_terms")
     worlds = cells.levels("world")
@@ -362,7 +362,7 @@ CLAIMS = (
     ),
     _Claim("Suppl. Fig. 7j", "The two models differ most in the transitions, especially from 35 s", _transitions),
     _Claim("Methods", "The change of aerodynamic forces with posture and speed is negligible in control", _lambda),
-    _Claim("Fig. 6", "The standing robot keeps its balance in wind that only its controller knows of", _stands),
+    _Claim("Fig. 6", "The standing robot keeps its balance when the measured wind does not blow", _stands),
     _Claim("Fig. 6c, i", "The CoM moves against the aerodynamic force", _against),
     _Claim("Fig. 6d", "In frontal wind it moves mainly by the ankle pitch joints", _ankle_pitch),
     _Claim("Fig. 6j", "In lateral wind it moves by the hip and ankle roll joints", _rolls),

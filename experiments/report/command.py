@@ -16,11 +16,11 @@ from jax_aero.files import write_text
 PAPER_RUNS = ("test1", "test2", "test3", "test4", "robustness")
 PUBLISHED_RUNS = tuple(f"{name}_published" for name in PAPER_RUNS)
 FIGURES = {
-    "fig5": "Fig. 5 b–i of the paper: TEST2 above, TEST1 below, right lever arms.",
-    "fig5_robustness": "Fig. 5 b–i as the paper fills it: TEST4 above, the robustness test below; right lever arms.",
+    "fig5": "Fig. 5 b–i of the paper: TEST2 above, TEST1 below, corrected arms.",
+    "fig5_robustness": "Fig. 5 b–i as the paper fills it: TEST4 above, the robustness test below; corrected arms.",
     "fig6": "Fig. 6 of the paper: MuJoCo in place of the real robot, its dry friction chosen by us.",
     "tip_over": "Beyond the paper: the greatest wind the standing robot withstands, by direction.",
-    "suppl7": "Supplementary Fig. 7: TEST1, TEST2, TEST3 and the robustness test, right lever arms.",
+    "suppl7": "Supplementary Fig. 7: TEST1, TEST2, TEST3 and the robustness test, corrected lever arms.",
     "suppl7_published": "Supplementary Fig. 7, published lever arms.",
 }
 PARTS = {
@@ -162,7 +162,7 @@ def _sweep(page: Page, results: Results, name: str, sweep: Sweep) -> None:
 
 
 def _edge(sweep: Sweep) -> str:
-    """Say up to where all is well along a single number, world by world."""
+    """Return the largest value of one number up to which all flights succeed, for each level of `world`."""
     document = sweep.document
     if document["drawing"] != "curve" or not document["panels"]:
         return ""

@@ -1,4 +1,4 @@
-"""What a report says about a ground experiment, from its `run.nc`: what moved, where to, whether sums are right."""
+"""Metrics of a ground experiment from its `run.nc`: displacements, forces, and sums of contact forces."""
 
 from __future__ import annotations
 

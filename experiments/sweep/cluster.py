@@ -36,7 +36,7 @@ class Ray:
         self,
         design: Design,
         chunks: list[int],
-        progress: Progress,  # noqa: ARG002 - a cluster tells of whole chunks only
+        progress: Progress,  # noqa: ARG002 - a cluster reports whole chunks only
     ) -> Iterator[tuple[int, Any]]:
         """Yield chunks as the cluster ends them."""
         try:

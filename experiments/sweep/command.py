@@ -27,11 +27,11 @@ def main(arguments: Sequence[str]) -> int:
         for name, title in spec.available().items():
             print(f"  {name:<28}  {title}")
         return 0 if given.list else 2
-    crew: run.Crew = Ray(given.address, given.workers) if given.cluster else run.Local(given.workers)
+    workers: run.Workers = Ray(given.address, given.workers) if given.cluster else run.Local(given.workers)
     try:
         designs = [Design(spec.load(name)) for name in names]
         for design in designs:
-            folder = run.run(design, crew, out=given.out, overwrite=given.overwrite)
+            folder = run.run(design, workers, out=given.out, overwrite=given.overwrite)
             print(f"{design.spec.name}: {design.n_rows} flights in {len(design.cells)} cells, {_shown(folder)}")
     except Refused as reason:
         print(f"error: {reason}", file=sys.stderr)
@@ -51,7 +51,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("names", nargs="*", metavar="NAME", help="a file stem in configs/sweeps, or a path")
     parser.add_argument("--all", action="store_true", help="every sweep of configs/sweeps")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/sweeps)")
-    parser.add_argument("--overwrite", action="store_true", help="begin anew, and replace a result that is there")
+    parser.add_argument("--overwrite", action="store_true", help="start from the beginning, and replace a result")
     parser.add_argument(
         "--workers", type=int, metavar="N", help="threads, or processes of a local cluster (default: one per core)"
     )

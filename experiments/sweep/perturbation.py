@@ -19,7 +19,7 @@ SEED_KEYS = ("wind.seed", "controller.wind_estimate.seed", "simulator.jet_faults
 """Keys that get a seed of their own in every repeat, where their table is there and made of chance."""
 
 CHANCE = {"wind": ("time_scale",), "controller.wind_estimate": (), "simulator.jet_faults.measurement_noise": ()}
-"""Keys by which a table tells that it is made of chance."""
+"""Keys that mark a table of random numbers."""
 
 
 @dataclass(frozen=True)

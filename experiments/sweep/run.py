@@ -33,8 +33,8 @@ from jax_aero.files import write_json
 RESULTS = manifest.REPOSITORY / "results" / "sweeps"
 
 
-class Crew(Protocol):
-    """Whoever flies chunks: this process, or a cluster."""
+class Workers(Protocol):
+    """Processes that fly chunks: local ones, or a cluster's."""
 
     def fly(self, design: Design, chunks: list[int], progress: Progress) -> Iterator[tuple[int, Any]]:
         """Yield the number and the table of every chunk, as they end."""
@@ -67,7 +67,7 @@ def fly_chunk(
     return table.rows(design, indices, configs, engine.fly_batch(configs, threads, progress))
 
 
-def run(design: Design, crew: Crew, *, out: Path | None = None, overwrite: bool = False) -> Path:
+def run(design: Design, workers: Workers, *, out: Path | None = None, overwrite: bool = False) -> Path:
     """Fly what is missing of a sweep; return its folder."""
     folder = (out or RESULTS) / design.spec.name
     if overwrite:
@@ -90,7 +90,7 @@ def run(design: Design, crew: Crew, *, out: Path | None = None, overwrite: bool 
     flown = sum(len(design.chunk(chunk)) for chunk in missing)
     started = time.perf_counter()
     with Progress(design.spec.name, design.n_rows, design.n_rows - flown) as progress:
-        for chunk, part in crew.fly(design, missing, progress):
+        for chunk, part in workers.fly(design, missing, progress):
             table.write(part, _path(chunks, chunk))
             progress.chunk_done(len(design.chunk(chunk)))
     seconds = time.perf_counter() - started
@@ -172,14 +172,14 @@ def _same(folder: Path, design: Design, *, running: bool) -> None:
     if found.get("config_hash") != design.digest:
         raise Refused(f"{shown} holds another sweep of this name; choose another --out, or --overwrite it")
     if running and found.get("code_hash") != code_hash():
-        raise Refused(f"{shown} was begun by another build of the crate; --overwrite begins anew")
+        raise Refused(f"{shown} was begun by another build of the crate; --overwrite starts from the beginning")
 
 
 def _clear(folder: Path) -> None:
     if not folder.exists():
         return
     known = {"sweep.json", "chunks", "table.parquet", "cells.parquet"}
-    strangers = {entry.name for entry in folder.iterdir() if not entry.name.startswith(".")} - known
-    if strangers:
-        raise Refused(f"{os.path.relpath(folder)} also holds {', '.join(sorted(strangers))}, so it is not overwritten")
+    unrelated = {entry.name for entry in folder.iterdir() if not entry.name.startswith(".")} - known
+    if unrelated:
+        raise Refused(f"{os.path.relpath(folder)} also holds {', '.join(sorted(unrelated))}, so it is not overwritten")
     shutil.rmtree(folder)

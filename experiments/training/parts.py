@@ -124,11 +124,11 @@ def _student(
     assert training.distillation is not None
     how = training.distillation
     seed = training.seed + 1000 * part.seed + training.members
-    lessons = distil_samples(teachers, robot, rows, count=how.samples, spread_deg=how.spread_deg, seed=seed)
+    samples = distil_samples(teachers, robot, rows, count=how.samples, spread_deg=how.spread_deg, seed=seed)
     name = f"{part.name}-student"
     fitted = fit(
         training.start(robot, seed),
-        lessons,
+        samples,
         unseen,
         how.settings,
         seed,

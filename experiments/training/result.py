@@ -178,7 +178,7 @@ def card_facts(
 
 
 def check_rows(network: Network, robot: RobotModel, dataset: Dataset) -> list[dict[str, Any]]:
-    """Return a few answers of the network, by which a reader can tell that it reads the weights as they were meant.
+    """Return a few answers of the network, by which a reader checks that it reads the weights correctly.
 
     The last row is made up: no posture of the data, and a wind off the grid.
     """

@@ -95,7 +95,7 @@ def suggestions(trial: optuna.Trial, path: Path, space: Mapping[str, Any]) -> di
     chosen: dict[str, Any] = {}
     for key, entry in space.items():
         if set(entry) == {"choices"}:
-            # Optuna knows no lists: their texts stand for them.
+            # Optuna has no lists: their texts stand for them.
             chosen[key] = json.loads(trial.suggest_categorical(key, [json.dumps(value) for value in entry["choices"]]))
         elif {"low", "high"} <= set(entry) <= {"low", "high", "log"}:
             chosen[key] = trial.suggest_float(key, entry["low"], entry["high"], log=entry.get("log", False))

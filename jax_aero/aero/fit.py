@@ -101,7 +101,7 @@ def parts(force_area_b: Floats, wind: Floats) -> Parts:
 def candidate_terms() -> list[tuple[int, int]]:
     """Powers (i, j) of the terms `cos^i α sin^j α` that may enter the drag area.
 
-    Zero slope at both poles asks for j ≠ 1. Terms that are sums of earlier ones drop out (cos² = 1 − sin²); what is
+    Zero slope at both poles requires j ≠ 1. Terms that are sums of earlier ones drop out (cos² = 1 − sin²); what is
     left are the paper's five.
     """
     powers = [(i, j) for order in range(ORDER + 1) for i in range(order + 1) for j in [order - i] if j != 1]

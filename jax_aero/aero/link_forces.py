@@ -1,6 +1,6 @@
 """Forces on all links of the robot: the axes, points and velocities that a model is evaluated with.
 
-The published code misplaces the points: each way of doing so is one switch, with the physically right way as default.
+The published code misplaces the points: each way of doing so is one switch, with the physically correct way as default.
 
 Equations M18 and M27 of `docs/model.md`.
 """

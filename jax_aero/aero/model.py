@@ -1,4 +1,4 @@
-"""Which aerodynamic model: the one place that tells them apart."""
+"""Aerodynamic models, and the functions that dispatch on them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ AeroModel: TypeAlias = Off | Axisymmetric | SphereCylinder | NetworkModel
 
 
 def aero_model(settings: config.AeroConfig, robot: RobotModel) -> AeroModel:
-    """Build the model that the configuration asks for. Do it once, outside loops: tables are worked out here.
+    """Build the model of a configuration. Do it once, outside loops: tables are computed here.
 
     Raises
     ------

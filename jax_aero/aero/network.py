@@ -171,7 +171,7 @@ def link_shadow(wind_b: Array, centres: Array) -> Array:
 
         S_l = Σ_k≠l sigmoid(d·w / h) exp(−r² / 2σ²),   d = x_l − x_k,   r² = |d|² − (d·w)²
 
-    A feature, not a model: it tells the network which of its inputs matter, which 15 postures do not.
+    A feature, not a model: 15 postures alone do not show a network which of its inputs matter.
     """
     d = centres[:, None, :] - centres[None, :, :]
     along = jnp.einsum("lki,i->lk", d, wind_b)

@@ -1,7 +1,7 @@
-"""The door between training and flight: weights as `NAME.safetensors` with their card `NAME.json` beside them.
+"""Files of a trained network: weights as `NAME.safetensors` with their card `NAME.json` beside them.
 
 The card says what goes in, what comes out and in which axes, how the network is built, what it was trained on and how
-far it is off; the Rust crate and this floor read the same two files, and refuse what they do not understand.
+far it is off; the Rust crate and this module read the same two files, and refuse unknown content.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def load_network(path: str | PathLike[str], robot: RobotModel) -> Network:
 
 
 def read_card(path: str | PathLike[str]) -> dict[str, Any]:
-    """Read a card and check everything that can be told without a robot or the weights."""
+    """Read a card and check everything that needs neither a robot nor the weights."""
     try:
         card = json.loads(Path(path).read_text(encoding="utf-8"))
     except ValueError as reason:

@@ -1,4 +1,4 @@
-"""The door to ONNX: a network in the published layout, two inputs and one output, samples in columns.
+"""ONNX files: a network in the published layout, two inputs and one output, samples in columns.
 
     wind (3, B) unit vectors, joints (19, B) [deg]  ──►  areas (39, B) [m²]: 13 CdA, 13 ClA, 13 CsA
 
@@ -34,7 +34,7 @@ def export_onnx(path: str | PathLike[str], network: Network) -> None:
     Raises
     ------
     ValueError
-        Naming what the layout has no room for.
+        Naming what the layout cannot represent.
     """
     wanted: dict[str, Any] = {"features": ("wind", "joints"), "frame": "base", "layout": "component", "members": 1}
     wanted |= {"mirror": False, "baseline": None}
@@ -47,7 +47,7 @@ def export_onnx(path: str | PathLike[str], network: Network) -> None:
     found |= {"mirror": network.mirror is not None, "baseline": None if network.baseline is None else "axisymmetric"}
     for key, value in wanted.items():
         if found[key] != value:
-            raise ValueError(f"`{key}` of the network is {found[key]!r}; the ONNX layout has room for {value!r} alone")
+            raise ValueError(f"`{key}` of the network is {found[key]!r}; the ONNX layout supports only {value!r}")
     constants: dict[str, Any] = {"to_turns": np.float32(1.0 / 180.0)}
     nodes = [
         helper.make_node("Mul", ["joints", "to_turns"], ["scaled_joints"]),

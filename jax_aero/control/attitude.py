@@ -9,7 +9,7 @@ k̈* = I₀ ω̈_d − ė − (1 + c₀ I₀⁻¹)(k̇ − I₀ ω̇_d) − c₀
 σ  = R ( w × (w × k) + 2 w × k̇ + (I₀⁻¹ k̇) × k )
 ```
 
-The task asks `Rᵀ (L̈_ang − σ) = k̈*`. There is no integral action: a constant moment `d` that the controller does not
+The task is `Rᵀ (L̈_ang − σ) = k̈*`. There is no integral action: a constant moment `d` that the controller does not
 know of settles at `e = (1 + I₀/c₀) d`. Equations M59 to M61 of `docs/model.md`.
 """
 
@@ -25,7 +25,7 @@ from jax_aero.types import Array, Reference
 
 
 class AttitudeDemand(NamedTuple):
-    """What the attitude task asks for."""
+    """Demand of the attitude task."""
 
     k_ddot_desired: Array
     """(3,) desired second derivative of the body angular momentum, `k̈*` [N m/s, body axes]."""

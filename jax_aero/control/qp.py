@@ -62,7 +62,7 @@ class WarmStart(NamedTuple):
 
 
 class QpAnswer(NamedTuple):
-    """A minimiser and how far it is to be believed."""
+    """A minimiser and how accurate it is."""
 
     x: Array
     """The minimiser (n,), inside the bounds."""

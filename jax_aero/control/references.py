@@ -23,7 +23,7 @@ from jax_aero.types import Array, Reference
 
 
 class AutopilotCommand(NamedTuple):
-    """What the autopilot asks for in one tick: -1, 0 or 1 in the sense of the robot's base axes."""
+    """Command of the autopilot in one tick: -1, 0 or 1 in the sense of the robot's base axes."""
 
     forward: Array
     """Along base x, which points backwards: forwards is -1."""
@@ -138,7 +138,7 @@ class ReferenceParams(NamedTuple):
 
 
 class ReferenceState(NamedTuple):
-    """What the generator remembers between ticks."""
+    """State of the generator between ticks."""
 
     raw_position: Array
     """(3,) position of the centre of mass before smoothing [m]."""

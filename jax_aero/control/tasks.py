@@ -63,7 +63,7 @@ class MomentumQp(NamedTuple):
     """The momentum QP of one tick."""
 
     task: Array
-    """(9, j + n): the tasks ask `task · u + offset = 0`."""
+    """(9, j + n): the tasks are `task · u + offset = 0`."""
     offset: Array
     """(9,)"""
     problem: BoxQp

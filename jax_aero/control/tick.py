@@ -79,7 +79,7 @@ class ControllerParams:
 
     switches: Switches = field(metadata={"static": True})
     aero: AeroModel
-    """The aerodynamic model that the controller believes in."""
+    """Aerodynamic model of the controller."""
     aero_scale: Array
     """() factor on all estimated forces."""
     aero_factors: ForceFactors | None
@@ -97,7 +97,7 @@ class ControllerParams:
 
 
 class ControllerState(NamedTuple):
-    """What the controller remembers from one tick to the next."""
+    """State of the controller between ticks."""
 
     references: ReferenceState
     posture: Array
@@ -117,7 +117,7 @@ class ControllerState(NamedTuple):
 
 
 class Command(NamedTuple):
-    """What the controller asks of the robot, held until the next tick."""
+    """Command to the robot, held until the next tick."""
 
     thrust_rate: Array
     """(j,) `Ṫ*` [N/s]."""
@@ -218,7 +218,7 @@ def tick(
 ) -> tuple[ControllerState, Command, Terms]:
     """One tick: the memory of the next, the command, and every intermediate value.
 
-    `time` [s], `thrust` (j,) [N], `wind` (3,) [m/s, inertial axes]. With `reference` the envelope is not asked.
+    `time` [s], `thrust` (j,) [N], `wind` (3,) [m/s, inertial axes]. With `reference` the envelope is not evaluated.
 
     A measurement that is not finite changes nothing in the memory; the terms are then those of a robot at rest, so
     that gradients through such a tick are finite too.
@@ -310,7 +310,7 @@ def _act(
     held = jnp.array([[BOTH_HELD, TORQUE_HELD], [MOMENTUM_HELD, NOMINAL]], jnp.int32)
     status = held[torque_solved.astype(jnp.int32), momentum_solved.astype(jnp.int32)]
     command = Command(thrust_rate, joint_velocity, joint_torque, wanted, pushed, status)
-    # Forward Euler: used first, advanced after; a tick without a commanded velocity has no error to remember.
+    # Forward Euler: used first, advanced after; a tick without a commanded velocity integrates no error.
     advanced = jnp.clip(
         memory.velocity_error_integral + params.time_step * velocity_error, -INTEGRAL_LIMIT, INTEGRAL_LIMIT
     )

@@ -1,4 +1,4 @@
-"""What the controller is told about the wind, when it is not told the truth.
+"""The measured wind: the simulated wind with errors.
 
 ```text
 wind ──(mean only)──► delay ──► + bias + noise ──► low pass ──► the controller
@@ -34,13 +34,13 @@ class WindEstimate:
     noise: Array
     """(ticks, 3) of standard deviation one."""
     delay_ticks: Array
-    """() int32: age of the wind that is told."""
+    """() int32: delay of the measured wind."""
     time_constant: Array
     """() of the low pass [s]; zero for none."""
     mean: Array
     """(3,) over the flight [m/s]."""
     tells_mean: Array
-    """() whether that is told instead of the wind, bool."""
+    """() whether the mean is measured instead of the wind, bool."""
 
 
 def wind_estimate(settings: WindEstimateConfig, time_step: Array, winds: Array) -> WindEstimate:
@@ -62,14 +62,14 @@ def wind_estimate(settings: WindEstimateConfig, time_step: Array, winds: Array) 
 def told_wind(
     estimate: WindEstimate, wind_at: Callable[[Array], Array], before: Array, tick: Array, time_step: Array
 ) -> Array:
-    """Wind (3,) [m/s] that the controller is told in this tick; `before` is what it was told in the last.
+    """Wind (3,) [m/s] measured in this tick; `before` is that of the last tick.
 
-    Before the delay has passed the first wind is told; the low pass starts settled.
+    Before the delay has passed, the first wind is measured; the low pass starts settled.
     """
     then = jnp.maximum(tick - estimate.delay_ticks, 0) * time_step
     wind = jnp.where(estimate.tells_mean, estimate.mean, wind_at(then))
     drawn = estimate.noise[jnp.minimum(tick, estimate.noise.shape[0] - 1)]
-    told = wind + estimate.bias + estimate.noise_std * drawn
+    measured = wind + estimate.bias + estimate.noise_std * drawn
     has_filter = (estimate.time_constant > 0.0) & (tick > 0)
     share = -jnp.expm1(-time_step / jnp.where(has_filter, estimate.time_constant, 1.0))
-    return jnp.where(has_filter, before + (told - before) * share, told)
+    return jnp.where(has_filter, before + (measured - before) * share, measured)

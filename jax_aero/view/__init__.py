@@ -13,7 +13,7 @@ from collections.abc import Iterable
 
 
 class Refused(Exception):
-    """What was asked for cannot be done; the message says why, and what would."""
+    """A request that cannot be carried out; the message states why, and what would be accepted."""
 
 
 def require(modules: Iterable[str], purpose: str) -> None:

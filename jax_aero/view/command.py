@@ -21,7 +21,7 @@ def view(words: Sequence[str]) -> int:
     """Serve the page until Ctrl-C."""
     parser = argparse.ArgumentParser(
         prog="python -m jax_aero view",
-        description="Show a flight in the browser, beside another one as a ghost if two are given, and fly it anew "
+        description="Show a flight in the browser, beside another one as a ghost if two are given, and repeat it "
         "with other wind, controller, aerodynamics. Without RESULT the baseline is flown.",
     )
     parser.add_argument("results", nargs="*", metavar="RESULT", help=f"{RESULT}; at most two")

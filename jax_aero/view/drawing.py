@@ -1,4 +1,4 @@
-"""How a moment of a flight is drawn, whoever draws it: colours, scales, arrows, plumes, meshes.
+"""How a moment of a flight is drawn, in the browser and in files: colours, scales, arrows, plumes, meshes.
 
 Colours are those Okabe and Ito chose to stay distinct for colour-blind readers.
 """

@@ -31,7 +31,7 @@ NO_GHOST = "none"
 
 
 class Page:
-    """What is served: one solid flight, at most one ghost, controls that fly the solid one anew.
+    """What is served: one solid flight, at most one ghost, controls that repeat the solid flight.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class Page:
         scene.configure_default_lights(enabled=True, cast_shadow=True)
         scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), ground_color=(190, 190, 195), intensity=2.1)
         scene.set_background_image(sky())
-        # Following moves the world, not the camera: the camera stays the user's.
+        # Following moves the scene instead of the camera, which the user controls.
         self.world = scene.add_frame("/world", show_axes=False)
         self.ground = scene.add_grid(
             "/world/ground",
@@ -261,7 +261,7 @@ class Page:
     def _build_controls(self) -> None:
         gui = self.server.gui
         if self.base is None:
-            gui.add_html(panel.note("This result does not carry its configuration, so it cannot be flown anew."))
+            gui.add_html(panel.note("This result does not carry its configuration, so it cannot be repeated."))
             return
         start = settings_of(self.base)
         with gui.add_folder("Fly it yourself"):
@@ -376,7 +376,7 @@ class Page:
                     self._show_numbers()
 
     def _fly(self) -> None:
-        """Fly what was asked for last; what was asked for meanwhile is skipped."""
+        """Fly the latest settings; settings changed meanwhile are skipped."""
         while True:
             with self.wake:
                 self.wake.wait_for(lambda: self.wanted is not None or self.ended.is_set())

@@ -29,16 +29,16 @@ AS_GIVEN = "as in the result"
 """Stands for an aerodynamic table that is none of `MODELS`."""
 
 CONTROLLERS = ("baseline", "aware")
-ARMS = ("right", "published")
+ARMS = ("corrected", "published")
 
 # What distinguishes configs/simulator/flight_published.toml and configs/control/aero_aware_published.toml from the
-# physically right ones, coefficients aside.
+# physically correct ones, coefficients aside.
 SIMULATOR_ARMS = {
-    "right": {"lever_arm": "rotated", "integrator": "semi_implicit_euler"},
+    "corrected": {"lever_arm": "rotated", "integrator": "semi_implicit_euler"},
     "published": {"lever_arm": "unrotated", "integrator": "explicit_euler"},
 }
 CONTROLLER_ARMS = {
-    "right": {"lever_arm": "rotated", "jacobian_offset": "link_rotation", "link_velocity": "at_centre"},
+    "corrected": {"lever_arm": "rotated", "jacobian_offset": "link_rotation", "link_velocity": "at_centre"},
     "published": {"lever_arm": "unrotated", "jacobian_offset": "base_rotation", "link_velocity": "shifted_twice"},
 }
 
@@ -54,12 +54,12 @@ class Settings:
     wind_direction_deg
         Where the wind comes from: 0 from ahead (+x), 90 from the robot's left (+y).
     controller
-        `baseline`, which believes that there is no air, or `aware`.
+        `baseline`, without an aerodynamic model, or `aware`.
     model
-        Aerodynamic model of the world, and of a controller that knows of one; a key of `MODELS`
+        Aerodynamic model of the simulator, and of an aware controller; a key of `MODELS`
         or `AS_GIVEN`.
     arms
-        Convention of the lever arms, in world and controller: `right` or `published`.
+        Convention of the lever arms, in simulator and controller: `corrected` or `published`.
     feedback_scale
         Factor on every force the controller estimates.
     """
@@ -68,12 +68,12 @@ class Settings:
     wind_direction_deg: float = 90.0
     controller: str = "baseline"
     model: str = "axisymmetric, corrected"
-    arms: str = "right"
+    arms: str = "corrected"
     feedback_scale: float = 1.0
 
     @property
     def title(self) -> str:
-        """One line that tells this flight from others."""
+        """One line that identifies this flight."""
         scale = "" if self.controller == "baseline" or self.feedback_scale == 1.0 else f" × {self.feedback_scale:g}"
         return f"{self.controller}{scale}, {self.wind_speed:g} m/s from {self.wind_direction_deg:g}°, {self.arms} arms"
 
@@ -96,7 +96,7 @@ def settings_of(config: rust.Config) -> Settings:
         wind_direction_deg=round(direction, 6) + 0.0,
         controller="baseline" if is_baseline else "aware",
         model=_model_of(config["simulator"]["aero"]),
-        arms="published" if config["simulator"]["lever_arm"] == "unrotated" else "right",
+        arms="published" if config["simulator"]["lever_arm"] == "unrotated" else "corrected",
         feedback_scale=float(config["controller"]["aero_feedback"]["scale"]),
     )
 
@@ -115,9 +115,9 @@ def can_change_wind(config: rust.Config) -> bool:
 
 
 def apply(base: rust.Config, settings: Settings) -> rust.Config:
-    """Return `base` with everything that `settings` asks for and `base` does not have yet.
+    """Return `base` with the settings that differ from its own.
 
-    What is already as asked for stays untouched, so the settings of a configuration give that same configuration.
+    Other values stay untouched, so the settings of a configuration give that same configuration.
     """
     before = settings_of(base)
     config = copy.deepcopy(base)

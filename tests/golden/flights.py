@@ -69,7 +69,7 @@ def fly(config: rust.Config) -> rust.Flight:
 
 
 def rounds_coarsely(config: rust.Config) -> bool:
-    """Tell whether a network (single precision) or an iterative contact solver takes part."""
+    """Whether a network (single precision) or an iterative contact solver takes part."""
     models = (config["simulator"]["aero"]["model"], config["controller"]["aero"]["model"])
     return "network" in models or engines.engine_of(config) == "mujoco"
 

@@ -1,4 +1,4 @@
-"""Compute the stored flights anew: `python -m tests.golden.make [NAME ...]`.
+"""Compute the stored flights again: `python -m tests.golden.make [NAME ...]`.
 
 A row is stored if last bits do not decide it: flights from initial states 1e-13 apart, and the same flight with other
 variants of the mathematical library, agree there to a tenth of the tolerance of the test, in parts of each signal's

@@ -27,7 +27,7 @@ PARAMETERS = (
 
 @pytest.fixture(scope="module")
 def problem(x64):
-    """A cost of tracking, as a function of everything the issue asks for, and its compiled value and gradient."""
+    """A cost of tracking, as a function of all parameters and initial values, and its compiled value and gradient."""
     wind = {"wind.ramp_start": -1.0, "wind.ramp_end": 0.5}
     config = flight_config(rust.load_config(ROOT / "configs" / "experiments" / "test2.toml", wind))
     flight, start = prepare(config, load_robot(config.robot))

@@ -75,7 +75,7 @@ def test_dynamics(check_gradient, robot, state):
 
 
 def test_mjx_has_the_same_reverse_mode(state):
-    """With the small robot, for the sake of time; along the sphere of quaternions, which is all that MJX knows."""
+    """With the small robot, for the sake of time; along the sphere of quaternions, since MJX normalises them."""
     robot = load_robot(ROOT / "configs" / "robot" / "sparrow.toml")
     n = robot.n_joints
 

@@ -1,4 +1,4 @@
-"""Link forces against formulas written anew from the paper and from the published tables.
+"""Link forces against formulas written independently from the paper and from the published tables.
 
 The axisymmetric formula stands here as printed, with its arc cosine and its division by sin α; the tables of the
 sphere and cylinder model are interpolated by scipy.

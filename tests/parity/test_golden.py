@@ -33,7 +33,7 @@ def iron_cub():
 
 
 def tick_of(experiment, golden):
-    """One tick at a golden state, with physically right points and the printed coefficients."""
+    """One tick at a golden state, with physically correct points and the printed coefficients."""
     config = rust.load_config(ROOT / "configs" / "experiments" / f"{experiment}.toml")
     if config["controller"]["aero"]["model"] == "axisymmetric":
         config["controller"]["aero"]["coefficients"] = "published"

@@ -1,4 +1,4 @@
-"""The JAX floor's aerodynamics against the Rust crate: forces, and where the controller places them."""
+"""JAX aerodynamics against the Rust crate: forces, and where the controller places them."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_forces(models, name, robot, robot_name, agree):
 
 @pytest.mark.parametrize("experiment", ["test2", "test2_published", "robustness_axisymmetric_vs_sphere_cylinder"])
 def test_where_the_controller_places_links(experiment, agree):
-    """Axes, relative winds, points and forces of the controller, right and published conventions."""
+    """Axes, relative winds, points and forces of the controller, corrected and published conventions."""
     table = rust.load_config(EXPERIMENTS / f"{experiment}.toml")
     config = flight_config(table).controller
     robot = load_robot(table["robot"])

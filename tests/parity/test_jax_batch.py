@@ -1,4 +1,4 @@
-"""Many flights of the JAX floor at once, split over two devices, against the Rust crate."""
+"""Many flights in JAX at once, split over two devices, against the Rust crate."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""References of the JAX floor against the Rust crate's, tick by tick, for every envelope."""
+"""JAX references against the Rust crate's, tick by tick, for every envelope."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ def assert_same(agree, ours, theirs, index, names=None):
 
 
 class Twin:
-    """The controller of an experiment on both floors."""
+    """The controller of an experiment in both implementations."""
 
     def __init__(self, name, overrides=None):
         self.table = rust.load_config(EXPERIMENTS / f"{name}.toml", overrides)
@@ -132,7 +132,7 @@ def ticks(published):
 
 
 def test_every_value_of_ticks_far_from_any_flight(published, ticks, agree):
-    """With published arms and velocities; the right ones are compared below, where they differ."""
+    """With published arms and velocities; the corrected ones are compared below, where they differ."""
     samples = random_samples(published.robot, BATCH)
     memory, command, terms = jax.device_get(ticks(*stacked(samples)))
     ours = values(command, terms)
@@ -243,7 +243,7 @@ def follow(twin, measurements, params):
 
 
 def test_ticks_along_a_flight(flown, agree):
-    """Memory, warm start, rate limiter and reference generator together, with the right arms."""
+    """Memory, warm start, rate limiter and reference generator together, with the corrected arms."""
     twin, log, measurements = flown
     command, com_reference = follow(twin, measurements, twin.params)
     assert np.all(command.status == tick.NOMINAL)

@@ -1,4 +1,4 @@
-"""Everything that can be made worse, on the JAX floor against the Rust crate: flights that share one compilation."""
+"""Disturbances in JAX against the Rust crate: flights that share one compilation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The JAX floor's robot, kinematics and dynamics against the Rust crate, for both robots and both backends."""
+"""JAX robot, kinematics and dynamics against the Rust crate, for both robots and both backends."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_jacobians(jax_robot, robot, states, agree):
         return point_jacobians(jax_robot, kin, links.bodies, points)
 
     linear, angular = jax.device_get(evaluate(batched(states[:20])))
-    # A frame is asked for by its URDF name; these robots name theirs as the links.
+    # A frame is named as in the URDF, where these robots' frames have the names of links.
     frames = [name if name in robot.body_names else None for name in links.names]
     assert any(frames)
     for i, state in enumerate(states[:20]):

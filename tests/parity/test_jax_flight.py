@@ -1,4 +1,4 @@
-"""The closed loop of the JAX floor against the Rust crate: whole flights, and single ticks of the simulated world."""
+"""The closed loop in JAX against the Rust crate: whole flights, and single steps of the plant."""
 
 from __future__ import annotations
 

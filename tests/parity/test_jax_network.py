@@ -1,4 +1,4 @@
-"""The network of the JAX floor against the Rust crate: forces of every kind of network, and whole flights with one."""
+"""Networks in JAX against the Rust crate: forces of every kind of network, and whole flights with one."""
 
 from __future__ import annotations
 

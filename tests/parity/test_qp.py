@@ -89,7 +89,7 @@ def log_uniform(rng: np.random.Generator, low: float, high: float, size: int) ->
 
 
 def flight_like(rng: np.random.Generator, push: float) -> QpProblem:
-    """Shaped like the momentum QP; the tasks want to go `push` bound ranges away."""
+    """Shaped like the momentum QP; the unbounded minimum lies `push` bound ranges away."""
     jet = np.arange(27) < 4
     momentum = rng.normal(size=(6, 27)) * np.where(jet, 1, log_uniform(rng, 100, 1000, 27))
     angular = rng.normal(size=(3, 27)) * np.where(jet, 0, log_uniform(rng, 0.01, 2, 27))

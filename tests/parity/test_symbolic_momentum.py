@@ -49,7 +49,7 @@ def crate(path, aero):
 
 
 def twin(path, aero):
-    """The JAX floor, one compiled function of a state."""
+    """The JAX implementation, one compiled function of a state."""
     with jax.enable_x64(True):
         config = flight_config(_flight(path, aero))
         robot = twin_robot(path)
@@ -107,8 +107,8 @@ CASES = [
 
 
 TWIN_CASES = {("ironcub_mk1", "axisymmetric", "corrected"), ("sparrow", "sphere_cylinder", None)}
-"""Cases of the JAX floor: both robots, both models. The others differ in numbers that the kernel tests vary, and
-each would compile anew."""
+"""Cases of the JAX implementation: both robots, both models. The others differ in numbers that the kernel tests
+vary, and each would compile again."""
 
 
 def implemented(case):

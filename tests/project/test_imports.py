@@ -1,4 +1,4 @@
-"""Who may import whom: the contracts of `pyproject.toml`, and the two that imports of compiled code need."""
+"""Permitted imports: the contracts of `pyproject.toml`, and the two that imports of compiled code need."""
 
 import ast
 from pathlib import Path
@@ -33,7 +33,7 @@ def test_only_jax_aero_rust_imports_the_compiled_module(path):
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_no_relative_imports(path):
-    """A full name says which room a thing comes from."""
+    """An absolute import shows which package a name comes from."""
     relative = [
         node.lineno
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))

@@ -1,4 +1,4 @@
-"""The front door: `make`, CI, metadata, and nothing of one machine in the files."""
+"""`make`, CI and metadata are consistent, and no file names a path of one machine."""
 
 import os
 import re

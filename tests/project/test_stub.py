@@ -1,4 +1,4 @@
-"""`_core.pyi` tells type checkers exactly what the compiled module has."""
+"""`_core.pyi` declares exactly what the compiled module has."""
 
 import ast
 import importlib

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero.aero import network as N  # noqa: N812 (a room with many doors)
+from jax_aero.aero import network as N  # noqa: N812 (many of its functions are tested)
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
 from jax_aero.aero.dataset import JOINTS, LINKS, mirrored_joints, tunnel_from_base
 from jax_aero.aero.network import init_network

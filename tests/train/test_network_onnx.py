@@ -24,7 +24,7 @@ def inputs():
 @pytest.mark.parametrize("activation", ["relu", "tanh", "silu"])
 def test_a_network_goes_there_and_back(ironcub, tmp_path, inputs, activation):
     onnxruntime = pytest.importorskip("onnxruntime")
-    # A hidden layer as wide as the input, and one as wide as the output: shapes alone do not tell which is which.
+    # A hidden layer as wide as the input, and one as wide as the output: shapes alone do not distinguish them.
     network = init_network(jax.random.key(1), ironcub, hidden=(22, 22, 39), activation=activation)
     path = tmp_path / "network.onnx"
     export_onnx(path, network)

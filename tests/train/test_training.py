@@ -216,12 +216,12 @@ def test_a_batch_larger_than_the_data_is_refused(task):
 
 def test_a_student_learns_from_the_mean_of_its_teachers(ironcub, made_up_dataset):
     teachers = [init_network(jax.random.key(k), ironcub, hidden=(4,)) for k in range(2)]
-    lessons = distil_samples(teachers, ironcub, made_up_dataset, count=30, spread_deg=3.0, seed=0)
-    assert len(lessons.x) == len(made_up_dataset) + 30
+    samples = distil_samples(teachers, ironcub, made_up_dataset, count=30, spread_deg=3.0, seed=0)
+    assert len(samples.x) == len(made_up_dataset) + 30
     both = [predict_areas(teacher, ironcub, made_up_dataset) for teacher in teachers]
     order = np.mean(both, axis=0)[:, :, [0, 2, 1]].transpose(0, 2, 1).reshape(len(made_up_dataset), 39)
-    np.testing.assert_allclose(lessons.y[: len(made_up_dataset)], order, atol=1e-6)
-    np.testing.assert_allclose(np.linalg.norm(lessons.x[:, :3], axis=1), 1.0, rtol=1e-5)
+    np.testing.assert_allclose(samples.y[: len(made_up_dataset)], order, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(samples.x[:, :3], axis=1), 1.0, rtol=1e-5)
 
 
 def test_the_baselines_are_what_they_say(ironcub, made_up_dataset):

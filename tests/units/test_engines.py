@@ -1,4 +1,4 @@
-"""Who flies: two engines behind one door."""
+"""Two engines behind one interface."""
 
 import sys
 from pathlib import Path

@@ -80,7 +80,7 @@ def test_state_and_dynamics_are_those_of_the_crate():
 
 
 def test_a_robot_with_free_joints_stands_still_for_a_minute():
-    """No friction holds it: within 1 mm once the start of f_c*, which knows no moment about x, has settled."""
+    """No friction holds it: within 1 mm once the start of f_c*, which has no moment about x, has settled."""
     log = fly(standing(**{"simulator.duration": 60.0, "fictitious_wind": STILL} | FREE_JOINTS)).log
     com = log["com_position"][log["time"] >= 5.0]
     assert np.ptp(com, axis=0).max() < 1e-3
@@ -220,7 +220,7 @@ def test_the_differentiable_floor_refuses_feet_by_name():
     from jax_aero.config import flight_config
 
     config = standing(engine="mujoco")
-    with pytest.raises(ValueError, match=r"does not know .*`fictitious_wind`"):
+    with pytest.raises(ValueError, match=r"does not support .*`fictitious_wind`"):
         flight_config(config)
     del config["fictitious_wind"]
     with pytest.raises(ValueError, match=r"`simulator\.ground`, `simulator\.motors`"):

@@ -1,4 +1,4 @@
-"""The JAX floor's door: configurations and robots read, what cannot be refused, and nothing global touched."""
+"""Reading configurations and robots in JAX: refusals, and no change of global settings."""
 
 from __future__ import annotations
 

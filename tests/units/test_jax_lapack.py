@@ -30,7 +30,7 @@ def lapack_batches(function, *arguments):
     """Samples per call of every call of LAPACK in the program of a function of a batch; 1 without a batch axis."""
     lowered = jax.jit(function).trace(*arguments).lower(lowering_platforms=("cpu",)).as_text()
     calls = re.findall(r"custom_call @lapack\w+\(.*?: \(tensor<([0-9x]+)xf(?:32|64)>", lowered)
-    # What StableHLO knows itself would be a way round the kernels' names.
+    # Operations of StableHLO itself would not show under the kernels' names.
     calls += re.findall(r"stablehlo\.(?:cholesky|triangular_solve).*?tensor<([0-9x]+)xf(?:32|64)>", lowered)
     return [int(np.prod([int(size) for size in shape.split("x")][:-2])) for shape in calls]
 
@@ -65,7 +65,7 @@ def test_a_tick_of_many_flights():
 
 
 def test_gradients_of_many_samples():
-    """Of the only two doors to LAPACK; what else a tick differentiates has no such kernel in it."""
+    """The only two functions that call LAPACK; nothing else that a tick differentiates contains such a kernel."""
     n = 5
     matrix, vector = jnp.zeros((BATCH, n, n)), jnp.zeros((BATCH, n))
 

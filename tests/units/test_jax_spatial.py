@@ -1,4 +1,4 @@
-"""Laws of rotations on the JAX floor, and their agreement with scipy."""
+"""Laws of rotations in JAX, and their agreement with scipy."""
 
 from __future__ import annotations
 

@@ -68,9 +68,9 @@ def results(tmp_path, made_up_results) -> Results:
             document |= {"outcome": run.attrs["outcome"], "fall_reason": run.attrs["fall_reason"]}
             document["fall_time"] = float(run.attrs["fall_time"]) if fell else None
         path.write_text(json.dumps(document))
-    tests = [("TEST1, right arms", 250), ("TEST2, right arms", 250), ("TEST1, published arms", 0)]
-    tests += [("TEST2, published arms", 249), ("TEST3, right arms", 250), ("TEST3, published arms", 3)]
-    tests += [("TEST4, right arms", 250), ("TEST4, published arms", 248), ("robustness, right arms", 250)]
+    tests = [("TEST1, corrected arms", 250), ("TEST2, corrected arms", 250), ("TEST1, published arms", 0)]
+    tests += [("TEST2, published arms", 249), ("TEST3, corrected arms", 250), ("TEST3, published arms", 3)]
+    tests += [("TEST4, corrected arms", 250), ("TEST4, published arms", 248), ("robustness, corrected arms", 250)]
     tests += [("robustness, published arms", 120)]
     cells = [cell(i, 250, n, n // 2, test=label) for i, (label, n) in enumerate(tests)]
     write_sweep(tmp_path, "paper_tests", cells, ["test"])
@@ -130,7 +130,7 @@ def test_the_networks_tests_are_judged_as_the_others_are(results):
     verdicts = {claim.where: claim.verdict for claim in claims.all_claims(results)}
     assert verdicts["TEST3"] == "holds with the published lever arms only"
     assert verdicts["TEST4"] == "holds"
-    assert verdicts["Robustness"] == "holds with right lever arms only"
+    assert verdicts["Robustness"] == "holds with corrected lever arms only"
 
 
 def test_what_has_not_been_flown_names_its_command(tmp_path):

@@ -70,7 +70,7 @@ def test_every_link_is_closed_and_lies_where_its_twin_is_mirrored(model):
 
 
 def test_uniform_pressure_pushes_nothing(model):
-    """A closed body in still air feels no force: pressure that is the same everywhere adds up to zero."""
+    """No force acts on a closed body in uniform pressure: pressure that is the same everywhere adds up to zero."""
     of_link = np.array(model.panels.link)[:, None] == np.arange(13)
     push = (model.panels.area[:, None] * model.panels.normal_l).T @ of_link
     np.testing.assert_allclose(push, 0.0, atol=1e-15)

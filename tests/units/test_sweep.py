@@ -1,4 +1,4 @@
-"""Sweeps: what a file means, and that results do not depend on who flew them, when, or how often it was stopped."""
+"""Sweeps: what a file means, and that results do not depend on the process, the time, or interruptions."""
 
 import json
 import os
@@ -34,7 +34,7 @@ perturbation = {{ joint_position = 0.02, wind_speed = 0.1, link = 0.1 }}
 
 [[axis]]
 name = "arms"
-level = [{{ label = "right", base = "test2" }}, {{ label = "published", base = "test2_published" }}]
+level = [{{ label = "corrected", base = "test2" }}, {{ label = "published", base = "test2_published" }}]
 
 [[axis]]
 name = "speed"
@@ -65,7 +65,7 @@ def design(**changes) -> Design:
 def test_a_grid_has_every_combination_and_the_last_axis_varies_fastest(tmp_path):
     quick_design = Design(spec.load(str(quick(tmp_path))))
     labels = [tuple(level.label for level in cell) for cell in quick_design.cells]
-    assert labels == [("right", 5.0), ("right", 10.0), ("published", 5.0), ("published", 10.0)]
+    assert labels == [("corrected", 5.0), ("corrected", 10.0), ("published", 5.0), ("published", 10.0)]
     assert quick_design.n_rows == 12
     assert [list(quick_design.chunk(chunk)) for chunk in range(quick_design.n_chunks)][-1] == [8, 9, 10, 11]
     assert quick_design.cell_config(3)["simulator"]["lever_arm"] == "unrotated"

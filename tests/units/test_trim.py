@@ -143,7 +143,7 @@ def test_a_map_is_a_result_with_a_manifest(tmp_path, monkeypatch):
     path = tmp_path / "small.toml"
     path.write_text(head + "[map]\nspeeds = [0.0, 10.0, 20.0]\ndirections_deg = [0.0, 90.0]\n")
     document = experiment.run_map(path)
-    assert document["summary"]["trims asked for"] == 12
+    assert document["summary"]["trims requested"] == 12
     assert document["summary"]["strongest wind with a trim from every direction [m/s]"] == 10.0
     assert set(document["timings_s"]) == {"build", "map"}
     assert str(tmp_path) not in (tmp_path / "trim/small/manifest.json").read_text()
