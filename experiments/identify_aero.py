@@ -112,14 +112,14 @@ def run(seed: int = 1, steps: int = STEPS) -> dict[str, Any]:
         forces = forces_along(judge, {"file": model, "identified": found, "true": true_model})
 
     dataset = to_dataset(families, truth, theta, losses, forces, flight.plant.robot.aero_links.names, member.ravel())
-    asked = {"flight": config, "judge": JUDGE, "seed": seed, "steps": steps}
-    digest = study.digest(asked, [])
+    settings = {"flight": config, "judge": JUDGE, "seed": seed, "steps": steps}
+    digest = study.digest(settings, [])
     dataset.attrs["loss_true"] = loss_true
     dataset.attrs |= {"title": "Aerodynamic coefficients from a flight's log", "config_hash": digest}
     document = study.build_manifest(
         "aero",
         dataset.attrs["title"],
-        asked,
+        settings,
         digest,
         summary=figures(dataset),
         timings=seconds,

@@ -8,7 +8,7 @@ import importlib
 import sys
 
 COMMANDS = {
-    "verify": "jax_aero.verify:main",
+    "verify": "jax_aero.verify.command:main",
     "view": "jax_aero.view.command:view",
     "video": "jax_aero.view.command:video",
     "snapshot": "jax_aero.view.command:snapshot",

@@ -230,11 +230,11 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
         if key in simulator:
             raise ValueError(f"this engine does not support `simulator.{key}`")
     if "wind_estimate" in config["controller"]:
-        raise ValueError("this engine does not know `controller.wind_estimate`")
+        raise ValueError("this engine does not support `controller.wind_estimate`")
     plant, controller = GroundPlant(config), rust.Controller(config)
     times = _times(simulator)
     blowing = rust.wind_velocity(config["wind"], times)
-    told = rust.wind_velocity(config.get("fictitious_wind", config["wind"]), times)
+    measured = rust.wind_velocity(config.get("fictitious_wind", config["wind"]), times)
     thrust = np.asarray(simulator["initial"]["thrust"], dtype=np.float64)
     rows: list[dict[str, Any]] = []
     fall: tuple[float, str] | None = None
@@ -244,9 +244,9 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
             fall = (time, "state not finite")
             break
         seen = plant.observe(blowing[k])
-        tick = controller.tick(seen.state, thrust, told[k], time, foot_wrenches=seen.foot_wrenches)
+        tick = controller.tick(seen.state, thrust, measured[k], time, foot_wrenches=seen.foot_wrenches)
         posture = tick.posture
-        row = _row(plant, seen, tick, time, thrust, blowing[k], told[k])
+        row = _row(plant, seen, tick, time, thrust, blowing[k], measured[k])
         rows.append(row)
         fall = _fall(row, simulator["fall"], time)
         if fall is not None:
@@ -271,7 +271,7 @@ def _times(simulator: Mapping[str, Any]) -> Array:
 
 
 def _row(
-    plant: GroundPlant, seen: Observed, tick: rust.Tick, time: float, thrust: Array, wind: Array, told: Array
+    plant: GroundPlant, seen: Observed, tick: rust.Tick, time: float, thrust: Array, wind: Array, measured: Array
 ) -> dict[str, Any]:
     """Every signal of one tick."""
     truth = rust.dynamics(plant.robot, seen.state)
@@ -307,7 +307,7 @@ def _row(
         "qp_status": [tick.momentum_answer.status_code, tick.torque_answer.status_code],
         "qp_kkt": [tick.momentum_answer.kkt, tick.torque_answer.kkt],
         "qp_iterations": [tick.momentum_answer.iterations, tick.torque_answer.iterations],
-        "wind_told": told,
+        "wind_told": measured,
         "joint_torque_measured": seen.joint_torque,
         "foot_wrench": seen.foot_wrenches,
         "sole_position": seen.soles,

@@ -1,4 +1,4 @@
-"""The one door to MuJoCo: its model of our robot, its conventions, its smooth dynamics in JAX.
+"""The interface to MuJoCo: its model of our robot, its conventions, its smooth dynamics in JAX.
 
 A free joint's velocity is world-linear but body-angular there, and bodies stand in depth-first order; here velocities
 are mixed (both parts in inertial axes) and joints stand in the order of the robot's TOML file. Of MJX only kinematics,
@@ -26,7 +26,7 @@ from jax_aero.robot import RobotModel
 from jax_aero.spatial import multiply, rotate_back, skew, wxyz_from_rotation
 from jax_aero.types import Array, State
 
-with contextlib.redirect_stdout(io.StringIO()):  # it prints that a GPU backend nobody asked for is not installed
+with contextlib.redirect_stdout(io.StringIO()):  # it prints that an unused GPU backend is not installed
     from mujoco import mjx
 
 

@@ -82,7 +82,7 @@ Config = dict[str, Any]
 """A resolved flight configuration: nested tables of plain values, every default written out."""
 
 PATH_KEYS = ("robot", "path", "file", "card")
-"""Keys whose value is a path, as the crate knows them."""
+"""Keys whose value is a path, the same as in the crate."""
 
 Progress = Callable[[int, int], None]
 """Called with (ticks flown, ticks in all)."""
@@ -250,7 +250,7 @@ class Tick:
     momentum_rate_estimate
         L̇ [N, N m], (6,).
     k_ddot_desired, sigma
-        What the attitude law asks for: k̈* in base axes, σ.
+        Demand of the attitude law: k̈* in base axes, σ.
     task, task_offset
         The nine stacked task rows, `task @ u + task_offset`, of the unknowns u = (Ṫ, ṡ).
     momentum_qp, momentum_answer, thrust_rate, joint_velocity_command
@@ -262,7 +262,7 @@ class Tick:
     status
         "Nominal", or which part of the command is a safe substitute.
     posture, inertia_0_b, velocity_error_integral
-        What the controller remembers after the tick, see `Controller.set_memory`.
+        State of the controller after the tick, see `Controller.set_memory`.
     reference
         What was followed.
     contact
@@ -321,7 +321,7 @@ class Controller:
         self._torque_max: float = config["controller"]["torque"]["torque_max"]
 
     def set_memory(self, posture: ArrayLike, inertia_0_b: ArrayLike, velocity_error_integral: ArrayLike) -> None:
-        """Replace what is remembered between ticks; the torque rate limiter starts anew.
+        """Replace the state kept between ticks; the torque rate limiter is reset.
 
         Parameters
         ----------
@@ -358,7 +358,7 @@ class Controller:
         reference
             Followed instead of the envelope, if given.
         foot_wrenches
-            What each foot feels [N, N m], (feet, 6): force first, about the origin of its sole, inertial axes. Kept
+            Wrench on each foot [N, N m], (feet, 6): force first, about the origin of its sole, inertial axes. Kept
             until given again; nothing at first.
         """
         given = None if reference is None else {name: _array(value) for name, value in vars(reference).items()}

@@ -21,7 +21,7 @@ TILTED = np.pi / 4
 
 
 def condense(log: Mapping[str, Any], joint_reference: Any) -> dict[str, Any]:
-    """Keep of a log, or of one tick of it, what `figures` asks for. Arrays of NumPy or of JAX."""
+    """Return what `figures` needs of a log, or of one tick of it. Arrays of NumPy or of JAX."""
     same = ("time", "com_position", "rotation_error", "thrust", "qp_status", "qp_kkt", "qp_iterations")
     return {name: log[name] for name in same} | {
         "com_error": log["com_position"] - log["com_reference"],

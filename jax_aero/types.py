@@ -1,4 +1,4 @@
-"""The plain structures that pass from room to room, each for one sample; `vmap` adds the batch in front.
+"""The structures that pass between modules, each for one sample; `vmap` adds the batch in front.
 
 SI units and radians; vectors and Jacobians in inertial axes unless a suffix says otherwise. In the shapes, `n` is the
 number of joints, `N = 6 + n` the length of a velocity, `nb = 1 + n` the number of bodies, `L` of aerodynamic links.

@@ -1,4 +1,4 @@
-"""The door where a URDF becomes a tree of bodies: fixed and locked joints merged, names resolved, numbers checked.
+"""From a URDF to a tree of bodies: fixed and locked joints merged, names resolved, numbers checked.
 
 Reads files once with NumPy in double precision; nothing here is traced.
 
@@ -149,7 +149,7 @@ def _motion(joint: ElementTree.Element, order: Sequence[str], locked: Mapping[st
 def _refuse_unknown(item: str, names: Iterable[str], known: Sequence[str]) -> None:
     for name in names:
         if name not in known:
-            raise ValueError(f"{item}: unknown name `{name}`; the URDF knows {', '.join(known)}")
+            raise ValueError(f"{item}: unknown name `{name}`; the URDF has {', '.join(known)}")
 
 
 def _child(element: ElementTree.Element, tag: str) -> ElementTree.Element:

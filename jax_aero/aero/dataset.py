@@ -206,7 +206,7 @@ class Dataset:
     def random_split(self, seed: int, fraction: float = 0.2) -> tuple[Indices, Indices]:
         """Rows for training and for validation, drawn at random: the paper's split.
 
-        It leaks: twins and nearly equal rows come to lie on both sides. Report `grouped_split` beside it.
+        Information leaks: mirror images and nearly equal rows are in both parts. Report `grouped_split` beside it.
         """
         order = np.random.default_rng(seed).permutation(len(self)).astype(np.int64)
         count = round(_fraction(fraction) * len(self))

@@ -72,14 +72,14 @@ def fly_batch(
         Naming the first flight that cannot be flown, and why.
     """
     with jax.enable_x64(True):
-        crew = tuple(jax.devices() if devices is None else devices)
-        together = most_together or MOST_TOGETHER.get(crew[0].platform, MOST_ELSEWHERE)
+        workers = tuple(jax.devices() if devices is None else devices)
+        together = most_together or MOST_TOGETHER.get(workers[0].platform, MOST_ELSEWHERE)
         # All configurations are read before the first flight is prepared: mistakes show at once.
         groups = list(_groups(_prepared(list(_typed(configs)), backend, dtype)))
         total = sum(len(group.places) for group in groups)
         flights: dict[int, rust.Flight] = {}
         for group in groups:
-            size = len(crew) * min(together, _power_of_two(-(-len(group.places) // len(crew))))
+            size = len(workers) * min(together, _power_of_two(-(-len(group.places) // len(workers))))
             shared = _shared(group.leaves)
             for first in range(0, len(group.places), size):
                 part = group._replace(
@@ -87,7 +87,7 @@ def fly_batch(
                     states=group.states[first : first + size],
                     places=group.places[first : first + size],
                 )
-                flights.update(zip(part.places, _fly_together(part, shared, size, full_log, crew), strict=True))
+                flights.update(zip(part.places, _fly_together(part, shared, size, full_log, workers), strict=True))
                 if progress is not None:
                     progress(len(flights), total)
     return [flights[place] for place in range(total)]
@@ -95,21 +95,21 @@ def fly_batch(
 
 def _typed(configs: Iterable[Mapping[str, Any]]) -> Iterator[FlightConfig]:
     for index, table in enumerate(configs):
-        with _blame(index):
+        with _name_flight_in_errors(index):
             yield flight_config(table)
 
 
 def _prepared(configs: Iterable[FlightConfig], backend: Backend, dtype: Any) -> Iterator[Prepared]:
     robots: dict[str, RobotModel] = {}
     for index, config in enumerate(configs):
-        with _blame(index):
+        with _name_flight_in_errors(index):
             robot = robots.get(config.robot) or robots.setdefault(config.robot, load_robot(config.robot))
             ready = jax.device_get(with_dtype(prepare(config, robot, backend), dtype))
         yield Prepared(ready[0], ready[1], config.simulator.n_ticks)
 
 
 @contextmanager
-def _blame(index: int) -> Iterator[None]:
+def _name_flight_in_errors(index: int) -> Iterator[None]:
     try:
         yield
     except ValueError as reason:

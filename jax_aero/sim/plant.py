@@ -37,7 +37,7 @@ from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, State, Stati
 
 @pytree
 class Plant:
-    """The world: its numbers are leaves, its switches structure."""
+    """The plant: its numbers are leaves, its switches structure."""
 
     robot: RobotModel
     aero: AeroModel
@@ -57,14 +57,14 @@ class Plant:
 
 
 class PlantState(NamedTuple):
-    """Everything the world remembers."""
+    """State of the plant."""
 
     robot: State
     jets: JetsState
     first: State | None
     """State of the first tick, where the aerodynamics is frozen."""
     faults: FaultState | None = None
-    """What the jets' faults remember, where there are some."""
+    """State of the jets' faults; `None` without faults."""
 
 
 class Observation(NamedTuple):
@@ -78,7 +78,7 @@ class Observation(NamedTuple):
 
 
 def start_plant(config: SimulatorConfig, robot: RobotModel, backend: Backend = "tree") -> tuple[Plant, PlantState]:
-    """Build a world and the state in which the first tick finds it. Outside loops: noise is drawn here."""
+    """Build a plant and its state at the first tick. Outside loops: noise is drawn here."""
     initial = config.initial
     jets, jets_state = start_jets(config.jets, robot, initial.thrust)
     faults, fault_state = None, None
@@ -135,7 +135,7 @@ def advance(
 ) -> PlantState:
     """Advance one tick under held torques (n,) [N m] and commanded thrust rates (j,) [N/s].
 
-    `seen` is the observation of `state`; later physics steps of the tick observe anew, commands are held.
+    `seen` is the observation of `state`; later physics steps of the tick observe again, commands are held.
     """
     step = plant.time_step / plant.substeps
     robot = _advance_robot(plant, state, seen, torque, step)
@@ -160,7 +160,7 @@ def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: A
     robot, kin = plant.robot, seen.kinematics
     rotations, points = frame_poses(kin, robot.jets.bodies, robot.jets.rotations, robot.jets.positions)
     thrusts = state.jets.thrust[:, None] * rotate(rotations, robot.jets.axes)
-    # One point for moment and Jacobian: a rigid body cannot tell them apart.
+    # One point for moment and Jacobian: they are equivalent on a rigid body.
     force = (
         generalised_force(robot, kin, robot.jets.bodies, points, thrusts)
         + generalised_aero_force(robot, seen.placed, seen.link_forces, seen.link_forces.arm_points)

@@ -99,7 +99,7 @@ def fly(
 ) -> rust.Flight:
     """Fly one configuration from start to end, or to the fall, as `rust.fly` does and with the same result.
 
-    Works in double precision unless told otherwise, whatever JAX is set to.
+    Works in double precision by default, whatever the setting of JAX.
     """
     with jax.enable_x64(True):
         typed = flight_config(config)

@@ -47,18 +47,18 @@ class Flight:
     wind: WindConfig
     fall: FallConfig
     believed_robot: RobotModel | None
-    """What the controller takes the robot for; `None` if it knows it."""
+    """Controller's model of the robot; `None` if it is the simulated one."""
     wind_estimate: WindEstimate | None
-    """Errors of the wind that the controller is told; `None` if it is told the truth."""
+    """Errors of the measured wind; `None` if there are none."""
 
 
 class FlightState(NamedTuple):
-    """Everything that a flight remembers from one tick to the next."""
+    """State of a flight between ticks."""
 
     plant: PlantState
     memory: ControllerState
     told_wind: Array
-    """(3,) wind that the controller was told last [m/s]."""
+    """(3,) last measured wind [m/s]."""
     fall: Array
     """() int32: `FLYING`, or by which criterion the flight was lost."""
     fall_error: Array
@@ -127,7 +127,7 @@ def _winds(config: FlightConfig) -> Array:
 
 
 def believed_robot(config: FlightConfig, robot: RobotModel) -> RobotModel | None:
-    """Return the robot that the controller believes in; `None` if it is the one that flies."""
+    """Return the controller's model of the robot; `None` if it is the simulated one."""
     error, faults = config.controller.model_error, config.simulator.jet_faults
     believed = robot
     if faults is not None and faults.limit_is_known:
@@ -140,7 +140,7 @@ def believed_robot(config: FlightConfig, robot: RobotModel) -> RobotModel | None
 
 
 def begin(flight: Flight, plant: PlantState) -> FlightState:
-    """Start the controller of a flight whose world is in this state."""
+    """Start the controller of a flight whose plant is in this state."""
     robot = flight.plant.robot if flight.believed_robot is None else flight.believed_robot
     return FlightState(
         plant=plant,

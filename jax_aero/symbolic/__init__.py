@@ -1,11 +1,11 @@
 """The third derivation: everything from energy, momentum and their symbolic derivatives, in CasADi.
 
-Nothing here is translated from the Rust or the JAX floor. The three share numbers (TOML, URDF) and never an expression,
+Nothing here is translated from Rust or JAX. The three share numbers (TOML, URDF) and never an expression,
 so that a sign that is wrong has to be wrong three times to pass `tests/parity`.
 
     robot (numbers) ► spatial ► kinematics (tree) ► dynamics (energy) ► aero ► momentum ► trim, trajectory
 
-Expressions are `casadi.SX`; what leaves this floor are NumPy arrays.
+Expressions are `casadi.SX`; results are NumPy arrays.
 """
 
 from jax_aero.symbolic.momentum import MomentumModel, Terms

@@ -33,7 +33,7 @@ def load_aero(path: str | Path) -> dict[str, Any]:
 
 
 def link_force(config: Mapping[str, Any], robot: Robot) -> LinkForce:
-    """Return the model that a table of `configs/aero` asks for."""
+    """Return the model of a table of `configs/aero`."""
     match config["model"]:
         case "off":
             return lambda _link, _axis, _v_a: ca.SX.zeros(3)
@@ -112,7 +112,7 @@ def _sphere_cylinder(config: Mapping[str, Any], links: Sequence[AeroLink]) -> Li
 def _table(x: Sequence[float], y: Sequence[float]) -> Callable[[SX], SX]:
     """Return SciPy's PCHIP through a table as an expression, constant outside it.
 
-    A sum of what every piece of the curve adds on the way to the value: no piece is asked outside its own interval.
+    A sum of what every piece of the curve adds on the way to the value: no piece is evaluated outside its own interval.
     """
     pieces = PchipInterpolator(x, y).c.T
 

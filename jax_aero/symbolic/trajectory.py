@@ -312,7 +312,7 @@ class TrajectoryProblem:
         """Solve and sample.
 
         Twice: first for time and with `SMOOTHER` times the weights of effort and posture, so that both goals start from
-        the same smooth flight and end in the same valley of the many there are; then as asked for.
+        the same smooth flight and end in the same local minimum; then with the requested settings.
         """
         settings = self.settings
         regular = np.array([settings.effort_weight, settings.posture_weight])

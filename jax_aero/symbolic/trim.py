@@ -164,7 +164,7 @@ class Trim:
         problem: dict[str, Any] = {"x": self._x, "p": self._p, "f": objective, "g": constraints}
         self._solver = ca.nlpsol("trim", "ipopt", problem, IPOPT)
 
-        # The elastic twin: every constraint may be missed, at a price that leaves as few of them missed as can be.
+        # The elastic problem: constraints may be violated at an L1 cost, which leaves as few violated as possible.
         over, under = (ca.SX.sym(name, len(rows)) for name in ("over", "under"))
         elastic: dict[str, Any] = {
             "x": ca.vertcat(self._x, over, under),

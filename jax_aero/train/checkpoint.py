@@ -23,7 +23,7 @@ class Checkpoint(NamedTuple):
     state: Any
     """Weights, moments of Adam, best weights so far: any tree of arrays."""
     facts: dict[str, Any]
-    """Loss curves and what early stopping has to remember; goes through JSON."""
+    """Loss curves and the state of early stopping; goes through JSON."""
 
 
 def save_checkpoint(path: str | PathLike[str], checkpoint: Checkpoint) -> None:
@@ -54,7 +54,7 @@ def load_checkpoint(path: str | PathLike[str], like: Any, digest: str) -> Checkp
     except (OSError, ValueError, KeyError) as reason:
         raise ValueError(f"{target.name} is no checkpoint that can be read: {reason}; remove it") from reason
     if meta["digest"] != digest:
-        raise ValueError(f"{target.name} belongs to other settings or data; remove it, or ask for a new start")
+        raise ValueError(f"{target.name} belongs to other settings or data; remove it, or restart")
     for leaf, model in zip(leaves, expected, strict=True):
         if leaf.shape != np.shape(model) or leaf.dtype != np.asarray(model).dtype:
             raise ValueError(f"{target.name} holds {leaf.dtype}{leaf.shape}; expected {np.shape(model)}")

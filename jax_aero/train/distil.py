@@ -1,4 +1,4 @@
-"""One network that answers as the mean of several: what an ensemble knows, at the price of one evaluation."""
+"""Distillation: one network that approximates the mean of several, at the cost of one evaluation."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ class Settings:
     weight_decay: float = 0.0
     dropout: float = 0.0
     noise: tuple[tuple[str, float], ...] = ()
-    """Standard deviation of noise on the features, by block: nearby postures should feel nearly the same."""
+    """Standard deviation of noise on the features, by block: nearby postures should have nearly the same forces."""
     matmul: Literal["float32", "tf32", "bf16"] = "float32"
     scale_output: bool = True
     """Whether the network answers in units of the spread of its targets, about their mean."""
@@ -127,7 +127,7 @@ def fit(
     Parameters
     ----------
     network
-        Its weights are the start; scale and offset are set from the training samples, where asked for.
+        Its weights are the start; scale and offset are set from the training samples, if the settings say so.
     training, validation
         Mirror images are the caller's affair. Without validation there is no early stopping.
     seed

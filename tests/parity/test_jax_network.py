@@ -101,7 +101,7 @@ def test_a_flight(experiment, precision, tolerance, measured):
     measured(f"network, {experiment}, {precision}, 2 s: {worst.quantity}", worst.absolute, tolerance)
 
 
-def test_the_door_for_single_links_refuses_a_network(ours):
+def test_the_function_for_single_links_refuses_a_network(ours):
     table = rust.load_config(ROOT / "configs" / "experiments" / "test4.toml")["simulator"]["aero"]
     axes = np.tile([0.0, 0.0, 1.0], (ours.aero_links.count, 1))
     with pytest.raises(ValueError, match=r"aero\.model is network"):

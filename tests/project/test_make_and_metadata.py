@@ -97,7 +97,7 @@ def tracked_files() -> list[Path]:
     return [ROOT / name for name in listed.split("\0") if name and (ROOT / name).is_file()]
 
 
-def test_no_file_knows_a_machine_or_a_package_host():
+def test_no_file_names_a_machine_or_a_package_host():
     folders = "|".join(("work", "root", "home", "Users", "opt", "mnt", "srv"))
     machine = re.compile(rf"(?<![\w.}}\])*-])/({folders})/\w")
     hosts = "|".join(("py" + r"pi\.", "python" + "hosted", "artifac" + "tory", "index" + "-url", "find" + "-links"))

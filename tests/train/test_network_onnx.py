@@ -44,7 +44,7 @@ def test_a_network_goes_there_and_back(ironcub, tmp_path, inputs, activation):
         ({"frame": "link", "layout": "link"}, "`frame` of the network is 'link'"),
     ],
 )
-def test_what_the_layout_has_no_room_for_is_refused(ironcub, tmp_path, shape, message):
+def test_what_the_layout_cannot_represent_is_refused(ironcub, tmp_path, shape, message):
     network = init_network(jax.random.key(1), ironcub, hidden=(4,), **shape)
     with pytest.raises(ValueError, match=message):
         export_onnx(tmp_path / "network.onnx", network)

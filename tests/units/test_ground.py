@@ -31,10 +31,10 @@ def standing(**overrides):
     return rust.load_config(ROOT / "configs/experiments/balancing_front.toml", COARSE | overrides)
 
 
-def early_wind(velocity, told=True, duration=9.0, **overrides):
+def early_wind(velocity, measured=True, duration=9.0, **overrides):
     """The ground experiment with its wind between 1 and 4 s."""
     wind = {"profile": "ramp", "velocity": velocity, "ramp_start": 1.0, "ramp_end": 4.0}
-    return standing(**{"simulator.duration": duration, ("fictitious_wind" if told else "wind"): wind} | overrides)
+    return standing(**{"simulator.duration": duration, ("fictitious_wind" if measured else "wind"): wind} | overrides)
 
 
 @pytest.fixture(scope="module")
@@ -113,12 +113,12 @@ def test_in_frontal_wind_it_leans_forward_by_its_ankles(frontal):
     assert not log["qp_status"].any()
 
 
-def test_wind_that_blows_is_withstood_better_by_a_controller_that_knows_of_it():
+def test_a_controller_with_the_measured_wind_withstands_more():
     gale = {"wind": {"profile": "ramp", "velocity": [-17.0, 0.0, 0.0], "ramp_start": 1.0, "ramp_end": 4.0}}
-    knows = fly(standing(**{"simulator.duration": 8.0, "fictitious_wind": gale["wind"]} | gale))
+    measured = fly(standing(**{"simulator.duration": 8.0, "fictitious_wind": gale["wind"]} | gale))
     ignores = fly(standing(**{"simulator.duration": 8.0, "fictitious_wind": STILL} | gale))
-    assert knows.outcome == "completed"
-    assert knows.summary["max_com_error"] < 0.01
+    assert measured.outcome == "completed"
+    assert measured.summary["max_com_error"] < 0.01
     assert ignores.outcome == "fell"
     assert ignores.fall_reason.startswith(("CoM error", "rotation error"))
 
@@ -216,7 +216,7 @@ def test_engines_refuse_what_they_do_not_know(monkeypatch):
         engines.engine("mujoco")
 
 
-def test_the_differentiable_floor_refuses_feet_by_name():
+def test_jax_refuses_feet_by_name():
     from jax_aero.config import flight_config
 
     config = standing(engine="mujoco")

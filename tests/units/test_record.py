@@ -31,7 +31,7 @@ def test_a_run_reads_back_as_it_was_flown(make_flight, robot, dataset, tmp_path)
         assert stored.attrs["config_hash"] == "f" * 64
 
 
-def test_a_fall_is_told_with_time_and_reason(make_flight, robot):
+def test_a_fall_is_reported_with_time_and_reason(make_flight, robot):
     facts = record.to_dataset(make_flight(fall_time=21.5), robot, title="made up", config_digest="").attrs
     assert (facts["outcome"], facts["fall_time"]) == ("fell", 21.5)
     assert "90 deg" in facts["fall_reason"]

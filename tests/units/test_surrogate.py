@@ -80,7 +80,7 @@ def test_without_coefficients_there_is_no_force(cases, features):
     np.testing.assert_array_equal(surrogate.force_areas(np.zeros((13, 12)), features(*cases)), 0.0)
 
 
-def test_the_mirror_image_feels_the_mirrored_force(cases, features, model):
+def test_the_force_on_the_mirror_image_is_mirrored(cases, features, model):
     joints, wind = cases
     areas = surrogate.force_areas(model.coefficients, features(joints, wind))
     images = surrogate.force_areas(model.coefficients, features(ds.mirrored_joints(joints), wind * ds.MIRROR_AXES))

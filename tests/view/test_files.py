@@ -149,7 +149,7 @@ def test_no_way_to_draw_is_said_so(seen, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         (["video", "--size", "321x180"], "even numbers"),
         (["video", "--fps", "0"], "fps is 0"),
@@ -161,8 +161,8 @@ def test_no_way_to_draw_is_said_so(seen, tmp_path, monkeypatch):
         (["snapshot", "--out", f"nowhere{os.sep}a.png", "--at", "0"], "there is no folder `nowhere`"),
     ],
 )
-def test_numbers_that_make_no_sense_are_refused(words, told, fallen, tmp_path, monkeypatch, capsys):
+def test_numbers_that_make_no_sense_are_refused(words, expected, fallen, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert commands.main([words[0], str(fallen), *words[1:]]) == 2
-    assert told in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -167,7 +167,7 @@ def test_a_wrong_file_is_refused_by_name(tmp_path, capsys):
     text = tmp_path / "notes.nc"
     text.write_text("no NetCDF")
     (tmp_path / "empty").mkdir()
-    for path, told in (
+    for path, expected in (
         (tmp_path / "nowhere", "there is no `"),
         (text, "is not a NetCDF-4 file"),
         (tmp_path / "empty", "holds no run.nc"),
@@ -175,7 +175,7 @@ def test_a_wrong_file_is_refused_by_name(tmp_path, capsys):
         for command in ("view", "video", "snapshot"):
             assert commands.main([command, str(path)]) == 2
             said = capsys.readouterr().err
-            assert told in said
+            assert expected in said
             assert str(path) in said
             assert "python -m experiments" in said
 
@@ -203,12 +203,12 @@ def test_three_results_are_one_too_many(fallen, capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [(["--port", "99999"], "port is 99999"), (["--host", "203.0.113.1"], "cannot listen on `203.0.113.1`")],
 )
-def test_an_address_that_is_none_is_refused(words, told, capsys):
+def test_an_address_that_is_none_is_refused(words, expected, capsys):
     assert commands.main(["view", *words]) == 2
-    assert told in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
 def test_an_unknown_command_lists_the_known_ones(capsys):

@@ -1,0 +1,140 @@
+"""Comparison of the Rust crate with JAX. Both are run on the same states and through the same flight.
+
+    python -m jax_aero verify                                    # TEST2: random and recorded states, whole flight
+    python -m jax_aero verify --config configs/experiments/test2_published.toml --set wind.velocity=[0,-12,0]
+    python -m jax_aero verify --controller my_controller.toml    # another controller in the same flight
+    python -m jax_aero verify --robot my_robot.toml              # another robot: its kinematics and dynamics
+    python -m jax_aero verify --config configs/experiments/test4.toml    # the network, in double precision
+
+Prints a table, writes it beside a figure, and exits with 1 if anything disagrees. Kernels are compared relative to the
+largest entry of the crate's answers, flights by the absolute difference of every logged signal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jax_aero import rust
+from jax_aero.keys import parse_assignments
+from jax_aero.verify import (
+    Comparison,
+    Row,
+    in_double_precision,
+    random_samples,
+    recorded_samples,
+    verify_flight,
+    verify_robot,
+    verify_ticks,
+)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Compare, print and write; 0 if everything agrees, 1 if not, 2 for a mistake in the arguments."""
+    options = _parse(arguments)
+    import jax
+
+    comparison = Comparison()
+    facts: dict[str, Any] = {"crate": rust.__version__, "jax": jax.__version__, "backend": options.backend}
+    try:
+        config = None if options.robot else in_double_precision(_config(options))
+    except (OSError, ValueError) as reason:
+        print(f"verify: {reason}")
+        return 2
+    with jax.enable_x64(True):
+        if config is None:
+            facts["robot"] = Path(options.robot).name
+            verify_robot(options.robot, options.states, comparison, options.backend, options.seed)
+        else:
+            facts |= {"flight": config["title"] or options.config.stem, "config": rust.config_digest(config)[:12]}
+            verify_robot(config["robot"], options.states, comparison, options.backend, options.seed)
+            verify_ticks(config, random_samples(config, options.states, options.seed), "random", comparison)
+            expected, _ = verify_flight(config, comparison, options.backend)
+            verify_ticks(config, recorded_samples(config, expected, options.states), "recorded", comparison)
+    rows = comparison.rows
+    print(table(rows))
+    folder = options.out or Path("results") / "verify" / Path(options.robot or options.config).stem
+    written = write(rows, folder, facts)
+    bad = [row for row in rows if not row.agrees]
+    print(f"\n{len(rows) - len(bad)} of {len(rows)} quantities agree; see {', '.join(map(str, written))}")
+    return 1 if bad else 0
+
+
+def _parse(arguments: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m jax_aero verify", description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--config", type=Path, default=Path("configs/experiments/test2.toml"), help="flight to compare")
+    parser.add_argument("--controller", type=Path, help="controller file that replaces the flight's")
+    parser.add_argument("--robot", help="robot file: compare only its kinematics and dynamics")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change the configuration")
+    parser.add_argument("--states", type=int, default=50, help="number of random and of recorded states")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--backend", choices=["tree", "mjx"], default="tree", help="implementation of the dynamics")
+    parser.add_argument("--out", type=Path, help="folder for table and figure; default results/verify/NAME")
+    return parser.parse_args(arguments)
+
+
+def _config(options: argparse.Namespace) -> dict[str, Any]:
+    changes = parse_assignments(options.set)
+    if options.controller is None:
+        return rust.load_config(options.config, changes)
+    with tempfile.TemporaryDirectory() as folder:
+        mixed = Path(folder) / options.config.name
+        base, controller = (json.dumps(str(path.resolve())) for path in (options.config, options.controller))
+        mixed.write_text(f"base = {base}\ncontroller = {{ base = {controller} }}\n", encoding="utf-8")
+        return rust.load_config(mixed, changes)
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Write the rows as a Markdown table."""
+    head = f"| {'group':8} | {'quantity':26} | max abs  | max rel  | tolerance     | verdict   |"
+    rule = f"|{'-' * 10}|{'-' * 28}|---------:|---------:|---------------|-----------|"
+    lines = [
+        f"| {row.group:8} | {row.quantity:26} | {row.absolute:8.1e} | {row.relative:8.1e} "
+        f"| {row.tolerance:5.0e} {'rel' if row.is_relative else 'abs'}     | {_verdict(row)} |"
+        for row in rows
+    ]
+    return "\n".join([head, rule, *lines])
+
+
+def _verdict(row: Row) -> str:
+    return "agrees   " if row.agrees else "DISAGREES"
+
+
+def draw(rows: Sequence[Row], path: Path) -> bool:
+    """Draw every difference beside its tolerance; `False` without matplotlib."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        return False
+    figure = Figure(figsize=(7.0, 0.8 + 0.16 * len(rows)), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    places = np.arange(len(rows))
+    shown = [max(row.relative if row.is_relative else row.absolute, 1e-17) for row in rows]
+    colours = ["#0072b2" if row.agrees else "#d55e00" for row in rows]
+    axes.barh(places, np.nan_to_num(shown, nan=1.0), left=1e-17, color=colours, height=0.7)
+    axes.scatter([max(row.tolerance, 1e-17) for row in rows], places, marker="|", color="black", s=40)
+    axes.set(xscale="log", xlim=(1e-17, 10.0), xlabel="worst difference; tick: tolerance")
+    axes.set_yticks(places, [f"{row.group}: {row.quantity}" for row in rows], fontsize=6)
+    axes.set_ylim(len(rows) - 0.3, -0.7)
+    figure.savefig(path, dpi=150)
+    return True
+
+
+def write(rows: Sequence[Row], folder: Path, facts: Mapping[str, Any]) -> list[Path]:
+    """Write table, numbers and figure; return what was written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    text, numbers, figure = folder / "verify.md", folder / "verify.json", folder / "verify.png"
+    heading = "\n".join(f"{name}: {value}" for name, value in facts.items())
+    text.write_text(f"# Rust against JAX\n\n{heading}\n\n{table(rows)}\n", encoding="utf-8")
+    document = dict(facts) | {"rows": [asdict(row) | {"relative": row.relative, "agrees": row.agrees} for row in rows]}
+    numbers.write_text(json.dumps(document, indent=1), encoding="utf-8")
+    return [text, numbers, *([figure] if draw(rows, figure) else [])]
