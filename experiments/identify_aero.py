@@ -3,8 +3,8 @@
 `python -m experiments identify-aero` flies TEST2 with a robot whose force areas are not those of its file, writes down
 what sensors would (positions, velocities with noise, thrusts and torques as commanded, the wind), and finds which areas
 explain the log. From many logged states it simulates the next 0.1 s under the logged commands, compares the velocities,
-and follows the gradient through that simulation. The controller is not involved. The result is
-validated on the forces of another flight, in head wind.
+and follows the gradient through that simulation. The controller is not involved. The result is validated on
+the forces of another flight, in head wind.
 
     minimise  Σ ((ν_simulated − ν_logged)/σ)² / 2  +  Σ (θ/0.3)² / 2      areas = (1 + θ) · those of the file
 
@@ -16,9 +16,9 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -30,15 +30,11 @@ from experiments import Refused, study
 from jax_aero import rust, sim
 from jax_aero.aero import Axisymmetric
 from jax_aero.config import flight_config
-from jax_aero.jets import JetsState
+from jax_aero.identify import descend, misfit_of, segments_of, wrenches_along
 from jax_aero.robot import load_robot
-from jax_aero.sim.plant import Plant, PlantState, advance, observe
 from jax_aero.sim.rollout import fly_chunk
-from jax_aero.sim.wind import wind_velocity
-from jax_aero.spatial import rotation_from_wxyz
-from jax_aero.types import Array, State
 
-FLIGHT, JUDGE = "test2", "head_wind"
+FLIGHT, VALIDATION = "test2", "head_wind"
 SPREAD = 0.3
 """True areas lie within this share of those of the file; also the width of the prior."""
 NOISE = {"base": 2e-3, "joints": 5e-3}
@@ -49,22 +45,6 @@ FIRST_TICK, N_STARTS = 600, 240
 """From when on there is wind, and from how many states the log is simulated."""
 STEPS, RATE = 150, 0.03
 """Steps and step length of the descent."""
-
-
-class Segments(NamedTuple):
-    """Logged states, and what was commanded from each on; k segments of h ticks."""
-
-    first: State
-    thrust: Array
-    """(k, j) at the start [N]."""
-    torque: Array
-    """(k, h, n) [N m]."""
-    thrust_rate: Array
-    """(k, h, j) [N/s]."""
-    wind: Array
-    """(k, h, 3) [m/s]."""
-    velocity: Array
-    """(k, N) logged after the h ticks."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -84,9 +64,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run(seed: int = 1, steps: int = STEPS) -> dict[str, Any]:
-    """Fly, identify, judge, write; return the manifest."""
+    """Fly, identify, validate, write; return the manifest."""
     config = rust.load_config(study.CONFIGS / "experiments" / f"{FLIGHT}.toml")
-    judge = rust.load_config(study.CONFIGS / "experiments" / f"{JUDGE}.toml", {"simulator.duration": 20.0})
+    validation = rust.load_config(study.CONFIGS / "experiments" / f"{VALIDATION}.toml", {"simulator.duration": 20.0})
     with jax.enable_x64(True):
         started = time.perf_counter()
         typed = flight_config(config)
@@ -102,17 +82,23 @@ def run(seed: int = 1, steps: int = STEPS) -> dict[str, Any]:
         log = {name: np.asarray(signal) for name, signal in log._asdict().items()}
         seconds = {"fly": time.perf_counter() - started}
 
-        segments = cut(typed.wind, with_noise(log, rng), flight.plant)
+        segments = segments_of(typed.wind, with_noise(log, rng), flight.plant, FIRST_TICK, N_STARTS, HORIZON)
+        deviation = np.concatenate([np.full(6, NOISE["base"]), np.full(flight.plant.robot.n_joints, NOISE["joints"])])
         started = time.perf_counter()
-        misfit = misfit_of(flight.plant, model, segments, member.ravel())
-        theta, losses = descend(misfit, families != 0.0, steps)
+        misfit = misfit_of(flight.plant, model, segments, member.ravel(), deviation, SPREAD)
+        theta, losses = descend(misfit, families != 0.0, steps, RATE)
         seconds["identify"] = time.perf_counter() - started
         loss_true = float(misfit(jnp.asarray(truth)))
         found = replace(model, areas=model.areas * (1.0 + theta[member.ravel()]))
-        forces = forces_along(judge, {"file": model, "identified": found, "true": true_model})
+        flown_ahead = rust.fly(validation).log
+        windy = flown_ahead["time"] >= FIRST_TICK * typed.simulator.time_step
+        validation_log = {name: signal[windy] for name, signal in flown_ahead.items()}
+        models = {"file": model, "identified": found, "true": true_model}
+        forces = wrenches_along(validation_log, load_robot(validation["robot"]), models)
 
-    dataset = to_dataset(families, truth, theta, losses, forces, flight.plant.robot.aero_links.names, member.ravel())
-    settings = {"flight": config, "judge": JUDGE, "seed": seed, "steps": steps}
+    links = flight.plant.robot.aero_links.names
+    dataset = to_dataset(families, truth, theta, losses, validation_log["time"], forces, links, member.ravel())
+    settings = {"flight": config, "validation": VALIDATION, "seed": seed, "steps": steps}
     digest = study.digest(settings, [])
     dataset.attrs["loss_true"] = loss_true
     dataset.attrs |= {"title": "Aerodynamic coefficients from a flight's log", "config_hash": digest}
@@ -137,113 +123,17 @@ def with_noise(log: Mapping[str, NDArray[np.float64]], rng: np.random.Generator)
     return dict(log) | noisy
 
 
-def cut(wind: Any, log: Mapping[str, NDArray[np.float64]], plant: Plant) -> Segments:
-    """Cut segments out of a log, evenly spread over the time with wind."""
-    starts = np.linspace(FIRST_TICK, len(log["time"]) - HORIZON - 1, N_STARTS, dtype=int)
-    ticks = starts[:, None] + np.arange(HORIZON)
-
-    def blowing(tick: Array) -> Array:
-        return wind_velocity(wind, tick * plant.time_step)
-
-    return Segments(
-        first=states_of(log, starts),
-        thrust=jnp.asarray(log["thrust"][starts]),
-        torque=jnp.asarray(log["joint_torque"][ticks]),
-        thrust_rate=jnp.asarray(log["thrust_rate"][ticks]),
-        wind=jax.vmap(jax.vmap(blowing))(jnp.asarray(ticks)),
-        velocity=states_of(log, starts + HORIZON).velocity,
-    )
-
-
-def states_of(log: Mapping[str, NDArray[np.float64]], ticks: Any) -> State:
-    """States (k, ...) of a log at some ticks."""
-    velocity = np.concatenate([log["base_velocity"][ticks], log["joint_velocity"][ticks]], axis=1)
-    return State(
-        base_position=jnp.asarray(log["base_position"][ticks]),
-        base_rotation=rotation_from_wxyz(jnp.asarray(log["base_quaternion"][ticks])),
-        joint_position=jnp.asarray(log["joint_position"][ticks]),
-        velocity=jnp.asarray(velocity),
-    )
-
-
-def simulated_velocity(plant: Plant, segment: Segments) -> Array:
-    """Velocity (N,) after the ticks of one segment, from its first state and under its commands."""
-    jets = JetsState(segment.thrust, jnp.zeros_like(segment.thrust), None)
-
-    def tick(state: PlantState, commands: tuple[Array, Array, Array]) -> tuple[PlantState, None]:
-        torque, thrust_rate, wind = commands
-        return advance(plant, state, observe(plant, state, wind), torque, thrust_rate, wind), None
-
-    start = PlantState(segment.first, jets, None)
-    end, _ = jax.lax.scan(jax.checkpoint(tick), start, (segment.torque, segment.thrust_rate, segment.wind))
-    return end.robot.velocity
-
-
-def misfit_of(
-    plant: Plant, model: Axisymmetric, segments: Segments, member: NDArray[np.int64]
-) -> Callable[[Array], Array]:
-    """Return the loss as a function of `θ` (families, 6), per logged velocity."""
-    deviation = np.concatenate([np.full(6, NOISE["base"]), np.full(plant.robot.n_joints, NOISE["joints"])])
-
-    def misfit(theta: Array) -> Array:
-        guess = replace(plant, aero=replace(model, areas=model.areas * (1.0 + theta[member])))
-        end = jax.vmap(lambda segment: simulated_velocity(guess, segment))(segments)
-        wrong = jnp.sum(((end - segments.velocity) / deviation) ** 2)
-        return 0.5 * (wrong + jnp.sum((theta / SPREAD) ** 2)) / segments.velocity.size
-
-    return misfit
-
-
-def descend(
-    misfit: Callable[[Array], Array], exists: NDArray[np.bool_], steps: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Descend from the areas of the file by Adam; return `θ` (families, 6) and the loss at every step."""
-
-    @jax.jit
-    def step(theta: Array, mean: Array, square: Array, count: Array) -> tuple[Array, Array, Array, Array]:
-        value, slope = jax.value_and_grad(misfit)(theta)
-        mean, square = 0.9 * mean + 0.1 * slope, 0.99 * square + 0.01 * slope**2
-        rate = RATE * 0.5 * (1.0 + jnp.cos(jnp.pi * count / steps))
-        move = mean / (1.0 - 0.9**count) / (jnp.sqrt(square / (1.0 - 0.99**count)) + 1e-12)
-        return theta - rate * move * exists, mean, square, value
-
-    theta = jnp.zeros(exists.shape)
-    mean, square, losses = jnp.zeros_like(theta), jnp.zeros_like(theta), []
-    for count in range(1, steps + 1):
-        theta, mean, square, value = step(theta, mean, square, jnp.array(float(count)))
-        losses.append(float(value))
-    return np.asarray(theta), np.array(losses)
-
-
-def forces_along(config: Mapping[str, Any], models: Mapping[str, Axisymmetric]) -> dict[str, NDArray[np.float64]]:
-    """Total force and moment about the centre of mass (ticks, 6) of each model along a flight, and the time."""
-    from jax_aero.aero import LinkConventions, link_forces, wrench_about
-    from jax_aero.kinematics import kinematics
-
-    log, robot = rust.fly(config).log, load_robot(config["robot"])
-    chosen = log["time"] >= FIRST_TICK * config["simulator"]["time_step"]
-
-    @jax.jit
-    def along(model: Axisymmetric) -> Array:
-        def one(state: State, wind: Array) -> Array:
-            kin = kinematics(robot, state)
-            return wrench_about(link_forces(model, robot, kin, LinkConventions(), wind), kin.com)
-
-        return jax.vmap(one)(states_of(log, chosen), jnp.asarray(log["wind"][chosen]))
-
-    return {"time": log["time"][chosen]} | {name: np.asarray(along(model)) for name, model in models.items()}
-
-
 def to_dataset(
     families: NDArray[np.float64],
     truth: NDArray[np.float64],
     theta: NDArray[np.float64],
     losses: NDArray[np.float64],
+    times: NDArray[np.float64],
     forces: Mapping[str, NDArray[np.float64]],
     links: Sequence[str],
     member: NDArray[np.int64],
 ) -> xr.Dataset:
-    """Label the areas of every model, the descent, and the forces in the judging flight."""
+    """Label the areas of every model, the descent, and the forces in the validation flight."""
     names = [
         " ".join(link for link, own in zip(links, member, strict=True) if own == family)
         for family in range(len(families))
@@ -260,13 +150,13 @@ def to_dataset(
     coordinates = {
         "family": names,
         "coefficient": ["w0", "w1", "w2", "w3", "w4", "w5"],
-        "time": ("time", forces["time"], {"units": "s"}),
+        "time": ("time", times, {"units": "s"}),
     }
-    return xr.Dataset(variables, coordinates, {"judge": JUDGE, "spread": SPREAD})
+    return xr.Dataset(variables, coordinates, {"validation": VALIDATION, "spread": SPREAD})
 
 
 def figures(dataset: xr.Dataset) -> dict[str, float]:
-    """Figures of merit: how wrong forces and moments of the judging flight are, before and after."""
+    """Figures of merit: how wrong forces and moments of the validation flight are, before and after."""
     force, moment = slice(0, 3), slice(3, 6)
 
     def error(model: str, part: slice) -> float:

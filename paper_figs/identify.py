@@ -32,7 +32,7 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
             wrong = (study[f"wrench_{model}"] - study["wrench_true"]).isel(six=rows)
             axes.plot(study["time"], np.sqrt((wrong**2).sum("six")), color=colour, label=f"areas {text}")
         axes.set_ylabel(label)
-        axes.set_xlabel(f"time [s], {str(study.attrs['judge']).replace('_', ' ')}")
+        axes.set_xlabel(f"time [s], {str(study.attrs['validation']).replace('_', ' ')}")
         axes.set_ylim(bottom=0.0)
         axes.legend()
     for axes, mark in zip(grid.ravel(), "abcd", strict=True):

@@ -136,12 +136,12 @@ def verify_ticks(config: Mapping[str, Any], samples: Sequence[Sample], group: st
         followed = Reference(*(jnp.asarray(getattr(sample.reference, name)) for name in Reference._fields))
         state = State(*(jnp.asarray(value) for value in sample.state))
         command, terms = jax.device_get(evaluate(memory, state, sample.thrust, sample.wind, followed))
-        for name, ours in _tick_quantities(command, terms).items():
+        for name, ours in tick_quantities(command, terms).items():
             tolerance = QP_TOLERANCE if name in SOLUTIONS else KERNEL_TOLERANCE
-            comparison.add(group, name, ours, _named(theirs, name), tolerance)
+            comparison.add(group, name, ours, crate_quantity(theirs, name), tolerance)
 
 
-def _tick_quantities(command: Any, terms: Any) -> dict[str, Any]:
+def tick_quantities(command: Any, terms: Any) -> dict[str, Any]:
     """Give every value of a tick the name it has in `rust.Tick`."""
     link, momentum, attitude = terms.link_forces, terms.momentum, terms.attitude
     shaping, following = terms.momentum_qp, terms.torque_qp
@@ -175,7 +175,8 @@ def _tick_quantities(command: Any, terms: Any) -> dict[str, Any]:
     }
 
 
-def _named(tick: rust.Tick, name: str) -> Any:
+def crate_quantity(tick: rust.Tick, name: str) -> Any:
+    """Return a quantity of the crate's tick by a name of `tick_quantities`."""
     value: Any = tick
     for part in name.split("."):
         value = getattr(value, part)

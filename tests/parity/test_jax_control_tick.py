@@ -16,13 +16,13 @@ from jax_aero.config import flight_config
 from jax_aero.control import qp, tick
 from jax_aero.robot import load_robot
 from jax_aero.types import Reference, State
+from jax_aero.verify import SOLUTIONS, crate_quantity, tick_quantities
 
 pytestmark = pytest.mark.usefixtures("x64")
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 EXPERIMENTS = REPOSITORY / "configs" / "experiments"
 TOLERANCE = 1e-10
-SOLUTIONS = {"thrust_rate", "joint_velocity_command", "unlimited_torque", "joint_torque"}
 STATUS = ["Nominal", "BadMeasurement", "MomentumHeld", "TorqueHeld", "BothHeld"]
 BATCH = 32
 
@@ -61,42 +61,10 @@ def crate_tick(config, sample):
     return controller.tick(rust.State(*state), thrust, wind, 0.0, rust.Reference(**followed._asdict()))
 
 
-def values(command, terms):
-    """Give every value of a tick the name it has in `rust.Tick`."""
-    link, momentum, following = terms.link_forces, terms.momentum, terms.torque_qp
-    return {
-        "com_position": terms.kinematics.com,
-        **terms.dynamics._asdict(),
-        **{f"link_{name}": getattr(link, name) for name in ("axes", "v_air", "arm_points", "jacobian_points")},
-        "aero_force": link.forces,
-        **{name: getattr(momentum, name) for name in ("jet_axes", "jet_points", "a_t", "lambda_t", "lambda_a")},
-        "momentum_rate_estimate": momentum.rate_estimate,
-        "k_ddot_desired": terms.attitude.k_ddot_desired,
-        "sigma": terms.attitude.sigma,
-        "task": terms.momentum_qp.task,
-        "task_offset": terms.momentum_qp.offset,
-        **{f"momentum_qp.{name}": part for name, part in terms.momentum_qp.problem._asdict().items()},
-        "thrust_rate": command.thrust_rate,
-        "joint_velocity_command": command.joint_velocity,
-        "joint_acceleration_desired": following.acceleration_desired,
-        "joint_acceleration_free": following.acceleration_free,
-        "torque_gain": following.gain,
-        **{f"torque_qp.{name}": part for name, part in following.problem._asdict().items()},
-        "unlimited_torque": terms.unlimited_torque,
-        "joint_torque": command.joint_torque,
-    }
-
-
-def named(crate, name):
-    for part in name.split("."):
-        crate = getattr(crate, part)
-    return crate
-
-
 def assert_same(agree, ours, theirs, index, names=None):
     for name, value in ours.items():
         if names is None or name in names:
-            agree(name, value[index], named(theirs, name), 10 * TOLERANCE if name in SOLUTIONS else TOLERANCE)
+            agree(name, value[index], crate_quantity(theirs, name), 10 * TOLERANCE if name in SOLUTIONS else TOLERANCE)
 
 
 class Twin:
@@ -135,7 +103,7 @@ def test_every_value_of_ticks_far_from_any_flight(published, ticks, agree):
     """With published arms and velocities; the corrected ones are compared below, where they differ."""
     samples = random_samples(published.robot, BATCH)
     memory, command, terms = jax.device_get(ticks(*stacked(samples)))
-    ours = values(command, terms)
+    ours = tick_quantities(command, terms)
     for i, sample in enumerate(samples):
         theirs = crate_tick(published.table, sample)
         assert STATUS[command.status[i]] == theirs.status == "Nominal"
@@ -166,7 +134,7 @@ def test_switches(name, overrides, agree):
     @jax.vmap
     def evaluate(*sample):
         _, command, terms = twin.tick(*sample)
-        ours = values(command, terms)
+        ours = tick_quantities(command, terms)
         return {name: ours[name] for name in enters}  # the QPs drop out of what is compiled
 
     samples = random_samples(twin.robot, 8, seed=8)

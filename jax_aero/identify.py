@@ -1,0 +1,147 @@
+"""Identification of aerodynamic coefficients from a flight's log, by the gradient through the simulation.
+
+From many logged states the next ticks are simulated under the logged commands; `misfit_of` compares the velocities at
+their end with the logged ones, and `descend` minimises it over relative changes θ of the force areas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from jax_aero.aero import Axisymmetric, LinkConventions, link_forces, wrench_about
+from jax_aero.config import WindConfig
+from jax_aero.jets import JetsState
+from jax_aero.kinematics import kinematics
+from jax_aero.robot import RobotModel
+from jax_aero.sim.plant import Plant, PlantState, advance, observe
+from jax_aero.sim.wind import wind_velocity
+from jax_aero.spatial import rotation_from_wxyz
+from jax_aero.types import Array, State
+
+
+class Segments(NamedTuple):
+    """Logged states, and what was commanded from each on; k segments of h ticks."""
+
+    first: State
+    thrust: Array
+    """(k, j) at the start [N]."""
+    torque: Array
+    """(k, h, n) [N m]."""
+    thrust_rate: Array
+    """(k, h, j) [N/s]."""
+    wind: Array
+    """(k, h, 3) [m/s]."""
+    velocity: Array
+    """(k, N) logged after the h ticks."""
+
+
+def segments_of(
+    wind: WindConfig, log: Mapping[str, NDArray[np.float64]], plant: Plant, first_tick: int, count: int, horizon: int
+) -> Segments:
+    """Return `count` segments of `horizon` ticks of a log, evenly spread from `first_tick` to its end."""
+    starts = np.linspace(first_tick, len(log["time"]) - horizon - 1, count, dtype=int)
+    ticks = starts[:, None] + np.arange(horizon)
+
+    def blowing(tick: Array) -> Array:
+        return wind_velocity(wind, tick * plant.time_step)
+
+    return Segments(
+        first=states_of(log, starts),
+        thrust=jnp.asarray(log["thrust"][starts]),
+        torque=jnp.asarray(log["joint_torque"][ticks]),
+        thrust_rate=jnp.asarray(log["thrust_rate"][ticks]),
+        wind=jax.vmap(jax.vmap(blowing))(jnp.asarray(ticks)),
+        velocity=states_of(log, starts + horizon).velocity,
+    )
+
+
+def states_of(log: Mapping[str, NDArray[np.float64]], ticks: Any) -> State:
+    """States (k, ...) of a log at some ticks."""
+    velocity = np.concatenate([log["base_velocity"][ticks], log["joint_velocity"][ticks]], axis=1)
+    return State(
+        base_position=jnp.asarray(log["base_position"][ticks]),
+        base_rotation=rotation_from_wxyz(jnp.asarray(log["base_quaternion"][ticks])),
+        joint_position=jnp.asarray(log["joint_position"][ticks]),
+        velocity=jnp.asarray(velocity),
+    )
+
+
+def simulated_velocity(plant: Plant, segment: Segments) -> Array:
+    """Velocity (N,) after the ticks of one segment, from its first state and under its commands."""
+    jets = JetsState(segment.thrust, jnp.zeros_like(segment.thrust), None)
+
+    def tick(state: PlantState, commands: tuple[Array, Array, Array]) -> tuple[PlantState, None]:
+        torque, thrust_rate, wind = commands
+        return advance(plant, state, observe(plant, state, wind), torque, thrust_rate, wind), None
+
+    start = PlantState(segment.first, jets, None)
+    end, _ = jax.lax.scan(jax.checkpoint(tick), start, (segment.torque, segment.thrust_rate, segment.wind))
+    return end.robot.velocity
+
+
+def misfit_of(
+    plant: Plant,
+    model: Axisymmetric,
+    segments: Segments,
+    member: NDArray[np.int64],
+    deviation: NDArray[np.float64],
+    spread: float,
+) -> Callable[[Array], Array]:
+    """Return the loss per logged velocity as a function of `θ` (families, 6).
+
+        ( Σ ((ν_simulated − ν_logged)/σ)² + Σ (θ/spread)² ) / (2 k N)      areas = (1 + θ[member]) · those of `model`
+
+    `deviation` is σ (N,) [m/s, rad/s] of the logged velocities, `member` (L,) the family of each link.
+    """
+
+    def misfit(theta: Array) -> Array:
+        guess = replace(plant, aero=replace(model, areas=model.areas * (1.0 + theta[member])))
+        end = jax.vmap(lambda segment: simulated_velocity(guess, segment))(segments)
+        wrong = jnp.sum(((end - segments.velocity) / deviation) ** 2)
+        return 0.5 * (wrong + jnp.sum((theta / spread) ** 2)) / segments.velocity.size
+
+    return misfit
+
+
+def descend(
+    misfit: Callable[[Array], Array], exists: NDArray[np.bool_], steps: int, rate: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Minimise by Adam from θ = 0, where `exists`; return `θ` (families, 6) and the loss (steps,) before each step."""
+
+    @jax.jit
+    def step(theta: Array, mean: Array, square: Array, count: Array) -> tuple[Array, Array, Array, Array]:
+        value, slope = jax.value_and_grad(misfit)(theta)
+        mean, square = 0.9 * mean + 0.1 * slope, 0.99 * square + 0.01 * slope**2
+        decayed = rate * 0.5 * (1.0 + jnp.cos(jnp.pi * count / steps))
+        move = mean / (1.0 - 0.9**count) / (jnp.sqrt(square / (1.0 - 0.99**count)) + 1e-12)
+        return theta - decayed * move * exists, mean, square, value
+
+    theta = jnp.zeros(exists.shape)
+    mean, square, losses = jnp.zeros_like(theta), jnp.zeros_like(theta), []
+    for count in range(1, steps + 1):
+        theta, mean, square, value = step(theta, mean, square, jnp.array(float(count)))
+        losses.append(float(value))
+    return np.asarray(theta), np.array(losses)
+
+
+def wrenches_along(
+    log: Mapping[str, NDArray[np.float64]], robot: RobotModel, models: Mapping[str, Axisymmetric]
+) -> dict[str, NDArray[np.float64]]:
+    """Total force and moment about the centre of mass (ticks, 6) [N, N m] of each model along a log, inertial axes."""
+
+    @jax.jit
+    def along(model: Axisymmetric) -> Array:
+        def one(state: State, wind: Array) -> Array:
+            kin = kinematics(robot, state)
+            return wrench_about(link_forces(model, robot, kin, LinkConventions(), wind), kin.com)
+
+        return jax.vmap(one)(states_of(log, slice(None)), jnp.asarray(log["wind"]))
+
+    return {name: np.asarray(along(model)) for name, model in models.items()}
