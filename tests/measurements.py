@@ -42,14 +42,17 @@ def measured(what: str, figure: float | str, tolerance: float | None = None) -> 
     Of several figures of one name the largest stays.
     """
     if tolerance is not None:
-        _record(what, float(figure), float(tolerance))
+        _record(what, float(figure), tolerance)
         assert figure <= tolerance, f"{what}: {figure:.3e}, allowed {tolerance:.3e}"
         return
-    key = _running[0].path.stem.removeprefix("test_"), what
-    before = _figures.get(key)
-    if isinstance(figure, float) and isinstance(before, float):
-        figure = max(figure, before)
-    _figures[key] = figure
+    _keep(_running[0].path.stem.removeprefix("test_"), what, figure)
+
+
+def _keep(module: str, what: str, figure: float | str) -> None:
+    before = _figures.get((module, what))
+    if not isinstance(figure, str):
+        figure = float(figure) if before is None else max(float(figure), float(before))
+    _figures[module, what] = figure
 
 
 def agree(quantity: str, ours: ArrayLike, theirs: ArrayLike, tolerance: float) -> None:
@@ -74,7 +77,8 @@ def _record(what: str, figure: float, tolerance: float) -> None:
     if _running:
         marker = _running[0].get_closest_marker("close_to_tolerance")
         test = _running[0].nodeid.removeprefix("tests/").partition("[")[0]
-        _measurements.append(Measurement(test, what, figure, tolerance, marker.args[0] if marker else ""))
+        reason = marker.args[0] if marker else ""
+        _measurements.append(Measurement(test, what, float(figure), float(tolerance), reason))
 
 
 # --- np.testing.assert_allclose is a measurement too ----------------------------------------------------------------
@@ -106,6 +110,22 @@ def pytest_configure() -> None:
 def pytest_unconfigure() -> None:
     """Put NumPy's own back."""
     np.testing.assert_allclose = _assert_allclose
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Hand over what a worker process measured."""
+    if (output := getattr(session.config, "workeroutput", None)) is not None:
+        output["measurements"] = [tuple(one) for one in _measurements]
+        output["figures"] = list(_figures.items())
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    """Take over what a worker process measured."""
+    output = getattr(node, "workeroutput", {})
+    _measurements.extend(Measurement(*one) for one in output.get("measurements", ()))
+    for (module, what), figure in output.get("figures", ()):
+        _keep(module, what, figure)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -97,11 +97,11 @@ def tracked_files() -> list[Path]:
     return [ROOT / name for name in listed.split("\0") if name and (ROOT / name).is_file()]
 
 
-def test_no_file_names_a_machine_or_a_package_host():
+def test_no_file_names_a_machine_a_package_host_or_a_folder_beside_the_project():
     folders = "|".join(("work", "root", "home", "Users", "opt", "mnt", "srv"))
     machine = re.compile(rf"(?<![\w.}}\])*-])/({folders})/\w")
     hosts = "|".join(("py" + r"pi\.", "python" + "hosted", "artifac" + "tory", "index" + "-url", "find" + "-links"))
-    registry = re.compile(hosts)
+    patterns = [machine, re.compile(hosts), re.compile(r"\.\./sha" + r"red|\"sha" + r"red\"")]
     found = []
     for path in tracked_files():
         try:
@@ -113,7 +113,6 @@ def test_no_file_names_a_machine_or_a_package_host():
             sources = set(re.findall(r'source = "(.*)"', text))
             assert len(sources) == 1
             assert sources.pop().endswith("crates.io-index")
-        found += [
-            f"{path.relative_to(ROOT)}: {match[0]}" for match in (machine.search(text), registry.search(text)) if match
-        ]
+        matches = [pattern.search(text) for pattern in patterns]
+        found += [f"{path.relative_to(ROOT)}: {match[0]}" for match in matches if match]
     assert found == []

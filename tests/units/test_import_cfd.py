@@ -7,35 +7,22 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from experiments import import_cfd
+from experiments import fit_aero, import_cfd
 from jax_aero.aero import cfd_import, dataset
 from jax_aero.aero.dataset import JOINTS, LINKS
+from jax_aero.aero.posture import link_axes
+from jax_aero.robot import load_robot
+from tests.cfd_table import CFD_COLUMNS, modelled_rows, solver_table
 from tests.measurements import measured
 
 ROOT = Path(__file__).resolve().parents[2]
-PUBLIC_TABLE = ROOT.parent / "shared" / "data" / "cfd_freestream.csv"
-COLUMNS = [
-    "config",
-    "pitchAngle",
-    "yawAngle",
-    *(f"{part}-{kind}" for part in ["ironcub", *cfd_import.SURFACES] for kind in ("cd", "cl", "cs")),
-]
 
 
 def table(changes=None, rows=None) -> str:
     """A solver's table of two postures in three winds, with a cell or the header changed."""
     rng = np.random.default_rng(1)
-    lines = [list(COLUMNS)]
-    for config, pitch, yaw in rows or [
-        (c, p, y) for c in ("hovering", "Config2") for p, y in ((90, 0), (0, 40), (180, 140))
-    ]:
-        links = rng.normal(scale=0.01, size=(13, 3))
-        lines.append(
-            [config, str(pitch), str(yaw), *(f"{value:.12g}" for value in [*links.sum(axis=0), *links.ravel()])]
-        )
-    for (line, column), value in (changes or {}).items():
-        lines[line - 1][COLUMNS.index(column)] = value
-    return "\n".join(",".join(line) for line in lines) + "\n"
+    rows = rows or [(c, p, y) for c in ("hovering", "Config2") for p, y in ((90, 0), (0, 40), (180, 140))]
+    return solver_table([(*row, rng.normal(scale=0.01, size=(13, 3)).round(12)) for row in rows], changes)
 
 
 def read(text):
@@ -45,14 +32,14 @@ def read(text):
 def test_a_row_comes_out_as_it_went_in_turned_into_base_axes():
     text = table()
     data = read(text)
-    cells = dict(zip(COLUMNS, text.splitlines()[2].split(","), strict=True))
+    cells = dict(zip(CFD_COLUMNS, text.splitlines()[2].split(","), strict=True))
     for surface, link in cfd_import.SURFACES.items():
         drag, side, lift = (float(cells[f"{surface}-{kind}"]) for kind in ("cd", "cs", "cl"))
         np.testing.assert_allclose(data.force_area_w[1, LINKS.index(link)], (drag, side, lift), atol=1e-14)
     # Prone, yaw 40 deg: p = -90 deg.
     np.testing.assert_allclose(data.wind_b[1], (0.0, -np.sin(np.radians(40)), -np.cos(np.radians(40))), atol=1e-12)
     upright = data.force_area_b[0, 0] - [
-        float(text.splitlines()[1].split(",")[COLUMNS.index(f"head-{k}")]) for k in ("cd", "cs", "cl")
+        float(text.splitlines()[1].split(",")[CFD_COLUMNS.index(f"head-{k}")]) for k in ("cd", "cs", "cl")
     ]
     np.testing.assert_allclose(upright, 0.0, atol=1e-14)
 
@@ -76,7 +63,7 @@ def test_poles_are_found_and_checks_are_kept():
         (table({(6, "config"): "Config99"}), r"line 6, column `config`: no joint angles are known for `Config99`"),
         (table({(2, "left-arm-cd"): "0.9"}), r"line 2: the surfaces differ by 0.\d+ m2 from `ironcub-\*`; expected"),
         (table({(1, "left-arm-cd"): "arm"}), r"line 1: column `left-arm-cd` missing; expected config"),
-        (",".join(COLUMNS) + "\n", r"has no rows; expected one per posture"),
+        (",".join(CFD_COLUMNS) + "\n", r"has no rows; expected one per posture"),
         ("version https://git-lfs.github.com/spec/v1\noid sha256:1\n", r"Git LFS pointer"),
     ],
 )  # fmt: skip
@@ -172,30 +159,40 @@ def test_what_is_no_training_file_is_refused(tmp_path):
         cfd_import.read_mat(tmp_path / "data.mat")
 
 
-@pytest.mark.skipif(not PUBLIC_TABLE.is_file(), reason="the public free-stream table is not here")
-def test_the_public_table_imports_and_keeps_its_known_properties(tmp_path, capsys):
-    assert import_cfd.main(["--table", str(PUBLIC_TABLE), "--out", str(tmp_path / "f.nc")]) == 0
+def test_a_symmetric_robots_table_is_symmetric_and_written_twice_at_the_poles(tmp_path):
+    """The axisymmetric model of a symmetric posture, in the frames of the tunnel: the import has to undo them."""
+    robot = load_robot(fit_aero.ROBOT)
+    posture = import_cfd.known_postures()["hovering"]
+    axes = link_axes(robot, posture[None])
+    # Pitch 0 at yaw y and pitch 180 at yaw 180 - y are one wind; at yaw 90 deg every pitch is.
+    winds = [(p, y) for p in (0, 30, 90, 150, 180) for y in (-170, -140, -90, -40, -10, 0, 10, 40, 90, 140, 170)]
+    rows = modelled_rows({"hovering": axes[0]}, np.asarray(robot.aero_links.coefficients["corrected"]), winds)
+    (tmp_path / "table.csv").write_text(solver_table(rows))
+    assert import_cfd.main(["--table", str(tmp_path / "table.csv"), "--out", str(tmp_path / "f.nc")]) == 0
     data = dataset.load(tmp_path / "f.nc")
-    assert (len(data), len(data.postures)) == (4826, 15)
-    measured("links minus whole robot [m2]", data.checks["links minus whole robot, largest [m2]"], 1e-8)
-    assert data.checks["groups of equal posture and wind that occur more than once"] == 254
-    # The poles were simulated once and written twice: our frames bring the two to the same base axes.
-    measured("difference within groups [m4]", data.checks["difference within those groups, mean square [m4]"], 1e-8)
-    # Half of this, 1.9e-6, is what one run violates symmetry by.
-    assert data.checks["their distance from it, mean square [m4]"] == pytest.approx(3.8e-6, rel=0.01)
-    assert data.checks["variance over the 39 components [m4]"] == pytest.approx(1.30e-4, rel=0.005)
+    assert (len(data), data.postures) == (55, ("hovering",))
+    # The table has 17 digits. Areas up to 0.06 m² are turned there and back; sums have 13 terms.
+    measured("links minus whole robot [m2]", data.checks["links minus whole robot, largest [m2]"], 1e-15)
+    twice = "groups of equal posture and wind that occur more than once"
+    assert data.checks[twice] == 8 + 2
+    # Turning areas up to 0.06 m² there and back rounds each by a few 1e-17.
+    measured("within groups [m4]", data.checks["difference within those groups, mean square [m4]"], 1e-16**2)
+    assert data.checks["rows that should be their own mirror image"] == 5
+    square = (1.2e-7 * 0.06) ** 2  # axes of links come from joint angles in single precision
+    measured("own mirror images [m4]", data.checks["their distance from it, mean square [m4]"], square)
     assert str(tmp_path) not in "".join(data.provenance.values())
 
 
 def test_the_typed_postures_are_those_of_the_campaign():
+    """Typed from the campaign's public list of joint configurations."""
     postures = import_cfd.known_postures()
     assert len(import_cfd.known_postures(sections=["free_stream"])) == 15
     for name in ("hovering", "flight30", "flight50", "flight60"):
         np.testing.assert_array_equal(dataset.mirrored_joints(postures[name]), postures[name])
-    source = ROOT.parent / "shared" / "data" / "joint_configs.csv"
-    if source.is_file():
-        published = dataset.read_postures(source)
-        typed = {name: angles for name, angles in postures.items() if name in published}
-        assert len(typed) == 31
-        for name, angles in typed.items():
-            np.testing.assert_array_equal(angles, published[name])
+    arms = {
+        "flight30": [-40.7, 11.3, 26.5, 58.3, -40.7, 11.3, 26.5, 58.3],
+        "Config2": [-37.5, 17.9, 40.0, 45.2, -37.5, 17.9, 40.0, 32.0],
+        "Config114": [12.0, 23.3, 33.7, 50.5, -42.0, 36.8, 33.7, 42.6],
+    }
+    for name, angles in arms.items():
+        np.testing.assert_array_equal(postures[name][3:11], angles)

@@ -2,7 +2,11 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on fails")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
+#[path = "../../sim/tests/common/mod.rs"]
+mod common;
+
 use approx::assert_relative_eq;
+use common::assert_within;
 use flight_core::BuildError;
 use flight_core::aero::axisymmetric::axisymmetric_force;
 use flight_core::aero::{AeroModel, Attack, Pchip, SphereCylinder, SphereCylinderConfig};
@@ -267,43 +271,31 @@ fn slices_of_different_length_are_served_up_to_the_shortest() {
 
 // -------------------------------------------------------------------------------------- published
 
-/// Two states of an independent prototype of the published simulator, every link, both models.
+/// Two states computed in CasADi by `tests/golden/states.py`, every link, both models.
 #[test]
 fn forces_equal_the_golden_states() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/golden/states.json");
-    let Ok(text) = std::fs::read_to_string(&path) else {
-        println!("skipped: {} is not here", path.display());
-        return;
-    };
-    let golden: serde_json::Value = serde_json::from_str(&text).unwrap();
-    let vector = |value: &serde_json::Value| -> Vec<f64> {
-        value.as_array().unwrap().iter().map(|x| x.as_f64().unwrap()).collect()
-    };
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/states.json");
+    let golden: serde_json::Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
     let vectors = |value: &serde_json::Value| -> Vec<Vector3<f64>> {
-        value.as_array().unwrap().iter().map(|v| Vector3::from_row_slice(&vector(v))).collect()
+        serde_json::from_value::<Vec<[f64; 3]>>(value.clone())
+            .unwrap()
+            .into_iter()
+            .map(Vector3::from)
+            .collect()
     };
     for state in golden["states"].as_array().unwrap() {
-        let axes_i = vectors(&state["aero_axes"]);
-        let wind_i = Vector3::from_row_slice(&vector(&state["wind"]));
-        let nu = vector(&state["nu"]);
-        let v_air_i: Vec<Vector3<f64>> = state["J_aero"]
-            .as_array()
-            .unwrap()
-            .iter()
-            .map(|jacobian| {
-                let rows: Vec<Vec<f64>> = jacobian.as_array().unwrap().iter().map(vector).collect();
-                wind_i - Vector3::from_fn(|i, _| rows[i].iter().zip(&nu).map(|(j, nu)| j * nu).sum::<f64>())
-            })
-            .collect();
-        for (stem, key) in [("axisymmetric_published", "f_aero_flight"), ("sphere_cylinder", "f_aero_cyl")] {
+        let axes_i = vectors(&state["aero_aware"]["link_axes"]);
+        let v_air_i = vectors(&state["aero_aware"]["link_v_air"]);
+        for (stem, key) in [("axisymmetric_published", "aero_aware"), ("sphere_cylinder", "sphere_cylinder")]
+        {
             let model = model_of(&config(stem), &links()).unwrap();
             let mut forces_i = [Vector3::zeros(); 13];
             model.link_forces(&axes_i, &v_air_i, &mut forces_i);
-            let expected = vectors(&state[key]);
+            let expected = vectors(&state[key]["aero_force"]);
             assert_eq!(expected.len(), 13);
             for ((force, expected), link) in forces_i.iter().zip(expected).zip(LINKS) {
                 let error = (force - expected).norm() / expected.norm();
-                assert!(error < 1e-12, "{stem}, {}: relative error {error:e}", link.0);
+                assert_within!(error, 1e-12, "{stem}, {}", link.0);
             }
         }
     }

@@ -1,9 +1,10 @@
-//! Agreement with two complete states of a tick from an independent prototype.
-//!
-//! The file lives beside the project, not in it; without it this test says so and passes.
+//! Agreement with two complete states of a tick that `tests/golden/states.py` computed without this crate.
 
 #![allow(clippy::unwrap_used)] // a test stops at the first thing that is not there
 
+mod common;
+
+use common::assert_within;
 use flight_core::aero::{LinkConventions, LinkForces};
 use flight_core::control::references::Reference;
 use flight_core::control::{Memory, Terms};
@@ -12,7 +13,7 @@ use flight_core::spatial::Pose;
 use flight_core::{Controller, Measurement};
 use flight_io::{load_aero, load_controller, load_robot};
 use flight_sim::{FlightConfig, load_flight};
-use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use nalgebra::{DVector, Matrix3, Vector3};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -22,14 +23,12 @@ fn repository() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
-fn golden_states() -> Option<Vec<Value>> {
-    let path = repository().join("../shared/golden/states.json");
-    let Ok(text) = std::fs::read_to_string(&path) else {
-        eprintln!("skipped: {} is absent", path.display());
-        return None;
-    };
+fn golden_cases() -> Vec<Case> {
+    let text = std::fs::read_to_string(repository().join("tests/golden/states.json")).unwrap();
     let value: Value = serde_json::from_str(&text).unwrap();
-    Some(value["states"].as_array().unwrap().clone())
+    let cases: Vec<Case> = value["states"].as_array().unwrap().iter().cloned().map(Case::new).collect();
+    assert_eq!(cases.len(), 2);
+    cases
 }
 
 /// Numbers of a nested array, row after row.
@@ -55,7 +54,7 @@ fn agree(name: &str, ours: &[f64], golden: &Value) {
     assert_eq!(ours.len(), golden.len(), "{name}: number of entries");
     let scale = golden.iter().fold(1e-12_f64, |scale, x| scale.max(x.abs()));
     let worst = ours.iter().zip(&golden).fold(0.0_f64, |worst, (a, b)| worst.max((a - b).abs()));
-    assert!(worst <= TOLERANCE * scale, "{name}: differs by {worst:e} of {scale:e}");
+    assert_within!(worst / scale, TOLERANCE, "{name}");
 }
 
 fn rows<R: nalgebra::Dim, C: nalgebra::Dim, S: nalgebra::RawStorage<f64, R, C>>(
@@ -75,31 +74,33 @@ struct Case {
 
 impl Case {
     fn new(golden: Value) -> Self {
-        let joints = numbers(&golden["s"]);
+        let given = &golden["given"];
+        let joints = numbers(&given["joint_position"]);
         let mut state = RobotState::zero(joints.len());
-        state.base = Pose { rotation: matrix3(&golden["R"]), position: vector3(&golden["p"]) };
+        state.base =
+            Pose { rotation: matrix3(&given["base_rotation"]), position: vector3(&given["base_position"]) };
         state.joint_position = DVector::from_vec(joints);
-        state.velocity = DVector::from_vec(numbers(&golden["nu"]));
-        let reference = &golden["ref"];
+        state.velocity = DVector::from_vec(numbers(&given["velocity"]));
+        let setpoint = |key: &str| vector3(&given[format!("setpoint.{key}")]);
         Self {
             reference: Reference {
-                com_position: vector3(&reference["x"]),
-                com_velocity: vector3(&reference["v"]),
-                com_acceleration: vector3(&reference["a"]),
-                com_jerk: vector3(&reference["j"]),
-                rotation: matrix3(&reference["R"]),
-                angular_velocity_b: vector3(&reference["w"]),
-                angular_acceleration_b: vector3(&reference["wd"]),
-                angular_jerk_b: vector3(&reference["wdd"]),
+                com_position: setpoint("com_position"),
+                com_velocity: setpoint("com_velocity"),
+                com_acceleration: setpoint("com_acceleration"),
+                com_jerk: setpoint("com_jerk"),
+                rotation: matrix3(&given["setpoint.rotation"]),
+                angular_velocity_b: setpoint("angular_velocity"),
+                angular_acceleration_b: setpoint("angular_acceleration"),
+                angular_jerk_b: setpoint("angular_jerk"),
             },
             memory: Memory {
-                posture: DVector::from_vec(numbers(&golden["s_des"])),
-                inertia_0_b: matrix3(&golden["Ic0"]),
-                velocity_error_integral: DVector::zeros(23),
+                posture: DVector::from_vec(numbers(&given["memory.posture"])),
+                inertia_0_b: matrix3(&given["memory.inertia_0_b"]),
+                velocity_error_integral: DVector::from_vec(numbers(&given["memory.velocity_error_integral"])),
                 torque_is_known: false,
             },
-            thrust: numbers(&golden["T"]),
-            wind: vector3(&golden["wind"]),
+            thrust: numbers(&given["thrust"]),
+            wind: vector3(&given["wind"]),
             state,
             golden,
         }
@@ -132,83 +133,70 @@ fn flight_config(control: &str) -> FlightConfig {
 
 #[test]
 fn every_intermediate_of_the_aware_controller_agrees() {
-    let Some(states) = golden_states() else { return };
-    assert_eq!(states.len(), 2);
-    for case in states.into_iter().map(Case::new) {
+    for case in golden_cases() {
         let controller = case.tick("aero_aware");
-        let golden = &case.golden;
+        let golden = |key: &str| &case.golden["aero_aware"][key];
         let Terms { kinematics, dynamics, link_forces, momentum, momentum_qp, torque_qp, .. } =
             controller.terms();
 
-        agree("mass", &[kinematics.mass()], &golden["mass"]);
-        agree("com", kinematics.com.as_slice(), &golden["com"]);
-        agree("M", &rows(&dynamics.mass_matrix), &golden["M"]);
-        agree("h", dynamics.bias.as_slice(), &golden["h"]);
-        agree("CMM", &rows(&dynamics.momentum_matrix), &golden["CMM"]);
-        agree("L", dynamics.momentum.as_slice(), &golden["L"]);
-        let com_jacobian: Vec<Vector3<f64>> =
-            (0..29).map(|column| dynamics.com_jacobian_column(column)).collect();
-        let com_jacobian = DMatrix::from_fn(3, 29, |row, column| com_jacobian[column][row]);
-        agree("J_com", &rows(&com_jacobian), &golden["J_com"]);
+        agree("com_position", kinematics.com.as_slice(), golden("com_position"));
+        agree("mass_matrix", &rows(&dynamics.mass_matrix), golden("mass_matrix"));
+        agree("bias", dynamics.bias.as_slice(), golden("bias"));
+        agree("momentum_matrix", &rows(&dynamics.momentum_matrix), golden("momentum_matrix"));
+        agree("momentum", dynamics.momentum.as_slice(), golden("momentum"));
+        agree("centroidal_inertia", &rows(&dynamics.centroidal_inertia), golden("centroidal_inertia"));
 
         let flat = |vectors: &[Vector3<f64>]| -> Vec<f64> { vectors.iter().flatten().copied().collect() };
-        agree("aero_pos", &flat(&link_forces.arm_points_i), &golden["aero_pos"]);
-        agree("aero_axes", &flat(&link_forces.axes_i), &golden["aero_axes"]);
-        agree("f_aero_flight", &flat(&link_forces.forces_i), &golden["f_aero_flight"]);
-        agree(
-            "aero_moment_com",
-            link_forces.wrench_about(&kinematics.com).1.as_slice(),
-            &golden["aero_moment_com"],
-        );
+        agree("link_arm_points", &flat(&link_forces.arm_points_i), golden("link_arm_points"));
+        agree("link_axes", &flat(&link_forces.axes_i), golden("link_axes"));
+        agree("aero_force", &flat(&link_forces.forces_i), golden("aero_force"));
         let jacobians: Vec<f64> = (controller.robot().aero_links.iter().zip(&link_forces.jacobian_points_i))
             .flat_map(|(link, point)| rows(&kinematics.jacobian(link.frame.body, point).0))
             .collect();
-        agree("J_aero", &jacobians, &golden["J_aero"]);
+        agree("link_jacobians", &jacobians, golden("link_jacobians"));
 
-        agree("jet_axes", &flat(&momentum.jet_axes_i), &golden["jet_axes"]);
-        let arms: Vec<Vector3<f64>> =
-            momentum.jet_points_i.iter().map(|point| point - kinematics.com).collect();
-        agree("jet_arms", &flat(&arms), &golden["jet_arms"]);
-        agree("A_T", &rows(&momentum.a_t), &golden["A_T"]);
-        agree("Lambda_T", &rows(&momentum.lambda_t), &golden["Lambda_T"]);
-        agree("Lambda_a", &rows(&momentum.lambda_a), &golden["Lambda_a"]);
-        agree("LDot", momentum.rate_estimate.as_slice(), &golden["LDot"]);
+        agree("jet_axes", &flat(&momentum.jet_axes_i), golden("jet_axes"));
+        agree("jet_points", &flat(&momentum.jet_points_i), golden("jet_points"));
+        agree("a_t", &rows(&momentum.a_t), golden("a_t"));
+        agree("lambda_t", &rows(&momentum.lambda_t), golden("lambda_t"));
+        agree("lambda_a", &rows(&momentum.lambda_a), golden("lambda_a"));
+        agree("momentum_rate_estimate", momentum.rate_estimate.as_slice(), golden("momentum_rate_estimate"));
 
-        agree("task_AB", &rows(&momentum_qp.task.fixed_rows::<6>(0)), &golden["task_AB"]);
-        agree("task_delta", momentum_qp.offset.fixed_rows::<6>(0).as_slice(), &golden["task_delta"]);
-        agree("H", &rows(&momentum_qp.problem.h), &golden["H"]);
-        agree("g", momentum_qp.problem.g.as_slice(), &golden["g"]);
-        agree("lb", momentum_qp.problem.lower.as_slice(), &golden["lb"]);
-        agree("ub", momentum_qp.problem.upper.as_slice(), &golden["ub"]);
-        let command = controller.command();
-        let u: Vec<f64> = command.thrust_rate.iter().chain(&command.joint_velocity).copied().collect();
-        agree("u_aware", &u, &golden["u_aware"]);
-        assert_eq!(u64::from(command.momentum_qp.active), golden["n_active"].as_u64().unwrap());
-
-        agree("tau_H", &rows(&torque_qp.problem.h), &golden["tau_H"]);
-        agree("tau_g", torque_qp.problem.g.as_slice(), &golden["tau_g"]);
-        agree("tau_aware", controller.terms().unlimited_torque.as_slice(), &golden["tau_aware"]);
+        agree("task", &rows(&momentum_qp.task), golden("task"));
+        agree("task_offset", momentum_qp.offset.as_slice(), golden("task_offset"));
+        agree("momentum_qp.h", &rows(&momentum_qp.problem.h), golden("momentum_qp.h"));
+        agree("momentum_qp.g", momentum_qp.problem.g.as_slice(), golden("momentum_qp.g"));
+        agree("momentum_qp.lower", momentum_qp.problem.lower.as_slice(), golden("momentum_qp.lower"));
+        agree("momentum_qp.upper", momentum_qp.problem.upper.as_slice(), golden("momentum_qp.upper"));
+        agree("torque_qp.h", &rows(&torque_qp.problem.h), golden("torque_qp.h"));
+        agree("torque_qp.g", torque_qp.problem.g.as_slice(), golden("torque_qp.g"));
+        commands_agree(&controller, &case.golden["aero_aware"]);
     }
 }
 
 #[test]
 fn the_baseline_controller_agrees() {
-    let Some(states) = golden_states() else { return };
-    for case in states.into_iter().map(Case::new) {
+    for case in golden_cases() {
         let controller = case.tick("baseline");
+        let golden = &case.golden["baseline"];
         let problem = &controller.terms().momentum_qp.problem;
-        agree("H_baseline", &rows(&problem.h), &case.golden["H_baseline"]);
-        agree("g_baseline", problem.g.as_slice(), &case.golden["g_baseline"]);
-        let command = controller.command();
-        let u: Vec<f64> = command.thrust_rate.iter().chain(&command.joint_velocity).copied().collect();
-        agree("u_baseline", &u, &case.golden["u_baseline"]);
+        agree("momentum_qp.h", &rows(&problem.h), &golden["momentum_qp.h"]);
+        agree("momentum_qp.g", problem.g.as_slice(), &golden["momentum_qp.g"]);
+        commands_agree(&controller, golden);
     }
+}
+
+#[track_caller]
+fn commands_agree(controller: &Controller, golden: &Value) {
+    let command = controller.command();
+    agree("thrust_rate", command.thrust_rate.as_slice(), &golden["thrust_rate"]);
+    agree("joint_velocity_command", command.joint_velocity.as_slice(), &golden["joint_velocity_command"]);
+    agree("unlimited_torque", controller.terms().unlimited_torque.as_slice(), &golden["unlimited_torque"]);
 }
 
 #[test]
 fn the_sphere_cylinder_forces_agree() {
-    let Some(states) = golden_states() else { return };
-    for case in states.into_iter().map(Case::new) {
+    for case in golden_cases() {
         let controller = case.tick("aero_aware");
         let robot = controller.robot();
         let value = flight_io::resolve(&repository().join("configs/aero/sphere_cylinder.toml")).unwrap();
@@ -222,6 +210,6 @@ fn the_sphere_cylinder_forces_agree() {
             &case.wind,
         );
         let flat: Vec<f64> = forces.forces_i.iter().flatten().copied().collect();
-        agree("f_aero_cyl", &flat, &case.golden["f_aero_cyl"]);
+        agree("aero_force", &flat, &case.golden["sphere_cylinder"]["aero_force"]);
     }
 }

@@ -1,10 +1,11 @@
 //! iRonCub-Mk1's files hold the published figures.
 
 use super::{assert_close, robot_file};
-use flight_core::robot::{AxisymmetricCoefficients, EngineCoefficients, RobotModel};
+use flight_core::robot::{AxisymmetricCoefficients, EngineCoefficients, Frame, RobotModel};
 use flight_core::spatial::{Pose, axis_angle};
 use flight_io::{RobotFiles, load_robot};
 use nalgebra::{Matrix3, Vector3};
+use serde_json::Value;
 use std::path::PathBuf;
 
 fn ironcub() -> RobotModel {
@@ -286,61 +287,78 @@ fn centre_of_mass_in_the_initial_posture() {
     assert_close("height of the sole", height, 0.180_562, 5e-7);
 }
 
-/// Every body, joint and frame against the full list of figures, where that list is at hand.
+/// Every body, joint and frame as Pinocchio reads them from the URDF, stored by `tests/golden/states.py`.
 #[test]
-fn agrees_with_the_list_of_figures() {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/design/robot_facts.toml");
-    let Ok(text) = std::fs::read_to_string(&path) else {
-        println!("skipped: {} is not here", path.display());
-        return;
-    };
-    let facts: toml::Table = text.parse().unwrap();
-    let vector = |v: &toml::Value| {
-        let v: Vec<f64> = v.as_array().unwrap().iter().map(|x| x.as_float().unwrap()).collect();
-        Vector3::new(v[0], v[1], v[2])
-    };
-    let matrix = |m: &toml::Value| {
-        let rows: Vec<_> = m.as_array().unwrap().iter().map(|row| vector(row).transpose()).collect();
+fn agrees_with_pinocchio() {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/states.json");
+    let golden: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    let facts = &golden["robot"];
+    let vector = |v: &Value| Vector3::from(serde_json::from_value::<[f64; 3]>(v.clone()).unwrap());
+    let matrix = |m: &Value| {
+        let rows = m.as_array().unwrap().iter().map(|row| vector(row).transpose()).collect::<Vec<_>>();
         Matrix3::from_rows(&rows)
     };
-    let text_of = |v: &toml::Value| v.as_str().unwrap().to_owned();
 
     let robot = ironcub();
-    let bodies = facts["body"].as_array().unwrap();
+    let bodies = facts["bodies"].as_array().unwrap();
     assert_eq!(bodies.len(), 24);
-    for fact in bodies {
-        let name = text_of(&fact["name"]);
-        let body = &robot.bodies[robot.body_index(&name).unwrap()];
-        assert_close(&name, body.mass, fact["mass"].as_float().unwrap(), 1e-14);
-        assert!((body.com_b - vector(&fact["com"])).amax() < 1e-15, "com of {name}");
-        assert!((body.inertia_b - matrix(&fact["inertia"])).amax() < 1e-15, "inertia of {name}");
+    for (index, fact) in bodies.iter().enumerate() {
+        let name = fact["name"].as_str().unwrap();
+        let body = &robot.bodies[index];
+        assert_eq!(body.name, name);
+        assert_close(name, body.mass, fact["mass"].as_f64().unwrap(), 1e-14);
+        assert!((body.com_b - vector(&fact["com"])).amax() < 1e-14, "com of {name}");
+        assert!((body.inertia_b - matrix(&fact["inertia"])).amax() < 1e-14, "inertia of {name}");
         let Some(parent) = body.parent else { continue };
-        assert_eq!(robot.bodies[parent].name, text_of(&fact["parent"]));
-        let place = robot.joint_index(&text_of(&fact["joint"])).unwrap();
-        assert_eq!(robot.bodies[place + 1].name, name);
-        let joint = &robot.joints[place];
-        assert!((joint.parent_from_child.position - vector(&fact["pos"])).amax() < 1e-15, "pos of {name}");
-        assert!((joint.parent_from_child.rotation - matrix(&fact["R"])).amax() < 1e-13, "R of {name}");
+        assert_eq!(robot.bodies[parent].name, fact["parent"].as_str().unwrap());
+        let joint = &robot.joints[index - 1];
+        let placement = &joint.parent_from_child;
+        assert!((placement.position - vector(&fact["position"])).amax() < 1e-14, "position of {name}");
+        assert!((placement.rotation - matrix(&fact["rotation"])).amax() < 1e-13, "rotation of {name}");
         assert!((joint.axis_b.into_inner() - vector(&fact["axis"])).amax() < 1e-13, "axis of {name}");
-        assert_close(&name, joint.limits.0, fact["ctrl_lower"].as_float().unwrap(), 1e-15);
-        assert_close(&name, joint.limits.1, fact["ctrl_upper"].as_float().unwrap(), 1e-15);
     }
 
-    // A frame name may occur once as an aerodynamic frame and once as a jet's.
-    for fact in facts["frame"].as_array().unwrap() {
-        let name = text_of(&fact["name"]);
-        let frame = match fact["kind"].as_str().unwrap() {
-            "aero" => {
-                let link = robot.aero_links.iter().find(|link| link.name == name).unwrap();
-                assert!((link.centre_l - vector(&fact["aero_centre"])).amax() < 1e-15, "centre of {name}");
-                &link.frame
-            }
-            "jet" => &robot.jets.iter().find(|jet| jet.frame.name == name).unwrap().frame,
-            _ => &robot.feet.iter().find(|foot| foot.frame.name == name).unwrap().frame,
-        };
-        assert_eq!(robot.bodies[frame.body].name, text_of(&fact["body"]), "{name}");
-        assert!((frame.body_from_frame.position - vector(&fact["pos"])).amax() < 1e-15, "pos of {name}");
-        assert!((frame.body_from_frame.rotation - matrix(&fact["R"])).amax() < 1e-13, "R of {name}");
+    let links = robot.aero_links.iter().map(|link| &link.frame);
+    let frames: Vec<&Frame> = links.chain(robot.feet.iter().map(|foot| &foot.frame)).collect();
+    for (frame, fact) in frames.iter().zip(facts["frames"].as_array().unwrap()) {
+        let name = &frame.name;
+        assert_eq!(name, fact["name"].as_str().unwrap());
+        assert_eq!(robot.bodies[frame.body].name, fact["body"].as_str().unwrap(), "{name}");
+        let pose = &frame.body_from_frame;
+        assert!((pose.position - vector(&fact["position"])).amax() < 1e-14, "position of {name}");
+        assert!((pose.rotation - matrix(&fact["rotation"])).amax() < 1e-13, "rotation of {name}");
+    }
+    assert_eq!(frames.len(), facts["frames"].as_array().unwrap().len());
+    for jet in &robot.jets {
+        let link = robot.aero_links.iter().find(|link| link.name == jet.frame.name).unwrap();
+        assert_eq!(jet.frame.body, link.frame.body);
+        assert_eq!(jet.frame.body_from_frame, link.frame.body_from_frame);
+    }
+}
+
+/// Where link forces act, in link axes \[m\]: typed from the published controller (`aeroFrameTransforms.mat`).
+#[test]
+#[rustfmt::skip]
+#[allow(clippy::unreadable_literal, reason = "written as they are published")]
+fn link_centres() {
+    let expected = [
+        ("head", [-0.000574157809265, 0.11351035267861488, -0.007539143563195377]),
+        ("chest", [0.0013399737348989166, 0.07524191281626345, -0.07047369108091692]),
+        ("chest_l_jet_turbine", [-8.222821810605074e-05, 1.3286115671029552e-05, -0.16112279999999773]),
+        ("chest_r_jet_turbine", [-8.301234271771568e-05, 1.3339860153005478e-05, -0.16112279999999715]),
+        ("l_upper_arm", [-0.003140100525231736, -0.0005800001394788146, 0.030014099942354502]),
+        ("l_arm_jet_turbine", [0.00010960403737868621, -2.0526052205815937e-05, -0.11384200000174004]),
+        ("r_upper_arm", [-0.0031285999999999974, 0.0005970000000000003, 0.03000619999999999]),
+        ("r_arm_jet_turbine", [0.00010984155626070359, -1.999377273191605e-05, -0.11384199999987514]),
+        ("root_link", [0.024882099999999994, 0.00010394699999999019, -0.04408060000000001]),
+        ("l_upper_leg", [0.0033868999999999913, 0.00010179999999998524, -0.07891600000000001]),
+        ("l_lower_leg", [0.0009997999999999951, 0.0034968999999999695, -0.088567]),
+        ("r_upper_leg", [0.0033999999999999933, -2.9100000000018e-05, -0.078954]),
+        ("r_lower_leg", [0.0012363999999999917, -0.003513100000000033, -0.08879400000000004]),
+    ];
+    for (link, (name, centre)) in ironcub().aero_links.iter().zip(expected) {
+        assert_eq!(link.name, name);
+        assert!((link.centre_l - Vector3::from(centre)).amax() < 1e-15, "centre of {name}");
     }
 }
 
