@@ -12,6 +12,10 @@ DEMO := test1 test2 test1_published test2_published
 # Where the Rust tests write what they measured, for the summary that pytest prints.
 MEASURED := $(abspath target/measured)
 
+# Test processes; each takes up to 2.5 GB. Idle ones take tests from the other's end of the list.
+WORKERS ?= 2
+PARALLEL := --numprocesses $(WORKERS) --dist worksteal
+
 # Another processor: no AVX in the C library's functions, in what XLA compiles, in OpenBLAS or in NumPy.
 OTHER_PROCESSOR = GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-AVX512VL,-AVX512DQ \
 	XLA_FLAGS=--xla_cpu_max_isa=SSE4_2 OPENBLAS_CORETYPE=Nehalem NPY_DISABLE_CPU_FEATURES="$(NUMPY_FEATURES)"
@@ -42,11 +46,12 @@ view: $(MODULE) ## fly in the browser: drag the wind until the robot falls
 test: $(MODULE) ## run every test, Rust first, then Python
 	rm -rf $(MEASURED)
 	MEASURED=$(MEASURED) cargo test --locked
-	MEASURED=$(MEASURED) $(BIN)/python -m pytest
+	MEASURED=$(MEASURED) $(BIN)/python -m pytest $(PARALLEL)
 
 portability: $(MODULE) ## run the numerical tests as another processor would, on one core and on two (QUICK=1: a minute)
 	$(if $(QUICK),,$(OTHER_PROCESSOR) cargo test --locked)
-	for cores in 0 0,1; do $(OTHER_PROCESSOR) taskset --cpu-list $$cores $(BIN)/python -m pytest -q $(NUMERICAL) || exit; done
+	$(if $(QUICK),,$(OTHER_PROCESSOR) taskset --cpu-list 0 $(BIN)/python -m pytest -q $(NUMERICAL))
+	$(OTHER_PROCESSOR) taskset --cpu-list 0,1 $(BIN)/python -m pytest -q $(PARALLEL) $(NUMERICAL)
 
 lint: $(MODULE) ## check formats, lints, types and import contracts
 	cargo fmt --all --check

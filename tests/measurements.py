@@ -36,13 +36,14 @@ _figures: dict[tuple[str, str], float | str] = {}
 _running: list[pytest.Item] = []
 
 
-def measured(what: str, figure: float | str, tolerance: float | None = None) -> None:
+def measured(what: str, figure: float | str, tolerance: float | None = None, because: str = "") -> None:
     """Compare a figure with its tolerance; without one, only put it into the table at the end of the run.
 
-    Of several figures of one name the largest stays.
+    Of several figures of one name the largest stays. `because` is the reason why more than a tenth of the tolerance may
+    be used; for all measurements of a test, its mark `close_to_tolerance` is.
     """
     if tolerance is not None:
-        _record(what, float(figure), tolerance)
+        _record(what, float(figure), tolerance, because)
         assert figure <= tolerance, f"{what}: {figure:.3e}, allowed {tolerance:.3e}"
         return
     _keep(_running[0].path.stem.removeprefix("test_"), what, figure)
@@ -73,11 +74,11 @@ def _agree() -> Callable[[str, ArrayLike, ArrayLike, float], None]:
     return agree
 
 
-def _record(what: str, figure: float, tolerance: float) -> None:
+def _record(what: str, figure: float, tolerance: float, because: str = "") -> None:
     if _running:
         marker = _running[0].get_closest_marker("close_to_tolerance")
         test = _running[0].nodeid.removeprefix("tests/").partition("[")[0]
-        reason = marker.args[0] if marker else ""
+        reason = because or (marker.args[0] if marker else "")
         _measurements.append(Measurement(test, what, float(figure), float(tolerance), reason))
 
 
