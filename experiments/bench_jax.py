@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -149,12 +150,12 @@ def _in_pieces(function: Callable[..., Any]) -> Callable[..., Any]:
     return batched
 
 
-def _throughput(flight: Any, hover: Any, seconds: float, *, quick: bool) -> Iterator[str]:
+def _throughput(scenario: Any, hover: Any, seconds: float, *, quick: bool) -> Iterator[str]:
     """Fly batches that grow fourfold, until a larger one brings less than a tenth."""
     start = 16 if jax.devices()[0].platform == "cpu" else 256
     for name, dtype in (("float64", jnp.float64), ("float32", jnp.float32))[: 1 if quick else 2]:
         best, size = 0.0, start
-        flying, hovering = with_dtype((flight, hover), dtype)
+        flying, hovering = sim.in_precision(scenario, hover, dtype)
         while size <= (64 if quick else 65536):
             case = Case("", _rollout, flying, _spread(hovering, size))
             compiled, cold = _compile(case, case.sample)
@@ -197,38 +198,36 @@ def _spread(sample: Any, size: int) -> Any:
 def _hovering() -> tuple[Any, Any]:
     """TEST2, and its state where it hovers in the full wind."""
     config = flight_config(rust.load_config(EXPERIMENTS / "test2.toml"))
-    flight, start = sim.prepare(config, load_robot(config.robot))
-    return flight, fly_chunk(flight, start, jnp.array(0, jnp.int32), HOVER)[0]
+    scenario, start = sim.prepare(config)
+    return scenario, fly_chunk(scenario, start, jnp.array(0, jnp.int32), HOVER)[0]
 
 
-def cases(flight: Any, hover: Any, say: Callable[[str], None]) -> Iterator[Case]:
+def cases(scenario: Any, hover: Any, say: Callable[[str], None]) -> Iterator[Case]:
     """Everything that is measured, ours first."""
-    robot, state = flight.plant.robot, hover.plant.robot
+    robot, state = scenario.plant.robot, hover.plant.robot
     wind = jnp.array([0.0, -10.0, 0.0])
     yield from _dynamics_cases(robot, state)
     yield from _aero_cases(robot, state, wind)
-    yield from _control_cases(flight, hover, wind)
+    yield from _control_cases(scenario, hover, wind)
     for name, dtype in (("", jnp.float64), (", float32", jnp.float32)):
-        flying, hovering = with_dtype((flight, hover), dtype)
+        flying, hovering = sim.in_precision(scenario, hover, dtype)
         yield Case(f"closed-loop tick, of a rollout of {TICKS}{name}", _rollout, flying, hovering, TICKS)
-    yield Case(f"its gradient by the aerodynamic areas, of {TICKS}", _gradient, flight, hover, TICKS, is_slow=True)
+    yield Case(f"its gradient by the aerodynamic areas, of {TICKS}", _gradient, scenario, hover, TICKS, is_slow=True)
     yield from _mjx_cases(robot, state)
     yield from _jaxsim_cases(robot, state, say)
 
 
-def _rollout(flight: Any, state: Any) -> Any:
-    return sim.rollout(flight, state, TICKS, lambda row: row.com_position, HOVER)[1]
+def _rollout(scenario: Any, state: Any) -> Any:
+    return sim.rollout(scenario, state, TICKS, lambda row: row.com_position, HOVER)[1]
 
 
-def _gradient(flight: Any, state: Any) -> Any:
-    from dataclasses import replace
-
+def _gradient(scenario: Any, state: Any) -> Any:
     def cost(areas: Any) -> Any:
-        aero = replace(flight.plant.aero, areas=areas)
-        perturbed = replace(flight, plant=replace(flight.plant, aero=aero))
+        aero = replace(scenario.plant.aero, areas=areas)
+        perturbed = replace(scenario, plant=replace(scenario.plant, aero=aero))
         return jnp.sum(_rollout(perturbed, state) ** 2)
 
-    return jax.grad(cost)(flight.plant.aero.areas)
+    return jax.grad(cost)(scenario.plant.aero.areas)
 
 
 def _dynamics_cases(robot: RobotModel, state: State) -> Iterator[Case]:
@@ -269,7 +268,7 @@ def _aero_cases(robot: RobotModel, state: State, wind: Any) -> Iterator[Case]:
         yield Case(f"forces on 13 links ({name})", forces, (model, robot, wind), kin)
 
 
-def _control_cases(flight: Any, hover: Any, wind: Any) -> Iterator[Case]:
+def _control_cases(scenario: Any, hover: Any, wind: Any) -> Iterator[Case]:
     time_now = jnp.array(HOVER * 0.01)
 
     def tick(shared: Any, sample: Any) -> Any:
@@ -277,7 +276,7 @@ def _control_cases(flight: Any, hover: Any, wind: Any) -> Iterator[Case]:
         memory, state, thrust = sample
         return control.tick(params, robot, memory, now, state, thrust, wind)
 
-    shared = (flight.controller, flight.plant.robot, wind, time_now)
+    shared = (scenario.controller, scenario.plant.robot, wind, time_now)
     sample = (hover.memory, hover.plant.robot, hover.plant.jets.thrust)
     _, _, terms = jax.jit(tick)(shared, sample)
 

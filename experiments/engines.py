@@ -1,6 +1,6 @@
 """Engines that fly a configuration: `engine = "rust"`, `"jax"` or `"mujoco"`, in a file or with --engine.
 
-An engine turns a resolved configuration into the same `rust.Flight`. A flight of a batch that cannot be flown
+An engine turns a resolved configuration into the same `rust.FlightResult`. A flight of a batch that cannot be flown
 gives a `Failure` in its place, so that it is recorded and the others go on.
 """
 
@@ -27,13 +27,13 @@ class Failure:
 class Engine(Protocol):
     """One way to fly."""
 
-    def fly(self, config: Config, progress: rust.Progress | None = None) -> rust.Flight:
+    def fly(self, config: Config, progress: rust.Progress | None = None) -> rust.FlightResult:
         """Fly one configuration, with its whole log."""
         ...
 
     def fly_batch(
         self, configs: Sequence[Config], threads: int | None = None, progress: rust.Progress | None = None
-    ) -> list[rust.Flight | Failure]:
+    ) -> list[rust.FlightResult | Failure]:
         """Fly many; only outcomes and summaries are sure to be there. The order is that of `configs`."""
         ...
 
@@ -41,13 +41,13 @@ class Engine(Protocol):
 class Rust:
     """The crate: one flight per thread."""
 
-    def fly(self, config: Config, progress: rust.Progress | None = None) -> rust.Flight:
+    def fly(self, config: Config, progress: rust.Progress | None = None) -> rust.FlightResult:
         """Fly one configuration."""
         return rust.fly(config, progress)
 
     def fly_batch(
         self, configs: Sequence[Config], threads: int | None = None, progress: rust.Progress | None = None
-    ) -> list[rust.Flight | Failure]:
+    ) -> list[rust.FlightResult | Failure]:
         """Fly many over threads; where the crate refuses one, fly the others without it."""
         try:
             return list(rust.fly_batch(configs, threads, progress))
@@ -61,15 +61,15 @@ class Jax:
     def __init__(self) -> None:
         try:
             module = importlib.import_module("jax_aero.sim")
-            self._fly: Callable[..., rust.Flight] = module.fly
-            self._fly_batch: Callable[..., list[rust.Flight]] = module.fly_batch
+            self._fly: Callable[..., rust.FlightResult] = module.fly
+            self._fly_batch: Callable[..., list[rust.FlightResult]] = module.fly_batch
         except (ImportError, AttributeError) as reason:
             raise Refused(
                 'engine = "jax" needs `jax_aero.sim` and the packages it builds on, which are not here '
                 f'({reason}); engine = "rust" flies the same configurations'
             ) from None
 
-    def fly(self, config: Config, progress: rust.Progress | None = None) -> rust.Flight:
+    def fly(self, config: Config, progress: rust.Progress | None = None) -> rust.FlightResult:
         """Fly one configuration."""
         return self._fly(_without_engine(config), progress)
 
@@ -78,7 +78,7 @@ class Jax:
         configs: Sequence[Config],
         threads: int | None = None,  # noqa: ARG002 - JAX keeps its own threads
         progress: rust.Progress | None = None,
-    ) -> list[rust.Flight | Failure]:
+    ) -> list[rust.FlightResult | Failure]:
         """Fly flights of one structure together; where one is refused, fly the others without it."""
         plain = [_without_engine(config) for config in configs]
         try:
@@ -93,13 +93,13 @@ class Mujoco:
     def __init__(self) -> None:
         try:
             module = importlib.import_module("jax_aero.mujoco_ground")
-            self._fly: Callable[..., rust.Flight] = module.fly
+            self._fly: Callable[..., rust.FlightResult] = module.fly
         except ImportError as reason:
             raise Refused(
                 f'engine = "mujoco" needs the packages of the extra `twin`, which are not here ({reason})'
             ) from None
 
-    def fly(self, config: Config, progress: rust.Progress | None = None) -> rust.Flight:
+    def fly(self, config: Config, progress: rust.Progress | None = None) -> rust.FlightResult:
         """Let one robot stand."""
         return self._fly(config, progress)
 
@@ -108,9 +108,9 @@ class Mujoco:
         configs: Sequence[Config],
         threads: int | None = None,  # noqa: ARG002 - Python drives every tick
         progress: rust.Progress | None = None,
-    ) -> list[rust.Flight | Failure]:
+    ) -> list[rust.FlightResult | Failure]:
         """One after the other."""
-        flights: list[rust.Flight | Failure] = []
+        flights: list[rust.FlightResult | Failure] = []
         for config in configs:
             flights.append(_alone(self.fly, config))
             if progress is not None:
@@ -133,11 +133,11 @@ def engine_of(config: Config) -> str:
     return str(config.get("engine", "rust"))
 
 
-def _fly_without_log(config: Config) -> rust.Flight:
+def _fly_without_log(config: Config) -> rust.FlightResult:
     return rust.fly_batch([config], 1)[0]
 
 
-def _alone(fly: Callable[[Config], rust.Flight], config: Config) -> rust.Flight | Failure:
+def _alone(fly: Callable[[Config], rust.FlightResult], config: Config) -> rust.FlightResult | Failure:
     try:
         return fly(config)
     except ValueError as reason:

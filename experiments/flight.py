@@ -94,7 +94,7 @@ def existing(folder: Path, digest: str, *, overwrite: bool) -> dict[str, Any] | 
     raise Refused(f"{shown} holds {what}; choose another --out, or --overwrite it")
 
 
-def _fly(config: rust.Config, name: str) -> rust.Flight:
+def _fly(config: rust.Config, name: str) -> rust.FlightResult:
     with tqdm(desc=name, unit="tick", disable=not sys.stderr.isatty(), leave=False) as bar:
 
         def show(tick: int, n_ticks: int) -> None:

@@ -70,22 +70,22 @@ def run(seed: int = 1, steps: int = STEPS) -> dict[str, Any]:
     with jax.enable_x64(True):
         started = time.perf_counter()
         typed = flight_config(config)
-        flight, state = sim.prepare(typed, load_robot(config["robot"]))
-        model = flight.plant.aero
+        scenario, state = sim.prepare(typed)
+        model = scenario.plant.aero
         assert isinstance(model, Axisymmetric)
         rng = np.random.default_rng(seed)
         families, member = np.unique(np.asarray(model.areas), axis=0, return_inverse=True)
         truth = rng.uniform(-SPREAD, SPREAD, families.shape) * (families != 0.0)
         true_model = replace(model, areas=model.areas * (1.0 + truth[member.ravel()]))
-        flown = replace(flight, plant=replace(flight.plant, aero=true_model))
+        flown = replace(scenario, plant=replace(scenario.plant, aero=true_model))
         _, log = fly_chunk(flown, state, jnp.array(0, jnp.int32), typed.simulator.n_ticks + 1)
         log = {name: np.asarray(signal) for name, signal in log._asdict().items()}
         seconds = {"fly": time.perf_counter() - started}
 
-        segments = segments_of(typed.wind, with_noise(log, rng), flight.plant, FIRST_TICK, N_STARTS, HORIZON)
-        deviation = np.concatenate([np.full(6, NOISE["base"]), np.full(flight.plant.robot.n_joints, NOISE["joints"])])
+        segments = segments_of(typed.wind, with_noise(log, rng), scenario.plant, FIRST_TICK, N_STARTS, HORIZON)
+        deviation = np.concatenate([np.full(6, NOISE["base"]), np.full(scenario.plant.robot.n_joints, NOISE["joints"])])
         started = time.perf_counter()
-        misfit = misfit_of(flight.plant, model, segments, member.ravel(), deviation, SPREAD)
+        misfit = misfit_of(scenario.plant, model, segments, member.ravel(), deviation, SPREAD)
         theta, losses = descend(misfit, families != 0.0, steps, RATE)
         seconds["identify"] = time.perf_counter() - started
         loss_true = float(misfit(jnp.asarray(truth)))
@@ -96,7 +96,7 @@ def run(seed: int = 1, steps: int = STEPS) -> dict[str, Any]:
         models = {"file": model, "identified": found, "true": true_model}
         forces = wrenches_along(validation_log, load_robot(validation["robot"]), models)
 
-    links = flight.plant.robot.aero_links.names
+    links = scenario.plant.robot.aero_links.names
     dataset = to_dataset(families, truth, theta, losses, validation_log["time"], forces, links, member.ravel())
     settings = {"flight": config, "validation": VALIDATION, "seed": seed, "steps": steps}
     digest = study.digest(settings, [])

@@ -20,7 +20,7 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 def build(
     name: str,
     config: Mapping[str, Any],
-    flight: rust.Flight,
+    flight: rust.FlightResult,
     *,
     overrides: Mapping[str, Any],
     command: str,

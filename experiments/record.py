@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from jax_aero.files import complete_folder, write_json
-from jax_aero.rust import Flight
+from jax_aero.result import FlightResult
 
 RUN_FILE = "run.nc"
 MANIFEST_FILE = "manifest.json"
@@ -101,7 +101,7 @@ class RobotNames(Protocol):
 
 
 def to_dataset(
-    flight: Flight, robot: RobotNames, *, title: str, config_digest: str, engine: str = "rust"
+    flight: FlightResult, robot: RobotNames, *, title: str, config_digest: str, engine: str = "rust"
 ) -> xr.Dataset:
     """Label a flight's log with dimensions, coordinates and units."""
     coords = _coordinates(flight, robot)
@@ -137,7 +137,7 @@ def to_dataset(
     return xr.Dataset(variables, coords, facts)
 
 
-def _coordinates(flight: Flight, robot: RobotNames) -> dict[str, Any]:
+def _coordinates(flight: FlightResult, robot: RobotNames) -> dict[str, Any]:
     group_of = {joint: group for group, joints in robot.joint_groups.items() for joint in joints}
     labels: dict[str, Sequence[str]] = {
         "xyz": ["x", "y", "z"],

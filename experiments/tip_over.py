@@ -146,7 +146,7 @@ def trial(
     return config
 
 
-def _outcome(flight: rust.Flight) -> dict[str, Any]:
+def _outcome(flight: rust.FlightResult) -> dict[str, Any]:
     log = flight.log
     carried = log["foot_wrench"][:, :, 2].sum(axis=1) > 1.0
     return {

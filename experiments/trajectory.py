@@ -168,7 +168,7 @@ def csv_of(plan: Trajectory, start_time: float, about: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def fly(base: Mapping[str, Any], text: str, duration: float) -> rust.Flight:
+def fly(base: Mapping[str, Any], text: str, duration: float) -> rust.FlightResult:
     """Fly a reference in closed loop, everything else as in the flight `base`."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "reference.csv"
@@ -180,8 +180,8 @@ def fly(base: Mapping[str, Any], text: str, duration: float) -> rust.Flight:
 
 def to_dataset(
     plan: Trajectory,
-    flown: rust.Flight,
-    paper: rust.Flight,
+    flown: rust.FlightResult,
+    paper: rust.FlightResult,
     robot: Robot,
     config: Mapping[str, Any],
     digest: str,

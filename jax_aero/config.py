@@ -12,6 +12,7 @@ here unknown and missing keys are refused once more, so that no setting is ever 
 
 from __future__ import annotations
 
+import difflib
 import types
 import typing
 from collections.abc import Mapping
@@ -30,6 +31,10 @@ LeverArm: TypeAlias = Literal["rotated", "unrotated"]
 """Where a link's force acts when its moment is formed: `p + R c`, or as published `p + c`."""
 JacobianOffset: TypeAlias = Literal["link_rotation", "base_rotation"]
 """Which point's Jacobian carries a link's force: `p + R c`, or as published `p + R_B c`."""
+Backend: TypeAlias = Literal["tree", "mjx"]
+"""What computes mass matrix and bias: the sums of `jax_aero.dynamics`, or MuJoCo's JAX implementation."""
+Integrator: TypeAlias = Literal["semi_implicit_euler", "explicit_euler"]
+"""Whether a pose moves with the new velocity or with the old one."""
 LinkVelocity: TypeAlias = Literal["at_centre", "shifted_twice"]
 """Which point's velocity makes the relative wind: the centre, or as published the Jacobian's point shifted again."""
 
@@ -131,11 +136,11 @@ class Ideal:
 class EkfConfig:
     """Numbers of the thrust estimator, in the letters of its equations."""
 
-    init_p: Array
+    init_p: Array = _default([[1.0, 0.1], [0.1, 1.0]])
     """(2, 2) covariance of the initial state."""
-    q: Array
+    q: Array = _default([[10.0, 1.0], [1.0, 10.0]])
     """(2, 2) intensity of the process noise."""
-    r: Array
+    r: Array = _default(1.0)
     """() intensity of the measurement noise."""
     init_state: Array | None = None
     """(2,) initial (T, Ṫ) [N, N/s]; without it (initial thrust, 0)."""
@@ -145,12 +150,12 @@ class EkfConfig:
 class SecondOrderConfig:
     """Identified second-order engines behind a throttle loop."""
 
-    rate_gain_p: Array
+    rate_gain_p: Array = _default(150.0)
     """[1/s]"""
-    rate_gain_i: Array
+    rate_gain_i: Array = _default(0.0)
     """[1/s²]"""
-    ekf: EkfConfig
-    feedback: Static[Literal["measured", "estimated"]]
+    ekf: EkfConfig = field(default_factory=EkfConfig)
+    feedback: Static[Literal["measured", "estimated"]] = "measured"
     """Which thrust the flight controller is given."""
     engines: Static[tuple[str, ...] | None] = None
     """Engine of each jet; without it, those of the robot."""
@@ -275,13 +280,13 @@ WindConfig: TypeAlias = ConstantWind | RampWind | GustWind | RecordedWind | Turb
 class AeroFeedback:
     """Where the estimated aerodynamic forces enter the controller; each can be left out."""
 
-    momentum_rate: Static[bool]
+    momentum_rate: Static[bool] = True
     """`A_a f_a` in the estimated momentum rate."""
-    lambda_a: Static[bool]
+    lambda_a: Static[bool] = True
     """`Λ_a` in the derivative of the momentum rate."""
-    torque: Static[bool]
+    torque: Static[bool] = True
     """`J_aᵀ f_a` in the torque law."""
-    scale: Array
+    scale: Array = _default(1.0)
     """() factor on all estimated forces."""
     force: Array = _default(1.0)
     """() 1 or 0: whether the total force enters `A_a f_a`."""
@@ -379,8 +384,8 @@ class TorqueConfig:
 class QpConfig:
     """How the Rust crate solves its QPs; JAX has one solver."""
 
-    solver: Static[Literal["active_set", "clarabel"]]
-    fallback: Static[Literal["clarabel", "hold"]]
+    solver: Static[Literal["active_set", "clarabel"]] = "active_set"
+    fallback: Static[Literal["clarabel", "hold"]] = "clarabel"
 
 
 @pytree
@@ -422,18 +427,18 @@ class ControllerConfig:
     """Everything that makes a controller; one file in `configs/control/`."""
 
     aero: AeroConfig
-    aero_feedback: AeroFeedback
-    lever_arm: Static[LeverArm]
-    jacobian_offset: Static[JacobianOffset]
-    link_velocity: Static[LinkVelocity]
     momentum: MomentumGains
     posture_gain: dict[str, Array]
     """By joint group [1/s]."""
     weights: MomentumWeights
     bounds: BoundsConfig
     torque: TorqueConfig
-    qp: QpConfig
     references: ReferenceConfig
+    aero_feedback: AeroFeedback = field(default_factory=AeroFeedback)
+    lever_arm: Static[LeverArm] = "rotated"
+    jacobian_offset: Static[JacobianOffset] = "link_rotation"
+    link_velocity: Static[LinkVelocity] = "at_centre"
+    qp: QpConfig = field(default_factory=QpConfig)
     model_error: ModelError | None = None
     wind_estimate: WindEstimateConfig | None = None
 
@@ -460,12 +465,12 @@ class RecordedReference:
 class EnvelopeConfig:
     """When the autopilot commands what: for each motion open intervals (k, 2) of time [s]."""
 
-    up: Array
-    down: Array
-    forward: Array
-    forward_turbo: Array
-    pitch_up: Array
-    yaw_left: Array
+    up: Array = _default(np.zeros((0, 2)))
+    down: Array = _default(np.zeros((0, 2)))
+    forward: Array = _default(np.zeros((0, 2)))
+    forward_turbo: Array = _default(np.zeros((0, 2)))
+    pitch_up: Array = _default(np.zeros((0, 2)))
+    yaw_left: Array = _default(np.zeros((0, 2)))
     file: RecordedReference | None = None
     """A recorded reference to fly instead of any command."""
 
@@ -483,11 +488,11 @@ class InitialConfig:
     """(3,) [deg]."""
     joint_position: Array
     """(n,) [rad]."""
-    base_velocity: Array
-    """(6,) of the base origin and angular, inertial axes [m/s, rad/s]."""
     thrust: Array
     """(j,) [N]."""
-    free_fall_tick: Static[bool]
+    base_velocity: Array = _default(np.zeros(6))
+    """(6,) of the base origin and angular, inertial axes [m/s, rad/s]."""
+    free_fall_tick: Static[bool] = True
     """Whether the first physics step has neither thrust nor torque."""
 
 
@@ -509,16 +514,17 @@ class SimulatorConfig:
     """[s]"""
     time_step: Static[float]
     """Tick of controller and physics [s]."""
-    substeps: Static[int]
-    """Physics steps within a tick."""
-    integrator: Static[Literal["semi_implicit_euler", "explicit_euler"]]
     aero: AeroConfig
-    lever_arm: Static[LeverArm]
-    kinematics: Static[Literal["current", "frozen"]]
-    """Which kinematics place the links in the wind."""
     jets: JetsConfig
     initial: InitialConfig
     fall: FallConfig
+    substeps: Static[int] = 1
+    """Physics steps within a tick."""
+    integrator: Static[Integrator] = "semi_implicit_euler"
+    dynamics: Static[Backend] = "tree"
+    lever_arm: Static[LeverArm] = "rotated"
+    kinematics: Static[Literal["current", "frozen"]] = "current"
+    """Which kinematics place the links in the wind."""
     aero_factors: ForceFactorsConfig | None = None
     jet_faults: JetFaultsConfig | None = None
 
@@ -532,14 +538,14 @@ class SimulatorConfig:
 class FlightConfig:
     """One flight: which robot, in which simulator and wind, under which controller, on which envelope."""
 
-    title: Static[str]
-    description: Static[str]
     robot: Static[str]
     """Path of the robot's TOML file."""
     simulator: SimulatorConfig
     controller: ControllerConfig
     envelope: EnvelopeConfig
     wind: WindConfig
+    title: Static[str] = ""
+    description: Static[str] = ""
     engine: Static[Literal["rust", "jax"]] = "rust"
     """Engine of the experiment; JAX flies configurations of either."""
 
@@ -644,9 +650,11 @@ def _build(cls: type[T], table: Mapping[str, Any], where: str) -> T:
     assert is_dataclass(cls)
     hints = typing.get_type_hints(cls)
     keys = {_KEYS_IN_FILES.get((cls.__name__, item.name), item.name): item for item in fields(cls)}
-    if unknown := set(table) - set(keys):
-        listed = ", ".join(f"`{where}.{key}`".replace("`.", "`") for key in sorted(unknown))
-        raise ValueError(f"this engine does not support {listed}")
+    for key in table:
+        if key not in keys:
+            near = difflib.get_close_matches(key, keys, n=1)
+            hint = f"did you mean `{near[0]}`?" if near else f"expected one of {', '.join(keys)}"
+            raise ValueError(f"unknown key `{where}.{key}`; {hint}".replace("`.", "`"))
     values = {}
     for key, item in keys.items():
         if key in table:
@@ -665,6 +673,8 @@ def _value(hint: Any, value: Any, where: str) -> Any:
         return recorded_reference(value)
     if is_dataclass(hint):
         return _build(cast(type[Any], hint), value, where)
+    if typing.get_origin(hint) is Literal and value not in typing.get_args(hint):
+        raise ValueError(f"`{where}` is {value!r}; expected one of {', '.join(map(str, typing.get_args(hint)))}")
     if hint is Array:
         return _number(np.reshape(value, (-1, 2)) if where.startswith("envelope.") else value)
     origin = typing.get_origin(hint)

@@ -4,35 +4,37 @@
     (l, k) = A_G(q) ν                        momentum about the centre of mass
 
 Two backends give `M` and `h`; everything else follows from these. `tree` is written for this package: sums over
-ancestors and descendants are products with one static matrix. `mjx` calls MuJoCo's JAX implementation.
+ancestors and descendants are products with one static matrix. `mjx` asks MuJoCo's JAX implementation.
 
 Equations M11 to M14 and M17 of `docs/model.md`.
 """
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias
+from typing import assert_never
 
 import jax.numpy as jnp
 import numpy as np
 
+from jax_aero.config import Backend
 from jax_aero.kinematics import sum_over_ancestors
 from jax_aero.linalg import solve_positive_definite
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import cross, multiply, rotate, skew
 from jax_aero.types import Array, Dynamics, Kinematics, State
 
-Backend: TypeAlias = Literal["tree", "mjx"]
-
 
 def dynamics(robot: RobotModel, state: State, kin: Kinematics, backend: Backend = "tree") -> Dynamics:
     """Rigid-body dynamics of one state; `kin` must belong to it."""
-    if backend == "mjx":
-        from jax_aero.mujoco_model import mass_matrix_and_bias  # MuJoCo is imported only where this backend is chosen
+    match backend:
+        case "tree":
+            mass_matrix, bias = _tree_mass_matrix_and_bias(robot, state, kin)
+        case "mjx":
+            from jax_aero.mujoco_model import mass_matrix_and_bias  # MuJoCo is loaded only where it is asked for
 
-        mass_matrix, bias = mass_matrix_and_bias(robot, state)
-    else:
-        mass_matrix, bias = _tree_mass_matrix_and_bias(robot, state, kin)
+            mass_matrix, bias = mass_matrix_and_bias(robot, state)
+        case _:
+            assert_never(backend)
     # The base's rows of M ν are the momentum and its moment about the base origin.
     linear = mass_matrix[:3]
     angular = mass_matrix[3:6] - skew(kin.com - kin.body_positions[0]) @ linear

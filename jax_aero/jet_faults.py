@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from jax_aero import noise
 from jax_aero.config import Ideal, JetFaultsConfig, JetsConfig
@@ -26,35 +27,35 @@ MEASUREMENT_STREAM = 1
 class JetFaults(NamedTuple):
     """Faults of `j` jets; without a fault a number is such that nothing happens."""
 
-    lag: Array
-    """() time constant of the response [s]."""
-    lower: Array
-    """(j,) least thrust [N]."""
-    upper: Array
-    """(j,) greatest thrust [N]."""
-    fails: Array
-    """(j,) whether this is the jet that fails, bool."""
-    is_stuck: Array
-    """() whether it keeps its thrust, bool; otherwise it loses it."""
-    failure_time: Array
-    """() [s]."""
-    decay: Array
-    """() time constant with which it loses it [s]."""
-    sensor_noise: Array | None
-    """(ticks, j) added to the thrust that estimators measure [N]; `None` where there are no estimators."""
+    lag: Float[Array, ""]
+    """Time constant of the response [s]."""
+    lower: Float[Array, " j"]
+    """Least thrust [N]."""
+    upper: Float[Array, " j"]
+    """Greatest thrust [N]."""
+    fails: Bool[Array, " j"]
+    """Whether this is the jet that fails."""
+    is_stuck: Bool[Array, ""]
+    """Whether it keeps its thrust, bool; otherwise it loses it."""
+    failure_time: Float[Array, ""]
+    """[s]."""
+    decay: Float[Array, ""]
+    """Time constant with which it loses it [s]."""
+    sensor_noise: Float[Array, "ticks j"] | None
+    """Added to the thrust that estimators measure [N]; `None` where there are no estimators."""
 
 
 class FaultState(NamedTuple):
     """State of the faults."""
 
-    command: Array
-    """(j,) thrust rates that reach the jets [N/s]."""
-    left: Array
-    """() time until the failure [s]; negative behind it."""
-    held: Array
-    """() thrust of the failing jet at its failure [N]."""
-    tick: Array
-    """() int32: number of steps taken."""
+    command: Float[Array, " j"]
+    """Thrust rates that reach the jets [N/s]."""
+    left: Float[Array, ""]
+    """Time until the failure [s]; negative behind it."""
+    held: Float[Array, ""]
+    """Thrust of the failing jet at its failure [N]."""
+    tick: Int[Array, ""]
+    """Number of steps taken."""
 
 
 def start_faults(

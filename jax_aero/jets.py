@@ -1,18 +1,20 @@
 """Thrust of the jet engines, from the thrust rate that the controller commands.
 
-    JetsConfig, RobotModel ──start_jets──► JetsModel, JetsState;   thrust rate command ──advance_jets──► JetsState
+    JetsConfig, RobotModel ──jet_dynamics──► JetDynamics;   thrust rate command ──advance──► JetsState
 
 Two dynamics: `ideal` obeys the command exactly, as in every published flight; `second_order` is the identified engine,
 with the throttle loop and the estimator that the real robot needs. All functions serve all jets at once.
+`JetDynamics` is a protocol: any pytree with its methods will do.
 
 Equations M31 to M35 of `docs/model.md`.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, Protocol, assert_never
 
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from jax_aero.config import Ideal, JetsConfig, SecondOrderConfig
 from jax_aero.robot import RobotModel
@@ -46,8 +48,68 @@ class Engines(NamedTuple):
     throttle_max: Array
 
 
+class JetsState(NamedTuple):
+    """The jets at one moment."""
+
+    thrust: Float[Array, " j"]
+    """True thrust [N]."""
+    thrust_rate: Float[Array, " j"]
+    """True thrust rate [N/s]; under ideal dynamics the last command."""
+    engine: Any = None
+    """Further state of the dynamics: a pytree of their own."""
+
+
+class JetDynamics(Protocol):
+    """How thrust follows the command, for all jets at once: a pytree whose numbers are leaves."""
+
+    def start(self, thrust: Array) -> JetsState:
+        """Jets at `thrust` (j,) [N] with thrust rate zero."""
+        ...
+
+    def feedback(self, state: JetsState) -> Array:
+        """Thrust that the flight controller is given (j,) [N]."""
+        ...
+
+    def advance(self, state: JetsState, command: Array, dt: Array | float, measured: Array | None = None) -> JetsState:
+        """Move every jet on by `dt` [s] under the commanded thrust rates (j,) [N/s], held constant.
+
+        Estimators are given the thrust `measured` (j,) [N], the true one without it.
+        """
+        ...
+
+
 @pytree
-class SecondOrder:
+class IdealJets:
+    """Thrust is the integral of the commanded rate, without clipping: the bounds on it are the controller's."""
+
+    def start(self, thrust: Array) -> JetsState:
+        """Jets at `thrust` (j,) [N] with thrust rate zero."""
+        return JetsState(thrust, jnp.zeros_like(thrust))
+
+    def feedback(self, state: JetsState) -> Array:
+        """Return the true thrust (j,) [N]."""
+        return state.thrust
+
+    def advance(self, state: JetsState, command: Array, dt: Array | float, measured: Array | None = None) -> JetsState:  # noqa: ARG002 - nothing estimates here
+        """`T ← T + Ṫ* dt`."""
+        return JetsState(state.thrust + dt * command, command)
+
+
+class EngineState(NamedTuple):
+    """State of second-order jets besides thrust and thrust rate."""
+
+    throttle: Float[Array, " j"]
+    """Of the last step [%]."""
+    integral: Float[Array, " j"]
+    """`∫ (Ṫ − Ṫ*) dt` [N]."""
+    estimate: Float[Array, "j 2"]
+    """Estimated thrust and thrust rate [N, N/s]."""
+    covariance: Float[Array, "j 2 2"]
+    """Of the estimate."""
+
+
+@pytree
+class SecondOrderJets:
     """Identified engines, their throttle loop and the noise their estimator assumes."""
 
     engines: Engines
@@ -55,96 +117,75 @@ class SecondOrder:
     """[1/s]"""
     rate_gain_i: Array
     """[1/s²]"""
-    q: Array
-    """(2, 2) process noise of the estimator."""
-    r: Array
-    """() measurement noise of the estimator."""
-    feedback: Static[str]
-    """Which thrust the flight controller is given, `measured` or `estimated`."""
+    q: Float[Array, "2 2"]
+    """Process noise of the estimator."""
+    r: Float[Array, ""]
+    """Measurement noise of the estimator."""
+    feedback_is_estimated: Static[bool]
+    """Whether the flight controller is given the estimated thrust, not the true one."""
+    init_state: Float[Array, "2"] | None
+    """First estimate of thrust and thrust rate [N, N/s]; without it (thrust, 0)."""
+    init_p: Float[Array, "2 2"]
+    """Covariance of the first estimate."""
+
+    def start(self, thrust: Array) -> JetsState:
+        """Jets at `thrust` (j,) [N] with thrust rate zero, their throttle in equilibrium."""
+        rest = jnp.zeros_like(thrust)
+        estimate = jnp.stack([thrust, rest], axis=1)
+        if self.init_state is not None:
+            estimate = jnp.broadcast_to(jnp.asarray(self.init_state), estimate.shape)
+        covariance = jnp.broadcast_to(jnp.asarray(self.init_p), (*thrust.shape, 2, 2))
+        throttle = steady_throttle(self.engines, thrust)
+        return JetsState(thrust, rest, EngineState(throttle, rest, estimate, covariance))
+
+    def feedback(self, state: JetsState) -> Array:
+        """Thrust (j,) [N], true or estimated."""
+        estimate: Array = state.engine.estimate[:, 0]
+        return estimate if self.feedback_is_estimated else state.thrust
+
+    def advance(self, state: JetsState, command: Array, dt: Array | float, measured: Array | None = None) -> JetsState:
+        """Move throttles on from the present estimate, then estimators and engines over `dt` [s]."""
+        throttle, integral = _throttle_loop(self, state.engine, command, dt)
+        seen = state.thrust if measured is None else measured
+        estimate, covariance = _update_ekf(self, state.engine, seen, throttle, dt)
+        # T̈ at the start of the step, as in the published simulator.
+        acceleration = thrust_acceleration(self.engines, state.thrust, state.thrust_rate, throttle)
+        return JetsState(
+            thrust=state.thrust + dt * (state.thrust_rate + 0.5 * dt * acceleration),
+            thrust_rate=state.thrust_rate + dt * acceleration,
+            engine=EngineState(throttle, integral, estimate, covariance),
+        )
 
 
-JetsModel: TypeAlias = Ideal | SecondOrder
+def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
+    """Build the dynamics that the configuration asks for.
 
-
-class EngineState(NamedTuple):
-    """State of second-order jets besides thrust and thrust rate."""
-
-    throttle: Array
-    """(j,) of the last step [%]."""
-    integral: Array
-    """(j,) `∫ (Ṫ − Ṫ*) dt` [N]."""
-    estimate: Array
-    """(j, 2) estimated thrust and thrust rate [N, N/s]."""
-    covariance: Array
-    """(j, 2, 2) of the estimate."""
-
-
-class JetsState(NamedTuple):
-    """The jets at one moment."""
-
-    thrust: Array
-    """(j,) true thrust [N]."""
-    thrust_rate: Array
-    """(j,) true thrust rate [N/s]; under ideal dynamics the last command."""
-    engine: EngineState | None
-    """`None` under ideal dynamics."""
-
-
-def start_jets(settings: JetsConfig, robot: RobotModel, thrust: Array) -> tuple[JetsModel, JetsState]:
-    """Jets at `thrust` (j,) [N] with thrust rate zero."""
-    thrust = jnp.asarray(thrust)
-    rest = JetsState(thrust, jnp.zeros_like(thrust), None)
-    if not isinstance(settings, SecondOrderConfig):
-        return settings, rest
-    names = settings.engines or robot.jets.engines
-    if unknown := set(names) - set(robot.engines):
-        raise ValueError(f"engines {sorted(unknown)} are unknown; {robot.name} has {', '.join(sorted(robot.engines))}")
-    coefficients = jnp.stack([jnp.asarray(robot.engines[name]) for name in names])
-    model = SecondOrder(
-        engines=Engines(*coefficients.T),
-        rate_gain_p=settings.rate_gain_p,
-        rate_gain_i=settings.rate_gain_i,
-        q=settings.ekf.q,
-        r=settings.ekf.r,
-        feedback=settings.feedback,
-    )
-    estimate = jnp.stack([thrust, jnp.zeros_like(thrust)], axis=1)
-    if settings.ekf.init_state is not None:
-        estimate = jnp.broadcast_to(jnp.asarray(settings.ekf.init_state), estimate.shape)
-    covariance = jnp.broadcast_to(jnp.asarray(settings.ekf.init_p), (*thrust.shape, 2, 2))
-    throttle = steady_throttle(model.engines, thrust)
-    return model, rest._replace(engine=EngineState(throttle, jnp.zeros_like(thrust), estimate, covariance))
-
-
-def thrust_feedback(model: JetsModel, state: JetsState) -> Array:
-    """Thrust that the flight controller is given (j,) [N]."""
-    if isinstance(model, SecondOrder) and state.engine is not None and model.feedback == "estimated":
-        return state.engine.estimate[:, 0]
-    return state.thrust
-
-
-def advance_jets(
-    model: JetsModel, state: JetsState, command: Array, dt: Array | float, measured: Array | None = None
-) -> JetsState:
-    """Move every jet on by `dt` [s] under the commanded thrust rates (j,) [N/s], held constant.
-
-    Estimators are given the thrust `measured` (j,) [N], the true one without it.
-
-    Ideal: `T ← T + Ṫ* dt`, without clipping: the bounds on `Ṫ*` are the controller's. Second order: throttle from the
-    present estimate, then estimator and engine over `dt`.
+    Raises
+    ------
+    ValueError
+        For an engine that the robot's file does not have.
     """
-    if not isinstance(model, SecondOrder) or state.engine is None:
-        return JetsState(state.thrust + dt * command, command, None)
-    throttle, integral = _throttle_loop(model, state.engine, command, dt)
-    seen = state.thrust if measured is None else measured
-    estimate, covariance = _update_ekf(model, state.engine, seen, throttle, dt)
-    # T̈ at the start of the step, as in the published simulator.
-    acceleration = thrust_acceleration(model.engines, state.thrust, state.thrust_rate, throttle)
-    return JetsState(
-        thrust=state.thrust + dt * (state.thrust_rate + 0.5 * dt * acceleration),
-        thrust_rate=state.thrust_rate + dt * acceleration,
-        engine=EngineState(throttle, integral, estimate, covariance),
-    )
+    match settings:
+        case Ideal():
+            return IdealJets()
+        case SecondOrderConfig():
+            names = settings.engines or robot.jets.engines
+            if unknown := set(names) - set(robot.engines):
+                known = ", ".join(sorted(robot.engines))
+                raise ValueError(f"engines {sorted(unknown)} are unknown; {robot.name} has {known}")
+            coefficients = jnp.stack([jnp.asarray(robot.engines[name]) for name in names])
+            return SecondOrderJets(
+                engines=Engines(*coefficients.T),
+                rate_gain_p=settings.rate_gain_p,
+                rate_gain_i=settings.rate_gain_i,
+                q=settings.ekf.q,
+                r=settings.ekf.r,
+                feedback_is_estimated=settings.feedback == "estimated",
+                init_state=settings.ekf.init_state,
+                init_p=settings.ekf.init_p,
+            )
+        case _:
+            assert_never(settings)
 
 
 def drift(e: Engines, thrust: Array, thrust_rate: Array) -> Array:
@@ -196,7 +237,9 @@ def _limited_throttle(e: Engines, v: Array) -> Array:
     return jnp.clip(throttle_from_input(e, limited), e.throttle_min, e.throttle_max)
 
 
-def _throttle_loop(model: SecondOrder, state: EngineState, command: Array, dt: Array | float) -> tuple[Array, Array]:
+def _throttle_loop(
+    model: SecondOrderJets, state: EngineState, command: Array, dt: Array | float
+) -> tuple[Array, Array]:
     """Feedback linearisation of the engine to `T̈ = −k_p e − k_i ∫e`, `e = Ṫ − Ṫ*`: new throttle and integral.
 
         v = −( k_p e + f(T, Ṫ) + k_i ∫e ) / g(T, Ṫ),   u = v⁻¹(clamp v)
@@ -216,7 +259,7 @@ def _throttle_loop(model: SecondOrder, state: EngineState, command: Array, dt: A
 
 
 def _update_ekf(
-    model: SecondOrder, state: EngineState, measured: Array, throttle: Array, dt: Array | float
+    model: SecondOrderJets, state: EngineState, measured: Array, throttle: Array, dt: Array | float
 ) -> tuple[Array, Array]:
     """Advance the extended Kalman filter of every engine: continuous-time form, forward Euler.
 

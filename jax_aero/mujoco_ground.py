@@ -211,7 +211,7 @@ def _model(source: str, simulator: Mapping[str, Any]) -> Any:
     return model
 
 
-def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rust.Flight:
+def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rust.FlightResult:
     """Let the robot of a configuration stand, to the end or until it tips over.
 
     Returns what `rust.fly` returns, with the signals of the ground besides: see `GROUND_SIGNALS` of
@@ -255,7 +255,7 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
         if progress is not None:
             progress(k, len(blowing) - 1)
     log = {name: np.array([row[name] for row in rows], dtype=np.float64) for name in rows[0]}
-    return rust.Flight(
+    return rust.FlightResult(
         log=log,
         joint_reference=np.asarray(posture),
         outcome="completed" if fall is None else "fell",

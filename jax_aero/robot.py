@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+from jaxtyping import Float
 
 from jax_aero.types import Array, Static, pytree
 from jax_aero.urdf import BodyTree, read_tree
@@ -32,14 +33,14 @@ class Jets:
     """Body that carries each jet."""
     engines: Static[tuple[str, ...]]
     """Name of each jet's engine in `RobotModel.engines`."""
-    rotations: Array
-    """(j, 3, 3) `body_from_frame`."""
-    positions: Array
-    """(j, 3) origins in body axes [m]."""
-    axes: Array
-    """(j, 3) direction of the force on the robot, in frame axes."""
-    thrust_max: Array
-    """(j,) [N]."""
+    rotations: Float[Array, "j 3 3"]
+    """`body_from_frame`."""
+    positions: Float[Array, "j 3"]
+    """Origins in body axes [m]."""
+    axes: Float[Array, "j 3"]
+    """Direction of the force on the robot, in frame axes."""
+    thrust_max: Float[Array, " j"]
+    """[N]."""
 
     @property
     def count(self) -> int:
@@ -55,18 +56,18 @@ class AeroLinks:
     bodies: Static[tuple[int, ...]]
     """Body that carries each link."""
     is_sphere: Static[tuple[bool, ...]]
-    rotations: Array
-    """(L, 3, 3) `body_from_link`."""
-    positions: Array
-    """(L, 3) origins in body axes [m]."""
-    axes: Array
-    """(L, 3) unit axes of symmetry in link axes."""
-    centres: Array
-    """(L, 3) where the force acts, in link axes [m]."""
-    diameters: Array
-    """(L,) [m]."""
-    lengths: Array
-    """(L,) along the axis [m]."""
+    rotations: Float[Array, "L 3 3"]
+    """`body_from_link`."""
+    positions: Float[Array, "L 3"]
+    """Origins in body axes [m]."""
+    axes: Float[Array, "L 3"]
+    """Unit axes of symmetry in link axes."""
+    centres: Float[Array, "L 3"]
+    """Where the force acts, in link axes [m]."""
+    diameters: Float[Array, " L"]
+    """[m]."""
+    lengths: Float[Array, " L"]
+    """Along the axis [m]."""
     coefficients: dict[str, Array]
     """By set: (L, 6) force areas `w0 .. w4` of the drag and `w5` of the normal force [m²]."""
 
@@ -89,22 +90,22 @@ class RobotModel:
     """Groups of joints as (name, indices); together they hold every joint once, in order."""
     source: Static[str]
     """Path of the TOML file, from which the MuJoCo model is built too."""
-    masses: Array
-    """(nb,) [kg]."""
-    coms: Array
-    """(nb, 3) centres of mass in body axes [m]."""
-    inertias: Array
-    """(nb, 3, 3) about the centre of mass, body axes [kg m²]."""
-    joint_rotations: Array
-    """(n, 3, 3) `parent_from_child` at joint position zero."""
-    joint_positions: Array
-    """(n, 3) origins of the child bodies in parent axes [m]."""
-    joint_axes: Array
-    """(n, 3) unit axes in child axes."""
-    joint_limits: Array
-    """(n, 2) limits the controller respects, lower and upper [rad]."""
-    gravity: Array
-    """() [m/s²], positive; pulls along −z."""
+    masses: Float[Array, " nb"]
+    """[kg]."""
+    coms: Float[Array, "nb 3"]
+    """Centres of mass in body axes [m]."""
+    inertias: Float[Array, "nb 3 3"]
+    """About the centre of mass, body axes [kg m²]."""
+    joint_rotations: Float[Array, "n 3 3"]
+    """`parent_from_child` at joint position zero."""
+    joint_positions: Float[Array, "n 3"]
+    """Origins of the child bodies in parent axes [m]."""
+    joint_axes: Float[Array, "n 3"]
+    """Unit axes in child axes."""
+    joint_limits: Float[Array, "n 2"]
+    """Limits the controller respects, lower and upper [rad]."""
+    gravity: Float[Array, ""]
+    """[m/s²], positive; pulls along −z."""
     jets: Jets
     aero_links: AeroLinks
     engines: dict[str, Array]

@@ -26,11 +26,10 @@ from __future__ import annotations
 import copy
 import difflib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from os import PathLike, fspath
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,10 +37,8 @@ from scipy.spatial.transform import Rotation
 
 from jax_aero import _core
 from jax_aero._core import BoxQpSolver, Robot, __version__, kkt_residual
-from jax_aero.keys import set_key
-
-if TYPE_CHECKING:
-    from jax_aero._core import _Flight
+from jax_aero.io import override
+from jax_aero.result import FlightResult, Progress
 
 __all__ = [
     "BoxQpSolver",
@@ -49,8 +46,11 @@ __all__ = [
     "ContactTick",
     "Controller",
     "Dynamics",
-    "Flight",
+    "FlightResult",
     "Jacobian",
+    "Measurement",
+    "Plant",
+    "Progress",
     "QpAnswer",
     "QpProblem",
     "Reference",
@@ -80,12 +80,6 @@ Array = NDArray[np.float64]
 
 Config = dict[str, Any]
 """A resolved flight configuration: nested tables of plain values, every default written out."""
-
-PATH_KEYS = ("robot", "path", "file", "card")
-"""Keys whose value is a path, the same as in the crate."""
-
-Progress = Callable[[int, int], None]
-"""Called with (ticks flown, ticks in all)."""
 
 
 class State(NamedTuple):
@@ -141,6 +135,27 @@ class Dynamics:
     momentum_matrix: Array
     momentum: Array
     centroidal_inertia: Array
+
+
+class Measurement(NamedTuple):
+    """What a controller is given at a tick.
+
+    Attributes
+    ----------
+    time
+        Since the flight began [s].
+    state
+        Pose and velocity of the robot.
+    thrust
+        Thrust of every jet [N].
+    wind
+        Velocity of the air [m/s, inertial axes].
+    """
+
+    time: float
+    state: State
+    thrust: Array
+    wind: Array
 
 
 class Jacobian(NamedTuple):
@@ -226,6 +241,52 @@ class ContactTick:
     jacobian: Array
     velocity_product: Array
     standing_qp: RowProblem | None
+
+
+class Plant:
+    """The simulated robot of a configuration, with its jets and wind, for a control loop of your own.
+
+    >>> plant = Plant(load_config("configs/experiments/test2.toml"))
+    >>> measurement = plant.reset()
+    >>> measurement = plant.step(thrust_rate=[0.0] * 4, joint_torque=[0.0] * 23)
+    >>> measurement.time
+    0.01
+    """
+
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        self._core = _core.Plant(_to_json(config))
+        self.link_forces: Array | None = None
+        """Aerodynamic forces that acted in the last step [N], (links, 3), inertial axes; `None` before the first."""
+
+    def reset(self) -> Measurement:
+        """Return to the initial state, and measure it."""
+        self._core.reset()
+        self.link_forces = None
+        return self.measure()
+
+    def measure(self) -> Measurement:
+        """Return what a controller is given now."""
+        raw = self._core.measure()
+        state = State(raw["base_position"], raw["base_rotation"], raw["joint_position"], raw["velocity"])
+        return Measurement(raw["time"], state, raw["thrust"], raw["wind"])
+
+    def step(
+        self, thrust_rate: ArrayLike, joint_torque: ArrayLike, link_forces: ArrayLike | None = None
+    ) -> Measurement:
+        """Advance one tick, and measure.
+
+        Parameters
+        ----------
+        thrust_rate
+            Commanded rate of every thrust [N/s], held.
+        joint_torque
+            Torque of every joint [N m], held.
+        link_forces
+            Aerodynamic force on every link [N], (links, 3), inertial axes, in place of the configured model's; held.
+        """
+        forces = None if link_forces is None else _array(link_forces)
+        self.link_forces = self._core.step(_array(thrust_rate), _array(joint_torque), forces)
+        return self.measure()
 
 
 @dataclass(frozen=True)
@@ -384,46 +445,6 @@ def _contact_tick(raw: dict[str, Any]) -> ContactTick:
     return ContactTick(standing_qp=RowProblem(**parts) if parts else None, **raw)
 
 
-@dataclass(frozen=True)
-class Flight:
-    """One flight: its log and how it ended.
-
-    Attributes
-    ----------
-    log
-        Signal name to array; the first axis is time. `experiments/record.py` names every signal, with its unit.
-    joint_reference
-        Posture of the first tick, which the controller keeps pulling towards [rad].
-    outcome
-        "completed", or "fell" when the simulator's fall criterion was met.
-    fall_time, fall_reason
-        When [s] and by which criterion; `None` for a completed flight.
-    summary
-        Extremes of the flight, as the crate computes them.
-    """
-
-    log: Mapping[str, NDArray[np.float64]]
-    joint_reference: NDArray[np.float64]
-    outcome: Literal["completed", "fell"]
-    fall_time: float | None
-    fall_reason: str | None
-    summary: Mapping[str, float]
-
-    def __getitem__(self, signal: str) -> NDArray[np.float64]:
-        return self.log[signal]
-
-    @classmethod
-    def _from_core(cls, raw: _Flight) -> Flight:
-        return cls(
-            log=raw["log"],
-            joint_reference=raw["joint_reference"],
-            outcome=raw["outcome"],
-            fall_time=raw["fall_time"],
-            fall_reason=raw["fall_reason"],
-            summary=raw["summary"],
-        )
-
-
 def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> Config:
     """Read a flight configuration, merge the files it builds on, apply overrides, check it.
 
@@ -455,9 +476,9 @@ def config_digest(config: Mapping[str, Any]) -> str:
     return _core.config_digest(_to_json(config))
 
 
-def fly(config: Mapping[str, Any], progress: Progress | None = None) -> Flight:
+def fly(config: Mapping[str, Any], progress: Progress | None = None) -> FlightResult:
     """Fly one configuration from start to end, or to the fall. Ctrl-C interrupts it."""
-    return Flight._from_core(_core.fly(_to_json(config), progress))
+    return FlightResult(**_core.fly(_to_json(config), progress))
 
 
 def fly_batch(
@@ -466,13 +487,13 @@ def fly_batch(
     progress: Progress | None = None,
     *,
     full_log: bool = False,
-) -> list[Flight]:
+) -> list[FlightResult]:
     """Fly many configurations over threads; the results do not depend on how many.
 
     Without `full_log` only outcome and summary are sure to be there.
     """
     texts = [_to_json(config) for config in configs]
-    return [Flight._from_core(raw) for raw in _core.fly_batch(texts, threads, progress, full_log)]
+    return [FlightResult(**raw) for raw in _core.fly_batch(texts, threads, progress, full_log)]
 
 
 def dynamics(robot: Robot, state: State) -> Dynamics:
@@ -554,7 +575,7 @@ def _with_overrides(config: Config, overrides: Mapping[str, Any]) -> Config:
     """Return a checked copy of `config` with these dotted keys changed."""
     changed = copy.deepcopy(config)
     for key, value in overrides.items():
-        _set(changed, key, value)
+        override(changed, key, value)
     try:
         check_config(changed)  # all together: a ramp may move as a whole, past its old end
     except ValueError as reason:
@@ -567,16 +588,10 @@ def _with_overrides(config: Config, overrides: Mapping[str, Any]) -> Config:
     return changed
 
 
-def _set(config: Config, key: str, value: Any) -> None:
-    # In a file, a path is relative to that file; here it is relative to the current folder.
-    is_path = key.rsplit(".", 1)[-1] in PATH_KEYS and isinstance(value, str)
-    set_key(config, key, str(Path(value).resolve()) if is_path else value)
-
-
 def _refuse_unknown(config: Config, key: str, value: Any) -> None:
     """Raise for a key that is not in `config` and that the crate does not accept on its own either."""
     alone = copy.deepcopy(config)
-    _set(alone, key, value)
+    override(alone, key, value)
     try:
         check_config(alone)
     except ValueError as reason:

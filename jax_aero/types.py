@@ -14,6 +14,7 @@ from typing import Annotated, Any, NamedTuple, TypeAlias, TypeVar, dataclass_tra
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 Array: TypeAlias = jax.Array
 """An array; before it enters a traced function it may as well be a NumPy array, which keeps its 64 bits."""
@@ -43,85 +44,85 @@ class State(NamedTuple):
     base, both in inertial axes.
     """
 
-    base_position: Array
-    """(3,) position of the base origin [m]."""
-    base_rotation: Array
-    """(3, 3) rotation `inertial_from_base`."""
-    joint_position: Array
-    """(n,) [rad]."""
-    velocity: Array
-    """(N,) mixed velocity `ν` [m/s, rad/s, rad/s]."""
+    base_position: Float[Array, "3"]
+    """Position of the base origin [m]."""
+    base_rotation: Float[Array, "3 3"]
+    """Rotation `inertial_from_base`."""
+    joint_position: Float[Array, " n"]
+    """[rad]."""
+    velocity: Float[Array, " N"]
+    """Mixed velocity `ν` [m/s, rad/s, rad/s]."""
 
 
 class Kinematics(NamedTuple):
     """Poses and velocities of all bodies. Body 0 is the base; joint `i` moves body `i + 1`."""
 
-    body_rotations: Array
-    """(nb, 3, 3) `inertial_from_body`."""
-    body_positions: Array
-    """(nb, 3) origins of the bodies [m]."""
-    joint_axes: Array
-    """(n, 3) unit axes of the joints, inertial axes."""
-    com: Array
-    """(3,) centre of mass [m]."""
-    angular_velocities: Array
-    """(nb, 3) [rad/s]."""
-    linear_velocities: Array
-    """(nb, 3) velocities of the bodies' origins [m/s]."""
-    joint_position: Array
-    """(n,) joint positions these are the kinematics of [rad]."""
+    body_rotations: Float[Array, "nb 3 3"]
+    """`inertial_from_body`."""
+    body_positions: Float[Array, "nb 3"]
+    """Origins of the bodies [m]."""
+    joint_axes: Float[Array, "n 3"]
+    """Unit axes of the joints, inertial axes."""
+    com: Float[Array, "3"]
+    """Centre of mass [m]."""
+    angular_velocities: Float[Array, "nb 3"]
+    """[rad/s]."""
+    linear_velocities: Float[Array, "nb 3"]
+    """Velocities of the bodies' origins [m/s]."""
+    joint_position: Float[Array, " n"]
+    """Joint positions these are the kinematics of [rad]."""
 
 
 class Dynamics(NamedTuple):
     """Rigid-body dynamics `M ν̇ + h = Σ generalised forces` and centroidal momentum `(l, k) = A_G ν`."""
 
-    mass_matrix: Array
-    """(N, N) `M`."""
-    bias: Array
-    """(N,) `h`: Coriolis, centrifugal and gravity forces."""
-    momentum_matrix: Array
-    """(6, N) `A_G`, linear rows first."""
-    momentum: Array
-    """(6,) `A_G ν` [kg m/s, kg m²/s]."""
-    centroidal_inertia: Array
-    """(3, 3) rotational inertia about the centre of mass [kg m²]."""
+    mass_matrix: Float[Array, "N N"]
+    """`M`."""
+    bias: Float[Array, " N"]
+    """`h`: Coriolis, centrifugal and gravity forces."""
+    momentum_matrix: Float[Array, "6 N"]
+    """`A_G`, linear rows first."""
+    momentum: Float[Array, "6"]
+    """`A_G ν` [kg m/s, kg m²/s]."""
+    centroidal_inertia: Float[Array, "3 3"]
+    """Rotational inertia about the centre of mass [kg m²]."""
 
 
 class LinkForces(NamedTuple):
     """Aerodynamic state of every link."""
 
-    axes: Array
-    """(L, 3) unit axes of symmetry."""
-    v_air: Array
-    """(L, 3) velocity of the air that each force was computed with [m/s]: relative to the link, or, for a network, to
+    axes: Float[Array, "L 3"]
+    """Unit axes of symmetry."""
+    v_air: Float[Array, "L 3"]
+    """Velocity of the air that each force was computed with [m/s]: relative to the link, or, for a network, to
     the base origin."""
-    arm_points: Array
-    """(L, 3) points at which moments are formed [m]."""
-    jacobian_points: Array
-    """(L, 3) points whose Jacobians carry the forces [m]."""
-    forces: Array
-    """(L, 3) [N]."""
+    arm_points: Float[Array, "L 3"]
+    """Points at which moments are formed [m]."""
+    jacobian_points: Float[Array, "L 3"]
+    """Points whose Jacobians carry the forces [m]."""
+    forces: Float[Array, "L 3"]
+    """[N]."""
 
 
 class Reference(NamedTuple):
     """What the controller follows at one tick. Angular quantities are in axes of the desired base."""
 
-    com_position: Array
-    """(3,) [m]."""
-    com_velocity: Array
-    """(3,) [m/s]."""
-    com_acceleration: Array
-    """(3,) [m/s²]."""
-    com_jerk: Array
-    """(3,) [m/s³]."""
-    rotation: Array
-    """(3, 3) desired `inertial_from_base`."""
-    angular_velocity: Array
-    """(3,) [rad/s]."""
-    angular_acceleration: Array
-    """(3,) [rad/s²]."""
-    angular_jerk: Array
-    """(3,) [rad/s³]."""
+    com_position: Float[Array, "3"]
+    """[m]."""
+    com_velocity: Float[Array, "3"]
+    """[m/s]."""
+    com_acceleration: Float[Array, "3"]
+    """[m/s²]."""
+    com_jerk: Float[Array, "3"]
+    """[m/s³]."""
+    rotation: Float[Array, "3 3"]
+    """Desired `inertial_from_base`."""
+    angular_velocity: Float[Array, "3"]
+    """[rad/s]."""
+    angular_acceleration: Float[Array, "3"]
+    """[rad/s²]."""
+    angular_jerk: Float[Array, "3"]
+    """[rad/s³]."""
 
 
 def where(condition: Array, yes: Tree, no: Tree) -> Tree:

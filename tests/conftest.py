@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from experiments import record
-from jax_aero.rust import Flight
+from jax_aero.result import FlightResult
 
 pytest_plugins = ["tests.measurements"]
 
@@ -76,7 +76,7 @@ def robot() -> MadeUpRobot:
     return MadeUpRobot()
 
 
-def made_up_flight(duration: float = 50.0, fall_time: float | None = None, step: float = 0.1) -> Flight:
+def made_up_flight(duration: float = 50.0, fall_time: float | None = None, step: float = 0.1) -> FlightResult:
     t = np.arange(0.0, (fall_time or duration) + step / 2, step)
     n = t.size
     ramp = np.clip((t - 5.0) / 5.0, 0.0, 1.0)
@@ -115,7 +115,7 @@ def made_up_flight(duration: float = 50.0, fall_time: float | None = None, step:
         "qp_kkt": np.full((n, 2), 1e-12),
         "qp_iterations": np.full((n, 2), 3.0),
     }
-    return Flight(
+    return FlightResult(
         log=log,
         joint_reference=np.full(23, 0.2),
         outcome="fell" if fall_time else "completed",
@@ -126,7 +126,7 @@ def made_up_flight(duration: float = 50.0, fall_time: float | None = None, step:
 
 
 @pytest.fixture
-def make_flight() -> Callable[..., Flight]:
+def make_flight() -> Callable[..., FlightResult]:
     return made_up_flight
 
 

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from experiments.engines import Failure
 from experiments.sweep.design import Design, config_hash
 from jax_aero.files import complete_file
-from jax_aero.rust import Flight
+from jax_aero.result import FlightResult
 from jax_aero.summary import SETTLING_TIME
 
 SUMMARY = (
@@ -86,7 +86,10 @@ def _axis_columns(design: Design) -> Iterator[tuple[str, pa.DataType]]:
 
 
 def rows(
-    design: Design, indices: Sequence[int], configs: Sequence[Mapping[str, Any]], flights: Sequence[Flight | Failure]
+    design: Design,
+    indices: Sequence[int],
+    configs: Sequence[Mapping[str, Any]],
+    flights: Sequence[FlightResult | Failure],
 ) -> pa.Table:
     """Return flights as rows."""
     records = []

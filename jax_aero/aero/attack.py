@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from jax_aero.spatial import cross, safe_norm
 from jax_aero.types import Array
@@ -19,12 +20,12 @@ SPEED_EPSILON = 1e-9
 class Attack(NamedTuple):
     """Angle between the link's axis and the *upstream* direction, as cosine and sine, and the speed of the air."""
 
-    speed: Array
-    """(L,) [m/s]."""
-    cos: Array
-    """(L,); 1 when the air comes from where the axis points."""
-    sin: Array
-    """(L,), not negative."""
+    speed: Float[Array, " L"]
+    """[m/s]."""
+    cos: Float[Array, " L"]
+    """1 when the air comes from where the axis points."""
+    sin: Float[Array, " L"]
+    """Not negative."""
 
 
 def attack(axes: Array, v_air: Array) -> Attack:

@@ -5,7 +5,10 @@ Equation M20 of `docs/model.md`.
 
 from __future__ import annotations
 
+from jaxtyping import Float
+
 from jax_aero.aero.attack import attack, normal_directions
+from jax_aero.aero.protocol import LinksInAir
 from jax_aero.types import Array, pytree
 
 
@@ -13,10 +16,14 @@ from jax_aero.types import Array, pytree
 class Axisymmetric:
     """The axisymmetric model of some links."""
 
-    k_a: Array
-    """() `ρ/2` [kg/m³]."""
-    areas: Array
-    """(L, 6) coefficients `w0 .. w5` [m²]."""
+    k_a: Float[Array, ""]
+    """`ρ/2` [kg/m³]."""
+    areas: Float[Array, "L 6"]
+    """Coefficients `w0 .. w5` [m²]."""
+
+    def forces(self, links: LinksInAir) -> Array:
+        """Force on each link (L, 3) [N]; see `axisymmetric_forces`."""
+        return axisymmetric_forces(self, links.axes, links.v_air)
 
 
 def axisymmetric_forces(model: Axisymmetric, axes: Array, v_air: Array) -> Array:

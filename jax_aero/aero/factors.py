@@ -6,6 +6,7 @@ Equation M40 of `docs/model.md`.
 from __future__ import annotations
 
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from jax_aero.config import ForceFactorsConfig
 from jax_aero.robot import RobotModel
@@ -16,12 +17,12 @@ from jax_aero.types import Array, LinkForces, pytree
 class ForceFactors:
     """Factors on the force of every link."""
 
-    drag: Array
-    """() on the part along `v_air`."""
-    normal: Array
-    """() on the part across it."""
-    links: Array
-    """(L,) on the whole force of a link."""
+    drag: Float[Array, ""]
+    """On the part along `v_air`."""
+    normal: Float[Array, ""]
+    """On the part across it."""
+    links: Float[Array, " L"]
+    """On the whole force of a link."""
 
 
 def force_factors(settings: ForceFactorsConfig, robot: RobotModel, table: str = "aero_factors") -> ForceFactors:

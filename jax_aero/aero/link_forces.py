@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jax_aero.aero.model import AeroModel, NetworkModel, model_forces, whole_robot_forces
+from jax_aero.aero.model import NetworkModel
+from jax_aero.aero.protocol import AeroModel, LinksInAir
 from jax_aero.config import JacobianOffset, LeverArm, LinkVelocity
 from jax_aero.kinematics import frame_poses, generalised_force, velocities_at
 from jax_aero.robot import RobotModel
@@ -42,11 +43,10 @@ def link_forces(
     velocity_points = jacobian_points + links.centres if shifted_twice else centres
     axes = rotate(rotations, links.axes)
     v_air = wind - velocities_at(kin, links.bodies, velocity_points)
-    if isinstance(model, NetworkModel):
-        base_wind = jnp.broadcast_to(wind - kin.linear_velocities[0], v_air.shape)
-        forces = whole_robot_forces(model, robot, kin, wind)
-        return LinkForces(axes, base_wind, arm_points, jacobian_points, forces)
-    return LinkForces(axes, v_air, arm_points, jacobian_points, model_forces(model, axes, v_air))
+    forces = model.forces(LinksInAir(axes, v_air, wind, robot, kin))
+    if isinstance(model, NetworkModel):  # its forces belong to the air that the base meets
+        v_air = jnp.broadcast_to(wind - kin.linear_velocities[0], v_air.shape)
+    return LinkForces(axes, v_air, arm_points, jacobian_points, forces)
 
 
 def scaled(link: LinkForces, factor: Array) -> LinkForces:

@@ -1,71 +1,73 @@
-"""Aerodynamic models, and the functions that dispatch on them."""
+"""From the configuration of an aerodynamic model to the model."""
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias
+from collections.abc import Callable
+from os import PathLike
+from typing import Literal, assert_never
 
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from jax_aero import config
-from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
+from jax_aero.aero.axisymmetric import Axisymmetric
 from jax_aero.aero.network import Network, network_forces, with_precision
 from jax_aero.aero.network_card import load_network
-from jax_aero.aero.sphere_cylinder import SphereCylinder, sphere_cylinder_forces, sphere_cylinder_model
-from jax_aero.config import Off
+from jax_aero.aero.protocol import AeroModel, LinksInAir
+from jax_aero.aero.sphere_cylinder import sphere_cylinder_model
 from jax_aero.robot import RobotModel
-from jax_aero.types import Array, Kinematics, Static, pytree
+from jax_aero.types import Array, Static, pytree
+
+
+@pytree
+class NoAero:
+    """No aerodynamic force: what the baseline controller assumes."""
+
+    def forces(self, links: LinksInAir) -> Array:
+        """Zero on every link (L, 3)."""
+        return jnp.zeros_like(links.v_air)
 
 
 @pytree
 class NetworkModel:
-    """A neural network of wind and posture, which looks at the whole robot at once."""
+    """A neural network of wind and posture, which computes the forces of all links at once."""
 
     network: Network
-    air_density: Array
-    """() [kg/m³]."""
+    air_density: Float[Array, ""]
+    """[kg/m³]."""
     precision: Static[Literal["f32", "f64"]]
     """Of the weighted sums: single, or that of the flight."""
 
+    def forces(self, links: LinksInAir) -> Array:
+        """Force on each link (L, 3) [N]; see `network_forces`."""
+        kin, wind = links.kinematics, links.wind
+        network = with_precision(self.network, jnp.float32 if self.precision == "f32" else wind.dtype)
+        return network_forces(network, links.robot, kin, kin.joint_position, wind, self.air_density)
 
-AeroModel: TypeAlias = Off | Axisymmetric | SphereCylinder | NetworkModel
-"""An aerodynamic model of a robot's links; its numbers are leaves."""
+
+ReadNetwork = Callable[[str | PathLike[str], RobotModel], Network]
 
 
-def aero_model(settings: config.AeroConfig, robot: RobotModel) -> AeroModel:
-    """Build the model of a configuration. Do it once, outside loops: tables are computed here.
+def aero_model(settings: config.AeroConfig, robot: RobotModel, read_network: ReadNetwork = load_network) -> AeroModel:
+    """Build the model that the configuration asks for. Do it once, outside loops: tables are worked out here.
 
     Raises
     ------
     ValueError
         If the robot lacks the coefficient set, or a network's card or weights are not what they should be.
     """
-    if isinstance(settings, config.AxisymmetricConfig):
-        sets = robot.aero_links.coefficients
-        if settings.coefficients not in sets:
-            raise ValueError(f"coefficients is `{settings.coefficients}`; {robot.name} has {', '.join(sorted(sets))}")
-        return Axisymmetric(k_a=0.5 * settings.air_density, areas=sets[settings.coefficients])
-    if isinstance(settings, config.SphereCylinderConfig):
-        return sphere_cylinder_model(settings, robot.aero_links)
-    if isinstance(settings, config.NetworkConfig):
-        return NetworkModel(load_network(settings.card, robot), settings.air_density, settings.precision)
-    return Off()
-
-
-def model_forces(model: AeroModel, axes: Array, v_air: Array) -> Array:
-    """Force on each link (L, 3) [N] at its aerodynamic centre, from unit axes and relative air velocities (L, 3).
-
-    A network needs more than that and has `whole_robot_forces`.
-    """
-    if isinstance(model, NetworkModel):
-        raise TypeError("model is a network; expected one that looks at a link at a time")
-    if isinstance(model, Axisymmetric):
-        return axisymmetric_forces(model, axes, v_air)
-    if isinstance(model, SphereCylinder):
-        return sphere_cylinder_forces(model, axes, v_air)
-    return jnp.zeros_like(v_air)
-
-
-def whole_robot_forces(model: NetworkModel, robot: RobotModel, kin: Kinematics, wind: Array) -> Array:
-    """Force on each link (L, 3) [N] at its aerodynamic centre, in a wind (3,) [m/s], inertial axes."""
-    network = with_precision(model.network, jnp.float32 if model.precision == "f32" else wind.dtype)
-    return network_forces(network, robot, kin, kin.joint_position, wind, model.air_density)
+    match settings:
+        case config.Off():
+            return NoAero()
+        case config.AxisymmetricConfig():
+            sets = robot.aero_links.coefficients
+            if settings.coefficients not in sets:
+                found = f"coefficients is `{settings.coefficients}`"
+                raise ValueError(f"{found}; {robot.name} has {', '.join(sorted(sets))}")
+            return Axisymmetric(k_a=0.5 * settings.air_density, areas=sets[settings.coefficients])
+        case config.SphereCylinderConfig():
+            return sphere_cylinder_model(settings, robot.aero_links)
+        case config.NetworkConfig():
+            return NetworkModel(read_network(settings.card, robot), settings.air_density, settings.precision)
+        case _:
+            assert_never(settings)

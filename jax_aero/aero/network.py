@@ -19,6 +19,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
 from jax_aero.kinematics import frame_poses, kinematics
@@ -46,32 +47,28 @@ POLE = 1e-12
 class LinkGeometry(NamedTuple):
     """Where the links are, seen from the base."""
 
-    rotations: Array
-    """(L, 3, 3) `base_from_link`."""
-    centres: Array
-    """(L, 3) aerodynamic centres from the base origin, base axes [m]."""
-    axes: Array
-    """(L, 3) unit axes of symmetry, base axes."""
+    rotations: Float[Array, "L 3 3"]
+    """`base_from_link`."""
+    centres: Float[Array, "L 3"]
+    """Aerodynamic centres from the base origin, base axes [m]."""
+    axes: Float[Array, "L 3"]
+    """Unit axes of symmetry, base axes."""
 
 
 @pytree
 class Layer:
     """One affine layer of all members."""
 
-    weight: Array
-    """(m, out, in)."""
-    bias: Array
-    """(m, out)."""
+    weight: Float[Array, "m out in"]
+    bias: Float[Array, "m out"]
 
 
 @pytree
 class Mirror:
     """Reflection about the base's x-z plane as matrices: of the features, and of the raw output."""
 
-    features: Array
-    """(n, n)."""
-    output: Array
-    """(39, 39)."""
+    features: Float[Array, "n n"]
+    output: Float[Array, "39 39"]
 
 
 @pytree
@@ -85,14 +82,14 @@ class Network:
     joints: Static[tuple[int, ...]]
     """Indices of the 19 joints it sees in the robot's joint vector."""
     layers: tuple[Layer, ...]
-    scale: Array
-    """(39,) [m²]."""
-    offset: Array
-    """(39,) [m²]."""
+    scale: Float[Array, "39"]
+    """[m²]."""
+    offset: Float[Array, "39"]
+    """[m²]."""
     mirror: Mirror | None
     """Present if the prediction is symmetrised."""
-    baseline: Array | None
-    """(L, 6) axisymmetric coefficients `w0 .. w5` [m²] to which the output is added."""
+    baseline: Float[Array, "L 6"] | None
+    """Axisymmetric coefficients `w0 .. w5` [m²] to which the output is added."""
 
     @property
     def members(self) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from jax_aero.types import Array, pytree
 
@@ -14,12 +15,10 @@ class Pchip:
     Source: Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984), the method of MATLAB's and scipy's `pchip`.
     """
 
-    x: Array
-    """(k,) increasing abscissae."""
-    y: Array
-    """(k,)"""
-    slopes: Array
-    """(k,)"""
+    x: Float[Array, " k"]
+    """Increasing abscissae."""
+    y: Float[Array, " k"]
+    slopes: Float[Array, " k"]
 
 
 def pchip(x: Array, y: Array) -> Pchip:

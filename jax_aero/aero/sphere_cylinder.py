@@ -10,6 +10,7 @@ import numpy as np
 
 from jax_aero.aero.attack import attack, normal_directions
 from jax_aero.aero.pchip import Pchip, interpolate, interpolate_linearly, pchip
+from jax_aero.aero.protocol import LinksInAir
 from jax_aero.config import SphereCylinderConfig
 from jax_aero.robot import AeroLinks
 from jax_aero.types import Array, pytree
@@ -34,6 +35,10 @@ class SphereCylinder:
     sphere: Pchip
     """Drag of a sphere, by Reynolds number."""
     drag_below_reynolds_10: Array
+
+    def forces(self, links: LinksInAir) -> Array:
+        """Force on each link (L, 3) [N]; see `sphere_cylinder_forces`."""
+        return sphere_cylinder_forces(self, links.axes, links.v_air)
 
 
 def sphere_cylinder_model(config: SphereCylinderConfig, links: AeroLinks) -> SphereCylinder:

@@ -2,6 +2,11 @@
 
     State, thrust, wind, Reference ► MomentumModel ► MomentumQp ► thrust rates, joint velocities ► TorqueQp ► torques
 
-`tick.py` is the whole of it: `controller_params` collects its numbers from a configuration, `init` starts it, `tick`
-is called every tick. The other modules are its parts, with the names of the Rust crate's.
+`tick.py` is the whole of it: `momentum_controller` collects its numbers from a configuration, `init` starts it, `tick`
+is called every tick. The other modules are its parts, under the names they have in the Rust crate. The simulator flies
+any `Controller`.
 """
+
+from jax_aero.control.protocol import Command, Controller, Measurement
+
+__all__ = ["Command", "Controller", "Measurement"]

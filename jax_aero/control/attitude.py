@@ -18,6 +18,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from jax_aero.config import MomentumGains
 from jax_aero.spatial import cross, multiply, rotate, rotate_back, skew, vee_of_skew_part
@@ -27,10 +28,10 @@ from jax_aero.types import Array, Reference
 class AttitudeDemand(NamedTuple):
     """Demand of the attitude task."""
 
-    k_ddot_desired: Array
-    """(3,) desired second derivative of the body angular momentum, `k̈*` [N m/s, body axes]."""
-    sigma: Array
-    """(3,) gyroscopic terms between `L̈` and `k̈`, `σ` [N m/s, inertial axes]."""
+    k_ddot_desired: Float[Array, "3"]
+    """Desired second derivative of the body angular momentum, `k̈*` [N m/s, body axes]."""
+    sigma: Float[Array, "3"]
+    """Gyroscopic terms between `L̈` and `k̈`, `σ` [N m/s, inertial axes]."""
 
 
 def attitude_demand(

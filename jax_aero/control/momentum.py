@@ -18,6 +18,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from jax_aero.aero import wrench_about
 from jax_aero.kinematics import carriers, frame_poses
@@ -29,18 +30,18 @@ from jax_aero.types import Array, Dynamics, Kinematics, LinkForces
 class MomentumModel(NamedTuple):
     """Terms of the momentum rate and of its derivative; `j` jets."""
 
-    jet_axes: Array
-    """(j, 3) unit thrust directions `a_i`."""
-    jet_points: Array
-    """(j, 3) thrust points [m]."""
-    a_t: Array
-    """(6, j) `A_T = (a_i ; r_i × a_i)`."""
-    lambda_t: Array
-    """(6, N) `Λ_T`: momentum acceleration per unit of ν due to turning and moving thrusts."""
-    lambda_a: Array
-    """(6, N) `Λ_a`: the same due to moving aerodynamic forces, their own change neglected."""
-    rate_estimate: Array
-    """(6,) `L̇` [N, N m]."""
+    jet_axes: Float[Array, "j 3"]
+    """Unit thrust directions `a_i`."""
+    jet_points: Float[Array, "j 3"]
+    """Thrust points [m]."""
+    a_t: Float[Array, "6 j"]
+    """`A_T = (a_i ; r_i × a_i)`."""
+    lambda_t: Float[Array, "6 N"]
+    """`Λ_T`: momentum acceleration per unit of ν due to turning and moving thrusts."""
+    lambda_a: Float[Array, "6 N"]
+    """`Λ_a`: the same due to moving aerodynamic forces, their own change neglected."""
+    rate_estimate: Float[Array, "6"]
+    """`L̇` [N, N m]."""
 
     @property
     def lambda_(self) -> Array:

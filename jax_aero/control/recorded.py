@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from jax_aero.config import RecordedReference
 from jax_aero.spatial import exp_so3, log_so3, multiply, rotation_from_rpy
@@ -18,19 +19,19 @@ from jax_aero.types import Array
 class RecordedMotion(NamedTuple):
     """Where a recorded reference is, at one time or, with one more axis in front, at every sample."""
 
-    com: Array
-    """(4, 3) position of the centre of mass and its first three derivatives [m, m/s, m/s², m/s³]."""
-    rotation: Array
-    """(3, 3) `inertial_from_base`."""
-    angular_velocity: Array
-    """(3,) of the base [rad/s, base axes]."""
+    com: Float[Array, "4 3"]
+    """Position of the centre of mass and its first three derivatives [m, m/s, m/s², m/s³]."""
+    rotation: Float[Array, "3 3"]
+    """`inertial_from_base`."""
+    angular_velocity: Float[Array, "3"]
+    """Of the base [rad/s, base axes]."""
 
 
 class Recording(NamedTuple):
     """A recorded reference, ready for use; `k` samples."""
 
-    times: Array
-    """(k,) [s], increasing."""
+    times: Float[Array, " k"]
+    """[s], increasing."""
     samples: RecordedMotion
     """At every sample."""
     turns: Array

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Float
 
 from jax_aero.config import EnvelopeConfig, ReferenceConfig
 from jax_aero.control.recorded import Recording, motion_at
@@ -66,10 +67,8 @@ _A, _B, _C = 150.765868956161, 84.9812819469538, 15.9669610709384
 class FilterGains(NamedTuple):
     """A minimum-jerk filter at a fixed tick."""
 
-    transition: Array
-    """(3, 3)"""
-    input_gain: Array
-    """(3,)"""
+    transition: Float[Array, "3 3"]
+    input_gain: Float[Array, "3"]
 
 
 class FilterState(NamedTuple):
@@ -120,12 +119,12 @@ def filter_update(gains: FilterGains, state: FilterState, value: Array) -> Filte
 class ReferenceParams(NamedTuple):
     """Steps, limits and filters of the generator, ready for use at one tick."""
 
-    step_position: Array
-    """(2,) forward and vertical [m]."""
-    step_attitude: Array
-    """(2,) pitch and yaw [rad]."""
-    pitch_limits: Array
-    """(2,) [rad]."""
+    step_position: Float[Array, "2"]
+    """Forward and vertical [m]."""
+    step_attitude: Float[Array, "2"]
+    """Pitch and yaw [rad]."""
+    pitch_limits: Float[Array, "2"]
+    """[rad]."""
     turbo_boost: Array
     turbo_ramp: Array
     attitude_gain: Array
@@ -140,18 +139,18 @@ class ReferenceParams(NamedTuple):
 class ReferenceState(NamedTuple):
     """State of the generator between ticks."""
 
-    raw_position: Array
-    """(3,) position of the centre of mass before smoothing [m]."""
-    raw_rpy: Array
-    """(3,) roll, pitch, yaw of the base before smoothing [rad]."""
+    raw_position: Float[Array, "3"]
+    """Position of the centre of mass before smoothing [m]."""
+    raw_rpy: Float[Array, "3"]
+    """Roll, pitch, yaw of the base before smoothing [rad]."""
     turbo_ticks: Array
     """Ticks' worth of turbo built up, int32."""
     position: FilterState
     acceleration: FilterState
     """Filter of the acceleration, whose rate is the jerk."""
     angular_velocity: FilterState
-    rotation: Array
-    """(3, 3) smoothed attitude of the next tick."""
+    rotation: Float[Array, "3 3"]
+    """Smoothed attitude of the next tick."""
 
 
 def reference_params(config: ReferenceConfig, time_step: Array) -> ReferenceParams:

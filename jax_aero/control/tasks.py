@@ -19,6 +19,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from jax_aero.config import ControllerConfig, MomentumGains
 from jax_aero.control.attitude import AttitudeDemand
@@ -33,39 +34,38 @@ from jax_aero.types import Array, Dynamics, Kinematics, Reference, State
 class TaskParams(NamedTuple):
     """Weights and bounds of the momentum QP; `j` jets, `n` joints."""
 
-    momentum: Array
-    """() weight of the momentum and attitude rows."""
-    angular_momentum: Array
-    """() weight of the angular-momentum rows."""
-    posture: Array
-    """() weight of the posture."""
-    joint_velocity: Array
-    """() weight of joint velocities."""
-    thrust_rate: Array
-    """(j,) weights of thrust rates."""
-    symmetry: Array
-    """() weight of the difference within a pair of jets."""
-    regularisation: Array
-    """() added to the diagonal."""
-    posture_gain: Array
-    """(n,) `K_s` [1/s]."""
-    thrust_rate_max: Array
-    """(j,) [N/s]."""
-    thrust_steepness: Array
-    """() [1/N]."""
-    joint_velocity_max: Array
-    """() [rad/s]."""
-    joint_steepness: Array
-    """() [1/rad]."""
+    momentum: Float[Array, ""]
+    """Weight of the momentum and attitude rows."""
+    angular_momentum: Float[Array, ""]
+    """Weight of the angular-momentum rows."""
+    posture: Float[Array, ""]
+    """Weight of the posture."""
+    joint_velocity: Float[Array, ""]
+    """Weight of joint velocities."""
+    thrust_rate: Float[Array, " j"]
+    """Weights of thrust rates."""
+    symmetry: Float[Array, ""]
+    """Weight of the difference within a pair of jets."""
+    regularisation: Float[Array, ""]
+    """Added to the diagonal."""
+    posture_gain: Float[Array, " n"]
+    """`K_s` [1/s]."""
+    thrust_rate_max: Float[Array, " j"]
+    """[N/s]."""
+    thrust_steepness: Float[Array, ""]
+    """[1/N]."""
+    joint_velocity_max: Float[Array, ""]
+    """[rad/s]."""
+    joint_steepness: Float[Array, ""]
+    """[1/rad]."""
 
 
 class MomentumQp(NamedTuple):
     """The momentum QP of one tick."""
 
-    task: Array
-    """(9, j + n): the tasks are `task · u + offset = 0`."""
-    offset: Array
-    """(9,)"""
+    task: Float[Array, "9 j+n"]
+    """The tasks ask `task · u + offset = 0`."""
+    offset: Float[Array, "9"]
     problem: BoxQp
 
 

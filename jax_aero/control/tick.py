@@ -3,7 +3,7 @@
 `tick` reads top to bottom as the controller does: reference, kinematics and dynamics, aerodynamic forces, momentum,
 tasks, QP, torques. It is a pure function of one sample; `vmap`, `jit`, `grad` and `scan` at the call site.
 
->>> params = controller_params(config, robot)
+>>> params = momentum_controller(config, robot)
 >>> memory = init(params, robot, state)
 >>> memory, command, terms = tick(params, robot, memory, time, state, thrust, wind)
 
@@ -17,12 +17,14 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Bool, Float
 
 from jax_aero.aero import (
     AeroModel,
     ForceFactors,
     LinkConventions,
-    Off,
+    NoAero,
+    ReadNetwork,
     aero_model,
     force_factors,
     generalised_aero_force,
@@ -30,20 +32,22 @@ from jax_aero.aero import (
     scaled,
     weighted,
 )
+from jax_aero.aero.network_card import load_network
 from jax_aero.config import AeroFeedback, EnvelopeConfig, FlightConfig, ForceFactorsConfig, MomentumGains, TorqueConfig
 from jax_aero.control import qp, references
-from jax_aero.control.attitude import AttitudeDemand, attitude_demand
-from jax_aero.control.momentum import MomentumModel, momentum_model
+from jax_aero.control.attitude import attitude_demand
+from jax_aero.control.momentum import momentum_model
+from jax_aero.control.protocol import Command, Measurement, Terms
 from jax_aero.control.qp import QpAnswer, WarmStart
 from jax_aero.control.recorded import Recording, recording
 from jax_aero.control.references import ReferenceParams, ReferenceState
-from jax_aero.control.tasks import MomentumQp, TaskParams, momentum_qp, symmetric_pairs, task_params
-from jax_aero.control.torque import TorqueQp, limit_rate, torque_qp
+from jax_aero.control.tasks import TaskParams, momentum_qp, symmetric_pairs, task_params
+from jax_aero.control.torque import limit_rate, torque_qp
 from jax_aero.dynamics import dynamics
 from jax_aero.kinematics import generalised_force, kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import multiply, rpy_from_rotation
-from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, Reference, State, where
+from jax_aero.types import Array, Reference, State, where
 
 NOMINAL, BAD_MEASUREMENT, MOMENTUM_HELD, TORQUE_HELD, BOTH_HELD = range(5)
 """Codes of `Command.status`: whether a command is what the controller wanted, as in the Rust crate.
@@ -74,79 +78,62 @@ class Switches(NamedTuple):
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class ControllerParams:
-    """Every number of the controller, as leaves, and its switches, as structure."""
+class MomentumController:
+    """The flight controller: every number as a leaf, its switches as structure. It is a `Controller`."""
 
     switches: Switches = field(metadata={"static": True})
     aero: AeroModel
-    """Aerodynamic model of the controller."""
-    aero_scale: Array
-    """() factor on all estimated forces."""
+    """The controller's aerodynamic model."""
+    aero_scale: Float[Array, ""]
+    """Factor on all estimated forces."""
     aero_factors: ForceFactors | None
     """Factors on parts of the estimated forces; `None` if all are one."""
-    aero_share: Array
-    """(6,) share of the total estimated force and moment that enters the momentum rate."""
+    aero_share: Float[Array, "6"]
+    """Share of the total estimated force and moment that enters the momentum rate."""
     momentum: MomentumGains
     tasks: TaskParams
     torque: TorqueConfig
     references: ReferenceParams
     envelope: EnvelopeConfig | Recording
     """What to follow: the autopilot's commands, or a recorded reference."""
-    time_step: Array
-    """() [s]."""
+    time_step: Float[Array, ""]
+    """[s]."""
+
+    def init(self, robot: RobotModel, state: State) -> ControllerState:
+        """Start at the state of the first tick; see `init`."""
+        return init(self, robot, state)
+
+    def step(
+        self, robot: RobotModel, memory: ControllerState, measurement: Measurement
+    ) -> tuple[ControllerState, Command]:
+        """One tick on the configured mission; see `tick`."""
+        memory, command, terms = tick(self, robot, memory, *measurement)
+        return memory, command._replace(reference=terms.reference, terms=terms)
 
 
 class ControllerState(NamedTuple):
     """State of the controller between ticks."""
 
     references: ReferenceState
-    posture: Array
-    """(n,) posture to return to, `s_d`: the joint positions of the first tick [rad]."""
-    inertia_0: Array
-    """(3, 3) centroidal inertia in body axes at the first tick [kg m²]."""
-    velocity_error_integral: Array
-    """(n,) `∫(ṡ − ṡ*)` [rad]."""
-    joint_torque: Array
-    """(n,) last command [N m]."""
-    torque_is_known: Array
-    """() whether the rate limiter has a torque to start from, bool."""
+    posture: Float[Array, " n"]
+    """Posture to return to, `s_d`: the joint positions of the first tick [rad]."""
+    inertia_0: Float[Array, "3 3"]
+    """Centroidal inertia in body axes at the first tick [kg m²]."""
+    velocity_error_integral: Float[Array, " n"]
+    """`∫(ṡ − ṡ*)` [rad]."""
+    joint_torque: Float[Array, " n"]
+    """Last command [N m]."""
+    torque_is_known: Bool[Array, ""]
+    """Whether the rate limiter has a torque to start from."""
     momentum_start: WarmStart
     """Where the momentum QP begins."""
     torque_start: WarmStart
     """Where the torque QP begins."""
 
 
-class Command(NamedTuple):
-    """Command to the robot, held until the next tick."""
-
-    thrust_rate: Array
-    """(j,) `Ṫ*` [N/s]."""
-    joint_velocity: Array
-    """(n,) `ṡ*` [rad/s]."""
-    joint_torque: Array
-    """(n,) after the rate limiter [N m]."""
-    momentum_qp: QpAnswer
-    torque_qp: QpAnswer
-    status: Array
-    """() int32, `NOMINAL` or what went wrong."""
-
-
-class Terms(NamedTuple):
-    """All intermediate values of a tick."""
-
-    kinematics: Kinematics
-    dynamics: Dynamics
-    link_forces: LinkForces
-    momentum: MomentumModel
-    reference: Reference
-    attitude: AttitudeDemand
-    momentum_qp: MomentumQp
-    torque_qp: TorqueQp
-    unlimited_torque: Array
-    """(n,) torques before the rate limiter [N m]."""
-
-
-def controller_params(config: FlightConfig, robot: RobotModel) -> ControllerParams:
+def momentum_controller(
+    config: FlightConfig, robot: RobotModel, read_network: ReadNetwork = load_network
+) -> MomentumController:
     """Collect the controller's numbers from a configuration. Outside loops: tables are worked out here.
 
     Raises
@@ -156,7 +143,7 @@ def controller_params(config: FlightConfig, robot: RobotModel) -> ControllerPara
     """
     controller, time_step = config.controller, jnp.asarray(config.simulator.time_step, float)
     feedback = controller.aero_feedback
-    return ControllerParams(
+    return MomentumController(
         switches=Switches(
             LinkConventions(controller.lever_arm, controller.jacobian_offset, controller.link_velocity),
             momentum_rate=feedback.momentum_rate,
@@ -164,7 +151,7 @@ def controller_params(config: FlightConfig, robot: RobotModel) -> ControllerPara
             torque=feedback.torque,
             symmetric_pairs=symmetric_pairs(controller, robot),
         ),
-        aero=aero_model(controller.aero, robot),
+        aero=aero_model(controller.aero, robot, read_network),
         aero_scale=feedback.scale,
         aero_factors=_factors(feedback, robot),
         aero_share=jnp.repeat(jnp.stack([jnp.asarray(feedback.force), jnp.asarray(feedback.moment)]), 3),
@@ -188,7 +175,7 @@ def _or_one(factor: Array | None) -> Array:
     return jnp.ones(()) if factor is None else jnp.asarray(factor)
 
 
-def init(params: ControllerParams, robot: RobotModel, state: State) -> ControllerState:
+def init(params: MomentumController, robot: RobotModel, state: State) -> ControllerState:
     """Start the controller at the state of its first tick, whose position, attitude and posture it will keep."""
     kin = kinematics(robot, state)
     inertia = dynamics(robot, state, kin).centroidal_inertia
@@ -207,7 +194,7 @@ def init(params: ControllerParams, robot: RobotModel, state: State) -> Controlle
 
 
 def tick(
-    params: ControllerParams,
+    params: MomentumController,
     robot: RobotModel,
     memory: ControllerState,
     time: Array,
@@ -218,7 +205,7 @@ def tick(
 ) -> tuple[ControllerState, Command, Terms]:
     """One tick: the memory of the next, the command, and every intermediate value.
 
-    `time` [s], `thrust` (j,) [N], `wind` (3,) [m/s, inertial axes]. With `reference` the envelope is not evaluated.
+    `time` [s], `thrust` (j,) [N], `wind` (3,) [m/s, inertial axes]. With `reference` the envelope is not asked.
 
     A measurement that is not finite changes nothing in the memory; the terms are then those of a robot at rest, so
     that gradients through such a tick are finite too.
@@ -236,7 +223,7 @@ def tick(
 
 
 def _act(
-    params: ControllerParams,
+    params: MomentumController,
     robot: RobotModel,
     memory: ControllerState,
     state: State,
@@ -251,15 +238,15 @@ def _act(
     link = scaled(link_forces(params.aero, robot, kin, switches.conventions, wind), params.aero_scale)
     if params.aero_factors is not None:
         link = weighted(link, params.aero_factors)
-    feels_air = not isinstance(params.aero, Off)
+    has_aero = not isinstance(params.aero, NoAero)
     momentum = momentum_model(
         robot,
         kin,
         dyn,
         thrust,
         link,
-        rate_feedback=switches.momentum_rate and feels_air,
-        lambda_feedback=switches.lambda_a and feels_air,
+        rate_feedback=switches.momentum_rate and has_aero,
+        lambda_feedback=switches.lambda_a and has_aero,
         share=params.aero_share,
     )
 
@@ -296,7 +283,7 @@ def _act(
     # Torques that let the joints follow the commanded velocities.
     jet_forces = thrust[:, None] * momentum.jet_axes
     force = generalised_force(robot, kin, robot.jets.bodies, momentum.jet_points, jet_forces) - dyn.bias
-    if switches.torque and feels_air:
+    if switches.torque and has_aero:
         force = force + generalised_aero_force(robot, kin, link, link.jacobian_points)
     velocity_error = state.velocity[6:] - joint_velocity
     following = torque_qp(params.torque, dyn.mass_matrix, force, velocity_error, memory.velocity_error_integral)
@@ -309,8 +296,10 @@ def _act(
 
     held = jnp.array([[BOTH_HELD, TORQUE_HELD], [MOMENTUM_HELD, NOMINAL]], jnp.int32)
     status = held[torque_solved.astype(jnp.int32), momentum_solved.astype(jnp.int32)]
-    command = Command(thrust_rate, joint_velocity, joint_torque, wanted, pushed, status)
-    # Forward Euler: used first, advanced after; a tick without a commanded velocity integrates no error.
+    command = Command(
+        thrust_rate, joint_torque, joint_velocity=joint_velocity, momentum_qp=wanted, torque_qp=pushed, status=status
+    )
+    # Forward Euler: used first, advanced after; a tick without a commanded velocity has no error to remember.
     advanced = jnp.clip(
         memory.velocity_error_integral + params.time_step * velocity_error, -INTEGRAL_LIMIT, INTEGRAL_LIMIT
     )
@@ -340,20 +329,15 @@ def _at_rest(memory: ControllerState, thrust: Array) -> tuple[Array, State, Arra
 def _refusal(memory: ControllerState, command: Command) -> Command:
     """Return the command that answers a measurement that is not finite."""
 
-    def no_answer(start: WarmStart, answer: QpAnswer) -> QpAnswer:
-        return QpAnswer(
-            start.x,
-            start.side,
-            jnp.full_like(answer.kkt, jnp.nan),
-            jnp.full_like(answer.status, qp.NON_FINITE),
-            jnp.zeros_like(answer.iterations),
-        )
+    def no_answer(start: WarmStart) -> QpAnswer:
+        kkt = jnp.array(jnp.nan, start.x.dtype)
+        return QpAnswer(start.x, start.side, kkt, jnp.array(qp.NON_FINITE, jnp.int32), jnp.array(0, jnp.int32))
 
     return Command(
         thrust_rate=jnp.zeros_like(command.thrust_rate),
-        joint_velocity=jnp.zeros_like(command.joint_velocity),
+        joint_velocity=jnp.zeros_like(command.joint_torque),
         joint_torque=memory.joint_torque,
-        momentum_qp=no_answer(memory.momentum_start, command.momentum_qp),
-        torque_qp=no_answer(memory.torque_start, command.torque_qp),
-        status=jnp.full_like(command.status, BAD_MEASUREMENT),
+        momentum_qp=no_answer(memory.momentum_start),
+        torque_qp=no_answer(memory.torque_start),
+        status=jnp.array(BAD_MEASUREMENT, jnp.int32),
     )

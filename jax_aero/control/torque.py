@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from jax_aero.config import TorqueConfig
 from jax_aero.control.qp import BoxQp
@@ -25,12 +26,12 @@ from jax_aero.types import Array
 class TorqueQp(NamedTuple):
     """The torque QP of one tick; `n` joints."""
 
-    acceleration_desired: Array
-    """(n,) `s̈*` [rad/s²]."""
-    acceleration_free: Array
-    """(n,) joint accelerations without torque, `s̈_free` [rad/s²]."""
-    gain: Array
-    """(n, n) `G`, joint acceleration per unit of torque [1/(kg m²)]."""
+    acceleration_desired: Float[Array, " n"]
+    """`s̈*` [rad/s²]."""
+    acceleration_free: Float[Array, " n"]
+    """Joint accelerations without torque, `s̈_free` [rad/s²]."""
+    gain: Float[Array, "n n"]
+    """`G`, joint acceleration per unit of torque [1/(kg m²)]."""
     problem: BoxQp
 
 

@@ -1,7 +1,7 @@
-"""The measured wind: the simulated wind with errors.
+"""The wind as the controller measures it, with the errors of a wind sensor or estimate.
 
 ```text
-wind ──(mean only)──► delay ──► + bias + noise ──► low pass ──► the controller
+wind ──(mean only)──► delay ──► + bias + noise ──► low pass ──► measured wind
 ```
 
 The wind is a function of time, so a delay needs no memory; noise is drawn before the flight.
@@ -15,6 +15,7 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from jax_aero import noise
 from jax_aero.config import WindEstimateConfig
@@ -27,20 +28,20 @@ NOISE_STREAM = 0
 class WindEstimate:
     """Errors of the wind estimate of one flight."""
 
-    bias: Array
-    """(3,) [m/s]."""
-    noise_std: Array
-    """() [m/s]."""
-    noise: Array
-    """(ticks, 3) of standard deviation one."""
-    delay_ticks: Array
-    """() int32: delay of the measured wind."""
-    time_constant: Array
-    """() of the low pass [s]; zero for none."""
-    mean: Array
-    """(3,) over the flight [m/s]."""
-    tells_mean: Array
-    """() whether the mean is measured instead of the wind, bool."""
+    bias: Float[Array, "3"]
+    """[m/s]."""
+    noise_std: Float[Array, ""]
+    """[m/s]."""
+    noise: Float[Array, "ticks 3"]
+    """Of standard deviation one."""
+    delay_ticks: Int[Array, ""]
+    """Age of the measured wind."""
+    time_constant: Float[Array, ""]
+    """Of the low pass [s]; zero for none."""
+    mean: Float[Array, "3"]
+    """Over the flight [m/s]."""
+    is_mean: Bool[Array, ""]
+    """Whether that mean is all that is measured."""
 
 
 def wind_estimate(settings: WindEstimateConfig, time_step: Array, winds: Array) -> WindEstimate:
@@ -55,19 +56,19 @@ def wind_estimate(settings: WindEstimateConfig, time_step: Array, winds: Array) 
         delay_ticks=jnp.asarray(delay, jnp.int32),
         time_constant=settings.time_constant,
         mean=jnp.mean(winds, axis=0),
-        tells_mean=jnp.asarray(settings.mean_only, bool),
+        is_mean=jnp.asarray(settings.mean_only, bool),
     )
 
 
-def told_wind(
+def measured_wind(
     estimate: WindEstimate, wind_at: Callable[[Array], Array], before: Array, tick: Array, time_step: Array
 ) -> Array:
-    """Wind (3,) [m/s] measured in this tick; `before` is that of the last tick.
+    """Measured wind (3,) [m/s] of this tick; `before` is that of the last.
 
-    Before the delay has passed, the first wind is measured; the low pass starts settled.
+    Until the delay has passed the first wind is measured; the low pass starts settled.
     """
     then = jnp.maximum(tick - estimate.delay_ticks, 0) * time_step
-    wind = jnp.where(estimate.tells_mean, estimate.mean, wind_at(then))
+    wind = jnp.where(estimate.is_mean, estimate.mean, wind_at(then))
     drawn = estimate.noise[jnp.minimum(tick, estimate.noise.shape[0] - 1)]
     measured = wind + estimate.bias + estimate.noise_std * drawn
     has_filter = (estimate.time_constant > 0.0) & (tick > 0)

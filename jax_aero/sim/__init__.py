@@ -1,18 +1,30 @@
-"""The closed-loop flight as pure functions: one tick, the scan over ticks, `fly` for one, `fly_batch` for many."""
+"""The closed-loop flight as pure functions: one tick, the scan over ticks, `fly` for one, `fly_batch` for many.
 
+`prepare` builds a `Scenario`, whose controller, aerodynamics and jets may be your own; `run` flies it to its end. None
+of it needs the compiled crate.
+"""
+
+from jax_aero.control import Command, Controller, Measurement
+from jax_aero.result import FlightResult
 from jax_aero.sim.batch import fly_batch
-from jax_aero.sim.rollout import everything, fly, rollout
-from jax_aero.sim.step import Flight, FlightRow, FlightState, begin, prepare, step
+from jax_aero.sim.rollout import everything, fly, rollout, run
+from jax_aero.sim.step import FlightRow, FlightState, Scenario, begin, in_precision, prepare, step
 
 __all__ = [
-    "Flight",
+    "Command",
+    "Controller",
+    "FlightResult",
     "FlightRow",
     "FlightState",
+    "Measurement",
+    "Scenario",
     "begin",
     "everything",
     "fly",
     "fly_batch",
+    "in_precision",
     "prepare",
     "rollout",
+    "run",
     "step",
 ]

@@ -1,48 +1,47 @@
-"""Many flights at once: `vmap` over everything in which they differ, split over the devices there are.
+"""Many flights at once: `vmap` over everything in which they may differ, split over the devices there are.
 
-Flights of one structure (the same models, switches and lengths) share one compilation and fly together; numbers that
-are the same in all of them are not copied. `fly_batch` has the signature and the result of `rust.fly_batch`.
+Flights of one structure (the same models, switches and lengths) share one compilation and fly together, whatever their
+numbers are. The robot and the weights of networks are not copied for every flight: flights of different ones fly apart.
+`fly_batch` has the result of `rust.fly_batch`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jax_aero import rust
+from jax_aero.aero.network import Network
+from jax_aero.aero.network_card import load_network
 from jax_aero.config import FlightConfig, flight_config
-from jax_aero.dynamics import Backend
+from jax_aero.result import FlightResult, Progress
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.sim.rollout import CHUNK, Ending, finished
-from jax_aero.sim.step import FLYING, Flight, FlightState, prepare, step
+from jax_aero.sim.step import FLYING, FlightState, Scenario, prepare, step
 from jax_aero.summary import condense
-from jax_aero.types import Array, with_dtype
+from jax_aero.types import Array
 
 MOST_TOGETHER = {"cpu": 64}
 """Flights that fly together on a device, by platform: more do not fit into a CPU's cache."""
 MOST_ELSEWHERE = 1024
 
-
-class Prepared(NamedTuple):
-    """A flight that is ready to start."""
-
-    flight: Flight
-    state: FlightState
-    n_ticks: int
+SIZE_STEP = 8
+"""Batches of more flights than this are filled up to a multiple of it: few sizes to compile, little flown in vain."""
 
 
 class Group(NamedTuple):
     """Flights of one structure, their leaves on the host."""
 
     structure: Any
-    """Of a `Flight`."""
+    """Of a `Scenario`."""
+    is_shared: tuple[bool, ...]
+    """For each leaf, whether all flights have this one array."""
     leaves: list[tuple[Any, ...]]
     """Of each flight."""
     states: list[FlightState]
@@ -52,15 +51,14 @@ class Group(NamedTuple):
 
 
 def fly_batch(
-    configs: Iterable[Mapping[str, Any]],
-    progress: rust.Progress | None = None,
+    configs: Iterable[FlightConfig | Mapping[str, Any]],
+    progress: Progress | None = None,
     *,
     full_log: bool = False,
-    backend: Backend = "tree",
     dtype: Any = np.float64,
     most_together: int | None = None,
     devices: Sequence[jax.Device] | None = None,
-) -> list[rust.Flight]:
+) -> list[FlightResult]:
     """Fly many configurations; the results do not depend on which fly together, but for rounding.
 
     Without `full_log` only outcome and summary are sure to be there. `progress(done, total)` counts flights.
@@ -75,86 +73,107 @@ def fly_batch(
         workers = tuple(jax.devices() if devices is None else devices)
         together = most_together or MOST_TOGETHER.get(workers[0].platform, MOST_ELSEWHERE)
         # All configurations are read before the first flight is prepared: mistakes show at once.
-        groups = list(_groups(_prepared(list(_typed(configs)), backend, dtype)))
+        groups = _groups(_prepared(list(_typed(configs)), dtype))
         total = sum(len(group.places) for group in groups)
-        flights: dict[int, rust.Flight] = {}
+        flights: dict[int, FlightResult] = {}
         for group in groups:
-            size = len(workers) * min(together, _power_of_two(-(-len(group.places) // len(workers))))
-            shared = _shared(group.leaves)
+            size = batch_size(len(group.places), len(workers), together)
             for first in range(0, len(group.places), size):
                 part = group._replace(
                     leaves=group.leaves[first : first + size],
                     states=group.states[first : first + size],
                     places=group.places[first : first + size],
                 )
-                flights.update(zip(part.places, _fly_together(part, shared, size, full_log, workers), strict=True))
+                flights.update(zip(part.places, _fly_together(part, size, full_log, workers), strict=True))
                 if progress is not None:
                     progress(len(flights), total)
     return [flights[place] for place in range(total)]
 
 
-def _typed(configs: Iterable[Mapping[str, Any]]) -> Iterator[FlightConfig]:
-    for index, table in enumerate(configs):
-        with _name_flight_in_errors(index):
-            yield flight_config(table)
+def batch_size(flights: int, devices: int, most: int) -> int:
+    """Return how many flights fly at once: parts as equal as can be, at most `most` on a device."""
+    parts = -(-flights // (devices * most))
+    each = -(-flights // (devices * parts))
+    filled = 1 << (each - 1).bit_length() if each <= SIZE_STEP else -(-each // SIZE_STEP) * SIZE_STEP
+    return devices * min(filled, most)
 
 
-def _prepared(configs: Iterable[FlightConfig], backend: Backend, dtype: Any) -> Iterator[Prepared]:
-    robots: dict[str, RobotModel] = {}
+def _typed(configs: Iterable[FlightConfig | Mapping[str, Any]]) -> Iterator[FlightConfig]:
     for index, config in enumerate(configs):
-        with _name_flight_in_errors(index):
-            robot = robots.get(config.robot) or robots.setdefault(config.robot, load_robot(config.robot))
-            ready = jax.device_get(with_dtype(prepare(config, robot, backend), dtype))
-        yield Prepared(ready[0], ready[1], config.simulator.n_ticks)
+        with _naming(index):
+            yield config if isinstance(config, FlightConfig) else flight_config(config)
+
+
+def _prepared(configs: Iterable[FlightConfig], dtype: Any) -> Iterator[tuple[Scenario, FlightState]]:
+    read_robot = cache(load_robot)
+    networks: dict[tuple[str, str], Network] = {}
+
+    def read_network(card: Any, robot: RobotModel) -> Network:
+        key = str(card), robot.source
+        return networks.get(key) or networks.setdefault(key, load_network(card, robot))
+
+    for index, config in enumerate(configs):
+        with _naming(index):
+            ready = prepare(config, read_robot(config.robot), dtype=dtype, read_network=read_network)
+        yield jax.device_get(ready)
 
 
 @contextmanager
-def _name_flight_in_errors(index: int) -> Iterator[None]:
+def _naming(index: int) -> Iterator[None]:
     try:
         yield
     except ValueError as reason:
         raise ValueError(f"flight {index} of the batch: {reason}") from None
 
 
-def _groups(prepared: Iterable[Prepared]) -> Iterable[Group]:
-    """Sort flights by structure; within a group they keep their order."""
+def _groups(prepared: Iterable[tuple[Scenario, FlightState]]) -> list[Group]:
+    """Sort flights by structure, robot and networks; within a group they keep their order."""
     found: dict[Any, Group] = {}
-    for place, (flight, state, n_ticks) in enumerate(prepared):
-        leaves, structure = jax.tree.flatten(flight)
+    for place, (scenario, state) in enumerate(prepared):
+        leaves, structure = jax.tree.flatten(scenario)
+        is_shared = tuple(jax.tree.leaves(_shared(scenario)))
+        common = tuple(leaf.tobytes() for leaf, shared in zip(leaves, is_shared, strict=True) if shared)
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
-        key = structure, shapes, jax.tree.structure(state), n_ticks
-        group = found.setdefault(key, Group(structure, [], [], n_ticks, []))
+        n_ticks = int(scenario.n_ticks)
+        key = structure, shapes, jax.tree.structure(state), n_ticks, hash(common)
+        group = found.setdefault(key, Group(structure, is_shared, [], [], n_ticks, []))
         group.leaves.append(tuple(leaves))
         group.states.append(state)
         group.places.append(place)
-    return found.values()
+    return list(found.values())
 
 
-def _shared(leaves: Sequence[tuple[Any, ...]]) -> tuple[bool, ...]:
-    """Say of each leaf whether all flights have the same."""
-    return tuple(all(np.array_equal(other, same[0]) for other in same[1:]) for same in zip(*leaves, strict=True))
+def _shared(scenario: Scenario) -> Any:
+    """Mark the leaves that flights of one group share, a tree of booleans: the robot's, and those of networks."""
+
+    def mark(path: Any, node: Any) -> Any:
+        is_shared = isinstance(node, Network) or jax.tree_util.keystr(path).startswith(".plant.robot")
+        return jax.tree.map(lambda _: is_shared, node)
+
+    return jax.tree_util.tree_map_with_path(mark, scenario, is_leaf=lambda node: isinstance(node, Network))
 
 
-def _power_of_two(n: int) -> int:
-    """Return the next one: batches of similar size share a compilation."""
-    return 1 << max(n - 1, 0).bit_length()
-
-
-def _fly_together(
-    group: Group, shared: tuple[bool, ...], size: int, full_log: bool, devices: tuple[jax.Device, ...]
-) -> list[rust.Flight]:
+def _fly_together(group: Group, size: int, full_log: bool, devices: tuple[jax.Device, ...]) -> list[FlightResult]:
     # Always `size` flights: what is missing is the last one again.
     rows = [min(row, len(group.places) - 1) for row in range(size)]
-    leaves = tuple(
-        same[0] if is_shared else np.stack([same[row] for row in rows])
-        for same, is_shared in zip(zip(*group.leaves, strict=True), shared, strict=True)
+    stacked = tuple(
+        of_flights[0] if is_shared else np.stack([of_flights[row] for row in rows])
+        for of_flights, is_shared in zip(zip(*group.leaves, strict=True), group.is_shared, strict=True)
     )
     state = jax.tree.map(lambda *x: np.stack([x[row] for row in rows]), *group.states)
-    posture = np.asarray(state.memory.posture, np.float64)
-    fly = _compiled(group.structure, shared, full_log, devices)
+    posture = np.asarray(state.plant.robot.joint_position)
+    # Numbers go to the devices once, not with every chunk.
+    mesh = Mesh(np.array(devices), ("flights",))
+    split, whole = (NamedSharding(mesh, PartitionSpec(*axes)) for axes in (("flights",), ()))  # type: ignore[no-untyped-call]
+    leaves = tuple(
+        jax.device_put(leaf, whole if is_shared else split)
+        for leaf, is_shared in zip(stacked, group.is_shared, strict=True)
+    )
+    state, postures = jax.device_put((state, posture), split)
+    fly = _compiled(group.structure, group.is_shared, full_log, mesh)
     kept: list[dict[str, Any]] = []
     for first in range(0, group.n_ticks + 1, CHUNK):
-        state, chunk = fly(leaves, state, jnp.array(first, jnp.int32))
+        state, chunk = fly(leaves, postures, state, jnp.array(first, jnp.int32))
         kept.append(jax.device_get(chunk))
         if not np.any(np.asarray(state.fall) == FLYING):
             break
@@ -164,34 +183,36 @@ def _fly_together(
     for row in range(len(group.places)):
         own = {name: signal[row] for name, signal in signals.items()}
         ending = Ending(int(falls[row]), float(errors[row]), int(ticks[row]))
-        flights.append(finished(own, posture[row], ending, group.n_ticks, is_whole_log=full_log))
+        first_posture = posture[row].astype(np.float64)
+        flights.append(finished(own, first_posture, ending, group.n_ticks, is_whole_log=full_log))
     return flights
 
 
 @lru_cache(maxsize=64)
 def _compiled(
-    structure: Any, shared: tuple[bool, ...], full_log: bool, devices: tuple[jax.Device, ...]
+    structure: Any, is_shared: tuple[bool, ...], full_log: bool, mesh: Mesh
 ) -> Callable[..., tuple[FlightState, dict[str, Array]]]:
     """Fly a chunk of ticks, for flights of one structure."""
 
-    def some(leaves: tuple[Array, ...], state: FlightState, first: Array) -> tuple[FlightState, dict[str, Array]]:
-        flight = jax.tree.unflatten(structure, leaves)
+    def some(
+        leaves: tuple[Array, ...], posture: Array, state: FlightState, first: Array
+    ) -> tuple[FlightState, dict[str, Array]]:
+        scenario = jax.tree.unflatten(structure, leaves)
 
         def one(state: FlightState, tick: Array) -> tuple[FlightState, dict[str, Array]]:
-            posture = state.memory.posture
-            state, row = step(flight, state, tick)
+            state, row = step(scenario, state, tick)
             signals = row._asdict()
             return state, signals if full_log else condense(signals, posture)
 
         return jax.lax.scan(one, state, first + jnp.arange(CHUNK, dtype=jnp.int32))
 
-    together = jax.vmap(some, in_axes=(tuple(None if same else 0 for same in shared), 0, None))
-    if len(devices) > 1:
+    together = jax.vmap(some, in_axes=(tuple(None if shared else 0 for shared in is_shared), 0, 0, None))
+    if mesh.size > 1:
         split, whole = PartitionSpec("flights"), PartitionSpec()  # type: ignore[no-untyped-call]
         together = jax.shard_map(
             together,
-            mesh=Mesh(np.array(devices), ("flights",)),
-            in_specs=(tuple(whole if same else split for same in shared), split, whole),
+            mesh=mesh,
+            in_specs=(tuple(whole if shared else split for shared in is_shared), split, split, whole),
             out_specs=split,
             check_vma=False,
         )

@@ -10,25 +10,29 @@ Equations M78 and M79 of `docs/model.md`.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, assert_never
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
 
 from jax_aero.aero import (
     AeroModel,
     ForceFactors,
     LinkConventions,
+    ReadNetwork,
     aero_model,
     force_factors,
     generalised_aero_force,
     link_forces,
     weighted,
 )
-from jax_aero.config import LeverArm, SimulatorConfig
-from jax_aero.dynamics import Backend, dynamics, forward_dynamics
+from jax_aero.aero.network_card import load_network
+from jax_aero.config import Backend, InitialConfig, Integrator, LeverArm, SimulatorConfig
+from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.jet_faults import FaultState, JetFaults, delayed, limited, measured, start_faults
-from jax_aero.jets import JetsModel, JetsState, advance_jets, start_jets
+from jax_aero.jets import JetDynamics, JetsState, jet_dynamics
 from jax_aero.kinematics import frame_poses, generalised_force, kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import exp_so3, multiply, rotate, rotation_from_rpy
@@ -37,19 +41,19 @@ from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, State, Stati
 
 @pytree
 class Plant:
-    """The plant: its numbers are leaves, its switches structure."""
+    """The world: its numbers are leaves, its switches structure."""
 
     robot: RobotModel
     aero: AeroModel
     aero_factors: ForceFactors | None
     """Factors on the forces of `aero`."""
-    jets: JetsModel
+    jets: JetDynamics
     jet_faults: JetFaults | None
     """What is wrong with the jets."""
-    time_step: Array
-    """() [s]."""
+    time_step: Float[Array, ""]
+    """[s]."""
     lever_arm: Static[LeverArm]
-    integrator: Static[str]
+    integrator: Static[Integrator]
     substeps: Static[int]
     is_frozen: Static[bool]
     """Whether links stay where they were at the first tick, as far as the air is concerned (published)."""
@@ -57,14 +61,14 @@ class Plant:
 
 
 class PlantState(NamedTuple):
-    """State of the plant."""
+    """State of the plant between ticks."""
 
     robot: State
     jets: JetsState
     first: State | None
     """State of the first tick, where the aerodynamics is frozen."""
     faults: FaultState | None = None
-    """State of the jets' faults; `None` without faults."""
+    """State of the jets' faults, where there are some."""
 
 
 class Observation(NamedTuple):
@@ -77,16 +81,31 @@ class Observation(NamedTuple):
     link_forces: LinkForces
 
 
-def start_plant(config: SimulatorConfig, robot: RobotModel, backend: Backend = "tree") -> tuple[Plant, PlantState]:
-    """Build a plant and its state at the first tick. Outside loops: noise is drawn here."""
+def start_plant(
+    config: SimulatorConfig,
+    robot: RobotModel,
+    aero: AeroModel | None = None,
+    jets: JetDynamics | None = None,
+    read_network: ReadNetwork = load_network,
+) -> tuple[Plant, PlantState]:
+    """Build a plant and its state at the first tick. Outside loops: noise is drawn here.
+
+    `aero` and `jets` replace the models of the configuration.
+
+    Raises
+    ------
+    ValueError
+        For numbers of joints or jets that are not the robot's.
+    """
     initial = config.initial
-    jets, jets_state = start_jets(config.jets, robot, initial.thrust)
+    _check(initial, robot)
+    jets = jets or jet_dynamics(config.jets, robot)
     faults, fault_state = None, None
     if config.jet_faults is not None:
         faults, fault_state = start_faults(config.jet_faults, config.jets, robot, config.n_ticks)
     plant = Plant(
         robot=robot,
-        aero=aero_model(config.aero, robot),
+        aero=aero or aero_model(config.aero, robot, read_network),
         aero_factors=None if config.aero_factors is None else force_factors(config.aero_factors, robot),
         jets=jets,
         jet_faults=faults,
@@ -95,7 +114,7 @@ def start_plant(config: SimulatorConfig, robot: RobotModel, backend: Backend = "
         integrator=config.integrator,
         substeps=config.substeps,
         is_frozen=config.kinematics == "frozen",
-        backend=backend,
+        backend=config.dynamics,
     )
     joint_position = jnp.asarray(initial.joint_position)
     state = State(
@@ -106,7 +125,25 @@ def start_plant(config: SimulatorConfig, robot: RobotModel, backend: Backend = "
     )
     if initial.free_fall_tick:
         state = _fall_freely(plant, state)
-    return plant, PlantState(state, jets_state, state if plant.is_frozen else None, fault_state)
+    first = state if plant.is_frozen else None
+    return plant, PlantState(state, jets.start(jnp.asarray(initial.thrust)), first, fault_state)
+
+
+def _check(initial: InitialConfig, robot: RobotModel) -> None:
+    for name, value, count in (
+        ("joint_position", initial.joint_position, robot.n_joints),
+        ("thrust", initial.thrust, robot.jets.count),
+    ):
+        if np.shape(value) != (count,):
+            raise ValueError(f"`simulator.initial.{name}` has shape {np.shape(value)}; {robot.name} needs ({count},)")
+
+
+def at_rest(state: PlantState) -> PlantState:
+    """Return a state of the same structure to compute with where `state` is not finite: everything is zero."""
+    zero: PlantState = jax.tree.map(jnp.zeros_like, state)
+    rotation = jnp.eye(3, dtype=state.robot.velocity.dtype)
+    first = None if zero.first is None else zero.first._replace(base_rotation=rotation)
+    return zero._replace(robot=zero.robot._replace(base_rotation=rotation), first=first)
 
 
 def observe(
@@ -135,7 +172,7 @@ def advance(
 ) -> PlantState:
     """Advance one tick under held torques (n,) [N m] and commanded thrust rates (j,) [N/s].
 
-    `seen` is the observation of `state`; later physics steps of the tick observe again, commands are held.
+    `seen` is the observation of `state`; later physics steps of the tick observe anew, commands are held.
     """
     step = plant.time_step / plant.substeps
     robot = _advance_robot(plant, state, seen, torque, step)
@@ -149,9 +186,9 @@ def advance(
 def _advance_jets(plant: Plant, state: PlantState, command: Array) -> tuple[JetsState, FaultState | None]:
     dt, wrong, faults = plant.time_step, plant.jet_faults, state.faults
     if wrong is None or faults is None:
-        return advance_jets(plant.jets, state.jets, command, dt), None
+        return plant.jets.advance(state.jets, command, dt), None
     arriving = delayed(wrong, faults, command, dt)
-    jets = advance_jets(plant.jets, state.jets, arriving, dt, measured(wrong, faults, state.jets.thrust))
+    jets = plant.jets.advance(state.jets, arriving, dt, measured(wrong, faults, state.jets.thrust))
     thrust, thrust_rate, faults = limited(wrong, faults, jets.thrust, jets.thrust_rate, dt)
     return jets._replace(thrust=thrust, thrust_rate=thrust_rate), faults._replace(command=arriving)
 
@@ -160,7 +197,7 @@ def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: A
     robot, kin = plant.robot, seen.kinematics
     rotations, points = frame_poses(kin, robot.jets.bodies, robot.jets.rotations, robot.jets.positions)
     thrusts = state.jets.thrust[:, None] * rotate(rotations, robot.jets.axes)
-    # One point for moment and Jacobian: they are equivalent on a rigid body.
+    # One point for moment and Jacobian: a rigid body cannot tell them apart.
     force = (
         generalised_force(robot, kin, robot.jets.bodies, points, thrusts)
         + generalised_aero_force(robot, seen.placed, seen.link_forces, seen.link_forces.arm_points)
@@ -179,7 +216,13 @@ def _fall_freely(plant: Plant, state: State) -> State:
 def integrate(plant: Plant, state: State, acceleration: Array, step: Array) -> State:
     """One Euler step of `step` [s]: pose with the new velocity (semi-implicit) or with the old one (explicit)."""
     velocity = state.velocity + step * acceleration
-    moving = velocity if plant.integrator == "semi_implicit_euler" else state.velocity
+    match plant.integrator:
+        case "semi_implicit_euler":
+            moving = velocity
+        case "explicit_euler":
+            moving = state.velocity
+        case _:
+            assert_never(plant.integrator)
     return State(
         base_position=state.base_position + step * moving[:3],
         base_rotation=multiply(exp_so3(step * moving[3:6]), state.base_rotation),

@@ -1,8 +1,8 @@
 """Flights from start to end: a scan over ticks for gradients and batches, and `fly` for one flight with its log.
 
->>> from jax_aero import rust
+>>> from jax_aero.io import load_config
 >>> from jax_aero.sim import fly
->>> config = rust.load_config("configs/experiments/test2.toml", {"simulator.duration": 0.05})
+>>> config = load_config("configs/experiments/test2.toml", {"simulator.duration": 0.05})
 >>> fly(config)["thrust"].shape
 (6, 4)
 """
@@ -17,22 +17,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax_aero import rust
-from jax_aero.config import flight_config
-from jax_aero.dynamics import Backend
-from jax_aero.robot import load_robot
+from jax_aero.config import FlightConfig
+from jax_aero.result import FlightResult, Progress
 from jax_aero.sim.step import (
     FLYING,
     LOST_BY_COM,
     LOST_BY_ROTATION,
-    Flight,
     FlightRow,
     FlightState,
+    Scenario,
     prepare,
     step,
 )
 from jax_aero.summary import condense, figures
-from jax_aero.types import Array, with_dtype
+from jax_aero.types import Array
 
 Kept = TypeVar("Kept")
 
@@ -49,7 +47,7 @@ def everything(row: FlightRow) -> FlightRow:
 
 
 def rollout(
-    flight: Flight,
+    scenario: Scenario,
     state: FlightState,
     n_ticks: int,
     keep: Callable[[FlightRow], Kept],
@@ -63,7 +61,7 @@ def rollout(
     """
 
     def one(state: FlightState, tick: Array) -> tuple[FlightState, Kept]:
-        state, row = step(flight, state, tick)
+        state, row = step(scenario, state, tick)
         return state, keep(row)
 
     @partial(jax.checkpoint, prevent_cse=False)
@@ -84,37 +82,36 @@ def rollout(
 
 
 @jax.jit(static_argnames=("n_ticks",))
-def fly_chunk(flight: Flight, state: FlightState, first_tick: Array, n_ticks: int) -> tuple[FlightState, FlightRow]:
+def fly_chunk(scenario: Scenario, state: FlightState, first_tick: Array, n_ticks: int) -> tuple[FlightState, FlightRow]:
     """Fly some ticks forwards, with the whole log."""
     ticks = first_tick + jnp.arange(n_ticks, dtype=jnp.int32)
-    return jax.lax.scan(partial(step, flight), state, ticks)
+    return jax.lax.scan(partial(step, scenario), state, ticks)
 
 
 def fly(
-    config: Mapping[str, Any],
-    progress: rust.Progress | None = None,
-    *,
-    backend: Backend = "tree",
-    dtype: Any = np.float64,
-) -> rust.Flight:
+    config: FlightConfig | Mapping[str, Any], progress: Progress | None = None, *, dtype: Any = np.float64
+) -> FlightResult:
     """Fly one configuration from start to end, or to the fall, as `rust.fly` does and with the same result.
 
     Works in double precision by default, whatever the setting of JAX.
     """
     with jax.enable_x64(True):
-        typed = flight_config(config)
-        flight, state = with_dtype(prepare(typed, load_robot(typed.robot), backend), dtype)
-        n_ticks = typed.simulator.n_ticks
-        posture = np.asarray(state.memory.posture, np.float64)
-        rows: list[FlightRow] = []
-        for first in range(0, n_ticks + 1, CHUNK):
-            # Chunks are of one length, so that they compile once; the last one flies beyond the end.
-            state, chunk = fly_chunk(flight, state, jnp.array(first, jnp.int32), CHUNK)
-            rows.append(jax.device_get(chunk))
-            if progress is not None:
-                progress(min(first + CHUNK, n_ticks), n_ticks)
-            if int(state.fall) != FLYING:
-                break
+        return run(*prepare(config, dtype=dtype), progress)
+
+
+def run(scenario: Scenario, state: FlightState, progress: Progress | None = None) -> FlightResult:
+    """Fly a scenario from this state to its end, or to the fall; as `fly` does with one of its own."""
+    n_ticks = int(scenario.n_ticks)
+    posture = np.asarray(state.plant.robot.joint_position, np.float64)
+    rows: list[FlightRow] = []
+    for first in range(0, n_ticks + 1, CHUNK):
+        # Chunks are of one length, so that they compile once; the last one flies beyond the end.
+        state, chunk = fly_chunk(scenario, state, jnp.array(first, jnp.int32), CHUNK)
+        rows.append(jax.device_get(chunk))
+        if progress is not None:
+            progress(min(first + CHUNK, n_ticks), n_ticks)
+        if int(state.fall) != FLYING:
+            break
     log = {
         name: np.concatenate([np.asarray(getattr(chunk, name), np.float64) for chunk in rows])
         for name in FlightRow._fields
@@ -132,11 +129,11 @@ class Ending(NamedTuple):
 
 def finished(
     signals: Mapping[str, Any], posture: Any, ending: Ending, n_ticks: int, *, is_whole_log: bool = True
-) -> rust.Flight:
+) -> FlightResult:
     """Return the flight of these signals: whole rows, or condensed ones without a log. Ticks beyond its end are cut."""
     fell = 0 <= ending.tick <= n_ticks
     signals = {name: signal[: (ending.tick if fell else n_ticks) + 1] for name, signal in signals.items()}
-    return rust.Flight(
+    return FlightResult(
         log=signals if is_whole_log else {},
         joint_reference=posture,
         outcome="fell" if fell else "completed",

@@ -14,61 +14,79 @@ Equations M77 and M80 of `docs/model.md`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
 
-from jax_aero.config import FallConfig, FlightConfig, WindConfig
-from jax_aero.control import tick as control
-from jax_aero.control.tick import Command, ControllerParams, ControllerState, Terms
-from jax_aero.control.wind_estimate import WindEstimate, told_wind, wind_estimate
-from jax_aero.dynamics import Backend
+from jax_aero.aero import AeroModel, ReadNetwork
+from jax_aero.aero.network_card import load_network
+from jax_aero.config import FallConfig, FlightConfig, WindConfig, flight_config
+from jax_aero.control.protocol import Command, Controller, Measurement
+from jax_aero.control.tick import momentum_controller
+from jax_aero.control.wind_estimate import WindEstimate, measured_wind, wind_estimate
 from jax_aero.jet_faults import known_limits
-from jax_aero.jets import thrust_feedback
-from jax_aero.robot import RobotModel
+from jax_aero.jets import JetDynamics
+from jax_aero.robot import RobotModel, load_robot
 from jax_aero.sim import plant as world
 from jax_aero.sim.plant import Observation, Plant, PlantState
 from jax_aero.sim.wind import wind_velocity
 from jax_aero.spatial import multiply, rotation_angle, rpy_from_rotation, safe_norm, wxyz_from_rotation
-from jax_aero.types import Array, State, pytree, where
+from jax_aero.types import Array, State, Static, pytree, where, with_dtype
 
 FLYING, LOST_BY_ROTATION, LOST_BY_COM, LOST_NOT_FINITE = range(4)
 """Codes of `FlightState.fall`."""
 
+Tree = TypeVar("Tree")
+
 
 @pytree
-class Flight:
-    """Everything that does not change in a flight. Every number is a leaf: batch and differentiate what you like."""
+class Scenario:
+    """Everything that does not change in a flight. Every number is a leaf: batch and differentiate what you like.
+
+    Another controller, aerodynamic model or jet dynamics is set by `prepare`, or by `dataclasses.replace`.
+    """
 
     plant: Plant
-    controller: ControllerParams
+    controller: Controller[Any]
+    """What to do, the mission included."""
     wind: WindConfig
     fall: FallConfig
-    believed_robot: RobotModel | None
-    """Controller's model of the robot; `None` if it is the simulated one."""
+    controller_model: RobotModel | None
+    """The robot as the controller models it; `None` if that is the robot that flies."""
     wind_estimate: WindEstimate | None
-    """Errors of the measured wind; `None` if there are none."""
+    """Errors of the measured wind; `None` if it is measured exactly."""
+    n_ticks: Int[Array, ""]
+    """Number of ticks after the one at time zero."""
+    precision: Static[str]
+    """Name of the floating-point type of all numbers, so that a change of type is never silent."""
 
 
 class FlightState(NamedTuple):
-    """State of a flight between ticks."""
+    """The state of a flight from one tick to the next."""
 
     plant: PlantState
-    memory: ControllerState
-    told_wind: Array
-    """(3,) last measured wind [m/s]."""
-    fall: Array
-    """() int32: `FLYING`, or by which criterion the flight was lost."""
-    fall_error: Array
-    """() what was exceeded, in the criterion's unit."""
-    fall_tick: Array
-    """() int32: tick at which the flight was lost, −1 while it flies."""
+    controller: Any
+    """State of the controller."""
+    measured_wind: Float[Array, "3"]
+    """Of the last tick [m/s]."""
+    fall: Int[Array, ""]
+    """`FLYING`, or by which criterion the flight was lost."""
+    fall_error: Float[Array, ""]
+    """What was exceeded, in the criterion's unit."""
+    fall_tick: Int[Array, ""]
+    """Tick at which the flight was lost, −1 while it flies."""
 
 
 class FlightRow(NamedTuple):
-    """One tick of the log; the same signals as the Rust crate's, named alike."""
+    """One tick of the log; the same signals as the Rust crate's, named alike.
+
+    Signals that a controller does not compute are NaN, and so is what follows from a state that is not finite.
+    """
 
     time: Array
     base_position: Array
@@ -96,27 +114,67 @@ class FlightRow(NamedTuple):
     qp_iterations: Array
 
 
-def prepare(config: FlightConfig, robot: RobotModel, backend: Backend = "tree") -> tuple[Flight, FlightState]:
-    """Build a flight and the state in which its first tick finds it. Outside loops: tables and noise are made here.
+def prepare(
+    config: FlightConfig | Mapping[str, Any],
+    robot: RobotModel | None = None,
+    *,
+    controller: Controller[Any] | None = None,
+    aero: AeroModel | None = None,
+    jets: JetDynamics | None = None,
+    dtype: Any = np.float64,
+    read_network: ReadNetwork = load_network,
+) -> tuple[Scenario, FlightState]:
+    """Build a scenario and its state at the first tick. Outside loops: tables and noise are made here.
+
+    Parameters
+    ----------
+    config
+        A configuration, or its resolved table, as `jax_aero.io.load_config` returns it.
+    robot
+        The robot that flies, if it is loaded already.
+    controller
+        Flies in place of the configured controller.
+    aero, jets
+        Aerodynamics and jets of the simulator, in place of the configured ones.
+    dtype
+        Precision of all numbers. The controller's QPs have condition numbers near 1e8: single precision is for
+        throughput where that is known to suffice.
+    read_network
+        Reads the networks that the configuration names.
 
     Raises
     ------
     ValueError
-        Naming what in the configuration does not fit the robot.
+        Naming what in the configuration does not fit the robot; or where JAX does not compute in this precision.
     """
-    plant, state = world.start_plant(config.simulator, robot, backend)
-    controller = control.controller_params(config, robot)
-    told = config.controller.wind_estimate
-    flight = Flight(
+    if np.dtype(dtype) == np.float64 and jnp.result_type(float) != np.float64:
+        raise ValueError(
+            "dtype is float64, but JAX computes in single precision here; "
+            "expected a call inside `with jax.enable_x64(True):`, or dtype=np.float32"
+        )
+    if not isinstance(config, FlightConfig):
+        config = flight_config(config)
+    if robot is None:
+        robot = load_robot(config.robot)
+    plant, state = world.start_plant(config.simulator, robot, aero, jets, read_network)
+    errors = config.controller.wind_estimate
+    scenario = Scenario(
         plant=plant,
-        controller=controller,
+        controller=controller or momentum_controller(config, robot, read_network),
         wind=config.wind,
         fall=config.simulator.fall,
-        believed_robot=believed_robot(config, robot),
-        wind_estimate=None if told is None else wind_estimate(told, plant.time_step, _winds(config)),
+        controller_model=controller_model(config, robot),
+        wind_estimate=None if errors is None else wind_estimate(errors, plant.time_step, _winds(config)),
+        n_ticks=jnp.array(config.simulator.n_ticks, jnp.int32),
+        precision="",
     )
-    ready: tuple[Flight, FlightState] = jax.tree.map(jnp.asarray, (flight, begin(flight, state)))
-    return ready
+    flight_state = begin(scenario, state)
+    return in_precision(jax.tree.map(jnp.asarray, scenario), jax.tree.map(jnp.asarray, flight_state), dtype)
+
+
+def in_precision(scenario: Scenario, state: FlightState, dtype: Any) -> tuple[Scenario, FlightState]:
+    """Return both with all numbers of this floating-point type."""
+    return with_dtype((replace(scenario, precision=np.dtype(dtype).name), state), dtype)
 
 
 def _winds(config: FlightConfig) -> Array:
@@ -126,57 +184,85 @@ def _winds(config: FlightConfig) -> Array:
     return winds
 
 
-def believed_robot(config: FlightConfig, robot: RobotModel) -> RobotModel | None:
-    """Return the controller's model of the robot; `None` if it is the simulated one."""
+def controller_model(config: FlightConfig, robot: RobotModel) -> RobotModel | None:
+    """Return the controller's model of the robot; `None` if it is the one that flies."""
     error, faults = config.controller.model_error, config.simulator.jet_faults
-    believed = robot
+    model = robot
     if faults is not None and faults.limit_is_known:
-        believed = replace(robot, jets=replace(robot.jets, thrust_max=known_limits(faults, robot)))
+        model = replace(robot, jets=replace(robot.jets, thrust_max=known_limits(faults, robot)))
     if error is not None:
         masses, inertias = error.mass_scale * robot.masses, error.mass_scale * robot.inertias
         coms = jnp.asarray(robot.coms).at[0].add(error.com_offset)
-        believed = replace(believed, masses=masses, coms=coms, inertias=inertias)
-    return None if believed is robot else believed
+        model = replace(model, masses=masses, coms=coms, inertias=inertias)
+    return None if model is robot else model
 
 
-def begin(flight: Flight, plant: PlantState) -> FlightState:
+def begin(scenario: Scenario, plant: PlantState) -> FlightState:
     """Start the controller of a flight whose plant is in this state."""
-    robot = flight.plant.robot if flight.believed_robot is None else flight.believed_robot
+    robot = scenario.plant.robot if scenario.controller_model is None else scenario.controller_model
     return FlightState(
         plant=plant,
-        memory=_init(flight.controller, robot, plant.robot),
-        told_wind=jnp.zeros_like(plant.robot.velocity[:3]),
+        controller=_init(scenario.controller, robot, plant.robot),
+        measured_wind=jnp.zeros_like(plant.robot.velocity[:3]),
         fall=jnp.array(FLYING, jnp.int32),
         fall_error=jnp.zeros_like(plant.robot.velocity[0]),
         fall_tick=jnp.array(-1, jnp.int32),
     )
 
 
-_init = jax.jit(control.init)
+@jax.jit
+def _init(controller: Controller[Any], robot: RobotModel, state: State) -> Any:
+    return controller.init(robot, state)
 
 
-def step(flight: Flight, state: FlightState, tick: Array) -> tuple[FlightState, FlightRow]:
-    """Fly one tick, number `tick` (int32), and record it."""
-    time = tick * flight.plant.time_step
-    wind = wind_velocity(flight.wind, time)
-    robot, thrust = state.plant.robot, thrust_feedback(flight.plant.jets, state.plant.jets)
-    believed = flight.plant.robot if flight.believed_robot is None else flight.believed_robot
-    told = wind if flight.wind_estimate is None else _told_wind(flight, state, tick)
-    memory, command, terms = control.tick(flight.controller, believed, state.memory, time, robot, thrust, told)
-    seen = _observe(flight, state.plant, terms, wind)
+def step(scenario: Scenario, state: FlightState, tick: Array) -> tuple[FlightState, FlightRow]:
+    """Fly one tick, number `tick` (int32), and record it.
 
-    rotation_error = rotation_angle(multiply(terms.reference.rotation.T, robot.base_rotation))
-    com_error = safe_norm(seen.kinematics.com - terms.reference.com_position)
-    row = _row(state, time, wind, command, terms, seen, rotation_error)
+    Raises
+    ------
+    ValueError
+        When traced in another precision than the scenario was prepared for.
+    """
+    _check_precision(scenario)
+    plant = scenario.plant
+    time = tick * plant.time_step
+    wind = wind_velocity(scenario.wind, time)
+    # Both branches of `where` are differentiated: what is not finite must not enter the computation at all.
+    is_finite = _all_in_range((state.plant, wind))
+    at_rest = world.at_rest(state.plant)
+    now, air = where(is_finite, (state.plant, wind), (at_rest, jnp.zeros_like(wind)))
 
-    fall, error = _judge(flight.fall, robot, rotation_error, com_error)
+    measured = air if scenario.wind_estimate is None else _measured_wind(scenario, state, tick)
+    model = plant.robot if scenario.controller_model is None else scenario.controller_model
+    measurement = Measurement(time, now.robot, plant.jets.feedback(now.jets), measured)
+    memory, command = scenario.controller.step(model, state.controller, measurement)
+    seen = _observe(scenario, now, command, air)
+
+    rotation_error, com_error = jnp.zeros(()), jnp.zeros(())
+    if command.reference is not None:
+        rotation_error = rotation_angle(multiply(command.reference.rotation.T, now.robot.base_rotation))
+        com_error = safe_norm(seen.kinematics.com - command.reference.com_position)
+    row = _nan_unless(is_finite, _row(time, wind, now, command, seen, rotation_error))
+    robot = state.plant.robot
+    row = row._replace(
+        time=time,
+        wind=wind,
+        base_position=robot.base_position,
+        base_velocity=robot.velocity[:6],
+        joint_position=robot.joint_position,
+        joint_velocity=robot.velocity[6:],
+        thrust=state.plant.jets.thrust,
+    )
+
+    fall, error = _judge(scenario.fall, is_finite, rotation_error, com_error)
     lost_now = (state.fall == FLYING) & (fall != FLYING)
-    moved = world.advance(flight.plant, state.plant, seen, command.joint_torque, command.thrust_rate, wind)
     goes_on = (state.fall == FLYING) & (fall == FLYING)
+    # A flight that is lost may leave the range of numbers in its next step.
+    moved = world.advance(plant, where(goes_on, now, at_rest), seen, command.joint_torque, command.thrust_rate, air)
     after = FlightState(
         plant=where(goes_on, moved, state.plant),
-        memory=where(goes_on, memory, state.memory),
-        told_wind=told,
+        controller=where(goes_on, memory, state.controller),
+        measured_wind=measured,
         fall=jnp.where(lost_now, fall, state.fall),
         fall_error=jnp.where(lost_now, error, state.fall_error),
         fall_tick=jnp.where(lost_now, tick.astype(jnp.int32), state.fall_tick),
@@ -184,26 +270,55 @@ def step(flight: Flight, state: FlightState, tick: Array) -> tuple[FlightState, 
     return after, row
 
 
-def _told_wind(flight: Flight, state: FlightState, tick: Array) -> Array:
-    assert flight.wind_estimate is not None
+def _check_precision(scenario: Scenario) -> None:
+    found = jnp.result_type(scenario.plant.time_step)
+    if found == np.float64 and jnp.result_type(float) != np.float64:
+        found = np.dtype(np.float32)
+    if found != scenario.precision:
+        raise ValueError(
+            f"the scenario was prepared in {scenario.precision}, but its numbers are {found} here; "
+            "expected a call inside `with jax.enable_x64(True):`, or `prepare(..., dtype=np.float32)`"
+        )
+
+
+def _all_in_range(tree: Any) -> Array:
+    """Whether all numbers are finite, and so are the products of several of them that a tick forms."""
+
+    def in_range(leaf: Array) -> Array:
+        if not jnp.issubdtype(leaf.dtype, jnp.floating):
+            return jnp.array(True)
+        return jnp.all(jnp.abs(leaf) < float(np.finfo(leaf.dtype).max) ** (1.0 / 6.0))
+
+    return jnp.all(jnp.stack([in_range(leaf) for leaf in jax.tree.leaves(tree)]))
+
+
+def _nan_unless(condition: Array, tree: Tree) -> Tree:
+    def choose(leaf: Array) -> Array:
+        return jnp.where(condition, leaf, jnp.nan) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf
+
+    chosen: Tree = jax.tree.map(choose, tree)
+    return chosen
+
+
+def _measured_wind(scenario: Scenario, state: FlightState, tick: Array) -> Array:
+    assert scenario.wind_estimate is not None
 
     def wind_at(time: Array) -> Array:
-        return wind_velocity(flight.wind, time)
+        return wind_velocity(scenario.wind, time)
 
-    return told_wind(flight.wind_estimate, wind_at, state.told_wind, tick, flight.plant.time_step)
+    return measured_wind(scenario.wind_estimate, wind_at, state.measured_wind, tick, scenario.plant.time_step)
 
 
-def _observe(flight: Flight, state: PlantState, terms: Terms, wind: Array) -> Observation:
+def _observe(scenario: Scenario, state: PlantState, command: Command, wind: Array) -> Observation:
     """Observe the plant; what the controller computed for the same robot is not computed again."""
-    plant = flight.plant
-    if flight.believed_robot is not None or plant.backend != "tree":
+    plant, terms = scenario.plant, command.terms
+    if terms is None or scenario.controller_model is not None or plant.backend != "tree":
         return world.observe(plant, state, wind)
     return world.observe(plant, state, wind, (terms.kinematics, terms.dynamics))
 
 
-def _judge(limits: FallConfig, robot: State, rotation_error: Array, com_error: Array) -> tuple[Array, Array]:
+def _judge(limits: FallConfig, is_finite: Array, rotation_error: Array, com_error: Array) -> tuple[Array, Array]:
     """Whether and why the flight is lost, and by how much."""
-    is_finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in (*robot, rotation_error, com_error)]))
     over_rotated = rotation_error > jnp.deg2rad(limits.rotation_error_deg)
     fall = jnp.where(over_rotated, LOST_BY_ROTATION, jnp.where(com_error > limits.com_error, LOST_BY_COM, FLYING))
     fall = jnp.where(is_finite, fall, LOST_NOT_FINITE)
@@ -211,40 +326,56 @@ def _judge(limits: FallConfig, robot: State, rotation_error: Array, com_error: A
 
 
 def _row(
-    state: FlightState,
     time: Array,
     wind: Array,
+    state: PlantState,
     command: Command,
-    terms: Terms,
     seen: Observation,
     rotation_error: Array,
 ) -> FlightRow:
-    robot, momentum, mass = state.plant.robot, seen.dynamics.momentum, seen.dynamics.mass_matrix[0, 0]
-    believed_mass = terms.dynamics.mass_matrix[0, 0]
+    robot, momentum, mass = state.robot, seen.dynamics.momentum, seen.dynamics.mass_matrix[0, 0]
+    nothing = jnp.full_like(wind, jnp.nan)
+    reference, terms = command.reference, command.terms
     answers = (command.momentum_qp, command.torque_qp)
+
+    def of_qps(name: str, dtype: Any) -> Array:
+        values = [jnp.nan if answer is None else getattr(answer, name) for answer in answers]
+        return jnp.stack([jnp.asarray(value, dtype) for value in values])
+
     return FlightRow(
         time=time,
         base_position=robot.base_position,
         base_quaternion=wxyz_from_rotation(robot.base_rotation),
         base_velocity=robot.velocity[:6],
-        base_rpy_reference=rpy_from_rotation(terms.reference.rotation),
+        base_rpy_reference=nothing if reference is None else rpy_from_rotation(reference.rotation),
         joint_position=robot.joint_position,
         joint_velocity=robot.velocity[6:],
         com_position=seen.kinematics.com,
         com_velocity=momentum[:3] / mass,
-        com_reference=terms.reference.com_position,
+        com_reference=nothing if reference is None else reference.com_position,
         rotation_error=rotation_error,
-        thrust=state.plant.jets.thrust,
+        thrust=state.jets.thrust,
         thrust_rate=command.thrust_rate,
-        joint_velocity_command=command.joint_velocity,
+        joint_velocity_command=(
+            jnp.full_like(command.joint_torque, jnp.nan) if command.joint_velocity is None else command.joint_velocity
+        ),
         joint_torque=command.joint_torque,
         wind=wind,
         aero_force_sim=seen.link_forces.forces,
-        aero_force_control=terms.link_forces.forces,
+        aero_force_control=(
+            jnp.full_like(seen.link_forces.forces, jnp.nan) if terms is None else terms.link_forces.forces
+        ),
         momentum=momentum,
-        momentum_reference=jnp.concatenate([believed_mass * terms.reference.com_velocity, jnp.zeros_like(wind)]),
-        momentum_rate_estimate=terms.momentum.rate_estimate,
-        qp_status=jnp.stack([answer.status for answer in answers]),
-        qp_kkt=jnp.stack([answer.kkt for answer in answers]),
-        qp_iterations=jnp.stack([answer.iterations for answer in answers]),
+        momentum_reference=jnp.concatenate(
+            [
+                nothing
+                if reference is None or terms is None
+                else terms.dynamics.mass_matrix[0, 0] * reference.com_velocity,
+                jnp.zeros_like(wind),
+            ]
+        ),
+        momentum_rate_estimate=(jnp.full_like(momentum, jnp.nan) if terms is None else terms.momentum.rate_estimate),
+        qp_status=of_qps("status", time.dtype),
+        qp_kkt=of_qps("kkt", time.dtype),
+        qp_iterations=of_qps("iterations", time.dtype),
     )

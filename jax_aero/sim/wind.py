@@ -5,26 +5,32 @@ Equations M36 to M38 of `docs/model.md`.
 
 from __future__ import annotations
 
+from typing import assert_never
+
 import jax.numpy as jnp
 
-from jax_aero.config import ConstantWind, GustWind, RampWind, TurbulentWind, WindConfig
+from jax_aero.config import ConstantWind, GustWind, RampWind, RecordedWind, TurbulentWind, WindConfig
 from jax_aero.types import Array
 
 
 def wind_velocity(wind: WindConfig, time: Array) -> Array:
     """Velocity of the air (3,) at `time` [s]: m/s, inertial axes."""
-    if isinstance(wind, ConstantWind):
-        return jnp.asarray(wind.velocity)
-    if isinstance(wind, RampWind):
-        return _risen(wind, time) * wind.velocity
-    if isinstance(wind, TurbulentWind):
-        return _risen(wind, time) * (wind.velocity + _turbulence(wind, time))
-    if isinstance(wind, GustWind):
-        phase = (time - wind.start) / wind.duration
-        is_blowing = (phase >= 0.0) & (phase <= 1.0)
-        strength = jnp.where(is_blowing, 0.5 * (1.0 - jnp.cos(2.0 * jnp.pi * phase)), 0.0)
-        return wind.velocity + strength * wind.gust
-    return _between_samples(wind.times, wind.velocities, time)
+    match wind:
+        case ConstantWind():
+            return jnp.asarray(wind.velocity)
+        case RampWind():
+            return _risen(wind, time) * wind.velocity
+        case TurbulentWind():
+            return _risen(wind, time) * (wind.velocity + _turbulence(wind, time))
+        case GustWind():
+            phase = (time - wind.start) / wind.duration
+            is_blowing = (phase >= 0.0) & (phase <= 1.0)
+            strength = jnp.where(is_blowing, 0.5 * (1.0 - jnp.cos(2.0 * jnp.pi * phase)), 0.0)
+            return wind.velocity + strength * wind.gust
+        case RecordedWind():
+            return _between_samples(wind.times, wind.velocities, time)
+        case _:
+            assert_never(wind)
 
 
 def _risen(wind: RampWind | TurbulentWind, time: Array) -> Array:

@@ -6,6 +6,7 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from jax_aero.types import Array, pytree
 
@@ -18,8 +19,8 @@ class AdamState:
 
     mean: Any
     square: Any
-    count: Array
-    """() steps taken."""
+    count: Float[Array, ""]
+    """Steps taken."""
 
 
 def adam_start(parameters: Any) -> AdamState:

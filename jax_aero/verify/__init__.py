@@ -120,7 +120,7 @@ def verify_ticks(config: Mapping[str, Any], samples: Sequence[Sample], group: st
 
     typed = flight_config(config)
     robot = load_robot(typed.robot)
-    params = control.controller_params(typed, robot)
+    params = control.momentum_controller(typed, robot)
 
     @jax.jit
     def evaluate(memory: Any, state: State, thrust: Any, wind: Any, followed: Reference) -> Any:
@@ -184,12 +184,13 @@ def crate_quantity(tick: rust.Tick, name: str) -> Any:
 
 
 def verify_flight(
-    config: Mapping[str, Any], comparison: Comparison, backend: Any = "tree"
-) -> tuple[rust.Flight, rust.Flight]:
+    config: Mapping[str, Any], comparison: Comparison, backend: str = "tree"
+) -> tuple[rust.FlightResult, rust.FlightResult]:
     """Compare a whole flight, signal by signal and tick by tick; return the crate's and ours."""
     from jax_aero.sim import fly
 
-    expected, ours = rust.fly(config), fly(config, backend=backend)
+    expected = rust.fly(config)
+    ours = fly({**config, "simulator": {**config["simulator"], "dynamics": backend}})
     comparison.add("flight", "outcome", ours.outcome != expected.outcome, 0.0, 0.0, relative=False)
     trusted = expected["time"] <= (TRUSTED_WHEN_LOST if expected.outcome == "fell" else np.inf)
     last = min(np.count_nonzero(trusted), len(ours["time"]))
@@ -250,7 +251,7 @@ def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list
     return samples
 
 
-def recorded_samples(config: Mapping[str, Any], flight: rust.Flight, count: int) -> list[Sample]:
+def recorded_samples(config: Mapping[str, Any], flight: rust.FlightResult, count: int) -> list[Sample]:
     """Ticks of a recorded flight, evenly spread; memory and reference as they were, the integral at zero."""
     robot, log = rust.Robot(config["robot"]), flight.log
 

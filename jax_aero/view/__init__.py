@@ -1,7 +1,7 @@
 """See a flight: `python -m jax_aero view` in a browser, `video` and `snapshot` as files.
 
 ```
-run.nc or rust.Flight ► Recording ► Instant ► drawing ► page (viser) or offscreen (MuJoCo) ► video, snapshot
+run.nc or rust.FlightResult ► Recording ► Instant ► drawing ► page (viser) or offscreen (MuJoCo) ► video, snapshot
 ```
 Nothing here is imported by the rest of the library; what it needs besides is the extra `view`.
 """

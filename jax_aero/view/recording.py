@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import rust
+from jax_aero.io import PATH_KEYS
 from jax_aero.summary import SETTLING_TIME
 from jax_aero.view import Refused, require
 
@@ -104,7 +105,7 @@ class Recording:
     robot_path
         The robot's TOML file.
     outcome, fall_time, fall_reason
-        As in `rust.Flight`.
+        As in `rust.FlightResult`.
     config
         Resolved configuration, ready to be flown again; `None` if the file does not say.
     """
@@ -184,7 +185,7 @@ class Recording:
         )
 
 
-def from_flight(flight: rust.Flight, config: rust.Config, title: str) -> Recording:
+def from_flight(flight: rust.FlightResult, config: rust.Config, title: str) -> Recording:
     """Return the recording of a flight just flown."""
     return Recording(
         title=title,
@@ -295,7 +296,7 @@ def _here(config: rust.Config) -> rust.Config:
         for key, value in table.items():
             if isinstance(value, dict):
                 place(value)
-            elif key in rust.PATH_KEYS and isinstance(value, str) and (REPOSITORY / value).is_file():
+            elif key in PATH_KEYS and isinstance(value, str) and (REPOSITORY / value).is_file():
                 table[key] = str(REPOSITORY / value)
 
     place(placed)

@@ -63,7 +63,7 @@ def load(name: str) -> rust.Config:
     return rust.load_config(EXPERIMENTS / f"{name}.toml")
 
 
-def fly(config: rust.Config) -> rust.Flight:
+def fly(config: rust.Config) -> rust.FlightResult:
     """Fly a configuration with its own engine."""
     return engines.engine(engines.engine_of(config)).fly(config)
 
@@ -74,12 +74,12 @@ def rounds_coarsely(config: rust.Config) -> bool:
     return "network" in models or engines.engine_of(config) == "mujoco"
 
 
-def signals(flight: rust.Flight) -> dict[str, NDArray[np.float64]]:
+def signals(flight: rust.FlightResult) -> dict[str, NDArray[np.float64]]:
     """Return the log under the stored names."""
     return _renamed(flight.log, LOG_NAMES)
 
 
-def summary(flight: rust.Flight) -> dict[str, float]:
+def summary(flight: rust.FlightResult) -> dict[str, float]:
     """Return the summary under the stored names."""
     return _renamed(flight.summary, SUMMARY_NAMES)
 

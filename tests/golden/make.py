@@ -51,7 +51,7 @@ def neighbours_of(config: rust.Config) -> Iterator[rust.Config]:
             yield changed
 
 
-def store(name: str, config: rust.Config, flight: rust.Flight, neighbours: list[rust.Flight]) -> None:
+def store(name: str, config: rust.Config, flight: rust.FlightResult, neighbours: list[rust.FlightResult]) -> None:
     """Store the rows and the parts of the ending in which all flights agree."""
     log = flights.signals(flight)
     length = min(len(each.log["time"]) for each in [flight, *neighbours])

@@ -71,7 +71,7 @@ def rng():
 def twin(x64):
     config = flight_config(rust.load_config(EXPERIMENTS / "test2.toml"))
     robot = load_robot(config.robot)
-    return config, robot, tick.controller_params(config, robot)
+    return config, robot, tick.momentum_controller(config, robot)
 
 
 def random_reference(rng):

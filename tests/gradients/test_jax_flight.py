@@ -1,4 +1,7 @@
-"""The gradient of two seconds of closed loop against difference quotients."""
+"""The gradient of two seconds of closed loop against difference quotients, and what a loss leaves of it.
+
+The simulator has a network, second-order jets and a recorded reference, so that one compilation serves all of them.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import rust
-from jax_aero.config import flight_config
-from jax_aero.robot import load_robot
+from jax_aero import io, rust
 from jax_aero.sim import begin, prepare, rollout
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -21,17 +22,26 @@ ROOT = Path(__file__).resolve().parents[2]
 TICKS = 200
 PARAMETERS = (
     *("kp_linear", "kd_linear", "c0", "c1", "torque_kd", "posture_gain"),
-    *("simulated_areas", "believed_areas", "velocity", "joint_position"),
+    *("network_scale", "modelled_areas", "engine_gain", "wind", "velocity", "joint_position"),
 )
 
 
 @pytest.fixture(scope="module")
-def problem(x64):
-    """A cost of tracking, as a function of all parameters and initial values, and its compiled value and gradient."""
-    wind = {"wind.ramp_start": -1.0, "wind.ramp_end": 0.5}
-    config = flight_config(rust.load_config(ROOT / "configs" / "experiments" / "test2.toml", wind))
-    flight, start = prepare(config, load_robot(config.robot))
-    controller, robot_state = flight.controller, start.plant.robot
+def problem(x64, tmp_path_factory):
+    """A cost of tracking as long as the flight lasts, and its compiled value and gradient."""
+    table = io.load_config(ROOT / "configs" / "experiments" / "test2.toml")
+    table["wind"] |= {"ramp_start": -1.0, "ramp_end": 0.5}
+    table["simulator"]["jets"] = {"dynamics": "second_order"}
+    network = io.load_config(ROOT / "configs" / "aero" / "network.toml")
+    table["simulator"]["aero"] = network | {"precision": "f64"}
+    table["envelope"] = {"file": str(tmp_path_factory.mktemp("reference") / "sway.csv")}
+    first = rust.fly(table | {"envelope": {}, "simulator": table["simulator"] | {"duration": 0.01}})
+    times = np.arange(0.0, 3.0, 0.05)
+    com = first["com_reference"][0] + 0.02 * np.stack([np.sin(times), 1.0 - np.cos(times), 0.0 * times], axis=1)
+    rows = np.column_stack([times, com, np.tile(first["base_rpy_reference"][0], (len(times), 1))])
+    np.savetxt(table["envelope"]["file"], rows, delimiter=",", header="time,x,y,z,roll,pitch,yaw", comments="")
+    scenario, start = prepare(table)
+    controller, robot_state = scenario.controller, start.plant.robot
     at = {
         "kp_linear": controller.momentum.kp_linear,
         "kd_linear": controller.momentum.kd_linear,
@@ -39,42 +49,54 @@ def problem(x64):
         "c1": controller.momentum.c1,
         "torque_kd": controller.torque.kd,
         "posture_gain": controller.tasks.posture_gain,
-        "simulated_areas": flight.plant.aero.areas,
-        "believed_areas": controller.aero.areas,
+        "network_scale": scenario.plant.aero.network.scale.astype(np.float64),
+        "modelled_areas": controller.aero.areas,
+        "engine_gain": scenario.plant.jets.rate_gain_p,
+        "wind": scenario.wind.velocity,
         "velocity": robot_state.velocity,
         "joint_position": robot_state.joint_position,
+        "com_error": scenario.fall.com_error,
     }
 
     def cost(p):
+        replace = dataclasses.replace
         gains = {name: p[name] for name in ("kp_linear", "kd_linear", "c0", "c1")}
-        changed = dataclasses.replace(
+        changed = replace(
             controller,
-            momentum=dataclasses.replace(controller.momentum, **gains),
-            torque=dataclasses.replace(controller.torque, kd=p["torque_kd"]),
+            momentum=replace(controller.momentum, **gains),
+            torque=replace(controller.torque, kd=p["torque_kd"]),
             tasks=controller.tasks._replace(posture_gain=p["posture_gain"]),
-            aero=dataclasses.replace(controller.aero, areas=p["believed_areas"]),
+            aero=replace(controller.aero, areas=p["modelled_areas"]),
         )
-        world = dataclasses.replace(
-            flight.plant, aero=dataclasses.replace(flight.plant.aero, areas=p["simulated_areas"])
+        plant = scenario.plant
+        air = replace(plant.aero, network=replace(plant.aero.network, scale=p["network_scale"]))
+        perturbed = replace(
+            scenario,
+            plant=replace(plant, aero=air, jets=replace(plant.jets, rate_gain_p=p["engine_gain"])),
+            controller=changed,
+            wind=replace(scenario.wind, velocity=p["wind"]),
+            fall=replace(scenario.fall, com_error=p["com_error"]),
         )
-        perturbed = dataclasses.replace(flight, plant=world, controller=changed)
         first = robot_state._replace(velocity=p["velocity"], joint_position=p["joint_position"])
         state = begin(perturbed, start.plant._replace(robot=first))
 
         def errors(row):
             return row.com_position - row.com_reference, row.rotation_error, row.thrust - 100.0, row.qp_status
 
-        _, (com, angle, thrust, status) = rollout(perturbed, state, TICKS, errors)
-        return jnp.sum(com**2) + jnp.sum(angle**2) + 1e-6 * jnp.sum(thrust**2), status
+        after, (com, angle, thrust, status) = rollout(perturbed, state, TICKS, errors)
+        flies = (after.fall_tick < 0) | (jnp.arange(TICKS) < after.fall_tick)
+        squares = jnp.sum(com**2, axis=1) + angle**2 + 1e-6 * jnp.sum(thrust**2, axis=1)
+        return jnp.sum(jnp.where(flies, squares, 0.0)), (status, after.fall_tick)
 
-    # One compiled function for both: compiling the cost once more would take longer than a few gradients too many.
+    # One compiled function for all: compiling the cost once more would take longer than a few gradients too many.
     return at, jax.jit(jax.value_and_grad(cost, has_aux=True))
 
 
 def test_gradient_of_a_closed_loop(problem):
-    """With respect to gains, aerodynamic coefficients of either side and the first state, each on its own."""
+    """With respect to gains, coefficients of either side, engine, wind and the first state, each on its own."""
     at, value_and_gradient = problem
-    (_, status), slopes = value_and_gradient(at)
+    (_, (status, fall_tick)), slopes = value_and_gradient(at)
+    assert fall_tick == -1
     assert np.all(status == 0)
     rng, step = np.random.default_rng(0), 1e-5
     for name in PARAMETERS:
@@ -82,3 +104,30 @@ def test_gradient_of_a_closed_loop(problem):
         ahead, behind = (value_and_gradient(at | {name: at[name] + s * step * along})[0][0] for s in (1.0, -1.0))
         exact = float(jnp.vdot(slopes[name], along))
         assert exact == pytest.approx(float(ahead - behind) / (2 * step), rel=1e-5, abs=1e-9), name
+
+
+@pytest.mark.parametrize(
+    ("change", "tick"),
+    [
+        ({"com_error": 0.004}, None),
+        ({"velocity": np.full(29, 1e30)}, 1),
+        ({"velocity": np.full(29, np.nan)}, 0),
+        ({"wind": np.full(3, np.nan)}, 0),
+    ],
+    ids=["lost", "diverged", "state not finite", "wind not finite"],
+)
+def test_gradient_of_a_flight_that_is_lost(problem, change, tick):
+    """Of what was recorded until then: finite, so that one bad sample does not spoil the gradient of a batch."""
+    at, value_and_gradient = problem
+    changed = at | {name: np.asarray(value, np.float64) for name, value in change.items()}
+    (value, (_, fall_tick)), slopes = value_and_gradient(changed)
+    assert fall_tick == tick if tick is not None else 0 < fall_tick < TICKS
+    assert np.isfinite(value)
+    for name, slope in slopes.items():
+        assert np.all(np.isfinite(slope)), name
+    if tick is None:
+        # The slope of a sum up to a loss, along a direction that does not move the loss to another tick.
+        ahead, behind = (value_and_gradient(changed | {"c0": at["c0"] * (1 + s * 1e-5)}) for s in (1.0, -1.0))
+        assert ahead[0][1][1] == behind[0][1][1] == fall_tick
+        difference = float(ahead[0][0] - behind[0][0]) / 2e-5
+        assert float(slopes["c0"] * at["c0"]) == pytest.approx(difference, rel=1e-5, abs=1e-9)

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.aero import LinkConventions, aero_model, link_forces, model_forces, wrench_about
+from jax_aero.aero import LinkConventions, LinksInAir, aero_model, link_forces, wrench_about
 from jax_aero.config import SecondOrderConfig, aero_config, flight_config
 from jax_aero.dynamics import dynamics, forward_dynamics
-from jax_aero.jets import advance_jets, start_jets
+from jax_aero.jets import jet_dynamics
 from jax_aero.kinematics import generalised_force, kinematics, point_jacobians
 from jax_aero.robot import load_robot
 from jax_aero.sim.wind import wind_velocity
@@ -103,12 +103,12 @@ def models(robot, x64):
 
 
 def forces_in_wind(v_air, model, axes):
-    return model_forces(model, axes, v_air)
+    return model.forces(LinksInAir(axes, v_air, None, None, None))
 
 
 def forces_on_link(inputs, v_air):
     model, axes = inputs
-    return model_forces(model, axes / jnp.linalg.norm(axes, axis=1, keepdims=True), v_air)
+    return forces_in_wind(v_air, model, axes / jnp.linalg.norm(axes, axis=1, keepdims=True))
 
 
 @pytest.mark.parametrize("which", ["simulator", "controller"])
@@ -145,9 +145,10 @@ def test_link_forces(check_gradient, robot, models, state, quirks):
 
 def fly_jets(inputs, settings, robot):
     start, command = inputs
-    model, jets = start_jets(settings, robot, start)
+    model = jet_dynamics(settings, robot)
+    jets = model.start(start)
     for _ in range(2):
-        jets = advance_jets(model, jets, command, 0.01)
+        jets = model.advance(jets, command, 0.01)
     return jets
 
 

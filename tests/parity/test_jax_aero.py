@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.aero import LinkConventions, aero_model, link_forces, model_forces, scaled, wrench_about
+from jax_aero.aero import LinkConventions, LinksInAir, aero_model, link_forces, scaled, wrench_about
 from jax_aero.config import aero_config, flight_config
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import load_robot
@@ -47,7 +47,7 @@ def test_forces(models, name, robot, robot_name, agree):
     axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
     v_air = rng.normal(size=axes.shape) * np.array(SPEEDS)[:, None, None]
     v_air[:, 0], v_air[:, 1] = (axes[:, k] * np.array(SPEEDS)[:, None] * sign for k, sign in ((0, 1.0), (1, -1.0)))
-    forces = np.asarray(jax.jit(jax.vmap(lambda a, v: model_forces(model, a, v)))(axes, v_air))
+    forces = np.asarray(jax.jit(jax.vmap(lambda a, v: model.forces(LinksInAir(a, v, None, None, None))))(axes, v_air))
     for case in range(len(SPEEDS)):
         agree(f"{name} forces", forces[case], rust.aero_forces(robot, table, axes[case], v_air[case]), TOLERANCE)
 

@@ -1,4 +1,4 @@
-"""Many flights in JAX at once, split over two devices, against the Rust crate."""
+"""Many flights of the JAX implementation at once, split over two devices, against the Rust crate."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ from jax_aero import rust, sim
 from jax_aero.sim import batch
 
 ROOT = Path(__file__).resolve().parents[2]
+EXPERIMENTS = ROOT / "configs" / "experiments"
 SCRIPT = """
 import json, sys
 import jax
@@ -28,7 +31,7 @@ def test_flights_on_two_devices():
     """Three flights on two devices, so that one flies twice and is dropped; the second one is lost, and ends there."""
     changes = {"simulator.duration": 1.5, "wind.ramp_start": 0.2, "wind.ramp_end": 0.8, "wind.velocity": [0, -6.0, 0]}
     tables = [
-        rust.load_config(ROOT / "configs" / "experiments" / "test2.toml", changes | more)
+        rust.load_config(EXPERIMENTS / "test2.toml", changes | more)
         for more in ({}, {"simulator.fall.com_error": 0.02}, {"controller.momentum.c0": 40.0, "title": "softer"})
     ]
     # Two devices are made of one processor; compiled without optimisation, which takes half the time.
@@ -54,40 +57,122 @@ def test_flights_on_two_devices():
             assert summary[name] == pytest.approx(flight.summary[name], rel=1e-9, abs=1e-9), name
 
 
-def test_flights_of_one_structure_fly_together(monkeypatch):
-    """Flights are sorted by structure and length; what is the same in all of them is not copied."""
-    names = ("test2", "test1", "test2", "test2_published")
-    tables = [
-        rust.load_config(ROOT / "configs" / "experiments" / f"{name}.toml", {"wind.velocity": [0, -speed, 0]})
-        for speed, name in enumerate(names)
-    ]
-    asked = []
+@pytest.fixture
+def counted(monkeypatch):
+    """Replace a tick by one that computes next to nothing; return how often it was traced, each time for how many."""
+    traced = []
 
-    def fly(group, shared, size, full_log, devices):
-        asked.append((group.places, size, shared.count(False)))
-        return [f"flight {place}" for place in group.places]
+    def step(scenario, state, tick):
+        traced.append(scenario.controller.time_step.shape)
+        plant = state.plant.robot
+        zeros = jnp.zeros_like(plant.base_position)
+        row = dict.fromkeys(sim.FlightRow._fields, zeros)
+        row |= {"time": tick * scenario.plant.time_step, "com_position": scenario.wind.velocity}
+        row |= {"rotation_error": zeros[0], "thrust": state.plant.jets.thrust, "joint_position": plant.joint_position}
+        row |= {"joint_torque": plant.joint_position, "aero_force_sim": zeros[None], "aero_force_control": zeros[None]}
+        return state, sim.FlightRow(**row)
 
-    def prepare(config, robot, backend):
-        return (config.controller, config.wind), config.simulator.initial
+    monkeypatch.setattr(batch, "step", step)
+    monkeypatch.setattr(batch, "CHUNK", 2)
+    compiled = batch._compiled
+    compiled.cache_clear()
+    yield traced
+    compiled.cache_clear()
 
-    # Structure is all that counts here; a real flight of each would compile.
-    monkeypatch.setattr(batch, "prepare", prepare)
-    monkeypatch.setattr(batch, "_fly_together", fly)
-    assert sim.fly_batch(tables) == [f"flight {place}" for place in range(4)]
-    assert asked == [([0, 2], 2, 1), ([1], 1, 0), ([3], 1, 0)]
-    asked.clear()
-    sim.fly_batch(tables[::2] * 3, most_together=4)
-    assert asked == [([0, 1, 2, 3], 4, 1), ([4, 5], 4, 1)]
+
+def flights(*changes):
+    table = rust.load_config(EXPERIMENTS / "test2.toml", {"simulator.duration": 0.03})
+    for change in changes:
+        changed = json.loads(json.dumps(table))
+        for key, value in change.items():
+            *parents, name = key.split(".")
+            inner = changed
+            for parent in parents:
+                inner = inner[parent]
+            inner[name] = value
+        yield changed
+
+
+def test_what_differs_does_not_decide_what_compiles(counted):
+    """One compilation for every batch of a structure, whichever numbers differ, and for each chunk and part of it."""
+    winds = [{"wind.velocity": [0.0, -speed, 0.0]} for speed in (1.0, 2.0, 3.0)]
+    found = sim.fly_batch(flights(*winds), full_log=True, most_together=4)
+    assert [flight["com_position"][0, 1] for flight in found] == [-1.0, -2.0, -3.0]
+    sim.fly_batch(flights({}, {}, {}), full_log=True, most_together=4)
+    sim.fly_batch(
+        flights({}, {"controller.momentum.c0": 40.0}, {"simulator.fall.com_error": 0.1}), full_log=True, most_together=4
+    )
+    sim.fly_batch(flights(*winds, *winds, {}), full_log=True, most_together=4)
+    assert len(counted) == 1
+
+
+def test_flights_of_another_structure_fly_apart(counted):
+    found = sim.fly_batch(flights({}, {"controller.lever_arm": "unrotated"}, {}), full_log=True)
+    assert len(found) == 3
+    assert len(counted) == 2
+
+
+def test_numbers_go_to_the_device_once(counted, monkeypatch):
+    """Every chunk but the first gets arrays that are there already."""
+    sim.fly_batch(flights({}, {}), full_log=True)
+    compiled = batch._compiled
+    kinds = []
+
+    def watched(*static):
+        fly = compiled(*static)
+
+        def call(leaves, postures, state, first):
+            kinds.extend(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves((leaves, postures, state)))
+            return fly(leaves, postures, state, first)
+
+        return call
+
+    monkeypatch.setattr(batch, "_compiled", watched)
+    sim.fly_batch(flights({}, {}), full_log=True)
+    assert kinds
+    assert all(kinds)
+
+
+def test_a_network_is_read_once_and_shared(counted, monkeypatch):
+    """Its weights are neither read nor copied for every flight."""
+    read = []
+    load = batch.load_network
+
+    def counting(card, robot):
+        read.append(card)
+        return load(card, robot)
+
+    monkeypatch.setattr(batch, "load_network", counting)
+    network = {
+        "model": "network",
+        "card": str(next((ROOT / "configs/aero/networks").rglob("*.json"))),
+        "air_density": 1.225,
+    }
+    tables = list(
+        flights(
+            {"simulator.aero": network, "controller.aero": network},
+            {"simulator.aero": network, "controller.aero": network},
+        )
+    )
+    with jax.enable_x64(True):
+        groups = batch._groups(batch._prepared(batch._typed(tables), np.float64))
+    assert len(read) == 1
+    (group,) = groups
+    scenario = jax.tree.unflatten(group.structure, group.is_shared)
+    assert all(jax.tree.leaves((scenario.plant.aero.network, scenario.controller.aero.network, scenario.plant.robot)))
+    assert not any(jax.tree.leaves((scenario.controller.momentum, scenario.wind, scenario.plant.jets)))
 
 
 def test_a_flight_that_cannot_be_flown_is_named():
-    table = rust.load_config(ROOT / "configs" / "experiments" / "test2.toml")
+    table = rust.load_config(EXPERIMENTS / "test2.toml")
     spoilt = table | {"wind": {"profile": "storm"}}
     with pytest.raises(ValueError, match=r"flight 1 of the batch: `wind.profile` is 'storm'"):
         sim.fly_batch([table, spoilt])
 
 
-def test_the_places_of_a_batch():
-    assert [batch._power_of_two(n) for n in (1, 2, 3, 4, 5, 64, 65)] == [1, 2, 4, 4, 8, 64, 128]
-    same, different = np.ones(3), np.zeros(3)
-    assert batch._shared([(same, same), (same, different)]) == (True, False)
+def test_the_size_of_a_batch():
+    """At most a seventh flies in vain beyond eight flights; parts of a batch are of one size."""
+    sizes = [batch.batch_size(n, 1, 64) for n in (1, 2, 3, 5, 9, 48, 50, 64, 65, 100, 640)]
+    assert sizes == [1, 2, 4, 8, 16, 48, 56, 64, 40, 56, 64]
+    assert batch.batch_size(3, 2, 64) == 4
+    assert batch.batch_size(7, 1, 4) == 4

@@ -74,7 +74,7 @@ class Twin:
         self.table = rust.load_config(EXPERIMENTS / f"{name}.toml", overrides)
         config = flight_config(self.table)
         self.robot = load_robot(config.robot)
-        self.params = tick.controller_params(config, self.robot)
+        self.params = tick.momentum_controller(config, self.robot)
 
     def start(self, remembered, state):
         """Return the memory of a controller that has ticked before, but not pushed."""

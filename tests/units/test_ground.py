@@ -184,7 +184,7 @@ def test_the_ground_figure_is_drawn_from_its_runs(frontal, tmp_path):
 def test_an_incomplete_log_is_refused(frontal):
     robot = rust.Robot(standing()["robot"])
     log = {name: signal for name, signal in frontal.log.items() if name != "foot_wrench"}
-    broken = rust.Flight(log, frontal.joint_reference, "completed", None, None, {})
+    broken = rust.FlightResult(log, frontal.joint_reference, "completed", None, None, {})
     with pytest.raises(ValueError, match="no `foot_wrench`"):
         record.to_dataset(broken, robot, title="t", config_digest="d")
 
@@ -270,7 +270,7 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
                 "aero_force_sim": np.full((n, 13, 3), speed / 13),
                 "sole_position": np.zeros((n, 2, 3)),
             }
-            return rust.Flight(log, np.zeros(23), "fell" if speed > 15.0 else "completed", None, None, {})
+            return rust.FlightResult(log, np.zeros(23), "fell" if speed > 15.0 else "completed", None, None, {})
 
     monkeypatch.setattr(tip_over.engines, "engine", lambda _: Engine())
     text = (ROOT / "configs/tip_over/ground.toml").read_text().replace("../", f"{ROOT}/configs/")

@@ -17,7 +17,6 @@ from jax_aero import rust, sim
 from jax_aero.config import flight_config
 from jax_aero.control import qp
 from jax_aero.linalg import CHUNK, solve_positive_definite
-from jax_aero.robot import load_robot
 
 pytestmark = pytest.mark.usefixtures("x64")
 
@@ -53,7 +52,7 @@ def test_a_tick_of_many_flights():
     """The whole closed loop: controller, both QPs, plant, jets."""
     config = flight_config(rust.load_config(ROOT / "configs" / "experiments" / "second_order_jets.toml"))
     # Shapes are enough: nothing is computed.
-    flight, state = jax.eval_shape(lambda: sim.prepare(config, load_robot(config.robot)))
+    flight, state = jax.eval_shape(lambda: sim.prepare(config))
     states = jax.tree.map(lambda x: jax.ShapeDtypeStruct((BATCH, *x.shape), x.dtype), state)
 
     def tick(flight, states):

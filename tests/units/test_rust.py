@@ -115,3 +115,62 @@ def test_ctrl_c_ends_a_long_call_at_once(call, start):
     _, errors = process.communicate(timeout=10)
     assert process.returncode != 0
     assert "KeyboardInterrupt" in errors
+
+
+def test_a_loop_over_the_plant_is_the_flight():
+    """The crate's controller in a Python loop: the same bits at every tick."""
+    config = rust.load_config(TEST2, {"simulator.duration": 0.2, "wind.ramp_start": 0.0, "wind.ramp_end": 0.1})
+    plant, controller, flight = rust.Plant(config), rust.Controller(config), rust.fly(config)
+    for _ in range(2):
+        now, controller = plant.reset(), rust.Controller(config)
+        for tick, time_of_log in enumerate(flight["time"]):
+            assert now.time == time_of_log
+            assert np.array_equal(now.state.base_position, flight["base_position"][tick])
+            assert np.array_equal(now.thrust, flight["thrust"][tick])
+            assert np.array_equal(now.wind, flight["wind"][tick])
+            command = controller.tick(now.state, now.thrust, now.wind, now.time)
+            now = plant.step(command.thrust_rate, command.joint_torque)
+            assert np.array_equal(plant.link_forces, flight["aero_force_sim"][tick])
+
+
+def test_a_controller_of_ones_own_over_the_plant():
+    """It keeps height by thrust alone; without it the robot falls 0.1 m in that time."""
+    config = rust.load_config(REPOSITORY / "configs/experiments/no_wind.toml")
+    robot, plant = rust.Robot(config["robot"]), rust.Plant(config)
+    now = plant.reset()
+    com = rust.dynamics(robot, now.state).com_position[2]
+    for _ in range(15):
+        dynamics = rust.dynamics(robot, now.state)
+        velocity = dynamics.momentum[2] / robot.mass
+        climb = 900.0 * (com - dynamics.com_position[2]) - 60.0 * velocity
+        wanted = now.thrust * robot.mass * (robot.gravity + climb) / now.thrust.sum()
+        now = plant.step((wanted - now.thrust) / 0.05, np.zeros(23))
+    assert abs(rust.dynamics(robot, now.state).com_position[2] - com) < 0.02
+
+
+def test_forces_of_ones_own_over_the_plant():
+    """1 N on each of 13 links for one tick from rest adds their impulse, to the second order in the step."""
+    changes = {"simulator.substeps": 3, "simulator.initial.free_fall_tick": False}
+    config = rust.load_config(TEST2, changes | {"wind.ramp_start": -1.0, "wind.ramp_end": 0.0})
+    robot, plant = rust.Robot(config["robot"]), rust.Plant(config)
+    momenta = []
+    for force in (0.0, -1.0):
+        plant.reset()
+        now = plant.step(np.zeros(4), np.zeros(23), np.tile([0.0, force, 0.0], (13, 1)))
+        assert np.array_equal(plant.link_forces, np.tile([0.0, force, 0.0], (13, 1)))
+        momenta.append(rust.dynamics(robot, now.state).momentum)
+    assert momenta[1][1] - momenta[0][1] == pytest.approx(-0.13, rel=0.01)
+    plant.reset()
+    plant.step(np.zeros(4), np.zeros(23))
+    assert np.any(plant.link_forces), "without given forces the model's act again"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("thrust_rate", np.zeros(3)), ("joint_torque", np.full(23, np.nan)), ("link_forces", np.zeros((12, 3)))],
+)
+def test_a_step_that_cannot_be_taken_is_refused(name, value):
+    plant = rust.Plant(rust.load_config(TEST2))
+    command = {"thrust_rate": np.zeros(4), "joint_torque": np.zeros(23)} | {name: value}
+    with pytest.raises(ValueError, match=f"`{name}`"):
+        plant.step(**command)

@@ -169,7 +169,7 @@ def test_the_result_names_its_reference_and_its_flights(tmp_path, monkeypatch, c
         "thrust": np.full((3, 4), 100.0),
         "rotation_error": np.zeros(3),
     }
-    flight = rust.Flight(log, np.zeros(23), "completed", None, None, {})
+    flight = rust.FlightResult(log, np.zeros(23), "completed", None, None, {})
     dataset = experiment.to_dataset(plan, flight, flight, model.robot, config, "0" * 64)
     monkeypatch.setattr(study, "RESULTS", tmp_path)
     document = study.build_manifest("small", "Small", config, "0" * 64, summary={}, timings={"solve": 1.0})

@@ -23,10 +23,11 @@ const PATH_KEYS: [&str; 4] = ["robot", "path", "file", "card"];
 /// # Errors
 /// [`BuildError`] naming the file that cannot be read or parsed, or that refers to itself.
 pub fn resolve(path: &Path) -> Result<Value, BuildError> {
-    read(path, 0)
+    read(path, "", 0)
 }
 
-fn read(path: &Path, depth: usize) -> Result<Value, BuildError> {
+/// The table of a file, which stands under the key `name`.
+fn read(path: &Path, name: &str, depth: usize) -> Result<Value, BuildError> {
     if depth > MAX_DEPTH {
         return Err(BuildError::malformed(
             path.display().to_string(),
@@ -37,11 +38,12 @@ fn read(path: &Path, depth: usize) -> Result<Value, BuildError> {
     let table: Map<String, Value> =
         ::toml::from_str(&text).map_err(|error| BuildError::malformed(path.display().to_string(), error))?;
     let folder = path.parent().unwrap_or(Path::new(".")).to_owned();
-    resolve_table(table, &folder, depth).map(Value::Object)
+    resolve_table(table, name, &folder, depth).map(Value::Object)
 }
 
 fn resolve_table(
     mut table: Map<String, Value>,
+    name: &str,
     folder: &Path,
     depth: usize,
 ) -> Result<Map<String, Value>, BuildError> {
@@ -49,7 +51,7 @@ fn resolve_table(
     for (key, value) in &mut table {
         match value {
             Value::Object(inner) => {
-                *inner = resolve_table(std::mem::take(inner), folder, depth)?;
+                *inner = resolve_table(std::mem::take(inner), key, folder, depth)?;
             }
             Value::String(text) if PATH_KEYS.contains(&key.as_str()) => {
                 *text = absolute(&folder.join(&*text))?;
@@ -65,26 +67,29 @@ fn resolve_table(
             "the path of a TOML file",
         ));
     };
-    let Value::Object(mut merged) = read(&folder.join(file), depth + 1)? else { return Ok(table) };
-    lay_over(&mut merged, table);
+    let Value::Object(mut merged) = read(&folder.join(file), name, depth + 1)? else { return Ok(table) };
+    lay_over(&mut merged, name, table);
     Ok(merged)
 }
 
-/// Writes `over` onto `under`; tables merge, everything else is replaced.
+/// Tables of several kinds, with the key that says which kind one is.
+const KINDS: [(&str, &str); 4] =
+    [("aero", "model"), ("jets", "dynamics"), ("wind", "profile"), ("fictitious_wind", "profile")];
+
+/// Writes `over` onto `under`, both the table `name`; tables merge, everything else is replaced.
 ///
-/// A table that brings its own discriminant (`model`, `profile`, `dynamics`) replaces the one below
-/// it: keys of another kind of model would not be understood.
-fn lay_over(under: &mut Map<String, Value>, over: Map<String, Value>) {
-    const DISCRIMINANTS: [&str; 3] = ["model", "profile", "dynamics"];
-    let changes_kind = DISCRIMINANTS
+/// A table of another kind replaces the one below it: keys of that kind would not be understood.
+fn lay_over(under: &mut Map<String, Value>, name: &str, over: Map<String, Value>) {
+    let changes_kind = KINDS
         .iter()
-        .any(|key| matches!((under.get(*key), over.get(*key)), (Some(a), Some(b)) if a != b));
+        .filter(|(table, _)| *table == name)
+        .any(|(_, key)| matches!((under.get(*key), over.get(*key)), (Some(a), Some(b)) if a != b));
     if changes_kind {
         under.clear();
     }
     for (key, value) in over {
         match (under.get_mut(&key), value) {
-            (Some(Value::Object(below)), Value::Object(above)) => lay_over(below, above),
+            (Some(Value::Object(below)), Value::Object(above)) => lay_over(below, &key, above),
             (_, value) => {
                 under.insert(key, value);
             }

@@ -11,6 +11,7 @@
 mod arrays;
 mod control;
 mod flight;
+mod plant;
 mod qp;
 mod robot;
 
@@ -22,6 +23,8 @@ mod _core {
     use super::control::{Controller, reference_trajectory};
     #[pymodule_export]
     use super::flight::{check_config, config_digest, fly, fly_batch, resolve_config, wind_velocity};
+    #[pymodule_export]
+    use super::plant::Plant;
     #[pymodule_export]
     use super::qp::{BoxQpSolver, kkt_residual};
     #[pymodule_export]

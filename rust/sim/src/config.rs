@@ -112,6 +112,9 @@ pub struct SimulatorConfig {
     /// How a physics step is taken.
     #[serde(default)]
     pub integrator: Integrator,
+    /// What computes mass matrix and bias.
+    #[serde(default, skip_serializing_if = "DynamicsBackend::is_tree")]
+    pub dynamics: DynamicsBackend,
     /// Aerodynamics of the world.
     pub aero: AeroConfig,
     /// Factors on the forces of that model: coefficients that are not what they are thought to be.
@@ -142,6 +145,24 @@ pub struct SimulatorConfig {
 
 fn one() -> u32 {
     1
+}
+
+/// What computes mass matrix and bias.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DynamicsBackend {
+    /// The tree of bodies of this project.
+    #[default]
+    Tree,
+    /// MuJoCo's JAX implementation, for `engine = "jax"` alone.
+    Mjx,
+}
+
+impl DynamicsBackend {
+    #[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
+    fn is_tree(&self) -> bool {
+        *self == Self::Tree
+    }
 }
 
 /// How a physics step is taken.

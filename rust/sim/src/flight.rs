@@ -12,7 +12,7 @@
 //! which is the published order of execution with its unit delays written out: its physics block runs
 //! first in a tick, on what the tick before left in the delays. Equation M77 of `docs/model.md`, the end of a flight M80.
 
-use crate::config::{Engine, FlightConfig};
+use crate::config::{DynamicsBackend, Engine, FlightConfig};
 use crate::log::{FlightLog, FlightResult, LogRow, Summary, TrackingErrors};
 use crate::plant::Plant;
 use crate::wind::Wind;
@@ -101,6 +101,10 @@ impl Flight {
                 return Err(BuildError::bad_value(key, "given", expected));
             }
         }
+        if config.simulator.dynamics != DynamicsBackend::Tree {
+            let expected = "tree; engine = \"jax\" has mjx too";
+            return Err(BuildError::bad_value("simulator.dynamics", "mjx", expected));
+        }
         Self::build(config, robot)
     }
 
@@ -109,7 +113,12 @@ impl Flight {
     /// # Errors
     /// [`BuildError`] naming what cannot be used.
     pub fn check(config: &FlightConfig) -> Result<(), BuildError> {
-        if config.engine != Engine::Mujoco {
+        if config.engine == Engine::Jax {
+            let mut config = config.clone();
+            config.simulator.dynamics = DynamicsBackend::Tree; // it flies either
+            return Self::new(&config).map(|_| ());
+        }
+        if config.engine == Engine::Rust {
             return Self::new(config).map(|_| ());
         }
         if config.simulator.ground.is_none() {

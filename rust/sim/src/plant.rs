@@ -34,6 +34,8 @@ pub struct Plant {
     kinematics: Kinematics,
     dynamics: Dynamics,
     link_forces: LinkForces,
+    /// Act in place of those of the model, inertial axes \[N\].
+    given_forces: Option<Vec<Vector3<f64>>>,
     /// First-tick pose with current velocities, where the aerodynamics is frozen.
     frozen: Option<(RobotState, Kinematics)>,
     mass_factor: MassFactor,
@@ -64,6 +66,7 @@ impl Plant {
             kinematics: Kinematics::new(&robot),
             dynamics: Dynamics::new(&robot),
             link_forces: LinkForces::new(&robot),
+            given_forces: None,
             frozen: None,
             mass_factor: MassFactor::new(n),
             acceleration: DVector::zeros(n),
@@ -122,6 +125,26 @@ impl Plant {
         };
         self.link_forces.update(&self.robot, placed, self.conventions, &mut self.aero, wind_i);
         self.aero_factors.apply(&mut self.link_forces);
+        if let Some(given) = &self.given_forces {
+            self.link_forces.forces_i.copy_from_slice(given);
+        }
+    }
+
+    /// Lets these forces \[N, inertial axes\], one for each link, act in place of those of the model, from the
+    /// next [`Self::observe`] on; `None` returns to the model.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] for another number of forces than there are links.
+    pub fn replace_link_forces(&mut self, forces_i: Option<Vec<Vector3<f64>>>) -> Result<(), BuildError> {
+        let links = self.robot.aero_links.len();
+        match &forces_i {
+            Some(forces) if forces.len() != links => {
+                let expected = format!("{links}, one for each aerodynamic link");
+                return Err(BuildError::bad_value("number of link forces", forces.len(), expected));
+            }
+            _ => self.given_forces = forces_i,
+        }
+        Ok(())
     }
 
     /// Advances one tick of `time_step` \[s\] under held torques and commanded thrust rates. The

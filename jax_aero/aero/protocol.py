@@ -1,0 +1,39 @@
+"""What an aerodynamic model is given and what it answers: the interface for models of one's own."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+from jaxtyping import Float
+
+from jax_aero.robot import RobotModel
+from jax_aero.types import Array, Kinematics
+
+
+class LinksInAir(NamedTuple):
+    """The links of a robot as they stand in the air; inertial axes. A model uses what it needs."""
+
+    axes: Float[Array, "L 3"]
+    """Unit axes of symmetry."""
+    v_air: Float[Array, "L 3"]
+    """Velocity of the air relative to each link [m/s]."""
+    wind: Float[Array, "3"]
+    """Velocity of the air [m/s]."""
+    robot: RobotModel
+    kinematics: Kinematics
+
+
+class AeroModel(Protocol):
+    """An aerodynamic model: a pytree whose numbers are leaves (`jax_aero.types.pytree` makes one of a class).
+
+    >>> @pytree
+    ... class ConstantForce:
+    ...     force: Array
+    ...
+    ...     def forces(self, links):
+    ...         return jnp.broadcast_to(self.force, links.v_air.shape)
+    """
+
+    def forces(self, links: LinksInAir) -> Array:
+        """Force on each link (L, 3) [N], inertial axes, at its aerodynamic centre. Pure, and traced by JAX."""
+        ...

@@ -1,0 +1,88 @@
+"""What a flight controller is given and what it answers: the interface for controllers of one's own."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol, TypeVar
+
+from jaxtyping import Float
+
+from jax_aero.control.attitude import AttitudeDemand
+from jax_aero.control.momentum import MomentumModel
+from jax_aero.control.qp import QpAnswer
+from jax_aero.control.tasks import MomentumQp
+from jax_aero.control.torque import TorqueQp
+from jax_aero.robot import RobotModel
+from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, Reference, State
+
+S = TypeVar("S")
+
+
+class Measurement(NamedTuple):
+    """What a controller is given at a tick."""
+
+    time: Float[Array, ""]
+    """Since the flight began [s]."""
+    state: State
+    thrust: Float[Array, " j"]
+    """[N]."""
+    wind: Float[Array, "3"]
+    """Measured velocity of the air [m/s, inertial axes]."""
+
+
+class Terms(NamedTuple):
+    """All intermediate values of a tick of the momentum controller."""
+
+    kinematics: Kinematics
+    dynamics: Dynamics
+    link_forces: LinkForces
+    momentum: MomentumModel
+    reference: Reference
+    attitude: AttitudeDemand
+    momentum_qp: MomentumQp
+    torque_qp: TorqueQp
+    unlimited_torque: Float[Array, " n"]
+    """Torques before the rate limiter [N m]."""
+
+
+class Command(NamedTuple):
+    """What a controller asks of the robot, held until the next tick. Entries that are `None` are NaN in the log."""
+
+    thrust_rate: Float[Array, " j"]
+    """`Ṫ*` [N/s]."""
+    joint_torque: Float[Array, " n"]
+    """[N m]."""
+    reference: Reference | None = None
+    """What the controller follows. Without it a flight is lost only by a state that is not finite."""
+    joint_velocity: Array | None = None
+    """(n,) `ṡ*` [rad/s]."""
+    momentum_qp: QpAnswer | None = None
+    torque_qp: QpAnswer | None = None
+    status: Array | None = None
+    """() int32, one of the codes in `tick`."""
+    terms: Terms | None = None
+
+
+class Controller(Protocol[S]):
+    """A flight controller: a pytree whose numbers are leaves, with two pure functions that JAX traces.
+
+    `robot` is the model that the controller is to use, by default that of the robot that flies.
+
+    >>> @pytree
+    ... class HoldThrust:
+    ...     damping: Array
+    ...
+    ...     def init(self, robot, state):
+    ...         return ()
+    ...
+    ...     def step(self, robot, state, measurement):
+    ...         torque = -self.damping * measurement.state.velocity[6:]
+    ...         return state, Command(jnp.zeros_like(measurement.thrust), torque)
+    """
+
+    def init(self, robot: RobotModel, state: State) -> S:
+        """Return the state of the controller at its first tick, the robot being in `state`."""
+        ...
+
+    def step(self, robot: RobotModel, state: S, measurement: Measurement) -> tuple[S, Command]:
+        """One tick: the state of the controller at the next one, and the command."""
+        ...

@@ -1,0 +1,96 @@
+//! The simulated robot, one tick at a time, for a control loop of one's own.
+
+use crate::arrays::{Input, entries, matrix, value_error, vector, vectors};
+use crate::flight::parse;
+use flight_core::BuildError;
+use flight_io::load_robot;
+use flight_sim::Wind;
+use nalgebra::Vector3;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+/// The robot, its jets and the wind of a configuration.
+#[pyclass(module = "jax_aero._core")]
+pub struct Plant {
+    plant: flight_sim::Plant,
+    /// As it was at the beginning.
+    start: flight_sim::Plant,
+    wind: Wind,
+    joints: usize,
+    jets: usize,
+    links: usize,
+    time_step: f64,
+    tick: usize,
+}
+
+#[pymethods]
+impl Plant {
+    #[new]
+    fn new(config_json: &str) -> PyResult<Self> {
+        let config = parse(config_json)?;
+        let robot = load_robot(&config.robot).map_err(value_error)?;
+        let (joints, jets, links) = (robot.n_joints(), robot.jets.len(), robot.aero_links.len());
+        let start = flight_sim::Plant::new(robot, &config.simulator).map_err(value_error)?;
+        let wind = Wind::new(&config.wind).map_err(value_error)?;
+        let time_step = config.simulator.time_step;
+        Ok(Self { plant: start.clone(), start, wind, joints, jets, links, time_step, tick: 0 })
+    }
+
+    /// Return to the initial state.
+    fn reset(&mut self) {
+        self.plant = self.start.clone();
+        self.tick = 0;
+    }
+
+    /// Time [s], state, thrusts [N] and wind [m/s] at this tick, by name.
+    fn measure<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let (state, time) = (self.plant.state(), self.time());
+        let out = PyDict::new(py);
+        out.set_item("time", time)?;
+        out.set_item("base_position", vector(py, state.base.position.as_slice())?)?;
+        out.set_item("base_rotation", matrix(py, &state.base.rotation)?)?;
+        out.set_item("joint_position", vector(py, state.joint_position.as_slice())?)?;
+        out.set_item("velocity", vector(py, state.velocity.as_slice())?)?;
+        out.set_item("thrust", vector(py, self.plant.jets().thrust_feedback())?)?;
+        out.set_item("wind", vector(py, self.wind.velocity(time).as_slice())?)?;
+        Ok(out)
+    }
+
+    /// Advance one tick under held torques (n) [N m] and commanded thrust rates (jets) [N/s]; return the
+    /// aerodynamic forces (links, 3) [N, inertial axes] at its beginning. With `link_forces` these act.
+    fn step<'py>(
+        &mut self,
+        py: Python<'py>,
+        thrust_rate: Input<'py>,
+        joint_torque: Input<'py>,
+        link_forces: Option<Input<'py>>,
+    ) -> PyResult<crate::arrays::Output<'py>> {
+        let thrust_rate = finite("thrust_rate", &thrust_rate, &[self.jets])?;
+        let torque = finite("joint_torque", &joint_torque, &[self.joints])?;
+        let forces =
+            link_forces.map(|forces| finite("link_forces", &forces, &[self.links, 3])).transpose()?;
+        let forces =
+            forces.map(|values| values.chunks_exact(3).map(Vector3::from_column_slice).collect::<Vec<_>>());
+        self.plant.replace_link_forces(forces).map_err(value_error)?;
+        let wind = self.wind.velocity(self.time());
+        self.plant.observe(&wind);
+        let acting = vectors(py, &self.plant.link_forces().forces_i)?;
+        self.plant.advance(&torque, &thrust_rate, &wind, self.time_step);
+        self.tick += 1;
+        Ok(acting)
+    }
+}
+
+impl Plant {
+    fn time(&self) -> f64 {
+        self.tick as f64 * self.time_step
+    }
+}
+
+fn finite(name: &str, array: &Input<'_>, shape: &[usize]) -> PyResult<Vec<f64>> {
+    let values = entries(name, array, shape)?;
+    match values.iter().find(|value| !value.is_finite()) {
+        None => Ok(values),
+        Some(value) => Err(value_error(BuildError::bad_value(format!("`{name}`"), value, "finite numbers"))),
+    }
+}

@@ -1,0 +1,178 @@
+"""The simulator in JAX as a user composes it: own controller and air, precision, refusals, no compiled crate."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax_aero import io, rust, sim
+from jax_aero.config import flight_config
+
+ROOT = Path(__file__).resolve().parents[2]
+EXPERIMENTS = sorted((ROOT / "configs" / "experiments").glob("*.toml"))
+TEST2 = ROOT / "configs" / "experiments" / "test2.toml"
+
+OWN = """
+import sys
+sys.modules["jax_aero._core"] = None  # importing it fails
+import json
+import jax, jax.numpy as jnp, numpy as np
+from jax_aero import io, sim
+from jax_aero.dynamics import dynamics, forward_dynamics
+from jax_aero.kinematics import frame_poses, generalised_force, kinematics
+from jax_aero.spatial import rotate
+from jax_aero.types import Array, pytree
+
+@pytree
+class HoverPd:
+    stiffness: Array
+
+    def init(self, robot, state):
+        return state
+
+    def step(self, robot, first, measurement):
+        state, thrust, jets = measurement.state, measurement.thrust, robot.jets
+        climb = 9.0 * (first.base_position[2] - state.base_position[2]) - 6.0 * state.velocity[2]
+        wanted = thrust * robot.mass * (robot.gravity + climb) / jnp.sum(thrust)
+        kin = kinematics(robot, state)
+        dyn = dynamics(robot, state, kin)
+        rotations, points = frame_poses(kin, jets.bodies, jets.rotations, jets.positions)
+        force = generalised_force(robot, kin, jets.bodies, points, thrust[:, None] * rotate(rotations, jets.axes))
+        pull = self.stiffness * (first.joint_position - state.joint_position)
+        pull = pull - 2.0 * jnp.sqrt(self.stiffness) * state.velocity[6:]
+        gain = jnp.linalg.inv(dyn.mass_matrix)[6:, 6:]
+        torque = jnp.linalg.solve(gain, pull - forward_dynamics(dyn, force)[6:])
+        return first, sim.Command(10.0 * (wanted - thrust), torque)
+
+@pytree
+class ConstantForce:
+    force: Array
+
+    def forces(self, links):
+        return jnp.broadcast_to(self.force, links.v_air.shape)
+
+changes = {"simulator.duration": 0.4, "simulator.initial.free_fall_tick": False}
+config = io.load_config("configs/experiments/no_wind.toml", changes)
+with jax.enable_x64(True):
+    flight, still = (
+        sim.run(*sim.prepare(config, controller=HoverPd(jnp.array(100.0)), aero=ConstantForce(jnp.array(force))))
+        for force in ([0.0, -1.0, 0.0], [0.0, 0.0, 0.0])
+    )
+    rows = jax.eval_shape(sim.step, *sim.prepare(config), jnp.array(0))[1]  # the configured controller
+names = ("base_position", "joint_position", "aero_force_sim", "momentum", "rotation_error", "joint_velocity_command")
+found = {name: flight[name].tolist() for name in names} | {"outcome": flight.outcome, "n": rows.thrust.shape}
+print(json.dumps(found | {"still_momentum": still["momentum"].tolist()}))
+"""
+
+
+@pytest.fixture(scope="module")
+def own_flight():
+    """Flown in an interpreter that has no compiled crate."""
+    done = subprocess.run([sys.executable, "-c", OWN], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return {name: np.array(value) for name, value in json.loads(done.stdout).items()}
+
+
+def test_a_controller_of_ones_own(own_flight):
+    """It holds posture and height, which 0.4 s of free fall would change by 0.78 m."""
+    assert own_flight["outcome"] == "completed"
+    assert len(own_flight["base_position"]) == 41
+    assert np.max(np.abs(own_flight["joint_position"] - own_flight["joint_position"][0])) < 0.1
+    assert np.max(np.abs(own_flight["base_position"][:, 2] - own_flight["base_position"][0, 2])) < 0.03
+    assert np.all(np.isnan(own_flight["joint_velocity_command"])), "a signal that this controller does not compute"
+    assert np.all(own_flight["rotation_error"] == 0.0), "without a reference there is no error"
+
+
+def test_air_of_ones_own(own_flight):
+    """13 links, 1 N on each: from rest, the first step adds their impulse, to the second order in the step."""
+    assert np.array_equal(own_flight["aero_force_sim"], np.broadcast_to([0.0, -1.0, 0.0], (41, 13, 3)))
+    added = own_flight["momentum"][1] - own_flight["still_momentum"][1]
+    assert added[1] == pytest.approx(-13.0 * 0.01, rel=0.01)
+
+
+def test_the_configured_controller_needs_no_crate_either(own_flight):
+    assert own_flight["n"].tolist() == [4]
+
+
+@pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
+def test_files_resolve_to_the_same_table_in_both_languages(path):
+    ours = io.load_config(path)
+    assert rust.config_digest(ours) == rust.config_digest(rust.load_config(path))
+    if ours.get("engine") != "mujoco":
+        one, other = flight_config(ours), flight_config(rust.load_config(path))
+        assert jax.tree.structure(one) == jax.tree.structure(other)
+        assert all(map(np.array_equal, jax.tree.leaves(one), jax.tree.leaves(other)))
+
+
+def test_overrides_are_the_same_in_both_languages():
+    changes = {"wind.velocity": [0, -12.0, 0], "simulator.jet_faults.lag": 0.02}
+    assert rust.config_digest(io.load_config(TEST2, changes)) == rust.config_digest(rust.load_config(TEST2, changes))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('base = "self.toml"', ["more than 16 deep"]),
+        ("base = 3", ["`base`", "3"]),
+        ('base = "nowhere.toml"', ["nowhere.toml"]),
+        ("a = ", ["self.toml"]),
+        ('robot = "nowhere.toml"', ["nowhere.toml"]),
+    ],
+)
+def test_files_that_cannot_be_resolved_are_refused_in_both_languages(tmp_path, text, words):
+    (tmp_path / "self.toml").write_text(text)
+    for load in (io.load_config, rust.load_config):
+        with pytest.raises(ValueError, match=r"^") as refusal:
+            load(tmp_path / "self.toml")
+        assert all(word in str(refusal.value) for word in words), refusal.value
+
+
+def test_double_precision_is_never_silently_missing():
+    config = io.load_config(TEST2, {"simulator.duration": 0.1})
+    with pytest.raises(ValueError, match=r"float64.*jax.enable_x64"):
+        sim.prepare(config)
+    single = sim.prepare(config, dtype=np.float32)
+    floats = [leaf.dtype for leaf in jax.tree.leaves(single) if jnp.issubdtype(leaf.dtype, jnp.floating)]
+    assert set(floats) == {np.dtype(np.float32)}
+    with jax.enable_x64(True):
+        double = sim.prepare(config)
+    with pytest.raises(ValueError, match=r"prepared in float64, but its numbers are float32 here"):
+        jax.eval_shape(lambda scenario, state: sim.rollout(scenario, state, 2, sim.everything), *double)
+
+
+SPOILT = {
+    "simulator.integrator": ("rk4", "semi_implicit_euler"),
+    "simulator.dynamics": ("featherstone", "tree"),
+    "controller.lever_arm": ("bent", "rotated"),
+    "wind.profile": ("storm", "ramp"),
+    "simulator.initial.thrust": ([100.0], "4"),
+    "simulator.duraton": (1.0, "duration"),
+}
+
+
+@pytest.mark.parametrize("key", SPOILT)
+def test_what_cannot_fly_is_refused_by_key_and_expectation(key):
+    value, expected = SPOILT[key]
+    table = io.load_config(TEST2, {key: value})
+    for fly in (sim.fly, lambda table: sim.fly_batch([table])):
+        with pytest.raises(ValueError, match=rf"{key}.*{expected}|{expected}.*{key}"):
+            fly(table)
+
+
+def test_an_empty_mission_hovers_in_both_languages():
+    table = io.load_config(TEST2) | {"envelope": {}}
+    rust.check_config(table)
+    assert flight_config(table).envelope.up.shape == (0, 2)
+
+
+def test_the_crate_flies_one_kind_of_dynamics():
+    rust.check_config(io.load_config(TEST2, {"simulator.dynamics": "tree"}))
+    with pytest.raises(ValueError, match=r"simulator.dynamics.*mjx.*tree"):
+        rust.check_config(io.load_config(TEST2, {"simulator.dynamics": "mjx"}))
