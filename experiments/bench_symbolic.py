@@ -59,7 +59,7 @@ def _rows() -> Iterator[tuple[str, Time]]:
         started = time.perf_counter(), time.process_time()
         problem, config = trim.load(path)
         yield (
-            f"build the problem: {config['title'].lower()}",
+            f"build the problem: {config.title.lower()}",
             Time(time.perf_counter() - started[0], time.process_time() - started[1]),
         )
         for wind, words in (((0.0, 0.0, 0.0), "still air"), ((0.0, -10.0, 0.0), "10 m/s side wind")):

@@ -9,16 +9,18 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-import tomllib
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import xarray as xr
 
 from experiments import Refused, manifest, record
+from jax_aero import tables
 from jax_aero.files import complete_folder, write_json
+
+T = TypeVar("T")
 
 RESULTS = manifest.REPOSITORY / "results"
 CONFIGS = manifest.REPOSITORY / "configs"
@@ -27,9 +29,17 @@ CONFIGS = manifest.REPOSITORY / "configs"
 def read(path: Path) -> dict[str, Any]:
     """Read a TOML file."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, tomllib.TOMLDecodeError) as reason:
-        raise Refused(f"{path.name}: {reason}") from None
+        return tables.read(path)
+    except tables.ConfigError as reason:
+        raise Refused(str(reason)) from None
+
+
+def load(path: Path, kind: type[T], changes: Mapping[str, Any] | None = None) -> T:
+    """Read a TOML file into its type, with some keys of the outermost table replaced."""
+    try:
+        return tables.load(path, kind, changes)
+    except tables.ConfigError as reason:
+        raise Refused(str(reason)) from None
 
 
 def find(kind: str, name: str) -> Path:
@@ -39,27 +49,6 @@ def find(kind: str, name: str) -> Path:
         known = ", ".join(sorted(entry.stem for entry in (CONFIGS / kind).glob("*.toml")))
         raise Refused(f"no {kind} study `{name}`; there are {known}")
     return path
-
-
-def check_keys(path: Path, table: Mapping[str, Any], expected: Mapping[str, Any], prefix: str = "") -> None:
-    """Refuse keys that are unknown or missing; `expected` maps a key to a type, or to a table of the same kind."""
-    if unknown := set(table) - set(expected):
-        raise Refused(f"{path.name}: unknown key `{prefix}{min(unknown)}`; known: {', '.join(sorted(expected))}")
-    for key, kind in expected.items():
-        if key not in table:
-            raise Refused(f"{path.name}: `{prefix}{key}` is missing")
-        if isinstance(kind, Mapping):
-            if not isinstance(table[key], Mapping):
-                raise Refused(f"{path.name}: `{prefix}{key}` is {table[key]!r}; expected a table")
-            check_keys(path, table[key], kind, f"{prefix}{key}.")
-        elif not isinstance(table[key], kind) or isinstance(table[key], bool) is not (kind is bool):
-            raise Refused(f"{path.name}: `{prefix}{key}` is {table[key]!r}; expected {_type_name(kind)}")
-
-
-def _type_name(kind: Any) -> str:
-    words = {float: "a number", int: "an integer", str: "a text", list: "a list", dict: "a table"}
-    kinds = kind if isinstance(kind, tuple) else (kind,)
-    return " or ".join(words.get(entry, entry.__name__) for entry in kinds)
 
 
 def digest(config: Mapping[str, Any], files: Sequence[Path]) -> str:

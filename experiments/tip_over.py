@@ -21,20 +21,31 @@ import xarray as xr
 from tqdm import tqdm
 
 from experiments import Refused, engines, study
-from jax_aero import rust
+from jax_aero import rust, tables
 from jax_aero.files import write_json
 from jax_aero.wind_direction import wind_from
 
-KEYS: Mapping[str, Any] = {
-    "title": str,
-    "experiment": str,
-    "duration": (int, float),
-    "ramp": list,
-    "directions_deg": list,
-    "speeds": list,
-    "resolution": (int, float),
-    "friction": list,
-}
+
+class TipOverConfig(tables.Table, frozen=True):
+    """Winds that tip a standing robot over: which are tried, and how finely."""
+
+    title: str
+    experiment: Path
+    """Robot, ground and controller."""
+    duration: tables.Positive
+    """Of each trial [s]."""
+    ramp: tables.Interval
+    """Start and end of the rise of the wind [s]."""
+    directions_deg: tuple[float, ...]
+    """0 blows from ahead, 90 from the robot's left [deg]."""
+    speeds: tables.Interval
+    """Between which the limit is sought [m/s]."""
+    resolution: tables.Positive
+    """[m/s]"""
+    friction: tuple[tables.Positive, ...]
+    """Coefficients of the soles."""
+
+
 FEEDBACK = ("measured wind", "no measured wind")
 STILL = {"profile": "constant", "velocity": [0.0, 0.0, 0.0]}
 
@@ -59,19 +70,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run(path: Path, results: Path = study.RESULTS) -> dict[str, Any]:
     """Make every trial that is not made yet, write, return the manifest."""
-    table = study.read(path)
-    study.check_keys(path, table, KEYS)
-    base = rust.load_config((path.parent / table["experiment"]).resolve())
-    digest = study.digest({**table, "experiment": rust.config_digest(base)}, [])
+    config = study.load(path, TipOverConfig)
+    base = rust.load_config(config.experiment)
+    digest = study.digest({**tables.plain(config), "experiment": rust.config_digest(base)}, [])
     folder = results / "tip_over" / path.stem
     trials = Trials(folder.with_name(f".{path.stem}.trials.json"))
     started = time.perf_counter()
-    low, high = table["speeds"]
-    shape = (len(FEEDBACK), len(table["friction"]), len(table["directions_deg"]))
+    low, high = config.speeds.lower, config.speeds.upper
+    shape = (len(FEEDBACK), len(config.friction), len(config.directions_deg))
     limit, slips = np.full(shape, np.nan), np.zeros(shape, dtype=np.int8)
     force = np.full((*shape, 3), np.nan)
     cells = list(np.ndindex(shape))
-    steps = int(np.ceil(np.log2((high - low) / table["resolution"])))
+    steps = int(np.ceil(np.log2((high - low) / config.resolution)))
     with tqdm(total=len(cells) * (steps + 2), unit="trial", disable=not sys.stderr.isatty()) as bar:
         for cell in cells:
             feedback, friction, direction = cell
@@ -80,26 +90,19 @@ def run(path: Path, results: Path = study.RESULTS) -> dict[str, Any]:
                 speed: float, is_measured: bool = feedback == 0, friction: int = friction, direction: int = direction
             ) -> dict[str, Any]:
                 bar.update()
-                config = trial(
-                    base,
-                    table,
-                    speed,
-                    table["directions_deg"][direction],
-                    table["friction"][friction],
-                    is_measured=is_measured,
-                )
-                return trials.make(config)
+                direction_deg, mu = config.directions_deg[direction], config.friction[friction]
+                return trials.make(trial(base, config, speed, direction_deg, mu, is_measured=is_measured))
 
-            found = seek(stands, low, high, table["resolution"])
+            found = seek(stands, low, high, config.resolution)
             limit[cell] = found["speed"]
             slips[cell] = found["slipped"]
             force[cell] = found["force"]
-    dataset = to_dataset(table, limit, slips, force)
+    dataset = to_dataset(config, limit, slips, force)
     dataset.attrs["config_hash"] = digest
     document = study.build_manifest(
         path.stem,
-        table["title"],
-        {**table, "experiment": base},
+        config.title,
+        {**tables.plain(config), "experiment": base},
         digest,
         summary=figures(dataset),
         timings={"this call": time.perf_counter() - started},
@@ -130,7 +133,7 @@ class Trials:
 
 def trial(
     base: rust.Config,
-    table: Mapping[str, Any],
+    config: TipOverConfig,
     speed: float,
     direction_deg: float,
     friction: float,
@@ -138,12 +141,16 @@ def trial(
     is_measured: bool,
 ) -> rust.Config:
     """Return the configuration of one trial."""
-    start, end = table["ramp"]
-    wind = {"profile": "ramp", "velocity": wind_from(speed, direction_deg), "ramp_start": start, "ramp_end": end}
-    config = {**base, "wind": wind, "fictitious_wind": wind if is_measured else STILL}
+    wind = {
+        "profile": "ramp",
+        "velocity": wind_from(speed, direction_deg),
+        "ramp_start": config.ramp.lower,
+        "ramp_end": config.ramp.upper,
+    }
+    changed = {**base, "wind": wind, "fictitious_wind": wind if is_measured else STILL}
     ground = {**base["simulator"]["ground"], "friction": friction}
-    config["simulator"] = {**base["simulator"], "duration": float(table["duration"]), "ground": ground}
-    return config
+    changed["simulator"] = {**base["simulator"], "duration": config.duration, "ground": ground}
+    return changed
 
 
 def _outcome(flight: rust.FlightResult) -> dict[str, Any]:
@@ -190,7 +197,7 @@ def seek(stands: Any, low: float, high: float, resolution: float) -> dict[str, A
     return {"speed": low, "slipped": lost["slipped"], "force": held["force"]}
 
 
-def to_dataset(table: Mapping[str, Any], limit: Any, slips: Any, force: Any) -> xr.Dataset:
+def to_dataset(config: TipOverConfig, limit: Any, slips: Any, force: Any) -> xr.Dataset:
     """Label the limits."""
     dims = ("feedback", "friction", "direction")
     return xr.Dataset(
@@ -201,11 +208,11 @@ def to_dataset(table: Mapping[str, Any], limit: Any, slips: Any, force: Any) -> 
         },
         {
             "feedback": list(FEEDBACK),
-            "friction": table["friction"],
-            "direction": ("direction", table["directions_deg"], {"units": "deg", "long_name": "0 from ahead"}),
+            "friction": list(config.friction),
+            "direction": ("direction", list(config.directions_deg), {"units": "deg", "long_name": "0 from ahead"}),
             "xyz": ["x", "y", "z"],
         },
-        {"title": table["title"], "resolution": float(table["resolution"])},
+        {"title": config.title, "resolution": config.resolution},
     )
 
 

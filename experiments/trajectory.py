@@ -14,42 +14,83 @@ import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
 
 from experiments import Refused, study
-from jax_aero import rust
+from jax_aero import rust, tables
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.robot import Robot
 from jax_aero.symbolic.trajectory import Trajectory, TrajectoryProblem, TrajectorySettings
 
 GOALS = ("min_time", "min_fuel")
 
-_NUMBER = (float, int)
-KEYS: dict[str, Any] = {
-    **dict.fromkeys(("title", "goal", "flight"), str),
-    **dict.fromkeys(("start", "end", "free_groups", "roll_limits_deg", "pitch_limits_deg", "duration_range"), list),
-    **dict.fromkeys(
-        (
-            *(
-                "start_time",
-                "hold_time",
-                "yaw_deg",
-                "angular_velocity_max_deg",
-                "moment_max",
-                "speed_max",
-                "height_min",
-            ),
-            *("yaw_slack_deg", "acceleration_max", "sideways_max", "posture_weight"),
-            *("thrust_reserve", "thrust_rate_max", "joint_velocity_max_deg", "effort_weight", "sample_time"),
-        ),
-        _NUMBER,
-    ),
-    **dict.fromkeys(("intervals", "degree"), int),
-    "fuel": dict,
-}
+
+class Consumption(tables.Table, frozen=True):
+    """Fuel that a jet burns, linear in its thrust, through two points."""
+
+    thrust: tables.Interval
+    """[N]"""
+    consumption: tuple[tables.NonNegative, tables.NonNegative]
+    """[l/min]"""
+
+
+class TrajectoryConfig(tables.Table, frozen=True):
+    """An optimal flight from one point to another: what is minimised, and within which limits."""
+
+    title: str
+    goal: Literal["min_time", "min_fuel"]
+    flight: Path
+    """The experiment that gives robot, air, posture and wind, and that the plan is compared with."""
+    start_time: tables.NonNegative
+    """When the flight begins to move [s]."""
+    hold_time: tables.NonNegative
+    """Hovering after arrival [s]."""
+    start: tuple[float, float, float]
+    """Centre of mass at the start [m]."""
+    end: tuple[float, float, float]
+    """Centre of mass at the end [m]."""
+    free_groups: tuple[str, ...]
+    """Joint groups that vector the thrust."""
+    yaw_deg: float
+    yaw_slack_deg: tables.NonNegative
+    roll_limits_deg: tables.Interval
+    pitch_limits_deg: tables.Interval
+    angular_velocity_max_deg: tables.Positive
+    """Of each angle [deg/s]."""
+    moment_max: tables.Positive
+    """About each axis [N m]."""
+    acceleration_max: tables.Positive
+    """Along each axis [m/s²]."""
+    speed_max: tables.Positive
+    """[m/s]"""
+    sideways_max: tables.Positive
+    """Distance from the straight line [m]."""
+    height_min: float
+    """[m]"""
+    thrust_reserve: tables.Fraction
+    """Of the greatest thrust, at both ends, left to feedback."""
+    thrust_rate_max: tables.Positive
+    """[N/s]"""
+    joint_velocity_max_deg: tables.Positive
+    """[deg/s]"""
+    duration_range: tables.Interval
+    """[s]"""
+    intervals: tables.Count
+    """Collocation intervals."""
+    degree: tables.Count
+    """Radau points in each interval."""
+    effort_weight: tables.NonNegative
+    """On the rates of the inputs."""
+    posture_weight: tables.NonNegative
+    """[1/rad²]"""
+    sample_time: tables.Positive
+    """Between samples of the exported reference [s]."""
+    fuel: dict[str, Consumption]
+    """By jet."""
+
 
 COLUMNS = "time,x,y,z,roll,pitch,yaw,vx,vy,vz,ax,ay,az,jx,jy,jz"
 """Header of a recorded reference, as the crate's `control/recorded.rs` reads it."""
@@ -78,21 +119,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run(path: Path, *, export: bool = False, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Plan, fly, compare, write; return the manifest. `changes` replace keys of the configuration."""
-    config = study.read(path) | dict(changes or {})
-    study.check_keys(path, config, KEYS)
-    flight_path = (path.parent / config["flight"]).resolve()
-    base = rust.load_config(flight_path)
+    config = study.load(path, TrajectoryConfig, changes)
+    base = rust.load_config(config.flight)
     robot = load_robot(base["robot"])
     problem = TrajectoryProblem(MomentumModel(robot, base["simulator"]["aero"]), settings(path, config, base, robot))
-    plan = problem.solve(config["sample_time"])
+    plan = problem.solve(config.sample_time)
     if not plan.success:
         raise Refused(f"{path.stem}: no trajectory found: {plan.message}")
-    text = csv_of(plan, config["start_time"], f"{config['title']}: python -m experiments.trajectory {path.stem}")
+    text = csv_of(plan, config.start_time, f"{config.title}: python -m experiments.trajectory {path.stem}")
 
     started = time.perf_counter()
-    flown, paper = fly(base, text, config["start_time"] + plan.duration + config["hold_time"]), rust.fly(base)
+    flown, paper = fly(base, text, config.start_time + plan.duration + config.hold_time), rust.fly(base)
     timings = {"build": plan.build_time, "solve": plan.solve_time, "fly": time.perf_counter() - started}
-    digest = study.digest(config, [flight_path])
+    digest = study.digest(tables.plain(config), [config.flight])
     dataset = to_dataset(plan, flown, paper, robot, config, digest)
     summary = {
         "solver": f"{plan.message}, {plan.iterations} iterations",
@@ -101,62 +140,67 @@ def run(path: Path, *, export: bool = False, changes: Mapping[str, Any] | None =
         **figures("flown", dataset, "flown"),
         **figures("paper", dataset, "paper"),
     }
-    document = study.build_manifest(path.stem, config["title"], config, digest, summary=summary, timings=timings)
+    document = study.build_manifest(
+        path.stem, config.title, tables.plain(config), digest, summary=summary, timings=timings
+    )
     study.write(study.RESULTS / "trajectory" / path.stem, dataset, document, {"reference.csv": text})
     if export:
         (study.CONFIGS / "envelope" / f"{path.stem}.csv").write_text(text, encoding="utf-8")
     return document
 
 
-def settings(path: Path, config: Mapping[str, Any], base: Mapping[str, Any], robot: Robot) -> TrajectorySettings:
+def settings(path: Path, config: TrajectoryConfig, base: Mapping[str, Any], robot: Robot) -> TrajectorySettings:
     """Put the numbers of a configuration into SI units, names into indices."""
-    if config["goal"] not in GOALS:
-        raise Refused(f"{path.name}: goal is `{config['goal']}`; expected one of {', '.join(GOALS)}")
     groups = rust.Robot(base["robot"]).joint_groups
-    if unknown := set(config["free_groups"]) - set(groups):
+    if unknown := set(config.free_groups) - set(groups):
         raise Refused(f"{path.name}: free_groups names `{min(unknown)}`; the robot has {', '.join(groups)}")
-    free = sorted(robot.joint_names.index(joint) for group in config["free_groups"] for joint in groups[group])
-    idle, slope = fuel_lines(path, config["fuel"], robot)
-    roll, pitch = (tuple(np.radians(config[f"{angle}_limits_deg"]).tolist()) for angle in ("roll", "pitch"))
+    free = sorted(robot.joint_names.index(joint) for group in config.free_groups for joint in groups[group])
+    idle, slope = fuel_lines(config.fuel, robot)
     return TrajectorySettings(
-        goal=config["goal"],
-        start=np.array(config["start"], dtype=float),
-        end=np.array(config["end"], dtype=float),
+        goal=config.goal,
+        start=np.array(config.start, dtype=float),
+        end=np.array(config.end, dtype=float),
         wind=np.array(base["wind"]["velocity"], dtype=float),
-        yaw=float(np.radians(config["yaw_deg"])),
+        yaw=float(np.radians(config.yaw_deg)),
         posture=np.array(base["simulator"]["initial"]["joint_position"], dtype=float),
         free_joints=tuple(free),
-        roll=roll,
-        pitch=pitch,
-        yaw_slack=float(np.radians(config["yaw_slack_deg"])),
-        angular_velocity_max=float(np.radians(config["angular_velocity_max_deg"])),
-        moment_max=config["moment_max"],
-        acceleration_max=config["acceleration_max"],
-        speed_max=config["speed_max"],
-        sideways_max=config["sideways_max"],
-        height_min=config["height_min"],
-        thrust_reserve=config["thrust_reserve"],
-        thrust_rate_max=config["thrust_rate_max"],
-        joint_velocity_max=float(np.radians(config["joint_velocity_max_deg"])),
+        roll=_radians(config.roll_limits_deg),
+        pitch=_radians(config.pitch_limits_deg),
+        yaw_slack=float(np.radians(config.yaw_slack_deg)),
+        angular_velocity_max=float(np.radians(config.angular_velocity_max_deg)),
+        moment_max=config.moment_max,
+        acceleration_max=config.acceleration_max,
+        speed_max=config.speed_max,
+        sideways_max=config.sideways_max,
+        height_min=config.height_min,
+        thrust_reserve=config.thrust_reserve,
+        thrust_rate_max=config.thrust_rate_max,
+        joint_velocity_max=float(np.radians(config.joint_velocity_max_deg)),
         fuel_idle=idle,
         fuel_slope=slope,
-        intervals=config["intervals"],
-        degree=config["degree"],
-        duration_range=tuple(config["duration_range"]),
-        effort_weight=config["effort_weight"],
-        posture_weight=config["posture_weight"],
+        intervals=config.intervals,
+        degree=config.degree,
+        duration_range=(config.duration_range.lower, config.duration_range.upper),
+        effort_weight=config.effort_weight,
+        posture_weight=config.posture_weight,
     )
 
 
-def fuel_lines(path: Path, table: Mapping[str, Any], robot: Robot) -> tuple[Any, Any]:
+def _radians(limits_deg: tables.Interval) -> tuple[float, float]:
+    return float(np.radians(limits_deg.lower)), float(np.radians(limits_deg.upper))
+
+
+def fuel_lines(fuel: Mapping[str, Consumption], robot: Robot) -> tuple[Any, Any]:
     """Return the consumption at zero thrust [l/s] and its slope [l/(s N)] of each jet."""
-    study.check_keys(path, table, {jet.name: {"thrust": list, "consumption": list} for jet in robot.jets}, "fuel.")
+    names = [jet.name for jet in robot.jets]
+    if set(fuel) != set(names):
+        raise Refused(f"`fuel` has {', '.join(fuel)}; expected one table for each jet: {', '.join(names)}")
     slopes, starts = [], []
-    for jet in robot.jets:
-        (t0, t1), (c0, c1) = table[jet.name]["thrust"], table[jet.name]["consumption"]
-        slope = (c1 - c0) / (t1 - t0) / 60.0
+    for name in names:
+        (c0, c1), thrust = fuel[name].consumption, fuel[name].thrust
+        slope = (c1 - c0) / (thrust.upper - thrust.lower) / 60.0
         slopes.append(slope)
-        starts.append(c0 / 60.0 - slope * t0)
+        starts.append(c0 / 60.0 - slope * thrust.lower)
     return np.array(starts), np.array(slopes)
 
 
@@ -183,14 +227,14 @@ def to_dataset(
     flown: rust.FlightResult,
     paper: rust.FlightResult,
     robot: Robot,
-    config: Mapping[str, Any],
+    config: TrajectoryConfig,
     digest: str,
 ) -> xr.Dataset:
     """Put plan, flown flight and the paper's flight beside each other, each with a time of its own.
 
     Time zero is when each begins to move.
     """
-    offset = config["start_time"]
+    offset = config.start_time
     quantities: dict[str, tuple[str, str, str]] = {
         "com_position": ("xyz", "m", "centre of mass, inertial frame"),
         "com_velocity": ("xyz", "m s-1", "its velocity"),
@@ -231,7 +275,7 @@ def to_dataset(
                 variables[f"{key}_{name}"] = (time_name, group[key], {"units": units, "long_name": f"{name}: {text}"})
         variables[f"fuel_{name}"] = (
             time_name,
-            _burnt(group["time"], group["thrust"], config["fuel"], robot),
+            _burnt(group["time"], group["thrust"], config.fuel, robot),
             {"units": "l", "long_name": f"{name}: fuel burnt since it began to move"},
         )
     for key, value, units in (
@@ -250,9 +294,9 @@ def to_dataset(
     coords |= {"xyz": list("xyz"), "rpy": ["roll", "pitch", "yaw"], "joint": list(robot.joint_names)}
     coords["jet"] = [jet.name for jet in robot.jets]
     facts = {
-        "title": config["title"],
+        "title": config.title,
         "config_hash": digest,
-        "end": np.array(config["end"], dtype=float),
+        "end": np.array(config.end, dtype=float),
         "outcome_flown": flown.outcome,
         "outcome_paper": paper.outcome,
     }
@@ -269,9 +313,9 @@ def _arrival(dataset: xr.Dataset, name: str) -> float:
     return float(t[min(late, t.size - 1)])
 
 
-def _burnt(t: Any, thrust: Any, table: Mapping[str, Any], robot: Robot) -> Any:
+def _burnt(t: Any, thrust: Any, fuel: Mapping[str, Consumption], robot: Robot) -> Any:
     """Return the fuel burnt from time zero on [l], by the trapezoidal rule."""
-    idle, slope = fuel_lines(Path("fuel"), table, robot)
+    idle, slope = fuel_lines(fuel, robot)
     rate = idle.sum() + thrust @ slope
     total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t))])
     return total - np.interp(0.0, t, total)

@@ -18,6 +18,7 @@ import xarray as xr
 from tqdm import tqdm
 
 from experiments import Refused, study
+from jax_aero import tables
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.aero import load_aero
 from jax_aero.symbolic.trim import Objective, Trim, TrimResult, TrimSettings
@@ -25,14 +26,45 @@ from jax_aero.wind_direction import wind_from
 
 OBJECTIVES: tuple[Objective, ...] = ("max_margin", "min_thrust")
 
-KEYS: dict[str, Any] = {
-    **dict.fromkeys(("title", "robot", "aero", "posture", "controller"), str),
-    **dict.fromkeys(("free_groups", "roll_limits_deg", "pitch_limits_deg"), list),
-    **dict.fromkeys(
-        ("yaw_deg", "margin_min", "clearance_min", "plume_length", "posture_weight", "spread_weight"), (float, int)
-    ),
-    "map": {"speeds": list, "directions_deg": list},
-}
+
+class WindMap(tables.Table, frozen=True):
+    """Winds that a map holds."""
+
+    speeds: tuple[tables.NonNegative, ...]
+    """[m/s]"""
+    directions_deg: tuple[float, ...]
+    """Where the wind comes from: 0 from ahead (+x), 90 from the left (+y) [deg]."""
+
+
+class TrimConfig(tables.Table, frozen=True):
+    """A trim: what is free, within which limits, and what is preferred."""
+
+    title: str
+    robot: Path
+    """The robot's TOML file, which gives limits of joints and thrusts."""
+    aero: Path
+    """An aerodynamic model of `configs/aero/`."""
+    posture: Path
+    """A simulator of `configs/simulator/`, whose `initial.joint_position` is the nominal posture."""
+    controller: Path
+    """A controller of `configs/control/`, whose `torque.torque_max` limits the torques."""
+    free_groups: tuple[str, ...]
+    """Joint groups that may leave the nominal posture."""
+    yaw_deg: float
+    roll_limits_deg: tables.Interval
+    pitch_limits_deg: tables.Interval
+    margin_min: tables.Fraction
+    """Least distance of a thrust from zero and from its greatest, over its greatest."""
+    clearance_min: tables.NonNegative
+    """Least distance from the axis of a jet to the surface of a link [m]."""
+    plume_length: tables.Positive
+    """Length of a jet's axis that counts [m]."""
+    posture_weight: tables.NonNegative
+    """On the mean square of s - s0 [1/rad²]."""
+    spread_weight: tables.NonNegative
+    """On the sum of (T/T_max)²."""
+    map: WindMap
+    """Winds of `--map`."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -63,38 +95,30 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def load(path: Path) -> tuple[Trim, dict[str, Any]]:
+def load(path: Path) -> tuple[Trim, TrimConfig]:
     """Read a configuration and build its problem."""
-    config = study.read(path)
-    study.check_keys(path, config, KEYS)
-    robot = load_robot(_file(path, config["robot"]))
-    posture = np.array(study.read(_file(path, config["posture"]))["initial"]["joint_position"], dtype=float)
-    groups = study.read(_file(path, config["robot"]))["joint_groups"]
+    config = study.load(path, TrimConfig)
+    robot = load_robot(config.robot)
+    posture = np.array(study.read(config.posture)["initial"]["joint_position"], dtype=float)
+    groups = study.read(config.robot)["joint_groups"]
     members = {group["name"]: [joint["name"] for joint in group["joints"]] for group in groups}
-    if unknown := set(config["free_groups"]) - set(members):
+    if unknown := set(config.free_groups) - set(members):
         raise Refused(f"{path.name}: free_groups names `{min(unknown)}`; {robot.name} has {', '.join(members)}")
-    free = [robot.joint_names.index(joint) for group in config["free_groups"] for joint in members[group]]
+    free = [robot.joint_names.index(joint) for group in config.free_groups for joint in members[group]]
     settings = TrimSettings(
         posture=posture,
         free_joints=tuple(free),
-        roll=_angles(config["roll_limits_deg"]),
-        pitch=_angles(config["pitch_limits_deg"]),
-        yaw=float(np.radians(config["yaw_deg"])),
-        margin_min=config["margin_min"],
-        torque_max=study.read(_file(path, config["controller"]))["torque"]["torque_max"],
-        clearance_min=config["clearance_min"],
-        plume_length=config["plume_length"],
-        posture_weight=config["posture_weight"],
-        spread_weight=config["spread_weight"],
+        roll=_angles(config.roll_limits_deg),
+        pitch=_angles(config.pitch_limits_deg),
+        yaw=float(np.radians(config.yaw_deg)),
+        margin_min=config.margin_min,
+        torque_max=study.read(config.controller)["torque"]["torque_max"],
+        clearance_min=config.clearance_min,
+        plume_length=config.plume_length,
+        posture_weight=config.posture_weight,
+        spread_weight=config.spread_weight,
     )
-    return Trim(MomentumModel(robot, load_aero(_file(path, config["aero"]))), settings), config
-
-
-def files(path: Path, config: dict[str, Any]) -> list[Path]:
-    """Return the files a configuration names, its robot's URDF among them."""
-    robot = _file(path, config["robot"])
-    named = [_file(path, config[key]) for key in ("robot", "aero", "posture", "controller")]
-    return [*named, robot.with_name(study.read(robot)["urdf"])]
+    return Trim(MomentumModel(robot, load_aero(config.aero)), settings), config
 
 
 def report(trim: Trim, result: TrimResult) -> str:
@@ -132,7 +156,7 @@ def report(trim: Trim, result: TrimResult) -> str:
 def run_map(path: Path) -> dict[str, Any]:
     """Solve every wind of a configuration for both objectives; write `results/trim/NAME`; return the manifest."""
     trim, config = load(path)
-    speeds, directions = config["map"]["speeds"], config["map"]["directions_deg"]
+    speeds, directions = config.map.speeds, config.map.directions_deg
     started = time.perf_counter()
     found: dict[tuple[str, int, int], TrimResult] = {}
     there = [(objective, d, s) for objective in OBJECTIVES for d in range(len(directions)) for s in range(len(speeds))]
@@ -152,9 +176,11 @@ def run_map(path: Path) -> dict[str, Any]:
                 bar.update()
     elapsed = time.perf_counter() - started
 
-    digest = study.digest(config, files(path, config))
+    digest = study.digest(
+        tables.plain(config), [*tables.files(config), config.robot.with_name(study.read(config.robot)["urdf"])]
+    )
     dataset = _map_dataset(trim, found, speeds, directions)
-    dataset.attrs |= {"title": config["title"], "config_hash": digest}
+    dataset.attrs |= {"title": config.title, "config_hash": digest}
     results = list(found.values())
     solved = [result.solve_time for result in results if result.feasible]
     summary = {
@@ -165,7 +191,9 @@ def run_map(path: Path) -> dict[str, Any]:
         "strongest wind with a trim from every direction [m/s]": _everywhere(dataset),
     }
     timings = {"build": trim.build_time, "map": elapsed}
-    document = study.build_manifest(path.stem, config["title"], config, digest, summary=summary, timings=timings)
+    document = study.build_manifest(
+        path.stem, config.title, tables.plain(config), digest, summary=summary, timings=timings
+    )
     study.write(study.RESULTS / "trim" / path.stem, dataset, document)
     return document
 
@@ -177,7 +205,7 @@ def _everywhere(dataset: xr.Dataset) -> float:
 
 
 def _map_dataset(
-    trim: Trim, found: dict[tuple[str, int, int], TrimResult], speeds: list[float], directions: list[float]
+    trim: Trim, found: dict[tuple[str, int, int], TrimResult], speeds: Sequence[float], directions: Sequence[float]
 ) -> xr.Dataset:
     robot = trim.model.robot
     shape = (len(OBJECTIVES), len(directions), len(speeds))
@@ -228,8 +256,12 @@ def _map_dataset(
     }
     coords = {
         "objective": list(OBJECTIVES),
-        "direction": ("direction", directions, {"units": "deg", "long_name": "where the wind comes from; 90 is left"}),
-        "speed": ("speed", speeds, {"units": "m s-1", "long_name": "speed of the wind"}),
+        "direction": (
+            "direction",
+            list(directions),
+            {"units": "deg", "long_name": "where the wind comes from; 90 is left"},
+        ),
+        "speed": ("speed", list(speeds), {"units": "m s-1", "long_name": "speed of the wind"}),
         "rpy": ["roll", "pitch", "yaw"],
         "xyz": list("xyz"),
         "joint": list(robot.joint_names),
@@ -242,16 +274,8 @@ def _summary_text(summary: dict[str, Any]) -> str:
     return "\n".join(f"{key:<56} {value:.4g}" for key, value in summary.items())
 
 
-def _file(config: Path, name: str) -> Path:
-    path = (config.parent / name).resolve()
-    if not path.is_file():
-        raise Refused(f"{config.name}: there is no file {name}")
-    return path
-
-
-def _angles(limits_deg: Sequence[float]) -> tuple[float, float]:
-    lower, upper = np.radians(limits_deg)
-    return float(lower), float(upper)
+def _angles(limits_deg: tables.Interval) -> tuple[float, float]:
+    return float(np.radians(limits_deg.lower)), float(np.radians(limits_deg.upper))
 
 
 if __name__ == "__main__":

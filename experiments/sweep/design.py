@@ -15,7 +15,7 @@ from typing import Any
 from experiments import Refused, flight, manifest
 from experiments.sweep import keys
 from experiments.sweep.spec import Level, Spec
-from jax_aero import rust
+from jax_aero import rust, tables
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Design:
     @cached_property
     def cells(self) -> list[tuple[Level, ...]]:
         """Return the level of every axis, cell by cell; the last axis varies fastest."""
-        axes = self.spec.axes
+        axes = self.spec.axis
         if self.spec.design == "grid":
             return list(itertools.product(*(axis.levels for axis in axes)))
         if self.spec.design == "list":
@@ -36,7 +36,7 @@ class Design:
         return [
             tuple(
                 # Ten digits are plenty for a sample, and read well in a table.
-                axis.sampled(float(f"{axis.low + (axis.high - axis.low) * x:.10g}"))
+                axis.sampled(float(f"{axis.ends[0] + (axis.ends[1] - axis.ends[0]) * x:.10g}"))
                 for axis, x in zip(axes, point, strict=True)
             )
             for point in points
@@ -59,7 +59,7 @@ class Design:
     @cached_property
     def bases(self) -> dict[str, rust.Config]:
         """Return the flights that cells start from, by name."""
-        names = {self.spec.base, *(level.base for axis in self.spec.axes for level in axis.levels if level.base)}
+        names = {self.spec.base, *(level.base for axis in self.spec.axis for level in axis.levels if level.base)}
         return {name: _load(self.spec.name, name) for name in sorted(names)}
 
     @cached_property
@@ -92,7 +92,7 @@ class Design:
             "bases": {name: rust.config_digest(config) for name, config in self.bases.items()},
             "cells": cells,
             "set": dict(self.spec.set),
-            "perturbation": vars(self.spec.perturbation),
+            "perturbation": tables.plain(self.spec.perturbation),
             "numbers": [self.spec.seed, self.spec.repeats, self.spec.chunk, self.spec.engine],
         }
         cards = {card for levels in self.cells for level in levels for card in _cards(level.set)}
@@ -106,7 +106,7 @@ class Design:
             try:
                 rust.check_config(self.cell_config(cell))
             except ValueError as reason:
-                labels = ", ".join(f"{axis.name} = {x.label}" for axis, x in zip(self.spec.axes, levels, strict=True))
+                labels = ", ".join(f"{axis.name} = {x.label}" for axis, x in zip(self.spec.axis, levels, strict=True))
                 raise Refused(f"sweep {self.spec.name}: cell {cell} ({labels}): {reason}") from None
 
 

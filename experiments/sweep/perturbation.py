@@ -7,13 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from experiments import Refused
-from jax_aero import keys
+from jax_aero import keys, tables
 
 SEED_KEYS = ("wind.seed", "controller.wind_estimate.seed", "simulator.jet_faults.measurement_noise.seed")
 """Keys that get a seed of their own in every repeat, where their table is there and made of chance."""
@@ -22,41 +20,34 @@ CHANCE = {"wind": ("time_scale",), "controller.wind_estimate": (), "simulator.je
 """Keys that mark a table of random numbers."""
 
 
-@dataclass(frozen=True)
-class Perturbation:
+class Perturbation(tables.Table, frozen=True):
     """Half widths of uniform distributions; nothing is perturbed by default."""
 
-    joint_position: float = 0.0
+    joint_position: tables.NonNegative = 0.0
     """Of every initial joint position [rad]."""
-    base_rpy_deg: float = 0.0
+    base_rpy_deg: tables.NonNegative = 0.0
     """Of the initial roll, pitch and yaw [deg]."""
-    base_velocity: float = 0.0
+    base_velocity: tables.NonNegative = 0.0
     """Of every initial velocity of the base [m/s, rad/s]."""
-    thrust: float = 0.0
+    thrust: tables.NonNegative = 0.0
     """Of every initial thrust [N]."""
-    wind_speed: float = 0.0
+    wind_speed: tables.NonNegative = 0.0
     """Of the wind speed, relative."""
-    wind_direction_deg: float = 0.0
+    wind_direction_deg: tables.NonNegative = 0.0
     """Of the direction of the wind, about the vertical [deg]."""
-    drag: float = 0.0
+    drag: tables.NonNegative = 0.0
     """Of the drag of all links in the simulator, relative."""
-    normal: float = 0.0
+    normal: tables.NonNegative = 0.0
     """Of the normal force of all links in the simulator, relative."""
-    link: float = 0.0
+    link: tables.NonNegative = 0.0
     """Of the force of each link in the simulator, relative."""
-
-    def __post_init__(self) -> None:
-        for item in fields(self):
-            size = getattr(self, item.name)
-            if isinstance(size, bool) or not isinstance(size, int | float) or not 0 <= size < math.inf:
-                raise Refused(f"perturbation: {item.name} = {size!r}; expected a number ≥ 0")
 
     def apply(self, config: dict[str, Any], seed: int, repeat: int, links: Sequence[str]) -> None:
         """Perturb a configuration in place."""
         # Every number is drawn whether it is used or not, and each kind from a stream of its own: a perturbation that
         # is switched on leaves the others as they were.
-        streams = [np.random.default_rng([seed, repeat, kind]) for kind in range(len(fields(self)) + 1)]
-        draws = dict(zip((item.name for item in fields(self)), streams, strict=False))
+        streams = [np.random.default_rng([seed, repeat, kind]) for kind in range(len(self.__struct_fields__) + 1)]
+        draws = dict(zip(self.__struct_fields__, streams, strict=False))
 
         def around(name: str, values: Sequence[float]) -> list[float]:
             offsets = draws[name].uniform(-1.0, 1.0, len(values)) * getattr(self, name)

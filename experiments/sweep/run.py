@@ -27,7 +27,7 @@ from experiments import Refused, engines, manifest
 from experiments.sweep import table
 from experiments.sweep.design import Design
 from experiments.sweep.progress import Progress
-from jax_aero import rust
+from jax_aero import rust, tables
 from jax_aero.files import write_json
 
 RESULTS = manifest.REPOSITORY / "results" / "sweeps"
@@ -133,15 +133,15 @@ def _document(design: Design) -> dict[str, Any]:
         "axes": [
             {
                 "name": axis.name,
-                "label": axis.label,
+                "label": axis.label or axis.name,
                 "unit": axis.unit,
                 "levels": [level.label for level in axis.levels],
             }
-            for axis in spec.axes
+            for axis in spec.axis
         ],
         "base": spec.base,
         "set": manifest.portable(dict(spec.set)),
-        "perturbation": vars(spec.perturbation),
+        "perturbation": tables.plain(spec.perturbation),
         "seed": spec.seed,
         "repeats": spec.repeats,
         "rows": design.n_rows,

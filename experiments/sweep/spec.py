@@ -2,94 +2,135 @@
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal
 
-from experiments import Refused, manifest
-from experiments.engines import ENGINES
+import msgspec
+
+from experiments import Refused, manifest, study
 from experiments.sweep.perturbation import Perturbation
+from jax_aero import tables
 
 CONFIGS = manifest.REPOSITORY / "configs" / "sweeps"
-DESIGNS = ("grid", "list", "latin_hypercube", "sobol")
-DRAWINGS = ("levels", "curve", "map", "scatter")
-
-T = TypeVar("T")
 
 
-@dataclass(frozen=True)
-class Level:
+class Level(tables.Table, frozen=True):
     """One value of an axis: a label, the keys it sets, and perhaps another flight to start from."""
 
     label: str | float
-    set: Mapping[str, Any] = field(default_factory=dict)
+    set: dict[str, Any] = msgspec.field(default_factory=dict)
+    """Values of dotted keys of the flight."""
     base: str | None = None
+    """Name of an experiment to start from instead of the sweep's."""
 
 
-@dataclass(frozen=True)
-class Axis:
-    """One thing that varies."""
+class Range(tables.Table, frozen=True):
+    """Evenly spaced values, both ends included."""
 
-    name: str
-    label: str
-    unit: str
-    levels: tuple[Level, ...]
-    """Of grids and lists; empty for a sampled axis."""
+    start: float
+    stop: float
+    num: Annotated[int, msgspec.Meta(ge=2)]
+
+
+class Axis(tables.Table, frozen=True):
+    """One thing that varies: levels, values of keys, or, for a sampled design, an interval of values."""
+
+    name: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z_]\w*$")]
+    label: str = ""
+    unit: str = ""
+    key: str | None = None
+    """Dotted key of the flight that every value is written to."""
     keys: tuple[str, ...] = ()
-    low: float = 0.0
-    high: float = 0.0
+    """Several such keys."""
+    values: tuple[float, ...] = ()
+    range: Range | None = None
+    """Instead of `values`."""
+    low: float | None = None
+    """Of a sampled axis, with `high`."""
+    high: float | None = None
+    level: tuple[Level, ...] = ()
+    """Instead of keys and values."""
+
+    def __post_init__(self) -> None:
+        if not self.level and not self.written:
+            raise ValueError("there is no key; expected `key`, `keys` or `level`")
+        if (self.low is None) != (self.high is None) or (self.is_sampled and not self.ends[0] < self.ends[1]):
+            raise ValueError(f"`low` is {self.low}, `high` is {self.high}; expected low < high")
+
+    @property
+    def written(self) -> tuple[str, ...]:
+        """Return the keys that values are written to."""
+        return self.keys or ((self.key,) if self.key else ())
+
+    @property
+    def is_sampled(self) -> bool:
+        """Return whether a design chooses the values from an interval."""
+        return self.low is not None
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Return the ends of the interval of a sampled axis."""
+        return self.low or 0.0, self.high or 0.0
+
+    @property
+    def levels(self) -> tuple[Level, ...]:
+        """Return the levels of an axis of a grid or list."""
+        if self.level:
+            return self.level
+        values = self.values
+        if self.range is not None:
+            step = (self.range.stop - self.range.start) / (self.range.num - 1)
+            values = tuple(self.range.start + step * index for index in range(self.range.num))
+        # Fifteen digits: 0.1 + 0.2 is 0.3 in a table.
+        return tuple(self.sampled(float(f"{value:.15g}")) for value in values)
 
     def sampled(self, value: float) -> Level:
         """Return the level of one value."""
-        return Level(value, dict.fromkeys(self.keys, value))
+        return Level(label=value, set=dict.fromkeys(self.written, value))
 
 
-@dataclass(frozen=True)
-class Spec:
-    """One sweep."""
+class Spec(tables.Table, frozen=True):
+    """One sweep: what varies, around which flight, how often."""
 
-    name: str
     title: str
     description: str
     base: str
-    axes: tuple[Axis, ...]
-    design: str = "grid"
-    samples: int = 0
-    set: Mapping[str, Any] = field(default_factory=dict)
-    engine: str = "rust"
-    seed: int = 1
-    repeats: int = 1
-    chunk: int = 48
-    perturbation: Perturbation = field(default_factory=Perturbation)
-    drawing: str = "curve"
+    """Name of the experiment that is varied."""
+    axis: Annotated[tuple[Axis, ...], msgspec.Meta(min_length=1)]
+    name: str = ""
+    """Of the result; without it, that of the file."""
+    design: Literal["grid", "list", "latin_hypercube", "sobol"] = "grid"
+    """Which cells are flown: all combinations, the axes walked together, or a quasi-random sample."""
+    samples: tables.Natural = 0
+    """Of a quasi-random design."""
+    set: dict[str, Any] = msgspec.field(default_factory=dict)
+    """Values of dotted keys, in every cell."""
+    engine: Literal["rust", "jax", "mujoco"] = "rust"
+    seed: tables.Natural = 1
+    repeats: tables.Count = 1
+    """Flights in each cell, each perturbed by draws of its own."""
+    chunk: tables.Count = 48
+    """Flights that are computed, and stored, together."""
+    perturbation: Perturbation = Perturbation()
+    drawing: Literal["levels", "curve", "map", "scatter"] = "curve"
     panels: str = ""
     """Axis whose levels are panels of a figure, if any."""
 
     def __post_init__(self) -> None:
-        _among(self.name, "design", self.design, DESIGNS)
-        _among(self.name, "drawing", self.drawing, DRAWINGS)
-        _among(self.name, "engine", self.engine, tuple(ENGINES))
-        for key in ("repeats", "chunk"):
-            if not 1 <= getattr(self, key) <= 1_000_000:
-                raise Refused(
-                    f"sweep {self.name}: {key} = {getattr(self, key)}; expected an integer from 1 to a million"
-                )
-        if len({axis.name for axis in self.axes}) < len(self.axes):
-            raise Refused(f"sweep {self.name}: two axes have one name")
-        if not self.axes:
-            raise Refused(f"sweep {self.name}: no [[axis]]; expected at least one")
-        for axis in self.axes:
-            if self.is_sampled == bool(axis.levels):
+        names = [axis.name for axis in self.axis]
+        if len(set(names)) < len(names):
+            raise ValueError("two axes have one name")
+        for axis in self.axis:
+            if self.is_sampled is not axis.is_sampled or (not axis.is_sampled and not axis.levels):
                 wanted = "low and high" if self.is_sampled else "values, a range or levels"
-                raise Refused(f"sweep {self.name}: axis {axis.name} of a {self.design} needs {wanted}")
+                raise ValueError(f"axis {axis.name} of a {self.design} needs {wanted}")
         if self.is_sampled and self.samples < 1:
-            raise Refused(f"sweep {self.name}: samples = {self.samples}; expected at least 1")
-        if self.panels and self.panels not in {axis.name for axis in self.axes}:
-            raise Refused(f"sweep {self.name}: panels = {self.panels!r}; expected the name of an axis")
-        if self.design == "list" and len({len(axis.levels) for axis in self.axes}) > 1:
-            raise Refused(f"sweep {self.name}: the axes of a list need equally many values")
+            raise ValueError(f"`samples` is {self.samples}; expected at least 1")
+        if self.panels and self.panels not in names:
+            raise ValueError(f"`panels` is {self.panels!r}; expected the name of an axis: {', '.join(names)}")
+        if self.design == "list" and len({len(axis.levels) for axis in self.axis}) > 1:
+            raise ValueError("the axes of a list need equally many values")
 
     @property
     def is_sampled(self) -> bool:
@@ -101,7 +142,7 @@ def available() -> dict[str, str]:
     """Return name and title of every sweep."""
     titles = {}
     for path in sorted(CONFIGS.glob("*.toml")):
-        titles[path.stem] = str(_read(path).get("title", ""))
+        titles[path.stem] = str(study.read(path).get("title", ""))
     return titles
 
 
@@ -110,15 +151,15 @@ def load(name: str) -> Spec:
     path = Path(name) if "/" in name or name.endswith(".toml") else CONFIGS / f"{name}.toml"
     if not path.is_file():
         raise Refused(f"no sweep `{name}`; there are {', '.join(available()) or 'none'}")
-    return from_table(path.stem, _with_files(_read(path), path.parent))
+    return from_table(path.stem, _with_files(study.read(path), path.parent))
 
 
 def from_table(name: str, table: Mapping[str, Any]) -> Spec:
     """Return the checked sweep of a table."""
-    table = dict(table)
-    axes = tuple(_axis(name, entry) for entry in table.pop("axis", ()))
-    perturbation = _build(Perturbation, table.pop("perturbation", {}), f"sweep {name}: perturbation")
-    return _build(Spec, {**table, "name": name, "axes": axes, "perturbation": perturbation}, f"sweep {name}")
+    try:
+        return tables.convert({"name": name, **table}, Spec, f"sweep {name}")
+    except tables.ConfigError as reason:
+        raise Refused(str(reason)) from None
 
 
 def _with_files(value: Any, folder: Path) -> Any:
@@ -128,72 +169,8 @@ def _with_files(value: Any, folder: Path) -> Any:
     """
     if isinstance(value, Mapping):
         if value.keys() == {"file"}:
-            return _with_files(_read(folder / value["file"]), (folder / value["file"]).parent)
+            return _with_files(study.read(folder / value["file"]), (folder / value["file"]).parent)
         if isinstance(card := value.get("card"), str):
             value = {**value, "card": str((folder / card).resolve())}
         return {key: _with_files(item, folder) for key, item in value.items()}
     return [_with_files(item, folder) for item in value] if isinstance(value, list) else value
-
-
-def _axis(sweep: str, entry: Mapping[str, Any]) -> Axis:
-    name = entry.get("name")
-    where = f"sweep {sweep}: axis {name}"
-    known = {"name", "label", "unit", "key", "keys", "values", "range", "low", "high", "level"}
-    if unknown := entry.keys() - known:
-        raise Refused(f"{where}: unknown key {', '.join(sorted(unknown))}; known: {', '.join(sorted(known))}")
-    if not isinstance(name, str) or not name.isidentifier():
-        raise Refused(f"{where}: name = {name!r}; expected a word")
-    keys = tuple(entry.get("keys", [entry["key"]] if "key" in entry else ()))
-    blank = Axis(name, str(entry.get("label", name)), str(entry.get("unit", "")), levels=(), keys=keys)
-    if "level" in entry:
-        levels = (_build(Level, level, f"{where}: level") for level in entry["level"])
-        return replace(blank, levels=tuple(levels))
-    if not keys:
-        raise Refused(f"{where}: no key; expected `key`, `keys` or `level`")
-    if "low" in entry or "high" in entry:
-        low, high = (_number(where, key, entry.get(key)) for key in ("low", "high"))
-        if low >= high:
-            raise Refused(f"{where}: low = {low}, high = {high}; expected low < high")
-        return replace(blank, low=low, high=high)
-    values = (_number(where, "values", value) for value in _values(where, entry))
-    return replace(blank, levels=tuple(blank.sampled(value) for value in values))
-
-
-def _values(where: str, entry: Mapping[str, Any]) -> Sequence[Any]:
-    if "range" not in entry:
-        values: Sequence[Any] = entry.get("values", ())
-        return values
-    span = entry["range"]
-    if not isinstance(span, Mapping) or span.keys() != {"start", "stop", "num"} or span["num"] < 2:
-        raise Refused(f"{where}: range = {span}; expected {{ start, stop, num }} with num ≥ 2")
-    step = (span["stop"] - span["start"]) / (span["num"] - 1)
-    return [span["start"] + step * index for index in range(span["num"])]
-
-
-def _number(where: str, key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise Refused(f"{where}: {key} has {value!r}; expected a number")
-    # Fifteen digits: 0.1 + 0.2 is 0.3 in a table.
-    return float(f"{value:.15g}")
-
-
-def _build(kind: type[T], table: Mapping[str, Any], where: str) -> T:
-    known = {item.name for item in fields(kind)}  # type: ignore[arg-type]
-    if unknown := table.keys() - known:
-        raise Refused(f"{where}: unknown key {', '.join(sorted(unknown))}; known: {', '.join(sorted(known))}")
-    try:
-        return kind(**table)
-    except TypeError as reason:
-        raise Refused(f"{where}: {reason}") from None
-
-
-def _among(sweep: str, key: str, value: str, known: Sequence[str]) -> None:
-    if value not in known:
-        raise Refused(f"sweep {sweep}: {key} = {value!r}; expected one of {', '.join(known)}")
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, tomllib.TOMLDecodeError) as reason:
-        raise Refused(f"{manifest.portable(path)}: {reason}") from None

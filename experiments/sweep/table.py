@@ -80,7 +80,7 @@ def schema(design: Design) -> pa.Schema:
 
 
 def _axis_columns(design: Design) -> Iterator[tuple[str, pa.DataType]]:
-    for column, axis in enumerate(design.spec.axes):
+    for column, axis in enumerate(design.spec.axis):
         numeric = all(isinstance(cell[column].label, float) for cell in design.cells)
         yield axis.name, pa.float64() if numeric else pa.string()
 
@@ -97,7 +97,7 @@ def rows(
         cell, repeat = divmod(index, design.spec.repeats)
         labels = [level.label for level in design.cells[cell]]
         record: dict[str, Any] = {"row": index, "cell": cell, "repeat": repeat}
-        record |= {axis.name: label for axis, label in zip(design.spec.axes, labels, strict=True)}
+        record |= {axis.name: label for axis, label in zip(design.spec.axis, labels, strict=True)}
         record["config_hash"] = config_hash(dict(config))
         if isinstance(flown, Failure):
             record |= {"outcome": "error", "error": flown.reason}
@@ -114,7 +114,7 @@ def cells(design: Design, table: pa.Table) -> pa.Table:
     records = []
     for cell, levels in enumerate(design.cells):
         record: dict[str, Any] = {"cell": cell}
-        record |= {axis.name: level.label for axis, level in zip(design.spec.axes, levels, strict=True)}
+        record |= {axis.name: level.label for axis, level in zip(design.spec.axis, levels, strict=True)}
         # Rows stand in order, the repeats of a cell together.
         mine = table.slice(cell * repeats, repeats)
         records.append(record | _cell({name: mine[name].to_numpy(zero_copy_only=False) for name in mine.column_names}))

@@ -58,10 +58,10 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     started = time.perf_counter()
     path = study.find("training", given.name)
     training, document = config.read(path, overrides.parse(given.set))
-    if given.write and not training.has_final:
+    if given.write and not training.final:
         raise Refused(f"{path.name}: final is false, so there are no weights to --write")
     dataset = load(given.dataset)
-    if training.is_mirrored:
+    if training.mirrored:
         dataset = dataset.mirrored()
     folder: Path = given.out or RESULTS / path.stem
     digest = hashlib.sha256(f"{study.digest(document, [config.ROBOT])}{dataset.sha256}".encode()).hexdigest()
@@ -99,7 +99,7 @@ def _manifest(
     errors: dict[str, Any],
     seconds: float,
 ) -> dict[str, Any]:
-    copies = training.members if training.keep == "mean" else 1
+    copies = training.ensemble.members if training.ensemble.keep == "mean" else 1
     summary = {
         "errors": errors,
         "parameters": training.start(config.robot(), 0).parameters * copies,

@@ -58,7 +58,7 @@ def parts(training: Training, dataset: Dataset) -> Iterator[Part]:
     for seed in held.random_seeds:
         train, rest = dataset.random_split(seed, held.fraction)
         yield Part(f"random-{seed}", "random", seed, train, rest)
-    if training.has_final:
+    if training.final:
         everything = np.arange(len(dataset), dtype=np.int64)
         yield Part("final", "final", 0, everything, everything[:0])
 
@@ -75,14 +75,14 @@ def run(
     curves: dict[str, list[list[float | None]]] = {}
     seconds = []
     members = []
-    for member in range(training.members):
+    for member in range(training.ensemble.members):
         seed = training.seed + 1000 * part.seed + member
         name = f"{part.name}-member-{member}"
         fitted = fit(
             training.start(robot, seed),
             samples,
             unseen,
-            training.settings,
+            training.training,
             seed,
             checkpoint=work / f"{name}.npz",
             on_epoch=lambda _, train, error: on_epoch(train, error),
@@ -123,14 +123,14 @@ def _student(
 ) -> Network:
     assert training.distillation is not None
     how = training.distillation
-    seed = training.seed + 1000 * part.seed + training.members
+    seed = training.seed + 1000 * part.seed + training.ensemble.members
     samples = distil_samples(teachers, robot, rows, count=how.samples, spread_deg=how.spread_deg, seed=seed)
     name = f"{part.name}-student"
     fitted = fit(
         training.start(robot, seed),
         samples,
         unseen,
-        how.settings,
+        how.training,
         seed,
         checkpoint=work / f"{name}.npz",
         on_epoch=lambda _, train, error: on_epoch(train, error),

@@ -22,11 +22,45 @@ import optuna
 from experiments import Refused, study
 from experiments.training import config
 from experiments.training.command import INTERRUPTED
+from jax_aero import tables
 from jax_aero.aero.dataset import Dataset, load
 from jax_aero.train import fit, samples_of
 
 RESULTS = study.RESULTS / "training_search"
-KEYS = {"base": str, "trials": int, "seed": int, "fold_seed": int, "folds": int, "folds_run": int, "space": dict}
+
+
+class Range(tables.Table, frozen=True):
+    """Where one key is searched: among choices, or between two numbers."""
+
+    choices: tuple[Any, ...] | None = None
+    low: float | None = None
+    high: float | None = None
+    log: bool = False
+    """Whether the logarithm is searched evenly."""
+
+    def __post_init__(self) -> None:
+        numbers = [number is not None for number in (self.low, self.high)]
+        if any(numbers) if self.choices is not None else not all(numbers):
+            raise ValueError("Expected `range`")
+
+
+class SearchConfig(tables.Table, frozen=True):
+    """A search for settings of training."""
+
+    base: Path
+    """The training file that trials start from."""
+    trials: tables.Count
+    seed: tables.Natural
+    fold_seed: tables.Natural
+    folds: tables.Count
+    """Inner folds of whole postures."""
+    folds_run: tables.Count
+    space: dict[str, Range]
+    """By the dotted key of the training file."""
+
+    def __post_init__(self) -> None:
+        if self.folds_run > self.folds:
+            raise ValueError(f"`folds_run` is {self.folds_run}; expected at most {self.folds}, which is `folds`")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -52,26 +86,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run(given: argparse.Namespace) -> int:
     """Search until there are enough trials; write the table of them."""
     path = study.find("training_search", given.name)
-    table = study.read(path)
-    study.check_keys(path, table, KEYS)
-    base = study.read(path.parent / table["base"])
+    settings = study.load(path, SearchConfig)
+    base = study.read(settings.base)
     dataset = load(given.dataset)
     out: Path = given.out or RESULTS / path.stem
     out.mkdir(parents=True, exist_ok=True)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     # One study per question: another dataset or space must not be mixed in.
-    digest = study.digest({"table": table, "base": base, "data": dataset.sha256}, [])
+    digest = study.digest({"table": tables.plain(settings), "base": base, "data": dataset.sha256}, [])
     search = optuna.create_study(
         study_name=digest[:16],
         storage=f"sqlite:///{(out / 'trials.db').resolve()}",
-        sampler=optuna.samplers.TPESampler(seed=table["seed"]),
+        sampler=optuna.samplers.TPESampler(seed=settings.seed),
         direction="minimize",
         load_if_exists=True,
     )
-    wanted = given.trials or table["trials"]
+    wanted = given.trials or settings.trials
 
     def objective(trial: optuna.Trial) -> float:
-        return error_of(path, changed(path, base, suggestions(trial, path, table["space"])), dataset, table)
+        return error_of(changed(path, base, suggestions(trial, settings.space)), dataset, settings)
 
     while (done := _complete(search)) < wanted:
         search.optimize(objective, n_trials=1)
@@ -90,17 +123,15 @@ def _complete(search: optuna.Study) -> int:
     return sum(trial.state == optuna.trial.TrialState.COMPLETE for trial in search.trials)
 
 
-def suggestions(trial: optuna.Trial, path: Path, space: Mapping[str, Any]) -> dict[str, Any]:
+def suggestions(trial: optuna.Trial, space: Mapping[str, Range]) -> dict[str, Any]:
     """Return one value for every key of the space."""
     chosen: dict[str, Any] = {}
     for key, entry in space.items():
-        if set(entry) == {"choices"}:
+        if entry.choices is not None:
             # Optuna has no lists: their texts stand for them.
-            chosen[key] = json.loads(trial.suggest_categorical(key, [json.dumps(value) for value in entry["choices"]]))
-        elif {"low", "high"} <= set(entry) <= {"low", "high", "log"}:
-            chosen[key] = trial.suggest_float(key, entry["low"], entry["high"], log=entry.get("log", False))
-        else:
-            raise Refused(f"{path.name}: `space.{key}` is {entry}; expected choices, or low and high, perhaps log")
+            chosen[key] = json.loads(trial.suggest_categorical(key, [json.dumps(value) for value in entry.choices]))
+        elif entry.low is not None and entry.high is not None:
+            chosen[key] = trial.suggest_float(key, entry.low, entry.high, log=entry.log)
     return chosen
 
 
@@ -114,17 +145,15 @@ def changed(path: Path, base: Mapping[str, Any], changes: Mapping[str, Any]) -> 
     return config.parse(path, table)
 
 
-def error_of(path: Path, training: config.Training, dataset: Dataset, table: Mapping[str, Any]) -> float:
+def error_of(training: config.Training, dataset: Dataset, settings: SearchConfig) -> float:
     """Return the mean error over the inner folds [m⁴]."""
-    if not 1 <= table["folds_run"] <= table["folds"]:
-        raise Refused(f"{path.name}: `folds_run` is {table['folds_run']}; expected 1 to folds, {table['folds']}")
-    rows = dataset.mirrored() if training.is_mirrored else dataset
+    rows = dataset.mirrored() if training.mirrored else dataset
     robot = config.robot()
     errors = []
-    for train, held_out in rows.grouped_folds(table["fold_seed"], table["folds"])[: table["folds_run"]]:
+    for train, held_out in rows.grouped_folds(settings.fold_seed, settings.folds)[: settings.folds_run]:
         start = training.start(robot, training.seed)
         samples, unseen = (samples_of(start, robot, rows.take(part)) for part in (train, held_out))
-        fitted = fit(start, samples, unseen, training.settings, training.seed)
+        fitted = fit(start, samples, unseen, training.training, training.seed)
         errors.append(fitted.curves[-1][2])
     return float(np.mean([np.inf if error is None else error for error in errors]))
 

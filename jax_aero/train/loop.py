@@ -7,14 +7,16 @@ import hashlib
 import json
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 
+from jax_aero import tables
 from jax_aero.aero.network import Layer, Network, raw_output
 from jax_aero.train.adam import AdamState, adam_start, adam_step
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
@@ -28,50 +30,38 @@ MATMUL = {"float32": "float32", "tf32": "tensorfloat32", "bf16": "bfloat16"}
 BLOCK_SIZES = {"wind": 3, "joints": 19, "link_wind": 39, "link_position": 39, "link_shadow": 13}
 
 
-@dataclass(frozen=True)
-class Settings:
+class Settings(tables.Table, frozen=True):
     """How a network is trained; one table of a file in `configs/training/`."""
 
-    epochs: int
-    learning_rate: float
-    batch: int = 0
+    epochs: tables.Count
+    learning_rate: tables.Positive
+    batch: tables.Natural = 0
     """Rows per step; 0 takes all of them. Rows that do not fill a batch wait for another epoch's order."""
     schedule: Literal["constant", "cosine"] = "constant"
     """Whether the rate stays, or falls to zero along half a cosine."""
-    warm_up: int = 0
+    warm_up: tables.Natural = 0
     """Steps over which the rate rises from zero."""
-    beta2: float = 0.999
-    weight_decay: float = 0.0
-    dropout: float = 0.0
-    noise: tuple[tuple[str, float], ...] = ()
-    """Standard deviation of noise on the features, by block: nearby postures should have nearly the same forces."""
+    beta2: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.999
+    weight_decay: tables.NonNegative = 0.0
+    dropout: Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)] = 0.0
+    noise: dict[str, tables.NonNegative] = msgspec.field(default_factory=dict)
+    """Standard deviation of noise on the features, by block, so that nearby postures get nearly the same answer."""
     matmul: Literal["float32", "tf32", "bf16"] = "float32"
+    """Precision of matrix products; a processor without the lower ones computes in float32."""
     scale_output: bool = True
     """Whether the network answers in units of the spread of its targets, about their mean."""
-    validate_every: int = 1
+    validate_every: tables.Count = 1
     """Epochs."""
-    patience: int = 0
+    patience: tables.Natural = 0
     """Epochs without a better validation after which training stops, with the best weights; 0 never stops."""
 
     def __post_init__(self) -> None:
-        checks = {
-            "epochs": (self.epochs > 0, "a positive number"),
-            "learning_rate": (self.learning_rate > 0.0, "a positive number"),
-            "batch": (self.batch >= 0, "0 for all rows, or a positive number"),
-            "schedule": (self.schedule in ("constant", "cosine"), "constant or cosine"),
-            "warm_up": (self.warm_up >= 0, "0 or more steps"),
-            "beta2": (0.0 < self.beta2 < 1.0, "a number between 0 and 1"),
-            "weight_decay": (self.weight_decay >= 0.0, "0 or more"),
-            "dropout": (0.0 <= self.dropout < 1.0, "0 or more, below 1"),
-            "matmul": (self.matmul in MATMUL, f"one of {', '.join(MATMUL)}"),
-            "validate_every": (self.validate_every > 0, "a positive number"),
-            "patience": (self.patience >= 0, "0 or more"),
-        }
-        for key, (is_right, expected) in checks.items():
-            if not is_right:
-                raise ValueError(f"`{key}` is {getattr(self, key)!r}; expected {expected}")
-        if unknown := {block for block, _ in self.noise} - set(BLOCK_SIZES):
+        if unknown := set(self.noise) - set(BLOCK_SIZES):
             raise ValueError(f"`noise` names {sorted(unknown)}; expected blocks of features, {', '.join(BLOCK_SIZES)}")
+
+    def __hash__(self) -> int:
+        # Settings are a static argument of compiled functions.
+        return hash(msgspec.json.encode(self))
 
 
 Curve: TypeAlias = tuple[int, float, float | None]
@@ -286,12 +276,12 @@ def _scaled(network: Network, training: Samples) -> Network:
 
 
 def _noise(network: Network, settings: Settings) -> Array:
-    parts = [np.full(BLOCK_SIZES[block], dict(settings.noise).get(block, 0.0), np.float32) for block in network.blocks]
+    parts = [np.full(BLOCK_SIZES[block], settings.noise.get(block, 0.0), np.float32) for block in network.blocks]
     return jnp.asarray(np.concatenate(parts))
 
 
 def _digest(network: Network, training: Samples, validation: Samples | None, settings: Settings, seed: int) -> str:
-    total = hashlib.sha256(json.dumps([asdict(settings), seed], sort_keys=True).encode())
+    total = hashlib.sha256(json.dumps([tables.plain(settings), seed], sort_keys=True).encode())
     shape = (network.blocks, network.frame, network.layout, network.activation, network.mirror is None)
     total.update(repr(shape).encode())
     for array in (*training, *(validation or ()), *jax.tree.leaves(network.layers)):

@@ -6,7 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from msgspec import structs
 
+from jax_aero import tables
 from jax_aero.aero.network import init_network
 from jax_aero.train import (
     Checkpoint,
@@ -28,7 +30,7 @@ from jax_aero.train import (
 from jax_aero.train.loop import MATMUL, validation_error
 from tests.measurements import measured
 
-SETTINGS = Settings(epochs=8, learning_rate=3e-3, batch=32, dropout=0.1, noise=(("wind", 0.02),), validate_every=2)
+SETTINGS = Settings(epochs=8, learning_rate=3e-3, batch=32, dropout=0.1, noise={"wind": 0.02}, validate_every=2)
 
 
 def test_adam_takes_the_steps_of_the_paper():
@@ -99,7 +101,7 @@ def same_bits(one, other):
 
 def test_training_learns_and_is_deterministic(task):
     network, training, validation = task
-    settings = replace(SETTINGS, epochs=40, dropout=0.0)
+    settings = structs.replace(SETTINGS, epochs=40, dropout=0.0)
     first = fit(network, training, validation, settings, seed=1)
     second = fit(network, training, validation, settings, seed=1)
     other = fit(network, training, validation, settings, seed=2)
@@ -136,9 +138,9 @@ def test_a_run_that_was_stopped_ends_with_the_same_bits(task, tmp_path):
 def test_another_runs_checkpoint_is_refused(task, tmp_path):
     network, training, validation = task
     path = tmp_path / "run.npz"
-    fit(network, training, validation, replace(SETTINGS, epochs=1), seed=5, checkpoint=path)
+    fit(network, training, validation, structs.replace(SETTINGS, epochs=1), seed=5, checkpoint=path)
     with pytest.raises(ValueError, match=r"run.npz belongs to other settings or data"):
-        fit(network, training, validation, replace(SETTINGS, epochs=1), seed=6, checkpoint=path)
+        fit(network, training, validation, structs.replace(SETTINGS, epochs=1), seed=6, checkpoint=path)
     path.write_bytes(b"nothing")
     with pytest.raises(ValueError, match=r"run.npz is no checkpoint that can be read"):
         load_checkpoint(path, {"a": np.zeros(2)}, "x")
@@ -168,7 +170,7 @@ def test_early_stopping_keeps_the_best_weights(task):
 def test_validation_is_that_of_the_network_as_it_flies(task, ironcub, made_up_dataset):
     """No dropout, symmetrised, in square metres of base axes."""
     network, training, _ = task
-    trained = fit(network, training, None, replace(SETTINGS, dropout=0.5), seed=0).network
+    trained = fit(network, training, None, structs.replace(SETTINGS, dropout=0.5), seed=0).network
     rows = made_up_dataset.take(slice(0, 40))
     expected = np.mean((predict_areas(trained, ironcub, rows) - rows.force_area_b) ** 2)
     assert validation_error(trained, samples_of(trained, ironcub, rows)) == pytest.approx(expected, rel=1e-4)
@@ -184,7 +186,7 @@ def test_lower_precision_trains_too(task, monkeypatch):
         return 1.0
 
     monkeypatch.setattr(loop, "_sum_of_squares", validate)
-    found = fit(network, training, training, replace(SETTINGS, epochs=2, matmul="bf16"), seed=0)
+    found = fit(network, training, training, structs.replace(SETTINGS, epochs=2, matmul="bf16"), seed=0)
     assert np.isfinite(found.curves[-1][1])
     assert used
     assert set(used) == {"highest"}
@@ -201,17 +203,17 @@ def test_a_diverging_run_says_so(task):
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("epochs", 0), ("dropout", 1.0), ("schedule", "linear"), ("matmul", "f8"), ("noise", (("colour", 0.1),))],
+    [("epochs", 0), ("dropout", 1.0), ("schedule", "linear"), ("matmul", "f8"), ("noise", {"colour": 0.1})],
 )
 def test_settings_are_checked(key, value):
     with pytest.raises(ValueError, match=f"`{key}`"):
-        replace(SETTINGS, **{key: value})
+        tables.convert({"epochs": 8, "learning_rate": 3e-3} | {key: value}, Settings, "training")
 
 
 def test_a_batch_larger_than_the_data_is_refused(task):
     network, training, _ = task
     with pytest.raises(ValueError, match=f"`batch` is 100000; there are {len(training.x)} rows"):
-        fit(network, training, None, replace(SETTINGS, batch=100_000), seed=0)
+        fit(network, training, None, structs.replace(SETTINGS, batch=100_000), seed=0)
 
 
 def test_a_student_learns_from_the_mean_of_its_teachers(ironcub, made_up_dataset):

@@ -99,7 +99,7 @@ def test_a_sampled_design_fills_its_box_evenly_and_repeatably(kind):
 
 def test_a_range_is_even_and_free_of_rounding():
     axis = {"name": "scale", "key": "controller.aero_feedback.scale", "range": {"start": 0, "stop": 2, "num": 11}}
-    assert [level.label for level in design(axis=[axis]).spec.axes[0].levels][3] == 0.6
+    assert [level.label for level in design(axis=[axis]).spec.axis[0].levels][3] == 0.6
 
 
 @pytest.mark.parametrize(
@@ -116,18 +116,21 @@ def test_wind_is_given_by_where_it_comes_from(speed, direction, velocity):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"design": "random"}, "design = 'random'; expected one of grid"),
-        ({"engine": "matlab"}, "engine = 'matlab'; expected one of rust, jax"),
-        ({"repeats": 0}, "repeats = 0"),
-        ({"colour": "red"}, "unknown key colour"),
-        ({"axis": []}, r"no \[\[axis\]\]"),
+        ({"design": "random"}, "`design` is 'random'; expected one of grid"),
+        ({"engine": "matlab"}, "`engine` is 'matlab'; expected one of jax, mujoco, rust"),
+        ({"repeats": 0}, "`repeats` is 0; expected an integer >= 1"),
+        ({"colour": "red"}, "unknown key `colour`"),
+        ({"axis": []}, "`axis` is .*; expected a list of length >= 1"),
         ({"axis": [{"name": "x", "key": "wind.speed", "low": 2, "high": 1}]}, "expected low < high"),
-        ({"axis": [{"name": "x", "key": "wind.speed", "values": ["fast"]}]}, "'fast'; expected a number"),
-        ({"axis": [{"name": "x", "values": [1]}]}, "no key"),
+        (
+            {"axis": [{"name": "x", "key": "wind.speed", "values": ["fast"]}]},
+            r"`axis\[0\]\.values\[0\]` is 'fast'; expected a number",
+        ),
+        ({"axis": [{"name": "x", "values": [1]}]}, "there is no key"),
         ({"axis": [{"name": "x", "key": "wind.speed", "low": 1, "high": 2}]}, "needs values"),
-        ({"panels": "world"}, "panels = 'world'"),
-        ({"perturbation": {"joint_position": -1}}, "joint_position = -1; expected a number ≥ 0"),
-        ({"perturbation": {"gravity": 1}}, "unknown key gravity"),
+        ({"panels": "world"}, "`panels` is 'world'"),
+        ({"perturbation": {"joint_position": -1}}, "`perturbation.joint_position` is -1; expected a number >= 0"),
+        ({"perturbation": {"gravity": 1}}, "unknown key `perturbation.gravity`"),
     ],
 )
 def test_a_mistake_in_a_file_is_named(changes, message):
