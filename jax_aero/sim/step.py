@@ -41,6 +41,9 @@ from jax_aero.types import Array, State, Static, pytree, where, with_dtype
 FLYING, LOST_BY_ROTATION, LOST_BY_COM, LOST_NOT_FINITE = range(4)
 """Codes of `FlightState.fall`."""
 
+LARGEST_NUMBER = 1e9
+"""A state of larger numbers, in SI units, counts as not finite: a step from there may leave the range of numbers."""
+
 Tree = TypeVar("Tree")
 
 
@@ -200,9 +203,11 @@ def controller_model(config: FlightConfig, robot: RobotModel) -> RobotModel | No
 def begin(scenario: Scenario, plant: PlantState) -> FlightState:
     """Start the controller of a flight whose plant is in this state."""
     robot = scenario.plant.robot if scenario.controller_model is None else scenario.controller_model
+    # A state that is not finite is lost at once, and must not spoil derivatives before that.
+    first = where(_all_in_range(plant), plant, world.at_rest(plant))
     return FlightState(
         plant=plant,
-        controller=_init(scenario.controller, robot, plant.robot),
+        controller=_init(scenario.controller, robot, first.robot),
         measured_wind=jnp.zeros_like(plant.robot.velocity[:3]),
         fall=jnp.array(FLYING, jnp.int32),
         fall_error=jnp.zeros_like(plant.robot.velocity[0]),
@@ -283,13 +288,7 @@ def _check_precision(scenario: Scenario) -> None:
 
 def _all_in_range(tree: Any) -> Array:
     """Whether all numbers are finite, and so are the products of several of them that a tick forms."""
-
-    def in_range(leaf: Array) -> Array:
-        if not jnp.issubdtype(leaf.dtype, jnp.floating):
-            return jnp.array(True)
-        return jnp.all(jnp.abs(leaf) < float(np.finfo(leaf.dtype).max) ** (1.0 / 6.0))
-
-    return jnp.all(jnp.stack([in_range(leaf) for leaf in jax.tree.leaves(tree)]))
+    return jnp.all(jnp.stack([jnp.all(jnp.abs(leaf) < LARGEST_NUMBER) for leaf in jax.tree.leaves(tree)]))
 
 
 def _nan_unless(condition: Array, tree: Tree) -> Tree:

@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jax_aero import rust, sim
+from jax_aero import io, rust, sim
 from jax_aero.config import flight_config
 from jax_aero.robot import load_robot
 from jax_aero.sim.plant import PlantState, advance, observe, start_plant
 from jax_aero.sim.wind import wind_velocity
 from jax_aero.spatial import rotation_from_wxyz
-from jax_aero.types import State
+from jax_aero.types import State, pytree
 from jax_aero.verify import Comparison, verify_flight
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -193,3 +193,29 @@ def test_winds(profile, tmp_path):
     log, config = rust.fly(table).log, flight_config(table)
     ours = jax.vmap(lambda time: wind_velocity(config.wind, time))(jnp.asarray(log["time"]))
     np.testing.assert_allclose(ours, log["wind"], rtol=0, atol=1e-12)
+
+
+@pytree
+class Damper:
+    """Dampens joints: a controller so small that only the plant takes time to compile."""
+
+    def init(self, _robot, _state):
+        return ()
+
+    def step(self, _robot, state, measurement):
+        return state, sim.Command(jnp.zeros_like(measurement.thrust), -0.05 * measurement.state.velocity[6:])
+
+
+@pytest.mark.usefixtures("x64")
+def test_both_kinds_of_dynamics_fly_the_same():
+    """`simulator.dynamics`: one step to the rounding of M⁻¹ h (condition 1e5), and 0.2 s with what it grows to."""
+    heights = {}
+    for dynamics in ("tree", "mjx"):
+        table = io.load_config(EXPERIMENTS / "test2.toml", {"simulator.dynamics": dynamics, "wind.ramp_start": -9.0})
+        scenario, start = sim.prepare(table, controller=Damper())
+        assert scenario.plant.backend == dynamics
+        rows = jax.jit(lambda scenario, start: sim.rollout(scenario, start, 20, sim.everything)[1])(scenario, start)
+        heights[dynamics] = np.concatenate([rows.base_position, rows.base_velocity, rows.joint_position], axis=1)
+    apart = np.abs(heights["tree"] - heights["mjx"]).max(axis=1)
+    assert apart[1] < 1e-11
+    assert apart.max() < 1e-8
