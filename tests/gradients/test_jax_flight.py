@@ -110,11 +110,10 @@ def test_gradient_of_a_closed_loop(problem):
     ("change", "tick"),
     [
         ({"com_error": 0.004}, None),
-        ({"velocity": np.full(29, 1e8)}, 1),
         ({"velocity": np.full(29, np.nan)}, 0),
         ({"wind": np.full(3, np.nan)}, 0),
     ],
-    ids=["lost", "diverged", "state not finite", "wind not finite"],
+    ids=["lost", "state not finite", "wind not finite"],
 )
 def test_gradient_of_a_flight_that_is_lost(problem, change, tick):
     """Of what was recorded until then: finite, so that one bad sample does not spoil the gradient of a batch."""
