@@ -4,8 +4,8 @@
 //! dynamics, aerodynamic forces, momentum, tasks, QP, torques. Each step fills one plain struct that
 //! the next reads; after a tick all of them are open to inspection in [`Controller::terms`].
 //!
-//! A tick does not allocate, does not panic and ends after a bounded number of iterations (with
-//! [`Fallback::Hold`]; the Clarabel fallback allocates, but only where our solver gave no answer).
+//! A tick does not allocate, does not panic and ends after a bounded number of iterations. (Clarabel
+//! allocates, where the configuration chooses it.)
 //!
 //! Equations: `docs/model.md`, the integral of M68 here. Unknowns `u = (Ṫ, ṡ)`: thrust rates and joint velocities. With
 //! `contact` in its configuration the same controller stands on its feet as well: `u = (Ṫ, ḟ_c, ṡ)`, and
@@ -19,7 +19,6 @@ pub mod minimum_jerk;
 pub mod mission;
 pub mod model_error;
 pub mod momentum;
-pub mod qp;
 pub mod recorded;
 pub mod references;
 pub mod standing;
@@ -31,19 +30,15 @@ use crate::aero::{AeroModel, ForceFactors, LinkConventions, LinkForces};
 use crate::dynamics::{Dynamics, MassFactor};
 use crate::error::{BuildError, check};
 use crate::kinematics::{Kinematics, RobotState};
+use crate::qp::{QpAnswer, QpChain, QpProblem, QpSolver, QpStatus};
 use crate::robot::RobotModel;
 use crate::spatial::rpy_from_rotation;
 use attitude::{AttitudeDemand, attitude_demand};
 use config::ControllerConfig;
-#[cfg(feature = "clarabel")]
-use config::{Fallback, QpConfig, Solver};
 use contact::Contact;
 use mission::Mission;
 use momentum::MomentumModel;
 use nalgebra::{DVector, Matrix3, Vector3, Vector6};
-use qp::{ActiveSetSolver, BoxQp, DualActiveSetSolver, QpAnswer, QpStatus, RowQp};
-#[cfg(feature = "clarabel")]
-use qp::{ClarabelRowSolver, ClarabelSolver};
 use references::{Reference, ReferenceGenerator};
 use standing::StandingQp;
 use tasks::{MomentumQp, TaskInputs};
@@ -158,7 +153,7 @@ pub struct Controller {
     solution: DVector<f64>,
     momentum_solver: QpChain,
     torque_solver: QpChain,
-    standing_solver: Option<RowQpChain>,
+    standing_solver: Option<QpChain>,
     /// Whether the foot wrenches that were handed over last can be used.
     feet_are_sound: bool,
     /// What stands for the thrusts where jets are not used.
@@ -219,17 +214,18 @@ impl Controller {
                 thrust_rate: DVector::zeros(jets),
                 joint_velocity: DVector::zeros(joints),
                 joint_torque: DVector::zeros(joints),
-                momentum_qp: no_answer(QpStatus::NonFinite),
-                torque_qp: no_answer(QpStatus::NonFinite),
+                momentum_qp: QpAnswer::refused(QpStatus::NonFinite),
+                torque_qp: QpAnswer::refused(QpStatus::NonFinite),
                 status: CommandStatus::Nominal,
             },
             mass_factor: MassFactor::new(n),
             force: DVector::zeros(n),
             velocity_error: DVector::zeros(joints),
             solution: DVector::zeros(unknowns),
-            momentum_solver: QpChain::new(unknowns, &config),
-            torque_solver: QpChain::new(joints, &config),
-            standing_solver: contact.map(|_| RowQpChain::new(joints, feet, &config)),
+            momentum_solver: config.qp.chain(unknowns, 0),
+            torque_solver: config.qp.chain(joints, 0),
+            standing_solver: contact
+                .map(|_| config.qp.chain(contact::WRENCH * feet + joints, contact::WRENCH_ROWS * feet)),
             feet_are_sound: true,
             no_thrust: vec![0.0; jets],
             robot,
@@ -345,8 +341,9 @@ impl Controller {
         };
         momentum_qp.update(&self.robot, &self.config.momentum, &inputs);
 
-        let answer = self.momentum_solver.solve(&momentum_qp.problem, &mut self.solution);
+        let answer = self.momentum_solver.solve(&momentum_qp.problem);
         self.command.momentum_qp = answer;
+        self.solution.as_mut_slice().copy_from_slice(self.momentum_solver.x());
         self.command.status = CommandStatus::Nominal;
         if answer.status != QpStatus::Solved {
             self.command.status = CommandStatus::MomentumHeld;
@@ -396,7 +393,7 @@ impl Controller {
         let standing = contact.as_mut().zip(standing_qp.as_mut()).zip(self.standing_solver.as_mut());
         let standing = standing.filter(|((contact, _), _)| contact.is_active);
         let answer = if !mass_is_sound {
-            no_answer(QpStatus::NotPositiveDefinite)
+            QpAnswer::refused(QpStatus::NotPositiveDefinite)
         } else if let Some(((contact, qp), solver)) = standing {
             qp.update(
                 &self.config.torque,
@@ -406,9 +403,9 @@ impl Controller {
                 &self.velocity_error,
                 integral,
             );
-            let (answer, x) = solver.solve(&qp.problem);
+            let answer = solver.solve(&qp.problem);
             if answer.status == QpStatus::Solved {
-                let (forces, torques) = x.split_at(contact.force.len());
+                let (forces, torques) = solver.x().split_at(contact.force.len());
                 contact.force_of_torques.as_mut_slice().copy_from_slice(forces);
                 unlimited_torque.as_mut_slice().copy_from_slice(torques);
             }
@@ -421,7 +418,9 @@ impl Controller {
                 &self.velocity_error,
                 integral,
             );
-            self.torque_solver.solve(&torque_qp.problem, unlimited_torque)
+            let answer = self.torque_solver.solve(&torque_qp.problem);
+            unlimited_torque.as_mut_slice().copy_from_slice(self.torque_solver.x());
+            answer
         };
         self.command.torque_qp = answer;
         if answer.status == QpStatus::Solved {
@@ -481,8 +480,8 @@ impl Controller {
     fn refuse_measurement(&mut self) -> &Command {
         self.command.thrust_rate.fill(0.0);
         self.command.joint_velocity.fill(0.0);
-        self.command.momentum_qp = no_answer(QpStatus::NonFinite);
-        self.command.torque_qp = no_answer(QpStatus::NonFinite);
+        self.command.momentum_qp = QpAnswer::refused(QpStatus::NonFinite);
+        self.command.torque_qp = QpAnswer::refused(QpStatus::NonFinite);
         self.command.status = CommandStatus::BadMeasurement;
         &self.command
     }
@@ -550,97 +549,9 @@ impl Controller {
     }
 }
 
-/// What stands in a command whose QP was never asked or had nothing to answer.
-fn no_answer(status: QpStatus) -> QpAnswer {
-    QpAnswer { status, iterations: 0, kkt: f64::NAN, active: 0 }
-}
-
 /// The safe command where the momentum QP has no answer: nothing moves, as far as the bounds allow.
-fn nearest_to_zero(problem: &BoxQp, x: &mut DVector<f64>) {
+fn nearest_to_zero(problem: &QpProblem, x: &mut DVector<f64>) {
     for (x, (lower, upper)) in x.iter_mut().zip(problem.lower.iter().zip(&problem.upper)) {
         *x = 0.0_f64.max(*lower).min(*upper);
-    }
-}
-
-/// The active-set solver, and Clarabel before or behind it where that is configured.
-#[derive(Debug)]
-struct QpChain {
-    #[cfg(feature = "clarabel")]
-    qp: QpConfig,
-    active_set: ActiveSetSolver,
-    #[cfg(feature = "clarabel")]
-    clarabel: ClarabelSolver,
-}
-
-impl QpChain {
-    #[cfg_attr(not(feature = "clarabel"), allow(unused_variables, reason = "`check` allows one chain"))]
-    fn new(n: usize, config: &ControllerConfig) -> Self {
-        Self {
-            #[cfg(feature = "clarabel")]
-            qp: config.qp,
-            active_set: ActiveSetSolver::new(n),
-            #[cfg(feature = "clarabel")]
-            clarabel: ClarabelSolver::new(n),
-        }
-    }
-
-    /// Solves into `x`; the caller must look at the status before using it.
-    fn solve(&mut self, problem: &BoxQp, x: &mut DVector<f64>) -> QpAnswer {
-        #[cfg(feature = "clarabel")]
-        if self.qp.solver == Solver::Clarabel {
-            return self.solve_by_clarabel(problem, x);
-        }
-        let answer = self.active_set.solve(problem);
-        x.as_mut_slice().copy_from_slice(self.active_set.x());
-        #[cfg(feature = "clarabel")]
-        if answer.status != QpStatus::Solved && self.qp.fallback == Fallback::Clarabel {
-            return self.solve_by_clarabel(problem, x);
-        }
-        answer
-    }
-
-    #[cfg(feature = "clarabel")]
-    fn solve_by_clarabel(&mut self, problem: &BoxQp, x: &mut DVector<f64>) -> QpAnswer {
-        let answer = self.clarabel.solve(problem);
-        x.as_mut_slice().copy_from_slice(self.clarabel.x());
-        answer
-    }
-}
-
-/// The same for the torque QP of a robot that stands.
-#[derive(Debug)]
-struct RowQpChain {
-    #[cfg(feature = "clarabel")]
-    qp: QpConfig,
-    active_set: DualActiveSetSolver,
-    #[cfg(feature = "clarabel")]
-    clarabel: ClarabelRowSolver,
-}
-
-impl RowQpChain {
-    #[cfg_attr(not(feature = "clarabel"), allow(unused_variables, reason = "`check` allows one chain"))]
-    fn new(joints: usize, feet: usize, config: &ControllerConfig) -> Self {
-        let (n, rows) = (contact::WRENCH * feet + joints, contact::WRENCH_ROWS * feet);
-        Self {
-            #[cfg(feature = "clarabel")]
-            qp: config.qp,
-            active_set: DualActiveSetSolver::new(n, rows),
-            #[cfg(feature = "clarabel")]
-            clarabel: ClarabelRowSolver::new(n, rows),
-        }
-    }
-
-    /// The answer and its `x`, which the caller must not use unless it is solved.
-    fn solve(&mut self, problem: &RowQp) -> (QpAnswer, &[f64]) {
-        #[cfg(feature = "clarabel")]
-        if self.qp.solver == Solver::Clarabel {
-            return (self.clarabel.solve(problem), self.clarabel.x());
-        }
-        let answer = self.active_set.solve(problem);
-        #[cfg(feature = "clarabel")]
-        if answer.status != QpStatus::Solved && self.qp.fallback == Fallback::Clarabel {
-            return (self.clarabel.solve(problem), self.clarabel.x());
-        }
-        (answer, self.active_set.x())
     }
 }

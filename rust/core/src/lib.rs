@@ -21,6 +21,7 @@ pub mod jets;
 pub mod kinematics;
 pub mod linalg;
 pub mod noise;
+pub mod qp;
 pub mod robot;
 pub mod spatial;
 

@@ -4,8 +4,9 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 #![allow(clippy::cast_possible_truncation, reason = "numbers of variables are below 65")]
 
-use flight_core::control::qp::{
-    ActiveSetSolver, BoxQp, ClarabelSolver, KKT_TOLERANCE, PASSES_PER_VARIABLE, QpStatus, kkt_residual,
+use flight_core::qp::{
+    ClarabelSolver, KKT_TOLERANCE, PASSES_PER_VARIABLE, PrimalActiveSet, QpProblem, QpSolver, QpStatus,
+    kkt_residual,
 };
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
@@ -30,7 +31,7 @@ fn log_uniform(rng: &mut ChaCha8Rng, low: f64, high: f64) -> f64 {
 
 /// A problem like the momentum QP: momentum task (6 rows, weight 10), angular-momentum task (3 rows,
 /// weight 150), posture and regularisation. `push` is how far the tasks want to go, in bound ranges.
-fn flight_problem(rng: &mut ChaCha8Rng, push: f64) -> BoxQp {
+fn flight_problem(rng: &mut ChaCha8Rng, push: f64) -> QpProblem {
     let jet = |j: usize| j < JETS;
     let momentum = DMatrix::from_fn(6, FLIGHT, |_, j| {
         normal(rng) * if jet(j) { 1.0 } else { log_uniform(rng, 100.0, 1000.0) }
@@ -57,11 +58,11 @@ fn flight_problem(rng: &mut ChaCha8Rng, push: f64) -> BoxQp {
     };
     let lower = DVector::from_fn(FLIGHT, |j, _| -side(j));
     let upper = DVector::from_fn(FLIGHT, |j, _| side(j));
-    BoxQp { h: 0.5 * (&h + h.transpose()), g, lower, upper }
+    QpProblem::without_rows(0.5 * (&h + h.transpose()), g, lower, upper)
 }
 
 /// A problem with eigenvalues spread over `1/condition .. 1` and units over `1e-3 .. 1e3`.
-fn spectrum_problem(rng: &mut ChaCha8Rng, n: usize, condition: f64, push: f64) -> BoxQp {
+fn spectrum_problem(rng: &mut ChaCha8Rng, n: usize, condition: f64, push: f64) -> QpProblem {
     let q = DMatrix::from_fn(n, n, |_, _| normal(rng)).qr().q();
     let eigenvalues = DVector::from_fn(n, |_, _| log_uniform(rng, 1.0 / condition, 1.0 + 1e-9));
     let units = DVector::from_fn(n, |_, _| log_uniform(rng, 1e-3, 1e3));
@@ -72,11 +73,11 @@ fn spectrum_problem(rng: &mut ChaCha8Rng, n: usize, condition: f64, push: f64) -
     let g = -(&h * wanted);
     let lower = DVector::from_fn(n, |i, _| -units[i] * rng.random_range(0.0..1.0));
     let upper = DVector::from_fn(n, |i, _| units[i] * rng.random_range(0.0..1.0));
-    BoxQp { h, g, lower, upper }
+    QpProblem::without_rows(h, g, lower, upper)
 }
 
 /// Fixes some variables, frees some sides, and lets some bounds touch the start `clamp(0)`.
-fn make_awkward(rng: &mut ChaCha8Rng, qp: &mut BoxQp) {
+fn make_awkward(rng: &mut ChaCha8Rng, qp: &mut QpProblem) {
     for i in 0..qp.len() {
         match rng.random_range(0..7) {
             0 => qp.lower[i] = qp.upper[i],
@@ -91,7 +92,7 @@ fn make_awkward(rng: &mut ChaCha8Rng, qp: &mut BoxQp) {
 }
 
 /// Largest difference in units of the bound range.
-fn difference(qp: &BoxQp, a: &[f64], b: &[f64]) -> f64 {
+fn difference(qp: &QpProblem, a: &[f64], b: &[f64]) -> f64 {
     let ranges = qp.upper.iter().zip(qp.lower.iter()).map(|(u, l)| u - l);
     a.iter().zip(b).zip(ranges).map(|((a, b), range)| (a - b).abs() / range).fold(0.0, f64::max)
 }
@@ -99,12 +100,12 @@ fn difference(qp: &BoxQp, a: &[f64], b: &[f64]) -> f64 {
 /// Solves cold and checks everything that must hold for any solvable problem; returns `x`, the
 /// iterations and the number of active bounds.
 #[track_caller]
-fn solved(qp: &BoxQp) -> (Vec<f64>, u32, u32) {
-    let mut solver = ActiveSetSolver::new(qp.len());
+fn solved(qp: &QpProblem) -> (Vec<f64>, u32, u32) {
+    let mut solver = PrimalActiveSet::new(qp.len());
     let answer = solver.solve(qp);
     let x = solver.x();
     assert_eq!(answer.status, QpStatus::Solved, "{answer:?}");
-    assert!(answer.kkt <= KKT_TOLERANCE && answer.kkt == kkt_residual(qp, x), "{answer:?}");
+    assert!(answer.kkt <= KKT_TOLERANCE && answer.kkt == kkt_residual(qp, x, &[]), "{answer:?}");
     for (x, (lower, upper)) in x.iter().zip(qp.lower.iter().zip(qp.upper.iter())) {
         assert!(lower <= x && x <= upper, "{lower} <= {x} <= {upper}");
     }
@@ -161,7 +162,7 @@ fn fixed_unbounded_and_touching_variables_are_solved() {
 
 /// Moves the unconstrained minimiser to a face, edge or corner of the box, where every multiplier is
 /// zero and it is a matter of rounding which bounds are held; returns it.
-fn put_minimiser_on_bounds(rng: &mut ChaCha8Rng, qp: &mut BoxQp) -> DVector<f64> {
+fn put_minimiser_on_bounds(rng: &mut ChaCha8Rng, qp: &mut QpProblem) -> DVector<f64> {
     let minimiser = DVector::from_fn(qp.len(), |i, _| match rng.random_range(0..3) {
         0 => qp.lower[i],
         1 => qp.upper[i],
@@ -197,7 +198,7 @@ fn a_bound_reached_by_the_refinement_is_held() {
 }
 
 /// The minimiser by trying every one of the 3ⁿ working sets.
-fn by_enumeration(qp: &BoxQp) -> DVector<f64> {
+fn by_enumeration(qp: &QpProblem) -> DVector<f64> {
     let n = qp.len();
     let mut best = (f64::INFINITY, DVector::zeros(n));
     for code in 0..3_usize.pow(n as u32) {
@@ -260,7 +261,7 @@ fn objective_agrees_with_clarabel_unpolished() {
             make_awkward(&mut rng, &mut qp);
         }
         let (x, _, _) = solved(&qp);
-        let mut clarabel = ClarabelSolver::new(FLIGHT).without_polish();
+        let mut clarabel = ClarabelSolver::new(FLIGHT, 0).without_polish();
         let answer = clarabel.solve(&qp);
         inaccurate += u32::from(answer.status == QpStatus::Inaccurate);
         let (ours, theirs) = (qp.objective(&x), qp.objective(clarabel.x()));
@@ -279,7 +280,7 @@ fn objective_agrees_with_clarabel_unpolished() {
 #[test]
 fn polished_clarabel_is_a_certified_fallback() {
     let mut rng = rng(7);
-    let mut clarabel = ClarabelSolver::new(FLIGHT);
+    let mut clarabel = ClarabelSolver::new(FLIGHT, 0);
     for round in 0..160 {
         let mut qp = flight_problem(&mut rng, [0.1, 1.0, 3.0, 10.0][round % 4]);
         if round % 2 == 0 {
@@ -287,7 +288,7 @@ fn polished_clarabel_is_a_certified_fallback() {
         }
         let answer = clarabel.solve(&qp);
         assert_eq!(answer.status, QpStatus::Solved, "{answer:?}");
-        assert_eq!(answer.kkt, kkt_residual(&qp, clarabel.x()));
+        assert_eq!(answer.kkt, kkt_residual(&qp, clarabel.x(), &[]));
         if round % 2 == 1 {
             assert!(difference(&qp, &solved(&qp).0, clarabel.x()) < 1e-9);
         }
@@ -322,12 +323,10 @@ fn the_exact_answer_is_found_to_1e_9_of_the_range() {
                 multiplier[j] = -side * f64::from(rng.random_range(0..=8)) * if jet(j) { 0.25 } else { 16.0 };
             }
         }
-        let qp = BoxQp {
-            g: &multiplier - &h * &exact,
-            h,
-            lower: DVector::from_fn(FLIGHT, |j, _| -range(j)),
-            upper: DVector::from_fn(FLIGHT, |j, _| range(j)),
-        };
+        let g = &multiplier - &h * &exact;
+        let (lower, upper) =
+            (DVector::from_fn(FLIGHT, |j, _| -range(j)), DVector::from_fn(FLIGHT, |j, _| range(j)));
+        let qp = QpProblem::without_rows(h, g, lower, upper);
         assert_eq!(&qp.h * &exact + &qp.g, multiplier, "the construction must be exact");
         let (x, _, _) = solved(&qp);
         let error = difference(&qp, &x, exact.as_slice());
@@ -349,7 +348,7 @@ fn every_pass_lowers_the_objective() {
         longest = longest.max(iterations);
         let mut last = f64::INFINITY;
         for limit in 0..iterations {
-            let mut solver = ActiveSetSolver::new(FLIGHT).with_iteration_limit(limit);
+            let mut solver = PrimalActiveSet::new(FLIGHT).with_iteration_limit(limit);
             let answer = solver.solve(&qp);
             assert_eq!((answer.status, answer.iterations), (QpStatus::IterationLimit, limit));
             let now = qp.objective(solver.x());
@@ -365,7 +364,7 @@ fn every_pass_lowers_the_objective() {
 #[test]
 fn the_start_does_not_change_the_answer() {
     let mut rng = rng(10);
-    let mut solver = ActiveSetSolver::new(FLIGHT);
+    let mut solver = PrimalActiveSet::new(FLIGHT);
     for round in 0..2000 {
         // Neighbouring rounds have nothing in common, so every warm start is wrong.
         let mut qp = flight_problem(&mut rng, [0.1, 20.0, 2.0][round % 3]);
@@ -390,18 +389,18 @@ fn the_start_does_not_change_the_answer() {
 fn slowly_varying_problems_take_one_pass() {
     let mut rng = rng(11);
     let (a, b) = (flight_problem(&mut rng, 2.0), flight_problem(&mut rng, 2.0));
-    let mut solver = ActiveSetSolver::new(FLIGHT);
+    let mut solver = PrimalActiveSet::new(FLIGHT);
     let mut passes = 0;
     let mut active = 0;
     let ticks = 2000_u32;
     for tick in 0..ticks {
         let s = f64::from(tick) / f64::from(ticks);
-        let qp = BoxQp {
-            h: &a.h * (1.0 - s) + &b.h * s,
-            g: &a.g * (1.0 - s) + &b.g * s,
-            lower: &a.lower * (1.0 - s) + &b.lower * s,
-            upper: &a.upper * (1.0 - s) + &b.upper * s,
-        };
+        let qp = QpProblem::without_rows(
+            &a.h * (1.0 - s) + &b.h * s,
+            &a.g * (1.0 - s) + &b.g * s,
+            &a.lower * (1.0 - s) + &b.lower * s,
+            &a.upper * (1.0 - s) + &b.upper * s,
+        );
         let answer = solver.solve(&qp);
         assert_eq!(answer.status, QpStatus::Solved);
         passes += answer.iterations;
@@ -420,12 +419,12 @@ fn other_units_give_the_same_bits() {
     for _ in 0..200 {
         let qp = flight_problem(&mut rng, 2.0);
         let unit = DVector::from_fn(FLIGHT, |_, _| 2_f64.powi(rng.random_range(-12..12)));
-        let other = BoxQp {
-            h: DMatrix::from_fn(FLIGHT, FLIGHT, |i, j| qp.h[(i, j)] / (unit[i] * unit[j])),
-            g: qp.g.component_div(&unit),
-            lower: qp.lower.component_mul(&unit),
-            upper: qp.upper.component_mul(&unit),
-        };
+        let other = QpProblem::without_rows(
+            DMatrix::from_fn(FLIGHT, FLIGHT, |i, j| qp.h[(i, j)] / (unit[i] * unit[j])),
+            qp.g.component_div(&unit),
+            qp.lower.component_mul(&unit),
+            qp.upper.component_mul(&unit),
+        );
         let x = DVector::from_vec(solved(&qp).0).component_mul(&unit);
         assert_eq!(solved(&other).0, x.as_slice());
     }
@@ -442,7 +441,7 @@ fn the_certificate_sees_small_errors_of_every_kind() {
                 let mut wrong = x.clone();
                 // On a bound this is infeasible one way and not optimal the other.
                 wrong[i] += step / qp.h[(i, i)].sqrt();
-                assert!(kkt_residual(&qp, &wrong) > KKT_TOLERANCE, "variable {i}, step {step}");
+                assert!(kkt_residual(&qp, &wrong, &[]) > KKT_TOLERANCE, "variable {i}, step {step}");
             }
         }
     }
@@ -451,28 +450,28 @@ fn the_certificate_sees_small_errors_of_every_kind() {
 #[test]
 fn the_certificate_is_its_equation() {
     // H = diag(4, 1), g = (−8, 1), box [0, 1] × [−3, 3]: y = (2 x1, x2), q = (4 x1 − 8, 1 + x2)/(2, 1).
-    let qp = BoxQp {
-        h: DMatrix::from_diagonal(&DVector::from_vec(vec![4.0, 1.0])),
-        g: DVector::from_vec(vec![-8.0, 1.0]),
-        lower: DVector::from_vec(vec![0.0, -3.0]),
-        upper: DVector::from_vec(vec![1.0, 3.0]),
-    };
+    let qp = QpProblem::without_rows(
+        DMatrix::from_diagonal(&DVector::from_vec(vec![4.0, 1.0])),
+        DVector::from_vec(vec![-8.0, 1.0]),
+        DVector::from_vec(vec![0.0, -3.0]),
+        DVector::from_vec(vec![1.0, 3.0]),
+    );
     // Minimiser (1, −1): the first multiplier pushes outwards, the second gradient is zero.
-    assert_eq!(kkt_residual(&qp, &[1.0, -1.0]), 0.0);
+    assert_eq!(kkt_residual(&qp, &[1.0, -1.0], &[]), 0.0);
     // x = (1, 0): only r_2 = 1 is left; |g scaled| = 4 is the largest scale.
-    assert_eq!(kkt_residual(&qp, &[1.0, 0.0]), 1.0 / 4.0);
+    assert_eq!(kkt_residual(&qp, &[1.0, 0.0], &[]), 1.0 / 4.0);
     // x = (2, −1): infeasible by 1, that is 2 in y; q_1 = 0, so y_1 = 4 is clamped to 2; scale 4.
-    assert_eq!(kkt_residual(&qp, &[2.0, -1.0]), 2.0 / 4.0);
+    assert_eq!(kkt_residual(&qp, &[2.0, -1.0], &[]), 2.0 / 4.0);
     // x = (0, −1): y_1 − q_1 = 4 is clamped to 2.
-    assert_eq!(kkt_residual(&qp, &[0.0, -1.0]), 2.0 / 4.0);
+    assert_eq!(kkt_residual(&qp, &[0.0, -1.0], &[]), 2.0 / 4.0);
     assert_eq!(qp.objective(&[1.0, -1.0]), -6.5);
-    assert!(kkt_residual(&qp, &[1.0]).is_nan());
-    assert!(kkt_residual(&qp, &[f64::NAN, 0.0]).is_nan());
+    assert!(kkt_residual(&qp, &[1.0], &[]).is_nan());
+    assert!(kkt_residual(&qp, &[f64::NAN, 0.0], &[]).is_nan());
     assert!(qp.objective(&[1.0]).is_nan());
 }
 
 /// A flight problem with one thing wrong.
-fn spoilt(spoil: impl Fn(&mut BoxQp)) -> BoxQp {
+fn spoilt(spoil: impl Fn(&mut QpProblem)) -> QpProblem {
     let mut qp = flight_problem(&mut rng(14), 1.0);
     spoil(&mut qp);
     qp
@@ -481,8 +480,8 @@ fn spoilt(spoil: impl Fn(&mut BoxQp)) -> BoxQp {
 #[test]
 fn bad_problems_are_reported_and_leave_the_solvers_usable() {
     let good = flight_problem(&mut rng(15), 1.0);
-    let mut solver = ActiveSetSolver::new(FLIGHT);
-    let mut clarabel = ClarabelSolver::new(FLIGHT);
+    let mut solver = PrimalActiveSet::new(FLIGHT);
+    let mut clarabel = ClarabelSolver::new(FLIGHT, 0);
     let expected = solved(&good).0;
     let cases = [
         (QpStatus::NonFinite, spoilt(|qp| qp.h[(3, 7)] = f64::NAN)),
@@ -511,7 +510,7 @@ fn bad_problems_are_reported_and_leave_the_solvers_usable() {
                 (qp.h[(8, 2)], qp.h[(2, 8)]) = (off, off);
             }),
         ),
-        (QpStatus::SizeMismatch, BoxQp::new(FLIGHT - 1)),
+        (QpStatus::SizeMismatch, QpProblem::new(FLIGHT - 1, 0)),
         (QpStatus::SizeMismatch, spoilt(|qp| qp.h = DMatrix::identity(FLIGHT, FLIGHT - 1))),
         (QpStatus::SizeMismatch, spoilt(|qp| qp.upper = DVector::zeros(3))),
     ];
@@ -551,12 +550,12 @@ fn random_garbage_never_panics_and_is_never_called_solved_unjustly() {
                 }
             }
         }
-        let mut solver = ActiveSetSolver::new(n);
+        let mut solver = PrimalActiveSet::new(n);
         let answer = solver.solve(&qp);
         assert!(solver.x().iter().all(|x| x.is_finite()));
         assert!(answer.iterations <= PASSES_PER_VARIABLE * n.max(1) as u32);
         if answer.status == QpStatus::Solved {
-            assert!(kkt_residual(&qp, solver.x()) <= KKT_TOLERANCE);
+            assert!(kkt_residual(&qp, solver.x(), &[]) <= KKT_TOLERANCE);
         }
         statuses.insert(answer.status);
     }
@@ -569,10 +568,10 @@ fn random_garbage_never_panics_and_is_never_called_solved_unjustly() {
 
 #[test]
 fn problems_without_bounds_or_variables_are_problems_too() {
-    let empty = BoxQp::new(0);
+    let empty = QpProblem::new(0, 0);
     assert!(empty.is_empty());
-    assert_eq!(ActiveSetSolver::new(0).solve(&empty).status, QpStatus::Solved);
-    assert_eq!(ClarabelSolver::new(0).solve(&empty).status, QpStatus::Solved);
+    assert_eq!(PrimalActiveSet::new(0).solve(&empty).status, QpStatus::Solved);
+    assert_eq!(ClarabelSolver::new(0, 0).solve(&empty).status, QpStatus::Solved);
 
     let mut rng = rng(17);
     let mut qp = flight_problem(&mut rng, 1.0);
@@ -580,7 +579,7 @@ fn problems_without_bounds_or_variables_are_problems_too() {
     qp.upper.fill(f64::INFINITY);
     let (x, iterations, active) = solved(&qp);
     assert_eq!((iterations, active), (1, 0));
-    let mut clarabel = ClarabelSolver::new(FLIGHT);
+    let mut clarabel = ClarabelSolver::new(FLIGHT, 0);
     assert_eq!(clarabel.solve(&qp).status, QpStatus::Solved);
     let direct = qp.h.clone().cholesky().expect("definite").solve(&-&qp.g);
     assert!((DVector::from_vec(x) - &direct).amax() < 1e-9 * direct.amax());
@@ -593,6 +592,33 @@ fn problems_without_bounds_or_variables_are_problems_too() {
     assert_eq!((x, iterations, active), (vec![0.25; FLIGHT], 1, FLIGHT as u32));
     assert_eq!(clarabel.solve(&qp).status, QpStatus::Solved);
     assert_eq!(clarabel.x(), vec![0.25; FLIGHT]);
+}
+
+/// An answer whose residual is 2e-9 is the minimiser for a linear term that differs in the ninth digit: it is
+/// flown. One step coarser than the limit it is refused.
+#[test]
+fn an_answer_is_accepted_down_to_the_square_root_of_rounding() {
+    assert_eq!(KKT_TOLERANCE, f64::EPSILON.sqrt());
+    let mut rng = rng(31);
+    for _ in 0..50 {
+        let qp = flight_problem(&mut rng, 1.0);
+        let (x, _, _) = solved(&qp);
+        for (change, accepted) in [(2e-9, true), (3e-8, false)] {
+            // The minimiser of a problem whose g differs by `change` of its size, in one free variable.
+            let free = (0..FLIGHT).find(|&i| qp.lower[i] < x[i] && x[i] < qp.upper[i]);
+            let Some(i) = free else { continue };
+            let roots = qp.h.diagonal().map(f64::sqrt);
+            let size =
+                qp.g.component_div(&roots)
+                    .amax()
+                    .max(roots.component_mul(&DVector::from_vec(x.clone())).amax());
+            let mut near = qp.clone();
+            near.g[i] += change * size.max(1.0) * roots[i];
+            let (y, _, _) = solved(&near);
+            let kkt = kkt_residual(&qp, &y, &[]);
+            assert_eq!(kkt <= KKT_TOLERANCE, accepted, "residual {kkt:e} after a change of {change:e}");
+        }
+    }
 }
 
 #[test]

@@ -9,8 +9,9 @@ mod common;
 
 use common::rng;
 use flight_core::control::contact::WrenchLimits;
-use flight_core::control::qp::{
-    ActiveSetSolver, ClarabelRowSolver, DualActiveSetSolver, KKT_TOLERANCE, QpStatus, RowQp, row_kkt_residual,
+use flight_core::qp::{
+    ClarabelSolver, DualActiveSet, KKT_TOLERANCE, PrimalActiveSet, QpProblem, QpSolver, QpStatus,
+    kkt_residual,
 };
 use nalgebra::{DMatrix, DVector, Vector6};
 use rand::RngExt;
@@ -37,9 +38,9 @@ fn limits() -> WrenchLimits {
 
 /// A problem like the torque QP of a standing robot: `P W P` of rank 29 with the published weights, the
 /// wrench rows of two feet. `push` moves the wanted wrenches towards and across their limits.
-fn standing_problem(rng: &mut ChaCha8Rng, push: f64) -> RowQp {
+fn standing_problem(rng: &mut ChaCha8Rng, push: f64) -> QpProblem {
     let rows = limits().rows();
-    let mut qp = RowQp::new(N, rows.len() * FEET);
+    let mut qp = QpProblem::new(N, rows.len() * FEET);
     let y = DMatrix::from_fn(29, N, |_, j| normal(rng) * if j < FORCES { 0.7 } else { 3.0 });
     let p = y.tr_mul(&y);
     let weights = DVector::from_fn(N, |i, _| if i < FORCES { 100.0 } else { 1.0 });
@@ -50,10 +51,10 @@ fn standing_problem(rng: &mut ChaCha8Rng, push: f64) -> RowQp {
         i if i < FORCES => push * normal(rng) * if i % 6 < 3 { 20.0 } else { 10.0 },
         _ => push * 30.0 * normal(rng),
     });
-    qp.bounded.g = -(&h * wanted);
-    qp.bounded.h = 0.5 * (&h + h.transpose());
-    qp.bounded.lower.rows_mut(FORCES, JOINTS).fill(-50.0);
-    qp.bounded.upper.rows_mut(FORCES, JOINTS).fill(50.0);
+    qp.g = -(&h * wanted);
+    qp.h = 0.5 * (&h + h.transpose());
+    qp.lower.rows_mut(FORCES, JOINTS).fill(-50.0);
+    qp.upper.rows_mut(FORCES, JOINTS).fill(50.0);
     for foot in 0..FEET {
         for (k, (row, bound)) in rows.iter().enumerate() {
             let column = rows.len() * foot + k;
@@ -65,19 +66,19 @@ fn standing_problem(rng: &mut ChaCha8Rng, push: f64) -> RowQp {
 }
 
 /// Random rows through a point that satisfies them all, so that there is an answer.
-fn random_problem(rng: &mut ChaCha8Rng, n: usize, rows: usize) -> RowQp {
-    let mut qp = RowQp::new(n, rows);
+fn random_problem(rng: &mut ChaCha8Rng, n: usize, rows: usize) -> QpProblem {
+    let mut qp = QpProblem::new(n, rows);
     let root = DMatrix::from_fn(n, n, |_, _| normal(rng));
     let mut h = root.tr_mul(&root);
     for i in 0..n {
         h[(i, i)] += 10.0_f64.powf(rng.random_range(-4.0..0.0));
     }
-    qp.bounded.h = 0.5 * (&h + h.transpose());
-    qp.bounded.g = DVector::from_fn(n, |_, _| 5.0 * normal(rng));
+    qp.h = 0.5 * (&h + h.transpose());
+    qp.g = DVector::from_fn(n, |_, _| 5.0 * normal(rng));
     let inside = DVector::from_fn(n, |_, _| normal(rng));
     for i in 0..n {
-        qp.bounded.lower[i] = inside[i] - rng.random_range(0.0..2.0);
-        qp.bounded.upper[i] = inside[i] + rng.random_range(0.0..2.0);
+        qp.lower[i] = inside[i] - rng.random_range(0.0..2.0);
+        qp.upper[i] = inside[i] + rng.random_range(0.0..2.0);
     }
     qp.normals = DMatrix::from_fn(n, rows, |_, _| normal(rng));
     qp.limit = qp.normals.tr_mul(&inside).map(|value| value + rng.random_range(0.0..1.0));
@@ -85,13 +86,13 @@ fn random_problem(rng: &mut ChaCha8Rng, n: usize, rows: usize) -> RowQp {
 }
 
 #[track_caller]
-fn solved(qp: &RowQp) -> (DVector<f64>, u32) {
-    let mut solver = DualActiveSetSolver::new(qp.len(), qp.rows());
+fn solved(qp: &QpProblem) -> (DVector<f64>, u32) {
+    let mut solver = DualActiveSet::new(qp.len(), qp.rows());
     let answer = solver.solve(qp);
     assert_eq!(answer.status, QpStatus::Solved, "{answer:?}");
     let x = solver.x();
-    assert!(answer.kkt <= KKT_TOLERANCE && answer.kkt == row_kkt_residual(qp, x, solver.multipliers()));
-    for (x, (lower, upper)) in x.iter().zip(qp.bounded.lower.iter().zip(qp.bounded.upper.iter())) {
+    assert!(answer.kkt <= KKT_TOLERANCE && answer.kkt == kkt_residual(qp, x, solver.multipliers()));
+    for (x, (lower, upper)) in x.iter().zip(qp.lower.iter().zip(qp.upper.iter())) {
         assert!(lower <= x && x <= upper, "{lower} <= {x} <= {upper}");
     }
     (DVector::from_column_slice(x), answer.active)
@@ -112,10 +113,10 @@ fn standing_problems_are_solved_and_agree_with_clarabel() {
             let qp = standing_problem(&mut rng, push);
             let (x, held) = solved(&qp);
             active += f64::from(held) / f64::from(count);
-            let mut clarabel = ClarabelRowSolver::new(qp.len(), qp.rows());
+            let mut clarabel = ClarabelSolver::new(qp.len(), qp.rows());
             let answer = clarabel.solve(&qp);
             let other = DVector::from_column_slice(clarabel.x());
-            let (ours, theirs) = (qp.bounded.objective(x.as_slice()), qp.bounded.objective(other.as_slice()));
+            let (ours, theirs) = (qp.objective(x.as_slice()), qp.objective(other.as_slice()));
             crate::common::assert_within!(ours, theirs + 1e-8 * theirs.abs().max(1.0), "{ours} {theirs}");
             if answer.status == QpStatus::Solved {
                 agreed += 1;
@@ -141,7 +142,7 @@ fn random_problems_of_every_size_are_solved() {
         for _ in 0..60 {
             let qp = random_problem(&mut rng, n, rows);
             let (x, _) = solved(&qp);
-            let mut clarabel = ClarabelRowSolver::new(n, rows);
+            let mut clarabel = ClarabelSolver::new(n, rows);
             if clarabel.solve(&qp).status == QpStatus::Solved {
                 let other = DVector::from_column_slice(clarabel.x());
                 crate::common::assert_within!(difference(&x, &other), 1e-7, "{n} variables, {rows} rows");
@@ -156,8 +157,8 @@ fn without_rows_it_is_the_box_problem() {
     let mut rng = rng(3);
     for _ in 0..200 {
         let qp = random_problem(&mut rng, 20, 0);
-        let mut bounded = ActiveSetSolver::new(20);
-        assert_eq!(bounded.solve(&qp.bounded).status, QpStatus::Solved);
+        let mut bounded = PrimalActiveSet::new(20);
+        assert_eq!(bounded.solve(&qp).status, QpStatus::Solved);
         let (x, _) = solved(&qp);
         crate::common::assert_within!(difference(&x, &DVector::from_column_slice(bounded.x())), 1e-9);
     }
@@ -169,9 +170,9 @@ fn tiny_problems_agree_with_enumeration() {
     let mut rng = rng(4);
     for _ in 0..150 {
         let mut qp = random_problem(&mut rng, 3, 5);
-        qp.bounded.lower.fill(f64::NEG_INFINITY);
-        qp.bounded.upper.fill(f64::INFINITY);
-        let (h, g) = (&qp.bounded.h, &qp.bounded.g);
+        qp.lower.fill(f64::NEG_INFINITY);
+        qp.upper.fill(f64::INFINITY);
+        let (h, g) = (&qp.h, &qp.g);
         let mut best = (f64::INFINITY, DVector::zeros(3));
         for set in 0..32_u32 {
             let held: Vec<usize> = (0..5).filter(|k| set & (1 << k) != 0).collect();
@@ -188,7 +189,7 @@ fn tiny_problems_agree_with_enumeration() {
             let Some(solution) = system.lu().solve(&right) else { continue };
             let x: DVector<f64> = solution.rows(0, 3).into();
             let slack = &qp.limit - qp.normals.tr_mul(&x);
-            let value = qp.bounded.objective(x.as_slice());
+            let value = qp.objective(x.as_slice());
             if slack.min() > -1e-9 && value < best.0 {
                 best = (value, x);
             }
@@ -206,8 +207,8 @@ fn degenerate_corners_do_not_cycle() {
     for case in 0..200 {
         let mut qp = random_problem(&mut rng, 8, 24);
         let corner = DVector::from_fn(8, |_, _| normal(&mut rng));
-        qp.bounded.lower.fill(-100.0);
-        qp.bounded.upper.fill(100.0);
+        qp.lower.fill(-100.0);
+        qp.upper.fill(100.0);
         for k in 0..24 {
             if k % 3 == 2 {
                 let twin: DVector<f64> = qp.normals.column(k - 1).into();
@@ -218,7 +219,7 @@ fn degenerate_corners_do_not_cycle() {
         if case % 2 == 0 {
             // The minimiser is the corner itself.
             let pull = &qp.normals * DVector::from_fn(24, |_, _| rng.random_range(0.0..1.0));
-            qp.bounded.g = -(&qp.bounded.h * &corner) - pull;
+            qp.g = -(&qp.h * &corner) - pull;
             let (x, _) = solved(&qp);
             crate::common::assert_within!((x - &corner).amax(), 1e-7);
         } else {
@@ -232,27 +233,27 @@ fn degenerate_corners_do_not_cycle() {
 fn the_certificate_sees_small_errors_of_every_kind() {
     let mut rng = rng(6);
     let qp = standing_problem(&mut rng, 1.0);
-    let mut solver = DualActiveSetSolver::new(N, qp.rows());
+    let mut solver = DualActiveSet::new(N, qp.rows());
     assert_eq!(solver.solve(&qp).status, QpStatus::Solved);
     let (x, u) = (solver.x().to_vec(), solver.multipliers().to_vec());
     assert!(u.iter().any(|u| *u > 0.0), "no row presses");
     for i in 0..N {
         let mut moved = x.clone();
         moved[i] += 1e-3 * (1.0 + x[i].abs());
-        assert!(row_kkt_residual(&qp, &moved, &u) > KKT_TOLERANCE, "x[{i}]");
+        assert!(kkt_residual(&qp, &moved, &u) > KKT_TOLERANCE, "x[{i}]");
     }
-    let roots = qp.bounded.h.diagonal().map(f64::sqrt);
-    let size = qp.bounded.g.component_div(&roots).amax();
+    let roots = qp.h.diagonal().map(f64::sqrt);
+    let size = qp.g.component_div(&roots).amax();
     for k in 0..qp.rows() {
         let length = qp.normals.column(k).component_div(&roots).norm();
         for change in [1e-7, -1e-7] {
             let mut moved = u.clone();
             moved[k] += change * size / length;
-            assert!(row_kkt_residual(&qp, &x, &moved) > KKT_TOLERANCE, "u[{k}] by {change}");
+            assert!(kkt_residual(&qp, &x, &moved) > KKT_TOLERANCE, "u[{k}] by {change}");
         }
     }
-    assert!(row_kkt_residual(&qp, &x[1..], &u).is_nan());
-    assert!(row_kkt_residual(&qp, &x, &u[1..]).is_nan());
+    assert!(kkt_residual(&qp, &x[1..], &u).is_nan());
+    assert!(kkt_residual(&qp, &x, &u[1..]).is_nan());
 }
 
 /// What cannot be solved is said, `x` stays, and the solver goes on to solve the next problem.
@@ -260,20 +261,20 @@ fn the_certificate_sees_small_errors_of_every_kind() {
 fn bad_problems_are_reported_and_leave_the_solvers_usable() {
     let mut rng = rng(7);
     let good = standing_problem(&mut rng, 0.3);
-    let spoilt = |spoil: &dyn Fn(&mut RowQp)| {
+    let spoilt = |spoil: &dyn Fn(&mut QpProblem)| {
         let mut qp = good.clone();
         spoil(&mut qp);
         qp
     };
     let cases = [
-        (spoilt(&|qp| qp.bounded.g[3] = f64::NAN), QpStatus::NonFinite),
+        (spoilt(&|qp| qp.g[3] = f64::NAN), QpStatus::NonFinite),
         (spoilt(&|qp| qp.normals[(2, 5)] = f64::NAN), QpStatus::NonFinite),
         (spoilt(&|qp| qp.limit[5] = f64::NAN), QpStatus::NonFinite),
-        (spoilt(&|qp| qp.bounded.h[(4, 4)] = f64::INFINITY), QpStatus::NonFinite),
+        (spoilt(&|qp| qp.h[(4, 4)] = f64::INFINITY), QpStatus::NonFinite),
         (spoilt(&|qp| qp.limit[5] = f64::NEG_INFINITY), QpStatus::InfeasibleBounds),
-        (spoilt(&|qp| qp.bounded.lower[20] = 60.0), QpStatus::InfeasibleBounds),
-        (spoilt(&|qp| qp.bounded.h[(13, 13)] = -1.0), QpStatus::NotPositiveDefinite),
-        (spoilt(&|qp| qp.bounded.h.fill(1.0)), QpStatus::NotPositiveDefinite),
+        (spoilt(&|qp| qp.lower[20] = 60.0), QpStatus::InfeasibleBounds),
+        (spoilt(&|qp| qp.h[(13, 13)] = -1.0), QpStatus::NotPositiveDefinite),
+        (spoilt(&|qp| qp.h.fill(1.0)), QpStatus::NotPositiveDefinite),
         // Two rows that exclude one another.
         (
             spoilt(&|qp| {
@@ -283,16 +284,16 @@ fn bad_problems_are_reported_and_leave_the_solvers_usable() {
             }),
             QpStatus::InfeasibleBounds,
         ),
-        (RowQp::new(N, 3), QpStatus::SizeMismatch),
-        (RowQp::new(3, good.rows()), QpStatus::SizeMismatch),
+        (QpProblem::new(N, 3), QpStatus::SizeMismatch),
+        (QpProblem::new(3, good.rows()), QpStatus::SizeMismatch),
     ];
-    let mut ours = DualActiveSetSolver::new(N, good.rows());
+    let mut ours = DualActiveSet::new(N, good.rows());
     for (qp, expected) in &cases {
         let before = ours.x().to_vec();
         assert_eq!(ours.solve(qp).status, *expected);
         assert_eq!(ours.x(), before, "x moved");
         assert_eq!(ours.solve(&good).status, QpStatus::Solved);
-        let theirs = ClarabelRowSolver::new(N, good.rows()).solve(qp).status;
+        let theirs = ClarabelSolver::new(N, good.rows()).solve(qp).status;
         assert!(theirs != QpStatus::Solved, "Clarabel solved what {expected:?} says");
     }
 }
@@ -303,14 +304,15 @@ fn empty_rows_and_problems_are_problems_too() {
     let mut rng = rng(8);
     let mut qp = standing_problem(&mut rng, 0.3);
     let (x, _) = solved(&qp);
-    let mut more = RowQp::new(N, qp.rows() + 2);
-    more.bounded = qp.bounded.clone();
+    let mut more = QpProblem::new(N, qp.rows() + 2);
+    (more.h, more.g) = (qp.h.clone(), qp.g.clone());
+    (more.lower, more.upper) = (qp.lower.clone(), qp.upper.clone());
     more.normals.columns_mut(0, qp.rows()).copy_from(&qp.normals);
     more.limit.rows_mut(0, qp.rows()).copy_from(&qp.limit);
     more.normals.fixed_view_mut::<6, 1>(0, qp.rows()).copy_from(&Vector6::repeat(1.0));
     more.limit[qp.rows() + 1] = 0.0;
     assert_eq!(solved(&more).0, x);
-    qp = RowQp::new(0, 2);
+    qp = QpProblem::new(0, 2);
     assert!(qp.is_empty());
     assert_eq!(solved(&qp).0.len(), 0);
 }
@@ -325,11 +327,11 @@ fn units_do_not_matter() {
         let s = DVector::from_fn(N, |_, _| 10.0_f64.powf(rng.random_range(-3.0..3.0)));
         let scale = DMatrix::from_diagonal(&s);
         let mut other = qp.clone();
-        other.bounded.h = &scale * &qp.bounded.h * &scale;
-        other.bounded.h = 0.5 * (&other.bounded.h + other.bounded.h.transpose());
-        other.bounded.g = &scale * &qp.bounded.g;
-        other.bounded.lower = qp.bounded.lower.component_div(&s);
-        other.bounded.upper = qp.bounded.upper.component_div(&s);
+        other.h = &scale * &qp.h * &scale;
+        other.h = 0.5 * (&other.h + other.h.transpose());
+        other.g = &scale * &qp.g;
+        other.lower = qp.lower.component_div(&s);
+        other.upper = qp.upper.component_div(&s);
         other.normals = &scale * &qp.normals;
         for k in 0..qp.rows() {
             let unit = 10.0_f64.powf(rng.random_range(-3.0..3.0));

@@ -168,10 +168,10 @@ fn contact_dict<'py>(py: Python<'py>, contact: &Contact, qp: &StandingQp) -> PyR
     out.set_item("jacobian", matrix(py, &contact.jacobian_transposed.transpose())?)?;
     out.set_item("velocity_product", vector(py, contact.velocity_product.as_slice())?)?;
     if contact.is_active {
-        out.set_item("h", matrix(py, &qp.problem.bounded.h)?)?;
-        out.set_item("g", vector(py, qp.problem.bounded.g.as_slice())?)?;
-        out.set_item("lower", vector(py, qp.problem.bounded.lower.as_slice())?)?;
-        out.set_item("upper", vector(py, qp.problem.bounded.upper.as_slice())?)?;
+        out.set_item("h", matrix(py, &qp.problem.h)?)?;
+        out.set_item("g", vector(py, qp.problem.g.as_slice())?)?;
+        out.set_item("lower", vector(py, qp.problem.lower.as_slice())?)?;
+        out.set_item("upper", vector(py, qp.problem.upper.as_slice())?)?;
         out.set_item("rows", matrix(py, &qp.problem.normals.transpose())?)?;
         out.set_item("limit", vector(py, qp.problem.limit.as_slice())?)?;
     }

@@ -1,7 +1,9 @@
 //! The box QP solvers.
 
 use crate::arrays::{Input, Output, entries, vector};
-use flight_core::control::qp::{ActiveSetSolver, BoxQp, ClarabelSolver, QpAnswer};
+use flight_core::qp::{
+    ClarabelSolver, DualActiveSet, Method, PrimalActiveSet, QpAnswer, QpProblem, QpSolver,
+};
 use nalgebra::{DMatrix, DVector};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -9,20 +11,21 @@ use pyo3::types::PyDict;
 
 /// A box QP solver for problems of one size: `min ½ xᵀHx + gᵀx`, `lower ≤ x ≤ upper`.
 ///
-/// `solver` is "active_set" (warm started from the last answer) or "clarabel".
+/// `solver` is "active_set" (warm started from the last answer), "dual_active_set" or "clarabel".
 #[pyclass(module = "jax_aero._core")]
 pub struct BoxQpSolver {
     n: usize,
-    kind: Kind,
+    method: Method,
 }
 
-enum Kind {
-    ActiveSet(Box<ActiveSetSolver>),
-    Clarabel(Box<ClarabelSolver>),
-}
-
-fn problem(n: usize, h: &Input<'_>, g: &Input<'_>, lower: &Input<'_>, upper: &Input<'_>) -> PyResult<BoxQp> {
-    let mut problem = BoxQp::new(n);
+fn problem(
+    n: usize,
+    h: &Input<'_>,
+    g: &Input<'_>,
+    lower: &Input<'_>,
+    upper: &Input<'_>,
+) -> PyResult<QpProblem> {
+    let mut problem = QpProblem::new(n, 0);
     problem.h = DMatrix::from_row_slice(n, n, &entries("h", h, &[n, n])?);
     problem.g = DVector::from_vec(entries("g", g, &[n])?);
     problem.lower = DVector::from_vec(entries("lower", lower, &[n])?);
@@ -30,7 +33,7 @@ fn problem(n: usize, h: &Input<'_>, g: &Input<'_>, lower: &Input<'_>, upper: &In
     Ok(problem)
 }
 
-/// What a solver said, as a dict: status (text), status_code, iterations, kkt, active.
+/// A solver's answer, as a dict: status (text), status_code, iterations, kkt, active.
 pub fn answer<'py>(py: Python<'py>, answer: &QpAnswer) -> PyResult<Bound<'py, PyDict>> {
     let out = PyDict::new(py);
     out.set_item("status", format!("{:?}", answer.status))?;
@@ -46,19 +49,20 @@ impl BoxQpSolver {
     #[new]
     #[pyo3(signature = (n, solver = "active_set"))]
     fn new(n: usize, solver: &str) -> PyResult<Self> {
-        let kind = match solver {
-            "active_set" => Kind::ActiveSet(Box::new(ActiveSetSolver::new(n))),
-            "clarabel" => Kind::Clarabel(Box::new(ClarabelSolver::new(n))),
+        let method = match solver {
+            "active_set" => Method::Primal(PrimalActiveSet::new(n)),
+            "dual_active_set" => Method::Dual(DualActiveSet::new(n, 0)),
+            "clarabel" => Method::Clarabel(ClarabelSolver::new(n, 0)),
             _ => {
                 return Err(PyValueError::new_err(format!(
-                    "solver is `{solver}`; expected active_set or clarabel"
+                    "solver is `{solver}`; expected active_set, dual_active_set or clarabel"
                 )));
             }
         };
-        Ok(Self { n, kind })
+        Ok(Self { n, method })
     }
 
-    /// Solve one problem; returns (x, what the solver said).
+    /// Solve one problem; returns (x, its answer).
     fn solve<'py>(
         &mut self,
         py: Python<'py>,
@@ -68,16 +72,13 @@ impl BoxQpSolver {
         upper: Input<'py>,
     ) -> PyResult<(Output<'py>, Bound<'py, PyDict>)> {
         let problem = problem(self.n, &h, &g, &lower, &upper)?;
-        let (said, x) = match &mut self.kind {
-            Kind::ActiveSet(solver) => (solver.solve(&problem), solver.x()),
-            Kind::Clarabel(solver) => (solver.solve(&problem), solver.x()),
-        };
-        Ok((vector(py, x)?, answer(py, &said)?))
+        let outcome = self.method.solve(&problem);
+        Ok((vector(py, self.method.x())?, answer(py, &outcome)?))
     }
 
     /// Forget the last answer: the next solve starts cold.
     fn reset(&mut self) {
-        if let Kind::ActiveSet(solver) = &mut self.kind {
+        if let Method::Primal(solver) = &mut self.method {
             solver.reset();
         }
     }
@@ -94,5 +95,5 @@ pub fn kkt_residual(
 ) -> PyResult<f64> {
     let n = g.as_array().len();
     let problem = problem(n, &h, &g, &lower, &upper)?;
-    Ok(flight_core::control::qp::kkt_residual(&problem, &entries("x", &x, &[n])?))
+    Ok(flight_core::qp::kkt_residual(&problem, &entries("x", &x, &[n])?, &[]))
 }

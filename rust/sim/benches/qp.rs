@@ -6,7 +6,7 @@ mod common;
 
 use criterion::{Criterion, Throughput};
 use flight_core::BuildError;
-use flight_core::control::qp::{ActiveSetSolver, BoxQp, ClarabelSolver};
+use flight_core::qp::{ClarabelSolver, PrimalActiveSet, QpProblem, QpSolver};
 use std::hint::black_box;
 use std::time::Duration;
 
@@ -18,12 +18,12 @@ fn main() -> Result<(), BuildError> {
         .configure_from_args();
     let mut group = criterion.benchmark_group("qp");
     for (case, ticks) in [("calm", common::calm()?), ("saturated", common::saturated()?)] {
-        let momentum: Vec<&BoxQp> = ticks.iter().map(|tick| &tick.momentum_qp).collect();
-        let torque: Vec<&BoxQp> = ticks.iter().map(|tick| &tick.torque_qp).collect();
+        let momentum: Vec<&QpProblem> = ticks.iter().map(|tick| &tick.momentum_qp).collect();
+        let torque: Vec<&QpProblem> = ticks.iter().map(|tick| &tick.torque_qp).collect();
         for (name, problems) in [("momentum", momentum), ("torque", torque)] {
             let n = problems[0].len();
             group.throughput(Throughput::Elements(problems.len() as u64));
-            let mut solver = ActiveSetSolver::new(n);
+            let mut solver = PrimalActiveSet::new(n);
             group.bench_function(format!("{name}, {case}, active set, warm"), |b| {
                 b.iter(|| problems.iter().map(|qp| solver.solve(black_box(qp)).iterations).sum::<u32>());
             });
@@ -35,7 +35,7 @@ fn main() -> Result<(), BuildError> {
                     }
                 });
             });
-            let mut clarabel = ClarabelSolver::new(n);
+            let mut clarabel = ClarabelSolver::new(n, 0);
             group.bench_function(format!("{name}, {case}, Clarabel at 1e-12"), |b| {
                 b.iter(|| problems.iter().map(|qp| clarabel.solve(black_box(qp)).iterations).sum::<u32>());
             });

@@ -18,9 +18,9 @@ use clarabel::solver::SupportedConeT::NonnegativeConeT;
 use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver};
 use common::Tick;
 use flight_core::RobotModel;
-use flight_core::control::qp::{ActiveSetSolver, BoxQp, ClarabelSolver};
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
+use flight_core::qp::{ClarabelSolver, PrimalActiveSet, QpProblem, QpSolver};
 use flight_sim::Flight;
 use nalgebra::Matrix6xX;
 use std::error::Error;
@@ -51,8 +51,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
     });
     for (case, ticks) in [("calm", &calm), ("saturated", &saturated)] {
-        let momentum: Vec<&BoxQp> = ticks.iter().map(|tick| &tick.momentum_qp).collect();
-        let torque: Vec<&BoxQp> = ticks.iter().map(|tick| &tick.torque_qp).collect();
+        let momentum: Vec<&QpProblem> = ticks.iter().map(|tick| &tick.momentum_qp).collect();
+        let torque: Vec<&QpProblem> = ticks.iter().map(|tick| &tick.torque_qp).collect();
         for (name, problems) in [("momentum", momentum), ("torque", torque)] {
             let name = format!("{name} QP, {case}");
             if let Some(folder) = &folder {
@@ -109,9 +109,9 @@ impl Bundle {
     }
 }
 
-fn time_solvers(name: &str, problems: &[&BoxQp]) {
+fn time_solvers(name: &str, problems: &[&QpProblem]) {
     let n = problems[0].len();
-    let mut solver = ActiveSetSolver::new(n);
+    let mut solver = PrimalActiveSet::new(n);
     report(&format!("{name}, warm"), 200, problems.len(), || {
         for qp in problems {
             black_box(solver.solve(black_box(qp)));
@@ -123,7 +123,7 @@ fn time_solvers(name: &str, problems: &[&BoxQp]) {
             black_box(solver.solve(black_box(qp)));
         }
     });
-    let mut reference = ClarabelSolver::new(n);
+    let mut reference = ClarabelSolver::new(n, 0);
     report(&format!("{name}, Clarabel at 1e-12 and polished"), 5, problems.len(), || {
         for qp in problems {
             black_box(reference.solve(black_box(qp)));
@@ -137,7 +137,7 @@ fn time_solvers(name: &str, problems: &[&BoxQp]) {
 }
 
 /// Clarabel with its default settings, bounds as inequalities.
-fn plain_clarabel(qp: &BoxQp) -> Option<f64> {
+fn plain_clarabel(qp: &QpProblem) -> Option<f64> {
     let n = qp.len();
     let upper_triangle = || (0..n).flat_map(|j| (0..=j).map(move |i| (i, j)));
     let p = CscMatrix::new_from_triplets(
@@ -196,8 +196,8 @@ fn write_states(folder: &Path, robot: &RobotModel, ticks: &[Tick]) -> std::io::R
     write(&folder.join("states.f64"), &data)
 }
 
-fn write_problems(path: &Path, problems: &[&BoxQp]) -> std::io::Result<()> {
-    let mut solver = ActiveSetSolver::new(problems[0].len());
+fn write_problems(path: &Path, problems: &[&QpProblem]) -> std::io::Result<()> {
+    let mut solver = PrimalActiveSet::new(problems[0].len());
     let mut data = vec![problems.len() as f64, problems[0].len() as f64];
     for qp in problems {
         solver.solve(qp);

@@ -2,7 +2,7 @@
 
 mod common;
 
-use flight_core::control::qp::{ClarabelRowSolver, DualActiveSetSolver};
+use flight_core::qp::{ClarabelSolver, DualActiveSet, QpSolver};
 use flight_core::{BuildError, Measurement};
 use flight_io::load_robot;
 use flight_sim::{Flight, Plant, Wind};
@@ -74,8 +74,8 @@ fn standing_qp_times() -> Result<(Vec<f64>, Vec<f64>), BuildError> {
     let ticks = common::standing()?;
     let Some(first) = ticks.first() else { return Ok(Default::default()) };
     let (n, rows) = (first.torque_qp.len(), first.torque_qp.rows());
-    let mut ours = DualActiveSetSolver::new(n, rows);
-    let mut clarabel = ClarabelRowSolver::new(n, rows).without_polish();
+    let mut ours = DualActiveSet::new(n, rows);
+    let mut clarabel = ClarabelSolver::new(n, rows).without_polish();
     let mut times = (Vec::new(), Vec::new());
     for _ in 0..TICKS / ticks.len() {
         times.0.extend(ticks.iter().map(|tick| microseconds(|| ours.solve(black_box(&tick.torque_qp)).kkt)));

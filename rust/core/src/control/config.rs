@@ -6,6 +6,9 @@ use super::references::ReferenceConfig;
 use super::wind_estimate::WindEstimateConfig;
 use crate::aero::{AeroModel, ForceFactorsConfig, JacobianOffset, LeverArm, LinkVelocity};
 use crate::error::{BuildError, check};
+use crate::qp::QpChain;
+#[cfg(feature = "clarabel")]
+use crate::qp::{ClarabelSolver, Method};
 use crate::robot::RobotModel;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -214,10 +217,10 @@ pub struct TorqueConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Solver {
-    /// Our primal active-set method: no allocation, a few microseconds.
+    /// The active-set methods: no allocation, a few microseconds.
     #[default]
     ActiveSet,
-    /// Clarabel: the reference; allocates, hundreds of microseconds.
+    /// Clarabel: allocates, hundreds of microseconds.
     Clarabel,
 }
 
@@ -225,11 +228,11 @@ pub enum Solver {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Fallback {
-    /// Ask Clarabel (allocates); hold if it fails too.
+    /// Thrusts and joints stop, torques stay. Nothing allocates.
     #[default]
-    Clarabel,
-    /// Hold at once: thrusts and joints stop, torques stay. Nothing allocates.
     Hold,
+    /// Clarabel (allocates); hold if it fails too.
+    Clarabel,
 }
 
 /// How QPs are solved.
@@ -258,6 +261,21 @@ impl QpConfig {
             }
         }
         Ok(())
+    }
+
+    /// The methods for `n` variables and `rows` rows, in order.
+    #[must_use]
+    pub fn chain(&self, n: usize, rows: usize) -> QpChain {
+        let chain = QpChain::active_set(n, rows);
+        #[cfg(feature = "clarabel")]
+        match (self.solver, self.fallback) {
+            (Solver::Clarabel, _) => {
+                return QpChain::new(vec![Method::Clarabel(ClarabelSolver::new(n, rows))]);
+            }
+            (_, Fallback::Clarabel) => return chain.then(Method::Clarabel(ClarabelSolver::new(n, rows))),
+            _ => {}
+        }
+        chain
     }
 }
 

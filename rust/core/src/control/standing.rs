@@ -12,16 +12,16 @@
 
 use super::config::TorqueConfig;
 use super::contact::{Contact, ContactConfig, WRENCH, WRENCH_ROWS};
-use super::qp::RowQp;
 use crate::dynamics::MassFactor;
 use crate::linalg;
+use crate::qp::QpProblem;
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 
 /// The torque QP of one tick with feet that carry; preallocated.
 #[derive(Debug, Clone)]
 pub struct StandingQp {
     /// The QP handed to the solver; unknowns `(f_c, τ)`.
-    pub problem: RowQp,
+    pub problem: QpProblem,
     /// `P = Bᵀ M⁻¹ B`.
     gain: DMatrix<f64>,
     /// Accelerations of feet and joints without `u`, less those wanted.
@@ -43,9 +43,9 @@ impl StandingQp {
     #[must_use]
     pub fn new(torque: &TorqueConfig, contact: &ContactConfig, joints: usize, feet: usize) -> Self {
         let (forces, n) = (WRENCH * feet, WRENCH * feet + joints);
-        let mut problem = RowQp::new(n, WRENCH_ROWS * feet);
-        problem.bounded.lower.rows_mut(forces, joints).fill(-torque.torque_max);
-        problem.bounded.upper.rows_mut(forces, joints).fill(torque.torque_max);
+        let mut problem = QpProblem::new(n, WRENCH_ROWS * feet);
+        problem.lower.rows_mut(forces, joints).fill(-torque.torque_max);
+        problem.upper.rows_mut(forces, joints).fill(torque.torque_max);
         let mut roots = DVector::from_element(n, torque.weight_acceleration.sqrt());
         roots.rows_mut(0, forces).fill(contact.weight_foot_acceleration.sqrt());
         Self {
@@ -119,16 +119,16 @@ impl StandingQp {
         for row in 0..n {
             self.weighted_error[row] = self.roots[row] * self.free_error[row];
         }
-        let bounded = &mut self.problem.bounded;
-        linalg::gram(self.weighted.as_slice(), n, bounded.h.as_mut_slice());
+        let problem = &mut self.problem;
+        linalg::gram(self.weighted.as_slice(), n, problem.h.as_mut_slice());
         let weight_force = contact.config().weight_force;
         for i in 0..n {
             let own = if i < forces { weight_force } else { torque.weight_torque };
-            bounded.h[(i, i)] += own + torque.regularisation;
-            bounded.g[i] =
+            problem.h[(i, i)] += own + torque.regularisation;
+            problem.g[i] =
                 linalg::dot(&self.weighted.as_slice()[i * n..][..n], self.weighted_error.as_slice());
         }
-        for (g, wanted) in bounded.g.iter_mut().zip(&contact.force) {
+        for (g, wanted) in problem.g.iter_mut().zip(&contact.force) {
             *g -= weight_force * wanted;
         }
     }

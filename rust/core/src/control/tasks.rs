@@ -27,11 +27,11 @@ use super::bounds::rate_bounds;
 use super::config::{ControllerConfig, MomentumGains};
 use super::contact::{Contact, WRENCH};
 use super::momentum::MomentumModel;
-use super::qp::BoxQp;
 use super::references::Reference;
 use crate::dynamics::Dynamics;
 use crate::error::BuildError;
 use crate::kinematics::{Kinematics, RobotState};
+use crate::qp::QpProblem;
 use crate::robot::RobotModel;
 use nalgebra::{DVector, Dyn, Matrix3, OMatrix, SVector, U9, Vector3};
 
@@ -46,7 +46,7 @@ pub struct MomentumQp {
     /// Task offset: the tasks ask `task · u + offset = 0`.
     pub offset: SVector<f64, TASK_ROWS>,
     /// The QP handed to the solver.
-    pub problem: BoxQp,
+    pub problem: QpProblem,
     weighted_task: OMatrix<f64, U9, Dyn>,
     row_weights: SVector<f64, TASK_ROWS>,
     diagonal: DVector<f64>,
@@ -121,7 +121,7 @@ impl MomentumQp {
         Ok(Self {
             task: OMatrix::<f64, U9, Dyn>::zeros(n),
             offset: SVector::zeros(),
-            problem: BoxQp::new(n),
+            problem: QpProblem::new(n, 0),
             weighted_task: OMatrix::<f64, U9, Dyn>::zeros(n),
             row_weights: SVector::from([m, m, m, m, m, m, a, a, a]),
             diagonal,
@@ -230,7 +230,7 @@ impl MomentumQp {
 
     /// `w |J_c,s ṡ + J_c,b ν_B|²`, over the joints of each leg alone.
     fn add_feet(&mut self, robot: &RobotModel, inputs: &TaskInputs, contact: &Contact) {
-        let BoxQp { h, g, .. } = &mut self.problem;
+        let QpProblem { h, g, .. } = &mut self.problem;
         let first_joint = inputs.thrust.len() + self.forces;
         let jacobian = &contact.jacobian_transposed;
         for (index, foot) in robot.feet.iter().enumerate() {
@@ -259,7 +259,7 @@ impl MomentumQp {
     fn update_cost(&mut self, inputs: &TaskInputs) {
         let n = self.task.ncols();
         let first_joint = n - inputs.posture.len();
-        let BoxQp { h, g, .. } = &mut self.problem;
+        let QpProblem { h, g, .. } = &mut self.problem;
         for column in 0..n {
             let weighted = self.task.column(column).component_mul(&self.row_weights);
             self.weighted_task.set_column(column, &weighted);
@@ -287,7 +287,7 @@ impl MomentumQp {
     }
 
     fn update_bounds(&mut self, robot: &RobotModel, state: &RobotState, thrust: &[f64]) {
-        let BoxQp { lower, upper, .. } = &mut self.problem;
+        let QpProblem { lower, upper, .. } = &mut self.problem;
         for (index, jet) in robot.jets.iter().enumerate() {
             let limits = (0.0, jet.thrust_max);
             (lower[index], upper[index]) =

@@ -11,9 +11,9 @@
 //! `τ = b̄ − M̄⁻¹ s̈**`, which contradicts its own `M̄ s̈ + b̄ = τ`; see `docs/deviations.md`).
 
 use super::config::TorqueConfig;
-use super::qp::BoxQp;
 use crate::dynamics::MassFactor;
 use crate::linalg;
+use crate::qp::QpProblem;
 use nalgebra::{DMatrix, DVector};
 
 /// The torque QP of one tick; preallocated.
@@ -26,7 +26,7 @@ pub struct TorqueQp {
     /// `G`, joint acceleration per unit of torque \[1/(kg m²)\].
     pub gain: DMatrix<f64>,
     /// The QP handed to the solver.
-    pub problem: BoxQp,
+    pub problem: QpProblem,
     inverse_factor: DMatrix<f64>,
 }
 
@@ -34,7 +34,7 @@ impl TorqueQp {
     /// Space for a robot with `joints` joints; bounds do not change in flight.
     #[must_use]
     pub fn new(config: &TorqueConfig, joints: usize) -> Self {
-        let mut problem = BoxQp::new(joints);
+        let mut problem = QpProblem::new(joints, 0);
         problem.lower.fill(-config.torque_max);
         problem.upper.fill(config.torque_max);
         Self {
@@ -69,7 +69,7 @@ impl TorqueQp {
         linalg::gram_of_lower(self.inverse_factor.as_slice(), joints, self.gain.as_mut_slice());
 
         // H = w_a G² + (w_τ + ε) 1 and g = w_a G (s̈_free − s̈*), G symmetric.
-        let BoxQp { h, g, .. } = &mut self.problem;
+        let QpProblem { h, g, .. } = &mut self.problem;
         linalg::gram(self.gain.as_slice(), joints, h.as_mut_slice());
         *h *= config.weight_acceleration;
         for joint in 0..joints {

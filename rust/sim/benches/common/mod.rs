@@ -1,8 +1,8 @@
 //! Ticks of real flights to measure on.
 #![allow(dead_code)] // each benchmark uses a part
 
-use flight_core::control::qp::{BoxQp, RowQp};
 use flight_core::kinematics::RobotState;
+use flight_core::qp::QpProblem;
 use flight_core::{BuildError, Controller, Measurement};
 use flight_io::{load_controller, load_robot};
 use flight_sim::{FlightConfig, Plant, Wind, load_flight};
@@ -16,8 +16,8 @@ pub struct Tick {
     pub state: RobotState,
     pub thrust: Vec<f64>,
     pub wind: Vector3<f64>,
-    pub momentum_qp: BoxQp,
-    pub torque_qp: BoxQp,
+    pub momentum_qp: QpProblem,
+    pub torque_qp: QpProblem,
 }
 
 impl Tick {
@@ -88,7 +88,7 @@ pub struct StandingTick {
     pub state: RobotState,
     pub wind: Vector3<f64>,
     pub feet: [Vector6<f64>; 2],
-    pub torque_qp: RowQp,
+    pub torque_qp: QpProblem,
 }
 
 /// Ten seconds of standing in a side wind that rises to 15 m/s and that only the controller knows of. There

@@ -12,9 +12,8 @@
 //! On our condition numbers the way there costs digits, so the last active set is solved once more from
 //! the data, with the residual corrected until it stops falling, before the certificate judges it.
 
-use super::rows::judged_with_rows;
 use super::scaled::Scaled;
-use super::{QpAnswer, QpStatus, RowQp};
+use super::{QpAnswer, QpProblem, QpSolver, QpStatus};
 use crate::linalg;
 
 /// Changes of the active set allowed per constraint and variable. A calm tick needs one for each active
@@ -30,11 +29,11 @@ const CORRECTIONS: usize = 3;
 /// How often the corrected point may show another violated or pulling constraint.
 const ROUNDS: usize = 4;
 
-/// The solver of the torque QP on the ground: exact, no allocation after [`DualActiveSetSolver::new`].
+/// The method of a standing tick: exact, no allocation after [`DualActiveSet::new`].
 ///
 /// Works in `y_i = x_i / s_i` with powers of two `s_i ≈ 1/√H_ii`, as the box solver does.
 #[derive(Debug, Clone)]
-pub struct DualActiveSetSolver {
+pub struct DualActiveSet {
     n: usize,
     rows: usize,
     x: Vec<f64>,
@@ -79,7 +78,44 @@ enum Added {
     NotFinite,
 }
 
-impl DualActiveSetSolver {
+impl QpSolver for DualActiveSet {
+    /// Starts from scratch. `x` is unchanged unless the status is `Solved` or `Inaccurate`.
+    fn solve(&mut self, qp: &QpProblem) -> QpAnswer {
+        let loaded = qp.check(self.n, self.rows).and_then(|()| self.load(qp));
+        if let Err(status) = loaded {
+            return QpAnswer::refused(status);
+        }
+        let limit = CHANGES_PER_CONSTRAINT * (self.n + self.rows).max(1);
+        let mut changes = 0;
+        let end = self.ascend(limit, &mut changes);
+        let iterations = u32::try_from(changes).unwrap_or(u32::MAX);
+        if end != QpStatus::Solved {
+            return QpAnswer { iterations, ..QpAnswer::refused(end) };
+        }
+        self.scaled.unscale(qp, &mut self.y);
+        self.multipliers.fill(0.0);
+        for (constraint, pressure) in self.active.iter().zip(&self.pressure) {
+            if let Constraint::Row(k) = constraint {
+                self.multipliers[*k] = pressure.max(0.0);
+            }
+        }
+        let answer = QpAnswer::judged(qp, &self.y, &self.multipliers, iterations, QpStatus::Inaccurate);
+        if answer.status != QpStatus::NonFinite {
+            self.x.copy_from_slice(&self.y);
+        }
+        answer
+    }
+
+    fn x(&self) -> &[f64] {
+        &self.x
+    }
+
+    fn multipliers(&self) -> &[f64] {
+        &self.multipliers
+    }
+}
+
+impl DualActiveSet {
     /// Space for problems in `n` variables with `rows` inequalities besides the bounds.
     #[must_use]
     pub fn new(n: usize, rows: usize) -> Self {
@@ -107,60 +143,10 @@ impl DualActiveSetSolver {
         }
     }
 
-    /// The last answer; inside its bounds. Zero before the first solve.
-    #[must_use]
-    pub fn x(&self) -> &[f64] {
-        &self.x
-    }
-
-    /// Multipliers of the rows in the last answer.
-    #[must_use]
-    pub fn multipliers(&self) -> &[f64] {
-        &self.multipliers
-    }
-
-    /// Solves `qp` from scratch; the minimiser is then in [`DualActiveSetSolver::x`].
-    ///
-    /// Total: any data give a status. `x` is unchanged unless the status is `Solved` or `Inaccurate`.
-    pub fn solve(&mut self, qp: &RowQp) -> QpAnswer {
-        if qp.len() != self.n || qp.rows() != self.rows || !qp.sizes_agree() {
-            return QpAnswer::refused(QpStatus::SizeMismatch);
-        }
-        if let Some(status) = qp.fault() {
-            return QpAnswer::refused(status);
-        }
-        if let Err(status) = self.load(qp) {
-            return QpAnswer::refused(status);
-        }
-        let limit = CHANGES_PER_CONSTRAINT * (self.n + self.rows).max(1);
-        let mut changes = 0;
-        let end = self.ascend(limit, &mut changes);
-        let iterations = u32::try_from(changes).unwrap_or(u32::MAX);
-        match end {
-            QpStatus::Solved => {}
-            status => return QpAnswer { iterations, ..QpAnswer::refused(status) },
-        }
-        let bounds = qp.bounded.lower.iter().zip(qp.bounded.upper.iter());
-        for ((y, s), (lower, upper)) in self.y.iter_mut().zip(&self.scaled.s).zip(bounds) {
-            *y = (*y * s).max(*lower).min(*upper);
-        }
-        self.multipliers.fill(0.0);
-        for (constraint, pressure) in self.active.iter().zip(&self.pressure) {
-            if let Constraint::Row(k) = constraint {
-                self.multipliers[*k] = pressure.max(0.0);
-            }
-        }
-        let answer = judged_with_rows(qp, &self.y, &self.multipliers, iterations, QpStatus::Inaccurate);
-        if answer.status != QpStatus::NonFinite {
-            self.x.copy_from_slice(&self.y);
-        }
-        answer
-    }
-
     /// Scales the problem, factors it and goes to the minimiser without constraints.
-    fn load(&mut self, qp: &RowQp) -> Result<(), QpStatus> {
+    fn load(&mut self, qp: &QpProblem) -> Result<(), QpStatus> {
         let n = self.n;
-        self.scaled.load(&qp.bounded)?;
+        self.scaled.load(qp)?;
         for k in 0..self.rows {
             let from = &qp.normals.as_slice()[k * n..][..n];
             let to = &mut self.normals[k * n..][..n];

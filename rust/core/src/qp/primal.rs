@@ -13,7 +13,7 @@
 //! Block pivoting and projected Newton have no such argument and do fail on saturated problems.
 
 use super::scaled::Scaled;
-use super::{BoxQp, QpAnswer, QpStatus};
+use super::{QpAnswer, QpProblem, QpSolver, QpStatus};
 use crate::linalg;
 
 /// Passes allowed per variable. A calm tick needs one in all; the worst of four million fuzzed problems
@@ -35,12 +35,12 @@ enum Side {
     Upper,
 }
 
-/// The solver that flies: exact, warm started, no allocation after [`ActiveSetSolver::new`].
+/// The method of a flying tick: exact, warm started, no allocation after [`PrimalActiveSet::new`].
 ///
 /// Works in `y_i = x_i / s_i`, `s_i ≈ 1/√H_ii` rounded to a power of two, so that thrust rates and joint
 /// velocities weigh the same and the scaling itself rounds nothing.
 #[derive(Debug, Clone)]
-pub struct ActiveSetSolver {
+pub struct PrimalActiveSet {
     n: usize,
     iteration_limit: u32,
     /// The answer, in the units of the problem; the starting point of the next solve.
@@ -70,7 +70,42 @@ pub struct ActiveSetSolver {
     reduced: Vec<f64>,
 }
 
-impl ActiveSetSolver {
+impl QpSolver for PrimalActiveSet {
+    /// Starts from the last answer and its working set. `x` is unchanged for `NonFinite`, `InfeasibleBounds`
+    /// and `SizeMismatch`, which a problem with rows is; for the other failures it is the best feasible point
+    /// that was reached.
+    fn solve(&mut self, qp: &QpProblem) -> QpAnswer {
+        let loaded = qp.check(self.n, 0).and_then(|()| self.scaled.load(qp));
+        if let Err(status) = loaded {
+            return QpAnswer::refused(status);
+        }
+        self.start();
+        let mut iterations = 0;
+        let end = self.descend(&mut iterations);
+        if end == QpStatus::NonFinite {
+            return QpAnswer { iterations, ..QpAnswer::refused(end) };
+        }
+        self.scaled.unscale(qp, &mut self.y);
+        let mut answer = QpAnswer::judged(qp, &self.y, &[], iterations, QpStatus::Inaccurate);
+        if answer.status != QpStatus::NonFinite {
+            self.x.copy_from_slice(&self.y);
+            if end != QpStatus::Solved {
+                answer.status = end;
+            }
+        }
+        answer
+    }
+
+    fn x(&self) -> &[f64] {
+        &self.x
+    }
+
+    fn multipliers(&self) -> &[f64] {
+        &[]
+    }
+}
+
+impl PrimalActiveSet {
     /// Space for problems in `n` variables. The first solve starts from `clamp(0)`, nothing held.
     #[must_use]
     pub fn new(n: usize) -> Self {
@@ -105,48 +140,6 @@ impl ActiveSetSolver {
     pub fn reset(&mut self) {
         self.x.fill(0.0);
         self.side.fill(Side::Free);
-    }
-
-    /// The last answer, inside the bounds it was asked for. Zero before the first solve.
-    #[must_use]
-    pub fn x(&self) -> &[f64] {
-        &self.x
-    }
-
-    /// Solves `qp`, starting from the last answer and its working set; the minimiser is then in
-    /// [`ActiveSetSolver::x`].
-    ///
-    /// Total: any data give a status. `x` is unchanged for `NonFinite`, `InfeasibleBounds` and
-    /// `SizeMismatch`; for the other failures it is the best feasible point that was reached.
-    pub fn solve(&mut self, qp: &BoxQp) -> QpAnswer {
-        if qp.len() != self.n || !qp.sizes_agree() {
-            return QpAnswer::refused(QpStatus::SizeMismatch);
-        }
-        if let Some(status) = qp.bounds_fault() {
-            return QpAnswer::refused(status);
-        }
-        if let Err(status) = self.scaled.load(qp) {
-            return QpAnswer::refused(status);
-        }
-        self.start();
-        let mut iterations = 0;
-        let end = self.descend(&mut iterations);
-        if end == QpStatus::NonFinite {
-            return QpAnswer { iterations, ..QpAnswer::refused(end) };
-        }
-        // From here on `y` is in the units of the problem.
-        let bounds = qp.lower.iter().zip(qp.upper.iter());
-        for ((y, s), (lower, upper)) in self.y.iter_mut().zip(&self.scaled.s).zip(bounds) {
-            *y = (*y * s).max(*lower).min(*upper);
-        }
-        let mut answer = QpAnswer::judged(qp, &self.y, iterations, QpStatus::Inaccurate);
-        if answer.status != QpStatus::NonFinite {
-            self.x.copy_from_slice(&self.y);
-            if end != QpStatus::Solved {
-                answer.status = end;
-            }
-        }
-        answer
     }
 
     /// Puts `y` where the last solve ended, as far as the new bounds allow.

@@ -1,8 +1,8 @@
 //! The problem with its diagonal brought near one.
 
-use super::{BoxQp, QpStatus};
+use super::{QpProblem, QpStatus};
 
-/// A box QP in `y_i = x_i / s_i` with `s_i ≈ 1/√H_ii` (Jacobi scaling), so that thrust rates and joint
+/// Hessian, linear term and bounds in `y_i = x_i / s_i` with `s_i ≈ 1/√H_ii` (Jacobi scaling), so that thrust rates and joint
 /// velocities weigh the same. `s` is a power of two: the scaling itself rounds nothing.
 #[derive(Debug, Clone)]
 pub(super) struct Scaled {
@@ -30,7 +30,7 @@ impl Scaled {
     }
 
     /// Scales `qp`; refuses a diagonal that is not positive.
-    pub fn load(&mut self, qp: &BoxQp) -> Result<(), QpStatus> {
+    pub fn load(&mut self, qp: &QpProblem) -> Result<(), QpStatus> {
         let n = self.g.len();
         let (h, g) = (qp.h.as_slice(), qp.g.as_slice());
         for (j, (s, inverse_s)) in self.s.iter_mut().zip(&mut self.inverse_s).enumerate() {
@@ -53,6 +53,14 @@ impl Scaled {
             self.upper[j] = qp.upper[j] * self.inverse_s[j];
         }
         Ok(())
+    }
+
+    /// From `y` to the units of the problem, inside its bounds.
+    pub fn unscale(&self, qp: &QpProblem, y: &mut [f64]) {
+        for (y, s) in y.iter_mut().zip(&self.s) {
+            *y *= s;
+        }
+        qp.clamp(y);
     }
 }
 

@@ -1,0 +1,160 @@
+//! What a solver says about its answer, and the residual that judges it.
+
+use super::QpProblem;
+use crate::linalg;
+
+/// Largest [`kkt_residual`] of an answer that may call itself [`QpStatus::Solved`]: `√ε ≈ 1.5e-8`.
+///
+/// The residual is a backward error: `x` is the exact minimiser for a `g` that differs from the given one
+/// by that fraction of its largest scaled entry. The objective is quadratic around the minimiser, so at
+/// `√ε` it is exact to ε over the smallest eigenvalue of the scaled H: to what rounding of the data leaves
+/// of it. It is also below the resolution of single precision (6e-8), and so of any measurement that g was
+/// made of: a finer limit would refuse answers that no flight can tell from the exact one.
+///
+/// The active-set methods reach rounding, `n² ε`: about 1e-14 on flight problems.
+pub const KKT_TOLERANCE: f64 = 1.490_116_119_384_765_6e-8;
+
+/// How a solve ended. The codes of [`QpStatus::code`] are for logs and never change meaning.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[repr(u8)]
+pub enum QpStatus {
+    /// `x` is the minimiser: its [`kkt_residual`] is at most [`KKT_TOLERANCE`].
+    Solved = 0,
+    /// Iterations ran out; `x` is feasible and no worse than the point the solver started from, or, after the
+    /// dual method, unchanged.
+    IterationLimit = 1,
+    /// `H` is not positive definite, to working precision, on a set of variables that were free.
+    NotPositiveDefinite = 2,
+    /// Some `lower > upper`, or bounds and rows leave no finite value; `x` is unchanged.
+    InfeasibleBounds = 3,
+    /// NaN or infinity in the data (bounds may be infinite outwards), or overflow; do not use `x`.
+    NonFinite = 4,
+    /// The solver finished, but its `x` misses [`KKT_TOLERANCE`].
+    Inaccurate = 5,
+    /// Problem and solver have different numbers of variables or rows; `x` is unchanged.
+    SizeMismatch = 6,
+    /// The interior-point method gave up for a reason of its own (numerical error, no progress).
+    Breakdown = 7,
+}
+
+impl QpStatus {
+    /// Stable number for logs: 0 is solved.
+    #[must_use]
+    pub fn code(self) -> u8 {
+        self as u8
+    }
+
+    /// True for [`QpStatus::Solved`] alone.
+    #[must_use]
+    pub fn is_solved(self) -> bool {
+        self == Self::Solved
+    }
+}
+
+/// What a solver says about its `x`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct QpAnswer {
+    /// How the solve ended.
+    pub status: QpStatus,
+    /// Factorisations (primal), changes of the active set (dual) or interior-point iterations (Clarabel).
+    pub iterations: u32,
+    /// [`kkt_residual`] of `x`; NaN where there is no answer to judge.
+    pub kkt: f64,
+    /// Variables that sit on a bound, fixed ones included, and rows with a multiplier.
+    pub active: u32,
+}
+
+impl QpAnswer {
+    /// An answer without an `x`.
+    #[must_use]
+    pub fn refused(status: QpStatus) -> Self {
+        Self { status, iterations: 0, kkt: f64::NAN, active: 0 }
+    }
+
+    /// Judges `x` and the multipliers of the rows by the certificate alone. `otherwise` is the status where
+    /// they do not pass.
+    pub(super) fn judged(
+        qp: &QpProblem,
+        x: &[f64],
+        multipliers: &[f64],
+        iterations: u32,
+        otherwise: QpStatus,
+    ) -> Self {
+        let kkt = kkt_residual(qp, x, multipliers);
+        let status = if kkt <= KKT_TOLERANCE {
+            QpStatus::Solved
+        } else if kkt.is_finite() {
+            otherwise
+        } else {
+            QpStatus::NonFinite
+        };
+        let bounds = qp.lower.iter().zip(&qp.upper);
+        let on_bounds = x.iter().zip(bounds).map(|(x, (lower, upper))| u32::from(x <= lower || x >= upper));
+        let pressing = multipliers.iter().map(|multiplier| u32::from(*multiplier > 0.0));
+        Self { status, iterations, kkt, active: on_bounds.chain(pressing).sum() }
+    }
+}
+
+/// How far `x` with multipliers `u ≥ 0` of the rows is from satisfying the optimality conditions,
+/// without units.
+///
+/// ```text
+/// y_i = √H_ii x_i,   q_i = (H x + g + C u)_i / √H_ii,   d_k = |(C_ik / √H_ii)_i|
+/// kkt = max( max_i | y_i − clamp(y_i − q_i, √H_ii lower_i, √H_ii upper_i) |,
+///            max_k | min(d_k u_k, (limit_k − c_kᵀ x) / d_k) | )  /  size
+/// ```
+///
+/// Zero exactly at the minimiser: there a free variable has `q_i = 0`, one at its lower bound `q_i ≥ 0`,
+/// one at its upper bound `q_i ≤ 0`; a row is satisfied, its multiplier is not negative, and one of the two
+/// vanishes. `d_k` is the length of row k in the scaled variables, so all entries have the unit of y. `size`
+/// is the largest of 1, `|g/√H_ii|`, `|y|` and `|d u|`. NaN for data that are not finite, for a diagonal
+/// that is not positive, for parts that do not fit together. Reads the problem, `x` and `u` only, so it
+/// judges any solver.
+#[must_use]
+pub fn kkt_residual(qp: &QpProblem, x: &[f64], multipliers: &[f64]) -> f64 {
+    /// Variables treated at a time, on the stack.
+    const BLOCK: usize = 32;
+    let n = qp.len();
+    if x.len() != n || multipliers.len() != qp.rows() || !qp.sizes_agree() {
+        return f64::NAN;
+    }
+    let (h, g, normals) = (qp.h.as_slice(), qp.g.as_slice(), qp.normals.as_slice());
+    let (mut residual, mut size, mut finite) = (0.0_f64, 1.0_f64, true);
+    for first in (0..n).step_by(BLOCK) {
+        let count = BLOCK.min(n - first);
+        let mut gradient = [0.0; BLOCK];
+        gradient[..count].copy_from_slice(&g[first..first + count]);
+        linalg::add_mat_vec(&mut gradient[..count], &h[first..], n, x);
+        for (k, multiplier) in multipliers.iter().enumerate() {
+            if *multiplier != 0.0 {
+                linalg::add_scaled(&mut gradient[..count], *multiplier, &normals[k * n + first..]);
+            }
+        }
+        for (i, gradient) in (first..first + count).zip(gradient) {
+            let (lower, upper) = (qp.lower[i], qp.upper[i]);
+            let root = h[i + i * n].sqrt();
+            let (y, q) = (root * x[i], gradient / root);
+            let projected = (y - q).max(root * lower).min(root * upper);
+            residual = residual.max((y - projected).abs());
+            size = size.max((g[i] / root).abs()).max(y.abs());
+            // `max` and `min` drop NaN, so it is looked for separately.
+            finite &= q.is_finite() && y.is_finite() && !lower.is_nan() && !upper.is_nan();
+        }
+    }
+    for (k, (multiplier, limit)) in multipliers.iter().zip(&qp.limit).enumerate() {
+        let normal = &normals[k * n..][..n];
+        let squares = normal.iter().enumerate().map(|(i, c)| c * c / h[i + i * n]);
+        let length = squares.sum::<f64>().sqrt();
+        finite &= length.is_finite() && multiplier.is_finite() && !limit.is_nan();
+        if length > 0.0 {
+            let slack = (limit - linalg::dot(normal, x)) / length;
+            let pressure = length * multiplier;
+            residual = residual.max(slack.min(pressure).abs());
+            size = size.max(pressure.abs());
+        } else {
+            // 0 ≤ limit: true or false whatever x is.
+            residual = residual.max(multiplier.abs()).max(-limit.min(0.0));
+        }
+    }
+    if finite { residual / size } else { f64::NAN }
+}

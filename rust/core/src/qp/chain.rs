@@ -1,0 +1,99 @@
+//! Methods tried in order until one has a certified answer.
+
+#[cfg(feature = "clarabel")]
+use super::ClarabelSolver;
+use super::{DualActiveSet, PrimalActiveSet, QpAnswer, QpProblem, QpSolver, QpStatus};
+
+/// One of the methods.
+#[derive(Debug, Clone)]
+pub enum Method {
+    /// Boxes only.
+    Primal(PrimalActiveSet),
+    /// Boxes and rows.
+    Dual(DualActiveSet),
+    /// Boxes and rows; allocates.
+    #[cfg(feature = "clarabel")]
+    Clarabel(ClarabelSolver),
+}
+
+impl QpSolver for Method {
+    fn solve(&mut self, qp: &QpProblem) -> QpAnswer {
+        match self {
+            Self::Primal(solver) => solver.solve(qp),
+            Self::Dual(solver) => solver.solve(qp),
+            #[cfg(feature = "clarabel")]
+            Self::Clarabel(solver) => solver.solve(qp),
+        }
+    }
+
+    fn x(&self) -> &[f64] {
+        match self {
+            Self::Primal(solver) => solver.x(),
+            Self::Dual(solver) => solver.x(),
+            #[cfg(feature = "clarabel")]
+            Self::Clarabel(solver) => solver.x(),
+        }
+    }
+
+    fn multipliers(&self) -> &[f64] {
+        match self {
+            Self::Primal(solver) => solver.multipliers(),
+            Self::Dual(solver) => solver.multipliers(),
+            #[cfg(feature = "clarabel")]
+            Self::Clarabel(solver) => solver.multipliers(),
+        }
+    }
+}
+
+/// A first method and those that follow where it has no certified answer.
+#[derive(Debug, Clone)]
+pub struct QpChain {
+    methods: Vec<Method>,
+    /// Place of the method that answered last.
+    answered: usize,
+}
+
+impl QpChain {
+    /// A chain of `methods`, first to last.
+    #[must_use]
+    pub fn new(methods: Vec<Method>) -> Self {
+        Self { methods, answered: 0 }
+    }
+
+    /// The active-set methods for `n` variables and `rows` rows: for boxes the primal one and behind it the
+    /// dual one, which starts from scratch; with rows the dual one.
+    #[must_use]
+    pub fn active_set(n: usize, rows: usize) -> Self {
+        let dual = Method::Dual(DualActiveSet::new(n, rows));
+        Self::new(if rows == 0 { vec![Method::Primal(PrimalActiveSet::new(n)), dual] } else { vec![dual] })
+    }
+
+    /// The same chain with one more method at its end.
+    #[must_use]
+    pub fn then(mut self, method: Method) -> Self {
+        self.methods.push(method);
+        self
+    }
+}
+
+impl QpSolver for QpChain {
+    fn solve(&mut self, qp: &QpProblem) -> QpAnswer {
+        let mut answer = QpAnswer::refused(QpStatus::SizeMismatch);
+        for (place, method) in self.methods.iter_mut().enumerate() {
+            answer = method.solve(qp);
+            self.answered = place;
+            if answer.status.is_solved() {
+                break;
+            }
+        }
+        answer
+    }
+
+    fn x(&self) -> &[f64] {
+        self.methods.get(self.answered).map_or(&[], QpSolver::x)
+    }
+
+    fn multipliers(&self) -> &[f64] {
+        self.methods.get(self.answered).map_or(&[], QpSolver::multipliers)
+    }
+}

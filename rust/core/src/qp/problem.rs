@@ -1,0 +1,112 @@
+//! The quadratic program with bounds and rows.
+
+use super::QpStatus;
+use nalgebra::{DMatrix, DVector};
+
+/// Data of one problem, allocated once and overwritten every tick.
+#[derive(Debug, Clone, PartialEq)]
+pub struct QpProblem {
+    /// Hessian `H`. Solvers take it to be exactly symmetric and do not check it.
+    pub h: DMatrix<f64>,
+    /// Linear term `g`.
+    pub g: DVector<f64>,
+    /// Lower bounds; `-inf` where there is none.
+    pub lower: DVector<f64>,
+    /// Upper bounds; `+inf` where there is none. May equal the lower one, which fixes the variable.
+    pub upper: DVector<f64>,
+    /// `C`: one *column* for each row of constraints, so that each lies in one piece.
+    pub normals: DMatrix<f64>,
+    /// Right-hand sides of the rows; `+inf` where there is none.
+    pub limit: DVector<f64>,
+}
+
+impl QpProblem {
+    /// The problem `½ |x|²` in `n` variables without bounds, with `rows` rows that limit nothing.
+    #[must_use]
+    pub fn new(n: usize, rows: usize) -> Self {
+        Self {
+            h: DMatrix::identity(n, n),
+            g: DVector::zeros(n),
+            lower: DVector::from_element(n, f64::NEG_INFINITY),
+            upper: DVector::from_element(n, f64::INFINITY),
+            normals: DMatrix::zeros(n, rows),
+            limit: DVector::from_element(rows, f64::INFINITY),
+        }
+    }
+
+    /// The box problem of these parts.
+    #[must_use]
+    pub fn without_rows(h: DMatrix<f64>, g: DVector<f64>, lower: DVector<f64>, upper: DVector<f64>) -> Self {
+        let normals = DMatrix::zeros(g.len(), 0);
+        Self { h, g, lower, upper, normals, limit: DVector::zeros(0) }
+    }
+
+    /// Number of variables.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.g.len()
+    }
+
+    /// True for the problem without variables, whose answer is the empty vector.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Number of rows besides the bounds.
+    #[must_use]
+    pub fn rows(&self) -> usize {
+        self.limit.len()
+    }
+
+    /// Objective `½ xᵀ H x + gᵀ x`; allocates, for tests and reports. NaN if `x` has another length.
+    #[must_use]
+    pub fn objective(&self, x: &[f64]) -> f64 {
+        if x.len() != self.len() || !self.sizes_agree() {
+            return f64::NAN;
+        }
+        let x = DVector::from_column_slice(x);
+        0.5 * x.dot(&(&self.h * &x)) + self.g.dot(&x)
+    }
+
+    /// Brings `x` inside the bounds; a NaN stays one.
+    pub(super) fn clamp(&self, x: &mut [f64]) {
+        for ((x, lower), upper) in x.iter_mut().zip(&self.lower).zip(&self.upper) {
+            *x = x.clamp(*lower, *upper);
+        }
+    }
+
+    /// Every part fits a solver of `n` variables and `rows` rows, and there may be an answer: else the
+    /// status that says why not.
+    pub(super) fn check(&self, n: usize, rows: usize) -> Result<(), QpStatus> {
+        if self.len() != n || self.rows() != rows || !self.sizes_agree() {
+            return Err(QpStatus::SizeMismatch);
+        }
+        let (mut infeasible, mut nan) = (false, false);
+        for (&lower, &upper) in self.lower.iter().zip(&self.upper) {
+            nan |= lower.is_nan() || upper.is_nan();
+            infeasible |= lower > upper || lower == f64::INFINITY || upper == f64::NEG_INFINITY;
+        }
+        for &limit in &self.limit {
+            nan |= limit.is_nan();
+            infeasible |= limit == f64::NEG_INFINITY;
+        }
+        nan |= !self.normals.iter().all(|entry| entry.is_finite());
+        if nan {
+            Err(QpStatus::NonFinite)
+        } else if infeasible {
+            Err(QpStatus::InfeasibleBounds)
+        } else {
+            Ok(())
+        }
+    }
+
+    /// Every part is of the order `g` has.
+    pub(super) fn sizes_agree(&self) -> bool {
+        let n = self.len();
+        self.h.shape() == (n, n)
+            && self.lower.len() == n
+            && self.upper.len() == n
+            && self.normals.shape() == (n, self.rows())
+    }
+}
