@@ -1,10 +1,15 @@
 //! Small dense linear algebra on slices: the mass matrix and the QPs, 20 to 64 rows.
 //!
 //! Matrices are column-major: entry `(i, j)` is `a[i + j·ld]` with leading dimension `ld ≥ n`, so a
-//! leading block of a larger buffer is a matrix too. Nothing allocates. Loops take four columns at a
-//! time over plain slices, the form the compiler vectorises without being told about the machine.
+//! leading block of a larger buffer is a matrix too. Nothing allocates.
+//!
+//! Inverses and squares work on tiles of [`TALL`] rows and [`WIDE`] columns whose sums stay in
+//! registers, with the vector instructions that [`dispatch`] finds at run time. Processors without fused
+//! multiplication and addition round once more; results then differ in their last bits.
 //!
 //! Sizes are the caller's promise, as they are for slice indexing: a slice that is too short panics.
+
+use pulp::Arch;
 
 /// Inner product `xᵀ y` over the shorter length.
 ///
@@ -146,6 +151,66 @@ fn subtract_finished<const K: usize>(column: &mut [f64], finished: &[f64], ld: u
     add_columns::<K>(column, finished, ld, std::array::from_fn(|k| -finished[k * ld]));
 }
 
+/// Rows of a tile: two vectors of four.
+const TALL: usize = 8;
+
+/// Columns of a tile.
+const WIDE: usize = 4;
+
+/// Runs `kernel` compiled for the vector instructions of this processor; it gets to know whether they
+/// multiply and add in one. What it calls must be inlined.
+#[inline(always)]
+pub(crate) fn dispatch<R>(kernel: impl FnOnce(bool) -> R) -> R {
+    match Arch::new() {
+        Arch::Scalar => kernel(false),
+        arch => arch.dispatch(
+            #[inline(always)]
+            || kernel(cfg!(any(target_arch = "x86_64", target_arch = "aarch64"))),
+        ),
+    }
+}
+
+/// `a b + c`. Unless `fused`, `mul_add` would be a call.
+#[inline(always)]
+fn multiply_add(fused: bool, a: f64, b: f64, c: f64) -> f64 {
+    if fused { a.mul_add(b, c) } else { a * b + c }
+}
+
+/// The first N entries.
+#[inline(always)]
+fn chunk<const N: usize>(x: &[f64]) -> [f64; N] {
+    std::array::from_fn(|i| x[..N][i])
+}
+
+/// Tiles over the rows `first..n`, `n ≥ TALL`: where each begins, and its first row that is new. The last one
+/// overlaps the one before it.
+#[inline(always)]
+fn tiles(first: usize, n: usize) -> impl Iterator<Item = (usize, usize)> {
+    (first..n).step_by(TALL).map(move |row| (row.min(n - TALL), row))
+}
+
+/// `Σ_k A_(r+i)k A_(j+c)k` over the first `count` columns: `sums[c][i]`.
+#[inline(always)]
+fn outer_sums<const R: usize, const C: usize>(
+    fused: bool,
+    a: &[f64],
+    ld: usize,
+    count: usize,
+    r: usize,
+    j: usize,
+) -> [[f64; R]; C] {
+    let mut sums = [[0.0; R]; C];
+    for k in 0..count {
+        let (left, right) = (chunk::<R>(&a[k * ld + r..]), chunk::<C>(&a[k * ld + j..]));
+        for (sums, right) in sums.iter_mut().zip(right) {
+            for (sum, left) in sums.iter_mut().zip(left) {
+                *sum = multiply_add(fused, left, right, *sum);
+            }
+        }
+    }
+    sums
+}
+
 /// Solves `L X = B` in place, `L` as [`cholesky_in_place`] leaves it; `b` holds the right-hand sides
 /// one after the other, `n` entries each.
 ///
@@ -201,32 +266,98 @@ pub fn solve_lower_transposed_in_place(l: &[f64], n: usize, ld: usize, b: &mut [
 /// Writes the inverse of `L` (as [`cholesky_in_place`] leaves it) into the `n × n` matrix `inverse`:
 /// a plain lower triangle, zeros above it.
 ///
+/// ```text
+/// W e_i = (e_i − Σ_m>i L_mi W e_m) / L_ii,   last column first
+/// ```
+///
 /// # Panics
 /// If either slice does not hold its matrix.
 pub fn invert_lower(l: &[f64], n: usize, ld: usize, inverse: &mut [f64]) {
-    for (j, column) in inverse.chunks_exact_mut(n.max(1)).enumerate().take(n) {
-        column.fill(0.0);
-        column[j] = 1.0;
-        // Forward substitution from the first non-zero entry on.
-        for k in j..n {
-            let (head, tail) = column[k..].split_at_mut(1);
-            head[0] *= l[k * ld + k];
-            add_scaled(tail, -head[0], &l[k * ld + k + 1..][..n - k - 1]);
-        }
-    }
+    dispatch(
+        #[inline(always)]
+        |fused| {
+            for i in (0..n).rev() {
+                let (column, finished) = inverse[i * n..].split_at_mut(n);
+                let factors = &l[i * ld..][..n];
+                column.fill(0.0);
+                if n < TALL {
+                    for m in i + 1..n {
+                        add_scaled(column, -factors[i] * factors[m], &finished[(m - i - 1) * n..][..n]);
+                    }
+                } else {
+                    for (top, first) in tiles(i + 1, n) {
+                        let mut sums = [0.0; TALL];
+                        // Columns beyond the tile have zeros in its rows.
+                        for m in i + 1..top + TALL {
+                            let entries = chunk::<TALL>(&finished[(m - i - 1) * n + top..]);
+                            for (sum, entry) in sums.iter_mut().zip(entries) {
+                                *sum = multiply_add(fused, factors[m], entry, *sum);
+                            }
+                        }
+                        for (entry, sum) in column[first..top + TALL].iter_mut().zip(&sums[first - top..]) {
+                            *entry = -factors[i] * sum;
+                        }
+                    }
+                }
+                column[i] = factors[i];
+            }
+        },
+    );
 }
 
-/// Writes the symmetric product `Wᵀ W` of an `n × n` lower triangle `W`.
+/// Writes the inverse `L⁻ᵀ L⁻¹` of the symmetric matrix whose factor `L` is (as [`cholesky_in_place`]
+/// leaves it). `work` is space for an `n × n` matrix.
+///
+/// # Panics
+/// If a slice does not hold its matrix.
+pub fn invert_symmetric(l: &[f64], n: usize, ld: usize, work: &mut [f64], inverse: &mut [f64]) {
+    invert_lower(l, n, ld, work);
+    // Columns of L⁻ᵀ are what tiles are made of.
+    for j in 0..n {
+        for i in j + 1..n {
+            work.swap(i + j * n, j + i * n);
+        }
+    }
+    dispatch(
+        #[inline(always)]
+        // Row i of L⁻ᵀ begins at column i.
+        |fused| outer_product(fused, work, n, |row| row, inverse),
+    );
+}
+
+/// Writes the square `A A` of a symmetric `n × n` matrix.
 ///
 /// # Panics
 /// If either slice does not hold an `n × n` matrix.
-pub fn gram_of_lower(w: &[f64], n: usize, product: &mut [f64]) {
-    for j in 0..n {
-        for i in 0..=j {
-            // Rows above j are zero in column j.
-            let entry = dot(&w[i * n + j..][..n - j], &w[j * n + j..][..n - j]);
-            product[i + j * n] = entry;
-            product[j + i * n] = entry;
+pub fn square_symmetric(a: &[f64], n: usize, square: &mut [f64]) {
+    dispatch(
+        #[inline(always)]
+        |fused| outer_product(fused, a, n, |_| 0, square),
+    );
+}
+
+/// `A Aᵀ` of a square matrix whose row i is zero before column `start(i)`, which does not fall with i.
+#[inline(always)]
+fn outer_product(fused: bool, a: &[f64], n: usize, start: impl Fn(usize) -> usize, product: &mut [f64]) {
+    let tiled = if n < TALL { 0 } else { n / WIDE * WIDE };
+    for j in (0..tiled).step_by(WIDE) {
+        for (top, first) in tiles(j, n) {
+            let from = start(top);
+            let sums = outer_sums::<TALL, WIDE>(fused, &a[from * n..], n, n - from, top, j);
+            for (c, sums) in sums.iter().enumerate() {
+                product[(j + c) * n + first..][..top + TALL - first].copy_from_slice(&sums[first - top..]);
+            }
+        }
+    }
+    for column in tiled..n {
+        for row in column..n {
+            let entries = (start(row)..n).map(|k| a[row + k * n] * a[column + k * n]);
+            product[row + column * n] = entries.sum();
+        }
+    }
+    for column in 0..n {
+        for row in 0..column {
+            product[row + column * n] = product[column + row * n];
         }
     }
 }

@@ -144,9 +144,20 @@ fn inverse_factor_and_gram_products_match_nalgebra() {
         let mut product = DMatrix::from_element(n, n, f64::NAN);
         gram(a.as_slice(), n, product.as_mut_slice());
         assert!((&product - a.transpose() * &a).amax_or_zero() < 1e-13, "n = {n}");
-        let triangle = a.lower_triangle();
-        gram_of_lower(triangle.as_slice(), n, product.as_mut_slice());
-        assert!((&product - triangle.transpose() * &triangle).amax_or_zero() < 1e-13, "n = {n}");
+        let symmetric = &a + a.transpose();
+        square_symmetric(symmetric.as_slice(), n, product.as_mut_slice());
+        assert!((&product - &symmetric * &symmetric).amax_or_zero() < 1e-13, "n = {n}");
+        assert_eq!(product, product.transpose());
+        let mut work = DMatrix::from_element(n, n, f64::NAN);
+        invert_symmetric(&buffer, n, ld, work.as_mut_slice(), product.as_mut_slice());
+        let expected = inverse.transpose() * &inverse;
+        // n ε of the sum of absolute products, as for any inner product.
+        let bound = (inverse.transpose().abs() * inverse.abs()) * (n as f64 * f64::EPSILON);
+        assert!(
+            (&product - expected).abs().iter().zip(&bound).all(|(error, bound)| error <= bound),
+            "n = {n}"
+        );
+        assert_eq!(product, product.transpose());
     }
 }
 

@@ -65,12 +65,12 @@ impl TorqueQp {
         // M = K Kᵀ with the base first, so (M⁻¹)_ss = Wᵀ W with W the inverse of K's joint block.
         let n = 6 + joints;
         let joint_block = &mass_factor.factor.as_slice()[6 * n + 6..];
-        linalg::invert_lower(joint_block, joints, n, self.inverse_factor.as_mut_slice());
-        linalg::gram_of_lower(self.inverse_factor.as_slice(), joints, self.gain.as_mut_slice());
+        let work = self.inverse_factor.as_mut_slice();
+        linalg::invert_symmetric(joint_block, joints, n, work, self.gain.as_mut_slice());
 
         // H = w_a G² + (w_τ + ε) 1 and g = w_a G (s̈_free − s̈*), G symmetric.
         let QpProblem { h, g, .. } = &mut self.problem;
-        linalg::gram(self.gain.as_slice(), joints, h.as_mut_slice());
+        linalg::square_symmetric(self.gain.as_slice(), joints, h.as_mut_slice());
         *h *= config.weight_acceleration;
         for joint in 0..joints {
             h[(joint, joint)] += config.weight_torque + config.regularisation;

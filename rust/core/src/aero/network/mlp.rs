@@ -2,11 +2,13 @@
 //!
 //! A matrix is stored in panels of `P` rows, entry by entry of the input: the sums of one panel stay
 //! in registers while its weights stream past once, for both samples of a pair. The loops are plain
-//! and of constant length, the form the compiler vectorises without being told about the machine.
+//! and of constant length, and run with the vector instructions that `linalg::dispatch` finds. They multiply
+//! and add in two steps everywhere, so that every processor computes the same bits.
 
 use super::card::{Activation, Architecture};
 use super::tensors::Tensors;
 use crate::error::BuildError;
+use crate::linalg::dispatch;
 use std::fmt::Debug;
 use std::ops::{AddAssign, Mul};
 
@@ -38,14 +40,17 @@ impl Real for f32 {
     }
 
     // Comparisons this way round let a NaN through, and are one instruction.
+    #[inline(always)]
     fn relu(self) -> Self {
         if self < 0.0 { 0.0 } else { self }
     }
 
+    #[inline(always)]
     fn tanh(self) -> Self {
         1.0 - 2.0 / (1.0 + exp(2.0 * self))
     }
 
+    #[inline(always)]
     fn silu(self) -> Self {
         self / (1.0 + exp(-self))
     }
@@ -84,6 +89,7 @@ impl Real for f64 {
 /// ```
 ///
 /// Arguments beyond ±87 give the value there. ln 2 is split so that `n ln 2` loses nothing.
+#[inline(always)]
 fn exp(x: f32) -> f32 {
     /// 1.5 · 2²³: adding it rounds to an integer that stands in the lowest bits.
     const ROUND: f32 = 12_582_912.0;
@@ -138,11 +144,16 @@ impl<T: Real> Layer<T> {
         let (columns, _) = self.weights.as_chunks::<P>();
         for (index, (panel, bias)) in columns.chunks_exact(self.inputs.max(1)).zip(biases).enumerate() {
             let sums = weighted_sums(panel, bias, x);
-            for (sums, out) in sums.iter().zip(&mut *out) {
-                for (sum, out) in sums.iter().zip(&mut out[index * P..]) {
-                    *out = activate(*sum);
-                }
-            }
+            dispatch(
+                #[inline(always)]
+                |_| {
+                    for (sums, out) in sums.iter().zip(&mut *out) {
+                        for (sum, out) in sums.iter().zip(&mut out[index * P..]) {
+                            *out = activate(*sum);
+                        }
+                    }
+                },
+            );
         }
     }
 }
@@ -157,16 +168,21 @@ fn weighted_sums<T: Real, const P: usize, const B: usize>(
     x: &[Vec<T>; B],
 ) -> [[T; P]; B] {
     let x: [&[T]; B] = std::array::from_fn(|b| &x[b][..panel.len()]);
-    let mut sums = [*bias; B];
-    for (k, weights) in panel.iter().enumerate() {
-        for b in 0..B {
-            let x = x[b][k];
-            for row in 0..P {
-                sums[b][row] += weights[row] * x;
+    dispatch(
+        #[inline(always)]
+        |_| {
+            let mut sums = [*bias; B];
+            for (k, weights) in panel.iter().enumerate() {
+                for b in 0..B {
+                    let x = x[b][k];
+                    for row in 0..P {
+                        sums[b][row] += weights[row] * x;
+                    }
+                }
             }
-        }
-    }
-    sums
+            sums
+        },
+    )
 }
 
 /// Networks of one shape and the space to evaluate them in: panels of `P` rows, `B` samples at once.
