@@ -87,7 +87,7 @@ def cold_start(n: int, dtype: Dtype) -> WarmStart:
 
 
 def kkt_tolerance(dtype: Dtype) -> float:
-    """Largest `kkt_residual` of an answer that may call itself solved: √ε in float64 (as the crate), 1e-5 in float32."""
+    """Largest `kkt_residual` of an answer that may call itself solved: √ε in float64 as in the crate, else 1e-5."""
     return float(np.sqrt(np.finfo(np.float64).eps)) if np.finfo(dtype).bits == 64 else 1e-5
 
 
