@@ -69,9 +69,26 @@ class Robot:
     ) -> _Array: ...
 
 @final
+class ControllerState:
+    def with_posture_control(
+        self, posture: _Array, inertia_0_b: _Array, velocity_error_integral: _Array
+    ) -> ControllerState: ...
+
+@final
 class Controller:
     def __new__(cls, config_json: str) -> Controller: ...
-    def set_memory(self, posture: _Array, inertia_0_b: _Array, velocity_error_integral: _Array) -> None: ...
+    state: ControllerState | None
+    def start(
+        self,
+        time: float,
+        base_position: _Array,
+        base_rotation: _Array,
+        joint_position: _Array,
+        velocity: _Array,
+        thrust: _Array,
+        wind: _Array,
+        foot_wrenches: _Array | None = None,
+    ) -> None: ...
     def tick(
         self,
         time: float,
@@ -81,7 +98,7 @@ class Controller:
         velocity: _Array,
         thrust: _Array,
         wind: _Array,
-        reference: Mapping[str, _Array] | None = None,
+        setpoint: Mapping[str, _Array] | None = None,
         foot_wrenches: _Array | None = None,
     ) -> dict[str, Any]: ...
 
@@ -118,7 +135,7 @@ def link_forces(
     velocity: _Array,
     wind: _Array,
 ) -> _Array: ...
-def reference_trajectory(config_json: str, com: _Array, rpy: _Array) -> dict[str, _Array]: ...
+def setpoint_trajectory(config_json: str, com: _Array, rotation: _Array) -> dict[str, _Array]: ...
 def wind_velocity(wind_json: str, times: _Array) -> _Array: ...
 def resolve_config(path: str | PathLike[str]) -> str: ...
 def check_config(config_json: str) -> None: ...

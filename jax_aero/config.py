@@ -389,19 +389,19 @@ class QpConfig:
 
 
 @pytree
-class ReferenceConfig:
-    """Steps, limits and smoothing times of the reference generator."""
+class SetpointConfig:
+    """Speeds, limits and smoothing times of the set-point generator."""
 
-    step_position: Array
-    """(2,) forward and vertical step per tick [m]."""
-    step_attitude_deg: Array
-    """(2,) pitch and yaw step per tick [deg]."""
-    pitch_limits_deg: Array
-    """(2,) [deg]."""
+    speed: Array
+    """(2,) forward and vertical speed of the raw position [m/s]."""
+    attitude_rate_deg: Array
+    """(2,) rates of raw pitch and yaw [deg/s]."""
+    nose_down_limits_deg: Array
+    """(2,) least and greatest raw pitch, positive nose down [deg]."""
     turbo_boost: Array
-    """() the forward step grows to `1 + turbo_boost` times itself."""
-    turbo_ramp: Array
-    """() growth of the boost per tick."""
+    """() the forward speed grows to `1 + turbo_boost` times itself."""
+    turbo_rate: Array
+    """() growth of the boost [1/s]."""
     position_smoothing: Array
     """() [s]."""
     acceleration_smoothing: Array
@@ -433,7 +433,7 @@ class ControllerConfig:
     weights: MomentumWeights
     bounds: BoundsConfig
     torque: TorqueConfig
-    references: ReferenceConfig
+    setpoint: SetpointConfig
     aero_feedback: AeroFeedback = field(default_factory=AeroFeedback)
     lever_arm: Static[LeverArm] = "rotated"
     jacobian_offset: Static[JacobianOffset] = "link_rotation"

@@ -276,7 +276,7 @@ def _row(
     """Every signal of one tick."""
     truth = rust.dynamics(plant.robot, seen.state)
     position, rotation, joints, nu = (np.asarray(part) for part in seen.state)
-    desired = np.asarray(tick.reference.rotation)
+    desired = np.asarray(tick.setpoint.rotation)
     wxyz = np.zeros(4)
     mujoco.mju_mat2Quat(wxyz, rotation.ravel())
     contact = tick.contact
@@ -292,7 +292,7 @@ def _row(
         "joint_velocity": nu[6:],
         "com_position": truth.com_position,
         "com_velocity": truth.momentum[:3] / plant.robot.mass,
-        "com_reference": np.asarray(tick.reference.com_position),
+        "com_reference": np.asarray(tick.setpoint.com_position),
         "rotation_error": _angle(desired.T @ rotation),
         "thrust": thrust,
         "thrust_rate": tick.thrust_rate,
@@ -302,7 +302,7 @@ def _row(
         "aero_force_sim": seen.aero_force,
         "aero_force_control": tick.aero_force,
         "momentum": truth.momentum,
-        "momentum_reference": np.append(plant.robot.mass * np.asarray(tick.reference.com_velocity), np.zeros(3)),
+        "momentum_reference": np.append(plant.robot.mass * np.asarray(tick.setpoint.com_velocity), np.zeros(3)),
         "momentum_rate_estimate": tick.momentum_rate_estimate,
         "qp_status": [tick.momentum_answer.status_code, tick.torque_answer.status_code],
         "qp_kkt": [tick.momentum_answer.kkt, tick.torque_answer.kkt],

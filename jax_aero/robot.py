@@ -104,6 +104,8 @@ class RobotModel:
     """Unit axes in child axes."""
     joint_limits: Float[Array, "n 2"]
     """Limits the controller respects, lower and upper [rad]."""
+    forward_axis: Float[Array, "3"]
+    """Forward direction in base axes, a unit vector orthogonal to z."""
     gravity: Float[Array, ""]
     """[m/s²], positive; pulls along −z."""
     jets: Jets
@@ -205,6 +207,7 @@ def _robot(toml_path: Path, table: Mapping[str, Any]) -> RobotModel:
         joint_positions=_leaf([joint.parent_from_child.position for joint in tree.joints]),
         joint_axes=_leaf([joint.axis for joint in tree.joints]),
         joint_limits=_leaf(limits),
+        forward_axis=_forward_axis(table.get("forward_axis", [1.0, 0.0, 0.0])),
         gravity=_numbers("gravity", table.get("gravity", 9.81), (), positive=True),
         jets=_jets(table.get("jets", []), tree, table.get("engines", {})),
         aero_links=_aero_links(table.get("aero_links", []), tree, table.get("coefficients", {})),
@@ -215,11 +218,19 @@ def _robot(toml_path: Path, table: Mapping[str, Any]) -> RobotModel:
     )
 
 
+def _forward_axis(value: object) -> Array:
+    axis = _numbers("forward_axis", value, (3,))
+    if abs(np.linalg.norm(axis) - 1.0) > 1e-6 or abs(axis[2]) > 1e-6:
+        raise ValueError(f"`forward_axis` is {value!r}; expected a unit vector orthogonal to base z")
+    return axis
+
+
 _ENTRY = {"name": True, "frame": True}
 _FILE: dict[str, Any] = {
     "name": True,
     "urdf": True,
     "base_link": True,
+    "forward_axis": False,
     "gravity": False,
     "locked": False,
     "joint_groups[]": {"name": True, "joints[]": {"name": True, "limits_deg": False}},

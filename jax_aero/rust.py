@@ -36,7 +36,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from jax_aero import _core
-from jax_aero._core import BoxQpSolver, Robot, __version__, kkt_residual
+from jax_aero._core import BoxQpSolver, ControllerState, Robot, __version__, kkt_residual
 from jax_aero.io import override
 from jax_aero.result import FlightResult, Progress
 
@@ -45,6 +45,7 @@ __all__ = [
     "Config",
     "ContactTick",
     "Controller",
+    "ControllerState",
     "Dynamics",
     "FlightResult",
     "Jacobian",
@@ -53,9 +54,9 @@ __all__ = [
     "Progress",
     "QpAnswer",
     "QpProblem",
-    "Reference",
     "Robot",
     "RowProblem",
+    "Setpoint",
     "State",
     "Tick",
     "__version__",
@@ -71,8 +72,8 @@ __all__ = [
     "kkt_residual",
     "link_forces",
     "load_config",
-    "reference_trajectory",
     "rotation_from_wxyz",
+    "setpoint_trajectory",
     "wind_velocity",
 ]
 
@@ -196,7 +197,7 @@ class QpAnswer(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Reference:
+class Setpoint:
     """What the controller follows: centre of mass in inertial axes, rotation with rates in its own (body) axes."""
 
     com_position: ArrayLike
@@ -209,8 +210,8 @@ class Reference:
     angular_jerk: ArrayLike
 
     @classmethod
-    def hold(cls, com_position: ArrayLike, rotation: ArrayLike) -> Reference:
-        """Return the reference that stays where it is."""
+    def hold(cls, com_position: ArrayLike, rotation: ArrayLike) -> Setpoint:
+        """Return the set-point that stays where it is."""
         rest = np.zeros(3)
         return cls(com_position, rest, rest, rest, rotation, rest, rest, rest)
 
@@ -323,8 +324,8 @@ class Tick:
     status
         "Nominal", or which part of the command is a safe substitute.
     posture, inertia_0_b, velocity_error_integral
-        State of the controller after the tick, see `Controller.set_memory`.
-    reference
+        Part of the state of the controller after the tick, see `Controller.state`.
+    setpoint
         What was followed.
     contact
         The feet; `None` for a controller that cannot stand. Its force rates are unknowns of `momentum_qp` too, between
@@ -367,33 +368,51 @@ class Tick:
     posture: Array
     inertia_0_b: Array
     velocity_error_integral: Array
-    reference: Reference
+    setpoint: Setpoint
     contact: ContactTick | None = None
 
 
 class Controller:
     """The flight controller of a configuration, one tick at a time.
 
-    The first tick that follows the envelope takes the position, attitude and posture it finds as those to keep.
+    The first tick begins the flight: it takes the position, attitude and posture it finds as those to keep. `state` is
+    everything that is carried from one tick to the next: stored and assigned later, it continues to the same bits.
     """
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         self._core = _core.Controller(_to_json(config))
         self._torque_max: float = config["controller"]["torque"]["torque_max"]
 
-    def set_memory(self, posture: ArrayLike, inertia_0_b: ArrayLike, velocity_error_integral: ArrayLike) -> None:
-        """Replace the state kept between ticks; the torque rate limiter is reset.
+    @property
+    def state(self) -> ControllerState | None:
+        """State after the last tick; none before the first."""
+        return self._core.state
 
-        Parameters
-        ----------
-        posture
-            Posture to return to [rad], (n,).
-        inertia_0_b
-            Centroidal inertia in base axes at the first tick [kg m²], (3, 3).
-        velocity_error_integral
-            ∫(ṡ − ṡ*) [rad], (n,).
+    @state.setter
+    def state(self, state: ControllerState) -> None:
+        self._core.state = state
+
+    def start(
+        self,
+        state: State,
+        thrust: ArrayLike,
+        wind: ArrayLike,
+        time: float = 0.0,
+        foot_wrenches: ArrayLike | None = None,
+    ) -> ControllerState:
+        """Begin a flight with a measurement, without a tick. Parameters are those of `tick`.
+
+        Raises
+        ------
+        ValueError
+            For a measurement that is not finite, not of this robot, or whose base rotation is none.
         """
-        self._core.set_memory(_array(posture), _array(inertia_0_b), _array(velocity_error_integral))
+        feet = None if foot_wrenches is None else _array(foot_wrenches)
+        self._core.start(time, *_arrays(state), _array(thrust), _array(wind), feet)
+        started = self._core.state
+        if started is None:
+            raise AssertionError("a started flight has a state")
+        return started
 
     def tick(
         self,
@@ -401,7 +420,7 @@ class Controller:
         thrust: ArrayLike,
         wind: ArrayLike,
         time: float = 0.0,
-        reference: Reference | None = None,
+        setpoint: Setpoint | None = None,
         foot_wrenches: ArrayLike | None = None,
     ) -> Tick:
         """Compute one tick.
@@ -415,14 +434,14 @@ class Controller:
         wind
             Velocity of the air [m/s, inertial axes].
         time
-            Time since the flight began [s]; the envelope's references advance by one tick with every call.
-        reference
-            Followed instead of the envelope, if given.
+            Time since the flight began [s]; the mission's set-point advances by one tick with every call.
+        setpoint
+            Followed instead of the mission, if given.
         foot_wrenches
-            Wrench on each foot [N, N m], (feet, 6): force first, about the origin of its sole, inertial axes. Kept
-            until given again; nothing at first.
+            Wrench on each foot [N, N m], (feet, 6): force first, about the origin of its sole, inertial axes. Zero if
+            not given.
         """
-        given = None if reference is None else {name: _array(value) for name, value in vars(reference).items()}
+        given = None if setpoint is None else {name: _array(value) for name, value in vars(setpoint).items()}
         feet = None if foot_wrenches is None else _array(foot_wrenches)
         raw = self._core.tick(time, *_arrays(state), _array(thrust), _array(wind), given, feet)
         contact = raw.pop("contact", None)
@@ -434,7 +453,7 @@ class Controller:
             torque_answer=QpAnswer(**raw.pop("torque_qp")),
             momentum_qp=momentum,
             torque_qp=torque,
-            reference=Reference(**raw.pop("reference")),
+            setpoint=Setpoint(**raw.pop("setpoint")),
             contact=None if contact is None else _contact_tick(contact),
             **raw,
         )
@@ -544,9 +563,13 @@ def link_forces(robot: Robot, aero: Mapping[str, Any], state: State, wind: Array
     return _core.link_forces(robot, _to_json(aero), *_arrays(state), _array(wind))
 
 
-def reference_trajectory(config: Mapping[str, Any], com: ArrayLike, rpy: ArrayLike) -> dict[str, Array]:
-    """Return the references of a whole flight, raw and smoothed, from a start at `com` [m] and `rpy` [rad]."""
-    return _core.reference_trajectory(_to_json(config), _array(com), _array(rpy))
+def setpoint_trajectory(config: Mapping[str, Any], com: ArrayLike, rotation: ArrayLike) -> dict[str, Array]:
+    """Return the set-points of a whole flight, raw and smoothed.
+
+    `com` (3,) [m] and `rotation` (3, 3) are the centre of mass and the base rotation of the first tick. Raw roll, pitch
+    and yaw are those of the heading frame: forward, left, up.
+    """
+    return _core.setpoint_trajectory(_to_json(config), _array(com), _array(rotation))
 
 
 def wind_velocity(wind: Mapping[str, Any], times: ArrayLike) -> Array:

@@ -136,6 +136,13 @@ def _safe_arctan2(y: Array, x: Array) -> Array:
     return jnp.where(is_zero, 0.0, jnp.arctan2(y, jnp.where(is_zero, 1.0, x)))
 
 
+def is_rotation(matrix: Array) -> Array:
+    """Return whether a matrix (3, 3) is a rotation to six digits; one that holds a NaN is none."""
+    error = jnp.abs(multiply(matrix.T, matrix) - jnp.eye(3, dtype=matrix.dtype)).max()
+    tolerance = 1e-6 if matrix.dtype == jnp.float64 else 1e-4
+    return (error < tolerance) & (jnp.dot(cross(matrix[:, 0], matrix[:, 1]), matrix[:, 2]) > 0.0)
+
+
 def project_to_so3(near: Array) -> Array:
     """Nearest rotation to a matrix that is already close to one: two Newton–Schulz steps `R ← R (3 I − RᵀR)/2`."""
     r = near

@@ -104,7 +104,7 @@ class LinkForces(NamedTuple):
     """[N]."""
 
 
-class Reference(NamedTuple):
+class Setpoint(NamedTuple):
     """What the controller follows at one tick. Angular quantities are in axes of the desired base."""
 
     com_position: Float[Array, "3"]

@@ -1,4 +1,4 @@
-"""The attitude task: the angular momentum that turns the base onto its reference.
+"""The attitude task: the angular momentum that turns the base onto its set-point.
 
 Everything is in body coordinates. With `R` the base rotation, `w = Rᵀ ω_B`, `I₀` the centroidal inertia in body axes
 *at the first tick* (held constant):
@@ -22,7 +22,7 @@ from jaxtyping import Float
 
 from jax_aero.config import MomentumGains
 from jax_aero.spatial import cross, multiply, rotate, rotate_back, skew, vee_of_skew_part
-from jax_aero.types import Array, Reference
+from jax_aero.types import Array, Setpoint
 
 
 class AttitudeDemand(NamedTuple):
@@ -36,7 +36,7 @@ class AttitudeDemand(NamedTuple):
 
 def attitude_demand(
     gains: MomentumGains,
-    reference: Reference,
+    setpoint: Setpoint,
     rotation: Array,
     angular_velocity: Array,
     moment_estimate: Array,
@@ -45,17 +45,17 @@ def attitude_demand(
     """Evaluate the attitude law; `inertia_0` (3, 3) is `I₀`, velocity and moment are in inertial axes."""
     c0, c1 = gains.c0, gains.c1
     i0, i0_inv = inertia_0, inverse(inertia_0)
-    w, w_d = rotate_back(rotation, angular_velocity), reference.angular_velocity
+    w, w_d = rotate_back(rotation, angular_velocity), setpoint.angular_velocity
 
     k = rotate(i0, w)
     k_dot = rotate_back(rotation, moment_estimate) - cross(w, k)
-    error = multiply(reference.rotation.T, rotation)
+    error = multiply(setpoint.rotation.T, rotation)
     e = vee_of_skew_part(error)
     e_dot = vee_of_skew_part(multiply(error, skew(w)) - multiply(skew(w_d), error))
 
-    k_dot_error = k_dot - rotate(i0, reference.angular_acceleration)
+    k_dot_error = k_dot - rotate(i0, setpoint.angular_acceleration)
     through_inertia = c0 * (k_dot_error + e) + c1 * (k - rotate(i0, w_d))
-    k_ddot_desired = rotate(i0, reference.angular_jerk) - e_dot - k_dot_error - rotate(i0_inv, through_inertia)
+    k_ddot_desired = rotate(i0, setpoint.angular_jerk) - e_dot - k_dot_error - rotate(i0_inv, through_inertia)
     sigma_b = cross(w, cross(w, k) + 2.0 * k_dot) + cross(rotate(i0_inv, k_dot), k)
     return AttitudeDemand(k_ddot_desired, rotate(rotation, sigma_b))
 

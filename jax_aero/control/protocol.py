@@ -12,7 +12,7 @@ from jax_aero.control.qp import QpAnswer
 from jax_aero.control.tasks import MomentumQp
 from jax_aero.control.torque import TorqueQp
 from jax_aero.robot import RobotModel
-from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, Reference, State
+from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, Setpoint, State
 
 S = TypeVar("S")
 
@@ -36,7 +36,7 @@ class Terms(NamedTuple):
     dynamics: Dynamics
     link_forces: LinkForces
     momentum: MomentumModel
-    reference: Reference
+    setpoint: Setpoint
     attitude: AttitudeDemand
     momentum_qp: MomentumQp
     torque_qp: TorqueQp
@@ -51,7 +51,7 @@ class Command(NamedTuple):
     """`Ṫ*` [N/s]."""
     joint_torque: Float[Array, " n"]
     """[N m]."""
-    reference: Reference | None = None
+    setpoint: Setpoint | None = None
     """What the controller follows. Without it a flight is lost only by a state that is not finite."""
     joint_velocity: Array | None = None
     """(n,) `ṡ*` [rad/s]."""

@@ -28,7 +28,7 @@ from jax_aero.control.momentum import MomentumModel
 from jax_aero.control.qp import BoxQp
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import multiply, rotate_back
-from jax_aero.types import Array, Dynamics, Kinematics, Reference, State
+from jax_aero.types import Array, Dynamics, Kinematics, Setpoint, State
 
 
 class TaskParams(NamedTuple):
@@ -116,13 +116,13 @@ def momentum_qp(
     kin: Kinematics,
     dyn: Dynamics,
     momentum: MomentumModel,
-    reference: Reference,
+    setpoint: Setpoint,
     attitude: AttitudeDemand,
     inertia_0: Array,
     posture: Array,
 ) -> MomentumQp:
     """Build tasks, cost and bounds of one tick."""
-    linear, linear_offset = _linear_task(gains, robot.mass, state, kin, dyn, momentum, reference)
+    linear, linear_offset = _linear_task(gains, robot.mass, state, kin, dyn, momentum, setpoint)
     angular, angular_offset = _angular_tasks(state, dyn, momentum, attitude, inertia_0)
     task = jnp.concatenate([linear, angular])
     offset = jnp.concatenate([linear_offset, angular_offset])
@@ -138,15 +138,15 @@ def _linear_task(
     kin: Kinematics,
     dyn: Dynamics,
     momentum: MomentumModel,
-    reference: Reference,
+    setpoint: Setpoint,
 ) -> tuple[Array, Array]:
     """Rows 0 to 2, in inertial axes."""
     kp, kd = gains.kp_linear, gains.kd_linear
     k = kp + 1.0 / gains.ko + kd
     motion = momentum.lambda_[:3] + k[:, None] * dyn.momentum_matrix[:3]
-    desired = k * mass * reference.com_velocity + mass * reference.com_jerk
-    rate_error = momentum.rate_estimate[:3] - mass * reference.com_acceleration
-    integral = mass * (kin.com - reference.com_position)
+    desired = k * mass * setpoint.com_velocity + mass * setpoint.com_jerk
+    rate_error = momentum.rate_estimate[:3] - mass * setpoint.com_acceleration
+    integral = mass * (kin.com - setpoint.com_position)
     offset = motion[:, :6] @ state.velocity[:6] - desired + (kd + 1.0) * rate_error + kp * integral
     return jnp.concatenate([momentum.a_t[:3], motion[:, 6:]], axis=1), offset
 

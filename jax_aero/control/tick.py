@@ -1,6 +1,6 @@
 """The flight controller: one tick, from a measurement to thrust rates and joint torques.
 
-`tick` reads top to bottom as the controller does: reference, kinematics and dynamics, aerodynamic forces, momentum,
+`tick` reads top to bottom as the controller does: set-point, kinematics and dynamics, aerodynamic forces, momentum,
 tasks, QP, torques. It is a pure function of one sample; `vmap`, `jit`, `grad` and `scan` at the call site.
 
 >>> params = momentum_controller(config, robot)
@@ -34,31 +34,36 @@ from jax_aero.aero import (
 )
 from jax_aero.aero.network_card import load_network
 from jax_aero.config import AeroFeedback, EnvelopeConfig, FlightConfig, ForceFactorsConfig, MomentumGains, TorqueConfig
-from jax_aero.control import qp, references
+from jax_aero.control import qp
+from jax_aero.control import setpoint as generator
 from jax_aero.control.attitude import attitude_demand
 from jax_aero.control.momentum import momentum_model
 from jax_aero.control.protocol import Command, Measurement, Terms
 from jax_aero.control.qp import QpAnswer, WarmStart
 from jax_aero.control.recorded import Recording, recording
-from jax_aero.control.references import ReferenceParams, ReferenceState
+from jax_aero.control.setpoint import SetpointParams, SetpointState
 from jax_aero.control.tasks import TaskParams, momentum_qp, symmetric_pairs, task_params
 from jax_aero.control.torque import limit_rate, torque_qp
 from jax_aero.dynamics import dynamics
 from jax_aero.kinematics import generalised_force, kinematics
 from jax_aero.robot import RobotModel
-from jax_aero.spatial import multiply, rpy_from_rotation
-from jax_aero.types import Array, Reference, State, where
+from jax_aero.spatial import is_rotation, multiply
+from jax_aero.types import Array, Setpoint, State, where
 
 NOMINAL, BAD_MEASUREMENT, MOMENTUM_HELD, TORQUE_HELD, BOTH_HELD = range(5)
 """Codes of `Command.status`: whether a command is what the controller wanted, as in the Rust crate.
 
-Bad measurement: a number is not finite; thrust rates and joint velocities are zero, torques stay. Momentum held: its QP
-has no certified answer; rates and velocities are as near to zero as their bounds allow, torques brake the joints.
-Torque held: its QP has none; torques stay.
+Bad measurement: a number is not finite or the base rotation is none; thrust rates and joint velocities are zero,
+torques stay. Momentum held: its QP has no certified answer; rates and velocities are as near to zero as their bounds
+allow, torques brake the joints. Torque held: its QP has none; torques stay.
 """
 
 INTEGRAL_LIMIT = 20.0
 """Where the published integrator of the joint velocity error saturates [rad]; no flight comes near."""
+
+
+TIME_MAX = 1e9
+"""Longest flight [s]: beyond it ticks of milliseconds are rounding errors of the time."""
 
 
 class Switches(NamedTuple):
@@ -93,9 +98,9 @@ class MomentumController:
     momentum: MomentumGains
     tasks: TaskParams
     torque: TorqueConfig
-    references: ReferenceParams
+    setpoint: SetpointParams
     envelope: EnvelopeConfig | Recording
-    """What to follow: the autopilot's commands, or a recorded reference."""
+    """What to follow: the autopilot's commands, or recorded set-points."""
     time_step: Float[Array, ""]
     """[s]."""
 
@@ -108,13 +113,15 @@ class MomentumController:
     ) -> tuple[ControllerState, Command]:
         """One tick on the configured mission; see `tick`."""
         memory, command, terms = tick(self, robot, memory, *measurement)
-        return memory, command._replace(reference=terms.reference, terms=terms)
+        return memory, command._replace(setpoint=terms.setpoint, terms=terms)
 
 
 class ControllerState(NamedTuple):
-    """State of the controller between ticks."""
+    """Everything that the controller carries from one tick to the next."""
 
-    references: ReferenceState
+    time: Float[Array, ""]
+    """Of the last tick [s]."""
+    setpoint: SetpointState
     posture: Float[Array, " n"]
     """Posture to return to, `s_d`: the joint positions of the first tick [rad]."""
     inertia_0: Float[Array, "3 3"]
@@ -158,7 +165,7 @@ def momentum_controller(
         momentum=controller.momentum,
         tasks=task_params(controller, robot),
         torque=controller.torque,
-        references=references.reference_params(controller.references, time_step),
+        setpoint=generator.setpoint_params(controller.setpoint, robot.forward_axis, time_step),
         envelope=config.envelope if config.envelope.file is None else recording(config.envelope.file),
         time_step=time_step,
     )
@@ -182,7 +189,8 @@ def init(params: MomentumController, robot: RobotModel, state: State) -> Control
     rotation, n = state.base_rotation, robot.n_joints
     zeros = jnp.zeros_like(state.joint_position)
     return ControllerState(
-        references=references.start(kin.com, rpy_from_rotation(rotation)),
+        time=jnp.zeros((), state.joint_position.dtype),
+        setpoint=generator.start(params.setpoint, kin.com, rotation),
         posture=jnp.asarray(state.joint_position),
         inertia_0=multiply(multiply(rotation.T, inertia), rotation),
         velocity_error_integral=zeros,
@@ -201,24 +209,25 @@ def tick(
     state: State,
     thrust: Array,
     wind: Array,
-    reference: Reference | None = None,
+    setpoint: Setpoint | None = None,
 ) -> tuple[ControllerState, Command, Terms]:
     """One tick: the memory of the next, the command, and every intermediate value.
 
-    `time` [s], `thrust` (j,) [N], `wind` (3,) [m/s, inertial axes]. With `reference` the envelope is not asked.
+    `time` [s], `thrust` (j,) [N], `wind` (3,) [m/s, inertial axes]. With `setpoint` the mission is not followed.
 
-    A measurement that is not finite changes nothing in the memory; the terms are then those of a robot at rest, so
-    that gradients through such a tick are finite too.
+    Whatever the measurement, the set-point moves on with the time. A measurement that is not finite, whose time is
+    not that of a flight or whose base rotation is none changes nothing else; the terms are then those of a robot at
+    rest, so that gradients through such a tick are finite too.
     """
     with jax.default_matmul_precision("highest"):
-        accepted = _is_finite((time, state, thrust, wind))
-        time, state, thrust, wind = where(accepted, (time, state, thrust, wind), _at_rest(memory, thrust))
-        generator = memory.references
-        if reference is None:
-            generator, reference = references.update(params.references, params.envelope, generator, time)
-        after, command, terms = _act(
-            params, robot, memory._replace(references=generator), state, thrust, wind, reference
-        )
+        in_flight = (time >= 0.0) & (time <= TIME_MAX)
+        accepted = in_flight & _is_finite((state, thrust, wind)) & is_rotation(state.base_rotation)
+        state, thrust, wind = where(accepted, (state, thrust, wind), _at_rest(memory, thrust))
+        if setpoint is None:
+            now = jnp.where(in_flight, time, memory.time + params.time_step)
+            moved, setpoint = generator.update(params.setpoint, params.envelope, memory.setpoint, now)
+            memory = memory._replace(time=now, setpoint=moved)
+        after, command, terms = _act(params, robot, memory, state, thrust, wind, setpoint)
         return where(accepted, after, memory), where(accepted, command, _refusal(memory, command)), terms
 
 
@@ -229,7 +238,7 @@ def _act(
     state: State,
     thrust: Array,
     wind: Array,
-    reference: Reference,
+    setpoint: Setpoint,
 ) -> tuple[ControllerState, Command, Terms]:
     """Tick on a measurement that is finite."""
     switches = params.switches
@@ -253,7 +262,7 @@ def _act(
     # Thrust rates and joint velocities that shape momentum and attitude.
     attitude = attitude_demand(
         params.momentum,
-        reference,
+        setpoint,
         state.base_rotation,
         state.velocity[3:6],
         momentum.rate_estimate[3:],
@@ -269,7 +278,7 @@ def _act(
         kin,
         dyn,
         momentum,
-        reference,
+        setpoint,
         attitude,
         memory.inertia_0,
         memory.posture,
@@ -299,18 +308,19 @@ def _act(
     command = Command(
         thrust_rate, joint_torque, joint_velocity=joint_velocity, momentum_qp=wanted, torque_qp=pushed, status=status
     )
-    # Forward Euler: used first, advanced after; a tick without a commanded velocity has no error to remember.
+    # Forward Euler: used first, advanced after. A tick without a commanded velocity has no error to integrate, and one
+    # with held torques would integrate an error that no torque answers.
     advanced = jnp.clip(
         memory.velocity_error_integral + params.time_step * velocity_error, -INTEGRAL_LIMIT, INTEGRAL_LIMIT
     )
     after = memory._replace(
-        velocity_error_integral=jnp.where(momentum_solved, advanced, memory.velocity_error_integral),
+        velocity_error_integral=jnp.where(status == NOMINAL, advanced, memory.velocity_error_integral),
         joint_torque=joint_torque,
         torque_is_known=memory.torque_is_known | torque_solved,
         momentum_start=wanted.warm_start,
         torque_start=pushed.warm_start,
     )
-    terms = Terms(kin, dyn, link, momentum, reference, attitude, shaping, following, pushed.x)
+    terms = Terms(kin, dyn, link, momentum, setpoint, attitude, shaping, following, pushed.x)
     return after, command, terms
 
 
@@ -318,16 +328,16 @@ def _is_finite(tree: object) -> Array:
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(tree)]))
 
 
-def _at_rest(memory: ControllerState, thrust: Array) -> tuple[Array, State, Array, Array]:
-    """Return a harmless measurement to compute with where the real one is not finite."""
+def _at_rest(memory: ControllerState, thrust: Array) -> tuple[State, Array, Array]:
+    """Return a measurement of a robot at rest, to compute with where the real one is refused."""
     posture = memory.posture
     zero, n = jnp.zeros(3, posture.dtype), posture.shape[0]
     state = State(zero, jnp.eye(3, dtype=posture.dtype), posture, jnp.zeros(6 + n, posture.dtype))
-    return jnp.zeros((), posture.dtype), state, jnp.zeros_like(thrust), zero
+    return state, jnp.zeros_like(thrust), zero
 
 
 def _refusal(memory: ControllerState, command: Command) -> Command:
-    """Return the command that answers a measurement that is not finite."""
+    """Return the command of a tick that cannot act: nothing moves, torques stay."""
 
     def no_answer(start: WarmStart) -> QpAnswer:
         kkt = jnp.array(jnp.nan, start.x.dtype)

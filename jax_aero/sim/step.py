@@ -244,9 +244,9 @@ def step(scenario: Scenario, state: FlightState, tick: Array) -> tuple[FlightSta
     seen = _observe(scenario, now, command, air)
 
     rotation_error, com_error = jnp.zeros(()), jnp.zeros(())
-    if command.reference is not None:
-        rotation_error = rotation_angle(multiply(command.reference.rotation.T, now.robot.base_rotation))
-        com_error = safe_norm(seen.kinematics.com - command.reference.com_position)
+    if command.setpoint is not None:
+        rotation_error = rotation_angle(multiply(command.setpoint.rotation.T, now.robot.base_rotation))
+        com_error = safe_norm(seen.kinematics.com - command.setpoint.com_position)
     row = _nan_unless(is_finite, _row(time, wind, now, command, seen, rotation_error))
     robot = state.plant.robot
     row = row._replace(
@@ -334,7 +334,7 @@ def _row(
 ) -> FlightRow:
     robot, momentum, mass = state.robot, seen.dynamics.momentum, seen.dynamics.mass_matrix[0, 0]
     nothing = jnp.full_like(wind, jnp.nan)
-    reference, terms = command.reference, command.terms
+    setpoint, terms = command.setpoint, command.terms
     answers = (command.momentum_qp, command.torque_qp)
 
     def of_qps(name: str, dtype: Any) -> Array:
@@ -346,12 +346,12 @@ def _row(
         base_position=robot.base_position,
         base_quaternion=wxyz_from_rotation(robot.base_rotation),
         base_velocity=robot.velocity[:6],
-        base_rpy_reference=nothing if reference is None else rpy_from_rotation(reference.rotation),
+        base_rpy_reference=nothing if setpoint is None else rpy_from_rotation(setpoint.rotation),
         joint_position=robot.joint_position,
         joint_velocity=robot.velocity[6:],
         com_position=seen.kinematics.com,
         com_velocity=momentum[:3] / mass,
-        com_reference=nothing if reference is None else reference.com_position,
+        com_reference=nothing if setpoint is None else setpoint.com_position,
         rotation_error=rotation_error,
         thrust=state.jets.thrust,
         thrust_rate=command.thrust_rate,
@@ -368,8 +368,8 @@ def _row(
         momentum_reference=jnp.concatenate(
             [
                 nothing
-                if reference is None or terms is None
-                else terms.dynamics.mass_matrix[0, 0] * reference.com_velocity,
+                if setpoint is None or terms is None
+                else terms.dynamics.mass_matrix[0, 0] * setpoint.com_velocity,
                 jnp.zeros_like(wind),
             ]
         ),

@@ -116,24 +116,25 @@ def verify_ticks(config: Mapping[str, Any], samples: Sequence[Sample], group: st
     from jax_aero.config import flight_config
     from jax_aero.control import tick as control
     from jax_aero.robot import load_robot
-    from jax_aero.types import Reference, State
+    from jax_aero.types import Setpoint, State
 
     typed = flight_config(config)
     robot = load_robot(typed.robot)
     params = control.momentum_controller(typed, robot)
 
     @jax.jit
-    def evaluate(memory: Any, state: State, thrust: Any, wind: Any, followed: Reference) -> Any:
+    def evaluate(memory: Any, state: State, thrust: Any, wind: Any, followed: Setpoint) -> Any:
         memory = control.init(params, robot, state)._replace(**memory)
         _, command, terms = control.tick(params, robot, memory, jnp.zeros(()), state, thrust, wind, followed)
         return command, terms
 
     for sample in samples:
         controller = rust.Controller(config)
-        controller.set_memory(*sample.memory)
-        theirs = controller.tick(sample.state, sample.thrust, sample.wind, 0.0, sample.reference)
+        started = controller.start(sample.state, sample.thrust, sample.wind)
+        controller.state = started.with_posture_control(*(np.ascontiguousarray(part) for part in sample.memory))
+        theirs = controller.tick(sample.state, sample.thrust, sample.wind, 0.0, sample.setpoint)
         memory = dict(zip(("posture", "inertia_0", "velocity_error_integral"), sample.memory, strict=True))
-        followed = Reference(*(jnp.asarray(getattr(sample.reference, name)) for name in Reference._fields))
+        followed = Setpoint(*(jnp.asarray(getattr(sample.setpoint, name)) for name in Setpoint._fields))
         state = State(*(jnp.asarray(value) for value in sample.state))
         command, terms = jax.device_get(evaluate(memory, state, sample.thrust, sample.wind, followed))
         for name, ours in tick_quantities(command, terms).items():
@@ -215,12 +216,12 @@ def _same_branch(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float6
 
 @dataclass(frozen=True)
 class Sample:
-    """Measurement and state of a controller at a tick: posture, first inertia, integral."""
+    """Measurement and set-point of a tick, and posture, first inertia and integral of the state before it."""
 
     state: rust.State
     thrust: NDArray[np.float64]
     wind: NDArray[np.float64]
-    reference: rust.Reference
+    setpoint: rust.Setpoint
     memory: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
@@ -234,7 +235,7 @@ def random_states(rng: np.random.Generator, limits: NDArray[np.float64], count: 
 
 
 def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list[Sample]:
-    """Ticks far from any flight: thrusts up to their limits, strong wind, far references."""
+    """Ticks far from any flight: thrusts up to their limits, strong wind, far set-points."""
     rng, robot = np.random.default_rng(seed), rust.Robot(config["robot"])
     n_joints, n_jets = len(robot.joint_names), len(robot.jet_names)
     samples = []
@@ -243,7 +244,7 @@ def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list
         com = np.asarray(state.base_position) + 0.3 * vectors[0]
         turned = np.asarray(state.base_rotation) @ rust.rotation_from_wxyz(np.array([1.0, *(0.2 * rng.normal(size=3))]))
         turning = [0.5 * vector for vector in vectors[4:7]]
-        followed = rust.Reference(com, vectors[1], vectors[2], vectors[3], turned, *turning)
+        followed = rust.Setpoint(com, vectors[1], vectors[2], vectors[3], turned, *turning)
         inertia = np.diag(rng.uniform(0.5, 4.0, 3))
         memory = (np.asarray(state.joint_position), inertia, 0.05 * rng.normal(size=n_joints))
         thrust, wind = rng.uniform(10.0, 150.0, n_jets), rng.normal(scale=8.0, size=3)
@@ -252,7 +253,7 @@ def random_samples(config: Mapping[str, Any], count: int, seed: int = 0) -> list
 
 
 def recorded_samples(config: Mapping[str, Any], flight: rust.FlightResult, count: int) -> list[Sample]:
-    """Ticks of a recorded flight, evenly spread; memory and reference as they were, the integral at zero."""
+    """Ticks of a recorded flight, evenly spread; memory and set-point as they were, the integral at zero."""
     robot, log = rust.Robot(config["robot"]), flight.log
 
     def state_at(tick: int) -> rust.State:
@@ -263,11 +264,11 @@ def recorded_samples(config: Mapping[str, Any], flight: rust.FlightResult, count
     first = state_at(0)
     rotation = np.asarray(first.base_rotation)
     inertia = rotation.T @ rust.dynamics(robot, first).centroidal_inertia @ rotation
-    followed = rust.reference_trajectory(config, log["com_position"][0], log["base_rpy_reference"][0])
-    names = [name for name in rust.Reference.__annotations__ if name in followed]
+    followed = rust.setpoint_trajectory(config, log["com_position"][0], rotation)
+    names = [name for name in rust.Setpoint.__annotations__ if name in followed]
     samples = []
     for tick in np.linspace(0, len(log["time"]) - 1, count, dtype=int):
-        target = rust.Reference(**{name: followed[name][tick] for name in names})
+        target = rust.Setpoint(**{name: followed[name][tick] for name in names})
         memory = (flight.joint_reference, inertia, np.zeros(len(robot.joint_names)))
         samples.append(Sample(state_at(tick), log["thrust"][tick], log["wind"][tick], target, memory))
     return samples

@@ -19,7 +19,7 @@ FOLDER = Path(__file__).parent / "ticks"
 INSTANTS = {"test1": (2200, 3000), "test2": (700, 2600), "test4": (1400,), "thrust_saturation": (1200, 2000)}
 """Rows of flights whose state, thrust and wind the ticks start from."""
 
-TICK_NAMES = {"setpoint": "reference"}
+TICK_NAMES: dict[str, str] = {}
 """First word of a stored name to that of the value in `Tick`, where the two differ."""
 
 MEMORY = ("posture", "inertia_0_b", "velocity_error_integral")
@@ -31,11 +31,12 @@ Values = dict[str, NDArray[np.float64]]
 def compute(config: rust.Config, given: Values) -> Values:
     """Compute the tick of a controller with this memory and set-point, all values by their stored names."""
     controller = Controller(config)
-    controller.set_memory(*(given[f"memory.{key}"] for key in MEMORY))
     state = State(*(given[key] for key in GIVEN[:4]))
     setpoint = {key.split(".")[1]: value for key, value in given.items() if key.startswith("setpoint.")}
+    started = controller.start(state, given["thrust"], given["wind"], float(given["time"]))
+    controller.state = started.with_posture_control(*(given[f"memory.{key}"] for key in MEMORY))
     tick = controller.tick(
-        state, given["thrust"], given["wind"], float(given["time"]), reference=rust.Reference(**setpoint)
+        state, given["thrust"], given["wind"], float(given["time"]), setpoint=rust.Setpoint(**setpoint)
     )
     return values(tick)
 

@@ -17,13 +17,13 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.config import flight_config
-from jax_aero.control import references, tick
+from jax_aero.control import setpoint, tick
 from jax_aero.control.attitude import attitude_demand
 from jax_aero.control.bounds import rate_bounds
 from jax_aero.control.torque import limit_rate, torque_qp
 from jax_aero.robot import load_robot
-from jax_aero.spatial import exp_so3
-from jax_aero.types import Reference, State
+from jax_aero.spatial import exp_so3, rotation_from_rpy
+from jax_aero.types import Setpoint, State
 from tests.measurements import measured
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -75,7 +75,7 @@ def twin(x64):
 
 
 def random_reference(rng):
-    return Reference(*rng.normal(size=(4, 3)), np.asarray(exp_so3(rng.normal(size=3))), *rng.normal(size=(3, 3)))
+    return Setpoint(*rng.normal(size=(4, 3)), np.asarray(exp_so3(rng.normal(size=3))), *rng.normal(size=(3, 3)))
 
 
 def test_rate_bounds(rng):
@@ -111,19 +111,21 @@ def test_torque_qp(twin, rng):
     assert_derivatives_agree(build, (params.torque, 0.5 * mass, force, errors), rng, tolerance=1e-5)
 
 
-def test_references(twin, rng):
+def test_setpoints(twin, rng):
     """Ten ticks of the generator in the turbo segment, by every number of its configuration."""
     config, _, _ = twin
-    numbers = config.controller.references
+    numbers = config.controller.setpoint
 
     def fly(x):
         settings, com, rpy = x
         settings = replace(settings, turbo_boost=numbers.turbo_boost)  # a count of ticks, once rounded
-        params = references.reference_params(settings, jnp.array(0.01))
-        state = references.start(com, rpy)
+        # The count of ticks to the full boost is rounded, so it is held.
+        settings = replace(settings, turbo_rate=jax.lax.stop_gradient(settings.turbo_rate))
+        params = setpoint.setpoint_params(settings, jnp.array([-1.0, 0.0, 0.0]), jnp.array(0.01))
+        state = setpoint.start(params, com, rotation_from_rpy(rpy))
 
         def one(state, time):
-            return references.update(params, config.envelope, state, time)
+            return setpoint.update(params, config.envelope, state, time)
 
         return jax.lax.scan(one, state, 21.0 + 0.01 * jnp.arange(10))[1]
 
@@ -155,7 +157,7 @@ def test_a_whole_tick(twin, rng):
     config, robot, params = twin
     names, samples = zip(*cases(config, robot, rng).items(), strict=True)
     state, thrust, wind = jax.tree.map(lambda *leaves: jnp.stack(leaves), *samples)
-    followed = Reference(
+    followed = Setpoint(
         np.array([0.0, 0.0, 0.75]), *(0.1 * rng.normal(size=(3, 3))), np.diag([-1.0, -1.0, 1.0]), *np.zeros((3, 3))
     )
     first = jax.tree.map(lambda leaf: leaf[1], state)

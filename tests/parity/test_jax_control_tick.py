@@ -15,7 +15,7 @@ from jax_aero import rust
 from jax_aero.config import flight_config
 from jax_aero.control import qp, tick
 from jax_aero.robot import load_robot
-from jax_aero.types import Reference, State
+from jax_aero.types import Setpoint, State
 from jax_aero.verify import SOLUTIONS, crate_quantity, tick_quantities
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -38,7 +38,7 @@ def random_samples(robot, count, seed=7):
             rng.normal(scale=5, size=3), rotation, rng.uniform(*limits.T), rng.normal(scale=1.0 + index % 3, size=6 + n)
         )
         near = rotation @ rust.rotation_from_wxyz(np.array([1.0, *(0.2 * rng.normal(size=3))]))
-        followed = Reference(
+        followed = Setpoint(
             state.base_position + 0.3 * rng.normal(size=3), *rng.normal(size=(3, 3)), near, *rng.normal(size=(3, 3))
         )
         memory = {
@@ -57,8 +57,12 @@ def random_samples(robot, count, seed=7):
 def crate_tick(config, sample):
     memory, state, thrust, wind, followed = sample
     controller = rust.Controller(config)
-    controller.set_memory(memory["posture"], memory["inertia_0"], memory["velocity_error_integral"])
-    return controller.tick(rust.State(*state), thrust, wind, 0.0, rust.Reference(**followed._asdict()))
+    # A flight begins with a measurement that is finite, whatever the tick itself is given.
+    finite = [np.nan_to_num(part) for part in (*state, thrust, wind)]
+    started = controller.start(rust.State(*finite[:4]), *finite[4:])
+    parts = (memory["posture"], memory["inertia_0"], memory["velocity_error_integral"])
+    controller.state = started.with_posture_control(*(np.asarray(part, dtype=np.float64) for part in parts))
+    return controller.tick(rust.State(*state), thrust, wind, 0.0, rust.Setpoint(**followed._asdict()))
 
 
 def assert_same(agree, ours, theirs, index, names=None):
@@ -154,7 +158,7 @@ def test_safe_commands(published, ticks):
 
     position = good[1][1].base_position * nan
     nothing = {"velocity_error_integral": np.full(23, 1e307)}  # times the gain, it overflows
-    lost = good[4][4]._replace(com_jerk=np.array([0.0, nan, 0.0]))
+    lost = good[4][4]._replace(com_jerk=np.array([0.0, 1e308, 0.0]))  # times the mass, it overflows
     samples = [
         spoilt(0, thrust=np.array([80.0, nan, 80.0, 80.0])),
         spoilt(1, state=good[1][1]._replace(base_position=position)),
@@ -178,9 +182,8 @@ def test_safe_commands(published, ticks):
         integral = memory.velocity_error_integral[i]
         np.testing.assert_allclose(integral, theirs.velocity_error_integral, rtol=0, atol=1e-9)
         assert memory.torque_is_known[i] == (status in ("Nominal", "MomentumHeld"))
-    # A refused measurement leaves the warm start and the reference generator alone.
+    # A refused measurement leaves the warm start alone.
     assert np.all(memory.momentum_start.x[:3] == 0)
-    assert np.all(memory.references.position.previous_input[0] == memory.references.position.derivatives[0, 0])
 
 
 @pytest.fixture(scope="module")
@@ -195,7 +198,7 @@ def flown():
 
 
 def follow(twin, measurements, params):
-    """Tick along the measurements of a flight, one after the other, with the controller's own memory and reference."""
+    """Tick along the measurements of a flight, one after the other, with the controller's own state and set-point."""
 
     @jax.jit
     def scan(params, measurements):
@@ -203,7 +206,7 @@ def follow(twin, measurements, params):
 
         def one(memory, measurement):
             memory, command, terms = tick.tick(params, twin.robot, memory, *measurement)
-            return memory, (command, terms.reference.com_position)
+            return memory, (command, terms.setpoint.com_position)
 
         return jax.lax.scan(one, tick.init(params, twin.robot, first), measurements)[1]
 

@@ -76,9 +76,11 @@ def harvest(name: str, thrown: int, rng: np.random.Generator) -> Iterator[Case]:
                 np.asarray(state.velocity) + rng.normal(scale=0.5, size=29),
             )
             thrust = rng.choice([0.0, 0.5, 80.0, 159.9, 160.0], size=4)
-            elsewhere.set_memory(tick.posture, tick.inertia_0_b, rng.normal(scale=rng.choice([0.3, 3, 10]), size=23))
+            integral = rng.normal(scale=rng.choice([0.3, 3, 10]), size=23)
             wind = rng.normal(scale=10, size=3)
-            yield from cases_of(elsewhere.tick(far, thrust, wind, reference=tick.reference), "thrown")
+            started = elsewhere.start(far, thrust, wind)
+            elsewhere.state = started.with_posture_control(tick.posture, tick.inertia_0_b, integral)
+            yield from cases_of(elsewhere.tick(far, thrust, wind, setpoint=tick.setpoint), "thrown")
 
 
 # --- adversarial -------------------------------------------------------------------------------------------------

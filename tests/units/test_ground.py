@@ -134,7 +134,7 @@ def test_the_standing_qp_agrees_with_daqp():
         tick = controller.tick(seen.state, np.zeros(4), wind, 0.01 * k, foot_wrenches=seen.foot_wrenches)
         plant.advance(tick.joint_torque)
         qp = tick.contact.standing_qp
-        if np.abs(tick.com_position - tick.reference.com_position).max() > 0.3:
+        if np.abs(tick.com_position - tick.setpoint.com_position).max() > 0.3:
             break
         if k % 3 or qp is None:
             continue

@@ -1,8 +1,11 @@
 //! The flight controller: one tick, from a measurement to thrust rates and joint torques.
 //!
-//! [`Controller::tick`] reads top to bottom as the controller does: reference, kinematics and
+//! [`Controller::tick`] reads top to bottom as the controller does: set-point, kinematics and
 //! dynamics, aerodynamic forces, momentum, tasks, QP, torques. Each step fills one plain struct that
 //! the next reads; after a tick all of them are open to inspection in [`Controller::terms`].
+//!
+//! [`Controller::start`] makes the [`ControllerState`], the one value that a tick changes and the next
+//! tick needs. A clone of it, restored later, continues to the same bits.
 //!
 //! A tick does not allocate, does not panic and ends after a bounded number of iterations. (Clarabel
 //! allocates, where the configuration chooses it.)
@@ -13,6 +16,7 @@
 
 pub mod attitude;
 pub mod bounds;
+pub mod command;
 pub mod config;
 pub mod contact;
 pub mod minimum_jerk;
@@ -20,92 +24,36 @@ pub mod mission;
 pub mod model_error;
 pub mod momentum;
 pub mod recorded;
-pub mod references;
+pub mod setpoint;
 pub mod standing;
+pub mod state;
 pub mod tasks;
 pub mod torque;
 pub mod wind_estimate;
 
+pub use command::{BadStart, Command, CommandStatus, Measurement};
+pub use state::ControllerState;
+
 use crate::aero::{AeroModel, ForceFactors, LinkConventions, LinkForces};
 use crate::dynamics::{Dynamics, MassFactor};
 use crate::error::{BuildError, check};
-use crate::kinematics::{Kinematics, RobotState};
+use crate::kinematics::Kinematics;
 use crate::qp::{QpAnswer, QpChain, QpProblem, QpSolver, QpStatus};
 use crate::robot::RobotModel;
-use crate::spatial::rpy_from_rotation;
+use crate::spatial::is_rotation;
 use attitude::{AttitudeDemand, attitude_demand};
 use config::ControllerConfig;
 use contact::Contact;
 use mission::Mission;
 use momentum::MomentumModel;
-use nalgebra::{DVector, Matrix3, Vector3, Vector6};
-use references::{Reference, ReferenceGenerator};
+use nalgebra::{DVector, Matrix3, Vector3};
+use setpoint::{Setpoint, SetpointGenerator};
 use standing::StandingQp;
 use tasks::{MomentumQp, TaskInputs};
 use torque::{TorqueQp, limit_rate};
 
 /// Where the published integrator of the joint velocity error saturates \[rad\]; no flight comes near.
 const INTEGRAL_LIMIT: f64 = 20.0;
-
-/// What the controller is told at a tick.
-#[derive(Debug, Clone, Copy)]
-pub struct Measurement<'a> {
-    /// Time since the flight began \[s\].
-    pub time: f64,
-    /// Pose and velocity of the robot.
-    pub state: &'a RobotState,
-    /// Thrust of every jet \[N\].
-    pub thrust: &'a [f64],
-    /// Velocity of the air \[m/s, inertial axes\].
-    pub wind: Vector3<f64>,
-}
-
-/// Whether a command is what the controller wanted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum CommandStatus {
-    /// Both QPs solved and certified.
-    Nominal,
-    /// The measurement holds a number that is not finite: thrust rates and joint velocities are
-    /// zero, torques stay.
-    BadMeasurement,
-    /// The momentum QP has no answer: thrust rates and joint velocities are zero, or as near to zero
-    /// as their bounds allow; torques brake the joints.
-    MomentumHeld,
-    /// The torque QP has no answer: torques stay.
-    TorqueHeld,
-    /// Neither QP has an answer.
-    BothHeld,
-}
-
-/// What the controller asks of the robot, held until the next tick.
-#[derive(Debug, Clone)]
-pub struct Command {
-    /// Thrust rates `Ṫ*` \[N/s\].
-    pub thrust_rate: DVector<f64>,
-    /// Joint velocities `ṡ*` \[rad/s\].
-    pub joint_velocity: DVector<f64>,
-    /// Joint torques after the rate limiter \[N m\].
-    pub joint_torque: DVector<f64>,
-    /// Answer of the momentum QP.
-    pub momentum_qp: QpAnswer,
-    /// Answer of the torque QP.
-    pub torque_qp: QpAnswer,
-    /// Whether this is what the controller wanted.
-    pub status: CommandStatus,
-}
-
-/// What the controller remembers from one tick to the next.
-#[derive(Debug, Clone)]
-pub struct Memory {
-    /// Posture to return to, `s_d`: the joint positions of the first tick \[rad\].
-    pub posture: DVector<f64>,
-    /// Centroidal inertia in body axes at the first tick \[kg m²\].
-    pub inertia_0_b: Matrix3<f64>,
-    /// `∫(ṡ − ṡ*)` \[rad\].
-    pub velocity_error_integral: DVector<f64>,
-    /// Whether the rate limiter has a torque to start from.
-    pub torque_is_known: bool,
-}
 
 /// All intermediate values of the last tick.
 #[derive(Debug, Clone)]
@@ -118,9 +66,9 @@ pub struct Terms {
     pub link_forces: LinkForces,
     /// `A_T`, `Λ`, `L̇`.
     pub momentum: MomentumModel,
-    /// Reference followed.
-    pub reference: Reference,
-    /// What the attitude law asked for.
+    /// Set-point followed.
+    pub setpoint: Setpoint,
+    /// Demand of the attitude law.
     pub attitude: AttitudeDemand,
     /// Tasks and the momentum QP.
     pub momentum_qp: MomentumQp,
@@ -134,17 +82,18 @@ pub struct Terms {
     pub unlimited_torque: DVector<f64>,
 }
 
-/// The controller of one robot.
+/// The controller of one robot: its model, its laws and the space they work in.
 #[derive(Debug)]
 pub struct Controller {
-    robot: RobotModel,
+    /// Model of the robot; without jets if the controller does not use them.
+    model: RobotModel,
+    /// Number of jets of the robot, used or not.
+    n_jets: usize,
     config: ControllerConfig,
-    mission: Mission,
     time_step: f64,
     aero: AeroModel,
     aero_factors: ForceFactors,
-    references: Option<ReferenceGenerator>,
-    memory: Memory,
+    setpoint_generator: SetpointGenerator,
     terms: Terms,
     command: Command,
     mass_factor: MassFactor,
@@ -154,17 +103,13 @@ pub struct Controller {
     momentum_solver: QpChain,
     torque_solver: QpChain,
     standing_solver: Option<QpChain>,
-    /// Whether the foot wrenches that were handed over last can be used.
-    feet_are_sound: bool,
-    /// What stands for the thrusts where jets are not used.
-    no_thrust: Vec<f64>,
 }
 
 impl Controller {
-    /// A controller for `robot`, or for what it believes `robot` to be, that ticks every `time_step` \[s\].
+    /// A controller of `robot`, or of its model of that robot, that ticks every `time_step` \[s\].
     ///
     /// # Errors
-    /// [`BuildError`] naming what in the configuration does not fit the robot.
+    /// [`BuildError`] naming what in the configuration does not fit the robot or the time step.
     pub fn new(
         robot: RobotModel,
         aero: AeroModel,
@@ -174,44 +119,48 @@ impl Controller {
     ) -> Result<Self, BuildError> {
         config.check(&robot)?;
         config.aero_feedback.check(&aero)?;
-        mission.check()?;
         check("controller time step", time_step, |dt| dt > 0.0, "a positive number of seconds")?;
-        let robot = config.model_error.believed(robot);
-        let (jets, joints) = (robot.jets.len(), robot.joints.len());
+        config.check_rate_bounds(&robot, time_step)?;
+        let n_jets = robot.jets.len();
+        let mut model = config.model_error.believed(robot);
+        if !config.use_jets {
+            model.jets.clear();
+        }
+        let joints = model.joints.len();
         let n = 6 + joints;
-        let feet = robot.feet.len();
+        let feet = model.feet.len();
         let contact = config.contact.as_ref();
-        let unknowns = jets + contact.map_or(0, |_| contact::WRENCH * feet) + joints;
+        let unknowns = model.jets.len() + contact.map_or(0, |_| contact::WRENCH * feet) + joints;
         let zero = Vector3::zeros();
         Ok(Self {
+            n_jets,
             aero,
             aero_factors: ForceFactors::new(
                 &config.aero_feedback.factors(),
-                &robot.aero_links,
+                &model.aero_links,
                 "controller.aero_feedback",
             )?,
-            references: None,
-            memory: Memory {
-                posture: DVector::zeros(joints),
-                inertia_0_b: Matrix3::identity(),
-                velocity_error_integral: DVector::zeros(joints),
-                torque_is_known: false,
-            },
+            setpoint_generator: SetpointGenerator::new(
+                &config.setpoint,
+                mission,
+                &model.forward_axis_b,
+                time_step,
+            )?,
             terms: Terms {
-                kinematics: Kinematics::new(&robot),
-                dynamics: Dynamics::new(&robot),
-                link_forces: LinkForces::new(&robot),
-                momentum: MomentumModel::new(&robot),
-                reference: Reference::hold(zero, Matrix3::identity()),
+                kinematics: Kinematics::new(&model),
+                dynamics: Dynamics::new(&model),
+                link_forces: LinkForces::new(&model),
+                momentum: MomentumModel::new(&model),
+                setpoint: Setpoint::hold(zero, Matrix3::identity()),
                 attitude: AttitudeDemand { k_ddot_desired_b: zero, sigma_i: zero },
-                momentum_qp: MomentumQp::new(&config, &robot)?,
+                momentum_qp: MomentumQp::new(&config, &model)?,
                 torque_qp: TorqueQp::new(&config.torque, joints),
-                contact: contact.map(|contact| Contact::new(contact, &robot)),
+                contact: contact.map(|contact| Contact::new(contact, &model)),
                 standing_qp: contact.map(|contact| StandingQp::new(&config.torque, contact, joints, feet)),
                 unlimited_torque: DVector::zeros(joints),
             },
             command: Command {
-                thrust_rate: DVector::zeros(jets),
+                thrust_rate: DVector::zeros(n_jets),
                 joint_velocity: DVector::zeros(joints),
                 joint_torque: DVector::zeros(joints),
                 momentum_qp: QpAnswer::refused(QpStatus::NonFinite),
@@ -226,101 +175,122 @@ impl Controller {
             torque_solver: config.qp.chain(joints, 0),
             standing_solver: contact
                 .map(|_| config.qp.chain(contact::WRENCH * feet + joints, contact::WRENCH_ROWS * feet)),
-            feet_are_sound: true,
-            no_thrust: vec![0.0; jets],
-            robot,
+            model,
             config,
-            mission,
             time_step,
         })
     }
 
-    /// One tick. The first call starts the controller: it takes the position, attitude and posture
-    /// it finds as those to keep.
-    pub fn tick(&mut self, measurement: &Measurement) -> &Command {
-        if !self.accepts(measurement) {
-            return self.refuse_measurement();
-        }
-        self.observe(measurement);
-        if self.references.is_none() && !self.start(measurement.state) {
-            return self.refuse_measurement();
-        }
-        if let Some(references) = &mut self.references {
-            self.terms.reference = references.update(&self.mission, measurement.time);
-        }
-        self.act(measurement)
-    }
-
-    /// One tick that follows a given reference instead of the mission.
-    pub fn tick_with_reference(&mut self, measurement: &Measurement, reference: &Reference) -> &Command {
-        if !self.accepts(measurement) {
-            return self.refuse_measurement();
-        }
-        self.observe(measurement);
-        self.terms.reference = *reference;
-        self.act(measurement)
-    }
-
-    /// Takes what each foot feels, until told otherwise: wrenches about the origins of the soles, force
-    /// first, inertial axes \[N, N m\], in the order of the robot's feet. A controller without `contact` in
-    /// its configuration has no use for them.
+    /// The state of a controller whose first tick is the one of `measurement`: its position, attitude and
+    /// posture are those that the controller keeps.
     ///
-    /// Numbers that are not finite, or another number of feet, make the next ticks refuse to act, as any
-    /// bad measurement does.
-    pub fn feel(&mut self, feet: &[Vector6<f64>]) {
-        let Some(contact) = &mut self.terms.contact else { return };
-        self.feet_are_sound = feet.len() == contact.measured.len()
-            && feet.iter().all(|wrench| wrench.iter().all(|component| component.is_finite()));
-        if self.feet_are_sound {
-            contact.measured.copy_from_slice(feet);
+    /// # Errors
+    /// [`BadStart`] for a measurement that a tick would refuse, or whose inertia or centre of mass overflow.
+    pub fn start(&mut self, measurement: &Measurement) -> Result<ControllerState, BadStart> {
+        if !self.accepts(measurement) {
+            return Err(BadStart);
         }
+        let Terms { kinematics, dynamics, contact, .. } = &mut self.terms;
+        kinematics.update(&self.model, measurement.state);
+        dynamics.update(&self.model, measurement.state, kinematics);
+        let rotation = &measurement.state.base.rotation;
+        let inertia_0_b = rotation.transpose() * dynamics.centroidal_inertia * rotation;
+        let com = kinematics.com;
+        if inertia_0_b.try_inverse().is_none() || !inertia_0_b.iter().chain(&com).all(|x| x.is_finite()) {
+            return Err(BadStart);
+        }
+        Ok(ControllerState::new(
+            measurement,
+            self.setpoint_generator.start(com, rotation),
+            inertia_0_b,
+            contact.as_ref().map_or(0, |contact| contact.measured.len()),
+            self.solution.len(),
+        ))
+    }
+
+    /// One tick, which follows the mission.
+    ///
+    /// Whatever the measurement, the set-point moves on with the time. A measurement that cannot be used
+    /// changes nothing else: thrust rates and joint velocities are zero, torques stay.
+    pub fn tick(&mut self, state: &mut ControllerState, measurement: &Measurement) -> &Command {
+        if !self.fits(state) {
+            return self.hold_command(CommandStatus::BadState);
+        }
+        state.time =
+            if time_is_plausible(measurement.time) { measurement.time } else { state.time + self.time_step };
+        self.terms.setpoint = self.setpoint_generator.update(&mut state.setpoint, state.time);
+        self.act(state, measurement)
+    }
+
+    /// One tick that follows a given set-point instead of the mission.
+    pub fn tick_towards(
+        &mut self,
+        state: &mut ControllerState,
+        measurement: &Measurement,
+        setpoint: &Setpoint,
+    ) -> &Command {
+        if !self.fits(state) {
+            return self.hold_command(CommandStatus::BadState);
+        }
+        if !setpoint.is_valid() {
+            self.command.joint_torque.copy_from(&state.joint_torque);
+            return self.hold_command(CommandStatus::BadSetpoint);
+        }
+        self.terms.setpoint = *setpoint;
+        self.act(state, measurement)
+    }
+
+    /// Observes, then solves the momentum QP and the torque QP.
+    fn act(&mut self, state: &mut ControllerState, measurement: &Measurement) -> &Command {
+        self.command.joint_torque.copy_from(&state.joint_torque);
+        if !self.accepts(measurement) {
+            return self.hold_command(CommandStatus::BadMeasurement);
+        }
+        self.observe(state, measurement);
+        self.solve_momentum_qp(state, measurement);
+        self.solve_torque_qp(state, measurement);
+        &self.command
     }
 
     /// Everything that depends on the measurement alone.
-    fn observe(&mut self, measurement: &Measurement) {
+    fn observe(&mut self, state: &mut ControllerState, measurement: &Measurement) {
         let Terms { kinematics, dynamics, link_forces, momentum, contact, .. } = &mut self.terms;
-        let thrust = if self.config.use_jets { measurement.thrust } else { &self.no_thrust };
         let feedback = &self.config.aero_feedback;
         let conventions = LinkConventions {
             lever_arm: self.config.lever_arm,
             jacobian_offset: self.config.jacobian_offset,
             link_velocity: self.config.link_velocity,
         };
-        kinematics.update(&self.robot, measurement.state);
-        dynamics.update(&self.robot, measurement.state, kinematics);
-        link_forces.update(&self.robot, kinematics, conventions, &mut self.aero, &measurement.wind);
+        kinematics.update(&self.model, measurement.state);
+        dynamics.update(&self.model, measurement.state, kinematics);
+        link_forces.update(&self.model, kinematics, conventions, &mut self.aero, &measurement.wind);
         link_forces.scale(feedback.scale);
         self.aero_factors.apply(link_forces);
         let whole = feedback.momentum_rate && feedback.force && feedback.moment;
         let enters = (whole, feedback.lambda);
-        momentum.update(&self.robot, kinematics, dynamics, thrust, link_forces, enters);
+        let thrust = &measurement.thrust[..self.model.jets.len()];
+        momentum.update(&self.model, kinematics, dynamics, thrust, link_forces, enters);
         if feedback.momentum_rate && !whole {
             momentum.add_part_of_rate(link_forces, &kinematics.com, feedback.force, feedback.moment);
         }
         if let Some(contact) = contact {
-            contact.update(&self.robot, kinematics, dynamics, self.time_step);
+            contact.measured.copy_from_slice(measurement.foot_wrenches);
+            contact.update(&mut state.contact, &self.model, kinematics, dynamics, self.time_step);
             if contact.is_active {
-                momentum.add_contact(&self.robot, kinematics, dynamics, contact);
+                momentum.add_contact(&self.model, kinematics, dynamics, contact);
             }
         }
     }
 
-    /// Everything that follows from the reference: the momentum QP, then the torque QP.
-    fn act(&mut self, measurement: &Measurement) -> &Command {
-        self.solve_momentum_qp(measurement);
-        self.solve_torque_qp(measurement);
-        &self.command
-    }
-
     /// Thrust rates and joint velocities that shape momentum and attitude.
-    fn solve_momentum_qp(&mut self, measurement: &Measurement) {
-        let Terms { kinematics, dynamics, momentum, reference, attitude, momentum_qp, contact, .. } =
+    fn solve_momentum_qp(&mut self, state: &mut ControllerState, measurement: &Measurement) {
+        let Terms { kinematics, dynamics, momentum, setpoint, attitude, momentum_qp, contact, .. } =
             &mut self.terms;
         let moment_estimate: Vector3<f64> = momentum.rate_estimate.fixed_rows::<3>(3).into();
-        let inertia_0_b = &self.memory.inertia_0_b;
+        let inertia_0_b = &state.inertia_0_b;
         *attitude = attitude_demand(
             &self.config.momentum,
-            reference,
+            setpoint,
             &measurement.state.base.rotation,
             &measurement.state.base_angular_velocity(),
             &moment_estimate,
@@ -329,19 +299,21 @@ impl Controller {
         );
         let inputs = TaskInputs {
             state: measurement.state,
-            thrust: measurement.thrust,
+            thrust: &measurement.thrust[..self.model.jets.len()],
             kinematics,
             dynamics,
             momentum,
-            reference,
+            setpoint,
             attitude,
             inertia_0_b,
-            posture: &self.memory.posture,
+            posture: &state.posture,
             contact: contact.as_ref(),
         };
-        momentum_qp.update(&self.robot, &self.config.momentum, &inputs);
+        momentum_qp.update(&self.model, &self.config.momentum, &inputs);
 
+        self.momentum_solver.set_start(&state.momentum_start);
         let answer = self.momentum_solver.solve(&momentum_qp.problem);
+        self.momentum_solver.store_start(&mut state.momentum_start);
         self.command.momentum_qp = answer;
         self.solution.as_mut_slice().copy_from_slice(self.momentum_solver.x());
         self.command.status = CommandStatus::Nominal;
@@ -349,18 +321,18 @@ impl Controller {
             self.command.status = CommandStatus::MomentumHeld;
             nearest_to_zero(&momentum_qp.problem, &mut self.solution);
         }
-        let jets = self.robot.jets.len();
-        self.command.thrust_rate.copy_from(&self.solution.rows(0, jets));
-        let joints = self.robot.joints.len();
+        let jets = self.model.jets.len();
+        self.command.thrust_rate.rows_mut(0, jets).copy_from(&self.solution.rows(0, jets));
+        let joints = self.model.joints.len();
         let first_joint = self.solution.len() - joints;
         self.command.joint_velocity.copy_from(&self.solution.rows(first_joint, joints));
         if let Some(contact) = contact {
-            contact.take_rate(&self.solution.as_slice()[jets..first_joint]);
+            contact.store_rate(&mut state.contact, &self.solution.as_slice()[jets..first_joint]);
         }
     }
 
     /// Torques that let the joints follow the commanded velocities.
-    fn solve_torque_qp(&mut self, measurement: &Measurement) {
+    fn solve_torque_qp(&mut self, state: &mut ControllerState, measurement: &Measurement) {
         let Terms {
             kinematics,
             dynamics,
@@ -372,24 +344,23 @@ impl Controller {
             unlimited_torque,
             ..
         } = &mut self.terms;
-        let thrust = if self.config.use_jets { measurement.thrust } else { &self.no_thrust };
         // Σ Jᵀ T a + J_aᵀ f_a − h
         self.force.copy_from(&dynamics.bias);
         self.force.neg_mut();
-        for (index, jet) in self.robot.jets.iter().enumerate() {
-            let thrust_force = momentum.jet_axes_i[index] * thrust[index];
+        for (index, jet) in self.model.jets.iter().enumerate() {
+            let thrust_force = momentum.jet_axes_i[index] * measurement.thrust[index];
             let point = &momentum.jet_points_i[index];
             kinematics.add_generalised_force(jet.frame.body, point, &thrust_force, &mut self.force);
         }
         if self.config.aero_feedback.torque && !matches!(self.aero, AeroModel::Off) {
-            link_forces.add_generalised_force(&self.robot, kinematics, &mut self.force);
+            link_forces.add_generalised_force(&self.model, kinematics, &mut self.force);
         }
         for (joint, velocity) in measurement.state.joint_velocity().iter().enumerate() {
             self.velocity_error[joint] = velocity - self.command.joint_velocity[joint];
         }
 
         let mass_is_sound = self.mass_factor.factorise(&dynamics.mass_matrix);
-        let integral = &self.memory.velocity_error_integral;
+        let integral = &state.velocity_error_integral;
         let standing = contact.as_mut().zip(standing_qp.as_mut()).zip(self.standing_solver.as_mut());
         let standing = standing.filter(|((contact, _), _)| contact.is_active);
         let answer = if !mass_is_sound {
@@ -418,19 +389,22 @@ impl Controller {
                 &self.velocity_error,
                 integral,
             );
+            self.torque_solver.set_start(&state.torque_start);
             let answer = self.torque_solver.solve(&torque_qp.problem);
+            self.torque_solver.store_start(&mut state.torque_start);
             unlimited_torque.as_mut_slice().copy_from_slice(self.torque_solver.x());
             answer
         };
         self.command.torque_qp = answer;
         if answer.status == QpStatus::Solved {
-            if !self.memory.torque_is_known {
+            if !state.torque_is_known {
                 // The published rate limiter starts from its first input.
-                self.command.joint_torque.copy_from(unlimited_torque);
-                self.memory.torque_is_known = true;
+                state.joint_torque.copy_from(unlimited_torque);
+                state.torque_is_known = true;
             }
             let rate_max = self.config.torque.torque_rate_max;
-            limit_rate(&mut self.command.joint_torque, unlimited_torque.as_slice(), rate_max, self.time_step);
+            limit_rate(&mut state.joint_torque, unlimited_torque.as_slice(), rate_max, self.time_step);
+            self.command.joint_torque.copy_from(&state.joint_torque);
         } else {
             self.command.status = match self.command.status {
                 CommandStatus::MomentumHeld => CommandStatus::BothHeld,
@@ -438,58 +412,58 @@ impl Controller {
             };
         }
         // Forward Euler: used first, advanced after. A tick without a commanded velocity has no error to
-        // remember, and one absurd sample must not outlive its tick.
-        if self.command.momentum_qp.status == QpStatus::Solved {
-            let integral = self.memory.velocity_error_integral.iter_mut();
+        // integrate, and one with held torques would integrate an error that no torque answers.
+        if self.command.status == CommandStatus::Nominal {
+            let integral = state.velocity_error_integral.iter_mut();
             for (integral, error) in integral.zip(&self.velocity_error) {
                 *integral = (*integral + self.time_step * error).clamp(-INTEGRAL_LIMIT, INTEGRAL_LIMIT);
             }
         }
     }
 
-    /// Remembers where the flight starts; `false` if its inertia or centre of mass overflow.
-    fn start(&mut self, state: &RobotState) -> bool {
-        let rotation = &state.base.rotation;
-        let inertia = rotation.transpose() * self.terms.dynamics.centroidal_inertia * rotation;
-        let com = &self.terms.kinematics.com;
-        if inertia.try_inverse().is_none() || !inertia.iter().chain(com).all(|x| x.is_finite()) {
-            return false;
-        }
-        self.references = Some(ReferenceGenerator::new(
-            &self.config.references,
-            self.time_step,
-            self.terms.kinematics.com,
-            rpy_from_rotation(rotation),
-        ));
-        self.memory.posture.copy_from(&state.joint_position);
-        self.memory.inertia_0_b = inertia;
-        true
-    }
-
+    /// Whether a measurement is of this robot, finite and physically possible.
     fn accepts(&self, measurement: &Measurement) -> bool {
-        measurement.state.n_joints() == self.robot.joints.len()
-            && measurement.state.velocity.len() == 6 + self.robot.joints.len()
-            && measurement.thrust.len() == self.robot.jets.len()
-            && measurement.state.is_finite()
-            && measurement.thrust.iter().all(|thrust| thrust.is_finite())
-            && measurement.wind.iter().all(|wind| wind.is_finite())
-            && measurement.time.is_finite()
-            && self.feet_are_sound
+        let Measurement { time, state, thrust, wind, foot_wrenches } = measurement;
+        let feet = self.terms.contact.as_ref().map_or(0, |contact| contact.measured.len());
+        state.n_joints() == self.model.joints.len()
+            && state.velocity.len() == 6 + self.model.joints.len()
+            && thrust.len() == self.n_jets
+            && (feet == 0 || foot_wrenches.len() == feet)
+            && state.is_finite()
+            && is_rotation(&state.base.rotation)
+            && thrust.iter().all(|thrust| thrust.is_finite())
+            && wind.iter().all(|wind| wind.is_finite())
+            && foot_wrenches.iter().flatten().all(|component| component.is_finite())
+            && time_is_plausible(*time)
     }
 
-    fn refuse_measurement(&mut self) -> &Command {
+    /// Whether a state is of a controller of this shape.
+    fn fits(&self, state: &ControllerState) -> bool {
+        state.posture.len() == self.model.joints.len()
+            && state.momentum_start.len() == self.solution.len()
+            && state.contact.force.len() == self.terms.contact.as_ref().map_or(0, |c| c.force.len())
+    }
+
+    /// The command of a tick that cannot act: nothing moves, torques stay.
+    fn hold_command(&mut self, status: CommandStatus) -> &Command {
         self.command.thrust_rate.fill(0.0);
         self.command.joint_velocity.fill(0.0);
         self.command.momentum_qp = QpAnswer::refused(QpStatus::NonFinite);
         self.command.torque_qp = QpAnswer::refused(QpStatus::NonFinite);
-        self.command.status = CommandStatus::BadMeasurement;
+        self.command.status = status;
         &self.command
     }
 
-    /// The robot that the controller believes it flies.
+    /// The controller's model of the robot; without jets if it does not use them.
     #[must_use]
-    pub fn robot(&self) -> &RobotModel {
-        &self.robot
+    pub fn model(&self) -> &RobotModel {
+        &self.model
+    }
+
+    /// Number of thrusts in a measurement and of thrust rates in a command.
+    #[must_use]
+    pub fn n_jets(&self) -> usize {
+        self.n_jets
     }
 
     /// Command of the last tick.
@@ -503,50 +477,14 @@ impl Controller {
     pub fn terms(&self) -> &Terms {
         &self.terms
     }
+}
 
-    /// What is remembered between ticks.
-    #[must_use]
-    pub fn memory(&self) -> &Memory {
-        &self.memory
-    }
+/// Longest flight \[s\]: beyond it ticks of milliseconds are rounding errors of the time.
+const TIME_MAX: f64 = 1e9;
 
-    /// Replaces the memory, to start from a recorded tick.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] if a length does not fit or the inertia cannot be inverted.
-    pub fn set_memory(&mut self, memory: Memory) -> Result<(), BuildError> {
-        let joints = self.robot.joints.len();
-        for (item, length) in [
-            ("posture", memory.posture.len()),
-            ("velocity_error_integral", memory.velocity_error_integral.len()),
-        ] {
-            if length != joints {
-                return Err(BuildError::bad_value(
-                    format!("length of controller memory {item}"),
-                    length,
-                    format!("{joints}, one entry per joint"),
-                ));
-            }
-        }
-        for (item, values) in [
-            ("posture", memory.posture.as_slice()),
-            ("inertia_0_b", memory.inertia_0_b.as_slice()),
-            ("velocity_error_integral", memory.velocity_error_integral.as_slice()),
-        ] {
-            for value in values {
-                check(&format!("controller memory {item}"), *value, |_| true, "finite numbers")?;
-            }
-        }
-        if memory.inertia_0_b.try_inverse().is_none() {
-            return Err(BuildError::bad_value(
-                "controller memory inertia_0_b",
-                memory.inertia_0_b,
-                "an invertible inertia",
-            ));
-        }
-        self.memory = memory;
-        Ok(())
-    }
+/// Whether a time is that of a flight.
+fn time_is_plausible(time: f64) -> bool {
+    (0.0..=TIME_MAX).contains(&time)
 }
 
 /// The safe command where the momentum QP has no answer: nothing moves, as far as the bounds allow.

@@ -29,7 +29,7 @@ pub use chain::{Method, QpChain};
 #[cfg(feature = "clarabel")]
 pub use clarabel::ClarabelSolver;
 pub use dual::DualActiveSet;
-pub use primal::{PASSES_PER_VARIABLE, PrimalActiveSet};
+pub use primal::{PASSES_PER_VARIABLE, PrimalActiveSet, WarmStart};
 pub use problem::QpProblem;
 
 /// A method that solves problems of one size.

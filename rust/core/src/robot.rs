@@ -16,6 +16,8 @@ use std::collections::BTreeMap;
 pub struct RobotModel {
     /// Name of the robot.
     pub name: String,
+    /// Forward direction in base axes, orthogonal to base z.
+    pub forward_axis_b: Unit<Vector3<f64>>,
     /// Bodies; body 0 is the floating base, joint `i` moves body `i + 1`.
     pub bodies: Vec<Body>,
     /// Joints, in the order of every joint vector.

@@ -143,6 +143,12 @@ pub fn orthonormality_error(r: &Matrix3<f64>) -> f64 {
     (r.transpose() * r - Matrix3::identity()).amax()
 }
 
+/// Whether a matrix is a rotation to six digits; a matrix that holds a NaN is none.
+#[must_use]
+pub fn is_rotation(r: &Matrix3<f64>) -> bool {
+    r.iter().all(|x| x.is_finite()) && orthonormality_error(r) < 1e-6 && r.determinant() > 0.0
+}
+
 /// A unit vector, or `None` if the length is not 1 to six digits.
 #[must_use]
 pub fn unit_vector(v: Vector3<f64>) -> Option<Unit<Vector3<f64>>> {

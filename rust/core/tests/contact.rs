@@ -6,14 +6,14 @@
 #[path = "../../sim/tests/common/mod.rs"]
 mod common;
 
-use common::{TIME_STEP, configs, random_state, rng};
+use common::{Running, TIME_STEP, configs, random_state, rng};
 use flight_core::control::CommandStatus;
 use flight_core::control::config::{ControllerConfig, Solver};
-use flight_core::control::contact::{Contact, ContactConfig, WRENCH_ROWS};
+use flight_core::control::contact::{Contact, ContactConfig, ContactState, WRENCH_ROWS};
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::spatial::exp_so3;
-use flight_core::{Controller, Measurement, RobotState};
+use flight_core::{Measurement, RobotState};
 use flight_io::{ControllerSection, load_controller, load_robot};
 use flight_sim::{Flight, FlightConfig};
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
@@ -27,10 +27,10 @@ fn contact_config() -> ContactConfig {
     standing().controller.law.contact.unwrap()
 }
 
-fn controller(change: impl FnOnce(&mut ControllerConfig)) -> Controller {
+fn controller(change: impl FnOnce(&mut ControllerConfig)) -> Running {
     let FlightConfig { robot, mut controller, envelope, .. } = standing();
     change(&mut controller.law);
-    load_controller(load_robot(&robot).unwrap(), &controller, &envelope, TIME_STEP).unwrap()
+    Running::new(load_controller(load_robot(&robot).unwrap(), &controller, &envelope, TIME_STEP).unwrap())
 }
 
 fn at_rest() -> RobotState {
@@ -44,8 +44,12 @@ fn weight_on_both() -> [Vector6<f64>; 2] {
 
 const THRUST: [f64; 4] = [0.0; 4];
 
-fn measurement(state: &RobotState, wind: Vector3<f64>) -> Measurement<'_> {
-    Measurement { time: 0.0, state, thrust: &THRUST, wind }
+fn measurement<'a>(
+    state: &'a RobotState,
+    wind: Vector3<f64>,
+    foot_wrenches: &'a [Vector6<f64>],
+) -> Measurement<'a> {
+    Measurement { time: 0.0, state, thrust: &THRUST, wind, foot_wrenches }
 }
 
 /// Inside the rows is inside the polygon of twelve corners on the friction circle, within the torsion, above
@@ -119,9 +123,8 @@ fn the_momentum_rate_is_the_sum_of_what_acts() {
         let mut state = at_rest();
         state.joint_position.iter_mut().for_each(|s| *s += rng.random_range(-0.05..0.05));
         state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.2..0.2));
-        controller.feel(&weight_on_both());
         let wind = common::random_vector(&mut rng, 15.0);
-        let status = controller.tick(&measurement(&state, wind)).status;
+        let status = controller.tick(&measurement(&state, wind, &weight_on_both())).status;
         assert_eq!(status, CommandStatus::Nominal);
         let terms = controller.terms();
         let contact = terms.contact.as_ref().unwrap();
@@ -164,7 +167,7 @@ fn rates_of_the_feet_are_their_differences() {
             let state = moved(&state, time);
             kinematics.update(&robot, &state);
             dynamics.update(&robot, &state, &kinematics);
-            contact.update(&robot, &kinematics, &dynamics, 0.0);
+            contact.update(&mut ContactState::new(2), &robot, &kinematics, &dynamics, 0.0);
             contact.force.copy_from(&held);
             let velocity = contact.jacobian_transposed.tr_mul(&state.velocity);
             let mut momentum = flight_core::control::momentum::MomentumModel::new(&robot);
@@ -204,8 +207,7 @@ fn the_standing_qp_is_its_definition() {
     let mut rng = rng(5);
     let mut state = at_rest();
     state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.2..0.2));
-    controller.feel(&weight_on_both());
-    controller.tick(&measurement(&state, Vector3::new(-8.0, 3.0, 0.0)));
+    controller.tick(&measurement(&state, Vector3::new(-8.0, 3.0, 0.0), &weight_on_both()));
     let (terms, command) = (controller.terms(), controller.command());
     let (contact, qp) = (terms.contact.as_ref().unwrap(), terms.standing_qp.as_ref().unwrap());
     let config = contact_config();
@@ -217,7 +219,7 @@ fn the_standing_qp_is_its_definition() {
         b[(6 + joint, 12 + joint)] = 1.0;
     }
     let mut force = -&terms.dynamics.bias;
-    let robot = controller.robot();
+    let robot = controller.model();
     terms.link_forces.add_generalised_force(robot, &terms.kinematics, &mut force);
     let desired = DVector::from_fn(23, |j, _| -10.0 * (state.velocity[6 + j] - command.joint_velocity[j]));
     let cost = |u: &DVector<f64>| {
@@ -256,41 +258,31 @@ fn the_momentum_qp_on_the_ground_is_its_tasks() {
     let mut rng = rng(6);
     let mut state = at_rest();
     state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.2..0.2));
-    controller.feel(&weight_on_both());
-    controller.tick(&measurement(&state, Vector3::new(-8.0, 3.0, 0.0)));
+    controller.tick(&measurement(&state, Vector3::new(-8.0, 3.0, 0.0), &weight_on_both()));
     let terms = controller.terms();
     let (contact, qp) = (terms.contact.as_ref().unwrap(), &terms.momentum_qp);
-    assert_eq!(qp.problem.len(), 39);
+    assert_eq!(qp.problem.len(), 35, "wrench rates and joint velocities; jets are not used");
     let weights = DVector::from_fn(9, |i, _| if i < 6 { 10.0 } else { 150.0 });
-    let task = DMatrix::from_fn(9, 39, |i, j| qp.task[(i, j)]);
+    let task = DMatrix::from_fn(9, 35, |i, j| qp.task[(i, j)]);
     let offset = DVector::from_fn(9, |i, _| qp.offset[i]);
-    let mut feet = DMatrix::zeros(12, 39);
+    let mut feet = DMatrix::zeros(12, 35);
     for joint in 0..23 {
-        feet.column_mut(16 + joint).copy_from(&contact.jacobian_transposed.row(6 + joint).transpose());
+        feet.column_mut(12 + joint).copy_from(&contact.jacobian_transposed.row(6 + joint).transpose());
     }
     let base = contact.jacobian_transposed.rows(0, 6).tr_mul(&state.velocity.rows(0, 6));
     let mut h = task.tr_mul(&(DMatrix::from_diagonal(&weights) * &task)) + 150.0 * feet.tr_mul(&feet);
-    let mut g = task.tr_mul(&weights.component_mul(&offset)) + 150.0 * feet.tr_mul(&base);
-    for i in 0..39 {
-        h[(i, i)] += 1e-4 + if i < 16 { 0.01 } else { 10.0 + 2.5 };
-    }
-    for (a, b) in [(0, 1), (2, 3)] {
-        h[(a, a)] += 0.1;
-        h[(b, b)] += 0.1;
-        h[(a, b)] -= 0.1;
-        h[(b, a)] -= 0.1;
+    let g = task.tr_mul(&weights.component_mul(&offset)) + 150.0 * feet.tr_mul(&base);
+    for i in 0..35 {
+        h[(i, i)] += 1e-4 + if i < 12 { 0.01 } else { 10.0 + 2.5 };
     }
     // The posture of the first tick is where the robot is.
-    g.rows_mut(0, 4).fill(0.0);
     crate::common::assert_within!((&h - &qp.problem.h).amax(), 1e-9 * h.amax());
     crate::common::assert_within!((&g - &qp.problem.g).amax(), 1e-9 * g.amax());
     assert_eq!(qp.problem.h, qp.problem.h.transpose(), "exactly symmetric");
-    // Jets do not act, and are not asked.
-    assert_eq!(qp.task.columns(0, 4).amax(), 0.0);
-    assert_eq!(controller.command().thrust_rate.amax(), 0.0);
+    assert_eq!(controller.command().thrust_rate, DVector::zeros(4));
     // A_c of the linear rows is the identity, twice.
-    assert_eq!(qp.task[(0, 4)], 1.0);
-    assert_eq!(qp.task[(2, 12)], 1.0);
+    assert_eq!(qp.task[(0, 0)], 1.0);
+    assert_eq!(qp.task[(2, 8)], 1.0);
 }
 
 /// Both feet above the threshold, or none: `f_c*` starts from what is felt and is zero otherwise.
@@ -300,8 +292,7 @@ fn contact_switches_with_what_the_feet_feel() {
     let state = at_rest();
     let still = Vector3::zeros();
     let mut tick = |feet: &[Vector6<f64>; 2]| {
-        controller.feel(feet);
-        assert_eq!(controller.tick(&measurement(&state, still)).status, CommandStatus::Nominal);
+        assert_eq!(controller.tick(&measurement(&state, still, feet)).status, CommandStatus::Nominal);
         let contact = controller.terms().contact.as_ref().unwrap();
         (contact.is_active, contact.force.clone(), contact.force_rate.clone())
     };
@@ -332,18 +323,15 @@ fn contact_switches_with_what_the_feet_feel() {
 /// Rates inside the dead zone are not integrated.
 #[test]
 fn small_force_rates_are_dropped() {
-    let robot = common::robot("ironcub_mk1");
-    let mut contact = Contact::new(&contact_config(), &robot);
-    contact.is_active = true;
-    let mut rates = vec![9e-6; 12];
-    (rates[3], rates[4]) = (1.1e-5, -1.1e-5);
-    contact.take_rate(&rates);
-    let kept: Vec<usize> = (0..12).filter(|i| contact.force_rate[*i] != 0.0).collect();
-    assert_eq!(kept, [3, 4]);
-    contact.is_active = false;
-    contact.force_rate.fill(0.0);
-    contact.take_rate(&rates);
-    assert_eq!(contact.force_rate.amax(), 0.0, "feet in the air have no rate");
+    let mut controller = controller(|config| {
+        config.contact.as_mut().unwrap().force_rate_dead_zone = 1e9;
+    });
+    let state = at_rest();
+    let feet = weight_on_both();
+    for _ in 0..3 {
+        controller.tick(&measurement(&state, Vector3::new(8.0, 3.0, 0.0), &feet));
+        assert_eq!(controller.terms().contact.as_ref().unwrap().force_rate.amax(), 0.0);
+    }
 }
 
 /// In the air a controller that could stand flies as one that could not.
@@ -354,7 +342,7 @@ fn in_the_air_feet_change_nothing() {
     let make = |contact: Option<ContactConfig>| {
         let mut controller = flight.controller.clone();
         controller.law.contact = contact;
-        load_controller(robot.clone(), &controller, &flight.envelope, TIME_STEP).unwrap()
+        Running::new(load_controller(robot.clone(), &controller, &flight.envelope, TIME_STEP).unwrap())
     };
     let (mut with, mut without) = (make(Some(contact_config())), make(None));
     let mut rng = rng(7);
@@ -364,7 +352,8 @@ fn in_the_air_feet_change_nothing() {
         let thrust = [98.0, 98.0, 113.0, 113.0];
         let wind = common::random_vector(&mut rng, 10.0);
         let time = f64::from(tick) * TIME_STEP;
-        let measurement = Measurement { time, state: &state, thrust: &thrust, wind };
+        let foot_wrenches = &[Vector6::zeros(); 2];
+        let measurement = Measurement { time, state: &state, thrust: &thrust, wind, foot_wrenches };
         let (a, b) = (with.tick(&measurement).clone(), without.tick(&measurement).clone());
         crate::common::assert_within!((a.thrust_rate - b.thrust_rate).amax(), 1e-7);
         crate::common::assert_within!((a.joint_velocity - b.joint_velocity).amax(), 1e-9);
@@ -383,8 +372,7 @@ fn clarabel_commands_the_same() {
         state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.05..0.05));
         let wind = common::random_vector(&mut rng, 10.0);
         for controller in [&mut ours, &mut theirs] {
-            controller.feel(&weight_on_both());
-            let status = controller.tick(&measurement(&state, wind)).status;
+            let status = controller.tick(&measurement(&state, wind, &weight_on_both())).status;
             assert_eq!(status, CommandStatus::Nominal);
         }
         let difference = (&ours.terms().unlimited_torque - &theirs.terms().unlimited_torque).amax();
@@ -397,10 +385,8 @@ fn clarabel_commands_the_same() {
 fn unsound_feet_are_a_bad_measurement() {
     let mut controller = controller(|_| ());
     let state = at_rest();
-    let mut status = |feet: &[Vector6<f64>]| {
-        controller.feel(feet);
-        controller.tick(&measurement(&state, Vector3::zeros())).status
-    };
+    let mut status =
+        |feet: &[Vector6<f64>]| controller.tick(&measurement(&state, Vector3::zeros(), feet)).status;
     assert_eq!(status(&weight_on_both()), CommandStatus::Nominal);
     let mut bad = weight_on_both();
     bad[0][3] = f64::NAN;

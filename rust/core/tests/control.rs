@@ -7,11 +7,11 @@
 #[path = "../../sim/tests/common/mod.rs"]
 mod common;
 
-use common::{Loop, configs, experiment, random_state, random_vector, rng, robot, tick_at};
+use common::{Loop, Running, configs, experiment, random_state, random_vector, rng, robot, tick_at};
 use flight_core::control::bounds::rate_bounds;
 use flight_core::control::config::{Fallback, Solver};
 use flight_core::control::torque::limit_rate;
-use flight_core::control::{CommandStatus, Memory};
+use flight_core::control::{BadStart, CommandStatus, ControllerState};
 use flight_core::qp::QpStatus;
 use flight_core::spatial::rotation_angle;
 use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
@@ -27,9 +27,9 @@ fn wind() -> Vector3<f64> {
     Vector3::from(WIND)
 }
 
-fn controller(config: &FlightConfig) -> Controller {
+fn controller(config: &FlightConfig) -> Running {
     let robot = load_robot(&config.robot).unwrap();
-    load_controller(robot, &config.controller, &config.envelope, 0.01).unwrap()
+    Running::new(load_controller(robot, &config.controller, &config.envelope, 0.01).unwrap())
 }
 
 /// What a controller is told: a measurement that owns its parts.
@@ -50,9 +50,13 @@ impl Told {
         Self { time: 0.0, state: plant.state().clone(), thrust, wind: wind() }
     }
 
-    fn tell<'a>(&self, controller: &'a mut Controller) -> &'a Command {
+    fn measurement(&self) -> Measurement<'_> {
         let Self { time, state, thrust, wind } = self;
-        controller.tick(&Measurement { time: *time, state, thrust, wind: *wind })
+        Measurement { time: *time, state, thrust, wind: *wind, foot_wrenches: &[] }
+    }
+
+    fn tell<'a>(&self, controller: &'a mut Running) -> &'a Command {
+        controller.tick(&self.measurement())
     }
 }
 
@@ -94,20 +98,27 @@ const SPOILT: [Spoil; 14] = [
 ];
 
 /// A measurement that is not finite, or not of this robot: nothing moves, torques stay, and the next good
-/// tick is as if the bad one had not been.
+/// tick follows the set-point of its time, as if the bad one had not been.
 #[test]
 fn bad_measurements_hold_the_last_torques() {
     let config = experiment("test2");
     let good = Told::start(&config);
-    let next = Told { time: 0.01, ..good.clone() };
+    let [second, third] = [0.01, 0.02].map(|time| Told { time, ..good.clone() });
     let mut undisturbed = controller(&config);
     good.tell(&mut undisturbed);
-    let expected = numbers(next.tell(&mut undisturbed));
+    // The integral of a tick that held is that of the tick before.
+    let integral = undisturbed.state().velocity_error_integral().clone();
+    second.tell(&mut undisturbed);
+    let state = undisturbed.state().clone();
+    let (posture, inertia) = (state.posture().clone(), *state.inertia_0_b());
+    undisturbed.state = Some(state.with_posture_control(posture, inertia, integral).unwrap());
+    let expected = third.tell(&mut undisturbed).clone();
+    let setpoint = undisturbed.terms().setpoint;
     for (what, spoil) in SPOILT {
         let mut controller = controller(&config);
         let torque = good.tell(&mut controller).joint_torque.clone();
         assert!(torque.amax() > 1.0);
-        let mut bad = next.clone();
+        let mut bad = second.clone();
         spoil(&mut bad);
         let command = bad.tell(&mut controller);
         assert_eq!(command.status, CommandStatus::BadMeasurement, "{what}");
@@ -118,26 +129,159 @@ fn bad_measurements_hold_the_last_torques() {
             assert_eq!(answer.status, QpStatus::NonFinite);
             assert!(answer.kkt.is_nan() && answer.iterations == 0);
         }
-        let command = next.tell(&mut controller);
+        let command = third.tell(&mut controller).clone();
         assert_eq!(command.status, CommandStatus::Nominal, "{what}");
-        assert_equal(what, &numbers(command), &expected, 0.0);
+        assert_eq!(controller.terms().setpoint, setpoint, "{what}");
+        // The warm start differs, so the answers agree to the accuracy of the QP.
+        let rates = (&command.thrust_rate - &expected.thrust_rate).amax();
+        let velocities = (&command.joint_velocity - &expected.joint_velocity).amax();
+        assert!(rates <= 1e-7 && velocities <= 1e-9, "{what}: {rates:e} N/s, {velocities:e} rad/s");
     }
 }
 
-/// A bad first measurement starts nothing: torques are zero, and the flight starts with the first good one.
+/// During an outage the set-point moves on, so a climb that is interrupted ends where it would have ended.
+#[test]
+fn the_setpoint_moves_on_while_measurements_are_bad() {
+    let config = experiment("test2");
+    let good = Told::start(&config);
+    let fly = |outage: std::ops::Range<u32>| {
+        let mut controller = controller(&config);
+        for tick in 0..1800 {
+            let mut told = Told { time: f64::from(tick) * 0.01, ..good.clone() };
+            if outage.contains(&tick) {
+                told.wind.x = f64::NAN;
+                told.time = if tick % 2 == 0 { f64::NAN } else { told.time };
+            }
+            told.tell(&mut controller);
+        }
+        controller.terms().setpoint
+    };
+    let (undisturbed, disturbed) = (fly(0..0), fly(1200..1300));
+    let difference = (undisturbed.com_position - disturbed.com_position).amax();
+    assert_eq!(difference, 0.0, "{difference} m");
+    assert!(undisturbed.com_position.z > 5.0);
+}
+
+/// A bad first measurement starts nothing; the flight starts with the first good one.
 #[test]
 fn a_bad_first_measurement_starts_nothing() {
     let config = experiment("test2");
     let good = Told::start(&config);
-    let mut fresh = controller(&config);
-    let expected = numbers(good.tell(&mut fresh));
+    for (what, spoil) in SPOILT {
+        let mut controller = controller(&config);
+        let mut bad = good.clone();
+        spoil(&mut bad);
+        let refused = controller.controller.start(&bad.measurement());
+        assert_eq!(refused, Err(BadStart), "{what}");
+    }
     let mut controller = controller(&config);
-    let mut bad = good.clone();
-    bad.state.base.position.x = f64::NAN;
-    assert_equal("safe command", &numbers(bad.tell(&mut controller)), &[0.0; 4 + 23 + 23], 0.0);
-    assert_eq!(controller.memory().posture.amax(), 0.0);
-    assert_equal("start", &numbers(good.tell(&mut controller)), &expected, 0.0);
-    assert_eq!(controller.memory().posture, good.state.joint_position);
+    good.tell(&mut controller);
+    assert_eq!(controller.state().posture(), &good.state.joint_position);
+}
+
+/// A base rotation that is none, a time before the flight or in a million years, a set-point that is none.
+#[test]
+fn what_is_no_rotation_or_time_is_refused() {
+    let config = experiment("test2");
+    let good = Told::start(&config);
+    let spoilt: [Spoil; 5] = [
+        ("stretched", |told| told.state.base.rotation *= 1.5),
+        ("mirrored", |told| told.state.base.rotation.column_mut(0).neg_mut()),
+        ("two signs", |told| {
+            told.state.base.rotation[(0, 0)] *= -1.0;
+            told.state.base.rotation[(1, 0)] += 0.1;
+        }),
+        ("before", |told| told.time = -1e9),
+        ("long after", |told| told.time = 1e18),
+    ];
+    for (what, spoil) in spoilt {
+        let mut controller = controller(&config);
+        good.tell(&mut controller);
+        let mut bad = good.clone();
+        spoil(&mut bad);
+        assert_eq!(bad.tell(&mut controller).status, CommandStatus::BadMeasurement, "{what}");
+    }
+    let mut controller = controller(&config);
+    good.tell(&mut controller);
+    let mut setpoint = controller.terms().setpoint;
+    setpoint.rotation *= 5.0;
+    let Running { controller, state } = &mut controller;
+    let command = controller.tick_towards(state.as_mut().unwrap(), &good.measurement(), &setpoint);
+    assert_eq!(command.status, CommandStatus::BadSetpoint);
+    assert_eq!(command.thrust_rate.amax(), 0.0);
+}
+
+/// A state that was recorded, restored after other ticks: every number of the ticks that follow is the same.
+#[test]
+fn a_restored_state_continues_to_the_same_bits() {
+    for name in ["test1", "test2", "closed_circuit", "test4"] {
+        let config = experiment(name);
+        let mut flight = Loop::new(&config);
+        flight.run(3.0, |_| wind());
+        flight.advance(&wind());
+        let (plant, tick) = (flight.plant.clone(), flight.tick);
+        let state = flight.controller.state().clone();
+        flight.run(2.0, |_| wind());
+        let expected = numbers(flight.controller.command());
+        let after = flight.controller.state().clone();
+
+        flight.run(1.0, |_| wind());
+        flight.plant = plant;
+        flight.tick = tick;
+        flight.controller.state = Some(state);
+        flight.run(2.0, |_| wind());
+        assert_equal(name, &numbers(flight.controller.command()), &expected, 0.0);
+        assert_eq!(flight.controller.state(), &after, "{name}");
+    }
+}
+
+/// A state of another robot's controller is refused.
+#[test]
+fn a_state_of_another_robot_is_refused() {
+    let good = Told::start(&experiment("test2"));
+    let mut humanoid = controller(&experiment("test2"));
+    good.tell(&mut humanoid);
+    let other: ControllerState = {
+        let mut config = experiment("test2");
+        config.controller.law.use_jets = false;
+        let mut other = controller(&config);
+        good.tell(&mut other);
+        other.state().clone()
+    };
+    humanoid.state = Some(other);
+    let command = good.tell(&mut humanoid);
+    assert_eq!(command.status, CommandStatus::BadState);
+    assert_eq!(command.thrust_rate.amax(), 0.0);
+}
+
+/// A controller that does not use jets commands no thrust rate, whatever thrust is measured.
+#[test]
+fn without_jets_no_thrust_rate_is_commanded() {
+    let mut config = experiment("test2");
+    config.controller.law.use_jets = false;
+    let mut controller = controller(&config);
+    let mut told = Told::start(&config);
+    for thrust in [0.0, 100.0, 300.0] {
+        told.thrust.fill(thrust);
+        let command = told.tell(&mut controller);
+        assert_eq!((command.thrust_rate.len(), command.thrust_rate.amax()), (4, 0.0), "{thrust} N");
+        assert_eq!(controller.terms().momentum.a_t.ncols(), 0);
+    }
+}
+
+/// Bounds of rates that oscillate from tick to tick are refused: 1 − h r ε below −1.
+#[test]
+fn bounds_that_oscillate_are_refused() {
+    let config = experiment("test2");
+    let build = |time_step: f64| {
+        let robot = load_robot(&config.robot).unwrap();
+        load_controller(robot, &config.controller, &config.envelope, time_step)
+    };
+    assert!(build(0.01).is_ok(), "the published numbers lie on the edge");
+    let message = build(0.02).unwrap_err().to_string();
+    for part in ["controller.bounds.thrust_steepness is 2", "at most 1", "0.02 s"] {
+        assert!(message.contains(part), "{message}");
+    }
 }
 
 /// A momentum QP that overflows has no answer: thrust rates and joint velocities are the values within
@@ -156,7 +300,7 @@ fn without_a_momentum_answer_nothing_moves() {
         let mut controller = controller(&config);
         let mut told = Told::start(&config);
         told.state.velocity[6 + 3] = 0.4;
-        let knee = controller.robot().joint_index("l_knee").unwrap();
+        let knee = controller.model().joint_index("l_knee").unwrap();
         assert!(told.state.joint_position[knee] > 0.0, "beyond its limit");
         let command = told.tell(&mut controller).clone();
         assert_eq!(command.status, CommandStatus::MomentumHeld);
@@ -220,7 +364,7 @@ fn without_a_torque_answer_torques_stay() {
         let expected = sound.command();
         assert_eq!(command.thrust_rate, expected.thrust_rate);
         assert_eq!(command.joint_velocity, expected.joint_velocity);
-        assert!(!controller.memory().torque_is_known);
+        assert!(!controller.state().torque_is_known());
     }
 }
 
@@ -270,7 +414,8 @@ fn compare(config: &FlightConfig, other: &FlightConfig, seconds: f64, wind: Vect
         flight.observe(&wind);
         let time = flight.tick as f64 * 0.01;
         let thrust = flight.plant.jets().thrust().to_vec();
-        beside.tick(&Measurement { time, state: flight.plant.state(), thrust: &thrust, wind });
+        let state = flight.plant.state();
+        beside.tick(&Measurement { time, state, thrust: &thrust, wind, foot_wrenches: &[] });
         let (a, b) = (flight.controller.command(), beside.command());
         assert_eq!((a.status, b.status), (CommandStatus::Nominal, CommandStatus::Nominal));
         assert_equal(&format!("at {time} s"), &numbers(a), &numbers(b), tolerance);
@@ -415,7 +560,7 @@ fn commands_obey_their_bounds_at_the_limits() {
             let (lower, upper) = rate_bounds(thrusts[jet], (0.0, full), 100.0, 2.0);
             assert!((lower..=upper).contains(rate), "jet {jet}: {rate} outside [{lower}, {upper}]");
         }
-        let robot = controller.robot();
+        let robot = controller.model();
         for (joint, velocity) in command.joint_velocity.iter().enumerate() {
             let s = told.state.joint_position[joint];
             let (lower, upper) = rate_bounds(s, robot.joints[joint].limits, 45_f64.to_radians(), 5.0);
@@ -484,7 +629,7 @@ fn the_torque_law_integrates_after_use() {
         );
         integral += error * 0.01;
         crate::common::assert_within!(
-            (&controller.memory().velocity_error_integral - &integral).amax(),
+            (controller.state().velocity_error_integral() - &integral).amax(),
             1e-14
         );
     }
@@ -503,7 +648,7 @@ fn lambda_is_the_derivative_of_the_momentum_rate() {
         config.controller.law.aero_feedback.lambda = false;
         let mut controller = controller(&config);
         let mut told = Told::start(&config);
-        told.state = random_state(&mut rng, controller.robot());
+        told.state = random_state(&mut rng, controller.model());
         told.thrust.iter_mut().for_each(|thrust| *thrust = rng.random_range(10.0..150.0));
         let mut estimate = |time: f64| {
             let mut moved = told.clone();
@@ -534,7 +679,7 @@ fn lambda_a_is_the_derivative_of_the_aerodynamic_moment() {
     for _ in 0..30 {
         let mut controller = controller(&config);
         let mut told = Told::start(&config);
-        told.state = random_state(&mut rng, controller.robot());
+        told.state = random_state(&mut rng, controller.model());
         told.wind = random_vector(&mut rng, 10.0);
         told.tell(&mut controller);
         let lambda = &controller.terms().momentum.lambda_a * &told.state.velocity;
@@ -559,36 +704,33 @@ fn lambda_a_is_the_derivative_of_the_aerodynamic_moment() {
     }
 }
 
-fn memory(joints: usize) -> Memory {
-    Memory {
-        posture: DVector::zeros(joints),
-        inertia_0_b: Matrix3::identity(),
-        velocity_error_integral: DVector::zeros(joints),
-        torque_is_known: false,
-    }
-}
-
-/// A memory that does not fit is refused by name, and the old one stays.
+/// A posture, inertia or integral that does not fit is refused by name.
 #[test]
-fn memories_that_do_not_fit_are_refused() {
-    let mut controller = controller(&experiment("test2"));
-    for (spoilt, words) in [
-        (Memory { posture: DVector::zeros(22), ..memory(23) }, ["posture is 22", "23, one entry per joint"]),
-        (
-            Memory { velocity_error_integral: DVector::zeros(24), ..memory(23) },
-            ["velocity_error_integral is 24", "23, one entry per joint"],
-        ),
-        (Memory { inertia_0_b: Matrix3::zeros(), ..memory(23) }, ["inertia_0_b", "an invertible inertia"]),
+fn parts_of_a_state_that_do_not_fit_are_refused() {
+    let config = experiment("test2");
+    let mut controller = controller(&config);
+    Told::start(&config).tell(&mut controller);
+    let state = controller.state().clone();
+    let one = Matrix3::identity();
+    let zeros = DVector::zeros;
+    let mut spoilt = zeros(23);
+    spoilt[3] = f64::NAN;
+    for (posture, inertia, integral, words) in [
+        (zeros(22), one, zeros(23), ["posture is 22", "23, one entry per joint"]),
+        (zeros(23), one, zeros(24), ["velocity_error_integral is 24", "23, one entry per joint"]),
+        (zeros(23), Matrix3::zeros(), zeros(23), ["inertia_0_b", "positive definite"]),
+        (zeros(23), -one, zeros(23), ["inertia_0_b", "positive definite"]),
+        (zeros(23), one * f64::NAN, zeros(23), ["inertia_0_b", "positive definite"]),
+        (spoilt.clone(), one, zeros(23), ["posture is NaN", "finite"]),
+        (zeros(23), one, spoilt, ["velocity_error_integral is NaN", "finite"]),
     ] {
-        let message = controller.set_memory(spoilt).unwrap_err().to_string();
+        let message = state.clone().with_posture_control(posture, inertia, integral).unwrap_err().to_string();
         for word in words {
             assert!(message.contains(word), "{message}");
         }
-        assert_eq!(controller.memory().inertia_0_b, Matrix3::identity());
     }
-    let good = Memory { posture: DVector::from_element(23, 0.5), ..memory(23) };
-    controller.set_memory(good).unwrap();
-    assert_eq!(controller.memory().posture[22], 0.5);
+    let good = state.with_posture_control(DVector::from_element(23, 0.5), one, zeros(23)).unwrap();
+    assert_eq!(good.posture()[22], 0.5);
 }
 
 type Refusal = (&'static str, fn(&mut FlightConfig), &'static str);
@@ -636,17 +778,17 @@ fn bad_numbers_are_refused_by_key() {
         ("controller.torque.torque_max", |c| c.controller.law.torque.torque_max = 0.0, "0"),
         ("controller.torque.torque_max", |c| c.controller.law.torque.torque_max = f64::INFINITY, "inf"),
         ("controller.torque.torque_rate_max", |c| c.controller.law.torque.torque_rate_max = -300.0, "-300"),
-        ("controller.references.position_smoothing", |c| c.controller.law.references.position_smoothing = 0.0, "0"),
-        ("controller.references.acceleration_smoothing", |c| c.controller.law.references.acceleration_smoothing = NAN, "NaN"),
-        ("controller.references.angular_velocity_smoothing", |c| c.controller.law.references.angular_velocity_smoothing = -1.0, "-1"),
-        ("controller.references.turbo_ramp", |c| c.controller.law.references.turbo_ramp = 0.0, "0"),
-        ("controller.references.turbo_boost", |c| c.controller.law.references.turbo_boost = -9.0, "-9"),
-        ("controller.references.attitude_gain", |c| c.controller.law.references.attitude_gain = -1.0, "-1"),
-        ("controller.references.step_position", |c| c.controller.law.references.step_position[1] = NAN, "NaN"),
-        ("controller.references.step_attitude_deg", |c| c.controller.law.references.step_attitude_deg[0] = -0.3, "-0.3"),
-        ("controller.references.pitch_limits_deg[0]", |c| c.controller.law.references.pitch_limits_deg = [1.0, 0.0], "is 1"),
-        ("controller.references.pitch_limits_deg[0]", |c| c.controller.law.references.pitch_limits_deg[0] = NAN, "NaN"),
-        ("controller.references.pitch_limits_deg[1]", |c| c.controller.law.references.pitch_limits_deg[1] = f64::INFINITY, "inf"),
+        ("controller.setpoint.position_smoothing", |c| c.controller.law.setpoint.position_smoothing = 0.0, "0"),
+        ("controller.setpoint.acceleration_smoothing", |c| c.controller.law.setpoint.acceleration_smoothing = NAN, "NaN"),
+        ("controller.setpoint.angular_velocity_smoothing", |c| c.controller.law.setpoint.angular_velocity_smoothing = -1.0, "-1"),
+        ("controller.setpoint.turbo_rate", |c| c.controller.law.setpoint.turbo_rate = 0.0, "0"),
+        ("controller.setpoint.turbo_boost", |c| c.controller.law.setpoint.turbo_boost = -9.0, "-9"),
+        ("controller.setpoint.attitude_gain", |c| c.controller.law.setpoint.attitude_gain = -1.0, "-1"),
+        ("controller.setpoint.speed", |c| c.controller.law.setpoint.speed[1] = NAN, "NaN"),
+        ("controller.setpoint.attitude_rate_deg", |c| c.controller.law.setpoint.attitude_rate_deg[0] = -0.3, "-0.3"),
+        ("controller.setpoint.nose_down_limits_deg[0]", |c| c.controller.law.setpoint.nose_down_limits_deg = [1.0, 0.0], "is 1"),
+        ("controller.setpoint.nose_down_limits_deg[0]", |c| c.controller.law.setpoint.nose_down_limits_deg[0] = NAN, "NaN"),
+        ("controller.setpoint.nose_down_limits_deg[1]", |c| c.controller.law.setpoint.nose_down_limits_deg[1] = f64::INFINITY, "inf"),
         ("start of an interval of envelope.up", |c| c.envelope.commands.up[0].0 = NAN, "NaN"),
         ("end of an interval of envelope.up", |c| c.envelope.commands.up[0].1 = 10.0, "a time after the start 10"),
         ("end of an interval of envelope.down", |c| c.envelope.commands.down[0].1 = NAN, "NaN"),
@@ -735,12 +877,12 @@ fn another_robot_hovers() {
         flight.run(1.0, |_| Vector3::zeros());
         assert_eq!(flight.controller.command().status, CommandStatus::Nominal);
         let terms = flight.controller.terms();
-        let offset = (terms.kinematics.com - terms.reference.com_position).norm();
+        let offset = (terms.kinematics.com - terms.setpoint.com_position).norm();
         let tilt = rotation_angle(&flight.plant.state().base.rotation);
         assert!(offset < 0.06 && tilt < 0.2, "{second} s: CoM off by {offset} m, tilted by {tilt} rad");
     }
     let terms = flight.controller.terms();
-    let offset = (terms.kinematics.com - terms.reference.com_position).norm();
+    let offset = (terms.kinematics.com - terms.setpoint.com_position).norm();
     assert!(offset < 0.005, "settled: CoM off by {offset} m");
     assert!(flight.plant.state().velocity.amax() < 0.01, "{}", flight.plant.state().velocity);
     // It carries its weight.

@@ -14,7 +14,8 @@ use flight_core::error::{BuildError, check as check_number};
 use flight_core::robot::{
     AeroLink, AxisymmetricCoefficients, EngineCoefficients, Foot, Jet, Joint, JointGroup, RobotModel, check,
 };
-use nalgebra::Vector3;
+use flight_core::spatial::unit_vector;
+use nalgebra::{Unit, Vector3};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -28,6 +29,9 @@ struct RobotFile {
     /// URDF file, relative to this one.
     urdf: String,
     base_link: String,
+    /// Forward direction in base axes, a unit vector orthogonal to z.
+    #[serde(default = "default_forward_axis")]
+    forward_axis: [f64; 3],
     #[serde(default = "default_gravity")]
     gravity: f64,
     joint_groups: Vec<GroupEntry>,
@@ -45,6 +49,11 @@ struct RobotFile {
     engines: BTreeMap<String, EngineCoefficients>,
     #[serde(default)]
     feet: Vec<FootEntry>,
+}
+
+/// Forward is base x, as robotics has it by convention (REP 103).
+fn default_forward_axis() -> [f64; 3] {
+    [1.0, 0.0, 0.0]
 }
 
 /// Gravity of a robot that does not say \[m/s²\].
@@ -162,6 +171,7 @@ fn build(file: RobotFile, urdf_text: &str, origin: &str) -> Result<RobotModel, B
     check_engines(&file.engines)?;
 
     Ok(RobotModel {
+        forward_axis_b: forward_axis(file.forward_axis)?,
         gravity: check_number("gravity", file.gravity, |g| g > 0.0, "a positive number, in m/s²")?,
         joints: joints(&file, &tree)?,
         groups: groups(&file)?,
@@ -172,6 +182,13 @@ fn build(file: RobotFile, urdf_text: &str, origin: &str) -> Result<RobotModel, B
         name: file.name,
         engines: file.engines,
     })
+}
+
+fn forward_axis(axis: [f64; 3]) -> Result<Unit<Vector3<f64>>, BuildError> {
+    let expected = "a unit vector orthogonal to base z";
+    unit_vector(Vector3::from(axis))
+        .filter(|axis| axis.z.abs() < 1e-6)
+        .ok_or_else(|| BuildError::bad_value("forward_axis", format!("{axis:?}"), expected))
 }
 
 fn joints(file: &RobotFile, tree: &Tree) -> Result<Vec<Joint>, BuildError> {

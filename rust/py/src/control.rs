@@ -4,21 +4,73 @@ use crate::arrays::{Input, array, entries, matrix, matrix3, value_error, vector,
 use crate::flight::parse;
 use crate::qp::answer;
 use crate::robot::state;
-use flight_core::Measurement;
-use flight_core::control::Memory;
 use flight_core::control::contact::Contact;
-use flight_core::control::references::{Reference, ReferenceGenerator};
+use flight_core::control::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::standing::StandingQp;
+use flight_core::control::{BadStart, ControllerState as State};
+use flight_core::{Measurement, RobotState};
 use flight_io::{load_controller, load_mission, load_robot};
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 use pyo3::exceptions::{PyKeyError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-/// The flight controller of a configuration.
+/// The flight controller of a configuration, and the state of the flight it is in.
 #[pyclass(module = "jax_aero._core")]
 pub struct Controller {
     controller: flight_core::Controller,
+    state: Option<State>,
+}
+
+/// Everything that a controller carries from one tick to the next.
+#[pyclass(module = "jax_aero._core", frozen)]
+#[derive(Clone)]
+pub struct ControllerState {
+    state: State,
+}
+
+#[pymethods]
+impl ControllerState {
+    /// The same state with another posture (n), inertia_0_b (3, 3) and integral of the joint velocity
+    /// error (n).
+    fn with_posture_control(
+        &self,
+        posture: Input<'_>,
+        inertia_0_b: Input<'_>,
+        velocity_error_integral: Input<'_>,
+    ) -> PyResult<Self> {
+        let joints = self.state.posture().len();
+        let posture = DVector::from_vec(entries("posture", &posture, &[joints])?);
+        let integral = entries("velocity_error_integral", &velocity_error_integral, &[joints])?;
+        let inertia = matrix3("inertia_0_b", &inertia_0_b)?;
+        let state = self.state.clone().with_posture_control(posture, inertia, DVector::from_vec(integral));
+        state.map(|state| Self { state }).map_err(value_error)
+    }
+
+    fn __eq__(&self, other: &Self) -> bool {
+        self.state == other.state
+    }
+}
+
+/// A measurement as it comes from Python, owned.
+struct Measured {
+    time: f64,
+    state: RobotState,
+    thrust: Vec<f64>,
+    wind: Vector3<f64>,
+    foot_wrenches: Vec<Vector6<f64>>,
+}
+
+impl Measured {
+    fn measurement(&self) -> Measurement<'_> {
+        Measurement {
+            time: self.time,
+            state: &self.state,
+            thrust: &self.thrust,
+            wind: self.wind,
+            foot_wrenches: &self.foot_wrenches,
+        }
+    }
 }
 
 #[pymethods]
@@ -28,36 +80,52 @@ impl Controller {
         let config = parse(config_json)?;
         let robot = load_robot(&config.robot).map_err(value_error)?;
         load_controller(robot, &config.controller, &config.envelope, config.simulator.time_step)
-            .map(|controller| Self { controller })
+            .map(|controller| Self { controller, state: None })
             .map_err(value_error)
     }
 
-    /// Replace what the controller remembers between ticks: posture (n), inertia_0_b (3, 3) and the
-    /// integral of the joint velocity error (n). The rate limiter starts anew.
-    fn set_memory(
-        &mut self,
-        posture: Input<'_>,
-        inertia_0_b: Input<'_>,
-        velocity_error_integral: Input<'_>,
-    ) -> PyResult<()> {
-        let joints = self.controller.robot().n_joints();
-        let memory = Memory {
-            posture: DVector::from_vec(entries("posture", &posture, &[joints])?),
-            inertia_0_b: matrix3("inertia_0_b", &inertia_0_b)?,
-            velocity_error_integral: DVector::from_vec(entries(
-                "velocity_error_integral",
-                &velocity_error_integral,
-                &[joints],
-            )?),
-            torque_is_known: false,
-        };
-        self.controller.set_memory(memory).map_err(value_error)
+    /// The state after the last tick; `None` before the first.
+    #[getter]
+    fn state(&self) -> Option<ControllerState> {
+        self.state.clone().map(|state| ControllerState { state })
     }
 
-    /// One tick; returns every intermediate value and the command by name. With `reference` (a dict with
-    /// the keys of the result's `reference`) the envelope is not asked.
-    /// `foot_wrenches` (feet, 6) is what each foot feels, force first, about the origin of its sole.
-    #[pyo3(signature = (time, base_position, base_rotation, joint_position, velocity, thrust, wind, reference = None, foot_wrenches = None))]
+    /// Continues from a state that was recorded; a state of another robot makes the next tick hold.
+    #[setter]
+    fn set_state(&mut self, state: &ControllerState) {
+        self.state = Some(state.state.clone());
+    }
+
+    /// Begins a flight: position, attitude and posture of this measurement are those to keep.
+    #[pyo3(signature = (time, base_position, base_rotation, joint_position, velocity, thrust, wind, foot_wrenches = None))]
+    #[allow(clippy::too_many_arguments)]
+    fn start(
+        &mut self,
+        time: f64,
+        base_position: Input<'_>,
+        base_rotation: Input<'_>,
+        joint_position: Input<'_>,
+        velocity: Input<'_>,
+        thrust: Input<'_>,
+        wind: Input<'_>,
+        foot_wrenches: Option<Input<'_>>,
+    ) -> PyResult<()> {
+        let joints = self.controller.model().n_joints();
+        let measured = Measured {
+            time,
+            state: state(joints, &base_position, &base_rotation, &joint_position, &velocity)?,
+            thrust: entries("thrust", &thrust, &[self.controller.n_jets()])?,
+            wind: vector3("wind", &wind)?,
+            foot_wrenches: self.foot_wrenches(foot_wrenches)?,
+        };
+        self.state = Some(self.controller.start(&measured.measurement()).map_err(bad_start)?);
+        Ok(())
+    }
+
+    /// One tick; returns every intermediate value and the command by name. The first one begins the flight.
+    /// With `setpoint` (a dict with the keys of the result's `setpoint`) the mission is not followed.
+    /// `foot_wrenches` (feet, 6) is the wrench on each foot, force first, about the origin of its sole.
+    #[pyo3(signature = (time, base_position, base_rotation, joint_position, velocity, thrust, wind, setpoint = None, foot_wrenches = None))]
     #[allow(clippy::too_many_arguments)]
     fn tick<'py>(
         &mut self,
@@ -69,34 +137,48 @@ impl Controller {
         velocity: Input<'py>,
         thrust: Input<'py>,
         wind: Input<'py>,
-        reference: Option<&Bound<'py, PyDict>>,
+        setpoint: Option<&Bound<'py, PyDict>>,
         foot_wrenches: Option<Input<'py>>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let (joints, jets) = (self.controller.robot().n_joints(), self.controller.robot().jets.len());
-        let state = state(joints, &base_position, &base_rotation, &joint_position, &velocity)?;
-        let thrust = entries("thrust", &thrust, &[jets])?;
-        let measurement = Measurement { time, state: &state, thrust: &thrust, wind: vector3("wind", &wind)? };
-        if let Some(wrenches) = foot_wrenches {
-            let feet = self.controller.robot().feet.len();
-            let wrenches = entries("foot_wrenches", &wrenches, &[feet, 6])?;
-            let wrenches: Vec<_> = wrenches.chunks_exact(6).map(Vector6::from_column_slice).collect();
-            self.controller.feel(&wrenches);
-        }
-        match reference {
-            None => self.controller.tick(&measurement),
-            Some(given) => {
-                let reference = reference_from_dict(given)?;
-                self.controller.tick_with_reference(&measurement, &reference)
-            }
+        let joints = self.controller.model().n_joints();
+        let measured = Measured {
+            time,
+            state: state(joints, &base_position, &base_rotation, &joint_position, &velocity)?,
+            thrust: entries("thrust", &thrust, &[self.controller.n_jets()])?,
+            wind: vector3("wind", &wind)?,
+            foot_wrenches: self.foot_wrenches(foot_wrenches)?,
+        };
+        let measurement = measured.measurement();
+        let state = match &mut self.state {
+            Some(state) => state,
+            none => none.insert(self.controller.start(&measurement).map_err(bad_start)?),
+        };
+        match setpoint {
+            None => self.controller.tick(state, &measurement),
+            Some(given) => self.controller.tick_towards(state, &measurement, &setpoint_from_dict(given)?),
         };
         self.last_tick(py)
     }
 }
 
+/// A refused start, as Python sees it.
+fn bad_start(reason: BadStart) -> PyErr {
+    PyValueError::new_err(reason.to_string())
+}
+
+impl Controller {
+    /// Wrenches of the feet; zero where none are given.
+    fn foot_wrenches(&self, given: Option<Input<'_>>) -> PyResult<Vec<Vector6<f64>>> {
+        let feet = self.controller.model().feet.len();
+        let Some(wrenches) = given else { return Ok(vec![Vector6::zeros(); feet]) };
+        let wrenches = entries("foot_wrenches", &wrenches, &[feet, 6])?;
+        Ok(wrenches.chunks_exact(6).map(Vector6::from_column_slice).collect())
+    }
+}
+
 impl Controller {
     fn last_tick<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let (terms, command, memory) =
-            (self.controller.terms(), self.controller.command(), self.controller.memory());
+        let (terms, command) = (self.controller.terms(), self.controller.command());
         let out = PyDict::new(py);
         let kinematics = &terms.kinematics;
         out.set_item("com_position", vector(py, kinematics.com.as_slice())?)?;
@@ -147,10 +229,13 @@ impl Controller {
             out.set_item("contact", contact_dict(py, contact, qp)?)?;
         }
         out.set_item("status", format!("{:?}", command.status))?;
-        out.set_item("posture", vector(py, memory.posture.as_slice())?)?;
-        out.set_item("inertia_0_b", matrix(py, &memory.inertia_0_b)?)?;
-        out.set_item("velocity_error_integral", vector(py, memory.velocity_error_integral.as_slice())?)?;
-        out.set_item("reference", reference_to_dict(py, &terms.reference)?)?;
+        if let Some(state) = &self.state {
+            out.set_item("posture", vector(py, state.posture().as_slice())?)?;
+            out.set_item("inertia_0_b", matrix(py, state.inertia_0_b())?)?;
+            let integral = state.velocity_error_integral().as_slice();
+            out.set_item("velocity_error_integral", vector(py, integral)?)?;
+        }
+        out.set_item("setpoint", setpoint_to_dict(py, &terms.setpoint)?)?;
         Ok(out)
     }
 }
@@ -178,29 +263,29 @@ fn contact_dict<'py>(py: Python<'py>, contact: &Contact, qp: &StandingQp) -> PyR
     Ok(out)
 }
 
-fn reference_to_dict<'py>(py: Python<'py>, reference: &Reference) -> PyResult<Bound<'py, PyDict>> {
+fn setpoint_to_dict<'py>(py: Python<'py>, setpoint: &Setpoint) -> PyResult<Bound<'py, PyDict>> {
     let out = PyDict::new(py);
-    out.set_item("com_position", vector(py, reference.com_position.as_slice())?)?;
-    out.set_item("com_velocity", vector(py, reference.com_velocity.as_slice())?)?;
-    out.set_item("com_acceleration", vector(py, reference.com_acceleration.as_slice())?)?;
-    out.set_item("com_jerk", vector(py, reference.com_jerk.as_slice())?)?;
-    out.set_item("rotation", matrix(py, &reference.rotation)?)?;
-    out.set_item("angular_velocity", vector(py, reference.angular_velocity_b.as_slice())?)?;
-    out.set_item("angular_acceleration", vector(py, reference.angular_acceleration_b.as_slice())?)?;
-    out.set_item("angular_jerk", vector(py, reference.angular_jerk_b.as_slice())?)?;
+    out.set_item("com_position", vector(py, setpoint.com_position.as_slice())?)?;
+    out.set_item("com_velocity", vector(py, setpoint.com_velocity.as_slice())?)?;
+    out.set_item("com_acceleration", vector(py, setpoint.com_acceleration.as_slice())?)?;
+    out.set_item("com_jerk", vector(py, setpoint.com_jerk.as_slice())?)?;
+    out.set_item("rotation", matrix(py, &setpoint.rotation)?)?;
+    out.set_item("angular_velocity", vector(py, setpoint.angular_velocity_b.as_slice())?)?;
+    out.set_item("angular_acceleration", vector(py, setpoint.angular_acceleration_b.as_slice())?)?;
+    out.set_item("angular_jerk", vector(py, setpoint.angular_jerk_b.as_slice())?)?;
     Ok(out)
 }
 
-fn reference_from_dict(given: &Bound<'_, PyDict>) -> PyResult<Reference> {
+fn setpoint_from_dict(given: &Bound<'_, PyDict>) -> PyResult<Setpoint> {
     let item = |key: &str| -> PyResult<Input<'_>> {
         let value =
-            given.get_item(key)?.ok_or_else(|| PyKeyError::new_err(format!("`reference` lacks `{key}`")))?;
+            given.get_item(key)?.ok_or_else(|| PyKeyError::new_err(format!("`setpoint` lacks `{key}`")))?;
         value
             .extract()
-            .map_err(|_| PyValueError::new_err(format!("`reference[{key:?}]` is not a float64 array")))
+            .map_err(|_| PyValueError::new_err(format!("`setpoint[{key:?}]` is not a float64 array")))
     };
     let vector = |key: &str| -> PyResult<Vector3<f64>> { vector3(key, &item(key)?) };
-    Ok(Reference {
+    Ok(Setpoint {
         com_position: vector("com_position")?,
         com_velocity: vector("com_velocity")?,
         com_acceleration: vector("com_acceleration")?,
@@ -212,26 +297,24 @@ fn reference_from_dict(given: &Bound<'_, PyDict>) -> PyResult<Reference> {
     })
 }
 
-/// The references of a whole flight as arrays, for a robot that starts at `com` and `rpy`: raw and
-/// smoothed signals at every tick from 0 to duration.
+/// The set-points of a whole flight as arrays, for a robot that starts with its centre of mass at `com` and
+/// its base at `rotation`: raw and smoothed signals at every tick from 0 to duration.
 #[pyfunction]
-pub fn reference_trajectory<'py>(
+pub fn setpoint_trajectory<'py>(
     py: Python<'py>,
     config_json: &str,
     com: Input<'py>,
-    rpy: Input<'py>,
+    rotation: Input<'py>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let config = parse(config_json)?;
-    config.controller.law.references.check().map_err(value_error)?;
     let mission = load_mission(&config.envelope).map_err(value_error)?;
+    let robot = load_robot(&config.robot).map_err(value_error)?;
     let dt = config.simulator.time_step;
     let ticks = config.simulator.n_ticks() + 1;
-    let mut generator = ReferenceGenerator::new(
-        &config.controller.law.references,
-        dt,
-        vector3("com", &com)?,
-        vector3("rpy", &rpy)?,
-    );
+    let generator =
+        SetpointGenerator::new(&config.controller.law.setpoint, mission, &robot.forward_axis_b, dt)
+            .map_err(value_error)?;
+    let mut state = generator.start(vector3("com", &com)?, &matrix3("rotation", &rotation)?);
     let mut signals: [(&str, DMatrix<f64>); 9] = [
         "raw_position",
         "raw_rpy",
@@ -246,23 +329,23 @@ pub fn reference_trajectory<'py>(
     .map(|name| (name, DMatrix::zeros(ticks, 3)));
     let mut rotations = Vec::with_capacity(9 * ticks);
     for tick in 0..ticks {
-        let reference = generator.update(&mission, tick as f64 * dt);
-        let raw = generator.raw();
+        let setpoint = generator.update(&mut state, tick as f64 * dt);
+        let raw = state.raw();
         let values = [
             raw.position,
             raw.rpy,
-            reference.com_position,
-            reference.com_velocity,
-            reference.com_acceleration,
-            reference.com_jerk,
-            reference.angular_velocity_b,
-            reference.angular_acceleration_b,
-            reference.angular_jerk_b,
+            setpoint.com_position,
+            setpoint.com_velocity,
+            setpoint.com_acceleration,
+            setpoint.com_jerk,
+            setpoint.angular_velocity_b,
+            setpoint.angular_acceleration_b,
+            setpoint.angular_jerk_b,
         ];
         for ((_, signal), value) in signals.iter_mut().zip(values) {
             signal.set_row(tick, &value.transpose());
         }
-        rotations.extend(reference.rotation.transpose().iter());
+        rotations.extend(setpoint.rotation.transpose().iter());
     }
     let out = PyDict::new(py);
     for (name, signal) in &signals {

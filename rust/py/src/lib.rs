@@ -20,7 +20,7 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _core {
     #[pymodule_export]
-    use super::control::{Controller, reference_trajectory};
+    use super::control::{Controller, ControllerState, setpoint_trajectory};
     #[pymodule_export]
     use super::flight::{check_config, config_digest, fly, fly_batch, resolve_config, wind_velocity};
     #[pymodule_export]

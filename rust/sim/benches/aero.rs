@@ -17,7 +17,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let tick = &ticks[0];
     let config = common::configuration("robustness_axisymmetric_vs_sphere_cylinder")?;
     let controller = common::controller(&config)?;
-    let robot = controller.robot();
+    let robot = controller.model();
     let mut kinematics = Kinematics::new(robot);
     kinematics.update(robot, &tick.state);
     let mut links = LinkForces::new(robot);

@@ -15,7 +15,7 @@ use std::time::Duration;
 fn main() -> Result<(), BuildError> {
     let ticks = common::calm()?;
     let controller = common::controller(&common::configuration("test2")?)?;
-    let robot = controller.robot();
+    let robot = controller.model();
     let mut states = ticks.iter().cycle();
     let mut kinematics = Kinematics::new(robot);
     let mut dynamics = Dynamics::new(robot);

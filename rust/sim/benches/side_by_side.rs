@@ -32,7 +32,7 @@ use std::time::Instant;
 fn main() -> Result<(), Box<dyn Error>> {
     let (calm, saturated) = (common::calm()?, common::saturated()?);
     let controller = common::controller(&common::configuration("test2")?)?;
-    let robot = controller.robot();
+    let robot = controller.model();
     let mut arguments = std::env::args().skip_while(|argument| argument != "--dump").skip(1);
     let folder = arguments.next().map(PathBuf::from);
     if let Some(folder) = &folder {

@@ -41,9 +41,11 @@ fn tick_times(name: &str) -> Result<Vec<f64>, BuildError> {
     let mut times = Vec::with_capacity(TICKS + ticks.len());
     while times.len() < TICKS {
         let mut controller = common::controller(&config)?;
+        let mut state = None;
         for tick in &ticks {
             let measurement = tick.measurement();
-            times.push(microseconds(|| controller.tick(black_box(&measurement)).status));
+            let Some(state) = common::started(&mut controller, &mut state, &measurement) else { break };
+            times.push(microseconds(|| controller.tick(state, black_box(&measurement)).status));
         }
     }
     Ok(times)
@@ -57,13 +59,18 @@ fn standing_tick_times() -> Result<Vec<f64>, BuildError> {
     let mut times = Vec::with_capacity(TICKS + ticks.len());
     while times.len() < TICKS {
         let mut controller = common::controller(&config)?;
+        let mut state = None;
         for (index, tick) in ticks.iter().enumerate() {
             let time = index as f64 * config.simulator.time_step;
-            let measurement = Measurement { time, state: &tick.state, thrust: &thrust, wind: tick.wind };
-            times.push(microseconds(|| {
-                controller.feel(black_box(&tick.feet));
-                controller.tick(black_box(&measurement)).status
-            }));
+            let measurement = Measurement {
+                time,
+                state: &tick.state,
+                thrust: &thrust,
+                wind: tick.wind,
+                foot_wrenches: &tick.feet,
+            };
+            let Some(state) = common::started(&mut controller, &mut state, &measurement) else { break };
+            times.push(microseconds(|| controller.tick(state, black_box(&measurement)).status));
         }
     }
     Ok(times)

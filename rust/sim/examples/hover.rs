@@ -20,13 +20,25 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut plant = Plant::new(robot.clone(), &config.simulator)?;
     let mut controller = load_controller(robot, &config.controller, &config.envelope, time_step)?;
     let still_air = Vector3::zeros();
+    let mut state = {
+        let thrust = plant.jets().thrust_feedback();
+        let wind = still_air;
+        controller.start(&Measurement {
+            time: 0.0,
+            state: plant.state(),
+            thrust,
+            wind,
+            foot_wrenches: &[],
+        })?
+    };
 
     for tick in 0..=500 {
         let time = f64::from(tick) * time_step;
         plant.observe(&still_air);
         let thrust = plant.jets().thrust_feedback();
-        let measurement = Measurement { time, state: plant.state(), thrust, wind: still_air };
-        let command = controller.tick(&measurement);
+        let wind = still_air;
+        let measurement = Measurement { time, state: plant.state(), thrust, wind, foot_wrenches: &[] };
+        let command = controller.tick(&mut state, &measurement);
         if tick % 50 == 0 {
             println!("{time:.1} s: height {:.3} m, thrust {thrust:6.1?} N", plant.kinematics().com.z);
         }

@@ -54,12 +54,17 @@ fn own_loop(config: FlightConfig) -> Result<(), Box<dyn Error>> {
     let mut plant = Plant::new(robot.clone(), &config.simulator)?; // your robot stands here
     let mut controller = load_controller(robot, &config.controller, &config.envelope, time_step)?;
     let wind = Vector3::new(0.0, -5.0, 0.0);
+    let measure =
+        |plant: &Plant, time| (time, plant.state().clone(), plant.jets().thrust_feedback().to_vec());
+    let (time, robot_state, thrust) = measure(&plant, 0.0);
+    let first = Measurement { time, state: &robot_state, thrust: &thrust, wind, foot_wrenches: &[] };
+    let mut state = controller.start(&first)?; // position, attitude and posture to keep
 
     for tick in 0..200 {
         plant.observe(&wind);
-        let thrust = plant.jets().thrust_feedback();
-        let time = f64::from(tick) * time_step;
-        let command = controller.tick(&Measurement { time, state: plant.state(), thrust, wind });
+        let (time, robot_state, thrust) = measure(&plant, f64::from(tick) * time_step);
+        let measurement = Measurement { time, state: &robot_state, thrust: &thrust, ..first };
+        let command = controller.tick(&mut state, &measurement);
         plant.advance(command.joint_torque.as_slice(), command.thrust_rate.as_slice(), &wind, time_step);
     }
     println!("after 2 s: height {:.3} m", plant.kinematics().com.z);

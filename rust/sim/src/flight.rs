@@ -17,7 +17,7 @@ use crate::log::{FlightLog, FlightResult, LogRow, Summary, TrackingErrors};
 use crate::plant::Plant;
 use crate::wind::Wind;
 use flight_core::control::wind_estimate::WindEstimator;
-use flight_core::control::{Controller, Measurement};
+use flight_core::control::{Controller, ControllerState, Measurement};
 use flight_core::error::BuildError;
 use flight_core::robot::RobotModel;
 use flight_io::{load_controller, load_robot};
@@ -173,7 +173,8 @@ impl Flight {
         mut self,
         mut progress: impl FnMut(usize, usize) -> ControlFlow<()>,
     ) -> Result<FlightResult, Interrupted> {
-        let mut log = FlightLog::new(self.controller.robot(), self.n_ticks + 1);
+        let mut log = FlightLog::new(self.plant.robot(), self.n_ticks + 1);
+        let mut state: Option<ControllerState> = None;
         let mut fall = None;
         for tick in 0..=self.n_ticks {
             let time = tick as f64 * self.time_step;
@@ -186,10 +187,21 @@ impl Flight {
                 state: self.plant.state(),
                 thrust: self.plant.jets().thrust_feedback(),
                 wind: told,
+                foot_wrenches: &[],
             };
-            self.controller.tick(&measurement);
+            let state = match &mut state {
+                Some(state) => state,
+                None => match self.controller.start(&measurement) {
+                    Ok(started) => state.insert(started),
+                    Err(_) => {
+                        fall = Some(Fall { time, reason: FallReason::NotFinite });
+                        break;
+                    }
+                },
+            };
+            self.controller.tick(state, &measurement);
             let command = self.controller.command();
-            let errors = TrackingErrors::new(&self.plant, &self.controller.terms().reference);
+            let errors = TrackingErrors::new(&self.plant, &self.controller.terms().setpoint);
             log.push(&LogRow {
                 time,
                 wind,
@@ -208,7 +220,7 @@ impl Flight {
                 return Err(Interrupted);
             }
         }
-        log.joint_reference = self.controller.memory().posture.as_slice().to_vec();
+        log.joint_reference = state.map_or_else(Vec::new, |state| state.posture().as_slice().to_vec());
         Ok(FlightResult { fall, summary: Summary::new(&log), log })
     }
 

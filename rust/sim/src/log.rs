@@ -4,7 +4,7 @@
 
 use crate::flight::Fall;
 use crate::plant::Plant;
-use flight_core::control::references::Reference;
+use flight_core::control::setpoint::Setpoint;
 use flight_core::control::{Command, Terms};
 use flight_core::robot::RobotModel;
 use flight_core::spatial::{rpy_from_rotation, wxyz_from_rotation};
@@ -69,11 +69,11 @@ pub struct TrackingErrors {
 impl TrackingErrors {
     /// Errors of a plant against a reference.
     #[must_use]
-    pub fn new(plant: &Plant, reference: &Reference) -> Self {
-        let error = reference.rotation.transpose() * plant.state().base.rotation;
+    pub fn new(plant: &Plant, setpoint: &Setpoint) -> Self {
+        let error = setpoint.rotation.transpose() * plant.state().base.rotation;
         Self {
             rotation: flight_core::spatial::rotation_angle(&error),
-            com: (plant.kinematics().com - reference.com_position).norm(),
+            com: (plant.kinematics().com - setpoint.com_position).norm(),
         }
     }
 }
@@ -143,10 +143,10 @@ impl FlightLog {
     /// Appends one row of every signal.
     pub fn push(&mut self, row: &LogRow) {
         let state = row.plant.state();
-        let reference = &row.terms.reference;
+        let setpoint = &row.terms.setpoint;
         let com_velocity: Vector3<f64> =
             row.plant.dynamics().momentum.fixed_rows::<3>(0) / row.plant.kinematics().mass();
-        let momentum_reference = reference.com_velocity * row.terms.kinematics.mass();
+        let momentum_reference = setpoint.com_velocity * row.terms.kinematics.mass();
         let (momentum_qp, torque_qp) = (&row.command.momentum_qp, &row.command.torque_qp);
         for series in &mut self.series {
             let data = &mut series.data;
@@ -155,12 +155,12 @@ impl FlightLog {
                 "base_position" => data.extend(&state.base.position),
                 "base_quaternion" => data.extend(wxyz_from_rotation(&state.base.rotation)),
                 "base_velocity" => data.extend(&state.velocity.as_slice()[..6]),
-                "base_rpy_reference" => data.extend(&rpy_from_rotation(&reference.rotation)),
+                "base_rpy_reference" => data.extend(&rpy_from_rotation(&setpoint.rotation)),
                 "joint_position" => data.extend(&state.joint_position),
                 "joint_velocity" => data.extend(state.joint_velocity()),
                 "com_position" => data.extend(&row.plant.kinematics().com),
                 "com_velocity" => data.extend(&com_velocity),
-                "com_reference" => data.extend(&reference.com_position),
+                "com_reference" => data.extend(&setpoint.com_position),
                 "rotation_error" => data.push(row.errors.rotation),
                 "thrust" => data.extend(row.plant.jets().thrust()),
                 "thrust_rate" => data.extend(&row.command.thrust_rate),

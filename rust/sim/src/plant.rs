@@ -81,6 +81,12 @@ impl Plant {
         Ok(plant)
     }
 
+    /// The robot that flies.
+    #[must_use]
+    pub fn robot(&self) -> &RobotModel {
+        &self.robot
+    }
+
     /// Pose and velocity.
     #[must_use]
     pub fn state(&self) -> &RobotState {

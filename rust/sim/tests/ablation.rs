@@ -6,10 +6,10 @@
 
 mod common;
 
-use common::{experiment, fly};
+use common::{Running, experiment, fly};
+use flight_core::Measurement;
 use flight_core::control::model_error::ModelError;
 use flight_core::control::wind_estimate::WindEstimateConfig;
-use flight_core::{Controller, Measurement};
 use flight_io::{load_controller, load_robot};
 use flight_sim::FlightConfig;
 use nalgebra::{Vector3, Vector6};
@@ -29,15 +29,17 @@ fn with(change: impl Fn(&mut FlightConfig)) -> FlightConfig {
 }
 
 /// A controller behind its first tick in a wind askew to every link.
-fn first_tick(config: &FlightConfig) -> Controller {
+fn first_tick(config: &FlightConfig) -> Running {
     let robot = load_robot(&config.robot).unwrap();
-    let mut controller = load_controller(robot, &config.controller, &config.envelope, 0.01).unwrap();
+    let controller = load_controller(robot, &config.controller, &config.envelope, 0.01).unwrap();
+    let mut controller = Running::new(controller);
     let state = config.simulator.initial.state();
     controller.tick(&Measurement {
         time: 0.0,
         state: &state,
         thrust: &config.simulator.initial.thrust,
         wind: Vector3::new(-4.0, -9.0, 1.5),
+        foot_wrenches: &[],
     });
     controller
 }
@@ -92,7 +94,7 @@ fn drag_lies_along_the_air_and_the_normal_part_across_it() {
     let whole = first_tick(&with(|_| {}));
     let drag = first_tick(&with(|config| config.controller.law.aero_feedback.normal = 0.0));
     let normal = first_tick(&with(|config| config.controller.law.aero_feedback.drag = 0.0));
-    let forces = |controller: &Controller| controller.terms().link_forces.forces_i.clone();
+    let forces = |controller: &Running| controller.terms().link_forces.forces_i.clone();
     let air = &whole.terms().link_forces.v_air_i;
     for (link, v_air) in air.iter().enumerate() {
         let (f, d, n) = (forces(&whole)[link], forces(&drag)[link], forces(&normal)[link]);
@@ -118,7 +120,7 @@ fn a_link_can_be_left_out() {
         config.controller.law.aero_feedback.links = BTreeMap::from([("chest".to_owned(), 0.0)]);
     });
     let without = first_tick(&without);
-    let names = &whole.robot().aero_links;
+    let names = &whole.model().aero_links;
     for (index, link) in names.iter().enumerate() {
         let (before, after) =
             (whole.terms().link_forces.forces_i[index], without.terms().link_forces.forces_i[index]);

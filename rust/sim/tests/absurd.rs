@@ -2,10 +2,10 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 mod common;
-use common::experiment;
-use flight_core::control::{CommandStatus, Memory};
+use common::{Running, experiment};
+use flight_core::Measurement;
+use flight_core::control::CommandStatus;
 use flight_core::spatial::{orthonormality_error, rotation_from_rpy, rpy_from_rotation};
-use flight_core::{Controller, Measurement};
 use flight_io::{load_controller, load_robot};
 use flight_sim::{Plant, Wind, WindConfig};
 use nalgebra::{DVector, Matrix3, Vector3};
@@ -30,30 +30,11 @@ fn wind_file_with_a_trailing_word_is_refused() {
         assert!(Wind::new(&WindConfig::File { path }).is_err(), "{line}");
     }
 }
-fn controller() -> (Controller, Plant) {
+fn controller() -> (Running, Plant) {
     let c = experiment("test2");
     let robot = load_robot(&c.robot).unwrap();
     let plant = Plant::new(robot.clone(), &c.simulator).unwrap();
-    (load_controller(robot, &c.controller, &c.envelope, 0.01).unwrap(), plant)
-}
-/// A memory that is not finite is refused.
-#[test]
-fn memories_that_are_not_finite_are_refused() {
-    for part in 0..3 {
-        let (mut controller, _) = controller();
-        let mut memory = Memory {
-            posture: DVector::zeros(23),
-            inertia_0_b: Matrix3::identity(),
-            velocity_error_integral: DVector::zeros(23),
-            torque_is_known: false,
-        };
-        match part {
-            0 => memory.posture[3] = f64::NAN,
-            1 => memory.velocity_error_integral[3] = f64::NAN,
-            _ => memory.inertia_0_b[(0, 0)] = f64::NAN,
-        }
-        assert!(controller.set_memory(memory).is_err(), "part {part}");
-    }
+    (Running::new(load_controller(robot, &c.controller, &c.envelope, 0.01).unwrap()), plant)
 }
 /// A velocity of another length is a bad measurement, not a panic.
 #[test]
@@ -62,9 +43,11 @@ fn a_velocity_of_another_length_is_a_bad_measurement() {
         let (mut controller, plant) = controller();
         let mut state = plant.state().clone();
         state.velocity = DVector::zeros(length);
-        let m =
-            Measurement { time: 0.0, state: &state, thrust: plant.jets().thrust(), wind: Vector3::zeros() };
-        assert_eq!(controller.tick(&m).status, CommandStatus::BadMeasurement);
+        let thrust = plant.jets().thrust();
+        let wind = Vector3::zeros();
+        let m = |state| Measurement { time: 0.0, state, thrust, wind, foot_wrenches: &[] };
+        controller.tick(&m(plant.state()));
+        assert_eq!(controller.tick(&m(&state)).status, CommandStatus::BadMeasurement);
     }
 }
 /// One absurd sample does not cost the flight: a tick later the torques are sensible again.
@@ -80,6 +63,7 @@ fn one_absurd_velocity_is_forgotten() {
             state,
             thrust: plant.jets().thrust(),
             wind: Vector3::zeros(),
+            foot_wrenches: &[],
         };
         let c = controller.tick(&m).clone();
         (c.status, controller.terms().unlimited_torque.amax(), c.joint_torque.amax())

@@ -7,7 +7,7 @@
 
 mod common;
 
-use common::{Loop, experiment, tick_at};
+use common::{Loop, Running, experiment, tick_at};
 use flight_core::Measurement;
 use flight_core::aero::Precision;
 use flight_core::control::CommandStatus;
@@ -88,8 +88,8 @@ fn assert_no_allocations(what: &str, config: &FlightConfig, seconds: f64, wind: 
         let blow = wind * (tick as f64 * 0.01).min(1.0);
         in_plant += allocations(|| flight.plant.observe(&blow));
         let thrust = flight.plant.jets().thrust_feedback();
-        let measurement =
-            Measurement { time: tick as f64 * 0.01, state: flight.plant.state(), thrust, wind: blow };
+        let (time, state) = (tick as f64 * 0.01, flight.plant.state());
+        let measurement = Measurement { time, state, thrust, wind: blow, foot_wrenches: &[] };
         let of_this_tick = allocations(|| {
             flight.controller.tick(&measurement);
         });
@@ -206,7 +206,8 @@ fn a_tick_on_the_ground_does_not_allocate() {
         let mut config = experiment("balancing_lateral");
         config.controller.law.qp.fallback = fallback;
         let robot = load_robot(&config.robot).unwrap();
-        let mut controller = load_controller(robot, &config.controller, &config.envelope, 0.01).unwrap();
+        let controller = load_controller(robot, &config.controller, &config.envelope, 0.01).unwrap();
+        let mut controller = Running::new(controller);
         let mut state = config.simulator.initial.state();
         let thrust = [0.0; 4];
         let (mut counted, mut rows) = (0, 0);
@@ -217,9 +218,9 @@ fn a_tick_on_the_ground_does_not_allocate() {
             state.joint_position[15] = 0.02 * phase.sin();
             state.velocity[6 + 15] = 0.1 * phase.cos();
             let foot = Vector6::new(0.0, 0.0, carried, 3.0 * phase.sin(), -1.2, 0.0);
-            let measurement = Measurement { time, state: &state, thrust: &thrust, wind: 2.0 * SIDE };
+            let (wind, foot_wrenches) = (2.0 * SIDE, &[foot, foot]);
+            let measurement = Measurement { time, state: &state, thrust: &thrust, wind, foot_wrenches };
             let of_this_tick = allocations(|| {
-                controller.feel(&[foot, foot]);
                 controller.tick(&measurement);
             });
             if tick > 0 {

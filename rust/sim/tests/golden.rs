@@ -6,8 +6,8 @@ mod common;
 
 use common::assert_within;
 use flight_core::aero::{LinkConventions, LinkForces};
-use flight_core::control::references::Reference;
-use flight_core::control::{Memory, Terms};
+use flight_core::control::Terms;
+use flight_core::control::setpoint::Setpoint;
 use flight_core::kinematics::RobotState;
 use flight_core::spatial::Pose;
 use flight_core::{Controller, Measurement};
@@ -68,8 +68,10 @@ struct Case {
     state: RobotState,
     thrust: Vec<f64>,
     wind: Vector3<f64>,
-    reference: Reference,
-    memory: Memory,
+    setpoint: Setpoint,
+    posture: DVector<f64>,
+    inertia_0_b: Matrix3<f64>,
+    integral: DVector<f64>,
 }
 
 impl Case {
@@ -83,7 +85,7 @@ impl Case {
         state.velocity = DVector::from_vec(numbers(&given["velocity"]));
         let setpoint = |key: &str| vector3(&given[format!("setpoint.{key}")]);
         Self {
-            reference: Reference {
+            setpoint: Setpoint {
                 com_position: setpoint("com_position"),
                 com_velocity: setpoint("com_velocity"),
                 com_acceleration: setpoint("com_acceleration"),
@@ -93,12 +95,9 @@ impl Case {
                 angular_acceleration_b: setpoint("angular_acceleration"),
                 angular_jerk_b: setpoint("angular_jerk"),
             },
-            memory: Memory {
-                posture: DVector::from_vec(numbers(&given["memory.posture"])),
-                inertia_0_b: matrix3(&given["memory.inertia_0_b"]),
-                velocity_error_integral: DVector::from_vec(numbers(&given["memory.velocity_error_integral"])),
-                torque_is_known: false,
-            },
+            posture: DVector::from_vec(numbers(&given["memory.posture"])),
+            inertia_0_b: matrix3(&given["memory.inertia_0_b"]),
+            integral: DVector::from_vec(numbers(&given["memory.velocity_error_integral"])),
             thrust: numbers(&given["thrust"]),
             wind: vector3(&given["wind"]),
             state,
@@ -111,10 +110,17 @@ impl Case {
         let config = flight_config(control);
         let robot = load_robot(&config.robot).unwrap();
         let mut controller = load_controller(robot, &config.controller, &config.envelope, 0.01).unwrap();
-        controller.set_memory(self.memory.clone()).unwrap();
-        let measurement =
-            Measurement { time: 0.0, state: &self.state, thrust: &self.thrust, wind: self.wind };
-        controller.tick_with_reference(&measurement, &self.reference);
+        let measurement = Measurement {
+            time: 0.0,
+            state: &self.state,
+            thrust: &self.thrust,
+            wind: self.wind,
+            foot_wrenches: &[],
+        };
+        let state = controller.start(&measurement).unwrap();
+        let (posture, inertia) = (self.posture.clone(), self.inertia_0_b);
+        let mut state = state.with_posture_control(posture, inertia, self.integral.clone()).unwrap();
+        controller.tick_towards(&mut state, &measurement, &self.setpoint);
         controller
     }
 }
@@ -150,7 +156,7 @@ fn every_intermediate_of_the_aware_controller_agrees() {
         agree("link_arm_points", &flat(&link_forces.arm_points_i), golden("link_arm_points"));
         agree("link_axes", &flat(&link_forces.axes_i), golden("link_axes"));
         agree("aero_force", &flat(&link_forces.forces_i), golden("aero_force"));
-        let jacobians: Vec<f64> = (controller.robot().aero_links.iter().zip(&link_forces.jacobian_points_i))
+        let jacobians: Vec<f64> = (controller.model().aero_links.iter().zip(&link_forces.jacobian_points_i))
             .flat_map(|(link, point)| rows(&kinematics.jacobian(link.frame.body, point).0))
             .collect();
         agree("link_jacobians", &jacobians, golden("link_jacobians"));
@@ -198,7 +204,7 @@ fn commands_agree(controller: &Controller, golden: &Value) {
 fn the_sphere_cylinder_forces_agree() {
     for case in golden_cases() {
         let controller = case.tick("aero_aware");
-        let robot = controller.robot();
+        let robot = controller.model();
         let value = flight_io::resolve(&repository().join("configs/aero/sphere_cylinder.toml")).unwrap();
         let mut model = load_aero(&serde_json::from_value(value).unwrap(), robot).unwrap();
         let mut forces = LinkForces::new(robot);

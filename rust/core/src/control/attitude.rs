@@ -1,4 +1,4 @@
-//! The attitude task: the angular momentum that turns the base onto its reference.
+//! The attitude task: the angular momentum that turns the base onto its set-point.
 //!
 //! Everything is in body coordinates. With `R` the base rotation, `w = Rᵀ ω_B`, `I₀` the centroidal
 //! inertia in body axes *at the first tick* (held constant) and `I_b` the one now:
@@ -15,7 +15,7 @@
 //! Equations M59 to M61 and, for the last sentence, M67 of `docs/model.md`.
 
 use super::config::MomentumGains;
-use super::references::Reference;
+use super::setpoint::Setpoint;
 use crate::spatial::{skew, vee_of_skew_part};
 use nalgebra::{Matrix3, Vector3};
 
@@ -32,7 +32,7 @@ pub struct AttitudeDemand {
 #[must_use]
 pub fn attitude_demand(
     gains: &MomentumGains,
-    reference: &Reference,
+    setpoint: &Setpoint,
     rotation: &Matrix3<f64>,
     angular_velocity_i: &Vector3<f64>,
     moment_estimate_i: &Vector3<f64>,
@@ -42,16 +42,16 @@ pub fn attitude_demand(
     let (c0, c1) = (gains.c0, gains.c1);
     let (i0, i0_inv) = (inertia_0_b, inverse_inertia_0_b);
     let w = rotation.transpose() * angular_velocity_i;
-    let w_d = &reference.angular_velocity_b;
+    let w_d = &setpoint.angular_velocity_b;
 
     let k = i0 * w;
     let k_dot = rotation.transpose() * moment_estimate_i - w.cross(&k);
-    let error = reference.rotation.transpose() * rotation;
+    let error = setpoint.rotation.transpose() * rotation;
     let e = vee_of_skew_part(&error);
     let e_dot = vee_of_skew_part(&(error * skew(&w) - skew(w_d) * error));
 
-    let k_dot_error = k_dot - i0 * reference.angular_acceleration_b;
-    let k_ddot_desired_b = i0 * reference.angular_jerk_b
+    let k_dot_error = k_dot - i0 * setpoint.angular_acceleration_b;
+    let k_ddot_desired_b = i0 * setpoint.angular_jerk_b
         - e_dot
         - (k_dot_error + i0_inv * k_dot_error * c0)
         - i0_inv * e * c0

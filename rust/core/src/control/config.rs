@@ -2,7 +2,7 @@
 
 use super::contact::ContactConfig;
 use super::model_error::ModelError;
-use super::references::ReferenceConfig;
+use super::setpoint::SetpointConfig;
 use super::wind_estimate::WindEstimateConfig;
 use crate::aero::{AeroModel, ForceFactorsConfig, JacobianOffset, LeverArm, LinkVelocity};
 use crate::error::{BuildError, check};
@@ -54,8 +54,8 @@ pub struct ControllerConfig {
     /// How QPs are solved.
     #[serde(default)]
     pub qp: QpConfig,
-    /// Reference generation.
-    pub references: ReferenceConfig,
+    /// Set-point generation.
+    pub setpoint: SetpointConfig,
 }
 
 /// Where the estimated aerodynamic forces enter the controller; each can be left out for an ablation.
@@ -318,7 +318,6 @@ impl ControllerConfig {
         positive("torque.regularisation", self.torque.regularisation)?;
         positive("torque.torque_max", self.torque.torque_max)?;
         positive("torque.torque_rate_max", self.torque.torque_rate_max)?;
-        self.references.check()?;
         self.qp.check()?;
         if let Some(contact) = &self.contact {
             contact.check(robot)?;
@@ -331,6 +330,27 @@ impl ControllerConfig {
             jet_index(robot, jet)?;
         }
         Ok(())
+    }
+
+    /// Refuses bounds that make the thrusts or joints oscillate from tick to tick. At a limit the bound of
+    /// the rate is `r ε` per unit of distance, so the distance is multiplied by `1 − h r ε` each tick.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check_rate_bounds(&self, robot: &RobotModel, time_step: f64) -> Result<(), BuildError> {
+        // The published numbers lie on the edge: 1 − 0.01 · 100 · 2 = −1.
+        let stable = |key: &str, rate_max: f64, steepness: f64| {
+            let greatest = 2.0 / (rate_max * time_step);
+            let expected = format!("at most {greatest}, 2 / (greatest rate · time step of {time_step} s)");
+            at(key, steepness, |x| x <= greatest * (1.0 + 1e-9), &expected)
+        };
+        for jet in &robot.jets {
+            if let Some(rate_max) = self.bounds.thrust_rate_max.get(&jet.name) {
+                stable("bounds.thrust_steepness", *rate_max, self.bounds.thrust_steepness)?;
+            }
+        }
+        let rate_max = self.bounds.joint_velocity_max_deg.to_radians();
+        stable("bounds.joint_steepness", rate_max, self.bounds.joint_steepness)
     }
 
     /// Indices of the pairs of [`MomentumWeights::symmetric_jets`].

@@ -140,16 +140,36 @@ impl WrenchLimits {
     }
 }
 
+/// Feet that carry, and their desired wrenches, from one tick to the next.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ContactState {
+    /// Whether all feet carry.
+    pub(super) is_active: bool,
+    /// `f_c*`, foot after foot; zero while the feet do not carry.
+    pub(super) force: DVector<f64>,
+    /// `ḟ_c*` of the last tick, integrated when the next one begins.
+    pub(super) force_rate: DVector<f64>,
+}
+
+impl ContactState {
+    /// Feet that carry nothing.
+    #[must_use]
+    pub fn new(feet: usize) -> Self {
+        let nothing = DVector::zeros(WRENCH * feet);
+        Self { is_active: false, force: nothing.clone(), force_rate: nothing }
+    }
+}
+
 /// The feet of one tick; preallocated.
 #[derive(Debug, Clone)]
 pub struct Contact {
     /// Whether all feet carry.
     pub is_active: bool,
-    /// Wrench each foot feels.
+    /// Measured wrench of each foot.
     pub measured: Vec<Vector6<f64>>,
     /// `f_c*`, foot after foot; zero while the feet do not carry.
     pub force: DVector<f64>,
-    /// `ḟ_c*` of this tick, integrated when the next one begins.
+    /// `ḟ_c*` of this tick.
     pub force_rate: DVector<f64>,
     /// `f_c` of the torque QP's answer.
     pub force_of_torques: DVector<f64>,
@@ -190,24 +210,28 @@ impl Contact {
         &self.config
     }
 
-    /// Advances `f_c*` by the last tick's rate, decides from the measured wrenches whether the feet carry
+    /// Advances `f_c*` of `state` by the last tick's rate, decides from the measured wrenches whether the feet carry
     /// (when that changes, `f_c*` starts anew), and recomputes what depends on the state.
     pub fn update(
         &mut self,
+        state: &mut ContactState,
         robot: &RobotModel,
         kinematics: &Kinematics,
         dynamics: &Dynamics,
         time_step: f64,
     ) {
         // Forward Euler: a rate is used in its own tick and integrated into the next.
-        self.force.axpy(time_step, &self.force_rate, 1.0);
-        self.force_rate.fill(0.0);
+        state.force.axpy(time_step, &state.force_rate, 1.0);
+        state.force_rate.fill(0.0);
         let threshold = self.config.vertical_force_min;
         let carries = self.measured.iter().all(|wrench| wrench[2] > threshold);
-        if carries != self.is_active {
-            self.is_active = carries;
-            self.restart();
+        if carries != state.is_active {
+            state.is_active = carries;
+            self.restart(state);
         }
+        self.is_active = state.is_active;
+        self.force.copy_from(&state.force);
+        self.force_rate.fill(0.0);
         for (index, foot) in robot.feet.iter().enumerate() {
             let sole = kinematics.frame_pose(&foot.frame);
             let first = WRENCH * index;
@@ -231,28 +255,29 @@ impl Contact {
         }
     }
 
-    /// Vertical force and, where wanted, moment about y, of each foot as it is felt; all else zero.
-    fn restart(&mut self) {
-        self.force.fill(0.0);
+    /// Vertical force and, where configured, moment about y, of each foot as measured; all else zero.
+    fn restart(&mut self, state: &mut ContactState) {
+        state.force.fill(0.0);
         self.force_of_torques.fill(0.0);
-        if !self.is_active {
+        if !state.is_active {
             return;
         }
         for (foot, wrench) in self.measured.iter().enumerate() {
-            self.force[WRENCH * foot + 2] = wrench[2];
+            state.force[WRENCH * foot + 2] = wrench[2];
             if self.config.start_with_moment {
-                self.force[WRENCH * foot + 4] = wrench[4];
+                state.force[WRENCH * foot + 4] = wrench[4];
             }
         }
     }
 
-    /// Takes the rate of the momentum QP's answer; feet that carry nothing have none.
-    pub fn take_rate(&mut self, rate: &[f64]) {
+    /// Stores the rate of the momentum QP's answer; feet that carry nothing have none.
+    pub fn store_rate(&mut self, state: &mut ContactState, rate: &[f64]) {
         if !self.is_active {
             return;
         }
         for (to, rate) in self.force_rate.iter_mut().zip(rate) {
             *to = if rate.abs() < self.config.force_rate_dead_zone { 0.0 } else { *rate };
         }
+        state.force_rate.copy_from(&self.force_rate);
     }
 }

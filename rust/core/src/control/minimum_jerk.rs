@@ -18,32 +18,54 @@ const C: f64 = 15.966_961_070_938_4;
 ///
 /// Outputs `H u`, `s H u`, `s² H u`: smoothed value, first and second derivative. Discretised by the
 /// bilinear transform (Tustin): the trapezoidal rule on the controllable form
-/// `ẋ = (x₂, x₃, A/T³ (u − x₁) − B/T² x₂ − C/T x₃)`. Starts in equilibrium.
-#[derive(Debug, Clone)]
+/// `ẋ = (x₂, x₃, A/T³ (u − x₁) − B/T² x₂ − C/T x₃)`.
+#[derive(Debug, Clone, PartialEq)]
 pub struct MinimumJerkFilter {
     transition: Matrix3<f64>,
     input_gain: Vector3<f64>,
+}
+
+/// State of a [`MinimumJerkFilter`], and its output.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FilterState {
     /// Column k holds value, first and second derivative of axis k.
-    state: Matrix3<f64>,
+    derivatives: Matrix3<f64>,
     previous_input: Vector3<f64>,
 }
 
-/// Output of a [`MinimumJerkFilter`].
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Smoothed {
+impl FilterState {
+    /// In equilibrium at a constant input.
+    #[must_use]
+    pub fn at_rest(input: Vector3<f64>) -> Self {
+        let mut derivatives = Matrix3::zeros();
+        derivatives.set_row(0, &input.transpose());
+        Self { derivatives, previous_input: input }
+    }
+
     /// Smoothed input.
-    pub value: Vector3<f64>,
-    /// Its first time derivative.
-    pub rate: Vector3<f64>,
-    /// Its second time derivative.
-    pub acceleration: Vector3<f64>,
+    #[must_use]
+    pub fn value(&self) -> Vector3<f64> {
+        self.derivatives.row(0).transpose()
+    }
+
+    /// First time derivative of the smoothed input.
+    #[must_use]
+    pub fn rate(&self) -> Vector3<f64> {
+        self.derivatives.row(1).transpose()
+    }
+
+    /// Second time derivative of the smoothed input.
+    #[must_use]
+    pub fn acceleration(&self) -> Vector3<f64> {
+        self.derivatives.row(2).transpose()
+    }
 }
 
 impl MinimumJerkFilter {
-    /// Filter with smoothing time `smoothing_time` \[s\] at tick `time_step` \[s\], at rest at
-    /// `initial`. Both times must be positive (the configuration checks them).
+    /// Filter with smoothing time `smoothing_time` \[s\] at tick `time_step` \[s\]. Both times must be
+    /// positive (the configuration checks them).
     #[must_use]
-    pub fn new(smoothing_time: f64, time_step: f64, initial: Vector3<f64>) -> Self {
+    pub fn new(smoothing_time: f64, time_step: f64) -> Self {
         let t = smoothing_time;
         let half = 0.5 * time_step;
         let continuous = Matrix3::new(0.0, 1.0, 0.0, 0.0, 0.0, 1.0, -A / t.powi(3), -B / t.powi(2), -C / t);
@@ -52,24 +74,13 @@ impl MinimumJerkFilter {
         Self {
             transition: inverse * (Matrix3::identity() + continuous * half),
             input_gain: inverse * Vector3::new(0.0, 0.0, half * A / t.powi(3)),
-            state: Matrix3::from_rows(&[
-                initial.transpose(),
-                Vector3::zeros().transpose(),
-                Vector3::zeros().transpose(),
-            ]),
-            previous_input: initial,
         }
     }
 
-    /// Takes the input of this tick and returns the outputs of this tick.
-    pub fn update(&mut self, input: &Vector3<f64>) -> Smoothed {
-        let drive = self.input_gain * (self.previous_input + input).transpose();
-        self.state = self.transition * self.state + drive;
-        self.previous_input = *input;
-        Smoothed {
-            value: self.state.row(0).transpose(),
-            rate: self.state.row(1).transpose(),
-            acceleration: self.state.row(2).transpose(),
-        }
+    /// Takes the input of this tick; `state` then holds the outputs of this tick.
+    pub fn update(&self, state: &mut FilterState, input: &Vector3<f64>) {
+        let drive = self.input_gain * (state.previous_input + input).transpose();
+        state.derivatives = self.transition * state.derivatives + drive;
+        state.previous_input = *input;
     }
 }

@@ -1,4 +1,4 @@
-//! What a controller is to fly: commands of an autopilot, or a recorded reference.
+//! What a controller is to fly: commands of an autopilot, or recorded set-points.
 
 use super::recorded::Recording;
 use crate::error::{BuildError, check};
@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 pub enum Mission {
     /// Commands of an autopilot.
     Commands(Commands),
-    /// A recorded reference, followed as it is.
+    /// Recorded set-points, followed as they are.
     Recorded(Recording),
 }
 
@@ -39,9 +39,9 @@ pub struct Commands {
     pub up: Vec<Interval>,
     /// Descend.
     pub down: Vec<Interval>,
-    /// Fly forwards at the plain step.
+    /// Fly forwards at the plain speed.
     pub forward: Vec<Interval>,
-    /// Fly forwards with the growing turbo step, nose down.
+    /// Fly forwards with boosted speed, nose down.
     pub forward_turbo: Vec<Interval>,
     /// Raise the nose.
     pub pitch_up: Vec<Interval>,
@@ -49,18 +49,18 @@ pub struct Commands {
     pub yaw_left: Vec<Interval>,
 }
 
-/// What the autopilot asks for in one tick; −1, 0 or 1 in the sense of the robot's base axes.
+/// Commands of one tick: −1, 0 or 1 in forward, left, up axes of the robot.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct AutopilotCommand {
-    /// Along base x; the base's x axis points backwards, so forwards is −1.
+    /// Along the robot's forward axis.
     pub forward: i8,
-    /// Along z.
+    /// Upwards.
     pub vertical: i8,
-    /// Pitch rate.
-    pub pitch: i8,
-    /// Yaw rate.
+    /// Nose down; a rotation about the left axis.
+    pub nose_down: i8,
+    /// To the left; a rotation about the vertical.
     pub yaw: i8,
-    /// Whether the forward step may grow.
+    /// Whether the forward speed is boosted.
     pub turbo: bool,
 }
 
@@ -104,9 +104,9 @@ impl Commands {
         };
         let turbo = active(&self.forward_turbo);
         AutopilotCommand {
-            forward: -i8::from(turbo || active(&self.forward)),
+            forward: i8::from(turbo || active(&self.forward)),
             vertical: i8::from(active(&self.up)) - i8::from(active(&self.down)),
-            pitch: i8::from(active(&self.pitch_up)),
+            nose_down: -i8::from(active(&self.pitch_up)),
             yaw: i8::from(active(&self.yaw_left)),
             turbo,
         }

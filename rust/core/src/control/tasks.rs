@@ -27,7 +27,7 @@ use super::bounds::rate_bounds;
 use super::config::{ControllerConfig, MomentumGains};
 use super::contact::{Contact, WRENCH};
 use super::momentum::MomentumModel;
-use super::references::Reference;
+use super::setpoint::Setpoint;
 use crate::dynamics::Dynamics;
 use crate::error::BuildError;
 use crate::kinematics::{Kinematics, RobotState};
@@ -62,8 +62,6 @@ pub struct MomentumQp {
     forces: usize,
     force_rate_max: f64,
     foot_weight: f64,
-    /// Whether thrust rates act on the momentum.
-    jets_act: bool,
 }
 
 /// What the tasks are built from.
@@ -79,7 +77,7 @@ pub struct TaskInputs<'a> {
     /// How forces change the momentum.
     pub momentum: &'a MomentumModel,
     /// What to follow.
-    pub reference: &'a Reference,
+    pub setpoint: &'a Setpoint,
     /// What the attitude law asks for.
     pub attitude: &'a AttitudeDemand,
     /// Centroidal inertia in body axes at the first tick \[kg m²\].
@@ -125,7 +123,11 @@ impl MomentumQp {
             weighted_task: OMatrix::<f64, U9, Dyn>::zeros(n),
             row_weights: SVector::from([m, m, m, m, m, m, a, a, a]),
             diagonal,
-            symmetric_pairs: config.symmetric_pairs(robot)?,
+            symmetric_pairs: if robot.jets.is_empty() {
+                Vec::new()
+            } else {
+                config.symmetric_pairs(robot)?
+            },
             symmetry_weight: weights.symmetry,
             posture_weight: weights.posture,
             posture_gain,
@@ -136,7 +138,6 @@ impl MomentumQp {
             forces,
             force_rate_max: config.contact.as_ref().map_or(0.0, |contact| contact.force_rate_max),
             foot_weight: config.contact.as_ref().map_or(0.0, |contact| contact.weight_foot_velocity),
-            jets_act: config.use_jets,
         })
     }
 
@@ -147,9 +148,6 @@ impl MomentumQp {
         if let Some(contact) = inputs.contact {
             self.update_contact_columns(inputs, contact);
         }
-        if !self.jets_act {
-            self.task.columns_mut(0, inputs.thrust.len()).fill(0.0);
-        }
         self.update_cost(inputs);
         if let Some(contact) = inputs.contact.filter(|contact| contact.is_active) {
             self.add_feet(robot, inputs, contact);
@@ -159,7 +157,7 @@ impl MomentumQp {
 
     /// Rows 0 to 2.
     fn update_linear_task(&mut self, gains: &MomentumGains, inputs: &TaskInputs) {
-        let TaskInputs { kinematics, dynamics, momentum, reference, .. } = inputs;
+        let TaskInputs { kinematics, dynamics, momentum, setpoint, .. } = inputs;
         let jets = momentum.a_t.ncols();
         let first_joint = jets + self.forces;
         let mass = kinematics.mass();
@@ -180,9 +178,9 @@ impl MomentumQp {
                     + k * dynamics.momentum_matrix[(axis, column)])
                     * base_velocity[column];
             }
-            let desired = k * mass * reference.com_velocity[axis] + mass * reference.com_jerk[axis];
-            let rate_error = momentum.rate_estimate[axis] - mass * reference.com_acceleration[axis];
-            let integral = mass * (kinematics.com[axis] - reference.com_position[axis]);
+            let desired = k * mass * setpoint.com_velocity[axis] + mass * setpoint.com_jerk[axis];
+            let rate_error = momentum.rate_estimate[axis] - mass * setpoint.com_acceleration[axis];
+            let integral = mass * (kinematics.com[axis] - setpoint.com_position[axis]);
             self.offset[axis] = base_motion - desired + (kd + 1.0) * rate_error + kp * integral;
         }
     }

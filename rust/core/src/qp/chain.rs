@@ -2,7 +2,7 @@
 
 #[cfg(feature = "clarabel")]
 use super::ClarabelSolver;
-use super::{DualActiveSet, PrimalActiveSet, QpAnswer, QpProblem, QpSolver, QpStatus};
+use super::{DualActiveSet, PrimalActiveSet, QpAnswer, QpProblem, QpSolver, QpStatus, WarmStart};
 
 /// One of the methods.
 #[derive(Debug, Clone)]
@@ -66,6 +66,20 @@ impl QpChain {
     pub fn active_set(n: usize, rows: usize) -> Self {
         let dual = Method::Dual(DualActiveSet::new(n, rows));
         Self::new(if rows == 0 { vec![Method::Primal(PrimalActiveSet::new(n)), dual] } else { vec![dual] })
+    }
+
+    /// Begins the next solve of the primal method at `start`; the other methods start from scratch.
+    pub fn set_start(&mut self, start: &WarmStart) {
+        if let Some(Method::Primal(solver)) = self.methods.first_mut() {
+            solver.set_start(start);
+        }
+    }
+
+    /// Stores where the next solve of the primal method would begin.
+    pub fn store_start(&self, start: &mut WarmStart) {
+        if let Some(Method::Primal(solver)) = self.methods.first() {
+            solver.store_start(start);
+        }
     }
 
     /// The same chain with one more method at its end.

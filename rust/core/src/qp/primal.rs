@@ -35,6 +35,33 @@ enum Side {
     Upper,
 }
 
+/// Where a solve begins: the last answer and its working set.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WarmStart {
+    x: Vec<f64>,
+    side: Vec<Side>,
+}
+
+impl WarmStart {
+    /// Begins at `clamp(0)` with nothing held, in `n` variables.
+    #[must_use]
+    pub fn cold(n: usize) -> Self {
+        Self { x: vec![0.0; n], side: vec![Side::Free; n] }
+    }
+
+    /// Number of variables.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.x.len()
+    }
+
+    /// Whether there are no variables.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.x.is_empty()
+    }
+}
+
 /// The method of a flying tick: exact, warm started, no allocation after [`PrimalActiveSet::new`].
 ///
 /// Works in `y_i = x_i / s_i`, `s_i ≈ 1/√H_ii` rounded to a power of two, so that thrust rates and joint
@@ -134,6 +161,22 @@ impl PrimalActiveSet {
     pub fn with_iteration_limit(mut self, limit: u32) -> Self {
         self.iteration_limit = limit;
         self
+    }
+
+    /// Begins the next solve at `start`; without effect for another number of variables.
+    pub fn set_start(&mut self, start: &WarmStart) {
+        if start.x.len() == self.n {
+            self.x.copy_from_slice(&start.x);
+            self.side.copy_from_slice(&start.side);
+        }
+    }
+
+    /// Stores where the next solve would begin; without effect for another number of variables.
+    pub fn store_start(&self, start: &mut WarmStart) {
+        if start.x.len() == self.n {
+            start.x.copy_from_slice(&self.x);
+            start.side.copy_from_slice(&self.side);
+        }
     }
 
     /// Forgets the last answer and its working set: the next solve starts cold.

@@ -1,6 +1,7 @@
 //! Ticks of real flights to measure on.
 #![allow(dead_code)] // each benchmark uses a part
 
+use flight_core::control::ControllerState;
 use flight_core::kinematics::RobotState;
 use flight_core::qp::QpProblem;
 use flight_core::{BuildError, Controller, Measurement};
@@ -22,7 +23,13 @@ pub struct Tick {
 
 impl Tick {
     pub fn measurement(&self) -> Measurement<'_> {
-        Measurement { time: self.time, state: &self.state, thrust: &self.thrust, wind: self.wind }
+        Measurement {
+            time: self.time,
+            state: &self.state,
+            thrust: &self.thrust,
+            wind: self.wind,
+            foot_wrenches: &[],
+        }
     }
 }
 
@@ -43,7 +50,8 @@ pub fn controller(config: &FlightConfig) -> Result<Controller, BuildError> {
 /// Flies a configuration and keeps the ticks of a span of time \[s\].
 pub fn record(config: &FlightConfig, span: &RangeInclusive<f64>) -> Result<Vec<Tick>, BuildError> {
     let mut controller = controller(config)?;
-    let mut plant = Plant::new(controller.robot().clone(), &config.simulator)?;
+    let mut plant = Plant::new(load_robot(&config.robot)?, &config.simulator)?;
+    let mut state = None;
     let wind_profile = Wind::new(&config.wind)?;
     let time_step = config.simulator.time_step;
     let mut ticks = Vec::new();
@@ -55,7 +63,9 @@ pub fn record(config: &FlightConfig, span: &RangeInclusive<f64>) -> Result<Vec<T
         let wind = wind_profile.velocity(time);
         plant.observe(&wind);
         let thrust = plant.jets().thrust_feedback();
-        controller.tick(&Measurement { time, state: plant.state(), thrust, wind });
+        let measurement = Measurement { time, state: plant.state(), thrust, wind, foot_wrenches: &[] };
+        let Some(state) = started(&mut controller, &mut state, &measurement) else { break };
+        controller.tick(state, &measurement);
         if span.contains(&time) {
             ticks.push(Tick {
                 time,
@@ -71,6 +81,18 @@ pub fn record(config: &FlightConfig, span: &RangeInclusive<f64>) -> Result<Vec<T
         plant.advance(torque, thrust_rate, &wind, time_step);
     }
     Ok(ticks)
+}
+
+/// The state of a flight, which begins with its first measurement; `None` if it cannot.
+pub fn started<'a>(
+    controller: &mut Controller,
+    state: &'a mut Option<ControllerState>,
+    measurement: &Measurement,
+) -> Option<&'a mut ControllerState> {
+    if state.is_none() {
+        *state = controller.start(measurement).ok();
+    }
+    state.as_mut()
 }
 
 /// Two seconds of hovering in the full wind: TEST2, few bounds active.
@@ -97,7 +119,8 @@ pub fn standing() -> Result<Vec<StandingTick>, BuildError> {
     let config = configuration("balancing_lateral")?;
     let mut controller = controller(&config)?;
     let start = config.simulator.initial.state();
-    let thrust = vec![0.0; controller.robot().jets.len()];
+    let thrust = vec![0.0; controller.n_jets()];
+    let mut memory = None;
     let mut ticks = Vec::new();
     for tick in 0..1000 {
         let time = f64::from(tick) * config.simulator.time_step;
@@ -109,8 +132,9 @@ pub fn standing() -> Result<Vec<StandingTick>, BuildError> {
         let shift = 60.0 * time.sin();
         let feet = [shift, -shift].map(|shift| Vector6::new(0.0, 0.0, 212.5 + shift, 0.5, -1.2, 0.0));
         let wind = Vector3::new(0.0, -1.5 * time, 0.0);
-        controller.feel(&feet);
-        controller.tick(&Measurement { time, state: &state, thrust: &thrust, wind });
+        let measurement = Measurement { time, state: &state, thrust: &thrust, wind, foot_wrenches: &feet };
+        let Some(memory) = started(&mut controller, &mut memory, &measurement) else { break };
+        controller.tick(memory, &measurement);
         let Some(qp) = &controller.terms().standing_qp else { continue };
         ticks.push(StandingTick { state, wind, feet, torque_qp: qp.problem.clone() });
     }

@@ -8,8 +8,9 @@ pub mod measured;
 #[allow(unused_imports, reason = "no test binary needs everything")]
 pub(crate) use measured::assert_within;
 
+use flight_core::control::ControllerState;
 use flight_core::spatial::{Pose, rotation_from_wxyz};
-use flight_core::{Controller, Measurement, RobotModel, RobotState};
+use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
 use flight_io::{load_controller, load_robot};
 use flight_sim::{FlightConfig, FlightResult, Plant, fly_batch, load_flight};
 use nalgebra::Vector3;
@@ -69,10 +70,43 @@ pub fn fly(flights: &[FlightConfig]) -> Vec<FlightResult> {
     results.into_iter().map(Result::unwrap).collect()
 }
 
+/// A controller and the state of its flight, which begins with the first tick.
+pub struct Running {
+    pub controller: Controller,
+    pub state: Option<ControllerState>,
+}
+
+impl Running {
+    pub fn new(controller: Controller) -> Self {
+        Self { controller, state: None }
+    }
+
+    pub fn tick(&mut self, measurement: &Measurement) -> &Command {
+        let Self { controller, state } = self;
+        let state = match state {
+            Some(state) => state,
+            none => none.insert(controller.start(measurement).unwrap()),
+        };
+        controller.tick(state, measurement)
+    }
+
+    pub fn state(&self) -> &ControllerState {
+        self.state.as_ref().unwrap()
+    }
+}
+
+impl std::ops::Deref for Running {
+    type Target = Controller;
+
+    fn deref(&self) -> &Controller {
+        &self.controller
+    }
+}
+
 /// Plant and controller of a flight, for tests that want to see inside a tick.
 pub struct Loop {
     pub plant: Plant,
-    pub controller: Controller,
+    pub controller: Running,
     pub tick: usize,
 }
 
@@ -85,7 +119,7 @@ impl Loop {
     pub fn with_robot(config: &FlightConfig, robot: RobotModel) -> Self {
         let plant = Plant::new(robot.clone(), &config.simulator).unwrap();
         let controller = load_controller(robot, &config.controller, &config.envelope, TIME_STEP).unwrap();
-        Self { plant, controller, tick: 0 }
+        Self { plant, controller: Running::new(controller), tick: 0 }
     }
 
     /// Plant and controller see the same state in the same wind.
@@ -93,7 +127,8 @@ impl Loop {
         self.plant.observe(wind);
         let time = self.tick as f64 * TIME_STEP;
         let thrust = self.plant.jets().thrust_feedback();
-        self.controller.tick(&Measurement { time, state: self.plant.state(), thrust, wind: *wind });
+        let state = self.plant.state();
+        self.controller.tick(&Measurement { time, state, thrust, wind: *wind, foot_wrenches: &[] });
     }
 
     /// The plant obeys the last command.

@@ -34,13 +34,13 @@ fn an_unknown_wrench_is_held_with_an_error() {
         let (force, moment) = flight.plant.link_forces().wrench_about(&flight.plant.kinematics().com);
         let gains = &config.controller.law.momentum;
 
-        let error = vee_of_skew_part(&(terms.reference.rotation.transpose() * rotation));
+        let error = vee_of_skew_part(&(terms.setpoint.rotation.transpose() * rotation));
         let d = rotation.transpose() * moment;
-        let law = d + flight.controller.memory().inertia_0_b * d / gains.c0;
+        let law = d + flight.controller.state().inertia_0_b() * d / gains.c0;
         assert!((error - law).norm() < 0.01 * law.norm(), "{wind:?}: e = {error}, law {law}");
         assert!(law.norm() > 0.1, "{wind:?} tips the robot");
 
-        let offset = flight.plant.kinematics().com - terms.reference.com_position;
+        let offset = flight.plant.kinematics().com - terms.setpoint.com_position;
         let per_newton = (gains.kd_linear[0] + 1.0) / (gains.kp_linear[0] * flight.plant.kinematics().mass());
         crate::common::assert_within!((per_newton - 0.0135).abs(), 5e-5, "{per_newton} m/N");
         let law = force * per_newton;
@@ -60,12 +60,9 @@ fn a_known_wrench_is_held_without_an_error() {
     let mut flight = Loop::new(&config);
     flight.run(60.0, |time| Vector3::new(0.0, -10.0, 0.0) * ((time - 5.0) / 5.0).clamp(0.0, 1.0));
     let terms = flight.controller.terms();
-    let error = terms.reference.rotation.transpose() * flight.plant.state().base.rotation;
+    let error = terms.setpoint.rotation.transpose() * flight.plant.state().base.rotation;
     crate::common::assert_within!(vee_of_skew_part(&error).norm(), 2e-3);
-    crate::common::assert_within!(
-        (flight.plant.kinematics().com - terms.reference.com_position).norm(),
-        2e-4
-    );
+    crate::common::assert_within!((flight.plant.kinematics().com - terms.setpoint.com_position).norm(), 2e-4);
 }
 
 /// Pose and posture after three seconds in a rising wind.

@@ -1,7 +1,8 @@
-"""From autopilot commands to smooth references for centre of mass, attitude and their derivatives.
+"""From autopilot commands to smooth set-points for centre of mass, attitude and their derivatives.
 
 `start`, then `update` once a tick: a pure state that `lax.scan` carries. Everything is float arithmetic of the
-configuration's numbers but the turbo counter, so references can be differentiated by steps, gains and smoothing times.
+configuration's numbers but the turbo counter, so set-points can be differentiated by speeds, gains and smoothing times.
+The raw attitude is that of the heading frame: forward, left, up, fixed to the base by the robot's forward axis.
 
 Equations M43 to M48 of `docs/model.md`. Source: the published flight-control library.
 """
@@ -15,24 +16,33 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float
 
-from jax_aero.config import EnvelopeConfig, ReferenceConfig
+from jax_aero.config import EnvelopeConfig, SetpointConfig
 from jax_aero.control.recorded import Recording, motion_at
-from jax_aero.spatial import multiply, project_to_so3, rotation_from_rpy, rpy_from_rotation, skew, vee_of_skew_part
-from jax_aero.types import Array, Reference
+from jax_aero.spatial import (
+    cross,
+    multiply,
+    project_to_so3,
+    rotation_from_rpy,
+    rpy_from_rotation,
+    skew,
+    vee_of_skew_part,
+)
+from jax_aero.types import Array, Setpoint
 
 # --- autopilot ----------------------------------------------------------------------------------------------------
 
 
 class AutopilotCommand(NamedTuple):
-    """Command of the autopilot in one tick: -1, 0 or 1 in the sense of the robot's base axes."""
+    """Commands of one tick: -1, 0 or 1 in forward, left, up axes of the robot."""
 
     forward: Array
-    """Along base x, which points backwards: forwards is -1."""
     vertical: Array
-    pitch: Array
+    nose_down: Array
+    """A rotation about the left axis."""
     yaw: Array
+    """To the left; a rotation about the vertical."""
     turbo: Array
-    """Whether the forward step may grow, bool."""
+    """Whether the forward speed is boosted, bool."""
 
 
 def autopilot_command(envelope: EnvelopeConfig, time: Array) -> AutopilotCommand:
@@ -49,9 +59,9 @@ def autopilot_command(envelope: EnvelopeConfig, time: Array) -> AutopilotCommand
 
     turbo = active(envelope.forward_turbo)
     return AutopilotCommand(
-        forward=-(turbo | active(envelope.forward)).astype(time.dtype),
+        forward=(turbo | active(envelope.forward)).astype(time.dtype),
         vertical=one(envelope.up) - one(envelope.down),
-        pitch=one(envelope.pitch_up),
+        nose_down=-one(envelope.pitch_up),
         yaw=one(envelope.yaw_left),
         turbo=turbo,
     )
@@ -116,33 +126,36 @@ def filter_update(gains: FilterGains, state: FilterState, value: Array) -> Filte
 # --- generator ----------------------------------------------------------------------------------------------------
 
 
-class ReferenceParams(NamedTuple):
+class SetpointParams(NamedTuple):
     """Steps, limits and filters of the generator, ready for use at one tick."""
 
-    step_position: Float[Array, "2"]
-    """Forward and vertical [m]."""
-    step_attitude: Float[Array, "2"]
-    """Pitch and yaw [rad]."""
-    pitch_limits: Float[Array, "2"]
+    speed: Float[Array, "2"]
+    """Forward and vertical [m/s]."""
+    attitude_rate: Float[Array, "2"]
+    """Pitch and yaw [rad/s]."""
+    nose_down_limits: Float[Array, "2"]
     """[rad]."""
     turbo_boost: Array
-    turbo_ramp: Array
+    turbo_rate: Array
+    """[1/s]"""
     attitude_gain: Array
     """[1/s]"""
     position_filter: FilterGains
     jerk_filter: FilterGains
     angular_velocity_filter: FilterGains
+    base_from_heading: Array
+    """(3, 3) columns forward, left, up."""
     time_step: Array
     """[s]"""
 
 
-class ReferenceState(NamedTuple):
-    """State of the generator between ticks."""
+class SetpointState(NamedTuple):
+    """State of the generator."""
 
     raw_position: Float[Array, "3"]
     """Position of the centre of mass before smoothing [m]."""
     raw_rpy: Float[Array, "3"]
-    """Roll, pitch, yaw of the base before smoothing [rad]."""
+    """Roll, pitch (nose down) and yaw of the heading frame before smoothing [rad]."""
     turbo_ticks: Array
     """Ticks' worth of turbo built up, int32."""
     position: FilterState
@@ -153,35 +166,43 @@ class ReferenceState(NamedTuple):
     """Smoothed attitude of the next tick."""
 
 
-def reference_params(config: ReferenceConfig, time_step: Array) -> ReferenceParams:
-    """Work out the generator's numbers for a tick of `time_step` [s]."""
-    return ReferenceParams(
-        step_position=config.step_position,
-        step_attitude=jnp.deg2rad(config.step_attitude_deg),
-        pitch_limits=jnp.deg2rad(config.pitch_limits_deg),
+def setpoint_params(config: SetpointConfig, forward_axis: Array, time_step: Array) -> SetpointParams:
+    """Compute the generator's numbers for ticks of `time_step` [s] and a robot's forward axis (3,) in base axes."""
+    up = jnp.array([0.0, 0.0, 1.0], forward_axis.dtype)
+    return SetpointParams(
+        speed=config.speed,
+        attitude_rate=jnp.deg2rad(config.attitude_rate_deg),
+        nose_down_limits=jnp.deg2rad(config.nose_down_limits_deg),
         turbo_boost=config.turbo_boost,
-        turbo_ramp=config.turbo_ramp,
+        turbo_rate=config.turbo_rate,
         attitude_gain=config.attitude_gain,
         position_filter=filter_gains(config.position_smoothing, time_step),
         jerk_filter=filter_gains(config.acceleration_smoothing, time_step),
         angular_velocity_filter=filter_gains(config.angular_velocity_smoothing, time_step),
+        base_from_heading=jnp.stack([forward_axis, cross(up, forward_axis), up], axis=1),
         time_step=time_step,
     )
 
 
-def start(com: Array, rpy: Array) -> ReferenceState:
-    """Begin at the centre of mass and the roll, pitch, yaw that the robot has at its first tick."""
-    com, rpy = jnp.asarray(com), jnp.asarray(rpy)
+def start(params: SetpointParams, com: Array, rotation: Array) -> SetpointState:
+    """Begin at the centre of mass (3,) and the base rotation (3, 3) that the robot has at its first tick."""
+    com, rotation = jnp.asarray(com), jnp.asarray(rotation)
     rest = filter_start(jnp.zeros_like(com))
-    return ReferenceState(com, rpy, jnp.zeros((), jnp.int32), filter_start(com), rest, rest, rotation_from_rpy(rpy))
+    rpy = _heading_rpy(params, rotation)
+    return SetpointState(com, rpy, jnp.zeros((), jnp.int32), filter_start(com), rest, rest, rotation)
+
+
+def _heading_rpy(params: SetpointParams, rotation: Array) -> Array:
+    """Roll, pitch and yaw (3,) of the heading frame of a base rotation."""
+    return rpy_from_rotation(multiply(rotation, params.base_from_heading))
 
 
 def update(
-    params: ReferenceParams, envelope: EnvelopeConfig | Recording, state: ReferenceState, time: Array
-) -> tuple[ReferenceState, Reference]:
-    """Return the reference of the tick at `time` [s]: that of the autopilot's commands, or a recorded one.
+    params: SetpointParams, envelope: EnvelopeConfig | Recording, state: SetpointState, time: Array
+) -> tuple[SetpointState, Setpoint]:
+    """Return the set-point of the tick at `time` [s]: that of the autopilot's commands, or a recorded one.
 
-    The smoothed attitude follows the raw one by `ω = −K sk(R_refᵀ R)^∨`, forward Euler on the matrix; its projection
+    The smoothed attitude follows the raw one by `ω = −K sk(R_rawᵀ R)^∨`, forward Euler on the matrix; its projection
     back onto SO(3) every tick removes the drift of that step.
     """
     if isinstance(envelope, Recording):
@@ -191,12 +212,13 @@ def update(
     acceleration = filter_update(params.jerk_filter, state.acceleration, position.derivatives[2])
 
     rotation = state.rotation
-    error = vee_of_skew_part(multiply(rotation_from_rpy(raw_rpy).T, rotation))
+    raw_rotation = multiply(rotation_from_rpy(raw_rpy), params.base_from_heading.T)
+    error = vee_of_skew_part(multiply(raw_rotation.T, rotation))
     omega = -params.attitude_gain * error
     angular = filter_update(params.angular_velocity_filter, state.angular_velocity, omega)
     turned = project_to_so3(rotation + multiply(rotation, skew(omega)) * params.time_step)
 
-    reference = Reference(
+    setpoint = Setpoint(
         com_position=position.derivatives[0],
         com_velocity=position.derivatives[1],
         com_acceleration=position.derivatives[2],
@@ -206,67 +228,64 @@ def update(
         angular_acceleration=angular.derivatives[1],
         angular_jerk=angular.derivatives[2],
     )
-    return ReferenceState(raw_position, raw_rpy, turbo_ticks, position, acceleration, angular, turned), reference
+    return SetpointState(raw_position, raw_rpy, turbo_ticks, position, acceleration, angular, turned), setpoint
 
 
 def _follow(
-    params: ReferenceParams, recording: Recording, state: ReferenceState, time: Array
-) -> tuple[ReferenceState, Reference]:
+    params: SetpointParams, recording: Recording, state: SetpointState, time: Array
+) -> tuple[SetpointState, Setpoint]:
     """Follow a recording as it is; only its angular velocity is filtered, for the derivatives that it does not have."""
     motion = motion_at(recording, time)
     angular = filter_update(params.angular_velocity_filter, state.angular_velocity, motion.angular_velocity)
     com, rates = motion.com, angular.derivatives
-    reference = Reference(com[0], com[1], com[2], com[3], motion.rotation, rates[0], rates[1], rates[2])
-    rpy = rpy_from_rotation(motion.rotation)
+    setpoint = Setpoint(com[0], com[1], com[2], com[3], motion.rotation, rates[0], rates[1], rates[2])
+    rpy = _heading_rpy(params, motion.rotation)
     after = state._replace(raw_position=com[0], raw_rpy=rpy, angular_velocity=angular, rotation=motion.rotation)
-    return after, reference
+    return after, setpoint
 
 
-def _advance_raw(
-    params: ReferenceParams, state: ReferenceState, command: AutopilotCommand
-) -> tuple[Array, Array, Array]:
+def _advance_raw(params: SetpointParams, state: SetpointState, command: AutopilotCommand) -> tuple[Array, Array, Array]:
     """One tick of the published autopilot mapping, in flight: raw position, roll-pitch-yaw and turbo counter.
 
     While turbo is commanded or left over, all other motions are ignored and the nose goes down. The published boost
     is a floating-point sum that ends at a residue above zero, so that one more step is taken; the counter takes that
     step by moving as long as boost was left *before* the tick.
     """
-    full = jnp.round(params.turbo_boost / params.turbo_ramp).astype(jnp.int32)
+    full = jnp.round(params.turbo_boost / (params.turbo_rate * params.time_step)).astype(jnp.int32)
     in_turbo = command.turbo | (state.turbo_ticks > 0)
     ticks = jnp.where(command.turbo, jnp.minimum(state.turbo_ticks + 1, full), jnp.maximum(state.turbo_ticks - 1, 0))
-    moving = (ticks > 0) | (state.turbo_ticks > 0)
-    forward = jnp.where(in_turbo, -moving.astype(command.forward.dtype), command.forward)
+    forward = jnp.where(in_turbo, 1.0, command.forward)
     vertical = jnp.where(in_turbo, 0.0, command.vertical)
-    pitch_rate = jnp.where(in_turbo, -1.0, command.pitch)
+    nose_down = jnp.where(in_turbo, 1.0, command.nose_down)
     yaw_rate = jnp.where(in_turbo, 0.0, command.yaw)
 
-    boost = ticks * params.turbo_ramp
+    boost = ticks * (params.turbo_rate * params.time_step)
     roll, pitch, yaw = state.raw_rpy
-    pitch = pitch + params.step_attitude[0] * pitch_rate
-    yaw = yaw + params.step_attitude[1] * yaw_rate
-    along = params.step_position[0] * (1.0 + boost) * forward
-    step = jnp.stack([jnp.cos(yaw) * along, jnp.sin(yaw) * along, params.step_position[1] * vertical])
-    pitch = jnp.clip(pitch, params.pitch_limits[0], params.pitch_limits[1])
-    return state.raw_position + step, jnp.stack([roll, pitch, yaw]), ticks
+    pitch = pitch + params.attitude_rate[0] * params.time_step * nose_down
+    yaw = yaw + params.attitude_rate[1] * params.time_step * yaw_rate
+    along = params.speed[0] * (1.0 + boost) * forward
+    velocity = jnp.stack([jnp.cos(yaw) * along, jnp.sin(yaw) * along, params.speed[1] * vertical])
+    pitch = jnp.clip(pitch, params.nose_down_limits[0], params.nose_down_limits[1])
+    return state.raw_position + velocity * params.time_step, jnp.stack([roll, pitch, yaw]), ticks
 
 
 class Trajectory(NamedTuple):
-    """References of a whole flight, one row for every tick."""
+    """Set-points of a whole flight, one row for every tick."""
 
     raw_position: Array
     raw_rpy: Array
-    reference: Reference
+    setpoint: Setpoint
 
 
 def trajectory(
-    params: ReferenceParams, envelope: EnvelopeConfig | Recording, com: Array, rpy: Array, n_ticks: int
+    params: SetpointParams, envelope: EnvelopeConfig | Recording, com: Array, rotation: Array, n_ticks: int
 ) -> Trajectory:
-    """Return the references of `n_ticks` ticks from time zero, for a robot that starts at `com` and `rpy`."""
+    """Return the set-points of `n_ticks` ticks from time zero; `com` (3,) and `rotation` (3, 3) begin it."""
 
-    def tick(state: ReferenceState, index: Array) -> tuple[ReferenceState, Trajectory]:
-        state, reference = update(params, envelope, state, index * params.time_step)
-        return state, Trajectory(state.raw_position, state.raw_rpy, reference)
+    def tick(state: SetpointState, index: Array) -> tuple[SetpointState, Trajectory]:
+        state, setpoint = update(params, envelope, state, index * params.time_step)
+        return state, Trajectory(state.raw_position, state.raw_rpy, setpoint)
 
     rows: Trajectory
-    _, rows = lax.scan(tick, start(com, rpy), jnp.arange(n_ticks))
+    _, rows = lax.scan(tick, start(params, com, rotation), jnp.arange(n_ticks))
     return rows

@@ -1,4 +1,4 @@
-"""JAX references against the Rust crate's, tick by tick, for every envelope."""
+"""JAX set-points against the Rust crate's, tick by tick, for every mission."""
 
 from __future__ import annotations
 
@@ -11,31 +11,33 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.config import flight_config
-from jax_aero.control import recorded, references
+from jax_aero.control import recorded, setpoint
 from tests.measurements import measured
 
 pytestmark = pytest.mark.usefixtures("x64")
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
-START = (np.array([-0.00365, 0.00041, 0.751881]), np.array([0.0, 0.0, np.pi]))
+START = (np.array([-0.00365, 0.00041, 0.751881]), np.diag([-1.0, -1.0, 1.0]))
+FORWARD = np.array([-1.0, 0.0, 0.0])
 # Positions of 80 m are rounded to 1e-14; three differentiations at T = 1.5 s and 5 ms make 1e-12 of it.
 TOLERANCE = {"com_jerk": 1e-11}
 
 
 @pytest.mark.close_to_tolerance("the tolerance is the bound of TOLERANCE's comment, without a factor to spare")
 @pytest.mark.parametrize("name", ["test2", "closed_circuit", "closed_circuit_no_turbo"])
-def test_references(name, agree):
+def test_setpoints(name, agree):
     table = rust.load_config(EXPERIMENTS / f"{name}.toml")
     config = flight_config(table)
 
     @jax.jit(static_argnums=1)
     def fly(config, n_ticks):
-        params = references.reference_params(config.controller.references, jnp.array(config.simulator.time_step))
-        return references.trajectory(params, config.envelope, *START, n_ticks)
+        time_step = jnp.array(config.simulator.time_step)
+        params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, time_step)
+        return setpoint.trajectory(params, config.envelope, *START, n_ticks)
 
     found = jax.device_get(fly(config, config.simulator.n_ticks + 1))
-    ours = found.reference._asdict() | {"raw_position": found.raw_position, "raw_rpy": found.raw_rpy}
-    theirs = rust.reference_trajectory(table, *START)
+    ours = found.setpoint._asdict() | {"raw_position": found.raw_position, "raw_rpy": found.raw_rpy}
+    theirs = rust.setpoint_trajectory(table, *START)
     assert ours.keys() == theirs.keys()
     for signal, expected in theirs.items():
         agree(signal, ours[signal], expected, TOLERANCE.get(signal, 1e-12))
@@ -45,7 +47,7 @@ HEADER = ["time", "x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "ax",
 
 
 @pytest.mark.parametrize("columns", [7, 10, 13, 16])
-def test_recorded_references(columns, agree, tmp_path):
+def test_recorded_setpoints(columns, agree, tmp_path):
     """Uneven samples with all or some derivatives: before, on, between and after them."""
     rng = np.random.default_rng(columns)
     times = np.round(np.concatenate([[0.05], np.cumsum(rng.uniform(0.01, 0.3, 9)) + 0.05]), 2)
@@ -60,27 +62,29 @@ def test_recorded_references(columns, agree, tmp_path):
 
     @jax.jit
     def follow(recording):
-        params = references.reference_params(config.controller.references, jnp.array(config.simulator.time_step))
-        return references.trajectory(params, recording, *START, config.simulator.n_ticks + 1)
+        time_step = jnp.array(config.simulator.time_step)
+        params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, time_step)
+        return setpoint.trajectory(params, recording, *START, config.simulator.n_ticks + 1)
 
     found = jax.device_get(follow(recorded.recording(config.envelope.file)))
-    ours = found.reference._asdict() | {"raw_position": found.raw_position, "raw_rpy": found.raw_rpy}
-    for signal, expected in rust.reference_trajectory(table, *START).items():
+    ours = found.setpoint._asdict() | {"raw_position": found.raw_position, "raw_rpy": found.raw_rpy}
+    for signal, expected in rust.setpoint_trajectory(table, *START).items():
         agree(f"recorded: {signal}", ours[signal], expected, TOLERANCE.get(signal, 1e-12))
 
 
 @pytest.mark.close_to_tolerance("80 m in float32 after 5001 sums: 80 m eps sqrt(5001) = 0.3 mm and more, as claimed")
-def test_float32_references_stay_within_a_millimetre_and_a_hundredth_of_a_degree():
+def test_float32_setpoints_stay_within_a_millimetre_and_a_hundredth_of_a_degree():
     table = rust.load_config(EXPERIMENTS / "test2.toml")
     with jax.enable_x64(False):
         config = flight_config(table)
-        params = references.reference_params(config.controller.references, jnp.float32(config.simulator.time_step))
-        found = jax.device_get(references.trajectory(params, config.envelope, *map(jnp.float32, START), 5001))
-    theirs = rust.reference_trajectory(table, *START)
-    assert found.reference.com_position.dtype == np.float32
+        time_step = jnp.float32(config.simulator.time_step)
+        params = setpoint.setpoint_params(config.controller.setpoint, jnp.float32(FORWARD), time_step)
+        found = jax.device_get(setpoint.trajectory(params, config.envelope, *map(jnp.float32, START), 5001))
+    theirs = rust.setpoint_trajectory(table, *START)
+    assert found.setpoint.com_position.dtype == np.float32
     measured(
         "com_position against the resampled one",
-        np.max(np.abs(found.reference.com_position - theirs["com_position"])),
+        np.max(np.abs(found.setpoint.com_position - theirs["com_position"])),
         1e-3,
     )
-    measured("rotation against the resampled one", np.max(np.abs(found.reference.rotation - theirs["rotation"])), 2e-4)
+    measured("rotation against the resampled one", np.max(np.abs(found.setpoint.rotation - theirs["rotation"])), 2e-4)

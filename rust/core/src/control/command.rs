@@ -1,0 +1,67 @@
+//! What goes into a tick and what comes out of it.
+
+use crate::kinematics::RobotState;
+use crate::qp::QpAnswer;
+use nalgebra::{DVector, Vector3, Vector6};
+
+/// What is measured at a tick.
+#[derive(Debug, Clone, Copy)]
+pub struct Measurement<'a> {
+    /// Time since the flight began \[s\].
+    pub time: f64,
+    /// Pose and velocity of the robot.
+    pub state: &'a RobotState,
+    /// Thrust of every jet \[N\].
+    pub thrust: &'a [f64],
+    /// Velocity of the air \[m/s, inertial axes\].
+    pub wind: Vector3<f64>,
+    /// Wrench on each foot about the origin of its sole, force first \[N, N m, inertial axes\], in the
+    /// order of the robot's feet. Only a controller with `contact` reads it; others accept an empty slice.
+    pub foot_wrenches: &'a [Vector6<f64>],
+}
+
+/// A measurement that no flight can begin with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "a flight cannot begin with this measurement; expected finite numbers of this robot, a base rotation \
+     that is one, and an inertia that can be inverted"
+)]
+pub struct BadStart;
+
+/// Whether a command is the one that the control law gives.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CommandStatus {
+    /// Both QPs solved and certified.
+    Nominal,
+    /// The measurement is not finite, not of this robot, or its base rotation is none: thrust rates and
+    /// joint velocities are zero, torques stay.
+    BadMeasurement,
+    /// The state is one of another controller: as for a bad measurement.
+    BadState,
+    /// The given set-point is not finite or its rotation is none: as for a bad measurement.
+    BadSetpoint,
+    /// The momentum QP has no answer: thrust rates and joint velocities are zero, or as near to zero
+    /// as their bounds allow; torques brake the joints.
+    MomentumHeld,
+    /// The torque QP has no answer: torques stay.
+    TorqueHeld,
+    /// Neither QP has an answer.
+    BothHeld,
+}
+
+/// What the controller commands, held until the next tick.
+#[derive(Debug, Clone)]
+pub struct Command {
+    /// Thrust rates `Ṫ*` \[N/s\].
+    pub thrust_rate: DVector<f64>,
+    /// Joint velocities `ṡ*` \[rad/s\].
+    pub joint_velocity: DVector<f64>,
+    /// Joint torques after the rate limiter \[N m\].
+    pub joint_torque: DVector<f64>,
+    /// Answer of the momentum QP.
+    pub momentum_qp: QpAnswer,
+    /// Answer of the torque QP.
+    pub torque_qp: QpAnswer,
+    /// Whether this is the command that the control law gives.
+    pub status: CommandStatus,
+}

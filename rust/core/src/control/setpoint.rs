@@ -1,0 +1,306 @@
+//! From autopilot commands to smooth set-points for centre of mass, attitude and their derivatives.
+//!
+//! Commands move a raw set-point at constant speeds; minimum-jerk filters smooth its position, a
+//! first-order law its attitude. The raw attitude is that of the *heading frame*: forward, left, up,
+//! fixed to the base by the robot's forward axis. Its pitch is positive nose down.
+//!
+//! Equations M43, M44, M47 and M48 of `docs/model.md`. Source: the published flight-control library, whose
+//! steps per tick of 10 ms are speeds here.
+
+use super::minimum_jerk::{FilterState, MinimumJerkFilter};
+use super::mission::{AutopilotCommand, Mission};
+use crate::error::{BuildError, check};
+use crate::spatial::{
+    is_rotation, project_to_so3, rotation_from_rpy, rpy_from_rotation, skew, vee_of_skew_part,
+};
+use nalgebra::{Matrix3, Rotation3, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// Speeds, limits and smoothing times of the set-point generator.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SetpointConfig {
+    /// Forward and vertical speed of the raw position \[m/s\].
+    pub speed: [f64; 2],
+    /// Rates of raw pitch and yaw \[deg/s\].
+    pub attitude_rate_deg: [f64; 2],
+    /// Least and greatest raw pitch, positive nose down \[deg\].
+    pub nose_down_limits_deg: [f64; 2],
+    /// The forward speed grows to `1 + turbo_boost` times itself.
+    pub turbo_boost: f64,
+    /// Growth of the boost \[1/s\].
+    pub turbo_rate: f64,
+    /// Smoothing time of the position \[s\].
+    pub position_smoothing: f64,
+    /// Smoothing time of the filter whose rate output is the jerk \[s\].
+    pub acceleration_smoothing: f64,
+    /// Smoothing time of the angular velocity \[s\].
+    pub angular_velocity_smoothing: f64,
+    /// Gain with which the smoothed attitude follows the raw one \[1/s\].
+    pub attitude_gain: f64,
+}
+
+impl SetpointConfig {
+    /// Refuses times, speeds and gains that mean nothing.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check(&self) -> Result<(), BuildError> {
+        let at = |name: &str, value: f64, accept: fn(f64) -> bool, expected: &str| {
+            check(&format!("controller.setpoint.{name}"), value, accept, expected).map(|_| ())
+        };
+        let positive = |name: &str, value: f64| at(name, value, |x| x > 0.0, "a positive number");
+        positive("position_smoothing", self.position_smoothing)?;
+        positive("acceleration_smoothing", self.acceleration_smoothing)?;
+        positive("angular_velocity_smoothing", self.angular_velocity_smoothing)?;
+        positive("turbo_rate", self.turbo_rate)?;
+        let non_negative = |name: &str, value: f64| at(name, value, |x| x >= 0.0, "a number ≥ 0");
+        non_negative("turbo_boost", self.turbo_boost)?;
+        non_negative("attitude_gain", self.attitude_gain)?;
+        for speed in self.speed {
+            non_negative("speed", speed)?;
+        }
+        for rate in self.attitude_rate_deg {
+            non_negative("attitude_rate_deg", rate)?;
+        }
+        let [low, high] = self.nose_down_limits_deg;
+        check("controller.setpoint.nose_down_limits_deg[0]", low, |x| x <= high, "at most the upper limit")?;
+        check("controller.setpoint.nose_down_limits_deg[1]", high, |_| true, "finite degrees")?;
+        Ok(())
+    }
+}
+
+/// Set-point of one tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Setpoint {
+    /// Centre of mass \[m, inertial axes\].
+    pub com_position: Vector3<f64>,
+    /// Its velocity \[m/s\].
+    pub com_velocity: Vector3<f64>,
+    /// Its acceleration \[m/s²\].
+    pub com_acceleration: Vector3<f64>,
+    /// Its jerk \[m/s³\].
+    pub com_jerk: Vector3<f64>,
+    /// Desired base rotation `R_d`, inertial from desired base.
+    pub rotation: Matrix3<f64>,
+    /// Angular velocity of the desired base \[rad/s, desired base axes\].
+    pub angular_velocity_b: Vector3<f64>,
+    /// Its first derivative \[rad/s²\].
+    pub angular_acceleration_b: Vector3<f64>,
+    /// Its second derivative \[rad/s³\].
+    pub angular_jerk_b: Vector3<f64>,
+}
+
+impl Setpoint {
+    /// Standing still at a position and rotation.
+    #[must_use]
+    pub fn hold(com_position: Vector3<f64>, rotation: Matrix3<f64>) -> Self {
+        let zero = Vector3::zeros();
+        Self {
+            com_position,
+            com_velocity: zero,
+            com_acceleration: zero,
+            com_jerk: zero,
+            rotation,
+            angular_velocity_b: zero,
+            angular_acceleration_b: zero,
+            angular_jerk_b: zero,
+        }
+    }
+
+    /// Whether all numbers are finite and the rotation is one.
+    #[must_use]
+    pub fn is_valid(&self) -> bool {
+        let vectors = [
+            &self.com_position,
+            &self.com_velocity,
+            &self.com_acceleration,
+            &self.com_jerk,
+            &self.angular_velocity_b,
+            &self.angular_acceleration_b,
+            &self.angular_jerk_b,
+        ];
+        vectors.iter().all(|vector| vector.iter().all(|x| x.is_finite())) && is_rotation(&self.rotation)
+    }
+}
+
+/// Raw set-point: moves at constant speeds, before any smoothing.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RawSetpoint {
+    /// Position of the centre of mass \[m\].
+    pub position: Vector3<f64>,
+    /// Roll, pitch (nose down) and yaw of the heading frame \[rad\].
+    pub rpy: Vector3<f64>,
+    /// Number of ticks by which the boost has grown.
+    turbo_ticks: u32,
+}
+
+/// State of the set-point generator.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SetpointState {
+    raw: RawSetpoint,
+    position: FilterState,
+    /// Filter of the acceleration; its rate is the jerk.
+    acceleration: FilterState,
+    angular_velocity: FilterState,
+    /// Smoothed attitude of the base.
+    rotation: Matrix3<f64>,
+}
+
+impl SetpointState {
+    /// Raw set-point of the last tick.
+    #[must_use]
+    pub fn raw(&self) -> &RawSetpoint {
+        &self.raw
+    }
+}
+
+/// Turns the commands of a mission into a [`Setpoint`] every tick; its state is a [`SetpointState`].
+#[derive(Debug, Clone)]
+pub struct SetpointGenerator {
+    config: SetpointConfig,
+    mission: Mission,
+    time_step: f64,
+    /// Base axes from heading axes: columns forward, left, up.
+    base_from_heading: Matrix3<f64>,
+    /// Number of ticks in which the boost grows to its full size.
+    full_boost: u32,
+    position_filter: MinimumJerkFilter,
+    acceleration_filter: MinimumJerkFilter,
+    angular_velocity_filter: MinimumJerkFilter,
+}
+
+impl SetpointGenerator {
+    /// A generator of set-points every `time_step` \[s\] for a robot whose forward direction is
+    /// `forward_axis_b`, a unit vector orthogonal to base z.
+    ///
+    /// # Errors
+    /// As [`SetpointConfig::check`] and [`Mission::check`].
+    pub fn new(
+        config: &SetpointConfig,
+        mission: Mission,
+        forward_axis_b: &Vector3<f64>,
+        time_step: f64,
+    ) -> Result<Self, BuildError> {
+        config.check()?;
+        mission.check()?;
+        let up = Vector3::z();
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // positive; saturates
+        let full_boost = (config.turbo_boost / (config.turbo_rate * time_step)).round() as u32;
+        Ok(Self {
+            mission,
+            time_step,
+            base_from_heading: Matrix3::from_columns(&[*forward_axis_b, up.cross(forward_axis_b), up]),
+            full_boost,
+            position_filter: MinimumJerkFilter::new(config.position_smoothing, time_step),
+            acceleration_filter: MinimumJerkFilter::new(config.acceleration_smoothing, time_step),
+            angular_velocity_filter: MinimumJerkFilter::new(config.angular_velocity_smoothing, time_step),
+            config: config.clone(),
+        })
+    }
+
+    /// State of a mission that starts at the centre of mass and the base rotation of a robot.
+    #[must_use]
+    pub fn start(&self, com: Vector3<f64>, rotation: &Matrix3<f64>) -> SetpointState {
+        let rest = FilterState::at_rest(Vector3::zeros());
+        SetpointState {
+            raw: RawSetpoint { position: com, rpy: self.heading_rpy(rotation), turbo_ticks: 0 },
+            position: FilterState::at_rest(com),
+            acceleration: rest,
+            angular_velocity: rest,
+            rotation: *rotation,
+        }
+    }
+
+    /// Set-point of the tick at `time` \[s\].
+    ///
+    /// The smoothed attitude follows the raw one by `ω = −K sk(R_rawᵀ R)^∨`, forward Euler on the
+    /// matrix; its projection back onto SO(3) every tick removes the drift of that step.
+    ///
+    /// A recording is followed as it is; only its angular velocity passes through the filter, whose
+    /// outputs are the derivatives that a recording does not have.
+    #[must_use]
+    pub fn update(&self, state: &mut SetpointState, time: f64) -> Setpoint {
+        match &self.mission {
+            Mission::Commands(commands) => {
+                self.advance_raw(&mut state.raw, commands.command(time));
+                self.smooth(state)
+            }
+            Mission::Recorded(recording) => {
+                let motion = recording.at(time);
+                let [com_position, com_velocity, com_acceleration, com_jerk] = motion.com;
+                self.angular_velocity_filter.update(&mut state.angular_velocity, &motion.angular_velocity_b);
+                state.raw.position = com_position;
+                state.raw.rpy = self.heading_rpy(&motion.rotation);
+                state.rotation = motion.rotation;
+                Setpoint {
+                    com_position,
+                    com_velocity,
+                    com_acceleration,
+                    com_jerk,
+                    rotation: motion.rotation,
+                    angular_velocity_b: state.angular_velocity.value(),
+                    angular_acceleration_b: state.angular_velocity.rate(),
+                    angular_jerk_b: state.angular_velocity.acceleration(),
+                }
+            }
+        }
+    }
+
+    /// Roll, pitch and yaw of the heading frame of a base rotation \[rad\].
+    fn heading_rpy(&self, rotation: &Matrix3<f64>) -> Vector3<f64> {
+        rpy_from_rotation(&(rotation * self.base_from_heading))
+    }
+
+    /// One tick of the published autopilot mapping, in flight (no foot on the ground).
+    ///
+    /// While the boost is commanded or left over, all other motions are ignored and the nose goes down.
+    /// The published boost is a floating-point sum that ends at a rounding residue above zero, so
+    /// that one more step is taken; the counter here takes that step by moving as long as boost was
+    /// left *before* the tick.
+    fn advance_raw(&self, raw: &mut RawSetpoint, command: AutopilotCommand) {
+        let config = &self.config;
+        let mut forward = f64::from(command.forward);
+        let mut vertical = f64::from(command.vertical);
+        let (mut nose_down, mut yaw) = (f64::from(command.nose_down), f64::from(command.yaw));
+        if command.turbo || raw.turbo_ticks > 0 {
+            if command.turbo {
+                raw.turbo_ticks = (raw.turbo_ticks + 1).min(self.full_boost);
+            } else {
+                raw.turbo_ticks -= 1;
+            }
+            (forward, vertical, nose_down, yaw) = (1.0, 0.0, 1.0, 0.0);
+        }
+        let boost = f64::from(raw.turbo_ticks) * (config.turbo_rate * self.time_step);
+        let [speed_forward, speed_vertical] = config.speed;
+        let [rate_pitch, rate_yaw] = config.attitude_rate_deg.map(|rate| rate.to_radians() * self.time_step);
+        let [low, high] = config.nose_down_limits_deg.map(f64::to_radians);
+        raw.rpy.y = (raw.rpy.y + rate_pitch * nose_down).clamp(low, high);
+        raw.rpy.z += rate_yaw * yaw;
+        let velocity = Vector3::new(speed_forward * (1.0 + boost) * forward, 0.0, speed_vertical * vertical);
+        raw.position += Rotation3::from_euler_angles(0.0, 0.0, raw.rpy.z) * velocity * self.time_step;
+    }
+
+    /// The smooth set-point that follows the raw one.
+    fn smooth(&self, state: &mut SetpointState) -> Setpoint {
+        self.position_filter.update(&mut state.position, &state.raw.position);
+        self.acceleration_filter.update(&mut state.acceleration, &state.position.acceleration());
+
+        let rotation = state.rotation;
+        let raw_rotation = rotation_from_rpy(&state.raw.rpy) * self.base_from_heading.transpose();
+        let omega = -self.config.attitude_gain * vee_of_skew_part(&(raw_rotation.transpose() * rotation));
+        self.angular_velocity_filter.update(&mut state.angular_velocity, &omega);
+        state.rotation = project_to_so3(&(rotation + rotation * skew(&omega) * self.time_step));
+
+        Setpoint {
+            com_position: state.position.value(),
+            com_velocity: state.position.rate(),
+            com_acceleration: state.position.acceleration(),
+            com_jerk: state.acceleration.rate(),
+            rotation,
+            angular_velocity_b: state.angular_velocity.value(),
+            angular_acceleration_b: state.angular_velocity.rate(),
+            angular_jerk_b: state.angular_velocity.acceleration(),
+        }
+    }
+}

@@ -1,0 +1,132 @@
+//! Everything that a controller carries from one tick to the next.
+
+use super::command::Measurement;
+use super::contact::ContactState;
+use super::setpoint::SetpointState;
+use crate::error::{BuildError, check};
+use crate::qp::WarmStart;
+use nalgebra::{DVector, Matrix3};
+
+/// The state of a controller, made by [`super::Controller::start`] and changed by every tick.
+///
+/// Nothing else that a tick reads changes: a clone, restored at any later time, continues to the same bits.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ControllerState {
+    /// Time of the last tick \[s\].
+    pub(super) time: f64,
+    /// State of the set-point generator.
+    pub(super) setpoint: SetpointState,
+    /// Posture to return to, `s_d`: the joint positions of the first tick \[rad\].
+    pub(super) posture: DVector<f64>,
+    /// Centroidal inertia in body axes at the first tick \[kg m²\].
+    pub(super) inertia_0_b: Matrix3<f64>,
+    /// `∫(ṡ − ṡ*)` \[rad\].
+    pub(super) velocity_error_integral: DVector<f64>,
+    /// Torques of the last command \[N m\].
+    pub(super) joint_torque: DVector<f64>,
+    /// Whether the rate limiter has a torque to start from.
+    pub(super) torque_is_known: bool,
+    /// Feet that carry, and their desired wrenches.
+    pub(super) contact: ContactState,
+    /// Where the momentum QP begins.
+    pub(super) momentum_start: WarmStart,
+    /// Where the torque QP begins.
+    pub(super) torque_start: WarmStart,
+}
+
+impl ControllerState {
+    /// The state before the first tick, with space for `feet` feet and `unknowns` of the momentum QP.
+    pub(super) fn new(
+        measurement: &Measurement,
+        setpoint: SetpointState,
+        inertia_0_b: Matrix3<f64>,
+        feet: usize,
+        unknowns: usize,
+    ) -> Self {
+        let posture = measurement.state.joint_position.clone();
+        let joints = posture.len();
+        Self {
+            time: measurement.time,
+            setpoint,
+            posture,
+            inertia_0_b,
+            velocity_error_integral: DVector::zeros(joints),
+            joint_torque: DVector::zeros(joints),
+            torque_is_known: false,
+            contact: ContactState::new(feet),
+            momentum_start: WarmStart::cold(unknowns),
+            torque_start: WarmStart::cold(joints),
+        }
+    }
+
+    /// Time of the last tick \[s\].
+    #[must_use]
+    pub fn time(&self) -> f64 {
+        self.time
+    }
+
+    /// State of the set-point generator.
+    #[must_use]
+    pub fn setpoint(&self) -> &SetpointState {
+        &self.setpoint
+    }
+
+    /// Posture to return to, `s_d` \[rad\].
+    #[must_use]
+    pub fn posture(&self) -> &DVector<f64> {
+        &self.posture
+    }
+
+    /// Centroidal inertia in body axes at the first tick \[kg m²\].
+    #[must_use]
+    pub fn inertia_0_b(&self) -> &Matrix3<f64> {
+        &self.inertia_0_b
+    }
+
+    /// `∫(ṡ − ṡ*)` \[rad\].
+    #[must_use]
+    pub fn velocity_error_integral(&self) -> &DVector<f64> {
+        &self.velocity_error_integral
+    }
+
+    /// Whether the rate limiter has a torque to start from.
+    #[must_use]
+    pub fn torque_is_known(&self) -> bool {
+        self.torque_is_known
+    }
+
+    /// The same state with another posture, inertia and integral: a tick that was recorded elsewhere.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] for a length that does not fit, a number that is not finite, or an inertia
+    /// that is not symmetric positive definite.
+    pub fn with_posture_control(
+        self,
+        posture: DVector<f64>,
+        inertia_0_b: Matrix3<f64>,
+        velocity_error_integral: DVector<f64>,
+    ) -> Result<Self, BuildError> {
+        let joints = self.posture.len();
+        for (item, values) in [("posture", &posture), ("velocity_error_integral", &velocity_error_integral)] {
+            if values.len() != joints {
+                return Err(BuildError::bad_value(
+                    format!("length of controller state {item}"),
+                    values.len(),
+                    format!("{joints}, one entry per joint"),
+                ));
+            }
+            for value in values {
+                check(&format!("controller state {item}"), *value, |_| true, "finite numbers")?;
+            }
+        }
+        let asymmetry = (inertia_0_b - inertia_0_b.transpose()).amax();
+        if asymmetry.is_nan() || asymmetry > 1e-9 * inertia_0_b.amax() || inertia_0_b.cholesky().is_none() {
+            return Err(BuildError::bad_value(
+                "controller state inertia_0_b",
+                inertia_0_b,
+                "a symmetric positive definite inertia",
+            ));
+        }
+        Ok(Self { posture, inertia_0_b, velocity_error_integral, ..self })
+    }
+}
