@@ -73,6 +73,7 @@ __all__ = [
     "link_forces",
     "load_config",
     "rotation_from_wxyz",
+    "schemas",
     "setpoint_trajectory",
     "wind_velocity",
 ]
@@ -488,6 +489,12 @@ def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None =
 def check_config(config: Mapping[str, Any]) -> None:
     """Raise `ValueError`, naming key, value and expectation, unless this configuration can fly."""
     _core.check_config(_to_json(config))
+
+
+def schemas() -> dict[str, dict[str, Any]]:
+    """Return the JSON Schemas of the crate's configuration files, by folder of `configs/`."""
+    found: dict[str, dict[str, Any]] = json.loads(_core.schemas())
+    return found
 
 
 def config_digest(config: Mapping[str, Any]) -> str:

@@ -103,6 +103,7 @@ pub struct Frame {
 
 /// Coefficients of one axisymmetric link, all force areas \[m²\] (see [`crate::aero`]).
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct AxisymmetricCoefficients {
     /// `C_D A = w₀ + w₁ cos α + w₂ sin² α + w₃ sin³ α + w₄ cos³ α`.
@@ -153,6 +154,7 @@ pub struct Jet {
 /// T̈ = k_t T + k_tt T² + k_d Ṫ + k_dd Ṫ² + k_td T Ṫ + c + (b_u + b_t T + b_d Ṫ)(u + b_uu u²)
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EngineCoefficients {
     /// Stiffness \[1/s²\].

@@ -15,7 +15,7 @@ use flight_core::control::{BadStart, CommandStatus, ControllerState};
 use flight_core::qp::QpStatus;
 use flight_core::spatial::rotation_angle;
 use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
-use flight_io::{AeroConfig, load_controller, load_robot, resolve};
+use flight_io::{AeroConfig, load_controller, load_robot};
 use flight_sim::{FlightConfig, Plant, flight_from_value};
 use nalgebra::{DVector, Matrix3, Vector3};
 use rand::RngExt;
@@ -840,7 +840,7 @@ fn a_controller_does_not_fit_another_robot() {
 /// Sparrow: five joints, three jets, facing forwards. Its attitude gains are smaller, as its inertia is,
 /// and its arm jets get the reserve that a hover needs.
 fn sparrow() -> (FlightConfig, RobotModel) {
-    let mut value = resolve(&configs("experiments/test2.toml")).unwrap();
+    let mut value = serde_json::to_value(experiment("test2")).unwrap();
     value["robot"] = json!(configs("robot/sparrow.toml"));
     value["envelope"] = json!({});
     for side in ["simulator", "controller"] {

@@ -14,7 +14,7 @@ use flight_core::control::setpoint::{RawSetpoint, Setpoint, SetpointConfig, Setp
 use flight_core::spatial::{
     exp_so3, orthonormality_error, rotation_angle, rotation_from_rpy, rpy_from_rotation,
 };
-use flight_io::{load_robot, resolve};
+use flight_io::load_robot;
 use flight_sim::Plant;
 use nalgebra::Vector3;
 use std::f64::consts::{PI, TAU};
@@ -25,7 +25,7 @@ fn config() -> SetpointConfig {
 
 fn commands(name: &str) -> Commands {
     let file = configs("envelope").join(name).with_extension("toml");
-    serde_json::from_value(resolve(&file).unwrap()).unwrap()
+    flight_io::load(&file).unwrap()
 }
 
 /// Centre of mass at the first tick of the published flight.

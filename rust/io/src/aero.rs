@@ -5,11 +5,12 @@ use flight_core::aero::{
     AeroModel, Axisymmetric, AxisymmetricConfig, Precision, SphereCylinder, SphereCylinderConfig,
 };
 use flight_core::{BuildError, RobotModel};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
 /// Which aerodynamic model, and its numbers: one file of `configs/aero/`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "model", rename_all = "snake_case", deny_unknown_fields)]
 pub enum AeroConfig {
     /// No aerodynamic force. Braces, because serde lets unknown keys pass beside a bare name.
@@ -23,10 +24,11 @@ pub enum AeroConfig {
 }
 
 /// Which network, and how it is evaluated.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NetworkConfig {
     /// The network's JSON card; the weights lie beside it.
+    #[schemars(extend("format" = "path"))]
     pub card: PathBuf,
     /// Precision of the weighted sums.
     #[serde(default)]

@@ -3,10 +3,11 @@
 use crate::{AeroConfig, MissionConfig, load_aero, load_mission};
 use flight_core::control::config::ControllerConfig;
 use flight_core::{BuildError, Controller, RobotModel};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// One file of `configs/control/`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ControllerSection {
     /// The controller's own aerodynamic model; `off` is the baseline controller.

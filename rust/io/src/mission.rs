@@ -7,6 +7,7 @@ use crate::read_text;
 use flight_core::BuildError;
 use flight_core::control::mission::{Commands, Mission};
 use flight_core::control::recorded::{REQUIRED, Recording};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -16,7 +17,7 @@ pub const COLUMNS: [&str; 16] =
     ["time", "x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "ax", "ay", "az", "jx", "jy", "jz"];
 
 /// One file of `configs/envelope/`: commands, or the file of a recorded reference.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MissionConfig {
     /// When the autopilot commands what.
@@ -25,6 +26,7 @@ pub struct MissionConfig {
     /// A recorded reference to fly instead of any command. Relative paths start at the configuration
     /// file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("format" = "path"))]
     pub file: Option<PathBuf>,
 }
 

@@ -10,23 +10,26 @@ mod tree;
 mod urdf;
 
 use crate::read_text;
+use crate::toml::{from_value, parse};
 use flight_core::error::{BuildError, check as check_number};
 use flight_core::robot::{
     AeroLink, AxisymmetricCoefficients, EngineCoefficients, Foot, Jet, Joint, JointGroup, RobotModel, check,
 };
 use flight_core::spatial::unit_vector;
 use nalgebra::{Unit, Vector3};
+use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 use tree::Tree;
 
 /// A robot's TOML file.
-#[derive(Deserialize)]
+#[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-struct RobotFile {
+pub struct RobotFile {
     name: String,
     /// URDF file, relative to this one.
+    #[schemars(extend("format" = "path"))]
     urdf: String,
     base_link: String,
     /// Forward direction in base axes, a unit vector orthogonal to z.
@@ -61,14 +64,14 @@ fn default_gravity() -> f64 {
     9.81
 }
 
-#[derive(Deserialize)]
+#[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct GroupEntry {
     name: String,
     joints: Vec<JointEntry>,
 }
 
-#[derive(Deserialize)]
+#[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct JointEntry {
     name: String,
@@ -76,7 +79,7 @@ struct JointEntry {
     limits_deg: Option<[f64; 2]>,
 }
 
-#[derive(Deserialize)]
+#[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct AeroEntry {
     name: String,
@@ -90,7 +93,7 @@ struct AeroEntry {
     is_sphere: bool,
 }
 
-#[derive(Deserialize)]
+#[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct JetEntry {
     name: String,
@@ -100,7 +103,7 @@ struct JetEntry {
     engine: String,
 }
 
-#[derive(Deserialize)]
+#[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct FootEntry {
     name: String,
@@ -158,7 +161,7 @@ pub fn load_robot(path: &Path) -> Result<RobotModel, BuildError> {
 }
 
 fn parse_toml(text: &str, origin: &str) -> Result<RobotFile, BuildError> {
-    ::toml::from_str(text).map_err(|error| BuildError::malformed(origin, error))
+    from_value(parse(text, origin)?.into(), origin)
 }
 
 fn build(file: RobotFile, urdf_text: &str, origin: &str) -> Result<RobotModel, BuildError> {

@@ -8,88 +8,149 @@
 //! ```
 
 use crate::read_text;
+use crate::schema::{Node, Schema, join};
 use flight_core::BuildError;
+use schemars::JsonSchema;
+use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 use std::path::Path;
 
 /// How deep `base` files may refer to one another.
 const MAX_DEPTH: usize = 16;
+/// How many files one configuration may consist of.
+const MAX_FILES: usize = 256;
 
-/// Keys whose value is a path, made absolute on reading.
-const PATH_KEYS: [&str; 4] = ["robot", "path", "file", "card"];
+/// Reads a file of one kind, and everything it builds on.
+///
+/// # Errors
+/// [`BuildError`] naming the file that cannot be read or parsed, or the key, its value and what was expected.
+pub fn load<T: DeserializeOwned + JsonSchema>(path: &Path) -> Result<T, BuildError> {
+    from_value(resolve(path, &Schema::of::<T>())?, &path.display().to_string())
+}
 
-/// Reads a TOML file and resolves every `base` and path in it. Keys are not judged here.
+/// A typed configuration from a resolved table; `origin` is named in errors.
+///
+/// # Errors
+/// [`BuildError::Malformed`] naming the key, its value and what was expected.
+pub fn from_value<T: DeserializeOwned + JsonSchema>(value: Value, origin: &str) -> Result<T, BuildError> {
+    Schema::of::<T>().check(&value, origin)?;
+    serde_json::from_value(value).map_err(|error| BuildError::malformed(origin, error))
+}
+
+/// Reads a TOML text; numbers that are not finite are refused.
+///
+/// # Errors
+/// [`BuildError::Malformed`] naming `origin`, and the line or the key.
+pub fn parse(text: &str, origin: &str) -> Result<Map<String, Value>, BuildError> {
+    let table: ::toml::Table =
+        ::toml::from_str(text).map_err(|error| BuildError::malformed(origin, error))?;
+    json_table(table, "").map_err(|message| BuildError::malformed(origin, message))
+}
+
+fn json_table(table: ::toml::Table, key: &str) -> Result<Map<String, Value>, String> {
+    table.into_iter().map(|(name, value)| Ok((name.clone(), json(value, &join(key, &name))?))).collect()
+}
+
+fn json(value: ::toml::Value, key: &str) -> Result<Value, String> {
+    Ok(match value {
+        ::toml::Value::Table(table) => Value::Object(json_table(table, key)?),
+        ::toml::Value::Array(list) => {
+            let items = list.into_iter().enumerate();
+            Value::Array(items.map(|(i, item)| json(item, &format!("{key}[{i}]"))).collect::<Result<_, _>>()?)
+        }
+        ::toml::Value::Float(number) => match serde_json::Number::from_f64(number) {
+            Some(number) => Value::Number(number),
+            None => return Err(format!("`{key}` is {number}; expected a finite number")),
+        },
+        ::toml::Value::Integer(number) => number.into(),
+        ::toml::Value::Boolean(flag) => flag.into(),
+        ::toml::Value::String(text) => text.into(),
+        ::toml::Value::Datetime(date) => return Err(format!("`{key}` is {date}; no key is a date")),
+    })
+}
+
+/// Reads a TOML file and resolves every `base` and path in it, as a schema declares them. Keys are not
+/// judged here.
 ///
 /// # Errors
 /// [`BuildError`] naming the file that cannot be read or parsed, or that refers to itself.
-pub fn resolve(path: &Path) -> Result<Value, BuildError> {
-    read(path, "", 0)
+pub fn resolve(path: &Path, schema: &Schema) -> Result<Value, BuildError> {
+    Reader { files: 0 }.read(path, Some(schema.root()), 0).map(Value::Object)
 }
 
-/// The table of a file, which stands under the key `name`.
-fn read(path: &Path, name: &str, depth: usize) -> Result<Value, BuildError> {
-    if depth > MAX_DEPTH {
-        return Err(BuildError::malformed(
-            path.display().to_string(),
-            format!("`base` files refer to one another more than {MAX_DEPTH} deep"),
-        ));
-    }
-    let text = read_text(path)?;
-    let table: Map<String, Value> =
-        ::toml::from_str(&text).map_err(|error| BuildError::malformed(path.display().to_string(), error))?;
-    let folder = path.parent().unwrap_or(Path::new(".")).to_owned();
-    resolve_table(table, name, &folder, depth).map(Value::Object)
+/// What is read for one configuration.
+struct Reader {
+    files: usize,
 }
 
-fn resolve_table(
-    mut table: Map<String, Value>,
-    name: &str,
-    folder: &Path,
-    depth: usize,
-) -> Result<Map<String, Value>, BuildError> {
-    let base = table.remove("base");
-    for (key, value) in &mut table {
-        match value {
-            Value::Object(inner) => {
-                *inner = resolve_table(std::mem::take(inner), key, folder, depth)?;
-            }
-            Value::String(text) if PATH_KEYS.contains(&key.as_str()) => {
-                *text = absolute(&folder.join(&*text))?;
-            }
-            _ => {}
+impl Reader {
+    fn read(
+        &mut self,
+        path: &Path,
+        node: Option<Node<'_>>,
+        depth: usize,
+    ) -> Result<Map<String, Value>, BuildError> {
+        let origin = path.display().to_string();
+        if depth > MAX_DEPTH {
+            let message = format!("`base` files refer to one another more than {MAX_DEPTH} deep");
+            return Err(BuildError::malformed(origin, message));
         }
+        self.files += 1;
+        if self.files > MAX_FILES {
+            return Err(BuildError::malformed(
+                origin,
+                format!("more than {MAX_FILES} `base` files are read"),
+            ));
+        }
+        let table = parse(&read_text(path)?, &origin)?;
+        self.resolve_table(table, node, path.parent().unwrap_or(Path::new(".")), depth)
     }
-    let Some(base) = base else { return Ok(table) };
-    let Value::String(file) = base else {
-        return Err(BuildError::bad_value(
-            format!("`base` in {}", folder.display()),
-            base,
-            "the path of a TOML file",
-        ));
-    };
-    let Value::Object(mut merged) = read(&folder.join(file), name, depth + 1)? else { return Ok(table) };
-    lay_over(&mut merged, name, table);
-    Ok(merged)
+
+    fn resolve_table(
+        &mut self,
+        mut table: Map<String, Value>,
+        node: Option<Node<'_>>,
+        folder: &Path,
+        depth: usize,
+    ) -> Result<Map<String, Value>, BuildError> {
+        let base = table.remove("base");
+        for (key, value) in &mut table {
+            let node = node.and_then(|node| node.key(key));
+            match value {
+                Value::Object(inner) => {
+                    *inner = self.resolve_table(std::mem::take(inner), node, folder, depth)?;
+                }
+                Value::String(text) if node.is_some_and(Node::is_path) => {
+                    *text = absolute(&folder.join(&*text))?;
+                }
+                _ => {}
+            }
+        }
+        let Some(base) = base else { return Ok(table) };
+        let Value::String(file) = base else {
+            let item = format!("`base` in {}", folder.display());
+            return Err(BuildError::bad_value(item, base, "the path of a TOML file"));
+        };
+        let mut merged = self.read(&folder.join(file), node, depth + 1)?;
+        lay_over(&mut merged, table, node);
+        Ok(merged)
+    }
 }
 
-/// Tables of several kinds, with the key that says which kind one is.
-const KINDS: [(&str, &str); 4] =
-    [("aero", "model"), ("jets", "dynamics"), ("wind", "profile"), ("fictitious_wind", "profile")];
-
-/// Writes `over` onto `under`, both the table `name`; tables merge, everything else is replaced.
+/// Writes `over` onto `under`; tables merge, everything else is replaced.
 ///
-/// A table of another kind replaces the one below it: keys of that kind would not be understood.
-fn lay_over(under: &mut Map<String, Value>, name: &str, over: Map<String, Value>) {
-    let changes_kind = KINDS
-        .iter()
-        .filter(|(table, _)| *table == name)
-        .any(|(_, key)| matches!((under.get(*key), over.get(*key)), (Some(a), Some(b)) if a != b));
-    if changes_kind {
+/// A table that brings a discriminant of its own replaces the one below it: keys of another alternative
+/// would not be known.
+fn lay_over(under: &mut Map<String, Value>, over: Map<String, Value>, node: Option<Node<'_>>) {
+    let discriminant = node.and_then(Node::discriminant);
+    let kinds = discriminant.map(|key| (under.get(key), over.get(key)));
+    if matches!(kinds, Some((Some(below), Some(above))) if below != above) {
         under.clear();
     }
     for (key, value) in over {
+        let node = node.and_then(|node| node.key(&key));
         match (under.get_mut(&key), value) {
-            (Some(Value::Object(below)), Value::Object(above)) => lay_over(below, &key, above),
+            (Some(Value::Object(below)), Value::Object(above)) => lay_over(below, above, node),
             (_, value) => {
                 under.insert(key, value);
             }

@@ -37,6 +37,14 @@ pub fn resolve_config(path: PathBuf) -> PyResult<String> {
     Ok(to_value(&config)?.to_string())
 }
 
+/// JSON Schemas of all configuration files, as one JSON object by folder of `configs/`.
+#[pyfunction]
+pub fn schemas() -> String {
+    let schemas = flight_sim::schemas();
+    let table = schemas.into_iter().map(|(name, schema)| (name.to_owned(), schema.json().clone()));
+    serde_json::Value::Object(table.collect()).to_string()
+}
+
 /// Raise ValueError unless this configuration can fly.
 #[pyfunction]
 pub fn check_config(config_json: &str) -> PyResult<()> {

@@ -22,7 +22,9 @@ mod _core {
     #[pymodule_export]
     use super::control::{Controller, ControllerState, setpoint_trajectory};
     #[pymodule_export]
-    use super::flight::{check_config, config_digest, fly, fly_batch, resolve_config, wind_velocity};
+    use super::flight::{
+        check_config, config_digest, fly, fly_batch, resolve_config, schemas, wind_velocity,
+    };
     #[pymodule_export]
     use super::plant::Plant;
     #[pymodule_export]

@@ -8,15 +8,15 @@ use flight_core::error::{BuildError, check};
 use flight_core::kinematics::RobotState;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::{Pose, rotation_from_rpy};
-use flight_io::{AeroConfig, ControllerSection, MissionConfig, resolve};
+use flight_io::{AeroConfig, ControllerSection, MissionConfig, RobotFile, Schema, from_value, load};
 use nalgebra::{DVector, Vector3};
-use serde::de::DeserializeOwned;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
 /// One flight: which robot, in which simulator and wind, under which controller, on which envelope.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FlightConfig {
     /// What people read in tables and figures.
@@ -29,6 +29,7 @@ pub struct FlightConfig {
     #[serde(default, skip_serializing_if = "Engine::is_rust")]
     pub engine: Engine,
     /// The robot's TOML file.
+    #[schemars(extend("format" = "path"))]
     pub robot: PathBuf,
     /// The world.
     pub simulator: SimulatorConfig,
@@ -46,9 +47,9 @@ pub struct FlightConfig {
 /// Reads a flight configuration file.
 ///
 /// # Errors
-/// As [`resolve`], and for unknown, missing or ill-typed keys.
+/// As [`load`], for unknown, missing or ill-typed keys.
 pub fn load_flight(path: &Path) -> Result<FlightConfig, BuildError> {
-    flight_from_value(resolve(path)?, &path.display().to_string())
+    load(path)
 }
 
 /// A flight configuration from a resolved value; `origin` is named in errors.
@@ -56,30 +57,25 @@ pub fn load_flight(path: &Path) -> Result<FlightConfig, BuildError> {
 /// # Errors
 /// [`BuildError::Malformed`] for unknown, missing or ill-typed keys.
 pub fn flight_from_value(value: Value, origin: &str) -> Result<FlightConfig, BuildError> {
-    // Section by section, so that an error says where: serde's own messages name only the key.
-    if let Value::Object(table) = &value {
-        let section = |key: &str, parse_failure: fn(&Value) -> Option<String>| match table
-            .get(key)
-            .and_then(parse_failure)
-        {
-            Some(message) => Err(BuildError::malformed(format!("{origin}, section {key}"), message)),
-            None => Ok(()),
-        };
-        section("simulator", parse_failure::<SimulatorConfig>)?;
-        section("controller", parse_failure::<ControllerSection>)?;
-        section("envelope", parse_failure::<MissionConfig>)?;
-        section("wind", parse_failure::<WindConfig>)?;
-        section("fictitious_wind", parse_failure::<Option<WindConfig>>)?;
-    }
-    serde_json::from_value(value).map_err(|error| BuildError::malformed(origin, error))
+    from_value(value, origin)
 }
 
-fn parse_failure<T: DeserializeOwned>(value: &Value) -> Option<String> {
-    serde_json::from_value::<T>(value.clone()).err().map(|error| error.to_string())
+/// The schemas of all files, by folder of `configs/`.
+#[must_use]
+pub fn schemas() -> [(&'static str, Schema); 7] {
+    [
+        ("aero", Schema::of::<AeroConfig>()),
+        ("control", Schema::of::<ControllerSection>()),
+        ("envelope", Schema::of::<MissionConfig>()),
+        ("experiments", Schema::of::<FlightConfig>()),
+        ("robot", Schema::of::<RobotFile>()),
+        ("simulator", Schema::of::<SimulatorConfig>()),
+        ("wind", Schema::of::<WindConfig>()),
+    ]
 }
 
 /// Who flies a configuration.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Engine {
     /// This crate.
@@ -99,7 +95,7 @@ impl Engine {
 }
 
 /// The world the robot flies in.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SimulatorConfig {
     /// Length of the flight \[s\].
@@ -148,7 +144,7 @@ fn one() -> u32 {
 }
 
 /// What computes mass matrix and bias.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DynamicsBackend {
     /// The tree of bodies of this project.
@@ -166,7 +162,7 @@ impl DynamicsBackend {
 }
 
 /// How a physics step is taken.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Integrator {
     /// Velocity first, pose with the new velocity: feeds no energy into fast joint motion.
@@ -177,7 +173,7 @@ pub enum Integrator {
 }
 
 /// Which kinematics place the links in the wind.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum AeroKinematics {
     /// Those of the robot now.
@@ -189,7 +185,7 @@ pub enum AeroKinematics {
 }
 
 /// State at the beginning of a flight.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct InitialConfig {
     /// Position of the base origin \[m\].
@@ -214,7 +210,7 @@ fn yes() -> bool {
 }
 
 /// When a flight counts as lost. A state that is not finite always does.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FallConfig {
     /// Greatest rotation between base and reference \[deg\].

@@ -2,11 +2,12 @@
 
 use flight_core::error::{BuildError, check};
 use flight_core::robot::RobotModel;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// The plane z = 0 under the robot's feet. Only engines that know contact fly a world that has it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct GroundConfig {
     /// Coulomb friction of soles on the ground.
@@ -18,7 +19,7 @@ pub struct GroundConfig {
 }
 
 /// What stands between a motor's torque and its joint.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MotorsConfig {
     /// Dry friction of every joint \[N m\].

@@ -16,11 +16,12 @@ pub use failure::{FailureKind, JetFailure, JetFaults, JetFaultsConfig, Measureme
 use flight_core::error::{BuildError, check};
 use flight_core::jets::{EkfConfig, EngineDynamics, EngineModel, ThrustEkf, ThrustRateController};
 use flight_core::robot::{EngineCoefficients, Jet};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// How thrust follows the commanded thrust rate.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "dynamics", rename_all = "snake_case", deny_unknown_fields)]
 pub enum JetsConfig {
     /// Thrust is the integral of the command. Braces, because serde lets unknown keys pass beside a
@@ -31,7 +32,7 @@ pub enum JetsConfig {
 }
 
 /// Numbers of the second-order engines; the defaults are the published ones.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SecondOrderConfig {
     /// Proportional gain of the thrust-rate loop \[1/s\].
@@ -60,7 +61,7 @@ impl Default for SecondOrderConfig {
 }
 
 /// Which thrust the flight controller sees.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ThrustFeedback {
     /// The true thrust, without noise.

@@ -17,7 +17,7 @@ pub mod turbulence;
 pub mod wind;
 
 pub use batch::{BatchError, fly_batch};
-pub use config::{Engine, FlightConfig, SimulatorConfig, flight_from_value, load_flight};
+pub use config::{Engine, FlightConfig, SimulatorConfig, flight_from_value, load_flight, schemas};
 pub use flight::{Fall, FallReason, Flight, Interrupted};
 pub use log::{FlightLog, FlightResult, Summary};
 pub use plant::Plant;

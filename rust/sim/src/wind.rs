@@ -6,12 +6,13 @@ use crate::turbulence::Turbulence;
 use flight_core::error::{BuildError, check};
 use flight_io::read_text;
 use nalgebra::Vector3;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 
 /// A wind profile; all velocities in m/s, inertial axes, all times in s.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "profile", rename_all = "snake_case", deny_unknown_fields)]
 pub enum WindConfig {
     /// The same all the time.
@@ -58,6 +59,7 @@ pub enum WindConfig {
     /// A recorded wind: a CSV file with header `time,x,y,z`, linear in between, constant outside.
     File {
         /// The file; relative paths start at the configuration file.
+        #[schemars(extend("format" = "path"))]
         path: PathBuf,
     },
 }

@@ -12,7 +12,7 @@ use flight_core::Measurement;
 use flight_core::aero::Precision;
 use flight_core::control::CommandStatus;
 use flight_core::control::config::{Fallback, Solver};
-use flight_io::{AeroConfig, NetworkConfig, load_controller, load_robot, resolve};
+use flight_io::{AeroConfig, NetworkConfig, load_controller, load_robot};
 use flight_sim::FlightConfig;
 use flight_sim::config::AeroKinematics;
 use nalgebra::{Vector3, Vector6};
@@ -116,7 +116,7 @@ fn with(name: &str, change: impl FnOnce(&mut FlightConfig)) -> FlightConfig {
 
 fn sphere_cylinder() -> AeroConfig {
     let file = common::configs("aero/sphere_cylinder.toml");
-    serde_json::from_value(resolve(&file).unwrap()).unwrap()
+    flight_io::load(&file).unwrap()
 }
 
 fn network() -> AeroConfig {

@@ -7,9 +7,10 @@ mod common;
 
 use common::{configs, experiment, robot};
 use flight_core::BuildError;
-use flight_io::{AeroConfig, ControllerSection, MissionConfig, load_aero, resolve};
+use flight_io::{AeroConfig, ControllerSection, MissionConfig, Schema, load, load_aero};
 use flight_sim::jets::JetsConfig;
-use flight_sim::{Flight, SimulatorConfig, Wind, WindConfig, flight_from_value, load_flight};
+use flight_sim::{Flight, FlightConfig, SimulatorConfig, Wind, WindConfig, flight_from_value, load_flight};
+use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -32,9 +33,13 @@ fn files(name: &str) -> Vec<PathBuf> {
     files
 }
 
-fn parse<T: DeserializeOwned>(file: &Path) -> T {
-    let value = resolve(file).unwrap();
-    serde_json::from_value(value).unwrap_or_else(|error| panic!("{}: {error}", file.display()))
+fn parse<T: DeserializeOwned + JsonSchema>(file: &Path) -> T {
+    load(file).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// The resolved table of an experiment's file.
+fn resolve(file: &Path) -> Result<Value, BuildError> {
+    flight_io::resolve(file, &Schema::of::<FlightConfig>())
 }
 
 /// Keys beside `base` are laid over the base's table, table by table; lists are replaced whole.
@@ -88,12 +93,13 @@ fn another_kind_replaces_the_table() {
         ),
     ] {
         let file = write(&folder, name, &format!("base = 'wind.toml'\n{keys}\n"));
-        assert_eq!(resolve(&file).unwrap(), expected, "{name}");
+        let schema = Schema::of::<WindConfig>();
+        assert_eq!(flight_io::resolve(&file, &schema).unwrap(), expected, "{name}");
     }
-    for key in ["model", "dynamics"] {
+    for (key, schema) in [("model", Schema::of::<AeroConfig>()), ("dynamics", Schema::of::<JetsConfig>())] {
         write(&folder, "under.toml", &format!("{key} = 'a'\nonly_a = 1\n"));
         let over = write(&folder, "over.toml", &format!("base = 'under.toml'\n{key} = 'b'\n"));
-        assert_eq!(resolve(&over).unwrap(), json!({key: "b"}));
+        assert_eq!(flight_io::resolve(&over, &schema).unwrap(), json!({key: "b"}));
     }
 }
 
@@ -197,78 +203,126 @@ fn set(target: &mut Value, keys: &str, value: Value) {
     }
 }
 
-/// An unknown key is refused in every table, with its section and its name.
+/// An unknown key is refused in every table by its whole name, with the key that may have been meant.
 #[test]
-fn unknown_keys_are_named_with_their_section() {
-    for (keys, section) in [
-        ("simulator.typo", "section simulator"),
-        ("simulator.initial.typo", "section simulator"),
-        ("simulator.fall.typo", "section simulator"),
-        ("simulator.aero.typo", "section simulator"),
-        ("simulator.jets.typo", "section simulator"),
-        ("controller.typo", "section controller"),
-        ("controller.aero.typo", "section controller"),
-        ("controller.aero_feedback.typo", "section controller"),
-        ("controller.momentum.typo", "section controller"),
-        ("controller.weights.typo", "section controller"),
-        ("controller.bounds.typo", "section controller"),
-        ("controller.torque.typo", "section controller"),
-        ("controller.qp.typo", "section controller"),
-        ("controller.references.typo", "section controller"),
-        ("envelope.typo", "section envelope"),
-        ("wind.typo", "section wind"),
-        ("typo", "here"),
-    ] {
+fn unknown_keys_are_named() {
+    let mut tables = vec![];
+    walk(&test2_value(), "", &mut |key, value| {
+        if value.is_object() {
+            tables.push(key.to_owned());
+        }
+    });
+    assert!(tables.len() > 10, "{tables:?}");
+    for table in tables.into_iter().filter(|table| !is_free(table)) {
         let mut value = test2_value();
-        set(&mut value, keys, json!(1.0));
-        let error = flight_from_value(value, "here").unwrap_err();
-        assert_says(&error, &["here", section, "unknown field `typo`"]);
+        let key = if table.is_empty() { "typo".to_owned() } else { format!("{table}.typo") };
+        set(&mut value, &key, json!(1.0));
+        assert_says(
+            &flight_from_value(value, "here").unwrap_err(),
+            &["here: ", &format!("unknown key `{key}`")],
+        );
     }
-    // Also beside a model without numbers of its own.
-    for (keys, table) in [
-        ("controller.aero", json!({"model": "off", "typo": 1})),
-        ("simulator.jets", json!({"dynamics": "ideal", "typo": 1})),
-        ("simulator.jets", json!({"dynamics": "second_order", "typo": 1})),
-        ("wind", json!({"profile": "constant", "velocity": [0.0, 0.0, 0.0], "typo": 1})),
-    ] {
-        let mut value = test2_value();
-        set(&mut value, keys, table);
-        assert_says(&flight_from_value(value, "here").unwrap_err(), &["unknown field `typo`"]);
+    let mut value = test2_value();
+    set(&mut value, "controller.momentum.kp_liner", json!([1.0, 1.0, 1.0]));
+    assert_says(&flight_from_value(value, "here").unwrap_err(), &["did you mean `kp_linear`?"]);
+}
+
+/// Tables whose keys are names of the robot's parts.
+fn is_free(table: &str) -> bool {
+    ["posture_gain", "thrust_rate", "thrust_rate_max", "links"].iter().any(|name| table.ends_with(name))
+}
+
+/// Calls `visit` with the dotted key of every table and value but the items of lists.
+fn walk(value: &Value, key: &str, visit: &mut impl FnMut(&str, &Value)) {
+    visit(key, value);
+    for (name, inner) in value.as_object().into_iter().flatten() {
+        walk(inner, &if key.is_empty() { name.clone() } else { format!("{key}.{name}") }, visit);
     }
 }
 
-/// Missing and ill-typed keys, and kinds that do not exist, are refused with their section.
+/// A value of another type is refused at every key, by its whole name, with the value and what was expected.
+#[test]
+fn wrong_types_are_named_at_every_key() {
+    let mut keys = vec![];
+    for name in ["test2", "second_order_jets", "min_time", "engine_out", "balancing_front", "sensor_noise"] {
+        walk(&serde_json::to_value(experiment(name)).unwrap(), "", &mut |key, _| {
+            keys.push((name, key.to_owned()));
+        });
+    }
+    assert!(keys.len() > 300, "{}", keys.len());
+    for (name, key) in keys.into_iter().filter(|(_, key)| !key.is_empty()) {
+        // No key takes a list of tables.
+        let mut value = serde_json::to_value(experiment(name)).unwrap();
+        set(&mut value, &key, json!([{"wrong": true}]));
+        let message = flight_from_value(value, "here").unwrap_err().to_string();
+        assert!(message.contains(&format!("`{key}")), "{name}: {key}: {message}");
+        assert!(message.contains("{\"wrong\":true}") && message.contains("expected"), "{key}: {message}");
+    }
+}
+
+/// Missing keys, wrong lengths and names, and kinds that do not exist, are refused by their whole name.
 #[test]
 fn missing_and_ill_typed_keys_are_named() {
-    for (keys, bad, words) in [
-        ("controller.momentum.c0", Value::Null, ["section controller", "missing field `c0`"]),
-        ("controller.weights", Value::Null, ["section controller", "missing field `weights`"]),
-        ("simulator.duration", Value::Null, ["section simulator", "missing field `duration`"]),
-        ("simulator.initial.thrust", Value::Null, ["section simulator", "missing field `thrust`"]),
-        ("wind.ramp_end", Value::Null, ["section wind", "missing field `ramp_end`"]),
-        ("robot", Value::Null, ["here", "missing field `robot`"]),
-        ("wind", Value::Null, ["here", "missing field `wind`"]),
-        ("controller.momentum.c0", json!("fifty"), ["section controller", "invalid type"]),
-        ("controller.momentum.kp_linear", json!([1.0, 2.0]), ["section controller", "invalid length 2"]),
-        ("simulator.substeps", json!(-1), ["section simulator", "invalid value"]),
-        ("simulator.integrator", json!("magic"), ["section simulator", "unknown variant `magic`"]),
-        ("simulator.kinematics", json!("magic"), ["section simulator", "unknown variant `magic`"]),
-        ("simulator.lever_arm", json!("magic"), ["section simulator", "unknown variant `magic`"]),
-        ("simulator.jets.dynamics", json!("magic"), ["section simulator", "unknown variant `magic`"]),
-        ("controller.lever_arm", json!("magic"), ["section controller", "unknown variant `magic`"]),
-        ("controller.jacobian_offset", json!("magic"), ["section controller", "unknown variant `magic`"]),
-        ("controller.link_velocity", json!("magic"), ["section controller", "unknown variant `magic`"]),
-        ("controller.qp.solver", json!("magic"), ["section controller", "unknown variant `magic`"]),
-        ("controller.qp.fallback", json!("magic"), ["section controller", "unknown variant `magic`"]),
-        ("controller.aero.model", json!("magic"), ["section controller", "unknown variant `magic`"]),
-        ("wind.profile", json!("magic"), ["section wind", "unknown variant `magic`"]),
-        ("envelope.up", json!([[1.0]]), ["section envelope", "invalid length 1"]),
+    for (key, bad, words) in [
+        ("controller.momentum.c0", Value::Null, "is missing"),
+        ("controller.weights", Value::Null, "is missing"),
+        ("simulator.duration", Value::Null, "is missing"),
+        ("wind.ramp_end", Value::Null, "is missing"),
+        ("robot", Value::Null, "is missing"),
+        ("controller.momentum.c0", json!("fifty"), "is \"fifty\"; expected a number"),
+        ("controller.momentum.kp_linear", json!([1.0, 2.0]), "is [1.0,2.0]; expected a list of 3"),
+        ("simulator.substeps", json!(-1), "is -1; expected an integer ≥ 0"),
+        (
+            "simulator.integrator",
+            json!("magic"),
+            "is \"magic\"; expected one of semi_implicit_euler, explicit_euler",
+        ),
+        ("simulator.jets.dynamics", json!("magic"), "is \"magic\"; expected one of ideal, second_order"),
+        ("controller.qp.solver", json!("magic"), "is \"magic\"; expected one of active_set, clarabel"),
+        (
+            "controller.aero.model",
+            json!("magic"),
+            "is \"magic\"; expected one of off, axisymmetric, sphere_cylinder, network",
+        ),
+        (
+            "wind.profile",
+            json!("magic"),
+            "is \"magic\"; expected one of constant, ramp, gust, turbulent, file",
+        ),
     ] {
         let mut value = test2_value();
-        set(&mut value, keys, bad);
+        set(&mut value, key, bad);
         let error = flight_from_value(value, "here").unwrap_err();
-        assert_says(&error, &words);
+        assert_says(&error, &["here: ", &format!("`{key}` {words}")]);
     }
+}
+
+/// Numbers that are not finite are refused where they stand; they do not become an absent value.
+#[test]
+fn numbers_that_are_not_finite_are_refused() {
+    let folder = tempdir().unwrap();
+    for number in ["nan", "-inf"] {
+        let text = format!("[disturbances.jet_faults]\nthrust_limit_scale = {number}\n");
+        let file = write(&folder, "faults.toml", &text);
+        let key = "`disturbances.jet_faults.thrust_limit_scale`";
+        assert_says(&resolve(&file).unwrap_err(), &["faults.toml", key, "expected a finite number"]);
+    }
+}
+
+/// Files that build on one another many times over are refused before they are all read; devices are not read.
+#[test]
+fn reading_is_bounded() {
+    let folder = tempdir().unwrap();
+    for depth in 0..16 {
+        let base = format!("base = 'f{}.toml'", depth + 1);
+        let text = format!("a = {{ {base} }}\nb = {{ {base} }}\nc = {{ {base} }}\n");
+        write(&folder, &format!("f{depth}.toml"), &text);
+    }
+    write(&folder, "f16.toml", "");
+    assert_says(&resolve(&folder.path().join("f0.toml")).unwrap_err(), &["more than 256 `base` files"]);
+    let mut device = experiment("test2");
+    device.robot = PathBuf::from("/dev/zero");
+    assert_says(&Flight::new(&device).unwrap_err(), &["/dev/zero", "a regular file"]);
 }
 
 /// Every aerodynamic model parses and builds for the robot.

@@ -11,7 +11,7 @@ use flight_core::control::setpoint::Setpoint;
 use flight_core::kinematics::RobotState;
 use flight_core::spatial::Pose;
 use flight_core::{Controller, Measurement};
-use flight_io::{load_aero, load_controller, load_robot};
+use flight_io::{AeroConfig, load_aero, load_controller, load_robot};
 use flight_sim::{FlightConfig, load_flight};
 use nalgebra::{DVector, Matrix3, Vector3};
 use serde_json::Value;
@@ -128,12 +128,11 @@ impl Case {
 /// The golden states use physically right points and the printed coefficients.
 fn flight_config(control: &str) -> FlightConfig {
     let mut config = load_flight(&repository().join("configs/experiments/test2.toml")).unwrap();
-    let mut value =
-        flight_io::resolve(&repository().join(format!("configs/control/{control}.toml"))).unwrap();
-    if value["aero"]["model"] == "axisymmetric" {
-        value["aero"]["coefficients"] = "published".into();
+    let path = repository().join(format!("configs/control/{control}.toml"));
+    config.controller = flight_io::load(&path).unwrap();
+    if let AeroConfig::Axisymmetric(aero) = &mut config.controller.aero {
+        aero.coefficients = "published".into();
     }
-    config.controller = serde_json::from_value(value).unwrap();
     config
 }
 
@@ -205,8 +204,8 @@ fn the_sphere_cylinder_forces_agree() {
     for case in golden_cases() {
         let controller = case.tick("aero_aware");
         let robot = controller.model();
-        let value = flight_io::resolve(&repository().join("configs/aero/sphere_cylinder.toml")).unwrap();
-        let mut model = load_aero(&serde_json::from_value(value).unwrap(), robot).unwrap();
+        let config = flight_io::load(&repository().join("configs/aero/sphere_cylinder.toml")).unwrap();
+        let mut model = load_aero(&config, robot).unwrap();
         let mut forces = LinkForces::new(robot);
         forces.update(
             robot,

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 /// Numbers of the axisymmetric model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct AxisymmetricConfig {
     /// Name of a coefficient set that every link of the robot has.

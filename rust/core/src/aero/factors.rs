@@ -14,6 +14,7 @@ use std::collections::BTreeMap;
 
 /// Factors on the force of every link; all one unless said otherwise.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct ForceFactorsConfig {
     /// Factor on the part along `v_air`.

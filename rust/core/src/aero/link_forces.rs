@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 
 /// Where a link's force acts when its moment is formed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum LeverArm {
     /// At the aerodynamic centre, `p + R c`.
@@ -24,6 +25,7 @@ pub enum LeverArm {
 
 /// Which point's Jacobian carries a link's force in the controller's `Λ_a` and torque law.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum JacobianOffset {
     /// The aerodynamic centre, `p + R c`.
@@ -35,6 +37,7 @@ pub enum JacobianOffset {
 
 /// Which point's velocity the controller takes for the link's own motion through the air.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum LinkVelocity {
     /// The aerodynamic centre.

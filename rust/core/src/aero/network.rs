@@ -35,6 +35,7 @@ const SHADOW_RADIUS: f64 = 0.10;
 
 /// Precision of the weighted sums; everything around them is double.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {
     /// Single, as networks are trained.

@@ -11,6 +11,7 @@ use std::f64::consts::FRAC_PI_4;
 
 /// Numbers of the sphere and cylinder model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SphereCylinderConfig {
     /// Density of the air \[kg/m³\].
@@ -25,6 +26,7 @@ pub struct SphereCylinderConfig {
 
 /// Measured drag coefficients of circular cylinders.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct CylinderTables {
     /// Reynolds number, on the diameter, at which the axial coefficients count unscaled.
@@ -45,6 +47,7 @@ pub struct CylinderTables {
 
 /// Measured drag coefficients of spheres, on the area `π d²/4`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SphereTables {
     /// Drag coefficient below Reynolds number 10.

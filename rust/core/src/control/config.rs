@@ -15,6 +15,7 @@ use std::collections::BTreeMap;
 
 /// The control law: everything that makes a controller besides robot, aerodynamic model and mission.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ControllerConfig {
     /// Where the aerodynamic estimate enters.
@@ -60,6 +61,7 @@ pub struct ControllerConfig {
 
 /// Where the estimated aerodynamic forces enter the controller; each can be left out for an ablation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 #[allow(clippy::struct_excessive_bools)] // each is one term of the equations, in or out
 pub struct AeroFeedback {
@@ -143,6 +145,7 @@ impl Default for AeroFeedback {
 
 /// Gains of the momentum task (M57 of `docs/model.md`) and the attitude task (M60).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct MomentumGains {
     /// `K_P` on the integral of the linear momentum error, per axis \[1/s²\].
@@ -159,6 +162,7 @@ pub struct MomentumGains {
 
 /// Weights of the tasks in the momentum QP.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct MomentumWeights {
     /// Momentum and attitude tasks.
@@ -181,6 +185,7 @@ pub struct MomentumWeights {
 
 /// Bounds of the momentum QP: rates fade out, as a tanh, where the value meets its own limit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct BoundsConfig {
     /// Greatest thrust rate, by jet \[N/s\].
@@ -195,6 +200,7 @@ pub struct BoundsConfig {
 
 /// The joint torque controller.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct TorqueConfig {
     /// `K_Ds` on the joint velocity error \[1/s\].
@@ -215,6 +221,7 @@ pub struct TorqueConfig {
 
 /// Which solver answers first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Solver {
     /// The active-set methods: no allocation, a few microseconds.
@@ -226,6 +233,7 @@ pub enum Solver {
 
 /// What happens when the first solver gives no certified answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Fallback {
     /// Thrusts and joints stop, torques stay. Nothing allocates.
@@ -237,6 +245,7 @@ pub enum Fallback {
 
 /// How QPs are solved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct QpConfig {
     /// The solver of every tick.

@@ -31,6 +31,7 @@ pub const WRENCH_ROWS: usize = FRICTION_SIDES + 2 + 1 + 4;
 
 /// What a controller needs to stand; without it, it flies.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ContactConfig {
     /// Vertical force beyond which a foot carries \[N\]; all feet have to.
@@ -55,6 +56,7 @@ pub struct ContactConfig {
 
 /// What the wrench of one foot may be, in sole axes about the sole's origin.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct WrenchLimits {
     /// Friction `|f_xy| ≤ μ f_z`, as the regular polygon of twelve corners inside the circle.

@@ -33,6 +33,7 @@ pub type Interval = (f64, f64);
 ///
 /// Source: the published autopilot; `configs/envelope/*.toml` hold its three envelopes.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Commands {
     /// Climb.

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 /// How the controller's robot differs from the one that flies; not at all by default.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct ModelError {
     /// Factor on all masses and inertias of the controller's robot.

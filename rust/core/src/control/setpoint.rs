@@ -18,6 +18,7 @@ use serde::{Deserialize, Serialize};
 
 /// Speeds, limits and smoothing times of the set-point generator.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SetpointConfig {
     /// Forward and vertical speed of the raw position \[m/s\].

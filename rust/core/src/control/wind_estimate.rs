@@ -16,6 +16,7 @@ const MAX_DELAY: f64 = 1000.0;
 
 /// Errors of the wind estimate; none by default.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct WindEstimateConfig {
     /// Added to the wind \[m/s, inertial axes\].

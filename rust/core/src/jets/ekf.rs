@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 /// Numbers of the estimator, in the letters of its equations; the defaults are the published ones,
 /// but for the initial state.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct EkfConfig {
     /// `x̂(0) = (T, Ṫ)` \[N, N/s\]; without it `(initial thrust, 0)`. The published value is (0, 0),

@@ -7,13 +7,14 @@
 use flight_core::error::{BuildError, check};
 use flight_core::noise::Noise;
 use flight_core::robot::Jet;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Stream of the measurement noise.
 const MEASUREMENT_STREAM: u64 = 1;
 
 /// Faults of the jets; none by default.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct JetFaultsConfig {
     /// One jet that fails.
@@ -45,7 +46,7 @@ impl Default for JetFaultsConfig {
 }
 
 /// A jet that stops obeying.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JetFailure {
     /// Name of the jet.
@@ -60,7 +61,7 @@ pub struct JetFailure {
 }
 
 /// What a failed jet does.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FailureKind {
     /// Its thrust goes.
@@ -70,7 +71,7 @@ pub enum FailureKind {
 }
 
 /// White noise on measured thrusts.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MeasurementNoise {
     /// Standard deviation \[N\].

@@ -50,7 +50,7 @@ fn an_unknown_wrench_is_held_with_an_error() {
 
 fn experiment_envelope(name: &str) -> flight_io::MissionConfig {
     let file = super::common::configs("envelope").join(name).with_extension("toml");
-    serde_json::from_value(flight_io::resolve(&file).unwrap()).unwrap()
+    flight_io::load(&file).unwrap()
 }
 
 /// The aware controller that knows the wrench holds it without an error.

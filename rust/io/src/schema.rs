@@ -1,0 +1,249 @@
+//! JSON Schemas of the configuration, derived from its types, and what they refuse.
+//!
+//! The types are the only description of a configuration: an editor completes keys from the schema, the
+//! reference pages are made of it, and [`Schema::check`] names the whole key, the value and what was
+//! expected for everything that does not match. `format = "path"` marks files; the property with a constant
+//! in each alternative says which alternative a table is.
+
+use flight_core::BuildError;
+use schemars::JsonSchema;
+use serde_json::{Map, Value};
+
+/// The schema of one kind of file.
+#[derive(Debug, Clone)]
+pub struct Schema {
+    root: Value,
+}
+
+/// A place in a schema, with its references followed.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Node<'a> {
+    root: &'a Value,
+    node: &'a Value,
+}
+
+impl Schema {
+    /// The schema of a type.
+    #[must_use]
+    pub fn of<T: JsonSchema>() -> Self {
+        Self { root: schemars::schema_for!(T).to_value() }
+    }
+
+    /// The schema as JSON.
+    #[must_use]
+    pub fn json(&self) -> &Value {
+        &self.root
+    }
+
+    pub(crate) fn root(&self) -> Node<'_> {
+        Node { root: &self.root, node: &self.root }.followed()
+    }
+
+    /// Refuses what does not match.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming `origin`, the key, its value and what was expected.
+    pub fn check(&self, value: &Value, origin: &str) -> Result<(), BuildError> {
+        self.root().check(value, "").map_err(|message| BuildError::malformed(origin, message))
+    }
+}
+
+impl<'a> Node<'a> {
+    /// This place without references and without `null` beside it.
+    fn followed(self) -> Self {
+        let at = |node| Self { root: self.root, node }.followed();
+        if let Some(target) = self.node.get("$ref").and_then(Value::as_str) {
+            return self.root.pointer(target.trim_start_matches('#')).map_or(self, at);
+        }
+        let present = |option: &&Value| option.get("type").is_none_or(|kind| kind != "null");
+        match self.node.get("anyOf").and_then(Value::as_array) {
+            Some(options) => options.iter().find(present).map_or(self, at),
+            None => self,
+        }
+    }
+
+    fn alternatives(self) -> impl Iterator<Item = Self> + Clone {
+        let options = self.node.get("oneOf").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
+        let alone = if options.is_empty() { std::slice::from_ref(self.node) } else { options };
+        alone.iter().map(move |node| Self { root: self.root, node }.followed())
+    }
+
+    fn properties(self) -> Option<&'a Map<String, Value>> {
+        self.node.get("properties").and_then(Value::as_object)
+    }
+
+    /// The place of a key of this table, whichever alternative has it.
+    pub(crate) fn key(self, key: &str) -> Option<Self> {
+        self.alternatives().find_map(|option| {
+            let named = option.properties().and_then(|properties| properties.get(key));
+            let any = || option.node.get("additionalProperties").filter(|schema| schema.is_object());
+            named.or_else(any).map(|node| Self { root: self.root, node }.followed())
+        })
+    }
+
+    /// The place of the items of this list.
+    pub(crate) fn item(self) -> Option<Self> {
+        self.node.get("items").map(|node| Self { root: self.root, node }.followed())
+    }
+
+    /// Whether the text here is a path.
+    pub(crate) fn is_path(self) -> bool {
+        self.node.get("format").is_some_and(|format| format == "path")
+    }
+
+    /// The key that says which alternative a table is, if there are several.
+    pub(crate) fn discriminant(self) -> Option<&'a str> {
+        let first = self.alternatives().next()?.properties()?;
+        self.node.get("oneOf")?;
+        first.iter().find(|(_, schema)| schema.get("const").is_some()).map(|(key, _)| key.as_str())
+    }
+
+    fn check(self, value: &Value, key: &str) -> Result<(), String> {
+        match self.discriminant() {
+            Some(discriminant) => self.chosen(discriminant, value, key)?.check_plain(value, key),
+            None => self.check_plain(value, key),
+        }
+    }
+
+    /// The alternative that a table is.
+    fn chosen(self, discriminant: &str, value: &Value, key: &str) -> Result<Self, String> {
+        let Some(table) = value.as_object() else { return Err(refusal(key, value, "a table")) };
+        let place = join(key, discriminant);
+        let kind = table.get(discriminant).ok_or_else(|| format!("`{place}` is missing"))?;
+        let constant = |option: &Self| option.properties()?.get(discriminant)?.get("const");
+        self.alternatives().find(|option| constant(option) == Some(kind)).ok_or_else(|| {
+            let known: Vec<_> =
+                self.alternatives().filter_map(|option| constant(&option)).map(show).collect();
+            refusal(&place, kind, &format!("one of {}", known.join(", ")))
+        })
+    }
+
+    fn check_plain(self, value: &Value, key: &str) -> Result<(), String> {
+        let names = self.names();
+        if names.contains(&value) {
+            return Ok(());
+        }
+        if !names.is_empty() {
+            let known: Vec<_> = names.into_iter().map(show).collect();
+            return Err(refusal(key, value, &format!("one of {}", known.join(", "))));
+        }
+        let kinds: Vec<&str> = match self.node.get("type") {
+            Some(Value::String(kind)) => vec![kind],
+            Some(Value::Array(kinds)) => kinds.iter().filter_map(Value::as_str).collect(),
+            _ => return Ok(()),
+        };
+        let matches = |kind: &&str| match *kind {
+            "object" => value.is_object(),
+            "array" => value.is_array(),
+            "string" => value.is_string(),
+            "boolean" => value.is_boolean(),
+            "integer" => value.is_i64() || value.is_u64(),
+            "number" => value.is_number(),
+            _ => value.is_null(),
+        };
+        if !kinds.iter().any(matches) {
+            return Err(refusal(key, value, &self.expected(kinds[0])));
+        }
+        match value {
+            Value::Object(table) => self.check_table(table, key),
+            Value::Array(list) => self.check_list(list, value, key),
+            Value::Number(number) => {
+                let limit = |name: &str| self.node.get(name).and_then(Value::as_f64);
+                let x = number.as_f64().unwrap_or(f64::NAN);
+                let accepted = limit("minimum").is_none_or(|limit| x >= limit)
+                    && limit("exclusiveMinimum").is_none_or(|limit| x > limit)
+                    && limit("maximum").is_none_or(|limit| x <= limit);
+                if accepted { Ok(()) } else { Err(refusal(key, value, &self.expected(kinds[0]))) }
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The names that stand here, if nothing else may.
+    fn names(self) -> Vec<&'a Value> {
+        match self.node.get("enum").and_then(Value::as_array) {
+            Some(names) => names.iter().collect(),
+            None => self.alternatives().filter_map(|option| option.node.get("const")).collect(),
+        }
+    }
+
+    fn check_table(self, table: &Map<String, Value>, key: &str) -> Result<(), String> {
+        let none = Map::new();
+        let properties = self.properties().unwrap_or(&none);
+        for (name, value) in table {
+            let place = join(key, name);
+            match self.key(name) {
+                Some(node) => node.check(value, &place)?,
+                None => return Err(unknown(&place, name, properties.keys())),
+            }
+        }
+        let required = self.node.get("required").and_then(Value::as_array).into_iter().flatten();
+        match required.filter_map(Value::as_str).find(|name| !table.contains_key(*name)) {
+            Some(name) => Err(format!("`{}` is missing", join(key, name))),
+            None => Ok(()),
+        }
+    }
+
+    fn check_list(self, list: &[Value], value: &Value, key: &str) -> Result<(), String> {
+        let limit = |name: &str| self.node.get(name).and_then(Value::as_u64);
+        let length = list.len() as u64;
+        if limit("minItems").is_some_and(|limit| length < limit)
+            || limit("maxItems").is_some_and(|limit| length > limit)
+        {
+            return Err(refusal(key, value, &self.expected("array")));
+        }
+        let Some(item) = self.item() else { return Ok(()) };
+        list.iter().enumerate().try_for_each(|(index, value)| item.check(value, &format!("{key}[{index}]")))
+    }
+
+    /// What the schema accepts, in words.
+    fn expected(self, kind: &str) -> String {
+        let limit = |name: &str| self.node.get(name).filter(|limit| !limit.is_null());
+        let words = match kind {
+            "object" => "a table".to_owned(),
+            "array" => match (limit("minItems"), limit("maxItems")) {
+                (Some(least), Some(greatest)) if least == greatest => format!("a list of {least}"),
+                _ => "a list".to_owned(),
+            },
+            "string" if self.is_path() => "the path of a file".to_owned(),
+            "string" => "a text".to_owned(),
+            "boolean" => "true or false".to_owned(),
+            "integer" => "an integer".to_owned(),
+            _ => "a number".to_owned(),
+        };
+        let limits = [("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤")];
+        let limits = limits.iter().filter_map(|(name, sign)| Some(format!("{sign} {}", limit(name)?)));
+        [vec![words], limits.collect()].concat().join(" ")
+    }
+}
+
+/// A key below another.
+pub(crate) fn join(key: &str, name: &str) -> String {
+    if key.is_empty() { name.to_owned() } else { format!("{key}.{name}") }
+}
+
+fn refusal(key: &str, value: &Value, expected: &str) -> String {
+    let key = if key.is_empty() { "the whole".to_owned() } else { format!("`{key}`") };
+    format!("{key} is {}; expected {expected}", shortened(value))
+}
+
+fn unknown<'a>(place: &str, name: &str, known: impl Iterator<Item = &'a String> + Clone) -> String {
+    let near = known
+        .clone()
+        .map(|key| (strsim::jaro_winkler(name, key), key))
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .filter(|(likeness, _)| *likeness > 0.8);
+    let hint = near.map_or_else(String::new, |(_, key)| format!("; did you mean `{key}`?"));
+    let known: Vec<&str> = known.map(String::as_str).collect();
+    format!("unknown key `{place}`{hint} (known: {})", known.join(", "))
+}
+
+fn show(value: &Value) -> String {
+    value.as_str().map_or_else(|| value.to_string(), str::to_owned)
+}
+
+/// A value as it is shown in a refusal.
+fn shortened(value: &Value) -> String {
+    let text = value.to_string();
+    if text.chars().count() > 80 { text.chars().take(79).chain(['…']).collect() } else { text }
+}
