@@ -2,8 +2,8 @@
 
 Other commands, each explained by `python -m experiments COMMAND --help`: `sweep` (many perturbed flights), `report`
 (all results on one page), `trim`, `trajectory`, `force-rate`, `tip-over`, `engine-choice` (battery against fuel),
-`identify-aero` (coefficients from a flight's log), `import-cfd`, `fit-aero`, `calibrate-surrogate`,
-`surrogate-dataset` (data to learn from), `train` and `train-search` (networks).
+`import-robot` (from a URDF to a robot that flies), `identify-aero` (coefficients from a flight's log), `import-cfd`,
+`fit-aero`, `calibrate-surrogate`, `surrogate-dataset` (data to learn from), `train` and `train-search` (networks).
 
 A result goes to `results/flight/NAME/`; with --set, the folder's name states the changes, e.g.
 `test1--wind.velocity=0_-12_0`. With --out DIR it goes to `DIR/NAME/`, whatever was set.
@@ -34,6 +34,7 @@ COMMANDS = {
     "force-rate": "experiments.force_rate",
     "tip-over": "experiments.tip_over",
     "identify-aero": "experiments.identify_aero",
+    "import-robot": "experiments.import_robot.command",
     "import-cfd": "experiments.import_cfd",
     "fit-aero": "experiments.fit_aero",
     "calibrate-surrogate": "experiments.calibrate_surrogate",

@@ -41,13 +41,11 @@ class TrimConfig(tables.Table, frozen=True):
 
     title: str
     robot: Path
-    """The robot's TOML file, which gives limits of joints and thrusts."""
+    """The robot's TOML file, which gives limits of joints, torques and thrusts."""
     aero: Path
     """An aerodynamic model of `configs/aero/`."""
     posture: Path
     """A simulator of `configs/simulator/`, whose `initial.joint_position` is the nominal posture."""
-    controller: Path
-    """A controller of `configs/control/`, whose `torque.torque_max` limits the torques."""
     free_groups: tuple[str, ...]
     """Joint groups that may leave the nominal posture."""
     yaw_deg: float
@@ -100,7 +98,7 @@ def load(path: Path) -> tuple[Trim, TrimConfig]:
     config = study.load(path, TrimConfig)
     robot = load_robot(config.robot)
     posture = np.array(study.read(config.posture)["initial"]["joint_position"], dtype=float)
-    groups = study.read(config.robot)["joint_groups"]
+    groups = study.read(config.robot).get("joint_groups", [])
     members = {group["name"]: [joint["name"] for joint in group["joints"]] for group in groups}
     if unknown := set(config.free_groups) - set(members):
         raise Refused(f"{path.name}: free_groups names `{min(unknown)}`; {robot.name} has {', '.join(members)}")
@@ -112,7 +110,7 @@ def load(path: Path) -> tuple[Trim, TrimConfig]:
         pitch=_angles(config.pitch_limits_deg),
         yaw=float(np.radians(config.yaw_deg)),
         margin_min=config.margin_min,
-        torque_max=study.read(config.controller)["torque"]["torque_max"],
+        torque_max=robot.joint_torque_max,
         clearance_min=config.clearance_min,
         plume_length=config.plume_length,
         posture_weight=config.posture_weight,
@@ -177,7 +175,7 @@ def run_map(path: Path) -> dict[str, Any]:
     elapsed = time.perf_counter() - started
 
     digest = study.digest(
-        tables.plain(config), [*tables.files(config), config.robot.with_name(study.read(config.robot)["urdf"])]
+        tables.plain(config), [*tables.files(config), config.robot.parent / study.read(config.robot)["urdf"]]
     )
     dataset = _map_dataset(trim, found, speeds, directions)
     dataset.attrs |= {"title": config.title, "config_hash": digest}

@@ -357,15 +357,15 @@ class BoundsConfig:
     """By jet [N/s]."""
     thrust_steepness: Array
     """() [1/N]."""
-    joint_velocity_max_deg: Array
-    """() [deg/s]."""
     joint_steepness: Array
-    """() [1/rad]."""
+    """() [1/rad, 1/m]."""
+    joint_velocity_max_deg: Array | None = None
+    """() of revolute joints, in place of the robot's own limits [deg/s]."""
 
 
 @pytree
 class TorqueConfig:
-    """The joint torque controller; every field is a scalar."""
+    """The joint torque controller, all scalars. Limits are of revolute joints, in place of the robot's own."""
 
     kd: Array
     """[1/s]"""
@@ -374,9 +374,9 @@ class TorqueConfig:
     weight_acceleration: Array
     weight_torque: Array
     regularisation: Array
-    torque_max: Array
+    torque_max: Array | None = None
     """[N m]"""
-    torque_rate_max: Array
+    torque_rate_max: Array | None = None
     """[N m/s]"""
 
 

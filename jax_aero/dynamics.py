@@ -50,16 +50,17 @@ def forward_dynamics(dyn: Dynamics, force: Array) -> Array:
 def _tree_mass_matrix_and_bias(robot: RobotModel, state: State, kin: Kinematics) -> tuple[Array, Array]:
     """Composite rigid bodies and recursive Newton–Euler, in inertial axes about the base origin.
 
-    A unit velocity of joint j moves its subtree with `ω = a`, `v = (o_j − o_B) × a`; the subtree's momentum about the
-    base origin is `l = m v + a × s`, `k = I a + s × v` (s: first moment). Then `M_ij = a_i·k_j + v_i·l_j` for every
-    joint i between j and the base.
+    A unit velocity of joint j moves its subtree with `ω` and, at the base origin, with `v` (revolute: `a` and
+    `(o_j − o_B) × a`; prismatic: zero and `a`); the subtree's momentum about the base origin is `l = m v + ω × s`,
+    `k = I ω + s × v` (s: first moment). Then `M_ij = ω_i·k_j + v_i·l_j` for every joint i between j and the base.
     """
     rotations, origin = kin.body_rotations, kin.body_positions[0]
     arms = rotate(rotations, robot.coms)
     coms = kin.body_positions - origin + arms
     inertias = multiply(multiply(rotations, robot.inertias), jnp.swapaxes(rotations, -1, -2))
 
-    axes, v = kin.joint_axes, cross(kin.body_positions[1:] - origin, kin.joint_axes)
+    axes = kin.joint_angular
+    v = kin.joint_linear + cross(kin.body_positions[1:] - origin, axes)
     force, moment = _inertial_wrenches(robot, state, kin, arms, coms, inertias)
     # Subtree sums of everything at once: mass, first moment, inertia about the base origin, force, moment.
     first = robot.masses[:, None] * coms
@@ -92,13 +93,15 @@ def _inertial_wrenches(
     robot: RobotModel, state: State, kin: Kinematics, arms: Array, coms: Array, inertias: Array
 ) -> tuple[Array, Array]:
     """Force (nb, 3) and moment about the base origin (nb, 3) that each body needs if `ν̇ = 0`, gravity included."""
-    parents = np.array(robot.parent[1:])
+    parents = np.array(robot.parent[1:], dtype=int)
     moves = sum_over_ancestors(robot, state.velocity.dtype)
     omega = kin.angular_velocities
-    spins = cross(omega[parents], kin.joint_axes) * state.velocity[6:, None]
-    alpha = moves @ spins
+    rates = state.velocity[6:, None]
+    alpha = moves @ (cross(omega[parents], kin.joint_angular) * rates)
     links = kin.body_positions[1:] - kin.body_positions[parents]
-    a_origin = moves @ (cross(alpha[parents], links) + cross(omega[parents], cross(omega[parents], links)))
+    coriolis = 2.0 * cross(omega[parents], kin.joint_linear) * rates
+    turning = cross(alpha[parents], links) + cross(omega[parents], cross(omega[parents], links))
+    a_origin = moves @ (turning + coriolis)
     a_com = a_origin + cross(alpha, arms) + cross(omega, cross(omega, arms))
     up = jnp.array([0.0, 0.0, 1.0], dtype=state.velocity.dtype)
     force = robot.masses[:, None] * (a_com + robot.gravity * up)

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jax_aero.config import Ideal, JetsConfig, SecondOrderConfig
-from jax_aero.robot import RobotModel
+from jax_aero.robot import ENGINE_KEYS, RobotModel
 from jax_aero.types import Array, Static, pytree
 
 MIN_INPUT_GAIN = 1e-9
@@ -173,7 +173,7 @@ def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
             if unknown := set(names) - set(robot.engines):
                 known = ", ".join(sorted(robot.engines))
                 raise ValueError(f"engines {sorted(unknown)} are unknown; {robot.name} has {known}")
-            coefficients = jnp.stack([jnp.asarray(robot.engines[name]) for name in names])
+            coefficients = jnp.reshape(jnp.asarray([robot.engines[name] for name in names]), (-1, len(ENGINE_KEYS)))
             return SecondOrderJets(
                 engines=Engines(*coefficients.T),
                 rate_gain_p=settings.rate_gain_p,

@@ -18,20 +18,23 @@ from jax_aero.types import Array, Kinematics, State
 
 def kinematics(robot: RobotModel, state: State) -> Kinematics:
     """Poses and velocities of all bodies, and the centre of mass."""
-    parents = np.array(robot.parent[1:])
+    parents = np.array(robot.parent[1:], dtype=int)
     moves = sum_over_ancestors(robot, state.velocity.dtype)
-    local = multiply(robot.joint_rotations, axis_angle(jnp.asarray(robot.joint_axes), state.joint_position))
+    turns = robot.joint_turns.astype(state.velocity.dtype)
+    shifts = (1.0 - turns) * state.joint_position
+    local = multiply(robot.joint_rotations, axis_angle(jnp.asarray(robot.joint_axes), turns * state.joint_position))
     rotations = _compose_along_tree(robot, state.base_rotation, local)
     # Offset of each body from its parent, and the joint's axis, which is the same vector in child and joint frame.
-    arms = rotate(rotations[parents], robot.joint_positions)
     axes = rotate(rotations[1:], robot.joint_axes)
-    spins = axes * state.velocity[6:, None]
-    angular = state.velocity[3:6] + moves @ spins
+    arms = rotate(rotations[parents], robot.joint_positions) + shifts[:, None] * axes
+    joint_linear, joint_angular = (1.0 - turns)[:, None] * axes, turns[:, None] * axes
+    rates = state.velocity[6:, None]
+    angular = state.velocity[3:6] + moves @ (joint_angular * rates)
     positions = state.base_position + moves @ arms
-    linear = state.velocity[:3] + moves @ cross(angular[parents], arms)
+    linear = state.velocity[:3] + moves @ (cross(angular[parents], arms) + joint_linear * rates)
     offsets = rotate(rotations, robot.coms) + (positions - state.base_position)
     com = state.base_position + robot.masses @ offsets / robot.mass
-    return Kinematics(rotations, positions, axes, com, angular, linear, state.joint_position)
+    return Kinematics(rotations, positions, joint_linear, joint_angular, com, angular, linear, state.joint_position)
 
 
 def sum_over_ancestors(robot: RobotModel, dtype: np.dtype[np.generic] | type) -> Array:
@@ -62,17 +65,17 @@ def _compose_along_tree(robot: RobotModel, base_rotation: Array, local: Array) -
 def point_jacobians(robot: RobotModel, kin: Kinematics, bodies: tuple[int, ...], points: Array) -> tuple[Array, Array]:
     """Linear and angular Jacobians (k, 3, N), (k, 3, N) of points (k, 3) that move with `bodies`.
 
-    Base translation gives the columns `(e_k, 0)`, base rotation `(e_k × r, e_k)`, joint j `(a × (p − o_j), a)` if it
-    moves the body.
+    Base translation gives the columns `(e_k, 0)`, base rotation `(e_k × r, e_k)`, a joint that moves the body
+    `(a × (p − o_j), a)` if it is revolute and `(a, 0)` if it is prismatic.
     """
     k, dtype = len(bodies), points.dtype
     moves = carriers(robot, bodies, dtype)[..., None]
     unit = jnp.broadcast_to(jnp.eye(3, dtype=dtype), (k, 3, 3))
     arms = points[:, None, :] - kin.body_positions[None, 1:, :]
-    columns = moves * cross(kin.joint_axes[None], arms)
+    columns = moves * (kin.joint_linear[None] + cross(kin.joint_angular[None], arms))
     turned = -skew(points - kin.body_positions[0])
     linear = jnp.concatenate([unit, turned, jnp.swapaxes(columns, 1, 2)], axis=2)
-    axes = jnp.swapaxes(moves * kin.joint_axes[None], 1, 2)
+    axes = jnp.swapaxes(moves * kin.joint_angular[None], 1, 2)
     angular = jnp.concatenate([jnp.zeros_like(unit), unit, axes], axis=2)
     return linear, angular
 
@@ -82,14 +85,16 @@ def generalised_force(
 ) -> Array:
     """`Σ J_kᵀ f_k` (N,) of forces (k, 3) [N] on `bodies` at `points` (k, 3), without forming a Jacobian.
 
-    A joint carries the force and moment of its subtree: `τ_j = a · (Σ p × f − o_j × Σ f)`, about the base origin.
+    A joint carries the force and moment of its subtree: `τ_j = a · (Σ p × f − o_j × Σ f)`, about the base origin; a
+    prismatic one `a · Σ f`.
     """
     origin = kin.body_positions[0]
     moves = carriers(robot, bodies, forces.dtype)
     moments = cross(points - origin, forces)
     carried = moves.T @ jnp.concatenate([forces, moments], axis=1)
     about_joint = carried[:, 3:] - cross(kin.body_positions[1:] - origin, carried[:, :3])
-    return jnp.concatenate([forces.sum(0), moments.sum(0), jnp.sum(kin.joint_axes * about_joint, axis=1)])
+    joints = jnp.sum(kin.joint_angular * about_joint + kin.joint_linear * carried[:, :3], axis=1)
+    return jnp.concatenate([forces.sum(0), moments.sum(0), joints])
 
 
 def velocities_at(kin: Kinematics, bodies: tuple[int, ...], points: Array) -> Array:

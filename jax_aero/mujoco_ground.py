@@ -73,6 +73,9 @@ class GroundPlant:
             for index, foot in enumerate(self._table["feet"])
             for corner in range(len(foot["vertices"]))
         }
+        feet = [foot["name"] for foot in self._table["feet"]]
+        self.named = [feet.index(name) for name in config["controller"]["contact"]["feet"]]
+        """The feet that the controller stands on, in its order."""
         self._links = [self.model.site(f"aero_{link['name']}").id for link in self._table["aero_links"]]
         self._stand(simulator["initial"], simulator["ground"]["settling"])
 
@@ -244,7 +247,7 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
             fall = (time, "state not finite")
             break
         seen = plant.observe(blowing[k])
-        tick = controller.tick(seen.state, thrust, measured[k], time, foot_wrenches=seen.foot_wrenches)
+        tick = controller.tick(seen.state, thrust, measured[k], time, foot_wrenches=seen.foot_wrenches[plant.named])
         posture = tick.posture
         row = _row(plant, seen, tick, time, thrust, blowing[k], measured[k])
         rows.append(row)
@@ -282,6 +285,12 @@ def _row(
     contact = tick.contact
     if contact is None:
         raise ValueError("`controller.contact` is absent; expected a table: without feet the controller cannot stand")
+
+    def of_all_feet(named: Array) -> Array:
+        every = np.zeros_like(seen.foot_wrenches)
+        every[plant.named] = named
+        return every
+
     return {
         "time": time,
         "base_position": position,
@@ -312,9 +321,9 @@ def _row(
         "foot_wrench": seen.foot_wrenches,
         "sole_position": seen.soles,
         "feet_carry": float(contact.is_active),
-        "contact_force": contact.force,
-        "contact_force_rate": contact.force_rate,
-        "contact_force_torque": contact.force_of_torques,
+        "contact_force": of_all_feet(contact.force),
+        "contact_force_rate": of_all_feet(contact.force_rate),
+        "contact_force_torque": of_all_feet(contact.force_of_torques),
     }
 
 

@@ -45,23 +45,29 @@ def mujoco_spec(source: str) -> Any:
     """MuJoCo's description of the robot: its URDF with a free joint, motors on the joints, sites at jets and links."""
     toml_path = Path(source)
     table = tomllib.loads(toml_path.read_text())
-    spec = mujoco.MjSpec.from_string(toml_path.with_name(table["urdf"]).read_text())
+    spec = mujoco.MjSpec.from_string((toml_path.parent / table["urdf"]).read_text())
     spec.option.gravity = [0.0, 0.0, -table.get("gravity", 9.81)]
     # Joint limits and friction would make MJX carry a constraint solver through the flight.
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT) | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     spec.body(table["base_link"]).add_freejoint()
     for name, position in table.get("locked", {}).items():
         joint = next(joint for joint in spec.joints if joint.name == name)
-        turn, carrier = np.zeros(4), np.zeros(4)
-        mujoco.mju_axisAngle2Quat(turn, joint.axis, position)
-        mujoco.mju_mulQuat(carrier, joint.parent.quat, turn)
-        joint.parent.quat = carrier
+        body = joint.parent
+        if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
+            shift = np.zeros(3)
+            mujoco.mju_rotVecQuat(shift, position * joint.axis, body.quat)
+            body.pos = body.pos + shift
+        else:
+            turn, carrier = np.zeros(4), np.zeros(4)
+            mujoco.mju_axisAngle2Quat(turn, joint.axis, position)
+            mujoco.mju_mulQuat(carrier, body.quat, turn)
+            body.quat = carrier
         spec.delete(joint)
     for entry in table.get("jets", []):
         spec.body(entry["frame"]).add_site(name=f"jet_{entry['name']}")
     for entry in table.get("aero_links", []):
         spec.body(entry["frame"]).add_site(name=f"aero_{entry['name']}", pos=entry["centre"])
-    for entry in (joint for group in table["joint_groups"] for joint in group["joints"]):
+    for entry in (joint for group in table.get("joint_groups", []) for joint in group["joints"]):
         motor = spec.add_actuator(name=entry["name"], target=entry["name"], trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_motor()
     return spec

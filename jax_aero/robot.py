@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_aero.types import Array, Static, pytree
-from jax_aero.urdf import BodyTree, read_tree
+from jax_aero.urdf import BodyTree, Joint, read_tree
 
 ENGINE_KEYS = ("k_t", "k_tt", "k_d", "k_dd", "k_td", "b_u", "b_t", "b_d", "b_uu", "c", "throttle_min", "throttle_max")
 """Coefficients of the second-order engine model, in the order of `RobotModel.engines`."""
@@ -86,6 +86,8 @@ class RobotModel:
     """(nb,) parent of each body; −1 for the base."""
     body_names: Static[tuple[str, ...]]
     joint_names: Static[tuple[str, ...]]
+    joint_is_prismatic: Static[tuple[bool, ...]]
+    """Whether each joint shifts its child along the axis instead of turning it; m and N stand for rad and N m there."""
     joint_groups: Static[tuple[tuple[str, tuple[int, ...]], ...]]
     """Groups of joints as (name, indices); together they hold every joint once, in order."""
     source: Static[str]
@@ -104,6 +106,12 @@ class RobotModel:
     """Unit axes in child axes."""
     joint_limits: Float[Array, "n 2"]
     """Limits the controller respects, lower and upper [rad]."""
+    joint_torque_max: Float[Array, " n"]
+    """[N m]."""
+    joint_torque_rate_max: Float[Array, " n"]
+    """[N m/s]; infinite where nothing limits it."""
+    joint_velocity_max: Float[Array, " n"]
+    """[rad/s]."""
     forward_axis: Float[Array, "3"]
     """Forward direction in base axes, a unit vector orthogonal to z."""
     gravity: Float[Array, ""]
@@ -117,6 +125,11 @@ class RobotModel:
     def n_joints(self) -> int:
         """Number of joints that move."""
         return len(self.joint_names)
+
+    @property
+    def joint_turns(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        """1 for a joint that turns its child and 0 for one that shifts it, (n,)."""
+        return 1.0 - np.array(self.joint_is_prismatic, dtype=np.float64)
 
     @property
     def n_velocities(self) -> int:
@@ -178,35 +191,38 @@ def load_robot(path: str | PathLike[str]) -> RobotModel:
 
 def _robot(toml_path: Path, table: Mapping[str, Any]) -> RobotModel:
     _check_keys(table, _FILE, "")
-    groups = [(group["name"], group["joints"]) for group in table["joint_groups"]]
+    groups = [(group["name"], group["joints"]) for group in table.get("joint_groups", [])]
     entries = [entry for _, joints in groups for entry in joints]
     order = [entry["name"] for entry in entries]
-    urdf_text = toml_path.with_name(table["urdf"]).read_text()
+    urdf_text = (toml_path.parent / table["urdf"]).read_text()
     locked = {
         name: float(_numbers(f"position of locked joint `{name}`", position, ()))
         for name, position in table.get("locked", {}).items()
     }
     tree = read_tree(urdf_text, table["base_link"], order, locked)
-    limits = [_limits(entry, joint.limits) for entry, joint in zip(entries, tree.joints, strict=True)]
-    ends = np.cumsum([len(joints) for _, joints in groups])
-    starts = [0, *ends[:-1].tolist()]
+    limits, torque_max, torque_rate_max, velocity_max = _joint_limits(entries, tree)
+    starts = np.cumsum([0] + [len(joints) for _, joints in groups]).tolist()
     return RobotModel(
         name=table["name"],
         parent=tuple(body.parent for body in tree.bodies),
         body_names=tuple(body.name for body in tree.bodies),
         joint_names=tuple(order),
+        joint_is_prismatic=tuple(joint.is_prismatic for joint in tree.joints),
         joint_groups=tuple(
             (name, tuple(range(start, start + len(joints))))
-            for (name, joints), start in zip(groups, starts, strict=True)
+            for (name, joints), start in zip(groups, starts, strict=False)
         ),
         source=str(toml_path),
         masses=_leaf([body.mass for body in tree.bodies]),
         coms=_leaf([body.com for body in tree.bodies]),
         inertias=_leaf([body.inertia for body in tree.bodies]),
-        joint_rotations=_leaf([joint.parent_from_child.rotation for joint in tree.joints]),
-        joint_positions=_leaf([joint.parent_from_child.position for joint in tree.joints]),
-        joint_axes=_leaf([joint.axis for joint in tree.joints]),
-        joint_limits=_leaf(limits),
+        joint_rotations=_leaf(np.reshape([joint.parent_from_child.rotation for joint in tree.joints], (-1, 3, 3))),
+        joint_positions=_leaf(np.reshape([joint.parent_from_child.position for joint in tree.joints], (-1, 3))),
+        joint_axes=_leaf(np.reshape([joint.axis for joint in tree.joints], (-1, 3))),
+        joint_limits=_leaf(np.reshape(limits, (-1, 2))),
+        joint_torque_max=_leaf(torque_max),
+        joint_torque_rate_max=_leaf(torque_rate_max),
+        joint_velocity_max=_leaf(velocity_max),
         forward_axis=_forward_axis(table.get("forward_axis", [1.0, 0.0, 0.0])),
         gravity=_numbers("gravity", table.get("gravity", 9.81), (), positive=True),
         jets=_jets(table.get("jets", []), tree, table.get("engines", {})),
@@ -233,7 +249,14 @@ _FILE: dict[str, Any] = {
     "forward_axis": False,
     "gravity": False,
     "locked": False,
-    "joint_groups[]": {"name": True, "joints[]": {"name": True, "limits_deg": False}},
+    "joint_groups[]": {
+        "name": True,
+        "joints[]": {
+            "name": True,
+            **dict.fromkeys(["limits_deg", "limits", "velocity_max_deg", "velocity_max"], False),
+            **dict.fromkeys(["torque_max", "torque_rate_max"], False),
+        },
+    },
     "aero_links[]": {
         **_ENTRY,
         **dict.fromkeys(["family", "axis", "centre", "diameter", "length"], True),
@@ -242,7 +265,7 @@ _FILE: dict[str, Any] = {
     "coefficients": {"*": {"*": {"cda": True, "cna": True}}},
     "jets[]": {**_ENTRY, "axis": True, "thrust_max": True, "engine": True},
     "engines": {"*": dict.fromkeys(ENGINE_KEYS, True)},
-    "feet[]": {**_ENTRY, "vertices": True},
+    "feet[]": {**_ENTRY, "vertices": True, "centre_of_pressure_x": False, "centre_of_pressure_y": False},
 }
 """Keys of a robot's file, and whether they must be there; `[]` marks lists of tables, `*` any name."""
 
@@ -267,7 +290,7 @@ def _check_keys(table: Any, keys: Mapping[str, Any], where: str) -> None:
             raise ValueError(f"unknown key `{place}{key}`; {hint}")
     for key, inner in known.items():
         if key not in table:
-            if inner is True or key in ("joint_groups", "joints"):
+            if inner is True or key == "joints":
                 raise ValueError(f"`{place}{key}` is missing")
         elif key in _TEXTS and not isinstance(table[key], str):
             raise ValueError(f"`{place}{key}` is {table[key]!r}; expected a text")
@@ -297,18 +320,51 @@ def _leaf(value: Any) -> Array:
     return cast(Array, np.asarray(value, dtype=np.float64))
 
 
-def _limits(entry: Mapping[str, Any], urdf: tuple[float, float] | None) -> tuple[float, float]:
-    if "limits_deg" in entry:
-        lower, upper = np.deg2rad(
-            _numbers(f"limits_deg of joint `{entry['name']}`", entry["limits_deg"], (2,))
-        ).tolist()
-    elif urdf is not None:
-        lower, upper = urdf
+def _joint_limits(entries: Sequence[Mapping[str, Any]], tree: BodyTree) -> tuple[list[Any], ...]:
+    """Position limits, greatest torques, their greatest rates and greatest velocities of all joints."""
+    limits = [_limits(entry, joint) for entry, joint in zip(entries, tree.joints, strict=True)]
+    return (
+        [(lower, upper) for lower, upper, *_ in limits],
+        *([each[column] for each in limits] for column in range(2, 5)),
+    )
+
+
+def _limits(entry: Mapping[str, Any], joint: Joint) -> tuple[float, ...]:
+    """Lower and upper position, torque, torque rate, velocity of one joint."""
+    keys = ("limits", "velocity_max") if joint.is_prismatic else ("limits_deg", "velocity_max_deg")
+    wrong = ("limits_deg", "velocity_max_deg") if joint.is_prismatic else ("limits", "velocity_max")
+    for key in wrong:
+        if key in entry:
+            kind = "prismatic" if joint.is_prismatic else "revolute"
+            raise ValueError(
+                f"{key} of joint `{entry['name']}` is given, which is {kind}; expected {' and '.join(keys)}"
+            )
+    unit = 1.0 if joint.is_prismatic else np.pi / 180.0
+    if keys[0] in entry:
+        lower, upper = (unit * _numbers(f"{keys[0]} of joint `{entry['name']}`", entry[keys[0]], (2,))).tolist()
+    elif joint.limits is not None:
+        lower, upper = joint.limits
     else:
         raise ValueError(f"limits_deg of joint `{entry['name']}` are missing, as the joint is continuous in the URDF")
     if not lower < upper:
         raise ValueError(f"limits of joint `{entry['name']}` are {(lower, upper)}; expected lower below upper")
-    return lower, upper
+
+    def greatest(key: str, unit: float, urdf: float | None) -> float:
+        if key in entry:
+            return unit * float(_numbers(f"{key} of joint `{entry['name']}`", entry[key], (), positive=True))
+        if urdf is None:
+            raise ValueError(
+                f"{key} of joint `{entry['name']}` is missing; expected a positive number: the URDF has none"
+            )
+        return urdf
+
+    return (
+        lower,
+        upper,
+        greatest("torque_max", 1.0, joint.torque_max),
+        greatest("torque_rate_max", 1.0, np.inf),
+        greatest(keys[1], unit, joint.velocity_max),
+    )
 
 
 def _frames(entries: Sequence[Mapping[str, Any]], tree: BodyTree) -> tuple[tuple[int, ...], Array, Array]:

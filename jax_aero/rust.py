@@ -382,7 +382,6 @@ class Controller:
 
     def __init__(self, config: Mapping[str, Any]) -> None:
         self._core = _core.Controller(_to_json(config))
-        self._torque_max: float = config["controller"]["torque"]["torque_max"]
 
     @property
     def state(self) -> ControllerState | None:
@@ -439,16 +438,15 @@ class Controller:
         setpoint
             Followed instead of the mission, if given.
         foot_wrenches
-            Wrench on each foot [N, N m], (feet, 6): force first, about the origin of its sole, inertial axes. Zero if
-            not given.
+            Wrench on each foot of `controller.contact.feet` [N, N m], (feet, 6): force first, about its sole's origin,
+            inertial axes. Zero if not given.
         """
         given = None if setpoint is None else {name: _array(value) for name, value in vars(setpoint).items()}
         feet = None if foot_wrenches is None else _array(foot_wrenches)
         raw = self._core.tick(time, *_arrays(state), _array(thrust), _array(wind), given, feet)
         contact = raw.pop("contact", None)
         momentum = QpProblem(raw.pop("h"), raw.pop("g"), raw.pop("lower"), raw.pop("upper"))
-        h, g = raw.pop("torque_h"), raw.pop("torque_g")
-        torque = QpProblem(h, g, np.full_like(g, -self._torque_max), np.full_like(g, self._torque_max))
+        torque = QpProblem(*(raw.pop(f"torque_{part}") for part in ("h", "g", "lower", "upper")))
         return Tick(
             momentum_answer=QpAnswer(**raw.pop("momentum_qp")),
             torque_answer=QpAnswer(**raw.pop("torque_qp")),

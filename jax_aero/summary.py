@@ -25,7 +25,7 @@ def condense(log: Mapping[str, Any], joint_reference: Any) -> dict[str, Any]:
     same = ("time", "com_position", "rotation_error", "thrust", "qp_status", "qp_kkt", "qp_iterations")
     return {name: log[name] for name in same} | {
         "com_error": log["com_position"] - log["com_reference"],
-        "largest_torque": abs(log["joint_torque"]).max(-1),
+        "largest_torque": abs(log["joint_torque"]).max(-1, initial=0.0),
         "joint_error": abs(log["joint_position"] - joint_reference).sum(-1),
         "simulated": log["aero_force_sim"].sum(-2),
         "estimated": log["aero_force_control"].sum(-2),
@@ -47,8 +47,8 @@ def figures(signals: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
         "max_com_error_y": _greatest(np.abs(com_error[:, 1])),
         "max_com_error_z": _greatest(np.abs(com_error[:, 2])),
         "max_rotation_error": _greatest(rotation_error),
-        "thrust_min": signals["thrust"].min(),
-        "thrust_max": signals["thrust"].max(),
+        "thrust_min": signals["thrust"].min() if signals["thrust"].size else 0.0,
+        "thrust_max": signals["thrust"].max() if signals["thrust"].size else 0.0,
         "max_torque": _greatest(signals["largest_torque"]),
         "min_com_height": signals["com_position"][:, 2].min(),
         "min_com_x_settling": np.min(signals["com_position"][~settled, 0], initial=np.inf),

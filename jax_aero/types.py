@@ -61,8 +61,10 @@ class Kinematics(NamedTuple):
     """`inertial_from_body`."""
     body_positions: Float[Array, "nb 3"]
     """Origins of the bodies [m]."""
-    joint_axes: Float[Array, "n 3"]
-    """Unit axes of the joints, inertial axes."""
+    joint_linear: Float[Array, "n 3"]
+    """Velocity that a unit rate of a joint gives its child's origin: a prismatic joint's axis, else zero."""
+    joint_angular: Float[Array, "n 3"]
+    """Angular velocity that a unit rate of a joint gives its child: a revolute joint's axis, else zero."""
     com: Float[Array, "3"]
     """Centre of mass [m]."""
     angular_velocities: Float[Array, "nb 3"]

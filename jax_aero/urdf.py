@@ -46,12 +46,20 @@ class Body:
 
 @dataclass(frozen=True)
 class Joint:
-    """A revolute joint: pose of the child body in the parent at position zero, axis in child axes, URDF limits."""
+    """A joint with one degree of freedom, and what the URDF limits it to; `None` where it does not."""
 
     name: str
+    is_prismatic: bool
     parent_from_child: Pose
+    """Pose of the child body in the parent at joint position zero."""
     axis: Vector
+    """Unit axis in child axes."""
     limits: tuple[float, float] | None
+    """Lower and upper [rad, m]."""
+    torque_max: float | None
+    """[N m, N]"""
+    velocity_max: float | None
+    """[rad/s, m/s]"""
 
 
 @dataclass(frozen=True)
@@ -71,7 +79,7 @@ class _Part:
 
 
 def read_tree(urdf_text: str, base_link: str, order: Sequence[str], locked: Mapping[str, float]) -> BodyTree:
-    """Build the tree whose moving joints are those of `order`; `locked` ones stay at their position [rad].
+    """Build the tree whose moving joints are those of `order`; `locked` ones stay at their position [rad, m].
 
     Raises
     ------
@@ -113,11 +121,20 @@ def read_tree(urdf_text: str, base_link: str, order: Sequence[str], locked: Mapp
                 if place < body:
                     raise ValueError(f"joint `{name}` stands before its ancestor `{order[body - 1]}` in the order")
                 names[place + 1], parents[place + 1] = child, body
-                moving[place] = Joint(name, body_from_joint, _axis(joint), _limits(joint))
+                moving[place] = Joint(
+                    name,
+                    _is_prismatic(joint),
+                    body_from_joint,
+                    _axis(joint),
+                    _limits(joint),
+                    _greatest(joint, "effort"),
+                    _greatest(joint, "velocity"),
+                )
                 to_visit.append((child, place + 1, IDENTITY))
             elif motion == "locked":
-                turn = Pose(_rotation_about(_axis(joint), locked[name]), np.zeros(3))
-                to_visit.append((child, body, body_from_joint @ turn))
+                axis, position = _axis(joint), locked[name]
+                shifted, turned = Pose(np.eye(3), axis * position), Pose(_rotation_about(axis, position), np.zeros(3))
+                to_visit.append((child, body, body_from_joint @ (shifted if _is_prismatic(joint) else turned)))
             else:
                 to_visit.append((child, body, body_from_joint))
     if unreached := set(links) - set(places):
@@ -136,10 +153,10 @@ def _motion(joint: ElementTree.Element, order: Sequence[str], locked: Mapping[st
         )
     if kind == "fixed":
         if name in order or name in locked:
-            raise ValueError(f"type of joint `{name}` is fixed; expected revolute or continuous, as it is listed")
+            raise ValueError(f"type of joint `{name}` is fixed; expected one that moves, as it is listed")
         return "fixed"
-    if kind not in ("revolute", "continuous"):
-        raise ValueError(f"type of joint `{name}` is {kind}; expected revolute, continuous or fixed")
+    if kind not in ("revolute", "continuous", "prismatic"):
+        raise ValueError(f"type of joint `{name}` is {kind}; expected revolute, continuous, prismatic or fixed")
     if (name in order) == (name in locked):
         found = "both in the joint order and locked" if name in order else "neither in the joint order nor locked"
         raise ValueError(f"joint `{name}` is {found}; expected one of both")
@@ -189,6 +206,21 @@ def _limits(joint: ElementTree.Element) -> tuple[float, float] | None:
     if missing := {"lower", "upper"} - set(limit):
         raise ValueError(f"URDF limit of joint `{joint.attrib['name']}` lacks {' and '.join(sorted(missing))}")
     return float(limit["lower"]), float(limit["upper"])
+
+
+def _is_prismatic(joint: ElementTree.Element) -> bool:
+    return joint.attrib["type"] == "prismatic"
+
+
+def _greatest(joint: ElementTree.Element, key: str) -> float | None:
+    """Read a limit of effort or velocity; `None` where the URDF says 0 or nothing."""
+    limit = joint.find("limit")
+    value = 0.0 if limit is None else float(limit.attrib.get(key, "0"))
+    if not 0.0 <= value < np.inf:
+        raise ValueError(
+            f"URDF {key} limit of joint `{joint.attrib['name']}` is {value}; expected a number of 0 or more"
+        )
+    return value or None
 
 
 def _rotation_about(axis: Vector, angle: float) -> Vector:

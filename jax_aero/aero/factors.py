@@ -31,7 +31,7 @@ def force_factors(settings: ForceFactorsConfig, robot: RobotModel, table: str = 
     if unknown := set(settings.links) - set(names):
         raise ValueError(f"{table}.links names {sorted(unknown)}; {robot.name} has {', '.join(names)}")
     one = jnp.ones_like(jnp.asarray(settings.drag))
-    return ForceFactors(settings.drag, settings.normal, jnp.stack([settings.links.get(name, one) for name in names]))
+    return ForceFactors(settings.drag, settings.normal, jnp.asarray([settings.links.get(name, one) for name in names]))
 
 
 def weighted(link: LinkForces, factors: ForceFactors) -> LinkForces:

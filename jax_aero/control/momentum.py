@@ -92,6 +92,7 @@ def _lambda_t(robot: RobotModel, kin: Kinematics, com_jacobian: Array, points: A
 
     What joint k carries has the wrench (F, M) about the joint's origin o. Turning about the axis a it becomes
     `(F + a × F, M + a × M)`, which about the centre of mass c changes by `(a × F ; a × M + (o − c) × (a × F))`.
+    Shifting along the axis a changes it by `(0 ; a × F)`.
     """
     base = kin.body_positions[0]
     moments = cross(points - base, forces)
@@ -101,12 +102,14 @@ def _lambda_t(robot: RobotModel, kin: Kinematics, com_jacobian: Array, points: A
     origins = kin.body_positions[1:]
     moment = moment_about_base - cross(origins - base, force)
 
-    axes = jnp.concatenate([jnp.eye(3, dtype=force.dtype), kin.joint_axes])
+    axes = jnp.concatenate([jnp.eye(3, dtype=force.dtype), kin.joint_angular])
+    shifts = jnp.concatenate([jnp.zeros((3, 3), force.dtype), kin.joint_linear])
     force = jnp.concatenate([jnp.broadcast_to(total, (3, 3)), force])
     moment = jnp.concatenate([jnp.broadcast_to(total_moment, (3, 3)), moment])
     arms = jnp.concatenate([jnp.broadcast_to(base, (3, 3)), origins]) - kin.com
     turned = cross(axes, force)
-    turning = jnp.concatenate([turned, cross(axes, moment) + cross(arms, turned)], axis=1).T
+    changed = cross(axes, moment) + cross(arms, turned) + cross(shifts, force)
+    turning = jnp.concatenate([turned, changed], axis=1).T
     shifting = jnp.concatenate([jnp.zeros((3, 3), force.dtype), -skew(total)])  # base translation moves the points
     return jnp.concatenate([shifting, turning], axis=1) + _com_motion(total, com_jacobian)
 
@@ -119,7 +122,8 @@ def _lambda_a(robot: RobotModel, kin: Kinematics, com_jacobian: Array, link: Lin
     ```
 
     A joint with axis a at o moves a point p by `a × d`, d = p − o, and `(a × d) × f = d (a·f) − a (d·f)`; summed over
-    what the joint carries this takes `P = Σ d fᵀ` alone: `P a − a tr P`.
+    what the joint carries this takes `P = Σ d fᵀ` alone: `P a − a tr P`. A prismatic joint moves all points by a, which
+    gives `a × Σ f`.
     """
     base = kin.body_positions[0]
     arms = link.jacobian_points - base
@@ -130,10 +134,12 @@ def _lambda_a(robot: RobotModel, kin: Kinematics, com_jacobian: Array, link: Lin
     origins = kin.body_positions[1:] - base
     p = about_base - origins[:, :, None] * force[:, None, :]
 
-    axes = jnp.concatenate([jnp.eye(3, dtype=force.dtype), kin.joint_axes])
+    axes = jnp.concatenate([jnp.eye(3, dtype=force.dtype), kin.joint_angular])
+    shifts = jnp.concatenate([jnp.zeros((3, 3), force.dtype), kin.joint_linear])
     total, total_p = link.forces.sum(0), sums[:, 3:].sum(0).reshape(3, 3)
     p = jnp.concatenate([jnp.broadcast_to(total_p, (3, 3, 3)), p])
-    moving = (rotate(p, axes) - axes * jnp.trace(p, axis1=1, axis2=2)[:, None]).T
+    forces = jnp.concatenate([jnp.zeros((3, 3), force.dtype), force])
+    moving = (rotate(p, axes) - axes * jnp.trace(p, axis1=1, axis2=2)[:, None] + cross(shifts, forces)).T
     moment = jnp.concatenate([-skew(total), moving], axis=1)
     return jnp.concatenate([jnp.zeros_like(moment), moment]) + _com_motion(total, com_jacobian)
 

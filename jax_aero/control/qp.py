@@ -119,6 +119,10 @@ def solve(qp: BoxQp, start: WarmStart | None = None) -> QpAnswer:
     derivatives this is the one of the side on which the bound acts. Status, residual and starting point have no
     derivative; an answer that is not solved has derivative zero.
     """
+    if qp.g.shape[0] == 0:  # a robot without joints or without jets has nothing to decide
+        nothing = cold_start(0, qp.g.dtype)
+        solved, zero = jnp.full((), SOLVED, jnp.int32), jnp.zeros((), qp.g.dtype)
+        return QpAnswer(nothing.x, nothing.side, zero, solved, jnp.zeros((), jnp.int32))
     if start is None:
         start = cold_start(qp.g.shape[0], qp.g.dtype)
     x, side, status, iterations = _minimise(qp, jax.tree.map(lax.stop_gradient, start))

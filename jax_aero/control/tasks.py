@@ -16,9 +16,11 @@ with `K = K_P + K_D + K_O⁻¹`. Equations M57 and M61 to M64 of `docs/model.md`
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from jax_aero.config import ControllerConfig, MomentumGains
@@ -54,10 +56,10 @@ class TaskParams(NamedTuple):
     """[N/s]."""
     thrust_steepness: Float[Array, ""]
     """[1/N]."""
-    joint_velocity_max: Float[Array, ""]
+    joint_velocity_max: Float[Array, " n"]
     """[rad/s]."""
     joint_steepness: Float[Array, ""]
-    """[1/rad]."""
+    """[1/rad, 1/m]."""
 
 
 class MomentumQp(NamedTuple):
@@ -72,23 +74,36 @@ class MomentumQp(NamedTuple):
 def task_params(config: ControllerConfig, robot: RobotModel) -> TaskParams:
     """Bring weights and bounds into the order of the robot's jets and joints."""
     weights, bounds = config.weights, config.bounds
-    posture_gain = jnp.concatenate(
-        [jnp.broadcast_to(config.posture_gain[name], (len(joints),)) for name, joints in robot.joint_groups]
-    )
+    gains = [jnp.broadcast_to(config.posture_gain[name], (len(joints),)) for name, joints in robot.joint_groups]
+    posture_gain = jnp.concatenate(gains) if gains else jnp.zeros(0)
+    velocity_max = bounds.joint_velocity_max_deg
     return TaskParams(
         momentum=weights.momentum,
         angular_momentum=weights.angular_momentum,
         posture=weights.posture,
         joint_velocity=weights.joint_velocity,
-        thrust_rate=jnp.stack([weights.thrust_rate[name] for name in robot.jets.names]),
+        thrust_rate=_per_jet(weights.thrust_rate, robot),
         symmetry=weights.symmetry,
         regularisation=weights.regularisation,
         posture_gain=posture_gain,
-        thrust_rate_max=jnp.stack([bounds.thrust_rate_max[name] for name in robot.jets.names]),
+        thrust_rate_max=_per_jet(bounds.thrust_rate_max, robot),
         thrust_steepness=bounds.thrust_steepness,
-        joint_velocity_max=jnp.deg2rad(bounds.joint_velocity_max_deg),
+        joint_velocity_max=in_place_of(
+            robot.joint_velocity_max, None if velocity_max is None else jnp.deg2rad(velocity_max), robot
+        ),
         joint_steepness=bounds.joint_steepness,
     )
+
+
+def _per_jet(table: Mapping[str, Array], robot: RobotModel) -> Array:
+    return jnp.asarray([table[name] for name in robot.jets.names])
+
+
+def in_place_of(own: Array, common: Array | None, robot: RobotModel) -> Array:
+    """Limits (n,) of the joints: the robot's own, or for revolute joints the common one where it is given."""
+    if common is None:
+        return jnp.asarray(own)
+    return jnp.where(np.array(robot.joint_is_prismatic, dtype=bool), own, common)
 
 
 def symmetric_pairs(config: ControllerConfig, robot: RobotModel) -> tuple[tuple[int, int], ...]:

@@ -42,7 +42,7 @@ from jax_aero.control.protocol import Command, Measurement, Terms
 from jax_aero.control.qp import QpAnswer, WarmStart
 from jax_aero.control.recorded import Recording, recording
 from jax_aero.control.setpoint import SetpointParams, SetpointState
-from jax_aero.control.tasks import TaskParams, momentum_qp, symmetric_pairs, task_params
+from jax_aero.control.tasks import TaskParams, in_place_of, momentum_qp, symmetric_pairs, task_params
 from jax_aero.control.torque import limit_rate, torque_qp
 from jax_aero.dynamics import dynamics
 from jax_aero.kinematics import generalised_force, kinematics
@@ -98,6 +98,10 @@ class MomentumController:
     momentum: MomentumGains
     tasks: TaskParams
     torque: TorqueConfig
+    torque_max: Float[Array, " n"]
+    """[N m]."""
+    torque_rate_max: Float[Array, " n"]
+    """[N m/s]."""
     setpoint: SetpointParams
     envelope: EnvelopeConfig | Recording
     """What to follow: the autopilot's commands, or recorded set-points."""
@@ -165,6 +169,8 @@ def momentum_controller(
         momentum=controller.momentum,
         tasks=task_params(controller, robot),
         torque=controller.torque,
+        torque_max=in_place_of(robot.joint_torque_max, controller.torque.torque_max, robot),
+        torque_rate_max=in_place_of(robot.joint_torque_rate_max, controller.torque.torque_rate_max, robot),
         setpoint=generator.setpoint_params(controller.setpoint, robot.forward_axis, time_step),
         envelope=config.envelope if config.envelope.file is None else recording(config.envelope.file),
         time_step=time_step,
@@ -295,12 +301,14 @@ def _act(
     if switches.torque and has_aero:
         force = force + generalised_aero_force(robot, kin, link, link.jacobian_points)
     velocity_error = state.velocity[6:] - joint_velocity
-    following = torque_qp(params.torque, dyn.mass_matrix, force, velocity_error, memory.velocity_error_integral)
+    following = torque_qp(
+        params.torque, params.torque_max, dyn.mass_matrix, force, velocity_error, memory.velocity_error_integral
+    )
     pushed = qp.solve(following.problem, memory.torque_start)
     torque_solved = pushed.status == qp.SOLVED
     # The published rate limiter starts from its first input.
     last = jnp.where(memory.torque_is_known, memory.joint_torque, pushed.x)
-    limited = limit_rate(last, pushed.x, params.torque.torque_rate_max * params.time_step)
+    limited = limit_rate(last, pushed.x, params.torque_rate_max * params.time_step)
     joint_torque = jnp.where(torque_solved, limited, memory.joint_torque)
 
     held = jnp.array([[BOTH_HELD, TORQUE_HELD], [MOMENTUM_HELD, NOMINAL]], jnp.int32)

@@ -37,12 +37,13 @@ class TorqueQp(NamedTuple):
 
 def torque_qp(
     params: TorqueConfig,
+    torque_max: Array,
     mass_matrix: Array,
     force: Array,
     velocity_error: Array,
     velocity_error_integral: Array,
 ) -> TorqueQp:
-    """Build the QP; `force` (N,) holds `Σ Jᵀ T a + J_aᵀ f_a − h`."""
+    """Build the QP; `torque_max` (n,) [N m], `force` (N,) holds `Σ Jᵀ T a + J_aᵀ f_a − h`."""
     gain, free = _joint_response(mass_matrix, force)
     desired = -params.kd * velocity_error - params.kp * velocity_error_integral
     n = desired.shape[0]
@@ -50,8 +51,7 @@ def torque_qp(
     h = params.weight_acceleration * (gain @ gain)
     h = 0.5 * (h + h.T) + penalty * jnp.eye(n, dtype=h.dtype)
     g = params.weight_acceleration * (gain @ (free - desired))
-    upper = jnp.full(n, params.torque_max, h.dtype)
-    return TorqueQp(desired, free, gain, BoxQp(h, g, -upper, upper))
+    return TorqueQp(desired, free, gain, BoxQp(h, g, -torque_max, torque_max))
 
 
 def _joint_response(mass_matrix: Array, force: Array) -> tuple[Array, Array]:

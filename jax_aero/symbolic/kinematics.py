@@ -34,10 +34,13 @@ class Kinematics:
         base = Pose(ca.mtimes(small_turn(self._phi), self.base_rotation), self.base_position)
         poses = {robot.base: base}
         for joint in robot.joints:
-            angle = joint.locked_at if joint.index is None else self.joint_position[joint.index]
+            along = joint.locked_at if joint.index is None else self.joint_position[joint.index]
             mount = Pose(turn_from_rpy(ca.SX(ca.DM(joint.rpy))), ca.SX(ca.DM(joint.position)))
-            turned = Pose(turn_about(joint.axis, angle), ca.SX.zeros(3))
-            poses[joint.child] = poses[joint.parent] @ mount @ turned
+            if joint.is_prismatic:
+                moved = Pose(ca.SX.eye(3), ca.SX(ca.DM(joint.axis)) * along)
+            else:
+                moved = Pose(turn_about(joint.axis, along), ca.SX.zeros(3))
+            poses[joint.child] = poses[joint.parent] @ mount @ moved
         return poses
 
     def rate(self, expression: SX) -> SX:

@@ -40,6 +40,8 @@ class Joint:
     """(3,) attitude of the child at joint position zero [rad]."""
     axis: Array
     """(3,) unit axis in child axes."""
+    is_prismatic: bool
+    """Whether the child slides along the axis [m] instead of turning about it [rad]."""
     index: int | None
     locked_at: float
 
@@ -79,6 +81,8 @@ class Robot:
     joint_names: tuple[str, ...]
     joint_limits: Array
     """(n, 2) lower and upper limits that the controller respects [rad]."""
+    joint_torque_max: Array
+    """(n,) [N m]."""
     joints: tuple[Joint, ...]
     """All URDF joints, a parent before its children."""
     inertials: tuple[Inertial, ...]
@@ -104,8 +108,8 @@ def load_robot(path: str | Path) -> Robot:
     """Read a robot's TOML file and the URDF beside it."""
     path = Path(path)
     table = tomllib.loads(path.read_text(encoding="utf-8"))
-    urdf = ET.fromstring(path.with_name(table["urdf"]).read_text(encoding="utf-8"))
-    entries = [entry for group in table["joint_groups"] for entry in group["joints"]]
+    urdf = ET.fromstring((path.parent / table["urdf"]).read_text(encoding="utf-8"))
+    entries = [entry for group in table.get("joint_groups", []) for entry in group["joints"]]
     names = tuple(entry["name"] for entry in entries)
     joints = _joints(urdf, table["base_link"], names, table.get("locked", {}))
     limits = {element.get("name"): element.find("limit") for element in urdf.iter("joint")}
@@ -114,7 +118,8 @@ def load_robot(path: str | Path) -> Robot:
         base=table["base_link"],
         gravity=table.get("gravity", 9.81),
         joint_names=names,
-        joint_limits=np.array([_limits(entry, limits[entry["name"]]) for entry in entries]),
+        joint_limits=np.reshape([_limits(entry, limits[entry["name"]]) for entry in entries], (-1, 2)),
+        joint_torque_max=np.array([_torque_max(entry, limits[entry["name"]]) for entry in entries]),
         joints=joints,
         inertials=tuple(_inertials(urdf)),
         jets=tuple(
@@ -150,8 +155,8 @@ def _joints(urdf: ET.Element, base: str, names: Sequence[str], locked: Mapping[s
         for name in ready:
             element = waiting.pop(name)
             kind = element.get("type")
-            if kind not in ("fixed", "revolute", "continuous"):
-                raise ValueError(f"joint `{name}` is {kind}; expected fixed, revolute or continuous")
+            if kind not in ("fixed", "revolute", "continuous", "prismatic"):
+                raise ValueError(f"joint `{name}` is {kind}; expected fixed, revolute, continuous or prismatic")
             if kind != "fixed" and name not in names and name not in locked:
                 raise ValueError(f"joint `{name}` is neither in a joint group nor locked")
             axis = element.find("axis")
@@ -161,7 +166,8 @@ def _joints(urdf: ET.Element, base: str, names: Sequence[str], locked: Mapping[s
                     child=_link(element, "child"),
                     position=_numbers(element.find("origin"), "xyz"),
                     rpy=_numbers(element.find("origin"), "rpy"),
-                    axis=np.array([1.0, 0.0, 0.0]) if axis is None else _unit(_numbers(axis, "xyz")),
+                    axis=np.array([1.0, 0.0, 0.0]) if axis is None or kind == "fixed" else _unit(_numbers(axis, "xyz")),
+                    is_prismatic=kind == "prismatic",
                     index=names.index(name) if name in names else None,
                     locked_at=float(locked.get(name, 0.0)),
                 )
@@ -203,9 +209,15 @@ def _limits(entry: Mapping[str, Any], limit: ET.Element | None) -> tuple[float, 
     if "limits_deg" in entry:
         lower, upper = np.radians(entry["limits_deg"])
         return float(lower), float(upper)
+    if "limits" in entry:
+        return float(entry["limits"][0]), float(entry["limits"][1])
     if limit is None:
         raise ValueError(f"joint `{entry['name']}` has no limits, neither in the TOML file nor in the URDF")
     return float(limit.get("lower", "nan")), float(limit.get("upper", "nan"))
+
+
+def _torque_max(entry: Mapping[str, Any], limit: ET.Element | None) -> float:
+    return float(entry.get("torque_max", "nan" if limit is None else limit.get("effort", "nan")))
 
 
 def _unit(axis: Sequence[float] | Array) -> Array:

@@ -46,8 +46,8 @@ class TrimSettings:
     """Attitude of the base: limits of roll and pitch, and the yaw it keeps [rad]."""
     margin_min: float
     """Least distance of every thrust from both its limits, as a fraction of its greatest."""
-    torque_max: float
-    """[N m]"""
+    torque_max: Array
+    """(n,) of every joint [N m]."""
     clearance_min: float
     """From the axis of a jet to the surface of a link [m]."""
     plume_length: float
@@ -158,7 +158,7 @@ class Trim:
         self._lower = np.array([row.lower / row.scale for row in rows])
         self._upper = np.array([row.upper / row.scale for row in rows])
         total = ca.sum1(thrust) / (robot.mass * robot.gravity)
-        posture = settings.posture_weight * ca.sumsqr(s - ca.DM(settings.posture)) / n
+        posture = settings.posture_weight * ca.sumsqr(s - ca.DM(settings.posture)) / max(n, 1)
         spread = settings.spread_weight * ca.sumsqr(thrust / ca.DM([jet.thrust_max for jet in robot.jets]))
         objective = weights[0] * total - weights[1] * margin + posture + spread
         problem: dict[str, Any] = {"x": self._x, "p": self._p, "f": objective, "g": constraints}
@@ -183,9 +183,9 @@ class Trim:
             _Row(f"{kind} balance along {axis}", unit, scale, balance[i], 0.0, 0.0)
             for i, ((kind, unit, scale), axis) in enumerate(zip(kinds, "xyzxyz", strict=True))
         ]
-        tau = settings.torque_max
         rows += [
-            _Row(f"torque of {name}", "N m", tau, torque[i], -tau, tau) for i, name in enumerate(robot.joint_names)
+            _Row(f"torque of {name}", "N m", tau, torque[i], -tau, tau)
+            for i, (name, tau) in enumerate(zip(robot.joint_names, settings.torque_max.tolist(), strict=True))
         ]
         for i, jet in enumerate(robot.jets):
             top = jet.thrust_max

@@ -96,7 +96,7 @@ def stored(name: str) -> Stored:
 def difference(found: NDArray[np.float64], expected: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the largest difference of each row, relative to the range of the signal over the rows."""
     scale = max(float(np.abs(expected).max(initial=0.0)), SMALL)
-    return np.abs(found - expected).reshape(len(expected), -1).max(axis=1) / scale
+    return np.abs(found - expected).reshape(len(expected), -1).max(axis=1, initial=0.0) / scale
 
 
 def _renamed(values: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from jax_aero import rust
 from jax_aero.rust import Robot, State
 
 ROOT = Path(__file__).resolve().parents[2]
-ROBOTS = ("ironcub_mk1", "sparrow")
+ROBOTS = ("ironcub_mk1", "sparrow", "slider")
 
 
 @pytest.fixture(params=ROBOTS)

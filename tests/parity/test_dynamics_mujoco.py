@@ -19,7 +19,7 @@ from jax_aero import rust
 from jax_aero.rust import Robot
 
 TOLERANCE = 1e-10
-LOCKED = {"sparrow": {"neck": ((0, 1, 0), 0.2)}}
+LOCKED = {"sparrow": {"neck": ((0, 1, 0), 0.2)}, "slider": {"hatch_rail": ((0, 0, 1), 0.04)}}
 
 
 class Oracle:
@@ -39,9 +39,13 @@ class Oracle:
             joint = spec.joint(name)
             assert np.allclose(joint.axis, axis)
             body, turn, quat = joint.parent, np.zeros(4), np.zeros(4)
-            mujoco.mju_axisAngle2Quat(turn, np.array(axis, float), angle)
-            mujoco.mju_mulQuat(quat, body.quat, turn)
-            body.quat = quat
+            if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
+                assert np.allclose(body.quat, [1, 0, 0, 0])
+                body.pos = body.pos + angle * np.array(axis)
+            else:
+                mujoco.mju_axisAngle2Quat(turn, np.array(axis, float), angle)
+                mujoco.mju_mulQuat(quat, body.quat, turn)
+                body.quat = quat
             spec.delete(joint)
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)

@@ -18,7 +18,7 @@ from jax_aero import rust
 from jax_aero.rust import Robot
 
 TOLERANCE = 1e-10
-LOCKED = {"sparrow": {"neck": 0.2}}
+LOCKED = {"sparrow": {"neck": 0.2}, "slider": {"hatch_rail": 0.04}}
 WORLD_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 

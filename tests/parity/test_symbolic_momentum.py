@@ -26,7 +26,7 @@ from jax_aero.symbolic.aero import load_aero
 from jax_aero.types import State as TwinState
 
 ROOT = Path(__file__).resolve().parents[2]
-ROBOTS = ("ironcub_mk1", "sparrow")
+ROBOTS = ("ironcub_mk1", "sparrow", "slider")
 TOLERANCE = 1e-9
 COUNT = 60
 """States of each robot in each model of the air."""

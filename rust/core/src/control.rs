@@ -120,9 +120,9 @@ impl Controller {
         config.check(&robot)?;
         config.aero_feedback.check(&aero)?;
         check("controller time step", time_step, |dt| dt > 0.0, "a positive number of seconds")?;
-        config.check_rate_bounds(&robot, time_step)?;
         let n_jets = robot.jets.len();
-        let mut model = config.model_error.believed(robot);
+        let mut model = config.model_error.believed(config.restrict(robot));
+        config.check_rate_bounds(&model, time_step)?;
         if !config.use_jets {
             model.jets.clear();
         }
@@ -154,9 +154,9 @@ impl Controller {
                 setpoint: Setpoint::hold(zero, Matrix3::identity()),
                 attitude: AttitudeDemand { k_ddot_desired_b: zero, sigma_i: zero },
                 momentum_qp: MomentumQp::new(&config, &model)?,
-                torque_qp: TorqueQp::new(&config.torque, joints),
+                torque_qp: TorqueQp::new(&model),
                 contact: contact.map(|contact| Contact::new(contact, &model)),
-                standing_qp: contact.map(|contact| StandingQp::new(&config.torque, contact, joints, feet)),
+                standing_qp: contact.map(|contact| StandingQp::new(&config.torque, contact, &model)),
                 unlimited_torque: DVector::zeros(joints),
             },
             command: Command {
@@ -402,7 +402,7 @@ impl Controller {
                 state.joint_torque.copy_from(unlimited_torque);
                 state.torque_is_known = true;
             }
-            let rate_max = self.config.torque.torque_rate_max;
+            let rate_max = self.model.joints.iter().map(|joint| joint.torque_rate_max);
             limit_rate(&mut state.joint_torque, unlimited_torque.as_slice(), rate_max, self.time_step);
             self.command.joint_torque.copy_from(&state.joint_torque);
         } else {

@@ -128,9 +128,10 @@ impl Dynamics {
 
     /// Composite rigid-body algorithm.
     ///
-    /// A unit velocity of joint j moves its subtree with `ω = a`, `v_o = (p − o) × a`; the momentum
-    /// of the subtree about o is `l = m v_o + ω × s`, `k = I ω + s × v_o` (s: first moment). Then
-    /// `M_ij = a_i·k_j + ((p_i − o) × a_i)·l_j` for every joint i between j and the base.
+    /// A unit velocity of joint j moves its subtree with `ω` and, at the base origin o, with `v_o`
+    /// (revolute: `a` and `(p − o) × a`; prismatic: zero and `a`); the momentum of the subtree about o is
+    /// `l = m v_o + ω × s`, `k = I ω + s × v_o` (s: first moment). Then `M_ij = ω_i·k_j + v_o,i·l_j` for
+    /// every joint i between j and the base.
     fn update_mass_and_momentum_matrix(&mut self, kinematics: &Kinematics) {
         let origin = kinematics.bodies[0].i_from_b.position;
         let whole = self.composites[0];
@@ -154,8 +155,8 @@ impl Dynamics {
 
         for joint in 0..kinematics.bodies.len() - 1 {
             let subtree = &self.composites[joint + 1];
-            let axis = kinematics.bodies[joint + 1].joint_axis_i;
-            let v_o = (kinematics.bodies[joint + 1].i_from_b.position - origin).cross(&axis);
+            let axis = kinematics.bodies[joint + 1].joint_angular_i;
+            let v_o = kinematics.bodies[joint + 1].joint_velocity_at(&origin);
             let l = v_o * subtree.mass + axis.cross(&subtree.first_moment);
             let k = subtree.inertia * axis + subtree.first_moment.cross(&v_o);
 
@@ -168,8 +169,7 @@ impl Dynamics {
             }
             for &other in kinematics.chain(joint + 1) {
                 let motion = &kinematics.bodies[other + 1];
-                let other_v_o = (motion.i_from_b.position - origin).cross(&motion.joint_axis_i);
-                let entry = motion.joint_axis_i.dot(&k) + other_v_o.dot(&l);
+                let entry = motion.joint_angular_i.dot(&k) + motion.joint_velocity_at(&origin).dot(&l);
                 m[(6 + other, column)] = entry;
                 m[(column, 6 + other)] = entry;
             }
@@ -194,9 +194,13 @@ impl Dynamics {
             let motion = &kinematics.bodies[index];
             let arm = motion.i_from_b.position - motion_parent.i_from_b.position;
             let omega = motion_parent.angular_velocity;
+            let rate = joint_velocity[index - 1];
             self.accelerations[index] = (
-                a_parent + alpha_parent.cross(&arm) + omega.cross(&omega.cross(&arm)),
-                alpha_parent + omega.cross(&motion.joint_axis_i) * joint_velocity[index - 1],
+                a_parent
+                    + alpha_parent.cross(&arm)
+                    + omega.cross(&omega.cross(&arm))
+                    + omega.cross(&motion.joint_linear_i) * (2.0 * rate),
+                alpha_parent + omega.cross(&motion.joint_angular_i) * rate,
             );
         }
         // (force, moment about the base origin) that each body needs, then summed inwards.
@@ -217,7 +221,8 @@ impl Dynamics {
             let motion = &kinematics.bodies[index];
             let (force, moment) = self.wrenches[index];
             let arm = motion.i_from_b.position - origin;
-            self.bias[5 + index] = motion.joint_axis_i.dot(&(moment - arm.cross(&force)));
+            self.bias[5 + index] =
+                motion.joint_angular_i.dot(&(moment - arm.cross(&force))) + motion.joint_linear_i.dot(&force);
             let parent = &mut self.wrenches[robot.bodies[index].parent.unwrap_or(0)];
             parent.0 += force;
             parent.1 += moment;
@@ -252,6 +257,13 @@ impl MassFactor {
         self.factor.copy_from(mass_matrix);
         let n = self.factor.nrows();
         linalg::cholesky_in_place(self.factor.as_mut_slice(), n, n)
+    }
+
+    /// Joint block of the factor, starting at its first entry, in columns of the whole factor's height;
+    /// empty for a robot without joints.
+    #[must_use]
+    pub fn joint_block(&self) -> &[f64] {
+        self.factor.as_slice().get(6 * self.factor.nrows() + 6..).unwrap_or_default()
     }
 
     /// Solves `M x = b` in place: with `b = Σ generalised forces − h`, x is the forward dynamics ν̇.

@@ -10,7 +10,7 @@
 //!
 //! Equations M7 to M10 of `docs/model.md`.
 
-use crate::robot::{Frame, RobotModel};
+use crate::robot::{Frame, JointKind, RobotModel};
 use crate::spatial::{Pose, axis_angle};
 use nalgebra::{DVector, Matrix3, Matrix3xX, Vector3};
 
@@ -86,8 +86,12 @@ pub struct BodyMotion {
     pub linear_velocity: Vector3<f64>,
     /// Angular velocity of the body \[rad/s, inertial axes\].
     pub angular_velocity: Vector3<f64>,
-    /// Unit axis of the body's joint in inertial axes; zero for the base.
-    pub joint_axis_i: Vector3<f64>,
+    /// Velocity that a unit rate of the body's joint gives the body's origin, inertial axes: the axis of a
+    /// prismatic joint, zero for a revolute one and for the base.
+    pub joint_linear_i: Vector3<f64>,
+    /// Angular velocity that a unit rate of the body's joint gives, inertial axes: the axis of a revolute
+    /// joint, zero for a prismatic one and for the base.
+    pub joint_angular_i: Vector3<f64>,
 }
 
 impl BodyMotion {
@@ -96,7 +100,24 @@ impl BodyMotion {
     pub fn velocity_at(&self, point_i: &Vector3<f64>) -> Vector3<f64> {
         self.linear_velocity + self.angular_velocity.cross(&(point_i - self.i_from_b.position))
     }
+
+    /// Velocity that a unit rate of the body's joint gives the point at `point_i` if it moves with the body.
+    #[must_use]
+    pub fn joint_velocity_at(&self, point_i: &Vector3<f64>) -> Vector3<f64> {
+        self.joint_linear_i + self.joint_angular_i.cross(&(point_i - self.i_from_b.position))
+    }
 }
+
+/// A body at the origin that does not move.
+const AT_REST: BodyMotion = BodyMotion {
+    i_from_b: Pose { rotation: ROTATION, position: ZERO },
+    linear_velocity: ZERO,
+    angular_velocity: ZERO,
+    joint_linear_i: ZERO,
+    joint_angular_i: ZERO,
+};
+const ZERO: Vector3<f64> = Vector3::new(0.0, 0.0, 0.0);
+const ROTATION: Matrix3<f64> = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0);
 
 /// Kinematics of one state; preallocated, refilled by [`Kinematics::update`].
 #[derive(Debug, Clone)]
@@ -124,14 +145,8 @@ impl Kinematics {
             }
             chains.push(chain);
         }
-        let rest = BodyMotion {
-            i_from_b: Pose::identity(),
-            linear_velocity: Vector3::zeros(),
-            angular_velocity: Vector3::zeros(),
-            joint_axis_i: Vector3::zeros(),
-        };
         let mut kinematics = Self {
-            bodies: vec![rest; robot.bodies.len()],
+            bodies: vec![AT_REST; robot.bodies.len()],
             com: Vector3::zeros(),
             joint_position: vec![0.0; robot.joints.len()],
             chains,
@@ -147,26 +162,32 @@ impl Kinematics {
             i_from_b: state.base,
             linear_velocity: state.base_linear_velocity(),
             angular_velocity: state.base_angular_velocity(),
-            joint_axis_i: Vector3::zeros(),
+            ..AT_REST
         };
         let joint_velocity = state.joint_velocity();
         self.joint_position.copy_from_slice(state.joint_position.as_slice());
         for (index, joint) in robot.joints.iter().enumerate() {
             let parent = self.bodies[robot.bodies[index + 1].parent.unwrap_or(0)];
             let axis_b = joint.axis_b.into_inner();
-            let i_from_joint = parent.i_from_b * joint.parent_from_child;
-            let i_from_b = Pose {
-                rotation: i_from_joint.rotation * axis_angle(&axis_b, state.joint_position[index]),
-                position: i_from_joint.position,
-            };
+            let mut i_from_b = parent.i_from_b * joint.parent_from_child;
             // The axis is the same vector in the child and in the joint frame.
-            let joint_axis_i = i_from_joint.rotation * axis_b;
-            self.bodies[index + 1] = BodyMotion {
-                i_from_b,
-                linear_velocity: parent.velocity_at(&i_from_b.position),
-                angular_velocity: parent.angular_velocity + joint_axis_i * joint_velocity[index],
-                joint_axis_i,
+            let axis_i = i_from_b.rotation * axis_b;
+            let position = state.joint_position[index];
+            let mut motion = match joint.kind {
+                JointKind::Revolute => {
+                    i_from_b.rotation *= axis_angle(&axis_b, position);
+                    BodyMotion { i_from_b, joint_angular_i: axis_i, ..AT_REST }
+                }
+                JointKind::Prismatic => {
+                    i_from_b.position += axis_i * position;
+                    BodyMotion { i_from_b, joint_linear_i: axis_i, ..AT_REST }
+                }
             };
+            let rate = joint_velocity[index];
+            motion.linear_velocity =
+                parent.velocity_at(&motion.i_from_b.position) + motion.joint_linear_i * rate;
+            motion.angular_velocity = parent.angular_velocity + motion.joint_angular_i * rate;
+            self.bodies[index + 1] = motion;
         }
         let first_moment: Vector3<f64> = (robot.bodies.iter().zip(&self.bodies))
             .map(|(body, motion)| motion.i_from_b.transform_point(&body.com_b) * body.mass)
@@ -208,7 +229,8 @@ impl Kinematics {
     /// Visits the columns of the Jacobian of the point of `body` that is at `point_i` now that are
     /// not zero: `visit(column, linear, angular)`.
     ///
-    /// Base translation gives `(e_k, 0)`, base rotation `(e_k × r, e_k)`, joint j `(a × (p − o_j), a)`.
+    /// Base translation gives `(e_k, 0)`, base rotation `(e_k × r, e_k)`, a joint at o_j with the axis a
+    /// `(a × (p − o_j), a)` if it is revolute and `(a, 0)` if it is prismatic.
     pub fn visit_jacobian_columns(
         &self,
         body: usize,
@@ -224,8 +246,7 @@ impl Kinematics {
         }
         for &joint in &self.chains[body] {
             let motion = &self.bodies[joint + 1];
-            let axis = motion.joint_axis_i;
-            visit(6 + joint, axis.cross(&(point_i - motion.i_from_b.position)), axis);
+            visit(6 + joint, motion.joint_velocity_at(point_i), motion.joint_angular_i);
         }
     }
 
@@ -256,9 +277,7 @@ impl Kinematics {
             generalised[3 + k] += moment[k];
         }
         for &joint in &self.chains[body] {
-            let motion = &self.bodies[joint + 1];
-            let column = motion.joint_axis_i.cross(&(point_i - motion.i_from_b.position));
-            generalised[6 + joint] += column.dot(force_i);
+            generalised[6 + joint] += self.bodies[joint + 1].joint_velocity_at(point_i).dot(force_i);
         }
     }
 }

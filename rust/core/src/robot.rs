@@ -77,17 +77,36 @@ pub struct Body {
     pub inertia_b: Matrix3<f64>,
 }
 
-/// A revolute joint; its child frame is the frame of the body it moves.
+/// How a joint moves its child.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum JointKind {
+    /// Turns it about the axis; positions in rad, torques in N m.
+    Revolute,
+    /// Shifts it along the axis; positions in m, "torques" are forces in N.
+    Prismatic,
+}
+
+/// A joint with one degree of freedom; its child frame is the frame of the body it moves.
+///
+/// Units below are those of a revolute joint; of a prismatic one m stands for rad and N for N m.
 #[derive(Debug, Clone)]
 pub struct Joint {
     /// Name.
     pub name: String,
+    /// How it moves its child.
+    pub kind: JointKind,
     /// Pose of the child body in the parent body at joint position zero.
     pub parent_from_child: Pose,
-    /// Axis of rotation in child axes (the same in both at position zero).
+    /// Axis of the motion in child axes (the same in both at position zero).
     pub axis_b: Unit<Vector3<f64>>,
     /// Limits the controller respects, `(lower, upper)` \[rad\].
     pub limits: (f64, f64),
+    /// Greatest torque \[N m\].
+    pub torque_max: f64,
+    /// Greatest rate of the torque \[N m/s\]; infinite where nothing limits it.
+    pub torque_rate_max: f64,
+    /// Greatest velocity \[rad/s\].
+    pub velocity_max: f64,
 }
 
 /// A frame fixed to a body.
@@ -192,6 +211,10 @@ pub struct Foot {
     pub frame: Frame,
     /// Contact points in the sole frame \[m\].
     pub vertices_f: Vec<Vector3<f64>>,
+    /// Least and greatest x of the centre of pressure in the sole frame \[m\].
+    pub centre_of_pressure_x: [f64; 2],
+    /// Least and greatest y of the centre of pressure in the sole frame \[m\].
+    pub centre_of_pressure_y: [f64; 2],
 }
 
 /// Joints plotted together, as indices.

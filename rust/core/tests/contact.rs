@@ -12,6 +12,7 @@ use flight_core::control::config::{ControllerConfig, Solver};
 use flight_core::control::contact::{Contact, ContactConfig, ContactState, WRENCH_ROWS};
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
+use flight_core::robot::Foot;
 use flight_core::spatial::exp_so3;
 use flight_core::{Measurement, RobotState};
 use flight_io::{ControllerSection, load_controller, load_robot};
@@ -31,6 +32,11 @@ fn controller(change: impl FnOnce(&mut ControllerConfig)) -> Running {
     let FlightConfig { robot, mut controller, envelope, .. } = standing();
     change(&mut controller.law);
     Running::new(load_controller(load_robot(&robot).unwrap(), &controller, &envelope, TIME_STEP).unwrap())
+}
+
+/// The left foot; the right one has the same limits.
+fn foot() -> Foot {
+    common::robot("ironcub_mk1").feet.remove(0)
 }
 
 fn at_rest() -> RobotState {
@@ -56,8 +62,8 @@ fn measurement<'a>(
 /// the least force, with the centre of pressure on the sole: judged by geometry, corner by corner.
 #[test]
 fn wrench_rows_are_the_geometry_they_stand_for() {
-    let limits = contact_config().wrench;
-    let rows = limits.rows();
+    let (limits, foot) = (contact_config().wrench, foot());
+    let rows = limits.rows(&foot);
     assert_eq!(rows.len(), WRENCH_ROWS);
     let mut rng = rng(1);
     let corner = |k: u32| {
@@ -80,8 +86,8 @@ fn wrench_rows_are_the_geometry_they_stand_for() {
         let expected = fz >= limits.vertical_force_min
             && in_polygon
             && wrench[5].abs() <= limits.torsional_friction * fz
-            && (limits.centre_of_pressure_x[0]..=limits.centre_of_pressure_x[1]).contains(&px)
-            && (limits.centre_of_pressure_y[0]..=limits.centre_of_pressure_y[1]).contains(&py);
+            && (foot.centre_of_pressure_x[0]..=foot.centre_of_pressure_x[1]).contains(&px)
+            && (foot.centre_of_pressure_y[0]..=foot.centre_of_pressure_y[1]).contains(&py);
         let found = rows.iter().all(|(row, bound)| row.dot(&wrench) <= *bound);
         assert_eq!(found, expected, "{wrench}");
         if found { inside += 1 } else { outside += 1 }
@@ -93,14 +99,14 @@ fn wrench_rows_are_the_geometry_they_stand_for() {
 /// the rows accept but for torsion, which corners can exceed.
 #[test]
 fn what_corners_can_do_is_allowed() {
-    let limits = contact_config().wrench;
-    let rows = limits.rows();
+    let (limits, foot) = (contact_config().wrench, foot());
+    let rows = limits.rows(&foot);
     let mut rng = rng(2);
     let inner = limits.friction * (std::f64::consts::PI / 12.0).cos();
     for _ in 0..20_000 {
         let mut wrench = Vector6::zeros();
-        for x in limits.centre_of_pressure_x {
-            for y in limits.centre_of_pressure_y {
+        for x in foot.centre_of_pressure_x {
+            for y in foot.centre_of_pressure_y {
                 let fz = rng.random_range(0.25..50.0_f64);
                 let (direction, size) = (rng.random_range(0.0..6.3_f64), rng.random_range(0.0..inner) * fz);
                 let force = Vector3::new(size * direction.cos(), size * direction.sin(), fz);
@@ -240,15 +246,44 @@ fn the_standing_qp_is_its_definition() {
         crate::common::assert_within!((ours - defined).abs(), 1e-8 * defined.abs(), "{ours} {defined}");
     }
     // And its answer respects the wrenches in the soles' own axes.
-    for (foot, sole) in contact.soles.iter().enumerate() {
-        let wrench = contact.force_of_torques.fixed_rows::<6>(6 * foot);
+    for (index, sole) in contact.soles.iter().enumerate() {
+        let wrench = contact.force_of_torques.fixed_rows::<6>(6 * index);
         let turn = sole.rotation.transpose();
         let (f, m) = (turn * wrench.fixed_rows::<3>(0), turn * wrench.fixed_rows::<3>(3));
         let of_sole = Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z);
-        for (row, bound) in config.wrench.rows() {
+        for (row, bound) in config.wrench.rows(&foot()) {
             crate::common::assert_within!(row.dot(&of_sole), bound + 1e-6);
         }
     }
+}
+
+/// A foot that is not named is no contact: it adds no unknown, no wrench is expected of it, and the others may
+/// stand in any order.
+#[test]
+fn feet_are_contacts_by_name() {
+    let named = |feet: &[&str]| {
+        controller(|law| {
+            law.contact.as_mut().unwrap().feet = feet.iter().map(|&name| name.to_owned()).collect();
+        })
+    };
+    let (state, [left, right]) = (at_rest(), weight_on_both());
+    let first_tick = |controller: &mut Running, wrenches: &[Vector6<f64>]| {
+        controller.tick(&measurement(&state, Vector3::zeros(), wrenches)).clone()
+    };
+    let mut one = named(&["r_sole"]);
+    assert_eq!(first_tick(&mut one, &[right]).status, CommandStatus::Nominal);
+    assert_eq!(one.terms().momentum_qp.problem.len(), 6 + 23);
+    let contact = one.terms().contact.as_ref().unwrap();
+    assert!(contact.is_active);
+    assert_eq!(contact.soles.len(), 1);
+
+    let torque = first_tick(&mut named(&["l_sole", "r_sole"]), &[left, right]).joint_torque;
+    let other = first_tick(&mut named(&["r_sole", "l_sole"]), &[right, left]).joint_torque;
+    // The QPs have a condition number of about 1e8; their unknowns stand in another order.
+    assert!((torque - other).amax() < 1e-6);
+
+    // Two wrenches for one foot are a bad measurement.
+    assert_eq!(first_tick(&mut one, &[left, right]).status, CommandStatus::BadMeasurement);
 }
 
 /// The momentum QP on the ground has the rows of the tasks and nothing else: `H` and `g` from their squares.
@@ -412,8 +447,10 @@ fn bad_numbers_are_refused_by_name() {
     refused(&["contact.vertical_force_min is 0", "positive"], |c| contact(c).vertical_force_min = 0.0);
     refused(&["contact.weight_force is -1"], |c| contact(c).weight_force = -1.0);
     refused(&["wrench.friction is NaN"], |c| contact(c).wrench.friction = f64::NAN);
-    refused(&["wrench.centre_of_pressure_x[1] is -0.1"], |c| {
-        contact(c).wrench.centre_of_pressure_x = [0.0, -0.1];
+    refused(&["controller.contact.feet is []", "at least one"], |c| contact(c).feet.clear());
+    refused(&["controller.contact.feet", "`l_sloe`", "l_sole"], |c| contact(c).feet[0] = "l_sloe".into());
+    refused(&["controller.contact.feet", "`r_sole`", "more than once"], |c| {
+        contact(c).feet[0] = "r_sole".into();
     });
     refused(&["simulator.ground.friction is 0"], |c| c.simulator.ground.as_mut().unwrap().friction = 0.0);
     refused(&["simulator.motors.damping is -1"], |c| c.simulator.motors.as_mut().unwrap().damping = -1.0);
@@ -432,7 +469,7 @@ fn bad_numbers_are_refused_by_name() {
     let mut footless = common::robot("ironcub_mk1");
     footless.feet.clear();
     let said = sparrow.law.check(&footless).expect_err("refused").to_string();
-    assert!(said.contains("number of feet") && said.contains("controller.contact"), "{said}");
+    assert!(said.contains("controller.contact.feet names `l_sole`"), "{said}");
     let text = std::fs::read_to_string(configs("control/balancing.toml")).unwrap();
     let unknown = text.replace("weight_force =", "weight_farce =");
     assert!(toml::from_str::<ControllerSection>(&unknown).is_err());

@@ -577,7 +577,7 @@ fn commands_obey_their_bounds_at_the_limits() {
 #[test]
 fn torques_move_by_at_most_three_newton_metres() {
     let mut torque = DVector::from_column_slice(&[0.0, 1.0, -1.0]);
-    limit_rate(&mut torque, &[10.0, 1.5, -20.0], 300.0, 0.01);
+    limit_rate(&mut torque, &[10.0, 1.5, -20.0], [300.0; 3], 0.01);
     assert_eq!(torque.as_slice(), [3.0, 1.5, -4.0]);
 
     let config = experiment("test2");
@@ -765,7 +765,7 @@ fn bad_numbers_are_refused_by_key() {
         ("controller.bounds.thrust_rate_max.chest_r_jet", |c| remove(&mut c.controller.law.bounds.thrust_rate_max, "chest_r_jet"), "absent"),
         ("controller.bounds.thrust_rate_max", |c| set(&mut c.controller.law.bounds.thrust_rate_max, "tail_jet", 1.0), "known: l_arm_jet, r_arm_jet, chest_l_jet, chest_r_jet"),
         ("controller.bounds.thrust_steepness", |c| c.controller.law.bounds.thrust_steepness = 0.0, "0"),
-        ("controller.bounds.joint_velocity_max_deg", |c| c.controller.law.bounds.joint_velocity_max_deg = 0.0, "0"),
+        ("controller.bounds.joint_velocity_max_deg", |c| c.controller.law.bounds.joint_velocity_max_deg = Some(0.0), "0"),
         ("controller.bounds.joint_steepness", |c| c.controller.law.bounds.joint_steepness = -5.0, "-5"),
         ("controller.posture_gain.torso", |c| set(&mut c.controller.law.posture_gain, "torso", -30.0), "-30"),
         ("controller.posture_gain.torso", |c| remove(&mut c.controller.law.posture_gain, "torso"), "absent"),
@@ -775,9 +775,9 @@ fn bad_numbers_are_refused_by_key() {
         ("controller.torque.weight_acceleration", |c| c.controller.law.torque.weight_acceleration = -1.0, "-1"),
         ("controller.torque.weight_torque", |c| c.controller.law.torque.weight_torque = -1.0, "-1"),
         ("controller.torque.regularisation", |c| c.controller.law.torque.regularisation = 0.0, "0"),
-        ("controller.torque.torque_max", |c| c.controller.law.torque.torque_max = 0.0, "0"),
-        ("controller.torque.torque_max", |c| c.controller.law.torque.torque_max = f64::INFINITY, "inf"),
-        ("controller.torque.torque_rate_max", |c| c.controller.law.torque.torque_rate_max = -300.0, "-300"),
+        ("controller.torque.torque_max", |c| c.controller.law.torque.torque_max = Some(0.0), "0"),
+        ("controller.torque.torque_max", |c| c.controller.law.torque.torque_max = Some(f64::INFINITY), "inf"),
+        ("controller.torque.torque_rate_max", |c| c.controller.law.torque.torque_rate_max = Some(-300.0), "-300"),
         ("controller.setpoint.position_smoothing", |c| c.controller.law.setpoint.position_smoothing = 0.0, "0"),
         ("controller.setpoint.acceleration_smoothing", |c| c.controller.law.setpoint.acceleration_smoothing = NAN, "NaN"),
         ("controller.setpoint.angular_velocity_smoothing", |c| c.controller.law.setpoint.angular_velocity_smoothing = -1.0, "-1"),

@@ -13,6 +13,8 @@ use flight_core::qp::{
     ClarabelSolver, DualActiveSet, KKT_TOLERANCE, PrimalActiveSet, QpProblem, QpSolver, QpStatus,
     kkt_residual,
 };
+use flight_core::robot::{Foot, Frame};
+use flight_core::spatial::Pose;
 use nalgebra::{DMatrix, DVector, Vector6};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -27,10 +29,14 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
 }
 
 fn limits() -> WrenchLimits {
-    WrenchLimits {
-        friction: 0.1,
-        torsional_friction: 1.0 / 75.0,
-        vertical_force_min: 1.0,
+    WrenchLimits { friction: 0.1, torsional_friction: 1.0 / 75.0, vertical_force_min: 1.0 }
+}
+
+fn foot() -> Foot {
+    Foot {
+        name: String::new(),
+        frame: Frame { name: String::new(), body: 0, body_from_frame: Pose::identity() },
+        vertices_f: Vec::new(),
         centre_of_pressure_x: [-0.07, 0.12],
         centre_of_pressure_y: [-0.045, 0.05],
     }
@@ -39,7 +45,7 @@ fn limits() -> WrenchLimits {
 /// A problem like the torque QP of a standing robot: `P W P` of rank 29 with the published weights, the
 /// wrench rows of two feet. `push` moves the wanted wrenches towards and across their limits.
 fn standing_problem(rng: &mut ChaCha8Rng, push: f64) -> QpProblem {
-    let rows = limits().rows();
+    let rows = limits().rows(&foot());
     let mut qp = QpProblem::new(N, rows.len() * FEET);
     let y = DMatrix::from_fn(29, N, |_, j| normal(rng) * if j < FORCES { 0.7 } else { 3.0 });
     let p = y.tr_mul(&y);

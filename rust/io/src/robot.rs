@@ -5,6 +5,7 @@
 //! order of the joints, where air and engines push, what the feet look like. `tree` finds what moves,
 //! `merge` joins what does not, `urdf` converts single values.
 
+mod joints;
 mod merge;
 mod tree;
 mod urdf;
@@ -13,7 +14,7 @@ use crate::read_text;
 use crate::toml::{from_value, parse};
 use flight_core::error::{BuildError, check as check_number};
 use flight_core::robot::{
-    AeroLink, AxisymmetricCoefficients, EngineCoefficients, Foot, Jet, Joint, JointGroup, RobotModel, check,
+    AeroLink, AxisymmetricCoefficients, EngineCoefficients, Foot, Jet, JointGroup, RobotModel, check,
 };
 use flight_core::spatial::unit_vector;
 use nalgebra::{Unit, Vector3};
@@ -37,8 +38,9 @@ pub struct RobotFile {
     forward_axis: [f64; 3],
     #[serde(default = "default_gravity")]
     gravity: f64,
+    #[serde(default)]
     joint_groups: Vec<GroupEntry>,
-    /// Joints held at a position \[rad\].
+    /// Joints held at a position \[rad, m\].
     #[serde(default)]
     locked: BTreeMap<String, f64>,
     #[serde(default)]
@@ -75,8 +77,18 @@ struct GroupEntry {
 #[serde(deny_unknown_fields)]
 struct JointEntry {
     name: String,
-    /// Without it, the limits of the URDF hold.
+    /// Of a revolute joint; without them, the limits of the URDF hold.
     limits_deg: Option<[f64; 2]>,
+    /// Of a prismatic joint \[m\]; without them, the limits of the URDF hold.
+    limits: Option<[f64; 2]>,
+    /// In place of the URDF's effort \[N m, N\].
+    torque_max: Option<f64>,
+    /// Without it, nothing limits the rate \[N m/s, N/s\].
+    torque_rate_max: Option<f64>,
+    /// Of a revolute joint, in place of the URDF's velocity.
+    velocity_max_deg: Option<f64>,
+    /// Of a prismatic joint, in place of the URDF's velocity \[m/s\].
+    velocity_max: Option<f64>,
 }
 
 #[derive(Deserialize, JsonSchema)]
@@ -109,6 +121,9 @@ struct FootEntry {
     name: String,
     frame: String,
     vertices: Vec<[f64; 3]>,
+    /// Without it, the extent of the vertices \[m\].
+    centre_of_pressure_x: Option<[f64; 2]>,
+    centre_of_pressure_y: Option<[f64; 2]>,
 }
 
 /// The texts of a robot's files, as they were read: a manifest hashes them.
@@ -176,7 +191,7 @@ fn build(file: RobotFile, urdf_text: &str, origin: &str) -> Result<RobotModel, B
     Ok(RobotModel {
         forward_axis_b: forward_axis(file.forward_axis)?,
         gravity: check_number("gravity", file.gravity, |g| g > 0.0, "a positive number, in m/s²")?,
-        joints: joints(&file, &tree)?,
+        joints: joints::joints(&file, &tree)?,
         groups: groups(&file)?,
         aero_links: aero_links(&file, &tree)?,
         jets: jets(&file, &tree)?,
@@ -192,33 +207,6 @@ fn forward_axis(axis: [f64; 3]) -> Result<Unit<Vector3<f64>>, BuildError> {
     unit_vector(Vector3::from(axis))
         .filter(|axis| axis.z.abs() < 1e-6)
         .ok_or_else(|| BuildError::bad_value("forward_axis", format!("{axis:?}"), expected))
-}
-
-fn joints(file: &RobotFile, tree: &Tree) -> Result<Vec<Joint>, BuildError> {
-    let entries = file.joint_groups.iter().flat_map(|group| &group.joints);
-    entries
-        .zip(&tree.joints)
-        .map(|(entry, joint)| {
-            let item = format!("limits_deg of joint `{}`", entry.name);
-            let limits = match (entry.limits_deg, joint.limits) {
-                (Some([lower, upper]), _) => {
-                    check::interval(&item, lower, upper)?;
-                    (lower.to_radians(), upper.to_radians())
-                }
-                (None, Some(limits)) => limits,
-                (None, None) => {
-                    let expected = "limits, as the joint is continuous in the URDF";
-                    return Err(BuildError::bad_value(item, "missing", expected));
-                }
-            };
-            Ok(Joint {
-                name: entry.name.clone(),
-                parent_from_child: joint.parent_from_child,
-                axis_b: joint.axis_b,
-                limits,
-            })
-        })
-        .collect()
 }
 
 fn groups(file: &RobotFile) -> Result<Vec<JointGroup>, BuildError> {
@@ -329,10 +317,20 @@ fn feet(file: &RobotFile, tree: &Tree) -> Result<Vec<Foot>, BuildError> {
             return Err(BuildError::bad_value(of("vertices"), "[]", "at least one point"));
         }
         let vertices = entry.vertices.iter().map(|vertex| check::finite(&of("vertices"), vertex));
+        let vertices_f = vertices.collect::<Result<Vec<Vector3<f64>>, _>>()?;
+        let centre_of_pressure = |axis: usize, key: &str, given: Option<[f64; 2]>| match given {
+            Some([lower, upper]) => check::interval(&of(key), lower, upper).map(|(a, b)| [a, b]),
+            None => {
+                let along = || vertices_f.iter().map(|vertex| vertex[axis]);
+                Ok([along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max)])
+            }
+        };
         Ok(Foot {
             name: entry.name.clone(),
             frame: tree.frame(&of("frame"), &entry.frame)?,
-            vertices_f: vertices.collect::<Result<Vec<Vector3<f64>>, _>>()?,
+            centre_of_pressure_x: centre_of_pressure(0, "centre_of_pressure_x", entry.centre_of_pressure_x)?,
+            centre_of_pressure_y: centre_of_pressure(1, "centre_of_pressure_y", entry.centre_of_pressure_y)?,
+            vertices_f,
         })
     };
     file.feet.iter().map(foot).collect()

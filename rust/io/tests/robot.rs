@@ -1,13 +1,14 @@
 //! The robot's files load into what they say.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
+#![allow(clippy::float_cmp, reason = "limits are copied, not computed")]
 
 #[path = "robot/ironcub.rs"]
 mod ironcub;
 #[path = "robot/refusals.rs"]
 mod refusals;
 
-use flight_core::robot::RobotModel;
+use flight_core::robot::{JointKind, RobotModel};
 use flight_core::spatial::orthonormality_error;
 use flight_io::{load_robot, robot_from_text};
 use nalgebra::{Matrix3, Vector3};
@@ -129,4 +130,23 @@ fn inertia_is_read_in_the_axes_of_its_origin() {
     let a = robot_from_text(NO_JOINTS, TWO_PARTS, "as is").unwrap();
     let b = robot_from_text(NO_JOINTS, &turned, "turned").unwrap();
     assert!((a.bodies[0].inertia_b - b.bodies[0].inertia_b).amax() < 1e-15);
+}
+
+/// Torque and velocity limits are the URDF's unless the TOML file says otherwise; nothing limits a torque rate
+/// that neither names. A prismatic joint's are in m and N.
+#[test]
+fn joints_have_their_own_limits() {
+    let sparrow = load_robot(&robot_file("sparrow.toml")).unwrap();
+    let torques: Vec<f64> = sparrow.joints.iter().map(|joint| joint.torque_max).collect();
+    assert_eq!(torques, [60.0, 60.0, 40.0, 40.0, 40.0]);
+    assert!(sparrow.joints.iter().all(|joint| joint.velocity_max == 4.0));
+    assert!(sparrow.joints.iter().all(|joint| joint.torque_rate_max.is_infinite()));
+
+    let slider = load_robot(&robot_file("slider.toml")).unwrap();
+    let kinds: Vec<JointKind> = slider.joints.iter().map(|joint| joint.kind).collect();
+    assert_eq!(kinds, [JointKind::Prismatic, JointKind::Revolute, JointKind::Prismatic]);
+    let rail = &slider.joints[0];
+    assert_eq!((rail.limits, rail.torque_max), ((-0.12, 0.15), 100.0));
+    assert_eq!((rail.torque_rate_max, rail.velocity_max), (900.0, 0.4));
+    assert_eq!(slider.joints[1].velocity_max, 90_f64.to_radians());
 }

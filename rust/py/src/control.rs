@@ -221,6 +221,8 @@ impl Controller {
         out.set_item("torque_gain", matrix(py, &terms.torque_qp.gain)?)?;
         out.set_item("torque_h", matrix(py, &terms.torque_qp.problem.h)?)?;
         out.set_item("torque_g", vector(py, terms.torque_qp.problem.g.as_slice())?)?;
+        out.set_item("torque_lower", vector(py, terms.torque_qp.problem.lower.as_slice())?)?;
+        out.set_item("torque_upper", vector(py, terms.torque_qp.problem.upper.as_slice())?)?;
         out.set_item("unlimited_torque", vector(py, terms.unlimited_torque.as_slice())?)?;
         out.set_item("joint_torque", vector(py, command.joint_torque.as_slice())?)?;
         out.set_item("torque_qp", answer(py, &command.torque_qp)?)?;

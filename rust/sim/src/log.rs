@@ -272,8 +272,8 @@ impl Summary {
             max_com_error_xyz,
             max_rotation_error: largest(&mut data("rotation_error").iter().copied()),
             thrust_range: (
-                thrust.iter().copied().fold(f64::INFINITY, f64::min),
-                thrust.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+                thrust.iter().copied().reduce(f64::min).unwrap_or_default(),
+                thrust.iter().copied().reduce(f64::max).unwrap_or_default(),
             ),
             max_torque: largest(&mut data("joint_torque").iter().map(|torque| torque.abs())),
             min_com_height: rows("com_position").map(|com| com[2]).fold(f64::INFINITY, f64::min),

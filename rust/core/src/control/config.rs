@@ -9,7 +9,7 @@ use crate::error::{BuildError, check};
 use crate::qp::QpChain;
 #[cfg(feature = "clarabel")]
 use crate::qp::{ClarabelSolver, Method};
-use crate::robot::RobotModel;
+use crate::robot::{JointKind, RobotModel};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -192,9 +192,10 @@ pub struct BoundsConfig {
     pub thrust_rate_max: BTreeMap<String, f64>,
     /// Steepness at the thrust limits \[1/N\].
     pub thrust_steepness: f64,
-    /// Greatest joint velocity \[deg/s\].
-    pub joint_velocity_max_deg: f64,
-    /// Steepness at the joint limits \[1/rad\].
+    /// Greatest velocity of revolute joints in place of the robot's own limits \[deg/s\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub joint_velocity_max_deg: Option<f64>,
+    /// Steepness at the joint limits \[1/rad, 1/m\].
     pub joint_steepness: f64,
 }
 
@@ -213,10 +214,12 @@ pub struct TorqueConfig {
     pub weight_torque: f64,
     /// Added to the diagonal of the Hessian.
     pub regularisation: f64,
-    /// Greatest torque \[N m\].
-    pub torque_max: f64,
-    /// Greatest rate of the torque \[N m/s\].
-    pub torque_rate_max: f64,
+    /// Greatest torque of revolute joints in place of the robot's own limits \[N m\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub torque_max: Option<f64>,
+    /// Greatest rate of the torque of revolute joints in place of the robot's own limits \[N m/s\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub torque_rate_max: Option<f64>,
 }
 
 /// Which solver answers first.
@@ -318,15 +321,19 @@ impl ControllerConfig {
         non_negative("weights.symmetry", self.weights.symmetry)?;
         positive("weights.regularisation", self.weights.regularisation)?;
         positive("bounds.thrust_steepness", self.bounds.thrust_steepness)?;
-        positive("bounds.joint_velocity_max_deg", self.bounds.joint_velocity_max_deg)?;
         positive("bounds.joint_steepness", self.bounds.joint_steepness)?;
         non_negative("torque.kd", self.torque.kd)?;
         non_negative("torque.kp", self.torque.kp)?;
         non_negative("torque.weight_acceleration", self.torque.weight_acceleration)?;
         non_negative("torque.weight_torque", self.torque.weight_torque)?;
         positive("torque.regularisation", self.torque.regularisation)?;
-        positive("torque.torque_max", self.torque.torque_max)?;
-        positive("torque.torque_rate_max", self.torque.torque_rate_max)?;
+        for (name, limit) in [
+            ("bounds.joint_velocity_max_deg", self.bounds.joint_velocity_max_deg),
+            ("torque.torque_max", self.torque.torque_max),
+            ("torque.torque_rate_max", self.torque.torque_rate_max),
+        ] {
+            limit.map_or(Ok(()), |limit| positive(name, limit))?;
+        }
         self.qp.check()?;
         if let Some(contact) = &self.contact {
             contact.check(robot)?;
@@ -358,8 +365,26 @@ impl ControllerConfig {
                 stable("bounds.thrust_steepness", *rate_max, self.bounds.thrust_steepness)?;
             }
         }
-        let rate_max = self.bounds.joint_velocity_max_deg.to_radians();
-        stable("bounds.joint_steepness", rate_max, self.bounds.joint_steepness)
+        for joint in &robot.joints {
+            stable("bounds.joint_steepness", joint.velocity_max, self.bounds.joint_steepness)?;
+        }
+        Ok(())
+    }
+
+    /// The robot as this controller uses it: with its own limits of revolute joints where it has some, and
+    /// with the feet it stands on, in its order.
+    #[must_use]
+    pub fn restrict(&self, mut robot: RobotModel) -> RobotModel {
+        let named = self.contact.iter().flat_map(|contact| &contact.feet);
+        robot.feet =
+            named.filter_map(|name| robot.feet.iter().find(|foot| foot.name == *name)).cloned().collect();
+        let velocity_max = self.bounds.joint_velocity_max_deg.map(f64::to_radians);
+        for joint in robot.joints.iter_mut().filter(|joint| joint.kind == JointKind::Revolute) {
+            joint.velocity_max = velocity_max.unwrap_or(joint.velocity_max);
+            joint.torque_max = self.torque.torque_max.unwrap_or(joint.torque_max);
+            joint.torque_rate_max = self.torque.torque_rate_max.unwrap_or(joint.torque_rate_max);
+        }
+        robot
     }
 
     /// Indices of the pairs of [`MomentumWeights::symmetric_jets`].

@@ -15,7 +15,7 @@
 use crate::dynamics::Dynamics;
 use crate::error::{BuildError, check};
 use crate::kinematics::Kinematics;
-use crate::robot::RobotModel;
+use crate::robot::{Foot, RobotModel, check::unique};
 use crate::spatial::{Pose, skew};
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Vector6};
 use serde::{Deserialize, Serialize};
@@ -34,7 +34,9 @@ pub const WRENCH_ROWS: usize = FRICTION_SIDES + 2 + 1 + 4;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ContactConfig {
-    /// Vertical force beyond which a foot carries \[N\]; all feet have to.
+    /// Names of the feet to stand on; the robot's other feet are no contacts.
+    pub feet: Vec<String>,
+    /// Vertical force beyond which a foot carries \[N\]; all of `feet` have to.
     pub vertical_force_min: f64,
     /// Whether `f_c*` starts with the measured moment about y besides the vertical force.
     pub start_with_moment: bool,
@@ -54,7 +56,8 @@ pub struct ContactConfig {
     pub wrench: WrenchLimits,
 }
 
-/// What the wrench of one foot may be, in sole axes about the sole's origin.
+/// What the wrench of every foot may be, in sole axes about the sole's origin; where its centre of pressure
+/// may be stands with the robot's foot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -65,10 +68,6 @@ pub struct WrenchLimits {
     pub torsional_friction: f64,
     /// Least vertical force \[N\].
     pub vertical_force_min: f64,
-    /// Least and greatest x of the centre of pressure `−m_y/f_z` \[m\].
-    pub centre_of_pressure_x: [f64; 2],
-    /// Least and greatest y of the centre of pressure `m_x/f_z` \[m\].
-    pub centre_of_pressure_y: [f64; 2],
 }
 
 impl ContactConfig {
@@ -82,12 +81,13 @@ impl ContactConfig {
         };
         let non_negative = |name: &str, value: f64| at(name, value, |x| x >= 0.0, "a number ≥ 0");
         let positive = |name: &str, value: f64| at(name, value, |x| x > 0.0, "a positive number");
-        if robot.feet.is_empty() {
-            return Err(BuildError::bad_value(
-                "number of feet of the robot",
-                0,
-                "at least one, to stand on (`controller.contact`)",
-            ));
+        if self.feet.is_empty() {
+            return Err(BuildError::bad_value("controller.contact.feet", "[]", "at least one foot"));
+        }
+        unique("controller.contact.feet: foot", self.feet.iter().map(String::as_str))?;
+        let known = || robot.feet.iter().map(|foot| foot.name.as_str());
+        if let Some(name) = self.feet.iter().find(|name| !known().any(|foot| foot == **name)) {
+            return Err(BuildError::unknown_name("controller.contact.feet", name, known()));
         }
         positive("vertical_force_min", self.vertical_force_min)?;
         positive("force_rate_max", self.force_rate_max)?;
@@ -99,27 +99,15 @@ impl ContactConfig {
         let limits = &self.wrench;
         positive("wrench.friction", limits.friction)?;
         non_negative("wrench.torsional_friction", limits.torsional_friction)?;
-        non_negative("wrench.vertical_force_min", limits.vertical_force_min)?;
-        for (name, [low, high]) in [
-            ("wrench.centre_of_pressure_x", limits.centre_of_pressure_x),
-            ("wrench.centre_of_pressure_y", limits.centre_of_pressure_y),
-        ] {
-            at(name, low, |_| true, "two finite numbers")?;
-            check(
-                &format!("controller.contact.{name}[1]"),
-                high,
-                |high| high > low,
-                "more than the first number",
-            )?;
-        }
-        Ok(())
+        non_negative("wrench.vertical_force_min", limits.vertical_force_min)
     }
 }
 
 impl WrenchLimits {
-    /// The inequalities `row · (f, m) ≤ bound` on the wrench of a foot, in sole axes.
+    /// The inequalities `row · (f, m) ≤ bound` on the wrench of a foot, in sole axes. The centre of pressure
+    /// is at `(−m_y, m_x) / f_z`.
     #[must_use]
-    pub fn rows(&self) -> [(Vector6<f64>, f64); WRENCH_ROWS] {
+    pub fn rows(&self, foot: &Foot) -> [(Vector6<f64>, f64); WRENCH_ROWS] {
         let mut rows = [(Vector6::zeros(), 0.0); WRENCH_ROWS];
         let half_side = std::f64::consts::PI / FRICTION_SIDES as f64;
         // A side lies between two corners of the circle, so cos(half side) nearer than they.
@@ -129,8 +117,8 @@ impl WrenchLimits {
             *row = Vector6::new(cos, sin, -reach, 0.0, 0.0, 0.0);
         }
         let torsion = self.torsional_friction;
-        let [x_min, x_max] = self.centre_of_pressure_x;
-        let [y_min, y_max] = self.centre_of_pressure_y;
+        let [x_min, x_max] = foot.centre_of_pressure_x;
+        let [y_min, y_max] = foot.centre_of_pressure_y;
         rows[12].0 = Vector6::new(0.0, 0.0, -torsion, 0.0, 0.0, 1.0);
         rows[13].0 = Vector6::new(0.0, 0.0, -torsion, 0.0, 0.0, -1.0);
         rows[14] = (Vector6::new(0.0, 0.0, -1.0, 0.0, 0.0, 0.0), -self.vertical_force_min);

@@ -15,6 +15,7 @@ use super::contact::{Contact, ContactConfig, WRENCH, WRENCH_ROWS};
 use crate::dynamics::MassFactor;
 use crate::linalg;
 use crate::qp::QpProblem;
+use crate::robot::RobotModel;
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 
 /// The torque QP of one tick with feet that carry; preallocated.
@@ -35,17 +36,20 @@ pub struct StandingQp {
     weighted: DMatrix<f64>,
     roots: DVector<f64>,
     weighted_error: DVector<f64>,
-    rows_sole: [(Vector6<f64>, f64); WRENCH_ROWS],
+    rows_sole: Vec<[(Vector6<f64>, f64); WRENCH_ROWS]>,
 }
 
 impl StandingQp {
-    /// Space for a robot with `joints` joints and `feet` feet.
+    /// Space for a robot that stands on all its feet.
     #[must_use]
-    pub fn new(torque: &TorqueConfig, contact: &ContactConfig, joints: usize, feet: usize) -> Self {
+    pub fn new(torque: &TorqueConfig, contact: &ContactConfig, robot: &RobotModel) -> Self {
+        let (feet, joints) = (robot.feet.len(), robot.joints.len());
         let (forces, n) = (WRENCH * feet, WRENCH * feet + joints);
         let mut problem = QpProblem::new(n, WRENCH_ROWS * feet);
-        problem.lower.rows_mut(forces, joints).fill(-torque.torque_max);
-        problem.upper.rows_mut(forces, joints).fill(torque.torque_max);
+        let QpProblem { lower, upper, .. } = &mut problem;
+        for (index, joint) in robot.joints.iter().enumerate() {
+            (lower[forces + index], upper[forces + index]) = (-joint.torque_max, joint.torque_max);
+        }
         let mut roots = DVector::from_element(n, torque.weight_acceleration.sqrt());
         roots.rows_mut(0, forces).fill(contact.weight_foot_acceleration.sqrt());
         Self {
@@ -58,7 +62,7 @@ impl StandingQp {
             weighted: DMatrix::zeros(n, n),
             roots,
             weighted_error: DVector::zeros(n),
-            rows_sole: contact.wrench.rows(),
+            rows_sole: robot.feet.iter().map(|foot| contact.wrench.rows(foot)).collect(),
         }
     }
 
@@ -99,8 +103,7 @@ impl StandingQp {
         of_feet.copy_from_slice(contact.jacobian_transposed.as_slice());
         linalg::solve_lower_in_place(mass_factor.factor.as_slice(), n, n, of_feet);
         // K⁻¹ S: the base comes first, so only the joint block of K is inverted.
-        let joint_block = &mass_factor.factor.as_slice()[6 * n + 6..];
-        linalg::invert_lower(joint_block, joints, n, self.joint_inverse.as_mut_slice());
+        linalg::invert_lower(mass_factor.joint_block(), joints, n, self.joint_inverse.as_mut_slice());
         let inverse = self.joint_inverse.as_slice().chunks_exact(joints.max(1));
         for (to, from) in of_joints.chunks_exact_mut(n).zip(inverse) {
             to[..6].fill(0.0);
@@ -135,8 +138,8 @@ impl StandingQp {
 
     /// Rows in sole axes, turned into inertial ones: `c · (Rᵀ f, Rᵀ m) = (R c_f, R c_m) · (f, m)`.
     fn update_rows(&mut self, contact: &Contact) {
-        for (foot, sole) in contact.soles.iter().enumerate() {
-            for (index, (row, bound)) in self.rows_sole.iter().enumerate() {
+        for (foot, (sole, rows)) in contact.soles.iter().zip(&self.rows_sole).enumerate() {
+            for (index, (row, bound)) in rows.iter().enumerate() {
                 let column = WRENCH_ROWS * foot + index;
                 let force: Vector3<f64> = sole.rotation * row.fixed_rows::<3>(0);
                 let moment: Vector3<f64> = sole.rotation * row.fixed_rows::<3>(3);

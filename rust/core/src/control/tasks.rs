@@ -56,7 +56,6 @@ pub struct MomentumQp {
     posture_gain: DVector<f64>,
     thrust_rate_max: Vec<f64>,
     thrust_steepness: f64,
-    joint_velocity_max: f64,
     joint_steepness: f64,
     /// Number of contact unknowns; they stand between thrust rates and joint velocities.
     forces: usize,
@@ -133,7 +132,6 @@ impl MomentumQp {
             posture_gain,
             thrust_rate_max: per_jet(&config.bounds.thrust_rate_max),
             thrust_steepness: config.bounds.thrust_steepness,
-            joint_velocity_max: config.bounds.joint_velocity_max_deg.to_radians(),
             joint_steepness: config.bounds.joint_steepness,
             forces,
             force_rate_max: config.contact.as_ref().map_or(0.0, |contact| contact.force_rate_max),
@@ -300,7 +298,7 @@ impl MomentumQp {
             (lower[first_joint + index], upper[first_joint + index]) = rate_bounds(
                 state.joint_position[index],
                 joint.limits,
-                self.joint_velocity_max,
+                joint.velocity_max,
                 self.joint_steepness,
             );
         }

@@ -14,6 +14,7 @@ use super::config::TorqueConfig;
 use crate::dynamics::MassFactor;
 use crate::linalg;
 use crate::qp::QpProblem;
+use crate::robot::RobotModel;
 use nalgebra::{DMatrix, DVector};
 
 /// The torque QP of one tick; preallocated.
@@ -31,12 +32,14 @@ pub struct TorqueQp {
 }
 
 impl TorqueQp {
-    /// Space for a robot with `joints` joints; bounds do not change in flight.
+    /// Space for `robot`, whose torque limits do not change in flight.
     #[must_use]
-    pub fn new(config: &TorqueConfig, joints: usize) -> Self {
+    pub fn new(robot: &RobotModel) -> Self {
+        let joints = robot.joints.len();
         let mut problem = QpProblem::new(joints, 0);
-        problem.lower.fill(-config.torque_max);
-        problem.upper.fill(config.torque_max);
+        for (index, joint) in robot.joints.iter().enumerate() {
+            (problem.lower[index], problem.upper[index]) = (-joint.torque_max, joint.torque_max);
+        }
         Self {
             acceleration_desired: DVector::zeros(joints),
             acceleration_free: DVector::zeros(joints),
@@ -64,9 +67,8 @@ impl TorqueQp {
 
         // M = K Kᵀ with the base first, so (M⁻¹)_ss = Wᵀ W with W the inverse of K's joint block.
         let n = 6 + joints;
-        let joint_block = &mass_factor.factor.as_slice()[6 * n + 6..];
         let work = self.inverse_factor.as_mut_slice();
-        linalg::invert_symmetric(joint_block, joints, n, work, self.gain.as_mut_slice());
+        linalg::invert_symmetric(mass_factor.joint_block(), joints, n, work, self.gain.as_mut_slice());
 
         // H = w_a G² + (w_τ + ε) 1 and g = w_a G (s̈_free − s̈*), G symmetric.
         let QpProblem { h, g, .. } = &mut self.problem;
@@ -81,10 +83,15 @@ impl TorqueQp {
     }
 }
 
-/// Moves `torque` towards `target` by at most `rate_max · time_step` per entry.
-pub fn limit_rate(torque: &mut DVector<f64>, target: &[f64], rate_max: f64, time_step: f64) {
-    let step = rate_max * time_step;
-    for (torque, target) in torque.iter_mut().zip(target) {
+/// Moves every torque towards its target by at most its `rate_max · time_step`.
+pub fn limit_rate(
+    torque: &mut DVector<f64>,
+    target: &[f64],
+    rate_max: impl IntoIterator<Item = f64>,
+    time_step: f64,
+) {
+    for ((torque, target), rate_max) in torque.iter_mut().zip(target).zip(rate_max) {
+        let step = rate_max * time_step;
         *torque += (target - *torque).clamp(-step, step);
     }
 }

@@ -1,13 +1,12 @@
 //! From a URDF's links and joints to a tree of bodies that move.
 
 use super::merge::{merge, part};
-use super::urdf::{axis, limits, pose};
+use super::urdf::{axis, greatest, kind, limits, pose};
 use flight_core::error::{BuildError, check as check_number};
-use flight_core::robot::{Body, Frame, check};
+use flight_core::robot::{Body, Frame, JointKind, check};
 use flight_core::spatial::{Pose, axis_angle};
 use nalgebra::{Unit, Vector3};
 use std::collections::{BTreeMap, BTreeSet};
-use urdf_rs::JointType;
 
 /// A URDF robot, its fixed and locked joints gone.
 pub(super) struct Tree {
@@ -21,10 +20,15 @@ pub(super) struct Tree {
 
 /// What the URDF says about a joint.
 pub(super) struct TreeJoint {
+    pub(super) kind: JointKind,
     pub(super) parent_from_child: Pose,
     pub(super) axis_b: Unit<Vector3<f64>>,
-    /// Limits of the URDF \[rad\]; a continuous joint has none.
+    /// Limits of the URDF \[rad, m\]; a continuous joint has none.
     pub(super) limits: Option<(f64, f64)>,
+    /// Greatest torque of the URDF \[N m, N\].
+    pub(super) torque_max: Option<f64>,
+    /// Greatest velocity of the URDF \[rad/s, m/s\].
+    pub(super) velocity_max: Option<f64>,
 }
 
 impl Tree {
@@ -36,7 +40,7 @@ impl Tree {
     }
 }
 
-/// Builds the tree whose moving joints are those of `order`; `locked` ones stay at their position \[rad\].
+/// Builds the tree whose moving joints are those of `order`; `locked` ones stay at their position \[rad, m\].
 pub(super) fn build(
     urdf: &urdf_rs::Robot,
     base_link: &str,
@@ -67,19 +71,27 @@ pub(super) fn build(
             let body_from_joint = body_from_link * pose(&format!("joint `{}`", joint.name), &joint.origin)?;
             match motions[joint_index] {
                 Motion::Fixed => to_visit.push((child, body, body_from_joint)),
-                Motion::Locked(position) => {
-                    let rotation = axis_angle(&axis(joint)?.into_inner(), position);
-                    let turned = Pose { rotation, position: Vector3::zeros() };
-                    to_visit.push((child, body, body_from_joint * turned));
+                Motion::Locked(kind, position) => {
+                    let axis = axis(joint)?.into_inner();
+                    let moved = match kind {
+                        JointKind::Revolute => {
+                            Pose { rotation: axis_angle(&axis, position), position: Vector3::zeros() }
+                        }
+                        JointKind::Prismatic => Pose { position: axis * position, ..Pose::identity() },
+                    };
+                    to_visit.push((child, body, body_from_joint * moved));
                 }
-                Motion::Moving(place) => {
+                Motion::Moving(kind, place) => {
                     let moved = place + 1;
                     names[moved].clone_from(&urdf.links[child].name);
                     parents[moved] = Some(body);
                     joints[place] = Some(TreeJoint {
+                        kind,
                         parent_from_child: body_from_joint,
                         axis_b: axis(joint)?,
                         limits: limits(joint)?,
+                        torque_max: greatest(joint, "effort", joint.limit.effort)?,
+                        velocity_max: greatest(joint, "velocity", joint.limit.velocity)?,
                     });
                     to_visit.push((child, moved, Pose::identity()));
                 }
@@ -103,10 +115,10 @@ pub(super) fn build(
 #[derive(Clone, Copy)]
 enum Motion {
     Fixed,
-    /// Held at a position \[rad\].
-    Locked(f64),
+    /// Held at a position \[rad, m\].
+    Locked(JointKind, f64),
     /// Moves, at this place in the joint order.
-    Moving(usize),
+    Moving(JointKind, usize),
 }
 
 fn motions(
@@ -134,27 +146,20 @@ fn motions(
         }
         let place = order.iter().position(|listed| *listed == name);
         let locked_at = locked.get(name);
-        match joint.joint_type {
-            JointType::Fixed if place.is_none() && locked_at.is_none() => Ok(Motion::Fixed),
-            JointType::Fixed => {
-                Err(BuildError::bad_value(item, "fixed", "revolute or continuous, as it is listed"))
+        match (kind(joint)?, place, locked_at) {
+            (None, None, None) => Ok(Motion::Fixed),
+            (None, _, _) => Err(BuildError::bad_value(item, "fixed", "one that moves, as it is listed")),
+            (Some(kind), Some(place), _) => Ok(Motion::Moving(kind, place)),
+            (Some(kind), None, Some(&position)) => {
+                let item = format!("position of locked joint `{name}`");
+                let position = check_number(&item, position, |_| true, "a finite number")?;
+                Ok(Motion::Locked(kind, position))
             }
-            JointType::Revolute | JointType::Continuous => match (place, locked_at) {
-                (Some(place), _) => Ok(Motion::Moving(place)),
-                (None, Some(&position)) => {
-                    let item = format!("position of locked joint `{name}`");
-                    check_number(&item, position, |_| true, "a finite angle").map(Motion::Locked)
-                }
-                (None, None) => Err(BuildError::bad_value(
-                    format!("joint `{name}`"),
-                    "neither in the joint order nor locked",
-                    "one of both",
-                )),
-            },
-            ref other => {
-                let value = format!("{other:?}").to_lowercase();
-                Err(BuildError::bad_value(item, value, "revolute, continuous or fixed"))
-            }
+            (Some(_), None, None) => Err(BuildError::bad_value(
+                format!("joint `{name}`"),
+                "neither in the joint order nor locked",
+                "one of both",
+            )),
         }
     };
     urdf.joints.iter().map(motion).collect()

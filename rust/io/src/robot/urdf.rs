@@ -1,7 +1,7 @@
 //! Single values of a URDF, checked.
 
-use flight_core::error::BuildError;
-use flight_core::robot::check;
+use flight_core::error::{BuildError, check as check_number};
+use flight_core::robot::{JointKind, check};
 use flight_core::spatial::{Pose, rotation_from_rpy};
 use nalgebra::{Unit, Vector3};
 use urdf_rs::JointType;
@@ -18,7 +18,27 @@ pub(super) fn axis(joint: &urdf_rs::Joint) -> Result<Unit<Vector3<f64>>, BuildEr
     check::unit(&format!("axis of joint `{}`", joint.name), &joint.axis.xyz)
 }
 
-/// The limits of a joint \[rad\]; a continuous one has none.
+/// How a joint moves its child; `None` for one that does not.
+pub(super) fn kind(joint: &urdf_rs::Joint) -> Result<Option<JointKind>, BuildError> {
+    match joint.joint_type {
+        JointType::Fixed => Ok(None),
+        JointType::Revolute | JointType::Continuous => Ok(Some(JointKind::Revolute)),
+        JointType::Prismatic => Ok(Some(JointKind::Prismatic)),
+        ref other => {
+            let value = format!("{other:?}").to_lowercase();
+            let expected = "revolute, continuous, prismatic or fixed";
+            Err(BuildError::bad_value(format!("type of joint `{}`", joint.name), value, expected))
+        }
+    }
+}
+
+/// A limit of a joint's effort or velocity; `None` where the URDF says 0 or nothing.
+pub(super) fn greatest(joint: &urdf_rs::Joint, key: &str, value: f64) -> Result<Option<f64>, BuildError> {
+    let item = format!("URDF {key} limit of joint `{}`", joint.name);
+    check_number(&item, value, |x| x >= 0.0, "a number ≥ 0").map(|x| (x > 0.0).then_some(x))
+}
+
+/// The limits of a joint \[rad, m\]; a continuous one has none.
 pub(super) fn limits(joint: &urdf_rs::Joint) -> Result<Option<(f64, f64)>, BuildError> {
     if joint.joint_type == JointType::Continuous {
         return Ok(None);

@@ -43,12 +43,11 @@ impl Mirror {
         let names: Vec<&str> = joints.iter().map(|&joint| robot.joints[joint].name.as_str()).collect();
         let joint_images = joints.iter().zip(&names).map(|(&joint, name)| {
             let image = place_of_image(&names, name, "joint")?;
-            let (axis, other) = (
-                kinematics.bodies[joint + 1].joint_axis_i,
-                kinematics.bodies[joints[image] + 1].joint_axis_i,
-            );
-            // An axis of rotation is mirrored like a torque: against the reflection.
-            let cosine = -other.dot(&reflect(&axis));
+            let motion = &kinematics.bodies[joint + 1];
+            let other = &kinematics.bodies[joints[image] + 1];
+            // A direction is mirrored by the reflection, an axis of rotation against it, as a torque is.
+            let cosine = other.joint_linear_i.dot(&reflect(&motion.joint_linear_i))
+                - other.joint_angular_i.dot(&reflect(&motion.joint_angular_i));
             if cosine.abs() < 1.0 - TOLERANCE {
                 let item = format!("axis of joint `{name}`, mirrored, against that of its image");
                 return Err(BuildError::bad_value(item, cosine, "a cosine of ±1"));

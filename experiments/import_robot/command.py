@@ -1,0 +1,211 @@
+"""Bring in a robot: `python -m experiments import-robot URDF --jet FRAME[:AXIS]:MAX ... [--out DIR]`.
+
+From the URDF a description of the robot is written (base, joints in tree order with limits, groups by chain, jets,
+aerodynamic links of the size of the geometry, feet), checked, trimmed in still air, and flown: a hover of ten seconds
+and, with --mission, the paper's flight in 10 m/s of lateral wind. All files stand in DIR and are the user's to refine:
+
+    robot.toml  controller.toml  hover.toml  mission.toml      fly again with `python -m experiments DIR/hover.toml`
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from experiments import Refused, manifest, study
+from experiments.import_robot import scenario, shapes, skeleton
+from jax_aero import rust
+from jax_aero.robot import load_robot as load_twin
+from jax_aero.symbolic import MomentumModel, load_robot
+from jax_aero.symbolic.aero import load_aero
+from jax_aero.symbolic.robot import Robot, rotation_of
+from jax_aero.symbolic.trim import Trim, TrimResult, TrimSettings
+
+HOVER, MISSION = "hover", "in_line"
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What became of a robot."""
+
+    folder: Path
+    trim: TrimResult
+    hover: rust.FlightResult | None
+    mission: rust.FlightResult | None
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status: 1 if the robot has no trim or does not complete a flight."""
+    given = _parser().parse_args(arguments)
+    try:
+        result = import_robot(
+            given.urdf,
+            given.out or manifest.REPOSITORY / "results" / "robot" / given.urdf.stem,
+            jets=given.jet,
+            feet=given.foot,
+            held=given.hold,
+            posture_deg=dict(given.posture),
+            forward=given.forward,
+            fly_mission=given.mission,
+        )
+    except (Refused, ValueError, OSError) as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return 2
+    print(report(result))
+    flights = [flight for flight in (result.hover, result.mission) if flight is not None]
+    return 0 if result.trim.feasible and all(flight.outcome == "completed" for flight in flights) else 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments import-robot",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("urdf", type=Path)
+    add("--out", type=Path, help="folder for the files (default: results/robot/URDF)")
+    add("--jet", action="append", default=[], type=thruster, metavar="FRAME[:AXIS]:MAX", help="greatest thrust [N]")
+    add("--foot", action="append", default=[], metavar="FRAME", help="sole frame, z up")
+    add("--hold", action="append", default=[], metavar="JOINT", help="a joint that stays at zero")
+    add("--posture", action="append", default=[], type=angle, metavar="JOINT=DEG", help="where the trim starts")
+    add("--forward", choices=["x", "y", "-x", "-y"], default="x", help="forward axis of the base")
+    add("--mission", action="store_true", help="fly the paper's mission in 10 m/s of lateral wind as well")
+    return parser
+
+
+def thruster(text: str) -> skeleton.Thruster:
+    """Read FRAME[:AXIS]:MAX; the axis is the direction of the force on the robot, -z if it is not given."""
+    frame, *axis, greatest = text.split(":")
+    direction = axis[0] if axis else "-z"
+    if len(axis) > 1 or direction not in skeleton.AXES or not 0.0 < float(greatest) < np.inf:
+        raise argparse.ArgumentTypeError(f"`{text}`: expected FRAME[:AXIS]:MAX with an axis of {list(skeleton.AXES)}")
+    return skeleton.Thruster(frame, direction, float(greatest))
+
+
+def angle(text: str) -> tuple[str, float]:
+    """Read JOINT=DEG; of a prismatic joint JOINT=M."""
+    joint, _, value = text.partition("=")
+    return joint, float(value)
+
+
+def import_robot(
+    urdf: Path,
+    folder: Path,
+    *,
+    jets: Sequence[skeleton.Thruster],
+    feet: Sequence[str] = (),
+    held: Sequence[str] = (),
+    posture_deg: dict[str, float] | None = None,
+    forward: str = "x",
+    fly_mission: bool = False,
+) -> Imported:
+    """Write a robot's files into `folder`, which must be new or empty, and fly it."""
+    if folder.exists() and any(folder.iterdir()):
+        raise Refused(f"{folder} is not empty; choose another --out")
+    element = ET.fromstring(urdf.read_text(encoding="utf-8"))
+    tree = skeleton.Tree(element)
+    text = skeleton.write(
+        tree,
+        shapes.boxes(element, urdf.parent),
+        name=element.attrib.get("name", urdf.stem),
+        urdf=urdf,
+        folder=folder,
+        jets=jets,
+        feet=feet,
+        held=held,
+        forward=forward,
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "robot.toml"
+    path.write_text(text, encoding="utf-8")
+    rust.Robot(path)  # both loaders check it
+    load_twin(path)
+    robot = load_robot(path)
+    trim = _trim(robot, posture_deg or {}, forward)
+    if not trim.feasible:
+        return Imported(folder, trim, None, None)
+    groups = [skeleton.group_name(chain) for chain in tree.chains(held)]
+    (folder / "controller.toml").write_text(
+        scenario.controller_text(robot, groups, _inertia(path, trim), folder), encoding="utf-8"
+    )
+    hover = _fly(folder, robot, trim, "hover", mission=HOVER, wind="still", duration=10.0)
+    mission = None
+    if fly_mission:
+        mission = _fly(folder, robot, trim, "mission", mission=MISSION, wind="lateral_ramp", duration=50.0)
+    return Imported(folder, trim, hover, mission)
+
+
+def _trim(robot: Robot, posture_deg: dict[str, float], forward: str) -> TrimResult:
+    """Find the attitude and posture nearest to the given ones in which thrusts carry the robot in still air."""
+    if unknown := set(posture_deg) - set(robot.joint_names):
+        raise Refused(f"`{min(unknown)}` is no joint of {robot.name}: {', '.join(robot.joint_names)}")
+    wanted = np.zeros(robot.n_joints)
+    for joint in robot.joints:
+        if joint.index is not None:
+            unit = 1.0 if joint.is_prismatic else np.pi / 180.0
+            wanted[joint.index] = unit * posture_deg.get(robot.joint_names[joint.index], 0.0)
+    # The base is turned so that the robot faces +x.
+    yaw = -float(np.arctan2(skeleton.AXES[forward][1], skeleton.AXES[forward][0]))
+    settings = TrimSettings(
+        posture=np.clip(wanted, *robot.joint_limits.T),
+        free_joints=tuple(range(robot.n_joints)),
+        roll=(-0.3, 0.3),
+        pitch=(-0.5, 0.5),
+        yaw=yaw,
+        margin_min=0.05,
+        torque_max=robot.joint_torque_max,
+        clearance_min=-1.0,  # the boxes around links say little about plumes
+        plume_length=1.0,
+        posture_weight=1.0,
+        spread_weight=1.0,  # even thrusts keep a reserve for the wind
+    )
+    return Trim(MomentumModel(robot, load_aero(study.CONFIGS / "aero" / "sphere_cylinder.toml")), settings).solve(
+        (0.0, 0.0, 0.0)
+    )
+
+
+def _inertia(path: Path, trim: TrimResult) -> float:
+    """Trace of the centroidal inertia in the trim [kg m²]."""
+    joints = np.asarray(trim.joint_position)
+    state = rust.State(np.zeros(3), rotation_of(np.asarray(trim.base_rpy)), joints, np.zeros(6 + joints.size))
+    return float(np.trace(rust.dynamics(rust.Robot(path), state).centroidal_inertia))
+
+
+def _fly(
+    folder: Path, robot: Robot, trim: TrimResult, name: str, *, mission: str, wind: str, duration: float
+) -> rust.FlightResult:
+    path = folder / f"{name}.toml"
+    text = scenario.scenario_text(robot, trim, folder, mission=mission, wind=wind, duration=duration)
+    path.write_text(text, encoding="utf-8")
+    return rust.fly(rust.load_config(path))
+
+
+def report(result: Imported) -> str:
+    """Say what became of the robot."""
+    trim = result.trim
+    lines = [
+        f"files                {result.folder}",
+        f"trim                 {trim.message}; left over {np.abs(trim.residual).max():.1e} N or N m",
+        f"thrust margin        {100.0 * trim.margin:.1f} %",
+        "thrusts [N]          " + "  ".join(f"{thrust:.1f}" for thrust in trim.thrust),
+    ]
+    for name, flight in (("hover", result.hover), ("mission", result.mission)):
+        if flight is None:
+            continue
+        why = "" if flight.outcome == "completed" else f" at {flight.fall_time:.2f} s, {flight.fall_reason}"
+        lines.append(
+            f"{name:<20} {flight.outcome}{why}; CoM within {1000.0 * flight.summary['max_com_error']:.1f} mm, "
+            f"attitude within {np.degrees(flight.summary['max_rotation_error']):.2f} deg"
+        )
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,88 @@
+"""The files that let an imported robot fly: its controller and its scenarios."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments import study
+from jax_aero.symbolic.robot import Robot
+from jax_aero.symbolic.trim import TrimResult
+
+INERTIA_OF_PUBLISHED_GAINS = 6.66
+"""Trace of the centroidal inertia of iRonCub-Mk1 when it hovers, for which c0 and c1 were published [kg m²]."""
+
+
+def controller_text(robot: Robot, groups: Sequence[str], inertia: float, folder: Path) -> str:
+    """Return the published controller for another robot: its jets and groups, attitude gains scaled by its inertia."""
+    table = study.read(study.CONFIGS / "control" / "aero_aware.toml")
+    reach = {jet.name: 0.5 * jet.thrust_max for jet in robot.jets}
+    table["aero"] = {"base": _relative(study.CONFIGS / "aero" / "sphere_cylinder.toml", folder)}
+    for key in ("c0", "c1"):
+        table["momentum"][key] *= inertia / INERTIA_OF_PUBLISHED_GAINS
+    table["posture_gain"] = dict.fromkeys(groups, 20.0)
+    pairs = [[name, _mirrored(name)] for name in reach if name != _mirrored(name) in reach and name < _mirrored(name)]
+    table["weights"] |= {"thrust_rate": dict.fromkeys(reach, 0.01), "symmetric_jets": pairs}
+    # Slower joints than published, for a robot that is not tuned yet.
+    table["weights"]["joint_velocity"] = 40.0
+    table["torque"] |= {"kd": 10.0, "kp": 25.0}
+    # Half the greatest thrust in a second; at a limit a rate fades out within as much thrust as one tick can change.
+    table["bounds"] |= {"thrust_rate_max": reach, "thrust_steepness": 100.0 / max(reach.values(), default=100.0)}
+    return f"# Controller of {robot.name}: configs/control/aero_aware.toml for its jets and joints.\n" + _toml(table)
+
+
+def scenario_text(robot: Robot, trim: TrimResult, folder: Path, *, mission: str, wind: str, duration: float) -> str:
+    """Return a flight from the trim, in the project's own mission and wind of these names."""
+    joints = ", ".join(repr(float(value)) for value in trim.joint_position)
+    thrust = ", ".join(repr(float(value)) for value in trim.thrust)
+    attitude = ", ".join(repr(float(value)) for value in np.degrees(trim.base_rpy))
+    return f"""title = "{robot.name}: {mission} in wind {wind}"
+description = "Starts in the trim that import-robot found."
+robot = "robot.toml"
+controller = {{ base = "controller.toml" }}
+envelope = {{ base = "{_relative(study.CONFIGS / "envelope" / f"{mission}.toml", folder)}" }}
+wind = {{ base = "{_relative(study.CONFIGS / "wind" / f"{wind}.toml", folder)}" }}
+
+[simulator]
+duration = {duration!r}
+time_step = 0.01
+aero = {{ base = "{_relative(study.CONFIGS / "aero" / "sphere_cylinder.toml", folder)}" }}
+jets = {{ dynamics = "ideal" }}
+fall = {{ rotation_error_deg = 90.0, com_error = 1.0 }}
+
+[simulator.initial]                               # the trim in still air
+base_position = [0.0, 0.0, 1.0]
+base_rpy_deg = [{attitude}]
+joint_position = [{joints}]
+thrust = [{thrust}]
+free_fall_tick = false
+"""
+
+
+def _mirrored(name: str) -> str:
+    """Swap left and right in a name."""
+    return "_".join({"l": "r", "r": "l", "left": "right", "right": "left"}.get(part, part) for part in name.split("_"))
+
+
+def _relative(path: Path, folder: Path) -> str:
+    return os.path.relpath(path.resolve(), folder.resolve())
+
+
+def _toml(table: Mapping[str, Any]) -> str:
+    plain = {key: value for key, value in table.items() if not isinstance(value, Mapping)}
+    lines = [f"{key} = {_value(value)}" for key, value in plain.items()]
+    for name, section in table.items():
+        if isinstance(section, Mapping):
+            lines += ["", f"[{name}]", *(f"{key} = {_value(value)}" for key, value in section.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {_value(entry)}" for key, entry in value.items()) + " }"
+    return json.dumps(value)  # numbers, texts, truth and lists are written alike

@@ -1,0 +1,261 @@
+"""From a URDF to the text of a robot's TOML file, for its user to check and refine."""
+
+from __future__ import annotations
+
+import os
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from experiments import Refused
+from experiments.import_robot.shapes import Array, Box
+from jax_aero.urdf import IDENTITY, Pose, origin_of
+
+AXES = {
+    f"{sign}{name}": (-1.0 if sign else 1.0) * row
+    for sign in ("", "-")
+    for name, row in zip("xyz", np.eye(3), strict=True)
+}
+"""Directions by name: x, y, z, -x, -y, -z."""
+
+SMALLEST_LINK = 0.1
+"""Links whose longest edge is below this are left out of the aerodynamics [m]."""
+PLACEHOLDER = 1e4
+"""Efforts and velocities from here on are no motor's: exporters write them where they know none."""
+
+
+@dataclass(frozen=True)
+class Thruster:
+    """A jet as the command line names it."""
+
+    frame: str
+    axis: str
+    thrust_max: float
+    """[N]"""
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint of the URDF."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    origin: Pose
+    limit: dict[str, str]
+
+    @property
+    def moves(self) -> bool:
+        """Whether it has a degree of freedom."""
+        return self.kind != "fixed"
+
+
+class Tree:
+    """Links and joints of a URDF, walked from the root."""
+
+    def __init__(self, urdf: ET.Element) -> None:
+        self.links = [link.attrib["name"] for link in urdf.findall("link")]
+        self.joints = [_joint(element) for element in urdf.findall("joint")]
+        carried = {joint.child for joint in self.joints}
+        roots = [link for link in self.links if link not in carried]
+        if len(roots) != 1:
+            raise Refused(f"the URDF has {len(roots)} links that no joint carries; expected one, the base")
+        self.base = roots[0]
+
+    def below(self, link: str) -> list[Joint]:
+        """Joints that hang from a link."""
+        return [joint for joint in self.joints if joint.parent == link]
+
+    def chains(self, held: Sequence[str]) -> list[list[Joint]]:
+        """Cut the moving joints, in tree order, where the tree branches; `held` ones do not count."""
+        chains: list[list[Joint]] = []
+
+        def walk(link: str, chain: list[Joint]) -> None:
+            ahead = list(self._next(link, held))
+            for joint in ahead:
+                follows = chain if len(ahead) == 1 and chain else []
+                if not follows:
+                    chains.append(follows)
+                follows.append(joint)
+                walk(joint.child, follows)
+
+        walk(self.base, [])
+        return chains
+
+    def _next(self, link: str, held: Sequence[str]) -> Iterator[Joint]:
+        for joint in self.below(link):
+            if joint.moves and joint.name not in held:
+                yield joint
+            else:
+                yield from self._next(joint.child, held)
+
+    def rigid_part(self, link: str) -> dict[str, Pose]:
+        """Links that fixed joints join to one, and their poses in its axes."""
+        placed = {link: IDENTITY}
+        waiting = [link]
+        while waiting:
+            here = waiting.pop()
+            for joint in self.joints:
+                if joint.moves:
+                    continue
+                if joint.parent == here and joint.child not in placed:
+                    placed[joint.child] = placed[here] @ joint.origin
+                    waiting.append(joint.child)
+                elif joint.child == here and joint.parent not in placed:
+                    r = joint.origin.rotation.T
+                    placed[joint.parent] = placed[here] @ Pose(r, -r @ joint.origin.position)
+                    waiting.append(joint.parent)
+        return placed
+
+
+def _joint(element: ET.Element) -> Joint:
+    ends = [element.find(tag) for tag in ("parent", "child")]
+    parent, child = ("" if end is None else end.get("link", "") for end in ends)
+    limit = element.find("limit")
+    return Joint(
+        element.get("name", ""),
+        element.get("type", ""),
+        parent,
+        child,
+        origin_of(element),
+        {} if limit is None else dict(limit.attrib),
+    )
+
+
+def write(
+    tree: Tree,
+    boxes: dict[str, Box],
+    *,
+    name: str,
+    urdf: Path,
+    folder: Path,
+    jets: Sequence[Thruster],
+    feet: Sequence[str],
+    held: Sequence[str],
+    forward: str,
+) -> str:
+    """Return the text of the TOML file that stands in `folder`."""
+    for kind, frames in (("jet", [jet.frame for jet in jets]), ("foot", feet)):
+        if unknown := [frame for frame in frames if frame not in tree.links]:
+            raise Refused(f"{kind} frame `{unknown[0]}` is no link of the URDF; there are {', '.join(tree.links)}")
+    if unknown := [joint for joint in held if joint not in [known.name for known in tree.joints]]:
+        raise Refused(f"`{unknown[0]}` is no joint of the URDF")
+    lines = [
+        f"# {name}: made from its URDF by `python -m experiments import-robot`. Check what is marked with (?).",
+        "# SI units and radians, except keys ending in `_deg`; throttle is in percent.",
+        "",
+        f'name = "{name}"',
+        f'urdf = "{os.path.relpath(urdf.resolve(), folder.resolve())}"',
+        f'base_link = "{tree.base}"',
+    ]
+    if forward != "x":
+        lines.append(f"forward_axis = {_row(AXES[forward])}")
+    if held:
+        lines.append(f"locked = {{ {', '.join(f'{joint} = 0.0' for joint in held)} }}")
+    lines += ["", "# --- joints, in tree order, a group for each chain ---", *_groups(tree.chains(held))]
+    links = {link: box for link, box in boxes.items() if box.size.max() >= SMALLEST_LINK}
+    lines += ["", "# --- aerodynamic links: cylinders and spheres of the size of the geometry (?) ---"]
+    for link, box in links.items():
+        lines += _aero_link(link, box)
+    lines += [
+        "",
+        "# Force areas in m2: drag coefficient 0.5 of a sphere, 1.0 across and 0.8 along a cylinder (?).",
+    ]
+    lines += ["[coefficients.estimated]", *(_areas(link, box) for link, box in links.items())]
+    lines += ["", "# --- jets ---", *_jets(jets), "", "# --- feet: extent of the foot's geometry (?) ---"]
+    for foot in feet:
+        lines += _foot(tree, boxes, foot)
+    return "\n".join(lines) + "\n"
+
+
+def _row(values: Array | Sequence[float]) -> str:
+    return "[" + ", ".join(repr(round(float(value), 6) + 0.0) for value in values) + "]"
+
+
+def group_name(chain: Sequence[Joint]) -> str:
+    """Name a chain after its first joint."""
+    return f"{chain[0].name}_chain"
+
+
+def _groups(chains: Sequence[Sequence[Joint]]) -> list[str]:
+    lines = []
+    for chain in chains:
+        lines += ["", "[[joint_groups]]", f'name = "{group_name(chain)}"', "joints = ["]
+        lines += [f"    {{ {', '.join(_joint_entry(joint))} }}," for joint in chain]
+        lines += ["]"]
+    return lines
+
+
+def _joint_entry(joint: Joint) -> list[str]:
+    entry = [f'name = "{joint.name}"']
+    effort, velocity = (float(joint.limit.get(key, "0")) for key in ("effort", "velocity"))
+    turns = joint.kind != "prismatic"
+    if joint.kind == "continuous":
+        entry.append("limits_deg = [-180.0, 180.0]")
+    if not 0.0 < effort < PLACEHOLDER:
+        entry.append("torque_max = 100.0")
+    if not 0.0 < velocity < PLACEHOLDER:
+        entry.append("velocity_max_deg = 180.0" if turns else "velocity_max = 1.0")
+    return entry
+
+
+def _cylinder(box: Box) -> tuple[Array, float, float, bool]:
+    """Axis in link axes, diameter, length, and whether it is better taken as a sphere."""
+    edges = np.sort(box.size)
+    if box.is_sphere or edges[2] < 1.2 * edges[0]:
+        diameter = float(np.cbrt(np.prod(edges)))
+        return np.asarray(box.pose.rotation[:, 2]), diameter, diameter, True
+    # The edge that differs most from the other two is the axis: the long one of a limb, the short one of a plate.
+    axis = int(np.argmax(box.size)) if edges[2] / edges[1] >= edges[1] / edges[0] else int(np.argmin(box.size))
+    across = np.delete(box.size, axis)
+    return np.asarray(box.pose.rotation[:, axis]), float(np.sqrt(np.prod(across))), float(box.size[axis]), False
+
+
+def _aero_link(link: str, box: Box) -> list[str]:
+    axis, diameter, length, is_sphere = _cylinder(box)
+    lines = ["", "[[aero_links]]", f'name = "{link}"', f'frame = "{link}"', f'family = "{link}"']
+    exact = "[" + ", ".join(repr(float(value) + 0.0) for value in axis) + "]"
+    lines += [f"axis = {exact}", f"centre = {_row(box.pose.position)}"]
+    lines += [f"diameter = {diameter:.4g}", f"length = {length:.4g}"]
+    return [*lines, "is_sphere = true"] if is_sphere else lines
+
+
+def _areas(link: str, box: Box) -> str:
+    _, diameter, length, is_sphere = _cylinder(box)
+    disc = 0.25 * np.pi * diameter**2
+    if is_sphere:
+        return f"{link} = {{ cda = [{0.5 * disc:.4g}, 0.0, 0.0, 0.0, 0.0], cna = 0.0 }}"
+    side = diameter * length
+    return f"{link} = {{ cda = [{0.8 * disc:.4g}, 0.0, {side - 0.8 * disc:.4g}, 0.0, 0.0], cna = {side / 3.0:.4g} }}"
+
+
+def _jets(jets: Sequence[Thruster]) -> list[str]:
+    lines = []
+    for jet in jets:
+        lines += ["", "[[jets]]", f'name = "{jet.frame}"', f'frame = "{jet.frame}"', f"axis = {_row(AXES[jet.axis])}"]
+        lines += [f"thrust_max = {jet.thrust_max!r}", f'engine = "linear_{jet.thrust_max:g}"'.replace(".", "_")]
+    for greatest in sorted({jet.thrust_max for jet in jets}):
+        name = f"linear_{greatest:g}".replace(".", "_")
+        lines += ["", "# Linear, critically damped at 3 rad/s, full thrust at full throttle (?).", f"[engines.{name}]"]
+        values = {"k_t": -9.0, "k_d": -6.0, "b_u": 0.09 * greatest, "throttle_min": 0.0, "throttle_max": 100.0}
+        keys = ("k_t", "k_tt", "k_d", "k_dd", "k_td", "b_u", "b_t", "b_d", "b_uu", "c", "throttle_min", "throttle_max")
+        lines += [f"{key} = {values.get(key, 0.0)!r}" for key in keys]
+    return lines
+
+
+def _foot(tree: Tree, boxes: dict[str, Box], frame: str) -> list[str]:
+    """Take as a rectangle the corners of the foot's boxes within 5 cm above the lowest, in axes of the frame."""
+    part = tree.rigid_part(frame)
+    corners = [boxes[link].corners @ pose.rotation.T + pose.position for link, pose in part.items() if link in boxes]
+    if not corners:
+        raise Refused(f"foot `{frame}`: no link that is fixed to it has geometry")
+    points = np.concatenate(corners)
+    low_points = points[points[:, 2] <= points[:, 2].min() + 0.05]
+    (x_min, y_min), (x_max, y_max) = low_points[:, :2].min(axis=0), low_points[:, :2].max(axis=0)
+    vertices = [[x_min, y_max, 0.0], [x_max, y_max, 0.0], [x_max, y_min, 0.0], [x_min, y_min, 0.0]]
+    rows = ", ".join(_row(vertex) for vertex in vertices)
+    return ["", "[[feet]]", f'name = "{frame}"', f'frame = "{frame}"', f"vertices = [{rows}]"]

@@ -1,0 +1,67 @@
+//! What each joint may do: the URDF says, the robot's TOML file may say otherwise.
+
+use super::tree::{Tree, TreeJoint};
+use super::{JointEntry, RobotFile};
+use flight_core::error::{BuildError, check as check_number};
+use flight_core::robot::{Joint, JointKind, check};
+
+/// The joints of the groups, in their order.
+pub(super) fn joints(file: &RobotFile, tree: &Tree) -> Result<Vec<Joint>, BuildError> {
+    let entries = file.joint_groups.iter().flat_map(|group| &group.joints);
+    entries.zip(&tree.joints).map(|(entry, in_urdf)| joint(entry, in_urdf)).collect()
+}
+
+fn joint(entry: &JointEntry, in_urdf: &TreeJoint) -> Result<Joint, BuildError> {
+    // Keys of the other kind of joint are refused, so that no unit is taken for another.
+    let (limits_key, velocity_key, per_unit, given, other) = match in_urdf.kind {
+        JointKind::Revolute => (
+            "limits_deg",
+            "velocity_max_deg",
+            1_f64.to_radians(),
+            (entry.limits_deg, entry.velocity_max_deg),
+            [("limits", entry.limits.is_some()), ("velocity_max", entry.velocity_max.is_some())],
+        ),
+        JointKind::Prismatic => (
+            "limits",
+            "velocity_max",
+            1.0,
+            (entry.limits, entry.velocity_max),
+            [
+                ("limits_deg", entry.limits_deg.is_some()),
+                ("velocity_max_deg", entry.velocity_max_deg.is_some()),
+            ],
+        ),
+    };
+    let of = |key: &str| format!("{key} of joint `{}`", entry.name);
+    if let Some((key, _)) = other.iter().find(|(_, is_given)| *is_given) {
+        let kind = format!("a key of a joint that is not {:?}", in_urdf.kind).to_lowercase();
+        return Err(BuildError::bad_value(of(key), kind, format!("{limits_key} and {velocity_key}")));
+    }
+    let limits = match given.0 {
+        Some([lower, upper]) => {
+            check::interval(&of(limits_key), lower, upper)?;
+            (lower * per_unit, upper * per_unit)
+        }
+        None => in_urdf
+            .limits
+            .ok_or_else(|| missing(&of(limits_key), "limits, as the joint is continuous in the URDF"))?,
+    };
+    let greatest = |key: &str, unit: f64, given: Option<f64>, urdf: Option<f64>| match given {
+        Some(value) => check_number(&of(key), value, |x| x > 0.0, "a positive number").map(|x| x * unit),
+        None => urdf.ok_or_else(|| missing(&of(key), "a positive number, as the URDF has none")),
+    };
+    Ok(Joint {
+        name: entry.name.clone(),
+        kind: in_urdf.kind,
+        parent_from_child: in_urdf.parent_from_child,
+        axis_b: in_urdf.axis_b,
+        limits,
+        torque_max: greatest("torque_max", 1.0, entry.torque_max, in_urdf.torque_max)?,
+        torque_rate_max: greatest("torque_rate_max", 1.0, entry.torque_rate_max, Some(f64::INFINITY))?,
+        velocity_max: greatest(velocity_key, per_unit, given.1, in_urdf.velocity_max)?,
+    })
+}
+
+fn missing(item: &str, expected: &str) -> BuildError {
+    BuildError::bad_value(item, "missing", expected)
+}

@@ -1,0 +1,142 @@
+"""Robots without joints, without jets and with prismatic joints fly, in both engines alike; limits are each joint's."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments import engines
+from jax_aero import rust
+from jax_aero.robot import load_robot
+
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+
+
+def both(config):
+    """Fly a configuration in the crate and in JAX."""
+    return rust.fly(config), engines.engine("jax").fly(config, None)
+
+
+def hover_of(robot, jets, duration):
+    """The platform's experiment with another robot and its jets."""
+    config = rust.load_config(CONFIGS / "experiments/platform_hover.toml")
+    config["robot"] = str(robot)
+    config["simulator"]["duration"] = duration
+    config["controller"]["weights"]["thrust_rate"] = dict.fromkeys(jets, 0.01)
+    config["controller"]["bounds"]["thrust_rate_max"] = dict.fromkeys(jets, 100.0)
+    return config
+
+
+def largest_difference(one, other):
+    """Over signals, of what an engine decides itself; the last entries of a QP's own report are rounding."""
+    return max(
+        np.abs(one.log[name] - other.log[name]).max(initial=0.0)
+        for name in ("com_position", "base_quaternion", "base_velocity", "joint_position", "joint_torque", "thrust")
+    )
+
+
+@pytest.fixture
+def without_jets(tmp_path):
+    """The platform's plate alone."""
+    text = (CONFIGS / "robot/platform.toml").read_text()
+    head, rest = text.split("[[jets]]", 1)
+    (tmp_path / "plate.toml").write_text(head + rest[rest.index("[engines.E80]") :])
+    (tmp_path / "platform.urdf").write_text((CONFIGS / "robot/platform.urdf").read_text())
+    return tmp_path / "plate.toml"
+
+
+def test_a_platform_without_joints_hovers_in_both_engines():
+    ours, twin = both(rust.load_config(CONFIGS / "experiments/platform_hover.toml"))
+    for flight in (ours, twin):
+        assert flight.outcome == "completed"
+        assert flight.summary["max_com_error"] < 0.01
+        assert flight.summary["max_torque"] == 0.0
+    # A hover of 1000 ticks in a stable closed loop: rounding does not grow.
+    assert largest_difference(ours, twin) < 1e-9
+
+
+def test_a_robot_without_jets_falls_as_gravity_has_it(without_jets):
+    config = hover_of(without_jets, (), duration=0.4)
+    config["simulator"]["initial"]["thrust"] = []
+    config["simulator"]["aero"] = config["controller"]["aero"] = {"model": "off"}
+    ours, twin = both(config)
+    ticks = np.arange(41)
+    expected = 0.8 - 9.81 * 0.01**2 * ticks * (ticks + 1) / 2  # semi-implicit Euler
+    for flight in (ours, twin):
+        assert flight.outcome == "completed"
+        assert np.abs(flight.log["com_position"][:, 2] - expected).max() < 1e-12
+        assert (flight.log["qp_status"] == 0).all()
+
+
+def slider():
+    """The robot with prismatic joints, held for half a second by a controller of its own."""
+    config = hover_of(CONFIGS / "robot/slider.toml", ("front_jet", "back_jet", "piston_jet"), duration=0.5)
+    config["controller"]["posture_gain"] = {"boom": 20.0}
+    config["simulator"]["initial"] |= {"joint_position": [0.02, 0.1, 0.01], "thrust": [40.0, 45.0, 40.0]}
+    return config
+
+
+def test_prismatic_joints_fly_in_both_engines():
+    ours, twin = both(slider())
+    assert (ours.log["qp_status"] == 0).all()
+    assert np.abs(np.diff(ours.log["joint_position"], axis=0)).max() > 1e-4  # they move
+    assert largest_difference(ours, twin) < 1e-9
+
+
+def test_torques_and_their_rates_and_velocities_keep_to_each_joints_own_limits():
+    robot = load_robot(CONFIGS / "robot/slider.toml")
+    # TOML over URDF: force [N] and torque [N m], rates, velocities.
+    assert robot.joint_torque_max.tolist() == [100.0, 30.0, 80.0]
+    assert robot.joint_torque_rate_max.tolist() == [900.0, np.inf, np.inf]
+    assert np.allclose(robot.joint_velocity_max, [0.4, np.pi / 2, 0.5], rtol=1e-15)
+    config = slider()
+    config["simulator"]["initial"]["joint_position"] = [0.1, 0.5, 0.0]
+    flight = rust.fly(config)
+    torque = flight.log["joint_torque"]
+    assert (np.abs(torque) <= robot.joint_torque_max + 1e-9).all()
+    assert np.abs(np.diff(torque[:, 0])).max() <= 9.0 + 1e-9
+    assert (np.abs(flight.log["joint_velocity_command"]) <= robot.joint_velocity_max + 1e-9).all()
+    # What a controller says instead holds for joints that turn, and not for N and m/s.
+    config["controller"]["torque"]["torque_max"] = 7.0
+    config["controller"]["bounds"]["joint_velocity_max_deg"] = 10.0
+    tick = rust.Controller(config).tick(
+        rust.State(np.zeros(3), np.eye(3), np.array([0.1, 0.5, 0.0]), np.zeros(9)), np.full(3, 40.0), np.zeros(3)
+    )
+    assert tick.torque_qp.upper.tolist() == [100.0, 7.0, 80.0]
+    assert tick.momentum_qp.upper[4] <= np.radians(10.0)
+
+
+def test_the_legs_of_mk1_have_the_torques_of_their_motors():
+    """Ten joints can give 37 N m; the published 50 N m for all are a configuration."""
+    robot = load_robot(CONFIGS / "robot/ironcub_mk1.toml")
+    assert np.count_nonzero(robot.joint_torque_max == 37.0) == 10
+    state = rust.State(np.zeros(3), np.eye(3), np.zeros(23), np.zeros(29))
+    for name, expected in (("test2", robot.joint_torque_max), ("test2_published", np.full(23, 50.0))):
+        tick = rust.Controller(rust.load_config(CONFIGS / f"experiments/{name}.toml")).tick(
+            state, np.full(4, 100.0), np.zeros(3)
+        )
+        assert tick.torque_qp.upper.tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("limits = [-0.12, 0.15]", "limits_deg = [-10.0, 10.0]", ["limits_deg of joint `rail`", "prismatic"]),
+        ("velocity_max_deg = 90.0", "velocity_max = 1.0", ["velocity_max of joint `hinge`", "revolute"]),
+        ("torque_max = 100.0", "torque_max = -1.0", ["torque_max of joint `rail`", "-1"]),
+        ("torque_rate_max = 900.0", "torque_rat_max = 900.0", ["torque_rat_max", "torque_rate_max"]),
+        ('effort="30"', 'effort="-30"', ["effort", "joint `hinge`", "-30"]),
+        ('effort="80"', "", ["torque_max of joint `stroke`", "missing"]),
+        ('type="prismatic"', 'type="planar"', ["joint `rail`", "planar"]),
+        ('<axis xyz="1 0 0"/>', '<axis xyz="1 0 0"/><mimic joint="rail"/>', ["joint `hinge`", "mimic", "`rail`"]),
+    ],
+)
+def test_joints_that_cannot_be_are_refused_in_both_languages(tmp_path, old, new, words):
+    texts = {suffix: (CONFIGS / f"robot/slider{suffix}").read_text() for suffix in (".toml", ".urdf")}
+    assert any(old in text for text in texts.values())
+    for suffix, text in texts.items():
+        (tmp_path / f"slider{suffix}").write_text(text.replace(old, new, 1))
+    for load in (rust.Robot, load_robot):
+        with pytest.raises(ValueError) as refusal:  # noqa: PT011 - the words follow
+            load(tmp_path / "slider.toml")
+        assert all(word in str(refusal.value) for word in words), refusal.value
