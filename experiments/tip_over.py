@@ -147,7 +147,7 @@ def trial(
         "ramp_start": config.ramp.lower,
         "ramp_end": config.ramp.upper,
     }
-    changed = {**base, "wind": wind, "fictitious_wind": wind if is_measured else STILL}
+    changed = {**base, "wind": wind, "disturbances": {"controller_wind": wind if is_measured else STILL}}
     ground = {**base["simulator"]["ground"], "friction": friction}
     changed["simulator"] = {**base["simulator"], "duration": config.duration, "ground": ground}
     return changed

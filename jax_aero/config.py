@@ -13,6 +13,8 @@ here unknown and missing keys are refused once more, so that no setting is ever 
 from __future__ import annotations
 
 import difflib
+import functools
+import operator
 import types
 import typing
 from collections.abc import Mapping
@@ -439,8 +441,6 @@ class ControllerConfig:
     jacobian_offset: Static[JacobianOffset] = "link_rotation"
     link_velocity: Static[LinkVelocity] = "at_centre"
     qp: QpConfig = field(default_factory=QpConfig)
-    model_error: ModelError | None = None
-    wind_estimate: WindEstimateConfig | None = None
 
 
 @pytree
@@ -525,13 +525,27 @@ class SimulatorConfig:
     lever_arm: Static[LeverArm] = "rotated"
     kinematics: Static[Literal["current", "frozen"]] = "current"
     """Which kinematics place the links in the wind."""
-    aero_factors: ForceFactorsConfig | None = None
-    jet_faults: JetFaultsConfig | None = None
 
     @property
     def n_ticks(self) -> int:
         """Number of ticks after the one at time zero."""
         return int(np.floor(self.duration / self.time_step + 0.5))
+
+
+@pytree
+class Disturbances:
+    """What is done to robot and controller; none of it is part of the controller."""
+
+    wind_estimate: WindEstimateConfig | None = None
+    """Errors of the wind that the controller is given; without them it is the true one."""
+    controller_wind: WindConfig | None = None
+    """A wind that the controller is given in place of the one that blows."""
+    model_error: ModelError | None = None
+    """How the controller's robot differs from the one that flies."""
+    aero: ForceFactorsConfig | None = None
+    """Factors on the simulated aerodynamic forces."""
+    jets: JetFaultsConfig | None = None
+    """What is wrong with the jets."""
 
 
 @pytree
@@ -544,6 +558,7 @@ class FlightConfig:
     controller: ControllerConfig
     envelope: EnvelopeConfig
     wind: WindConfig
+    disturbances: Disturbances = field(default_factory=Disturbances)
     title: Static[str] = ""
     description: Static[str] = ""
     engine: Static[Literal["rust", "jax"]] = "rust"
@@ -665,10 +680,11 @@ def _build(cls: type[T], table: Mapping[str, Any], where: str) -> T:
 
 
 def _value(hint: Any, value: Any, where: str) -> Any:
+    if isinstance(hint, types.UnionType):  # `X | None`
+        options = [option for option in typing.get_args(hint) if option is not type(None)]
+        hint = functools.reduce(operator.or_, options)
     if hint in _TAGS:
         return _build_union(hint, value, where)
-    if isinstance(hint, types.UnionType):  # `X | None`
-        hint = next(option for option in typing.get_args(hint) if option is not type(None))
     if hint is RecordedReference:
         return recorded_reference(value)
     if is_dataclass(hint):

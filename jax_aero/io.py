@@ -25,7 +25,7 @@ MAX_DEPTH = 16
 PATH_KEYS = ("robot", "path", "file", "card")
 """Keys whose value is a path, made absolute on reading."""
 
-KINDS = {"aero": "model", "jets": "dynamics", "wind": "profile", "fictitious_wind": "profile"}
+KINDS = {"aero": "model", "jets": "dynamics", "wind": "profile", "controller_wind": "profile"}
 """Tables of several kinds, with the key that says which kind one is."""
 
 

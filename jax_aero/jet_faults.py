@@ -70,9 +70,9 @@ def start_faults(
     """
     names, failure = robot.jets.names, settings.failure
     if failure is not None and failure.jet not in names:
-        raise ValueError(f"jet_faults.failure.jet is `{failure.jet}`; {robot.name} has {', '.join(names)}")
+        raise ValueError(f"disturbances.jets.failure.jet is `{failure.jet}`; {robot.name} has {', '.join(names)}")
     if settings.measurement_noise is not None and isinstance(dynamics, Ideal):
-        raise ValueError("jet_faults.measurement_noise disturbs estimators, which jets of dynamics `ideal` do not have")
+        raise ValueError("disturbances.jets.measurement_noise disturbs estimators; jets of dynamics `ideal` have none")
     thrust_max, zero = jnp.asarray(robot.jets.thrust_max), jnp.zeros(())
     scale = settings.thrust_limit_scale
     drawn: Array | None = None

@@ -229,15 +229,14 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
     simulator = config["simulator"]
     if "ground" not in simulator:
         raise ValueError("`simulator.ground` is absent; expected a table: this engine flies nothing without ground")
-    for key in ("aero_factors", "jet_faults"):
-        if key in simulator:
-            raise ValueError(f"this engine does not support `simulator.{key}`")
-    if "wind_estimate" in config["controller"]:
-        raise ValueError("this engine does not support `controller.wind_estimate`")
+    disturbances = config.get("disturbances", {})
+    for key in ("aero", "jets", "wind_estimate"):
+        if key in disturbances:
+            raise ValueError(f"this engine does not support `disturbances.{key}`")
     plant, controller = GroundPlant(config), rust.Controller(config)
     times = _times(simulator)
     blowing = rust.wind_velocity(config["wind"], times)
-    measured = rust.wind_velocity(config.get("fictitious_wind", config["wind"]), times)
+    measured = rust.wind_velocity(disturbances.get("controller_wind", config["wind"]), times)
     thrust = np.asarray(simulator["initial"]["thrust"], dtype=np.float64)
     rows: list[dict[str, Any]] = []
     fall: tuple[float, str] | None = None

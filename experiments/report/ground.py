@@ -51,9 +51,9 @@ def read(folder: Path, mass: float) -> Ground | None:
     if document is None:
         return None
     with xr.open_dataset(folder / record.RUN_FILE, engine="h5netcdf") as opened:
-        if "contact_force" not in opened or "fictitious_wind" not in document["config"]:
+        if "contact_force" not in opened or "controller_wind" not in document["config"].get("disturbances", {}):
             return None
-        start = float(document["config"]["fictitious_wind"].get("ramp_start", 0.0))
+        start = float(document["config"]["disturbances"]["controller_wind"].get("ramp_start", 0.0))
         return measure(folder.name, opened.load(), start, mass)
 
 

@@ -13,10 +13,10 @@ import numpy as np
 
 from jax_aero import keys, tables
 
-SEED_KEYS = ("wind.seed", "controller.wind_estimate.seed", "simulator.jet_faults.measurement_noise.seed")
+SEED_KEYS = ("wind.seed", "disturbances.wind_estimate.seed", "disturbances.jets.measurement_noise.seed")
 """Keys that get a seed of their own in every repeat, where their table is there and made of chance."""
 
-CHANCE = {"wind": ("time_scale",), "controller.wind_estimate": (), "simulator.jet_faults.measurement_noise": ()}
+CHANCE = {"wind": ("time_scale",), "disturbances.wind_estimate": (), "disturbances.jets.measurement_noise": ()}
 """Keys that mark a table of random numbers."""
 
 
@@ -60,7 +60,7 @@ class Perturbation(tables.Table, frozen=True):
         if self.thrust:
             initial["thrust"] = [max(0.0, thrust) for thrust in initial["thrust"]]
         self._blow(config["wind"], around)
-        self._reshape(config["simulator"], around, links)
+        self._reshape(config, around, links)
         _seed(config, streams[-1])
 
     def _blow(self, wind: dict[str, Any], around: Any) -> None:
@@ -71,10 +71,10 @@ class Perturbation(tables.Table, frozen=True):
         cos, sin = math.cos(math.radians(turn)), math.sin(math.radians(turn))
         wind["velocity"] = [factor * (cos * x - sin * y), factor * (sin * x + cos * y), factor * z]
 
-    def _reshape(self, simulator: dict[str, Any], around: Any, links: Sequence[str]) -> None:
+    def _reshape(self, config: dict[str, Any], around: Any, links: Sequence[str]) -> None:
         if not (self.drag or self.normal or self.link):
             return
-        factors = simulator.setdefault("aero_factors", {})
+        factors = config.setdefault("disturbances", {}).setdefault("aero", {})
         for name in ("drag", "normal"):
             if getattr(self, name):
                 factors[name] = factors.get(name, 1.0) * around(name, [1.0])[0]

@@ -25,7 +25,7 @@ class ForceFactors:
     """On the whole force of a link."""
 
 
-def force_factors(settings: ForceFactorsConfig, robot: RobotModel, table: str = "aero_factors") -> ForceFactors:
+def force_factors(settings: ForceFactorsConfig, robot: RobotModel, table: str = "disturbances.aero") -> ForceFactors:
     """Bring factors into the order of the links; links that are not named keep their force. Errors name the `table`."""
     names = robot.aero_links.names
     if unknown := set(settings.links) - set(names):

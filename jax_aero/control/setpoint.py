@@ -168,6 +168,7 @@ class SetpointState(NamedTuple):
 
 def setpoint_params(config: SetpointConfig, forward_axis: Array, time_step: Array) -> SetpointParams:
     """Compute the generator's numbers for ticks of `time_step` [s] and a robot's forward axis (3,) in base axes."""
+    forward_axis = jnp.asarray(forward_axis)
     up = jnp.array([0.0, 0.0, 1.0], forward_axis.dtype)
     return SetpointParams(
         speed=config.speed,

@@ -29,7 +29,7 @@ from jax_aero.aero import (
     weighted,
 )
 from jax_aero.aero.network_card import load_network
-from jax_aero.config import Backend, InitialConfig, Integrator, LeverArm, SimulatorConfig
+from jax_aero.config import Backend, Disturbances, InitialConfig, Integrator, LeverArm, SimulatorConfig
 from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.jet_faults import FaultState, JetFaults, delayed, limited, measured, start_faults
 from jax_aero.jets import JetDynamics, JetsState, jet_dynamics
@@ -83,6 +83,7 @@ class Observation(NamedTuple):
 
 def start_plant(
     config: SimulatorConfig,
+    disturbances: Disturbances,
     robot: RobotModel,
     aero: AeroModel | None = None,
     jets: JetDynamics | None = None,
@@ -101,12 +102,12 @@ def start_plant(
     _check(initial, robot)
     jets = jets or jet_dynamics(config.jets, robot)
     faults, fault_state = None, None
-    if config.jet_faults is not None:
-        faults, fault_state = start_faults(config.jet_faults, config.jets, robot, config.n_ticks)
+    if disturbances.jets is not None:
+        faults, fault_state = start_faults(disturbances.jets, config.jets, robot, config.n_ticks)
     plant = Plant(
         robot=robot,
         aero=aero or aero_model(config.aero, robot, read_network),
-        aero_factors=None if config.aero_factors is None else force_factors(config.aero_factors, robot),
+        aero_factors=None if disturbances.aero is None else force_factors(disturbances.aero, robot),
         jets=jets,
         jet_faults=faults,
         time_step=jnp.asarray(config.time_step, jnp.asarray(initial.joint_position).dtype),

@@ -61,6 +61,8 @@ class Scenario:
     fall: FallConfig
     controller_model: RobotModel | None
     """The robot as the controller models it; `None` if that is the robot that flies."""
+    controller_wind: WindConfig | None
+    """Wind that the controller measures in place of the one that blows."""
     wind_estimate: WindEstimate | None
     """Errors of the measured wind; `None` if it is measured exactly."""
     n_ticks: Int[Array, ""]
@@ -159,14 +161,15 @@ def prepare(
         config = flight_config(config)
     if robot is None:
         robot = load_robot(config.robot)
-    plant, state = world.start_plant(config.simulator, robot, aero, jets, read_network)
-    errors = config.controller.wind_estimate
+    plant, state = world.start_plant(config.simulator, config.disturbances, robot, aero, jets, read_network)
+    errors = config.disturbances.wind_estimate
     scenario = Scenario(
         plant=plant,
         controller=controller or momentum_controller(config, robot, read_network),
         wind=config.wind,
         fall=config.simulator.fall,
         controller_model=controller_model(config, robot),
+        controller_wind=config.disturbances.controller_wind,
         wind_estimate=None if errors is None else wind_estimate(errors, plant.time_step, _winds(config)),
         n_ticks=jnp.array(config.simulator.n_ticks, jnp.int32),
         precision="",
@@ -181,15 +184,17 @@ def in_precision(scenario: Scenario, state: FlightState, dtype: Any) -> tuple[Sc
 
 
 def _winds(config: FlightConfig) -> Array:
-    """Wind at every tick of the flight (ticks, 3) [m/s]."""
+    """Wind that the controller is given at every tick of the flight, without errors (ticks, 3) [m/s]."""
     times = jnp.arange(config.simulator.n_ticks + 1) * config.simulator.time_step
-    winds: Array = jax.jit(jax.vmap(wind_velocity, in_axes=(None, 0)))(config.wind, times)
+    winds: Array = jax.jit(jax.vmap(wind_velocity, in_axes=(None, 0)))(
+        config.disturbances.controller_wind or config.wind, times
+    )
     return winds
 
 
 def controller_model(config: FlightConfig, robot: RobotModel) -> RobotModel | None:
     """Return the controller's model of the robot; `None` if it is the one that flies."""
-    error, faults = config.controller.model_error, config.simulator.jet_faults
+    error, faults = config.disturbances.model_error, config.disturbances.jets
     model = robot
     if faults is not None and faults.limit_is_known:
         model = replace(robot, jets=replace(robot.jets, thrust_max=known_limits(faults, robot)))
@@ -237,7 +242,8 @@ def step(scenario: Scenario, state: FlightState, tick: Array) -> tuple[FlightSta
     at_rest = world.at_rest(state.plant)
     now, air = where(is_finite, (state.plant, wind), (at_rest, jnp.zeros_like(wind)))
 
-    measured = air if scenario.wind_estimate is None else _measured_wind(scenario, state, tick)
+    given = air if scenario.controller_wind is None else wind_velocity(scenario.controller_wind, time)
+    measured = given if scenario.wind_estimate is None else _measured_wind(scenario, state, tick)
     model = plant.robot if scenario.controller_model is None else scenario.controller_model
     measurement = Measurement(time, now.robot, plant.jets.feedback(now.jets), measured)
     memory, command = scenario.controller.step(model, state.controller, measurement)
@@ -302,8 +308,10 @@ def _nan_unless(condition: Array, tree: Tree) -> Tree:
 def _measured_wind(scenario: Scenario, state: FlightState, tick: Array) -> Array:
     assert scenario.wind_estimate is not None
 
+    source = scenario.wind if scenario.controller_wind is None else scenario.controller_wind
+
     def wind_at(time: Array) -> Array:
-        return wind_velocity(scenario.wind, time)
+        return wind_velocity(source, time)
 
     return measured_wind(scenario.wind_estimate, wind_at, state.measured_wind, tick, scenario.plant.time_step)
 

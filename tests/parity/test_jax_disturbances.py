@@ -16,7 +16,7 @@ TOLERANCE = 1e-9
 # What all have, so that they are of one structure: engines with estimators, turbulence, another robot, factors.
 COMMON = {
     "simulator.duration": 4.0,
-    "controller.model_error.mass_scale": 1.01,
+    "disturbances.model_error.mass_scale": 1.01,
     "controller.aero_feedback.drag": 0.8,
     "controller.aero_feedback.normal": 1.2,
 }
@@ -31,25 +31,25 @@ TURBULENT = {
 }
 CASES = {
     "a late and noisy estimate, a jet that fades": {
-        "controller.wind_estimate": {"bias": [0.4, 0.2, -0.3], "noise_std": 0.6, "delay": 0.13, "time_constant": 0.2},
+        "disturbances.wind_estimate": {"bias": [0.4, 0.2, -0.3], "noise_std": 0.6, "delay": 0.13, "time_constant": 0.2},
         "controller.aero_feedback.force": False,
-        "simulator.jet_faults.failure": {"jet": "chest_l_jet", "time": 3.4, "kind": "off", "decay": 0.4},
-        "simulator.jet_faults.measurement_noise": {"std": 2.0, "seed": 3},
-        "simulator.jet_faults.lag": 0.05,
+        "disturbances.jets.failure": {"jet": "chest_l_jet", "time": 3.4, "kind": "off", "decay": 0.4},
+        "disturbances.jets.measurement_noise": {"std": 2.0, "seed": 3},
+        "disturbances.jets.lag": 0.05,
     },
     "the mean alone, a jet that is stuck": {
-        "controller.wind_estimate": {"mean_only": True, "noise_std": 0.1, "seed": 5},
+        "disturbances.wind_estimate": {"mean_only": True, "noise_std": 0.1, "seed": 5},
         "controller.aero_feedback.moment": False,
-        "simulator.jet_faults.failure": {"jet": "l_arm_jet", "time": 2.0, "kind": "stuck"},
+        "disturbances.jets.failure": {"jet": "l_arm_jet", "time": 2.0, "kind": "stuck"},
     },
     "noise as it comes, weak jets that are known to be weak": {
-        "controller.wind_estimate": {"noise_std": 1.5, "seed": 2**40 + 1},
+        "disturbances.wind_estimate": {"noise_std": 1.5, "seed": 2**40 + 1},
         "controller.aero_feedback.links": {"chest": 0.3, "l_upper_leg": 1.6},
-        "simulator.jet_faults": {"thrust_limit_scale": 0.62, "limit_is_known": True},
+        "disturbances.jets": {"thrust_limit_scale": 0.62, "limit_is_known": True},
     },
     "a jet that dies at once": {
-        "controller.wind_estimate": {"delay": 0.5},
-        "simulator.jet_faults.failure": {"jet": "r_arm_jet", "time": 3.8, "kind": "off"},
+        "disturbances.wind_estimate": {"delay": 0.5},
+        "disturbances.jets.failure": {"jet": "r_arm_jet", "time": 3.8, "kind": "off"},
     },
 }
 

@@ -99,8 +99,8 @@ def test_a_flight_along_a_recorded_reference(recorded_flights, measured, name):
 VARIANTS = {
     "engine_out": {
         "simulator.duration": 24.0,
-        "simulator.jet_faults.lag": 0.04,
-        "simulator.jet_faults.thrust_limit_scale": 0.85,
+        "disturbances.jets.lag": 0.04,
+        "disturbances.jets.thrust_limit_scale": 0.85,
     },
     "second_order_jets": {},
     "test2": {
@@ -120,7 +120,7 @@ def test_every_tick_of_the_world(experiment, agree):
     table = rust.load_config(EXPERIMENTS / f"{experiment}.toml", changes)
     rust.check_config(table)
     config, log = flight_config(table), rust.fly(table).log
-    plant, start = jax.jit(start_plant)(config.simulator, load_robot(table["robot"]))
+    plant, start = jax.jit(start_plant)(config.simulator, config.disturbances, load_robot(table["robot"]))
     velocity = np.concatenate([log["base_velocity"], log["joint_velocity"]], axis=1)
     agree("first state", start.robot.velocity, velocity[0], 1e-10)
 
@@ -150,11 +150,11 @@ PERTURBED = {
     "simulator.duration": 12.0,
     "wind.ramp_start": 0.5,
     "wind.ramp_end": 2.0,
-    "simulator.aero_factors.drag": 1.3,
-    "simulator.aero_factors.normal": 0.6,
-    "simulator.aero_factors.links": {"chest": 1.5, "l_upper_leg": 0.5},
-    "controller.model_error.mass_scale": 1.02,
-    "controller.model_error.com_offset": [0.004, -0.002, 0.01],
+    "disturbances.aero.drag": 1.3,
+    "disturbances.aero.normal": 0.6,
+    "disturbances.aero.links": {"chest": 1.5, "l_upper_leg": 0.5},
+    "disturbances.model_error.mass_scale": 1.02,
+    "disturbances.model_error.com_offset": [0.004, -0.002, 0.01],
 }
 
 

@@ -34,7 +34,9 @@ def standing(**overrides):
 def early_wind(velocity, measured=True, duration=9.0, **overrides):
     """The ground experiment with its wind between 1 and 4 s."""
     wind = {"profile": "ramp", "velocity": velocity, "ramp_start": 1.0, "ramp_end": 4.0}
-    return standing(**{"simulator.duration": duration, ("fictitious_wind" if measured else "wind"): wind} | overrides)
+    return standing(
+        **{"simulator.duration": duration, ("disturbances.controller_wind" if measured else "wind"): wind} | overrides
+    )
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +83,7 @@ def test_state_and_dynamics_are_those_of_the_crate():
 
 def test_a_robot_with_free_joints_stands_still_for_a_minute():
     """No friction holds it: within 1 mm once the start of f_c*, which has no moment about x, has settled."""
-    log = fly(standing(**{"simulator.duration": 60.0, "fictitious_wind": STILL} | FREE_JOINTS)).log
+    log = fly(standing(**{"simulator.duration": 60.0, "disturbances.controller_wind": STILL} | FREE_JOINTS)).log
     com = log["com_position"][log["time"] >= 5.0]
     assert np.ptp(com, axis=0).max() < 1e-3
     assert np.linalg.norm(log["com_position"][-1] - log["com_reference"][-1]) < 1e-3
@@ -115,8 +117,8 @@ def test_in_frontal_wind_it_leans_forward_by_its_ankles(frontal):
 
 def test_a_controller_with_the_measured_wind_withstands_more():
     gale = {"wind": {"profile": "ramp", "velocity": [-17.0, 0.0, 0.0], "ramp_start": 1.0, "ramp_end": 4.0}}
-    measured = fly(standing(**{"simulator.duration": 8.0, "fictitious_wind": gale["wind"]} | gale))
-    ignores = fly(standing(**{"simulator.duration": 8.0, "fictitious_wind": STILL} | gale))
+    measured = fly(standing(**{"simulator.duration": 8.0, "disturbances.controller_wind": gale["wind"]} | gale))
+    ignores = fly(standing(**{"simulator.duration": 8.0, "disturbances.controller_wind": STILL} | gale))
     assert measured.outcome == "completed"
     assert measured.summary["max_com_error"] < 0.01
     assert ignores.outcome == "fell"
@@ -127,7 +129,7 @@ def test_the_standing_qp_agrees_with_daqp():
     """Problems harvested from a robot that leans, tips and slips."""
     config = early_wind([-20.0, 14.0, 0.0], duration=6.0, **FREE_JOINTS)
     plant, controller = GroundPlant(config), rust.Controller(config)
-    winds = rust.wind_velocity(config["fictitious_wind"], np.arange(600) * 0.01)
+    winds = rust.wind_velocity(config["disturbances"]["controller_wind"], np.arange(600) * 0.01)
     checked = pressing = 0
     for k, wind in enumerate(winds):
         seen = plant.observe(np.zeros(3))
@@ -210,7 +212,7 @@ def test_engines_refuse_what_they_do_not_know(monkeypatch):
     with pytest.raises(ValueError, match=r"simulator\.ground"):
         rust.fly(standing())
     with pytest.raises(ValueError, match="wind_estimate"):
-        fly(standing(**{"controller.wind_estimate": {"bias": [1.0, 0.0, 0.0]}}))
+        fly(standing(**{"disturbances.wind_estimate": {"bias": [1.0, 0.0, 0.0]}}))
     monkeypatch.setitem(__import__("sys").modules, "jax_aero.mujoco_ground", None)
     with pytest.raises(Refused, match='engine = "mujoco" needs'):
         engines.engine("mujoco")
@@ -220,9 +222,6 @@ def test_jax_refuses_feet_by_name():
     from jax_aero.config import flight_config
 
     config = standing(engine="mujoco")
-    with pytest.raises(ValueError, match=r"does not support .*`fictitious_wind`"):
-        flight_config(config)
-    del config["fictitious_wind"]
     with pytest.raises(ValueError, match=r"`simulator\.ground`, `simulator\.motors`"):
         flight_config(config)
     del config["simulator"]["ground"], config["simulator"]["motors"]

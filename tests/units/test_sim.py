@@ -112,7 +112,7 @@ def test_files_resolve_to_the_same_table_in_both_languages(path):
 
 
 def test_overrides_are_the_same_in_both_languages():
-    changes = {"wind.velocity": [0, -12.0, 0], "simulator.jet_faults.lag": 0.02}
+    changes = {"wind.velocity": [0, -12.0, 0], "disturbances.jets.lag": 0.02}
     assert rust.config_digest(io.load_config(TEST2, changes)) == rust.config_digest(rust.load_config(TEST2, changes))
 
 

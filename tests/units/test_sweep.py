@@ -139,8 +139,8 @@ def test_a_mistake_in_a_file_is_named(changes, message):
 
 
 def test_a_cell_that_cannot_fly_is_refused_before_the_first_flight(tmp_path):
-    axis = {"name": "mass", "key": "controller.model_error.mass_scale", "values": [1, 0]}
-    with pytest.raises(Refused, match=r"cell 1 \(mass = 0.0\): controller.model_error.mass_scale is 0"):
+    axis = {"name": "mass", "key": "disturbances.model_error.mass_scale", "values": [1, 0]}
+    with pytest.raises(Refused, match=r"cell 1 \(mass = 0.0\): disturbances.model_error.mass_scale is 0"):
         run.run(design(axis=[axis]), run.Local(1), out=tmp_path)
     assert not (tmp_path / "made_up" / "chunks").exists()
 
@@ -162,6 +162,7 @@ def test_a_repeat_is_perturbed_alike_in_every_cell_and_unlike_the_others():
     made = design(repeats=2, perturbation={"joint_position": 0.1, "wind_direction_deg": 5.0, "drag": 0.2})
     first, second, other_cell = (made.row_config(row) for row in (0, 1, 2))
     assert first["simulator"] == other_cell["simulator"]
+    assert first["disturbances"] == other_cell["disturbances"]
     assert first["wind"] == other_cell["wind"]
     assert first["simulator"]["initial"] != second["simulator"]["initial"]
     assert np.linalg.norm(first["wind"]["velocity"]) == pytest.approx(10.0)
@@ -185,8 +186,8 @@ def test_without_sizes_nothing_is_perturbed():
 
 
 def test_chance_gets_a_seed_of_its_own_in_every_repeat():
-    made = design(repeats=2, set={"controller.wind_estimate": {"noise_std": 1.0}})
-    seeds = [made.row_config(row)["controller"]["wind_estimate"]["seed"] for row in range(2)]
+    made = design(repeats=2, set={"disturbances.wind_estimate": {"noise_std": 1.0}})
+    seeds = [made.row_config(row)["disturbances"]["wind_estimate"]["seed"] for row in range(2)]
     assert seeds[0] != seeds[1]
     assert "seed" not in made.row_config(0)["wind"]
 

@@ -21,7 +21,6 @@ pub mod config;
 pub mod contact;
 pub mod minimum_jerk;
 pub mod mission;
-pub mod model_error;
 pub mod momentum;
 pub mod recorded;
 pub mod setpoint;
@@ -29,7 +28,6 @@ pub mod standing;
 pub mod state;
 pub mod tasks;
 pub mod torque;
-pub mod wind_estimate;
 
 pub use command::{BadStart, Command, CommandStatus, Measurement};
 pub use state::ControllerState;
@@ -106,7 +104,7 @@ pub struct Controller {
 }
 
 impl Controller {
-    /// A controller of `robot`, or of its model of that robot, that ticks every `time_step` \[s\].
+    /// A controller for `robot` that ticks every `time_step` \[s\].
     ///
     /// # Errors
     /// [`BuildError`] naming what in the configuration does not fit the robot or the time step.
@@ -121,7 +119,7 @@ impl Controller {
         config.aero_feedback.check(&aero)?;
         check("controller time step", time_step, |dt| dt > 0.0, "a positive number of seconds")?;
         let n_jets = robot.jets.len();
-        let mut model = config.model_error.believed(config.restrict(robot));
+        let mut model = config.restrict(robot);
         config.check_rate_bounds(&model, time_step)?;
         if !config.use_jets {
             model.jets.clear();

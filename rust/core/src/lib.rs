@@ -20,7 +20,6 @@ pub mod error;
 pub mod jets;
 pub mod kinematics;
 pub mod linalg;
-pub mod noise;
 pub mod qp;
 pub mod robot;
 pub mod spatial;

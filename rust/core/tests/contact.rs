@@ -477,12 +477,12 @@ fn bad_numbers_are_refused_by_name() {
 
 /// A wind that is told and does not blow: the controller's forces see it, the simulator's do not.
 #[test]
-fn a_fictitious_wind_is_told_and_does_not_blow() {
+fn a_controller_wind_is_given_and_does_not_blow() {
     let mut config = common::experiment("test2");
     config.simulator.duration = 0.2;
     let wind = flight_sim::WindConfig::Constant { velocity: [0.0, -10.0, 0.0] };
     config.wind = flight_sim::WindConfig::Constant { velocity: [0.0; 3] };
-    config.fictitious_wind = Some(wind);
+    config.disturbances.controller_wind = Some(wind);
     let result = common::fly(&[config]).remove(0);
     let sideways = |name: &str| {
         let series = result.log.series(name).unwrap();

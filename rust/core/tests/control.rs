@@ -15,7 +15,7 @@ use flight_core::control::{BadStart, CommandStatus, ControllerState};
 use flight_core::qp::QpStatus;
 use flight_core::spatial::rotation_angle;
 use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
-use flight_io::{AeroConfig, load_controller, load_robot};
+use flight_io::{AeroConfig, load_robot};
 use flight_sim::{FlightConfig, Plant, flight_from_value};
 use nalgebra::{DVector, Matrix3, Vector3};
 use rand::RngExt;
@@ -29,7 +29,7 @@ fn wind() -> Vector3<f64> {
 
 fn controller(config: &FlightConfig) -> Running {
     let robot = load_robot(&config.robot).unwrap();
-    Running::new(load_controller(robot, &config.controller, &config.envelope, 0.01).unwrap())
+    Running::new(config.controller(robot).unwrap())
 }
 
 /// What a controller is told: a measurement that owns its parts.
@@ -45,7 +45,7 @@ impl Told {
     /// The robot as its flight starts.
     fn start(config: &FlightConfig) -> Self {
         let robot = load_robot(&config.robot).unwrap();
-        let plant = Plant::new(robot, &config.simulator).unwrap();
+        let plant = Plant::new(robot, &config.simulator, &config.disturbances).unwrap();
         let thrust = plant.jets().thrust().to_vec();
         Self { time: 0.0, state: plant.state().clone(), thrust, wind: wind() }
     }
@@ -272,10 +272,10 @@ fn without_jets_no_thrust_rate_is_commanded() {
 /// Bounds of rates that oscillate from tick to tick are refused: 1 − h r ε below −1.
 #[test]
 fn bounds_that_oscillate_are_refused() {
-    let config = experiment("test2");
-    let build = |time_step: f64| {
-        let robot = load_robot(&config.robot).unwrap();
-        load_controller(robot, &config.controller, &config.envelope, time_step)
+    let mut config = experiment("test2");
+    let mut build = |time_step: f64| {
+        config.simulator.time_step = time_step;
+        config.controller(load_robot(&config.robot).unwrap())
     };
     assert!(build(0.01).is_ok(), "the published numbers lie on the edge");
     let message = build(0.02).unwrap_err().to_string();
@@ -804,7 +804,7 @@ fn bad_numbers_are_refused_by_key() {
     for (key, spoil, words) in refusals {
         let mut config = experiment("test2");
         spoil(&mut config);
-        match load_controller(robot.clone(), &config.controller, &config.envelope, 0.01) {
+        match config.controller(robot.clone()) {
             Ok(_) => panic!("{key} was accepted"),
             Err(error) => {
                 let message = error.to_string();
@@ -831,7 +831,7 @@ fn aero(coefficients: &str, air_density: f64) -> AeroConfig {
 #[test]
 fn a_controller_does_not_fit_another_robot() {
     let config = experiment("test2");
-    let error = load_controller(robot("sparrow"), &config.controller, &config.envelope, 0.01).unwrap_err();
+    let error = config.controller(robot("sparrow")).unwrap_err();
     let message = error.to_string();
     assert!(message.contains("controller.posture_gain names `left_arm`"), "{message}");
     assert!(message.contains("known: legs, upper_body"), "{message}");

@@ -334,8 +334,8 @@ fn factors_on_terms_of_other_models_are_refused() {
     let network = config(data(SMALL), Precision::F32);
     let robot = robot("ironcub_mk1");
     flight.simulator.aero = network.clone();
-    flight.simulator.aero_factors.normal = 0.5;
-    Plant::new(robot.clone(), &flight.simulator).unwrap();
+    flight.disturbances.aero.normal = 0.5;
+    Plant::new(robot.clone(), &flight.simulator, &flight.disturbances).unwrap();
     flight.controller.aero = network;
     let build = |feedback: &str, factor| {
         let mut controller = flight.controller.clone();

@@ -9,7 +9,7 @@ use flight_core::control::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::standing::StandingQp;
 use flight_core::control::{BadStart, ControllerState as State};
 use flight_core::{Measurement, RobotState};
-use flight_io::{load_controller, load_mission, load_robot};
+use flight_io::{load_mission, load_robot};
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 use pyo3::exceptions::{PyKeyError, PyValueError};
 use pyo3::prelude::*;
@@ -79,9 +79,7 @@ impl Controller {
     fn new(config_json: &str) -> PyResult<Self> {
         let config = parse(config_json)?;
         let robot = load_robot(&config.robot).map_err(value_error)?;
-        load_controller(robot, &config.controller, &config.envelope, config.simulator.time_step)
-            .map(|controller| Self { controller, state: None })
-            .map_err(value_error)
+        config.controller(robot).map(|controller| Self { controller, state: None }).map_err(value_error)
     }
 
     /// The state after the last tick; `None` before the first.

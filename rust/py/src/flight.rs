@@ -60,9 +60,12 @@ pub fn config_digest(config_json: &str) -> PyResult<String> {
     // Where files lie says nothing about the flight; what is in them does.
     value["robot"] = file_name(&config.robot).into();
     let mut hash = Sha256::new();
-    for (key, wind) in [("wind", Some(&config.wind)), ("fictitious_wind", config.fictitious_wind.as_ref())] {
-        if let Some(WindConfig::File { path }) = wind {
-            value[key]["path"] = file_name(path).into();
+    let controller_wind = config.disturbances.controller_wind.as_ref();
+    for (pointer, wind) in
+        [("/wind/path", Some(&config.wind)), ("/disturbances/controller_wind/path", controller_wind)]
+    {
+        if let (Some(WindConfig::File { path }), Some(written)) = (wind, value.pointer_mut(pointer)) {
+            *written = file_name(path).into();
             hash.update(std::fs::read(path)?);
         }
     }

@@ -30,7 +30,8 @@ impl Plant {
         let config = parse(config_json)?;
         let robot = load_robot(&config.robot).map_err(value_error)?;
         let (joints, jets, links) = (robot.n_joints(), robot.jets.len(), robot.aero_links.len());
-        let start = flight_sim::Plant::new(robot, &config.simulator).map_err(value_error)?;
+        let start =
+            flight_sim::Plant::new(robot, &config.simulator, &config.disturbances).map_err(value_error)?;
         let wind = Wind::new(&config.wind).map_err(value_error)?;
         let time_step = config.simulator.time_step;
         Ok(Self { plant: start.clone(), start, wind, joints, jets, links, time_step, tick: 0 })

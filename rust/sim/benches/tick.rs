@@ -99,7 +99,7 @@ fn plant_times() -> Result<Vec<f64>, BuildError> {
     let (torque, thrust_rate) = (vec![0.0; robot.joints.len()], vec![0.0; robot.jets.len()]);
     let mut times = Vec::with_capacity(TICKS);
     while times.len() < TICKS {
-        let mut plant = Plant::new(robot.clone(), &config.simulator)?;
+        let mut plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances)?;
         for _ in 0..50 {
             times.push(microseconds(|| {
                 plant.observe(black_box(&wind));

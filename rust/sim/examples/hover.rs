@@ -17,7 +17,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let config = load_flight(&file)?;
     let robot = load_robot(&config.robot)?;
     let time_step = config.simulator.time_step;
-    let mut plant = Plant::new(robot.clone(), &config.simulator)?;
+    let mut plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances)?;
     let mut controller = load_controller(robot, &config.controller, &config.envelope, time_step)?;
     let still_air = Vector3::zeros();
     let mut state = {

@@ -51,7 +51,7 @@ fn wind(mut aware: FlightConfig) -> Result<(), Box<dyn Error>> {
 fn own_loop(config: FlightConfig) -> Result<(), Box<dyn Error>> {
     let robot = load_robot(&config.robot)?;
     let time_step = config.simulator.time_step;
-    let mut plant = Plant::new(robot.clone(), &config.simulator)?; // your robot stands here
+    let mut plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances)?; // your robot stands here
     let mut controller = load_controller(robot, &config.controller, &config.envelope, time_step)?;
     let wind = Vector3::new(0.0, -5.0, 0.0);
     let measure =

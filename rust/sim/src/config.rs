@@ -1,14 +1,18 @@
 //! Configuration of the simulator and of a whole flight.
 
+use crate::disturbances::Disturbances;
 use crate::ground::{GroundConfig, MotorsConfig};
-use crate::jets::{JetFaultsConfig, JetsConfig};
+use crate::jets::JetsConfig;
 use crate::wind::WindConfig;
-use flight_core::aero::{ForceFactorsConfig, LeverArm};
+use flight_core::Controller;
+use flight_core::aero::LeverArm;
 use flight_core::error::{BuildError, check};
 use flight_core::kinematics::RobotState;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::{Pose, rotation_from_rpy};
-use flight_io::{AeroConfig, ControllerSection, MissionConfig, RobotFile, Schema, from_value, load};
+use flight_io::{
+    AeroConfig, ControllerSection, MissionConfig, RobotFile, Schema, from_value, load, load_controller,
+};
 use nalgebra::{DVector, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -37,11 +41,22 @@ pub struct FlightConfig {
     pub controller: ControllerSection,
     /// When the autopilot asks for what.
     pub envelope: MissionConfig,
-    /// The wind, felt by the robot and told to the controller.
+    /// The wind that blows; the controller is given it too, unless `disturbances` say otherwise.
     pub wind: WindConfig,
-    /// A wind that the controller is told of in place of the one that blows.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub fictitious_wind: Option<WindConfig>,
+    /// What is done to robot and controller.
+    #[serde(default, skip_serializing_if = "Disturbances::is_default")]
+    pub disturbances: Disturbances,
+}
+
+impl FlightConfig {
+    /// The controller of this flight of `robot`, with the model of it that `disturbances` say.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming what in the configuration cannot be used.
+    pub fn controller(&self, robot: RobotModel) -> Result<Controller, BuildError> {
+        let robot = self.disturbances.controller_robot(robot)?;
+        load_controller(robot, &self.controller, &self.envelope, self.simulator.time_step)
+    }
 }
 
 /// Reads a flight configuration file.
@@ -113,9 +128,6 @@ pub struct SimulatorConfig {
     pub dynamics: DynamicsBackend,
     /// Aerodynamics of the world.
     pub aero: AeroConfig,
-    /// Factors on the forces of that model: coefficients that are not what they are thought to be.
-    #[serde(default, skip_serializing_if = "ForceFactorsConfig::is_default")]
-    pub aero_factors: ForceFactorsConfig,
     /// Point at which link forces act.
     #[serde(default)]
     pub lever_arm: LeverArm,
@@ -124,9 +136,6 @@ pub struct SimulatorConfig {
     pub kinematics: AeroKinematics,
     /// How thrust follows the command.
     pub jets: JetsConfig,
-    /// What is wrong with the jets.
-    #[serde(default, skip_serializing_if = "JetFaultsConfig::is_default")]
-    pub jet_faults: JetFaultsConfig,
     /// The ground, where there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ground: Option<GroundConfig>,

@@ -13,14 +13,14 @@
 //! first in a tick, on what the tick before left in the delays. Equation M77 of `docs/model.md`, the end of a flight M80.
 
 use crate::config::{DynamicsBackend, Engine, FlightConfig};
+use crate::disturbances::WindEstimator;
 use crate::log::{FlightLog, FlightResult, LogRow, Summary, TrackingErrors};
 use crate::plant::Plant;
 use crate::wind::Wind;
-use flight_core::control::wind_estimate::WindEstimator;
 use flight_core::control::{Controller, ControllerState, Measurement};
 use flight_core::error::BuildError;
 use flight_core::robot::RobotModel;
-use flight_io::{load_controller, load_robot};
+use flight_io::load_robot;
 use nalgebra::Vector3;
 use std::fmt;
 use std::ops::ControlFlow;
@@ -61,9 +61,9 @@ pub struct Flight {
     plant: Plant,
     controller: Controller,
     wind: Wind,
-    /// What the controller is told of in its place.
-    fictitious_wind: Option<Wind>,
-    /// Between the wind and the controller; `None` where it is told the truth.
+    /// What the controller is given in its place.
+    controller_wind: Option<Wind>,
+    /// Between the wind and the controller; `None` without errors.
     wind_estimator: Option<WindEstimator>,
     time_step: f64,
     n_ticks: usize,
@@ -77,8 +77,7 @@ pub struct Flight {
 pub struct Interrupted;
 
 impl Flight {
-    /// Builds plant and controller. Both fly the same robot, unless `controller.model_error` or known
-    /// limits of the jets say otherwise.
+    /// Builds plant and controller.
     ///
     /// # Errors
     /// [`BuildError`] naming what in the configuration cannot be used.
@@ -134,23 +133,22 @@ impl Flight {
 
     fn build(config: &FlightConfig, robot: RobotModel) -> Result<Self, BuildError> {
         let time_step = config.simulator.time_step;
-        let plant = Plant::new(robot.clone(), &config.simulator)?;
-        let mut informed = robot;
-        config.simulator.jet_faults.inform(&mut informed.jets);
+        let disturbances = &config.disturbances;
+        let plant = Plant::new(robot.clone(), &config.simulator, disturbances)?;
         let (wind, n_ticks) = (Wind::new(&config.wind)?, config.simulator.n_ticks());
-        let fictitious_wind = config.fictitious_wind.as_ref().map(Wind::new).transpose()?;
-        let told = fictitious_wind.as_ref().unwrap_or(&wind);
+        let controller_wind = disturbances.controller_wind.as_ref().map(Wind::new).transpose()?;
+        let given = controller_wind.as_ref().unwrap_or(&wind);
         let estimator = |estimate| {
             let times = (0..=n_ticks).map(|tick| tick as f64 * time_step);
-            let sum: Vector3<f64> = times.map(|time| told.velocity(time)).sum();
+            let sum: Vector3<f64> = times.map(|time| given.velocity(time)).sum();
             WindEstimator::new(estimate, time_step, sum / (n_ticks + 1) as f64)
         };
         Ok(Self {
             plant,
-            wind_estimator: config.controller.law.wind_estimate.as_ref().map(estimator).transpose()?,
-            controller: load_controller(informed, &config.controller, &config.envelope, time_step)?,
+            wind_estimator: disturbances.wind_estimate.as_ref().map(estimator).transpose()?,
+            controller: config.controller(robot)?,
             wind,
-            fictitious_wind,
+            controller_wind,
             time_step,
             n_ticks,
             max_rotation_error: config.simulator.fall.rotation_error_deg.to_radians(),
@@ -180,13 +178,13 @@ impl Flight {
             let time = tick as f64 * self.time_step;
             let wind = self.wind.velocity(time);
             self.plant.observe(&wind);
-            let heard = self.fictitious_wind.as_ref().map_or(wind, |wind| wind.velocity(time));
-            let told = self.wind_estimator.as_mut().map_or(heard, |estimator| estimator.update(&heard));
+            let given = self.controller_wind.as_ref().map_or(wind, |wind| wind.velocity(time));
+            let estimate = self.wind_estimator.as_mut().map_or(given, |estimator| estimator.update(&given));
             let measurement = Measurement {
                 time,
                 state: self.plant.state(),
                 thrust: self.plant.jets().thrust_feedback(),
-                wind: told,
+                wind: estimate,
                 foot_wrenches: &[],
             };
             let state = match &mut state {

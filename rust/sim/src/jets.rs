@@ -9,10 +9,7 @@
 //!
 //! Equation M31 of `docs/model.md`.
 
-pub mod failure;
-
-pub use failure::{FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise};
-
+use crate::disturbances::{JetFaults, JetFaultsConfig};
 use flight_core::error::{BuildError, check};
 use flight_core::jets::{EkfConfig, EngineDynamics, EngineModel, ThrustEkf, ThrustRateController};
 use flight_core::robot::{EngineCoefficients, Jet};
@@ -172,7 +169,7 @@ impl Jets {
             return Err(BuildError::bad_value(
                 "simulator.jets.dynamics",
                 "ideal",
-                "second_order, whose estimators simulator.jet_faults.measurement_noise disturbs",
+                "second_order, whose estimators disturbances.jets.measurement_noise disturbs",
             ));
         }
         self.faults = if config.is_default() { None } else { Some(JetFaults::new(config, jets)?) };

@@ -10,6 +10,7 @@
 //! Equations M78 and M79 of `docs/model.md`.
 
 use crate::config::{AeroKinematics, Integrator, SimulatorConfig};
+use crate::disturbances::Disturbances;
 use crate::jets::Jets;
 use flight_core::aero::{AeroModel, ForceFactors, LinkConventions, LinkForces};
 use flight_core::dynamics::{Dynamics, MassFactor};
@@ -47,22 +48,22 @@ impl Plant {
     ///
     /// # Errors
     /// [`BuildError`] naming what does not fit.
-    pub fn new(robot: RobotModel, config: &SimulatorConfig) -> Result<Self, BuildError> {
+    pub fn new(
+        robot: RobotModel,
+        config: &SimulatorConfig,
+        disturbances: &Disturbances,
+    ) -> Result<Self, BuildError> {
         config.check(&robot)?;
         let n = 6 + robot.joints.len();
         let mut plant = Self {
             aero: load_aero(&config.aero, &robot)?,
-            aero_factors: ForceFactors::new(
-                &config.aero_factors,
-                &robot.aero_links,
-                "simulator.aero_factors",
-            )?,
+            aero_factors: ForceFactors::new(&disturbances.aero, &robot.aero_links, "disturbances.aero")?,
             conventions: LinkConventions { lever_arm: config.lever_arm, ..LinkConventions::default() },
             integrator: config.integrator,
             substeps: config.substeps,
             state: config.initial.state(),
             jets: Jets::new(&config.jets, &robot.jets, &robot.engines, &config.initial.thrust)?
-                .with_faults(&config.jet_faults, &robot.jets)?,
+                .with_faults(&disturbances.jets, &robot.jets)?,
             kinematics: Kinematics::new(&robot),
             dynamics: Dynamics::new(&robot),
             link_forces: LinkForces::new(&robot),

@@ -2,7 +2,7 @@
 //!
 //! Equation M38 of `docs/model.md`.
 
-use flight_core::noise::Noise;
+use crate::noise::Noise;
 use nalgebra::Vector3;
 use std::f64::consts::{FRAC_PI_2, TAU};
 

@@ -8,10 +8,10 @@ mod common;
 
 use common::{Running, experiment, fly};
 use flight_core::Measurement;
-use flight_core::control::model_error::ModelError;
-use flight_core::control::wind_estimate::WindEstimateConfig;
-use flight_io::{load_controller, load_robot};
+use flight_io::load_robot;
 use flight_sim::FlightConfig;
+use flight_sim::disturbances::ModelError;
+use flight_sim::disturbances::WindEstimateConfig;
 use nalgebra::{Vector3, Vector6};
 use std::collections::BTreeMap;
 
@@ -31,8 +31,7 @@ fn with(change: impl Fn(&mut FlightConfig)) -> FlightConfig {
 /// A controller behind its first tick in a wind askew to every link.
 fn first_tick(config: &FlightConfig) -> Running {
     let robot = load_robot(&config.robot).unwrap();
-    let controller = load_controller(robot, &config.controller, &config.envelope, 0.01).unwrap();
-    let mut controller = Running::new(controller);
+    let mut controller = Running::new(config.controller(robot).unwrap());
     let state = config.simulator.initial.state();
     controller.tick(&Measurement {
         time: 0.0,
@@ -51,10 +50,10 @@ fn rate(config: &FlightConfig) -> Vector6<f64> {
 #[test]
 fn settings_that_change_nothing_leave_every_bit_of_a_flight() {
     let spoken = with(|config| {
-        config.controller.law.wind_estimate = Some(WindEstimateConfig::default());
-        config.controller.law.model_error = ModelError::default();
+        config.disturbances.wind_estimate = Some(WindEstimateConfig::default());
+        config.disturbances.model_error = ModelError::default();
         config.controller.law.aero_feedback.links = BTreeMap::from([("head".to_owned(), 1.0)]);
-        config.simulator.jet_faults.lag = 0.0;
+        config.disturbances.jets.lag = 0.0;
     });
     let mut plain = short("test2");
     // A table with one factor of one takes the long way; the others must be exact.
@@ -66,8 +65,7 @@ fn settings_that_change_nothing_leave_every_bit_of_a_flight() {
 #[test]
 fn silent_defaults_are_not_written_out() {
     let text = serde_json::to_string(&experiment("test2")).unwrap();
-    for key in ["wind_estimate", "model_error", "jet_faults", "aero_factors", "moment\"", "normal", "engine"]
-    {
+    for key in ["disturbances", "moment\"", "normal", "engine"] {
         assert!(!text.contains(key), "{key}");
     }
 }
@@ -132,8 +130,8 @@ fn a_link_can_be_left_out() {
 #[test]
 fn the_simulator_has_the_same_factors() {
     let doubled = with(|config| {
-        config.simulator.aero_factors.drag = 2.0;
-        config.simulator.aero_factors.normal = 2.0;
+        config.disturbances.aero.drag = 2.0;
+        config.disturbances.aero.normal = 2.0;
     });
     let results = fly(&[short("test2"), doubled]);
     let force = |flight: usize, tick: usize| {
@@ -168,6 +166,6 @@ fn what_cannot_be_left_out_is_refused_by_name() {
     assert!(unknown.contains("l_lower_leg"), "{unknown}");
     let nan = message(&|config| config.controller.law.aero_feedback.drag = f64::NAN);
     assert!(nan.contains("controller.aero_feedback.drag is NaN"), "{nan}");
-    let plant = message(&|config| config.simulator.aero_factors.normal = f64::INFINITY);
-    assert!(plant.contains("simulator.aero_factors.normal is inf"), "{plant}");
+    let plant = message(&|config| config.disturbances.aero.normal = f64::INFINITY);
+    assert!(plant.contains("disturbances.aero.normal is inf"), "{plant}");
 }

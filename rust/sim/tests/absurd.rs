@@ -6,7 +6,7 @@ use common::{Running, experiment};
 use flight_core::Measurement;
 use flight_core::control::CommandStatus;
 use flight_core::spatial::{orthonormality_error, rotation_from_rpy, rpy_from_rotation};
-use flight_io::{load_controller, load_robot};
+use flight_io::load_robot;
 use flight_sim::{Plant, Wind, WindConfig};
 use nalgebra::{DVector, Matrix3, Vector3};
 
@@ -33,8 +33,8 @@ fn wind_file_with_a_trailing_word_is_refused() {
 fn controller() -> (Running, Plant) {
     let c = experiment("test2");
     let robot = load_robot(&c.robot).unwrap();
-    let plant = Plant::new(robot.clone(), &c.simulator).unwrap();
-    (Running::new(load_controller(robot, &c.controller, &c.envelope, 0.01).unwrap()), plant)
+    let plant = Plant::new(robot.clone(), &c.simulator, &c.disturbances).unwrap();
+    (Running::new(c.controller(robot).unwrap()), plant)
 }
 /// A velocity of another length is a bad measurement, not a panic.
 #[test]

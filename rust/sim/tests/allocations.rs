@@ -12,7 +12,7 @@ use flight_core::Measurement;
 use flight_core::aero::Precision;
 use flight_core::control::CommandStatus;
 use flight_core::control::config::{Fallback, Solver};
-use flight_io::{AeroConfig, NetworkConfig, load_controller, load_robot};
+use flight_io::{AeroConfig, NetworkConfig, load_robot};
 use flight_sim::FlightConfig;
 use flight_sim::config::AeroKinematics;
 use nalgebra::{Vector3, Vector6};
@@ -206,8 +206,7 @@ fn a_tick_on_the_ground_does_not_allocate() {
         let mut config = experiment("balancing_lateral");
         config.controller.law.qp.fallback = fallback;
         let robot = load_robot(&config.robot).unwrap();
-        let controller = load_controller(robot, &config.controller, &config.envelope, 0.01).unwrap();
-        let mut controller = Running::new(controller);
+        let mut controller = Running::new(config.controller(robot).unwrap());
         let mut state = config.simulator.initial.state();
         let thrust = [0.0; 4];
         let (mut counted, mut rows) = (0, 0);

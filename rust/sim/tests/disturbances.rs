@@ -6,13 +6,12 @@
 mod common;
 
 use common::{experiment, fly, robot};
-use flight_core::control::model_error::ModelError;
-use flight_core::control::wind_estimate::{WindEstimateConfig, WindEstimator};
-use flight_core::noise::Noise;
-use flight_sim::jets::{
-    FailureKind, JetFailure, JetFaultsConfig, Jets, JetsConfig, MeasurementNoise, SecondOrderConfig,
+use flight_sim::disturbances::{
+    FailureKind, JetFailure, JetFaultsConfig, MeasurementNoise, ModelError, WindEstimateConfig, WindEstimator,
 };
-use flight_sim::{Flight, FlightConfig, FlightResult, Wind, WindConfig};
+use flight_sim::jets::{Jets, JetsConfig, SecondOrderConfig};
+use flight_sim::noise::Noise;
+use flight_sim::{Flight, FlightConfig, FlightResult, Wind, WindConfig, flight_from_value};
 use nalgebra::Vector3;
 
 const STEP: f64 = 0.01;
@@ -94,7 +93,7 @@ fn bias_mean_and_noise_are_what_they_say() {
 fn only_the_controller_is_told_wrong() {
     let mut biased = experiment("test2");
     biased.simulator.duration = 12.0;
-    biased.controller.law.wind_estimate =
+    biased.disturbances.wind_estimate =
         Some(WindEstimateConfig { bias: [0.0, 10.0, 0.0], ..WindEstimateConfig::default() });
     let result = &fly(&[biased])[0];
     // The bias cancels the wind: what is estimated is the robot's own motion.
@@ -110,7 +109,7 @@ fn only_the_controller_is_told_wrong() {
 fn a_controller_can_believe_in_another_robot() {
     let real = robot("ironcub_mk1");
     let error = ModelError { mass_scale: 1.1, com_offset: [0.02, 0.0, -0.01] };
-    let believed = error.believed(real.clone());
+    let believed = error.apply(real.clone());
     crate::common::assert_within!((believed.mass() - 1.1 * real.mass()).abs(), 1e-12);
     assert_eq!(believed.bodies[0].com_b, real.bodies[0].com_b + Vector3::new(0.02, 0.0, -0.01));
     assert_eq!(believed.bodies[3].com_b, real.bodies[3].com_b);
@@ -118,8 +117,8 @@ fn a_controller_can_believe_in_another_robot() {
     let mut heavy = experiment("no_wind");
     heavy.simulator.duration = 8.0;
     let mut sound = heavy.clone();
-    sound.controller.law.model_error = ModelError::default();
-    heavy.controller.law.model_error.mass_scale = 1.03;
+    sound.disturbances.model_error = ModelError::default();
+    heavy.disturbances.model_error.mass_scale = 1.03;
     let results = fly(&[sound, heavy]);
     // Thrust for weight that is not there: the robot hovers too high, held by the position task alone.
     let height = |flight: usize| results[flight].log.series("com_position").unwrap().row(800)[2];
@@ -262,7 +261,7 @@ fn one(change: impl Fn(&mut FlightConfig)) -> FlightResult {
 #[test]
 fn a_flight_loses_an_arm_engine_and_falls() {
     let result = one(|config| {
-        config.simulator.jet_faults = failure(FailureKind::Off, 0.0);
+        config.disturbances.jets = failure(FailureKind::Off, 0.0);
     });
     let fall = result.fall.unwrap();
     assert!(fall.time > 0.5 && fall.time < 10.0, "{fall:?}");
@@ -273,8 +272,8 @@ fn a_flight_loses_an_arm_engine_and_falls() {
 fn known_limits_reach_the_controller() {
     let limited = |known| {
         one(move |config| {
-            config.simulator.jet_faults.thrust_limit_scale = Some(0.55);
-            config.simulator.jet_faults.limit_is_known = known;
+            config.disturbances.jets.thrust_limit_scale = Some(0.55);
+            config.disturbances.jets.limit_is_known = known;
         })
     };
     let (secret, known) = (limited(false), limited(true));
@@ -290,7 +289,7 @@ fn what_makes_no_sense_is_refused_by_name() {
         Flight::new(&config).unwrap_err().to_string()
     };
     let estimate = |estimate: WindEstimateConfig| {
-        message(&|config: &mut FlightConfig| config.controller.law.wind_estimate = Some(estimate.clone()))
+        message(&|config: &mut FlightConfig| config.disturbances.wind_estimate = Some(estimate.clone()))
     };
     let default = WindEstimateConfig::default;
     for (key, text) in [
@@ -300,18 +299,18 @@ fn what_makes_no_sense_is_refused_by_name() {
         ("bias is inf", estimate(WindEstimateConfig { bias: [f64::INFINITY, 0.0, 0.0], ..default() })),
     ] {
         let key = key.replace("1e9", "1000000000");
-        assert!(text.contains(&format!("controller.wind_estimate.{key}")), "{text}");
+        assert!(text.contains(&format!("disturbances.wind_estimate.{key}")), "{text}");
         assert!(text.contains("expected"), "{text}");
     }
-    let mass = message(&|config| config.controller.law.model_error.mass_scale = 0.0);
-    assert!(mass.contains("controller.model_error.mass_scale is 0"), "{mass}");
-    let lag = message(&|config| config.simulator.jet_faults.lag = -0.1);
-    assert!(lag.contains("simulator.jet_faults.lag is -0.1"), "{lag}");
-    let limit = message(&|config| config.simulator.jet_faults.thrust_limit_scale = Some(0.0));
-    assert!(limit.contains("simulator.jet_faults.thrust_limit_scale is 0"), "{limit}");
+    let mass = message(&|config| config.disturbances.model_error.mass_scale = 0.0);
+    assert!(mass.contains("disturbances.model_error.mass_scale is 0"), "{mass}");
+    let lag = message(&|config| config.disturbances.jets.lag = -0.1);
+    assert!(lag.contains("disturbances.jets.lag is -0.1"), "{lag}");
+    let limit = message(&|config| config.disturbances.jets.thrust_limit_scale = Some(0.0));
+    assert!(limit.contains("disturbances.jets.thrust_limit_scale is 0"), "{limit}");
     let jet = message(&|config| {
-        config.simulator.jet_faults = failure(FailureKind::Off, 0.0);
-        config.simulator.jet_faults.failure.as_mut().unwrap().jet = "tail".to_owned();
+        config.disturbances.jets = failure(FailureKind::Off, 0.0);
+        config.disturbances.jets.failure.as_mut().unwrap().jet = "tail".to_owned();
     });
     assert!(jet.contains("failure.jet") && jet.contains("`tail`") && jet.contains("r_arm_jet"), "{jet}");
     let std = message(&|config| {
@@ -325,4 +324,16 @@ fn what_makes_no_sense_is_refused_by_name() {
         };
     });
     assert!(std.contains("wind.std is -1"), "{std}");
+}
+
+/// A controller has no disturbances of its own that a loop other than ours could overlook.
+#[test]
+fn the_controller_holds_no_disturbance() {
+    let config = experiment("test2");
+    for key in ["wind_estimate", "model_error"] {
+        let mut value = serde_json::to_value(&config).unwrap();
+        value["controller"][key] = serde_json::json!({});
+        let text = flight_from_value(value, "flight").unwrap_err().to_string();
+        assert!(text.contains(&format!("unknown key `controller.{key}`")), "{text}");
+    }
 }

@@ -11,7 +11,7 @@ use flight_core::control::setpoint::Setpoint;
 use flight_core::kinematics::RobotState;
 use flight_core::spatial::Pose;
 use flight_core::{Controller, Measurement};
-use flight_io::{AeroConfig, load_aero, load_controller, load_robot};
+use flight_io::{AeroConfig, load_aero, load_robot};
 use flight_sim::{FlightConfig, load_flight};
 use nalgebra::{DVector, Matrix3, Vector3};
 use serde_json::Value;
@@ -109,7 +109,7 @@ impl Case {
     fn tick(&self, control: &str) -> Controller {
         let config = flight_config(control);
         let robot = load_robot(&config.robot).unwrap();
-        let mut controller = load_controller(robot, &config.controller, &config.envelope, 0.01).unwrap();
+        let mut controller = config.controller(robot).unwrap();
         let measurement = Measurement {
             time: 0.0,
             state: &self.state,

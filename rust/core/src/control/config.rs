@@ -1,9 +1,7 @@
 //! Configuration of the controller, checked against the robot when the controller is built.
 
 use super::contact::ContactConfig;
-use super::model_error::ModelError;
 use super::setpoint::SetpointConfig;
-use super::wind_estimate::WindEstimateConfig;
 use crate::aero::{AeroModel, ForceFactorsConfig, JacobianOffset, LeverArm, LinkVelocity};
 use crate::error::{BuildError, check};
 use crate::qp::QpChain;
@@ -21,12 +19,6 @@ pub struct ControllerConfig {
     /// Where the aerodynamic estimate enters.
     #[serde(default)]
     pub aero_feedback: AeroFeedback,
-    /// Errors of the wind that the controller is told; without them it is told the truth.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub wind_estimate: Option<WindEstimateConfig>,
-    /// How the controller's robot differs from the one that flies.
-    #[serde(default, skip_serializing_if = "ModelError::is_default")]
-    pub model_error: ModelError,
     /// Point at which moments of link forces are formed (in `A_a`).
     #[serde(default)]
     pub lever_arm: LeverArm,
@@ -302,10 +294,6 @@ impl ControllerConfig {
         let positive = |name: &str, value: f64| at(name, value, |x| x > 0.0, "a positive number");
 
         finite("aero_feedback.scale", self.aero_feedback.scale)?;
-        if let Some(estimate) = &self.wind_estimate {
-            estimate.check()?;
-        }
-        self.model_error.check()?;
         for axis in 0..3 {
             non_negative("momentum.kp_linear", self.momentum.kp_linear[axis])?;
             non_negative("momentum.kd_linear", self.momentum.kd_linear[axis])?;

@@ -5,7 +5,7 @@ use flight_core::control::ControllerState;
 use flight_core::kinematics::RobotState;
 use flight_core::qp::QpProblem;
 use flight_core::{BuildError, Controller, Measurement};
-use flight_io::{load_controller, load_robot};
+use flight_io::load_robot;
 use flight_sim::{FlightConfig, Plant, Wind, load_flight};
 use nalgebra::{Vector3, Vector6};
 use std::ops::RangeInclusive;
@@ -44,13 +44,13 @@ pub fn configuration(name: &str) -> Result<FlightConfig, BuildError> {
 
 pub fn controller(config: &FlightConfig) -> Result<Controller, BuildError> {
     let robot = load_robot(&config.robot)?;
-    load_controller(robot, &config.controller, &config.envelope, config.simulator.time_step)
+    config.controller(robot)
 }
 
 /// Flies a configuration and keeps the ticks of a span of time \[s\].
 pub fn record(config: &FlightConfig, span: &RangeInclusive<f64>) -> Result<Vec<Tick>, BuildError> {
     let mut controller = controller(config)?;
-    let mut plant = Plant::new(load_robot(&config.robot)?, &config.simulator)?;
+    let mut plant = Plant::new(load_robot(&config.robot)?, &config.simulator, &config.disturbances)?;
     let mut state = None;
     let wind_profile = Wind::new(&config.wind)?;
     let time_step = config.simulator.time_step;

@@ -11,7 +11,7 @@ pub(crate) use measured::assert_within;
 use flight_core::control::ControllerState;
 use flight_core::spatial::{Pose, rotation_from_wxyz};
 use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
-use flight_io::{load_controller, load_robot};
+use flight_io::load_robot;
 use flight_sim::{FlightConfig, FlightResult, Plant, fly_batch, load_flight};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
@@ -117,8 +117,8 @@ impl Loop {
     }
 
     pub fn with_robot(config: &FlightConfig, robot: RobotModel) -> Self {
-        let plant = Plant::new(robot.clone(), &config.simulator).unwrap();
-        let controller = load_controller(robot, &config.controller, &config.envelope, TIME_STEP).unwrap();
+        let plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances).unwrap();
+        let controller = config.controller(robot).unwrap();
         Self { plant, controller: Running::new(controller), tick: 0 }
     }
 

@@ -1,13 +1,12 @@
-//! A controller that flies another robot than it thinks.
+//! Errors of the controller's model of the robot.
 
-use crate::error::{BuildError, check};
-use crate::robot::RobotModel;
+use flight_core::error::{BuildError, check};
+use flight_core::robot::RobotModel;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 /// How the controller's robot differs from the one that flies; not at all by default.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct ModelError {
     /// Factor on all masses and inertias of the controller's robot.
@@ -23,7 +22,7 @@ impl Default for ModelError {
 }
 
 impl ModelError {
-    /// Whether the controller knows its robot.
+    /// Whether the model is right.
     #[must_use]
     pub fn is_default(&self) -> bool {
         *self == Self::default()
@@ -36,14 +35,14 @@ impl ModelError {
     pub fn check(&self) -> Result<(), BuildError> {
         let expected = "a factor from 0.01 to 100";
         check(
-            "controller.model_error.mass_scale",
+            "disturbances.model_error.mass_scale",
             self.mass_scale,
             |x| (0.01..=100.0).contains(&x),
             expected,
         )?;
         for offset in self.com_offset {
             check(
-                "controller.model_error.com_offset",
+                "disturbances.model_error.com_offset",
                 offset,
                 |x| x.abs() <= 10.0,
                 "three numbers up to 10 m",
@@ -52,9 +51,9 @@ impl ModelError {
         Ok(())
     }
 
-    /// The robot the controller believes in.
+    /// The robot with these errors.
     #[must_use]
-    pub fn believed(&self, mut robot: RobotModel) -> RobotModel {
+    pub fn apply(&self, mut robot: RobotModel) -> RobotModel {
         if self.is_default() {
             return robot;
         }

@@ -1,4 +1,4 @@
-//! What the controller is told about the wind, when it is not told the truth.
+//! Errors of the wind that the controller is given.
 //!
 //! ```text
 //! wind ──(mean_only)──► delay ──► + bias + noise ──► low pass ──► Measurement::wind
@@ -6,8 +6,8 @@
 //!
 //! Equation M39 of `docs/model.md`.
 
-use crate::error::{BuildError, check};
 use crate::noise::Noise;
+use flight_core::error::{BuildError, check};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -15,19 +15,18 @@ use serde::{Deserialize, Serialize};
 const MAX_DELAY: f64 = 1000.0;
 
 /// Errors of the wind estimate; none by default.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct WindEstimateConfig {
     /// Added to the wind \[m/s, inertial axes\].
     pub bias: [f64; 3],
     /// Standard deviation of white noise on every axis, drawn anew each tick \[m/s\].
     pub noise_std: f64,
-    /// Age of the wind that is told, rounded to ticks \[s\].
+    /// Age of the wind that is given, rounded to ticks \[s\].
     pub delay: f64,
     /// Time constant of a first-order low pass behind all other errors \[s\]; zero for none.
     pub time_constant: f64,
-    /// Whether only the mean over the flight is told.
+    /// Whether only the mean over the flight is given.
     pub mean_only: bool,
     /// Seed of the noise.
     pub seed: u64,
@@ -46,11 +45,11 @@ impl WindEstimateConfig {
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self) -> Result<(), BuildError> {
         let at = |name: &str, value: f64, limit: f64, expected: &str| {
-            let item = format!("controller.wind_estimate.{name}");
+            let item = format!("disturbances.wind_estimate.{name}");
             check(&item, value, |x| (0.0..=limit).contains(&x), expected).map(|_| ())
         };
         for bias in self.bias {
-            check("controller.wind_estimate.bias", bias, |_| true, "three finite numbers in m/s")?;
+            check("disturbances.wind_estimate.bias", bias, |_| true, "three finite numbers in m/s")?;
         }
         at("noise_std", self.noise_std, f64::MAX, "a number ≥ 0 in m/s")?;
         at("delay", self.delay, MAX_DELAY, "seconds from 0 to 1000")?;
@@ -61,7 +60,7 @@ impl WindEstimateConfig {
 /// The estimate in time; call once per tick.
 #[derive(Debug, Clone)]
 pub struct WindEstimator {
-    /// Told instead of the wind, if anything is.
+    /// Given instead of the wind, if anything is.
     mean: Option<Vector3<f64>>,
     bias: Vector3<f64>,
     noise_std: f64,
@@ -75,7 +74,7 @@ pub struct WindEstimator {
 }
 
 impl WindEstimator {
-    /// An estimator that is asked every `time_step` \[s\]; `mean` is the mean wind of the flight.
+    /// An estimator that is updated every `time_step` \[s\]; `mean` is the mean wind of the flight.
     ///
     /// # Errors
     /// As [`WindEstimateConfig::check`].
@@ -101,7 +100,7 @@ impl WindEstimator {
 
     /// Estimate of this tick, from the true wind of this tick \[m/s, inertial axes\].
     ///
-    /// Before the delay has passed, the first wind is told; the low pass starts settled.
+    /// Before the delay has passed, the first wind is given; the low pass starts settled.
     pub fn update(&mut self, wind_i: &Vector3<f64>) -> Vector3<f64> {
         let mut estimate = self.delayed(&self.mean.unwrap_or(*wind_i)) + self.bias;
         if self.noise_std > 0.0 {

@@ -1,11 +1,11 @@
 //! Jets that do less than their dynamics promise: a slow response, too little thrust, a dead engine.
 //!
-//! Kept apart from [`super::JetsConfig`], so that every fault goes with every kind of dynamics.
+//! Kept apart from [`crate::jets::JetsConfig`], so that every fault goes with every kind of dynamics.
 //!
 //! Equation M41 of `docs/model.md`.
 
+use crate::noise::Noise;
 use flight_core::error::{BuildError, check};
-use flight_core::noise::Noise;
 use flight_core::robot::Jet;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -82,7 +82,7 @@ pub struct MeasurementNoise {
 }
 
 impl JetFaultsConfig {
-    /// Whether the jets are sound.
+    /// Whether there are no faults.
     #[must_use]
     pub fn is_default(&self) -> bool {
         *self == Self::default()
@@ -94,7 +94,7 @@ impl JetFaultsConfig {
     /// [`BuildError`] naming the key, its value and what was expected.
     pub fn check(&self, jets: &[Jet]) -> Result<(), BuildError> {
         let at = |name: &str, value: f64, accept: &dyn Fn(f64) -> bool, expected: &str| {
-            check(&format!("simulator.jet_faults.{name}"), value, accept, expected).map(|_| ())
+            check(&format!("disturbances.jets.{name}"), value, accept, expected).map(|_| ())
         };
         if let Some(failure) = &self.failure {
             index_of(&failure.jet, jets)?;
@@ -110,8 +110,8 @@ impl JetFaultsConfig {
         at("lag", self.lag, &|t| t >= 0.0, "seconds ≥ 0")
     }
 
-    /// Scales the limits that a controller who knows of them reads from its robot.
-    pub fn inform(&self, jets: &mut [Jet]) {
+    /// Scales the limits of the controller's model, where they are known.
+    pub fn apply_known_limits(&self, jets: &mut [Jet]) {
         if let (true, Some(scale)) = (self.limit_is_known, self.thrust_limit_scale) {
             for jet in jets {
                 jet.thrust_max *= scale;
@@ -125,7 +125,7 @@ fn index_of(name: &str, jets: &[Jet]) -> Result<usize, BuildError> {
     let names = || jets.iter().map(|jet| jet.name.as_str());
     names()
         .position(|jet| jet == name)
-        .ok_or_else(|| BuildError::unknown_name("simulator.jet_faults.failure.jet", name, names()))
+        .ok_or_else(|| BuildError::unknown_name("disturbances.jets.failure.jet", name, names()))
 }
 
 /// Faults in time.

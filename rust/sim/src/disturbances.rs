@@ -1,0 +1,56 @@
+//! What is done to robot and controller: errors of what the controller is given, faults of what it acts
+//! through. None of it is part of the controller.
+
+pub mod jet_faults;
+pub mod model_error;
+pub mod wind_estimate;
+
+pub use jet_faults::{FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise};
+pub use model_error::ModelError;
+pub use wind_estimate::{WindEstimateConfig, WindEstimator};
+
+use crate::wind::WindConfig;
+use flight_core::aero::ForceFactorsConfig;
+use flight_core::{BuildError, RobotModel};
+use serde::{Deserialize, Serialize};
+
+/// Disturbances of a flight; none by default.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Disturbances {
+    /// Errors of the wind that the controller is given; without them it is the true one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wind_estimate: Option<WindEstimateConfig>,
+    /// A wind that the controller is given in place of the one that blows.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub controller_wind: Option<WindConfig>,
+    /// How the controller's robot differs from the one that flies.
+    #[serde(skip_serializing_if = "ModelError::is_default")]
+    pub model_error: ModelError,
+    /// Factors on the simulated aerodynamic forces: coefficients that are not what they are thought to be.
+    #[serde(skip_serializing_if = "ForceFactorsConfig::is_default")]
+    pub aero: ForceFactorsConfig,
+    /// What is wrong with the jets.
+    #[serde(skip_serializing_if = "JetFaultsConfig::is_default")]
+    pub jets: JetFaultsConfig,
+}
+
+impl Disturbances {
+    /// Whether there are none.
+    #[must_use]
+    pub fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// The controller's model of `robot`: with errors, and with the limits of weak jets where they are
+    /// known.
+    ///
+    /// # Errors
+    /// As [`ModelError::check`] and [`JetFaultsConfig::check`].
+    pub fn controller_robot(&self, mut robot: RobotModel) -> Result<RobotModel, BuildError> {
+        self.model_error.check()?;
+        self.jets.check(&robot.jets)?;
+        self.jets.apply_known_limits(&mut robot.jets);
+        Ok(self.model_error.apply(robot))
+    }
+}
