@@ -20,7 +20,7 @@ def kinematics(robot: RobotModel, state: State) -> Kinematics:
     """Poses and velocities of all bodies, and the centre of mass."""
     parents = np.array(robot.parent[1:], dtype=int)
     moves = sum_over_ancestors(robot, state.velocity.dtype)
-    turns = robot.joint_turns.astype(state.velocity.dtype)
+    turns = jnp.asarray(robot.joint_turns, state.velocity.dtype)
     shifts = (1.0 - turns) * state.joint_position
     local = multiply(robot.joint_rotations, axis_angle(jnp.asarray(robot.joint_axes), turns * state.joint_position))
     rotations = _compose_along_tree(robot, state.base_rotation, local)

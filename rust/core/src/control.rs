@@ -199,7 +199,7 @@ impl Controller {
         }
         Ok(ControllerState::new(
             measurement,
-            self.setpoint_generator.start(com, rotation),
+            &self.setpoint_generator.start(com, rotation),
             inertia_0_b,
             contact.as_ref().map_or(0, |contact| contact.measured.len()),
             self.solution.len(),

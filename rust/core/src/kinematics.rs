@@ -229,7 +229,7 @@ impl Kinematics {
     /// Visits the columns of the Jacobian of the point of `body` that is at `point_i` now that are
     /// not zero: `visit(column, linear, angular)`.
     ///
-    /// Base translation gives `(e_k, 0)`, base rotation `(e_k × r, e_k)`, a joint at o_j with the axis a
+    /// Base translation gives `(e_k, 0)`, base rotation `(e_k × r, e_k)`, a joint at `o_j` with the axis a
     /// `(a × (p − o_j), a)` if it is revolute and `(a, 0)` if it is prismatic.
     pub fn visit_jacobian_columns(
         &self,

@@ -271,7 +271,7 @@ fn slices_of_different_length_are_served_up_to_the_shortest() {
 
 // -------------------------------------------------------------------------------------- published
 
-/// Two states computed in CasADi by `tests/golden/states.py`, every link, both models.
+/// Two states computed in `CasADi` by `tests/golden/states.py`, every link, both models.
 #[test]
 fn forces_equal_the_golden_states() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/states.json");

@@ -318,12 +318,12 @@ fn feet(file: &RobotFile, tree: &Tree) -> Result<Vec<Foot>, BuildError> {
         }
         let vertices = entry.vertices.iter().map(|vertex| check::finite(&of("vertices"), vertex));
         let vertices_f = vertices.collect::<Result<Vec<Vector3<f64>>, _>>()?;
-        let centre_of_pressure = |axis: usize, key: &str, given: Option<[f64; 2]>| match given {
-            Some([lower, upper]) => check::interval(&of(key), lower, upper).map(|(a, b)| [a, b]),
-            None => {
-                let along = || vertices_f.iter().map(|vertex| vertex[axis]);
-                Ok([along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max)])
+        let centre_of_pressure = |axis: usize, key: &str, given: Option<[f64; 2]>| {
+            if let Some([lower, upper]) = given {
+                return check::interval(&of(key), lower, upper).map(|(a, b)| [a, b]);
             }
+            let along = || vertices_f.iter().map(|vertex| vertex[axis]);
+            Ok([along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max)])
         };
         Ok(Foot {
             name: entry.name.clone(),

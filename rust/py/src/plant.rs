@@ -12,7 +12,7 @@ use pyo3::types::PyDict;
 /// The robot, its jets and the wind of a configuration.
 #[pyclass(module = "jax_aero._core")]
 pub struct Plant {
-    plant: flight_sim::Plant,
+    current: flight_sim::Plant,
     /// As it was at the beginning.
     start: flight_sim::Plant,
     wind: Wind,
@@ -34,25 +34,25 @@ impl Plant {
             flight_sim::Plant::new(robot, &config.simulator, &config.disturbances).map_err(value_error)?;
         let wind = Wind::new(&config.wind).map_err(value_error)?;
         let time_step = config.simulator.time_step;
-        Ok(Self { plant: start.clone(), start, wind, joints, jets, links, time_step, tick: 0 })
+        Ok(Self { current: start.clone(), start, wind, joints, jets, links, time_step, tick: 0 })
     }
 
     /// Return to the initial state.
     fn reset(&mut self) {
-        self.plant = self.start.clone();
+        self.current = self.start.clone();
         self.tick = 0;
     }
 
     /// Time [s], state, thrusts [N] and wind [m/s] at this tick, by name.
     fn measure<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let (state, time) = (self.plant.state(), self.time());
+        let (state, time) = (self.current.state(), self.time());
         let out = PyDict::new(py);
         out.set_item("time", time)?;
         out.set_item("base_position", vector(py, state.base.position.as_slice())?)?;
         out.set_item("base_rotation", matrix(py, &state.base.rotation)?)?;
         out.set_item("joint_position", vector(py, state.joint_position.as_slice())?)?;
         out.set_item("velocity", vector(py, state.velocity.as_slice())?)?;
-        out.set_item("thrust", vector(py, self.plant.jets().thrust_feedback())?)?;
+        out.set_item("thrust", vector(py, self.current.jets().thrust_feedback())?)?;
         out.set_item("wind", vector(py, self.wind.velocity(time).as_slice())?)?;
         Ok(out)
     }
@@ -72,11 +72,11 @@ impl Plant {
             link_forces.map(|forces| finite("link_forces", &forces, &[self.links, 3])).transpose()?;
         let forces =
             forces.map(|values| values.chunks_exact(3).map(Vector3::from_column_slice).collect::<Vec<_>>());
-        self.plant.replace_link_forces(forces).map_err(value_error)?;
+        self.current.replace_link_forces(forces).map_err(value_error)?;
         let wind = self.wind.velocity(self.time());
-        self.plant.observe(&wind);
-        let acting = vectors(py, &self.plant.link_forces().forces_i)?;
-        self.plant.advance(&torque, &thrust_rate, &wind, self.time_step);
+        self.current.observe(&wind);
+        let acting = vectors(py, &self.current.link_forces().forces_i)?;
+        self.current.advance(&torque, &thrust_rate, &wind, self.time_step);
         self.tick += 1;
         Ok(acting)
     }

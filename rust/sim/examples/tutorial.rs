@@ -48,7 +48,7 @@ fn wind(mut aware: FlightConfig) -> Result<(), Box<dyn Error>> {
 // --8<-- [end:wind]
 
 // --8<-- [start:own_loop]
-fn own_loop(config: FlightConfig) -> Result<(), Box<dyn Error>> {
+fn own_loop(config: &FlightConfig) -> Result<(), Box<dyn Error>> {
     let robot = load_robot(&config.robot)?;
     let time_step = config.simulator.time_step;
     let mut plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances)?; // your robot stands here
@@ -92,6 +92,6 @@ fn own_robot() -> Result<(), Box<dyn Error>> {
 pub(crate) fn main() -> Result<(), Box<dyn Error>> {
     let config = hover()?;
     wind(config.clone())?;
-    own_loop(config)?;
+    own_loop(&config)?;
     own_robot()
 }

@@ -187,15 +187,12 @@ impl Flight {
                 wind: estimate,
                 foot_wrenches: &[],
             };
-            let state = match &mut state {
-                Some(state) => state,
-                None => match self.controller.start(&measurement) {
-                    Ok(started) => state.insert(started),
-                    Err(_) => {
-                        fall = Some(Fall { time, reason: FallReason::NotFinite });
-                        break;
-                    }
-                },
+            if state.is_none() {
+                state = self.controller.start(&measurement).ok();
+            }
+            let Some(state) = &mut state else {
+                fall = Some(Fall { time, reason: FallReason::NotFinite });
+                break;
             };
             self.controller.tick(state, &measurement);
             let command = self.controller.command();

@@ -49,7 +49,7 @@ impl Recording {
             return Err(BuildError::bad_value(origin, format!("{} samples long", rows.len()), "at least 2"));
         }
         let width = rows[0].len();
-        if width < REQUIRED || width > REQUIRED + 9 || !(width - REQUIRED).is_multiple_of(3) {
+        if !(REQUIRED..=REQUIRED + 9).contains(&width) || !(width - REQUIRED).is_multiple_of(3) {
             return Err(BuildError::bad_value(place(0), format!("{:?}", rows[0]), "7, 10, 13 or 16 numbers"));
         }
         for (index, row) in rows.iter().enumerate() {

@@ -38,7 +38,7 @@ impl ControllerState {
     /// The state before the first tick, with space for `feet` feet and `unknowns` of the momentum QP.
     pub(super) fn new(
         measurement: &Measurement,
-        setpoint: SetpointState,
+        setpoint: &SetpointState,
         inertia_0_b: Matrix3<f64>,
         feet: usize,
         unknowns: usize,
@@ -47,7 +47,7 @@ impl ControllerState {
         let joints = posture.len();
         Self {
             time: measurement.time,
-            setpoint,
+            setpoint: *setpoint,
             posture,
             inertia_0_b,
             velocity_error_integral: DVector::zeros(joints),
