@@ -30,6 +30,8 @@ from tests.parity.test_dynamics_pinocchio import Oracle
 ROOT = Path(__file__).resolve().parents[2]
 FILE = Path(__file__).parent / "states.json"
 ROBOT = ROOT / "configs/robot/ironcub_mk1.toml"
+TORQUE_MAX = 50.0
+"""Torque limit of every joint [N m], as published; the robot's own limits are other ones."""
 DRAWN = ((4, 0.1, 0.03), (3, 0.1, 1.0))
 """Arguments of `drawn`: four bounds of the momentum QP are active; twelve, and three of the torque QP."""
 EXPERIMENT = ROOT / "configs/experiments/test2.toml"
@@ -244,7 +246,7 @@ def control(given: Values, found: Values, config: dict[str, Any]) -> Values:
     torque_h = torque["weight_acceleration"] * gain.T @ gain
     torque_h += (torque["weight_torque"] + torque["regularisation"]) * np.eye(len(gain))
     torque_g = torque["weight_acceleration"] * gain.T @ (free - desired)
-    limit = np.full(len(gain), torque["torque_max"])
+    limit = np.full(len(gain), TORQUE_MAX)
     return {
         "task": task,
         "task_offset": offset,

@@ -10,7 +10,7 @@ from jax_aero import rust
 from jax_aero.rust import Robot, State
 from jax_aero.symbolic.aero import load_aero
 from tests.golden import ticks
-from tests.golden.states import AERO, FILE, ROBOT, ROOT
+from tests.golden.states import AERO, FILE, ROBOT, ROOT, TORQUE_MAX
 
 TOLERANCE = 1e-9
 """Of the largest entry of each array; both sides round terms of condition up to 1e5."""
@@ -38,6 +38,7 @@ def test_every_value_of_a_tick(golden, controller, agree):
     config = rust.load_config(ROOT / "configs" / "experiments" / f"{experiment}.toml")
     if controller in AERO:
         config["controller"]["aero"] = load_aero(AERO[controller])
+    config["controller"]["torque"]["torque_max"] = TORQUE_MAX
     found = ticks.compute(config, golden["given"] | {"time": 0.0})
     expected = golden[controller]
     expected.pop("link_jacobians", None)

@@ -125,11 +125,12 @@ impl Case {
     }
 }
 
-/// The golden states use physically right points and the printed coefficients.
+/// The golden states use physically right points, the printed coefficients and the published torque limit.
 fn flight_config(control: &str) -> FlightConfig {
     let mut config = load_flight(&repository().join("configs/experiments/test2.toml")).unwrap();
     let path = repository().join(format!("configs/control/{control}.toml"));
     config.controller = flight_io::load(&path).unwrap();
+    config.controller.law.torque.torque_max = Some(50.0);
     if let AeroConfig::Axisymmetric(aero) = &mut config.controller.aero {
         aero.coefficients = "published".into();
     }

@@ -1,4 +1,4 @@
-//! What a solver says about its answer, and the residual that judges it.
+//! The answer of a solver, and the residual that judges it: equation M66 of `docs/model.md`.
 
 use super::QpProblem;
 use crate::linalg;
