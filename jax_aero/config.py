@@ -387,7 +387,7 @@ class QpConfig:
     """How the Rust crate solves its QPs; JAX has one solver."""
 
     solver: Static[Literal["active_set", "clarabel"]] = "active_set"
-    fallback: Static[Literal["clarabel", "hold"]] = "clarabel"
+    fallback: Static[Literal["clarabel", "hold"]] = "hold"
 
 
 @pytree

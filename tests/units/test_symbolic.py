@@ -128,7 +128,7 @@ TOML = 'name = "r"\nurdf = "r.urdf"\nbase_link = "b"\njoint_groups = []\n'
     ("kind", "parent", "complaint"),
     [
         ("revolute", "b", "joint `j` is neither in a joint group nor locked"),
-        ("prismatic", "b", "joint `j` is prismatic; expected fixed, revolute or continuous"),
+        ("planar", "b", "joint `j` is planar; expected fixed, revolute, continuous or prismatic"),
         ("fixed", "c", r"joints \['j'\] hang on no chain from `b`"),
     ],
 )
