@@ -4,6 +4,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import nbformat
@@ -24,6 +25,7 @@ KINDS = {
     ("dry-run", "sh"),
     ("show", "sh"),
     ("experiment", "toml"),
+    ("robot", "toml"),
     ("sweep", "toml"),
     (None, "rust"),
 }
@@ -98,6 +100,17 @@ def test_shown_commands_name_targets_and_modules_that_exist():
                 assert (ROOT / words[1].replace(".", "/")).exists(), line
             else:
                 assert line == "cargo run --release --example tutorial"
+
+
+def test_the_shown_robot_has_keys_that_exist():
+    sparrow = tomllib.loads((ROOT / "configs/robot/sparrow.toml").read_text(encoding="utf-8"))
+    joint_keys = {"name", "limits_deg", "limits", "torque_max", "torque_rate_max", "velocity_max_deg", "velocity_max"}
+    for page in having("robot", "toml"):
+        for code in blocks(page, "robot", "toml"):
+            table = tomllib.loads(code)
+            assert table.keys() <= sparrow.keys()
+            joints = [joint for group in table["joint_groups"] for joint in group["joints"]]
+            assert all(joint.keys() <= joint_keys for joint in joints)
 
 
 @pytest.mark.parametrize("page", having("experiment", "toml"), ids=name)
