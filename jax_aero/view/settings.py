@@ -42,6 +42,9 @@ CONTROLLER_ARMS = {
     "published": {"lever_arm": "unrotated", "jacobian_offset": "base_rotation", "link_velocity": "shifted_twice"},
 }
 
+# As published, one torque limit replaces those of the robot's joints [N m].
+CONTROLLER_TORQUE: dict[str, dict[str, float]] = {"corrected": {}, "published": {"torque_max": 50.0}}
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -131,6 +134,8 @@ def apply(base: rust.Config, settings: Settings) -> rust.Config:
     if settings.arms != before.arms:
         simulator |= SIMULATOR_ARMS[settings.arms]
         controller |= CONTROLLER_ARMS[settings.arms]
+        controller["torque"].pop("torque_max", None)
+        controller["torque"] |= CONTROLLER_TORQUE[settings.arms]
     if settings.model != before.model:
         simulator["aero"] = aero_table(settings.model)
     if (settings.controller, settings.model) != (before.controller, before.model):
