@@ -106,7 +106,7 @@ def test_torque_qp(twin, rng):
 
     def build(x):
         torque, root, force, errors = x
-        return torque_qp(torque, root + root.T, force, *errors)
+        return torque_qp(torque, np.full(N_JOINTS, 50.0), root + root.T, force, *errors)
 
     assert_derivatives_agree(build, (params.torque, 0.5 * mass, force, errors), rng, tolerance=1e-5)
 
@@ -119,8 +119,6 @@ def test_setpoints(twin, rng):
     def fly(x):
         settings, com, rpy = x
         settings = replace(settings, turbo_boost=numbers.turbo_boost)  # a count of ticks, once rounded
-        # The count of ticks to the full boost is rounded, so it is held.
-        settings = replace(settings, turbo_rate=jax.lax.stop_gradient(settings.turbo_rate))
         params = setpoint.setpoint_params(settings, jnp.array([-1.0, 0.0, 0.0]), jnp.array(0.01))
         state = setpoint.start(params, com, rotation_from_rpy(rpy))
 
