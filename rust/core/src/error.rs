@@ -1,6 +1,6 @@
 //! What is said when something handed to us at build time is wrong.
 //!
-//! Every room refuses bad input when it is *built*, with an error that names the item, shows the
+//! Every module refuses bad input when it is *built*, with an error that names the item, shows the
 //! value and says what was expected. Nothing in flight returns these: a tick answers with a status.
 
 use std::path::PathBuf;

@@ -475,7 +475,7 @@ fn bad_numbers_are_refused_by_name() {
     assert!(toml::from_str::<ControllerSection>(&unknown).is_err());
 }
 
-/// A wind that is told and does not blow: the controller's forces see it, the simulator's do not.
+/// A measured wind that does not blow enters the controller's forces and not the simulator's.
 #[test]
 fn a_controller_wind_is_given_and_does_not_blow() {
     let mut config = common::experiment("test2");

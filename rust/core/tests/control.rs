@@ -32,16 +32,16 @@ fn controller(config: &FlightConfig) -> Running {
     Running::new(config.controller(robot).unwrap())
 }
 
-/// What a controller is told: a measurement that owns its parts.
+/// A measurement that owns its parts.
 #[derive(Clone)]
-struct Told {
+struct Sample {
     time: f64,
     state: RobotState,
     thrust: Vec<f64>,
     wind: Vector3<f64>,
 }
 
-impl Told {
+impl Sample {
     /// The robot as its flight starts.
     fn start(config: &FlightConfig) -> Self {
         let robot = load_robot(&config.robot).unwrap();
@@ -55,7 +55,7 @@ impl Told {
         Measurement { time: *time, state, thrust, wind: *wind, foot_wrenches: &[] }
     }
 
-    fn tell<'a>(&self, controller: &'a mut Running) -> &'a Command {
+    fn tick<'a>(&self, controller: &'a mut Running) -> &'a Command {
         controller.tick(&self.measurement())
     }
 }
@@ -73,27 +73,27 @@ fn assert_equal(what: &str, a: &[f64], b: &[f64], tolerance: f64) {
     crate::common::assert_within!(worst, tolerance, "{what}: {worst:e} apart");
 }
 
-type Spoil = (&'static str, fn(&mut Told));
+type Spoil = (&'static str, fn(&mut Sample));
 
 /// Every part of a measurement, spoilt.
 const SPOILT: [Spoil; 14] = [
-    ("time", |told| told.time = f64::NAN),
-    ("infinite time", |told| told.time = f64::INFINITY),
-    ("base position", |told| told.state.base.position.y = f64::NAN),
-    ("base rotation", |told| told.state.base.rotation[(2, 1)] = f64::NAN),
-    ("joint position", |told| told.state.joint_position[22] = f64::NAN),
-    ("infinite joint position", |told| told.state.joint_position[0] = f64::NEG_INFINITY),
-    ("base velocity", |told| told.state.velocity[0] = f64::NAN),
-    ("joint velocity", |told| told.state.velocity[28] = f64::NAN),
-    ("thrust", |told| told.thrust[3] = f64::NAN),
-    ("infinite thrust", |told| told.thrust[0] = f64::INFINITY),
-    ("wind", |told| told.wind.z = f64::NAN),
-    ("a thrust too few", |told| told.thrust.truncate(3)),
-    ("a thrust too many", |told| told.thrust.push(100.0)),
-    ("a joint too few", |told| {
+    ("time", |sample| sample.time = f64::NAN),
+    ("infinite time", |sample| sample.time = f64::INFINITY),
+    ("base position", |sample| sample.state.base.position.y = f64::NAN),
+    ("base rotation", |sample| sample.state.base.rotation[(2, 1)] = f64::NAN),
+    ("joint position", |sample| sample.state.joint_position[22] = f64::NAN),
+    ("infinite joint position", |sample| sample.state.joint_position[0] = f64::NEG_INFINITY),
+    ("base velocity", |sample| sample.state.velocity[0] = f64::NAN),
+    ("joint velocity", |sample| sample.state.velocity[28] = f64::NAN),
+    ("thrust", |sample| sample.thrust[3] = f64::NAN),
+    ("infinite thrust", |sample| sample.thrust[0] = f64::INFINITY),
+    ("wind", |sample| sample.wind.z = f64::NAN),
+    ("a thrust too few", |sample| sample.thrust.truncate(3)),
+    ("a thrust too many", |sample| sample.thrust.push(100.0)),
+    ("a joint too few", |sample| {
         let mut state = RobotState::zero(22);
-        state.base = told.state.base;
-        told.state = state;
+        state.base = sample.state.base;
+        sample.state = state;
     }),
 ];
 
@@ -102,25 +102,25 @@ const SPOILT: [Spoil; 14] = [
 #[test]
 fn bad_measurements_hold_the_last_torques() {
     let config = experiment("test2");
-    let good = Told::start(&config);
-    let [second, third] = [0.01, 0.02].map(|time| Told { time, ..good.clone() });
+    let good = Sample::start(&config);
+    let [second, third] = [0.01, 0.02].map(|time| Sample { time, ..good.clone() });
     let mut undisturbed = controller(&config);
-    good.tell(&mut undisturbed);
+    good.tick(&mut undisturbed);
     // The integral of a tick that held is that of the tick before.
     let integral = undisturbed.state().velocity_error_integral().clone();
-    second.tell(&mut undisturbed);
+    second.tick(&mut undisturbed);
     let state = undisturbed.state().clone();
     let (posture, inertia) = (state.posture().clone(), *state.inertia_0_b());
     undisturbed.state = Some(state.with_posture_control(posture, inertia, integral).unwrap());
-    let expected = third.tell(&mut undisturbed).clone();
+    let expected = third.tick(&mut undisturbed).clone();
     let setpoint = undisturbed.terms().setpoint;
     for (what, spoil) in SPOILT {
         let mut controller = controller(&config);
-        let torque = good.tell(&mut controller).joint_torque.clone();
+        let torque = good.tick(&mut controller).joint_torque.clone();
         assert!(torque.amax() > 1.0);
         let mut bad = second.clone();
         spoil(&mut bad);
-        let command = bad.tell(&mut controller);
+        let command = bad.tick(&mut controller);
         assert_eq!(command.status, CommandStatus::BadMeasurement, "{what}");
         assert_eq!(command.thrust_rate.amax(), 0.0, "{what}");
         assert_eq!(command.joint_velocity.amax(), 0.0, "{what}");
@@ -129,7 +129,7 @@ fn bad_measurements_hold_the_last_torques() {
             assert_eq!(answer.status, QpStatus::NonFinite);
             assert!(answer.kkt.is_nan() && answer.iterations == 0);
         }
-        let command = third.tell(&mut controller).clone();
+        let command = third.tick(&mut controller).clone();
         assert_eq!(command.status, CommandStatus::Nominal, "{what}");
         assert_eq!(controller.terms().setpoint, setpoint, "{what}");
         // The warm start differs, so the answers agree to the accuracy of the QP.
@@ -143,16 +143,16 @@ fn bad_measurements_hold_the_last_torques() {
 #[test]
 fn the_setpoint_moves_on_while_measurements_are_bad() {
     let config = experiment("test2");
-    let good = Told::start(&config);
+    let good = Sample::start(&config);
     let fly = |outage: std::ops::Range<u32>| {
         let mut controller = controller(&config);
         for tick in 0..1800 {
-            let mut told = Told { time: f64::from(tick) * 0.01, ..good.clone() };
+            let mut sample = Sample { time: f64::from(tick) * 0.01, ..good.clone() };
             if outage.contains(&tick) {
-                told.wind.x = f64::NAN;
-                told.time = if tick % 2 == 0 { f64::NAN } else { told.time };
+                sample.wind.x = f64::NAN;
+                sample.time = if tick % 2 == 0 { f64::NAN } else { sample.time };
             }
-            told.tell(&mut controller);
+            sample.tick(&mut controller);
         }
         controller.terms().setpoint
     };
@@ -166,7 +166,7 @@ fn the_setpoint_moves_on_while_measurements_are_bad() {
 #[test]
 fn a_bad_first_measurement_starts_nothing() {
     let config = experiment("test2");
-    let good = Told::start(&config);
+    let good = Sample::start(&config);
     for (what, spoil) in SPOILT {
         let mut controller = controller(&config);
         let mut bad = good.clone();
@@ -175,7 +175,7 @@ fn a_bad_first_measurement_starts_nothing() {
         assert_eq!(refused, Err(BadStart), "{what}");
     }
     let mut controller = controller(&config);
-    good.tell(&mut controller);
+    good.tick(&mut controller);
     assert_eq!(controller.state().posture(), &good.state.joint_position);
 }
 
@@ -183,26 +183,26 @@ fn a_bad_first_measurement_starts_nothing() {
 #[test]
 fn what_is_no_rotation_or_time_is_refused() {
     let config = experiment("test2");
-    let good = Told::start(&config);
+    let good = Sample::start(&config);
     let spoilt: [Spoil; 5] = [
-        ("stretched", |told| told.state.base.rotation *= 1.5),
-        ("mirrored", |told| told.state.base.rotation.column_mut(0).neg_mut()),
-        ("two signs", |told| {
-            told.state.base.rotation[(0, 0)] *= -1.0;
-            told.state.base.rotation[(1, 0)] += 0.1;
+        ("stretched", |sample| sample.state.base.rotation *= 1.5),
+        ("mirrored", |sample| sample.state.base.rotation.column_mut(0).neg_mut()),
+        ("two signs", |sample| {
+            sample.state.base.rotation[(0, 0)] *= -1.0;
+            sample.state.base.rotation[(1, 0)] += 0.1;
         }),
-        ("before", |told| told.time = -1e9),
-        ("long after", |told| told.time = 1e18),
+        ("before", |sample| sample.time = -1e9),
+        ("long after", |sample| sample.time = 1e18),
     ];
     for (what, spoil) in spoilt {
         let mut controller = controller(&config);
-        good.tell(&mut controller);
+        good.tick(&mut controller);
         let mut bad = good.clone();
         spoil(&mut bad);
-        assert_eq!(bad.tell(&mut controller).status, CommandStatus::BadMeasurement, "{what}");
+        assert_eq!(bad.tick(&mut controller).status, CommandStatus::BadMeasurement, "{what}");
     }
     let mut controller = controller(&config);
-    good.tell(&mut controller);
+    good.tick(&mut controller);
     let mut setpoint = controller.terms().setpoint;
     setpoint.rotation *= 5.0;
     let Running { controller, state } = &mut controller;
@@ -238,18 +238,18 @@ fn a_restored_state_continues_to_the_same_bits() {
 /// A state of another robot's controller is refused.
 #[test]
 fn a_state_of_another_robot_is_refused() {
-    let good = Told::start(&experiment("test2"));
+    let good = Sample::start(&experiment("test2"));
     let mut humanoid = controller(&experiment("test2"));
-    good.tell(&mut humanoid);
+    good.tick(&mut humanoid);
     let other: ControllerState = {
         let mut config = experiment("test2");
         config.controller.law.use_jets = false;
         let mut other = controller(&config);
-        good.tell(&mut other);
+        good.tick(&mut other);
         other.state().clone()
     };
     humanoid.state = Some(other);
-    let command = good.tell(&mut humanoid);
+    let command = good.tick(&mut humanoid);
     assert_eq!(command.status, CommandStatus::BadState);
     assert_eq!(command.thrust_rate.amax(), 0.0);
 }
@@ -260,10 +260,10 @@ fn without_jets_no_thrust_rate_is_commanded() {
     let mut config = experiment("test2");
     config.controller.law.use_jets = false;
     let mut controller = controller(&config);
-    let mut told = Told::start(&config);
+    let mut sample = Sample::start(&config);
     for thrust in [0.0, 100.0, 300.0] {
-        told.thrust.fill(thrust);
-        let command = told.tell(&mut controller);
+        sample.thrust.fill(thrust);
+        let command = sample.tick(&mut controller);
         assert_eq!((command.thrust_rate.len(), command.thrust_rate.amax()), (4, 0.0), "{thrust} N");
         assert_eq!(controller.terms().momentum.a_t.ncols(), 0);
     }
@@ -298,11 +298,11 @@ fn without_a_momentum_answer_nothing_moves() {
         config.controller.law.qp.solver = solver;
         config.controller.law.qp.fallback = fallback;
         let mut controller = controller(&config);
-        let mut told = Told::start(&config);
-        told.state.velocity[6 + 3] = 0.4;
+        let mut sample = Sample::start(&config);
+        sample.state.velocity[6 + 3] = 0.4;
         let knee = controller.model().joint_index("l_knee").unwrap();
-        assert!(told.state.joint_position[knee] > 0.0, "beyond its limit");
-        let command = told.tell(&mut controller).clone();
+        assert!(sample.state.joint_position[knee] > 0.0, "beyond its limit");
+        let command = sample.tick(&mut controller).clone();
         assert_eq!(command.status, CommandStatus::MomentumHeld);
         assert_eq!(command.momentum_qp.status, QpStatus::NonFinite);
         assert_eq!(command.thrust_rate.amax(), 0.0);
@@ -329,7 +329,7 @@ fn a_singular_momentum_qp_is_said_to_be_one() {
     weights.regularisation = 1e-18;
     let mut tick = |fallback| {
         config.controller.law.qp.fallback = fallback;
-        Told::start(&config).tell(&mut controller(&config)).clone()
+        Sample::start(&config).tick(&mut controller(&config)).clone()
     };
     let (held, asked) = (tick(Fallback::Hold), tick(Fallback::Clarabel));
     for command in [&held, &asked] {
@@ -350,14 +350,14 @@ fn a_singular_momentum_qp_is_said_to_be_one() {
 fn without_a_torque_answer_torques_stay() {
     let config = experiment("test2");
     let mut sound = controller(&config);
-    let start = Told::start(&config);
-    start.tell(&mut sound);
+    let start = Sample::start(&config);
+    start.tick(&mut sound);
     let mut spoilt_config = config.clone();
     spoilt_config.controller.law.torque.weight_acceleration = 1e306;
     for fallback in [Fallback::Hold, Fallback::Clarabel] {
         spoilt_config.controller.law.qp.fallback = fallback;
         let mut controller = controller(&spoilt_config);
-        let command = start.tell(&mut controller);
+        let command = start.tick(&mut controller);
         assert_eq!(command.status, CommandStatus::TorqueHeld);
         assert_eq!(command.torque_qp.status, QpStatus::NonFinite);
         assert_eq!(command.joint_torque.amax(), 0.0, "torques before the first answer");
@@ -375,7 +375,7 @@ fn without_any_answer_both_hold() {
     config.controller.law.weights.momentum = 1e305;
     config.controller.law.torque.weight_acceleration = 1e306;
     let mut controller = controller(&config);
-    let command = Told::start(&config).tell(&mut controller);
+    let command = Sample::start(&config).tick(&mut controller);
     assert_eq!(command.status, CommandStatus::BothHeld);
     assert_eq!(command.thrust_rate.amax() + command.joint_torque.amax(), 0.0);
 }
@@ -384,11 +384,11 @@ fn without_any_answer_both_hold() {
 #[test]
 fn absurd_states_are_held() {
     let config = experiment("test2");
-    let start = Told::start(&config);
+    let start = Sample::start(&config);
     for size in [1e80, 1e160, 1e300] {
         for part in 0..4 {
             let mut controller = controller(&config);
-            let torque = start.tell(&mut controller).joint_torque.clone();
+            let torque = start.tick(&mut controller).joint_torque.clone();
             let mut absurd = start.clone();
             match part {
                 0 => absurd.state.base.position.x = size,
@@ -396,7 +396,7 @@ fn absurd_states_are_held() {
                 2 => absurd.state.velocity[9] = size,
                 _ => absurd.thrust[2] = size,
             }
-            let command = absurd.tell(&mut controller);
+            let command = absurd.tick(&mut controller);
             assert!(numbers(command).iter().all(|x| x.is_finite()), "{size:e} in part {part}");
             assert!(command.joint_torque.amax() <= 50.0);
             let step = (&command.joint_torque - &torque).amax();
@@ -455,16 +455,16 @@ fn the_baseline_is_the_aware_controller_without_forces() {
     scaled.controller.law.aero_feedback.scale = 0.0;
     compare(&baseline, &scaled, 2.0, wind(), 0.0);
 
-    let mut resting = Told::start(&baseline);
+    let mut resting = Sample::start(&baseline);
     resting.state.velocity.fill(0.0);
     resting.wind = Vector3::zeros();
     let mut aware = controller(&experiment("test2"));
     let mut unaware = controller(&baseline);
-    let expected = numbers(resting.tell(&mut unaware));
-    assert_equal("at rest", &numbers(resting.tell(&mut aware)), &expected, 0.0);
+    let expected = numbers(resting.tick(&mut unaware));
+    assert_equal("at rest", &numbers(resting.tick(&mut aware)), &expected, 0.0);
     resting.wind = wind();
-    assert_eq!(numbers(resting.tell(&mut unaware)).len(), 50);
-    let apart = (&unaware.command().thrust_rate - &resting.tell(&mut aware).thrust_rate).amax();
+    assert_eq!(numbers(resting.tick(&mut unaware)).len(), 50);
+    let apart = (&unaware.command().thrust_rate - &resting.tick(&mut aware).thrust_rate).amax();
     assert!(apart > 1.0, "in wind they differ: by {apart} N/s");
 }
 
@@ -475,7 +475,7 @@ fn each_part_of_the_feedback_can_be_left_out() {
         let mut config = experiment("test2");
         change(&mut config);
         let mut controller = controller(&config);
-        Told::start(&config).tell(&mut controller);
+        Sample::start(&config).tick(&mut controller);
         controller
     };
     let full = tick(&|_| ());
@@ -542,18 +542,18 @@ fn rate_bounds_fade_out_at_the_limits() {
 #[test]
 fn commands_obey_their_bounds_at_the_limits() {
     let config = experiment("test2");
-    let start = Told::start(&config);
+    let start = Sample::start(&config);
     let mut rng = rng(2);
     for thrusts in
         [[0.0; 4], [160.0, 160.0, 220.0, 220.0], [0.0, 160.0, 0.0, 220.0], [-0.3, 160.3, -0.3, 220.3]]
     {
         let mut controller = controller(&config);
-        start.tell(&mut controller);
-        let mut told = Told { thrust: thrusts.to_vec(), ..start.clone() };
+        start.tick(&mut controller);
+        let mut sample = Sample { thrust: thrusts.to_vec(), ..start.clone() };
         // Right hip: pitch below its -17.5 deg, roll above its 45 deg; and everything moves.
-        (told.state.joint_position[17], told.state.joint_position[18]) = (-0.4, 0.9);
-        told.state.velocity = DVector::from_fn(29, |_, _| rng.random_range(-1.0..1.0));
-        let command = told.tell(&mut controller).clone();
+        (sample.state.joint_position[17], sample.state.joint_position[18]) = (-0.4, 0.9);
+        sample.state.velocity = DVector::from_fn(29, |_, _| rng.random_range(-1.0..1.0));
+        let command = sample.tick(&mut controller).clone();
         assert_eq!(command.status, CommandStatus::Nominal);
         for (jet, rate) in command.thrust_rate.iter().enumerate() {
             let full = if jet < 2 { 160.0 } else { 220.0 };
@@ -562,7 +562,7 @@ fn commands_obey_their_bounds_at_the_limits() {
         }
         let robot = controller.model();
         for (joint, velocity) in command.joint_velocity.iter().enumerate() {
-            let s = told.state.joint_position[joint];
+            let s = sample.state.joint_position[joint];
             let (lower, upper) = rate_bounds(s, robot.joints[joint].limits, 45_f64.to_radians(), 5.0);
             assert!((lower..=upper).contains(velocity), "{}", robot.joints[joint].name);
         }
@@ -582,16 +582,16 @@ fn torques_move_by_at_most_three_newton_metres() {
 
     let config = experiment("test2");
     let mut controller = controller(&config);
-    let mut told = Told::start(&config);
-    told.state.velocity[6 + 4] = 2.0;
-    let mut last = told.tell(&mut controller).joint_torque.clone();
+    let mut sample = Sample::start(&config);
+    sample.state.velocity[6 + 4] = 2.0;
+    let mut last = sample.tick(&mut controller).joint_torque.clone();
     assert_eq!(last, controller.terms().unlimited_torque, "the first answer is taken as it is");
     let mut rng = rng(3);
     let mut limited = 0;
     for tick in 1..50 {
-        told.time = f64::from(tick) * 0.01;
-        told.state.velocity = DVector::from_fn(29, |_, _| rng.random_range(-2.0..2.0));
-        let torque = told.tell(&mut controller).joint_torque.clone();
+        sample.time = f64::from(tick) * 0.01;
+        sample.state.velocity = DVector::from_fn(29, |_, _| rng.random_range(-2.0..2.0));
+        let torque = sample.tick(&mut controller).joint_torque.clone();
         for joint in 0..23 {
             let target = controller.terms().unlimited_torque[joint];
             let step = torque[joint] - last[joint];
@@ -614,14 +614,14 @@ fn torques_move_by_at_most_three_newton_metres() {
 fn the_torque_law_integrates_after_use() {
     let config = experiment("test2");
     let mut controller = controller(&config);
-    let mut told = Told::start(&config);
+    let mut sample = Sample::start(&config);
     let mut integral = DVector::zeros(23);
     let mut rng = rng(4);
     for tick in 0..20 {
-        told.time = f64::from(tick) * 0.01;
-        told.state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.1..0.1));
-        let wanted = told.tell(&mut controller).joint_velocity.clone();
-        let error = told.state.velocity.rows(6, 23) - wanted;
+        sample.time = f64::from(tick) * 0.01;
+        sample.state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.1..0.1));
+        let wanted = sample.tick(&mut controller).joint_velocity.clone();
+        let error = sample.state.velocity.rows(6, 23) - wanted;
         let law = &error * -20.0 - &integral * 100.0;
         crate::common::assert_within!(
             (&controller.terms().torque_qp.acceleration_desired - law).amax(),
@@ -647,23 +647,23 @@ fn lambda_is_the_derivative_of_the_momentum_rate() {
         config.controller.law.aero_feedback.momentum_rate = false;
         config.controller.law.aero_feedback.lambda = false;
         let mut controller = controller(&config);
-        let mut told = Told::start(&config);
-        told.state = random_state(&mut rng, controller.model());
-        told.thrust.iter_mut().for_each(|thrust| *thrust = rng.random_range(10.0..150.0));
+        let mut sample = Sample::start(&config);
+        sample.state = random_state(&mut rng, controller.model());
+        sample.thrust.iter_mut().for_each(|thrust| *thrust = rng.random_range(10.0..150.0));
         let mut estimate = |time: f64| {
-            let mut moved = told.clone();
-            let omega = told.state.base_angular_velocity();
+            let mut moved = sample.clone();
+            let omega = sample.state.base_angular_velocity();
             moved.state.base.rotation =
-                flight_core::spatial::exp_so3(&(omega * time)) * told.state.base.rotation;
-            moved.state.base.position += told.state.base_linear_velocity() * time;
-            let joints = told.state.velocity.rows(6, 23) * time;
+                flight_core::spatial::exp_so3(&(omega * time)) * sample.state.base.rotation;
+            moved.state.base.position += sample.state.base_linear_velocity() * time;
+            let joints = sample.state.velocity.rows(6, 23) * time;
             moved.state.joint_position += joints;
-            moved.tell(&mut controller);
+            moved.tick(&mut controller);
             controller.terms().momentum.rate_estimate
         };
         let difference = (estimate(STEP) - estimate(-STEP)) / (2.0 * STEP);
-        told.tell(&mut controller);
-        let lambda = &controller.terms().momentum.lambda * &told.state.velocity;
+        sample.tick(&mut controller);
+        let lambda = &controller.terms().momentum.lambda * &sample.state.velocity;
         let size = lambda.amax();
         let error = (lambda - difference).amax();
         crate::common::assert_within!(error, 1e-6 * size, "pass {pass}: {error:e} of {size}");
@@ -678,21 +678,21 @@ fn lambda_a_is_the_derivative_of_the_aerodynamic_moment() {
     let mut rng = rng(6);
     for _ in 0..30 {
         let mut controller = controller(&config);
-        let mut told = Told::start(&config);
-        told.state = random_state(&mut rng, controller.model());
-        told.wind = random_vector(&mut rng, 10.0);
-        told.tell(&mut controller);
-        let lambda = &controller.terms().momentum.lambda_a * &told.state.velocity;
+        let mut sample = Sample::start(&config);
+        sample.state = random_state(&mut rng, controller.model());
+        sample.wind = random_vector(&mut rng, 10.0);
+        sample.tick(&mut controller);
+        let lambda = &controller.terms().momentum.lambda_a * &sample.state.velocity;
         let forces = controller.terms().link_forces.forces_i.clone();
         let mut moment = |time: f64| {
-            let mut moved = told.clone();
-            let omega = told.state.base_angular_velocity();
+            let mut moved = sample.clone();
+            let omega = sample.state.base_angular_velocity();
             moved.state.base.rotation =
-                flight_core::spatial::exp_so3(&(omega * time)) * told.state.base.rotation;
-            moved.state.base.position += told.state.base_linear_velocity() * time;
-            let joints = told.state.velocity.rows(6, 23) * time;
+                flight_core::spatial::exp_so3(&(omega * time)) * sample.state.base.rotation;
+            moved.state.base.position += sample.state.base_linear_velocity() * time;
+            let joints = sample.state.velocity.rows(6, 23) * time;
             moved.state.joint_position += joints;
-            moved.tell(&mut controller);
+            moved.tick(&mut controller);
             let terms = controller.terms();
             let arms = terms.link_forces.arm_points_i.iter().zip(&forces);
             arms.map(|(p, f)| (p - terms.kinematics.com).cross(f)).sum::<Vector3<f64>>()
@@ -709,7 +709,7 @@ fn lambda_a_is_the_derivative_of_the_aerodynamic_moment() {
 fn parts_of_a_state_that_do_not_fit_are_refused() {
     let config = experiment("test2");
     let mut controller = controller(&config);
-    Told::start(&config).tell(&mut controller);
+    Sample::start(&config).tick(&mut controller);
     let state = controller.state().clone();
     let one = Matrix3::identity();
     let zeros = DVector::zeros;
@@ -827,7 +827,7 @@ fn aero(coefficients: &str, air_density: f64) -> AeroConfig {
     serde_json::from_value(value).unwrap()
 }
 
-/// A controller of one robot does not fit another: the first name that is missing is told.
+/// A controller of one robot does not fit another: the refusal gives the first name that is missing.
 #[test]
 fn a_controller_does_not_fit_another_robot() {
     let config = experiment("test2");

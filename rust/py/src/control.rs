@@ -108,14 +108,8 @@ impl Controller {
         wind: Input<'_>,
         foot_wrenches: Option<Input<'_>>,
     ) -> PyResult<()> {
-        let joints = self.controller.model().n_joints();
-        let measured = Measured {
-            time,
-            state: state(joints, &base_position, &base_rotation, &joint_position, &velocity)?,
-            thrust: entries("thrust", &thrust, &[self.controller.n_jets()])?,
-            wind: vector3("wind", &wind)?,
-            foot_wrenches: self.foot_wrenches(foot_wrenches)?,
-        };
+        let pose = [&base_position, &base_rotation, &joint_position, &velocity];
+        let measured = self.measured(time, pose, &thrust, &wind, foot_wrenches)?;
         self.state = Some(self.controller.start(&measured.measurement()).map_err(bad_start)?);
         Ok(())
     }
@@ -138,14 +132,8 @@ impl Controller {
         setpoint: Option<&Bound<'py, PyDict>>,
         foot_wrenches: Option<Input<'py>>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let joints = self.controller.model().n_joints();
-        let measured = Measured {
-            time,
-            state: state(joints, &base_position, &base_rotation, &joint_position, &velocity)?,
-            thrust: entries("thrust", &thrust, &[self.controller.n_jets()])?,
-            wind: vector3("wind", &wind)?,
-            foot_wrenches: self.foot_wrenches(foot_wrenches)?,
-        };
+        let pose = [&base_position, &base_rotation, &joint_position, &velocity];
+        let measured = self.measured(time, pose, &thrust, &wind, foot_wrenches)?;
         let measurement = measured.measurement();
         let state = match &mut self.state {
             Some(state) => state,
@@ -165,6 +153,24 @@ fn bad_start(reason: BadStart) -> PyErr {
 }
 
 impl Controller {
+    /// The measurement that Python's arrays hold: position and rotation of the base, joint positions, velocity.
+    fn measured(
+        &self,
+        time: f64,
+        [position, rotation, joints, velocity]: [&Input<'_>; 4],
+        thrust: &Input<'_>,
+        wind: &Input<'_>,
+        foot_wrenches: Option<Input<'_>>,
+    ) -> PyResult<Measured> {
+        Ok(Measured {
+            time,
+            state: state(self.controller.model().n_joints(), position, rotation, joints, velocity)?,
+            thrust: entries("thrust", thrust, &[self.controller.n_jets()])?,
+            wind: vector3("wind", wind)?,
+            foot_wrenches: self.foot_wrenches(foot_wrenches)?,
+        })
+    }
+
     /// Wrenches of the feet; zero where none are given.
     fn foot_wrenches(&self, given: Option<Input<'_>>) -> PyResult<Vec<Vector6<f64>>> {
         let feet = self.controller.model().feet.len();

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-/// How often Python is told of progress and may interrupt.
+/// How often progress is reported to Python, which may interrupt.
 const REPORT_INTERVAL: Duration = Duration::from_millis(50);
 
 /// A flight configuration from JSON.

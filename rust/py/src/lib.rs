@@ -1,6 +1,6 @@
-//! Doors from Python to `flight-core`, compiled as `jax_aero._core`.
+//! Python bindings of the crates, compiled as `jax_aero._core`.
 //!
-//! Nothing is computed here: arguments are checked and converted, the crate is asked, results are
+//! Nothing is computed here: arguments are checked and converted, the crate is called, results are
 //! converted back. Files mirror those of the crate. Long calls release the interpreter lock.
 
 // Arguments arrive from Python by value; that is how PyO3 hands them over.

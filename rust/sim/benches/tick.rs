@@ -33,7 +33,7 @@ fn main() -> Result<(), BuildError> {
     Ok(())
 }
 
-/// Replays what the controller was told in a flight, as often as it takes.
+/// Replays the measurements of a flight until there are enough ticks.
 fn tick_times(name: &str) -> Result<Vec<f64>, BuildError> {
     let config = common::configuration(name)?;
     let end = Flight::new(&config)?.run(|_, _| ControlFlow::Continue(())).ok().and_then(|result| result.fall);

@@ -17,7 +17,7 @@ use nalgebra::Vector3;
 const STEP: f64 = 0.01;
 const THRUST: [f64; 4] = [98.0, 98.0, 113.0, 113.0];
 
-fn told(config: &WindEstimateConfig, winds: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+fn estimate(config: &WindEstimateConfig, winds: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     let mean = Vector3::new(1.0, 2.0, 3.0);
     let mut estimator = WindEstimator::new(config, STEP, mean).unwrap();
     winds.iter().map(|wind| estimator.update(wind)).collect()
@@ -60,7 +60,7 @@ fn noise_is_repeatable_and_normal() {
 fn a_delayed_estimate_tells_the_wind_of_then() {
     let config = WindEstimateConfig { delay: 0.3, ..WindEstimateConfig::default() };
     let winds = step_up(50, 100);
-    let estimates = told(&config, &winds);
+    let estimates = estimate(&config, &winds);
     for tick in 0..150 {
         assert_eq!(estimates[tick], winds[tick.saturating_sub(30)], "tick {tick}");
     }
@@ -69,7 +69,7 @@ fn a_delayed_estimate_tells_the_wind_of_then() {
 #[test]
 fn a_low_pass_has_gone_63_percent_after_its_time_constant() {
     let config = WindEstimateConfig { time_constant: 0.5, ..WindEstimateConfig::default() };
-    let estimates = told(&config, &step_up(10, 200));
+    let estimates = estimate(&config, &step_up(10, 200));
     crate::common::assert_within!((estimates[9].y).abs(), 1e-12);
     let reached = estimates[9 + 50].y / -10.0;
     crate::common::assert_within!((reached - (1.0 - (-1.0_f64).exp())).abs(), 1e-9, "{reached}");
@@ -79,12 +79,12 @@ fn a_low_pass_has_gone_63_percent_after_its_time_constant() {
 fn bias_mean_and_noise_are_what_they_say() {
     let winds = step_up(0, 5000);
     let bias = WindEstimateConfig { bias: [1.0, 0.0, -2.0], ..WindEstimateConfig::default() };
-    assert_eq!(told(&bias, &winds)[3], Vector3::new(1.0, -10.0, -2.0));
+    assert_eq!(estimate(&bias, &winds)[3], Vector3::new(1.0, -10.0, -2.0));
     let mean = WindEstimateConfig { mean_only: true, ..WindEstimateConfig::default() };
-    assert_eq!(told(&mean, &winds)[3], Vector3::new(1.0, 2.0, 3.0));
+    assert_eq!(estimate(&mean, &winds)[3], Vector3::new(1.0, 2.0, 3.0));
     let noisy = WindEstimateConfig { noise_std: 2.0, seed: 3, ..WindEstimateConfig::default() };
-    let estimates = told(&noisy, &winds);
-    assert_eq!(estimates, told(&noisy, &winds));
+    let estimates = estimate(&noisy, &winds);
+    assert_eq!(estimates, estimate(&noisy, &winds));
     let spread = estimates.iter().map(|wind| (wind.y + 10.0).powi(2)).sum::<f64>() / 5000.0;
     assert!((spread.sqrt() - 2.0).abs() < 0.1, "{spread}");
 }

@@ -52,7 +52,7 @@ pub struct ThrustEkf {
 }
 
 impl ThrustEkf {
-    /// An estimator of `model`, told the thrust \[N\] it starts from unless the config knows better.
+    /// An estimator of `model`, that starts from the given thrust \[N\] unless the configuration has another one.
     ///
     /// # Errors
     /// A matrix that is not symmetric and positive semidefinite, an `R` that is not positive, a

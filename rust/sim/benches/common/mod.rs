@@ -11,7 +11,7 @@ use nalgebra::{Vector3, Vector6};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
-/// What the controller was told at a tick, and the problems it made of it.
+/// Measurement of a tick, and the QPs that the controller built from it.
 pub struct Tick {
     pub time: f64,
     pub state: RobotState,

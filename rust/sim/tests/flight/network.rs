@@ -49,7 +49,7 @@ fn test4_flies() {
     }
 }
 
-/// Robustness: a controller that believes in the axisymmetric model completes, and the models differ.
+/// Robustness: a controller with the axisymmetric model completes, and the models differ.
 #[test]
 fn the_axisymmetric_model_is_good_enough_to_arrive() {
     for result in flights(["robustness", "robustness_published"]) {

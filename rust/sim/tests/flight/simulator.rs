@@ -153,7 +153,7 @@ fn batches_do_not_depend_on_threads() {
     assert!(alone[0] != alone[1]);
 }
 
-/// `progress` is told every tick and may end the flight.
+/// `progress` is called every tick and may end the flight.
 #[test]
 fn a_flight_can_be_interrupted() {
     let flight = Flight::new(&short(1.0)).unwrap();
@@ -191,7 +191,7 @@ fn a_batch_can_be_interrupted() {
     }
 }
 
-/// A flight that cannot be built is told apart and costs the others nothing.
+/// A flight that cannot be built is an error of its own; the others fly.
 #[test]
 fn a_batch_survives_a_flight_that_cannot_be_built() {
     let bad = with(short(0.2), |config| config.simulator.duration = -1.0);
