@@ -26,7 +26,7 @@ import numpy as np
 from experiments import bench_jaxsim, manifest
 from jax_aero import rust, sim
 from jax_aero.aero import LinkConventions, aero_model, link_forces
-from jax_aero.config import aero_config, flight_config
+from jax_aero.config import aero_config, scenario_config
 from jax_aero.control import qp
 from jax_aero.control import tick as control
 from jax_aero.dynamics import dynamics, forward_dynamics
@@ -197,7 +197,7 @@ def _spread(sample: Any, size: int) -> Any:
 
 def _hovering() -> tuple[Any, Any]:
     """TEST2, and its state where it hovers in the full wind."""
-    config = flight_config(rust.load_config(EXPERIMENTS / "test2.toml"))
+    config = scenario_config(rust.load_config(EXPERIMENTS / "test2.toml"))
     scenario, start = sim.prepare(config)
     return scenario, fly_chunk(scenario, start, jnp.array(0, jnp.int32), HOVER)[0]
 

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from experiments import Refused, study
 from jax_aero import rust, sim
 from jax_aero.aero import Axisymmetric
-from jax_aero.config import flight_config
+from jax_aero.config import scenario_config
 from jax_aero.identify import descend, misfit_of, segments_of, wrenches_along
 from jax_aero.robot import load_robot
 from jax_aero.sim.rollout import fly_chunk
@@ -69,7 +69,7 @@ def run(seed: int = 1, steps: int = STEPS) -> dict[str, Any]:
     validation = rust.load_config(study.CONFIGS / "experiments" / f"{VALIDATION}.toml", {"simulator.duration": 20.0})
     with jax.enable_x64(True):
         started = time.perf_counter()
-        typed = flight_config(config)
+        typed = scenario_config(config)
         scenario, state = sim.prepare(typed)
         model = scenario.plant.aero
         assert isinstance(model, Axisymmetric)

@@ -45,9 +45,9 @@ SIGNALS: Mapping[str, Signal] = {
     "joint_velocity": Signal(("time", "joint"), "rad s-1", "joint velocity"),
     "com_position": Signal(("time", "xyz"), "m", "centre of mass, inertial frame"),
     "com_velocity": Signal(("time", "xyz"), "m s-1", "velocity of the centre of mass, inertial frame"),
-    "com_reference": Signal(("time", "xyz"), "m", "smoothed reference of the centre of mass, inertial frame"),
+    "com_setpoint": Signal(("time", "xyz"), "m", "smoothed reference of the centre of mass, inertial frame"),
     "rotation_error": Signal(("time",), "rad", "angle between the base and its smoothed reference"),
-    "base_rpy_reference": Signal(("time", "rpy"), "rad", "smoothed reference of the base: roll, pitch, yaw"),
+    "base_rpy_setpoint": Signal(("time", "rpy"), "rad", "smoothed reference of the base: roll, pitch, yaw"),
     "thrust": Signal(("time", "jet"), "N", "thrust of each jet"),
     "thrust_rate": Signal(("time", "jet"), "N s-1", "commanded thrust rate"),
     "joint_velocity_command": Signal(("time", "joint"), "rad s-1", "joint velocity command of the momentum QP"),
@@ -58,18 +58,18 @@ SIGNALS: Mapping[str, Signal] = {
         ("time", "link", "xyz"), "N", "aerodynamic force the controller compensates, inertial frame"
     ),
     "momentum": Signal(("time", "six"), MOMENTUM, "centroidal momentum, inertial axes"),
-    "momentum_reference": Signal(("time", "six"), MOMENTUM, "reference of the centroidal momentum"),
+    "momentum_setpoint": Signal(("time", "six"), MOMENTUM, "reference of the centroidal momentum"),
     "momentum_rate_estimate": Signal(("time", "six"), MOMENTUM_RATE, "momentum rate the controller estimates"),
     "qp_status": Signal(("time", "qp"), "1", "outcome of each QP; 0 is solved", dtype="i2"),
     "qp_kkt": Signal(("time", "qp"), "1", "scaled KKT residual of each QP's answer"),
     "qp_iterations": Signal(("time", "qp"), "1", "active-set iterations of each QP", dtype="i4"),
 }
-"""Every variable of `run.nc` except the coordinates and `joint_reference`."""
+"""Every variable of `run.nc` except the coordinates and `joint_setpoint`."""
 
 WRENCH = "N (force), N m (moment)"
 
 GROUND_SIGNALS: Mapping[str, Signal] = {
-    "wind_told": Signal(("time", "xyz"), "m s-1", "measured wind velocity, inertial frame"),
+    "measured_wind": Signal(("time", "xyz"), "m s-1", "measured wind velocity, inertial frame"),
     "joint_torque_measured": Signal(
         ("time", "joint"), "N m", "torque that reaches the joint: of the motor, less its friction"
     ),
@@ -120,9 +120,9 @@ def to_dataset(
         variables[name] = (signal.dims, flight.log[name].astype(signal.dtype), attributes)
     if unlabelled := flight.log.keys() - signals.keys() - {"time"}:
         raise ValueError(f"no unit is written down for {', '.join(sorted(unlabelled))}; add them to SIGNALS")
-    variables["joint_reference"] = (
+    variables["joint_setpoint"] = (
         ("joint",),
-        np.asarray(flight.joint_reference),
+        np.asarray(flight.joint_setpoint),
         {"units": "rad", "long_name": "posture of the first tick, kept as reference"},
     )
     facts: dict[str, str | float] = {

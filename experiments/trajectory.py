@@ -1,9 +1,9 @@
 """Optimal flights: `python -m experiments.trajectory [CONFIG ...]` plans, exports, flies and compares with the paper's.
 
 A plan is solved on the centroidal model (`jax_aero/symbolic/trajectory.py`), written as a reference that the
-controllers fly (`envelope = { file = "reference.csv" }`), and flown in closed loop by the Rust engine, in the same wind
+controllers fly (`mission = { file = "reference.csv" }`), and flown in closed loop by the Rust engine, in the same wind
 as the paper's flight, which is flown beside it. Results go to `results/trajectory/CONFIG/`: `run.nc` holds the plan,
-the flown flight and the paper's; `reference.csv` the reference. With --export it is also left in `configs/envelope/`.
+the flown flight and the paper's; `reference.csv` the reference. With --export it is also left in `configs/mission/`.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = argparse.ArgumentParser(prog="python -m experiments.trajectory", description=__doc__)
     parser.add_argument("configs", nargs="*", default=GOALS, metavar="CONFIG", help="file stems in configs/trajectory")
-    parser.add_argument("--export", action="store_true", help="leave the reference in configs/envelope too")
+    parser.add_argument("--export", action="store_true", help="leave the reference in configs/mission too")
     given = parser.parse_args(arguments)
     try:
         for name in given.configs:
@@ -145,7 +145,7 @@ def run(path: Path, *, export: bool = False, changes: Mapping[str, Any] | None =
     )
     study.write(study.RESULTS / "trajectory" / path.stem, dataset, document, {"reference.csv": text})
     if export:
-        (study.CONFIGS / "envelope" / f"{path.stem}.csv").write_text(text, encoding="utf-8")
+        (study.CONFIGS / "mission" / f"{path.stem}.csv").write_text(text, encoding="utf-8")
     return document
 
 
@@ -219,7 +219,7 @@ def fly(base: Mapping[str, Any], text: str, duration: float) -> rust.FlightResul
         file.write_text(text, encoding="utf-8")
         step = base["simulator"]["time_step"]
         simulator = {**base["simulator"], "duration": round(duration / step) * step}
-        return rust.fly({**base, "simulator": simulator, "envelope": {"file": str(file)}})
+        return rust.fly({**base, "simulator": simulator, "mission": {"file": str(file)}})
 
 
 def to_dataset(
@@ -255,8 +255,8 @@ def to_dataset(
         signals[name] = {
             "time": log["time"] - offset,
             **{key: log[key] for key in ("com_position", "com_velocity", "thrust", "rotation_error")},
-            "base_rpy": log["base_rpy_reference"],
-            "com_error": np.linalg.norm(log["com_position"] - log["com_reference"], axis=1),
+            "base_rpy": log["base_rpy_setpoint"],
+            "com_error": np.linalg.norm(log["com_position"] - log["com_setpoint"], axis=1),
         }
     variables: dict[str, Any] = {}
     for name, group in signals.items():

@@ -25,7 +25,7 @@ class _QpAnswer(TypedDict):
 
 class _FlightResult(TypedDict):
     log: dict[str, _Array]
-    joint_reference: _Array
+    joint_setpoint: _Array
     outcome: Literal["completed", "fell"]
     fall_time: float | None
     fall_reason: str | None

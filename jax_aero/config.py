@@ -1,11 +1,11 @@
 """A flight's configuration as typed pytrees, field for field what the Rust crate reads.
 
 Numbers are leaves, so gains, weights, coefficients or winds can be batched and differentiated; names and switches are
-static. `flight_config` builds them from what `jax_aero.rust.load_config` returns, which has checked every value;
+static. `scenario_config` builds them from what `jax_aero.rust.load_config` returns, which has checked every value;
 here unknown and missing keys are refused once more, so that no setting is ever silently ignored.
 
 >>> from jax_aero import rust
->>> config = flight_config(rust.load_config("configs/experiments/test2.toml"))
+>>> config = scenario_config(rust.load_config("configs/experiments/test2.toml"))
 >>> float(config.controller.momentum.c0)
 50.0
 """
@@ -462,7 +462,7 @@ class RecordedReference:
 
 
 @pytree
-class EnvelopeConfig:
+class MissionConfig:
     """When the autopilot commands what: for each motion open intervals (k, 2) of time [s]."""
 
     up: Array = _default(np.zeros((0, 2)))
@@ -549,14 +549,14 @@ class Disturbances:
 
 
 @pytree
-class FlightConfig:
-    """One flight: which robot, in which simulator and wind, under which controller, on which envelope."""
+class ScenarioConfig:
+    """One flight: which robot, in which simulator and wind, under which controller, on which mission."""
 
     robot: Static[str]
     """Path of the robot's TOML file."""
     simulator: SimulatorConfig
     controller: ControllerConfig
-    envelope: EnvelopeConfig
+    mission: MissionConfig
     wind: WindConfig
     disturbances: Disturbances = field(default_factory=Disturbances)
     title: Static[str] = ""
@@ -568,7 +568,7 @@ class FlightConfig:
 # --- from a resolved table ---------------------------------------------------------------------------------------
 
 
-def flight_config(table: Mapping[str, Any]) -> FlightConfig:
+def scenario_config(table: Mapping[str, Any]) -> ScenarioConfig:
     """Build a flight's configuration from a resolved table, as `rust.load_config` returns it.
 
     Raises
@@ -576,7 +576,7 @@ def flight_config(table: Mapping[str, Any]) -> FlightConfig:
     ValueError
         Naming the key that is unknown or missing.
     """
-    return _build(FlightConfig, table, "")
+    return _build(ScenarioConfig, table, "")
 
 
 def aero_config(table: Mapping[str, Any]) -> AeroConfig:
@@ -692,7 +692,7 @@ def _value(hint: Any, value: Any, where: str) -> Any:
     if typing.get_origin(hint) is Literal and value not in typing.get_args(hint):
         raise ValueError(f"`{where}` is {value!r}; expected one of {', '.join(map(str, typing.get_args(hint)))}")
     if hint is Array:
-        return _number(np.reshape(value, (-1, 2)) if where.startswith("envelope.") else value)
+        return _number(np.reshape(value, (-1, 2)) if where.startswith("mission.") else value)
     origin = typing.get_origin(hint)
     if origin is dict:
         return {name: _number(entry) for name, entry in value.items()}

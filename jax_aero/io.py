@@ -1,7 +1,7 @@
 """From a TOML file to one resolved table, as the crate reads it; the compiled crate is not needed.
 
 A table may name another file as its `base`: that file's table is read first, and the keys beside `base` are laid over
-it, table by table. Paths start at the file that names them. Keys are not judged here: `config.flight_config` does.
+it, table by table. Paths start at the file that names them. Keys are not judged here: `config.scenario_config` does.
 
 >>> load_config("configs/experiments/test2.toml", {"wind.velocity": [0.0, -12.0, 0.0]})["wind"]["profile"]
 'ramp'

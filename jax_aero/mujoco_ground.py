@@ -259,7 +259,7 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
     log = {name: np.array([row[name] for row in rows], dtype=np.float64) for name in rows[0]}
     return rust.FlightResult(
         log=log,
-        joint_reference=np.asarray(posture),
+        joint_setpoint=np.asarray(posture),
         outcome="completed" if fall is None else "fell",
         fall_time=None if fall is None else fall[0],
         fall_reason=None if fall is None else fall[1],
@@ -295,12 +295,12 @@ def _row(
         "base_position": position,
         "base_quaternion": wxyz if wxyz[0] >= 0.0 else -wxyz,
         "base_velocity": nu[:6],
-        "base_rpy_reference": _rpy(desired),
+        "base_rpy_setpoint": _rpy(desired),
         "joint_position": joints,
         "joint_velocity": nu[6:],
         "com_position": truth.com_position,
         "com_velocity": truth.momentum[:3] / plant.robot.mass,
-        "com_reference": np.asarray(tick.setpoint.com_position),
+        "com_setpoint": np.asarray(tick.setpoint.com_position),
         "rotation_error": _angle(desired.T @ rotation),
         "thrust": thrust,
         "thrust_rate": tick.thrust_rate,
@@ -310,12 +310,12 @@ def _row(
         "aero_force_sim": seen.aero_force,
         "aero_force_control": tick.aero_force,
         "momentum": truth.momentum,
-        "momentum_reference": np.append(plant.robot.mass * np.asarray(tick.setpoint.com_velocity), np.zeros(3)),
+        "momentum_setpoint": np.append(plant.robot.mass * np.asarray(tick.setpoint.com_velocity), np.zeros(3)),
         "momentum_rate_estimate": tick.momentum_rate_estimate,
         "qp_status": [tick.momentum_answer.status_code, tick.torque_answer.status_code],
         "qp_kkt": [tick.momentum_answer.kkt, tick.torque_answer.kkt],
         "qp_iterations": [tick.momentum_answer.iterations, tick.torque_answer.iterations],
-        "wind_told": measured,
+        "measured_wind": measured,
         "joint_torque_measured": seen.joint_torque,
         "foot_wrench": seen.foot_wrenches,
         "sole_position": seen.soles,
@@ -329,7 +329,7 @@ def _row(
 def _fall(row: Mapping[str, Any], limits: Mapping[str, float], time: float) -> tuple[float, str] | None:
     """Judge as the crate does."""
     angle = np.degrees(row["rotation_error"])
-    distance = float(np.linalg.norm(row["com_position"] - row["com_reference"]))
+    distance = float(np.linalg.norm(row["com_position"] - row["com_setpoint"]))
     if not np.isfinite(angle) or not np.isfinite(distance):
         return time, "state not finite"
     if angle > limits["rotation_error_deg"]:
@@ -339,10 +339,10 @@ def _fall(row: Mapping[str, Any], limits: Mapping[str, float], time: float) -> t
     return None
 
 
-def _summary(log: Mapping[str, Array], joint_reference: Array) -> dict[str, float]:
+def _summary(log: Mapping[str, Array], joint_setpoint: Array) -> dict[str, float]:
     airborne = np.count_nonzero(log["feet_carry"] == 0)
     tick = float(log["time"][1]) if len(log["time"]) > 1 else 0.0
-    return figures(condense(log, joint_reference)) | {"time_off_the_ground": tick * airborne}
+    return figures(condense(log, joint_setpoint)) | {"time_off_the_ground": tick * airborne}
 
 
 def _angle(rotation: Array) -> float:

@@ -21,7 +21,7 @@ class FlightResult:
     ----------
     log
         Signal name to array; the first axis is time. `experiments/record.py` names every signal, with its unit.
-    joint_reference
+    joint_setpoint
         Posture of the first tick, which the controller keeps pulling towards [rad].
     outcome
         "completed", or "fell" when the simulator's fall criterion was met.
@@ -32,7 +32,7 @@ class FlightResult:
     """
 
     log: Mapping[str, NDArray[np.float64]]
-    joint_reference: NDArray[np.float64]
+    joint_setpoint: NDArray[np.float64]
     outcome: Literal["completed", "fell"]
     fall_time: float | None
     fall_reason: str | None

@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 SETTLING_TIME = 3.0
 """Time that a flight takes to settle after it starts out of equilibrium [s]."""
 
-TILTED = np.pi / 4
-"""Rotation error beyond which a robot that still flies counts as tilted [rad]."""
+LEANING = np.pi / 4
+"""Rotation error beyond which a robot that still flies counts as leaning [rad]."""
 
 
-def condense(log: Mapping[str, Any], joint_reference: Any) -> dict[str, Any]:
+def condense(log: Mapping[str, Any], joint_setpoint: Any) -> dict[str, Any]:
     """Return what `figures` needs of a log, or of one tick of it. Arrays of NumPy or of JAX."""
     same = ("time", "com_position", "rotation_error", "thrust", "qp_status", "qp_kkt", "qp_iterations")
     return {name: log[name] for name in same} | {
-        "com_error": log["com_position"] - log["com_reference"],
+        "com_error": log["com_position"] - log["com_setpoint"],
         "largest_torque": abs(log["joint_torque"]).max(-1, initial=0.0),
-        "joint_error": abs(log["joint_position"] - joint_reference).sum(-1),
+        "joint_error": abs(log["joint_position"] - joint_setpoint).sum(-1),
         "simulated": log["aero_force_sim"].sum(-2),
         "estimated": log["aero_force_control"].sum(-2),
     }
@@ -55,7 +55,7 @@ def figures(signals: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
         "ticks_without_solution": np.count_nonzero(np.any(signals["qp_status"] > 0.0, axis=1)),
         "rms_com_error": _root_mean_square(distance),
         "rms_rotation_error": _root_mean_square(rotation_error[settled]),
-        "time_tilted": tick * np.count_nonzero(rotation_error > TILTED),
+        "time_above_45_deg": tick * np.count_nonzero(rotation_error > LEANING),
         "max_joint_error": _greatest(signals["joint_error"]),
         "max_aero_force": _greatest(np.linalg.norm(simulated, axis=1)),
         "max_aero_force_difference": _greatest(np.linalg.norm(simulated - estimated, axis=1)),

@@ -42,7 +42,7 @@ FIGURES: dict[str, tuple[Draw, Sequence[str], str]] = {
     "fig4_fit": (fig4_fit.draw, fig4_fit.RUNS, "Fig. 4 d, e: the axisymmetric model over the CFD"),
     "fig4_network": (fig4_network.draw, fig4_network.RUNS, "Fig. 4 a-c: the network's drag of the head, two splits"),
     "training": (training.draw, training.RUNS, "loss curves of a training run"),
-    "fig5": (fig5_flight.draw, fig5_flight.RUNS, "Fig. 5 b-i: one envelope flown twice"),
+    "fig5": (fig5_flight.draw, fig5_flight.RUNS, "Fig. 5 b-i: one mission flown twice"),
     "fig5_robustness": (
         fig5_flight.draw,
         fig5_flight.ROBUSTNESS,
@@ -54,7 +54,7 @@ FIGURES: dict[str, tuple[Draw, Sequence[str], str]] = {
     "demo": (demo.draw, demo.RUNS, "both controllers, corrected and published lever arms"),
     "surrogate": (surrogate.draw, surrogate.RUNS, "the panel model beside the wind tunnel"),
     "trim": (trim.draw, trim.RUNS, "winds that can be trimmed, and the thrust that is left"),
-    "trajectory": (trajectory.draw, trajectory.RUNS, "planned trajectories, flown beside the paper's envelope"),
+    "trajectory": (trajectory.draw, trajectory.RUNS, "planned trajectories, flown beside the paper's mission"),
     "identify": (identify.draw, identify.RUNS, "aerodynamic coefficients identified from one flight's log"),
     "tip_over": (tip_over.draw, tip_over.RUNS, "what wind tips the standing robot over"),
     "force_rate": (force_rate.draw, force_rate.RUNS, "the aerodynamic force rate that the controller leaves out"),

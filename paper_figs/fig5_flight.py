@@ -1,4 +1,4 @@
-"""Fig. 5, panels b to i: one envelope flown twice.
+"""Fig. 5, panels b to i: one mission flown twice.
 
 b  smoothed CoM reference    c  wind
 d, g  joint errors by group    e, h  total aerodynamic force    f, i  thrusts
@@ -29,7 +29,7 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
     top, upper, lower = figure.subfigures(3, 1, height_ratios=(1.0, 1.15, 1.22), squeeze=False)[:, 0]
 
     b, c = top.subplots(1, 2)
-    panels.com_reference(b, first)
+    panels.com_setpoint(b, first)
     panels.wind(c, first)
     for axes, mark in ((b, "b"), (c, "c")):
         style.letter(axes, mark)

@@ -43,9 +43,9 @@ def _experiment(figure: FigureBase, run: Run, letters: str) -> None:
     figure.suptitle(run.title, fontsize=8.5, fontweight="bold", x=0.01, ha="left")
     grid = figure.subplots(2, 3, sharex=True)
     flown = run.flown
-    _vector(grid[0, 0], flown["wind_told"], "measured wind [m/s]")
+    _vector(grid[0, 0], flown["measured_wind"], "measured wind [m/s]")
     _vector(grid[0, 1], flown["aero_force_control"].sum("link"), "aerodynamic force [N]")
-    _vector(grid[0, 2], 1e3 * (flown["com_position"] - flown["com_reference"]), "CoM error [mm]")
+    _vector(grid[0, 2], 1e3 * (flown["com_position"] - flown["com_setpoint"]), "CoM error [mm]")
     _leg(grid[1, 0], flown["joint_position"] * (180.0 / np.pi), "left leg joints [deg]")
     _leg(grid[1, 1], flown["joint_torque"], "torques, desired [N m]")
     _leg(grid[1, 2], flown["joint_torque_measured"], "torques, at the joints [N m]")

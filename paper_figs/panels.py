@@ -12,9 +12,9 @@ SIDES = {"l": "left", "r": "right"}
 SILENT = ("jet", "turbine")  # words a legend of jets need not repeat
 
 
-def com_reference(axes: Axes, run: Run) -> None:
+def com_setpoint(axes: Axes, run: Run) -> None:
     """Draw the smoothed reference of the centre of mass."""
-    _components(axes, run.data["com_reference"])
+    _components(axes, run.data["com_setpoint"])
     axes.set_ylabel("CoM reference [m]")
 
 

@@ -46,7 +46,7 @@ class Run:
 
     def joint_error_deg(self) -> Series:
         """Return the sum of absolute joint errors of each group [deg], dims time and group."""
-        error = abs(self.flown["joint_position"] - self.flown["joint_reference"]) * (180.0 / np.pi)
+        error = abs(self.flown["joint_position"] - self.flown["joint_setpoint"]) * (180.0 / np.pi)
         group_of = self.flown["joint_group"].values
         groups = list(dict.fromkeys(group_of.tolist()))  # in the robot's order
         sums = [error.isel(joint=np.flatnonzero(group_of == group)).sum("joint") for group in groups]
@@ -54,7 +54,7 @@ class Run:
 
     def com_error(self) -> Series:
         """Return the distance of the centre of mass from its reference [m]."""
-        offset = self.flown["com_position"] - self.flown["com_reference"]
+        offset = self.flown["com_position"] - self.flown["com_setpoint"]
         return (offset**2).sum("xyz") ** 0.5
 
 

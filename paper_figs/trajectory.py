@@ -19,7 +19,7 @@ RUNS = ("min_time", "min_fuel")
 COLOURS = {"min_time": style.VERMILION, "min_fuel": style.BLUE}
 PAPER = style.GREY
 DASHES = {"minimum fuel": "--"}
-OFFSETS = {"paper's envelope": (-70, -2), "minimum time": (6, -12), "minimum fuel": (6, -2)}
+OFFSETS = {"paper's mission": (-70, -2), "minimum time": (6, -12), "minimum fuel": (6, -2)}
 
 
 def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
@@ -35,7 +35,7 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
         (grid[2, 1], _fuel, "fuel burnt [l]"),
     ):
         paper = next(iter(studies.values()))
-        draw_panel(axes, paper, "paper", PAPER, "paper's envelope")
+        draw_panel(axes, paper, "paper", PAPER, "paper's mission")
         for name, study in studies.items():
             draw_panel(axes, study, "flown", COLOURS.get(name, style.BLACK), str(study.attrs["title"]).lower())
         axes.set_ylabel(label)

@@ -97,9 +97,9 @@ def made_up_flight(duration: float = 50.0, fall_time: float | None = None, step:
         "joint_velocity": np.zeros((n, 23)),
         "com_position": reference + drift[:, None] * np.array([0.1, -0.6, 0.05]),
         "com_velocity": np.zeros((n, 3)),
-        "com_reference": reference,
+        "com_setpoint": reference,
         "rotation_error": 0.03 + 1.5 * drift,
-        "base_rpy_reference": np.tile([0.0, 0.0, np.pi], (n, 1)),
+        "base_rpy_setpoint": np.tile([0.0, 0.0, np.pi], (n, 1)),
         "thrust": np.array([98.0, 98.0, 113.0, 113.0])
         + np.outer(ramp, [20.0, -15.0, 30.0, -25.0]) * (1 + drift[:, None]),
         "thrust_rate": np.zeros((n, 4)),
@@ -109,7 +109,7 @@ def made_up_flight(duration: float = 50.0, fall_time: float | None = None, step:
         "aero_force_sim": force,
         "aero_force_control": 0.8 * force,
         "momentum": np.zeros((n, 6)),
-        "momentum_reference": np.zeros((n, 6)),
+        "momentum_setpoint": np.zeros((n, 6)),
         "momentum_rate_estimate": np.zeros((n, 6)),
         "qp_status": np.zeros((n, 2)),
         "qp_kkt": np.full((n, 2), 1e-12),
@@ -117,7 +117,7 @@ def made_up_flight(duration: float = 50.0, fall_time: float | None = None, step:
     }
     return FlightResult(
         log=log,
-        joint_reference=np.full(23, 0.2),
+        joint_setpoint=np.full(23, 0.2),
         outcome="fell" if fall_time else "completed",
         fall_time=fall_time,
         fall_reason="rotation error above 90 deg" if fall_time else None,

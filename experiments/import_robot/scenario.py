@@ -45,7 +45,7 @@ def scenario_text(robot: Robot, trim: TrimResult, folder: Path, *, mission: str,
 description = "Starts in the trim that import-robot found."
 robot = "robot.toml"
 controller = {{ base = "controller.toml" }}
-envelope = {{ base = "{_relative(study.CONFIGS / "envelope" / f"{mission}.toml", folder)}" }}
+mission = {{ base = "{_relative(study.CONFIGS / "mission" / f"{mission}.toml", folder)}" }}
 wind = {{ base = "{_relative(study.CONFIGS / "wind" / f"{wind}.toml", folder)}" }}
 
 [simulator]

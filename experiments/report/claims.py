@@ -33,7 +33,7 @@ LEAST_FIRST = (
 )
 """Levels of the ablation of terms, from no feedback to all of it."""
 
-TILTED = 45.0
+LEANING = 45.0
 """Rotation error beyond which a flight that arrives does not count as balanced [deg]."""
 
 
@@ -178,7 +178,7 @@ def _robustness(results: Results) -> tuple[str, str]:
     text, shares = _pair(results, "robustness")
     verdict = _agreement(*(share["completed_low"] > 0.9 for share in shares))
     leaning = max(_flight(results, name).rotation_error for name in ("robustness", "robustness_published"))
-    if verdict.startswith("holds") and leaning > TILTED:
+    if verdict.startswith("holds") and leaning > LEANING:
         verdict += f", but the robot leans by up to {leaning:.0f}°"
     return text, verdict
 
@@ -339,7 +339,7 @@ CLAIMS = (
     ),
     _Claim(
         "TEST1",
-        "The baseline controller fails to complete the envelope: the robot falls due to imbalances",
+        "The baseline controller fails to complete the mission: the robot falls due to imbalances",
         _fails("test1"),
     ),
     _Claim("TEST2", "The aerodynamic-aware controller keeps balance throughout all manoeuvres", _flies("test2")),
@@ -375,7 +375,7 @@ CLAIMS = (
     _Claim("Fig. 6c, i", "The motion becomes visible about 2 s after the wind starts to rise", _onset),
     _Claim(
         "Suppl. Fig. 17",
-        "There is a minimum of aerodynamic information with which the envelope is still flown",
+        "There is a minimum of aerodynamic information with which the mission is still flown",
         _minimum,
     ),
 )

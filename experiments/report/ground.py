@@ -66,7 +66,7 @@ def measure(name: str, run: xr.Dataset, ramp_start: float, mass: float) -> Groun
     def way(signal: Vector) -> Vector:
         return np.asarray(signal[end].mean(axis=0) - signal[calm].mean(axis=0))
 
-    com = (run["com_position"] - run["com_reference"]).values
+    com = (run["com_position"] - run["com_setpoint"]).values
     moved = np.linalg.norm(com - com[calm].mean(axis=0), axis=1) > VISIBLE
     force = run["aero_force_control"].sum("link").values
     feet = run["contact_force"].sum("foot").values[:, :3]

@@ -16,7 +16,7 @@ from jax_aero.summary import SETTLING_TIME
 WINDY = 3.0
 """Slowest relative wind whose direction means something [m/s]."""
 FINAL = 3.0
-"""Length of the end of a flight, at rest in the paper's envelope [s]."""
+"""Length of the end of a flight, at rest in the paper's mission [s]."""
 
 Vector = NDArray[np.float64]
 
@@ -61,9 +61,9 @@ def measure(name: str, run: xr.Dataset, document: dict[str, Any]) -> Metrics:
     """Return the metrics of a flight, up to its fall."""
     time: Vector = run["time"].values
     settled = time >= SETTLING_TIME
-    position_error = (run["com_position"] - run["com_reference"]).values
+    position_error = (run["com_position"] - run["com_setpoint"]).values
     distance: Vector = np.linalg.norm(position_error, axis=1)[settled]
-    error = np.degrees(np.abs((run["joint_position"] - run["joint_reference"]).values))
+    error = np.degrees(np.abs((run["joint_position"] - run["joint_setpoint"]).values))
     groups = run["joint_group"].values
     simulated, estimated = (run[f"aero_force_{side}"].sum("link").values for side in ("sim", "control"))
     difference = np.linalg.norm(simulated - estimated, axis=1)

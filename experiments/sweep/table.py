@@ -28,7 +28,7 @@ SUMMARY = (
     "rms_com_error",
     "max_rotation_error",
     "rms_rotation_error",
-    "time_tilted",
+    "time_above_45_deg",
     "max_joint_error",
     "thrust_min",
     "thrust_max",
@@ -54,7 +54,7 @@ QUANTITIES = {
     "thrust_max": ("thrust_max", 1.0),
     "thrust_min": ("thrust_min", 1.0),
     "fall_time": ("fall_time", 1.0),
-    "time_tilted": ("time_tilted", 1.0),
+    "time_above_45_deg": ("time_above_45_deg", 1.0),
 }
 """Columns of the table of cells: of which summary, times what."""
 

@@ -1,4 +1,4 @@
-"""A reference that was computed beforehand: `envelope = { file = "…" }`.
+"""A reference that was computed beforehand: `mission = { file = "…" }`.
 
 Equation M49 of `docs/model.md`.
 """

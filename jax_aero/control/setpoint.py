@@ -16,7 +16,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float
 
-from jax_aero.config import EnvelopeConfig, SetpointConfig
+from jax_aero.config import MissionConfig, SetpointConfig
 from jax_aero.control.recorded import Recording, motion_at
 from jax_aero.spatial import (
     cross,
@@ -45,7 +45,7 @@ class AutopilotCommand(NamedTuple):
     """Whether the forward speed is boosted, bool."""
 
 
-def autopilot_command(envelope: EnvelopeConfig, time: Array) -> AutopilotCommand:
+def autopilot_command(mission: MissionConfig, time: Array) -> AutopilotCommand:
     """Return the command at `time` [s]. Intervals are open."""
     time = jnp.asarray(time)
     # A tick on an end of an interval is outside; the margin keeps rounding of k · 0.01 from moving it inside.
@@ -57,12 +57,12 @@ def autopilot_command(envelope: EnvelopeConfig, time: Array) -> AutopilotCommand
     def one(intervals: Array) -> Array:
         return active(intervals).astype(time.dtype)
 
-    turbo = active(envelope.forward_turbo)
+    turbo = active(mission.forward_turbo)
     return AutopilotCommand(
-        forward=(turbo | active(envelope.forward)).astype(time.dtype),
-        vertical=one(envelope.up) - one(envelope.down),
-        nose_down=-one(envelope.pitch_up),
-        yaw=one(envelope.yaw_left),
+        forward=(turbo | active(mission.forward)).astype(time.dtype),
+        vertical=one(mission.up) - one(mission.down),
+        nose_down=-one(mission.pitch_up),
+        yaw=one(mission.yaw_left),
         turbo=turbo,
     )
 
@@ -199,16 +199,16 @@ def _heading_rpy(params: SetpointParams, rotation: Array) -> Array:
 
 
 def update(
-    params: SetpointParams, envelope: EnvelopeConfig | Recording, state: SetpointState, time: Array
+    params: SetpointParams, mission: MissionConfig | Recording, state: SetpointState, time: Array
 ) -> tuple[SetpointState, Setpoint]:
     """Return the set-point of the tick at `time` [s]: that of the autopilot's commands, or a recorded one.
 
     The smoothed attitude follows the raw one by `ω = −K sk(R_rawᵀ R)^∨`, forward Euler on the matrix; its projection
     back onto SO(3) every tick removes the drift of that step.
     """
-    if isinstance(envelope, Recording):
-        return _follow(params, envelope, state, time)
-    raw_position, raw_rpy, turbo_ticks = _advance_raw(params, state, autopilot_command(envelope, time))
+    if isinstance(mission, Recording):
+        return _follow(params, mission, state, time)
+    raw_position, raw_rpy, turbo_ticks = _advance_raw(params, state, autopilot_command(mission, time))
     position = filter_update(params.position_filter, state.position, raw_position)
     acceleration = filter_update(params.jerk_filter, state.acceleration, position.derivatives[2])
 
@@ -279,12 +279,12 @@ class Trajectory(NamedTuple):
 
 
 def trajectory(
-    params: SetpointParams, envelope: EnvelopeConfig | Recording, com: Array, rotation: Array, n_ticks: int
+    params: SetpointParams, mission: MissionConfig | Recording, com: Array, rotation: Array, n_ticks: int
 ) -> Trajectory:
     """Return the set-points of `n_ticks` ticks from time zero; `com` (3,) and `rotation` (3, 3) begin it."""
 
     def tick(state: SetpointState, index: Array) -> tuple[SetpointState, Trajectory]:
-        state, setpoint = update(params, envelope, state, index * params.time_step)
+        state, setpoint = update(params, mission, state, index * params.time_step)
         return state, Trajectory(state.raw_position, state.raw_rpy, setpoint)
 
     rows: Trajectory

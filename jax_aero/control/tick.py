@@ -33,7 +33,7 @@ from jax_aero.aero import (
     weighted,
 )
 from jax_aero.aero.network_card import load_network
-from jax_aero.config import AeroFeedback, EnvelopeConfig, FlightConfig, ForceFactorsConfig, MomentumGains, TorqueConfig
+from jax_aero.config import AeroFeedback, MissionConfig, ScenarioConfig, ForceFactorsConfig, MomentumGains, TorqueConfig
 from jax_aero.control import qp
 from jax_aero.control import setpoint as generator
 from jax_aero.control.attitude import attitude_demand
@@ -103,7 +103,7 @@ class MomentumController:
     torque_rate_max: Float[Array, " n"]
     """[N m/s]."""
     setpoint: SetpointParams
-    envelope: EnvelopeConfig | Recording
+    mission: MissionConfig | Recording
     """What to follow: the autopilot's commands, or recorded set-points."""
     time_step: Float[Array, ""]
     """[s]."""
@@ -143,7 +143,7 @@ class ControllerState(NamedTuple):
 
 
 def momentum_controller(
-    config: FlightConfig, robot: RobotModel, read_network: ReadNetwork = load_network
+    config: ScenarioConfig, robot: RobotModel, read_network: ReadNetwork = load_network
 ) -> MomentumController:
     """Collect the controller's numbers from a configuration. Outside loops: tables are worked out here.
 
@@ -172,7 +172,7 @@ def momentum_controller(
         torque_max=in_place_of(robot.joint_torque_max, controller.torque.torque_max, robot),
         torque_rate_max=in_place_of(robot.joint_torque_rate_max, controller.torque.torque_rate_max, robot),
         setpoint=generator.setpoint_params(controller.setpoint, robot.forward_axis, time_step),
-        envelope=config.envelope if config.envelope.file is None else recording(config.envelope.file),
+        mission=config.mission if config.mission.file is None else recording(config.mission.file),
         time_step=time_step,
     )
 
@@ -231,7 +231,7 @@ def tick(
         state, thrust, wind = where(accepted, (state, thrust, wind), _at_rest(memory, thrust))
         if setpoint is None:
             now = jnp.where(in_flight, time, memory.time + params.time_step)
-            moved, setpoint = generator.update(params.setpoint, params.envelope, memory.setpoint, now)
+            moved, setpoint = generator.update(params.setpoint, params.mission, memory.setpoint, now)
             memory = memory._replace(time=now, setpoint=moved)
         after, command, terms = _act(params, robot, memory, state, thrust, wind, setpoint)
         return where(accepted, after, memory), where(accepted, command, _refusal(memory, command)), terms

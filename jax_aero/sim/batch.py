@@ -19,7 +19,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import load_network
-from jax_aero.config import FlightConfig, flight_config
+from jax_aero.config import ScenarioConfig, scenario_config
 from jax_aero.result import FlightResult, Progress
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.sim.rollout import CHUNK, Ending, finished
@@ -51,7 +51,7 @@ class Group(NamedTuple):
 
 
 def fly_batch(
-    configs: Iterable[FlightConfig | Mapping[str, Any]],
+    configs: Iterable[ScenarioConfig | Mapping[str, Any]],
     progress: Progress | None = None,
     *,
     full_log: bool = False,
@@ -98,13 +98,13 @@ def batch_size(flights: int, devices: int, most: int) -> int:
     return devices * min(filled, most)
 
 
-def _typed(configs: Iterable[FlightConfig | Mapping[str, Any]]) -> Iterator[FlightConfig]:
+def _typed(configs: Iterable[ScenarioConfig | Mapping[str, Any]]) -> Iterator[ScenarioConfig]:
     for index, config in enumerate(configs):
         with _naming(index):
-            yield config if isinstance(config, FlightConfig) else flight_config(config)
+            yield config if isinstance(config, ScenarioConfig) else scenario_config(config)
 
 
-def _prepared(configs: Iterable[FlightConfig], dtype: Any) -> Iterator[tuple[Scenario, FlightState]]:
+def _prepared(configs: Iterable[ScenarioConfig], dtype: Any) -> Iterator[tuple[Scenario, FlightState]]:
     read_robot = cache(load_robot)
     networks: dict[tuple[str, str], Network] = {}
 

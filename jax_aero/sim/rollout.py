@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jax_aero.config import FlightConfig
+from jax_aero.config import ScenarioConfig
 from jax_aero.result import FlightResult, Progress
 from jax_aero.sim.step import (
     FLYING,
@@ -89,7 +89,7 @@ def fly_chunk(scenario: Scenario, state: FlightState, first_tick: Array, n_ticks
 
 
 def fly(
-    config: FlightConfig | Mapping[str, Any], progress: Progress | None = None, *, dtype: Any = np.float64
+    config: ScenarioConfig | Mapping[str, Any], progress: Progress | None = None, *, dtype: Any = np.float64
 ) -> FlightResult:
     """Fly one configuration from start to end, or to the fall, as `rust.fly` does and with the same result.
 
@@ -135,7 +135,7 @@ def finished(
     signals = {name: signal[: (ending.tick if fell else n_ticks) + 1] for name, signal in signals.items()}
     return FlightResult(
         log=signals if is_whole_log else {},
-        joint_reference=posture,
+        joint_setpoint=posture,
         outcome="fell" if fell else "completed",
         fall_time=float(signals["time"][-1]) if fell else None,
         fall_reason=fall_reason(ending.fall, ending.error) if fell else None,

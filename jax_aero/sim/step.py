@@ -25,7 +25,7 @@ from jaxtyping import Float, Int
 
 from jax_aero.aero import AeroModel, ReadNetwork
 from jax_aero.aero.network_card import load_network
-from jax_aero.config import FallConfig, FlightConfig, WindConfig, flight_config
+from jax_aero.config import FallConfig, ScenarioConfig, WindConfig, scenario_config
 from jax_aero.control.protocol import Command, Controller, Measurement
 from jax_aero.control.tick import momentum_controller
 from jax_aero.control.wind_estimate import WindEstimate, measured_wind, wind_estimate
@@ -97,12 +97,12 @@ class FlightRow(NamedTuple):
     base_position: Array
     base_quaternion: Array
     base_velocity: Array
-    base_rpy_reference: Array
+    base_rpy_setpoint: Array
     joint_position: Array
     joint_velocity: Array
     com_position: Array
     com_velocity: Array
-    com_reference: Array
+    com_setpoint: Array
     rotation_error: Array
     thrust: Array
     thrust_rate: Array
@@ -112,7 +112,7 @@ class FlightRow(NamedTuple):
     aero_force_sim: Array
     aero_force_control: Array
     momentum: Array
-    momentum_reference: Array
+    momentum_setpoint: Array
     momentum_rate_estimate: Array
     qp_status: Array
     qp_kkt: Array
@@ -120,7 +120,7 @@ class FlightRow(NamedTuple):
 
 
 def prepare(
-    config: FlightConfig | Mapping[str, Any],
+    config: ScenarioConfig | Mapping[str, Any],
     robot: RobotModel | None = None,
     *,
     controller: Controller[Any] | None = None,
@@ -157,8 +157,8 @@ def prepare(
             "dtype is float64, but JAX computes in single precision here; "
             "expected a call inside `with jax.enable_x64(True):`, or dtype=np.float32"
         )
-    if not isinstance(config, FlightConfig):
-        config = flight_config(config)
+    if not isinstance(config, ScenarioConfig):
+        config = scenario_config(config)
     if robot is None:
         robot = load_robot(config.robot)
     plant, state = world.start_plant(config.simulator, config.disturbances, robot, aero, jets, read_network)
@@ -183,7 +183,7 @@ def in_precision(scenario: Scenario, state: FlightState, dtype: Any) -> tuple[Sc
     return with_dtype((replace(scenario, precision=np.dtype(dtype).name), state), dtype)
 
 
-def _winds(config: FlightConfig) -> Array:
+def _winds(config: ScenarioConfig) -> Array:
     """Wind that the controller is given at every tick of the flight, without errors (ticks, 3) [m/s]."""
     times = jnp.arange(config.simulator.n_ticks + 1) * config.simulator.time_step
     winds: Array = jax.jit(jax.vmap(wind_velocity, in_axes=(None, 0)))(
@@ -192,7 +192,7 @@ def _winds(config: FlightConfig) -> Array:
     return winds
 
 
-def controller_model(config: FlightConfig, robot: RobotModel) -> RobotModel | None:
+def controller_model(config: ScenarioConfig, robot: RobotModel) -> RobotModel | None:
     """Return the controller's model of the robot; `None` if it is the one that flies."""
     error, faults = config.disturbances.model_error, config.disturbances.jets
     model = robot
@@ -354,12 +354,12 @@ def _row(
         base_position=robot.base_position,
         base_quaternion=wxyz_from_rotation(robot.base_rotation),
         base_velocity=robot.velocity[:6],
-        base_rpy_reference=nothing if setpoint is None else rpy_from_rotation(setpoint.rotation),
+        base_rpy_setpoint=nothing if setpoint is None else rpy_from_rotation(setpoint.rotation),
         joint_position=robot.joint_position,
         joint_velocity=robot.velocity[6:],
         com_position=seen.kinematics.com,
         com_velocity=momentum[:3] / mass,
-        com_reference=nothing if setpoint is None else setpoint.com_position,
+        com_setpoint=nothing if setpoint is None else setpoint.com_position,
         rotation_error=rotation_error,
         thrust=state.jets.thrust,
         thrust_rate=command.thrust_rate,
@@ -373,7 +373,7 @@ def _row(
             jnp.full_like(seen.link_forces.forces, jnp.nan) if terms is None else terms.link_forces.forces
         ),
         momentum=momentum,
-        momentum_reference=jnp.concatenate(
+        momentum_setpoint=jnp.concatenate(
             [
                 nothing
                 if setpoint is None or terms is None

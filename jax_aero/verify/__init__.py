@@ -113,12 +113,12 @@ def verify_ticks(config: Mapping[str, Any], samples: Sequence[Sample], group: st
     import jax
     import jax.numpy as jnp
 
-    from jax_aero.config import flight_config
+    from jax_aero.config import scenario_config
     from jax_aero.control import tick as control
     from jax_aero.robot import load_robot
     from jax_aero.types import Setpoint, State
 
-    typed = flight_config(config)
+    typed = scenario_config(config)
     robot = load_robot(typed.robot)
     params = control.momentum_controller(typed, robot)
 
@@ -206,7 +206,7 @@ def _same_branch(name: str, ours: NDArray[np.float64], theirs: NDArray[np.float6
     """Take, of the numbers that mean the same rotation, those next to the crate's: this robot starts at a yaw of π."""
     if name == "base_quaternion":
         return np.asarray(ours * np.where(np.sum(ours * theirs, axis=1) < 0.0, -1.0, 1.0)[:, None])
-    if name == "base_rpy_reference":
+    if name == "base_rpy_setpoint":
         return np.asarray(ours - 2.0 * np.pi * np.round((ours - theirs) / (2.0 * np.pi)))
     return ours
 
@@ -269,7 +269,7 @@ def recorded_samples(config: Mapping[str, Any], flight: rust.FlightResult, count
     samples = []
     for tick in np.linspace(0, len(log["time"]) - 1, count, dtype=int):
         target = rust.Setpoint(**{name: followed[name][tick] for name in names})
-        memory = (flight.joint_reference, inertia, np.zeros(len(robot.joint_names)))
+        memory = (flight.joint_setpoint, inertia, np.zeros(len(robot.joint_names)))
         samples.append(Sample(state_at(tick), log["thrust"][tick], log["wind"][tick], target, memory))
     return samples
 

@@ -39,7 +39,7 @@ def letter_video(
     lines = [
         f"wind {np.linalg.norm(now.wind):.1f} m/s",
         f"tilt {np.rad2deg(now.rotation_error):.0f}°",
-        f"off course {np.linalg.norm(now.com - now.com_reference):.2f} m",
+        f"off course {np.linalg.norm(now.com - now.com_setpoint):.2f} m",
         f"speed {np.linalg.norm(now.com_velocity):.1f} m/s",
         f"height {now.com[2]:.1f} m",
     ]
@@ -98,9 +98,9 @@ def profile(
     """Draw the path from the side, or from above where it turns, with the instants marked and numbered."""
     s = recording.signals
     left, top, right, bottom = box
-    turns = float(np.ptp(s["com_reference"][:, 1])) > 2.0
+    turns = float(np.ptp(s["com_setpoint"][:, 1])) > 2.0
     columns = [0, 1] if turns else [0, 2]
-    path, wanted = s["com_position"][:, columns], s["com_reference"][:, columns]
+    path, wanted = s["com_position"][:, columns], s["com_setpoint"][:, columns]
     everything = np.concatenate([path, wanted])
     low, high = everything.min(axis=0), everything.max(axis=0)
     low[1] = min(low[1], 0.0)

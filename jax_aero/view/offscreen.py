@@ -232,11 +232,11 @@ class Studio:
                 self._cone_at(position, rotation, drawing.PLUME_RADIUS, float(length), drawing.PLUME, 0.85)
 
     def _add_reference(self, instant: Instant, trail: bool) -> None:
-        at = instant.com_reference
+        at = instant.com_setpoint
         for axis in np.eye(3):
             self._line(at - 0.28 * axis, at + 0.28 * axis, 0.006, drawing.REFERENCE)
         if trail:
-            self._path("com_reference", instant.time + 12.0, drawing.REFERENCE, 0.006)
+            self._path("com_setpoint", instant.time + 12.0, drawing.REFERENCE, 0.006)
             self._path("com_position", instant.time, drawing.TRAIL, 0.009)
 
     def _path(self, name: str, until: float, colour: Colour, radius: float) -> None:
@@ -364,7 +364,7 @@ def camera_at(recording: Recording, time: float, viewpoint: Viewpoint, distance:
     It turns with the reference heading, so that a tumbling robot does not turn the world.
     """
     s = recording.signals
-    yaw = np.rad2deg(np.unwrap(s["base_rpy_reference"][:, 2]))
+    yaw = np.rad2deg(np.unwrap(s["base_rpy_setpoint"][:, 2]))
     turned = float(np.interp(time, s["time"], yaw) - yaw[0])
     look_at = recording.at(time).com + np.array([0.0, 0.0, 0.1])
     azimuth, elevation = {"chase": (32.0, -16.0), "side": (72.0, -7.0)}[viewpoint]

@@ -156,7 +156,7 @@ class Page:
     def _new_flight(self) -> None:
         """Set up what depends on the flights, but not on their robots."""
         with self.lock, self.server.atomic():
-            reference_path = thinned(self.solid, "com_reference", self.solid.duration)
+            reference_path = thinned(self.solid, "com_setpoint", self.solid.duration)
             self.path.points = segments(reference_path)
             self._mark_distance(float(reference_path[:, 0].max()))
             self.time.max = max(self._duration(), 0.1)
@@ -208,7 +208,7 @@ class Page:
                 self.wind_label.position = tuple(arrow.mean(axis=0) + np.array([0.0, 0.0, 0.1]))
                 self.wind_label.text = f"wind {np.linalg.norm(instant.wind):.1f} m/s"
             arms = 0.28 * np.eye(3)
-            at = instant.com_reference
+            at = instant.com_setpoint
             self.cross.points = np.stack([at - arms, at + arms], axis=1).astype(np.float32)
             self.trail.points = segments(thinned(self.solid, "com_position", time_s))
 

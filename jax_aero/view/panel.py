@@ -70,7 +70,7 @@ def numbers(flight: Recording, time: float) -> str:
     now = flight.at(time)
     parts = [
         f"tilt {np.rad2deg(now.rotation_error):.1f}°",
-        f"off course {np.linalg.norm(now.com - now.com_reference):.2f} m",
+        f"off course {np.linalg.norm(now.com - now.com_setpoint):.2f} m",
         f"{np.linalg.norm(now.com_velocity):.1f} m/s",
         f"height {now.com[2]:.1f} m",
         f"air {np.linalg.norm(now.aero_force.sum(axis=0)):.1f} N",

@@ -27,11 +27,11 @@ SIGNALS = (
     "time",
     "base_position",
     "base_quaternion",
-    "base_rpy_reference",
+    "base_rpy_setpoint",
     "joint_position",
     "com_position",
     "com_velocity",
-    "com_reference",
+    "com_setpoint",
     "rotation_error",
     "thrust",
     "wind",
@@ -49,7 +49,7 @@ class Instant(NamedTuple):
         [s]
     body_positions, body_rotations
         Origins [m], (bodies, 3), and `i_from_b`, (bodies, 3, 3), in the order of `Robot.body_names`.
-    com, com_velocity, com_reference
+    com, com_velocity, com_setpoint
         Centre of mass [m], its velocity [m/s] and its reference [m], (3,).
     rotation_error
         Angle between the base and its reference [rad].
@@ -66,7 +66,7 @@ class Instant(NamedTuple):
     body_rotations: Vector
     com: Vector
     com_velocity: Vector
-    com_reference: Vector
+    com_setpoint: Vector
     rotation_error: float
     thrust: Vector
     wind: Vector
@@ -136,14 +136,14 @@ class Recording:
         """Figures of merit over the whole flight."""
         s = self.signals
         settled = s["time"] >= min(SETTLING_TIME, self.duration)
-        com_error = np.linalg.norm(s["com_position"] - s["com_reference"], axis=1)
+        com_error = np.linalg.norm(s["com_position"] - s["com_setpoint"], axis=1)
         return Merit(
             rotation_error=float(s["rotation_error"].max()),
             com_error=float(com_error[settled].max()),
             thrust_min=float(s["thrust"].min()),
             thrust_max=float(s["thrust"].max()),
             aero_force=float(np.linalg.norm(s["aero_force_sim"].sum(axis=1), axis=1).max()),
-            distance=float(np.linalg.norm(np.diff(s["com_reference"][:, :2], axis=0), axis=1).sum()),
+            distance=float(np.linalg.norm(np.diff(s["com_setpoint"][:, :2], axis=0), axis=1).sum()),
         )
 
     def at(self, time: float) -> Instant:
@@ -177,7 +177,7 @@ class Recording:
             body_rotations=pose.body_rotations,
             com=value("com_position"),
             com_velocity=value("com_velocity"),
-            com_reference=value("com_reference"),
+            com_setpoint=value("com_setpoint"),
             rotation_error=float(value("rotation_error")),
             thrust=value("thrust"),
             wind=value("wind"),

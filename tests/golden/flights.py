@@ -1,12 +1,8 @@
-"""Flights whose signals are stored: how they are flown, which rows are stored, and under which names.
-
-A stored name stays when a signal is renamed; `LOG_NAMES` says what the signal is called in the log now.
-"""
+"""Flights whose signals are stored: how they are flown, which rows are stored, and under which names."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,17 +15,6 @@ from jax_aero import rust
 FOLDER = Path(__file__).parent / "flights"
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
 NAMES = sorted(path.stem for path in EXPERIMENTS.glob("*.toml"))
-
-LOG_NAMES = {
-    "com_setpoint": "com_reference",
-    "base_rpy_setpoint": "base_rpy_reference",
-    "momentum_setpoint": "momentum_reference",
-    "measured_wind": "wind_told",
-}
-"""Stored name to name in the log, where the two differ."""
-
-SUMMARY_NAMES = {"time_above_45_deg": "time_tilted"}
-"""Stored name to name in the summary, where the two differ."""
 
 NOT_STORED = {"time", "qp_kkt", "qp_iterations", "max_kkt", "max_qp_iterations"}
 """Residuals of the QP are rounding, and the number of iterations is no property of the flight."""
@@ -75,13 +60,13 @@ def rounds_coarsely(config: rust.Config) -> bool:
 
 
 def signals(flight: rust.FlightResult) -> dict[str, NDArray[np.float64]]:
-    """Return the log under the stored names."""
-    return _renamed(flight.log, LOG_NAMES)
+    """Return the signals of a log that are stored."""
+    return {name: signal for name, signal in flight.log.items() if name not in NOT_STORED}
 
 
 def summary(flight: rust.FlightResult) -> dict[str, float]:
-    """Return the summary under the stored names."""
-    return _renamed(flight.summary, SUMMARY_NAMES)
+    """Return the figures of a summary that are stored."""
+    return {name: figure for name, figure in flight.summary.items() if name not in NOT_STORED}
 
 
 def stored(name: str) -> Stored:
@@ -97,8 +82,3 @@ def difference(found: NDArray[np.float64], expected: NDArray[np.float64]) -> NDA
     """Return the largest difference of each row, relative to the range of the signal over the rows."""
     scale = max(float(np.abs(expected).max(initial=0.0)), SMALL)
     return np.abs(found - expected).reshape(len(expected), -1).max(axis=1, initial=0.0) / scale
-
-
-def _renamed(values: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
-    stored_names = {now: name for name, now in names.items()}
-    return {stored_names.get(now, now): value for now, value in values.items() if now not in NOT_STORED}

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.config import flight_config
+from jax_aero.config import scenario_config
 from jax_aero.control import setpoint, tick
 from jax_aero.control.attitude import attitude_demand
 from jax_aero.control.bounds import rate_bounds
@@ -69,7 +69,7 @@ def rng():
 
 @pytest.fixture(scope="module")
 def twin(x64):
-    config = flight_config(rust.load_config(EXPERIMENTS / "test2.toml"))
+    config = scenario_config(rust.load_config(EXPERIMENTS / "test2.toml"))
     robot = load_robot(config.robot)
     return config, robot, tick.momentum_controller(config, robot)
 
@@ -123,7 +123,7 @@ def test_setpoints(twin, rng):
         state = setpoint.start(params, com, rotation_from_rpy(rpy))
 
         def one(state, time):
-            return setpoint.update(params, config.envelope, state, time)
+            return setpoint.update(params, config.mission, state, time)
 
         return jax.lax.scan(one, state, 21.0 + 0.01 * jnp.arange(10))[1]
 
@@ -170,7 +170,7 @@ def test_a_whole_tick(twin, rng):
         numbers = np.random.default_rng(seed)
         return jax.tree.map(lambda x: numbers.uniform(-1, 1, np.shape(x)) * np.maximum(np.abs(x), 0.1), tree)
 
-    # Numbers that only the reference generator reads, and the envelope, do not move.
+    # Numbers that only the reference generator reads, and the mission, do not move.
     moved = {name: directed(i, getattr(params, name)) for i, name in enumerate(("aero", "momentum", "tasks", "torque"))}
     still = jax.tree.map(np.zeros_like, params)
     d_params = replace(still, **moved)

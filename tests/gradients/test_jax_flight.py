@@ -34,12 +34,12 @@ def problem(x64, tmp_path_factory):
     table["simulator"]["jets"] = {"dynamics": "second_order"}
     network = io.load_config(ROOT / "configs" / "aero" / "network.toml")
     table["simulator"]["aero"] = network | {"precision": "f64"}
-    table["envelope"] = {"file": str(tmp_path_factory.mktemp("reference") / "sway.csv")}
-    first = rust.fly(table | {"envelope": {}, "simulator": table["simulator"] | {"duration": 0.01}})
+    table["mission"] = {"file": str(tmp_path_factory.mktemp("reference") / "sway.csv")}
+    first = rust.fly(table | {"mission": {}, "simulator": table["simulator"] | {"duration": 0.01}})
     times = np.arange(0.0, 3.0, 0.05)
-    com = first["com_reference"][0] + 0.02 * np.stack([np.sin(times), 1.0 - np.cos(times), 0.0 * times], axis=1)
-    rows = np.column_stack([times, com, np.tile(first["base_rpy_reference"][0], (len(times), 1))])
-    np.savetxt(table["envelope"]["file"], rows, delimiter=",", header="time,x,y,z,roll,pitch,yaw", comments="")
+    com = first["com_setpoint"][0] + 0.02 * np.stack([np.sin(times), 1.0 - np.cos(times), 0.0 * times], axis=1)
+    rows = np.column_stack([times, com, np.tile(first["base_rpy_setpoint"][0], (len(times), 1))])
+    np.savetxt(table["mission"]["file"], rows, delimiter=",", header="time,x,y,z,roll,pitch,yaw", comments="")
     scenario, start = prepare(table)
     controller, robot_state = scenario.controller, start.plant.robot
     at = {
@@ -81,7 +81,7 @@ def problem(x64, tmp_path_factory):
         state = begin(perturbed, start.plant._replace(robot=first))
 
         def errors(row):
-            return row.com_position - row.com_reference, row.rotation_error, row.thrust - 100.0, row.qp_status
+            return row.com_position - row.com_setpoint, row.rotation_error, row.thrust - 100.0, row.qp_status
 
         after, (com, angle, thrust, status) = rollout(perturbed, state, TICKS, errors)
         flies = (after.fall_tick < 0) | (jnp.arange(TICKS) < after.fall_tick)

@@ -12,7 +12,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero import LinkConventions, LinksInAir, aero_model, link_forces, wrench_about
-from jax_aero.config import SecondOrderConfig, aero_config, flight_config
+from jax_aero.config import SecondOrderConfig, aero_config, scenario_config
 from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.jets import jet_dynamics
 from jax_aero.kinematics import generalised_force, kinematics, point_jacobians
@@ -155,12 +155,12 @@ def fly_jets(inputs, settings, robot):
 @pytest.mark.parametrize("thrust", [0.0, 60.0, 150.0])
 def test_second_order_jets(check_gradient, robot, thrust):
     """Also with the throttle at its lower limit."""
-    settings = flight_config(rust.load_config(EXPERIMENTS / "second_order_jets.toml")).simulator.jets
+    settings = scenario_config(rust.load_config(EXPERIMENTS / "second_order_jets.toml")).simulator.jets
     assert isinstance(settings, SecondOrderConfig)
     inputs = (jnp.full(4, thrust + 0.5), jnp.array([-40.0, 3.0, 10.0, -3.0]))
     check_gradient(fly_jets, inputs, settings, robot, tolerance=1e-5)
 
 
 def test_wind(check_gradient):
-    wind = flight_config(rust.load_config(EXPERIMENTS / "test2.toml")).wind
+    wind = scenario_config(rust.load_config(EXPERIMENTS / "test2.toml")).wind
     check_gradient(lambda inputs: wind_velocity(*inputs), (wind, jnp.array(6.0)))

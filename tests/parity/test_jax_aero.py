@@ -11,7 +11,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero import LinkConventions, LinksInAir, aero_model, link_forces, scaled, wrench_about
-from jax_aero.config import aero_config, flight_config
+from jax_aero.config import aero_config, scenario_config
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import load_robot
 from jax_aero.types import State
@@ -56,7 +56,7 @@ def test_forces(models, name, robot, robot_name, agree):
 def test_where_the_controller_places_links(experiment, agree):
     """Axes, relative winds, points and forces of the controller, corrected and published conventions."""
     table = rust.load_config(EXPERIMENTS / f"{experiment}.toml")
-    config = flight_config(table).controller
+    config = scenario_config(table).controller
     robot = load_robot(table["robot"])
     model = aero_model(config.aero, robot)
     conventions = LinkConventions(config.lever_arm, config.jacobian_offset, config.link_velocity)

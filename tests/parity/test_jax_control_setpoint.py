@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.config import flight_config
+from jax_aero.config import scenario_config
 from jax_aero.control import recorded, setpoint
 from tests.measurements import measured
 
@@ -27,13 +27,13 @@ TOLERANCE = {"com_jerk": 1e-11}
 @pytest.mark.parametrize("name", ["test2", "closed_circuit", "closed_circuit_no_turbo"])
 def test_setpoints(name, agree):
     table = rust.load_config(EXPERIMENTS / f"{name}.toml")
-    config = flight_config(table)
+    config = scenario_config(table)
 
     @jax.jit(static_argnums=1)
     def fly(config, n_ticks):
         time_step = jnp.array(config.simulator.time_step)
         params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, time_step)
-        return setpoint.trajectory(params, config.envelope, *START, n_ticks)
+        return setpoint.trajectory(params, config.mission, *START, n_ticks)
 
     found = jax.device_get(fly(config, config.simulator.n_ticks + 1))
     ours = found.setpoint._asdict() | {"raw_position": found.raw_position, "raw_rpy": found.raw_rpy}
@@ -56,9 +56,9 @@ def test_recorded_setpoints(columns, agree, tmp_path):
     lines = ["# made up", ",".join(HEADER[:columns]), *(",".join(map(repr, map(float, row))) for row in rows)]
     path.write_text("\n".join(lines) + "\n")
     table = rust.load_config(EXPERIMENTS / "min_time.toml", {"simulator.duration": 2.0})
-    table["envelope"]["file"] = str(path)
+    table["mission"]["file"] = str(path)
     rust.check_config(table)
-    config = flight_config(table)
+    config = scenario_config(table)
 
     @jax.jit
     def follow(recording):
@@ -66,7 +66,7 @@ def test_recorded_setpoints(columns, agree, tmp_path):
         params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, time_step)
         return setpoint.trajectory(params, recording, *START, config.simulator.n_ticks + 1)
 
-    found = jax.device_get(follow(recorded.recording(config.envelope.file)))
+    found = jax.device_get(follow(recorded.recording(config.mission.file)))
     ours = found.setpoint._asdict() | {"raw_position": found.raw_position, "raw_rpy": found.raw_rpy}
     for signal, expected in rust.setpoint_trajectory(table, *START).items():
         agree(f"recorded: {signal}", ours[signal], expected, TOLERANCE.get(signal, 1e-12))
@@ -76,10 +76,10 @@ def test_recorded_setpoints(columns, agree, tmp_path):
 def test_float32_setpoints_stay_within_a_millimetre_and_a_hundredth_of_a_degree():
     table = rust.load_config(EXPERIMENTS / "test2.toml")
     with jax.enable_x64(False):
-        config = flight_config(table)
+        config = scenario_config(table)
         time_step = jnp.float32(config.simulator.time_step)
         params = setpoint.setpoint_params(config.controller.setpoint, jnp.float32(FORWARD), time_step)
-        found = jax.device_get(setpoint.trajectory(params, config.envelope, *map(jnp.float32, START), 5001))
+        found = jax.device_get(setpoint.trajectory(params, config.mission, *map(jnp.float32, START), 5001))
     theirs = rust.setpoint_trajectory(table, *START)
     assert found.setpoint.com_position.dtype == np.float32
     measured(

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.config import flight_config
+from jax_aero.config import scenario_config
 from jax_aero.control import qp, tick
 from jax_aero.robot import load_robot
 from jax_aero.types import Setpoint, State
@@ -76,7 +76,7 @@ class Twin:
 
     def __init__(self, name, overrides=None):
         self.table = rust.load_config(EXPERIMENTS / f"{name}.toml", overrides)
-        config = flight_config(self.table)
+        config = scenario_config(self.table)
         self.robot = load_robot(config.robot)
         self.params = tick.momentum_controller(config, self.robot)
 
@@ -216,9 +216,9 @@ def follow(twin, measurements, params):
 def test_ticks_along_a_flight(flown, agree):
     """Memory, warm start, rate limiter and reference generator together, with the corrected arms."""
     twin, log, measurements = flown
-    command, com_reference = follow(twin, measurements, twin.params)
+    command, com_setpoint = follow(twin, measurements, twin.params)
     assert np.all(command.status == tick.NOMINAL)
-    agree("flight: com_reference", com_reference, log["com_reference"], 1e-12)
+    agree("flight: com_setpoint", com_setpoint, log["com_setpoint"], 1e-12)
     agree("flight: thrust_rate", command.thrust_rate, log["thrust_rate"], 1e-9)
     agree("flight: joint_velocity_command", command.joint_velocity, log["joint_velocity_command"], 1e-9)
     agree("flight: joint_torque", command.joint_torque, log["joint_torque"], 1e-9)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jax_aero import io, rust, sim
-from jax_aero.config import flight_config
+from jax_aero.config import scenario_config
 from jax_aero.robot import load_robot
 from jax_aero.sim.plant import PlantState, advance, observe, start_plant
 from jax_aero.sim.wind import wind_velocity
@@ -90,7 +90,7 @@ def test_a_flight_along_a_recorded_reference(recorded_flights, measured, name):
     measured(f"{name}: every state until then", apart[:until].max(), 1e-6)
     assert expected["time"][until - 1] > 11.0, "the recording begins at 10 s"
     n = len(apart)
-    setpoint_error = np.max(np.abs(ours["com_reference"][:n] - expected["com_reference"][:n]))
+    setpoint_error = np.max(np.abs(ours["com_setpoint"][:n] - expected["com_setpoint"][:n]))
     measured(f"{name}: reference", setpoint_error, 1e-12)
     if reproducible.all():
         assert ours.outcome == expected.outcome == "completed"
@@ -119,7 +119,7 @@ def test_every_tick_of_the_world(experiment, agree):
     changes = {"simulator.duration": 8.0} | VARIANTS[experiment]
     table = rust.load_config(EXPERIMENTS / f"{experiment}.toml", changes)
     rust.check_config(table)
-    config, log = flight_config(table), rust.fly(table).log
+    config, log = scenario_config(table), rust.fly(table).log
     plant, start = jax.jit(start_plant)(config.simulator, config.disturbances, load_robot(table["robot"]))
     velocity = np.concatenate([log["base_velocity"], log["joint_velocity"]], axis=1)
     agree("first state", start.robot.velocity, velocity[0], 1e-10)
@@ -190,7 +190,7 @@ def test_winds(profile, tmp_path):
     samples.write_text("time,x,y,z\n0.05,1,2,3\n0.1,-1,0.5,0\n0.25,4,-3,1\n")
     wind = WINDS.get(profile, {"profile": "file", "path": str(samples)})
     table = rust.load_config(EXPERIMENTS / "test2.toml", {"simulator.duration": 0.4}) | {"wind": wind}
-    log, config = rust.fly(table).log, flight_config(table)
+    log, config = rust.fly(table).log, scenario_config(table)
     ours = jax.vmap(lambda time: wind_velocity(config.wind, time))(jnp.asarray(log["time"]))
     np.testing.assert_allclose(ours, log["wind"], rtol=0, atol=1e-12)
 

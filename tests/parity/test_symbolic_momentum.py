@@ -15,7 +15,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero import LinkConventions, aero_model, link_forces
-from jax_aero.config import flight_config
+from jax_aero.config import scenario_config
 from jax_aero.control.momentum import momentum_model
 from jax_aero.dynamics import dynamics
 from jax_aero.kinematics import kinematics
@@ -51,7 +51,7 @@ def crate(path, aero):
 def twin(path, aero):
     """The JAX implementation, one compiled function of a state."""
     with jax.enable_x64(True):
-        config = flight_config(_flight(path, aero))
+        config = scenario_config(_flight(path, aero))
         robot = twin_robot(path)
         model = aero_model(config.controller.aero, robot)
 

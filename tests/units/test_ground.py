@@ -86,7 +86,7 @@ def test_a_robot_with_free_joints_stands_still_for_a_minute():
     log = fly(standing(**{"simulator.duration": 60.0, "disturbances.controller_wind": STILL} | FREE_JOINTS)).log
     com = log["com_position"][log["time"] >= 5.0]
     assert np.ptp(com, axis=0).max() < 1e-3
-    assert np.linalg.norm(log["com_position"][-1] - log["com_reference"][-1]) < 1e-3
+    assert np.linalg.norm(log["com_position"][-1] - log["com_setpoint"][-1]) < 1e-3
     assert np.linalg.norm(log["sole_position"][-1] - log["sole_position"][0], axis=1).max() < 1e-4
     assert not log["qp_status"].any()
     assert log["feet_carry"].all()
@@ -186,7 +186,7 @@ def test_the_ground_figure_is_drawn_from_its_runs(frontal, tmp_path):
 def test_an_incomplete_log_is_refused(frontal):
     robot = rust.Robot(standing()["robot"])
     log = {name: signal for name, signal in frontal.log.items() if name != "foot_wrench"}
-    broken = rust.FlightResult(log, frontal.joint_reference, "completed", None, None, {})
+    broken = rust.FlightResult(log, frontal.joint_setpoint, "completed", None, None, {})
     with pytest.raises(ValueError, match="no `foot_wrench`"):
         record.to_dataset(broken, robot, title="t", config_digest="d")
 
@@ -219,7 +219,7 @@ def test_engines_refuse_what_they_do_not_know(monkeypatch):
 
 
 def test_jax_refuses_feet_by_name():
-    from jax_aero.config import flight_config
+    from jax_aero.config import scenario_config
 
     config = standing(engine="mujoco")
     for section, key in [
@@ -229,7 +229,7 @@ def test_jax_refuses_feet_by_name():
         ("controller", "use_jets"),
     ]:
         with pytest.raises(ValueError, match=rf"`{section}\.{key}`"):
-            flight_config(config)
+            scenario_config(config)
         del config[section][key]
 
 
@@ -269,7 +269,7 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
             log = {
                 "foot_wrench": np.tile([0.0, 0.0, 200.0, 0.0, 0.0, 0.0], (n, 2, 1)),
                 "com_position": np.zeros((n, 3)),
-                "com_reference": np.zeros((n, 3)),
+                "com_setpoint": np.zeros((n, 3)),
                 "aero_force_sim": np.full((n, 13, 3), speed / 13),
                 "sole_position": np.zeros((n, 2, 3)),
             }

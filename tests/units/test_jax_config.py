@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.config import AxisymmetricConfig, flight_config
+from jax_aero.config import AxisymmetricConfig, scenario_config
 from jax_aero.robot import ancestors_of, levels_of, load_robot
 from jax_aero.types import Static, pytree, with_dtype
 
@@ -28,27 +28,27 @@ def table():
 
 
 def test_numbers_are_leaves_and_names_are_structure(table):
-    config = flight_config(table)
+    config = scenario_config(table)
     assert config.simulator.n_ticks == 5000
     assert isinstance(config.controller.aero, AxisymmetricConfig)
     assert all(leaf.dtype == np.float64 for leaf in jax.tree.leaves(config))
-    other = flight_config(table | {"controller": table["controller"] | {"lever_arm": "unrotated"}})
+    other = scenario_config(table | {"controller": table["controller"] | {"lever_arm": "unrotated"}})
     assert jax.tree.structure(config) != jax.tree.structure(other)
-    assert jax.tree.structure(config) == jax.tree.structure(flight_config(table))
+    assert jax.tree.structure(config) == jax.tree.structure(scenario_config(table))
 
 
-@pytest.mark.parametrize("section", ["", "simulator", "controller", "envelope", "wind"])
+@pytest.mark.parametrize("section", ["", "simulator", "controller", "mission", "wind"])
 def test_an_unknown_key_is_refused_by_name(table, section):
     spoilt = table | {"typo": 1} if not section else table | {section: table[section] | {"typo": 1}}
     with pytest.raises(ValueError, match=f"{section}.typo".lstrip(".")):
-        flight_config(spoilt)
+        scenario_config(spoilt)
 
 
 def test_a_missing_key_and_an_unknown_kind_are_refused(table):
     with pytest.raises(ValueError, match=r"wind.velocity.* is missing"):
-        flight_config(table | {"wind": {"profile": "constant"}})
+        scenario_config(table | {"wind": {"profile": "constant"}})
     with pytest.raises(ValueError, match=r"wind.profile.*storm"):
-        flight_config(table | {"wind": {"profile": "storm"}})
+        scenario_config(table | {"wind": {"profile": "storm"}})
 
 
 def test_a_pytree_splits_its_fields():

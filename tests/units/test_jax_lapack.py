@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust, sim
-from jax_aero.config import flight_config
+from jax_aero.config import scenario_config
 from jax_aero.control import qp
 from jax_aero.linalg import CHUNK, solve_positive_definite
 
@@ -50,7 +50,7 @@ def test_ours_goes_in_pieces():
 
 def test_a_tick_of_many_flights():
     """The whole closed loop: controller, both QPs, plant, jets."""
-    config = flight_config(rust.load_config(ROOT / "configs" / "experiments" / "second_order_jets.toml"))
+    config = scenario_config(rust.load_config(ROOT / "configs" / "experiments" / "second_order_jets.toml"))
     # Shapes are enough: nothing is computed.
     flight, state = jax.eval_shape(lambda: sim.prepare(config))
     states = jax.tree.map(lambda x: jax.ShapeDtypeStruct((BATCH, *x.shape), x.dtype), state)

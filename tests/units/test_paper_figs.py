@@ -55,7 +55,7 @@ def test_joint_errors_are_summed_by_group_in_degrees(made_up_results):
     run = runs.load(made_up_results, "test2")
     errors = run.joint_error_deg()
     assert errors["group"].values.tolist() == ["torso", "left_arm", "right_arm", "left_leg", "right_leg"]
-    joints = run.data["joint_position"] - run.data["joint_reference"]
+    joints = run.data["joint_position"] - run.data["joint_setpoint"]
     torso = np.degrees(np.abs(joints.values[:, :3]).sum(axis=1))
     np.testing.assert_allclose(errors.sel(group="torso"), torso)
 

@@ -18,7 +18,7 @@ def test_a_run_reads_back_as_it_was_flown(make_flight, robot, dataset, tmp_path)
     with xr.open_dataset(tmp_path / "run.nc", engine="h5netcdf") as stored:
         for name, values in flight.log.items():
             np.testing.assert_array_equal(stored[name].values, values)
-        np.testing.assert_array_equal(stored["joint_reference"], flight.joint_reference)
+        np.testing.assert_array_equal(stored["joint_setpoint"], flight.joint_setpoint)
         assert stored["joint"].values.tolist() == robot.joint_names
         assert stored["link"].values.tolist() == robot.aero_link_names
         assert stored["jet"].values.tolist() == robot.jet_names

@@ -92,7 +92,7 @@ def test_metrics_are_those_of_the_log(results, make_flight, robot):
     found = results.flights["test2"]
     log = make_flight().log
     settled = log["time"] >= 3.0
-    distance = np.linalg.norm(log["com_position"] - log["com_reference"], axis=1)
+    distance = np.linalg.norm(log["com_position"] - log["com_setpoint"], axis=1)
     assert found.completed
     assert found.com_error == pytest.approx(distance[settled].max())
     assert found.rotation_error == pytest.approx(np.degrees(log["rotation_error"].max()))

@@ -108,7 +108,7 @@ def test_the_exported_reference_flies_in_closed_loop(climb, plan, base):
     assert text.splitlines()[1] == experiment.COLUMNS
     flight = experiment.fly(base, text, 10.0 + plan.duration + 3.0)
     assert flight.outcome == "completed"
-    error = np.linalg.norm(flight.log["com_position"] - flight.log["com_reference"], axis=1)
+    error = np.linalg.norm(flight.log["com_position"] - flight.log["com_setpoint"], axis=1)
     assert error[flight.log["time"] > 3.0].max() < 0.2  # the points are few; the experiments' plans are flown to 3 cm
     np.testing.assert_allclose(flight.log["com_position"][-1], config.end, atol=5e-3)
 
@@ -165,8 +165,8 @@ def test_the_result_names_its_reference_and_its_flights(tmp_path, monkeypatch, c
         "time": np.array([10.0, 11.0, 30.0]),
         "com_position": rest,
         "com_velocity": np.zeros((3, 3)),
-        "com_reference": rest,
-        "base_rpy_reference": np.zeros((3, 3)),
+        "com_setpoint": rest,
+        "base_rpy_setpoint": np.zeros((3, 3)),
         "thrust": np.full((3, 4), 100.0),
         "rotation_error": np.zeros(3),
     }

@@ -110,7 +110,7 @@ def test_the_closed_loop_stays_where_the_trim_put_it(free, flight):
     }
     config = flight | {
         "simulator": flight["simulator"] | {"duration": 3.0, "initial": initial},
-        "envelope": {},
+        "mission": {},
         "wind": {"profile": "constant", "velocity": list(SIDE_WIND)},
     }
     log = rust.fly(config).log

@@ -16,11 +16,11 @@ use flight_core::robot::Foot;
 use flight_core::spatial::exp_so3;
 use flight_core::{Measurement, RobotState};
 use flight_io::{ControllerSection, load_controller, load_robot};
-use flight_sim::{Flight, FlightConfig};
+use flight_sim::{Scenario, ScenarioConfig};
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 use rand::RngExt;
 
-fn standing() -> FlightConfig {
+fn standing() -> ScenarioConfig {
     common::experiment("balancing_front")
 }
 
@@ -29,9 +29,9 @@ fn contact_config() -> ContactConfig {
 }
 
 fn controller(change: impl FnOnce(&mut ControllerConfig)) -> Running {
-    let FlightConfig { robot, mut controller, envelope, .. } = standing();
+    let ScenarioConfig { robot, mut controller, mission, .. } = standing();
     change(&mut controller.law);
-    Running::new(load_controller(load_robot(&robot).unwrap(), &controller, &envelope, TIME_STEP).unwrap())
+    Running::new(load_controller(load_robot(&robot).unwrap(), &controller, &mission, TIME_STEP).unwrap())
 }
 
 /// The left foot; the right one has the same limits.
@@ -377,7 +377,7 @@ fn in_the_air_feet_change_nothing() {
     let make = |contact: Option<ContactConfig>| {
         let mut controller = flight.controller.clone();
         controller.law.contact = contact;
-        Running::new(load_controller(robot.clone(), &controller, &flight.envelope, TIME_STEP).unwrap())
+        Running::new(load_controller(robot.clone(), &controller, &flight.mission, TIME_STEP).unwrap())
     };
     let (mut with, mut without) = (make(Some(contact_config())), make(None));
     let mut rng = rng(7);
@@ -434,16 +434,16 @@ fn unsound_feet_are_a_bad_measurement() {
 #[test]
 fn bad_numbers_are_refused_by_name() {
     #[track_caller]
-    fn refused(expected: &[&str], change: impl FnOnce(&mut FlightConfig)) {
+    fn refused(expected: &[&str], change: impl FnOnce(&mut ScenarioConfig)) {
         let mut config = standing();
         change(&mut config);
-        let said = Flight::check(&config).expect_err("refused").to_string();
+        let said = Scenario::check(&config).expect_err("refused").to_string();
         assert!(expected.iter().all(|part| said.contains(part)), "{said}");
     }
-    fn contact(config: &mut FlightConfig) -> &mut ContactConfig {
+    fn contact(config: &mut ScenarioConfig) -> &mut ContactConfig {
         config.controller.law.contact.as_mut().unwrap()
     }
-    Flight::check(&standing()).unwrap();
+    Scenario::check(&standing()).unwrap();
     refused(&["contact.vertical_force_min is 0", "positive"], |c| contact(c).vertical_force_min = 0.0);
     refused(&["contact.weight_force is -1"], |c| contact(c).weight_force = -1.0);
     refused(&["wrench.friction is NaN"], |c| contact(c).wrench.friction = f64::NAN);
@@ -462,7 +462,7 @@ fn bad_numbers_are_refused_by_name() {
     refused(&["simulator.ground is given", "engine = \"mujoco\""], |c| {
         c.engine = flight_sim::Engine::Rust;
     });
-    assert!(Flight::new(&standing()).is_err(), "this engine has no ground");
+    assert!(Scenario::new(&standing()).is_err(), "this engine has no ground");
     let said = common::experiment("test2");
     let mut sparrow = said.controller.clone();
     sparrow.law.contact = Some(contact_config());

@@ -16,7 +16,7 @@ use flight_core::qp::QpStatus;
 use flight_core::spatial::rotation_angle;
 use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
 use flight_io::{AeroConfig, load_robot};
-use flight_sim::{FlightConfig, Plant, flight_from_value};
+use flight_sim::{Plant, ScenarioConfig, scenario_from_value};
 use nalgebra::{DVector, Matrix3, Vector3};
 use rand::RngExt;
 use serde_json::json;
@@ -27,7 +27,7 @@ fn wind() -> Vector3<f64> {
     Vector3::from(WIND)
 }
 
-fn controller(config: &FlightConfig) -> Running {
+fn controller(config: &ScenarioConfig) -> Running {
     let robot = load_robot(&config.robot).unwrap();
     Running::new(config.controller(robot).unwrap())
 }
@@ -43,7 +43,7 @@ struct Sample {
 
 impl Sample {
     /// The robot as its flight starts.
-    fn start(config: &FlightConfig) -> Self {
+    fn start(config: &ScenarioConfig) -> Self {
         let robot = load_robot(&config.robot).unwrap();
         let plant = Plant::new(robot, &config.simulator, &config.disturbances).unwrap();
         let thrust = plant.jets().thrust().to_vec();
@@ -407,7 +407,13 @@ fn absurd_states_are_held() {
 }
 
 /// Flies a configuration beside another on the same measurements and compares what they command.
-fn compare(config: &FlightConfig, other: &FlightConfig, seconds: f64, wind: Vector3<f64>, tolerance: f64) {
+fn compare(
+    config: &ScenarioConfig,
+    other: &ScenarioConfig,
+    seconds: f64,
+    wind: Vector3<f64>,
+    tolerance: f64,
+) {
     let mut flight = Loop::new(config);
     let mut beside = controller(other);
     for _ in 0..tick_at(seconds) {
@@ -471,7 +477,7 @@ fn the_baseline_is_the_aware_controller_without_forces() {
 /// Each of the three ways in which aerodynamics enters can be left out alone.
 #[test]
 fn each_part_of_the_feedback_can_be_left_out() {
-    let tick = |change: &dyn Fn(&mut FlightConfig)| {
+    let tick = |change: &dyn Fn(&mut ScenarioConfig)| {
         let mut config = experiment("test2");
         change(&mut config);
         let mut controller = controller(&config);
@@ -733,7 +739,7 @@ fn parts_of_a_state_that_do_not_fit_are_refused() {
     assert_eq!(good.posture()[22], 0.5);
 }
 
-type Refusal = (&'static str, fn(&mut FlightConfig), &'static str);
+type Refusal = (&'static str, fn(&mut ScenarioConfig), &'static str);
 
 /// Every number of the controller that cannot be is refused by its key, with its value.
 #[test]
@@ -789,13 +795,13 @@ fn bad_numbers_are_refused_by_key() {
         ("controller.setpoint.nose_down_limits_deg[0]", |c| c.controller.law.setpoint.nose_down_limits_deg = [1.0, 0.0], "is 1"),
         ("controller.setpoint.nose_down_limits_deg[0]", |c| c.controller.law.setpoint.nose_down_limits_deg[0] = NAN, "NaN"),
         ("controller.setpoint.nose_down_limits_deg[1]", |c| c.controller.law.setpoint.nose_down_limits_deg[1] = f64::INFINITY, "inf"),
-        ("start of an interval of envelope.up", |c| c.envelope.commands.up[0].0 = NAN, "NaN"),
-        ("end of an interval of envelope.up", |c| c.envelope.commands.up[0].1 = 10.0, "a time after the start 10"),
-        ("end of an interval of envelope.down", |c| c.envelope.commands.down[0].1 = NAN, "NaN"),
-        ("envelope.forward", |c| c.envelope.commands.forward.push((3.0, 2.0)), "is 2"),
-        ("envelope.forward_turbo", |c| c.envelope.commands.forward_turbo[0].1 = f64::INFINITY, "inf"),
-        ("envelope.pitch_up", |c| c.envelope.commands.pitch_up[0].0 = f64::NEG_INFINITY, "-inf"),
-        ("envelope.yaw_left", |c| c.envelope.commands.yaw_left.push((1.0, 1.0)), "is 1"),
+        ("start of an interval of mission.up", |c| c.mission.commands.up[0].0 = NAN, "NaN"),
+        ("end of an interval of mission.up", |c| c.mission.commands.up[0].1 = 10.0, "a time after the start 10"),
+        ("end of an interval of mission.down", |c| c.mission.commands.down[0].1 = NAN, "NaN"),
+        ("mission.forward", |c| c.mission.commands.forward.push((3.0, 2.0)), "is 2"),
+        ("mission.forward_turbo", |c| c.mission.commands.forward_turbo[0].1 = f64::INFINITY, "inf"),
+        ("mission.pitch_up", |c| c.mission.commands.pitch_up[0].0 = f64::NEG_INFINITY, "-inf"),
+        ("mission.yaw_left", |c| c.mission.commands.yaw_left.push((1.0, 1.0)), "is 1"),
         ("coefficient", |c| c.controller.aero = aero("nobodys", 1.225), "nobodys"),
         ("air_density", |c| c.controller.aero = aero("published", -1.0), "-1"),
         ("air_density", |c| c.controller.aero = aero("published", 0.0), "0"),
@@ -839,10 +845,10 @@ fn a_controller_does_not_fit_another_robot() {
 
 /// Sparrow: five joints, three jets, facing forwards. Its attitude gains are smaller, as its inertia is,
 /// and its arm jets get the reserve that a hover needs.
-fn sparrow() -> (FlightConfig, RobotModel) {
+fn sparrow() -> (ScenarioConfig, RobotModel) {
     let mut value = serde_json::to_value(experiment("test2")).unwrap();
     value["robot"] = json!(configs("robot/sparrow.toml"));
-    value["envelope"] = json!({});
+    value["mission"] = json!({});
     for side in ["simulator", "controller"] {
         value[side]["aero"]["coefficients"] = json!("estimated");
     }
@@ -857,7 +863,7 @@ fn sparrow() -> (FlightConfig, RobotModel) {
     initial["base_rpy_deg"] = json!([0.0, 0.0, 0.0]);
     initial["joint_position"] = json!([0.0, 0.0, 0.0, 0.0, 0.0]);
     initial["thrust"] = json!([12.0, 61.0, 61.0]);
-    let config = flight_from_value(value, "sparrow").unwrap();
+    let config = scenario_from_value(value, "sparrow").unwrap();
     let mut robot = load_robot(&config.robot).unwrap();
     for jet in &mut robot.jets {
         jet.thrust_max = 100.0;

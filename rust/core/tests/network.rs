@@ -344,7 +344,7 @@ fn factors_on_terms_of_other_models_are_refused() {
             "normal" => controller.law.aero_feedback.normal = factor,
             link => drop(controller.law.aero_feedback.links.insert(link.to_owned(), factor)),
         }
-        load_controller(robot.clone(), &controller, &flight.envelope, 0.01)
+        load_controller(robot.clone(), &controller, &flight.mission, 0.01)
     };
     build("head", 0.0).unwrap();
     for key in ["drag", "normal"] {

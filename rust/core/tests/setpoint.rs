@@ -24,7 +24,7 @@ fn config() -> SetpointConfig {
 }
 
 fn commands(name: &str) -> Commands {
-    let file = configs("envelope").join(name).with_extension("toml");
+    let file = configs("mission").join(name).with_extension("toml");
     flight_io::load(&file).unwrap()
 }
 
@@ -359,7 +359,7 @@ fn no_command_is_no_motion() {
     }
 }
 
-/// The smoothed attitude is a rotation at every tick of every envelope.
+/// The smoothed attitude is a rotation at every tick of every mission.
 #[test]
 fn the_smoothed_attitude_is_a_rotation() {
     for (name, duration) in [("in_line", 50.0), ("closed_circuit", 135.0), ("closed_circuit_no_turbo", 112.0)]

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 pub const COLUMNS: [&str; 16] =
     ["time", "x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "ax", "ay", "az", "jx", "jy", "jz"];
 
-/// One file of `configs/envelope/`: commands, or the file of a recorded reference.
+/// One file of `configs/mission/`: commands, or the file of a recorded reference.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MissionConfig {
@@ -41,7 +41,7 @@ impl MissionConfig {
                 self.commands.lists().into_iter().find(|(_, intervals)| !intervals.is_empty())
         {
             return Err(BuildError::bad_value(
-                format!("envelope.{name}"),
+                format!("mission.{name}"),
                 format!("[[{start}, {end}], …] beside the recorded reference {}", file.display()),
                 "either commands or a file",
             ));

@@ -313,7 +313,7 @@ pub fn setpoint_trajectory<'py>(
     rotation: Input<'py>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let config = parse(config_json)?;
-    let mission = load_mission(&config.envelope).map_err(value_error)?;
+    let mission = load_mission(&config.mission).map_err(value_error)?;
     let robot = load_robot(&config.robot).map_err(value_error)?;
     let dt = config.simulator.time_step;
     let ticks = config.simulator.n_ticks() + 1;

@@ -4,8 +4,8 @@ use crate::arrays::{Input, Output, array, entries, value_error, vector, vectors}
 use flight_core::BuildError;
 use flight_io::{AeroConfig, NetworkConfig, RobotFiles};
 use flight_sim::{
-    BatchError, Flight, FlightConfig, FlightResult, Wind, WindConfig, flight_from_value,
-    fly_batch as fly_rust_batch, load_flight,
+    BatchError, FlightResult, Scenario, ScenarioConfig, Wind, WindConfig, fly_batch as fly_rust_batch,
+    load_scenario, scenario_from_value,
 };
 use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -20,20 +20,20 @@ use std::time::{Duration, Instant};
 const REPORT_INTERVAL: Duration = Duration::from_millis(50);
 
 /// A flight configuration from JSON.
-pub fn parse(config_json: &str) -> PyResult<FlightConfig> {
+pub fn parse(config_json: &str) -> PyResult<ScenarioConfig> {
     let value = serde_json::from_str(config_json)
         .map_err(|error| value_error(BuildError::malformed("configuration", error)))?;
-    flight_from_value(value, "configuration").map_err(value_error)
+    scenario_from_value(value, "configuration").map_err(value_error)
 }
 
-fn to_value(config: &FlightConfig) -> PyResult<serde_json::Value> {
+fn to_value(config: &ScenarioConfig) -> PyResult<serde_json::Value> {
     serde_json::to_value(config).map_err(|error| PyRuntimeError::new_err(error.to_string()))
 }
 
 /// Read a flight configuration file and everything it builds on; JSON with every default written out.
 #[pyfunction]
 pub fn resolve_config(path: PathBuf) -> PyResult<String> {
-    let config = load_flight(&path).map_err(value_error)?;
+    let config = load_scenario(&path).map_err(value_error)?;
     Ok(to_value(&config)?.to_string())
 }
 
@@ -48,7 +48,7 @@ pub fn schemas() -> String {
 /// Raise ValueError unless this configuration can fly.
 #[pyfunction]
 pub fn check_config(config_json: &str) -> PyResult<()> {
-    Flight::check(&parse(config_json)?).map_err(value_error)
+    Scenario::check(&parse(config_json)?).map_err(value_error)
 }
 
 /// SHA-256 over the configuration and the files it names; the same on every machine.
@@ -69,8 +69,8 @@ pub fn config_digest(config_json: &str) -> PyResult<String> {
             hash.update(std::fs::read(path)?);
         }
     }
-    if let Some(path) = &config.envelope.file {
-        value["envelope"]["file"] = file_name(path).into();
+    if let Some(path) = &config.mission.file {
+        value["mission"]["file"] = file_name(path).into();
         hash.update(std::fs::read(path)?);
     }
     for (part, aero) in [("simulator", &config.simulator.aero), ("controller", &config.controller.aero)] {
@@ -110,7 +110,7 @@ pub fn fly<'py>(
     config_json: &str,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let flight = Flight::new(&parse(config_json)?).map_err(value_error)?;
+    let flight = Scenario::new(&parse(config_json)?).map_err(value_error)?;
     let mut reporter = Reporter::new(progress);
     let n_ticks = flight.n_ticks();
     let result = py.detach(|| flight.run(|tick, n_ticks| reporter.report(tick, n_ticks)));
@@ -234,7 +234,7 @@ fn flight_dict(py: Python<'_>, result: FlightResult, full_log: bool) -> PyResult
         }
     }
     out.set_item("log", signals)?;
-    out.set_item("joint_reference", vector(py, &log.joint_reference)?)?;
+    out.set_item("joint_setpoint", vector(py, &log.joint_setpoint)?)?;
     out.set_item("outcome", if fall.is_some() { "fell" } else { "completed" })?;
     out.set_item("fall_time", fall.map(|fall| fall.time))?;
     out.set_item("fall_reason", fall.map(|fall| fall.reason.to_string()))?;
@@ -255,7 +255,7 @@ fn flight_dict(py: Python<'_>, result: FlightResult, full_log: bool) -> PyResult
         ("ticks_without_solution", summary.ticks_without_solution as f64),
         ("rms_com_error", summary.rms_com_error),
         ("rms_rotation_error", summary.rms_rotation_error),
-        ("time_tilted", summary.time_tilted),
+        ("time_above_45_deg", summary.time_above_45_deg),
         ("max_joint_error", summary.max_joint_error),
         ("max_aero_force", summary.max_aero_force),
         ("max_aero_force_difference", summary.max_aero_force_difference),

@@ -4,7 +4,7 @@ mod common;
 
 use criterion::{BatchSize, Criterion};
 use flight_core::BuildError;
-use flight_sim::Flight;
+use flight_sim::Scenario;
 use std::ops::ControlFlow;
 use std::time::Duration;
 
@@ -15,10 +15,10 @@ fn main() -> Result<(), BuildError> {
     for name in ["test2", "test2_published"] {
         let config = common::configuration(name)?;
         // Whatever makes it fail would fail here first.
-        Flight::new(&config)?;
+        Scenario::new(&config)?;
         group.bench_function(format!("{name}, 50 s"), |b| {
             b.iter_batched(
-                || Flight::new(&config),
+                || Scenario::new(&config),
                 |flight| flight.map(|flight| flight.run(|_, _| ControlFlow::Continue(()))),
                 BatchSize::PerIteration,
             );

@@ -21,7 +21,7 @@ use flight_core::RobotModel;
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::qp::{ClarabelSolver, PrimalActiveSet, QpProblem, QpSolver};
-use flight_sim::Flight;
+use flight_sim::Scenario;
 use nalgebra::Matrix6xX;
 use std::error::Error;
 use std::hint::black_box;
@@ -63,7 +63,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     let config = common::configuration("test2")?;
     report("flight of 50 s", 5, 1, || {
-        let flown = Flight::new(&config).map(|flight| flight.run(|_, _| ControlFlow::Continue(())));
+        let flown = Scenario::new(&config).map(|flight| flight.run(|_, _| ControlFlow::Continue(())));
         black_box(flown.is_ok());
     });
     Ok(())

@@ -5,7 +5,7 @@ mod common;
 use flight_core::qp::{ClarabelSolver, DualActiveSet, QpSolver};
 use flight_core::{BuildError, Measurement};
 use flight_io::load_robot;
-use flight_sim::{Flight, Plant, Wind};
+use flight_sim::{Plant, Scenario, Wind};
 use std::hint::black_box;
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -36,7 +36,8 @@ fn main() -> Result<(), BuildError> {
 /// Replays the measurements of a flight until there are enough ticks.
 fn tick_times(name: &str) -> Result<Vec<f64>, BuildError> {
     let config = common::configuration(name)?;
-    let end = Flight::new(&config)?.run(|_, _| ControlFlow::Continue(())).ok().and_then(|result| result.fall);
+    let end =
+        Scenario::new(&config)?.run(|_, _| ControlFlow::Continue(())).ok().and_then(|result| result.fall);
     let ticks = common::record(&config, &(0.0..=end.map_or(f64::INFINITY, |fall| fall.time)))?;
     let mut times = Vec::with_capacity(TICKS + ticks.len());
     while times.len() < TICKS {

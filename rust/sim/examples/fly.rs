@@ -4,15 +4,15 @@
 //! cargo run --release --example fly -- configs/experiments/test1.toml configs/experiments/test2.toml
 //! ```
 
-use flight_sim::{Flight, load_flight};
+use flight_sim::{Scenario, load_scenario};
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::Instant;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     for path in std::env::args().skip(1) {
-        let config = load_flight(Path::new(&path))?;
-        let flight = Flight::new(&config)?;
+        let config = load_scenario(Path::new(&path))?;
+        let flight = Scenario::new(&config)?;
         let begin = Instant::now();
         let Ok(result) = flight.run(|_, _| ControlFlow::Continue(())) else { continue };
         let summary = &result.summary;

@@ -8,17 +8,17 @@
 
 use flight_core::Measurement;
 use flight_io::{load_controller, load_robot};
-use flight_sim::{Plant, load_flight};
+use flight_sim::{Plant, load_scenario};
 use nalgebra::Vector3;
 use std::path::Path;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/experiments/test2.toml");
-    let config = load_flight(&file)?;
+    let config = load_scenario(&file)?;
     let robot = load_robot(&config.robot)?;
     let time_step = config.simulator.time_step;
     let mut plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances)?;
-    let mut controller = load_controller(robot, &config.controller, &config.envelope, time_step)?;
+    let mut controller = load_controller(robot, &config.controller, &config.mission, time_step)?;
     let still_air = Vector3::zeros();
     let mut state = {
         let thrust = plant.jets().thrust_feedback();

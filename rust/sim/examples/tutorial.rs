@@ -6,7 +6,7 @@
 
 use flight_core::Measurement;
 use flight_io::{MissionConfig, load_controller, load_robot};
-use flight_sim::{Flight, FlightConfig, Plant, WindConfig, fly_batch, load_flight};
+use flight_sim::{Plant, Scenario, ScenarioConfig, WindConfig, fly_batch, load_scenario};
 use nalgebra::Vector3;
 use std::error::Error;
 use std::ops::ControlFlow;
@@ -18,13 +18,13 @@ fn configs(name: &str) -> PathBuf {
 }
 
 // --8<-- [start:hover]
-fn hover() -> Result<FlightConfig, Box<dyn Error>> {
-    let mut config = load_flight(&configs("experiments/test2.toml"))?;
-    config.envelope = MissionConfig::default(); // no commands: stay where the flight starts
+fn hover() -> Result<ScenarioConfig, Box<dyn Error>> {
+    let mut config = load_scenario(&configs("experiments/test2.toml"))?;
+    config.mission = MissionConfig::default(); // no commands: stay where the flight starts
     config.wind = WindConfig::Constant { velocity: [0.0, 0.0, 0.0] };
     config.simulator.duration = 10.0;
 
-    let result = Flight::new(&config)?.run(|_, _| ControlFlow::Continue(()))?;
+    let result = Scenario::new(&config)?.run(|_, _| ControlFlow::Continue(()))?;
     let (low, high) = result.summary.thrust_range;
     println!("fall: {:?}; thrusts from {low:.0} to {high:.0} N", result.fall);
     Ok(config)
@@ -32,11 +32,11 @@ fn hover() -> Result<FlightConfig, Box<dyn Error>> {
 // --8<-- [end:hover]
 
 // --8<-- [start:wind]
-fn wind(mut aware: FlightConfig) -> Result<(), Box<dyn Error>> {
+fn wind(mut aware: ScenarioConfig) -> Result<(), Box<dyn Error>> {
     aware.wind = WindConfig::Ramp { velocity: [0.0, -12.0, 0.0], ramp_start: 1.0, ramp_end: 4.0 };
     aware.simulator.duration = 20.0;
     let mut baseline = aware.clone();
-    baseline.controller = load_flight(&configs("experiments/test1.toml"))?.controller;
+    baseline.controller = load_scenario(&configs("experiments/test1.toml"))?.controller;
 
     let lean = |result: flight_sim::FlightResult| result.summary.max_rotation_error.to_degrees();
     let leans = fly_batch(&[aware, baseline], None, lean, |_, _| ControlFlow::Continue(()))?;
@@ -48,11 +48,11 @@ fn wind(mut aware: FlightConfig) -> Result<(), Box<dyn Error>> {
 // --8<-- [end:wind]
 
 // --8<-- [start:own_loop]
-fn own_loop(config: &FlightConfig) -> Result<(), Box<dyn Error>> {
+fn own_loop(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
     let robot = load_robot(&config.robot)?;
     let time_step = config.simulator.time_step;
     let mut plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances)?; // your robot stands here
-    let mut controller = load_controller(robot, &config.controller, &config.envelope, time_step)?;
+    let mut controller = load_controller(robot, &config.controller, &config.mission, time_step)?;
     let wind = Vector3::new(0.0, -5.0, 0.0);
     let measure =
         |plant: &Plant, time| (time, plant.state().clone(), plant.jets().thrust_feedback().to_vec());
@@ -78,8 +78,8 @@ fn own_robot() -> Result<(), Box<dyn Error>> {
     println!("{}: {} joints, {} jets", robot.name, robot.joints.len(), robot.jets.len());
 
     // A controller is tuned to a robot: its gains name joint groups and jets.
-    let config = load_flight(&configs("experiments/test2.toml"))?;
-    match load_controller(robot, &config.controller, &config.envelope, 0.01) {
+    let config = load_scenario(&configs("experiments/test2.toml"))?;
+    match load_controller(robot, &config.controller, &config.mission, 0.01) {
         Ok(_) => Err("gains of another robot were accepted".into()),
         Err(refusal) => {
             println!("{refusal}");

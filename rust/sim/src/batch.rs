@@ -1,8 +1,8 @@
 //! Many flights at once.
 
-use crate::config::FlightConfig;
-use crate::flight::{Flight, Interrupted};
+use crate::config::ScenarioConfig;
 use crate::log::FlightResult;
+use crate::scenario::{Interrupted, Scenario};
 use flight_core::error::BuildError;
 use rayon::prelude::*;
 use std::ops::ControlFlow;
@@ -32,7 +32,7 @@ pub enum BatchError {
 /// # Errors
 /// For the whole batch only [`BatchError::NoThreads`]; every flight has its own result.
 pub fn fly_batch<T: Send>(
-    configs: &[FlightConfig],
+    configs: &[ScenarioConfig],
     threads: Option<usize>,
     reduce: impl Fn(FlightResult) -> T + Sync,
     progress: impl FnMut(usize, usize) -> ControlFlow<()> + Send,
@@ -45,11 +45,11 @@ pub fn fly_batch<T: Send>(
     let progress = Mutex::new(progress);
     let go_on =
         || if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
-    let fly = |config: &FlightConfig| {
+    let fly = |config: &ScenarioConfig| {
         if go_on().is_break() {
             return Err(BatchError::Interrupted);
         }
-        let flight = Flight::new(config).map_err(BatchError::Build)?;
+        let flight = Scenario::new(config).map_err(BatchError::Build)?;
         let result = flight.run(|_, _| go_on()).map_err(|Interrupted| BatchError::Interrupted)?;
         let result = reduce(result);
         let count = done.fetch_add(1, Ordering::Relaxed) + 1;

@@ -19,10 +19,10 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// One flight: which robot, in which simulator and wind, under which controller, on which envelope.
+/// One flight: which robot, in which simulator and wind, under which controller, on which mission.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct FlightConfig {
+pub struct ScenarioConfig {
     /// What people read in tables and figures.
     #[serde(default)]
     pub title: String,
@@ -40,7 +40,7 @@ pub struct FlightConfig {
     /// The controller.
     pub controller: ControllerSection,
     /// When the autopilot asks for what.
-    pub envelope: MissionConfig,
+    pub mission: MissionConfig,
     /// The wind that blows; the controller is given it too, unless `disturbances` say otherwise.
     pub wind: WindConfig,
     /// What is done to robot and controller.
@@ -48,14 +48,14 @@ pub struct FlightConfig {
     pub disturbances: Disturbances,
 }
 
-impl FlightConfig {
+impl ScenarioConfig {
     /// The controller of this flight of `robot`, with the model of it that `disturbances` say.
     ///
     /// # Errors
     /// [`BuildError`] naming what in the configuration cannot be used.
     pub fn controller(&self, robot: RobotModel) -> Result<Controller, BuildError> {
         let robot = self.disturbances.controller_robot(robot)?;
-        load_controller(robot, &self.controller, &self.envelope, self.simulator.time_step)
+        load_controller(robot, &self.controller, &self.mission, self.simulator.time_step)
     }
 }
 
@@ -63,7 +63,7 @@ impl FlightConfig {
 ///
 /// # Errors
 /// As [`load`], for unknown, missing or ill-typed keys.
-pub fn load_flight(path: &Path) -> Result<FlightConfig, BuildError> {
+pub fn load_scenario(path: &Path) -> Result<ScenarioConfig, BuildError> {
     load(path)
 }
 
@@ -71,7 +71,7 @@ pub fn load_flight(path: &Path) -> Result<FlightConfig, BuildError> {
 ///
 /// # Errors
 /// [`BuildError::Malformed`] for unknown, missing or ill-typed keys.
-pub fn flight_from_value(value: Value, origin: &str) -> Result<FlightConfig, BuildError> {
+pub fn scenario_from_value(value: Value, origin: &str) -> Result<ScenarioConfig, BuildError> {
     from_value(value, origin)
 }
 
@@ -81,8 +81,8 @@ pub fn schemas() -> [(&'static str, Schema); 7] {
     [
         ("aero", Schema::of::<AeroConfig>()),
         ("control", Schema::of::<ControllerSection>()),
-        ("envelope", Schema::of::<MissionConfig>()),
-        ("experiments", Schema::of::<FlightConfig>()),
+        ("mission", Schema::of::<MissionConfig>()),
+        ("experiments", Schema::of::<ScenarioConfig>()),
         ("robot", Schema::of::<RobotFile>()),
         ("simulator", Schema::of::<SimulatorConfig>()),
         ("wind", Schema::of::<WindConfig>()),

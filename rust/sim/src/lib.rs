@@ -1,7 +1,7 @@
 //! Closed-loop simulation of [`flight_core`]: the simulated robot in its wind, its log, batches.
 //!
 //! ```text
-//! FlightConfig ──► Flight: Plant, Wind, Controller ──run──► FlightResult: log, outcome, summary
+//! ScenarioConfig ──► Scenario: Plant, Wind, Controller ──run──► FlightResult: log, outcome, summary
 //! ```
 
 #![forbid(unsafe_code)]
@@ -9,19 +9,19 @@
 pub mod batch;
 pub mod config;
 pub mod disturbances;
-pub mod flight;
 pub mod ground;
 pub mod jets;
 pub mod log;
 pub mod noise;
 pub mod plant;
+pub mod scenario;
 pub mod turbulence;
 pub mod wind;
 
 pub use batch::{BatchError, fly_batch};
-pub use config::{Engine, FlightConfig, SimulatorConfig, flight_from_value, load_flight, schemas};
+pub use config::{Engine, ScenarioConfig, SimulatorConfig, load_scenario, scenario_from_value, schemas};
 pub use disturbances::Disturbances;
-pub use flight::{Fall, FallReason, Flight, Interrupted};
 pub use log::{FlightLog, FlightResult, Summary};
 pub use plant::Plant;
+pub use scenario::{Fall, FallReason, Interrupted, Scenario};
 pub use wind::{Wind, WindConfig};

@@ -2,8 +2,8 @@
 //!
 //! Equation M81 of `docs/model.md`.
 
-use crate::flight::Fall;
 use crate::plant::Plant;
+use crate::scenario::Fall;
 use flight_core::control::setpoint::Setpoint;
 use flight_core::control::{Command, Terms};
 use flight_core::robot::RobotModel;
@@ -84,7 +84,7 @@ pub struct FlightLog {
     /// All signals; the order is part of nothing, names are.
     pub series: Vec<Series>,
     /// Posture that joint errors are measured against \[rad\].
-    pub joint_reference: Vec<f64>,
+    pub joint_setpoint: Vec<f64>,
 }
 
 impl FlightLog {
@@ -97,12 +97,12 @@ impl FlightLog {
             ("base_position", &[3]),
             ("base_quaternion", &[4]),
             ("base_velocity", &[6]),
-            ("base_rpy_reference", &[3]),
+            ("base_rpy_setpoint", &[3]),
             ("joint_position", &[joints]),
             ("joint_velocity", &[joints]),
             ("com_position", &[3]),
             ("com_velocity", &[3]),
-            ("com_reference", &[3]),
+            ("com_setpoint", &[3]),
             ("rotation_error", &[]),
             ("thrust", &[jets]),
             ("thrust_rate", &[jets]),
@@ -112,14 +112,14 @@ impl FlightLog {
             ("aero_force_sim", &[links, 3]),
             ("aero_force_control", &[links, 3]),
             ("momentum", &[6]),
-            ("momentum_reference", &[6]),
+            ("momentum_setpoint", &[6]),
             ("momentum_rate_estimate", &[6]),
             ("qp_status", &[2]),
             ("qp_kkt", &[2]),
             ("qp_iterations", &[2]),
         ];
         let series = shapes.iter().map(|(name, shape)| Series::new(name, shape, n_ticks)).collect();
-        Self { series, joint_reference: Vec::new() }
+        Self { series, joint_setpoint: Vec::new() }
     }
 
     /// Number of rows.
@@ -146,7 +146,7 @@ impl FlightLog {
         let setpoint = &row.terms.setpoint;
         let com_velocity: Vector3<f64> =
             row.plant.dynamics().momentum.fixed_rows::<3>(0) / row.plant.kinematics().mass();
-        let momentum_reference = setpoint.com_velocity * row.terms.kinematics.mass();
+        let momentum_setpoint = setpoint.com_velocity * row.terms.kinematics.mass();
         let (momentum_qp, torque_qp) = (&row.command.momentum_qp, &row.command.torque_qp);
         for series in &mut self.series {
             let data = &mut series.data;
@@ -155,12 +155,12 @@ impl FlightLog {
                 "base_position" => data.extend(&state.base.position),
                 "base_quaternion" => data.extend(wxyz_from_rotation(&state.base.rotation)),
                 "base_velocity" => data.extend(&state.velocity.as_slice()[..6]),
-                "base_rpy_reference" => data.extend(&rpy_from_rotation(&setpoint.rotation)),
+                "base_rpy_setpoint" => data.extend(&rpy_from_rotation(&setpoint.rotation)),
                 "joint_position" => data.extend(&state.joint_position),
                 "joint_velocity" => data.extend(state.joint_velocity()),
                 "com_position" => data.extend(&row.plant.kinematics().com),
                 "com_velocity" => data.extend(&com_velocity),
-                "com_reference" => data.extend(&setpoint.com_position),
+                "com_setpoint" => data.extend(&setpoint.com_position),
                 "rotation_error" => data.push(row.errors.rotation),
                 "thrust" => data.extend(row.plant.jets().thrust()),
                 "thrust_rate" => data.extend(&row.command.thrust_rate),
@@ -170,7 +170,7 @@ impl FlightLog {
                 "aero_force_sim" => data.extend(row.plant.link_forces().forces_i.iter().flatten()),
                 "aero_force_control" => data.extend(row.terms.link_forces.forces_i.iter().flatten()),
                 "momentum" => data.extend(&row.plant.dynamics().momentum),
-                "momentum_reference" => data.extend(momentum_reference.iter().chain(&[0.0; 3])),
+                "momentum_setpoint" => data.extend(momentum_setpoint.iter().chain(&[0.0; 3])),
                 "momentum_rate_estimate" => data.extend(&row.terms.momentum.rate_estimate),
                 "qp_status" => {
                     data.extend([momentum_qp.status.code(), torque_qp.status.code()].map(f64::from));
@@ -209,7 +209,7 @@ pub struct Summary {
     /// Root mean square of the rotation error after settling \[rad\].
     pub rms_rotation_error: f64,
     /// Time with a rotation error above 45° \[s\].
-    pub time_tilted: f64,
+    pub time_above_45_deg: f64,
     /// Greatest sum of absolute joint errors \[rad\].
     pub max_joint_error: f64,
     /// Greatest total aerodynamic force of the simulator \[N\].
@@ -222,8 +222,8 @@ pub struct Summary {
     pub max_qp_iterations: f64,
 }
 
-/// Rotation error beyond which a robot that still flies counts as tilted.
-pub const TILTED: f64 = std::f64::consts::FRAC_PI_4;
+/// Rotation error beyond which a robot that still flies counts as leaning.
+pub const LEANING: f64 = std::f64::consts::FRAC_PI_4;
 
 /// Time that a flight takes to settle after it starts out of equilibrium \[s\].
 pub const SETTLING_TIME: f64 = 3.0;
@@ -239,19 +239,19 @@ impl Summary {
         let mut max_com_error_xyz = [0.0_f64; 3];
         let mut min_com_x_settling = f64::INFINITY;
         let (mut settled, mut sum_com_error, mut sum_rotation_error) = (0.0_f64, 0.0, 0.0);
-        let mut tilted = 0.0;
+        let mut above = 0.0;
         for (time, angle) in data("time").iter().zip(data("rotation_error")) {
             sum_rotation_error += if *time < SETTLING_TIME { 0.0 } else { angle * angle };
-            tilted += if *angle > TILTED { 1.0 } else { 0.0 };
+            above += if *angle > LEANING { 1.0 } else { 0.0 };
         }
         let tick = data("time").get(1).copied().unwrap_or(0.0);
         let aero =
             aero_force_extremes(data("aero_force_sim"), data("aero_force_control"), data("time").len());
-        let joints = log.joint_reference.len().max(1);
-        let joint_errors = data("joint_position").chunks_exact(joints).map(|positions| {
-            positions.iter().zip(&log.joint_reference).map(|(s, s_d)| (s - s_d).abs()).sum()
-        });
-        for ((time, com), desired) in data("time").iter().zip(rows("com_position")).zip(rows("com_reference"))
+        let joints = log.joint_setpoint.len().max(1);
+        let joint_errors = data("joint_position")
+            .chunks_exact(joints)
+            .map(|positions| positions.iter().zip(&log.joint_setpoint).map(|(s, s_d)| (s - s_d).abs()).sum());
+        for ((time, com), desired) in data("time").iter().zip(rows("com_position")).zip(rows("com_setpoint"))
         {
             if *time < SETTLING_TIME {
                 min_com_x_settling = min_com_x_settling.min(com[0]);
@@ -284,7 +284,7 @@ impl Summary {
                 .count(),
             rms_com_error: (sum_com_error / settled.max(1.0)).sqrt(),
             rms_rotation_error: (sum_rotation_error / settled.max(1.0)).sqrt(),
-            time_tilted: tilted * tick,
+            time_above_45_deg: above * tick,
             max_joint_error: largest(&mut { joint_errors }),
             max_aero_force: aero.0,
             max_aero_force_difference: aero.1,

@@ -9,27 +9,27 @@ mod common;
 use common::{Running, experiment, fly};
 use flight_core::Measurement;
 use flight_io::load_robot;
-use flight_sim::FlightConfig;
+use flight_sim::ScenarioConfig;
 use flight_sim::disturbances::ModelError;
 use flight_sim::disturbances::WindEstimateConfig;
 use nalgebra::{Vector3, Vector6};
 use std::collections::BTreeMap;
 
 /// TEST2 where the wind has risen, cut short.
-fn short(name: &str) -> FlightConfig {
+fn short(name: &str) -> ScenarioConfig {
     let mut config = experiment(name);
     config.simulator.duration = 12.0;
     config
 }
 
-fn with(change: impl Fn(&mut FlightConfig)) -> FlightConfig {
+fn with(change: impl Fn(&mut ScenarioConfig)) -> ScenarioConfig {
     let mut config = short("test2");
     change(&mut config);
     config
 }
 
 /// A controller behind its first tick in a wind askew to every link.
-fn first_tick(config: &FlightConfig) -> Running {
+fn first_tick(config: &ScenarioConfig) -> Running {
     let robot = load_robot(&config.robot).unwrap();
     let mut controller = Running::new(config.controller(robot).unwrap());
     let state = config.simulator.initial.state();
@@ -43,7 +43,7 @@ fn first_tick(config: &FlightConfig) -> Running {
     controller
 }
 
-fn rate(config: &FlightConfig) -> Vector6<f64> {
+fn rate(config: &ScenarioConfig) -> Vector6<f64> {
     first_tick(config).terms().momentum.rate_estimate
 }
 
@@ -154,10 +154,10 @@ fn a_feedback_of_scale_zero_flies_like_no_feedback() {
 
 #[test]
 fn what_cannot_be_left_out_is_refused_by_name() {
-    let message = |change: &dyn Fn(&mut FlightConfig)| {
+    let message = |change: &dyn Fn(&mut ScenarioConfig)| {
         let config = with(change);
         let robot = load_robot(&config.robot).unwrap();
-        flight_sim::Flight::with_robot(&config, robot).unwrap_err().to_string()
+        flight_sim::Scenario::with_robot(&config, robot).unwrap_err().to_string()
     };
     let unknown = message(&|config| {
         config.controller.law.aero_feedback.links = BTreeMap::from([("tail".to_owned(), 0.0)]);

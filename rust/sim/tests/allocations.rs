@@ -13,7 +13,7 @@ use flight_core::aero::Precision;
 use flight_core::control::CommandStatus;
 use flight_core::control::config::{Fallback, Solver};
 use flight_io::{AeroConfig, NetworkConfig, load_robot};
-use flight_sim::FlightConfig;
+use flight_sim::ScenarioConfig;
 use flight_sim::config::AeroKinematics;
 use nalgebra::{Vector3, Vector6};
 use std::alloc::{GlobalAlloc, Layout, System};
@@ -81,7 +81,12 @@ fn the_counter_counts() {
 
 /// Flies and counts; returns the greatest number of active bounds and whether every tick was nominal.
 #[track_caller]
-fn assert_no_allocations(what: &str, config: &FlightConfig, seconds: f64, wind: Vector3<f64>) -> (u32, bool) {
+fn assert_no_allocations(
+    what: &str,
+    config: &ScenarioConfig,
+    seconds: f64,
+    wind: Vector3<f64>,
+) -> (u32, bool) {
     let mut flight = Loop::new(config);
     let (mut in_ticks, mut in_plant, mut active, mut nominal) = (0, 0, 0, true);
     for tick in 0..tick_at(seconds) {
@@ -109,7 +114,7 @@ fn assert_no_allocations(what: &str, config: &FlightConfig, seconds: f64, wind: 
 
 const SIDE: Vector3<f64> = Vector3::new(0.0, -10.0, 0.0);
 
-fn with(name: &str, change: impl FnOnce(&mut FlightConfig)) -> FlightConfig {
+fn with(name: &str, change: impl FnOnce(&mut ScenarioConfig)) -> ScenarioConfig {
     let mut config = experiment(name);
     change(&mut config);
     config

@@ -9,7 +9,9 @@ use common::{configs, experiment, robot};
 use flight_core::BuildError;
 use flight_io::{AeroConfig, ControllerSection, MissionConfig, Schema, load, load_aero};
 use flight_sim::jets::JetsConfig;
-use flight_sim::{Flight, FlightConfig, SimulatorConfig, Wind, WindConfig, flight_from_value, load_flight};
+use flight_sim::{
+    Scenario, ScenarioConfig, SimulatorConfig, Wind, WindConfig, load_scenario, scenario_from_value,
+};
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
@@ -39,7 +41,7 @@ fn parse<T: DeserializeOwned + JsonSchema>(file: &Path) -> T {
 
 /// The resolved table of an experiment's file.
 fn resolve(file: &Path) -> Result<Value, BuildError> {
-    flight_io::resolve(file, &Schema::of::<FlightConfig>())
+    flight_io::resolve(file, &Schema::of::<ScenarioConfig>())
 }
 
 /// Keys beside `base` are laid over the base's table, table by table; lists are replaced whole.
@@ -184,7 +186,7 @@ fn unreadable_files_are_named() {
     assert_says(&resolve(&number).unwrap_err(), &["`base`", "is 7", "the path of a TOML file"]);
     let mut gone = experiment("test2");
     gone.robot = folder.path().join("nobody.toml");
-    assert_says(&Flight::new(&gone).unwrap_err(), &["cannot read", "nobody.toml"]);
+    assert_says(&Scenario::new(&gone).unwrap_err(), &["cannot read", "nobody.toml"]);
 }
 
 fn test2_value() -> Value {
@@ -218,13 +220,13 @@ fn unknown_keys_are_named() {
         let key = if table.is_empty() { "typo".to_owned() } else { format!("{table}.typo") };
         set(&mut value, &key, json!(1.0));
         assert_says(
-            &flight_from_value(value, "here").unwrap_err(),
+            &scenario_from_value(value, "here").unwrap_err(),
             &["here: ", &format!("unknown key `{key}`")],
         );
     }
     let mut value = test2_value();
     set(&mut value, "controller.momentum.kp_liner", json!([1.0, 1.0, 1.0]));
-    assert_says(&flight_from_value(value, "here").unwrap_err(), &["did you mean `kp_linear`?"]);
+    assert_says(&scenario_from_value(value, "here").unwrap_err(), &["did you mean `kp_linear`?"]);
 }
 
 /// Tables whose keys are names of the robot's parts.
@@ -254,7 +256,7 @@ fn wrong_types_are_named_at_every_key() {
         // No key takes a list of tables.
         let mut value = serde_json::to_value(experiment(name)).unwrap();
         set(&mut value, &key, json!([{"wrong": true}]));
-        let message = flight_from_value(value, "here").unwrap_err().to_string();
+        let message = scenario_from_value(value, "here").unwrap_err().to_string();
         assert!(message.contains(&format!("`{key}")), "{name}: {key}: {message}");
         assert!(message.contains("{\"wrong\":true}") && message.contains("expected"), "{key}: {message}");
     }
@@ -292,7 +294,7 @@ fn missing_and_ill_typed_keys_are_named() {
     ] {
         let mut value = test2_value();
         set(&mut value, key, bad);
-        let error = flight_from_value(value, "here").unwrap_err();
+        let error = scenario_from_value(value, "here").unwrap_err();
         assert_says(&error, &["here: ", &format!("`{key}` {words}")]);
     }
 }
@@ -322,7 +324,7 @@ fn reading_is_bounded() {
     assert_says(&resolve(&folder.path().join("f0.toml")).unwrap_err(), &["more than 256 `base` files"]);
     let mut device = experiment("test2");
     device.robot = PathBuf::from("/dev/zero");
-    assert_says(&Flight::new(&device).unwrap_err(), &["/dev/zero", "a regular file"]);
+    assert_says(&Scenario::new(&device).unwrap_err(), &["/dev/zero", "a regular file"]);
 }
 
 /// Every aerodynamic model parses and builds for the robot.
@@ -346,10 +348,10 @@ fn every_control_file_is_a_controller() {
     }
 }
 
-/// Every envelope parses and holds intervals.
+/// Every mission parses and holds intervals.
 #[test]
-fn every_envelope_file_is_an_envelope() {
-    for file in files("envelope") {
+fn every_mission_file_is_an_mission() {
+    for file in files("mission") {
         let config: MissionConfig = parse(&file);
         config.check().unwrap();
     }
@@ -378,9 +380,9 @@ fn every_wind_file_is_a_wind() {
 #[test]
 fn every_experiment_file_is_a_flight() {
     for file in files("experiments") {
-        let config = load_flight(&file).unwrap();
+        let config = load_scenario(&file).unwrap();
         assert!(!config.title.is_empty() && !config.description.is_empty(), "{}", file.display());
-        Flight::check(&config).unwrap();
+        Scenario::check(&config).unwrap();
     }
 }
 
@@ -388,8 +390,8 @@ fn every_experiment_file_is_a_flight() {
 #[test]
 fn a_flight_survives_being_written_out() {
     for file in files("experiments") {
-        let config = load_flight(&file).unwrap();
+        let config = load_scenario(&file).unwrap();
         let value = serde_json::to_value(&config).unwrap();
-        assert_eq!(flight_from_value(value, "written out").unwrap(), config, "{}", file.display());
+        assert_eq!(scenario_from_value(value, "written out").unwrap(), config, "{}", file.display());
     }
 }

@@ -11,7 +11,7 @@ use flight_sim::disturbances::{
 };
 use flight_sim::jets::{Jets, JetsConfig, SecondOrderConfig};
 use flight_sim::noise::Noise;
-use flight_sim::{Flight, FlightConfig, FlightResult, Wind, WindConfig, flight_from_value};
+use flight_sim::{FlightResult, Scenario, ScenarioConfig, Wind, WindConfig, scenario_from_value};
 use nalgebra::Vector3;
 
 const STEP: f64 = 0.01;
@@ -251,7 +251,7 @@ fn turbulence_has_its_standard_deviation_and_rises_with_the_ramp() {
     }
 }
 
-fn one(change: impl Fn(&mut FlightConfig)) -> FlightResult {
+fn one(change: impl Fn(&mut ScenarioConfig)) -> FlightResult {
     let mut config = experiment("test2");
     config.simulator.duration = 20.0;
     change(&mut config);
@@ -283,13 +283,13 @@ fn known_limits_reach_the_controller() {
 
 #[test]
 fn what_makes_no_sense_is_refused_by_name() {
-    let message = |change: &dyn Fn(&mut FlightConfig)| {
+    let message = |change: &dyn Fn(&mut ScenarioConfig)| {
         let mut config = experiment("test2");
         change(&mut config);
-        Flight::new(&config).unwrap_err().to_string()
+        Scenario::new(&config).unwrap_err().to_string()
     };
     let estimate = |estimate: WindEstimateConfig| {
-        message(&|config: &mut FlightConfig| config.disturbances.wind_estimate = Some(estimate.clone()))
+        message(&|config: &mut ScenarioConfig| config.disturbances.wind_estimate = Some(estimate.clone()))
     };
     let default = WindEstimateConfig::default;
     for (key, text) in [
@@ -333,7 +333,7 @@ fn the_controller_holds_no_disturbance() {
     for key in ["wind_estimate", "model_error"] {
         let mut value = serde_json::to_value(&config).unwrap();
         value["controller"][key] = serde_json::json!({});
-        let text = flight_from_value(value, "flight").unwrap_err().to_string();
+        let text = scenario_from_value(value, "flight").unwrap_err().to_string();
         assert!(text.contains(&format!("unknown key `controller.{key}`")), "{text}");
     }
 }

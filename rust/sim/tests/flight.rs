@@ -22,17 +22,17 @@ mod wind;
 
 use flight_io::AeroConfig;
 use flight_sim::config::Integrator;
-use flight_sim::{FlightConfig, FlightResult, WindConfig};
+use flight_sim::{FlightResult, ScenarioConfig, WindConfig};
 
 /// A flight with something changed.
-fn with(mut config: FlightConfig, change: impl FnOnce(&mut FlightConfig)) -> FlightConfig {
+fn with(mut config: ScenarioConfig, change: impl FnOnce(&mut ScenarioConfig)) -> ScenarioConfig {
     change(&mut config);
     config
 }
 
 /// An experiment of ours in the world that the published numbers come from: printed coefficients on both
 /// sides, explicit Euler.
-fn as_published(name: &str) -> FlightConfig {
+fn as_published(name: &str) -> ScenarioConfig {
     with(common::experiment(name), |config| {
         config.simulator.integrator = Integrator::ExplicitEuler;
         let printed = common::experiment("test2_published").simulator.aero;
@@ -63,7 +63,7 @@ fn peak(result: &FlightResult, name: &str, from: f64, to: f64) -> f64 {
 
 /// Error of the CoM along an axis, the one of greatest size, after the start has settled.
 fn com_offset(result: &FlightResult, axis: usize) -> f64 {
-    let rows = data(result, "com_position").chunks(3).zip(data(result, "com_reference").chunks(3));
+    let rows = data(result, "com_position").chunks(3).zip(data(result, "com_setpoint").chunks(3));
     let errors = rows.zip(data(result, "time")).filter(|(_, time)| **time >= 3.0);
     errors
         .map(|((com, desired), _)| com[axis] - desired[axis])

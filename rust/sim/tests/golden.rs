@@ -12,7 +12,7 @@ use flight_core::kinematics::RobotState;
 use flight_core::spatial::Pose;
 use flight_core::{Controller, Measurement};
 use flight_io::{AeroConfig, load_aero, load_robot};
-use flight_sim::{FlightConfig, load_flight};
+use flight_sim::{ScenarioConfig, load_scenario};
 use nalgebra::{DVector, Matrix3, Vector3};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -107,7 +107,7 @@ impl Case {
 
     /// A controller with `configs/control/<control>.toml` and published coefficients, after one tick.
     fn tick(&self, control: &str) -> Controller {
-        let config = flight_config(control);
+        let config = scenario_config(control);
         let robot = load_robot(&config.robot).unwrap();
         let mut controller = config.controller(robot).unwrap();
         let measurement = Measurement {
@@ -126,8 +126,8 @@ impl Case {
 }
 
 /// The golden states use physically right points, the printed coefficients and the published torque limit.
-fn flight_config(control: &str) -> FlightConfig {
-    let mut config = load_flight(&repository().join("configs/experiments/test2.toml")).unwrap();
+fn scenario_config(control: &str) -> ScenarioConfig {
+    let mut config = load_scenario(&repository().join("configs/experiments/test2.toml")).unwrap();
     let path = repository().join(format!("configs/control/{control}.toml"));
     config.controller = flight_io::load(&path).unwrap();
     config.controller.law.torque.torque_max = Some(50.0);

@@ -7,7 +7,7 @@ use flight_core::control::mission::Commands;
 use flight_core::spatial::{rotation_from_rpy, rpy_from_rotation};
 use flight_io::MissionConfig;
 use flight_io::mission::{COLUMNS, load_recording, parse_recording};
-use flight_sim::{Flight, load_flight};
+use flight_sim::{Scenario, load_scenario};
 use nalgebra::Vector3;
 use std::fmt::Write;
 use std::ops::ControlFlow;
@@ -133,17 +133,17 @@ fn what_cannot_be_flown_is_refused_by_line() {
 
 #[test]
 fn commands_beside_a_file_are_refused() {
-    let envelope = MissionConfig {
+    let mission = MissionConfig {
         commands: Commands { up: vec![(1.0, 2.0)], ..Commands::default() },
         file: Some("r.csv".into()),
     };
-    let message = envelope.check().unwrap_err().to_string();
-    assert!(message.contains("envelope.up") && message.contains("r.csv"), "{message}");
+    let message = mission.check().unwrap_err().to_string();
+    assert!(message.contains("mission.up") && message.contains("r.csv"), "{message}");
     assert!(MissionConfig { file: Some("r.csv".into()), ..MissionConfig::default() }.check().is_ok());
 }
 
 #[test]
-fn an_envelope_without_a_file_is_written_without_the_key() {
+fn a_mission_without_a_file_is_written_without_the_key() {
     let text = serde_json::to_string(&MissionConfig::default()).unwrap();
     assert!(!text.contains("file"), "{text}");
 }
@@ -160,16 +160,16 @@ fn the_controller_flies_a_file_named_beside_its_configuration() {
     }
     std::fs::write(folder.path().join("rise.csv"), text).unwrap();
     let flight = format!(
-        "base = \"{EXPERIMENTS}/no_wind.toml\"\nenvelope = {{ base = \"{EXPERIMENTS}/../envelope/hover.toml\", \
+        "base = \"{EXPERIMENTS}/no_wind.toml\"\nmission = {{ base = \"{EXPERIMENTS}/../mission/hover.toml\", \
          file = \"rise.csv\" }}\nsimulator = {{ duration = 10.0 }}\n"
     );
     std::fs::write(folder.path().join("flight.toml"), flight).unwrap();
 
-    let mut config = load_flight(&folder.path().join("flight.toml")).unwrap();
-    let envelope = MissionConfig { file: config.envelope.file.take(), ..MissionConfig::default() };
-    assert!(envelope.file.as_ref().is_some_and(|file| file.is_absolute()));
-    config.envelope = envelope;
-    let result = Flight::new(&config).unwrap().run(|_, _| ControlFlow::Continue(())).unwrap();
+    let mut config = load_scenario(&folder.path().join("flight.toml")).unwrap();
+    let mission = MissionConfig { file: config.mission.file.take(), ..MissionConfig::default() };
+    assert!(mission.file.as_ref().is_some_and(|file| file.is_absolute()));
+    config.mission = mission;
+    let result = Scenario::new(&config).unwrap().run(|_, _| ControlFlow::Continue(())).unwrap();
     assert!(result.fall.is_none());
     assert!(result.summary.max_com_error < 0.02, "{}", result.summary.max_com_error);
     let height = result.log.series("com_position").unwrap().row(1000)[2];
@@ -179,8 +179,8 @@ fn the_controller_flies_a_file_named_beside_its_configuration() {
 #[test]
 fn a_file_that_is_missing_is_named() {
     let folder = tempdir().unwrap();
-    let flight = format!("base = \"{EXPERIMENTS}/no_wind.toml\"\nenvelope = {{ file = \"nowhere.csv\" }}\n");
+    let flight = format!("base = \"{EXPERIMENTS}/no_wind.toml\"\nmission = {{ file = \"nowhere.csv\" }}\n");
     std::fs::write(folder.path().join("flight.toml"), flight).unwrap();
-    let message = load_flight(&folder.path().join("flight.toml")).unwrap_err().to_string();
+    let message = load_scenario(&folder.path().join("flight.toml")).unwrap_err().to_string();
     assert!(message.contains("nowhere.csv"), "{message}");
 }

@@ -31,7 +31,7 @@ pub type Interval = (f64, f64);
 
 /// When the autopilot commands what. Every list may be empty or absent.
 ///
-/// Source: the published autopilot; `configs/envelope/*.toml` hold its three envelopes.
+/// Source: the published autopilot; `configs/mission/*.toml` hold its three missions.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -73,7 +73,7 @@ impl Commands {
     pub fn check(&self) -> Result<(), BuildError> {
         for (name, intervals) in self.lists() {
             for &(start, end) in intervals {
-                let of = |what: &str| format!("{what} of an interval of envelope.{name}");
+                let of = |what: &str| format!("{what} of an interval of mission.{name}");
                 check(&of("start"), start, |_| true, "finite seconds")?;
                 check(&of("end"), end, |end| end > start, &format!("a time after the start {start}"))?;
             }

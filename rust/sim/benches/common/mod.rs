@@ -6,7 +6,7 @@ use flight_core::kinematics::RobotState;
 use flight_core::qp::QpProblem;
 use flight_core::{BuildError, Controller, Measurement};
 use flight_io::load_robot;
-use flight_sim::{FlightConfig, Plant, Wind, load_flight};
+use flight_sim::{Plant, ScenarioConfig, Wind, load_scenario};
 use nalgebra::{Vector3, Vector6};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -38,17 +38,17 @@ pub fn repository() -> PathBuf {
 }
 
 /// A flight of `configs/experiments/`.
-pub fn configuration(name: &str) -> Result<FlightConfig, BuildError> {
-    load_flight(&repository().join(format!("configs/experiments/{name}.toml")))
+pub fn configuration(name: &str) -> Result<ScenarioConfig, BuildError> {
+    load_scenario(&repository().join(format!("configs/experiments/{name}.toml")))
 }
 
-pub fn controller(config: &FlightConfig) -> Result<Controller, BuildError> {
+pub fn controller(config: &ScenarioConfig) -> Result<Controller, BuildError> {
     let robot = load_robot(&config.robot)?;
     config.controller(robot)
 }
 
 /// Flies a configuration and keeps the ticks of a span of time \[s\].
-pub fn record(config: &FlightConfig, span: &RangeInclusive<f64>) -> Result<Vec<Tick>, BuildError> {
+pub fn record(config: &ScenarioConfig, span: &RangeInclusive<f64>) -> Result<Vec<Tick>, BuildError> {
     let mut controller = controller(config)?;
     let mut plant = Plant::new(load_robot(&config.robot)?, &config.simulator, &config.disturbances)?;
     let mut state = None;

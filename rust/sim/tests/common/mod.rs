@@ -12,7 +12,7 @@ use flight_core::control::ControllerState;
 use flight_core::spatial::{Pose, rotation_from_wxyz};
 use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
 use flight_io::load_robot;
-use flight_sim::{FlightConfig, FlightResult, Plant, fly_batch, load_flight};
+use flight_sim::{FlightResult, Plant, ScenarioConfig, fly_batch, load_scenario};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -36,8 +36,8 @@ pub fn both_robots() -> [RobotModel; 2] {
     [robot("ironcub_mk1"), robot("sparrow")]
 }
 
-pub fn experiment(name: &str) -> FlightConfig {
-    load_flight(&configs("experiments").join(name).with_extension("toml")).unwrap()
+pub fn experiment(name: &str) -> ScenarioConfig {
+    load_scenario(&configs("experiments").join(name).with_extension("toml")).unwrap()
 }
 
 pub fn rng(seed: u64) -> ChaCha8Rng {
@@ -65,7 +65,7 @@ pub fn tick_at(time: f64) -> usize {
 }
 
 /// Flies all configurations, on all cores.
-pub fn fly(flights: &[FlightConfig]) -> Vec<FlightResult> {
+pub fn fly(flights: &[ScenarioConfig]) -> Vec<FlightResult> {
     let results = fly_batch(flights, None, |result| result, |_, _| ControlFlow::Continue(())).unwrap();
     results.into_iter().map(Result::unwrap).collect()
 }
@@ -111,12 +111,12 @@ pub struct Loop {
 }
 
 impl Loop {
-    pub fn new(config: &FlightConfig) -> Self {
+    pub fn new(config: &ScenarioConfig) -> Self {
         let robot = load_robot(&config.robot).unwrap();
         Self::with_robot(config, robot)
     }
 
-    pub fn with_robot(config: &FlightConfig, robot: RobotModel) -> Self {
+    pub fn with_robot(config: &ScenarioConfig, robot: RobotModel) -> Self {
         let plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances).unwrap();
         let controller = config.controller(robot).unwrap();
         Self { plant, controller: Running::new(controller), tick: 0 }

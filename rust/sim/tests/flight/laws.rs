@@ -4,7 +4,7 @@ use super::common::{Loop, experiment, fly};
 use super::{as_published, data, ramp_to, with};
 use flight_core::aero::LeverArm;
 use flight_core::spatial::vee_of_skew_part;
-use flight_sim::FlightConfig;
+use flight_sim::ScenarioConfig;
 use flight_sim::config::Integrator;
 use nalgebra::Vector3;
 
@@ -22,7 +22,7 @@ fn an_unknown_wrench_is_held_with_an_error() {
     for (wind, lever_arm) in cases {
         let config = with(as_published("test1"), |config| {
             config.simulator.lever_arm = lever_arm;
-            config.envelope = experiment_envelope("hover");
+            config.mission = experiment_mission("hover");
         });
         let mut flight = Loop::new(&config);
         let blow = |time: f64| Vector3::from(wind) * ((time - 5.0) / 5.0).clamp(0.0, 1.0);
@@ -48,15 +48,15 @@ fn an_unknown_wrench_is_held_with_an_error() {
     }
 }
 
-fn experiment_envelope(name: &str) -> flight_io::MissionConfig {
-    let file = super::common::configs("envelope").join(name).with_extension("toml");
+fn experiment_mission(name: &str) -> flight_io::MissionConfig {
+    let file = super::common::configs("mission").join(name).with_extension("toml");
     flight_io::load(&file).unwrap()
 }
 
 /// The aware controller that knows the wrench holds it without an error.
 #[test]
 fn a_known_wrench_is_held_without_an_error() {
-    let config = with(as_published("test2"), |config| config.envelope = experiment_envelope("hover"));
+    let config = with(as_published("test2"), |config| config.mission = experiment_mission("hover"));
     let mut flight = Loop::new(&config);
     flight.run(60.0, |time| Vector3::new(0.0, -10.0, 0.0) * ((time - 5.0) / 5.0).clamp(0.0, 1.0));
     let terms = flight.controller.terms();
@@ -66,7 +66,7 @@ fn a_known_wrench_is_held_without_an_error() {
 }
 
 /// Pose and posture after three seconds in a rising wind.
-fn end(config: &FlightConfig) -> Vec<f64> {
+fn end(config: &ScenarioConfig) -> Vec<f64> {
     let result = &fly(std::slice::from_ref(config))[0];
     let last = |name: &str| {
         let series = result.log.series(name).unwrap();
@@ -116,7 +116,7 @@ fn the_integrator_hardly_matters() {
     let test2 = [test1.as_slice(), &[(ExplicitEuler, 2), (ExplicitEuler, 10)]].concat();
     for (name, limit, variants) in [("test1", 1.1, test1.to_vec()), ("test2", 0.2, test2)] {
         let base = as_published(name);
-        let variants: Vec<FlightConfig> = variants
+        let variants: Vec<ScenarioConfig> = variants
             .into_iter()
             .map(|(integrator, substeps)| {
                 with(base.clone(), |config| {

@@ -6,7 +6,7 @@ use super::common::{experiment, fly};
 use super::{data, with};
 use flight_core::aero::Precision;
 use flight_io::AeroConfig;
-use flight_sim::{FlightConfig, FlightResult};
+use flight_sim::{FlightResult, ScenarioConfig};
 
 fn flights<const N: usize>(names: [&str; N]) -> [FlightResult; N] {
     fly(&names.map(experiment)).try_into().unwrap_or_else(|_| panic!("{N} flights"))
@@ -63,7 +63,7 @@ fn the_axisymmetric_model_is_good_enough_to_arrive() {
 /// Single precision is enough: thrusts differ by less than a newton over the whole flight.
 #[test]
 fn precision_does_not_matter() {
-    let double = |config: &mut FlightConfig| {
+    let double = |config: &mut ScenarioConfig| {
         for aero in [&mut config.simulator.aero, &mut config.controller.aero] {
             let AeroConfig::Network(network) = aero else { panic!("no network") };
             network.precision = Precision::F64;

@@ -4,7 +4,7 @@ use super::common::{experiment, fly};
 use super::{NO_AIR, STILL, as_published, com_offset, data, peak, ramp_to, rotation_error_at, with};
 use flight_core::aero::LeverArm;
 use flight_sim::config::{AeroKinematics, Integrator};
-use flight_sim::{FallReason, FlightConfig, FlightResult};
+use flight_sim::{FallReason, FlightResult, ScenarioConfig};
 
 #[track_caller]
 fn assert_close(what: &str, found: f64, expected: f64, tolerance: f64) {
@@ -17,13 +17,13 @@ fn assert_close(what: &str, found: f64, expected: f64, tolerance: f64) {
 }
 
 #[track_caller]
-fn assert_completed(result: &FlightResult, config: &FlightConfig) {
+fn assert_completed(result: &FlightResult, config: &ScenarioConfig) {
     assert!(result.fall.is_none(), "{}: {:?}", config.title, result.fall);
     assert_eq!(result.log.len(), config.simulator.n_ticks() + 1, "{}", config.title);
 }
 
 /// The flight, and three whose first thrust differs in its last bits.
-fn with_last_bits(config: &FlightConfig) -> Vec<FlightResult> {
+fn with_last_bits(config: &ScenarioConfig) -> Vec<FlightResult> {
     let nudged = |bits| {
         with(config.clone(), |config| {
             config.simulator.initial.thrust[0] *= 1.0 + f64::from(bits) * f64::EPSILON;
@@ -93,7 +93,7 @@ fn assert_sound(result: &FlightResult) {
 /// The start-up minimum of the centre of mass is the recorded one; each thing that makes it so matters.
 #[test]
 fn start_up_minimum_is_the_recorded_one() {
-    let start = |change: &dyn Fn(&mut FlightConfig)| {
+    let start = |change: &dyn Fn(&mut ScenarioConfig)| {
         with(experiment("test1_published"), |config| {
             config.simulator.duration = 5.0;
             change(config);
@@ -139,7 +139,7 @@ fn the_first_tick_has_fallen_freely() {
 fn joint_error_sums(result: &FlightResult) -> [f64; 5] {
     let mut greatest = [0.0_f64; 5];
     for row in data(result, "joint_position").chunks(23) {
-        let mut errors = row.iter().zip(&result.log.joint_reference).map(|(s, s_d)| (s - s_d).abs());
+        let mut errors = row.iter().zip(&result.log.joint_setpoint).map(|(s, s_d)| (s - s_d).abs());
         for (group, size) in [3, 4, 4, 6, 6].into_iter().enumerate() {
             let sum: f64 = errors.by_ref().take(size).sum();
             greatest[group] = greatest[group].max(sum.to_degrees());
@@ -199,7 +199,7 @@ fn test2_is_the_tabled_flight() {
 #[test]
 fn test2_overshoots_where_the_fast_leg_ends() {
     let flight = &fly(&[experiment("test2_published")])[0];
-    let rows = data(flight, "com_position").chunks(3).zip(data(flight, "com_reference").chunks(3));
+    let rows = data(flight, "com_position").chunks(3).zip(data(flight, "com_setpoint").chunks(3));
     let errors = rows.zip(data(flight, "time")).filter(|(_, time)| **time > 3.0);
     let (error, time) = errors
         .map(|((com, desired), time)| ((com[0] - desired[0]).abs(), *time))
@@ -282,7 +282,7 @@ fn only_the_momentum_feedback_matters() {
 /// leg.
 #[test]
 fn frozen_kinematics_fell_both_controllers() {
-    let freeze = |config: &mut FlightConfig| config.simulator.kinematics = AeroKinematics::Frozen;
+    let freeze = |config: &mut ScenarioConfig| config.simulator.kinematics = AeroKinematics::Frozen;
     let test1 = with_last_bits(&with(experiment("test1_published"), freeze));
     assert_turned_over(&test1, 16.1, 16.5);
     assert_turned_over(&with_last_bits(&with(experiment("test2_published"), freeze)), 27.0, 28.0);
@@ -355,7 +355,7 @@ fn the_aware_controller_flies_in_every_wind() {
     let directions =
         [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 1.0, 0.0], [-diagonal, -diagonal, 0.0]];
     let winds = directions.iter().flat_map(|d| [6.0, 12.0, 18.0, 24.0].map(|speed| d.map(|x| x * speed)));
-    let configs: Vec<FlightConfig> =
+    let configs: Vec<ScenarioConfig> =
         winds.map(|wind| with(as_published("test2"), |config| config.wind = ramp_to(wind))).collect();
     for (config, flight) in configs.iter().zip(fly(&configs)) {
         assert!(flight.fall.is_none(), "{:?}: {:?}", config.wind, flight.fall);
@@ -387,7 +387,7 @@ fn the_default_world_has_the_same_outcomes() {
 #[test]
 fn the_default_world_is_not_chaotic() {
     for name in ["test1", "test2"] {
-        let configs: Vec<FlightConfig> = (0..6)
+        let configs: Vec<ScenarioConfig> = (0..6)
             .map(|k| with(experiment(name), |config| config.simulator.initial.joint_position[4 * k] += 1e-5))
             .collect();
         let flights = fly(&configs);

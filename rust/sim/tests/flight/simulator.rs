@@ -5,16 +5,16 @@ use super::{STILL, data, ramp_to, with};
 use flight_core::spatial::{orthonormality_error, rotation_from_wxyz};
 use flight_io::{load_controller, load_robot};
 use flight_sim::{
-    BatchError, Fall, FallReason, Flight, FlightConfig, FlightLog, FlightResult, Interrupted, fly_batch,
+    BatchError, Fall, FallReason, FlightLog, FlightResult, Interrupted, Scenario, ScenarioConfig, fly_batch,
 };
 use std::ops::ControlFlow;
 
-fn short(seconds: f64) -> FlightConfig {
+fn short(seconds: f64) -> ScenarioConfig {
     with(experiment("test2"), |config| config.simulator.duration = seconds)
 }
 
-fn run(config: &FlightConfig) -> FlightResult {
-    Flight::new(config).unwrap().run(|_, _| ControlFlow::Continue(())).unwrap()
+fn run(config: &ScenarioConfig) -> FlightResult {
+    Scenario::new(config).unwrap().run(|_, _| ControlFlow::Continue(())).unwrap()
 }
 
 /// The log has every signal of a result file, a row of the stated shape for every tick, time 0 included.
@@ -26,12 +26,12 @@ fn the_log_has_every_signal_of_every_tick() {
         ("base_position", &[3]),
         ("base_quaternion", &[4]),
         ("base_velocity", &[6]),
-        ("base_rpy_reference", &[3]),
+        ("base_rpy_setpoint", &[3]),
         ("joint_position", &[23]),
         ("joint_velocity", &[23]),
         ("com_position", &[3]),
         ("com_velocity", &[3]),
-        ("com_reference", &[3]),
+        ("com_setpoint", &[3]),
         ("rotation_error", &[]),
         ("thrust", &[4]),
         ("thrust_rate", &[4]),
@@ -41,7 +41,7 @@ fn the_log_has_every_signal_of_every_tick() {
         ("aero_force_sim", &[13, 3]),
         ("aero_force_control", &[13, 3]),
         ("momentum", &[6]),
-        ("momentum_reference", &[6]),
+        ("momentum_setpoint", &[6]),
         ("momentum_rate_estimate", &[6]),
         ("qp_status", &[2]),
         ("qp_kkt", &[2]),
@@ -60,7 +60,7 @@ fn the_log_has_every_signal_of_every_tick() {
     for (tick, time) in data(&result, "time").iter().enumerate() {
         crate::common::assert_within!((time - 0.01 * tick as f64).abs(), 1e-12);
     }
-    assert_eq!(result.log.joint_reference.len(), 23);
+    assert_eq!(result.log.joint_setpoint.len(), 23);
     assert!(FlightLog::new(&load_robot(&short(1.0).robot).unwrap(), 10).is_empty());
 }
 
@@ -98,7 +98,7 @@ fn logged_signals_belong_together() {
     }
     assert_eq!(row("wind", 500), [0.0, 0.0, 0.0]);
     assert_eq!(row("wind", n - 1), [3.0, -9.0, 1.0]);
-    assert_eq!(result.log.joint_reference, row("joint_position", 0));
+    assert_eq!(result.log.joint_setpoint, row("joint_position", 0));
 }
 
 /// Figures of merit are those of the log.
@@ -114,7 +114,7 @@ fn the_summary_is_that_of_the_log() {
     let largest = data(&result, "joint_torque").iter().fold(0.0_f64, |m, torque| m.max(torque.abs()));
     assert_eq!(summary.max_torque, largest);
     // The start is out of equilibrium: its errors are left out of the tracking errors.
-    let com = data(&result, "com_position").chunks(3).zip(data(&result, "com_reference").chunks(3));
+    let com = data(&result, "com_position").chunks(3).zip(data(&result, "com_setpoint").chunks(3));
     let distance =
         |(a, b): (&[f64], &[f64])| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
     let distances: Vec<f64> = com.map(distance).collect();
@@ -132,7 +132,7 @@ fn bits(log: &FlightLog) -> Vec<Vec<u64>> {
 #[test]
 fn batches_do_not_depend_on_threads() {
     let winds = [[0.0, -10.0, 0.0], [-15.0, 0.0, 0.0], [0.0, 6.0, 0.0], [9.0, -9.0, 2.0], [0.0, -18.0, 0.0]];
-    let configs: Vec<FlightConfig> = winds
+    let configs: Vec<ScenarioConfig> = winds
         .iter()
         .map(|wind| {
             with(experiment("test1_published"), |config| {
@@ -156,7 +156,7 @@ fn batches_do_not_depend_on_threads() {
 /// `progress` is called every tick and may end the flight.
 #[test]
 fn a_flight_can_be_interrupted() {
-    let flight = Flight::new(&short(1.0)).unwrap();
+    let flight = Scenario::new(&short(1.0)).unwrap();
     assert_eq!(flight.n_ticks(), 100);
     let mut seen = Vec::new();
     let result = flight.run(|tick, of| {
@@ -270,7 +270,7 @@ fn without_thrust_the_centre_of_mass_falls_freely() {
     }
 }
 
-type Refusal = (&'static str, fn(&mut FlightConfig), &'static str);
+type Refusal = (&'static str, fn(&mut ScenarioConfig), &'static str);
 
 /// Every number of the simulator that cannot be is refused by name, with its value.
 #[test]
@@ -303,7 +303,7 @@ fn bad_simulators_are_refused_by_name() {
         ("coefficients", |c| c.simulator.aero = serde_json::from_str(r#"{"model": "axisymmetric", "coefficients": "nobodys", "air_density": 1.2}"#).unwrap(), "nobodys"),
     ];
     for (item, spoil, value) in refusals {
-        let message = Flight::new(&with(experiment("test2"), spoil)).unwrap_err().to_string();
+        let message = Scenario::new(&with(experiment("test2"), spoil)).unwrap_err().to_string();
         assert!(message.contains(item) && message.contains(value), "{item}: {message}");
     }
 }
@@ -314,7 +314,7 @@ fn bad_time_steps_are_refused_by_the_controller() {
     let config = experiment("test2");
     let robot = load_robot(&config.robot).unwrap();
     for time_step in [0.0, -0.01, f64::NAN, f64::INFINITY] {
-        let controller = load_controller(robot.clone(), &config.controller, &config.envelope, time_step);
+        let controller = load_controller(robot.clone(), &config.controller, &config.mission, time_step);
         let message = controller.unwrap_err().to_string();
         assert!(message.contains("controller time step is"), "{message}");
     }

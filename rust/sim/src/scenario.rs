@@ -12,7 +12,7 @@
 //! which is the published order of execution with its unit delays written out: its physics block runs
 //! first in a tick, on what the tick before left in the delays. Equation M77 of `docs/model.md`, the end of a flight M80.
 
-use crate::config::{DynamicsBackend, Engine, FlightConfig};
+use crate::config::{DynamicsBackend, Engine, ScenarioConfig};
 use crate::disturbances::WindEstimator;
 use crate::log::{FlightLog, FlightResult, LogRow, Summary, TrackingErrors};
 use crate::plant::Plant;
@@ -57,7 +57,7 @@ impl fmt::Display for FallReason {
 
 /// A flight that is ready to start.
 #[derive(Debug)]
-pub struct Flight {
+pub struct Scenario {
     plant: Plant,
     controller: Controller,
     wind: Wind,
@@ -76,12 +76,12 @@ pub struct Flight {
 #[error("interrupted")]
 pub struct Interrupted;
 
-impl Flight {
+impl Scenario {
     /// Builds plant and controller.
     ///
     /// # Errors
     /// [`BuildError`] naming what in the configuration cannot be used.
-    pub fn new(config: &FlightConfig) -> Result<Self, BuildError> {
+    pub fn new(config: &ScenarioConfig) -> Result<Self, BuildError> {
         let robot = load_robot(&config.robot)?;
         Self::with_robot(config, robot)
     }
@@ -90,7 +90,7 @@ impl Flight {
     ///
     /// # Errors
     /// [`BuildError`] naming what in the configuration cannot be used.
-    pub fn with_robot(config: &FlightConfig, robot: RobotModel) -> Result<Self, BuildError> {
+    pub fn with_robot(config: &ScenarioConfig, robot: RobotModel) -> Result<Self, BuildError> {
         for (key, is_there) in [
             ("simulator.ground", config.simulator.ground.is_some()),
             ("simulator.motors", config.simulator.motors.is_some()),
@@ -111,7 +111,7 @@ impl Flight {
     ///
     /// # Errors
     /// [`BuildError`] naming what cannot be used.
-    pub fn check(config: &FlightConfig) -> Result<(), BuildError> {
+    pub fn check(config: &ScenarioConfig) -> Result<(), BuildError> {
         if config.engine == Engine::Jax {
             let mut config = config.clone();
             config.simulator.dynamics = DynamicsBackend::Tree; // it flies either
@@ -131,7 +131,7 @@ impl Flight {
         Self::build(config, load_robot(&config.robot)?).map(|_| ())
     }
 
-    fn build(config: &FlightConfig, robot: RobotModel) -> Result<Self, BuildError> {
+    fn build(config: &ScenarioConfig, robot: RobotModel) -> Result<Self, BuildError> {
         let time_step = config.simulator.time_step;
         let disturbances = &config.disturbances;
         let plant = Plant::new(robot.clone(), &config.simulator, disturbances)?;
@@ -215,7 +215,7 @@ impl Flight {
                 return Err(Interrupted);
             }
         }
-        log.joint_reference = state.map_or_else(Vec::new, |state| state.posture().as_slice().to_vec());
+        log.joint_setpoint = state.map_or_else(Vec::new, |state| state.posture().as_slice().to_vec());
         Ok(FlightResult { fall, summary: Summary::new(&log), log })
     }
 
