@@ -33,7 +33,7 @@ from jax_aero.aero import (
     weighted,
 )
 from jax_aero.aero.network_card import load_network
-from jax_aero.config import AeroFeedback, MissionConfig, ScenarioConfig, ForceFactorsConfig, MomentumGains, TorqueConfig
+from jax_aero.config import AeroFeedback, ForceFactorsConfig, MissionConfig, MomentumGains, ScenarioConfig, TorqueConfig
 from jax_aero.control import qp
 from jax_aero.control import setpoint as generator
 from jax_aero.control.attitude import attitude_demand
