@@ -8,81 +8,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 import xarray as xr
 
+from jax_aero import rust
 from jax_aero.files import complete_folder, write_json
 from jax_aero.result import FlightResult
 
 RUN_FILE = "run.nc"
 MANIFEST_FILE = "manifest.json"
-
-MOMENTUM = "kg m s-1 (linear), kg m2 s-1 (angular)"
-MOMENTUM_RATE = "N (linear), N m (angular)"
-
-
-@dataclass(frozen=True)
-class Signal:
-    """One variable of `run.nc`."""
-
-    dims: tuple[str, ...]
-    units: str
-    long_name: str
-    dtype: str = "f8"
-
-
-SIGNALS: Mapping[str, Signal] = {
-    "base_position": Signal(("time", "xyz"), "m", "position of the base origin, inertial frame"),
-    "base_quaternion": Signal(("time", "wxyz"), "1", "rotation from base to inertial frame"),
-    "base_velocity": Signal(
-        ("time", "six"), "m s-1 (linear), rad s-1 (angular)", "base velocity, mixed: both parts in inertial axes"
-    ),
-    "joint_position": Signal(("time", "joint"), "rad", "joint position"),
-    "joint_velocity": Signal(("time", "joint"), "rad s-1", "joint velocity"),
-    "com_position": Signal(("time", "xyz"), "m", "centre of mass, inertial frame"),
-    "com_velocity": Signal(("time", "xyz"), "m s-1", "velocity of the centre of mass, inertial frame"),
-    "com_setpoint": Signal(("time", "xyz"), "m", "smoothed reference of the centre of mass, inertial frame"),
-    "rotation_error": Signal(("time",), "rad", "angle between the base and its smoothed reference"),
-    "base_rpy_setpoint": Signal(("time", "rpy"), "rad", "smoothed reference of the base: roll, pitch, yaw"),
-    "thrust": Signal(("time", "jet"), "N", "thrust of each jet"),
-    "thrust_rate": Signal(("time", "jet"), "N s-1", "commanded thrust rate"),
-    "joint_velocity_command": Signal(("time", "joint"), "rad s-1", "joint velocity command of the momentum QP"),
-    "joint_torque": Signal(("time", "joint"), "N m", "commanded joint torque, after the rate limiter"),
-    "wind": Signal(("time", "xyz"), "m s-1", "wind velocity, inertial frame"),
-    "aero_force_sim": Signal(("time", "link", "xyz"), "N", "aerodynamic force in the simulator, inertial frame"),
-    "aero_force_control": Signal(
-        ("time", "link", "xyz"), "N", "aerodynamic force the controller compensates, inertial frame"
-    ),
-    "momentum": Signal(("time", "six"), MOMENTUM, "centroidal momentum, inertial axes"),
-    "momentum_setpoint": Signal(("time", "six"), MOMENTUM, "reference of the centroidal momentum"),
-    "momentum_rate_estimate": Signal(("time", "six"), MOMENTUM_RATE, "momentum rate the controller estimates"),
-    "qp_status": Signal(("time", "qp"), "1", "outcome of each QP; 0 is solved", dtype="i2"),
-    "qp_kkt": Signal(("time", "qp"), "1", "scaled KKT residual of each QP's answer"),
-    "qp_iterations": Signal(("time", "qp"), "1", "active-set iterations of each QP", dtype="i4"),
-}
-"""Every variable of `run.nc` except the coordinates and `joint_setpoint`."""
-
-WRENCH = "N (force), N m (moment)"
-
-GROUND_SIGNALS: Mapping[str, Signal] = {
-    "measured_wind": Signal(("time", "xyz"), "m s-1", "measured wind velocity, inertial frame"),
-    "joint_torque_measured": Signal(
-        ("time", "joint"), "N m", "torque that reaches the joint: of the motor, less its friction"
-    ),
-    "foot_wrench": Signal(("time", "foot", "six"), WRENCH, "wrench on each sole about its origin, inertial axes"),
-    "sole_position": Signal(("time", "foot", "xyz"), "m", "origin of each sole, inertial frame"),
-    "feet_carry": Signal(("time",), "1", "whether the controller takes the feet to carry", dtype="i1"),
-    "contact_force": Signal(("time", "foot", "six"), WRENCH, "foot wrenches f_c* that the controller integrates"),
-    "contact_force_rate": Signal(
-        ("time", "foot", "six"), "N s-1 (force), N m s-1 (moment)", "rate of f_c* commanded by the momentum QP"
-    ),
-    "contact_force_torque": Signal(("time", "foot", "six"), WRENCH, "foot wrenches that come with the torques"),
-}
-"""What a robot that stands adds to them."""
 
 
 class RobotNames(Protocol):
@@ -106,25 +43,23 @@ def to_dataset(
     """Label a flight's log with dimensions, coordinates and units."""
     coords = _coordinates(flight, robot)
     variables: dict[str, Any] = {}
-    signals = SIGNALS
-    if not GROUND_SIGNALS.keys().isdisjoint(flight.log):
-        signals = {**SIGNALS, **GROUND_SIGNALS}
+    values = {**flight.log, "joint_setpoint": np.asarray(flight.joint_setpoint)}
+    declared = rust.signals()
+    on_feet = any(name in values and signal.is_of_ground for name, signal in declared.items())
+    if on_feet:
         coords["foot"] = ("foot", np.array(list(robot.foot_names), dtype=str))
-    for name, signal in signals.items():
-        if name not in flight.log:
+    for name, signal in declared.items():
+        if name == "time" or (signal.is_of_ground and not on_feet):
+            continue
+        if name not in values:
             raise ValueError(f"the flight's log has no `{name}`")
         shape = tuple(coords[dim][1].shape[0] for dim in signal.dims)
-        if flight.log[name].shape != shape:
-            raise ValueError(f"`{name}` has shape {flight.log[name].shape}; expected {shape} for {signal.dims}")
-        attributes = {"units": signal.units, "long_name": signal.long_name}
-        variables[name] = (signal.dims, flight.log[name].astype(signal.dtype), attributes)
-    if unlabelled := flight.log.keys() - signals.keys() - {"time"}:
-        raise ValueError(f"no unit is written down for {', '.join(sorted(unlabelled))}; add them to SIGNALS")
-    variables["joint_setpoint"] = (
-        ("joint",),
-        np.asarray(flight.joint_setpoint),
-        {"units": "rad", "long_name": "posture of the first tick, kept as reference"},
-    )
+        if values[name].shape != shape:
+            raise ValueError(f"`{name}` has shape {values[name].shape}; expected {shape} for {signal.dims}")
+        attributes = {"units": signal.unit, "long_name": signal.meaning}
+        variables[name] = (signal.dims, values[name].astype("i4" if signal.is_integer else "f8"), attributes)
+    if undeclared := values.keys() - declared.keys():
+        raise ValueError(f"the crate declares no signal {', '.join(sorted(undeclared))}")
     facts: dict[str, str | float] = {
         "title": title,
         "outcome": flight.outcome,

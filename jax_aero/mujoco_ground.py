@@ -31,7 +31,6 @@ CORNER_RADIUS = 0.005
 """Radius of the spheres at the corners of a sole [m]."""
 HOLD_STIFFNESS, HOLD_DAMPING = 4000.0, 60.0
 """Of the joints while the robot is put down [N m/rad, N m s/rad]."""
-"""Start of a run that its summary leaves out, as the crate does [s]."""
 
 
 class Observed(NamedTuple):
@@ -217,8 +216,7 @@ def _model(source: str, simulator: Mapping[str, Any]) -> Any:
 def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rust.FlightResult:
     """Let the robot of a configuration stand, to the end or until it tips over.
 
-    Returns what `rust.fly` returns, with the signals of the ground besides: see `GROUND_SIGNALS` of
-    `experiments/record.py`.
+    Returns what `rust.fly` returns, with the signals and figures of the ground besides.
 
     Raises
     ------

@@ -20,7 +20,7 @@ class FlightResult:
     Attributes
     ----------
     log
-        Signal name to array; the first axis is time. `experiments/record.py` names every signal, with its unit.
+        Signal name to array; the first axis is time. `rust.signals` declares every signal, with its unit.
     joint_setpoint
         Posture of the first tick, which the controller keeps pulling towards [rad].
     outcome
@@ -28,7 +28,7 @@ class FlightResult:
     fall_time, fall_reason
         When [s] and by which criterion; `None` for a completed flight.
     summary
-        Extremes of the flight, as the crate computes them.
+        Figures of merit, which `rust.figures` declares.
     """
 
     log: Mapping[str, NDArray[np.float64]]

@@ -25,10 +25,12 @@ from __future__ import annotations
 
 import copy
 import difflib
+import functools
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from os import PathLike, fspath
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,6 +49,7 @@ __all__ = [
     "Controller",
     "ControllerState",
     "Dynamics",
+    "Figure",
     "FlightResult",
     "Jacobian",
     "Measurement",
@@ -57,6 +60,7 @@ __all__ = [
     "Robot",
     "RowProblem",
     "Setpoint",
+    "Signal",
     "State",
     "Tick",
     "__version__",
@@ -65,6 +69,7 @@ __all__ = [
     "config_digest",
     "config_keys",
     "dynamics",
+    "figures",
     "fly",
     "fly_batch",
     "forward_dynamics",
@@ -75,6 +80,7 @@ __all__ = [
     "rotation_from_wxyz",
     "schemas",
     "setpoint_trajectory",
+    "signals",
     "wind_velocity",
 ]
 
@@ -493,6 +499,52 @@ def schemas() -> dict[str, dict[str, Any]]:
     """Return the JSON Schemas of the crate's configuration files, by folder of `configs/`."""
     found: dict[str, dict[str, Any]] = json.loads(_core.schemas())
     return found
+
+
+@dataclass(frozen=True)
+class Signal:
+    """The declaration of a signal of the log.
+
+    Attributes
+    ----------
+    dims
+        Names of its dimensions; without "time", it has one value for the flight.
+    unit, meaning
+        In words, as in result files.
+    is_integer
+        Whether its values are whole numbers.
+    is_of_ground
+        Whether only an engine with ground logs it.
+    """
+
+    dims: tuple[str, ...]
+    unit: str
+    meaning: str
+    is_integer: bool
+    is_of_ground: bool
+
+
+@dataclass(frozen=True)
+class Figure:
+    """The declaration of a figure of merit; `is_of_ground` as in `Signal`."""
+
+    unit: str
+    meaning: str
+    is_of_ground: bool
+
+
+@functools.cache
+def signals() -> Mapping[str, Signal]:
+    """Return the signals of a log by name: the only declaration that there is of them."""
+    return MappingProxyType(
+        {row.pop("name"): Signal(tuple(row.pop("dims")), **row) for row in json.loads(_core.signals())}
+    )
+
+
+@functools.cache
+def figures() -> Mapping[str, Figure]:
+    """Return the figures of merit of a summary by name."""
+    return MappingProxyType({row.pop("name"): Figure(**row) for row in json.loads(_core.figures())})
 
 
 def config_digest(config: Mapping[str, Any]) -> str:

@@ -16,30 +16,12 @@ import pyarrow.parquet as pq
 
 from experiments.engines import Failure
 from experiments.sweep.design import Design, config_hash
+from jax_aero import rust
 from jax_aero.files import complete_file
 from jax_aero.result import FlightResult
 from jax_aero.summary import SETTLING_TIME
 
-SUMMARY = (
-    "max_com_error",
-    "max_com_error_x",
-    "max_com_error_y",
-    "max_com_error_z",
-    "rms_com_error",
-    "max_rotation_error",
-    "rms_rotation_error",
-    "time_above_45_deg",
-    "max_joint_error",
-    "thrust_min",
-    "thrust_max",
-    "max_torque",
-    "max_aero_force",
-    "max_aero_force_difference",
-    "min_com_height",
-    "ticks_without_solution",
-    "max_kkt",
-    "max_qp_iterations",
-)
+SUMMARY = tuple(name for name, figure in rust.figures().items() if not figure.is_of_ground)
 """Figures of merit of a flight that tables keep."""
 
 ON_COURSE_ROTATION = math.radians(15.0)

@@ -37,7 +37,7 @@ SIGNALS = (
     "wind",
     "aero_force_sim",
 )
-"""What is read of `run.nc`; units and frames stand in `experiments/record.py`."""
+"""What is read of `run.nc`; `rust.signals` declares units and meaning."""
 
 
 class Instant(NamedTuple):

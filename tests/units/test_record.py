@@ -5,6 +5,7 @@ import pytest
 import xarray as xr
 
 from experiments import record
+from jax_aero import rust
 
 
 @pytest.fixture
@@ -37,6 +38,16 @@ def test_a_fall_is_reported_with_time_and_reason(make_flight, robot):
     assert "90 deg" in facts["fall_reason"]
 
 
+def test_a_file_has_what_the_crate_declares(dataset):
+    declared = {name: signal for name, signal in rust.signals().items() if not signal.is_of_ground}
+    assert dataset.data_vars.keys() | {"time"} == declared.keys()
+    for name, signal in declared.items():
+        variable = dataset[name]
+        assert variable.dims == signal.dims, name
+        assert (variable.attrs["units"], variable.attrs["long_name"]) == (signal.unit, signal.meaning)
+        assert np.issubdtype(variable.dtype, np.integer) == signal.is_integer, name
+
+
 def test_every_signal_has_unit_meaning_and_named_dimensions(dataset):
     assert set(dataset.dims) == {"time", "xyz", "wxyz", "rpy", "six", "joint", "jet", "link", "qp"}
     assert set(dataset.dims) <= set(dataset.coords)
@@ -50,7 +61,7 @@ def test_every_signal_has_unit_meaning_and_named_dimensions(dataset):
     [
         ({"thrust": None}, "no `thrust`"),
         ({"thrust": np.zeros((7, 4))}, "`thrust` has shape"),
-        ({"mystery": np.zeros(501)}, "no unit is written down for mystery"),
+        ({"mystery": np.zeros(501)}, "declares no signal mystery"),
     ],
 )
 def test_a_log_that_does_not_fit_the_schema_is_refused_by_name(make_flight, robot, change, message):

@@ -45,6 +45,18 @@ pub fn schemas() -> String {
     serde_json::Value::Object(table.collect()).to_string()
 }
 
+/// Declarations of all signals of a log, as a JSON list.
+#[pyfunction]
+pub fn signals() -> String {
+    serde_json::json!(flight_sim::SIGNALS[..]).to_string()
+}
+
+/// Declarations of all figures of merit of a flight, as a JSON list.
+#[pyfunction]
+pub fn figures() -> String {
+    serde_json::json!(flight_sim::figures()).to_string()
+}
+
 /// Raise ValueError unless this configuration can fly.
 #[pyfunction]
 pub fn check_config(config_json: &str) -> PyResult<()> {
@@ -230,7 +242,7 @@ fn flight_dict(py: Python<'_>, result: FlightResult, full_log: bool) -> PyResult
         for series in log.series {
             let shape: Vec<usize> = std::iter::once(ticks).chain(series.row_shape.iter().copied()).collect();
             let signal: Output<'_> = array(py, &shape, series.data)?;
-            signals.set_item(series.name, signal)?;
+            signals.set_item(series.signal.name, signal)?;
         }
     }
     out.set_item("log", signals)?;
@@ -240,29 +252,8 @@ fn flight_dict(py: Python<'_>, result: FlightResult, full_log: bool) -> PyResult
     out.set_item("fall_reason", fall.map(|fall| fall.reason.to_string()))?;
 
     let figures = PyDict::new(py);
-    let [x, y, z] = summary.max_com_error_xyz;
-    for (name, value) in [
-        ("max_com_error", summary.max_com_error),
-        ("max_com_error_x", x),
-        ("max_com_error_y", y),
-        ("max_com_error_z", z),
-        ("max_rotation_error", summary.max_rotation_error),
-        ("thrust_min", summary.thrust_range.0),
-        ("thrust_max", summary.thrust_range.1),
-        ("max_torque", summary.max_torque),
-        ("min_com_height", summary.min_com_height),
-        ("min_com_x_settling", summary.min_com_x_settling),
-        ("ticks_without_solution", summary.ticks_without_solution as f64),
-        ("rms_com_error", summary.rms_com_error),
-        ("rms_rotation_error", summary.rms_rotation_error),
-        ("time_above_45_deg", summary.time_above_45_deg),
-        ("max_joint_error", summary.max_joint_error),
-        ("max_aero_force", summary.max_aero_force),
-        ("max_aero_force_difference", summary.max_aero_force_difference),
-        ("max_kkt", summary.max_kkt),
-        ("max_qp_iterations", summary.max_qp_iterations),
-    ] {
-        figures.set_item(name, value)?;
+    for (figure, value) in flight_sim::figures().iter().zip(summary.values()) {
+        figures.set_item(figure.name, value)?;
     }
     out.set_item("summary", figures)?;
     Ok(out)

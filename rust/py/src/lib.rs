@@ -23,7 +23,7 @@ mod _core {
     use super::control::{Controller, ControllerState, setpoint_trajectory};
     #[pymodule_export]
     use super::flight::{
-        check_config, config_digest, fly, fly_batch, resolve_config, schemas, wind_velocity,
+        check_config, config_digest, figures, fly, fly_batch, resolve_config, schemas, signals, wind_velocity,
     };
     #[pymodule_export]
     use super::plant::Plant;

@@ -25,8 +25,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             "  rotation error {:.2} deg, CoM error {:.4} m, thrust {:.1} to {:.1} N, torque {:.1} N m",
             summary.max_rotation_error.to_degrees(),
             summary.max_com_error,
-            summary.thrust_range.0,
-            summary.thrust_range.1,
+            summary.thrust_min,
+            summary.thrust_max,
             summary.max_torque,
         );
         println!(

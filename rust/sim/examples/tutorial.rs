@@ -25,7 +25,7 @@ fn hover() -> Result<ScenarioConfig, Box<dyn Error>> {
     config.simulator.duration = 10.0;
 
     let result = Scenario::new(&config)?.run(|_, _| ControlFlow::Continue(()))?;
-    let (low, high) = result.summary.thrust_range;
+    let (low, high) = (result.summary.thrust_min, result.summary.thrust_max);
     println!("fall: {:?}; thrusts from {low:.0} to {high:.0} N", result.fall);
     Ok(config)
 }

@@ -15,13 +15,17 @@ pub mod log;
 pub mod noise;
 pub mod plant;
 pub mod scenario;
+pub mod signals;
+pub mod summary;
 pub mod turbulence;
 pub mod wind;
 
 pub use batch::{BatchError, fly_batch};
 pub use config::{Engine, ScenarioConfig, SimulatorConfig, load_scenario, scenario_from_value, schemas};
 pub use disturbances::Disturbances;
-pub use log::{FlightLog, FlightResult, Summary};
+pub use log::{FlightLog, FlightResult};
 pub use plant::Plant;
 pub use scenario::{Fall, FallReason, Interrupted, Scenario};
+pub use signals::SIGNALS;
+pub use summary::{Summary, figures};
 pub use wind::{Wind, WindConfig};

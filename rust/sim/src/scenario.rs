@@ -14,8 +14,9 @@
 
 use crate::config::{DynamicsBackend, Engine, ScenarioConfig};
 use crate::disturbances::WindEstimator;
-use crate::log::{FlightLog, FlightResult, LogRow, Summary, TrackingErrors};
+use crate::log::{FlightLog, FlightResult, LogRow, TrackingErrors};
 use crate::plant::Plant;
+use crate::summary::Summary;
 use crate::wind::Wind;
 use flight_core::control::{Controller, ControllerState, Measurement};
 use flight_core::error::BuildError;
@@ -216,7 +217,7 @@ impl Scenario {
             }
         }
         log.joint_setpoint = state.map_or_else(Vec::new, |state| state.posture().as_slice().to_vec());
-        Ok(FlightResult { fall, summary: Summary::new(&log), log })
+        Ok(FlightResult { fall, summary: Summary::new(&log, log.len()), log })
     }
 
     fn fall_at(&self, time: f64, errors: &TrackingErrors) -> Option<Fall> {

@@ -277,7 +277,7 @@ fn known_limits_reach_the_controller() {
         })
     };
     let (secret, known) = (limited(false), limited(true));
-    crate::common::assert_within!(secret.summary.thrust_range.1, 0.55 * 220.0 + 1e-9);
+    crate::common::assert_within!(secret.summary.thrust_max, 0.55 * 220.0 + 1e-9);
     assert_ne!(secret.log, known.log);
 }
 

@@ -15,7 +15,7 @@ fn flights<const N: usize>(names: [&str; N]) -> [FlightResult; N] {
 #[track_caller]
 fn assert_completed(result: &FlightResult) {
     assert!(result.fall.is_none(), "{:?}", result.fall);
-    assert_eq!(result.summary.ticks_without_solution, 0);
+    assert_eq!(result.summary.ticks_without_solution, 0.0);
 }
 
 fn rotation_error_deg(result: &FlightResult) -> f64 {

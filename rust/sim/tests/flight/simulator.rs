@@ -4,9 +4,12 @@ use super::common::{experiment, fly, tick_at};
 use super::{STILL, data, ramp_to, with};
 use flight_core::spatial::{orthonormality_error, rotation_from_wxyz};
 use flight_io::{load_controller, load_robot};
+use flight_sim::signals::Dimension;
 use flight_sim::{
     BatchError, Fall, FallReason, FlightLog, FlightResult, Interrupted, Scenario, ScenarioConfig, fly_batch,
 };
+use flight_sim::{SIGNALS, Summary, figures};
+use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
 fn short(seconds: f64) -> ScenarioConfig {
@@ -15,6 +18,26 @@ fn short(seconds: f64) -> ScenarioConfig {
 
 fn run(config: &ScenarioConfig) -> FlightResult {
     Scenario::new(config).unwrap().run(|_, _| ControlFlow::Continue(())).unwrap()
+}
+
+/// Signals and figures are declared once each, completely; the log has those that are read here.
+#[test]
+fn signals_and_figures_are_declared_once() {
+    let names: BTreeSet<_> = SIGNALS.iter().map(|signal| signal.name).collect();
+    assert_eq!(names.len(), SIGNALS.len());
+    for signal in &SIGNALS {
+        assert!(!signal.dims.is_empty() && !signal.unit.is_empty() && !signal.meaning.is_empty());
+        let per_tick = signal.dims[0] == Dimension::Time;
+        assert_eq!(signal.read.is_some(), per_tick && !signal.is_of_ground, "{}", signal.name);
+    }
+    let result = run(&short(0.05));
+    let logged: Vec<_> = result.log.series.iter().map(|series| series.signal.name).collect();
+    let declared = SIGNALS.iter().filter(|signal| signal.read.is_some());
+    assert_eq!(logged, declared.map(|signal| signal.name).collect::<Vec<_>>());
+
+    let figures: BTreeSet<_> = figures().iter().map(|figure| figure.name).collect();
+    assert_eq!(figures.len(), flight_sim::figures().len());
+    assert_eq!(result.summary.values().len() + 1, figures.len());
 }
 
 /// The log has every signal of a result file, a row of the stated shape for every tick, time 0 included.
@@ -108,7 +131,7 @@ fn the_summary_is_that_of_the_log() {
     let summary = &result.summary;
     let greatest = |name: &str| data(&result, name).iter().copied().fold(f64::MIN, f64::max);
     assert_eq!(summary.max_rotation_error, greatest("rotation_error"));
-    assert_eq!(summary.thrust_range.1, greatest("thrust"));
+    assert_eq!(summary.thrust_max, greatest("thrust"));
     assert_eq!(summary.max_kkt, greatest("qp_kkt"));
     assert_eq!(summary.max_qp_iterations, greatest("qp_iterations"));
     let largest = data(&result, "joint_torque").iter().fold(0.0_f64, |m, torque| m.max(torque.abs()));
@@ -121,6 +144,106 @@ fn the_summary_is_that_of_the_log() {
     let settled = distances[300..].iter().copied().fold(0.0, f64::max);
     crate::common::assert_within!((summary.max_com_error - settled).abs(), 1e-15);
     assert!(distances.iter().copied().fold(0.0, f64::max) > 2.0 * settled);
+}
+
+/// A log of made-up rows of these times, at which nothing moves and everything is as wished.
+fn made_up_log(times: &[f64]) -> FlightLog {
+    let robot = load_robot(&experiment("test2").robot).unwrap();
+    let mut log = FlightLog::new(&robot, times.len());
+    for series in &mut log.series {
+        series.data = if series.signal.name == "time" {
+            times.to_vec()
+        } else {
+            vec![0.0; times.len() * series.width()]
+        };
+    }
+    log.joint_setpoint = vec![0.0; robot.joints.len()];
+    log
+}
+
+fn set(log: &mut FlightLog, name: &str, entry: usize, value: f64) {
+    let series = log.series.iter_mut().find(|series| series.signal.name == name).unwrap();
+    series.data[entry] = value;
+}
+
+/// Each figure sees what it is made of, from 3 s on where start-up is left out; ticks are those of the log.
+#[test]
+fn figures_of_a_made_up_log() {
+    let times: Vec<f64> = (0..20).map(|tick| 0.25 * f64::from(tick)).collect();
+    let mut log = made_up_log(&times);
+    set(&mut log, "rotation_error", 5, 44.9_f64.to_radians());
+    set(&mut log, "rotation_error", 13, 45.1_f64.to_radians());
+    set(&mut log, "rotation_error", 14, 3.0);
+    set(&mut log, "com_position", 3 * 11, 7.0); // at 2.75 s
+    set(&mut log, "com_position", 3 * 12 + 1, 3.0); // at 3 s
+    set(&mut log, "com_setpoint", 3 * 13 + 2, 4.0);
+    set(&mut log, "com_position", 3 * 4, -2.0);
+    set(&mut log, "thrust", 7, -0.5);
+    set(&mut log, "thrust", 8, 0.25);
+    set(&mut log, "joint_position", 23 * 2 + 4, -0.5);
+    set(&mut log, "joint_position", 23 * 2 + 5, 0.25);
+    set(&mut log, "joint_torque", 6, -9.0);
+    set(&mut log, "aero_force_sim", 39 * 3, 3.0);
+    set(&mut log, "aero_force_sim", 39 * 3 + 4, 4.0); // of another link
+    set(&mut log, "aero_force_control", 39 * 3, 3.0);
+    set(&mut log, "qp_status", 4, 1.0);
+    set(&mut log, "qp_status", 5, 2.0);
+    let of = Summary::new(&log, times.len());
+    // Sums of squares and their roots are within a few roundings.
+    let near = |found: f64, expected: f64| crate::common::assert_within!((found - expected).abs(), 1e-14);
+    assert_eq!(
+        [of.max_com_error, of.max_com_error_x, of.max_com_error_y, of.max_com_error_z],
+        [4.0, 0.0, 3.0, 4.0]
+    );
+    near(of.rms_com_error, (25.0_f64 / 8.0).sqrt());
+    near(of.rms_rotation_error, ((45.1_f64.to_radians().powi(2) + 9.0) / 8.0).sqrt());
+    assert_eq!(of.max_rotation_error, 3.0);
+    assert_eq!(of.time_above_45_deg, 0.5);
+    assert_eq!((of.thrust_min, of.thrust_max), (-0.5, 0.25));
+    assert_eq!((of.min_com_height, of.min_com_x_settling), (0.0, -2.0));
+    assert_eq!((of.max_joint_error, of.max_torque), (0.75, 9.0));
+    assert_eq!((of.max_aero_force, of.max_aero_force_difference), (5.0, 4.0));
+    assert_eq!(of.ticks_without_solution, 1.0);
+    let before = Summary::new(&log, 13);
+    assert_eq!((before.max_com_error, before.time_above_45_deg), (3.0, 0.0));
+}
+
+/// A flight that ends while it settles has no tracking error; its other figures count.
+#[test]
+fn figures_of_an_early_end() {
+    let mut log = made_up_log(&[0.0, 0.5, 2.999]);
+    set(&mut log, "com_position", 6, 7.0);
+    set(&mut log, "rotation_error", 2, 1.0);
+    let of = Summary::new(&log, 3);
+    assert_eq!((of.max_com_error, of.rms_com_error, of.rms_rotation_error), (0.0, 0.0, 0.0));
+    assert_eq!((of.max_rotation_error, of.time_above_45_deg), (1.0, 0.5));
+}
+
+/// What is no number stays visible in every figure that is made of it.
+#[test]
+fn figures_do_not_hide_what_is_no_number() {
+    let times: Vec<f64> = (0..20).map(|tick| 0.25 * f64::from(tick)).collect();
+    for signal in
+        ["com_position", "rotation_error", "thrust", "joint_torque", "aero_force_sim", "qp_iterations"]
+    {
+        for tick in [0, 13, 19] {
+            let mut log = made_up_log(&times);
+            let width = log.series(signal).unwrap().width();
+            set(&mut log, signal, tick * width, f64::NAN);
+            set(&mut log, signal, (tick * width + width) % (20 * width), 1.0);
+            let of = Summary::new(&log, times.len());
+            let figures = match signal {
+                "com_position" if tick == 0 => vec![of.min_com_x_settling],
+                "com_position" => vec![of.max_com_error, of.max_com_error_x, of.rms_com_error],
+                "rotation_error" => vec![of.max_rotation_error],
+                "thrust" => vec![of.thrust_min, of.thrust_max],
+                "joint_torque" => vec![of.max_torque],
+                "aero_force_sim" => vec![of.max_aero_force, of.max_aero_force_difference],
+                _ => vec![of.max_qp_iterations],
+            };
+            assert!(figures.iter().all(|figure| figure.is_nan()), "{signal} {tick}: {figures:?}");
+        }
+    }
 }
 
 fn bits(log: &FlightLog) -> Vec<Vec<u64>> {

@@ -1,0 +1,233 @@
+//! The signals of a flight's log, each declared once: name, dimensions, unit, meaning, and how it is read.
+//!
+//! The log, the Python bindings, result files and plots take all of it from here.
+
+use crate::log::LogRow;
+use flight_core::robot::RobotModel;
+use flight_core::spatial::{rpy_from_rotation, wxyz_from_rotation};
+use serde::Serialize;
+
+/// What an index of a signal counts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Dimension {
+    /// Ticks.
+    Time,
+    /// Axes.
+    Xyz,
+    /// Parts of a quaternion.
+    Wxyz,
+    /// Roll, pitch, yaw.
+    Rpy,
+    /// Linear, then angular axes.
+    Six,
+    /// Joints of the robot.
+    Joint,
+    /// Jets of the robot.
+    Jet,
+    /// Aerodynamic links of the robot.
+    Link,
+    /// Momentum QP, then torque QP.
+    Qp,
+    /// Feet of the robot.
+    Foot,
+}
+
+impl Dimension {
+    /// Entries in one row of the log of a robot.
+    #[must_use]
+    pub fn len(self, robot: &RobotModel) -> usize {
+        match self {
+            Self::Time => 1,
+            Self::Qp => 2,
+            Self::Xyz | Self::Rpy => 3,
+            Self::Wxyz => 4,
+            Self::Six => 6,
+            Self::Joint => robot.joints.len(),
+            Self::Jet => robot.jets.len(),
+            Self::Link => robot.aero_links.len(),
+            Self::Foot => robot.feet.len(),
+        }
+    }
+}
+
+/// Appends one row of a signal.
+pub type Read = fn(&LogRow, &mut Vec<f64>);
+
+/// The declaration of a signal.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Signal {
+    /// Name, as in result files.
+    pub name: &'static str,
+    /// Dimensions; without time, the signal has one value for the flight.
+    pub dims: &'static [Dimension],
+    /// Unit, as UDUNITS writes it.
+    pub unit: &'static str,
+    /// Meaning.
+    pub meaning: &'static str,
+    /// Whether its values are whole numbers.
+    pub is_integer: bool,
+    /// Whether only an engine with ground has it.
+    pub is_of_ground: bool,
+    /// How this engine reads it; `None` for what others log, and for what has no row.
+    #[serde(skip)]
+    pub read: Option<Read>,
+}
+
+/// A signal that every engine logs.
+const fn signal(
+    name: &'static str,
+    dims: &'static [Dimension],
+    unit: &'static str,
+    meaning: &'static str,
+    read: Read,
+) -> Signal {
+    Signal { name, dims, unit, meaning, is_integer: false, is_of_ground: false, read: Some(read) }
+}
+
+/// A signal that only an engine with ground logs.
+const fn of_ground(
+    name: &'static str,
+    dims: &'static [Dimension],
+    unit: &'static str,
+    meaning: &'static str,
+) -> Signal {
+    Signal { name, dims, unit, meaning, is_integer: false, is_of_ground: true, read: None }
+}
+
+const fn integer(signal: Signal) -> Signal {
+    Signal { is_integer: true, ..signal }
+}
+
+const TIME: &[Dimension] = &[Dimension::Time];
+const XYZ: &[Dimension] = &[Dimension::Time, Dimension::Xyz];
+const WXYZ: &[Dimension] = &[Dimension::Time, Dimension::Wxyz];
+const RPY: &[Dimension] = &[Dimension::Time, Dimension::Rpy];
+const SIX: &[Dimension] = &[Dimension::Time, Dimension::Six];
+const JOINT: &[Dimension] = &[Dimension::Time, Dimension::Joint];
+const JET: &[Dimension] = &[Dimension::Time, Dimension::Jet];
+const LINK: &[Dimension] = &[Dimension::Time, Dimension::Link, Dimension::Xyz];
+const QP: &[Dimension] = &[Dimension::Time, Dimension::Qp];
+const FOOT_XYZ: &[Dimension] = &[Dimension::Time, Dimension::Foot, Dimension::Xyz];
+const FOOT_SIX: &[Dimension] = &[Dimension::Time, Dimension::Foot, Dimension::Six];
+
+const MOMENTUM: &str = "kg m s-1 (linear), kg m2 s-1 (angular)";
+const MOMENTUM_RATE: &str = "N (linear), N m (angular)";
+const WRENCH: &str = "N (force), N m (moment)";
+
+/// Every signal. Joint quantities are those of revolute joints: of prismatic ones m stands for rad and N for
+/// N m.
+pub static SIGNALS: [Signal; 33] = [
+    signal("time", TIME, "s", "time", |row, out| out.push(row.time)),
+    signal("base_position", XYZ, "m", "position of the base origin, inertial frame", |row, out| {
+        out.extend(&row.plant.state().base.position);
+    }),
+    signal("base_quaternion", WXYZ, "1", "rotation from base to inertial frame", |row, out| {
+        out.extend(wxyz_from_rotation(&row.plant.state().base.rotation));
+    }),
+    signal(
+        "base_velocity",
+        SIX,
+        "m s-1 (linear), rad s-1 (angular)",
+        "base velocity, mixed: both parts in inertial axes",
+        |row, out| out.extend(&row.plant.state().velocity.as_slice()[..6]),
+    ),
+    signal("base_rpy_setpoint", RPY, "rad", "set-point of the base: roll, pitch, yaw", |row, out| {
+        out.extend(&rpy_from_rotation(&row.terms.setpoint.rotation));
+    }),
+    signal("joint_position", JOINT, "rad", "joint position", |row, out| {
+        out.extend(&row.plant.state().joint_position);
+    }),
+    signal("joint_velocity", JOINT, "rad s-1", "joint velocity", |row, out| {
+        out.extend(row.plant.state().joint_velocity());
+    }),
+    signal("com_position", XYZ, "m", "centre of mass, inertial frame", |row, out| {
+        out.extend(&row.plant.kinematics().com);
+    }),
+    signal("com_velocity", XYZ, "m s-1", "velocity of the centre of mass, inertial frame", |row, out| {
+        let mass = row.plant.kinematics().mass();
+        out.extend(row.plant.dynamics().momentum.fixed_rows::<3>(0).iter().map(|momentum| momentum / mass));
+    }),
+    signal("com_setpoint", XYZ, "m", "set-point of the centre of mass, inertial frame", |row, out| {
+        out.extend(&row.terms.setpoint.com_position);
+    }),
+    signal("rotation_error", TIME, "rad", "angle between the base and its set-point", |row, out| {
+        out.push(row.errors.rotation);
+    }),
+    signal("thrust", JET, "N", "thrust of each jet", |row, out| out.extend(row.plant.jets().thrust())),
+    signal("thrust_rate", JET, "N s-1", "commanded thrust rate", |row, out| {
+        out.extend(&row.command.thrust_rate);
+    }),
+    signal(
+        "joint_velocity_command",
+        JOINT,
+        "rad s-1",
+        "joint velocity command of the momentum QP",
+        |row, out| out.extend(&row.command.joint_velocity),
+    ),
+    signal("joint_torque", JOINT, "N m", "commanded joint torque, after the rate limiter", |row, out| {
+        out.extend(&row.command.joint_torque);
+    }),
+    signal("wind", XYZ, "m s-1", "wind velocity, inertial frame", |row, out| out.extend(&row.wind)),
+    signal("aero_force_sim", LINK, "N", "aerodynamic force in the simulator, inertial frame", |row, out| {
+        out.extend(row.plant.link_forces().forces_i.iter().flatten());
+    }),
+    signal(
+        "aero_force_control",
+        LINK,
+        "N",
+        "aerodynamic force the controller compensates, inertial frame",
+        |row, out| out.extend(row.terms.link_forces.forces_i.iter().flatten()),
+    ),
+    signal("momentum", SIX, MOMENTUM, "centroidal momentum, inertial axes", |row, out| {
+        out.extend(&row.plant.dynamics().momentum);
+    }),
+    signal("momentum_setpoint", SIX, MOMENTUM, "set-point of the centroidal momentum", |row, out| {
+        let mass = row.terms.kinematics.mass();
+        out.extend(row.terms.setpoint.com_velocity.iter().map(|velocity| velocity * mass));
+        out.extend([0.0; 3]);
+    }),
+    signal(
+        "momentum_rate_estimate",
+        SIX,
+        MOMENTUM_RATE,
+        "momentum rate the controller estimates",
+        |row, out| out.extend(&row.terms.momentum.rate_estimate),
+    ),
+    integer(signal("qp_status", QP, "1", "outcome of each QP; 0 is solved", |row, out| {
+        out.extend(row.qps().map(|answer| f64::from(answer.status.code())));
+    })),
+    signal("qp_kkt", QP, "1", "scaled KKT residual of each QP's answer", |row, out| {
+        out.extend(row.qps().map(|answer| answer.kkt));
+    }),
+    integer(signal("qp_iterations", QP, "1", "active-set iterations of each QP", |row, out| {
+        out.extend(row.qps().map(|answer| f64::from(answer.iterations)));
+    })),
+    Signal {
+        name: "joint_setpoint",
+        dims: &[Dimension::Joint],
+        unit: "rad",
+        meaning: "posture of the first tick, which the controller holds",
+        is_integer: false,
+        is_of_ground: false,
+        read: None,
+    },
+    of_ground("measured_wind", XYZ, "m s-1", "measured wind velocity, inertial frame"),
+    of_ground(
+        "joint_torque_measured",
+        JOINT,
+        "N m",
+        "torque that reaches the joint: of the motor, less its friction",
+    ),
+    of_ground("foot_wrench", FOOT_SIX, WRENCH, "wrench on each sole about its origin, inertial axes"),
+    of_ground("sole_position", FOOT_XYZ, "m", "origin of each sole, inertial frame"),
+    integer(of_ground("feet_carry", TIME, "1", "whether the controller takes the feet to carry")),
+    of_ground("contact_force", FOOT_SIX, WRENCH, "foot wrenches f_c* that the controller integrates"),
+    of_ground(
+        "contact_force_rate",
+        FOOT_SIX,
+        "N s-1 (force), N m s-1 (moment)",
+        "rate of f_c* commanded by the momentum QP",
+    ),
+    of_ground("contact_force_torque", FOOT_SIX, WRENCH, "foot wrenches that come with the torques"),
+];

@@ -1,0 +1,167 @@
+//! Figures of merit of a flight, each declared once: name, unit, meaning.
+//!
+//! Equation M81 of `docs/model.md`.
+
+use crate::log::FlightLog;
+use nalgebra::Vector3;
+use serde::Serialize;
+
+/// The declaration of a figure of merit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Figure {
+    /// Name, as in result files.
+    pub name: &'static str,
+    /// Unit, as UDUNITS writes it.
+    pub unit: &'static str,
+    /// Meaning.
+    pub meaning: &'static str,
+    /// Whether only an engine with ground has it.
+    pub is_of_ground: bool,
+}
+
+const fn figure(name: &'static str, unit: &'static str, meaning: &'static str) -> Figure {
+    Figure { name, unit, meaning, is_of_ground: false }
+}
+
+macro_rules! figures {
+    ($($name:ident [$unit:literal] $meaning:literal;)*) => {
+        /// Figures of merit of a flight. Each is NaN if a number is that it is made of.
+        #[derive(Debug, Clone, Copy, PartialEq)]
+        pub struct Summary {
+            $(#[doc = concat!($meaning, " \\[", $unit, "\\]")] pub $name: f64,)*
+        }
+
+        const OF_FLIGHTS: &[Figure] = &[$(figure(stringify!($name), $unit, $meaning)),*];
+
+        impl Summary {
+            /// The figures, in the order of [`figures`].
+            #[must_use]
+            pub fn values(&self) -> Vec<f64> {
+                vec![$(self.$name),*]
+            }
+        }
+    };
+}
+
+figures! {
+    max_com_error ["m"] "greatest distance of the centre of mass from its set-point after settling";
+    max_com_error_x ["m"] "greatest distance from the set-point along x after settling";
+    max_com_error_y ["m"] "greatest distance from the set-point along y after settling";
+    max_com_error_z ["m"] "greatest distance from the set-point along z after settling";
+    max_rotation_error ["rad"] "greatest angle between the base and its set-point";
+    thrust_min ["N"] "least thrust of any jet";
+    thrust_max ["N"] "greatest thrust of any jet";
+    max_torque ["N m"] "greatest commanded joint torque";
+    min_com_height ["m"] "least height of the centre of mass";
+    min_com_x_settling ["m"] "least x of the centre of mass while settling";
+    ticks_without_solution ["1"] "ticks at which a QP gave no certified answer";
+    rms_com_error ["m"] "root mean square of the distance from the set-point after settling";
+    rms_rotation_error ["rad"] "root mean square of the rotation error after settling";
+    time_above_45_deg ["s"] "time with a rotation error above 45 degrees";
+    max_joint_error ["rad"] "greatest sum of absolute joint errors";
+    max_aero_force ["N"] "greatest total aerodynamic force in the simulator";
+    max_aero_force_difference ["N"] "greatest difference of the total aerodynamic force to the controller's";
+    max_kkt ["1"] "greatest finite KKT residual of an answer";
+    max_qp_iterations ["1"] "most iterations of a QP in one tick";
+}
+
+/// Every figure of merit: those of [`Summary`], and those of engines with ground.
+#[must_use]
+pub fn figures() -> Vec<Figure> {
+    let on_feet = figure("time_off_the_ground", "s", "time in which the feet do not carry");
+    OF_FLIGHTS.iter().copied().chain([Figure { is_of_ground: true, ..on_feet }]).collect()
+}
+
+/// Rotation error beyond which a robot that still flies counts as leaning.
+pub const LEANING: f64 = std::f64::consts::FRAC_PI_4;
+
+/// Time that a flight takes to settle after it starts out of equilibrium \[s\].
+pub const SETTLING_TIME: f64 = 3.0;
+
+impl Summary {
+    /// Figures of merit of the first `ticks` rows of a log.
+    #[must_use]
+    pub fn new(log: &FlightLog, ticks: usize) -> Self {
+        let data = |name: &str| {
+            log.series(name)
+                .map_or(&[][..], |series| &series.data[..series.data.len().min(ticks * series.width())])
+        };
+        let rows = |name: &str| data(name).chunks_exact(3).map(Vector3::from_column_slice);
+        let (time, rotation) = (data("time"), data("rotation_error"));
+        let is_settled = |time: &&f64| **time >= SETTLING_TIME;
+        let settling = time.iter().take_while(|time| !is_settled(time)).count();
+        let com_errors: Vec<Vector3<f64>> = rows("com_position")
+            .zip(rows("com_setpoint"))
+            .skip(settling)
+            .map(|(com, desired)| com - desired)
+            .collect();
+        let distances = || com_errors.iter().map(Vector3::norm);
+        let along = |axis: usize| greatest(com_errors.iter().map(|error| error[axis].abs()));
+        let above = rotation.iter().filter(|angle| **angle > LEANING).count();
+        let joints = log.joint_setpoint.len().max(1);
+        let joint_errors = data("joint_position").chunks_exact(joints).map(|positions| {
+            positions.iter().zip(&log.joint_setpoint).map(|(s, s_d)| (s - s_d).abs()).sum::<f64>()
+        });
+        let simulated = total_forces(log, "aero_force_sim", ticks);
+        let estimated = total_forces(log, "aero_force_control", ticks);
+        let solved = |status: &&[f64]| !status.iter().any(|code| *code > 0.0);
+        let thrust = || data("thrust").iter().copied();
+        Self {
+            max_com_error: greatest(distances()),
+            max_com_error_x: along(0),
+            max_com_error_y: along(1),
+            max_com_error_z: along(2),
+            max_rotation_error: greatest(rotation.iter().copied()),
+            thrust_min: thrust().reduce(lesser).unwrap_or_default(),
+            thrust_max: thrust().reduce(greater).unwrap_or_default(),
+            max_torque: greatest(data("joint_torque").iter().map(|torque| torque.abs())),
+            min_com_height: least(rows("com_position").map(|com| com.z)),
+            min_com_x_settling: least(rows("com_position").take(settling).map(|com| com.x)),
+            ticks_without_solution: data("qp_status").chunks_exact(2).filter(|status| !solved(status)).count()
+                as f64,
+            rms_com_error: root_mean_square(distances()),
+            rms_rotation_error: root_mean_square(rotation.iter().skip(settling).copied()),
+            time_above_45_deg: above as f64 * time.get(1).copied().unwrap_or(0.0),
+            max_joint_error: greatest(joint_errors),
+            max_aero_force: greatest(simulated.iter().map(Vector3::norm)),
+            max_aero_force_difference: greatest(
+                simulated.iter().zip(&estimated).map(|(simulated, estimated)| (simulated - estimated).norm()),
+            ),
+            max_kkt: greatest(data("qp_kkt").iter().copied().filter(|kkt| kkt.is_finite())),
+            max_qp_iterations: greatest(data("qp_iterations").iter().copied()),
+        }
+    }
+}
+
+/// Sum of the forces on all links, tick by tick \[N\].
+fn total_forces(log: &FlightLog, name: &str, ticks: usize) -> Vec<Vector3<f64>> {
+    let Some(series) = log.series(name) else { return Vec::new() };
+    let total = |row: &[f64]| row.chunks_exact(3).map(Vector3::from_column_slice).sum();
+    (0..log.len().min(ticks)).map(|tick| total(series.row(tick))).collect()
+}
+
+/// The greater number, or NaN if one is NaN; `f64::max` would hide it.
+fn greater(a: f64, b: f64) -> f64 {
+    if a.is_nan() || a > b { a } else { b }
+}
+
+/// The lesser number, or NaN if one is NaN.
+fn lesser(a: f64, b: f64) -> f64 {
+    if a.is_nan() || a < b { a } else { b }
+}
+
+/// Greatest of values that are not negative; zero if there are none.
+fn greatest(values: impl Iterator<Item = f64>) -> f64 {
+    values.fold(0.0, greater)
+}
+
+/// Least value; infinite if there are none.
+fn least(values: impl Iterator<Item = f64>) -> f64 {
+    values.fold(f64::INFINITY, lesser)
+}
+
+/// Zero if there are no values.
+fn root_mean_square(values: impl Iterator<Item = f64>) -> f64 {
+    let (count, sum) = values.fold((0.0_f64, 0.0), |(count, sum), x| (count + 1.0, sum + x * x));
+    (sum / count.max(1.0)).sqrt()
+}

@@ -1,0 +1,68 @@
+"""Signals and figures are declared in the crate; what others write down of them is equal to the declaration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax_aero import io, rust, sim
+from jax_aero.summary import condense, figures
+from jax_aero.view import recording
+
+ROOT = Path(__file__).resolve().parents[2]
+TEST2 = ROOT / "configs" / "experiments" / "test2.toml"
+FIXED = {"xyz": 3, "wxyz": 4, "rpy": 3, "six": 6, "qp": 2}
+
+
+def test_the_row_in_jax_has_the_declared_signals(x64):
+    config = io.load_config(TEST2, {"simulator.duration": 0.1})
+    robot = rust.Robot(config["robot"])
+    of_robot = {"joint": robot.joint_names, "jet": robot.jet_names, "link": robot.aero_link_names}
+    sizes = FIXED | {dim: len(names) for dim, names in of_robot.items()}
+    declared = {
+        name: tuple(sizes[dim] for dim in signal.dims[1:])
+        for name, signal in rust.signals().items()
+        if signal.dims[0] == "time" and not signal.is_of_ground
+    }
+    row = jax.eval_shape(sim.step, *sim.prepare(config), jnp.array(0))[1]
+    assert {name: leaf.shape for name, leaf in row._asdict().items()} == declared
+
+
+def test_the_viewer_reads_declared_signals():
+    assert set(recording.SIGNALS) <= rust.signals().keys()
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return rust.fly(rust.load_config(TEST2, {"simulator.duration": 4.0}))
+
+
+def test_figures_are_those_of_the_crate(flight):
+    """The same log, the same names in the same order, the same numbers but for the order of sums."""
+    found = figures(condense(flight.log, flight.joint_setpoint))
+    declared = [name for name, figure in rust.figures().items() if not figure.is_of_ground]
+    assert list(found) == list(flight.summary) == declared
+    for name, value in flight.summary.items():
+        # Sums of 5000 squares, of 23 joints and of 13 links: some hundred roundings at most.
+        assert found[name] == pytest.approx(value, rel=1e-13, abs=1e-15), name
+
+
+@pytest.mark.parametrize("signal", ["com_position", "rotation_error", "thrust", "joint_torque", "aero_force_sim"])
+def test_figures_do_not_hide_what_is_no_number(flight, signal):
+    log = {name: values.copy() for name, values in flight.log.items()}
+    log[signal][350] = np.nan
+    found = figures(condense(log, flight.joint_setpoint))
+    spoilt = {name for name, value in found.items() if np.isnan(value)}
+    expected = {
+        "com_position": {"max_com_error", "max_com_error_x", "max_com_error_y", "max_com_error_z", "rms_com_error"}
+        | {"min_com_height"},
+        "rotation_error": {"max_rotation_error", "rms_rotation_error"},
+        "thrust": {"thrust_min", "thrust_max"},
+        "joint_torque": {"max_torque"},
+        "aero_force_sim": {"max_aero_force", "max_aero_force_difference"},
+    }
+    assert spoilt == expected[signal]
