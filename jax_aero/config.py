@@ -35,6 +35,8 @@ JacobianOffset: TypeAlias = Literal["link_rotation", "base_rotation"]
 """Which point's Jacobian carries a link's force: `p + R c`, or as published `p + R_B c`."""
 Backend: TypeAlias = Literal["tree", "mjx"]
 """What computes mass matrix and bias: the sums of `jax_aero.dynamics`, or MuJoCo's JAX implementation."""
+RateFeedback: TypeAlias = Literal["wrench", "force", "moment", "none"]
+"""What of the total aerodynamic wrench about the centre of mass the estimated momentum rate holds."""
 Integrator: TypeAlias = Literal["semi_implicit_euler", "explicit_euler"]
 """Whether a pose moves with the new velocity or with the old one."""
 LinkVelocity: TypeAlias = Literal["at_centre", "shifted_twice"]
@@ -118,6 +120,8 @@ AeroConfig: TypeAlias = Off | AxisymmetricConfig | SphereCylinderConfig | Networ
 class ForceFactorsConfig:
     """Factors on the forces of a model: coefficients that are not what they are thought to be."""
 
+    scale: Array = _default(1.0)
+    """() on all forces."""
     drag: Array = _default(1.0)
     """() on the part along the air."""
     normal: Array = _default(1.0)
@@ -282,24 +286,12 @@ WindConfig: TypeAlias = ConstantWind | RampWind | GustWind | RecordedWind | Turb
 class AeroFeedback:
     """Where the estimated aerodynamic forces enter the controller; each can be left out."""
 
-    momentum_rate: Static[bool] = True
-    """`A_a f_a` in the estimated momentum rate."""
+    momentum_rate: Static[RateFeedback] = "wrench"
+    """What of `A_a f_a` enters the estimated momentum rate."""
     lambda_a: Static[bool] = True
-    """`Λ_a` in the derivative of the momentum rate."""
+    """Whether `Λ_a` enters the derivative of the momentum rate."""
     torque: Static[bool] = True
-    """`J_aᵀ f_a` in the torque law."""
-    scale: Array = _default(1.0)
-    """() factor on all estimated forces."""
-    force: Array = _default(1.0)
-    """() 1 or 0: whether the total force enters `A_a f_a`."""
-    moment: Array = _default(1.0)
-    """() the same of the total moment."""
-    drag: Array | None = None
-    """() factor on the part of each estimated force along the air's velocity; one without it."""
-    normal: Array | None = None
-    """() factor on the part across it; one without it."""
-    links: dict[str, Array] = field(default_factory=dict)
-    """() factors on the estimated force of links, by name; the others keep theirs."""
+    """Whether `J_aᵀ f_a` enters the torque law."""
 
 
 @pytree
@@ -544,6 +536,8 @@ class Disturbances:
     """How the controller's robot differs from the one that flies."""
     aero: ForceFactorsConfig | None = None
     """Factors on the simulated aerodynamic forces."""
+    aero_estimate: ForceFactorsConfig | None = None
+    """Factors on the forces that the controller estimates."""
     jets: JetFaultsConfig | None = None
     """What is wrong with the jets."""
 

@@ -8,8 +8,8 @@ aerodynamic centre, where its force acts. `AeroModel` is a protocol: any pytree 
 """
 
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
-from jax_aero.aero.factors import ForceFactors, force_factors, weighted
-from jax_aero.aero.link_forces import LinkConventions, generalised_aero_force, link_forces, scaled, wrench_about
+from jax_aero.aero.factors import Weighted, weighted
+from jax_aero.aero.link_forces import LinkConventions, generalised_aero_force, link_forces, wrench_about
 from jax_aero.aero.model import NetworkModel, NoAero, ReadNetwork, aero_model
 from jax_aero.aero.protocol import AeroModel, LinksInAir
 from jax_aero.aero.sphere_cylinder import SphereCylinder, sphere_cylinder_forces
@@ -17,19 +17,17 @@ from jax_aero.aero.sphere_cylinder import SphereCylinder, sphere_cylinder_forces
 __all__ = [
     "AeroModel",
     "Axisymmetric",
-    "ForceFactors",
     "LinkConventions",
     "LinksInAir",
     "NetworkModel",
     "NoAero",
     "ReadNetwork",
     "SphereCylinder",
+    "Weighted",
     "aero_model",
     "axisymmetric_forces",
-    "force_factors",
     "generalised_aero_force",
     "link_forces",
-    "scaled",
     "sphere_cylinder_forces",
     "weighted",
     "wrench_about",

@@ -8,15 +8,17 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from jax_aero.aero.protocol import AeroModel, LinksInAir
 from jax_aero.config import ForceFactorsConfig
 from jax_aero.robot import RobotModel
-from jax_aero.types import Array, LinkForces, pytree
+from jax_aero.types import Array, pytree
 
 
 @pytree
-class ForceFactors:
-    """Factors on the force of every link."""
+class Weighted:
+    """Another model, its forces stronger or weaker by factors."""
 
+    model: AeroModel
     drag: Float[Array, ""]
     """On the part along `v_air`."""
     normal: Float[Array, ""]
@@ -24,24 +26,26 @@ class ForceFactors:
     links: Float[Array, " L"]
     """On the whole force of a link."""
 
+    def forces(self, links: LinksInAir) -> Array:
+        """Force on each link (L, 3) [N].
 
-def force_factors(settings: ForceFactorsConfig, robot: RobotModel, table: str = "disturbances.aero") -> ForceFactors:
-    """Bring factors into the order of the links; links that are not named keep their force. Errors name the `table`."""
+        F ← w_link ( w_drag F_∥ + w_normal (F − F_∥) ),   F_∥ = (F · v̂) v̂,   v̂ = v_air / |v_air|
+        """
+        forces, v_air = self.model.forces(links), links.v_air
+        square = jnp.sum(v_air**2, axis=1, keepdims=True)
+        is_still = square == 0.0
+        share = jnp.sum(forces * v_air, axis=1, keepdims=True) / jnp.where(is_still, 1.0, square)
+        along = jnp.where(is_still, 0.0, share * v_air)
+        return self.links[:, None] * (self.drag * along + self.normal * (forces - along))
+
+
+def weighted(model: AeroModel, factors: ForceFactorsConfig | None, robot: RobotModel, table: str) -> AeroModel:
+    """Return the model with factors on its forces, without any the model itself; errors name the `table`."""
+    if factors is None:
+        return model
     names = robot.aero_links.names
-    if unknown := set(settings.links) - set(names):
+    if unknown := set(factors.links) - set(names):
         raise ValueError(f"{table}.links names {sorted(unknown)}; {robot.name} has {', '.join(names)}")
-    one = jnp.ones_like(jnp.asarray(settings.drag))
-    return ForceFactors(settings.drag, settings.normal, jnp.asarray([settings.links.get(name, one) for name in names]))
-
-
-def weighted(link: LinkForces, factors: ForceFactors) -> LinkForces:
-    """Change every force.
-
-    F ← w_link ( w_drag F_∥ + w_normal (F − F_∥) ),   F_∥ = (F · v̂) v̂,   v̂ = v_air / |v_air|
-    """
-    square = jnp.sum(link.v_air**2, axis=1, keepdims=True)
-    is_still = square == 0.0
-    share = jnp.sum(link.forces * link.v_air, axis=1, keepdims=True) / jnp.where(is_still, 1.0, square)
-    along = jnp.where(is_still, 0.0, share * link.v_air)
-    changed = factors.drag * along + factors.normal * (link.forces - along)
-    return link._replace(forces=factors.links[:, None] * changed)
+    one = jnp.ones_like(jnp.asarray(factors.scale))
+    by_link = factors.scale * jnp.asarray([factors.links.get(name, one) for name in names])
+    return Weighted(model, factors.drag, factors.normal, by_link)

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jax_aero.aero.model import NetworkModel
 from jax_aero.aero.protocol import AeroModel, LinksInAir
 from jax_aero.config import JacobianOffset, LeverArm, LinkVelocity
 from jax_aero.kinematics import frame_poses, generalised_force, velocities_at
@@ -44,14 +43,7 @@ def link_forces(
     axes = rotate(rotations, links.axes)
     v_air = wind - velocities_at(kin, links.bodies, velocity_points)
     forces = model.forces(LinksInAir(axes, v_air, wind, robot, kin))
-    if isinstance(model, NetworkModel):  # its forces belong to the air that the base meets
-        v_air = jnp.broadcast_to(wind - kin.linear_velocities[0], v_air.shape)
     return LinkForces(axes, v_air, arm_points, jacobian_points, forces)
-
-
-def scaled(link: LinkForces, factor: Array) -> LinkForces:
-    """Multiply every force, the strength of an aerodynamic feedback."""
-    return link._replace(forces=factor * link.forces)
 
 
 def wrench_about(link: LinkForces, point: Array) -> Array:

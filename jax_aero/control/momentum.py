@@ -56,13 +56,13 @@ def momentum_model(
     thrust: Array,
     link: LinkForces,
     *,
-    rate_feedback: bool = True,
+    rate_feedback: Array | float = 1.0,
     lambda_feedback: bool = True,
-    share: Array | None = None,
 ) -> MomentumModel:
-    """Evaluate all terms; the switches say whether link forces enter the momentum rate and its derivative.
+    """Evaluate all terms.
 
-    With `share` (6,) only that share of the total force and moment enters the momentum rate.
+    `rate_feedback` (6,) is the share of the total aerodynamic force and moment that enters the momentum rate;
+    `lambda_feedback` says whether link forces enter its derivative.
     """
     jets = robot.jets
     rotations, points = frame_poses(kin, jets.bodies, jets.rotations, jets.positions)
@@ -75,10 +75,7 @@ def momentum_model(
     if lambda_feedback:
         lambda_a = _lambda_a(robot, kin, com_jacobian, link)
 
-    rate_estimate = jnp.sum(a_t * thrust, axis=1)
-    if rate_feedback:
-        wrench = wrench_about(link, kin.com)
-        rate_estimate = rate_estimate + (wrench if share is None else share * wrench)
+    rate_estimate = jnp.sum(a_t * thrust, axis=1) + rate_feedback * wrench_about(link, kin.com)
     rate_estimate = rate_estimate.at[2].add(-robot.mass * robot.gravity)
     return MomentumModel(axes, points, a_t, lambda_t, lambda_a, rate_estimate)
 

@@ -21,19 +21,15 @@ from jaxtyping import Bool, Float
 
 from jax_aero.aero import (
     AeroModel,
-    ForceFactors,
     LinkConventions,
-    NoAero,
     ReadNetwork,
     aero_model,
-    force_factors,
     generalised_aero_force,
     link_forces,
-    scaled,
     weighted,
 )
 from jax_aero.aero.network_card import load_network
-from jax_aero.config import AeroFeedback, ForceFactorsConfig, MissionConfig, MomentumGains, ScenarioConfig, TorqueConfig
+from jax_aero.config import MissionConfig, MomentumGains, RateFeedback, ScenarioConfig, TorqueConfig
 from jax_aero.control import qp
 from jax_aero.control import setpoint as generator
 from jax_aero.control.attitude import attitude_demand
@@ -71,8 +67,6 @@ class Switches(NamedTuple):
 
     conventions: LinkConventions
     """Where link forces act."""
-    momentum_rate: bool
-    """Whether `A_a f_a` enters the estimated momentum rate."""
     lambda_a: bool
     """Whether `Λ_a` enters the derivative of the momentum rate."""
     torque: bool
@@ -89,12 +83,8 @@ class MomentumController:
     switches: Switches = field(metadata={"static": True})
     aero: AeroModel
     """The controller's aerodynamic model."""
-    aero_scale: Float[Array, ""]
-    """Factor on all estimated forces."""
-    aero_factors: ForceFactors | None
-    """Factors on parts of the estimated forces; `None` if all are one."""
-    aero_share: Float[Array, "6"]
-    """Share of the total estimated force and moment that enters the momentum rate."""
+    rate_feedback: Float[Array, "6"]
+    """1 or 0: which components of the total estimated wrench enter the momentum rate."""
     momentum: MomentumGains
     tasks: TaskParams
     torque: TorqueConfig
@@ -157,15 +147,17 @@ def momentum_controller(
     return MomentumController(
         switches=Switches(
             LinkConventions(controller.lever_arm, controller.jacobian_offset, controller.link_velocity),
-            momentum_rate=feedback.momentum_rate,
             lambda_a=feedback.lambda_a,
             torque=feedback.torque,
             symmetric_pairs=symmetric_pairs(controller, robot),
         ),
-        aero=aero_model(controller.aero, robot, read_network),
-        aero_scale=feedback.scale,
-        aero_factors=_factors(feedback, robot),
-        aero_share=jnp.repeat(jnp.stack([jnp.asarray(feedback.force), jnp.asarray(feedback.moment)]), 3),
+        aero=weighted(
+            aero_model(controller.aero, robot, read_network),
+            config.disturbances.aero_estimate,
+            robot,
+            "disturbances.aero_estimate",
+        ),
+        rate_feedback=_components(feedback.momentum_rate),
         momentum=controller.momentum,
         tasks=task_params(controller, robot),
         torque=controller.torque,
@@ -177,15 +169,10 @@ def momentum_controller(
     )
 
 
-def _factors(feedback: AeroFeedback, robot: RobotModel) -> ForceFactors | None:
-    if feedback.drag is None and feedback.normal is None and not feedback.links:
-        return None
-    factors = ForceFactorsConfig(_or_one(feedback.drag), _or_one(feedback.normal), feedback.links)
-    return force_factors(factors, robot, "aero_feedback")
-
-
-def _or_one(factor: Array | None) -> Array:
-    return jnp.ones(()) if factor is None else jnp.asarray(factor)
+def _components(known: RateFeedback) -> Array:
+    """Return 1 for each component (6,) of a wrench that is known, 0 for the others."""
+    has_force, has_moment = known in ("wrench", "force"), known in ("wrench", "moment")
+    return jnp.repeat(jnp.array([has_force, has_moment], float), 3)
 
 
 def init(params: MomentumController, robot: RobotModel, state: State) -> ControllerState:
@@ -250,19 +237,9 @@ def _act(
     switches = params.switches
     kin = kinematics(robot, state)
     dyn = dynamics(robot, state, kin)
-    link = scaled(link_forces(params.aero, robot, kin, switches.conventions, wind), params.aero_scale)
-    if params.aero_factors is not None:
-        link = weighted(link, params.aero_factors)
-    has_aero = not isinstance(params.aero, NoAero)
+    link = link_forces(params.aero, robot, kin, switches.conventions, wind)
     momentum = momentum_model(
-        robot,
-        kin,
-        dyn,
-        thrust,
-        link,
-        rate_feedback=switches.momentum_rate and has_aero,
-        lambda_feedback=switches.lambda_a and has_aero,
-        share=params.aero_share,
+        robot, kin, dyn, thrust, link, rate_feedback=params.rate_feedback, lambda_feedback=switches.lambda_a
     )
 
     # Thrust rates and joint velocities that shape momentum and attitude.
@@ -298,7 +275,7 @@ def _act(
     # Torques that let the joints follow the commanded velocities.
     jet_forces = thrust[:, None] * momentum.jet_axes
     force = generalised_force(robot, kin, robot.jets.bodies, momentum.jet_points, jet_forces) - dyn.bias
-    if switches.torque and has_aero:
+    if switches.torque:
         force = force + generalised_aero_force(robot, kin, link, link.jacobian_points)
     velocity_error = state.velocity[6:] - joint_velocity
     following = torque_qp(

@@ -19,11 +19,9 @@ from jaxtyping import Float
 
 from jax_aero.aero import (
     AeroModel,
-    ForceFactors,
     LinkConventions,
     ReadNetwork,
     aero_model,
-    force_factors,
     generalised_aero_force,
     link_forces,
     weighted,
@@ -45,8 +43,6 @@ class Plant:
 
     robot: RobotModel
     aero: AeroModel
-    aero_factors: ForceFactors | None
-    """Factors on the forces of `aero`."""
     jets: JetDynamics
     jet_faults: JetFaults | None
     """What is wrong with the jets."""
@@ -106,8 +102,9 @@ def start_plant(
         faults, fault_state = start_faults(disturbances.jets, config.jets, robot, config.n_ticks)
     plant = Plant(
         robot=robot,
-        aero=aero or aero_model(config.aero, robot, read_network),
-        aero_factors=None if disturbances.aero is None else force_factors(disturbances.aero, robot),
+        aero=weighted(
+            aero or aero_model(config.aero, robot, read_network), disturbances.aero, robot, "disturbances.aero"
+        ),
         jets=jets,
         jet_faults=faults,
         time_step=jnp.asarray(config.time_step, jnp.asarray(initial.joint_position).dtype),
@@ -163,8 +160,6 @@ def observe(
         placed = kinematics(plant.robot, state.first._replace(velocity=state.robot.velocity))
     conventions = LinkConventions(lever_arm=plant.lever_arm)
     forces = link_forces(plant.aero, plant.robot, placed, conventions, wind)
-    if plant.aero_factors is not None:
-        forces = weighted(forces, plant.aero_factors)
     return Observation(kin, dyn, placed, forces)
 
 

@@ -100,7 +100,7 @@ def settings_of(config: rust.Config) -> Settings:
         controller="baseline" if is_baseline else "aware",
         model=_model_of(config["simulator"]["aero"]),
         arms="published" if config["simulator"]["lever_arm"] == "unrotated" else "corrected",
-        feedback_scale=float(config["controller"]["aero_feedback"]["scale"]),
+        feedback_scale=float(config.get("disturbances", {}).get("aero_estimate", {}).get("scale", 1.0)),
     )
 
 
@@ -142,7 +142,7 @@ def apply(base: rust.Config, settings: Settings) -> rust.Config:
         is_baseline = settings.controller == "baseline"
         controller["aero"] = aero_table("no air") if is_baseline else copy.deepcopy(simulator["aero"])
     if settings.feedback_scale != before.feedback_scale:
-        controller["aero_feedback"]["scale"] = settings.feedback_scale
+        config.setdefault("disturbances", {}).setdefault("aero_estimate", {})["scale"] = settings.feedback_scale
     if config != base:
         config["title"] = settings.title
     return config

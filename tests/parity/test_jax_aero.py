@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.aero import LinkConventions, LinksInAir, aero_model, link_forces, scaled, wrench_about
+from jax_aero.aero import LinkConventions, LinksInAir, aero_model, link_forces, wrench_about
 from jax_aero.config import aero_config, scenario_config
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import load_robot
@@ -64,7 +64,7 @@ def test_where_the_controller_places_links(experiment, agree):
     @jax.jit
     def place(state, wind):
         kin = kinematics(robot, state)
-        link = scaled(link_forces(model, robot, kin, conventions, wind), config.aero_feedback.scale)
+        link = link_forces(model, robot, kin, conventions, wind)
         return link, wrench_about(link, kin.com)
 
     controller = rust.Controller(table)

@@ -17,8 +17,8 @@ TOLERANCE = 1e-9
 COMMON = {
     "simulator.duration": 4.0,
     "disturbances.model_error.mass_scale": 1.01,
-    "controller.aero_feedback.drag": 0.8,
-    "controller.aero_feedback.normal": 1.2,
+    "disturbances.aero_estimate.drag": 0.8,
+    "disturbances.aero_estimate.normal": 1.2,
 }
 TURBULENT = {
     "profile": "turbulent",
@@ -32,19 +32,19 @@ TURBULENT = {
 CASES = {
     "a late and noisy estimate, a jet that fades": {
         "disturbances.wind_estimate": {"bias": [0.4, 0.2, -0.3], "noise_std": 0.6, "delay": 0.13, "time_constant": 0.2},
-        "controller.aero_feedback.force": False,
+        "controller.aero_feedback.momentum_rate": "moment",
         "disturbances.jets.failure": {"jet": "chest_l_jet", "time": 3.4, "kind": "off", "decay": 0.4},
         "disturbances.jets.measurement_noise": {"std": 2.0, "seed": 3},
         "disturbances.jets.lag": 0.05,
     },
     "the mean alone, a jet that is stuck": {
         "disturbances.wind_estimate": {"mean_only": True, "noise_std": 0.1, "seed": 5},
-        "controller.aero_feedback.moment": False,
+        "controller.aero_feedback.momentum_rate": "force",
         "disturbances.jets.failure": {"jet": "l_arm_jet", "time": 2.0, "kind": "stuck"},
     },
     "noise as it comes, weak jets that are known to be weak": {
         "disturbances.wind_estimate": {"noise_std": 1.5, "seed": 2**40 + 1},
-        "controller.aero_feedback.links": {"chest": 0.3, "l_upper_leg": 1.6},
+        "disturbances.aero_estimate.links": {"chest": 0.3, "l_upper_leg": 1.6},
         "disturbances.jets": {"thrust_limit_scale": 0.62, "limit_is_known": True},
     },
     "a jet that dies at once": {

@@ -64,7 +64,7 @@ def test_the_example_configuration_can_fly(code, tmp_path):
     path.write_text(code, encoding="utf-8")
     config = rust.load_config(path)
     assert config["title"] == tomllib.loads(code)["title"]
-    assert config["controller"]["aero_feedback"]["scale"] == 0.5
+    assert config["disturbances"]["aero_estimate"]["scale"] == 0.5
 
 
 def test_links_and_folders_exist():

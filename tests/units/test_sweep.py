@@ -51,7 +51,7 @@ def quick(folder: Path, repeats=3, duration=0.1) -> Path:
 
 
 def table_of(**changes):
-    axis = {"name": "scale", "key": "controller.aero_feedback.scale", "values": [0, 1]}
+    axis = {"name": "scale", "key": "disturbances.aero_estimate.scale", "values": [0, 1]}
     return {"title": "t", "description": "d", "base": "test2", "axis": [axis], **changes}
 
 
@@ -98,7 +98,7 @@ def test_a_sampled_design_fills_its_box_evenly_and_repeatably(kind):
 
 
 def test_a_range_is_even_and_free_of_rounding():
-    axis = {"name": "scale", "key": "controller.aero_feedback.scale", "range": {"start": 0, "stop": 2, "num": 11}}
+    axis = {"name": "scale", "key": "disturbances.aero_estimate.scale", "range": {"start": 0, "stop": 2, "num": 11}}
     assert [level.label for level in design(axis=[axis]).spec.axis[0].levels][3] == 0.6
 
 
@@ -162,7 +162,7 @@ def test_a_repeat_is_perturbed_alike_in_every_cell_and_unlike_the_others():
     made = design(repeats=2, perturbation={"joint_position": 0.1, "wind_direction_deg": 5.0, "drag": 0.2})
     first, second, other_cell = (made.row_config(row) for row in (0, 1, 2))
     assert first["simulator"] == other_cell["simulator"]
-    assert first["disturbances"] == other_cell["disturbances"]
+    assert first["disturbances"]["aero"] == other_cell["disturbances"]["aero"]
     assert first["wind"] == other_cell["wind"]
     assert first["simulator"]["initial"] != second["simulator"]["initial"]
     assert np.linalg.norm(first["wind"]["velocity"]) == pytest.approx(10.0)

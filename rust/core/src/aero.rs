@@ -1,7 +1,7 @@
 //! Aerodynamic force on each link, from the velocity of the air relative to it.
 //!
 //! ```text
-//! coefficients, RobotModel ──new──► AeroModel;   axes_i, v_air_i ──link_forces──► forces_i
+//! coefficients, RobotModel ──new──► AeroModel;   LinksInAir ──link_forces──► forces_i
 //! ```
 //!
 //! The simulator's model and the controller's model are two values of [`AeroModel`]: which one is
@@ -21,11 +21,13 @@ pub mod sphere_cylinder;
 
 pub use axisymmetric::{Axisymmetric, AxisymmetricConfig, axisymmetric_force};
 pub use factors::{ForceFactors, ForceFactorsConfig};
-pub use link_forces::{JacobianOffset, LeverArm, LinkConventions, LinkForces, LinkVelocity};
+pub use link_forces::{JacobianOffset, LeverArm, LinkConventions, LinkForces, LinkVelocity, LinksInAir};
 pub use network::{Network, Precision};
 pub use pchip::Pchip;
 pub use sphere_cylinder::{CylinderTables, SphereCylinder, SphereCylinderConfig, SphereTables};
 
+use crate::error::BuildError;
+use crate::robot::RobotModel;
 use nalgebra::Vector3;
 
 /// A checked aerodynamic model of one robot.
@@ -39,39 +41,55 @@ pub enum AeroModel {
     SphereCylinder(SphereCylinder),
     /// A neural network of wind and posture.
     Network(Box<Network>),
+    /// Another model, its forces stronger or weaker by factors.
+    Weighted(Box<AeroModel>, ForceFactors),
 }
 
 impl AeroModel {
+    /// This model with factors on its forces; `table` is named in errors.
+    ///
+    /// # Errors
+    /// As [`ForceFactors::new`].
+    pub fn weighted(
+        self,
+        factors: &ForceFactorsConfig,
+        robot: &RobotModel,
+        table: &str,
+    ) -> Result<Self, BuildError> {
+        if factors.is_default() {
+            return Ok(self);
+        }
+        Ok(Self::Weighted(Box::new(self), ForceFactors::new(factors, &robot.aero_links, table)?))
+    }
+
     /// Writes the force on each link \[N\], inertial axes, acting at its aerodynamic centre.
     ///
-    /// `axes_i` are unit symmetry axes and `v_air_i` velocities of the air relative to each link
-    /// \[m/s\], both in inertial axes and in the order of the links. Zero at rest; finite for wind
-    /// along an axis. Total: slices of different length are served up to the shortest, and a force
-    /// without a link is zero. Speeds beyond 1e150 m/s overflow.
-    ///
-    /// A network looks at the whole robot, not at one link at a time: for it forces stay zero here, and
-    /// [`Network::link_forces`] is the way.
-    pub fn link_forces(
-        &self,
-        axes_i: &[Vector3<f64>],
-        v_air_i: &[Vector3<f64>],
-        forces_i: &mut [Vector3<f64>],
-    ) {
-        forces_i.fill(Vector3::zeros());
-        let samples = axes_i.iter().zip(v_air_i).zip(forces_i);
+    /// Zero at rest; finite for wind along an axis. Total: slices of different length are served up to the
+    /// shortest, and a force without a link is zero. Speeds beyond 1e150 m/s overflow.
+    pub fn link_forces(&mut self, links: &LinksInAir, forces_i: &mut [Vector3<f64>]) {
         match self {
-            Self::Off | Self::Network(_) => {}
-            Self::Axisymmetric(model) => {
-                for (link, ((axis_i, v_air_i), force_i)) in samples.enumerate() {
-                    *force_i = model.link_force(link, axis_i, v_air_i);
-                }
-            }
-            Self::SphereCylinder(model) => {
-                for (link, ((axis_i, v_air_i), force_i)) in samples.enumerate() {
-                    *force_i = model.link_force(link, axis_i, v_air_i);
-                }
+            Self::Off => forces_i.fill(Vector3::zeros()),
+            Self::Axisymmetric(model) => by_link(links, forces_i, |i, k, v| model.link_force(i, k, v)),
+            Self::SphereCylinder(model) => by_link(links, forces_i, |i, k, v| model.link_force(i, k, v)),
+            Self::Network(model) => model.link_forces(links, forces_i),
+            Self::Weighted(model, factors) => {
+                model.link_forces(links, forces_i);
+                factors.apply(links.v_air_i, forces_i);
             }
         }
+    }
+}
+
+/// Evaluates a model of single links: a force from the number, axis and air of each.
+fn by_link(
+    links: &LinksInAir,
+    forces_i: &mut [Vector3<f64>],
+    force: impl Fn(usize, &Vector3<f64>, &Vector3<f64>) -> Vector3<f64>,
+) {
+    forces_i.fill(Vector3::zeros());
+    let samples = links.axes_i.iter().zip(links.v_air_i).zip(forces_i);
+    for (link, ((axis_i, v_air_i), force_i)) in samples.enumerate() {
+        *force_i = force(link, axis_i, v_air_i);
     }
 }
 

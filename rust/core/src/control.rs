@@ -32,7 +32,7 @@ pub mod torque;
 pub use command::{BadStart, Command, CommandStatus, Measurement};
 pub use state::ControllerState;
 
-use crate::aero::{AeroModel, ForceFactors, LinkConventions, LinkForces};
+use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::dynamics::{Dynamics, MassFactor};
 use crate::error::{BuildError, check};
 use crate::kinematics::Kinematics;
@@ -90,7 +90,6 @@ pub struct Controller {
     config: ControllerConfig,
     time_step: f64,
     aero: AeroModel,
-    aero_factors: ForceFactors,
     setpoint_generator: SetpointGenerator,
     terms: Terms,
     command: Command,
@@ -116,7 +115,6 @@ impl Controller {
         time_step: f64,
     ) -> Result<Self, BuildError> {
         config.check(&robot)?;
-        config.aero_feedback.check(&aero)?;
         check("controller time step", time_step, |dt| dt > 0.0, "a positive number of seconds")?;
         let n_jets = robot.jets.len();
         let mut model = config.restrict(robot);
@@ -133,11 +131,6 @@ impl Controller {
         Ok(Self {
             n_jets,
             aero,
-            aero_factors: ForceFactors::new(
-                &config.aero_feedback.factors(),
-                &model.aero_links,
-                "controller.aero_feedback",
-            )?,
             setpoint_generator: SetpointGenerator::new(
                 &config.setpoint,
                 mission,
@@ -253,7 +246,6 @@ impl Controller {
     /// Everything that depends on the measurement alone.
     fn observe(&mut self, state: &mut ControllerState, measurement: &Measurement) {
         let Terms { kinematics, dynamics, link_forces, momentum, contact, .. } = &mut self.terms;
-        let feedback = &self.config.aero_feedback;
         let conventions = LinkConventions {
             lever_arm: self.config.lever_arm,
             jacobian_offset: self.config.jacobian_offset,
@@ -262,15 +254,9 @@ impl Controller {
         kinematics.update(&self.model, measurement.state);
         dynamics.update(&self.model, measurement.state, kinematics);
         link_forces.update(&self.model, kinematics, conventions, &mut self.aero, &measurement.wind);
-        link_forces.scale(feedback.scale);
-        self.aero_factors.apply(link_forces);
-        let whole = feedback.momentum_rate && feedback.force && feedback.moment;
-        let enters = (whole, feedback.lambda);
         let thrust = &measurement.thrust[..self.model.jets.len()];
-        momentum.update(&self.model, kinematics, dynamics, thrust, link_forces, enters);
-        if feedback.momentum_rate && !whole {
-            momentum.add_part_of_rate(link_forces, &kinematics.com, feedback.force, feedback.moment);
-        }
+        let feedback = &self.config.aero_feedback;
+        momentum.update(&self.model, kinematics, dynamics, thrust, link_forces, feedback);
         if let Some(contact) = contact {
             contact.measured.copy_from_slice(measurement.foot_wrenches);
             contact.update(&mut state.contact, &self.model, kinematics, dynamics, self.time_step);
@@ -350,7 +336,7 @@ impl Controller {
             let point = &momentum.jet_points_i[index];
             kinematics.add_generalised_force(jet.frame.body, point, &thrust_force, &mut self.force);
         }
-        if self.config.aero_feedback.torque && !matches!(self.aero, AeroModel::Off) {
+        if self.config.aero_feedback.torque {
             link_forces.add_generalised_force(&self.model, kinematics, &mut self.force);
         }
         for (joint, velocity) in measurement.state.joint_velocity().iter().enumerate() {

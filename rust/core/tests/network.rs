@@ -6,18 +6,18 @@ mod common;
 #[path = "../../sim/tests/common/network.rs"]
 mod network;
 
-use common::{experiment, random_state, random_vector, rng, robot};
-use flight_core::aero::{AeroModel, LinkConventions, LinkForces, Precision};
+use common::{random_state, random_vector, rng, robot};
+use flight_core::aero::{AeroModel, ForceFactorsConfig, LinkConventions, LinkForces, Precision};
 use flight_core::kinematics::Kinematics;
 use flight_core::spatial::rotation_from_wxyz;
 use flight_core::{BuildError, RobotModel, RobotState};
-use flight_io::{AeroConfig, NetworkConfig, load_aero, load_controller};
-use flight_sim::Plant;
+use flight_io::{AeroConfig, NetworkConfig, load_aero};
 use nalgebra::{DVector, Vector3};
 use network::{
     COMPACT, Shape, Tensor, card, file_of, n_inputs, paper, random_network, random_tensors, write,
 };
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use tempfile::tempdir;
 
@@ -148,7 +148,6 @@ fn the_wind_is_that_of_the_base_origin() {
     let (mut state, wind) = (random_state(&mut rng, &robot), random_vector(&mut rng, 10.0));
     let moving = forces(&robot, &mut model, &state, wind);
     let relative = wind - state.base_linear_velocity();
-    assert!(moving.v_air_i.iter().all(|v| (v - relative).norm() < 1e-14));
     state.velocity.fill(0.0);
     let still = forces(&robot, &mut model, &state, relative);
     crate::common::assert_within!(distance(&moving.forces_i, &still.forces_i), 1e-13);
@@ -326,31 +325,26 @@ fn bad_weights_are_refused() {
     assert_says(&file("half", half), &["dtype", "F16", "F32"]);
 }
 
-/// A network has no drag and normal term for the controller to leave out; links it has. What the simulator
-/// scales is no term but the part of the force along the air.
+/// Factors split a network's forces like any other model's: along the air that meets the link, and across it.
 #[test]
-fn factors_on_terms_of_other_models_are_refused() {
-    let mut flight = experiment("test2");
-    let network = config(data(SMALL), Precision::F32);
-    let robot = robot("ironcub_mk1");
-    flight.simulator.aero = network.clone();
-    flight.disturbances.aero.normal = 0.5;
-    Plant::new(robot.clone(), &flight.simulator, &flight.disturbances).unwrap();
-    flight.controller.aero = network;
-    let build = |feedback: &str, factor| {
-        let mut controller = flight.controller.clone();
-        match feedback {
-            "drag" => controller.law.aero_feedback.drag = factor,
-            "normal" => controller.law.aero_feedback.normal = factor,
-            link => drop(controller.law.aero_feedback.links.insert(link.to_owned(), factor)),
-        }
-        load_controller(robot.clone(), &controller, &flight.mission, 0.01)
+fn factors_apply_to_networks() {
+    let (robot, mut rng) = (robot("ironcub_mk1"), rng(9));
+    let (state, wind) = (random_state(&mut rng, &robot), random_vector(&mut rng, 10.0));
+    let of = |factors: &ForceFactorsConfig| {
+        let model = load_aero(&config(data(SMALL), Precision::F64), &robot).unwrap();
+        forces(&robot, &mut model.weighted(factors, &robot, "factors").unwrap(), &state, wind)
     };
-    build("head", 0.0).unwrap();
-    for key in ["drag", "normal"] {
-        build(key, 1.0).unwrap();
-        let key_in_full = format!("controller.aero_feedback.{key}");
-        assert_says(&build(key, 0.5).unwrap_err(), &[&key_in_full, "0.5", "network"]);
+    let plain = of(&ForceFactorsConfig::default());
+    let links = BTreeMap::from([("head".to_owned(), 3.0)]);
+    let weighted = of(&ForceFactorsConfig { scale: 2.0, drag: 0.5, normal: 1.5, links });
+    for (link, (force, v)) in plain.forces_i.iter().zip(&plain.v_air_i).enumerate() {
+        let along = v * (force.dot(v) / v.norm_squared());
+        let factor = if robot.aero_links[link].name == "head" { 6.0 } else { 2.0 };
+        let expected = factor * (0.5 * along + 1.5 * (force - along));
+        crate::common::assert_within!(
+            (weighted.forces_i[link] - expected).norm(),
+            1e-14 * (1.0 + expected.norm())
+        );
     }
 }
 

@@ -1,7 +1,7 @@
 //! The robot and its rigid-body dynamics.
 
 use crate::arrays::{Input, Output, entries, matrix, matrix3, value_error, vector, vector3, vectors};
-use flight_core::aero::{LinkConventions, LinkForces};
+use flight_core::aero::{LinkConventions, LinkForces, LinksInAir};
 use flight_core::dynamics::{Dynamics, MassFactor};
 use flight_core::kinematics::{Kinematics, RobotState};
 use flight_core::robot::Frame;
@@ -242,12 +242,19 @@ pub fn aero_forces<'py>(
         let expected = "a model of single links; `link_forces` evaluates a network";
         return Err(value_error(BuildError::bad_value("aero.model", "network", expected)));
     }
-    let model = load_aero(&config, &robot.model).map_err(value_error)?;
+    let mut model = load_aero(&config, &robot.model).map_err(value_error)?;
     let rows = |name: &str, input: &Input<'_>| -> PyResult<Vec<Vector3<f64>>> {
         Ok(entries(name, input, &[links, 3])?.chunks_exact(3).map(Vector3::from_column_slice).collect())
     };
     let mut forces = vec![Vector3::zeros(); links];
-    model.link_forces(&rows("axes", &axes)?, &rows("v_air", &v_air)?, &mut forces);
+    let links = LinksInAir {
+        robot: &robot.model,
+        kinematics: &Kinematics::new(&robot.model),
+        axes_i: &rows("axes", &axes)?,
+        v_air_i: &rows("v_air", &v_air)?,
+        wind_i: &Vector3::zeros(),
+    };
+    model.link_forces(&links, &mut forces);
     vectors(py, &forces)
 }
 

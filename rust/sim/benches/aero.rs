@@ -6,7 +6,7 @@ mod common;
 mod network;
 
 use criterion::Criterion;
-use flight_core::aero::{LinkConventions, LinkForces, Precision};
+use flight_core::aero::{LinkConventions, LinkForces, LinksInAir, Precision};
 use flight_core::kinematics::Kinematics;
 use flight_io::{AeroConfig, load_aero};
 use std::hint::black_box;
@@ -37,7 +37,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         });
         let (axes, v_air) = (links.axes_i.clone(), links.v_air_i.clone());
         group.bench_function(name, |b| {
-            b.iter(|| model.link_forces(black_box(&axes), black_box(&v_air), &mut links.forces_i));
+            let placed = LinksInAir {
+                robot,
+                kinematics: &kinematics,
+                axes_i: &axes,
+                v_air_i: &v_air,
+                wind_i: &tick.wind,
+            };
+            b.iter(|| model.link_forces(black_box(&placed), &mut links.forces_i));
         });
     }
     let shipped = common::configuration("test4")?.simulator.aero;

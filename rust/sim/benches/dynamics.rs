@@ -5,6 +5,7 @@ mod common;
 use criterion::Criterion;
 use flight_core::BuildError;
 use flight_core::aero::LinkForces;
+use flight_core::control::config::AeroFeedback;
 use flight_core::control::momentum::MomentumModel;
 use flight_core::dynamics::{Dynamics, MassFactor};
 use flight_core::kinematics::Kinematics;
@@ -61,7 +62,16 @@ fn main() -> Result<(), BuildError> {
     let mut momentum = MomentumModel::new(robot);
     let forces = LinkForces::new(robot);
     group.bench_function("A_T, Λ_T, Λ_a, momentum rate", |b| {
-        b.iter(|| momentum.update(robot, &kinematics, &dynamics, &ticks[0].thrust, &forces, (true, true)));
+        b.iter(|| {
+            momentum.update(
+                robot,
+                &kinematics,
+                &dynamics,
+                &ticks[0].thrust,
+                &forces,
+                &AeroFeedback::default(),
+            );
+        });
     });
     group.finish();
     criterion.final_summary();

@@ -11,7 +11,8 @@ use flight_core::kinematics::RobotState;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::{Pose, rotation_from_rpy};
 use flight_io::{
-    AeroConfig, ControllerSection, MissionConfig, RobotFile, Schema, from_value, load, load_controller,
+    AeroConfig, ControllerSection, MissionConfig, RobotFile, Schema, from_value, load, load_aero,
+    load_mission,
 };
 use nalgebra::{DVector, Vector3};
 use schemars::JsonSchema;
@@ -49,13 +50,18 @@ pub struct ScenarioConfig {
 }
 
 impl ScenarioConfig {
-    /// The controller of this flight of `robot`, with the model of it that `disturbances` say.
+    /// The controller of this flight of `robot`, with the models of it and of the air that `disturbances` say.
     ///
     /// # Errors
     /// [`BuildError`] naming what in the configuration cannot be used.
     pub fn controller(&self, robot: RobotModel) -> Result<Controller, BuildError> {
+        let ControllerSection { aero, law } = &self.controller;
         let robot = self.disturbances.controller_robot(robot)?;
-        load_controller(robot, &self.controller, &self.mission, self.simulator.time_step)
+        // First, so that gains of another robot are named before its missing coefficients.
+        law.check(&robot)?;
+        let factors = &self.disturbances.aero_estimate;
+        let aero = load_aero(aero, &robot)?.weighted(factors, &robot, "disturbances.aero_estimate")?;
+        Controller::new(robot, aero, load_mission(&self.mission)?, law.clone(), self.simulator.time_step)
     }
 }
 

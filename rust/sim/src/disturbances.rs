@@ -30,6 +30,9 @@ pub struct Disturbances {
     /// Factors on the simulated aerodynamic forces: coefficients that are not what they are thought to be.
     #[serde(skip_serializing_if = "ForceFactorsConfig::is_default")]
     pub aero: ForceFactorsConfig,
+    /// Factors on the forces that the controller estimates: information that is wrong or left out.
+    #[serde(skip_serializing_if = "ForceFactorsConfig::is_default")]
+    pub aero_estimate: ForceFactorsConfig,
     /// What is wrong with the jets.
     #[serde(skip_serializing_if = "JetFaultsConfig::is_default")]
     pub jets: JetFaultsConfig,

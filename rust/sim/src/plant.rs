@@ -12,7 +12,7 @@
 use crate::config::{AeroKinematics, Integrator, SimulatorConfig};
 use crate::disturbances::Disturbances;
 use crate::jets::Jets;
-use flight_core::aero::{AeroModel, ForceFactors, LinkConventions, LinkForces};
+use flight_core::aero::{AeroModel, LinkConventions, LinkForces};
 use flight_core::dynamics::{Dynamics, MassFactor};
 use flight_core::error::BuildError;
 use flight_core::kinematics::{Kinematics, RobotState};
@@ -26,7 +26,6 @@ use nalgebra::{DVector, Vector3};
 pub struct Plant {
     robot: RobotModel,
     aero: AeroModel,
-    aero_factors: ForceFactors,
     conventions: LinkConventions,
     integrator: Integrator,
     substeps: u32,
@@ -56,8 +55,11 @@ impl Plant {
         config.check(&robot)?;
         let n = 6 + robot.joints.len();
         let mut plant = Self {
-            aero: load_aero(&config.aero, &robot)?,
-            aero_factors: ForceFactors::new(&disturbances.aero, &robot.aero_links, "disturbances.aero")?,
+            aero: load_aero(&config.aero, &robot)?.weighted(
+                &disturbances.aero,
+                &robot,
+                "disturbances.aero",
+            )?,
             conventions: LinkConventions { lever_arm: config.lever_arm, ..LinkConventions::default() },
             integrator: config.integrator,
             substeps: config.substeps,
@@ -131,7 +133,6 @@ impl Plant {
             }
         };
         self.link_forces.update(&self.robot, placed, self.conventions, &mut self.aero, wind_i);
-        self.aero_factors.apply(&mut self.link_forces);
         if let Some(given) = &self.given_forces {
             self.link_forces.forces_i.copy_from_slice(given);
         }

@@ -8,6 +8,7 @@ mod common;
 
 use common::{Running, experiment, fly};
 use flight_core::Measurement;
+use flight_core::control::config::RateFeedback;
 use flight_io::load_robot;
 use flight_sim::ScenarioConfig;
 use flight_sim::disturbances::ModelError;
@@ -52,12 +53,12 @@ fn settings_that_change_nothing_leave_every_bit_of_a_flight() {
     let spoken = with(|config| {
         config.disturbances.wind_estimate = Some(WindEstimateConfig::default());
         config.disturbances.model_error = ModelError::default();
-        config.controller.law.aero_feedback.links = BTreeMap::from([("head".to_owned(), 1.0)]);
+        config.disturbances.aero_estimate.links = BTreeMap::from([("head".to_owned(), 1.0)]);
         config.disturbances.jets.lag = 0.0;
     });
     let mut plain = short("test2");
     // A table with one factor of one takes the long way; the others must be exact.
-    plain.controller.law.aero_feedback.links = spoken.controller.law.aero_feedback.links.clone();
+    plain.disturbances.aero_estimate.links = spoken.disturbances.aero_estimate.links.clone();
     let results = fly(&[plain, spoken]);
     assert_eq!(results[0].log, results[1].log);
 }
@@ -72,26 +73,22 @@ fn silent_defaults_are_not_written_out() {
 
 #[test]
 fn force_and_moment_together_are_the_whole_wrench() {
-    let none = rate(&with(|config| config.controller.law.aero_feedback.momentum_rate = false));
+    let knows = |part| rate(&with(|config| config.controller.law.aero_feedback.momentum_rate = part));
+    let none = knows(RateFeedback::None);
     let whole = rate(&with(|_| {})) - none;
-    let force = rate(&with(|config| config.controller.law.aero_feedback.moment = false)) - none;
-    let moment = rate(&with(|config| config.controller.law.aero_feedback.force = false)) - none;
+    let force = knows(RateFeedback::Force) - none;
+    let moment = knows(RateFeedback::Moment) - none;
     assert!(whole.fixed_rows::<3>(0).norm() > 10.0 && whole.fixed_rows::<3>(3).norm() > 0.1);
     crate::common::assert_within!((force + moment - whole).norm(), 1e-12);
     crate::common::assert_within!(force.fixed_rows::<3>(3).norm(), 1e-12);
     crate::common::assert_within!(moment.fixed_rows::<3>(0).norm(), 1e-12);
-    let neither = with(|config| {
-        config.controller.law.aero_feedback.force = false;
-        config.controller.law.aero_feedback.moment = false;
-    });
-    assert_eq!(rate(&neither), none);
 }
 
 #[test]
 fn drag_lies_along_the_air_and_the_normal_part_across_it() {
     let whole = first_tick(&with(|_| {}));
-    let drag = first_tick(&with(|config| config.controller.law.aero_feedback.normal = 0.0));
-    let normal = first_tick(&with(|config| config.controller.law.aero_feedback.drag = 0.0));
+    let drag = first_tick(&with(|config| config.disturbances.aero_estimate.normal = 0.0));
+    let normal = first_tick(&with(|config| config.disturbances.aero_estimate.drag = 0.0));
     let forces = |controller: &Running| controller.terms().link_forces.forces_i.clone();
     let air = &whole.terms().link_forces.v_air_i;
     for (link, v_air) in air.iter().enumerate() {
@@ -115,7 +112,7 @@ fn drag_lies_along_the_air_and_the_normal_part_across_it() {
 fn a_link_can_be_left_out() {
     let whole = first_tick(&with(|_| {}));
     let without = with(|config| {
-        config.controller.law.aero_feedback.links = BTreeMap::from([("chest".to_owned(), 0.0)]);
+        config.disturbances.aero_estimate.links = BTreeMap::from([("chest".to_owned(), 0.0)]);
     });
     let without = first_tick(&without);
     let names = &whole.model().aero_links;
@@ -146,7 +143,7 @@ fn the_simulator_has_the_same_factors() {
 
 #[test]
 fn a_feedback_of_scale_zero_flies_like_no_feedback() {
-    let off = with(|config| config.controller.law.aero_feedback.scale = 0.0);
+    let off = with(|config| config.disturbances.aero_estimate.scale = 0.0);
     let results = fly(&[short("test1"), off]);
     let angle = |flight: usize| results[flight].summary.max_rotation_error;
     crate::common::assert_within!((angle(0) - angle(1)).abs(), 1e-6, "{} against {}", angle(0), angle(1));
@@ -160,12 +157,12 @@ fn what_cannot_be_left_out_is_refused_by_name() {
         flight_sim::Scenario::with_robot(&config, robot).unwrap_err().to_string()
     };
     let unknown = message(&|config| {
-        config.controller.law.aero_feedback.links = BTreeMap::from([("tail".to_owned(), 0.0)]);
+        config.disturbances.aero_estimate.links = BTreeMap::from([("tail".to_owned(), 0.0)]);
     });
-    assert!(unknown.contains("controller.aero_feedback.links") && unknown.contains("`tail`"), "{unknown}");
+    assert!(unknown.contains("disturbances.aero_estimate.links") && unknown.contains("`tail`"), "{unknown}");
     assert!(unknown.contains("l_lower_leg"), "{unknown}");
-    let nan = message(&|config| config.controller.law.aero_feedback.drag = f64::NAN);
-    assert!(nan.contains("controller.aero_feedback.drag is NaN"), "{nan}");
+    let nan = message(&|config| config.disturbances.aero_estimate.drag = f64::NAN);
+    assert!(nan.contains("disturbances.aero_estimate.drag is NaN"), "{nan}");
     let plant = message(&|config| config.disturbances.aero.normal = f64::INFINITY);
     assert!(plant.contains("disturbances.aero.normal is inf"), "{plant}");
 }

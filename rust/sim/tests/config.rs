@@ -7,6 +7,7 @@ mod common;
 
 use common::{configs, experiment, robot};
 use flight_core::BuildError;
+use flight_core::control::config::RateFeedback;
 use flight_io::{AeroConfig, ControllerSection, MissionConfig, Schema, load, load_aero};
 use flight_sim::jets::JetsConfig;
 use flight_sim::{
@@ -119,7 +120,7 @@ fn our_experiments_merge_as_meant() {
     assert!(matches!(experiment("second_order_jets").simulator.jets, JetsConfig::SecondOrder(_)));
     let ablation = experiment("test2_without_aero_momentum").controller;
     let mut expected = experiment("test2_published").controller;
-    expected.law.aero_feedback.momentum_rate = false;
+    expected.law.aero_feedback.momentum_rate = RateFeedback::None;
     assert_eq!(ablation, expected);
 }
 

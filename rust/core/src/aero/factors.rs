@@ -5,7 +5,6 @@
 //!
 //! Equation M40 of `docs/model.md`.
 
-use super::LinkForces;
 use crate::error::{BuildError, check};
 use crate::robot::AeroLink;
 use nalgebra::Vector3;
@@ -17,9 +16,11 @@ use std::collections::BTreeMap;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct ForceFactorsConfig {
-    /// Factor on the part along `v_air`.
+    /// Factor on all forces.
+    pub scale: f64,
+    /// Factor on the part along the air's velocity relative to the link.
     pub drag: f64,
-    /// Factor on the part across `v_air`.
+    /// Factor on the part across it.
     pub normal: f64,
     /// Factor on the whole force of a link, by its name; links that are not named keep theirs.
     pub links: BTreeMap<String, f64>,
@@ -27,7 +28,7 @@ pub struct ForceFactorsConfig {
 
 impl Default for ForceFactorsConfig {
     fn default() -> Self {
-        Self { drag: 1.0, normal: 1.0, links: BTreeMap::new() }
+        Self { scale: 1.0, drag: 1.0, normal: 1.0, links: BTreeMap::new() }
     }
 }
 
@@ -44,9 +45,8 @@ impl ForceFactorsConfig {
 pub struct ForceFactors {
     drag: f64,
     normal: f64,
+    /// Those of the links times that of all forces.
     links: Vec<f64>,
-    /// Forces that keep their factors must keep their last bit too.
-    idle: bool,
 }
 
 impl ForceFactors {
@@ -56,33 +56,29 @@ impl ForceFactors {
     /// A factor that is not finite, a link that does not exist.
     pub fn new(config: &ForceFactorsConfig, links: &[AeroLink], table: &str) -> Result<Self, BuildError> {
         let factor = |key: &str, value| check(&format!("{table}.{key}"), value, |_| true, "a finite factor");
-        let mut by_link = vec![1.0; links.len()];
+        let scale = factor("scale", config.scale)?;
+        let mut by_link = vec![scale; links.len()];
         for (name, value) in &config.links {
             let names = || links.iter().map(|link| link.name.as_str());
             let index = names()
                 .position(|known| known == name)
                 .ok_or_else(|| BuildError::unknown_name(format!("{table}.links"), name, names()))?;
-            by_link[index] = factor(&format!("links.{name}"), *value)?;
+            by_link[index] = scale * factor(&format!("links.{name}"), *value)?;
         }
         Ok(Self {
             drag: factor("drag", config.drag)?,
             normal: factor("normal", config.normal)?,
             links: by_link,
-            idle: config.is_default(),
         })
     }
 
     /// Changes every force in place.
     ///
     /// ```text
-    /// F ← w_link ( w_drag F_∥ + w_normal (F − F_∥) ),   F_∥ = (F · v̂) v̂,   v̂ = v_air / |v_air|
+    /// F ← w w_link ( w_drag F_∥ + w_normal (F − F_∥) ),   F_∥ = (F · v̂) v̂,   v̂ = v_air / |v_air|
     /// ```
-    pub fn apply(&self, link_forces: &mut LinkForces) {
-        if self.idle {
-            return;
-        }
-        let samples = link_forces.forces_i.iter_mut().zip(&link_forces.v_air_i);
-        for ((force, v_air), factor) in samples.zip(&self.links) {
+    pub fn apply(&self, v_air_i: &[Vector3<f64>], forces_i: &mut [Vector3<f64>]) {
+        for ((force, v_air), factor) in forces_i.iter_mut().zip(v_air_i).zip(&self.links) {
             let along = v_air.try_normalize(0.0).map_or(Vector3::zeros(), |v| v * force.dot(&v));
             let across = *force - along;
             *force = (along * self.drag + across * self.normal) * *factor;

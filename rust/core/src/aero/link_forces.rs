@@ -58,13 +58,27 @@ pub struct LinkConventions {
     pub link_velocity: LinkVelocity,
 }
 
+/// The links of a robot as they stand in the air, inertial axes: what a model is evaluated with.
+#[derive(Debug, Clone, Copy)]
+pub struct LinksInAir<'a> {
+    /// The robot.
+    pub robot: &'a RobotModel,
+    /// Its pose and motion.
+    pub kinematics: &'a Kinematics,
+    /// Unit symmetry axes, in the order of the links.
+    pub axes_i: &'a [Vector3<f64>],
+    /// Velocity of the air relative to each link \[m/s\].
+    pub v_air_i: &'a [Vector3<f64>],
+    /// Velocity of the air \[m/s\].
+    pub wind_i: &'a Vector3<f64>,
+}
+
 /// Aerodynamic state of every link in one tick; preallocated, refilled by [`LinkForces::update`].
 #[derive(Debug, Clone)]
 pub struct LinkForces {
     /// Symmetry axes (unit, inertial axes).
     pub axes_i: Vec<Vector3<f64>>,
-    /// Velocity of the air that each force was computed with \[m/s, inertial axes\]: relative to the
-    /// link, or, for a network, to the base origin.
+    /// Velocity of the air relative to each link \[m/s, inertial axes\], see [`LinkVelocity`].
     pub v_air_i: Vec<Vector3<f64>>,
     /// Points at which moments are formed \[m, inertial axes\], see [`LeverArm`].
     pub arm_points_i: Vec<Vector3<f64>>,
@@ -119,19 +133,8 @@ impl LinkForces {
             self.arm_points_i[index] = arm_point;
             self.jacobian_points_i[index] = jacobian_point;
         }
-        match model {
-            AeroModel::Network(network) => {
-                network.link_forces(robot, kinematics, wind_i, &mut self.v_air_i, &mut self.forces_i);
-            }
-            by_link => by_link.link_forces(&self.axes_i, &self.v_air_i, &mut self.forces_i),
-        }
-    }
-
-    /// Multiplies every force, the strength of an aerodynamic feedback.
-    pub fn scale(&mut self, factor: f64) {
-        for force in &mut self.forces_i {
-            *force *= factor;
-        }
+        let Self { axes_i, v_air_i, forces_i, .. } = self;
+        model.link_forces(&LinksInAir { robot, kinematics, axes_i, v_air_i, wind_i }, forces_i);
     }
 
     /// Sum of the forces \[N\] and of their moments about `point_i` \[N m\], inertial axes.

@@ -19,7 +19,7 @@ mod tensors;
 pub use card::{Activation, Architecture, Baseline, Card, Feature, Inputs, Layout, Output, OutputFrame};
 pub use tensors::{Tensor, Tensors};
 
-use super::axisymmetric_force;
+use super::{LinksInAir, axisymmetric_force};
 use crate::error::{BuildError, check};
 use crate::kinematics::Kinematics;
 use crate::robot::{AxisymmetricCoefficients, RobotModel};
@@ -123,8 +123,7 @@ impl Network {
         })
     }
 
-    /// Writes the force on every link \[N\] and the velocity of the air it was computed with \[m/s\],
-    /// both in inertial axes. Zero in still air.
+    /// Writes the force on every link \[N, inertial axes\]. Zero in still air.
     ///
     /// ```text
     /// F_j = k_a |v|² R_B c_j(û, s),   v = v_wind − v_B,   û = R_Bᵀ v / |v|
@@ -133,18 +132,11 @@ impl Network {
     /// The velocity is that of the *base origin* for all links: what the network was trained on has
     /// one wind for the whole robot. Source: the published simulator and training, see
     /// `docs/deviations.md`.
-    pub fn link_forces(
-        &mut self,
-        robot: &RobotModel,
-        kinematics: &Kinematics,
-        wind_i: &Vector3<f64>,
-        v_air_i: &mut [Vector3<f64>],
-        forces_i: &mut [Vector3<f64>],
-    ) {
+    pub fn link_forces(&mut self, links: &LinksInAir, forces_i: &mut [Vector3<f64>]) {
+        let LinksInAir { robot, kinematics, wind_i, .. } = *links;
         let base = &kinematics.bodies[0];
         let i_from_b = base.i_from_b.rotation;
         let v_i = wind_i - base.linear_velocity;
-        v_air_i.fill(v_i);
         let wind_b = (i_from_b.transpose() * v_i).try_normalize(0.0).unwrap_or_else(Vector3::x);
         self.place_links(robot, kinematics);
         self.fill_inputs(&wind_b, &kinematics.joint_position);
@@ -152,6 +144,7 @@ impl Network {
         self.read_areas(&wind_b);
         self.add_baseline(robot, &wind_b);
         let pressure = self.k_a * v_i.norm_squared();
+        forces_i.fill(Vector3::zeros());
         for (force_i, link) in forces_i.iter_mut().zip(&self.links) {
             *force_i = i_from_b * link.area_b * pressure;
         }

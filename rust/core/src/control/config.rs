@@ -2,7 +2,7 @@
 
 use super::contact::ContactConfig;
 use super::setpoint::SetpointConfig;
-use crate::aero::{AeroModel, ForceFactorsConfig, JacobianOffset, LeverArm, LinkVelocity};
+use crate::aero::{JacobianOffset, LeverArm, LinkVelocity};
 use crate::error::{BuildError, check};
 use crate::qp::QpChain;
 #[cfg(feature = "clarabel")]
@@ -52,34 +52,38 @@ pub struct ControllerConfig {
 }
 
 /// Where the estimated aerodynamic forces enter the controller; each can be left out for an ablation.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
-#[allow(clippy::struct_excessive_bools)] // each is one term of the equations, in or out
 pub struct AeroFeedback {
-    /// `A_a f_a` in the estimated momentum rate.
-    pub momentum_rate: bool,
-    /// `Λ_a` in the derivative of the momentum rate.
+    /// What of `A_a f_a` enters the estimated momentum rate.
+    pub momentum_rate: RateFeedback,
+    /// Whether `Λ_a` enters the derivative of the momentum rate.
     pub lambda: bool,
-    /// `J_aᵀ f_a` in the torque law.
+    /// Whether `J_aᵀ f_a` enters the torque law.
     pub torque: bool,
-    /// Factor on all estimated forces.
-    pub scale: f64,
-    /// The total force in `A_a f_a`.
-    #[serde(skip_serializing_if = "is_true")]
-    pub force: bool,
-    /// The total moment in `A_a f_a`.
-    #[serde(skip_serializing_if = "is_true")]
-    pub moment: bool,
-    /// Factor on the part of each estimated force along the air's velocity.
-    #[serde(skip_serializing_if = "is_one")]
-    pub drag: f64,
-    /// Factor on the part of each estimated force across it.
-    #[serde(skip_serializing_if = "is_one")]
-    pub normal: f64,
-    /// Factor on the estimated force of a link, by its name; links that are not named keep theirs.
-    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    pub links: BTreeMap<String, f64>,
+}
+
+impl Default for AeroFeedback {
+    fn default() -> Self {
+        Self { momentum_rate: RateFeedback::Wrench, lambda: true, torque: true }
+    }
+}
+
+/// What of the total aerodynamic wrench about the centre of mass the estimated momentum rate holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum RateFeedback {
+    /// Force and moment.
+    #[default]
+    Wrench,
+    /// The force alone.
+    Force,
+    /// The moment alone.
+    Moment,
+    /// Nothing.
+    None,
 }
 
 fn yes() -> bool {
@@ -89,50 +93,6 @@ fn yes() -> bool {
 #[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
 fn is_true(value: &bool) -> bool {
     *value
-}
-
-#[allow(clippy::trivially_copy_pass_by_ref, clippy::float_cmp)] // as serde calls it; one is exact
-fn is_one(value: &f64) -> bool {
-    *value == 1.0
-}
-
-impl AeroFeedback {
-    /// Refuses factors on terms that `aero` does not have.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] naming the key.
-    pub fn check(&self, aero: &AeroModel) -> Result<(), BuildError> {
-        if matches!(aero, AeroModel::Network(_)) {
-            // A network has no such terms to leave out; that its force can be split along the air is another matter.
-            for (key, factor) in [("drag", self.drag), ("normal", self.normal)] {
-                let expected = "1 with model network, which knows no drag and normal term; `links` works";
-                at(&format!("aero_feedback.{key}"), factor, |factor| is_one(&factor), expected)?;
-            }
-        }
-        Ok(())
-    }
-
-    /// The factors among these settings.
-    #[must_use]
-    pub fn factors(&self) -> ForceFactorsConfig {
-        ForceFactorsConfig { drag: self.drag, normal: self.normal, links: self.links.clone() }
-    }
-}
-
-impl Default for AeroFeedback {
-    fn default() -> Self {
-        Self {
-            momentum_rate: true,
-            lambda: true,
-            torque: true,
-            scale: 1.0,
-            force: true,
-            moment: true,
-            drag: 1.0,
-            normal: 1.0,
-            links: BTreeMap::new(),
-        }
-    }
 }
 
 /// Gains of the momentum task (M57 of `docs/model.md`) and the attitude task (M60).
@@ -289,11 +249,9 @@ impl ControllerConfig {
     /// # Errors
     /// [`BuildError`] naming the key, its value and what was expected.
     pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
-        let finite = |name: &str, value: f64| at(name, value, |_| true, "a finite number");
         let non_negative = |name: &str, value: f64| at(name, value, |x| x >= 0.0, "a number ≥ 0");
         let positive = |name: &str, value: f64| at(name, value, |x| x > 0.0, "a positive number");
 
-        finite("aero_feedback.scale", self.aero_feedback.scale)?;
         for axis in 0..3 {
             non_negative("momentum.kp_linear", self.momentum.kp_linear[axis])?;
             non_negative("momentum.kd_linear", self.momentum.kd_linear[axis])?;

@@ -10,6 +10,7 @@
 //!
 //! Equations M50 to M52 and M54 to M56 of `docs/model.md`.
 
+use super::config::{AeroFeedback, RateFeedback};
 use super::contact::{Contact, WRENCH};
 use crate::aero::LinkForces;
 use crate::dynamics::Dynamics;
@@ -53,8 +54,7 @@ impl MomentumModel {
         }
     }
 
-    /// Recomputes all terms. `rate_feedback` and `lambda_feedback` say whether the link forces enter
-    /// the momentum rate and its derivative.
+    /// Recomputes all terms; `feedback` says which of them know the link forces.
     pub fn update(
         &mut self,
         robot: &RobotModel,
@@ -62,11 +62,11 @@ impl MomentumModel {
         dynamics: &Dynamics,
         thrust: &[f64],
         link_forces: &LinkForces,
-        (rate_feedback, lambda_feedback): (bool, bool),
+        feedback: &AeroFeedback,
     ) {
         self.place_jets(robot, kinematics);
         self.update_lambda_t(robot, kinematics, dynamics, thrust);
-        if lambda_feedback {
+        if feedback.lambda {
             self.update_lambda_a(robot, kinematics, dynamics, link_forces);
         } else {
             self.lambda_a.fill(0.0);
@@ -78,25 +78,15 @@ impl MomentumModel {
         for (column, thrust) in self.a_t.column_iter().zip(thrust) {
             self.rate_estimate += column * *thrust;
         }
-        if rate_feedback {
-            let (force, moment) = link_forces.wrench_about(&kinematics.com);
-            self.rate_estimate += stack(&force, &moment);
-        }
+        let (force, moment) = link_forces.wrench_about(&kinematics.com);
+        let none = Vector3::zeros();
+        self.rate_estimate += match feedback.momentum_rate {
+            RateFeedback::Wrench => stack(&force, &moment),
+            RateFeedback::Force => stack(&force, &none),
+            RateFeedback::Moment => stack(&none, &moment),
+            RateFeedback::None => stack(&none, &none),
+        };
         self.rate_estimate[2] -= kinematics.mass() * robot.gravity;
-    }
-
-    /// Adds the total force or the total moment of the link forces to the estimated momentum rate,
-    /// for a controller that is to know only one of them.
-    pub fn add_part_of_rate(
-        &mut self,
-        link_forces: &LinkForces,
-        com: &Vector3<f64>,
-        has_force: bool,
-        has_moment: bool,
-    ) {
-        let (force, moment) = link_forces.wrench_about(com);
-        let only = |part, wanted| if wanted { part } else { Vector3::zeros() };
-        self.rate_estimate += stack(&only(force, has_force), &only(moment, has_moment));
     }
 
     /// Adds the feet that carry: `A_c f_c*` to the momentum rate, `Λ_c` to its derivative.
