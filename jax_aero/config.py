@@ -375,6 +375,20 @@ class TorqueConfig:
 
 
 @pytree
+class ObserverConfig:
+    """How fast the observer of the unmodelled wrench follows, and what it believes at most; all scalars."""
+
+    gain_force: Array
+    """`K_o` of the force [1/s]."""
+    gain_moment: Array
+    """`K_o` of the moment [1/s]."""
+    force_max: Array
+    """Greatest observed force along each axis [N]."""
+    moment_max: Array
+    """Greatest observed moment about each axis [N m]."""
+
+
+@pytree
 class QpConfig:
     """How the Rust crate solves its QPs; JAX has one solver."""
 
@@ -432,6 +446,8 @@ class ControllerConfig:
     lever_arm: Static[LeverArm] = "rotated"
     jacobian_offset: Static[JacobianOffset] = "link_rotation"
     link_velocity: Static[LinkVelocity] = "at_centre"
+    observer: ObserverConfig | None = None
+    """What observes the wrench that no model knows; without it there is none."""
     qp: QpConfig = field(default_factory=QpConfig)
 
 

@@ -310,6 +310,7 @@ def _row(
         "momentum": truth.momentum,
         "momentum_setpoint": np.append(plant.robot.mass * np.asarray(tick.setpoint.com_velocity), np.zeros(3)),
         "momentum_rate_estimate": tick.momentum_rate_estimate,
+        "unmodelled_wrench": tick.unmodelled_wrench,
         "qp_status": [tick.momentum_answer.status_code, tick.torque_answer.status_code],
         "qp_kkt": [tick.momentum_answer.kkt, tick.torque_answer.kkt],
         "qp_iterations": [tick.momentum_answer.iterations, tick.torque_answer.iterations],

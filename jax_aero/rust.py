@@ -318,6 +318,8 @@ class Tick:
         A_T (6, jets), Λ_T and Λ_a (6, n).
     momentum_rate_estimate
         L̇ [N, N m], (6,).
+    unmodelled_wrench
+        ŵ, the observed part of it that no model knows; zero without an observer [N, N m], (6,).
     k_ddot_desired, sigma
         Demand of the attitude law: k̈* in base axes, σ.
     task, task_offset
@@ -356,6 +358,7 @@ class Tick:
     lambda_t: Array
     lambda_a: Array
     momentum_rate_estimate: Array
+    unmodelled_wrench: Array
     k_ddot_desired: Array
     sigma: Array
     task: Array

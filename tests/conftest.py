@@ -111,6 +111,7 @@ def made_up_flight(duration: float = 50.0, fall_time: float | None = None, step:
         "momentum": np.zeros((n, 6)),
         "momentum_setpoint": np.zeros((n, 6)),
         "momentum_rate_estimate": np.zeros((n, 6)),
+        "unmodelled_wrench": np.zeros((n, 6)),
         "qp_status": np.zeros((n, 2)),
         "qp_kkt": np.full((n, 2), 1e-12),
         "qp_iterations": np.full((n, 2), 3.0),

@@ -10,7 +10,7 @@ with `r` the arm from the centre of mass. Source: paper, Methods, "Flight Contro
 A column of `Λ` is the change of all forces while one joint turns at unit speed. It needs no Jacobian: only the sums of
 forces and moments over what the joint carries, which are one product with the static matrix of ancestors.
 
-Equations M50 to M52, M55 and M56 of `docs/model.md`.
+Equations M50 to M52, M55, M56 and M86 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -42,6 +42,12 @@ class MomentumModel(NamedTuple):
     """`Λ_a`: the same due to moving aerodynamic forces, their own change neglected."""
     rate_estimate: Float[Array, "6"]
     """`L̇` [N, N m]."""
+    unmodelled_wrench: Float[Array, "6"]
+    """Observed wrench that no model knows, `ŵ`, part of the rate; zero without an observer [N, N m]."""
+
+    def with_unmodelled(self, wrench: Array) -> MomentumModel:
+        """Return the same with the observed wrench `ŵ` in the momentum rate."""
+        return self._replace(rate_estimate=self.rate_estimate + wrench, unmodelled_wrench=wrench)
 
     @property
     def lambda_(self) -> Array:
@@ -77,7 +83,7 @@ def momentum_model(
 
     rate_estimate = jnp.sum(a_t * thrust, axis=1) + rate_feedback * wrench_about(link, kin.com)
     rate_estimate = rate_estimate.at[2].add(-robot.mass * robot.gravity)
-    return MomentumModel(axes, points, a_t, lambda_t, lambda_a, rate_estimate)
+    return MomentumModel(axes, points, a_t, lambda_t, lambda_a, rate_estimate, jnp.zeros_like(rate_estimate))
 
 
 def _lambda_t(robot: RobotModel, kin: Kinematics, com_jacobian: Array, points: Array, forces: Array) -> Array:

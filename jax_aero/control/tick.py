@@ -29,11 +29,12 @@ from jax_aero.aero import (
     weighted,
 )
 from jax_aero.aero.network_card import load_network
-from jax_aero.config import MissionConfig, MomentumGains, RateFeedback, ScenarioConfig, TorqueConfig
-from jax_aero.control import qp
+from jax_aero.config import MissionConfig, MomentumGains, ObserverConfig, RateFeedback, ScenarioConfig, TorqueConfig
+from jax_aero.control import observer, qp
 from jax_aero.control import setpoint as generator
 from jax_aero.control.attitude import attitude_demand
 from jax_aero.control.momentum import momentum_model
+from jax_aero.control.observer import ObserverState
 from jax_aero.control.protocol import Command, Measurement, Terms
 from jax_aero.control.qp import QpAnswer, WarmStart
 from jax_aero.control.recorded import Recording, recording
@@ -93,6 +94,7 @@ class MomentumController:
     torque_rate_max: Float[Array, " n"]
     """[N m/s]."""
     setpoint: SetpointParams
+    observer: ObserverConfig | None
     mission: MissionConfig | Recording
     """What to follow: the autopilot's commands, or recorded set-points."""
     time_step: Float[Array, ""]
@@ -126,6 +128,8 @@ class ControllerState(NamedTuple):
     """Last command [N m]."""
     torque_is_known: Bool[Array, ""]
     """Whether the rate limiter has a torque to start from."""
+    observer: ObserverState | None
+    """The observed wrench, and the measurement that the next one is compared with; `None` without an observer."""
     momentum_start: WarmStart
     """Where the momentum QP begins."""
     torque_start: WarmStart
@@ -164,6 +168,7 @@ def momentum_controller(
         torque_max=in_place_of(robot.joint_torque_max, controller.torque.torque_max, robot),
         torque_rate_max=in_place_of(robot.joint_torque_rate_max, controller.torque.torque_rate_max, robot),
         setpoint=generator.setpoint_params(controller.setpoint, robot.forward_axis, time_step),
+        observer=controller.observer,
         mission=config.mission if config.mission.file is None else recording(config.mission.file),
         time_step=time_step,
     )
@@ -189,6 +194,7 @@ def init(params: MomentumController, robot: RobotModel, state: State) -> Control
         velocity_error_integral=zeros,
         joint_torque=zeros,
         torque_is_known=jnp.array(False),
+        observer=None if params.observer is None else observer.start(zeros),
         momentum_start=qp.cold_start(params.tasks.thrust_rate.shape[0] + n, zeros.dtype),
         torque_start=qp.cold_start(n, zeros.dtype),
     )
@@ -220,7 +226,7 @@ def tick(
             now = jnp.where(in_flight, time, memory.time + params.time_step)
             moved, setpoint = generator.update(params.setpoint, params.mission, memory.setpoint, now)
             memory = memory._replace(time=now, setpoint=moved)
-        after, command, terms = _act(params, robot, memory, state, thrust, wind, setpoint)
+        after, command, terms = _act(params, robot, memory, time, state, thrust, wind, setpoint)
         return where(accepted, after, memory), where(accepted, command, _refusal(memory, command)), terms
 
 
@@ -228,6 +234,7 @@ def _act(
     params: MomentumController,
     robot: RobotModel,
     memory: ControllerState,
+    time: Array,
     state: State,
     thrust: Array,
     wind: Array,
@@ -241,6 +248,12 @@ def _act(
     momentum = momentum_model(
         robot, kin, dyn, thrust, link, rate_feedback=params.rate_feedback, lambda_feedback=switches.lambda_a
     )
+    observed = memory.observer
+    if params.observer is not None and observed is not None:
+        observed = observer.update(
+            params.observer, params.time_step, observed, time, dyn.momentum, momentum.rate_estimate
+        )
+        momentum = momentum.with_unmodelled(observed.wrench)
 
     # Thrust rates and joint velocities that shape momentum and attitude.
     attitude = attitude_demand(
@@ -302,6 +315,7 @@ def _act(
         velocity_error_integral=jnp.where(status == NOMINAL, advanced, memory.velocity_error_integral),
         joint_torque=joint_torque,
         torque_is_known=memory.torque_is_known | torque_solved,
+        observer=observed,
         momentum_start=wanted.warm_start,
         torque_start=pushed.warm_start,
     )

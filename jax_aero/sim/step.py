@@ -114,6 +114,7 @@ class FlightRow(NamedTuple):
     momentum: Array
     momentum_setpoint: Array
     momentum_rate_estimate: Array
+    unmodelled_wrench: Array
     qp_status: Array
     qp_kkt: Array
     qp_iterations: Array
@@ -382,6 +383,7 @@ def _row(
             ]
         ),
         momentum_rate_estimate=(jnp.full_like(momentum, jnp.nan) if terms is None else terms.momentum.rate_estimate),
+        unmodelled_wrench=(jnp.full_like(momentum, jnp.nan) if terms is None else terms.momentum.unmodelled_wrench),
         qp_status=of_qps("status", time.dtype),
         qp_kkt=of_qps("kkt", time.dtype),
         qp_iterations=of_qps("iterations", time.dtype),

@@ -160,6 +160,7 @@ def tick_quantities(command: Any, terms: Any) -> dict[str, Any]:
         "lambda_t": momentum.lambda_t,
         "lambda_a": momentum.lambda_a,
         "momentum_rate_estimate": momentum.rate_estimate,
+        "unmodelled_wrench": momentum.unmodelled_wrench,
         "k_ddot_desired": attitude.k_ddot_desired,
         "sigma": attitude.sigma,
         "task": shaping.task,

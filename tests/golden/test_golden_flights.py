@@ -14,7 +14,7 @@ def test_a_flight_is_the_stored_one(name):
     config = flights.load(name)
     flight = flights.fly(config)
     found = flights.signals(flight)
-    assert set(found) == set(stored.signals)
+    assert set(found) >= set(stored.signals)  # a signal may be younger than the flight
     wrong = {}
     for signal, expected in stored.signals.items():
         excess = flights.difference(found[signal][stored.row], expected) / stored.tolerance[signal]

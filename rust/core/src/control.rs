@@ -22,6 +22,7 @@ pub mod contact;
 pub mod minimum_jerk;
 pub mod mission;
 pub mod momentum;
+pub mod observer;
 pub mod recorded;
 pub mod setpoint;
 pub mod standing;
@@ -45,6 +46,7 @@ use contact::Contact;
 use mission::Mission;
 use momentum::MomentumModel;
 use nalgebra::{DVector, Matrix3, Vector3};
+use observer::Sample;
 use setpoint::{Setpoint, SetpointGenerator};
 use standing::StandingQp;
 use tasks::{MomentumQp, TaskInputs};
@@ -119,6 +121,7 @@ impl Controller {
         let n_jets = robot.jets.len();
         let mut model = config.restrict(robot);
         config.check_rate_bounds(&model, time_step)?;
+        config.observer.as_ref().map_or(Ok(()), |observer| observer.check(time_step))?;
         if !config.use_jets {
             model.jets.clear();
         }
@@ -257,12 +260,19 @@ impl Controller {
         let thrust = &measurement.thrust[..self.model.jets.len()];
         let feedback = &self.config.aero_feedback;
         momentum.update(&self.model, kinematics, dynamics, thrust, link_forces, feedback);
+        // What the observer compares with: the feet as measured, not as desired.
+        let mut rate = momentum.rate_estimate;
         if let Some(contact) = contact {
             contact.measured.copy_from_slice(measurement.foot_wrenches);
             contact.update(&mut state.contact, &self.model, kinematics, dynamics, self.time_step);
+            contact.add_measured(&mut rate);
             if contact.is_active {
                 momentum.add_contact(&self.model, kinematics, dynamics, contact);
             }
+        }
+        if let Some(config) = &self.config.observer {
+            let sample = Sample { time: measurement.time, momentum: dynamics.momentum, rate };
+            momentum.add_unmodelled(state.observer.update(config, self.time_step, sample));
         }
     }
 

@@ -204,6 +204,7 @@ impl Controller {
         out.set_item("lambda_t", matrix(py, &terms.momentum.lambda_t)?)?;
         out.set_item("lambda_a", matrix(py, &terms.momentum.lambda_a)?)?;
         out.set_item("momentum_rate_estimate", vector(py, terms.momentum.rate_estimate.as_slice())?)?;
+        out.set_item("unmodelled_wrench", vector(py, terms.momentum.unmodelled_wrench.as_slice())?)?;
 
         out.set_item("k_ddot_desired", vector(py, terms.attitude.k_ddot_desired_b.as_slice())?)?;
         out.set_item("sigma", vector(py, terms.attitude.sigma_i.as_slice())?)?;

@@ -7,7 +7,7 @@
 //! There is no ground, no joint friction, no motor inertia and no joint limit: none of them acts in a
 //! flight that succeeds, and one that fails ends with its fall.
 //!
-//! Equations M78 and M79 of `docs/model.md`.
+//! Equations M78 and M79 of `docs/model.md`; what a step adds to the momentum is M85.
 
 use crate::config::{AeroKinematics, Integrator, SimulatorConfig};
 use crate::disturbances::Disturbances;

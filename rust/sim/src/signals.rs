@@ -117,7 +117,7 @@ const WRENCH: &str = "N (force), N m (moment)";
 
 /// Every signal. Joint quantities are those of revolute joints: of prismatic ones m stands for rad and N for
 /// N m.
-pub static SIGNALS: [Signal; 33] = [
+pub static SIGNALS: [Signal; 34] = [
     signal("time", TIME, "s", "time", |row, out| out.push(row.time)),
     signal("base_position", XYZ, "m", "position of the base origin, inertial frame", |row, out| {
         out.extend(&row.plant.state().base.position);
@@ -193,6 +193,13 @@ pub static SIGNALS: [Signal; 33] = [
         MOMENTUM_RATE,
         "momentum rate the controller estimates",
         |row, out| out.extend(&row.terms.momentum.rate_estimate),
+    ),
+    signal(
+        "unmodelled_wrench",
+        SIX,
+        MOMENTUM_RATE,
+        "observed part of it that no model of the controller knows",
+        |row, out| out.extend(&row.terms.momentum.unmodelled_wrench),
     ),
     integer(signal("qp_status", QP, "1", "outcome of each QP; 0 is solved", |row, out| {
         out.extend(row.qps().map(|answer| f64::from(answer.status.code())));

@@ -157,6 +157,7 @@ fn no_model_allocates() {
     for (what, config) in [
         ("published", experiment("test2_published")),
         ("baseline", experiment("test1")),
+        ("observer", experiment("test2_observer")),
         (
             "sphere/cylinder",
             with("test2", |config| {

@@ -1,6 +1,7 @@
 //! Configuration of the controller, checked against the robot when the controller is built.
 
 use super::contact::ContactConfig;
+use super::observer::ObserverConfig;
 use super::setpoint::SetpointConfig;
 use crate::aero::{JacobianOffset, LeverArm, LinkVelocity};
 use crate::error::{BuildError, check};
@@ -41,6 +42,9 @@ pub struct ControllerConfig {
     /// What it takes to stand on the ground; without it the controller knows no feet.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub contact: Option<ContactConfig>,
+    /// What observes the wrench that no model knows; without it there is none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub observer: Option<ObserverConfig>,
     /// Whether thrusts are known of and asked for.
     #[serde(default = "yes", skip_serializing_if = "is_true")]
     pub use_jets: bool,

@@ -10,7 +10,7 @@
 //!
 //! `f_c*` is the integral of the momentum QP's own answer, not a measurement: it is the estimate in the
 //! momentum rate and the reference of the torque QP alike. Wrenches are about the sole's origin, force
-//! first, inertial axes. Equations M54, M74 and M75 of `docs/model.md`.
+//! first, inertial axes. Equations M54, M74, M75 and M82 of `docs/model.md`.
 
 use crate::dynamics::Dynamics;
 use crate::error::{BuildError, check};
@@ -242,6 +242,13 @@ impl Contact {
             self.a_c.fixed_view_mut::<3, 3>(3, first).copy_from(&arm);
             self.a_c.fixed_view_mut::<3, 3>(3, first + 3).copy_from(&one);
             self.soles[index] = sole;
+        }
+    }
+
+    /// Adds `A_c f_c` of the measured wrenches to a momentum rate.
+    pub fn add_measured(&self, rate: &mut Vector6<f64>) {
+        for (column, force) in self.a_c.column_iter().zip(self.measured.iter().flatten()) {
+            *rate += column * *force;
         }
     }
 

@@ -3,12 +3,12 @@
 //! ```text
 //! L̇ = A_T T + Σ_j (f_j, r_j × f_j) − m g e₃                     estimated momentum rate
 //! L̈ = A_T Ṫ + (Λ_T + Λ_a) ν                                     what the controller shapes
-//! on the ground also  A_c f_c*  and  A_c ḟ_c + Λ_c ν
+//! on the ground also  A_c f_c*  and  A_c ḟ_c + Λ_c ν;  with an observer L̇ also  ŵ
 //! ```
 //!
 //! with `r` the arm from the centre of mass. Source: paper, Methods, "Flight Control Design".
 //!
-//! Equations M50 to M52 and M54 to M56 of `docs/model.md`.
+//! Equations M50 to M52, M54 to M56 and M86 of `docs/model.md`.
 
 use super::config::{AeroFeedback, RateFeedback};
 use super::contact::{Contact, WRENCH};
@@ -35,6 +35,8 @@ pub struct MomentumModel {
     pub lambda: Matrix6xX<f64>,
     /// Estimated momentum rate `L̇` \[N, N m\].
     pub rate_estimate: Vector6<f64>,
+    /// Observed wrench that no model knows, `ŵ`, part of the rate; zero without an observer \[N, N m\].
+    pub unmodelled_wrench: Vector6<f64>,
 }
 
 impl MomentumModel {
@@ -51,6 +53,7 @@ impl MomentumModel {
             lambda_a: Matrix6xX::zeros(n),
             lambda: Matrix6xX::zeros(n),
             rate_estimate: Vector6::zeros(),
+            unmodelled_wrench: Vector6::zeros(),
         }
     }
 
@@ -87,6 +90,13 @@ impl MomentumModel {
             RateFeedback::None => stack(&none, &none),
         };
         self.rate_estimate[2] -= kinematics.mass() * robot.gravity;
+        self.unmodelled_wrench.fill(0.0);
+    }
+
+    /// Adds the observed wrench `ŵ` to the momentum rate.
+    pub fn add_unmodelled(&mut self, wrench: Vector6<f64>) {
+        self.unmodelled_wrench = wrench;
+        self.rate_estimate += wrench;
     }
 
     /// Adds the feet that carry: `A_c f_c*` to the momentum rate, `Λ_c` to its derivative.

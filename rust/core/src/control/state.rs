@@ -2,6 +2,7 @@
 
 use super::command::Measurement;
 use super::contact::ContactState;
+use super::observer::ObserverState;
 use super::setpoint::SetpointState;
 use crate::error::{BuildError, check};
 use crate::qp::WarmStart;
@@ -28,6 +29,8 @@ pub struct ControllerState {
     pub(super) torque_is_known: bool,
     /// Feet that carry, and their desired wrenches.
     pub(super) contact: ContactState,
+    /// The observed wrench, and the measurement that the next one is compared with.
+    pub(super) observer: ObserverState,
     /// Where the momentum QP begins.
     pub(super) momentum_start: WarmStart,
     /// Where the torque QP begins.
@@ -54,6 +57,7 @@ impl ControllerState {
             joint_torque: DVector::zeros(joints),
             torque_is_known: false,
             contact: ContactState::new(feet),
+            observer: ObserverState::new(),
             momentum_start: WarmStart::cold(unknowns),
             torque_start: WarmStart::cold(joints),
         }

@@ -44,7 +44,7 @@ fn signals_and_figures_are_declared_once() {
 #[test]
 fn the_log_has_every_signal_of_every_tick() {
     let result = run(&short(0.5));
-    let expected: [(&str, &[usize]); 24] = [
+    let expected: [(&str, &[usize]); 25] = [
         ("time", &[]),
         ("base_position", &[3]),
         ("base_quaternion", &[4]),
@@ -66,6 +66,7 @@ fn the_log_has_every_signal_of_every_tick() {
         ("momentum", &[6]),
         ("momentum_setpoint", &[6]),
         ("momentum_rate_estimate", &[6]),
+        ("unmodelled_wrench", &[6]),
         ("qp_status", &[2]),
         ("qp_kkt", &[2]),
         ("qp_iterations", &[2]),

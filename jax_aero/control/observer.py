@@ -1,0 +1,68 @@
+"""Observer of the wrench that the controller's model does not know, from the centroidal momentum alone.
+
+```text
+w    = L̇ − r,   r = A_T T + A_a f_a − m g e₃                      what the model does not know
+dŵ/dt = K_o (w − ŵ)                                               what is observed
+ŵ   += (1 − exp(−K_o Δt)) ((L_k − L_{k−1})/Δt − r_{k−1} − ŵ)      per measurement, then clamped
+```
+
+`Δt` is the time between the two measurements. Inertial axes, about the centre of mass, force first.
+
+Equations M82 to M84 of `docs/model.md`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Bool, Float
+
+from jax_aero.config import ObserverConfig
+from jax_aero.types import Array
+
+GAP_MAX = 10.5
+"""Longest time between two measurements that are compared, in ticks. Half a tick is for rounding."""
+
+
+class ObserverState(NamedTuple):
+    """The observer from one tick to the next."""
+
+    wrench: Float[Array, "6"]
+    """`ŵ` [N, N m]."""
+    is_known: Bool[Array, ""]
+    """Whether there is a last measurement: that of the rest."""
+    time: Float[Array, ""]
+    """[s]."""
+    momentum: Float[Array, "6"]
+    """Centroidal momentum `L` [kg m/s, kg m²/s]."""
+    rate: Float[Array, "6"]
+    """Its rate as modelled, `r` [N, N m]."""
+
+
+def start(like: Array) -> ObserverState:
+    """Return the state of an observer that has observed nothing, in the precision of `like`."""
+    nothing = jnp.zeros(6, like.dtype)
+    return ObserverState(nothing, jnp.array(False), jnp.zeros((), like.dtype), nothing, nothing)
+
+
+def update(
+    config: ObserverConfig, time_step: Array, last: ObserverState, time: Array, momentum: Array, rate: Array
+) -> ObserverState:
+    """Take a measurement in.
+
+    Without a measurement shortly before it there is nothing to compare: `ŵ` stays, as it does where numbers overflow.
+    """
+    elapsed = time - last.time
+    is_near = last.is_known & (elapsed > 0.0) & (elapsed < GAP_MAX * time_step)
+    elapsed = jnp.where(is_near, elapsed, time_step)
+    shares = -jnp.expm1(-elapsed * _sixfold(config.gain_force, config.gain_moment))
+    moved = last.wrench + shares * ((momentum - last.momentum) / elapsed - last.rate - last.wrench)
+    limits = _sixfold(config.force_max, config.moment_max)
+    is_used = is_near & jnp.all(jnp.isfinite(moved))
+    wrench = jnp.where(is_used, jnp.clip(moved, -limits, limits), last.wrench)
+    return ObserverState(wrench, jnp.array(True), jnp.asarray(time, wrench.dtype), momentum, rate)
+
+
+def _sixfold(force: Array, moment: Array) -> Array:
+    return jnp.repeat(jnp.stack([jnp.asarray(force), jnp.asarray(moment)]), 3)

@@ -1,0 +1,112 @@
+//! Observer of the wrench that the controller's model does not know, from the centroidal momentum alone.
+//!
+//! ```text
+//! w    = L̇ − r,   r = A_T T + A_a f_a + A_c f_c − m g e₃           what the model does not know
+//! dŵ/dt = K_o (w − ŵ)                                               what is observed
+//! ŵ   += (1 − exp(−K_o Δt)) ((L_k − L_{k−1})/Δt − r_{k−1} − ŵ)      per measurement, then clamped
+//! ```
+//!
+//! `f_c` is the wrench that the feet measure, whether they carry or not, so that the ground is part of the model and
+//! the law is the same in flight and standing. `Δt` is the time between the two measurements. Inertial axes, about
+//! the centre of mass, force first. Equations M82 to M84 of `docs/model.md`.
+
+use crate::error::{BuildError, check};
+use nalgebra::Vector6;
+use serde::{Deserialize, Serialize};
+
+/// Longest time between two measurements that are compared, in ticks. Half a tick is for rounding.
+const GAP_MAX: f64 = 10.5;
+
+/// How fast the observer follows, and what it believes at most.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ObserverConfig {
+    /// `K_o` of the force \[1/s\].
+    pub gain_force: f64,
+    /// `K_o` of the moment \[1/s\].
+    pub gain_moment: f64,
+    /// Greatest observed force along each axis \[N\].
+    pub force_max: f64,
+    /// Greatest observed moment about each axis \[N m\].
+    pub moment_max: f64,
+}
+
+impl ObserverConfig {
+    /// Refuses negative numbers, and gains so high that a single tick decides.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check(&self, time_step: f64) -> Result<(), BuildError> {
+        let greatest = 1.0 / time_step;
+        for (key, gain) in [("gain_force", self.gain_force), ("gain_moment", self.gain_moment)] {
+            let expected = format!("a number from 0 to {greatest}, 1 / time step of {time_step} s");
+            let accepted = |gain: f64| (0.0..=greatest * (1.0 + 1e-9)).contains(&gain);
+            check(&format!("controller.observer.{key}"), gain, accepted, &expected)?;
+        }
+        for (key, limit) in [("force_max", self.force_max), ("moment_max", self.moment_max)] {
+            check(&format!("controller.observer.{key}"), limit, |x| x >= 0.0, "a number ≥ 0")?;
+        }
+        Ok(())
+    }
+}
+
+/// What is measured, and what the model makes of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sample {
+    /// Time of the measurement \[s\].
+    pub time: f64,
+    /// Centroidal momentum `L` \[kg m/s, kg m²/s\].
+    pub momentum: Vector6<f64>,
+    /// Its rate as modelled, `r` \[N, N m\].
+    pub rate: Vector6<f64>,
+}
+
+/// The observer from one tick to the next.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ObserverState {
+    /// `ŵ` \[N, N m\].
+    pub(super) wrench: Vector6<f64>,
+    /// The last measurement that was accepted.
+    pub(super) last: Option<Sample>,
+}
+
+impl ObserverState {
+    /// Nothing observed yet.
+    #[must_use]
+    pub fn new() -> Self {
+        Self { wrench: Vector6::zeros(), last: None }
+    }
+
+    /// Takes a measurement in and returns `ŵ`.
+    ///
+    /// Without a measurement shortly before it there is nothing to compare: `ŵ` stays, as it does where numbers
+    /// overflow.
+    pub fn update(&mut self, config: &ObserverConfig, time_step: f64, sample: Sample) -> Vector6<f64> {
+        if let Some(last) = self.last.replace(sample) {
+            let elapsed = sample.time - last.time;
+            let (force, moment) = (share(config.gain_force, elapsed), share(config.gain_moment, elapsed));
+            let shares = Vector6::new(force, force, force, moment, moment, moment);
+            let innovation = (sample.momentum - last.momentum) / elapsed - last.rate - self.wrench;
+            let moved = self.wrench + shares.component_mul(&innovation);
+            let is_near = elapsed > 0.0 && elapsed < GAP_MAX * time_step;
+            if is_near && moved.iter().all(|x| x.is_finite()) {
+                let (force, moment) = (config.force_max, config.moment_max);
+                let limits = Vector6::new(force, force, force, moment, moment, moment);
+                self.wrench = moved.zip_map(&limits, |x, limit| x.clamp(-limit, limit));
+            }
+        }
+        self.wrench
+    }
+}
+
+impl Default for ObserverState {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// `1 − exp(−K_o Δt)`.
+fn share(gain: f64, elapsed: f64) -> f64 {
+    -(-gain * elapsed).exp_m1()
+}

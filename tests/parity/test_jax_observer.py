@@ -1,0 +1,108 @@
+"""The observer in JAX against the Rust crate: over a flight, and where measurements are missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax_aero import rust
+from jax_aero.config import ObserverConfig, scenario_config
+from jax_aero.control import observer, tick
+from jax_aero.robot import load_robot
+from jax_aero.types import State
+
+pytestmark = pytest.mark.usefixtures("x64")
+
+EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
+TOLERANCE = 1e-10
+LIMITS = {"gain_force": 4.0, "gain_moment": 7.0, "force_max": 8.0, "moment_max": 0.5}
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """A flight in which both limits are reached, as the crate flies it, with the ticks of its own controller."""
+    changes = {
+        "simulator.duration": 3.0,
+        "wind.ramp_start": 0.2,
+        "wind.ramp_end": 1.0,
+        "controller.observer": LIMITS,
+    }
+    table = rust.load_config(EXPERIMENTS / "test1_observer.toml", changes)
+    log = rust.fly(table).log
+    rotations = np.stack([rust.rotation_from_wxyz(wxyz) for wxyz in log["base_quaternion"]])
+    velocity = np.concatenate([log["base_velocity"], log["joint_velocity"]], axis=1)
+    states = State(log["base_position"], rotations, log["joint_position"], velocity)
+    wind = log["wind"].copy()
+    # One tick is refused, and twelve, more than are bridged.
+    wind[40], wind[150:162] = np.nan, np.nan
+    return table, (log["time"], states, log["thrust"], wind)
+
+
+def crate_wrenches(table, measurements):
+    controller, found = rust.Controller(table), []
+    times, states, thrusts, winds = measurements
+    for index, time in enumerate(times):
+        state = rust.State(*(part[index] for part in states))
+        found.append(controller.tick(state, thrusts[index], winds[index], time).unmodelled_wrench)
+    return np.array(found)
+
+
+def test_a_flight_with_missing_measurements(flown, agree):
+    """The whole controller in both languages; what a refused tick leaves is seen in the next."""
+    table, measurements = flown
+    config = scenario_config(table)
+    robot = load_robot(config.robot)
+    params = tick.momentum_controller(config, robot)
+
+    @jax.jit
+    def scan(measurements):
+        def one(memory, measurement):
+            memory, _, _ = tick.tick(params, robot, memory, *measurement)
+            return memory, memory.observer.wrench
+
+        first = tick.init(params, robot, jax.tree.map(lambda leaf: leaf[0], measurements[1]))
+        return jax.lax.scan(one, first, measurements)[1]
+
+    ours = np.asarray(scan(jax.tree.map(jnp.asarray, measurements)))
+    theirs = crate_wrenches(table, measurements)
+    agree("unmodelled_wrench", ours, theirs, TOLERANCE)
+    largest = np.abs(theirs).max(axis=0)
+    assert largest[:3].max() == LIMITS["force_max"], "the limit of the force is reached"
+    assert largest[3:].max() == LIMITS["moment_max"], "the limit of the moment is reached"
+    accepted = np.isfinite(measurements[3]).all(axis=1)
+    assert np.ptp(theirs[accepted], axis=0).min() > 0.01
+
+
+def test_the_law_on_every_axis():
+    """`w (1 − exp(−K_o t))`, as the crate's own test has it."""
+    config = ObserverConfig(*(np.float64(value) for value in (2.0, 5.0, 600.0, 100.0)))
+    wrench = jnp.array([30.0, -50.0, 70.0, 3.0, -5.0, 7.0])
+    rate = jnp.array([-11.0, 13.0, 17.0, -1.9, 2.3, 2.9])
+    times = 0.01 * jnp.arange(200)
+
+    def one(state, time):
+        state = observer.update(config, jnp.array(0.01), state, time, (rate + wrench) * time, rate)
+        return state, state.wrench
+
+    _, found = jax.lax.scan(one, observer.start(wrench), times)
+    gains = np.repeat([2.0, 5.0], 3)
+    expected = wrench * -np.expm1(-np.outer(times, gains))
+    # A momentum near 200 N s rounds by 3e-14 N s, a tick divides by 0.01 s.
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
+
+
+def test_gradients_of_a_refused_comparison_are_finite():
+    """Two measurements at one time: nothing is compared, and nothing is divided by zero."""
+    config = ObserverConfig(*(np.float64(value) for value in (2.0, 5.0, 600.0, 100.0)))
+
+    def total(momentum):
+        state = observer.start(momentum)
+        for scale in (1.0, 2.0):
+            state = observer.update(config, jnp.array(0.01), state, jnp.array(0.3), scale * momentum, 0.0 * momentum)
+        return state.wrench.sum()
+
+    assert np.array_equal(jax.grad(total)(jnp.ones(6)), np.zeros(6))
