@@ -105,7 +105,7 @@ def oracle(robot_name, robot, urdf) -> Oracle:
 
 
 def test_the_whole_state_agrees(robot, oracle, random_states, agree):
-    assert robot.mass == pytest.approx(oracle.model.body_subtreemass[1], rel=1e-14)
+    agree("mass of the robot", robot.mass, oracle.model.body_subtreemass[1], 1e-14)
     bodies = [oracle.model.body(name).id for name in robot.body_names]
     for state, wxyz in random_states:
         oracle.set(state, wxyz)

@@ -58,7 +58,7 @@ def result(data, tmp_path_factory):
     return results
 
 
-def test_a_result_holds_errors_of_both_splits_beside_baselines(result, made_up_dataset):
+def test_a_result_holds_errors_of_both_splits_beside_baselines(result, made_up_dataset, agree):
     document = json.loads((result / "training" / "compact" / "manifest.json").read_text())
     errors = document["summary"]["errors"]
     assert set(errors) == {"random", "grouped"}
@@ -72,9 +72,9 @@ def test_a_result_holds_errors_of_both_splits_beside_baselines(result, made_up_d
     assert len(set(table["posture"].values[held])) == 4
     assert not set(table["posture"].values[held]) & set(table["posture"].values[~held])
     mse = np.mean((predicted[held] - table["area"].values[held]) ** 2)
-    assert errors["grouped"]["mse"] == pytest.approx(mse, rel=1e-5)
+    agree("grouped error", errors["grouped"]["mse"], mse, 1e-5)
     elsewhere = [value for name, value in errors["grouped"]["by_posture"].items() if name != "posture0"]
-    assert errors["grouped"]["elsewhere_mse"] == pytest.approx(np.mean(elsewhere))
+    agree("error at other postures", errors["grouped"]["elsewhere_mse"], np.mean(elsewhere), 1e-12)
     assert np.isfinite(table["train_loss"].sel(curve="grouped-0-0-member-1").values[:2]).all()
 
 

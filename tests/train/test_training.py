@@ -75,12 +75,12 @@ def test_dropout_spares_the_first_layer_and_keeps_the_mean(ironcub):
     np.testing.assert_array_equal(same, batch_output(shallow, "relu", x))
 
 
-def test_without_dropout_nothing_is_drawn(ironcub):
+def test_without_dropout_nothing_is_drawn(ironcub, agree):
     network = init_network(jax.random.key(0), ironcub, hidden=(6, 6))
     x = jnp.ones((2, 22))
     plain = batch_output(network.layers, "relu", x)
     np.testing.assert_array_equal(batch_output(network.layers, "relu", x, jax.random.key(1), 0.0), plain)
-    assert float(mean_squared_error(plain, plain[0] + 0.5)) == pytest.approx(0.25, rel=1e-6)
+    agree("mean squared error", float(mean_squared_error(plain, plain[0] + 0.5)), 0.25, 1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -157,23 +157,23 @@ def test_a_checkpoint_keeps_every_bit(tmp_path):
     assert load_checkpoint(tmp_path / "none.npz", state, "d") is None
 
 
-def test_early_stopping_keeps_the_best_weights(task):
+def test_early_stopping_keeps_the_best_weights(task, agree):
     network, training, validation = task
     settings = Settings(epochs=60, learning_rate=0.5, batch=32, patience=3)
     stopped = fit(network, training, validation, settings, seed=0)
     errors = [row[2] for row in stopped.curves]
     assert stopped.epochs < 60
     assert stopped.epochs == int(np.argmin(errors)) + 1 + 3
-    assert validation_error(stopped.network, validation) == pytest.approx(min(errors), rel=1e-6)
+    agree("validation error", validation_error(stopped.network, validation), min(errors), 1e-6)
 
 
-def test_validation_is_that_of_the_network_as_it_flies(task, ironcub, made_up_dataset):
+def test_validation_is_that_of_the_network_as_it_flies(task, ironcub, made_up_dataset, agree):
     """No dropout, symmetrised, in square metres of base axes."""
     network, training, _ = task
     trained = fit(network, training, None, structs.replace(SETTINGS, dropout=0.5), seed=0).network
     rows = made_up_dataset.take(slice(0, 40))
     expected = np.mean((predict_areas(trained, ironcub, rows) - rows.force_area_b) ** 2)
-    assert validation_error(trained, samples_of(trained, ironcub, rows)) == pytest.approx(expected, rel=1e-4)
+    agree("validation error", validation_error(trained, samples_of(trained, ironcub, rows)), expected, 1e-4)
 
 
 def test_lower_precision_trains_too(task, monkeypatch):

@@ -37,8 +37,8 @@ vectors = st.lists(st.floats(-1.0, 1.0, width=16), min_size=3, max_size=3).map(n
 
 @settings(deadline=None, max_examples=300)
 @given(a=vectors, u=vectors, b=vectors, v=vectors)
-def test_the_distance_of_two_segments(distance, a, u, b, v):
-    assert float(distance(a, u, b, v)) == pytest.approx(brute_force(a, u, b, v), abs=2e-3)
+def test_the_distance_of_two_segments(distance, a, u, b, v, measured):
+    measured("distance", abs(float(distance(a, u, b, v)) - brute_force(a, u, b, v)), 2e-3)
 
 
 @pytest.mark.parametrize(
@@ -50,11 +50,11 @@ def test_the_distance_of_two_segments(distance, a, u, b, v):
         ([0, 0, 0], [0, 0, 0], [0, 3, 4], [0, 0, 0], 5.0),  # two points
     ],
 )
-def test_special_segments(distance, a, u, b, v, expected):
-    assert float(distance(a, u, b, v)) == pytest.approx(expected, abs=2e-6)
+def test_special_segments(distance, a, u, b, v, expected, measured):
+    measured("distance", abs(float(distance(a, u, b, v)) - expected), 2e-6)
 
 
-def test_the_paper_chose_its_posture_to_keep_jets_from_the_body():
+def test_the_paper_chose_its_posture_to_keep_jets_from_the_body(measured):
     robot = load_robot(ROOT / "configs/robot/ironcub_mk1.toml")
     tree = Kinematics(robot)
     found = pairs(tree, 1.5)
@@ -64,7 +64,7 @@ def test_the_paper_chose_its_posture_to_keep_jets_from_the_body():
     table = tomllib.loads((ROOT / "configs/simulator/flight.toml").read_text())
     values = at(np.zeros(3), np.eye(3), table["initial"]["joint_position"]).full()[:, 0]
     nearest = found[int(values.argmin())]
-    assert values.min() == pytest.approx(0.0352, abs=2e-4)
+    measured("clearance", abs(values.min() - 0.0352), 2e-4)
     assert (nearest.jet.startswith("chest"), nearest.link) == (True, "root_link")
     # The exhaust of a turbine leaves downwards: every jet passes its own leg at a distance, none points at the head.
     assert values[[pair.link == "head" for pair in found]].min() > 0.25

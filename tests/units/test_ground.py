@@ -44,15 +44,15 @@ def frontal():
     return fly(early_wind([-12.0, 0.0, 0.0]))
 
 
-def test_the_feet_carry_the_robot():
+def test_the_feet_carry_the_robot(measured):
     plant = GroundPlant(standing())
     seen = plant.observe(np.zeros(3))
     total = seen.foot_wrenches[:, :3].sum(axis=0)
-    assert total == pytest.approx([0.0, 0.0, plant.robot.mass * 9.81], abs=0.05)
+    measured("contact force", np.max(np.abs(np.subtract(total, [0.0, 0.0, plant.robot.mass * 9.81]))), 0.05)
     # Moments about the inertial origin: the weight acts at the centre of mass.
     soles = np.cross(seen.soles, seen.foot_wrenches[:, :3]) + seen.foot_wrenches[:, 3:]
     com = rust.dynamics(plant.robot, seen.state).com_position
-    assert soles.sum(axis=0) == pytest.approx(np.cross(com, total), abs=0.05)
+    measured("moment of the soles", np.max(np.abs(np.subtract(soles.sum(axis=0), np.cross(com, total)))), 0.05)
     assert np.abs(seen.soles[:, 2]).max() < 1e-3
 
 
@@ -92,13 +92,13 @@ def test_a_robot_with_free_joints_stands_still_for_a_minute():
     assert log["feet_carry"].all()
 
 
-def test_the_sums_are_right_at_every_tick(frontal):
+def test_the_sums_are_right_at_every_tick(frontal, measured):
     log = frontal.log
     weight = rust.Robot(standing()["robot"]).mass * 9.81
     expected = log["contact_force"][:, :, :3].sum(axis=1) + log["aero_force_control"].sum(axis=1) - [0.0, 0.0, weight]
     np.testing.assert_allclose(log["momentum_rate_estimate"][:, :3], expected, atol=1e-9)
     lift = log["aero_force_control"].sum(axis=1)[-1, 2]
-    assert log["contact_force"][-1, :, 2].sum() + lift == pytest.approx(weight, abs=0.1)
+    measured("weight carried", abs(log["contact_force"][-1, :, 2].sum() + lift - weight), 0.1)
 
 
 def test_in_frontal_wind_it_leans_forward_by_its_ankles(frontal):
@@ -125,7 +125,7 @@ def test_a_controller_with_the_measured_wind_withstands_more():
     assert ignores.fall_reason.startswith(("CoM error", "rotation error"))
 
 
-def test_the_standing_qp_agrees_with_daqp():
+def test_the_standing_qp_agrees_with_daqp(agree):
     """Problems harvested from a robot that leans, tips and slips."""
     config = early_wind([-20.0, 14.0, 0.0], duration=6.0, **FREE_JOINTS)
     plant, controller = GroundPlant(config), rust.Controller(config)
@@ -149,7 +149,7 @@ def test_the_standing_qp_agrees_with_daqp():
         theirs, _, flag, _ = daqp.solve(qp.h, qp.g, qp.rows, upper, lower, kinds, primal_tol=1e-10)
         assert flag == 1
         value = [0.5 * z @ qp.h @ z + qp.g @ z for z in (x, theirs)]
-        assert value[0] == pytest.approx(value[1], rel=1e-9)
+        agree("objective", value[0], value[1], 1e-9)
         np.testing.assert_allclose(x, theirs, atol=1e-5 * np.abs(x).max())
         assert (qp.rows @ x <= qp.limit + 1e-7).all()
         checked += 1

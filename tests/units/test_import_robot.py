@@ -32,7 +32,7 @@ CORNERS = [tuple(map(float, corner)) for corner in product((-350, 350), (-300, 3
 
 
 @pytest.mark.parametrize("stl", [binary_stl, ascii_stl])
-def test_meshes_named_by_package_give_the_sizes_of_links(tmp_path, stl):
+def test_meshes_named_by_package_give_the_sizes_of_links(tmp_path, stl, agree, measured):
     """The platform with a mesh in mm in place of its cylinder: it loads, trims and hovers."""
     folder = tmp_path / "share" / "plates"
     (folder / "meshes").mkdir(parents=True)
@@ -43,8 +43,8 @@ def test_meshes_named_by_package_give_the_sizes_of_links(tmp_path, stl):
     jets = [command.thruster(f"nozzle_{k}:z:80") for k in range(6)]
     result = command.import_robot(folder / "plate.urdf", tmp_path / "out", jets=jets)
     link = tomllib.loads((tmp_path / "out" / "robot.toml").read_text())["aero_links"][0]
-    assert link["length"] == pytest.approx(0.06)  # a plate's axis is its short edge
-    assert link["diameter"] == pytest.approx(np.sqrt(0.7 * 0.6), abs=1e-4)
+    agree("length", link["length"], 0.06, 1e-12)  # a plate's axis is its short edge
+    measured("diameter", abs(link["diameter"] - np.sqrt(0.7 * 0.6)), 1e-4)
     assert np.abs(result.trim.residual).max() < 1e-6
     assert result.hover.outcome == "completed"
     assert result.hover.summary["max_com_error"] < 0.01

@@ -88,27 +88,29 @@ def results(tmp_path, made_up_results) -> Results:
     return Results(tmp_path)
 
 
-def test_metrics_are_those_of_the_log(results, make_flight, robot):
+def test_metrics_are_those_of_the_log(results, make_flight, robot, agree):
     found = results.flights["test2"]
     log = make_flight().log
     settled = log["time"] >= 3.0
     distance = np.linalg.norm(log["com_position"] - log["com_setpoint"], axis=1)
     assert found.completed
-    assert found.com_error == pytest.approx(distance[settled].max())
-    assert found.rotation_error == pytest.approx(np.degrees(log["rotation_error"].max()))
-    assert found.thrust == pytest.approx((log["thrust"].min(), log["thrust"].max()))
+    agree("CoM error", found.com_error, distance[settled].max(), 1e-12)
+    agree("rotation error", found.rotation_error, np.degrees(log["rotation_error"].max()), 1e-12)
+    agree("thrust", found.thrust, (log["thrust"].min(), log["thrust"].max()), 1e-12)
     torso = np.degrees(np.abs(log["joint_position"] - 0.2)[:, :3].sum(axis=1)).max()
-    assert found.joint_errors["torso"] == pytest.approx(torso)
-    assert found.asymmetry[0] == pytest.approx(np.abs(log["thrust"][settled] @ [1, -1, 0, 0]).max())
-    assert found.force_difference == pytest.approx(0.2 * found.force)
+    agree("joint error", found.joint_errors["torso"], torso, 1e-12)
+    agree("thrust asymmetry", found.asymmetry[0], np.abs(log["thrust"][settled] @ [1, -1, 0, 0]).max(), 1e-12)
+    agree("force difference", found.force_difference, 0.2 * found.force, 1e-12)
     assert results.flights["test1_published"].ending.startswith("fell at 21.5 s")
 
 
-def test_a_force_along_the_wind_has_no_angle(make_flight, robot):
+def test_a_force_along_the_wind_has_no_angle(make_flight, robot, measured):
     flight = make_flight()
     flight.log["aero_force_sim"][:] = flight.log["wind"][:, None, :]
     run = record.to_dataset(flight, robot, title="t", config_digest="0")
-    assert metrics.measure("t", run, {}).force_angle == pytest.approx((0.0, 0.0), abs=1e-5)
+    measured(
+        "angle of the force", np.max(np.abs(np.subtract(metrics.measure("t", run, {}).force_angle, (0.0, 0.0)))), 1e-5
+    )
 
 
 def test_a_run_without_wind_has_no_force_angle(make_flight, robot):
@@ -184,29 +186,29 @@ def test_spans_of_sound_values(values, known, text):
 # --- battery against fuel
 
 
-def test_the_papers_fuel_and_battery_come_out():
+def test_the_papers_fuel_and_battery_come_out(measured):
     choice = engine_choice.Choice()
     assert round(choice.fuel(), 2) == engine_choice.PAPER_FUEL
-    assert choice.battery(1.0) == pytest.approx(engine_choice.PAPER_BATTERY, abs=0.01)
-    assert choice.power_per_thrust_for(engine_choice.PAPER_BATTERY) == pytest.approx(1.0, abs=1e-3)
+    measured("battery", abs(choice.battery(1.0) - engine_choice.PAPER_BATTERY), 0.01)
+    measured("power per thrust", abs(choice.power_per_thrust_for(engine_choice.PAPER_BATTERY) - 1.0), 1e-3)
     assert round(choice.battery(), 2) == 20.97
 
 
-def test_a_battery_hovers_itself_as_well():
+def test_a_battery_hovers_itself_as_well(agree):
     choice = engine_choice.Choice()
     battery = choice.battery()
     energy = 1e3 * choice.fan_power / choice.fan_thrust * (choice.robot_mass + battery) * choice.minutes / 60.0
-    assert energy == pytest.approx(battery * choice.specific_energy)
+    agree("energy", energy, battery * choice.specific_energy, 1e-12)
     assert engine_choice.Choice(minutes=60.0).battery() == float("inf")
 
 
-def test_fuel_is_burnt_by_what_is_left_of_it():
+def test_fuel_is_burnt_by_what_is_left_of_it(agree):
     choice = engine_choice.Choice()
     mass, steps = choice.robot_mass + choice.fuel(), 100_000
     rate = choice.jet_consumption * choice.fuel_density / choice.jet_thrust
     for _ in range(steps):
         mass -= rate * mass * choice.minutes / steps
-    assert mass == pytest.approx(choice.robot_mass, rel=1e-5)
+    agree("mass", mass, choice.robot_mass, 1e-5)
     assert choice.fuel_carried() > choice.fuel()
 
 

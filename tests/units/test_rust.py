@@ -148,7 +148,7 @@ def test_a_controller_of_ones_own_over_the_plant():
     assert abs(rust.dynamics(robot, now.state).com_position[2] - com) < 0.02
 
 
-def test_forces_of_ones_own_over_the_plant():
+def test_forces_of_ones_own_over_the_plant(agree):
     """1 N on each of 13 links for one tick from rest adds their impulse, to the second order in the step."""
     changes = {"simulator.substeps": 3, "simulator.initial.free_fall_tick": False}
     config = rust.load_config(TEST2, changes | {"wind.ramp_start": -1.0, "wind.ramp_end": 0.0})
@@ -159,7 +159,7 @@ def test_forces_of_ones_own_over_the_plant():
         now = plant.step(np.zeros(4), np.zeros(23), np.tile([0.0, force, 0.0], (13, 1)))
         assert np.array_equal(plant.link_forces, np.tile([0.0, force, 0.0], (13, 1)))
         momenta.append(rust.dynamics(robot, now.state).momentum)
-    assert momenta[1][1] - momenta[0][1] == pytest.approx(-0.13, rel=0.01)
+    agree("momentum added", momenta[1][1] - momenta[0][1], -0.13, 0.01)
     plant.reset()
     plant.step(np.zeros(4), np.zeros(23))
     assert np.any(plant.link_forces), "without given forces the model's act again"

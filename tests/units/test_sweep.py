@@ -62,14 +62,14 @@ def design(**changes) -> Design:
 # --- what a file means
 
 
-def test_a_grid_has_every_combination_and_the_last_axis_varies_fastest(tmp_path):
+def test_a_grid_has_every_combination_and_the_last_axis_varies_fastest(tmp_path, agree):
     quick_design = Design(spec.load(str(quick(tmp_path))))
     labels = [tuple(level.label for level in cell) for cell in quick_design.cells]
     assert labels == [("corrected", 5.0), ("corrected", 10.0), ("published", 5.0), ("published", 10.0)]
     assert quick_design.n_rows == 12
     assert [list(quick_design.chunk(chunk)) for chunk in range(quick_design.n_chunks)][-1] == [8, 9, 10, 11]
     assert quick_design.cell_config(3)["simulator"]["lever_arm"] == "unrotated"
-    assert quick_design.cell_config(0)["wind"]["velocity"] == pytest.approx([0.0, -5.0, 0.0])
+    agree("wind velocity", quick_design.cell_config(0)["wind"]["velocity"], [0.0, -5.0, 0.0], 1e-12)
 
 
 def test_a_list_walks_its_axes_together():
@@ -105,12 +105,12 @@ def test_a_range_is_even_and_free_of_rounding():
 @pytest.mark.parametrize(
     ("speed", "direction", "velocity"), [(10, 0, [-10, 0, 0]), (10, 90, [0, -10, 0]), (5, 180, [5, 0, 0])]
 )
-def test_wind_is_given_by_where_it_comes_from(speed, direction, velocity):
+def test_wind_is_given_by_where_it_comes_from(speed, direction, velocity, agree):
     config = {"wind": {"velocity": [0.0, -10.0, 0.0]}}
     keys.set_all(config, {"wind.speed": speed, "wind.direction_deg": direction})
     assert config["wind"]["velocity"] == velocity
     keys.set_all(config, {"wind.speed": 2 * speed})
-    assert np.linalg.norm(config["wind"]["velocity"]) == pytest.approx(2 * speed)
+    agree("wind speed", np.linalg.norm(config["wind"]["velocity"]), 2 * speed, 1e-12)
 
 
 @pytest.mark.parametrize(
@@ -158,14 +158,14 @@ def test_every_sweep_of_the_repository_can_fly(name):
 # --- perturbed flights
 
 
-def test_a_repeat_is_perturbed_alike_in_every_cell_and_unlike_the_others():
+def test_a_repeat_is_perturbed_alike_in_every_cell_and_unlike_the_others(agree):
     made = design(repeats=2, perturbation={"joint_position": 0.1, "wind_direction_deg": 5.0, "drag": 0.2})
     first, second, other_cell = (made.row_config(row) for row in (0, 1, 2))
     assert first["simulator"] == other_cell["simulator"]
     assert first["disturbances"]["aero"] == other_cell["disturbances"]["aero"]
     assert first["wind"] == other_cell["wind"]
     assert first["simulator"]["initial"] != second["simulator"]["initial"]
-    assert np.linalg.norm(first["wind"]["velocity"]) == pytest.approx(10.0)
+    agree("wind speed", np.linalg.norm(first["wind"]["velocity"]), 10.0, 1e-12)
     nominal = np.array(made.cell_config(0)["simulator"]["initial"]["joint_position"])
     offsets = np.array(first["simulator"]["initial"]["joint_position"]) - nominal
     assert 0.02 < np.abs(offsets).max() <= 0.1
@@ -200,10 +200,10 @@ def test_chance_gets_a_seed_of_its_own_in_every_repeat():
     # Source: Newcombe (1998), table I: 81 of 263, 15 of 148, 0 of 20, 1 of 29.
     [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611), (1, 29, 0.0061, 0.1718)],
 )
-def test_the_interval_is_wilsons(successes, trials, low, high):
-    assert table.wilson(successes, trials) == pytest.approx((low, high), abs=6e-5)
+def test_the_interval_is_wilsons(successes, trials, low, high, measured):
+    measured("interval", np.max(np.abs(np.subtract(table.wilson(successes, trials), (low, high)))), 6e-5)
     mirrored = table.wilson(trials - successes, trials)
-    assert mirrored == pytest.approx((1 - high, 1 - low), abs=6e-5)
+    measured("mirrored interval", np.max(np.abs(np.subtract(mirrored, (1 - high, 1 - low)))), 6e-5)
 
 
 def test_nothing_is_known_without_trials():
@@ -231,7 +231,7 @@ def flown(tmp_path_factory) -> Path:
     return folder / "quick"
 
 
-def test_a_sweep_leaves_a_table_of_flights_one_of_cells_and_says_what_was_flown(flown):
+def test_a_sweep_leaves_a_table_of_flights_one_of_cells_and_says_what_was_flown(flown, agree):
     assert sorted(entry.name for entry in flown.iterdir()) == ["cells.parquet", "sweep.json", "table.parquet"]
     flights = pq.read_table(flown / "table.parquet").to_pylist()
     assert [row["row"] for row in flights] == list(range(12))
@@ -239,7 +239,7 @@ def test_a_sweep_leaves_a_table_of_flights_one_of_cells_and_says_what_was_flown(
     assert all(row["max_rotation_error"] >= 0.0 for row in flights)
     cells = pq.read_table(flown / "cells.parquet").to_pylist()
     assert [cell["completed"] for cell in cells] == [3, 3, 3, 3]
-    assert cells[0]["completed_low"] == pytest.approx(table.wilson(3, 3)[0])
+    agree("lower end of the interval", cells[0]["completed_low"], table.wilson(3, 3)[0], 1e-12)
     document = json.loads((flown / "sweep.json").read_text())
     assert document["finished"]["outcomes"] == {"completed": 12, "fell": 0, "error": 0}
     assert {"config_hash", "code_hash", "git", "versions", "device", "perturbation"} <= document.keys()

@@ -42,20 +42,20 @@ def rust_imbalance(flight, result, wind, velocity=(0.0, 0.0, 0.0)):
 
 
 @pytest.mark.close_to_tolerance("expected figures are typed to the digits that the tolerance allows")
-def test_the_hover_of_the_papers_posture(held):
+def test_the_hover_of_the_papers_posture(held, measured):
     """The published start, 98 N in each arm, is the trim for the arms; in the chest it is 10 N short of the weight."""
     result = held.solve((0.0, 0.0, 0.0))
     assert result.feasible, result.message
     np.testing.assert_allclose(result.thrust, [97.92, 97.27, 123.35, 122.92], atol=0.01)
     np.testing.assert_allclose(np.degrees(result.base_rpy), [-0.023, -2.142, 180.0], atol=1e-3)
     assert abs(result.thrust[:2] - 98.0).max() < 1.0
-    assert result.clearance == pytest.approx(0.0352, abs=2e-4)
+    measured("clearance", abs(result.clearance - 0.0352), 2e-4)
     np.testing.assert_array_equal(result.joint_position, held.settings.posture)
 
 
 @pytest.mark.parametrize("objective", experiment.OBJECTIVES)
 @pytest.mark.parametrize("wind", [(0.0, 0.0, 0.0), SIDE_WIND, (-17.0, 0.0, 0.0), (6.0, 9.0, 2.0)])
-def test_a_trim_is_an_equilibrium_of_the_rust_plant_within_all_limits(free, flight, wind, objective):
+def test_a_trim_is_an_equilibrium_of_the_rust_plant_within_all_limits(free, flight, wind, objective, agree):
     result = free.solve(wind, objective=objective)
     assert result.feasible, result.message
     for imbalance in rust_imbalance(flight, result, wind):
@@ -70,7 +70,7 @@ def test_a_trim_is_an_equilibrium_of_the_rust_plant_within_all_limits(free, flig
     roll, pitch, yaw = result.base_rpy
     assert settings.roll[0] - 1e-6 <= roll <= settings.roll[1] + 1e-6
     assert settings.pitch[0] - 1e-6 <= pitch <= settings.pitch[1] + 1e-6
-    assert yaw == pytest.approx(settings.yaw)
+    agree("yaw", yaw, settings.yaw, 1e-12)
 
 
 def test_each_objective_is_best_at_its_own(free):
@@ -87,7 +87,7 @@ def test_flying_through_still_air_is_hovering_in_the_wind(held, flight):
         measured("imbalance", np.abs(imbalance).max(), 1e-6)
 
 
-def test_where_there_is_no_trim_the_violated_constraint_is_named(held):
+def test_where_there_is_no_trim_the_violated_constraint_is_named(held, agree):
     result = held.solve((0.0, -20.0, 0.0))
     assert not result.feasible
     first = result.violations[0]
@@ -96,7 +96,7 @@ def test_where_there_is_no_trim_the_violated_constraint_is_named(held):
     assert "roll at its upper limit" in result.at_limit
     assert "force balance along y missed by" in result.message
     # By as much as is left over there.
-    assert abs(result.residual[1]) == pytest.approx(first.missed_by, rel=1e-3)
+    agree("residual", abs(result.residual[1]), first.missed_by, 1e-3)
 
 
 def test_the_closed_loop_stays_where_the_trim_put_it(free, flight):

@@ -6,7 +6,7 @@
 #[path = "../../sim/tests/common/mod.rs"]
 mod common;
 
-use common::{Running, TIME_STEP, configs, random_state, rng};
+use common::{Running, TIME_STEP, assert_within, configs, random_state, rng};
 use flight_core::control::CommandStatus;
 use flight_core::control::config::{ControllerConfig, Solver};
 use flight_core::control::contact::{Contact, ContactConfig, ContactState, WRENCH_ROWS};
@@ -144,8 +144,8 @@ fn the_momentum_rate_is_the_sum_of_what_acts() {
             moment += (sole.position - terms.kinematics.com).cross(&f);
         }
         let rate = terms.momentum.rate_estimate;
-        crate::common::assert_within!((Vector3::from(rate.fixed_rows::<3>(0)) - force).norm(), 1e-9);
-        crate::common::assert_within!((Vector3::from(rate.fixed_rows::<3>(3)) - moment).norm(), 1e-9);
+        assert_within!((Vector3::from(rate.fixed_rows::<3>(0)) - force).norm(), 1e-9);
+        assert_within!((Vector3::from(rate.fixed_rows::<3>(3)) - moment).norm(), 1e-9);
     }
 }
 
@@ -189,18 +189,13 @@ fn rates_of_the_feet_are_their_differences() {
         let step = 1e-5;
         let (before, now, after) = (at(-step), at(0.0), at(step));
         let moment_rate = (after.0 - before.0) / (2.0 * step);
-        crate::common::assert_within!(
-            (moment_rate - now.1).norm(),
-            1e-5 * (1.0 + now.1.norm()),
-            "{moment_rate} {}",
-            now.1
-        );
+        assert_within!((moment_rate - now.1).norm(), 1e-5 * (1.0 + now.1.norm()), "{moment_rate} {}", now.1);
         let acceleration = (&after.2 - &before.2) / (2.0 * step);
-        crate::common::assert_within!((&acceleration - &now.3).norm(), 1e-6 * (1.0 + now.3.norm()));
+        assert_within!((&acceleration - &now.3).norm(), 1e-6 * (1.0 + now.3.norm()));
         for foot in 0..2 {
             for axis in 0..3 {
                 let difference = (after.4[3 * foot + axis] - before.4[3 * foot + axis]) / (2.0 * step);
-                crate::common::assert_within!((difference - now.2[6 * foot + axis]).abs(), 1e-6);
+                assert_within!((difference - now.2[6 * foot + axis]).abs(), 1e-6);
             }
         }
     }
@@ -243,7 +238,7 @@ fn the_standing_qp_is_its_definition() {
     for _ in 0..50 {
         let u = DVector::from_fn(35, |i, _| rng.random_range(-1.0..1.0) * if i < 12 { 200.0 } else { 30.0 });
         let (ours, defined) = (qp.problem.objective(u.as_slice()), cost(&u) - zero);
-        crate::common::assert_within!((ours - defined).abs(), 1e-8 * defined.abs(), "{ours} {defined}");
+        assert_within!((ours - defined).abs(), 1e-8 * defined.abs(), "{ours} {defined}");
     }
     // And its answer respects the wrenches in the soles' own axes.
     for (index, sole) in contact.soles.iter().enumerate() {
@@ -252,7 +247,7 @@ fn the_standing_qp_is_its_definition() {
         let (f, m) = (turn * wrench.fixed_rows::<3>(0), turn * wrench.fixed_rows::<3>(3));
         let of_sole = Vector6::new(f.x, f.y, f.z, m.x, m.y, m.z);
         for (row, bound) in config.wrench.rows(&foot()) {
-            crate::common::assert_within!(row.dot(&of_sole), bound + 1e-6);
+            assert_within!(row.dot(&of_sole), bound + 1e-6, because "an inequality: the left side may come as near as it likes");
         }
     }
 }
@@ -280,7 +275,7 @@ fn feet_are_contacts_by_name() {
     let torque = first_tick(&mut named(&["l_sole", "r_sole"]), &[left, right]).joint_torque;
     let other = first_tick(&mut named(&["r_sole", "l_sole"]), &[right, left]).joint_torque;
     // The QPs have a condition number of about 1e8; their unknowns stand in another order.
-    assert!((torque - other).amax() < 1e-6);
+    assert_within!((torque - other).amax(), 1e-6);
 
     // Two wrenches for one foot are a bad measurement.
     assert_eq!(first_tick(&mut one, &[left, right]).status, CommandStatus::BadMeasurement);
@@ -311,8 +306,8 @@ fn the_momentum_qp_on_the_ground_is_its_tasks() {
         h[(i, i)] += 1e-4 + if i < 12 { 0.01 } else { 10.0 + 2.5 };
     }
     // The posture of the first tick is where the robot is.
-    crate::common::assert_within!((&h - &qp.problem.h).amax(), 1e-9 * h.amax());
-    crate::common::assert_within!((&g - &qp.problem.g).amax(), 1e-9 * g.amax());
+    assert_within!((&h - &qp.problem.h).amax(), 1e-9 * h.amax());
+    assert_within!((&g - &qp.problem.g).amax(), 1e-9 * g.amax());
     assert_eq!(qp.problem.h, qp.problem.h.transpose(), "exactly symmetric");
     assert_eq!(controller.command().thrust_rate, DVector::zeros(4));
     // A_c of the linear rows is the identity, twice.
@@ -390,9 +385,9 @@ fn in_the_air_feet_change_nothing() {
         let foot_wrenches = &[Vector6::zeros(); 2];
         let measurement = Measurement { time, state: &state, thrust: &thrust, wind, foot_wrenches };
         let (a, b) = (with.tick(&measurement).clone(), without.tick(&measurement).clone());
-        crate::common::assert_within!((a.thrust_rate - b.thrust_rate).amax(), 1e-7);
-        crate::common::assert_within!((a.joint_velocity - b.joint_velocity).amax(), 1e-9);
-        crate::common::assert_within!((a.joint_torque - b.joint_torque).amax(), 1e-7);
+        assert_within!((a.thrust_rate - b.thrust_rate).amax(), 1e-7);
+        assert_within!((a.joint_velocity - b.joint_velocity).amax(), 1e-9);
+        assert_within!((a.joint_torque - b.joint_torque).amax(), 1e-7);
     }
 }
 
@@ -411,7 +406,7 @@ fn clarabel_commands_the_same() {
             assert_eq!(status, CommandStatus::Nominal);
         }
         let difference = (&ours.terms().unlimited_torque - &theirs.terms().unlimited_torque).amax();
-        crate::common::assert_within!(difference, 1e-5, "{difference} N m");
+        assert_within!(difference, 1e-5, "{difference} N m");
     }
 }
 
@@ -489,5 +484,5 @@ fn a_controller_wind_is_given_and_does_not_blow() {
         series.row(10).chunks_exact(3).map(|force| force[1]).sum::<f64>()
     };
     assert!(sideways("aero_force_control") < -10.0);
-    assert!(sideways("aero_force_sim").abs() < 0.5);
+    assert_within!(sideways("aero_force_sim").abs(), 0.5);
 }

@@ -7,7 +7,9 @@
 #[path = "../../sim/tests/common/mod.rs"]
 mod common;
 
-use common::{Loop, Running, configs, experiment, random_state, random_vector, rng, robot, tick_at};
+use common::{
+    Loop, Running, assert_within, configs, experiment, random_state, random_vector, rng, robot, tick_at,
+};
 use flight_core::control::bounds::rate_bounds;
 use flight_core::control::config::{Fallback, RateFeedback, Solver};
 use flight_core::control::torque::limit_rate;
@@ -70,7 +72,7 @@ fn numbers(command: &Command) -> Vec<f64> {
 fn assert_equal(what: &str, a: &[f64], b: &[f64], tolerance: f64) {
     assert_eq!(a.len(), b.len(), "{what}");
     let worst = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-    crate::common::assert_within!(worst, tolerance, "{what}: {worst:e} apart");
+    assert_within!(worst, tolerance, "{what}: {worst:e} apart");
 }
 
 type Spoil = (&'static str, fn(&mut Sample));
@@ -315,7 +317,7 @@ fn without_a_momentum_answer_nothing_moves() {
         // s̈* = −K_D ṡ of the moving joint
         assert_eq!(command.torque_qp.status, QpStatus::Solved);
         let braking = controller.terms().torque_qp.acceleration_desired[3];
-        crate::common::assert_within!((braking + 20.0 * 0.4).abs(), 1e-12, "{braking}");
+        assert_within!((braking + 20.0 * 0.4).abs(), 1e-12, "{braking}");
     }
 }
 
@@ -400,7 +402,7 @@ fn absurd_states_are_held() {
             assert!(numbers(command).iter().all(|x| x.is_finite()), "{size:e} in part {part}");
             assert!(command.joint_torque.amax() <= 50.0);
             let step = (&command.joint_torque - &torque).amax();
-            crate::common::assert_within!(step - 3.0, 1e-12, "torques move by {step}");
+            assert_within!(step - 3.0, 1e-12, "torques move by {step}");
             assert!(command.thrust_rate.amax() <= 100.0);
         }
     }
@@ -497,11 +499,8 @@ fn each_part_of_the_feedback_can_be_left_out() {
     let terms = full.terms();
     let (force, moment) = terms.link_forces.wrench_about(&terms.kinematics.com);
     for axis in 0..3 {
-        crate::common::assert_within!((rate(&full)[axis] - rate(&baseline)[axis] - force[axis]).abs(), 1e-12);
-        crate::common::assert_within!(
-            (rate(&full)[3 + axis] - rate(&baseline)[3 + axis] - moment[axis]).abs(),
-            1e-12
-        );
+        assert_within!((rate(&full)[axis] - rate(&baseline)[axis] - force[axis]).abs(), 1e-12);
+        assert_within!((rate(&full)[3 + axis] - rate(&baseline)[3 + axis] - moment[axis]).abs(), 1e-12);
     }
     assert!(lambda(&full).amax() > 0.1 && lambda(&baseline).amax() == 0.0);
     assert!((free(&full) - free(&baseline)).amax() > 0.1);
@@ -519,7 +518,7 @@ fn each_part_of_the_feedback_can_be_left_out() {
     // The scale multiplies every estimated force.
     let half = tick(&|config| config.disturbances.aero_estimate.scale = 0.5);
     for (half, full) in half.terms().link_forces.forces_i.iter().zip(&terms.link_forces.forces_i) {
-        crate::common::assert_within!((half * 2.0 - full).norm(), 1e-14 * (1.0 + full.norm()));
+        assert_within!((half * 2.0 - full).norm(), 1e-14 * (1.0 + full.norm()));
     }
 }
 
@@ -601,13 +600,13 @@ fn torques_move_by_at_most_three_newton_metres() {
         for joint in 0..23 {
             let target = controller.terms().unlimited_torque[joint];
             let step = torque[joint] - last[joint];
-            crate::common::assert_within!(step.abs() - 3.0, 1e-12);
+            assert_within!(step.abs() - 3.0, 1e-12);
             assert!(target.abs() <= 50.0);
             if (target - last[joint]).abs() > 3.0 {
                 limited += 1;
-                crate::common::assert_within!((step - 3.0 * (target - last[joint]).signum()).abs(), 1e-12);
+                assert_within!((step - 3.0 * (target - last[joint]).signum()).abs(), 1e-12);
             } else {
-                crate::common::assert_within!((torque[joint] - target).abs(), 1e-12);
+                assert_within!((torque[joint] - target).abs(), 1e-12);
             }
         }
         last = torque;
@@ -629,15 +628,9 @@ fn the_torque_law_integrates_after_use() {
         let wanted = sample.tick(&mut controller).joint_velocity.clone();
         let error = sample.state.velocity.rows(6, 23) - wanted;
         let law = &error * -20.0 - &integral * 100.0;
-        crate::common::assert_within!(
-            (&controller.terms().torque_qp.acceleration_desired - law).amax(),
-            1e-12
-        );
+        assert_within!((&controller.terms().torque_qp.acceleration_desired - law).amax(), 1e-12);
         integral += error * 0.01;
-        crate::common::assert_within!(
-            (controller.state().velocity_error_integral() - &integral).amax(),
-            1e-14
-        );
+        assert_within!((controller.state().velocity_error_integral() - &integral).amax(), 1e-14);
     }
 }
 
@@ -672,7 +665,7 @@ fn lambda_is_the_derivative_of_the_momentum_rate() {
         let lambda = &controller.terms().momentum.lambda * &sample.state.velocity;
         let size = lambda.amax();
         let error = (lambda - difference).amax();
-        crate::common::assert_within!(error, 1e-6 * size, "pass {pass}: {error:e} of {size}");
+        assert_within!(error, 1e-6 * size, "pass {pass}: {error:e} of {size}");
     }
 }
 
@@ -705,7 +698,7 @@ fn lambda_a_is_the_derivative_of_the_aerodynamic_moment() {
         };
         let difference = (moment(STEP) - moment(-STEP)) / (2.0 * STEP);
         let angular: Vector3<f64> = lambda.fixed_rows::<3>(3).into();
-        crate::common::assert_within!((difference - angular).amax(), 1e-6 * angular.amax().max(1.0));
+        assert_within!((difference - angular).amax(), 1e-6 * angular.amax().max(1.0));
         assert_eq!(lambda.fixed_rows::<3>(0).amax(), 0.0, "the linear rows are zero");
     }
 }
@@ -890,10 +883,10 @@ fn another_robot_hovers() {
     let terms = flight.controller.terms();
     let offset = (terms.kinematics.com - terms.setpoint.com_position).norm();
     assert!(offset < 0.005, "settled: CoM off by {offset} m");
-    assert!(flight.plant.state().velocity.amax() < 0.01, "{}", flight.plant.state().velocity);
+    assert_within!(flight.plant.state().velocity.amax(), 0.01, "{}", flight.plant.state().velocity);
     // It carries its weight.
     let weight = terms.kinematics.mass() * 9.81;
     let lift: f64 =
         terms.momentum.a_t.row(2).iter().zip(flight.plant.jets().thrust()).map(|(a, t)| a * t).sum();
-    assert!((lift - weight).abs() < 0.02 * weight, "lift {lift} N of {weight} N");
+    assert_within!((lift - weight).abs(), 0.02 * weight, "lift {lift} N of {weight} N");
 }

@@ -8,7 +8,7 @@
 #[path = "../../sim/tests/common/mod.rs"]
 mod common;
 
-use common::{both_robots, random_state, random_vector, rng};
+use common::{assert_within, both_robots, random_state, random_vector, rng};
 use flight_core::dynamics::{Dynamics, MassFactor};
 use flight_core::kinematics::{Kinematics, RobotState};
 use flight_core::robot::{Frame, RobotModel};
@@ -86,7 +86,7 @@ where
 
 #[track_caller]
 fn assert_small(what: &str, error: f64, scale: f64, tolerance: f64) {
-    crate::common::assert_within!(error, tolerance * scale, "{what}: error {error:e} against {scale:e}");
+    assert_within!(error, tolerance * scale, because "the error of a quotient of differences, or of sums over all bodies", "{what}: error {error:e} against {scale:e}");
 }
 
 fn frames(robot: &RobotModel) -> Vec<&Frame> {

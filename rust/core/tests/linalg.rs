@@ -2,6 +2,10 @@
 
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
+#[path = "../../sim/tests/common/mod.rs"]
+mod common;
+
+use common::assert_within;
 use flight_core::linalg::*;
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};
@@ -44,7 +48,7 @@ fn vector_kernels_match_their_definitions_at_every_length() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     for n in 0..40 {
         let (x, y) = (random(&mut rng, n, 1), random(&mut rng, n, 1));
-        assert!((dot(x.as_slice(), y.as_slice()) - x.dot(&y)).abs() < 1e-14);
+        assert_within!((dot(x.as_slice(), y.as_slice()) - x.dot(&y)).abs(), 1e-14);
         assert_eq!(max_abs(x.as_slice()), x.iter().fold(0.0, |a: f64, b| a.max(b.abs())));
         let mut sum = y.clone();
         add_scaled(sum.as_mut_slice(), 0.7, x.as_slice());
@@ -78,7 +82,11 @@ fn factor_times_its_transpose_is_the_matrix() {
         let error = &l * l.transpose() - &a;
         for (i, j) in (0..n).flat_map(|i| (0..n).map(move |j| (i, j))) {
             // Componentwise: rows differ in unit by up to 1e6.
-            assert!(error[(i, j)].abs() <= 1e-13 * (a[(i, i)] * a[(j, j)]).sqrt(), "n = {n}, ({i}, {j})");
+            assert_within!(
+                error[(i, j)].abs(),
+                1e-13 * (a[(i, i)] * a[(j, j)]).sqrt(),
+                "n = {n}, ({i}, {j})"
+            );
             // Neither the upper triangle nor the padding is touched.
             if i < j {
                 assert_eq!(buffer[i + j * ld], a[(i, j)]);

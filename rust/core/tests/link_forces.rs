@@ -5,7 +5,7 @@
 #[path = "../../sim/tests/common/mod.rs"]
 mod common;
 
-use common::{Loop, both_robots, experiment, random_state, random_vector, rng, robot};
+use common::{Loop, assert_within, both_robots, experiment, random_state, random_vector, rng, robot};
 use flight_core::aero::{AeroModel, JacobianOffset, LeverArm, LinkConventions, LinkForces, LinkVelocity};
 use flight_core::kinematics::Kinematics;
 use flight_core::spatial::rotation_from_rpy;
@@ -80,9 +80,10 @@ fn one_arm() -> (RobotModel, RobotState) {
 
 #[track_caller]
 fn assert_is(what: &str, found: &Vector3<f64>, expected: [f64; 3]) {
-    crate::common::assert_within!(
+    assert_within!(
         (found - Vector3::from(expected)).amax(),
         1e-13,
+        because "a few units in the last place of positions of 30 m",
         "{what}: {found} instead of {expected:?}"
     );
 }
@@ -183,7 +184,7 @@ fn unrotated_arms_turn_the_chest_jets_upside_down() {
         let (kinematics, found) = forces_of(&robot, &state, conventions, &AeroModel::Off, &Vector3::zeros());
         for link in [2, 3] {
             let z = found.arm_points_i[link].z - kinematics.com.z;
-            crate::common::assert_within!((z - height).abs(), 1e-3, "{}: {z} m", robot.aero_links[link].name);
+            assert_within!((z - height).abs(), 1e-3, because "the published figure is rounded to the digits it has", "{}: {z} m", robot.aero_links[link].name);
         }
     }
 }
@@ -206,13 +207,13 @@ fn hover_wrenches_are_those_of_the_table() {
         let conventions = LinkConventions { lever_arm, ..LinkConventions::default() };
         let (kinematics, found) = forces_of(&robot, &state, conventions, &model, &Vector3::from(wind));
         let (f, m) = found.wrench_about(&kinematics.com);
-        assert!((f - Vector3::from(force)).amax() < 0.0051, "{wind:?}: force {f}");
-        assert!((m - Vector3::from(moment)).amax() < 0.0051, "{wind:?}, {lever_arm:?}: moment {m}");
+        assert_within!((f - Vector3::from(force)).amax(), 0.0051, because "the published figure is rounded to the digits it has", "{wind:?}: force {f}");
+        assert_within!((m - Vector3::from(moment)).amax(), 0.0051, because "the published figure is rounded to the digits it has", "{wind:?}, {lever_arm:?}: moment {m}");
     }
     let strong = Vector3::new(-17.5, 0.0, 0.0);
     let (_, found) = forces_of(&robot, &state, LinkConventions::default(), &model, &strong);
     let (f, _) = found.wrench_about(&Vector3::zeros());
-    assert!((f - Vector3::new(-40.9, 0.0, 2.9)).amax() < 0.051, "force {f}");
+    assert_within!((f - Vector3::new(-40.9, 0.0, 2.9)).amax(), 0.051, because "the published figure is rounded to the digits it has", "force {f}");
 }
 
 /// A wrench is the sum of forces and of moments; about another point the moment changes by `d × f`.
@@ -234,8 +235,8 @@ fn wrench_is_force_and_moment_about_a_point() {
         }
         let point = random_vector(&mut rng, 5.0);
         let (f, m) = forces.wrench_about(&point);
-        crate::common::assert_within!((f - force).amax(), 1e-13);
-        crate::common::assert_within!((m - (moment_about_origin - point.cross(&force))).amax(), 1e-12);
+        assert_within!((f - force).amax(), 1e-13);
+        assert_within!((m - (moment_about_origin - point.cross(&force))).amax(), 1e-12);
     }
 }
 
@@ -259,7 +260,7 @@ fn generalised_force_uses_the_jacobian_points() {
             }
             let mut generalised = DVector::zeros(kinematics.n_velocities());
             found.add_generalised_force(&robot, &kinematics, &mut generalised);
-            crate::common::assert_within!((generalised - &expected).amax(), 1e-12 * expected.amax());
+            assert_within!((generalised - &expected).amax(), 1e-12 * expected.amax());
             assert!(expected.amax() > 0.01);
         }
     }
@@ -279,7 +280,7 @@ fn link_forces_do_their_work() {
         found.add_generalised_force(&robot, &kinematics, &mut generalised);
         let power: f64 = found.forces_i.iter().zip(&found.v_air_i).map(|(f, v)| f.dot(&(wind - v))).sum();
         let scale: f64 = found.forces_i.iter().map(Vector3::norm).sum::<f64>() * 10.0;
-        crate::common::assert_within!((generalised.dot(&state.velocity) - power).abs(), 1e-13 * scale);
+        assert_within!((generalised.dot(&state.velocity) - power).abs(), 1e-13 * scale);
     }
 }
 
@@ -308,7 +309,7 @@ fn frozen_kinematics_keep_axes_and_points_of_the_first_tick() {
     for (index, link) in robot.aero_links.iter().enumerate() {
         let (jacobian, _) = kinematics.jacobian(link.frame.body, &found.arm_points_i[index]);
         let v_air = wind - jacobian * &state.velocity;
-        crate::common::assert_within!((found.v_air_i[index] - v_air).amax(), 1e-13);
+        assert_within!((found.v_air_i[index] - v_air).amax(), 1e-13);
     }
     // Rigid bodies are where they are.
     let mut now = Kinematics::new(&robot);

@@ -4,6 +4,10 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 #![allow(clippy::cast_possible_truncation, reason = "numbers of variables are below 65")]
 
+#[path = "../../sim/tests/common/mod.rs"]
+mod common;
+
+use common::assert_within;
 use flight_core::qp::{
     ClarabelSolver, KKT_TOLERANCE, PASSES_PER_VARIABLE, PrimalActiveSet, QpProblem, QpSolver, QpStatus,
     kkt_residual,
@@ -245,7 +249,7 @@ fn tiny_problems_agree_with_enumeration() {
             let expected = by_enumeration(&qp);
             for i in 0..n {
                 let scale = expected[i].abs() + qp.h[(i, i)].sqrt().recip();
-                assert!((x[i] - expected[i]).abs() <= 1e-10 * scale, "{x:?} is not {expected}");
+                assert_within!((x[i] - expected[i]).abs(), 1e-10 * scale, "{x:?} is not {expected}");
             }
         }
     }
@@ -269,7 +273,7 @@ fn objective_agrees_with_clarabel_unpolished() {
         // The objective is a small difference of large terms; they set its rounding.
         let terms = x.dot(&(qp.h.abs() * &x)) + x.dot(&qp.g.abs());
         let scale = 1.0 + ours.abs();
-        assert!((theirs - ours).abs() <= 1e-10 * scale, "{ours} against {theirs}");
+        assert_within!((theirs - ours).abs(), 1e-10 * scale, "{ours} against {theirs}");
         // Clarabel's point is feasible too, so it cannot be lower by more than rounding.
         assert!(theirs >= ours - 1e-15 * terms, "{theirs} is below the minimum {ours}");
     }
@@ -582,8 +586,8 @@ fn problems_without_bounds_or_variables_are_problems_too() {
     let mut clarabel = ClarabelSolver::new(FLIGHT, 0);
     assert_eq!(clarabel.solve(&qp).status, QpStatus::Solved);
     let direct = qp.h.clone().cholesky().expect("definite").solve(&-&qp.g);
-    assert!((DVector::from_vec(x) - &direct).amax() < 1e-9 * direct.amax());
-    assert!((DVector::from_column_slice(clarabel.x()) - &direct).amax() < 1e-9 * direct.amax());
+    assert_within!((DVector::from_vec(x) - &direct).amax(), 1e-9 * direct.amax(), because "condition number times rounding, the size that the bound is made of");
+    assert_within!((DVector::from_column_slice(clarabel.x()) - &direct).amax(), 1e-9 * direct.amax(), because "condition number times rounding, the size that the bound is made of");
 
     // Everything fixed: nothing to decide.
     qp.lower.fill(0.25);

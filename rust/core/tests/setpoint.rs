@@ -7,7 +7,7 @@
 #[path = "../../sim/tests/common/mod.rs"]
 mod common;
 
-use common::{TIME_STEP, configs, experiment, random_vector, rng, tick_at};
+use common::{TIME_STEP, assert_within, configs, experiment, random_vector, rng, tick_at};
 use flight_core::control::minimum_jerk::{FilterState, MinimumJerkFilter};
 use flight_core::control::mission::{Commands, Mission};
 use flight_core::control::setpoint::{RawSetpoint, Setpoint, SetpointConfig, SetpointGenerator};
@@ -123,25 +123,15 @@ fn the_in_line_reference_is_the_published_one() {
         for (found, printed) in lengths {
             // A speed that is printed as a bare 0 is one below half a mm/s.
             let tolerance = if printed == 0.0 { 0.5e-3 } else { 0.51e-4 };
-            crate::common::assert_within!(
-                (found - printed).abs(),
-                tolerance,
-                "{} s: {found} m, printed {printed}",
-                row[0]
-            );
+            assert_within!((found - printed).abs(), tolerance, because "the published figure is rounded to the digits it has", "{} s: {found} m, printed {printed}", row[0]);
         }
         let pitch = rpy_from_rotation(&smooth.rotation).y;
         for (found, printed) in [(-raw.rpy.y, row[3]), (pitch, row[8])] {
             let found = found.to_degrees();
-            crate::common::assert_within!(
-                (found - printed).abs(),
-                0.51e-2,
-                "{} s: {found} deg, printed {printed}",
-                row[0]
-            );
+            assert_within!((found - printed).abs(), 0.51e-2, because "the published figure is rounded to the digits it has", "{} s: {found} deg, printed {printed}", row[0]);
         }
-        crate::common::assert_within!((raw.position.y - 0.00041).abs(), 1e-5);
-        crate::common::assert_within!((smooth.com_position.y - 0.00041).abs(), 1e-5);
+        assert_within!((raw.position.y - 0.00041).abs(), 1e-5);
+        assert_within!((smooth.com_position.y - 0.00041).abs(), 1e-5);
     }
 }
 
@@ -160,7 +150,7 @@ fn the_in_line_reference_has_the_published_peaks() {
         ("angular acceleration", peak(&|r| r.angular_acceleration_b.norm()), 0.50, 0.01),
         ("angular jerk", peak(&|r| r.angular_jerk_b.norm()), 16.7, 0.1),
     ] {
-        assert!((found - printed).abs() < 0.51 * digit, "{what}: {found}, printed {printed}");
+        assert_within!((found - printed).abs(), 0.51 * digit, because "the published figure is rounded to the digits it has", "{what}: {found}, printed {printed}");
     }
 }
 
@@ -185,20 +175,16 @@ fn the_in_line_reference_has_the_published_ticks() {
             _ => 1448 - k,
         };
         let expected = 0.0075 * (1.0 + 0.02 * boost as f64);
-        crate::common::assert_within!(
-            (step - expected).abs(),
-            1e-12,
-            "step {k}: {step} m, expected {expected}"
-        );
+        assert_within!((step - expected).abs(), 1e-12, "step {k}: {step} m, expected {expected}");
     }
     // A step between rows k and k + 1 belongs to tick k + 1: the first turbo tick is 20.01 s.
     let moving: Vec<usize> = (0..steps.len()).filter(|&k| steps[k].x.abs() > 1e-9).collect();
     assert_eq!((moving[0] + 1, moving[moving.len() - 1] + 1), (2001, 3449));
     let total: f64 = forwards.iter().sum();
-    crate::common::assert_within!((total - 78.3).abs(), 1e-10);
+    assert_within!((total - 78.3).abs(), 1e-10);
     let pitches: Vec<f64> = flight.iter().map(|(raw, _)| raw.rpy.y.to_degrees()).collect();
     assert_eq!(pitches.windows(2).filter(|pair| pair[1] < pair[0] - 0.1).count(), 99);
-    crate::common::assert_within!((pitches[5000] - 0.3).abs(), 1e-9);
+    assert_within!((pitches[5000] - 0.3).abs(), 1e-9);
 }
 
 /// An interval is open at both ends, also where k · 0.01 is rounded.
@@ -228,11 +214,11 @@ fn boost_overrides_other_commands() {
     let start = first_com();
     // Left-over boost: 2 ticks up, so 2 ticks down, the last at the plain speed.
     let (raw, _) = flight[4];
-    crate::common::assert_within!((raw.position.z - start.z).abs(), 1e-15, "{raw:?}");
-    crate::common::assert_within!(raw.rpy.z.abs(), 1e-15, "{raw:?}");
-    crate::common::assert_within!((raw.rpy.y.to_degrees() - 4.0 * 0.3).abs(), 1e-12, "{raw:?}");
+    assert_within!((raw.position.z - start.z).abs(), 1e-15, "{raw:?}");
+    assert_within!(raw.rpy.z.abs(), 1e-15, because "a few units in the last place of numbers of order one", "{raw:?}");
+    assert_within!((raw.rpy.y.to_degrees() - 4.0 * 0.3).abs(), 1e-12, "{raw:?}");
     let forward = 0.0075 * (4.0 + 0.02 * (1.0 + 2.0 + 1.0));
-    crate::common::assert_within!((raw.position.x - start.x - forward).abs(), 1e-15, "{raw:?}");
+    assert_within!((raw.position.x - start.x - forward).abs(), 1e-15, "{raw:?}");
     let (raw, _) = flight[5];
     assert!(raw.position.z > start.z + 0.007 && raw.rpy.z > 0.004, "{raw:?}");
 }
@@ -244,7 +230,7 @@ fn raw_pitch_is_clamped() {
     assert!(fly(up, &BACKWARDS, TIME_STEP, 3.0).iter().all(|(raw, _)| raw.rpy.y == 0.0));
     let boost = Commands { forward_turbo: vec![(0.0, 9.0)], ..Commands::default() };
     let (raw, _) = fly(boost, &BACKWARDS, TIME_STEP, 3.0)[300];
-    crate::common::assert_within!((raw.rpy.y.to_degrees() - 30.0).abs(), 1e-12);
+    assert_within!((raw.rpy.y.to_degrees() - 30.0).abs(), 1e-12);
 }
 
 /// Without a boost the boosted command flies forwards at the plain speed.
@@ -259,7 +245,7 @@ fn a_boost_of_zero_still_moves() {
     for tick in 0..=tick_at(2.0) {
         let _ = generator.update(&mut state, tick as f64 * TIME_STEP);
     }
-    crate::common::assert_within!((state.raw().position.x - 199.0 * 0.0075).abs(), 1e-12);
+    assert_within!((state.raw().position.x - 199.0 * 0.0075).abs(), 1e-12);
 }
 
 /// Ticks of 2 and 5 ms fly the missions of 10 ms: the same places at every time, the same greatest speeds,
@@ -278,10 +264,10 @@ fn the_mission_does_not_depend_on_the_tick() {
             let flight = fly(commands(name), &BACKWARDS, time_step, duration);
             for ((_, coarse), (_, fine)) in published.iter().zip(flight.iter().step_by(ratio)) {
                 let apart = (fine.com_position - coarse.com_position).norm();
-                crate::common::assert_within!(apart, 0.01 * length, "{name}, {time_step} s");
+                assert_within!(apart, 0.01 * length, because "missions in ticks of another length differ by what happens in one tick", "{name}, {time_step} s");
             }
             let slower = (speed(&flight) - speed(&published)).abs();
-            crate::common::assert_within!(slower, 0.01 * speed(&published), "{name}, {time_step} s");
+            assert_within!(slower, 0.01 * speed(&published), "{name}, {time_step} s");
         }
     }
 }
@@ -293,9 +279,9 @@ fn any_forward_axis_flies_the_same_way() {
     for forward in [Vector3::x(), Vector3::y(), Vector3::new(0.6, -0.8, 0.0)] {
         let flight = fly(commands("in_line"), &forward, TIME_STEP, 50.0);
         for ((_, a), (_, b)) in flight.iter().zip(&published).step_by(50) {
-            crate::common::assert_within!((a.com_position - b.com_position).amax(), 1e-9);
+            assert_within!((a.com_position - b.com_position).amax(), 1e-9);
             let (nose_a, nose_b) = (a.rotation * forward, b.rotation * BACKWARDS);
-            crate::common::assert_within!((nose_a - nose_b).amax(), 1e-9);
+            assert_within!((nose_a - nose_b).amax(), 1e-9);
         }
     }
 }
@@ -315,15 +301,15 @@ fn the_closed_circuit_ends_where_it_should() {
     let slower: f64 = (0..450).map(|k| 0.0075 * (1.0 + 0.02 * f64::from(k))).sum();
     let leg = faster + 249.0 * 0.075 + slower;
     let end = first_com() + circuit_end(leg);
-    crate::common::assert_within!((raw.position - end).amax(), 1e-9, "{} instead of {end}", raw.position);
-    crate::common::assert_within!((smooth.com_position - end).amax(), 1e-6, "{}", smooth.com_position);
-    crate::common::assert_within!((raw.rpy.z - (4.0 * 89.7_f64).to_radians()).abs(), 1e-9);
-    crate::common::assert_within!((raw.rpy.y.to_degrees() - 0.3).abs(), 1e-9);
-    crate::common::assert_within!(smooth.com_velocity.amax(), 1e-9);
-    crate::common::assert_within!(smooth.angular_velocity_b.amax(), 1e-6);
+    assert_within!((raw.position - end).amax(), 1e-9, "{} instead of {end}", raw.position);
+    assert_within!((smooth.com_position - end).amax(), 1e-6, "{}", smooth.com_position);
+    assert_within!((raw.rpy.z - (4.0 * 89.7_f64).to_radians()).abs(), 1e-9);
+    assert_within!((raw.rpy.y.to_degrees() - 0.3).abs(), 1e-9);
+    assert_within!(smooth.com_velocity.amax(), 1e-9);
+    assert_within!(smooth.angular_velocity_b.amax(), 1e-6);
     // Farthest from the start: two legs forwards and sideways.
     let far = flight.iter().map(|(raw, _)| raw.position.y).fold(f64::MIN, f64::max);
-    assert!((far - leg).abs() < 0.02 * leg, "{far} m to the side, legs of {leg} m");
+    assert_within!((far - leg).abs(), 0.02 * leg, because "sizes of paths that are compared with the table, not rounding", "{far} m to the side, legs of {leg} m");
 }
 
 /// Without turbo a leg is 699 plain steps, and the nose stays level.
@@ -332,12 +318,12 @@ fn the_closed_circuit_without_turbo_ends_where_it_should() {
     let flight = generate("closed_circuit_no_turbo", 115.0);
     let (raw, smooth) = flight.last().unwrap();
     let end = first_com() + circuit_end(699.0 * 0.0075);
-    crate::common::assert_within!((raw.position - end).amax(), 1e-9, "{} instead of {end}", raw.position);
-    crate::common::assert_within!((smooth.com_position - end).amax(), 1e-6, "{}", smooth.com_position);
-    crate::common::assert_within!((raw.rpy.z - (4.0 * 89.7_f64).to_radians()).abs(), 1e-9);
+    assert_within!((raw.position - end).amax(), 1e-9, "{} instead of {end}", raw.position);
+    assert_within!((smooth.com_position - end).amax(), 1e-6, "{}", smooth.com_position);
+    assert_within!((raw.rpy.z - (4.0 * 89.7_f64).to_radians()).abs(), 1e-9);
     assert!(flight.iter().all(|(raw, _)| raw.rpy.y == 0.0));
     let top = flight.iter().map(|(raw, _)| raw.position.z).fold(f64::MIN, f64::max);
-    crate::common::assert_within!((top - first_com().z - 5.2425).abs(), 1e-9);
+    assert_within!((top - first_com().z - 5.2425).abs(), 1e-9);
 }
 
 /// Without commands the reference stays exactly where it starts.
@@ -345,17 +331,17 @@ fn the_closed_circuit_without_turbo_ends_where_it_should() {
 fn no_command_is_no_motion() {
     let start = first_com();
     for (_, reference) in generate("hover", 5.0) {
-        crate::common::assert_within!((reference.com_position - start).amax(), 1e-13);
+        assert_within!((reference.com_position - start).amax(), 1e-13);
         for derivative in [reference.com_velocity, reference.com_acceleration, reference.com_jerk] {
-            crate::common::assert_within!(derivative.amax(), 1e-10);
+            assert_within!(derivative.amax(), 1e-10);
         }
-        crate::common::assert_within!(
+        assert_within!(
             rotation_angle(
                 &(rotation_from_rpy(&Vector3::new(0.0, 0.0, PI)).transpose() * reference.rotation)
             ),
             1e-14
         );
-        crate::common::assert_within!(reference.angular_velocity_b.amax(), 1e-14);
+        assert_within!(reference.angular_velocity_b.amax(), 1e-14);
     }
 }
 
@@ -365,7 +351,7 @@ fn the_smoothed_attitude_is_a_rotation() {
     for (name, duration) in [("in_line", 50.0), ("closed_circuit", 135.0), ("closed_circuit_no_turbo", 112.0)]
     {
         for (_, reference) in generate(name, duration) {
-            crate::common::assert_within!(orthonormality_error(&reference.rotation), 1e-14);
+            assert_within!(orthonormality_error(&reference.rotation), 1e-14);
             assert!(reference.rotation.determinant() > 0.0);
         }
     }
@@ -377,7 +363,7 @@ fn the_smoothed_pitch_follows_the_sine_of_its_error() {
     let mut theta = 0.0_f64;
     for (raw, reference) in generate("in_line", 50.0) {
         let pitch = rpy_from_rotation(&reference.rotation).y;
-        crate::common::assert_within!((pitch - theta).abs(), 1e-5, "{pitch} instead of {theta}");
+        assert_within!((pitch - theta).abs(), 1e-5, "{pitch} instead of {theta}");
         // Forward Euler: what is handed out is the angle before the step.
         theta -= TIME_STEP * (theta + raw.rpy.y).sin();
     }
@@ -392,22 +378,13 @@ fn references_are_derivatives_of_one_another() {
         let (_, now) = &window[1];
         // The trapezoidal rule of the filter is exact between its own states.
         let mean = (before.com_velocity + now.com_velocity) * 0.5;
-        crate::common::assert_within!(
-            (now.com_position - before.com_position - mean * TIME_STEP).amax(),
-            1e-12
-        );
+        assert_within!((now.com_position - before.com_position - mean * TIME_STEP).amax(), 1e-12);
         let mean = (before.com_acceleration + now.com_acceleration) * 0.5;
-        crate::common::assert_within!(
-            (now.com_velocity - before.com_velocity - mean * TIME_STEP).amax(),
-            1e-12
-        );
+        assert_within!((now.com_velocity - before.com_velocity - mean * TIME_STEP).amax(), 1e-12);
         let mean = (before.angular_acceleration_b + now.angular_acceleration_b) * 0.5;
-        crate::common::assert_within!(
-            (now.angular_velocity_b - before.angular_velocity_b - mean * TIME_STEP).amax(),
-            1e-12
-        );
+        assert_within!((now.angular_velocity_b - before.angular_velocity_b - mean * TIME_STEP).amax(), 1e-12);
         let mean = (before.angular_jerk_b + now.angular_jerk_b) * 0.5;
-        crate::common::assert_within!(
+        assert_within!(
             (now.angular_acceleration_b - before.angular_acceleration_b - mean * TIME_STEP).amax(),
             1e-12
         );
@@ -488,7 +465,7 @@ fn the_filter_is_the_bilinear_transform() {
                 let expected = equation.update(input[k % 3]);
                 let found = outputs[k / 3][k % 3];
                 let scale = smoothing_time.powi(-i32::try_from(k / 3).unwrap());
-                crate::common::assert_within!(
+                assert_within!(
                     (found - expected).abs(),
                     tolerance * scale,
                     "T = {smoothing_time}, derivative {}: {found} instead of {expected}",
@@ -509,8 +486,8 @@ fn the_filter_has_a_triple_pole() {
         filter.update(&mut state, &(Vector3::x() * f64::from(tick) * TIME_STEP));
         last = state.value().x;
     }
-    crate::common::assert_within!((20.0 - last - 3.0 * 1.5 / 5.322_335).abs(), 1e-4, "lag {}", 20.0 - last);
-    crate::common::assert_within!((20.0 - last - 0.8455).abs(), 1e-4);
+    assert_within!((20.0 - last - 3.0 * 1.5 / 5.322_335).abs(), 1e-4, "lag {}", 20.0 - last);
+    assert_within!((20.0 - last - 0.8455).abs(), 1e-4);
 
     // T = 0.005 s: one pole at −0.684, so a pulse leaves a tail that alternates and dies as n² (−0.684)ⁿ.
     let filter = MinimumJerkFilter::new(0.005, TIME_STEP);
@@ -524,16 +501,12 @@ fn the_filter_has_a_triple_pole() {
         .collect();
     let p = -5.322_335 / 0.005;
     let pole = (1.0 + 0.5 * TIME_STEP * p) / (1.0 - 0.5 * TIME_STEP * p);
-    crate::common::assert_within!((pole + 0.684).abs(), 5e-4, "{pole}");
+    assert_within!((pole + 0.684).abs(), 5e-4, because "a filter in steps of 10 ms is compared with its continuous law", "{pole}");
     // With a triple pole q the third difference of y_n/qⁿ vanishes.
     let scaled: Vec<f64> = (0..30_u8).map(|n| tail[usize::from(n)] / pole.powi(i32::from(n))).collect();
     let size = scaled.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
     for y in scaled[2..].windows(4) {
-        crate::common::assert_within!(
-            (y[3] - 3.0 * y[2] + 3.0 * y[1] - y[0]).abs(),
-            1e-3 * size,
-            "{y:?} of {size}"
-        );
+        assert_within!((y[3] - 3.0 * y[2] + 3.0 * y[1] - y[0]).abs(), 1e-3 * size, "{y:?} of {size}");
     }
 }
 
@@ -547,15 +520,15 @@ fn the_filter_starts_in_equilibrium_and_ends_at_its_input() {
         for _ in 0..100 {
             filter.update(&mut state, &initial);
             let scale = smoothing_time.powi(-2);
-            crate::common::assert_within!((state.value() - initial).amax(), 1e-13);
-            crate::common::assert_within!(state.rate().amax(), 1e-11 * scale);
-            crate::common::assert_within!(state.acceleration().amax(), 1e-11 * scale);
+            assert_within!((state.value() - initial).amax(), 1e-13);
+            assert_within!(state.rate().amax(), 1e-11 * scale);
+            assert_within!(state.acceleration().amax(), 1e-11 * scale);
         }
         let target = Vector3::new(-5.0, 0.0, 0.5);
         for _ in 0..=1000 {
             filter.update(&mut state, &target);
         }
-        crate::common::assert_within!((state.value() - target).amax(), 1e-9, "{}", state.value());
+        assert_within!((state.value() - target).amax(), 1e-9, "{}", state.value());
     }
 }
 
@@ -573,7 +546,7 @@ fn the_step_response_resembles_a_minimum_jerk_motion() {
     assert!(response.windows(2).all(|pair| pair[1] >= pair[0] - 1e-12), "monotone");
     assert!(response.iter().all(|y| *y <= 1.0 + 1e-9), "no overshoot");
     let half = response.iter().position(|y| *y > 0.5).unwrap() as f64 * TIME_STEP;
-    assert!((half - 0.75).abs() < 0.02, "half way after {half} s");
+    assert_within!((half - 0.75).abs(), 0.02, "half way after {half} s");
 }
 
 /// A turn by more than half a circle is followed the way it was commanded, not by the short cut.
@@ -586,7 +559,7 @@ fn the_smoothed_yaw_follows_a_whole_circle() {
         let yaw = rpy_from_rotation(&reference.rotation).z;
         unwrapped += (yaw - last + PI).rem_euclid(TAU) - PI;
         last = yaw;
-        assert!((unwrapped - PI - raw.rpy.z).abs() < 1.2, "{unwrapped} behind {}", raw.rpy.z);
+        assert_within!((unwrapped - PI - raw.rpy.z).abs(), 1.2, because "the filter's lag behind a turning yaw, a physical figure", "{unwrapped} behind {}", raw.rpy.z);
     }
-    crate::common::assert_within!((unwrapped - PI - (4.0 * 89.7_f64).to_radians()).abs(), 1e-3);
+    assert_within!((unwrapped - PI - (4.0 * 89.7_f64).to_radians()).abs(), 1e-3);
 }

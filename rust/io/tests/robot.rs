@@ -3,6 +3,10 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "limits are copied, not computed")]
 
+#[path = "../../sim/tests/common/mod.rs"]
+mod common;
+
+use common::assert_within;
 #[path = "robot/ironcub.rs"]
 mod ironcub;
 #[path = "robot/refusals.rs"]
@@ -25,7 +29,7 @@ fn sparrow_texts() -> (String, String) {
 
 #[track_caller]
 fn assert_close(what: &str, value: f64, expected: f64, tolerance: f64) {
-    assert!((value - expected).abs() <= tolerance, "{what}: {value}, expected {expected}");
+    assert_within!((value - expected).abs(), tolerance, because "the published figure is rounded to the digits it has", "{what}: {value}, expected {expected}");
 }
 
 #[test]
@@ -69,9 +73,9 @@ fn locked_joint_equals_fixed_joint() {
     let free = robot_from_text(&toml.replace("0.2 }", "0.0 }"), &urdf, "locked at zero").unwrap();
     let torso = |robot: &RobotModel| robot.bodies[robot.body_index("torso").unwrap()].clone();
     let head = |robot: &RobotModel| robot.aero_links[0].frame.body_from_frame;
-    assert!((torso(&locked).com_b - torso(&fixed).com_b).amax() < 1e-16);
-    assert!((torso(&locked).inertia_b - torso(&fixed).inertia_b).amax() < 1e-16);
-    assert!((head(&locked).rotation - head(&fixed).rotation).amax() < 1e-15);
+    assert_within!((torso(&locked).com_b - torso(&fixed).com_b).amax(), 1e-15);
+    assert_within!((torso(&locked).inertia_b - torso(&fixed).inertia_b).amax(), 1e-15);
+    assert_within!((head(&locked).rotation - head(&fixed).rotation).amax(), 1e-15);
     assert!((torso(&locked).com_b - torso(&free).com_b).amax() > 1e-5, "the angle matters");
 }
 
@@ -105,7 +109,7 @@ fn fixed_joint_merges_by_the_parallel_axis_theorem() {
     let robot = robot_from_text(NO_JOINTS, TWO_PARTS, "by hand").unwrap();
     let [body] = robot.bodies.as_slice() else { panic!("one body expected") };
     assert_close("mass", body.mass, 3.0, 0.0);
-    assert!((body.com_b - Vector3::new(0.0, 1.0 / 6.0, 1.0 / 3.0)).amax() < 1e-15);
+    assert_within!((body.com_b - Vector3::new(0.0, 1.0 / 6.0, 1.0 / 3.0)).amax(), 1e-15);
     let mu = 2.0 / 3.0;
     let expected = Matrix3::new(
         0.1 + 0.4 + mu * 1.25,
@@ -118,7 +122,7 @@ fn fixed_joint_merges_by_the_parallel_axis_theorem() {
         -mu * 0.5,
         0.25 + 0.5 + mu * 0.25,
     );
-    assert!((body.inertia_b - expected).amax() < 1e-15, "{}", body.inertia_b);
+    assert_within!((body.inertia_b - expected).amax(), 1e-15, because "a few units in the last place of numbers of order one", "{}", body.inertia_b);
 }
 
 /// The axes in which an inertia is written are its own: turning them is turning the tensor.
@@ -129,7 +133,7 @@ fn inertia_is_read_in_the_axes_of_its_origin() {
         .replace(r#"ixx="0.3" ixy="0" ixz="0" iyy="0.4""#, r#"ixx="0.4" ixy="0" ixz="0" iyy="0.3""#);
     let a = robot_from_text(NO_JOINTS, TWO_PARTS, "as is").unwrap();
     let b = robot_from_text(NO_JOINTS, &turned, "turned").unwrap();
-    assert!((a.bodies[0].inertia_b - b.bodies[0].inertia_b).amax() < 1e-15);
+    assert_within!((a.bodies[0].inertia_b - b.bodies[0].inertia_b).amax(), 1e-15);
 }
 
 /// Torque and velocity limits are the URDF's unless the TOML file says otherwise; nothing limits a torque rate

@@ -6,7 +6,7 @@
 
 mod common;
 
-use common::{Running, experiment, fly};
+use common::{Running, assert_within, experiment, fly};
 use flight_core::Measurement;
 use flight_core::control::config::RateFeedback;
 use flight_io::load_robot;
@@ -79,9 +79,9 @@ fn force_and_moment_together_are_the_whole_wrench() {
     let force = knows(RateFeedback::Force) - none;
     let moment = knows(RateFeedback::Moment) - none;
     assert!(whole.fixed_rows::<3>(0).norm() > 10.0 && whole.fixed_rows::<3>(3).norm() > 0.1);
-    crate::common::assert_within!((force + moment - whole).norm(), 1e-12);
-    crate::common::assert_within!(force.fixed_rows::<3>(3).norm(), 1e-12);
-    crate::common::assert_within!(moment.fixed_rows::<3>(0).norm(), 1e-12);
+    assert_within!((force + moment - whole).norm(), 1e-12);
+    assert_within!(force.fixed_rows::<3>(3).norm(), 1e-12);
+    assert_within!(moment.fixed_rows::<3>(0).norm(), 1e-12);
 }
 
 #[test]
@@ -93,17 +93,9 @@ fn drag_lies_along_the_air_and_the_normal_part_across_it() {
     let air = &whole.terms().link_forces.v_air_i;
     for (link, v_air) in air.iter().enumerate() {
         let (f, d, n) = (forces(&whole)[link], forces(&drag)[link], forces(&normal)[link]);
-        crate::common::assert_within!((d + n - f).norm(), 1e-12, "link {link}");
-        crate::common::assert_within!(
-            d.cross(v_air).norm(),
-            1e-12 * v_air.norm(),
-            "link {link}: drag is askew"
-        );
-        crate::common::assert_within!(
-            n.dot(v_air).abs(),
-            1e-12 * v_air.norm(),
-            "link {link}: the normal part does work"
-        );
+        assert_within!((d + n - f).norm(), 1e-12, "link {link}");
+        assert_within!(d.cross(v_air).norm(), 1e-12 * v_air.norm(), "link {link}: drag is askew");
+        assert_within!(n.dot(v_air).abs(), 1e-12 * v_air.norm(), "link {link}: the normal part does work");
     }
     assert!(forces(&normal).iter().map(nalgebra::Matrix::norm).sum::<f64>() > 1.0);
 }
@@ -120,7 +112,7 @@ fn a_link_can_be_left_out() {
         let (before, after) =
             (whole.terms().link_forces.forces_i[index], without.terms().link_forces.forces_i[index]);
         let expected = if link.name == "chest" { Vector3::zeros() } else { before };
-        crate::common::assert_within!((after - expected).norm(), 1e-13, "{}", link.name);
+        assert_within!((after - expected).norm(), 1e-13, "{}", link.name);
     }
 }
 
@@ -137,7 +129,7 @@ fn the_simulator_has_the_same_factors() {
     };
     // The first tick, where both robots have fallen for one step alike.
     assert!(force(0, 0).norm() > 0.0);
-    crate::common::assert_within!((force(1, 0) - 2.0 * force(0, 0)).norm(), 1e-12 * force(0, 0).norm());
+    assert_within!((force(1, 0) - 2.0 * force(0, 0)).norm(), 1e-12 * force(0, 0).norm());
     assert!(results[1].summary.max_aero_force > 1.8 * results[0].summary.max_aero_force);
 }
 
@@ -146,7 +138,7 @@ fn a_feedback_of_scale_zero_flies_like_no_feedback() {
     let off = with(|config| config.disturbances.aero_estimate.scale = 0.0);
     let results = fly(&[short("test1"), off]);
     let angle = |flight: usize| results[flight].summary.max_rotation_error;
-    crate::common::assert_within!((angle(0) - angle(1)).abs(), 1e-6, "{} against {}", angle(0), angle(1));
+    assert_within!((angle(0) - angle(1)).abs(), 1e-6, "{} against {}", angle(0), angle(1));
 }
 
 #[test]

@@ -5,7 +5,7 @@
 
 mod common;
 
-use common::{experiment, fly, robot};
+use common::{assert_within, experiment, fly, robot};
 use flight_sim::disturbances::{
     FailureKind, JetFailure, JetFaultsConfig, MeasurementNoise, ModelError, WindEstimateConfig, WindEstimator,
 };
@@ -51,9 +51,9 @@ fn noise_is_repeatable_and_normal() {
     let variance = samples.iter().map(|x| x * x).sum::<f64>() / 2e4;
     assert!(mean.abs() < 0.03 && (variance - 1.0).abs() < 0.05, "mean {mean}, variance {variance}");
     let neighbours = samples.windows(2).map(|pair| pair[0] * pair[1]).sum::<f64>() / 2e4;
-    assert!(neighbours.abs() < 0.03, "neighbours correlate: {neighbours}");
+    assert_within!(neighbours.abs(), 0.03, because "one seed: the spread of an estimate from that many samples", "neighbours correlate: {neighbours}");
     let beyond_two = samples.iter().filter(|x| x.abs() > 2.0).count() as f64 / 2e4;
-    assert!((beyond_two - 0.0455).abs() < 0.006, "{beyond_two} of 0.0455 beyond two sigma");
+    assert_within!((beyond_two - 0.0455).abs(), 0.006, because "one seed: the spread of an estimate from that many samples", "{beyond_two} of 0.0455 beyond two sigma");
 }
 
 #[test]
@@ -70,9 +70,9 @@ fn a_delayed_estimate_tells_the_wind_of_then() {
 fn a_low_pass_has_gone_63_percent_after_its_time_constant() {
     let config = WindEstimateConfig { time_constant: 0.5, ..WindEstimateConfig::default() };
     let estimates = estimate(&config, &step_up(10, 200));
-    crate::common::assert_within!((estimates[9].y).abs(), 1e-12);
+    assert_within!((estimates[9].y).abs(), 1e-12);
     let reached = estimates[9 + 50].y / -10.0;
-    crate::common::assert_within!((reached - (1.0 - (-1.0_f64).exp())).abs(), 1e-9, "{reached}");
+    assert_within!((reached - (1.0 - (-1.0_f64).exp())).abs(), 1e-9, "{reached}");
 }
 
 #[test]
@@ -86,7 +86,7 @@ fn bias_mean_and_noise_are_what_they_say() {
     let estimates = estimate(&noisy, &winds);
     assert_eq!(estimates, estimate(&noisy, &winds));
     let spread = estimates.iter().map(|wind| (wind.y + 10.0).powi(2)).sum::<f64>() / 5000.0;
-    assert!((spread.sqrt() - 2.0).abs() < 0.1, "{spread}");
+    assert_within!((spread.sqrt() - 2.0).abs(), 0.1, "{spread}");
 }
 
 #[test]
@@ -102,7 +102,7 @@ fn only_the_controller_is_told_wrong() {
         result.log.series(name).unwrap().row(1100).chunks_exact(3).map(|force| force[1]).sum()
     };
     assert!(total("aero_force_sim") < -5.0, "{}", total("aero_force_sim"));
-    assert!(total("aero_force_control").abs() < 1.0, "{}", total("aero_force_control"));
+    assert_within!(total("aero_force_control").abs(), 1.0, "{}", total("aero_force_control"));
 }
 
 #[test]
@@ -110,7 +110,7 @@ fn a_controller_can_believe_in_another_robot() {
     let real = robot("ironcub_mk1");
     let error = ModelError { mass_scale: 1.1, com_offset: [0.02, 0.0, -0.01] };
     let believed = error.apply(real.clone());
-    crate::common::assert_within!((believed.mass() - 1.1 * real.mass()).abs(), 1e-12);
+    assert_within!((believed.mass() - 1.1 * real.mass()).abs(), 1e-12);
     assert_eq!(believed.bodies[0].com_b, real.bodies[0].com_b + Vector3::new(0.02, 0.0, -0.01));
     assert_eq!(believed.bodies[3].com_b, real.bodies[3].com_b);
 
@@ -161,11 +161,11 @@ fn an_engine_that_is_off_gives_nothing_and_the_others_go_on() {
 #[test]
 fn a_stuck_engine_keeps_its_thrust_and_a_dying_one_loses_it_slowly() {
     let stuck = run(jets(&JetsConfig::Ideal {}, &failure(FailureKind::Stuck, 0.0)), 10.0, 100);
-    crate::common::assert_within!((stuck[100][1] - stuck[51][1]).abs(), 1e-12);
-    crate::common::assert_within!((stuck[51][1] - 103.1).abs(), 1e-9, "{}", stuck[51][1]);
+    assert_within!((stuck[100][1] - stuck[51][1]).abs(), 1e-12);
+    assert_within!((stuck[51][1] - 103.1).abs(), 1e-9, "{}", stuck[51][1]);
     let dying = run(jets(&JetsConfig::Ideal {}, &failure(FailureKind::Off, 0.2)), 10.0, 100);
     let expected = dying[71][1] / dying[51][1];
-    crate::common::assert_within!((expected - (-1.0_f64).exp()).abs(), 1e-9, "{expected}");
+    assert_within!((expected - (-1.0_f64).exp()).abs(), 1e-9, "{expected}");
 }
 
 #[test]
@@ -177,7 +177,7 @@ fn limits_hold_and_what_lies_beyond_is_not_remembered() {
     }
     assert_eq!(jets.thrust(), [112.0, 112.0, 154.0, 154.0]);
     jets.advance(&[-100.0; 4], STEP);
-    crate::common::assert_within!((jets.thrust()[0] - 111.0).abs(), 1e-12, "no wind-up");
+    assert_within!((jets.thrust()[0] - 111.0).abs(), 1e-12, "no wind-up");
     for _ in 0..300 {
         jets.advance(&[-100.0; 4], STEP);
     }
@@ -191,7 +191,7 @@ fn a_lag_delays_the_thrust_by_its_time_constant() {
     let sound = run(jets(&JetsConfig::Ideal {}, &JetFaultsConfig::default()), 10.0, 300);
     let behind = sound[300][0] - late[300][0];
     // ∫ of the first-order response: late by τ, and half a step as each step acts at its beginning.
-    assert!((behind - 10.0 * (0.2 - 0.5 * STEP)).abs() < 0.02, "{behind}");
+    assert_within!((behind - 10.0 * (0.2 - 0.5 * STEP)).abs(), 0.02, "{behind}");
 }
 
 #[test]
@@ -246,8 +246,8 @@ fn turbulence_has_its_standard_deviation_and_rises_with_the_ramp() {
         }
     }
     for (axis, std) in [1.0, 2.0, 0.5].into_iter().enumerate() {
-        assert!(mean[axis].abs() < 0.06 * std, "axis {axis}: mean {}", mean[axis]);
-        assert!((square[axis].sqrt() / std - 1.0).abs() < 0.05, "axis {axis}: {}", square[axis].sqrt());
+        assert_within!(mean[axis].abs(), 0.06 * std, because "one seed: the spread of an estimate from that many samples", "axis {axis}: mean {}", mean[axis]);
+        assert_within!((square[axis].sqrt() / std - 1.0).abs(), 0.05, because "one seed: the spread of an estimate from that many samples", "axis {axis}: {}", square[axis].sqrt());
     }
 }
 
@@ -277,7 +277,7 @@ fn known_limits_reach_the_controller() {
         })
     };
     let (secret, known) = (limited(false), limited(true));
-    crate::common::assert_within!(secret.summary.thrust_max, 0.55 * 220.0 + 1e-9);
+    assert_within!(secret.summary.thrust_max, 0.55 * 220.0 + 1e-9, because "an inequality: the left side may come as near as it likes");
     assert_ne!(secret.log, known.log);
 }
 

@@ -4,7 +4,10 @@
 #![allow(clippy::unreadable_literal, reason = "coefficients stand as they were published")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-use approx::assert_relative_eq;
+#[path = "common/mod.rs"]
+mod common;
+
+use common::{assert_within, relative};
 use flight_core::jets::{
     EkfConfig, EngineDynamics, EngineModel, ThrustEkf, ThrustRateController, thrust_force, thrust_wrench,
 };
@@ -94,15 +97,15 @@ fn build(config: &JetsConfig) -> Jets {
 #[test]
 fn engine_equations_equal_a_calculation_by_hand() {
     let model = model("P160");
-    assert_relative_eq!(model.drift(100.0, 10.0), -200.513_573, max_relative = 1e-12);
-    assert_relative_eq!(model.input_gain(100.0, 10.0), 3.592_42, max_relative = 1e-12);
-    assert_relative_eq!(model.input(50.0), 46.5175, max_relative = 1e-12);
+    assert_within!(relative(model.drift(100.0, 10.0), -200.513_573), 1e-12);
+    assert_within!(relative(model.input_gain(100.0, 10.0), 3.592_42), 1e-12);
+    assert_within!(relative(model.input(50.0), 46.5175), 1e-12);
     let acceleration = -200.513_573 + 3.592_42 * 46.5175;
-    assert_relative_eq!(model.thrust_acceleration(100.0, 10.0, 50.0), acceleration, max_relative = 1e-12);
+    assert_within!(relative(model.thrust_acceleration(100.0, 10.0, 50.0), acceleration), 1e-12);
     let mut engine = EngineDynamics::new(model, 100.0, 10.0);
     engine.step(50.0, DT);
-    assert_relative_eq!(engine.thrust, 100.1 + 0.5e-4 * acceleration, max_relative = 1e-14);
-    assert_relative_eq!(engine.thrust_rate, 10.0 + 0.01 * acceleration, max_relative = 1e-14);
+    assert_within!(relative(engine.thrust, 100.1 + 0.5e-4 * acceleration), 1e-14);
+    assert_within!(relative(engine.thrust_rate, 10.0 + 0.01 * acceleration), 1e-14);
 }
 
 #[test]
@@ -124,7 +127,7 @@ fn throttle_inverts_input_for_every_engine() {
         for i in 0..=240 {
             let throttle = 0.5 * f64::from(i);
             let again = model.throttle_from_input(model.input(throttle));
-            assert!((again - throttle).abs() < 1e-10, "{name} at {throttle} %");
+            assert_within!((again - throttle).abs(), 1e-10, "{name} at {throttle} %");
         }
     }
 }
@@ -135,12 +138,12 @@ fn input_inverse_is_continuous_at_zero_curvature_and_beyond_the_top() {
     let with =
         |b_uu| EngineModel::new("test", EngineCoefficients { b_uu, ..coefficients(ENGINES[1].1) }).unwrap();
     for b_uu in [0.0, 1e-300, 1e-14, -1e-14] {
-        assert_relative_eq!(with(b_uu).throttle_from_input(80.0), 80.0, max_relative = 1e-11);
+        assert_within!(relative(with(b_uu).throttle_from_input(80.0), 80.0), 1e-11);
     }
     let b_uu: f64 = -0.001_393;
     let published = |v: f64| (-1.0 + (1.0 + 4.0 * b_uu * v).max(0.0).sqrt()) / (2.0 * b_uu);
     for v in [0.0, 10.0, 99.9, 170.0, 179.4, 179.6, 400.0] {
-        assert_relative_eq!(with(b_uu).throttle_from_input(v), published(v), max_relative = 1e-9);
+        assert_within!(relative(with(b_uu).throttle_from_input(v), published(v)), 1e-9);
     }
 }
 
@@ -151,12 +154,12 @@ fn steady_throttle_reproduces_the_thrust() {
         let model = model(name);
         let throttle = model.steady_throttle(thrust);
         assert!((1.0..119.0).contains(&throttle), "{name} at {throttle} %");
-        assert!(model.thrust_acceleration(thrust, 0.0, throttle).abs() < 1e-9, "{name}");
+        assert_within!(model.thrust_acceleration(thrust, 0.0, throttle).abs(), 1e-9, "{name}");
         let mut engine = EngineDynamics::new(model, thrust - 5.0, 0.0);
         for _ in 0..2000 {
             engine.step(throttle, DT);
         }
-        assert!((engine.thrust - thrust).abs() < 1e-6, "{name}: {}", engine.thrust);
+        assert_within!((engine.thrust - thrust).abs(), 1e-6, "{name}: {}", engine.thrust);
     }
 }
 
@@ -164,7 +167,7 @@ fn steady_throttle_reproduces_the_thrust() {
 #[test]
 fn steady_throttle_saturates() {
     for (_, model) in models() {
-        assert_relative_eq!(model.steady_throttle(1e4), 120.0, max_relative = 1e-14);
+        assert_within!(relative(model.steady_throttle(1e4), 120.0), 1e-14);
     }
 }
 
@@ -179,7 +182,7 @@ fn throttle_loop_linearises_the_engine() {
         let throttle = controller.update(&model, 90.0, 0.3, 0.2, DT);
         assert!((0.1..119.9).contains(&throttle), "{name}");
         let acceleration = model.thrust_acceleration(90.0, 0.3, throttle);
-        assert_relative_eq!(acceleration, -150.0 * 0.1, max_relative = 1e-9);
+        assert_within!(relative(acceleration, -150.0 * 0.1), 1e-9);
         assert_eq!(controller.throttle(), throttle);
     }
 }
@@ -192,7 +195,7 @@ fn integral_term_accumulates_the_error() {
     let throttle = controller.update(&model, 100.0, 1.0, 0.0, DT);
     // The second call sees the integral of the first: 1 N/s over 0.01 s.
     let expected = -(10.0 + 4.0 * 0.01);
-    assert_relative_eq!(model.thrust_acceleration(100.0, 1.0, throttle), expected, max_relative = 1e-9);
+    assert_within!(relative(model.thrust_acceleration(100.0, 1.0, throttle), expected), 1e-9);
 }
 
 #[test]
@@ -201,7 +204,7 @@ fn throttle_holds_where_it_cannot_steer() {
     let mut controller = ThrustRateController::new(150.0, 0.0, 61.0).unwrap();
     // g = 0 on the line Ṫ = (B_U + B_T T)/|B_D|.
     let thrust_rate = 0.688_710 / 0.089_879;
-    assert!(model.input_gain(0.0, thrust_rate).abs() < 1e-12);
+    assert_within!(model.input_gain(0.0, thrust_rate).abs(), 1e-12);
     assert_eq!(controller.update(&model, 0.0, thrust_rate, 0.0, DT), 61.0);
     assert_eq!(controller.update(&model, 90.0, 0.0, f64::NAN, DT), 61.0);
     assert_eq!(controller.update(&model, f64::INFINITY, 0.0, 0.0, DT), 61.0);
@@ -220,9 +223,14 @@ fn second_order_jets_track_a_thrust_ramp() {
         jets.advance(&[rate; 4], DT);
         for (i, expected) in expected.iter_mut().enumerate() {
             *expected += rate * DT;
-            assert!((jets.thrust()[i] - *expected).abs() < 1.5, "jet {i}, tick {tick}: {}", jets.thrust()[i]);
+            assert_within!(
+                (jets.thrust()[i] - *expected).abs(),
+                1.5, because "what a tracking law still misses after that time",
+                "jet {i}, tick {tick}: {}",
+                jets.thrust()[i]
+            );
             if !(0..30).contains(&(tick % 200)) {
-                assert!((jets.thrust_rate()[i] - rate).abs() < 0.2, "jet {i}, tick {tick}");
+                assert_within!((jets.thrust_rate()[i] - rate).abs(), 0.2, because "what a tracking law still misses after that time", "jet {i}, tick {tick}");
             }
             assert!((0.0..=120.0).contains(&jets.throttle()[i]));
         }
@@ -237,8 +245,8 @@ fn second_order_jets_hold_their_thrust_at_zero_command() {
         jets.advance(&[0.0; 4], DT);
     }
     for i in 0..4 {
-        assert!((jets.thrust()[i] - HOVER[i]).abs() < 1e-6);
-        assert!((jets.throttle()[i] - throttle[i]).abs() < 1e-6);
+        assert_within!((jets.thrust()[i] - HOVER[i]).abs(), 1e-6);
+        assert_within!((jets.throttle()[i] - throttle[i]).abs(), 1e-6);
     }
 }
 
@@ -255,8 +263,8 @@ fn estimator_jacobian_equals_finite_differences() {
         let by_thrust = (acceleration(thrust + h, rate) - acceleration(thrust - h, rate)) / (2.0 * h);
         let by_rate = (acceleration(thrust, rate + h) - acceleration(thrust, rate - h)) / (2.0 * h);
         assert_eq!((a.m11, a.m12), (0.0, 1.0));
-        assert!((a.m21 - by_thrust).abs() < 1e-6, "{name}: {} {by_thrust}", a.m21);
-        assert!((a.m22 - by_rate).abs() < 1e-6, "{name}: {} {by_rate}", a.m22);
+        assert_within!((a.m21 - by_thrust).abs(), 1e-6, "{name}: {} {by_thrust}", a.m21);
+        assert_within!((a.m22 - by_rate).abs(), 1e-6, "{name}: {} {by_rate}", a.m22);
     }
 }
 
@@ -270,15 +278,15 @@ fn estimator_step_equals_its_equations() {
     let a = ekf.jacobian(throttle);
     ekf.update(106.0, throttle, DT);
     // Gain P Cᵀ/R = (0.5, 0.05); innovation 6 N; the model's own acceleration is zero.
-    assert_relative_eq!(ekf.thrust(), 100.03, max_relative = 1e-12);
-    assert_relative_eq!(ekf.thrust_rate(), 0.003, max_relative = 1e-9);
+    assert_within!(relative(ekf.thrust(), 100.03), 1e-12);
+    assert_within!(relative(ekf.thrust_rate(), 0.003), 1e-9);
     let p = ekf.covariance();
-    assert_relative_eq!(p.m11, 1.0 + DT * (2.0 * 0.1 + 10.0 - 0.5), max_relative = 1e-12);
+    assert_within!(relative(p.m11, 1.0 + DT * (2.0 * 0.1 + 10.0 - 0.5)), 1e-12);
     let p12 = 0.1 + DT * (1.0 + a.m21 + 0.1 * a.m22 + 1.0 - 0.05);
-    assert_relative_eq!(p.m12, p12, max_relative = 1e-12);
+    assert_within!(relative(p.m12, p12), 1e-12);
     assert_eq!(p.m12, p.m21);
     let p22 = 1.0 + DT * (2.0 * (0.1 * a.m21 + a.m22) + 10.0 - 0.005);
-    assert_relative_eq!(p.m22, p22, max_relative = 1e-12);
+    assert_within!(relative(p.m22, p22), 1e-12);
 }
 
 /// Started wrong, the estimate finds thrust and thrust rate of an engine that follows a throttle.
@@ -297,8 +305,8 @@ fn estimate_converges_to_the_truth() {
             let p = ekf.covariance();
             assert!(p.m11 > 0.0 && p.determinant() > 0.0, "{name}, tick {tick}");
             if tick > 500 {
-                assert!((ekf.thrust() - engine.thrust).abs() < 0.1, "{name}, tick {tick}");
-                assert!((ekf.thrust_rate() - engine.thrust_rate).abs() < 0.3, "{name}, tick {tick}");
+                assert_within!((ekf.thrust() - engine.thrust).abs(), 0.1, because "what an estimate still misses after that time", "{name}, tick {tick}");
+                assert_within!((ekf.thrust_rate() - engine.thrust_rate).abs(), 0.3, "{name}, tick {tick}");
             }
         }
     }
@@ -327,7 +335,7 @@ fn ideal_thrust_is_the_integral_of_the_command() {
         jets.advance(&[1.0, -200.0, 0.0, 50.0], DT);
     }
     for (thrust, expected) in jets.thrust().iter().zip([99.0, -102.0, 113.0, 163.0]) {
-        assert_relative_eq!(*thrust, expected, max_relative = 1e-12);
+        assert_within!(relative(*thrust, expected), 1e-12);
     }
     assert_eq!(jets.thrust_feedback(), jets.thrust());
     assert_eq!(jets.thrust_rate(), [1.0, -200.0, 0.0, 50.0]);
@@ -383,7 +391,7 @@ fn wrench_is_force_and_moment_of_force() {
     let (axis_i, arm_i) = (Vector3::new(0.0, 0.6, 0.8), Vector3::new(0.2, 0.0, -0.1));
     assert_eq!(thrust_force(&axis_i, 50.0), Vector3::new(0.0, 30.0, 40.0));
     let expected = Vector6::new(0.0, 30.0, 40.0, 3.0, -8.0, 6.0);
-    assert_relative_eq!(thrust_wrench(&axis_i, &arm_i, 50.0), expected, max_relative = 1e-14);
+    assert_within!(relative(thrust_wrench(&axis_i, &arm_i, 50.0), expected), 1e-14);
 }
 
 // --------------------------------------------------------------------------------------- refusals

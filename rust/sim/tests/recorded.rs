@@ -2,7 +2,10 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // tests stop at the first surprise
 
-use approx::assert_relative_eq;
+#[path = "common/mod.rs"]
+mod common;
+
+use common::{assert_within, difference};
 use flight_core::control::mission::Commands;
 use flight_core::spatial::{rotation_from_rpy, rpy_from_rotation};
 use flight_io::MissionConfig;
@@ -51,14 +54,13 @@ fn samples_come_back_as_they_were_written() {
         let t = f64::from(sample) / 10.0;
         let motion = recording.at(t);
         for (order, expected) in quintic(t).into_iter().enumerate() {
-            assert_relative_eq!(motion.com[order].x, expected, epsilon = 1e-12);
+            assert_within!(difference(motion.com[order].x, expected), 1e-12);
         }
-        assert_relative_eq!(
-            rpy_from_rotation(&motion.rotation),
-            Vector3::new(0.0, -0.3 * t, 3.0),
-            epsilon = 1e-12
+        assert_within!(
+            difference(rpy_from_rotation(&motion.rotation), Vector3::new(0.0, -0.3 * t, 3.0)),
+            1e-12
         );
-        assert_relative_eq!(motion.angular_velocity_b, Vector3::new(0.0, -0.3, 0.0), epsilon = 1e-12);
+        assert_within!(difference(motion.angular_velocity_b, Vector3::new(0.0, -0.3, 0.0)), 1e-12);
     }
 }
 
@@ -70,10 +72,10 @@ fn between_samples_the_curve_is_smooth_and_close() {
         let motion = full.at(t);
         for ((order, expected), tolerance) in quintic(t).into_iter().enumerate().zip([1e-5, 1e-5, 2e-4, 0.1])
         {
-            assert_relative_eq!(motion.com[order].x, expected, epsilon = tolerance);
+            assert_within!(difference(motion.com[order].x, expected), tolerance, because "a curve through samples is compared with the motion it was sampled from");
         }
         let error = motion.rotation.transpose() * rotation_from_rpy(&Vector3::new(0.0, -0.3 * t, 3.0));
-        assert_relative_eq!(error.trace(), 3.0, epsilon = 1e-12);
+        assert_within!(difference(error.trace(), 3.0), 1e-12);
     }
 }
 
@@ -86,7 +88,7 @@ fn derivatives_that_are_missing_are_differences() {
             let t = f64::from(k) / 100.0;
             for order in 0..4 {
                 let (found, expected) = (partial.at(t).com[order], whole.at(t).com[order]);
-                assert_relative_eq!(found, expected, epsilon = tolerance);
+                assert_within!(difference(found, expected), tolerance, because "a curve through samples is compared with the motion it was sampled from");
             }
         }
     }
@@ -97,7 +99,7 @@ fn outside_its_time_a_recording_stands_still_where_it_begins_or_ends() {
     let recording = parse_recording(&recording(16, 11), "r.csv").unwrap();
     for (time, end) in [(-1.0, 0.0), (-1e-9, 0.0), (1.0 + 1e-9, 1.0), (f64::MAX, 1.0)] {
         let motion = recording.at(time);
-        assert_relative_eq!(motion.com[0].x, quintic(end)[0], epsilon = 1e-12);
+        assert_within!(difference(motion.com[0].x, quintic(end)[0]), 1e-12);
         assert_eq!([motion.com[1], motion.com[2], motion.com[3]], [Vector3::zeros(); 3]);
         assert_eq!(motion.angular_velocity_b, Vector3::zeros());
     }
@@ -107,7 +109,7 @@ fn outside_its_time_a_recording_stands_still_where_it_begins_or_ends() {
 fn a_turn_through_180_degrees_of_yaw_is_a_small_turn() {
     let text = "time,x,y,z,roll,pitch,yaw\n0,0,0,1,0,0,3.1\n1,0,0,1,0,0,-3.1\n";
     let rate = parse_recording(text, "r.csv").unwrap().at(0.5).angular_velocity_b;
-    assert_relative_eq!(rate, Vector3::new(0.0, 0.0, std::f64::consts::TAU - 6.2), epsilon = 1e-12);
+    assert_within!(difference(rate, Vector3::new(0.0, 0.0, std::f64::consts::TAU - 6.2)), 1e-12);
 }
 
 #[test]
@@ -173,7 +175,7 @@ fn the_controller_flies_a_file_named_beside_its_configuration() {
     assert!(result.fall.is_none());
     assert!(result.summary.max_com_error < 0.02, "{}", result.summary.max_com_error);
     let height = result.log.series("com_position").unwrap().row(1000)[2];
-    assert_relative_eq!(height, 1.751_881, epsilon = 5e-3);
+    assert_within!(difference(height, 1.751_881), 5e-3, because "a curve through samples is compared with the motion it was sampled from");
 }
 
 #[test]

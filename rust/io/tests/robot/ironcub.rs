@@ -1,5 +1,6 @@
 //! iRonCub-Mk1's files hold the published figures.
 
+use super::common::assert_within;
 use super::{assert_close, robot_file};
 use flight_core::robot::{AxisymmetricCoefficients, EngineCoefficients, Frame, RobotModel};
 use flight_core::spatial::{Pose, axis_angle};
@@ -307,15 +308,15 @@ fn agrees_with_pinocchio() {
         let body = &robot.bodies[index];
         assert_eq!(body.name, name);
         assert_close(name, body.mass, fact["mass"].as_f64().unwrap(), 1e-14);
-        assert!((body.com_b - vector(&fact["com"])).amax() < 1e-14, "com of {name}");
-        assert!((body.inertia_b - matrix(&fact["inertia"])).amax() < 1e-14, "inertia of {name}");
+        assert_within!((body.com_b - vector(&fact["com"])).amax(), 1e-14, "com of {name}");
+        assert_within!((body.inertia_b - matrix(&fact["inertia"])).amax(), 1e-14, "inertia of {name}");
         let Some(parent) = body.parent else { continue };
         assert_eq!(robot.bodies[parent].name, fact["parent"].as_str().unwrap());
         let joint = &robot.joints[index - 1];
         let placement = &joint.parent_from_child;
-        assert!((placement.position - vector(&fact["position"])).amax() < 1e-14, "position of {name}");
-        assert!((placement.rotation - matrix(&fact["rotation"])).amax() < 1e-13, "rotation of {name}");
-        assert!((joint.axis_b.into_inner() - vector(&fact["axis"])).amax() < 1e-13, "axis of {name}");
+        assert_within!((placement.position - vector(&fact["position"])).amax(), 1e-14, "position of {name}");
+        assert_within!((placement.rotation - matrix(&fact["rotation"])).amax(), 1e-13, "rotation of {name}");
+        assert_within!((joint.axis_b.into_inner() - vector(&fact["axis"])).amax(), 1e-13, "axis of {name}");
     }
 
     let links = robot.aero_links.iter().map(|link| &link.frame);
@@ -325,8 +326,8 @@ fn agrees_with_pinocchio() {
         assert_eq!(name, fact["name"].as_str().unwrap());
         assert_eq!(robot.bodies[frame.body].name, fact["body"].as_str().unwrap(), "{name}");
         let pose = &frame.body_from_frame;
-        assert!((pose.position - vector(&fact["position"])).amax() < 1e-14, "position of {name}");
-        assert!((pose.rotation - matrix(&fact["rotation"])).amax() < 1e-13, "rotation of {name}");
+        assert_within!((pose.position - vector(&fact["position"])).amax(), 1e-14, "position of {name}");
+        assert_within!((pose.rotation - matrix(&fact["rotation"])).amax(), 1e-13, "rotation of {name}");
     }
     assert_eq!(frames.len(), facts["frames"].as_array().unwrap().len());
     for jet in &robot.jets {
@@ -358,7 +359,7 @@ fn link_centres() {
     ];
     for (link, (name, centre)) in ironcub().aero_links.iter().zip(expected) {
         assert_eq!(link.name, name);
-        assert!((link.centre_l - Vector3::from(centre)).amax() < 1e-15, "centre of {name}");
+        assert_within!((link.centre_l - Vector3::from(centre)).amax(), 1e-15, because "a few units in the last place of numbers of order one", "centre of {name}");
     }
 }
 
@@ -380,10 +381,10 @@ fn visuals_show_the_published_link_sizes() {
                 assert_close(&aero.name, length, aero.length, 0.0);
                 // A URDF cylinder stands along its own z axis.
                 let r = flight_core::spatial::rotation_from_rpy(&Vector3::from(*visual.origin.rpy));
-                assert!((r * Vector3::z()).cross(&aero.axis_l).norm() < 1e-15, "axis of {}", aero.name);
+                assert_within!((r * Vector3::z()).cross(&aero.axis_l).norm(), 1e-15, "axis of {}", aero.name);
             }
             ref other => panic!("{}: {other:?}", aero.name),
         }
-        assert!((Vector3::from(*visual.origin.xyz) - aero.centre_l).norm() < 1e-15, "{}", aero.name);
+        assert_within!((Vector3::from(*visual.origin.xyz) - aero.centre_l).norm(), 1e-15, "{}", aero.name);
     }
 }

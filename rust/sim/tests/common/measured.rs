@@ -2,15 +2,45 @@
 
 #![allow(clippy::unwrap_used, reason = "a measurement that cannot be written down fails its test")]
 
+use nalgebra::{Dim, Matrix, RawStorage};
 use std::collections::HashMap;
 use std::fs::{File, create_dir_all};
 use std::io::Write;
+use std::ops::Sub;
 use std::panic::Location;
 use std::path::PathBuf;
 use std::sync::{LazyLock, Mutex};
 
 /// The file of this process, and the largest fraction of its tolerance that each place has used.
 type Measurements = (File, HashMap<Location<'static>, f64>);
+
+/// Greatest component of a value.
+pub trait Size {
+    fn size(&self) -> f64;
+}
+
+impl Size for f64 {
+    fn size(&self) -> f64 {
+        self.abs()
+    }
+}
+
+impl<R: Dim, C: Dim, S: RawStorage<f64, R, C>> Size for Matrix<f64, R, C, S> {
+    fn size(&self) -> f64 {
+        self.iter().fold(0.0, |size, x| size.max(x.abs()))
+    }
+}
+
+/// Greatest component of the difference of two values.
+pub fn difference<T: Size + Sub<Output = T>>(found: T, expected: T) -> f64 {
+    (found - expected).size()
+}
+
+/// Their difference as a fraction of the larger of the two.
+pub fn relative<T: Size + Sub<Output = T>>(found: T, expected: T) -> f64 {
+    let size = found.size().max(expected.size());
+    if size == 0.0 { 0.0 } else { difference(found, expected) / size }
+}
 
 /// Written to the folder `MEASURED`; `None` where no summary is wanted.
 static MEASUREMENTS: LazyLock<Option<Mutex<Measurements>>> = LazyLock::new(|| {

@@ -6,7 +6,7 @@
 pub mod measured;
 
 #[allow(unused_imports, reason = "no test binary needs everything")]
-pub(crate) use measured::assert_within;
+pub(crate) use measured::{assert_within, difference, relative};
 
 use flight_core::control::ControllerState;
 use flight_core::spatial::{Pose, rotation_from_wxyz};

@@ -1,6 +1,6 @@
 //! Laws of the closed loop, whatever the numbers: where it settles, and what a finer step tends to.
 
-use super::common::{Loop, experiment, fly};
+use super::common::{Loop, assert_within, experiment, fly};
 use super::{as_published, data, ramp_to, with};
 use flight_core::aero::LeverArm;
 use flight_core::spatial::vee_of_skew_part;
@@ -27,7 +27,7 @@ fn an_unknown_wrench_is_held_with_an_error() {
         let mut flight = Loop::new(&config);
         let blow = |time: f64| Vector3::from(wind) * ((time - 5.0) / 5.0).clamp(0.0, 1.0);
         flight.run(80.0, blow);
-        crate::common::assert_within!(flight.plant.state().velocity.amax(), 1e-3, "settled");
+        assert_within!(flight.plant.state().velocity.amax(), 1e-3, because "the law is the limit of a smooth transient that has not quite died out", "settled");
 
         let terms = flight.controller.terms();
         let rotation = flight.plant.state().base.rotation;
@@ -37,14 +37,14 @@ fn an_unknown_wrench_is_held_with_an_error() {
         let error = vee_of_skew_part(&(terms.setpoint.rotation.transpose() * rotation));
         let d = rotation.transpose() * moment;
         let law = d + flight.controller.state().inertia_0_b() * d / gains.c0;
-        assert!((error - law).norm() < 0.01 * law.norm(), "{wind:?}: e = {error}, law {law}");
+        assert_within!((error - law).norm(), 0.01 * law.norm(), because "the law is the limit of a smooth transient that has not quite died out", "{wind:?}: e = {error}, law {law}");
         assert!(law.norm() > 0.1, "{wind:?} tips the robot");
 
         let offset = flight.plant.kinematics().com - terms.setpoint.com_position;
         let per_newton = (gains.kd_linear[0] + 1.0) / (gains.kp_linear[0] * flight.plant.kinematics().mass());
-        crate::common::assert_within!((per_newton - 0.0135).abs(), 5e-5, "{per_newton} m/N");
+        assert_within!((per_newton - 0.0135).abs(), 5e-5, because "the law is the limit of a smooth transient that has not quite died out", "{per_newton} m/N");
         let law = force * per_newton;
-        assert!((offset - law).norm() < 0.005 * law.norm(), "{wind:?}: CoM off by {offset}, law {law}");
+        assert_within!((offset - law).norm(), 0.005 * law.norm(), because "the law is the limit of a smooth transient that has not quite died out", "{wind:?}: CoM off by {offset}, law {law}");
     }
 }
 
@@ -61,8 +61,8 @@ fn a_known_wrench_is_held_without_an_error() {
     flight.run(60.0, |time| Vector3::new(0.0, -10.0, 0.0) * ((time - 5.0) / 5.0).clamp(0.0, 1.0));
     let terms = flight.controller.terms();
     let error = terms.setpoint.rotation.transpose() * flight.plant.state().base.rotation;
-    crate::common::assert_within!(vee_of_skew_part(&error).norm(), 2e-3);
-    crate::common::assert_within!((flight.plant.kinematics().com - terms.setpoint.com_position).norm(), 2e-4);
+    assert_within!(vee_of_skew_part(&error).norm(), 2e-3);
+    assert_within!((flight.plant.kinematics().com - terms.setpoint.com_position).norm(), 2e-4);
 }
 
 /// Pose and posture after three seconds in a rising wind.
@@ -130,7 +130,7 @@ fn the_integrator_hardly_matters() {
             flights.iter().map(|flight| flight.summary.max_rotation_error.to_degrees()).collect();
         assert!(flights.iter().all(|flight| flight.fall.is_none()));
         for error in &errors {
-            assert!((error - errors[0]).abs() <= limit, "{name}: {errors:?} deg");
+            assert_within!((error - errors[0]).abs(), limit, because "the integrators differ by their order, not by rounding", "{name}: {errors:?} deg");
         }
     }
 }
@@ -149,5 +149,11 @@ fn left_and_right_wind_are_mirror_images() {
         let com = data(&flights[k], "com_position");
         com[com.len() - 2] - 0.000_41
     };
-    assert!((y_at_end(0) + y_at_end(1)).abs() < 0.02 * y_at_end(1).abs(), "{} {}", y_at_end(0), y_at_end(1));
+    assert_within!(
+        (y_at_end(0) + y_at_end(1)).abs(),
+        0.02 * y_at_end(1).abs(),
+        "{} {}",
+        y_at_end(0),
+        y_at_end(1)
+    );
 }

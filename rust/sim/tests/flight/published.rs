@@ -1,6 +1,6 @@
 //! The published numbers: start-up, TEST1, TEST2, ablations, robustness, quirks.
 
-use super::common::{experiment, fly};
+use super::common::{assert_within, experiment, fly};
 use super::{NO_AIR, STILL, as_published, com_offset, data, peak, ramp_to, rotation_error_at, with};
 use flight_core::aero::LeverArm;
 use flight_sim::config::{AeroKinematics, Integrator};
@@ -8,7 +8,7 @@ use flight_sim::{FallReason, FlightResult, ScenarioConfig};
 
 #[track_caller]
 fn assert_close(what: &str, found: f64, expected: f64, tolerance: f64) {
-    crate::common::assert_within!(
+    assert_within!(
         (found - expected).abs(),
         tolerance,
         because "the published figure is rounded to the digits it has",
@@ -68,7 +68,7 @@ fn assert_sound(result: &FlightResult) {
     assert!(torques.iter().copied().flatten().all(|torque| torque.abs() <= 50.0));
     for pair in torques.windows(2) {
         let step = pair[0].iter().zip(pair[1]).map(|(a, b)| (b - a).abs()).fold(0.0, f64::max);
-        crate::common::assert_within!(step - 3.0, 1e-12, "torque moved by {step} N m in a tick");
+        assert_within!(step - 3.0, 1e-12, "torque moved by {step} N m in a tick");
     }
     assert!(data(result, "thrust_rate").iter().all(|rate| rate.abs() <= 100.0));
     let fastest = 45_f64.to_radians();
@@ -77,12 +77,12 @@ fn assert_sound(result: &FlightResult) {
     let thrusts: Vec<&[f64]> = data(result, "thrust").chunks(4).collect();
     for (pair, rate) in thrusts.windows(2).zip(data(result, "thrust_rate").chunks(4)) {
         for jet in 0..4 {
-            crate::common::assert_within!((pair[1][jet] - pair[0][jet] - 0.01 * rate[jet]).abs(), 1e-12);
+            assert_within!((pair[1][jet] - pair[0][jet] - 0.01 * rate[jet]).abs(), 1e-12);
         }
     }
     // max over x of 100 tanh(2 x) 0.01 − x: one tick from x below the limit.
     let overshoot = 0.5_f64.sqrt() - 0.5 * 0.5_f64.sqrt().atanh();
-    crate::common::assert_within!((overshoot - 0.266_42).abs(), 1e-5);
+    assert_within!((overshoot - 0.266_42).abs(), 1e-5);
     for (jet, limit) in [(0, 160.0), (1, 160.0), (2, 220.0), (3, 220.0)] {
         let range = thrusts.iter().map(|row| row[jet]);
         assert!(range.clone().fold(f64::MIN, f64::max) <= limit + overshoot);
@@ -159,8 +159,8 @@ fn without_wind_the_flight_is_the_tabled_one() {
     for (config, flight) in [&config, &vacuum].into_iter().zip(fly(&[config.clone(), vacuum.clone()])) {
         assert_completed(&flight, config);
         assert_sound(&flight);
-        assert!(com_offset(&flight, 0).abs() <= 0.017, "x {}", com_offset(&flight, 0));
-        assert!(com_offset(&flight, 1).abs() <= 0.006, "y {}", com_offset(&flight, 1));
+        assert_within!(com_offset(&flight, 0).abs(), 0.017, because "the published figure is rounded to the digits it has", "x {}", com_offset(&flight, 0));
+        assert_within!(com_offset(&flight, 1).abs(), 0.006, "y {}", com_offset(&flight, 1));
         let (least, most) = (flight.summary.thrust_min, flight.summary.thrust_max);
         assert_close("least thrust", least, 61.0, 0.5);
         assert_close("greatest thrust", most, 176.0, 0.5);
@@ -182,7 +182,7 @@ fn test2_is_the_tabled_flight() {
         assert_sound(&flight);
         for (axis, limit) in [(0, 0.0175), (1, 0.006), (2, 0.008)] {
             let offset = com_offset(&flight, axis);
-            assert!(offset.abs() <= limit, "{}: axis {axis} off by {offset} m", config.title);
+            assert_within!(offset.abs(), limit, because "the published figure is rounded to the digits it has", "{}: axis {axis} off by {offset} m", config.title);
         }
         assert_close("rotation error", flight.summary.max_rotation_error.to_degrees(), 3.1, 0.05);
         let (found_least, found_most) = (flight.summary.thrust_min, flight.summary.thrust_max);

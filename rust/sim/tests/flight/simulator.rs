@@ -1,6 +1,6 @@
 //! What the simulator promises besides physics: the log, batches, interruption, falls, refusals.
 
-use super::common::{experiment, fly, tick_at};
+use super::common::{assert_within, experiment, fly, tick_at};
 use super::{STILL, data, ramp_to, with};
 use flight_core::spatial::{orthonormality_error, rotation_from_wxyz};
 use flight_io::{load_controller, load_robot};
@@ -82,7 +82,7 @@ fn the_log_has_every_signal_of_every_tick() {
     }
     assert!(result.log.series("typo").is_none());
     for (tick, time) in data(&result, "time").iter().enumerate() {
-        crate::common::assert_within!((time - 0.01 * tick as f64).abs(), 1e-12);
+        assert_within!((time - 0.01 * tick as f64).abs(), 1e-12);
     }
     assert_eq!(result.log.joint_setpoint.len(), 23);
     assert!(FlightLog::new(&load_robot(&short(1.0).robot).unwrap(), 10).is_empty());
@@ -99,11 +99,11 @@ fn logged_signals_belong_together() {
     for tick in 0..n {
         let quaternion: [f64; 4] = row("base_quaternion", tick).try_into().unwrap();
         assert!(quaternion[0] >= 0.0);
-        crate::common::assert_within!((quaternion.iter().map(|q| q * q).sum::<f64>() - 1.0).abs(), 1e-12);
-        crate::common::assert_within!(orthonormality_error(&rotation_from_wxyz(&quaternion)), 1e-12);
+        assert_within!((quaternion.iter().map(|q| q * q).sum::<f64>() - 1.0).abs(), 1e-12);
+        assert_within!(orthonormality_error(&rotation_from_wxyz(&quaternion)), 1e-12);
         let (velocity, momentum) = (row("com_velocity", tick), row("momentum", tick));
         for axis in 0..3 {
-            crate::common::assert_within!((momentum[axis] - mass * velocity[axis]).abs(), 1e-9);
+            assert_within!((momentum[axis] - mass * velocity[axis]).abs(), 1e-9);
         }
         assert_eq!(row("aero_force_sim", tick), row("aero_force_control", tick));
         if tick > 0 {
@@ -111,11 +111,7 @@ fn logged_signals_belong_together() {
             for (name, rate) in [("base_position", "base_velocity"), ("joint_position", "joint_velocity")] {
                 let (now, before, rate) = (row(name, tick), row(name, tick - 1), row(rate, tick));
                 for k in 0..now.len() {
-                    crate::common::assert_within!(
-                        (now[k] - before[k] - 0.01 * rate[k]).abs(),
-                        1e-12,
-                        "{name} {k}"
-                    );
+                    assert_within!((now[k] - before[k] - 0.01 * rate[k]).abs(), 1e-12, "{name} {k}");
                 }
             }
         }
@@ -143,7 +139,7 @@ fn the_summary_is_that_of_the_log() {
         |(a, b): (&[f64], &[f64])| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
     let distances: Vec<f64> = com.map(distance).collect();
     let settled = distances[300..].iter().copied().fold(0.0, f64::max);
-    crate::common::assert_within!((summary.max_com_error - settled).abs(), 1e-15);
+    assert_within!((summary.max_com_error - settled).abs(), 1e-15);
     assert!(distances.iter().copied().fold(0.0, f64::max) > 2.0 * settled);
 }
 
@@ -191,7 +187,7 @@ fn figures_of_a_made_up_log() {
     set(&mut log, "qp_status", 5, 2.0);
     let of = Summary::new(&log, times.len());
     // Sums of squares and their roots are within a few roundings.
-    let near = |found: f64, expected: f64| crate::common::assert_within!((found - expected).abs(), 1e-14);
+    let near = |found: f64, expected: f64| assert_within!((found - expected).abs(), 1e-14);
     assert_eq!(
         [of.max_com_error, of.max_com_error_x, of.max_com_error_y, of.max_com_error_z],
         [4.0, 0.0, 3.0, 4.0]
@@ -381,13 +377,9 @@ fn without_thrust_the_centre_of_mass_falls_freely() {
         let result = run(&config);
         assert!(result.fall.is_none());
         for (velocity, time) in data(&result, "com_velocity").chunks(3).zip(data(&result, "time")) {
-            crate::common::assert_within!(
-                (velocity[2] + 9.81 * time).abs(),
-                tolerance,
-                "{velocity:?} at {time} s"
-            );
-            crate::common::assert_within!(velocity[0].abs(), tolerance, "{velocity:?}");
-            crate::common::assert_within!(velocity[1].abs(), tolerance, "{velocity:?}");
+            assert_within!((velocity[2] + 9.81 * time).abs(), tolerance, because "free fall in steps of 10 ms: h²/12 of the acceleration's change", "{velocity:?} at {time} s");
+            assert_within!(velocity[0].abs(), tolerance, because "free fall in steps of 10 ms: h²/12 of the acceleration's change", "{velocity:?}");
+            assert_within!(velocity[1].abs(), tolerance, because "free fall in steps of 10 ms: h²/12 of the acceleration's change", "{velocity:?}");
         }
         let moving = data(&result, "joint_velocity").iter().fold(0.0_f64, |m, v| m.max(v.abs()));
         assert!(moving > 0.1, "joints move at {moving} rad/s");

@@ -1,5 +1,6 @@
 //! Wind profiles: their values, their joints, and what is refused.
 
+use super::common::assert_within;
 use flight_sim::{Wind, WindConfig};
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
@@ -12,7 +13,7 @@ fn wind(config: &WindConfig) -> Wind {
 #[track_caller]
 fn assert_blows(wind: &Wind, time: f64, expected: [f64; 3]) {
     let found = wind.velocity(time);
-    assert!((found - Vector3::from(expected)).amax() < 1e-14, "at {time} s: {found}");
+    assert_within!((found - Vector3::from(expected)).amax(), 1e-14, "at {time} s: {found}");
 }
 
 /// A constant wind is there at any time.
@@ -57,10 +58,10 @@ fn gust_is_one_minus_cosine() {
     }
     for join in [4.0, 10.0] {
         let slope = (wind.velocity(join + 1e-6) - wind.velocity(join - 1e-6)) / 2e-6;
-        assert!(slope.amax() < 1e-4, "slope {slope} at {join} s");
+        assert_within!(slope.amax(), 1e-4, "slope {slope} at {join} s");
     }
     let strongest = (0..=6000).map(|k| -wind.velocity(4.0 + f64::from(k) * 1e-3).y).fold(f64::MIN, f64::max);
-    assert!((strongest - 8.0).abs() < 1e-12);
+    assert_within!((strongest - 8.0).abs(), 1e-12);
 }
 
 fn file(folder: &Path, name: &str, text: &str) -> PathBuf {
