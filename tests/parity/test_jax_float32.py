@@ -22,6 +22,7 @@ BUDGET = {"mass_matrix": 2e-6, "bias": 4e-6, "momentum": 4e-6, "acceleration": 3
 """Relative to the largest entry; 10 m from the origin, where positions are good to 1e-6 m."""
 
 
+@pytest.mark.close_to_tolerance("a budget of single precision: a few units in the last place of the largest term")
 def test_the_budget_of_single_precision(agree):
     robot = load_robot(ROOT / "configs" / "robot" / "ironcub_mk1.toml")
     model = Axisymmetric(0.5 * np.float64(1.225), robot.aero_links.coefficients["corrected"])
