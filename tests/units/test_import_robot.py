@@ -31,6 +31,7 @@ def ascii_stl(corners):
 CORNERS = [tuple(map(float, corner)) for corner in product((-350, 350), (-300, 300), (-30, 30))]
 
 
+@pytest.mark.close_to_tolerance("the file names lengths in tenths of a millimetre")
 @pytest.mark.parametrize("stl", [binary_stl, ascii_stl])
 def test_meshes_named_by_package_give_the_sizes_of_links(tmp_path, stl, agree, measured):
     """The platform with a mesh in mm in place of its cylinder: it loads, trims and hovers."""

@@ -186,6 +186,7 @@ def test_spans_of_sound_values(values, known, text):
 # --- battery against fuel
 
 
+@pytest.mark.close_to_tolerance("the expected figure is typed to the digits that the tolerance allows")
 def test_the_papers_fuel_and_battery_come_out(measured):
     choice = engine_choice.Choice()
     assert round(choice.fuel(), 2) == engine_choice.PAPER_FUEL

@@ -158,6 +158,7 @@ def test_the_shipped_coefficients_are_those_of_the_calibration(calibrated, robot
     np.testing.assert_allclose(again.coefficients, model.coefficients, atol=2e-3)
 
 
+@pytest.mark.close_to_tolerance("the error is printed with four digits")
 def test_postures_it_has_not_seen_come_out_twice_as_well_as_with_the_axisymmetric_model(calibrated, measured):
     found = calibrated[1]["summary"]
     for posture, ours, axisymmetric in (("flight50", 0.0149, 0.0351), ("flight60", 0.0190, 0.0376)):

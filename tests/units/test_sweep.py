@@ -195,6 +195,7 @@ def test_chance_gets_a_seed_of_its_own_in_every_repeat():
 # --- counting
 
 
+@pytest.mark.close_to_tolerance("the expected figure is typed to the digits that the tolerance allows")
 @pytest.mark.parametrize(
     ("successes", "trials", "low", "high"),
     # Source: Newcombe (1998), table I: 81 of 263, 15 of 148, 0 of 20, 1 of 29.
