@@ -7,7 +7,7 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 PACKAGES := $(VENV)/.packages
 MODULE := $(VENV)/.module
 RUST_SOURCES := Cargo.toml Cargo.lock $(shell find rust -name '*.rs' -o -name Cargo.toml)
-DEMO := test1 test2 test1_published test2_published
+DEMO := test1 test2 test1_observer test1_published test2_published test1_published_observer
 
 # Where the Rust tests write what they measured, for the summary that pytest prints.
 MEASURED := $(abspath target/measured)
@@ -36,7 +36,7 @@ help: ## list the targets
 
 setup: $(MODULE) ## create .venv, install the pinned packages, compile the Rust module
 
-demo: $(MODULE) ## fly both controllers with right and with published lever arms: table and figure
+demo: $(MODULE) ## fly three controllers with corrected and with published lever arms: table and figure
 	$(BIN)/python -m experiments $(DEMO) --overwrite
 	$(BIN)/python -m paper_figs demo fig5
 

@@ -204,6 +204,8 @@ class JetFaultsConfig:
     """Thrust stays between zero and this times the robot's greatest thrust; without it nothing limits it."""
     failure: JetFailureConfig | None = None
     measurement_noise: MeasurementNoiseConfig | None = None
+    force_scale: dict[str, Array] = field(default_factory=dict)
+    """() force that a jet exerts over the thrust that it seems to have, by its name; the others exert their thrust."""
 
 
 # --- wind --------------------------------------------------------------------------------------------------------

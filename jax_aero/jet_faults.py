@@ -41,6 +41,8 @@ class JetFaults(NamedTuple):
     """[s]."""
     decay: Float[Array, ""]
     """Time constant with which it loses it [s]."""
+    force_scale: Float[Array, " j"]
+    """Force that each jet exerts over its thrust."""
     sensor_noise: Float[Array, "ticks j"] | None
     """Added to the thrust that estimators measure [N]; `None` where there are no estimators."""
 
@@ -71,6 +73,8 @@ def start_faults(
     names, failure = robot.jets.names, settings.failure
     if failure is not None and failure.jet not in names:
         raise ValueError(f"disturbances.jets.failure.jet is `{failure.jet}`; {robot.name} has {', '.join(names)}")
+    for name in settings.force_scale.keys() - set(names):
+        raise ValueError(f"disturbances.jets.force_scale has `{name}`; {robot.name} has {', '.join(names)}")
     if settings.measurement_noise is not None and isinstance(dynamics, Ideal):
         raise ValueError("disturbances.jets.measurement_noise disturbs estimators; jets of dynamics `ideal` have none")
     thrust_max, zero = jnp.asarray(robot.jets.thrust_max), jnp.zeros(())
@@ -86,6 +90,7 @@ def start_faults(
         is_stuck=jnp.array(failure is not None and failure.kind == "stuck"),
         failure_time=zero if failure is None else failure.time,
         decay=zero if failure is None else failure.decay,
+        force_scale=jnp.stack([jnp.asarray(settings.force_scale.get(name, 1.0)) for name in names]),
         sensor_noise=drawn,
     )
     rest = jnp.zeros_like(thrust_max)

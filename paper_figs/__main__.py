@@ -51,7 +51,7 @@ FIGURES: dict[str, tuple[Draw, Sequence[str], str]] = {
     "fig6": (fig6_balancing.draw, fig6_balancing.RUNS, "Fig. 6 a-l: ground experiments in frontal and lateral wind"),
     "suppl7": (suppl7.draw, suppl7.RUNS, "Suppl. Fig. 7: TEST1, TEST2, TEST3, robustness; corrected arms"),
     "suppl7_published": (suppl7.draw, suppl7.PUBLISHED, "Suppl. Fig. 7; published arms"),
-    "demo": (demo.draw, demo.RUNS, "both controllers, corrected and published lever arms"),
+    "demo": (demo.draw, demo.RUNS, "three controllers, corrected and published lever arms"),
     "surrogate": (surrogate.draw, surrogate.RUNS, "the panel model beside the wind tunnel"),
     "trim": (trim.draw, trim.RUNS, "winds that can be trimmed, and the thrust that is left"),
     "trajectory": (trajectory.draw, trajectory.RUNS, "planned trajectories, flown beside the paper's mission"),
@@ -82,6 +82,12 @@ SWEEPS: Sequence[str] = (
     "jet_dynamics",
     "ekf_noise",
     "sensitivity",
+    "observer_tests",
+    "observer_wind",
+    "observer_hover",
+    "observer_turbulence",
+    "observer_missions",
+    "observer_errors",
 )
 """Sweeps that `all` expects; others are drawn too where their results are."""
 

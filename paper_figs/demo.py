@@ -1,4 +1,4 @@
-"""What aerodynamic feedback is for: both controllers, with corrected and with published lever arms."""
+"""What aerodynamic feedback is for: three controllers, with corrected and with published lever arms."""
 
 from __future__ import annotations
 
@@ -13,25 +13,32 @@ from matplotlib.figure import Figure
 from paper_figs import panels, style
 from paper_figs.runs import Run, load
 
-RUNS = ("test1", "test2", "test1_published", "test2_published")
+RUNS = (
+    *("test1", "test2", "test1_observer"),
+    *("test1_published", "test2_published", "test1_published_observer"),
+)
 COLUMNS = ("corrected lever arms", "published lever arms")
-CONTROLLERS = (("baseline", style.VERMILION, "-"), ("aerodynamic-aware", style.BLUE, "--"))
+CONTROLLERS = (
+    ("baseline", style.VERMILION, "-"),
+    ("aerodynamic-aware", style.BLUE, "--"),
+    ("observer, no model", style.GREEN, ":"),
+)
 
 
 def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
-    """Draw four runs: baseline and aware with corrected arms, then the same with published arms."""
+    """Draw six runs: baseline, aware and observer with corrected arms, then the same with published arms."""
     runs = [load(results, name) for name in names]
     figure, grid = plt.subplots(
-        5,
+        6,
         2,
-        figsize=(style.FULL_WIDTH, 8.2),
+        figsize=(style.FULL_WIDTH, 9.4),
         layout="constrained",
         sharex=True,
         sharey="row",
-        height_ratios=(1.2, 1.2, 1.2, 1.2, 0.8),
+        height_ratios=(1.2, 1.2, 1.2, 1.2, 1.2, 0.8),
     )
     for column, title in enumerate(COLUMNS):
-        pair = runs[2 * column : 2 * column + 2]
+        same_arms = runs[len(CONTROLLERS) * column :][: len(CONTROLLERS)]
         grid[0, column].annotate(
             title,
             (0.5, 1.0),
@@ -42,18 +49,18 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
             size=9,
             weight="bold",
         )
-        _rotation_error(grid[0, column], pair)
-        _com_error(grid[1, column], pair)
-        for row, (run, (controller, _, _)) in enumerate(zip(pair, CONTROLLERS, strict=True), start=2):
+        _rotation_error(grid[0, column], same_arms)
+        _com_error(grid[1, column], same_arms)
+        for row, (run, (controller, _, _)) in enumerate(zip(same_arms, CONTROLLERS, strict=True), start=2):
             panels.thrusts(grid[row, column], run)
             grid[row, column].set_title(f"thrusts, {controller}")
             if run.fall_time is not None:
                 style.mark_fall(grid[row, column], run.fall_time)
-        panels.wind(grid[4, column], max(pair, key=lambda run: run.data.sizes["time"]))
-        grid[4, column].set_xlabel("time [s]")
+        panels.wind(grid[-1, column], max(same_arms, key=lambda run: run.data.sizes["time"]))
+        grid[-1, column].set_xlabel("time [s]")
     for axes in grid[:, 1]:
         axes.set_ylabel("")
-    for row, columns in ((0, 1), (2, 2), (4, 3)):
+    for row, columns in ((0, 1), (2, 2), (5, 3)):
         grid[row, 0].legend(ncols=columns)
     for axes in grid[:2, 0]:
         axes.set_ylim(bottom=0.0)  # last, and shared along the row: it ends autoscaling
@@ -61,8 +68,8 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
     return figure, {run.name: run.config_hash for run in runs}
 
 
-def _rotation_error(axes: Axes, pair: Sequence[Run]) -> None:
-    for run, (controller, colour, dash) in zip(pair, CONTROLLERS, strict=True):
+def _rotation_error(axes: Axes, runs: Sequence[Run]) -> None:
+    for run, (controller, colour, dash) in zip(runs, CONTROLLERS, strict=True):
         error = np.degrees(run.flown["rotation_error"])
         axes.plot(error["time"], error, dash, color=colour, label=controller)
         if run.fall_time is not None:
@@ -71,8 +78,8 @@ def _rotation_error(axes: Axes, pair: Sequence[Run]) -> None:
     axes.set_ylabel("error [deg]")
 
 
-def _com_error(axes: Axes, pair: Sequence[Run]) -> None:
-    for run, (controller, colour, dash) in zip(pair, CONTROLLERS, strict=True):
+def _com_error(axes: Axes, runs: Sequence[Run]) -> None:
+    for run, (controller, colour, dash) in zip(runs, CONTROLLERS, strict=True):
         error = run.com_error()
         axes.plot(error["time"], error, dash, color=colour, label=controller)
         if run.fall_time is not None:

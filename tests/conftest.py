@@ -136,6 +136,7 @@ def made_up_results(tmp_path: Path, robot: MadeUpRobot) -> Path:
     """A results folder with the flights the figures show; one of them falls."""
     results = tmp_path / "flight"
     falls = {"test1": None, "test2": None, "test1_published": 21.5, "test2_published": None}
+    falls |= dict.fromkeys(["test1_observer", "test1_published_observer"])
     falls |= dict.fromkeys(["test3", "test4", "robustness", "test4_published", "robustness_published"])
     falls |= {"test3_published": 20.5}
     for name, fall_time in falls.items():

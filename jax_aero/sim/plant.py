@@ -192,7 +192,10 @@ def _advance_jets(plant: Plant, state: PlantState, command: Array) -> tuple[Jets
 def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: Array, step: Array) -> State:
     robot, kin = plant.robot, seen.kinematics
     rotations, points = frame_poses(kin, robot.jets.bodies, robot.jets.rotations, robot.jets.positions)
-    thrusts = state.jets.thrust[:, None] * rotate(rotations, robot.jets.axes)
+    thrust = state.jets.thrust
+    if plant.jet_faults is not None:
+        thrust = plant.jet_faults.force_scale * thrust
+    thrusts = thrust[:, None] * rotate(rotations, robot.jets.axes)
     # One point for moment and Jacobian: a rigid body cannot tell them apart.
     force = (
         generalised_force(robot, kin, robot.jets.bodies, points, thrusts)

@@ -41,6 +41,7 @@ CASES = {
         "disturbances.wind_estimate": {"mean_only": True, "noise_std": 0.1, "seed": 5},
         "controller.aero_feedback.momentum_rate": "force",
         "disturbances.jets.failure": {"jet": "l_arm_jet", "time": 2.0, "kind": "stuck"},
+        "disturbances.jets.force_scale": {"r_arm_jet": 0.98},
     },
     "noise as it comes, weak jets that are known to be weak": {
         "disturbances.wind_estimate": {"noise_std": 1.5, "seed": 2**40 + 1},

@@ -47,3 +47,13 @@ def test_test1_and_test2_differ_in_the_controller_alone():
     first, second = (rust.load_config(ROOT / f"configs/experiments/test{n}.toml") for n in (1, 2))
     different = {key for key in first if first[key] != second[key]}
     assert different == {"title", "description", "controller"}
+
+
+@pytest.mark.parametrize("name", ["observer_tests", "observer_missions"])
+def test_a_sweep_that_adds_the_observer_adds_the_recommended_one(name):
+    def table(path):
+        return tomllib.loads((ROOT / "configs" / path).read_text(encoding="utf-8"))
+
+    recommended, added = table("control/observer.toml"), table(f"sweeps/{name}.toml")["set"]
+    assert added["controller.observer"] == recommended["observer"]
+    assert added["controller.weights.joint_velocity"] == recommended["weights"]["joint_velocity"]

@@ -238,6 +238,12 @@ impl Jets {
         &self.thrust
     }
 
+    /// Force that a jet exerts along its axis \[N\].
+    #[must_use]
+    pub fn force(&self, jet: usize) -> f64 {
+        self.thrust[jet] * self.faults.as_ref().map_or(1.0, |faults| faults.force_scale(jet))
+    }
+
     /// Thrust that the flight controller is given \[N\], per jet.
     #[must_use]
     pub fn thrust_feedback(&self) -> &[f64] {

@@ -183,9 +183,9 @@ impl Plant {
         for (joint, torque) in torque.iter().enumerate() {
             force[6 + joint] += torque;
         }
-        for (jet, thrust) in self.robot.jets.iter().zip(self.jets.thrust()) {
+        for (index, jet) in self.robot.jets.iter().enumerate() {
             let pose = self.kinematics.frame_pose(&jet.frame);
-            let thrust_force = pose.rotation * jet.axis_f.into_inner() * *thrust;
+            let thrust_force = pose.rotation * jet.axis_f.into_inner() * self.jets.force(index);
             self.kinematics.add_generalised_force(jet.frame.body, &pose.position, &thrust_force, force);
         }
         let placed = self.frozen.as_ref().map_or(&self.kinematics, |(_, kinematics)| kinematics);

@@ -11,7 +11,7 @@ use flight_sim::disturbances::{
 };
 use flight_sim::jets::{Jets, JetsConfig, SecondOrderConfig};
 use flight_sim::noise::Noise;
-use flight_sim::{FlightResult, Scenario, ScenarioConfig, Wind, WindConfig, scenario_from_value};
+use flight_sim::{FlightResult, Plant, Scenario, ScenarioConfig, Wind, WindConfig, scenario_from_value};
 use nalgebra::Vector3;
 
 const STEP: f64 = 0.01;
@@ -182,6 +182,33 @@ fn limits_hold_and_what_lies_beyond_is_not_remembered() {
         jets.advance(&[-100.0; 4], STEP);
     }
     assert_eq!(jets.thrust(), [0.0; 4]);
+}
+
+/// A jet that exerts less than its thrust accelerates the robot less, by exactly that force at that jet.
+#[test]
+fn a_jet_exerts_another_force_than_its_thrust() {
+    let velocity = |scale: Option<(&str, f64)>, thrust: [f64; 4]| {
+        let mut config = experiment("no_wind");
+        config.simulator.initial.free_fall_tick = false;
+        config.simulator.initial.thrust = thrust.to_vec();
+        config.disturbances.jets.force_scale =
+            scale.into_iter().map(|(jet, scale)| (jet.to_owned(), scale)).collect();
+        let mut plant = Plant::new(robot("ironcub_mk1"), &config.simulator, &config.disturbances).unwrap();
+        plant.observe(&Vector3::zeros());
+        plant.advance(&[0.0; 23], &[0.0; 4], &Vector3::zeros(), STEP);
+        assert_eq!(plant.jets().thrust(), thrust, "what is measured stays");
+        plant.state().velocity.clone()
+    };
+    let [a, b, c, d] = THRUST;
+    let weak = velocity(Some(("r_arm_jet", 0.9)), THRUST);
+    assert_within!((weak.clone() - velocity(None, [a, 0.9 * b, c, d])).amax(), 1e-12);
+    assert!((weak - velocity(None, THRUST)).amax() > 1e-3);
+    let refusal = |jet: &str, scale: f64| {
+        let faults = JetFaultsConfig { force_scale: [(jet.to_owned(), scale)].into(), ..Default::default() };
+        faults.check(&robot("ironcub_mk1").jets).unwrap_err().to_string()
+    };
+    assert!(refusal("arm", 0.9).contains("disturbances.jets.force_scale"));
+    assert!(refusal("r_arm_jet", -0.1).contains("disturbances.jets.force_scale.r_arm_jet is -0.1"));
 }
 
 #[test]

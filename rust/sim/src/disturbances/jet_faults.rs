@@ -9,6 +9,7 @@ use flight_core::error::{BuildError, check};
 use flight_core::robot::Jet;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Stream of the measurement noise.
 const MEASUREMENT_STREAM: u64 = 1;
@@ -31,6 +32,10 @@ pub struct JetFaultsConfig {
     /// Noise on the thrust that the estimators of second-order jets measure.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub measurement_noise: Option<MeasurementNoise>,
+    /// Force that a jet exerts, over the thrust that it seems to have, by its name; jets that are not named
+    /// exert their thrust.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub force_scale: BTreeMap<String, f64>,
 }
 
 impl Default for JetFaultsConfig {
@@ -41,6 +46,7 @@ impl Default for JetFaultsConfig {
             limit_is_known: false,
             lag: 0.0,
             measurement_noise: None,
+            force_scale: BTreeMap::new(),
         }
     }
 }
@@ -97,7 +103,7 @@ impl JetFaultsConfig {
             check(&format!("disturbances.jets.{name}"), value, accept, expected).map(|_| ())
         };
         if let Some(failure) = &self.failure {
-            index_of(&failure.jet, jets)?;
+            index_of("failure.jet", &failure.jet, jets)?;
             at("failure.time", failure.time, &|t| t >= 0.0, "seconds ≥ 0")?;
             at("failure.decay", failure.decay, &|t| t >= 0.0, "seconds ≥ 0")?;
         }
@@ -106,6 +112,10 @@ impl JetFaultsConfig {
         }
         if let Some(noise) = &self.measurement_noise {
             at("measurement_noise.std", noise.std, &|x| x >= 0.0, "newtons ≥ 0")?;
+        }
+        for (jet, scale) in &self.force_scale {
+            index_of("force_scale", jet, jets)?;
+            at(&format!("force_scale.{jet}"), *scale, &|x| x >= 0.0, "a factor ≥ 0")?;
         }
         at("lag", self.lag, &|t| t >= 0.0, "seconds ≥ 0")
     }
@@ -121,11 +131,11 @@ impl JetFaultsConfig {
 }
 
 /// Place of a jet in every thrust vector.
-fn index_of(name: &str, jets: &[Jet]) -> Result<usize, BuildError> {
+fn index_of(key: &str, name: &str, jets: &[Jet]) -> Result<usize, BuildError> {
     let names = || jets.iter().map(|jet| jet.name.as_str());
     names()
         .position(|jet| jet == name)
-        .ok_or_else(|| BuildError::unknown_name("disturbances.jets.failure.jet", name, names()))
+        .ok_or_else(|| BuildError::unknown_name(format!("disturbances.jets.{key}"), name, names()))
 }
 
 /// Faults in time.
@@ -137,6 +147,8 @@ pub struct JetFaults {
     pub sensor: Sensor,
     /// Greatest thrust of each jet \[N\]; empty without limits.
     limits: Vec<f64>,
+    /// Force of each jet over its thrust.
+    force_scale: Vec<f64>,
     failing: Option<Failing>,
 }
 
@@ -192,7 +204,7 @@ impl JetFaults {
         config.check(jets)?;
         let failing = |failure: &JetFailure| {
             Ok(Failing {
-                jet: index_of(&failure.jet, jets)?,
+                jet: index_of("failure.jet", &failure.jet, jets)?,
                 kind: failure.kind,
                 decay: failure.decay,
                 left: failure.time,
@@ -205,8 +217,18 @@ impl JetFaults {
             response: Response { lag: config.lag, command: vec![0.0; jets.len()] },
             sensor: Sensor { std, noise: Noise::new(seed, MEASUREMENT_STREAM) },
             limits: limits.flat_map(|scale| jets.iter().map(move |jet| jet.thrust_max * scale)).collect(),
+            force_scale: jets
+                .iter()
+                .map(|jet| config.force_scale.get(&jet.name).copied().unwrap_or(1.0))
+                .collect(),
             failing: config.failure.as_ref().map(failing).transpose()?,
         })
+    }
+
+    /// Force that a jet exerts over its thrust.
+    #[must_use]
+    pub fn force_scale(&self, jet: usize) -> f64 {
+        self.force_scale[jet]
     }
 
     /// What a jet really gives after a step of `dt` \[s\] to `thrust` \[N\] and `thrust_rate` \[N/s\].
