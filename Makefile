@@ -76,6 +76,7 @@ reproduce: $(MODULE) ## fly everything, draw everything, write results/report.md
 	$(BIN)/python -m experiments sweep --all
 	$(BIN)/python -m experiments engine-choice
 	$(BIN)/python -m experiments force-rate
+	$(BIN)/python -m experiments observer-limit
 	$(BIN)/python -m experiments tip-over
 	$(BIN)/python -m experiments calibrate-surrogate
 	$(BIN)/python -m experiments identify-aero

@@ -1,9 +1,10 @@
 """Run flights by name and say how they ended.
 
 Other commands, each explained by `python -m experiments COMMAND --help`: `sweep` (many perturbed flights), `report`
-(all results on one page), `trim`, `trajectory`, `force-rate`, `tip-over`, `engine-choice` (battery against fuel),
-`import-robot` (from a URDF to a robot that flies), `identify-aero` (coefficients from a flight's log), `import-cfd`,
-`fit-aero`, `calibrate-surrogate`, `surrogate-dataset` (data to learn from), `train` and `train-search` (networks).
+(all results on one page), `trim`, `trajectory`, `force-rate`, `observer-limit`, `tip-over`, `engine-choice` (battery
+against fuel), `import-robot` (from a URDF to a robot that flies), `identify-aero` (coefficients from a flight's log),
+`import-cfd`, `fit-aero`, `calibrate-surrogate`, `surrogate-dataset` (data to learn from), `train` and `train-search`
+(networks).
 
 A result goes to `results/flight/NAME/`; with --set, the folder's name states the changes, e.g.
 `test1--wind.velocity=0_-12_0`. With --out DIR it goes to `DIR/NAME/`, whatever was set.
@@ -32,6 +33,7 @@ COMMANDS = {
     "trim": "experiments.trim",
     "trajectory": "experiments.trajectory",
     "force-rate": "experiments.force_rate",
+    "observer-limit": "experiments.observer_limit",
     "tip-over": "experiments.tip_over",
     "identify-aero": "experiments.identify_aero",
     "import-robot": "experiments.import_robot.command",

@@ -20,6 +20,7 @@ from paper_figs import (
     force_rate,
     identify,
     maps,
+    observer_limit,
     runs,
     scatter,
     style,
@@ -57,6 +58,7 @@ FIGURES: dict[str, tuple[Draw, Sequence[str], str]] = {
     "trajectory": (trajectory.draw, trajectory.RUNS, "planned trajectories, flown beside the paper's mission"),
     "identify": (identify.draw, identify.RUNS, "aerodynamic coefficients identified from one flight's log"),
     "tip_over": (tip_over.draw, tip_over.RUNS, "what wind tips the standing robot over"),
+    "observer_limit": (observer_limit.draw, observer_limit.RUNS, "the greatest dM/dθ against the observer's gain"),
     "force_rate": (force_rate.draw, force_rate.RUNS, "the aerodynamic force rate that the controller leaves out"),
 }
 """Figures of single flights."""

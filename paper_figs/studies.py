@@ -9,6 +9,7 @@ import xarray as xr
 from paper_figs.runs import MissingRun
 
 COMMANDS = {
+    "observer_limit": "python -m experiments observer-limit",
     "tip_over": "python -m experiments tip-over",
     "fit": "python -m experiments fit-aero",
     "training": "python -m experiments train compact --dataset results/datasets/freestream.nc",

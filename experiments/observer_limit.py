@@ -1,0 +1,168 @@
+"""How fast a moment may grow with the attitude before the robot turns over: predicted and flown.
+
+`python -m experiments observer-limit` lets a moment M = k_a θ act about one axis of the hovering robot, θ its rotation
+about that axis, without any wind or aerodynamic model. The greatest k_a that is held is found twice for every gain of
+the observer: from the eigenvalues of the linearised loop, whose Jacobian CasADi derives, and by flights of the crate's
+plant and controller. The result goes to `results/observer_limit/hover/`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from experiments import Refused, flight, study
+from jax_aero import rust
+
+AXES = {"roll": 0, "yaw": 2}
+"""Places in base axes."""
+GAINS = (0.0, 1.0, 2.0, 3.0, 5.0, 10.0)
+"""K_o [1/s]; zero is the published controller."""
+EXPERIMENT = "test1_observer"
+SETTINGS = {"mission": {}, "simulator.initial.free_fall_tick": False}
+PUSH, PUSHED = 0.1, 0.3
+"""Moment that begins the motion, and how long it acts [N m, s]."""
+LOST = 0.5
+"""A rotation whose sine is beyond this does not come back."""
+DURATION = 12.0
+"""Of a flight [s]."""
+SEARCH = (0.2, 200.0)
+"""Where the limit is sought [N m/rad]."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    parser = argparse.ArgumentParser(prog="python -m experiments observer-limit", description=__doc__)
+    parser.parse_args(arguments)
+    try:
+        document = run()
+    except Refused as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return 2
+    for key, value in document["summary"].items():
+        print(f"{key:<44} {value:.4g}")
+    return 0
+
+
+def run(gains: Sequence[float] = GAINS, axes: Sequence[str] = tuple(AXES)) -> dict[str, Any]:
+    """Predict, fly, write; return the manifest."""
+    config = rust.load_config(flight.find(EXPERIMENT), SETTINGS)
+    started = time.perf_counter()
+    inertia = hovering_inertia(config)
+    predicted = [[predicted_limit(config, inertia[AXES[axis], AXES[axis]], gain) for gain in gains] for axis in axes]
+    flown = [[flown_limit(config, AXES[axis], gain) for gain in gains] for axis in axes]
+    timings = {"all": time.perf_counter() - started}
+    digest = rust.config_digest(config)
+    what = {"predicted": "from the linearised loop", "flown": "of the crate's plant and controller"}
+    data = xr.Dataset(
+        {
+            key: (("axis", "gain"), values, {"units": "N m rad-1", "long_name": f"greatest dM/dtheta, {what[key]}"})
+            for key, values in (("predicted", predicted), ("flown", flown))
+        },
+        {"axis": list(axes), "gain": ("gain", list(gains), {"units": "s-1"})},
+        {"title": "Greatest destabilising moment slope", "config_hash": digest},
+    )
+    summary = {
+        f"{axis}, K_o {gain:g}: {key} [N m/rad]": float(data[key].sel(axis=axis, gain=gain))
+        for axis in axes
+        for gain in gains
+        for key in what
+    }
+    document = study.build_manifest("hover", "Limit of the observer", config, digest, summary=summary, timings=timings)
+    study.write(study.RESULTS / "observer_limit" / "hover", data, document)
+    return document
+
+
+def loop(inertia: float, c0: float, c1: float, gain: float, slope: float) -> NDArray[np.float64]:
+    """Jacobian of the loop of one axis: rotation θ, rate ω, moment M of the jets, observed moment ŵ."""
+    x = ca.SX.sym("x", 4)
+    angle, rate, moment, observed = ca.vertsplit(x)
+    known = moment + observed  # k̇ as the controller estimates it, M59
+    demand = -rate - (1.0 + c0 / inertia) * known - c0 / inertia * ca.sin(angle) - c1 * rate  # M60
+    acting = slope * angle
+    motion = ca.vertcat(rate, (moment + acting) / inertia, demand, gain * (acting - observed))  # M83
+    return np.array(ca.DM(ca.Function("jacobian", [x], [ca.jacobian(motion, x)])(np.zeros(4))))
+
+
+def predicted_limit(config: Mapping[str, Any], inertia: float, gain: float) -> float:
+    """Return the greatest slope [N m/rad] whose linear loop has no growing mode."""
+    gains = config["controller"]["momentum"]
+
+    def is_held(slope: float) -> bool:
+        modes = np.linalg.eigvals(loop(inertia, gains["c0"], gains["c1"], gain, slope))
+        return bool(modes.real.max() < 1e-9)  # an observer that does not move is a mode at zero
+
+    return _limit(is_held, 1e-4)
+
+
+def flown_limit(config: Mapping[str, Any], axis: int, gain: float) -> float:
+    """Return the greatest slope [N m/rad] with which the robot comes back."""
+    return _limit(lambda slope: comes_back(config, axis, gain, slope), 0.02)
+
+
+def comes_back(config: Mapping[str, Any], axis: int, gain: float, slope: float) -> bool:
+    """Push a hovering robot about one axis of its base, with a moment that grows with the rotation about it."""
+    settings = rust.load_config(flight.find(EXPERIMENT), {**SETTINGS, "controller.observer.gain_moment": gain})
+    plant, controller = rust.Plant(settings), rust.Controller(settings)
+    measured = plant.reset()
+    desired = np.asarray(measured.state.base_rotation)
+    angles = []
+    for _ in range(round(DURATION / config["simulator"]["time_step"])):
+        tick = controller.tick(measured.state, measured.thrust, np.zeros(3), measured.time)
+        rotation = np.asarray(measured.state.base_rotation)
+        angles.append(_rotation_about(axis, desired.T @ rotation))
+        if abs(angles[-1]) > LOST:
+            return False
+        push = PUSH if measured.time < PUSHED else 0.0
+        acting = rotation[:, axis] * (slope * angles[-1] + push)
+        measured = plant.step(tick.thrust_rate, tick.joint_torque, couple(tick, acting))
+    middle, end = np.array_split(np.abs(angles), 3)[1:]
+    return bool(end.max() < middle.max())
+
+
+def hovering_inertia(config: Mapping[str, Any]) -> NDArray[np.float64]:
+    """Return the centroidal inertia of the hovering robot, base axes [kg m²]."""
+    measured = rust.Plant(config).reset()
+    tick = rust.Controller(config).tick(measured.state, measured.thrust, np.zeros(3), 0.0)
+    rotation = np.asarray(measured.state.base_rotation)
+    inertia: NDArray[np.float64] = rotation.T @ tick.centroidal_inertia @ rotation
+    return inertia
+
+
+def couple(tick: rust.Tick, moment: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the least link forces that add up to no force and this moment about the centre of mass."""
+    arms = tick.link_arm_points - tick.com_position
+    rows = np.vstack([np.hstack([np.eye(3)] * len(arms)), np.hstack([_skew(arm) for arm in arms])])
+    found, *_ = np.linalg.lstsq(rows, np.concatenate([np.zeros(3), moment]), rcond=None)
+    return np.asarray(found, dtype=np.float64).reshape(-1, 3)
+
+
+def _limit(is_held: Callable[[float], bool], accuracy: float) -> float:
+    """Return the greatest slope that is held, by bisection of its logarithm."""
+    low, high = SEARCH
+    while high / low > 1.0 + accuracy:
+        middle = float(np.sqrt(low * high))
+        low, high = (middle, high) if is_held(middle) else (low, middle)
+    return low
+
+
+def _rotation_about(axis: int, error: NDArray[np.float64]) -> float:
+    """Sine of a rotation about one axis, as the attitude law has it (M59)."""
+    before, after = (axis + 1) % 3, (axis + 2) % 3
+    return float(error[after, before] - error[before, after]) / 2.0
+
+
+def _skew(v: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,57 @@
+"""The limit of the observer: the linearised loop, and flights on both sides of what it predicts."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from experiments import observer_limit, study
+from paper_figs import observer_limit as figure_of_limit
+
+
+@pytest.fixture(scope="module")
+def config():
+    return observer_limit.rust.load_config(
+        observer_limit.flight.find(observer_limit.EXPERIMENT), observer_limit.SETTINGS
+    )
+
+
+@pytest.mark.parametrize("inertia", [0.7, 3.0])
+def test_without_an_observer_the_limit_is_the_stiffness_of_the_attitude_law(config, inertia, agree):
+    """M67: e = (1 + I/c0) d, so that d = k_a e is held up to k_a = c0 / (c0 + I)."""
+    found = observer_limit.predicted_limit(config, inertia, 0.0)
+    agree("stiffness", found, 50.0 / (50.0 + inertia), 1e-3)
+
+
+def test_an_observer_raises_it_the_faster_the_more(config):
+    limits = [observer_limit.predicted_limit(config, 0.7, gain) for gain in (0.0, 1.0, 3.0, 10.0)]
+    assert np.all(np.diff(limits) > 1.0)
+
+
+@pytest.mark.parametrize("gain", [0.0, 3.0])
+def test_a_flight_comes_back_below_the_limit_and_not_above(config, gain):
+    """The predicted limit of yaw within 20 %."""
+    axis = observer_limit.AXES["yaw"]
+    limit = observer_limit.predicted_limit(config, observer_limit.hovering_inertia(config)[axis, axis], gain)
+    assert observer_limit.comes_back(config, axis, gain, 0.8 * limit)
+    assert not observer_limit.comes_back(config, axis, gain, 1.2 * limit)
+
+
+def test_the_couple_is_one(config, agree, measured):
+    plant = observer_limit.rust.Plant(config)
+    start = plant.reset()
+    tick = observer_limit.rust.Controller(config).tick(start.state, start.thrust, np.zeros(3), 0.0)
+    wanted = np.array([1.0, -2.0, 3.0])
+    forces = observer_limit.couple(tick, wanted)
+    measured("total force", np.abs(forces.sum(axis=0)).max(), 1e-12)
+    arms = tick.link_arm_points - tick.com_position
+    agree("moment", np.cross(arms, forces).sum(axis=0), wanted, 1e-12)
+
+
+def test_the_result_and_the_figure(tmp_path, monkeypatch):
+    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    monkeypatch.setattr(observer_limit, "DURATION", 0.05)
+    document = observer_limit.run(gains=(3.0,), axes=("yaw",))
+    assert set(document["summary"]) == {f"yaw, K_o 3: {key} [N m/rad]" for key in ("predicted", "flown")}
+    figure, hashes = figure_of_limit.draw(tmp_path / "flight")
+    assert hashes == {"hover": document["config_digest"]}
+    plt.close(figure)
