@@ -237,8 +237,6 @@ class ContactTick:
         f_c that comes with the torques.
     a_c, jacobian, velocity_product
         A_c (6, 6 feet), J_c (6 feet, 6 + n) and J̇_c ν (6 feet).
-    standing_qp
-        The torque QP in (f_c, τ); `None` while the feet do not carry, when `Tick.torque_qp` is the one solved.
     """
 
     is_active: bool
@@ -248,7 +246,6 @@ class ContactTick:
     a_c: Array
     jacobian: Array
     velocity_product: Array
-    standing_qp: RowProblem | None
 
 
 class Plant:
@@ -329,7 +326,7 @@ class Tick:
     joint_acceleration_desired, joint_acceleration_free, torque_gain
         s̈*, s̈ without torque [rad/s²], and G = (M⁻¹)_ss.
     torque_qp, torque_answer, unlimited_torque, joint_torque
-        The QP in τ and its answer [N m], before and after the rate limiter.
+        The QP in τ, in (f_c, τ) for a controller that can stand, and its answer [N m], before and after the rate limiter.
     status
         "Nominal", or which part of the command is a safe substitute.
     posture, inertia_0_b, velocity_error_integral
@@ -370,7 +367,7 @@ class Tick:
     joint_acceleration_desired: Array
     joint_acceleration_free: Array
     torque_gain: Array
-    torque_qp: QpProblem
+    torque_qp: QpProblem | RowProblem
     torque_answer: QpAnswer
     unlimited_torque: Array
     joint_torque: Array
@@ -455,21 +452,17 @@ class Controller:
         raw = self._core.tick(time, *_arrays(state), _array(thrust), _array(wind), given, feet)
         contact = raw.pop("contact", None)
         momentum = QpProblem(raw.pop("h"), raw.pop("g"), raw.pop("lower"), raw.pop("upper"))
-        torque = QpProblem(*(raw.pop(f"torque_{part}") for part in ("h", "g", "lower", "upper")))
+        kind = QpProblem if contact is None else RowProblem
+        torque = kind(*(raw.pop(f"torque_{part}") for part in kind._fields))
         return Tick(
             momentum_answer=QpAnswer(**raw.pop("momentum_qp")),
             torque_answer=QpAnswer(**raw.pop("torque_qp")),
             momentum_qp=momentum,
             torque_qp=torque,
             setpoint=Setpoint(**raw.pop("setpoint")),
-            contact=None if contact is None else _contact_tick(contact),
+            contact=None if contact is None else ContactTick(**contact),
             **raw,
         )
-
-
-def _contact_tick(raw: dict[str, Any]) -> ContactTick:
-    parts = {name: raw.pop(name) for name in RowProblem._fields if name in raw}
-    return ContactTick(standing_qp=RowProblem(**parts) if parts else None, **raw)
 
 
 def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> Config:

@@ -22,10 +22,10 @@ pub mod contact;
 pub mod minimum_jerk;
 pub mod mission;
 pub mod momentum;
+pub mod momentum_qp;
 pub mod observer;
 pub mod recorded;
 pub mod setpoint;
-pub mod standing;
 pub mod state;
 pub mod tasks;
 pub mod torque;
@@ -45,11 +45,11 @@ use config::ControllerConfig;
 use contact::Contact;
 use mission::Mission;
 use momentum::MomentumModel;
+use momentum_qp::{MomentumQp, Task, TaskInputs};
 use nalgebra::{DVector, Matrix3, Vector3};
 use observer::Sample;
 use setpoint::{Setpoint, SetpointGenerator};
-use standing::StandingQp;
-use tasks::{MomentumQp, TaskInputs};
+use std::sync::Arc;
 use torque::{TorqueQp, limit_rate};
 
 /// Where the published integrator of the joint velocity error saturates \[rad\]; no flight comes near.
@@ -72,12 +72,10 @@ pub struct Terms {
     pub attitude: AttitudeDemand,
     /// Tasks and the momentum QP.
     pub momentum_qp: MomentumQp,
-    /// The torque QP of a robot that does not stand; of an earlier tick while the feet carry.
+    /// The torque QP.
     pub torque_qp: TorqueQp,
-    /// The feet, for a controller that can stand.
-    pub contact: Option<Contact>,
-    /// The torque QP of a robot that stands; up to date while the feet carry.
-    pub standing_qp: Option<StandingQp>,
+    /// The feet; none for a controller that only flies.
+    pub contact: Contact,
     /// Torques before the rate limiter \[N m\].
     pub unlimited_torque: DVector<f64>,
 }
@@ -101,7 +99,6 @@ pub struct Controller {
     solution: DVector<f64>,
     momentum_solver: QpChain,
     torque_solver: QpChain,
-    standing_solver: Option<QpChain>,
 }
 
 impl Controller {
@@ -127,13 +124,16 @@ impl Controller {
         }
         let joints = model.joints.len();
         let n = 6 + joints;
-        let feet = model.feet.len();
-        let contact = config.contact.as_ref();
-        let unknowns = model.jets.len() + contact.map_or(0, |_| contact::WRENCH * feet) + joints;
+        let contact = config.contact.clone().unwrap_or_default();
+        let momentum_qp = MomentumQp::new(&config, &model)?;
+        let torque_qp = TorqueQp::new(&config.torque, &contact, &model);
         let zero = Vector3::zeros();
         Ok(Self {
             n_jets,
             aero,
+            solution: DVector::zeros(momentum_qp.problem.len()),
+            momentum_solver: config.qp.chain(momentum_qp.problem.len(), 0),
+            torque_solver: config.qp.chain(torque_qp.problem.len(), torque_qp.problem.rows()),
             setpoint_generator: SetpointGenerator::new(
                 &config.setpoint,
                 mission,
@@ -147,11 +147,10 @@ impl Controller {
                 momentum: MomentumModel::new(&model),
                 setpoint: Setpoint::hold(zero, Matrix3::identity()),
                 attitude: AttitudeDemand { k_ddot_desired_b: zero, sigma_i: zero },
-                momentum_qp: MomentumQp::new(&config, &model)?,
-                torque_qp: TorqueQp::new(&model),
-                contact: contact.map(|contact| Contact::new(contact, &model)),
-                standing_qp: contact.map(|contact| StandingQp::new(&config.torque, contact, &model)),
                 unlimited_torque: DVector::zeros(joints),
+                contact: Contact::new(&contact, &model),
+                momentum_qp,
+                torque_qp,
             },
             command: Command {
                 thrust_rate: DVector::zeros(n_jets),
@@ -164,11 +163,6 @@ impl Controller {
             mass_factor: MassFactor::new(n),
             force: DVector::zeros(n),
             velocity_error: DVector::zeros(joints),
-            solution: DVector::zeros(unknowns),
-            momentum_solver: config.qp.chain(unknowns, 0),
-            torque_solver: config.qp.chain(joints, 0),
-            standing_solver: contact
-                .map(|_| config.qp.chain(contact::WRENCH * feet + joints, contact::WRENCH_ROWS * feet)),
             model,
             config,
             time_step,
@@ -197,8 +191,8 @@ impl Controller {
             measurement,
             &self.setpoint_generator.start(com, rotation),
             inertia_0_b,
-            contact.as_ref().map_or(0, |contact| contact.measured.len()),
-            self.solution.len(),
+            contact.measured.len(),
+            (self.solution.len(), self.terms.torque_qp.problem.len()),
         ))
     }
 
@@ -262,13 +256,13 @@ impl Controller {
         momentum.update(&self.model, kinematics, dynamics, thrust, link_forces, feedback);
         // What the observer compares with: the feet as measured, not as desired.
         let mut rate = momentum.rate_estimate;
-        if let Some(contact) = contact {
-            contact.measured.copy_from_slice(measurement.foot_wrenches);
-            contact.update(&mut state.contact, &self.model, kinematics, dynamics, self.time_step);
-            contact.add_measured(&mut rate);
-            if contact.is_active {
-                momentum.add_contact(&self.model, kinematics, dynamics, contact);
-            }
+        for (known, measured) in contact.measured.iter_mut().zip(measurement.foot_wrenches) {
+            *known = *measured;
+        }
+        contact.update(&mut state.contact, &self.model, kinematics, dynamics, self.time_step);
+        contact.add_measured(&kinematics.com, &mut rate);
+        if contact.is_active {
+            momentum.add_contact(&self.model, kinematics, dynamics, contact);
         }
         if let Some(config) = &self.config.observer {
             let sample = Sample { time: measurement.time, momentum: dynamics.momentum, rate };
@@ -301,9 +295,9 @@ impl Controller {
             attitude,
             inertia_0_b,
             posture: &state.posture,
-            contact: contact.as_ref(),
+            contact,
         };
-        momentum_qp.update(&self.model, &self.config.momentum, &inputs);
+        momentum_qp.update(&self.model, &inputs);
 
         self.momentum_solver.set_start(&state.momentum_start);
         let answer = self.momentum_solver.solve(&momentum_qp.problem);
@@ -315,28 +309,16 @@ impl Controller {
             self.command.status = CommandStatus::MomentumHeld;
             nearest_to_zero(&momentum_qp.problem, &mut self.solution);
         }
-        let jets = self.model.jets.len();
-        self.command.thrust_rate.rows_mut(0, jets).copy_from(&self.solution.rows(0, jets));
-        let joints = self.model.joints.len();
-        let first_joint = self.solution.len() - joints;
-        self.command.joint_velocity.copy_from(&self.solution.rows(first_joint, joints));
-        if let Some(contact) = contact {
-            contact.store_rate(&mut state.contact, &self.solution.as_slice()[jets..first_joint]);
-        }
+        let (jets, unknowns, u) = (self.model.jets.len(), &momentum_qp.unknowns, self.solution.as_slice());
+        self.command.thrust_rate.as_mut_slice()[..jets].copy_from_slice(&u[unknowns.thrust_rate.clone()]);
+        self.command.joint_velocity.copy_from_slice(&u[unknowns.joint_velocity.clone()]);
+        contact.store_rate(&mut state.contact, &u[unknowns.force_rate.clone()]);
     }
 
     /// Torques that let the joints follow the commanded velocities.
     fn solve_torque_qp(&mut self, state: &mut ControllerState, measurement: &Measurement) {
         let Terms {
-            kinematics,
-            dynamics,
-            link_forces,
-            momentum,
-            torque_qp,
-            contact,
-            standing_qp,
-            unlimited_torque,
-            ..
+            kinematics, dynamics, link_forces, momentum, torque_qp, contact, unlimited_torque, ..
         } = &mut self.terms;
         // Σ Jᵀ T a + J_aᵀ f_a − h
         self.force.copy_from(&dynamics.bias);
@@ -353,44 +335,27 @@ impl Controller {
             self.velocity_error[joint] = velocity - self.command.joint_velocity[joint];
         }
 
-        let mass_is_sound = self.mass_factor.factorise(&dynamics.mass_matrix);
-        let integral = &state.velocity_error_integral;
-        let standing = contact.as_mut().zip(standing_qp.as_mut()).zip(self.standing_solver.as_mut());
-        let standing = standing.filter(|((contact, _), _)| contact.is_active);
-        let answer = if !mass_is_sound {
-            QpAnswer::refused(QpStatus::NotPositiveDefinite)
-        } else if let Some(((contact, qp), solver)) = standing {
-            qp.update(
+        let answer = if self.mass_factor.factorise(&dynamics.mass_matrix) {
+            torque_qp.update(
                 &self.config.torque,
                 contact,
                 &self.mass_factor,
                 &mut self.force,
                 &self.velocity_error,
-                integral,
-            );
-            let answer = solver.solve(&qp.problem);
-            if answer.status == QpStatus::Solved {
-                let (forces, torques) = solver.x().split_at(contact.force.len());
-                contact.force_of_torques.as_mut_slice().copy_from_slice(forces);
-                unlimited_torque.as_mut_slice().copy_from_slice(torques);
-            }
-            answer
-        } else {
-            torque_qp.update(
-                &self.config.torque,
-                &self.mass_factor,
-                &mut self.force,
-                &self.velocity_error,
-                integral,
+                &state.velocity_error_integral,
             );
             self.torque_solver.set_start(&state.torque_start);
             let answer = self.torque_solver.solve(&torque_qp.problem);
             self.torque_solver.store_start(&mut state.torque_start);
-            unlimited_torque.as_mut_slice().copy_from_slice(self.torque_solver.x());
             answer
+        } else {
+            QpAnswer::refused(QpStatus::NotPositiveDefinite)
         };
         self.command.torque_qp = answer;
         if answer.status == QpStatus::Solved {
+            let (forces, torques) = self.torque_solver.x().split_at(torque_qp.foot_force.end);
+            contact.force_of_torques.copy_from_slice(forces);
+            unlimited_torque.copy_from_slice(torques);
             if !state.torque_is_known {
                 // The published rate limiter starts from its first input.
                 state.joint_torque.copy_from(unlimited_torque);
@@ -415,10 +380,18 @@ impl Controller {
         }
     }
 
+    /// Adds an objective of one's own to the momentum QP; not in a tick.
+    ///
+    /// # Errors
+    /// As [`MomentumQp::add`].
+    pub fn add_task(&mut self, task: Arc<dyn Task>) -> Result<(), BuildError> {
+        self.terms.momentum_qp.add(task)
+    }
+
     /// Whether a measurement is of this robot, finite and physically possible.
     fn accepts(&self, measurement: &Measurement) -> bool {
         let Measurement { time, state, thrust, wind, foot_wrenches } = measurement;
-        let feet = self.terms.contact.as_ref().map_or(0, |contact| contact.measured.len());
+        let feet = self.terms.contact.measured.len();
         state.n_joints() == self.model.joints.len()
             && state.velocity.len() == 6 + self.model.joints.len()
             && thrust.len() == self.n_jets
@@ -435,7 +408,7 @@ impl Controller {
     fn fits(&self, state: &ControllerState) -> bool {
         state.posture.len() == self.model.joints.len()
             && state.momentum_start.len() == self.solution.len()
-            && state.contact.force.len() == self.terms.contact.as_ref().map_or(0, |c| c.force.len())
+            && state.contact.force.len() == self.terms.contact.force.len()
     }
 
     /// The command of a tick that cannot act: nothing moves, torques stay.

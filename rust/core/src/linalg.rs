@@ -325,25 +325,26 @@ pub fn invert_symmetric(l: &[f64], n: usize, ld: usize, work: &mut [f64], invers
     );
 }
 
-/// Writes the square `A A` of a symmetric `n × n` matrix.
+/// Writes `A Aᵀ` of a matrix of `n` rows.
 ///
 /// # Panics
-/// If either slice does not hold an `n × n` matrix.
-pub fn square_symmetric(a: &[f64], n: usize, square: &mut [f64]) {
+/// If `product` does not hold an `n × n` matrix.
+pub fn times_transpose(a: &[f64], n: usize, product: &mut [f64]) {
     dispatch(
         #[inline(always)]
-        |fused| outer_product(fused, a, n, |_| 0, square),
+        |fused| outer_product(fused, a, n, |_| 0, product),
     );
 }
 
-/// `A Aᵀ` of a square matrix whose row i is zero before column `start(i)`, which does not fall with i.
+/// `A Aᵀ` of a matrix of n rows, of which row i is zero before column `start(i)`, which does not fall with i.
 #[inline(always)]
 fn outer_product(fused: bool, a: &[f64], n: usize, start: impl Fn(usize) -> usize, product: &mut [f64]) {
     let tiled = if n < TALL { 0 } else { n / WIDE * WIDE };
+    let columns = a.len() / n.max(1);
     for j in (0..tiled).step_by(WIDE) {
         for (top, first) in tiles(j, n) {
             let from = start(top);
-            let sums = outer_sums::<TALL, WIDE>(fused, &a[from * n..], n, n - from, top, j);
+            let sums = outer_sums::<TALL, WIDE>(fused, &a[from * n..], n, columns - from, top, j);
             for (c, sums) in sums.iter().enumerate() {
                 product[(j + c) * n + first..][..top + TALL - first].copy_from_slice(&sums[first - top..]);
             }
@@ -351,7 +352,7 @@ fn outer_product(fused: bool, a: &[f64], n: usize, start: impl Fn(usize) -> usiz
     }
     for column in tiled..n {
         for row in column..n {
-            let entries = (start(row)..n).map(|k| a[row + k * n] * a[column + k * n]);
+            let entries = (start(row)..columns).map(|k| a[row + k * n] * a[column + k * n]);
             product[row + column * n] = entries.sum();
         }
     }

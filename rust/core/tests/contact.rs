@@ -133,7 +133,7 @@ fn the_momentum_rate_is_the_sum_of_what_acts() {
         let status = controller.tick(&measurement(&state, wind, &weight_on_both())).status;
         assert_eq!(status, CommandStatus::Nominal);
         let terms = controller.terms();
-        let contact = terms.contact.as_ref().unwrap();
+        let contact = &terms.contact;
         let (mut force, mut moment) = terms.link_forces.wrench_about(&terms.kinematics.com);
         assert!(force.norm() > 0.01);
         force.z -= terms.kinematics.mass() * 9.81;
@@ -210,7 +210,7 @@ fn the_standing_qp_is_its_definition() {
     state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.2..0.2));
     controller.tick(&measurement(&state, Vector3::new(-8.0, 3.0, 0.0), &weight_on_both()));
     let (terms, command) = (controller.terms(), controller.command());
-    let (contact, qp) = (terms.contact.as_ref().unwrap(), terms.standing_qp.as_ref().unwrap());
+    let (contact, qp) = (&terms.contact, &terms.torque_qp);
     let config = contact_config();
     let n = 29;
     let inverse = terms.dynamics.mass_matrix.clone().try_inverse().unwrap();
@@ -268,7 +268,7 @@ fn feet_are_contacts_by_name() {
     let mut one = named(&["r_sole"]);
     assert_eq!(first_tick(&mut one, &[right]).status, CommandStatus::Nominal);
     assert_eq!(one.terms().momentum_qp.problem.len(), 6 + 23);
-    let contact = one.terms().contact.as_ref().unwrap();
+    let contact = &one.terms().contact;
     assert!(contact.is_active);
     assert_eq!(contact.soles.len(), 1);
 
@@ -290,10 +290,10 @@ fn the_momentum_qp_on_the_ground_is_its_tasks() {
     state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.2..0.2));
     controller.tick(&measurement(&state, Vector3::new(-8.0, 3.0, 0.0), &weight_on_both()));
     let terms = controller.terms();
-    let (contact, qp) = (terms.contact.as_ref().unwrap(), &terms.momentum_qp);
+    let (contact, qp) = (&terms.contact, &terms.momentum_qp);
     assert_eq!(qp.problem.len(), 35, "wrench rates and joint velocities; jets are not used");
     let weights = DVector::from_fn(9, |i, _| if i < 6 { 10.0 } else { 150.0 });
-    let task = DMatrix::from_fn(9, 35, |i, j| qp.task[(i, j)]);
+    let task = DMatrix::from_fn(9, 35, |i, j| qp.matrix[(j, i)]);
     let offset = DVector::from_fn(9, |i, _| qp.offset[i]);
     let mut feet = DMatrix::zeros(12, 35);
     for joint in 0..23 {
@@ -311,8 +311,8 @@ fn the_momentum_qp_on_the_ground_is_its_tasks() {
     assert_eq!(qp.problem.h, qp.problem.h.transpose(), "exactly symmetric");
     assert_eq!(controller.command().thrust_rate, DVector::zeros(4));
     // A_c of the linear rows is the identity, twice.
-    assert_eq!(qp.task[(0, 0)], 1.0);
-    assert_eq!(qp.task[(2, 8)], 1.0);
+    assert_eq!(qp.matrix[(0, 0)], 1.0);
+    assert_eq!(qp.matrix[(8, 2)], 1.0);
 }
 
 /// Both feet above the threshold, or none: `f_c*` starts from what is felt and is zero otherwise.
@@ -323,7 +323,7 @@ fn contact_switches_with_what_the_feet_feel() {
     let still = Vector3::zeros();
     let mut tick = |feet: &[Vector6<f64>; 2]| {
         assert_eq!(controller.tick(&measurement(&state, still, feet)).status, CommandStatus::Nominal);
-        let contact = controller.terms().contact.as_ref().unwrap();
+        let contact = &controller.terms().contact;
         (contact.is_active, contact.force.clone(), contact.force_rate.clone())
     };
     let (active, force, rate) = tick(&[Vector6::zeros(); 2]);
@@ -360,7 +360,7 @@ fn small_force_rates_are_dropped() {
     let feet = weight_on_both();
     for _ in 0..3 {
         controller.tick(&measurement(&state, Vector3::new(8.0, 3.0, 0.0), &feet));
-        assert_eq!(controller.terms().contact.as_ref().unwrap().force_rate.amax(), 0.0);
+        assert_eq!(controller.terms().contact.force_rate.amax(), 0.0);
     }
 }
 

@@ -4,10 +4,9 @@ use crate::arrays::{Input, array, entries, matrix, matrix3, value_error, vector,
 use crate::flight::parse;
 use crate::qp::answer;
 use crate::robot::state;
-use flight_core::control::contact::Contact;
 use flight_core::control::setpoint::{Setpoint, SetpointGenerator};
-use flight_core::control::standing::StandingQp;
-use flight_core::control::{BadStart, ControllerState as State};
+use flight_core::control::tasks::MOMENTUM_ROWS;
+use flight_core::control::{BadStart, ControllerState as State, Terms};
 use flight_core::{Measurement, RobotState};
 use flight_io::{load_mission, load_robot};
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
@@ -208,8 +207,9 @@ impl Controller {
 
         out.set_item("k_ddot_desired", vector(py, terms.attitude.k_ddot_desired_b.as_slice())?)?;
         out.set_item("sigma", vector(py, terms.attitude.sigma_i.as_slice())?)?;
-        out.set_item("task", matrix(py, &terms.momentum_qp.task)?)?;
-        out.set_item("task_offset", vector(py, terms.momentum_qp.offset.as_slice())?)?;
+        let tasks = &terms.momentum_qp;
+        out.set_item("task", matrix(py, &tasks.matrix.columns(0, MOMENTUM_ROWS).transpose())?)?;
+        out.set_item("task_offset", vector(py, &tasks.offset.as_slice()[..MOMENTUM_ROWS])?)?;
         out.set_item("h", matrix(py, &terms.momentum_qp.problem.h)?)?;
         out.set_item("g", vector(py, terms.momentum_qp.problem.g.as_slice())?)?;
         out.set_item("lower", vector(py, terms.momentum_qp.problem.lower.as_slice())?)?;
@@ -222,7 +222,8 @@ impl Controller {
             "joint_acceleration_desired",
             vector(py, terms.torque_qp.acceleration_desired.as_slice())?,
         )?;
-        out.set_item("joint_acceleration_free", vector(py, terms.torque_qp.acceleration_free.as_slice())?)?;
+        let free = &terms.torque_qp.acceleration_free.as_slice()[terms.torque_qp.joint_torque.clone()];
+        out.set_item("joint_acceleration_free", vector(py, free)?)?;
         out.set_item("torque_gain", matrix(py, &terms.torque_qp.gain)?)?;
         out.set_item("torque_h", matrix(py, &terms.torque_qp.problem.h)?)?;
         out.set_item("torque_g", vector(py, terms.torque_qp.problem.g.as_slice())?)?;
@@ -232,8 +233,10 @@ impl Controller {
         out.set_item("joint_torque", vector(py, command.joint_torque.as_slice())?)?;
         out.set_item("torque_qp", answer(py, &command.torque_qp)?)?;
 
-        if let (Some(contact), Some(qp)) = (&terms.contact, &terms.standing_qp) {
-            out.set_item("contact", contact_dict(py, contact, qp)?)?;
+        if !terms.contact.measured.is_empty() {
+            out.set_item("torque_rows", matrix(py, &terms.torque_qp.problem.normals.transpose())?)?;
+            out.set_item("torque_limit", vector(py, terms.torque_qp.problem.limit.as_slice())?)?;
+            out.set_item("contact", contact_dict(py, terms)?)?;
         }
         out.set_item("status", format!("{:?}", command.status))?;
         if let Some(state) = &self.state {
@@ -247,26 +250,18 @@ impl Controller {
     }
 }
 
-/// The feet and the torque QP of a robot that stands; without the keys of the QP while it does not.
-fn contact_dict<'py>(py: Python<'py>, contact: &Contact, qp: &StandingQp) -> PyResult<Bound<'py, PyDict>> {
-    let out = PyDict::new(py);
+/// The feet of a controller that can stand.
+fn contact_dict<'py>(py: Python<'py>, terms: &Terms) -> PyResult<Bound<'py, PyDict>> {
+    let (out, contact) = (PyDict::new(py), &terms.contact);
     let feet = contact.soles.len();
     let wrenches = |forces: &DVector<f64>| array(py, &[feet, 6], forces.as_slice().to_vec());
     out.set_item("is_active", contact.is_active)?;
     out.set_item("force", wrenches(&contact.force)?)?;
     out.set_item("force_rate", wrenches(&contact.force_rate)?)?;
     out.set_item("force_of_torques", wrenches(&contact.force_of_torques)?)?;
-    out.set_item("a_c", matrix(py, &contact.a_c)?)?;
+    out.set_item("a_c", matrix(py, &terms.momentum.a_c)?)?;
     out.set_item("jacobian", matrix(py, &contact.jacobian_transposed.transpose())?)?;
     out.set_item("velocity_product", vector(py, contact.velocity_product.as_slice())?)?;
-    if contact.is_active {
-        out.set_item("h", matrix(py, &qp.problem.h)?)?;
-        out.set_item("g", vector(py, qp.problem.g.as_slice())?)?;
-        out.set_item("lower", vector(py, qp.problem.lower.as_slice())?)?;
-        out.set_item("upper", vector(py, qp.problem.upper.as_slice())?)?;
-        out.set_item("rows", matrix(py, &qp.problem.normals.transpose())?)?;
-        out.set_item("limit", vector(py, qp.problem.limit.as_slice())?)?;
-    }
     Ok(out)
 }
 

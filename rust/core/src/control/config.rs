@@ -337,6 +337,24 @@ impl ControllerConfig {
         robot
     }
 
+    /// Numbers by jet in the order of the robot's jets; zero for those that the table does not name.
+    #[must_use]
+    pub fn per_jet(&self, table: &BTreeMap<String, f64>, robot: &RobotModel) -> Vec<f64> {
+        jet_names(robot).map(|jet| table.get(jet).copied().unwrap_or(0.0)).collect()
+    }
+
+    /// Posture gain `K_s` of every joint \[1/s\]; zero for joints of no group.
+    #[must_use]
+    pub fn posture_gains(&self, robot: &RobotModel) -> Vec<f64> {
+        let mut gains = vec![0.0; robot.joints.len()];
+        for group in &robot.groups {
+            for &joint in &group.joints {
+                gains[joint] = self.posture_gain.get(&group.name).copied().unwrap_or(0.0);
+            }
+        }
+        gains
+    }
+
     /// Indices of the pairs of [`MomentumWeights::symmetric_jets`].
     ///
     /// # Errors

@@ -2,8 +2,6 @@
 //!
 //! ```text
 //! carrying        every foot feels more than a threshold of vertical force
-//! L̇  gains        A_c f_c,   A_c = (1 0 ; S(r_k) 1) for each foot k
-//! Λ  gains        Λ_c = (0 ; −Σ_k S(f_k) (J_k − J_G))
 //! feet stay       J_c ν = 0,   J_c ν̇ + J̇_c ν = 0
 //! f_c*            ∫ ḟ_c* dt, from what the feet felt when they began to carry
 //! ```
@@ -16,8 +14,8 @@ use crate::dynamics::Dynamics;
 use crate::error::{BuildError, check};
 use crate::kinematics::Kinematics;
 use crate::robot::{Foot, RobotModel, check::unique};
-use crate::spatial::{Pose, skew};
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix6xX, Vector6};
+use crate::spatial::Pose;
+use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
 /// Numbers of a wrench: force and moment.
@@ -30,7 +28,7 @@ const FRICTION_SIDES: usize = 12;
 pub const WRENCH_ROWS: usize = FRICTION_SIDES + 2 + 1 + 4;
 
 /// What a controller needs to stand; without it, it flies.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ContactConfig {
@@ -58,7 +56,7 @@ pub struct ContactConfig {
 
 /// What the wrench of every foot may be, in sole axes about the sole's origin; where its centre of pressure
 /// may be stands with the robot's foot.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct WrenchLimits {
@@ -150,7 +148,7 @@ impl ContactState {
     }
 }
 
-/// The feet of one tick; preallocated.
+/// The feet of one tick, none for a controller that only flies; preallocated.
 #[derive(Debug, Clone)]
 pub struct Contact {
     /// Whether all feet carry.
@@ -165,11 +163,9 @@ pub struct Contact {
     pub force_of_torques: DVector<f64>,
     /// Poses of the soles.
     pub soles: Vec<Pose>,
-    /// `A_c` (6 × 6 feet).
-    pub a_c: Matrix6xX<f64>,
-    /// `J_cᵀ` (n × 6 feet): linear rows of each foot first.
+    /// `J_cᵀ` (n × 6 feet): linear rows of each foot first; zero while the feet do not carry.
     pub jacobian_transposed: DMatrix<f64>,
-    /// `J̇_c ν` (6 feet).
+    /// `J̇_c ν` (6 feet); zero while the feet do not carry.
     pub velocity_product: DVector<f64>,
     config: ContactConfig,
 }
@@ -187,17 +183,10 @@ impl Contact {
             force_rate: nothing.clone(),
             force_of_torques: nothing.clone(),
             soles: vec![Pose::identity(); feet],
-            a_c: Matrix6xX::zeros(WRENCH * feet),
             jacobian_transposed: DMatrix::zeros(6 + robot.joints.len(), WRENCH * feet),
             velocity_product: nothing,
             config: config.clone(),
         }
-    }
-
-    /// Its numbers.
-    #[must_use]
-    pub fn config(&self) -> &ContactConfig {
-        &self.config
     }
 
     /// Advances `f_c*` of `state` by the last tick's rate, decides from the measured wrenches whether the feet carry
@@ -214,7 +203,7 @@ impl Contact {
         state.force.axpy(time_step, &state.force_rate, 1.0);
         state.force_rate.fill(0.0);
         let threshold = self.config.vertical_force_min;
-        let carries = self.measured.iter().all(|wrench| wrench[2] > threshold);
+        let carries = !self.measured.is_empty() && self.measured.iter().all(|wrench| wrench[2] > threshold);
         if carries != state.is_active {
             state.is_active = carries;
             self.restart(state);
@@ -222,9 +211,16 @@ impl Contact {
         self.is_active = state.is_active;
         self.force.copy_from(&state.force);
         self.force_rate.fill(0.0);
+        for (sole, foot) in self.soles.iter_mut().zip(&robot.feet) {
+            *sole = kinematics.frame_pose(&foot.frame);
+        }
+        if !self.is_active {
+            self.jacobian_transposed.fill(0.0);
+            self.velocity_product.fill(0.0);
+            return;
+        }
         for (index, foot) in robot.feet.iter().enumerate() {
-            let sole = kinematics.frame_pose(&foot.frame);
-            let first = WRENCH * index;
+            let (sole, first) = (&self.soles[index], WRENCH * index);
             let jacobian = &mut self.jacobian_transposed;
             kinematics.visit_jacobian_columns(foot.frame.body, &sole.position, |column, v, w| {
                 for axis in 0..3 {
@@ -235,20 +231,15 @@ impl Contact {
             let (linear, angular) = dynamics.velocity_product(kinematics, foot.frame.body, &sole.position);
             self.velocity_product.fixed_rows_mut::<3>(first).copy_from(&linear);
             self.velocity_product.fixed_rows_mut::<3>(first + 3).copy_from(&angular);
-
-            let arm = skew(&(sole.position - kinematics.com));
-            let one = Matrix3::identity();
-            self.a_c.fixed_view_mut::<3, 3>(0, first).copy_from(&one);
-            self.a_c.fixed_view_mut::<3, 3>(3, first).copy_from(&arm);
-            self.a_c.fixed_view_mut::<3, 3>(3, first + 3).copy_from(&one);
-            self.soles[index] = sole;
         }
     }
 
     /// Adds `A_c f_c` of the measured wrenches to a momentum rate.
-    pub fn add_measured(&self, rate: &mut Vector6<f64>) {
-        for (column, force) in self.a_c.column_iter().zip(self.measured.iter().flatten()) {
-            *rate += column * *force;
+    pub fn add_measured(&self, com: &Vector3<f64>, rate: &mut Vector6<f64>) {
+        for (sole, wrench) in self.soles.iter().zip(&self.measured) {
+            *rate += wrench;
+            let mut moment = rate.fixed_rows_mut::<3>(3);
+            moment += (sole.position - com).cross(&wrench.fixed_rows::<3>(0));
         }
     }
 

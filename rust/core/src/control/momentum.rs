@@ -16,6 +16,7 @@ use crate::aero::LinkForces;
 use crate::dynamics::Dynamics;
 use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
+use crate::spatial::skew;
 use nalgebra::{Matrix6xX, Vector3, Vector6};
 
 /// Terms of the momentum rate and of its derivative; preallocated.
@@ -27,6 +28,8 @@ pub struct MomentumModel {
     pub jet_points_i: Vec<Vector3<f64>>,
     /// `A_T = (a_i ; r_i × a_i)` (6 × jets).
     pub a_t: Matrix6xX<f64>,
+    /// `A_c = (1 0 ; S(r_k) 1)` for each foot (6 × 6 feet); zero while the feet do not carry.
+    pub a_c: Matrix6xX<f64>,
     /// `Λ_T`: momentum acceleration per unit of ν due to turning and moving thrusts (6 × n).
     pub lambda_t: Matrix6xX<f64>,
     /// `Λ_a`: the same due to moving aerodynamic forces, their own change neglected (6 × n).
@@ -49,6 +52,7 @@ impl MomentumModel {
             jet_axes_i: jets.clone(),
             jet_points_i: jets,
             a_t: Matrix6xX::zeros(robot.jets.len()),
+            a_c: Matrix6xX::zeros(WRENCH * robot.feet.len()),
             lambda_t: Matrix6xX::zeros(n),
             lambda_a: Matrix6xX::zeros(n),
             lambda: Matrix6xX::zeros(n),
@@ -67,6 +71,7 @@ impl MomentumModel {
         link_forces: &LinkForces,
         feedback: &AeroFeedback,
     ) {
+        self.a_c.fill(0.0);
         self.place_jets(robot, kinematics);
         self.update_lambda_t(robot, kinematics, dynamics, thrust);
         if feedback.lambda {
@@ -111,7 +116,12 @@ impl MomentumModel {
         dynamics: &Dynamics,
         contact: &Contact,
     ) {
-        for (column, force) in contact.a_c.column_iter().zip(&contact.force) {
+        for (foot, sole) in contact.soles.iter().enumerate() {
+            let mut a_c = self.a_c.columns_mut(WRENCH * foot, WRENCH);
+            a_c.fill_with_identity();
+            a_c.fixed_view_mut::<3, 3>(3, 0).copy_from(&skew(&(sole.position - kinematics.com)));
+        }
+        for (column, force) in self.a_c.column_iter().zip(&contact.force) {
             self.rate_estimate += column * *force;
         }
         let wrenches = contact.force.as_slice().chunks_exact(WRENCH);

@@ -38,13 +38,13 @@ pub struct ControllerState {
 }
 
 impl ControllerState {
-    /// The state before the first tick, with space for `feet` feet and `unknowns` of the momentum QP.
+    /// The state before the first tick, with space for `feet` feet and the unknowns of the momentum QP and the torque QP.
     pub(super) fn new(
         measurement: &Measurement,
         setpoint: &SetpointState,
         inertia_0_b: Matrix3<f64>,
         feet: usize,
-        unknowns: usize,
+        unknowns: (usize, usize),
     ) -> Self {
         let posture = measurement.state.joint_position.clone();
         let joints = posture.len();
@@ -58,8 +58,8 @@ impl ControllerState {
             torque_is_known: false,
             contact: ContactState::new(feet),
             observer: ObserverState::new(),
-            momentum_start: WarmStart::cold(unknowns),
-            torque_start: WarmStart::cold(joints),
+            momentum_start: WarmStart::cold(unknowns.0),
+            torque_start: WarmStart::cold(unknowns.1),
         }
     }
 

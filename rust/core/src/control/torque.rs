@@ -1,51 +1,85 @@
-//! The joint torque controller: torques whose accelerations follow the commanded joint velocities.
+//! The torque QP: joint torques, and the wrenches of feet that carry, whose accelerations follow the commanded joint
+//! velocities while the feet stay.
 //!
 //! ```text
 //! s̈* = −K_D (ṡ − ṡ*) − K_P ∫(ṡ − ṡ*)
-//! s̈(τ) = G τ + s̈_free,   G = (M⁻¹)_ss,   s̈_free = [M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a − h)]_s
-//! min ½ w_a |s̈(τ) − s̈*|² + ½ (w_τ + ε) |τ|²   subject to |τ| ≤ τ_max
+//! u = (f_c, τ),   B = (J_cᵀ, S),   P = Bᵀ M⁻¹ B
+//! (J_c ν̇ + J̇_c ν ; s̈)(u) = P u + c_free,      ν̇ = M⁻¹ (B u + Σ Jᵀ T a + J_aᵀ f_a − h)
+//! min ½ |W^½ (P u + c_free − c*)|² + ½ w_f |f_c − f_c*|² + ½ w_τ |τ|² + ½ ε |u|²,  c* = (0 ; s̈*)
+//! subject to |τ| ≤ τ_max and, foot by foot, the rows of `WrenchLimits`
 //! ```
 //!
-//! followed by a rate limiter. The robot floats: `G` is the joint block of the inverse mass matrix,
-//! not the inverse of the joint block. Equations M68 to M72 of `docs/model.md` (the paper prints
-//! `τ = b̄ − M̄⁻¹ s̈**`, which contradicts its own `M̄ s̈ + b̄ = τ`; see `docs/deviations.md`).
+//! followed by a rate limiter. One matrix gives both accelerations, because what is measured (feet, joints) is what
+//! is pushed. In flight `f_c` is empty. The robot floats: the joint block of `P` is `G`, the joint block of the inverse
+//! mass matrix, not the inverse of the joint block. Equations M68 to M72, M75 and M76 of `docs/model.md` (the paper
+//! prints `τ = b̄ − M̄⁻¹ s̈**`, which contradicts its own `M̄ s̈ + b̄ = τ`; see `docs/deviations.md`).
 
 use super::config::TorqueConfig;
+use super::contact::{Contact, ContactConfig, WRENCH, WRENCH_ROWS};
 use crate::dynamics::MassFactor;
 use crate::linalg;
 use crate::qp::QpProblem;
 use crate::robot::RobotModel;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Vector3, Vector6};
+use std::ops::Range;
 
 /// The torque QP of one tick; preallocated.
 #[derive(Debug, Clone)]
 pub struct TorqueQp {
+    /// Columns of `f_c`.
+    pub foot_force: Range<usize>,
+    /// Columns of `τ`.
+    pub joint_torque: Range<usize>,
     /// Desired joint accelerations `s̈*` \[rad/s²\].
     pub acceleration_desired: DVector<f64>,
-    /// Joint accelerations without torque, `s̈_free` \[rad/s²\].
+    /// `c_free`: accelerations of feet and joints without `u` \[m/s², rad/s²\].
     pub acceleration_free: DVector<f64>,
     /// `G`, joint acceleration per unit of torque \[1/(kg m²)\].
     pub gain: DMatrix<f64>,
     /// The QP handed to the solver.
     pub problem: QpProblem,
+    /// `L⁻ᵀ`, `L` the joint block of `K`, `M = K Kᵀ`.
     inverse_factor: DMatrix<f64>,
+    /// `K⁻¹ J_cᵀ`.
+    feet: DMatrix<f64>,
+    /// `P W^½`.
+    weighted: DMatrix<f64>,
+    roots: DVector<f64>,
+    weighted_error: DVector<f64>,
+    weight_force: f64,
+    /// `w_f + ε` and `w_τ + ε`.
+    diagonal: DVector<f64>,
+    wrench_rows: Vec<[(Vector6<f64>, f64); WRENCH_ROWS]>,
 }
 
 impl TorqueQp {
-    /// Space for `robot`, whose torque limits do not change in flight.
+    /// Space for `robot`, whose torque limits do not change.
     #[must_use]
-    pub fn new(robot: &RobotModel) -> Self {
-        let joints = robot.joints.len();
-        let mut problem = QpProblem::new(joints, 0);
+    pub fn new(config: &TorqueConfig, contact: &ContactConfig, robot: &RobotModel) -> Self {
+        let (joints, forces) = (robot.joints.len(), WRENCH * robot.feet.len());
+        let n = forces + joints;
+        let mut problem = QpProblem::new(n, WRENCH_ROWS * robot.feet.len());
         for (index, joint) in robot.joints.iter().enumerate() {
-            (problem.lower[index], problem.upper[index]) = (-joint.torque_max, joint.torque_max);
+            problem.lower[forces + index] = -joint.torque_max;
+            problem.upper[forces + index] = joint.torque_max;
         }
+        let per_block =
+            |foot: f64, joint: f64| DVector::from_fn(n, |i, _| if i < forces { foot } else { joint });
         Self {
+            foot_force: 0..forces,
+            joint_torque: forces..n,
             acceleration_desired: DVector::zeros(joints),
-            acceleration_free: DVector::zeros(joints),
+            acceleration_free: DVector::zeros(n),
             gain: DMatrix::zeros(joints, joints),
             problem,
             inverse_factor: DMatrix::zeros(joints, joints),
+            feet: DMatrix::zeros(6 + joints, forces),
+            weighted: DMatrix::zeros(n, n),
+            roots: per_block(contact.weight_foot_acceleration.sqrt(), config.weight_acceleration.sqrt()),
+            weighted_error: DVector::zeros(n),
+            weight_force: contact.weight_force,
+            diagonal: per_block(contact.weight_force, config.weight_torque).add_scalar(config.regularisation),
+            wrench_rows: robot.feet.iter().map(|foot| contact.wrench.rows(foot)).collect(),
         }
     }
 
@@ -54,32 +88,87 @@ impl TorqueQp {
     pub fn update(
         &mut self,
         config: &TorqueConfig,
+        contact: &Contact,
         mass_factor: &MassFactor,
         force: &mut DVector<f64>,
         velocity_error: &DVector<f64>,
         velocity_error_integral: &DVector<f64>,
     ) {
-        let joints = self.gain.nrows();
-        mass_factor.solve_in_place(force);
-        self.acceleration_free.copy_from(&force.rows(6, joints));
+        let (forces, joints) = (self.foot_force.len(), self.joint_torque.len());
         self.acceleration_desired.copy_from(velocity_error);
         self.acceleration_desired.axpy(-config.kp, velocity_error_integral, -config.kd);
 
-        // M = K Kᵀ with the base first, so (M⁻¹)_ss = Wᵀ W with W the inverse of K's joint block.
-        let n = 6 + joints;
-        let work = self.inverse_factor.as_mut_slice();
-        linalg::invert_symmetric(mass_factor.joint_block(), joints, n, work, self.gain.as_mut_slice());
+        mass_factor.solve_in_place(force);
+        let (mut free_feet, mut free_joints) =
+            self.acceleration_free.rows_range_pair_mut(0..forces, forces..);
+        free_feet.copy_from(&contact.velocity_product);
+        free_feet.gemv_tr(1.0, &contact.jacobian_transposed, force, 1.0);
+        free_joints.copy_from(&force.rows(6, joints));
 
-        // H = w_a G² + (w_τ + ε) 1 and g = w_a G (s̈_free − s̈*), G symmetric.
-        let QpProblem { h, g, .. } = &mut self.problem;
-        linalg::square_symmetric(self.gain.as_slice(), joints, h.as_mut_slice());
-        *h *= config.weight_acceleration;
-        for joint in 0..joints {
-            h[(joint, joint)] += config.weight_torque + config.regularisation;
+        self.weighted_error.copy_from(&self.acceleration_free);
+        let mut of_joints = self.weighted_error.rows_mut(forces, joints);
+        of_joints -= &self.acceleration_desired;
+        self.weighted_error.component_mul_assign(&self.roots);
+
+        self.update_gain(contact, mass_factor);
+        self.update_cost(contact);
+        self.update_rows(contact);
+    }
+
+    /// `P W^½`. The base comes first in `M = K Kᵀ`, so `(M⁻¹)_ss = L⁻ᵀ L⁻¹` and `(M⁻¹ J_cᵀ)_s = L⁻ᵀ (K⁻¹ J_cᵀ)_s`.
+    fn update_gain(&mut self, contact: &Contact, mass_factor: &MassFactor) {
+        let (forces, joints) = (self.foot_force.len(), self.joint_torque.len());
+        let (n, inverse) = (6 + joints, self.inverse_factor.as_mut_slice());
+        linalg::invert_symmetric(mass_factor.joint_block(), joints, n, inverse, self.gain.as_mut_slice());
+        for (joint, column) in self.gain.column_iter().enumerate() {
+            let root = self.roots[forces + joint];
+            let mut to = self.weighted.column_mut(forces + joint);
+            to.rows_mut(forces, joints).zip_apply(&column, |to, from| *to = root * from);
         }
-        self.acceleration_free -= &self.acceleration_desired;
-        g.gemv(config.weight_acceleration, &self.gain, &self.acceleration_free, 0.0);
-        self.acceleration_free += &self.acceleration_desired;
+        self.feet.copy_from(&contact.jacobian_transposed);
+        linalg::solve_lower_in_place(mass_factor.factor.as_slice(), n, n, self.feet.as_mut_slice());
+        for row in 0..forces {
+            let of_row = self.feet.column(row);
+            for other in 0..forces {
+                self.weighted[(other, row)] = self.roots[row] * self.feet.column(other).dot(&of_row);
+            }
+            let mut of_joints = self.weighted.view_mut((forces, row), (joints, 1));
+            of_joints.gemm(1.0, &self.inverse_factor, &of_row.rows(6, joints), 0.0);
+            for joint in self.joint_torque.clone() {
+                let gain = self.weighted[(joint, row)];
+                self.weighted[(row, joint)] = self.roots[joint] * gain;
+                self.weighted[(joint, row)] = self.roots[row] * gain;
+            }
+        }
+    }
+
+    /// `H = P W P + diagonal`, `g = P W (c_free − c*) − w_f f_c*`.
+    fn update_cost(&mut self, contact: &Contact) {
+        let QpProblem { h, g, .. } = &mut self.problem;
+        linalg::times_transpose(self.weighted.as_slice(), g.len(), h.as_mut_slice());
+        for (i, weight) in self.diagonal.iter().enumerate() {
+            h[(i, i)] += weight;
+        }
+        g.gemv(1.0, &self.weighted, &self.weighted_error, 0.0);
+        for (g, wanted) in g.iter_mut().zip(&contact.force) {
+            *g -= self.weight_force * wanted;
+        }
+    }
+
+    /// Rows in sole axes, turned into inertial ones: `c · (Rᵀ f, Rᵀ m) = (R c_f, R c_m) · (f, m)`. They limit only
+    /// feet that carry.
+    fn update_rows(&mut self, contact: &Contact) {
+        let QpProblem { normals, limit, .. } = &mut self.problem;
+        for (foot, (sole, rows)) in contact.soles.iter().zip(&self.wrench_rows).enumerate() {
+            for (index, (row, bound)) in rows.iter().enumerate() {
+                let column = WRENCH_ROWS * foot + index;
+                let force: Vector3<f64> = sole.rotation * row.fixed_rows::<3>(0);
+                let moment: Vector3<f64> = sole.rotation * row.fixed_rows::<3>(3);
+                normals.fixed_view_mut::<3, 1>(WRENCH * foot, column).copy_from(&force);
+                normals.fixed_view_mut::<3, 1>(WRENCH * foot + 3, column).copy_from(&moment);
+                limit[column] = if contact.is_active { *bound } else { f64::INFINITY };
+            }
+        }
     }
 }
 

@@ -135,8 +135,8 @@ pub fn standing() -> Result<Vec<StandingTick>, BuildError> {
         let measurement = Measurement { time, state: &state, thrust: &thrust, wind, foot_wrenches: &feet };
         let Some(memory) = started(&mut controller, &mut memory, &measurement) else { break };
         controller.tick(memory, &measurement);
-        let Some(qp) = &controller.terms().standing_qp else { continue };
-        ticks.push(StandingTick { state, wind, feet, torque_qp: qp.problem.clone() });
+        let torque_qp = controller.terms().torque_qp.problem.clone();
+        ticks.push(StandingTick { state, wind, feet, torque_qp });
     }
     Ok(ticks)
 }
