@@ -326,7 +326,7 @@ class Tick:
     joint_acceleration_desired, joint_acceleration_free, torque_gain
         s̈*, s̈ without torque [rad/s²], and G = (M⁻¹)_ss.
     torque_qp, torque_answer, unlimited_torque, joint_torque
-        The QP in τ, in (f_c, τ) for a controller that can stand, and its answer [N m], before and after the rate limiter.
+        The QP in τ, for a controller that can stand in (f_c, τ), and its answer [N m], before and after the limiter.
     status
         "Nominal", or which part of the command is a safe substitute.
     posture, inertia_0_b, velocity_error_integral

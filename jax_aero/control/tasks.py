@@ -1,23 +1,23 @@
-"""The momentum QP: tasks stacked into a cost, bounds around the unknowns.
-
-Unknowns `u = (Ṫ, ṡ)`. Cost `½ uᵀ H u + gᵀ u` of the weighted squares of
+"""The momentum QP: a stack of tasks over the unknowns `u = (Ṫ, ṡ)`, bounds around them.
 
 ```text
-momentum   A_T Ṫ + (Λ_s + K A_s) ṡ + (Λ_b + K A_b) ν_B
-               − K L_d − L̈_d + (K_D + 1)(L̇ − L̇_d) + K_P I_L       three linear rows
-attitude   Rᵀ (A_T Ṫ + Λ_s ṡ + Λ_b ν_B − σ) − k̈*                three angular rows
-angular    Rᵀ A_s,ang ṡ + (I_b − I₀) w                              momentum the limbs may carry
-posture    ṡ + K_s (s − s_d)
-and of ṡ, Ṫ and the differences of paired thrust rates
+linear momentum    A_T Ṫ + (Λ_s + K A_s) ṡ + (Λ_b + K A_b) ν_B
+                      − K L_d − L̈_d + (K_D + 1)(L̇ − L̇_d) + K_P I_L = 0       three rows, inertial axes
+attitude           Rᵀ (A_T Ṫ + Λ_s ṡ + Λ_b ν_B − σ) − k̈* = 0                three rows, base axes
+angular momentum   Rᵀ A_s,ang ṡ + (I_b − I₀) w = 0                             what the limbs may carry
+symmetric jets     Ṫ_a − Ṫ_b = 0                                               for each pair
+posture            ṡ + K_s (s − s_d) = 0
+and Ṫ, ṡ and all unknowns towards zero
 ```
 
-with `K = K_P + K_D + K_O⁻¹`. Equations M57 and M61 to M64 of `docs/model.md`.
+with `K = K_P + K_D + K_O⁻¹`. A `Task` of one's own is added by `momentum_controller(..., tasks=...)`. Equations M57 and
+M61 to M64 of `docs/model.md`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Protocol, assert_never
 
 import jax.numpy as jnp
 import numpy as np
@@ -121,93 +121,161 @@ def symmetric_pairs(config: ControllerConfig, robot: RobotModel) -> tuple[tuple[
     return tuple((known.index(a), known.index(b)) for a, b in config.weights.symmetric_jets)
 
 
+class TaskInputs(NamedTuple):
+    """What the tasks of a tick are made from."""
+
+    gains: MomentumGains
+    robot: RobotModel
+    state: State
+    thrust: Float[Array, " j"]
+    kinematics: Kinematics
+    dynamics: Dynamics
+    momentum: MomentumModel
+    setpoint: Setpoint
+    attitude: AttitudeDemand
+    inertia_0: Float[Array, "3 3"]
+    """Centroidal inertia in body axes at the first tick [kg m²]."""
+    posture: Float[Array, " n"]
+    """Desired posture `s_d` [rad]."""
+
+    def blocks(self, thrust_rate: Array, joint_velocity: Array) -> Array:
+        """Rows over all unknowns from those over `Ṫ` and over `ṡ`."""
+        return jnp.concatenate([thrust_rate, joint_velocity], axis=1)
+
+    @property
+    def joints(self) -> int:
+        """Place of the first joint velocity among the unknowns."""
+        return self.thrust.shape[0]
+
+
+class Rows(NamedTuple):
+    """A task: `matrix @ u + offset = 0`, each row with its weight."""
+
+    matrix: Float[Array, "r j+n"]
+    offset: Float[Array, " r"]
+    weights: Float[Array, " r"]
+
+
+class Diagonal(NamedTuple):
+    """A task: `u + offset = 0` for as many unknowns as there are weights, from `first` on."""
+
+    first: int
+    offset: Float[Array, " k"]
+    weights: Float[Array, " k"]
+
+
+class Task(Protocol):
+    """An objective of one's own: a pytree whose numbers are leaves.
+
+    >>> @pytree
+    ... class KeepVelocity:
+    ...     joint: Static[int]
+    ...     velocity: Array
+    ...     weight: Array
+    ...
+    ...     def equations(self, inputs):
+    ...         return Diagonal(inputs.joints + self.joint, -self.velocity[None], self.weight[None])
+    """
+
+    def equations(self, inputs: TaskInputs) -> Rows | Diagonal:
+        """Matrix, offset and weights of this tick. Pure, and traced by JAX."""
+        ...
+
+
 def momentum_qp(
-    params: TaskParams,
-    gains: MomentumGains,
-    pairs: tuple[tuple[int, int], ...],
-    robot: RobotModel,
-    state: State,
-    thrust: Array,
-    kin: Kinematics,
-    dyn: Dynamics,
-    momentum: MomentumModel,
-    setpoint: Setpoint,
-    attitude: AttitudeDemand,
-    inertia_0: Array,
-    posture: Array,
+    params: TaskParams, pairs: tuple[tuple[int, int], ...], inputs: TaskInputs, others: tuple[Task, ...] = ()
 ) -> MomentumQp:
-    """Build tasks, cost and bounds of one tick."""
-    linear, linear_offset = _linear_task(gains, robot.mass, state, kin, dyn, momentum, setpoint)
-    angular, angular_offset = _angular_tasks(state, dyn, momentum, attitude, inertia_0)
-    task = jnp.concatenate([linear, angular])
-    offset = jnp.concatenate([linear_offset, angular_offset])
-    h, g = _cost(params, pairs, task, offset, state.joint_position - posture)
-    lower, upper = _bounds(params, robot, state, thrust)
-    return MomentumQp(task, offset, BoxQp(h, g, lower, upper))
+    """Build tasks, cost and bounds of one tick; `others` are added to the controller's own tasks."""
+    momentum = [linear_momentum(params, inputs), attitude(params, inputs), angular_momentum(params, inputs)]
+    tasks = [
+        *momentum,
+        symmetric_jets(params, pairs, inputs),
+        posture(params, inputs),
+        *towards_zero(params, inputs),
+        *(task.equations(inputs) for task in others),
+    ]
+    h, g = _cost(tasks, params.thrust_rate.shape[0] + inputs.posture.shape[0])
+    lower, upper = _bounds(params, inputs.robot, inputs.state, inputs.thrust)
+    task = jnp.concatenate([rows.matrix for rows in momentum])
+    return MomentumQp(task, jnp.concatenate([rows.offset for rows in momentum]), BoxQp(h, g, lower, upper))
 
 
-def _linear_task(
-    gains: MomentumGains,
-    mass: Array,
-    state: State,
-    kin: Kinematics,
-    dyn: Dynamics,
-    momentum: MomentumModel,
-    setpoint: Setpoint,
-) -> tuple[Array, Array]:
-    """Rows 0 to 2, in inertial axes."""
+def linear_momentum(params: TaskParams, inputs: TaskInputs) -> Rows:
+    """Let the linear momentum follow the set-point (M57); inertial axes."""
+    gains, mass, setpoint, momentum = inputs.gains, inputs.robot.mass, inputs.setpoint, inputs.momentum
     kp, kd = gains.kp_linear, gains.kd_linear
     k = kp + 1.0 / gains.ko + kd
-    motion = momentum.lambda_[:3] + k[:, None] * dyn.momentum_matrix[:3]
+    motion = momentum.lambda_[:3] + k[:, None] * inputs.dynamics.momentum_matrix[:3]
     desired = k * mass * setpoint.com_velocity + mass * setpoint.com_jerk
     rate_error = momentum.rate_estimate[:3] - mass * setpoint.com_acceleration
-    integral = mass * (kin.com - setpoint.com_position)
-    offset = motion[:, :6] @ state.velocity[:6] - desired + (kd + 1.0) * rate_error + kp * integral
-    return jnp.concatenate([momentum.a_t[:3], motion[:, 6:]], axis=1), offset
+    integral = mass * (inputs.kinematics.com - setpoint.com_position)
+    offset = motion[:, :6] @ inputs.state.velocity[:6] - desired + (kd + 1.0) * rate_error + kp * integral
+    return Rows(inputs.blocks(momentum.a_t[:3], motion[:, 6:]), offset, jnp.repeat(params.momentum, 3))
 
 
-def _angular_tasks(
-    state: State, dyn: Dynamics, momentum: MomentumModel, attitude: AttitudeDemand, inertia_0: Array
-) -> tuple[Array, Array]:
-    """Rows 3 to 8, in base axes."""
+def attitude(params: TaskParams, inputs: TaskInputs) -> Rows:
+    """Let the angular momentum follow the attitude law (M61); base axes."""
+    state, demand = inputs.state, inputs.attitude
+    b_from_i, lambda_ang = state.base_rotation.T, inputs.momentum.lambda_[3:]
+    matrix = b_from_i @ inputs.blocks(inputs.momentum.a_t[3:], lambda_ang[:, 6:])
+    offset = rotate_back(state.base_rotation, lambda_ang[:, :6] @ state.velocity[:6] - demand.sigma)
+    return Rows(matrix, offset - demand.k_ddot_desired, jnp.repeat(params.momentum, 3))
+
+
+def angular_momentum(params: TaskParams, inputs: TaskInputs) -> Rows:
+    """Let the limbs carry what the change of inertia leaves them (M62); base axes."""
+    state, dyn = inputs.state, inputs.dynamics
     b_from_i = state.base_rotation.T
-    jets, lambda_ang = momentum.a_t[3:], momentum.lambda_[3:]
-    limbs = dyn.momentum_matrix[3:, 6:]
-    task = jnp.concatenate(
-        [
-            jnp.concatenate([jets, lambda_ang[:, 6:]], axis=1),
-            jnp.concatenate([jnp.zeros_like(jets), limbs], axis=1),
-        ],
-        axis=1,
-    )
-    columns = jets.shape[1] + limbs.shape[1]
-    turned = b_from_i @ task
-    demand = rotate_back(state.base_rotation, lambda_ang[:, :6] @ state.velocity[:6] - attitude.sigma)
+    matrix = b_from_i @ inputs.blocks(jnp.zeros_like(inputs.momentum.a_t[3:]), dyn.momentum_matrix[3:, 6:])
     inertia_b = multiply(multiply(b_from_i, dyn.centroidal_inertia), state.base_rotation)
     w = rotate_back(state.base_rotation, state.velocity[3:6])
-    offset = jnp.concatenate([demand - attitude.k_ddot_desired, (inertia_b - inertia_0) @ w])
-    return jnp.concatenate([turned[:, :columns], turned[:, columns:]]), offset
+    return Rows(matrix, (inertia_b - inputs.inertia_0) @ w, jnp.repeat(params.angular_momentum, 3))
 
 
-def _cost(
-    params: TaskParams, pairs: tuple[tuple[int, int], ...], task: Array, offset: Array, posture_error: Array
-) -> tuple[Array, Array]:
-    """`H = Σ w Gᵀ G + diagonal`, `g = Σ w Gᵀ offset`."""
-    n_jets, n_joints = params.thrust_rate.shape[0], posture_error.shape[0]
-    row_weights = jnp.concatenate([jnp.full(6, params.momentum), jnp.full(3, params.angular_momentum)])
-    weighted = row_weights[:, None] * task
-    joints = jnp.full(n_joints, params.joint_velocity + params.posture)
-    diagonal = jnp.concatenate([params.thrust_rate, joints]) + params.regularisation
-    h = task.T @ weighted + jnp.diag(diagonal)
-    # Rows of differences: H takes their Gram matrix.
-    eye = jnp.eye(n_jets + n_joints, dtype=h.dtype)
-    for a, b in pairs:
-        difference = eye[a] - eye[b]
-        h = h + params.symmetry * difference[:, None] * difference
+def symmetric_jets(params: TaskParams, pairs: tuple[tuple[int, int], ...], inputs: TaskInputs) -> Rows:
+    """Let the jets of a pair act alike."""
+    n = inputs.joints + inputs.posture.shape[0]
+    eye = np.eye(n)
+    matrix = jnp.asarray(np.array([eye[a] - eye[b] for a, b in pairs]).reshape(-1, n), inputs.thrust.dtype)
+    return Rows(matrix, jnp.zeros(len(pairs), matrix.dtype), jnp.repeat(params.symmetry, len(pairs)))
+
+
+def posture(params: TaskParams, inputs: TaskInputs) -> Diagonal:
+    """Let the joints return to the desired posture (M63)."""
+    offset = params.posture_gain * (inputs.state.joint_position - inputs.posture)
+    return Diagonal(inputs.joints, offset, jnp.broadcast_to(params.posture, offset.shape))
+
+
+def towards_zero(params: TaskParams, inputs: TaskInputs) -> tuple[Diagonal, ...]:
+    """Keep thrust rates, joint velocities and all unknowns small."""
+    jets, joints = jnp.zeros_like(inputs.thrust), jnp.zeros_like(inputs.posture)
+    everything = jnp.concatenate([jets, joints])
+    return (
+        Diagonal(0, jets, params.thrust_rate),
+        Diagonal(inputs.joints, joints, jnp.broadcast_to(params.joint_velocity, joints.shape)),
+        Diagonal(0, everything, jnp.broadcast_to(params.regularisation, everything.shape)),
+    )
+
+
+def _cost(tasks: Sequence[Rows | Diagonal], n: int) -> tuple[Array, Array]:
+    """`H = Σ Aᵀ W A`, `g = Σ Aᵀ W b` over n unknowns (M64): low rank and a diagonal."""
+    rows = [task for task in tasks if isinstance(task, Rows)]
+    matrix, offset, weights = (jnp.concatenate(parts) for parts in zip(*rows, strict=True))
+    weighted = weights[:, None] * matrix
+    h, g = matrix.T @ weighted, offset @ weighted
+    diagonal = jnp.zeros(n, h.dtype)
+    for task in tasks:
+        match task:
+            case Rows():
+                pass
+            case Diagonal(first, shift, weight):
+                place = slice(first, first + weight.shape[0])
+                diagonal = diagonal.at[place].add(weight)
+                g = g.at[place].add(weight * shift)
+            case _:
+                assert_never(task)
     # A product is symmetric only to rounding, and the QP takes H to be exactly so.
-    h = 0.5 * (h + h.T)
-    pull = jnp.concatenate([jnp.zeros(n_jets, h.dtype), params.posture * params.posture_gain * posture_error])
-    return h, offset @ weighted + pull
+    return 0.5 * (h + h.T) + jnp.diag(diagonal), g
 
 
 def _bounds(params: TaskParams, robot: RobotModel, state: State, thrust: Array) -> tuple[Array, Array]:

@@ -39,7 +39,7 @@ from jax_aero.control.protocol import Command, Measurement, Terms
 from jax_aero.control.qp import QpAnswer, WarmStart
 from jax_aero.control.recorded import Recording, recording
 from jax_aero.control.setpoint import SetpointParams, SetpointState
-from jax_aero.control.tasks import TaskParams, in_place_of, momentum_qp, symmetric_pairs, task_params
+from jax_aero.control.tasks import Task, TaskInputs, TaskParams, in_place_of, momentum_qp, symmetric_pairs, task_params
 from jax_aero.control.torque import limit_rate, torque_qp
 from jax_aero.dynamics import dynamics
 from jax_aero.kinematics import generalised_force, kinematics
@@ -88,6 +88,8 @@ class MomentumController:
     """1 or 0: which components of the total estimated wrench enter the momentum rate."""
     momentum: MomentumGains
     tasks: TaskParams
+    other_tasks: tuple[Task, ...]
+    """Objectives of one's own in the momentum QP."""
     torque: TorqueConfig
     torque_max: Float[Array, " n"]
     """[N m]."""
@@ -137,9 +139,14 @@ class ControllerState(NamedTuple):
 
 
 def momentum_controller(
-    config: ScenarioConfig, robot: RobotModel, read_network: ReadNetwork = load_network
+    config: ScenarioConfig,
+    robot: RobotModel,
+    read_network: ReadNetwork = load_network,
+    tasks: tuple[Task, ...] = (),
 ) -> MomentumController:
     """Collect the controller's numbers from a configuration. Outside loops: tables are worked out here.
+
+    `tasks` are objectives of one's own, added to the controller's.
 
     Raises
     ------
@@ -164,6 +171,7 @@ def momentum_controller(
         rate_feedback=_components(feedback.momentum_rate),
         momentum=controller.momentum,
         tasks=task_params(controller, robot),
+        other_tasks=tasks,
         torque=controller.torque,
         torque_max=in_place_of(robot.joint_torque_max, controller.torque.torque_max, robot),
         torque_rate_max=in_place_of(robot.joint_torque_rate_max, controller.torque.torque_rate_max, robot),
@@ -264,10 +272,8 @@ def _act(
         momentum.rate_estimate[3:],
         memory.inertia_0,
     )
-    shaping = momentum_qp(
-        params.tasks,
+    inputs = TaskInputs(
         params.momentum,
-        switches.symmetric_pairs,
         robot,
         state,
         thrust,
@@ -279,6 +285,7 @@ def _act(
         memory.inertia_0,
         memory.posture,
     )
+    shaping = momentum_qp(params.tasks, switches.symmetric_pairs, inputs, params.other_tasks)
     wanted = qp.solve(shaping.problem, memory.momentum_start)
     momentum_solved = wanted.status == qp.SOLVED
     # Nothing moves, as far as the bounds allow.

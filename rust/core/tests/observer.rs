@@ -322,7 +322,7 @@ fn the_ground_is_part_of_the_model() {
                 Measurement { time, state: &state, thrust: &[0.0; 4], wind, foot_wrenches: &foot_wrenches };
             standing.tick(&measurement);
             let terms = standing.terms();
-            let contact = terms.contact.as_ref().unwrap();
+            let contact = &terms.contact;
             assert_eq!(contact.is_active, carries);
             let com = terms.kinematics.com;
             let (mut force, mut moment) = terms.link_forces.wrench_about(&com);

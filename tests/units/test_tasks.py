@@ -1,0 +1,86 @@
+"""A task of one's own in the momentum QP of the JAX engine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jax_aero import io
+from jax_aero.config import scenario_config
+from jax_aero.control.tasks import Diagonal, Rows
+from jax_aero.control.tick import init, momentum_controller, tick
+from jax_aero.robot import load_robot
+from jax_aero.types import Array, State, Static, pytree
+
+pytestmark = pytest.mark.usefixtures("x64")
+
+TEST2 = Path(__file__).resolve().parents[2] / "configs" / "experiments" / "test2.toml"
+
+
+@pytree
+class KeepVelocity:
+    """Asks some joint to turn at a velocity, as a diagonal or as a row."""
+
+    joint: Static[int]
+    is_row: Static[bool]
+    velocity: Array
+    weight: Array
+
+    def equations(self, inputs):
+        unknown, offset, weight = inputs.joints + self.joint, -self.velocity[None], self.weight[None]
+        if self.is_row:
+            row = jnp.zeros(inputs.joints + inputs.posture.shape[0]).at[unknown].set(1.0)
+            return Rows(row[None], offset, weight)
+        return Diagonal(unknown, offset, weight)
+
+
+@pytest.fixture(scope="module")
+def first_tick():
+    """The first tick of TEST2 in still air, with tasks."""
+    with jax.enable_x64(True):
+        config = scenario_config(io.load_config(TEST2))
+        robot = load_robot(config.robot)
+        start = config.simulator.initial
+        rotation = jnp.diag(jnp.array([-1.0, -1.0, 1.0]))
+        joints = jnp.asarray(start.joint_position)
+        state = State(jnp.asarray(start.base_position), rotation, joints, jnp.zeros(6 + robot.n_joints))
+
+        @jax.jit
+        def run(controller):
+            memory = init(controller, robot, state)
+            _, command, terms = tick(
+                controller, robot, memory, jnp.array(0.0), state, jnp.asarray(start.thrust), jnp.zeros(3)
+            )
+            return command, terms.momentum_qp.problem
+
+    def fly(*tasks):
+        with jax.enable_x64(True):
+            return jax.device_get(run(momentum_controller(config, robot, tasks=tasks)))
+
+    return fly
+
+
+@pytest.mark.parametrize("is_row", [False, True])
+def test_it_adds_its_square_to_the_cost(first_tick, is_row, measured):
+    """½ w (u_k − v)² adds w to one entry of H and −w v to one of g."""
+    _, plain = first_tick()
+    _, more = first_tick(KeepVelocity(3, is_row, jnp.array(0.07), jnp.array(40.0)))
+    h, g = plain.h.copy(), plain.g.copy()
+    h[4 + 3, 4 + 3] += 40.0
+    g[4 + 3] -= 40.0 * 0.07
+    measured("H with a task", np.abs(more.h - h).max() / np.abs(h).max(), 1e-14, because="sums in another order")
+    measured("g with a task", np.abs(more.g - g).max() / np.abs(g).max(), 1e-14, because="sums in another order")
+
+
+def test_a_heavy_one_is_obeyed(first_tick, measured):
+    plain, problem = first_tick()
+    room = np.minimum(problem.upper[4:] - plain.joint_velocity, plain.joint_velocity - problem.lower[4:])
+    joint = int(np.argmax(room))
+    wanted = float(plain.joint_velocity[joint]) + 0.01
+    heavy, _ = first_tick(KeepVelocity(joint, False, jnp.array(wanted), jnp.array(1e8)))
+    measured("velocity of the joint", abs(float(heavy.joint_velocity[joint]) - wanted), 1e-6)
+    assert np.abs(np.delete(heavy.joint_velocity - plain.joint_velocity, joint)).max() > 1e-6, "the others make room"
