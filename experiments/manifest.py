@@ -31,8 +31,8 @@ def build(
         "name": name,
         "title": config.get("title") or name,
         "outcome": flight.outcome,
-        "fall_time": flight.fall_time,
-        "fall_reason": flight.fall_reason,
+        "lost_time": flight.lost_time,
+        "lost_reason": flight.lost_reason,
         # JSON has no infinity, and the errors of a fall may be infinite.
         "summary": {key: value if math.isfinite(value) else None for key, value in flight.summary.items()},
         "config_digest": rust.config_digest(config),

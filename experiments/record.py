@@ -63,9 +63,9 @@ def to_dataset(
     facts: dict[str, str | float] = {
         "title": title,
         "outcome": flight.outcome,
-        # NetCDF attributes have no null: NaN and the empty text stand for "did not fall".
-        "fall_time": np.nan if flight.fall_time is None else flight.fall_time,
-        "fall_reason": flight.fall_reason or "",
+        # NetCDF attributes have no null: NaN and the empty text stand for "was not lost".
+        "lost_time": np.nan if flight.lost_time is None else flight.lost_time,
+        "lost_reason": flight.lost_reason or "",
         "engine": engine,
         "config_hash": config_digest,
     }

@@ -10,7 +10,7 @@ HEADINGS = ("flight", "outcome", "max CoM error [m]", "max rotation error [deg]"
 
 
 def outcome_table(manifests: Iterable[Mapping[str, Any]]) -> str:
-    """Return one line per flight: completed or fell, when and why, largest errors, thrust range."""
+    """Return one line per flight: how it ended, when and why, largest errors, thrust range."""
     rows = [HEADINGS, *(_row(manifest) for manifest in manifests)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(HEADINGS))]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
@@ -32,10 +32,10 @@ def _row(manifest: Mapping[str, Any]) -> Sequence[str]:
 
 def outcome(manifest: Mapping[str, Any]) -> str:
     """Say how a flight ended: "completed", or "fell at 16.31 s: rotation error above 90 deg"."""
-    if manifest["outcome"] == "completed":
-        return "completed"
-    reason = manifest["fall_reason"]
-    return f"fell at {manifest['fall_time']:.2f} s" + (f": {reason}" if reason else "")
+    words, reason = str(manifest["outcome"]).replace("_", " "), manifest["lost_reason"]
+    if manifest["lost_time"] is None:
+        return words
+    return f"{words} at {manifest['lost_time']:.2f} s" + (f": {reason}" if reason else "")
 
 
 def _number(value: float | None, form: str) -> str:

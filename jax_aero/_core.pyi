@@ -26,9 +26,9 @@ class _QpAnswer(TypedDict):
 class _FlightResult(TypedDict):
     log: dict[str, _Array]
     joint_setpoint: _Array
-    outcome: Literal["completed", "fell"]
-    fall_time: float | None
-    fall_reason: str | None
+    outcome: Literal["completed", "off_course", "fell", "diverged"]
+    lost_time: float | None
+    lost_reason: str | None
     summary: dict[str, float]
 
 @final
@@ -44,6 +44,8 @@ class Robot:
     def joint_names(self) -> list[str]: ...
     @property
     def joint_limits(self) -> list[tuple[float, float]]: ...
+    @property
+    def joint_stops(self) -> list[tuple[float, float]]: ...
     @property
     def joint_groups(self) -> dict[str, list[str]]: ...
     @property

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias, TypeVar, cast
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from jax_aero import noise
 from jax_aero.types import Array, Static, pytree
@@ -502,13 +503,29 @@ class InitialConfig:
     """(j,) [N]."""
     base_velocity: Array = _default(np.zeros(6))
     """(6,) of the base origin and angular, inertial axes [m/s, rad/s]."""
-    free_fall_tick: Static[bool] = True
+    free_fall_tick: Static[bool] = False
     """Whether the first physics step has neither thrust nor torque."""
 
 
 @pytree
+class DivergenceConfig:
+    """What physics excludes: a flight whose numbers go beyond has diverged."""
+
+    speed: Array = _default(300.0)
+    """() of base and air [m/s]."""
+    angular_velocity: Array = _default(100.0)
+    """() of the base [rad/s]."""
+    joint_velocity: Array = _default(100.0)
+    """() [rad/s, m/s]."""
+    joint_excess: Array = _default(6.0)
+    """() of a joint beyond its stops [rad, m]."""
+    thrust_ratio: Array = _default(10.0)
+    """() of a thrust to the jet's greatest."""
+
+
+@pytree
 class FallConfig:
-    """When a flight counts as lost."""
+    """When a robot counts as fallen."""
 
     rotation_error_deg: Array
     """() [deg]."""
@@ -535,6 +552,11 @@ class SimulatorConfig:
     lever_arm: Static[LeverArm] = "rotated"
     kinematics: Static[Literal["current", "frozen"]] = "current"
     """Which kinematics place the links in the wind."""
+    joint_stops: Static[bool] = True
+    """Whether joints meet their stops."""
+    course_error: Array = _default(0.5)
+    """() greatest position error after the start-up of a flight that is on course [m]."""
+    divergence: DivergenceConfig = field(default_factory=DivergenceConfig)
 
     @property
     def n_ticks(self) -> int:
@@ -658,16 +680,28 @@ def _waves(seed: int) -> dict[str, Any]:
     return {"places": places, "phases": 2.0 * np.pi * draws[..., 1]}
 
 
+GREATEST_TURN_DEG = 179.0
+"""From one row of a recorded reference to the next [deg]: of half a turn the axis is rounding."""
+
+
 def recorded_reference(path: str) -> RecordedReference:
     """Read a recorded reference: CSV, `#` begins a comment, the header names 7, 10, 13 or 16 columns.
 
-    `rust.check_config` says what is wrong with a file that the crate refuses; here its shape alone is checked.
+    `rust.check_config` says what is wrong with a file that the crate refuses; here its shape and turns are checked.
     """
     text = Path(path).read_text(encoding="utf-8").splitlines()
     lines = [line for line in text if line.strip() and not line.lstrip().startswith("#")]
     rows = np.array([line.split(",") for line in lines[1:]], dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] not in (7, 10, 13, 16) or len(rows) < 2:
         raise ValueError(f"reference file {path} has shape {rows.shape}; expected 2 rows or more of 7, 10, 13 or 16")
+    rotations = Rotation.from_euler("xyz", rows[:, 4:7])
+    turns = np.degrees((rotations[:-1].inv() * rotations[1:]).magnitude())
+    if np.any(turns > GREATEST_TURN_DEG):
+        row = int(np.argmax(turns > GREATEST_TURN_DEG)) + 1
+        raise ValueError(
+            f"reference file {path} turns by {turns[row - 1]:.1f} deg from row {row} to row {row + 1}; "
+            f"expected a turn below {GREATEST_TURN_DEG:g} deg, whose axis is certain"
+        )
     columns = [_number(rows[:, first : first + 3]) for first in range(1, rows.shape[1], 3)]
     known: list[Any] = [*columns, None, None, None]
     return RecordedReference(_number(rows[:, 0]), *known[:5])

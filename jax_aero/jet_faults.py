@@ -29,7 +29,6 @@ class JetFaults(NamedTuple):
 
     lag: Float[Array, ""]
     """Time constant of the response [s]."""
-    lower: Float[Array, " j"]
     """Least thrust [N]."""
     upper: Float[Array, " j"]
     """Greatest thrust [N]."""
@@ -84,7 +83,6 @@ def start_faults(
         drawn = _sensor_noise(settings, n_ticks, len(names))
     faults = JetFaults(
         lag=settings.lag,
-        lower=jnp.full(thrust_max.shape, -np.inf if scale is None else 0.0),
         upper=jnp.full(thrust_max.shape, np.inf) if scale is None else scale * thrust_max,
         fails=jnp.array([failure is not None and name == failure.jet for name in names]),
         is_stuck=jnp.array(failure is not None and failure.kind == "stuck"),
@@ -134,10 +132,8 @@ def limited(
 
     A jet that is off decays from the thrust of its failure: `T = T₀ exp(−(t − t₀)/τ)`.
     """
-    is_over, is_under = thrust > faults.upper, thrust < faults.lower
-    rate = jnp.where(is_over, jnp.minimum(thrust_rate, 0.0), thrust_rate)
-    rate = jnp.where(is_under, jnp.maximum(thrust_rate, 0.0), rate)
-    thrust = jnp.clip(thrust, faults.lower, faults.upper)
+    rate = jnp.where(thrust > faults.upper, jnp.minimum(thrust_rate, 0.0), thrust_rate)
+    thrust = jnp.minimum(thrust, faults.upper)
 
     left = state.left - dt
     # Half a step of slack: the sum of many steps is not exact.

@@ -80,7 +80,7 @@ class JetDynamics(Protocol):
 
 @pytree
 class IdealJets:
-    """Thrust is the integral of the commanded rate, without clipping: the bounds on it are the controller's."""
+    """Thrust is the integral of the commanded rate, never negative; upper bounds are the controller's."""
 
     def start(self, thrust: Array) -> JetsState:
         """Jets at `thrust` (j,) [N] with thrust rate zero."""
@@ -91,8 +91,9 @@ class IdealJets:
         return state.thrust
 
     def advance(self, state: JetsState, command: Array, dt: Array | float, measured: Array | None = None) -> JetsState:  # noqa: ARG002 - nothing estimates here
-        """`T ← T + Ṫ* dt`."""
-        return JetsState(state.thrust + dt * command, command)
+        """`T ← max(0, T + Ṫ* dt)`."""
+        thrust = state.thrust + dt * command
+        return JetsState(jnp.where(thrust < 0.0, 0.0, thrust), jnp.where(thrust < 0.0, 0.0, command))
 
 
 class EngineState(NamedTuple):
@@ -150,9 +151,11 @@ class SecondOrderJets:
         estimate, covariance = _update_ekf(self, state.engine, seen, throttle, dt)
         # T̈ at the start of the step, as in the published simulator.
         acceleration = thrust_acceleration(self.engines, state.thrust, state.thrust_rate, throttle)
+        thrust = state.thrust + dt * (state.thrust_rate + 0.5 * dt * acceleration)
+        rate, is_out = state.thrust_rate + dt * acceleration, thrust < 0.0
         return JetsState(
-            thrust=state.thrust + dt * (state.thrust_rate + 0.5 * dt * acceleration),
-            thrust_rate=state.thrust_rate + dt * acceleration,
+            thrust=jnp.where(is_out, 0.0, thrust),
+            thrust_rate=jnp.where(is_out, jnp.maximum(rate, 0.0), rate),
             engine=EngineState(throttle, integral, estimate, covariance),
         )
 
@@ -261,20 +264,22 @@ def _throttle_loop(
 def _update_ekf(
     model: SecondOrderJets, state: EngineState, measured: Array, throttle: Array, dt: Array | float
 ) -> tuple[Array, Array]:
-    """Advance the extended Kalman filter of every engine: continuous-time form, forward Euler.
+    """Advance the extended Kalman filter of every engine: a measurement of variance `R/dt`, then a step of `dt`.
 
-    x̂˙ = ( Ṫ, T̈(x̂, u) ) + P Cᵀ R⁻¹ (y − T),   C = (1 0)
-    Ṗ = A P + P Aᵀ + Q − P Cᵀ R⁻¹ C P,   A = ∂(Ṫ, T̈)/∂x at (x̂, u)
+    K = P Cᵀ (C P Cᵀ + R/dt)⁻¹,   x̂ ← x̂ + K (y − T̂),   P ← P − K C P,   C = (1 0)
+    x̂ ← x̂ + dt ( Ṫ, T̈(x̂, u) ),   P ← Φ P Φᵀ + dt Q,   Φ = 1 + dt A,   A = ∂(Ṫ, T̈)/∂x at (x̂, u)
     """
-    e = model.engines
-    thrust, rate = state.estimate[:, 0], state.estimate[:, 1]
+    e, column = model.engines, state.covariance[:, :, 0]
+    gain = column / (column[:, :1] + model.r / dt)
+    estimate = state.estimate + gain * (measured - state.estimate[:, 0])[:, None]
+    p = state.covariance - gain[:, :, None] * column[:, None, :]
+
+    thrust, rate = estimate[:, 0], estimate[:, 1]
     v = throttle_input(e, jnp.clip(throttle, e.throttle_min, e.throttle_max))
     by_thrust = e.k_t + 2.0 * e.k_tt * thrust + e.k_td * rate + e.b_t * v
     by_rate = e.k_d + 2.0 * e.k_dd * rate + e.k_td * thrust + e.b_d * v
-    p = state.covariance
-    spread = jnp.stack([p[:, 1], by_thrust[:, None] * p[:, 0] + by_rate[:, None] * p[:, 1]], axis=1)
-    gain = p[:, :, 0] / model.r
+    ones, zeros = jnp.ones_like(thrust), jnp.zeros_like(thrust)
+    slopes = jnp.stack([jnp.stack([zeros, ones], axis=1), jnp.stack([by_thrust, by_rate], axis=1)], axis=1)
+    transition = jnp.eye(2, dtype=p.dtype) + dt * slopes
     flow = jnp.stack([rate, thrust_acceleration(e, thrust, rate, throttle)], axis=1)
-    estimate = state.estimate + dt * (flow + gain * (measured - thrust)[:, None])
-    learned = gain[:, :, None] * gain[:, None, :] * model.r
-    return estimate, p + dt * (spread + jnp.swapaxes(spread, 1, 2) + model.q - learned)
+    return estimate + dt * flow, transition @ p @ jnp.swapaxes(transition, 1, 2) + dt * model.q

@@ -8,7 +8,7 @@ advance   sub-steps of MuJoCo to x_{k+1} under held torques and forces
 ```
 
 The crate simulates no ground; this is the engine that does. A foot touches with the corners of its sole, small spheres
-whose lowest points are those of the robot's file. Joints have no stops, as in the crate's plant.
+whose lowest points are those of the robot's file. Joints have stops unless the configuration switches them off.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import mujoco_model, rust
+from jax_aero.result import Outcome
 from jax_aero.summary import condense, figures
 
 Array = NDArray[np.float64]
@@ -162,8 +163,9 @@ def _model(source: str, simulator: Mapping[str, Any]) -> Any:
     spec = mujoco_model.mujoco_spec(source)
     option = spec.option
     # Without the reset, a run that blows up ends there instead of starting over.
-    disabled = mujoco.mjtDisableBit.mjDSBL_LIMIT, mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    option.disableflags = sum(int(bit) for bit in disabled)
+    option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    if not simulator["joint_stops"]:
+        option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     option.timestep = simulator["time_step"] / simulator["substeps"]
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -201,6 +203,10 @@ def _model(source: str, simulator: Mapping[str, Any]) -> Any:
                 **contact,
             )
     model = spec.compile()
+    robot = rust.Robot(source)
+    for joint, (lower, upper) in zip(robot.joint_names, robot.joint_stops, strict=True):
+        model.joint(joint).range[:] = lower, upper
+        model.jnt_limited[model.joint(joint).id] = np.isfinite(upper - lower)
     model.dof_frictionloss[6:] = motors.get("friction", 0.0)
     for joint, friction in motors.get("friction_of", {}).items():
         model.joint(joint).frictionloss[:] = friction
@@ -237,31 +243,35 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
     measured = rust.wind_velocity(disturbances.get("controller_wind", config["wind"]), times)
     thrust = np.asarray(simulator["initial"]["thrust"], dtype=np.float64)
     rows: list[dict[str, Any]] = []
-    fall: tuple[float, str] | None = None
+    loss: tuple[Outcome, str] | None = None
     posture = None
     for k, time in enumerate(times):
         if not plant.is_sound:
-            fall = (time, "state not finite")
+            loss = "diverged", "state not finite"
             break
         seen = plant.observe(blowing[k])
         tick = controller.tick(seen.state, thrust, measured[k], time, foot_wrenches=seen.foot_wrenches[plant.named])
         posture = tick.posture
         row = _row(plant, seen, tick, time, thrust, blowing[k], measured[k])
         rows.append(row)
-        fall = _fall(row, simulator["fall"], time)
-        if fall is not None:
+        loss = _divergence(row, simulator["divergence"], plant.robot) or _fall(row, simulator["fall"])
+        if loss is not None:
             break
         plant.advance(tick.joint_torque)
         if progress is not None:
             progress(k, len(blowing) - 1)
     log = {name: np.array([row[name] for row in rows], dtype=np.float64) for name in rows[0]}
+    # A row with numbers that physics excludes is no merit of the flight.
+    merits = len(rows) - (loss is not None and loss[0] == "diverged" and plant.is_sound)
+    summary = _summary({name: values[:merits] for name, values in log.items()}, np.asarray(posture))
+    flown: Outcome = "off_course" if summary["max_com_error"] > simulator["course_error"] else "completed"
     return rust.FlightResult(
         log=log,
         joint_setpoint=np.asarray(posture),
-        outcome="completed" if fall is None else "fell",
-        fall_time=None if fall is None else fall[0],
-        fall_reason=None if fall is None else fall[1],
-        summary=_summary(log, np.asarray(posture)),
+        outcome=flown if loss is None else loss[0],
+        lost_time=None if loss is None else float(time),
+        lost_reason=None if loss is None else loss[1],
+        summary=summary,
     )
 
 
@@ -325,16 +335,34 @@ def _row(
     }
 
 
-def _fall(row: Mapping[str, Any], limits: Mapping[str, float], time: float) -> tuple[float, str] | None:
+def _divergence(row: Mapping[str, Any], limits: Mapping[str, float], robot: rust.Robot) -> tuple[Outcome, str] | None:
+    """Judge as the crate does; thrusts are held here."""
+    lower, upper = np.reshape(robot.joint_stops, (-1, 2)).T
+    joints, base = row["joint_position"], row["base_velocity"]
+    speed = max(np.linalg.norm(base[:3]), np.linalg.norm(row["wind"]))
+    excess = np.max(np.maximum(lower - joints, joints - upper), initial=-np.inf)
+    criteria = (
+        (speed, "speed", "speed above {} m/s"),
+        (np.linalg.norm(base[3:]), "angular_velocity", "angular velocity above {} rad/s"),
+        (np.max(np.abs(row["joint_velocity"]), initial=0.0), "joint_velocity", "joint velocity above {} rad/s"),
+        (excess, "joint_excess", "joint more than {} rad beyond its stop"),
+    )
+    for value, name, words in criteria:
+        if value > limits[name]:
+            return "diverged", words.format(np.format_float_positional(limits[name], trim="-"))
+    return None
+
+
+def _fall(row: Mapping[str, Any], limits: Mapping[str, float]) -> tuple[Outcome, str] | None:
     """Judge as the crate does."""
     angle = np.degrees(row["rotation_error"])
     distance = float(np.linalg.norm(row["com_position"] - row["com_setpoint"]))
     if not np.isfinite(angle) or not np.isfinite(distance):
-        return time, "state not finite"
+        return "diverged", "state not finite"
     if angle > limits["rotation_error_deg"]:
-        return time, f"rotation error {angle:.1f} deg"
+        return "fell", f"rotation error {angle:.1f} deg"
     if distance > limits["com_error"]:
-        return time, f"CoM error {distance:.2f} m"
+        return "fell", f"CoM error {distance:.2f} m"
     return None
 
 

@@ -13,6 +13,10 @@ Progress = Callable[[int, int], None]
 """Called with (ticks flown, ticks in all), or with (flights flown, flights in all) of a batch."""
 
 
+Outcome = Literal["completed", "off_course", "fell", "diverged"]
+"""How a flight ended."""
+
+
 @dataclass(frozen=True)
 class FlightResult:
     """One flight: its log and how it ended.
@@ -24,18 +28,19 @@ class FlightResult:
     joint_setpoint
         Posture of the first tick, which the controller keeps pulling towards [rad].
     outcome
-        "completed", or "fell" when the simulator's fall criterion was met.
-    fall_time, fall_reason
-        When [s] and by which criterion; `None` for a completed flight.
+        "completed"; "off_course": flown to the end, but further from its set-point than `simulator.course_error`;
+        "fell"; "diverged": with numbers that physics excludes.
+    lost_time, lost_reason
+        When [s] and by which criterion the flight ended early; `None` if it reached its end.
     summary
         Figures of merit, which `rust.figures` declares.
     """
 
     log: Mapping[str, NDArray[np.float64]]
     joint_setpoint: NDArray[np.float64]
-    outcome: Literal["completed", "fell"]
-    fall_time: float | None
-    fall_reason: str | None
+    outcome: Outcome
+    lost_time: float | None
+    lost_reason: str | None
     summary: Mapping[str, float]
 
     def __getitem__(self, signal: str) -> NDArray[np.float64]:

@@ -106,6 +106,8 @@ class RobotModel:
     """Unit axes in child axes."""
     joint_limits: Float[Array, "n 2"]
     """Limits the controller respects, lower and upper [rad]."""
+    joint_stops: Float[Array, "n 2"]
+    """Where joints meet their stops [rad]: the range of the URDF, widened to that of the controller."""
     joint_torque_max: Float[Array, " n"]
     """[N m]."""
     joint_torque_rate_max: Float[Array, " n"]
@@ -201,6 +203,8 @@ def _robot(toml_path: Path, table: Mapping[str, Any]) -> RobotModel:
     }
     tree = read_tree(urdf_text, table["base_link"], order, locked)
     limits, torque_max, torque_rate_max, velocity_max = _joint_limits(entries, tree)
+    ranges = [(-np.inf, np.inf) if joint.limits is None else joint.limits for joint in tree.joints]
+    stops = [(min(a, c), max(b, d)) for (a, b), (c, d) in zip(limits, ranges, strict=True)]
     starts = np.cumsum([0] + [len(joints) for _, joints in groups]).tolist()
     return RobotModel(
         name=table["name"],
@@ -220,6 +224,7 @@ def _robot(toml_path: Path, table: Mapping[str, Any]) -> RobotModel:
         joint_positions=_leaf(np.reshape([joint.parent_from_child.position for joint in tree.joints], (-1, 3))),
         joint_axes=_leaf(np.reshape([joint.axis for joint in tree.joints], (-1, 3))),
         joint_limits=_leaf(np.reshape(limits, (-1, 2))),
+        joint_stops=_leaf(np.reshape(stops, (-1, 2))),
         joint_torque_max=_leaf(torque_max),
         joint_torque_rate_max=_leaf(torque_rate_max),
         joint_velocity_max=_leaf(velocity_max),

@@ -50,7 +50,7 @@ def figures(signals: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
         "thrust_min": signals["thrust"].min() if signals["thrust"].size else 0.0,
         "thrust_max": signals["thrust"].max() if signals["thrust"].size else 0.0,
         "max_torque": _greatest(signals["largest_torque"]),
-        "min_com_height": signals["com_position"][:, 2].min(),
+        "min_com_height": np.min(signals["com_position"][:, 2], initial=np.inf),
         "min_com_x_settling": np.min(signals["com_position"][~settled, 0], initial=np.inf),
         "ticks_without_solution": np.count_nonzero(np.any(signals["qp_status"] > 0.0, axis=1)),
         "rms_com_error": _root_mean_square(distance),

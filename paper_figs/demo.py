@@ -54,8 +54,8 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
         for row, (run, (controller, _, _)) in enumerate(zip(same_arms, CONTROLLERS, strict=True), start=2):
             panels.thrusts(grid[row, column], run)
             grid[row, column].set_title(f"thrusts, {controller}")
-            if run.fall_time is not None:
-                style.mark_fall(grid[row, column], run.fall_time)
+            if run.lost_time is not None:
+                style.mark_fall(grid[row, column], run.lost_time)
         panels.wind(grid[-1, column], max(same_arms, key=lambda run: run.data.sizes["time"]))
         grid[-1, column].set_xlabel("time [s]")
     for axes in grid[:, 1]:
@@ -72,8 +72,8 @@ def _rotation_error(axes: Axes, runs: Sequence[Run]) -> None:
     for run, (controller, colour, dash) in zip(runs, CONTROLLERS, strict=True):
         error = np.degrees(run.flown["rotation_error"])
         axes.plot(error["time"], error, dash, color=colour, label=controller)
-        if run.fall_time is not None:
-            style.mark_fall(axes, run.fall_time, f"fell at {run.fall_time:.1f} s")
+        if run.lost_time is not None:
+            style.mark_fall(axes, run.lost_time, run.ending)
     axes.set_title("base rotation error")
     axes.set_ylabel("error [deg]")
 
@@ -82,7 +82,7 @@ def _com_error(axes: Axes, runs: Sequence[Run]) -> None:
     for run, (controller, colour, dash) in zip(runs, CONTROLLERS, strict=True):
         error = run.com_error()
         axes.plot(error["time"], error, dash, color=colour, label=controller)
-        if run.fall_time is not None:
-            style.mark_fall(axes, run.fall_time)
+        if run.lost_time is not None:
+            style.mark_fall(axes, run.lost_time)
     axes.set_title("distance of the CoM from its reference")
     axes.set_ylabel("error [m]")

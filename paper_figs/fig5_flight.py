@@ -53,7 +53,7 @@ def _row(figure: FigureBase, run: Run, letters: str, *, control: bool) -> None:
     for axes, mark in zip((errors, force, thrust), letters, strict=True):
         style.letter(axes, mark)
         axes.set_xlabel("time [s]")
-        if run.fall_time is not None:
-            style.mark_fall(axes, run.fall_time, f"fell at {run.fall_time:.1f} s" if axes is errors else None)
+        if run.lost_time is not None:
+            style.mark_fall(axes, run.lost_time, run.ending if axes is errors else None)
         handles = panels.aero_force_key() if control and axes is force else None
         style.legend_above(axes, columns=2 if axes is thrust else 3, handles=handles)

@@ -57,9 +57,9 @@ def _experiment(figure: FigureBase, run: Run, letters: str) -> None:
         axes.set_xlabel("time [s]")
     style.legend_above(grid[1, 0], columns=3)
     grid[0, 0].set_xlim(0.0, float(run.data["time"][-1]))
-    if run.fall_time is not None:
+    if run.lost_time is not None:
         for axes in grid.ravel():
-            style.mark_fall(axes, run.fall_time)
+            style.mark_fall(axes, run.lost_time)
 
 
 def _vector(axes: Axes, vectors: Series, label: str) -> None:

@@ -18,7 +18,7 @@ class MissingRun(Exception):
 
 @dataclass(frozen=True)
 class Run:
-    """One flight, up to its end or its fall."""
+    """One flight, up to its end or its loss."""
 
     name: str
     data: xr.Dataset
@@ -34,15 +34,20 @@ class Run:
         return str(self.data.attrs["config_hash"])
 
     @property
-    def fall_time(self) -> float | None:
-        """Return when the robot fell [s], or `None` if it did not."""
-        time = float(self.data.attrs["fall_time"])
+    def lost_time(self) -> float | None:
+        """Return when the flight was lost [s], or `None` if it reached its end."""
+        time = float(self.data.attrs["lost_time"])
         return None if np.isnan(time) else time
+
+    @property
+    def ending(self) -> str:
+        """Return how the flight was lost, and when: "fell at 21.4 s"."""
+        return f"{self.data.attrs['outcome']} at {self.lost_time:.1f} s"
 
     @cached_property
     def flown(self) -> xr.Dataset:
-        """Return the log up to the fall: behind it numbers lose their meaning, and their bounds."""
-        return self.data if self.fall_time is None else self.data.sel(time=slice(None, self.fall_time))
+        """Return the log up to its loss: behind it numbers lose their meaning, and their bounds."""
+        return self.data if self.lost_time is None else self.data.sel(time=slice(None, self.lost_time))
 
     def joint_error_deg(self) -> Series:
         """Return the sum of absolute joint errors of each group [deg], dims time and group."""

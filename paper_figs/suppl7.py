@@ -58,5 +58,5 @@ def _finish(axes: Axes, run: Run, mark: str) -> None:
     if mark:
         style.letter(axes, mark)
     axes.set_xlabel("time [s]")
-    if run.fall_time is not None:
-        style.mark_fall(axes, run.fall_time, f"fell at {run.fall_time:.1f} s" if mark in "adg" else None)
+    if run.lost_time is not None:
+        style.mark_fall(axes, run.lost_time, run.ending if mark in "adg" else None)

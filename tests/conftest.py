@@ -76,11 +76,11 @@ def robot() -> MadeUpRobot:
     return MadeUpRobot()
 
 
-def made_up_flight(duration: float = 50.0, fall_time: float | None = None, step: float = 0.1) -> FlightResult:
-    t = np.arange(0.0, (fall_time or duration) + step / 2, step)
+def made_up_flight(duration: float = 50.0, lost_time: float | None = None, step: float = 0.1) -> FlightResult:
+    t = np.arange(0.0, (lost_time or duration) + step / 2, step)
     n = t.size
     ramp = np.clip((t - 5.0) / 5.0, 0.0, 1.0)
-    drift = ramp * (np.exp((t - t[-1]) / 3.0) if fall_time else 0.05)
+    drift = ramp * (np.exp((t - t[-1]) / 3.0) if lost_time else 0.05)
     reference = np.stack(
         [3.0 * np.clip(t - 20.0, 0.0, 15.0), 0.0 * t, 0.75 + 0.7 * np.clip(t - 10.0, 0.0, 7.0)], axis=1
     )
@@ -119,9 +119,9 @@ def made_up_flight(duration: float = 50.0, fall_time: float | None = None, step:
     return FlightResult(
         log=log,
         joint_setpoint=np.full(23, 0.2),
-        outcome="fell" if fall_time else "completed",
-        fall_time=fall_time,
-        fall_reason="rotation error above 90 deg" if fall_time else None,
+        outcome="fell" if lost_time else "completed",
+        lost_time=lost_time,
+        lost_reason="rotation error above 90 deg" if lost_time else None,
         summary={"max_com_error": 0.017, "max_rotation_error": 0.05, "thrust_min": 57.9, "thrust_max": 179.2},
     )
 
@@ -139,10 +139,10 @@ def made_up_results(tmp_path: Path, robot: MadeUpRobot) -> Path:
     falls |= dict.fromkeys(["test1_observer", "test1_published_observer"])
     falls |= dict.fromkeys(["test3", "test4", "robustness", "test4_published", "robustness_published"])
     falls |= {"test3_published": 20.5}
-    for name, fall_time in falls.items():
+    for name, lost_time in falls.items():
         digest = name.encode().hex().ljust(64, "0")
         dataset = record.to_dataset(
-            made_up_flight(fall_time=fall_time), robot, title=f"{name}: made up", config_digest=digest
+            made_up_flight(lost_time=lost_time), robot, title=f"{name}: made up", config_digest=digest
         )
         record.write_run(results / name, dataset, {"name": name, "config_digest": digest})
     return results

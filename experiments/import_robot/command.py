@@ -199,7 +199,7 @@ def report(result: Imported) -> str:
     for name, flight in (("hover", result.hover), ("mission", result.mission)):
         if flight is None:
             continue
-        why = "" if flight.outcome == "completed" else f" at {flight.fall_time:.2f} s, {flight.fall_reason}"
+        why = "" if flight.outcome == "completed" else f" at {flight.lost_time:.2f} s, {flight.lost_reason}"
         lines.append(
             f"{name:<20} {flight.outcome}{why}; CoM within {1000.0 * flight.summary['max_com_error']:.1f} mm, "
             f"attitude within {np.degrees(flight.summary['max_rotation_error']):.2f} deg"

@@ -152,7 +152,11 @@ def _pictures(results: Results, figures: Iterable[tuple[str, str]]) -> list[Pict
 def _sweep(page: Page, results: Results, name: str, sweep: Sweep) -> None:
     document = sweep.document
     finished = document["finished"]["outcomes"]
-    counted = f"{finished['completed']} completed, {finished['fell']} fell"
+    counted = ", ".join(
+        f"{number} {outcome.replace('_', ' ')}"
+        for outcome, number in finished.items()
+        if outcome != "error" and (number or outcome in ("completed", "fell"))
+    )
     failed = f", {finished['error']} could not be flown" if finished["error"] else ""
     page.add(
         Heading(3, document["title"]),

@@ -75,12 +75,14 @@ def measure(name: str, run: xr.Dataset, ramp_start: float, mass: float) -> Groun
     horizontal = np.linalg.norm(rate[:, :2], axis=1)
     joints = [str(joint) for joint in run["joint"].values]
     turned = np.degrees(way(run["joint_position"].values))
-    fell = run.attrs["outcome"] != "completed"
+    outcome = str(run.attrs["outcome"])
     vertical = float((feet[end, 2] - mass * GRAVITY).mean())
     return Ground(
         name=name,
-        completed=not fell,
-        ending=f"fell at {run.attrs['fall_time']:.1f} s ({run.attrs['fall_reason']})" if fell else "stands to the end",
+        completed=outcome == "completed",
+        ending=f"{outcome.replace('_', ' ')} at {run.attrs['lost_time']:.1f} s ({run.attrs['lost_reason']})"
+        if run.attrs["lost_reason"]
+        else "stands to the end",
         always_carried=bool((run["feet_carry"].values == 1).all()),
         shift=way(com),
         force=np.asarray(force[end].mean(axis=0)),

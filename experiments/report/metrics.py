@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -50,14 +49,13 @@ class Metrics:
 
 def read(folder: Path) -> Metrics | None:
     """Return the metrics of a result folder, or `None` where there is no flight."""
-    document = record.read_manifest(folder)
-    if document is None:
+    if record.read_manifest(folder) is None:
         return None
     with xr.open_dataset(folder / record.RUN_FILE, engine="h5netcdf") as opened:
-        return measure(folder.name, opened.load(), document)
+        return measure(folder.name, opened.load())
 
 
-def measure(name: str, run: xr.Dataset, document: dict[str, Any]) -> Metrics:
+def measure(name: str, run: xr.Dataset) -> Metrics:
     """Return the metrics of a flight, up to its fall."""
     time: Vector = run["time"].values
     settled = time >= SETTLING_TIME
@@ -68,12 +66,15 @@ def measure(name: str, run: xr.Dataset, document: dict[str, Any]) -> Metrics:
     simulated, estimated = (run[f"aero_force_{side}"].sum("link").values for side in ("sim", "control"))
     difference = np.linalg.norm(simulated - estimated, axis=1)
     thrust = run["thrust"].values
-    completed = run.attrs["outcome"] == "completed"
+    outcome = str(run.attrs["outcome"])
+    words = outcome.replace("_", " ")
     return Metrics(
         name=name,
         title=str(run.attrs["title"]),
-        completed=completed,
-        ending="completed" if completed else f"fell at {document['fall_time']:.1f} s ({document['fall_reason']})",
+        completed=outcome == "completed",
+        ending=words
+        if np.isnan(run.attrs["lost_time"])
+        else f"{words} at {run.attrs['lost_time']:.1f} s ({run.attrs['lost_reason']})",
         com_error=float(distance.max(initial=0.0)),
         rotation_error=float(np.degrees(run["rotation_error"].max())),
         joint_errors={

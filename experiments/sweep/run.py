@@ -15,6 +15,7 @@ import json
 import os
 import shutil
 import time
+import typing
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -29,6 +30,7 @@ from experiments.sweep.design import Design
 from experiments.sweep.progress import Progress
 from jax_aero import rust, tables
 from jax_aero.files import write_json
+from jax_aero.result import Outcome
 
 RESULTS = manifest.REPOSITORY / "results" / "sweeps"
 
@@ -110,7 +112,7 @@ def _finish(folder: Path, design: Design, document: dict[str, Any], flown: int, 
         "flights": flown,
         "seconds": round(seconds, 3),
         "flights_per_minute": round(60.0 * flown / seconds, 1) if flown else None,
-        "outcomes": {outcome: outcomes.count(outcome) for outcome in ("completed", "fell", "error")},
+        "outcomes": {outcome: outcomes.count(outcome) for outcome in (*typing.get_args(Outcome), "error")},
     }
     write_json(folder / "sweep.json", document)
     table.write(table.cells(design, whole), folder / "cells.parquet")

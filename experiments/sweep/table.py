@@ -6,6 +6,7 @@ Nothing in these tables depends on when, where or in which order flights were fl
 from __future__ import annotations
 
 import math
+import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from experiments.engines import Failure
 from experiments.sweep.design import Design, config_hash
 from jax_aero import rust
 from jax_aero.files import complete_file
-from jax_aero.result import FlightResult
+from jax_aero.result import FlightResult, Outcome
 from jax_aero.summary import SETTLING_TIME
 
 SUMMARY = tuple(name for name, figure in rust.figures().items() if not figure.is_of_ground)
@@ -26,7 +27,7 @@ SUMMARY = tuple(name for name, figure in rust.figures().items() if not figure.is
 
 ON_COURSE_ROTATION = math.radians(15.0)
 ON_COURSE_COM = 0.25
-"""A flight that was never this far off [rad, m] counts as on course, a stricter word than completed."""
+"""A completed flight that was never this far off [rad, m] counts as on course, a stricter word than completed."""
 
 
 QUANTITIES = {
@@ -35,7 +36,7 @@ QUANTITIES = {
     "joint_error_deg": ("max_joint_error", math.degrees(1.0)),
     "thrust_max": ("thrust_max", 1.0),
     "thrust_min": ("thrust_min", 1.0),
-    "fall_time": ("fall_time", 1.0),
+    "lost_time": ("lost_time", 1.0),
     "time_above_45_deg": ("time_above_45_deg", 1.0),
 }
 """Columns of the table of cells: of which summary, times what."""
@@ -53,8 +54,8 @@ def schema(design: Design) -> pa.Schema:
             *_axis_columns(design),
             ("config_hash", pa.string()),
             ("outcome", pa.string()),
-            ("fall_time", pa.float64()),
-            ("fall_reason", pa.string()),
+            ("lost_time", pa.float64()),
+            ("lost_reason", pa.string()),
             ("error", pa.string()),
             *((name, pa.float64()) for name in SUMMARY),
         ]
@@ -84,7 +85,7 @@ def rows(
         if isinstance(flown, Failure):
             record |= {"outcome": "error", "error": flown.reason}
         else:
-            record |= {"outcome": flown.outcome, "fall_time": flown.fall_time, "fall_reason": flown.fall_reason}
+            record |= {"outcome": flown.outcome, "lost_time": flown.lost_time, "lost_reason": flown.lost_reason}
             record |= {name: flown.summary.get(name) for name in SUMMARY}
         records.append(record)
     return pa.Table.from_pylist(records, schema(design))
@@ -101,7 +102,7 @@ def cells(design: Design, table: pa.Table) -> pa.Table:
         mine = table.slice(cell * repeats, repeats)
         records.append(record | _cell({name: mine[name].to_numpy(zero_copy_only=False) for name in mine.column_names}))
     axis_columns = dict(_axis_columns(design))
-    whole = ("cell", "flights", "errors", "completed", "on_course")
+    whole = ("cell", "flights", "errors", "on_course", *typing.get_args(Outcome))
     fields = [(name, axis_columns.get(name, pa.int64() if name in whole else pa.float64())) for name in records[0]]
     return pa.Table.from_pylist(records, pa.schema(fields))
 
@@ -116,8 +117,10 @@ def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
     for name, which in (("completed", completed), ("on_course", completed & near)):
         low, high = wilson(int(which.sum()), trials)
         record |= {name: int(which.sum()), f"{name}_low": low, f"{name}_high": high}
+    for outcome in typing.get_args(Outcome):
+        record[outcome] = int((flights["outcome"] == outcome).sum())
     # The position error counts from `SETTLING_TIME` on: a flight that was lost before has none, not a zero.
-    settled = ~(flights["fall_time"].astype(float) < SETTLING_TIME)
+    settled = ~(flights["lost_time"].astype(float) < SETTLING_TIME)
     for name, (column, factor) in QUANTITIES.items():
         values = flights[column].astype(float) * factor
         values = values[np.isfinite(values) & (settled if column == "max_com_error" else True)]

@@ -46,6 +46,8 @@ class Group(NamedTuple):
     """Of each flight."""
     states: list[FlightState]
     n_ticks: int
+    course_errors: list[float]
+    """Of each flight, as in `Scenario`."""
     places: list[int]
     """Which flights of the batch these are."""
 
@@ -82,6 +84,7 @@ def fly_batch(
                 part = group._replace(
                     leaves=group.leaves[first : first + size],
                     states=group.states[first : first + size],
+                    course_errors=group.course_errors[first : first + size],
                     places=group.places[first : first + size],
                 )
                 flights.update(zip(part.places, _fly_together(part, size, full_log, workers), strict=True))
@@ -136,9 +139,10 @@ def _groups(prepared: Iterable[tuple[Scenario, FlightState]]) -> list[Group]:
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         n_ticks = int(scenario.n_ticks)
         key = structure, shapes, jax.tree.structure(state), n_ticks, hash(common)
-        group = found.setdefault(key, Group(structure, is_shared, [], [], n_ticks, []))
+        group = found.setdefault(key, Group(structure, is_shared, [], [], n_ticks, [], []))
         group.leaves.append(tuple(leaves))
         group.states.append(state)
+        group.course_errors.append(float(scenario.course_error))
         group.places.append(place)
     return list(found.values())
 
@@ -175,14 +179,14 @@ def _fly_together(group: Group, size: int, full_log: bool, devices: tuple[jax.De
     for first in range(0, group.n_ticks + 1, CHUNK):
         state, chunk = fly(leaves, postures, state, jnp.array(first, jnp.int32))
         kept.append(jax.device_get(chunk))
-        if not np.any(np.asarray(state.fall) == FLYING):
+        if not np.any(np.asarray(state.loss) == FLYING):
             break
-    falls, errors, ticks = jax.device_get((state.fall, state.fall_error, state.fall_tick))
+    losses, sizes, ticks = jax.device_get((state.loss, state.loss_size, state.loss_tick))
     signals = {name: np.concatenate([chunk[name] for chunk in kept], axis=1, dtype=np.float64) for name in kept[0]}
     flights = []
     for row in range(len(group.places)):
         own = {name: signal[row] for name, signal in signals.items()}
-        ending = Ending(int(falls[row]), float(errors[row]), int(ticks[row]))
+        ending = Ending(int(losses[row]), float(sizes[row]), int(ticks[row]), group.course_errors[row])
         first_posture = posture[row].astype(np.float64)
         flights.append(finished(own, first_posture, ending, group.n_ticks, is_whole_log=full_log))
     return flights

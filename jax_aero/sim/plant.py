@@ -2,10 +2,10 @@
 
     M(q) ν̇ = S τ + Σ Jᵀ T a + w_aero − h(q, ν)
 
-There is no ground, no joint friction, no motor inertia and no joint limit: none of them acts in a flight that succeeds,
-and one that fails ends with its fall. Integration is that of the Rust crate, step for step.
+There is no ground, no joint friction and no motor inertia; joint stops act unless they are switched off. Integration is
+that of the Rust crate, step for step.
 
-Equations M78 and M79 of `docs/model.md`.
+Equations M78, M79 and M87 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -36,6 +36,11 @@ from jax_aero.robot import RobotModel
 from jax_aero.spatial import exp_so3, multiply, rotate, rotation_from_rpy
 from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, State, Static, pytree
 
+STOP_STIFFNESS = 1e5
+"""Of a joint's stop [N m/rad, N/m]: 50 N m press half a milliradian into it."""
+STOP_DAMPING = 200.0
+"""Of a joint's stop [N m s/rad, N s/m]: with the stiffness, 2 ms."""
+
 
 @pytree
 class Plant:
@@ -50,6 +55,8 @@ class Plant:
     """[s]."""
     lever_arm: Static[LeverArm]
     integrator: Static[Integrator]
+    has_stops: Static[bool]
+    """Whether joints meet their stops."""
     substeps: Static[int]
     is_frozen: Static[bool]
     """Whether links stay where they were at the first tick, as far as the air is concerned (published)."""
@@ -110,6 +117,7 @@ def start_plant(
         time_step=jnp.asarray(config.time_step, jnp.asarray(initial.joint_position).dtype),
         lever_arm=config.lever_arm,
         integrator=config.integrator,
+        has_stops=config.joint_stops,
         substeps=config.substeps,
         is_frozen=config.kinematics == "frozen",
         backend=config.dynamics,
@@ -202,14 +210,44 @@ def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: A
         + generalised_aero_force(robot, seen.placed, seen.link_forces, seen.link_forces.arm_points)
         + jnp.concatenate([jnp.zeros_like(state.robot.velocity[:6]), torque])
     )
-    return integrate(plant, state.robot, forward_dynamics(seen.dynamics, force), step)
+    return _step(plant, state.robot, seen.dynamics, force, step)
+
+
+def _step(plant: Plant, state: State, dyn: Dynamics, force: Array, step: Array) -> State:
+    """One step under a generalised force and the stops of the joints."""
+    acceleration = forward_dynamics(dyn, force)
+    if plant.has_stops and plant.robot.n_joints:
+        is_out, stopped, pushed = _stops(plant, state, dyn, force, acceleration, step)
+        acceleration = jax.lax.cond(jnp.any(is_out), lambda: forward_dynamics(stopped, pushed), lambda: acceleration)
+    return integrate(plant, state, acceleration, step)
+
+
+def _stops(
+    plant: Plant, state: State, dyn: Dynamics, force: Array, acceleration: Array, step: Array
+) -> tuple[Array, Dynamics, Array]:
+    """Which joints this acceleration takes out of their range, and mass matrix and force with their stops.
+
+    These are springs and dampers, implicit in the velocity after the step, so that they are stable at every step.
+    """
+    velocity, (lower, upper) = state.velocity[6:], jnp.asarray(plant.robot.joint_stops).T
+    # Where the velocity after the step moves on from: with explicit Euler, from the end of the step.
+    position = state.joint_position + (step * velocity if plant.integrator == "explicit_euler" else 0.0)
+    ahead = position + step * (velocity + step * acceleration[6:])
+    is_out = (ahead > upper) | (ahead < lower)
+    # Ranges may be infinite, which no derivative must meet.
+    stop = jnp.where(ahead > upper, upper, jnp.where(ahead < lower, lower, 0.0))
+    push = STOP_STIFFNESS * (position + step * velocity - stop) + STOP_DAMPING * velocity
+    added = jnp.where(is_out, step * (step * STOP_STIFFNESS + STOP_DAMPING), 0.0)
+    base = jnp.zeros_like(state.velocity[:6])
+    mass_matrix = dyn.mass_matrix + jnp.diag(jnp.concatenate([base, added]))
+    return is_out, dyn._replace(mass_matrix=mass_matrix), force - jnp.concatenate([base, jnp.where(is_out, push, 0.0)])
 
 
 @jax.jit
 def _fall_freely(plant: Plant, state: State) -> State:
     """Take the first step of the published model: gravity alone."""
     dyn = dynamics(plant.robot, state, kinematics(plant.robot, state), plant.backend)
-    return integrate(plant, state, forward_dynamics(dyn, jnp.zeros_like(state.velocity)), plant.time_step)
+    return _step(plant, state, dyn, jnp.zeros_like(state.velocity), plant.time_step)
 
 
 def integrate(plant: Plant, state: State, acceleration: Array, step: Array) -> State:

@@ -18,11 +18,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax_aero.config import ScenarioConfig
-from jax_aero.result import FlightResult, Progress
+from jax_aero.result import FlightResult, Outcome, Progress
 from jax_aero.sim.step import (
+    BY_ANGULAR_VELOCITY,
+    BY_COM,
+    BY_JOINT_POSITION,
+    BY_JOINT_VELOCITY,
+    BY_ROTATION,
+    BY_SPEED,
+    BY_THRUST,
     FLYING,
-    LOST_BY_COM,
-    LOST_BY_ROTATION,
+    NOT_FINITE,
     FlightRow,
     FlightState,
     Scenario,
@@ -91,7 +97,7 @@ def fly_chunk(scenario: Scenario, state: FlightState, first_tick: Array, n_ticks
 def fly(
     config: ScenarioConfig | Mapping[str, Any], progress: Progress | None = None, *, dtype: Any = np.float64
 ) -> FlightResult:
-    """Fly one configuration from start to end, or to the fall, as `rust.fly` does and with the same result.
+    """Fly one configuration from start to end, or until it is lost, as `rust.fly` does and with the same result.
 
     Works in double precision by default, whatever the setting of JAX.
     """
@@ -100,7 +106,7 @@ def fly(
 
 
 def run(scenario: Scenario, state: FlightState, progress: Progress | None = None) -> FlightResult:
-    """Fly a scenario from this state to its end, or to the fall; as `fly` does with one of its own."""
+    """Fly a scenario from this state to its end, or until it is lost; as `fly` does with one of its own."""
     n_ticks = int(scenario.n_ticks)
     posture = np.asarray(state.plant.robot.joint_position, np.float64)
     rows: list[FlightRow] = []
@@ -110,43 +116,56 @@ def run(scenario: Scenario, state: FlightState, progress: Progress | None = None
         rows.append(jax.device_get(chunk))
         if progress is not None:
             progress(min(first + CHUNK, n_ticks), n_ticks)
-        if int(state.fall) != FLYING:
+        if int(state.loss) != FLYING:
             break
     log = {
         name: np.concatenate([np.asarray(getattr(chunk, name), np.float64) for chunk in rows])
         for name in FlightRow._fields
     }
-    return finished(log, posture, Ending(int(state.fall), float(state.fall_error), int(state.fall_tick)), n_ticks)
+    ending = Ending(int(state.loss), float(state.loss_size), int(state.loss_tick), float(scenario.course_error))
+    return finished(log, posture, ending, n_ticks)
 
 
 class Ending(NamedTuple):
-    """How a flight was lost, as in `FlightState`."""
+    """How a flight was lost, as in `FlightState`, and the position error up to which it is on course [m]."""
 
-    fall: int
-    error: float
+    loss: int
+    size: float
     tick: int
+    course_error: float
 
 
 def finished(
     signals: Mapping[str, Any], posture: Any, ending: Ending, n_ticks: int, *, is_whole_log: bool = True
 ) -> FlightResult:
     """Return the flight of these signals: whole rows, or condensed ones without a log. Ticks beyond its end are cut."""
-    fell = 0 <= ending.tick <= n_ticks
-    signals = {name: signal[: (ending.tick if fell else n_ticks) + 1] for name, signal in signals.items()}
+    is_lost = 0 <= ending.tick <= n_ticks
+    signals = {name: signal[: (ending.tick if is_lost else n_ticks) + 1] for name, signal in signals.items()}
+    has_diverged = is_lost and ending.loss >= NOT_FINITE
+    condensed = condense(signals, posture) if is_whole_log else signals
+    # Numbers that physics excludes are in the log, but no merit of the flight.
+    summary = figures({name: signal[:-1] for name, signal in condensed.items()} if has_diverged else condensed)
+    flown: Outcome = "off_course" if summary["max_com_error"] > ending.course_error else "completed"
     return FlightResult(
         log=signals if is_whole_log else {},
         joint_setpoint=posture,
-        outcome="fell" if fell else "completed",
-        fall_time=float(signals["time"][-1]) if fell else None,
-        fall_reason=fall_reason(ending.fall, ending.error) if fell else None,
-        summary=figures(condense(signals, posture) if is_whole_log else signals),
+        outcome=("diverged" if has_diverged else "fell") if is_lost else flown,
+        lost_time=float(signals["time"][-1]) if is_lost else None,
+        lost_reason=lost_reason(ending.loss, ending.size) if is_lost else None,
+        summary=summary,
     )
 
 
-def fall_reason(fall: int, error: float) -> str:
-    """Say in words why a flight was lost."""
-    if fall == LOST_BY_ROTATION:
-        return f"rotation error {np.rad2deg(error):.1f} deg"
-    if fall == LOST_BY_COM:
-        return f"CoM error {error:.2f} m"
-    return "state not finite"
+def lost_reason(loss: int, size: float) -> str:
+    """Say in words why a flight was lost, as the crate does."""
+    limit = np.format_float_positional(size, trim="-")
+    return {
+        BY_ROTATION: f"rotation error {np.rad2deg(size):.1f} deg",
+        BY_COM: f"CoM error {size:.2f} m",
+        NOT_FINITE: "state not finite",
+        BY_SPEED: f"speed above {limit} m/s",
+        BY_ANGULAR_VELOCITY: f"angular velocity above {limit} rad/s",
+        BY_JOINT_VELOCITY: f"joint velocity above {limit} rad/s",
+        BY_JOINT_POSITION: f"joint more than {limit} rad beyond its stop",
+        BY_THRUST: f"thrust above {limit} times its greatest",
+    }[loss]

@@ -25,7 +25,7 @@ from jaxtyping import Float, Int
 
 from jax_aero.aero import AeroModel, ReadNetwork
 from jax_aero.aero.network_card import load_network
-from jax_aero.config import FallConfig, ScenarioConfig, WindConfig, scenario_config
+from jax_aero.config import DivergenceConfig, FallConfig, ScenarioConfig, WindConfig, scenario_config
 from jax_aero.control.protocol import Command, Controller, Measurement
 from jax_aero.control.tick import momentum_controller
 from jax_aero.control.wind_estimate import WindEstimate, measured_wind, wind_estimate
@@ -38,8 +38,18 @@ from jax_aero.sim.wind import wind_velocity
 from jax_aero.spatial import multiply, rotation_angle, rpy_from_rotation, safe_norm, wxyz_from_rotation
 from jax_aero.types import Array, State, Static, pytree, where, with_dtype
 
-FLYING, LOST_BY_ROTATION, LOST_BY_COM, LOST_NOT_FINITE = range(4)
-"""Codes of `FlightState.fall`."""
+(
+    FLYING,
+    BY_ROTATION,
+    BY_COM,
+    NOT_FINITE,
+    BY_SPEED,
+    BY_ANGULAR_VELOCITY,
+    BY_JOINT_VELOCITY,
+    BY_JOINT_POSITION,
+    BY_THRUST,
+) = range(9)
+"""Codes of `FlightState.loss`: robots fall by errors of rotation and position, from `NOT_FINITE` on flights diverge."""
 
 LARGEST_NUMBER = 1e9
 """A state of larger numbers, in SI units, counts as not finite: a step from there may leave the range of numbers."""
@@ -59,6 +69,9 @@ class Scenario:
     """What to do, the mission included."""
     wind: WindConfig
     fall: FallConfig
+    divergence: DivergenceConfig
+    course_error: Float[Array, ""]
+    """Greatest position error of a flight that is on course [m]."""
     controller_model: RobotModel | None
     """The robot as the controller models it; `None` if that is the robot that flies."""
     controller_wind: WindConfig | None
@@ -79,11 +92,11 @@ class FlightState(NamedTuple):
     """State of the controller."""
     measured_wind: Float[Array, "3"]
     """Of the last tick [m/s]."""
-    fall: Int[Array, ""]
+    loss: Int[Array, ""]
     """`FLYING`, or by which criterion the flight was lost."""
-    fall_error: Float[Array, ""]
-    """What was exceeded, in the criterion's unit."""
-    fall_tick: Int[Array, ""]
+    loss_size: Float[Array, ""]
+    """The error of a fall, the limit that a diverged flight exceeded, in the criterion's unit."""
+    loss_tick: Int[Array, ""]
     """Tick at which the flight was lost, −1 while it flies."""
 
 
@@ -169,6 +182,8 @@ def prepare(
         controller=controller or momentum_controller(config, robot, read_network),
         wind=config.wind,
         fall=config.simulator.fall,
+        divergence=config.simulator.divergence,
+        course_error=config.simulator.course_error,
         controller_model=controller_model(config, robot),
         controller_wind=config.disturbances.controller_wind,
         wind_estimate=None if errors is None else wind_estimate(errors, plant.time_step, _winds(config)),
@@ -209,15 +224,16 @@ def controller_model(config: ScenarioConfig, robot: RobotModel) -> RobotModel | 
 def begin(scenario: Scenario, plant: PlantState) -> FlightState:
     """Start the controller of a flight whose plant is in this state."""
     robot = scenario.plant.robot if scenario.controller_model is None else scenario.controller_model
-    # A state that is not finite is lost at once, and must not spoil derivatives before that.
-    first = where(_all_in_range(plant), plant, world.at_rest(plant))
+    # A state that physics excludes is lost at once, and must not spoil derivatives before that.
+    divergence, _ = _divergence(scenario, plant, jnp.zeros_like(plant.robot.velocity[:3]))
+    first = where(divergence == FLYING, plant, world.at_rest(plant))
     return FlightState(
         plant=plant,
         controller=_init(scenario.controller, robot, first.robot),
         measured_wind=jnp.zeros_like(plant.robot.velocity[:3]),
-        fall=jnp.array(FLYING, jnp.int32),
-        fall_error=jnp.zeros_like(plant.robot.velocity[0]),
-        fall_tick=jnp.array(-1, jnp.int32),
+        loss=jnp.array(FLYING, jnp.int32),
+        loss_size=jnp.zeros_like(plant.robot.velocity[0]),
+        loss_tick=jnp.array(-1, jnp.int32),
     )
 
 
@@ -238,10 +254,11 @@ def step(scenario: Scenario, state: FlightState, tick: Array) -> tuple[FlightSta
     plant = scenario.plant
     time = tick * plant.time_step
     wind = wind_velocity(scenario.wind, time)
-    # Both branches of `where` are differentiated: what is not finite must not enter the computation at all.
-    is_finite = _all_in_range((state.plant, wind))
+    # Both branches of `where` are differentiated: what physics excludes must not enter the computation at all.
+    divergence, limit = _divergence(scenario, state.plant, wind)
+    is_sound = divergence == FLYING
     at_rest = world.at_rest(state.plant)
-    now, air = where(is_finite, (state.plant, wind), (at_rest, jnp.zeros_like(wind)))
+    now, air = where(is_sound, (state.plant, wind), (at_rest, jnp.zeros_like(wind)))
 
     given = air if scenario.controller_wind is None else wind_velocity(scenario.controller_wind, time)
     measured = given if scenario.wind_estimate is None else _measured_wind(scenario, state, tick)
@@ -254,7 +271,7 @@ def step(scenario: Scenario, state: FlightState, tick: Array) -> tuple[FlightSta
     if command.setpoint is not None:
         rotation_error = rotation_angle(multiply(command.setpoint.rotation.T, now.robot.base_rotation))
         com_error = safe_norm(seen.kinematics.com - command.setpoint.com_position)
-    row = _nan_unless(is_finite, _row(time, wind, now, command, seen, rotation_error))
+    row = _nan_unless(is_sound, _row(time, wind, now, command, seen, rotation_error))
     robot = state.plant.robot
     row = row._replace(
         time=time,
@@ -266,18 +283,19 @@ def step(scenario: Scenario, state: FlightState, tick: Array) -> tuple[FlightSta
         thrust=state.plant.jets.thrust,
     )
 
-    fall, error = _judge(scenario.fall, is_finite, rotation_error, com_error)
-    lost_now = (state.fall == FLYING) & (fall != FLYING)
-    goes_on = (state.fall == FLYING) & (fall == FLYING)
+    fall, error = _judge(scenario.fall, rotation_error, com_error)
+    loss, size = jnp.where(is_sound, fall, divergence), jnp.where(is_sound, error, limit)
+    lost_now = (state.loss == FLYING) & (loss != FLYING)
+    goes_on = (state.loss == FLYING) & (loss == FLYING)
     # A flight that is lost may leave the range of numbers in its next step.
     moved = world.advance(plant, where(goes_on, now, at_rest), seen, command.joint_torque, command.thrust_rate, air)
     after = FlightState(
         plant=where(goes_on, moved, state.plant),
         controller=where(goes_on, memory, state.controller),
         measured_wind=measured,
-        fall=jnp.where(lost_now, fall, state.fall),
-        fall_error=jnp.where(lost_now, error, state.fall_error),
-        fall_tick=jnp.where(lost_now, tick.astype(jnp.int32), state.fall_tick),
+        loss=jnp.where(lost_now, loss, state.loss),
+        loss_size=jnp.where(lost_now, size, state.loss_size),
+        loss_tick=jnp.where(lost_now, tick.astype(jnp.int32), state.loss_tick),
     )
     return after, row
 
@@ -325,11 +343,37 @@ def _observe(scenario: Scenario, state: PlantState, command: Command, wind: Arra
     return world.observe(plant, state, wind, (terms.kinematics, terms.dynamics))
 
 
-def _judge(limits: FallConfig, is_finite: Array, rotation_error: Array, com_error: Array) -> tuple[Array, Array]:
-    """Whether and why the flight is lost, and by how much."""
+def _divergence(scenario: Scenario, state: PlantState, wind: Array) -> tuple[Array, Array]:
+    """By which number of the world's state a flight has diverged, `FLYING` if by none, and the limit of that number."""
+    robot, limits, now = scenario.plant.robot, scenario.divergence, state.robot
+    lower, upper = jnp.asarray(robot.joint_stops).T
+    joints, thrust = now.joint_position, state.jets.thrust
+    speed = jnp.maximum(jnp.linalg.norm(now.velocity[:3]), jnp.linalg.norm(wind))
+    excess = jnp.max(jnp.maximum(lower - joints, joints - upper), initial=-jnp.inf)
+    criteria = {
+        NOT_FINITE: (~_all_in_range((state, wind)), jnp.zeros(())),
+        BY_SPEED: (speed > limits.speed, limits.speed),
+        BY_ANGULAR_VELOCITY: (jnp.linalg.norm(now.velocity[3:6]) > limits.angular_velocity, limits.angular_velocity),
+        BY_JOINT_VELOCITY: (
+            jnp.max(jnp.abs(now.velocity[6:]), initial=0.0) > limits.joint_velocity,
+            limits.joint_velocity,
+        ),
+        BY_JOINT_POSITION: (excess > limits.joint_excess, limits.joint_excess),
+        BY_THRUST: (jnp.any(thrust > limits.thrust_ratio * robot.jets.thrust_max), limits.thrust_ratio),
+    }
+    code, limit = jnp.array(FLYING, jnp.int32), jnp.zeros_like(speed)
+    for name, (is_beyond, bound) in reversed(criteria.items()):
+        code, limit = jnp.where(is_beyond, name, code), jnp.where(is_beyond, bound, limit)
+    return code, limit
+
+
+def _judge(limits: FallConfig, rotation_error: Array, com_error: Array) -> tuple[Array, Array]:
+    """Whether and why the robot has fallen, and by how much."""
     over_rotated = rotation_error > jnp.deg2rad(limits.rotation_error_deg)
-    fall = jnp.where(over_rotated, LOST_BY_ROTATION, jnp.where(com_error > limits.com_error, LOST_BY_COM, FLYING))
-    fall = jnp.where(is_finite, fall, LOST_NOT_FINITE)
+    is_far = com_error > limits.com_error
+    is_finite = jnp.isfinite(rotation_error) & jnp.isfinite(com_error)
+    fall = jnp.where(over_rotated, BY_ROTATION, jnp.where(is_far, BY_COM, FLYING))
+    fall = jnp.where(is_finite, fall, NOT_FINITE)
     return fall.astype(jnp.int32), jnp.where(over_rotated, rotation_error, com_error)
 
 

@@ -194,7 +194,7 @@ def verify_flight(
     expected = rust.fly(config)
     ours = fly({**config, "simulator": {**config["simulator"], "dynamics": backend}})
     comparison.add("flight", "outcome", ours.outcome != expected.outcome, 0.0, 0.0, relative=False)
-    trusted = expected["time"] <= (TRUSTED_WHEN_LOST if expected.outcome == "fell" else np.inf)
+    trusted = expected["time"] <= (TRUSTED_WHEN_LOST if expected.lost_time is not None else np.inf)
     last = min(np.count_nonzero(trusted), len(ours["time"]))
     for name, signal in expected.log.items():
         if name not in ("qp_iterations", "qp_kkt"):  # those belong to the solver, not to the solution

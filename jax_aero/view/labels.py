@@ -85,7 +85,7 @@ def legend(
 
 def badge(draw: ImageDraw.ImageDraw, place: tuple[int, int], recording: Recording, size: int, anchor: str) -> None:
     """Draw the outcome on its colour."""
-    colour = drawing.FELL if recording.fall_time is not None else drawing.COMPLETED
+    colour = drawing.COMPLETED if recording.outcome == "completed" else drawing.FELL
     left, top, right, bottom = draw.textbbox(place, recording.verdict, font=font(size), anchor=anchor)
     pad = 0.45 * size
     draw.rounded_rectangle((left - pad, top - pad, right + pad, bottom + pad), radius=pad, fill=(*colour, 255))

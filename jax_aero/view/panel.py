@@ -56,12 +56,12 @@ def card(solid: Recording, ghost: Recording | None) -> str:
 
 
 def _badge(flight: Recording) -> str:
-    colour = drawing.FELL if flight.fall_time is not None else drawing.COMPLETED
-    when = "" if flight.fall_time is None else f" at {flight.fall_time:.1f} s"
-    why = "" if flight.fall_reason is None else f'<br><span style="color:#667">{html.escape(flight.fall_reason)}</span>'
+    colour = drawing.COMPLETED if flight.outcome == "completed" else drawing.FELL
+    when = "" if flight.lost_time is None else f" at {flight.lost_time:.1f} s"
+    why = "" if flight.lost_reason is None else f'<br><span style="color:#667">{html.escape(flight.lost_reason)}</span>'
     return (
         f'<span class="outcome" style="background:{_hex(colour)};color:white;border-radius:4px;padding:0.1em 0.5em;'
-        f'display:inline-block">{html.escape(flight.outcome)}{when}</span>{why}'
+        f'display:inline-block">{html.escape(flight.outcome.replace("_", " "))}{when}</span>{why}'
     )
 
 

@@ -104,7 +104,7 @@ class Recording:
         What gives poses to the signals.
     robot_path
         The robot's TOML file.
-    outcome, fall_time, fall_reason
+    outcome, lost_time, lost_reason
         As in `rust.FlightResult`.
     config
         Resolved configuration, ready to be flown again; `None` if the file does not say.
@@ -115,8 +115,8 @@ class Recording:
     robot: rust.Robot
     robot_path: Path
     outcome: str
-    fall_time: float | None
-    fall_reason: str | None
+    lost_time: float | None
+    lost_reason: str | None
     config: rust.Config | None = field(default=None, repr=False)
 
     @property
@@ -127,9 +127,10 @@ class Recording:
     @property
     def verdict(self) -> str:
         """The outcome in words: `completed`, or `fell at 21.4 s: rotation error 90.1 deg`."""
-        if self.fall_time is None:
-            return self.outcome
-        return f"{self.outcome} at {self.fall_time:.1f} s" + (f": {self.fall_reason}" if self.fall_reason else "")
+        words = self.outcome.replace("_", " ")
+        if self.lost_time is None:
+            return words
+        return f"{words} at {self.lost_time:.1f} s" + (f": {self.lost_reason}" if self.lost_reason else "")
 
     @cached_property
     def merit(self) -> Merit:
@@ -193,8 +194,8 @@ def from_flight(flight: rust.FlightResult, config: rust.Config, title: str) -> R
         robot=rust.Robot(config["robot"]),
         robot_path=Path(config["robot"]),
         outcome=flight.outcome,
-        fall_time=flight.fall_time,
-        fall_reason=flight.fall_reason,
+        lost_time=flight.lost_time,
+        lost_reason=flight.lost_reason,
         config=config,
     )
 
@@ -226,15 +227,15 @@ def read(result: str | Path, robot: str | Path | None = None) -> Recording:
     _check_shapes(path, signals, loaded)
     if config is not None:
         config["robot"] = str(robot_path)
-    fall_time = facts.get("fall_time")
+    lost_time = facts.get("lost_time")
     return Recording(
         title=str(facts.get("title") or manifest.get("title") or path.parent.name),
         signals=signals,
         robot=loaded,
         robot_path=robot_path,
         outcome=str(facts.get("outcome", "flown")),
-        fall_time=float(fall_time) if fall_time is not None and np.isfinite(fall_time) else None,
-        fall_reason=str(facts.get("fall_reason") or "") or None,
+        lost_time=float(lost_time) if lost_time is not None and np.isfinite(lost_time) else None,
+        lost_reason=str(facts.get("lost_reason") or "") or None,
         config=config,
     )
 

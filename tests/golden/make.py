@@ -72,7 +72,7 @@ def store(name: str, config: rust.Config, flight: rust.FlightResult, neighbours:
     coarse = np.array([each > flights.DOUBLE / 10 for each in worst.values()])
 
     end: dict[str, Any] = {}
-    for key in ("outcome", "fall_time"):
+    for key in ("outcome", "lost_time"):
         if all(getattr(each, key) == getattr(flight, key) for each in neighbours):
             end[key] = getattr(flight, key)
     found = flights.summary(flight)

@@ -25,7 +25,7 @@ def test_a_flight_is_the_stored_one(name):
             )
     assert not wrong
 
-    for key in ("outcome", "fall_time"):
+    for key in ("outcome", "lost_time"):
         if key in stored.end:
             assert getattr(flight, key) == stored.end[key]
     tolerance = flights.SINGLE if flights.rounds_coarsely(config) else flights.DOUBLE

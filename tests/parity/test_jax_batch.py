@@ -23,7 +23,7 @@ import json, sys
 import jax
 from jax_aero import sim
 flights = sim.fly_batch(json.load(sys.stdin), lambda done, total: print(done, total))
-print(json.dumps([jax.device_count(), *([f.outcome, f.fall_time, f.fall_reason, f.summary] for f in flights)]))
+print(json.dumps([jax.device_count(), *([f.outcome, f.lost_time, f.lost_reason, f.summary] for f in flights)]))
 """
 
 
@@ -51,8 +51,8 @@ def test_flights_on_two_devices(measured):
     assert done[-2] == "3 3"
     expected = rust.fly_batch(tables)
     assert [flight.outcome for flight in expected] == ["completed", "fell", "completed"]
-    for (outcome, fall_time, fall_reason, summary), flight in zip(ours, expected, strict=True):
-        assert (outcome, fall_time, fall_reason) == (flight.outcome, flight.fall_time, flight.fall_reason)
+    for (outcome, lost_time, lost_reason, summary), flight in zip(ours, expected, strict=True):
+        assert (outcome, lost_time, lost_reason) == (flight.outcome, flight.lost_time, flight.lost_reason)
         for name in flight.summary.keys() - {"max_kkt", "max_qp_iterations"}:
             measured(name, abs(summary[name] - flight.summary[name]), 1e-9 * (1.0 + abs(flight.summary[name])))
 

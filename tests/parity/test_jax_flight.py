@@ -43,7 +43,7 @@ def test_a_flight_that_is_lost(criterion, limit):
     config = rust.load_config(EXPERIMENTS / "test2.toml", {f"simulator.fall.{criterion}": limit})
     expected, ours = rust.fly(config), sim.fly(config)
     assert ours.outcome == expected.outcome == "fell"
-    assert (ours.fall_time, ours.fall_reason) == (expected.fall_time, expected.fall_reason)
+    assert (ours.lost_time, ours.lost_reason) == (expected.lost_time, expected.lost_reason)
     assert ours["time"].shape == expected["time"].shape
 
 
@@ -144,6 +144,65 @@ def test_every_tick_of_the_world(experiment, agree):
     agree(f"{experiment}: next position", after.base_position[:-1], log["base_position"][1:], 1e-10)
     agree(f"{experiment}: next joints", after.joint_position[:-1], log["joint_position"][1:], 1e-10)
     agree(f"{experiment}: next velocity", after.velocity[:-1], velocity[1:], 1e-10)
+
+
+@pytest.mark.parametrize("integrator", ["semi_implicit_euler", "explicit_euler"])
+@pytest.mark.usefixtures("x64")
+def test_joints_meet_their_stops(integrator, agree):
+    """Elbow, knee and torso pressed against their stops for 0.3 s, without thrust: both engines, step by step."""
+    changes = {"simulator.integrator": integrator, "simulator.substeps": 2, "simulator.aero": {"model": "off"}}
+    table = io.load_config(EXPERIMENTS / "test2.toml") | {"disturbances": {}}
+    for key, value in changes.items():
+        table["simulator"][key.removeprefix("simulator.")] = value
+    table["simulator"]["initial"] |= {"thrust": [0.0] * 4, "free_fall_tick": False}
+    crate, config = rust.Plant(table), scenario_config(table)
+    plant, state = start_plant(config.simulator, config.disturbances, load_robot(table["robot"]))
+    names = rust.Robot(table["robot"]).joint_names
+    torque, rest = np.zeros(23), np.zeros(3)
+    pressed = [names.index(name) for name in ("l_elbow", "r_knee", "torso_roll")]
+    torque[pressed] = -20.0, 30.0, 40.0
+    step = jax.jit(lambda state: advance(plant, state, observe(plant, state, rest), torque, np.zeros(4), rest))
+    crate.reset()
+    for _ in range(30):
+        state, measured = step(state), crate.step([0.0] * 4, torque)
+    from_stop = np.abs(np.asarray(state.robot.joint_position) - np.asarray(plant.robot.joint_stops).T).min(axis=0)
+    assert np.all(from_stop[pressed] < 1e-3)
+    # 60 steps at stiff stops, each solved to 1e-16 times the condition of M, 1e5.
+    agree("joints", state.robot.joint_position, measured.state.joint_position, 1e-9)
+    agree("velocities", state.robot.velocity, measured.state.velocity, 1e-8)
+
+
+SPOILT = {
+    "speed": {"simulator.initial.base_velocity": [0.0, 301.0, 0.0, 0.0, 0.0, 0.0]},
+    "angular velocity": {"simulator.initial.base_velocity": [0.0, 0.0, 0.0, 0.0, -101.0, 0.0]},
+    "joint velocity": {"simulator.divergence.joint_velocity": 1e-6},
+    "joint more": {"simulator.divergence.joint_excess": 0.25, "simulator.joint_stops": False},
+    "thrust": {"simulator.initial.thrust": [98.0, 98.0, 2201.0, 113.0]},
+}
+
+
+@pytest.mark.parametrize("criterion", SPOILT)
+def test_numbers_that_physics_excludes_diverge(criterion):
+    """The same tick, words and figures in both engines; the row is in the log and in no figure."""
+    changes = SPOILT[criterion] | {"simulator.duration": 0.5, "simulator.initial.free_fall_tick": False}
+    if criterion == "joint more":
+        elbow_out = list(io.load_config(EXPERIMENTS / "test2.toml")["simulator"]["initial"]["joint_position"])
+        elbow_out[6] -= 0.4
+        changes["simulator.initial.joint_position"] = elbow_out
+    config = rust.load_config(EXPERIMENTS / "test2.toml", changes)
+    expected, ours = rust.fly(config), sim.fly(config)
+    assert ours.outcome == expected.outcome == "diverged"
+    assert (ours.lost_time, ours.lost_reason) == (expected.lost_time, expected.lost_reason)
+    assert criterion in ours.lost_reason
+    assert ours["time"].shape == expected["time"].shape
+    for name in set(expected.summary) - {"max_kkt", "max_qp_iterations"}:
+        assert ours.summary[name] == pytest.approx(expected.summary[name], rel=1e-6, abs=1e-9), name
+
+
+def test_a_flight_that_is_off_course():
+    config = rust.load_config(EXPERIMENTS / "test2.toml", {"simulator.duration": 3.5, "simulator.course_error": 1e-4})
+    expected, ours = rust.fly(config), sim.fly(config)
+    assert (ours.outcome, ours.lost_time) == (expected.outcome, expected.lost_time) == ("off_course", None)
 
 
 PERTURBED = {

@@ -138,8 +138,8 @@ def test_the_table_says_when_and_why_a_flight_fell():
     fallen = {
         "name": "test1",
         "outcome": "fell",
-        "fall_time": 16.312,
-        "fall_reason": "rotation error above 90 deg",
+        "lost_time": 16.312,
+        "lost_reason": "rotation error above 90 deg",
         "summary": {"max_com_error": 0.5, "max_rotation_error": 1.6, "thrust_min": 1.0},
     }
     table = outcome_table([fallen])

@@ -123,7 +123,7 @@ def test_a_controller_with_the_measured_wind_withstands_more():
     assert measured.outcome == "completed"
     assert measured.summary["max_com_error"] < 0.01
     assert ignores.outcome == "fell"
-    assert ignores.fall_reason.startswith(("CoM error", "rotation error"))
+    assert ignores.lost_reason.startswith(("CoM error", "rotation error"))
 
 
 def test_the_standing_qp_agrees_with_daqp(agree):

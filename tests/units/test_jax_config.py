@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.config import AxisymmetricConfig, scenario_config
+from jax_aero.config import AxisymmetricConfig, recorded_reference, scenario_config
 from jax_aero.robot import ancestors_of, levels_of, load_robot
 from jax_aero.types import Static, pytree, with_dtype
 
@@ -25,6 +25,17 @@ MK1 = ROOT / "configs" / "robot" / "ironcub_mk1.toml"
 @pytest.fixture(scope="module")
 def table():
     return rust.load_config(ROOT / "configs" / "experiments" / "test2.toml")
+
+
+@pytest.mark.parametrize(("turn", "is_refused"), [(178.5, False), (179.5, True), (180.0, True)])
+def test_a_half_turn_between_rows_is_refused(tmp_path, turn, is_refused):
+    path = tmp_path / "reference.csv"
+    path.write_text(f"time,x,y,z,roll,pitch,yaw\n0,0,0,1,0,0,0\n1,0,0,1,0,0,0\n2,0,0,1,0,0,{np.radians(turn)}\n")
+    if not is_refused:
+        assert recorded_reference(str(path)).rpy.shape == (3, 3)
+        return
+    with pytest.raises(ValueError, match=rf"turns by {turn} deg from row 2 to row 3; expected a turn below 179 deg"):
+        recorded_reference(str(path))
 
 
 def test_numbers_are_leaves_and_names_are_structure(table):

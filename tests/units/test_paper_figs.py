@@ -62,9 +62,9 @@ def test_joint_errors_are_summed_by_group_in_degrees(made_up_results):
 
 def test_nothing_behind_a_fall_is_shown(made_up_results):
     run = runs.load(made_up_results, "test1_published")
-    assert run.fall_time == 21.5
+    assert run.lost_time == 21.5
     assert run.flown["time"].values[-1] <= 21.5
-    assert runs.load(made_up_results, "test1").fall_time is None
+    assert runs.load(made_up_results, "test1").lost_time is None
 
 
 @pytest.mark.parametrize(

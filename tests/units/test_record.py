@@ -26,16 +26,16 @@ def test_a_run_reads_back_as_it_was_flown(make_flight, robot, dataset, tmp_path)
         assert stored["joint_group"].sel(joint="l_knee") == "left_leg"
         assert stored["qp"].values.tolist() == ["momentum", "torque"]
         assert stored.attrs["outcome"] == "completed"
-        assert np.isnan(stored.attrs["fall_time"])
-        assert stored.attrs["fall_reason"] == ""
+        assert np.isnan(stored.attrs["lost_time"])
+        assert stored.attrs["lost_reason"] == ""
         assert stored.attrs["engine"] == "rust"
         assert stored.attrs["config_hash"] == "f" * 64
 
 
 def test_a_fall_is_reported_with_time_and_reason(make_flight, robot):
-    facts = record.to_dataset(make_flight(fall_time=21.5), robot, title="made up", config_digest="").attrs
-    assert (facts["outcome"], facts["fall_time"]) == ("fell", 21.5)
-    assert "90 deg" in facts["fall_reason"]
+    facts = record.to_dataset(make_flight(lost_time=21.5), robot, title="made up", config_digest="").attrs
+    assert (facts["outcome"], facts["lost_time"]) == ("fell", 21.5)
+    assert "90 deg" in facts["lost_reason"]
 
 
 def test_a_file_has_what_the_crate_declares(dataset):

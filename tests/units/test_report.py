@@ -65,8 +65,8 @@ def results(tmp_path, made_up_results) -> Results:
         document = json.loads(path.read_text())
         with xr.open_dataset(path.with_name("run.nc"), engine="h5netcdf") as run:
             fell = run.attrs["outcome"] == "fell"
-            document |= {"outcome": run.attrs["outcome"], "fall_reason": run.attrs["fall_reason"]}
-            document["fall_time"] = float(run.attrs["fall_time"]) if fell else None
+            document |= {"outcome": run.attrs["outcome"], "lost_reason": run.attrs["lost_reason"]}
+            document["lost_time"] = float(run.attrs["lost_time"]) if fell else None
         path.write_text(json.dumps(document))
     tests = [("TEST1, corrected arms", 250), ("TEST2, corrected arms", 250), ("TEST1, published arms", 0)]
     tests += [("TEST2, published arms", 249), ("TEST3, corrected arms", 250), ("TEST3, published arms", 3)]
@@ -108,16 +108,14 @@ def test_a_force_along_the_wind_has_no_angle(make_flight, robot, measured):
     flight = make_flight()
     flight.log["aero_force_sim"][:] = flight.log["wind"][:, None, :]
     run = record.to_dataset(flight, robot, title="t", config_digest="0")
-    measured(
-        "angle of the force", np.max(np.abs(np.subtract(metrics.measure("t", run, {}).force_angle, (0.0, 0.0)))), 1e-5
-    )
+    measured("angle of the force", np.max(np.abs(np.subtract(metrics.measure("t", run).force_angle, (0.0, 0.0)))), 1e-5)
 
 
 def test_a_run_without_wind_has_no_force_angle(make_flight, robot):
     flight = make_flight()
     flight.log["wind"][:] = 0.0
     run = record.to_dataset(flight, robot, title="t", config_digest="0")
-    assert np.isnan(metrics.measure("t", run, {}).force_angle).all()
+    assert np.isnan(metrics.measure("t", run).force_angle).all()
 
 
 def test_verdicts_follow_from_counts(results):

@@ -179,6 +179,33 @@ def test_a_perturbation_that_is_switched_on_leaves_the_others_as_they_were():
     assert alone == both
 
 
+@pytest.mark.parametrize(
+    ("kind", "size"), [("joint_position", 0.1), ("base_rpy_deg", 3.0), ("base_velocity", 0.5), ("thrust", 2.0)]
+)
+def test_each_kind_perturbs_its_own_numbers_within_its_size(kind, size):
+    plain = design().row_config(0)["simulator"]["initial"]
+    made = design(perturbation={kind: size}).row_config(0)["simulator"]["initial"]
+    assert {name for name in plain if made[name] != plain[name]} == {kind}
+    apart = np.abs(np.subtract(made[kind], plain[kind]))
+    assert np.all(apart > 0.0)
+    assert np.all(apart <= size)
+
+
+def test_the_digest_follows_perturbations_and_weights(tmp_path):
+    card = tmp_path / "card.json"
+    axis = {
+        "name": "net",
+        "level": [{"label": "a", "set": {"simulator.aero": {"model": "network", "card": str(card)}}}],
+    }
+    digests = []
+    for text in ("one", "other"):
+        card.write_text(text)
+        digests.append(design(axis=[axis]).digest)
+    digests += [design(perturbation={"thrust": size}).digest for size in (0.0, 1.0, 2.0)]
+    digests += [design(seed=3).digest, design(repeats=4).digest]
+    assert len(set(digests)) == len(digests)
+
+
 def test_without_sizes_nothing_is_perturbed():
     made = design()
     assert made.row_config(0) == made.cell_config(0)

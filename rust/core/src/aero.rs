@@ -26,7 +26,7 @@ pub use network::{Network, Precision};
 pub use pchip::Pchip;
 pub use sphere_cylinder::{CylinderTables, SphereCylinder, SphereCylinderConfig, SphereTables};
 
-use crate::error::BuildError;
+use crate::error::{BuildError, check};
 use crate::robot::RobotModel;
 use nalgebra::Vector3;
 
@@ -136,4 +136,9 @@ impl Attack {
 fn normal_direction(axis_i: &Vector3<f64>, v_air_i: &Vector3<f64>) -> Vector3<f64> {
     // The double cross product, not the difference: no cancellation when wind and axis align.
     v_air_i.cross(axis_i).cross(v_air_i)
+}
+
+/// Refuses what is no density of a fluid \[kg/m³\]; ten times that of water is the most.
+fn check_air_density(density: f64) -> Result<f64, BuildError> {
+    check("air_density", density, |rho| 0.0 < rho && rho <= 1e4, "a positive density up to 10000 kg/m³")
 }

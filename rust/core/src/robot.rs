@@ -101,6 +101,9 @@ pub struct Joint {
     pub axis_b: Unit<Vector3<f64>>,
     /// Limits the controller respects, `(lower, upper)` \[rad\].
     pub limits: (f64, f64),
+    /// Where the joint meets its stops \[rad\]: the range of the URDF, widened to that of the controller;
+    /// infinite where it has none.
+    pub stops: (f64, f64),
     /// Greatest torque \[N m\].
     pub torque_max: f64,
     /// Greatest rate of the torque \[N m/s\]; infinite where nothing limits it.

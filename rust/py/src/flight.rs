@@ -113,7 +113,7 @@ fn file_name(path: &Path) -> String {
     path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// Fly one configuration to the end or to the fall. `progress(tick, n_ticks)` is called about 20 times a
+/// Fly one configuration to the end or until it is lost. `progress(tick, n_ticks)` is called about 20 times a
 /// second; what it raises ends the flight.
 #[pyfunction]
 #[pyo3(signature = (config_json, progress = None))]
@@ -234,7 +234,7 @@ impl Reporter {
 }
 
 fn flight_dict(py: Python<'_>, result: FlightResult, full_log: bool) -> PyResult<Bound<'_, PyDict>> {
-    let FlightResult { fall, log, summary } = result;
+    let FlightResult { outcome, loss, log, summary } = result;
     let out = PyDict::new(py);
     let ticks = log.len();
     let signals = PyDict::new(py);
@@ -247,9 +247,9 @@ fn flight_dict(py: Python<'_>, result: FlightResult, full_log: bool) -> PyResult
     }
     out.set_item("log", signals)?;
     out.set_item("joint_setpoint", vector(py, &log.joint_setpoint)?)?;
-    out.set_item("outcome", if fall.is_some() { "fell" } else { "completed" })?;
-    out.set_item("fall_time", fall.map(|fall| fall.time))?;
-    out.set_item("fall_reason", fall.map(|fall| fall.reason.to_string()))?;
+    out.set_item("outcome", outcome.name())?;
+    out.set_item("lost_time", loss.map(|loss| loss.time))?;
+    out.set_item("lost_reason", loss.map(|loss| loss.reason.to_string()))?;
 
     let figures = PyDict::new(py);
     for (figure, value) in flight_sim::figures().iter().zip(summary.values()) {

@@ -9,6 +9,9 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
+/// Most variables of a problem: its matrices then take some hundred megabytes.
+const MAX_VARIABLES: usize = 4096;
+
 /// A box QP solver for problems of one size: `min ½ xᵀHx + gᵀx`, `lower ≤ x ≤ upper`.
 ///
 /// `solver` is "active_set" (warm started from the last answer), "dual_active_set" or "clarabel".
@@ -49,6 +52,9 @@ impl BoxQpSolver {
     #[new]
     #[pyo3(signature = (n, solver = "active_set"))]
     fn new(n: usize, solver: &str) -> PyResult<Self> {
+        if n > MAX_VARIABLES {
+            return Err(PyValueError::new_err(format!("n is {n}; expected at most {MAX_VARIABLES}")));
+        }
         let method = match solver {
             "active_set" => Method::Primal(PrimalActiveSet::new(n)),
             "dual_active_set" => Method::Dual(DualActiveSet::new(n, 0)),

@@ -82,6 +82,12 @@ impl Robot {
         self.model.joints.iter().map(|joint| joint.limits).collect()
     }
 
+    /// Lower and upper stop of every joint [rad, m].
+    #[getter]
+    fn joint_stops(&self) -> Vec<(f64, f64)> {
+        self.model.joints.iter().map(|joint| joint.stops).collect()
+    }
+
     /// Names of the joints that are plotted together.
     #[getter]
     fn joint_groups(&self) -> BTreeMap<String, Vec<String>> {

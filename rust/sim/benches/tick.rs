@@ -37,7 +37,7 @@ fn main() -> Result<(), BuildError> {
 fn tick_times(name: &str) -> Result<Vec<f64>, BuildError> {
     let config = common::configuration(name)?;
     let end =
-        Scenario::new(&config)?.run(|_, _| ControlFlow::Continue(())).ok().and_then(|result| result.fall);
+        Scenario::new(&config)?.run(|_, _| ControlFlow::Continue(())).ok().and_then(|result| result.loss);
     let ticks = common::record(&config, &(0.0..=end.map_or(f64::INFINITY, |fall| fall.time)))?;
     let mut times = Vec::with_capacity(TICKS + ticks.len());
     while times.len() < TICKS {

@@ -16,9 +16,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let begin = Instant::now();
         let Ok(result) = flight.run(|_, _| ControlFlow::Continue(())) else { continue };
         let summary = &result.summary;
-        let outcome = match result.fall {
-            None => "completed".to_owned(),
-            Some(fall) => format!("fell at {:.2} s: {}", fall.time, fall.reason),
+        let outcome = match result.loss {
+            None => result.outcome.name().to_owned(),
+            Some(loss) => format!("{} at {:.2} s: {}", result.outcome.name(), loss.time, loss.reason),
         };
         println!("{}: {outcome}, computed in {:.2} s", config.title, begin.elapsed().as_secs_f64());
         println!(

@@ -26,7 +26,7 @@ fn hover() -> Result<ScenarioConfig, Box<dyn Error>> {
 
     let result = Scenario::new(&config)?.run(|_, _| ControlFlow::Continue(()))?;
     let (low, high) = (result.summary.thrust_min, result.summary.thrust_max);
-    println!("fall: {:?}; thrusts from {low:.0} to {high:.0} N", result.fall);
+    println!("{}; thrusts from {low:.0} to {high:.0} N", result.outcome.name());
     Ok(config)
 }
 // --8<-- [end:hover]

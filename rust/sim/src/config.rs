@@ -3,6 +3,7 @@
 use crate::disturbances::Disturbances;
 use crate::ground::{GroundConfig, MotorsConfig};
 use crate::jets::JetsConfig;
+use crate::signals::SIGNALS;
 use crate::wind::WindConfig;
 use flight_core::Controller;
 use flight_core::aero::LeverArm;
@@ -19,6 +20,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
+
+/// Greatest size of a log in memory \[bytes\].
+const MAX_LOG: usize = 2 << 30;
 
 /// One flight: which robot, in which simulator and wind, under which controller, on which mission.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -148,14 +152,28 @@ pub struct SimulatorConfig {
     /// Friction and inertia of the motors; without them, ideal torques.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motors: Option<MotorsConfig>,
+    /// Whether joints meet the stops of the robot's URDF, widened to the range of the controller.
+    #[serde(default = "yes")]
+    pub joint_stops: bool,
     /// State at the beginning.
     pub initial: InitialConfig,
-    /// When a flight counts as lost.
+    /// When a robot counts as fallen.
     pub fall: FallConfig,
+    /// Greatest distance of the centre of mass from its set-point, after the start-up, of a flight that is on
+    /// course \[m\].
+    #[serde(default = "half_a_metre")]
+    pub course_error: f64,
+    /// What physics excludes.
+    #[serde(default)]
+    pub divergence: DivergenceConfig,
 }
 
 fn one() -> u32 {
     1
+}
+
+fn half_a_metre() -> f64 {
+    0.5
 }
 
 /// What computes mass matrix and bias.
@@ -216,7 +234,7 @@ pub struct InitialConfig {
     pub thrust: Vec<f64>,
     /// Whether the first physics step has neither thrust nor torque, as the delays of the published
     /// model make it: the controller first sees a robot that has fallen for one tick.
-    #[serde(default = "yes")]
+    #[serde(default)]
     pub free_fall_tick: bool,
 }
 
@@ -224,7 +242,35 @@ fn yes() -> bool {
     true
 }
 
-/// When a flight counts as lost. A state that is not finite always does.
+/// What physics excludes: a flight whose numbers go beyond has diverged. A state that is not finite always has.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct DivergenceConfig {
+    /// Speed of base and air \[m/s\]; by default near that of sound, where no aerodynamic model here holds.
+    pub speed: f64,
+    /// Angular velocity of the base \[rad/s\]; by default 16 turns a second.
+    pub angular_velocity: f64,
+    /// Velocity of a joint \[rad/s, m/s\]; by default ten times what motors of such robots do.
+    pub joint_velocity: f64,
+    /// How far a joint is beyond its stops \[rad, m\]; by default about a turn.
+    pub joint_excess: f64,
+    /// Thrust as a multiple of the jet's greatest.
+    pub thrust_ratio: f64,
+}
+
+impl Default for DivergenceConfig {
+    fn default() -> Self {
+        Self {
+            speed: 300.0,
+            angular_velocity: 100.0,
+            joint_velocity: 100.0,
+            joint_excess: 6.0,
+            thrust_ratio: 10.0,
+        }
+    }
+}
+
+/// When a robot counts as fallen.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FallConfig {
@@ -244,8 +290,19 @@ impl SimulatorConfig {
             check(&format!("simulator.{name}"), value, |x| x > 0.0, "a positive number").map(|_| ())
         };
         positive("duration", self.duration)?;
-        positive("time_step", self.time_step)?;
+        check(
+            "simulator.time_step",
+            self.time_step,
+            |x| 0.0 < x && x <= 1.0,
+            "a number of seconds in (0, 1]",
+        )?;
         positive("fall.com_error", self.fall.com_error)?;
+        positive("course_error", self.course_error)?;
+        positive("divergence.speed", self.divergence.speed)?;
+        positive("divergence.angular_velocity", self.divergence.angular_velocity)?;
+        positive("divergence.joint_velocity", self.divergence.joint_velocity)?;
+        positive("divergence.joint_excess", self.divergence.joint_excess)?;
+        positive("divergence.thrust_ratio", self.divergence.thrust_ratio)?;
         check(
             "simulator.fall.rotation_error_deg",
             self.fall.rotation_error_deg,
@@ -272,6 +329,15 @@ impl SimulatorConfig {
                 "at most ten million ticks",
             ));
         }
+        let logged = SIGNALS.iter().filter(|signal| signal.read.is_some());
+        let row: usize = logged.map(|signal| signal.row_len(robot) * size_of::<f64>()).sum();
+        let most = (MAX_LOG / row) as f64 * self.time_step;
+        check(
+            "simulator.duration",
+            self.duration,
+            |x| x <= most,
+            &format!("at most {most} s: the log of a longer flight exceeds 2 GiB"),
+        )?;
         let initial = &self.initial;
         let finite = |name: &str, values: &[f64]| -> Result<(), BuildError> {
             for value in values {
@@ -279,7 +345,14 @@ impl SimulatorConfig {
             }
             Ok(())
         };
-        finite("base_position", &initial.base_position)?;
+        for position in initial.base_position {
+            check(
+                "simulator.initial.base_position",
+                position,
+                |x| x.abs() <= 1e6,
+                "finite numbers up to 1e6 m, beyond which a micrometre is lost to rounding",
+            )?;
+        }
         finite("base_rpy_deg", &initial.base_rpy_deg)?;
         finite("base_velocity", &initial.base_velocity)?;
         finite("joint_position", &initial.joint_position)?;

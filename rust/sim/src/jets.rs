@@ -7,6 +7,8 @@
 //! Two dynamics: `ideal` obeys the command exactly, as in every published flight; `second_order` is
 //! the identified engine, with the throttle loop and the estimator that the real robot needs.
 //!
+//! Thrust is never negative.
+//!
 //! Equation M31 of `docs/model.md`.
 
 use crate::disturbances::{JetFaults, JetFaultsConfig};
@@ -178,7 +180,7 @@ impl Jets {
 
     /// Moves every jet on by `dt` \[s\] under the commanded thrust rates \[N/s\], held constant.
     ///
-    /// Ideal: `T ← T + Ṫ* dt`, without clipping: the bounds on `Ṫ*` are the controller's. Second
+    /// Ideal: `T ← max(0, T + Ṫ* dt)`: upper bounds are the controller's. Second
     /// order: throttle from the present estimate, then estimator and engine over `dt`. Total: a jet
     /// without a command stays as it is. No allocation. Faults change the command before and the
     /// thrust after.
@@ -204,8 +206,9 @@ impl Jets {
             Dynamics::Ideal => {
                 let jets = self.thrust.iter_mut().zip(&mut self.thrust_rate);
                 for ((thrust, thrust_rate), &command) in jets.zip(thrust_rate_command) {
-                    *thrust += dt * command;
-                    *thrust_rate = command;
+                    let next = *thrust + dt * command;
+                    // A comparison, as `f64::max` would hide what is no number.
+                    (*thrust, *thrust_rate) = if next < 0.0 { (0.0, 0.0) } else { (next, command) };
                 }
             }
             Dynamics::SecondOrder { jets, .. } => {
@@ -253,7 +256,7 @@ impl Jets {
         }
     }
 
-    /// True thrust rate \[N/s\], per jet; under ideal dynamics the last command.
+    /// True thrust rate \[N/s\], per jet; under ideal dynamics the last command, or zero where no thrust is left.
     #[must_use]
     pub fn thrust_rate(&self) -> &[f64] {
         &self.thrust_rate

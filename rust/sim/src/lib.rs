@@ -25,7 +25,7 @@ pub use config::{Engine, ScenarioConfig, SimulatorConfig, load_scenario, scenari
 pub use disturbances::Disturbances;
 pub use log::{FlightLog, FlightResult};
 pub use plant::Plant;
-pub use scenario::{Fall, FallReason, Interrupted, Scenario};
+pub use scenario::{Interrupted, Loss, LossReason, Outcome, Scenario};
 pub use signals::SIGNALS;
 pub use summary::{Summary, figures};
 pub use wind::{Wind, WindConfig};

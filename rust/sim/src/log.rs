@@ -1,7 +1,7 @@
 //! What a flight leaves behind: every signal, tick by tick.
 
 use crate::plant::Plant;
-use crate::scenario::Fall;
+use crate::scenario::{Loss, Outcome};
 use crate::signals::{Dimension, Read, SIGNALS, Signal};
 use crate::summary::Summary;
 use flight_core::control::setpoint::Setpoint;
@@ -142,10 +142,12 @@ impl FlightLog {
 /// A finished flight.
 #[derive(Debug, Clone)]
 pub struct FlightResult {
-    /// When and why it was lost, if it was.
-    pub fall: Option<Fall>,
+    /// How it ended.
+    pub outcome: Outcome,
+    /// When and why it ended early, if it did.
+    pub loss: Option<Loss>,
     /// All signals.
     pub log: FlightLog,
-    /// Figures of merit.
+    /// Figures of merit; the row in which a flight diverged is left out.
     pub summary: Summary,
 }

@@ -4,10 +4,9 @@
 //! M(q) ν̇ = S τ + Σ Jᵀ T a + w_aero − h(q, ν)
 //! ```
 //!
-//! There is no ground, no joint friction, no motor inertia and no joint limit: none of them acts in a
-//! flight that succeeds, and one that fails ends with its fall.
+//! There is no ground, no joint friction and no motor inertia; joint stops act unless they are switched off.
 //!
-//! Equations M78 and M79 of `docs/model.md`; what a step adds to the momentum is M85.
+//! Equations M78, M79 and M87 of `docs/model.md`; what a step adds to the momentum is M85.
 
 use crate::config::{AeroKinematics, Integrator, SimulatorConfig};
 use crate::disturbances::Disturbances;
@@ -21,6 +20,13 @@ use flight_core::spatial::exp_so3;
 use flight_io::load_aero;
 use nalgebra::{DVector, Vector3};
 
+/// Stiffness of a joint's stop \[N m/rad, N/m\]: 50 N m press half a milliradian into it.
+const STOP_STIFFNESS: f64 = 1e5;
+
+/// Damping of a joint's stop \[N m s/rad, N s/m\]: against the stiffness it acts for 2 ms, so that a limb of
+/// 0.1 kg m² hits the stop without bouncing back at any step.
+const STOP_DAMPING: f64 = 200.0;
+
 /// The simulated robot in its wind.
 #[derive(Debug, Clone)]
 pub struct Plant {
@@ -28,6 +34,7 @@ pub struct Plant {
     aero: AeroModel,
     conventions: LinkConventions,
     integrator: Integrator,
+    has_stops: bool,
     substeps: u32,
     state: RobotState,
     jets: Jets,
@@ -39,6 +46,8 @@ pub struct Plant {
     /// First-tick pose with current velocities, where the aerodynamics is frozen.
     frozen: Option<(RobotState, Kinematics)>,
     mass_factor: MassFactor,
+    /// Generalised force less the bias.
+    force: DVector<f64>,
     acceleration: DVector<f64>,
 }
 
@@ -62,6 +71,7 @@ impl Plant {
             )?,
             conventions: LinkConventions { lever_arm: config.lever_arm, ..LinkConventions::default() },
             integrator: config.integrator,
+            has_stops: config.joint_stops,
             substeps: config.substeps,
             state: config.initial.state(),
             jets: Jets::new(&config.jets, &robot.jets, &robot.engines, &config.initial.thrust)?
@@ -72,6 +82,7 @@ impl Plant {
             given_forces: None,
             frozen: None,
             mass_factor: MassFactor::new(n),
+            force: DVector::zeros(n),
             acceleration: DVector::zeros(n),
             robot,
         };
@@ -108,7 +119,8 @@ impl Plant {
         &self.kinematics
     }
 
-    /// Momentum and mass matrix of the last [`Self::observe`].
+    /// Momentum and mass matrix of the last [`Self::observe`]; until the next one, stops that act in
+    /// [`Self::advance`] add to the mass matrix.
     #[must_use]
     pub fn dynamics(&self) -> &Dynamics {
         &self.dynamics
@@ -177,7 +189,7 @@ impl Plant {
 
     /// `S τ + Σ Jᵀ T a + w_aero − h`
     fn gather_forces(&mut self, torque: &[f64]) {
-        let force = &mut self.acceleration;
+        let force = &mut self.force;
         force.copy_from(&self.dynamics.bias);
         force.neg_mut();
         for (joint, torque) in torque.iter().enumerate() {
@@ -200,18 +212,54 @@ impl Plant {
     fn fall_freely(&mut self, time_step: f64) {
         self.kinematics.update(&self.robot, &self.state);
         self.dynamics.update(&self.robot, &self.state, &self.kinematics);
-        self.acceleration.copy_from(&self.dynamics.bias);
-        self.acceleration.neg_mut();
+        self.force.copy_from(&self.dynamics.bias);
+        self.force.neg_mut();
         self.integrate(time_step);
     }
 
-    /// Turns the gathered forces into accelerations and takes one Euler step.
-    fn integrate(&mut self, step: f64) {
+    /// Adds the stops of joints that this acceleration takes out of their range: springs and dampers, implicit
+    /// in the velocity after the step, so that they are stable at every step. Whether there are some.
+    fn add_stops(&mut self, step: f64) -> bool {
+        let is_explicit = self.integrator == Integrator::ExplicitEuler;
+        let mut is_stopped = false;
+        for (index, joint) in self.robot.joints.iter().enumerate() {
+            let place = 6 + index;
+            let velocity = self.state.velocity[place];
+            // Where the velocity after the step moves on from: with explicit Euler, from the end of the step.
+            let position = self.state.joint_position[index] + if is_explicit { step * velocity } else { 0.0 };
+            let ahead = position + step * (velocity + step * self.acceleration[place]);
+            let (lower, upper) = joint.stops;
+            let stop = if ahead > upper {
+                upper
+            } else if ahead < lower {
+                lower
+            } else {
+                continue;
+            };
+            self.force[place] -=
+                STOP_STIFFNESS * (position + step * velocity - stop) + STOP_DAMPING * velocity;
+            self.dynamics.mass_matrix[(place, place)] += step * (step * STOP_STIFFNESS + STOP_DAMPING);
+            is_stopped = true;
+        }
+        is_stopped
+    }
+
+    /// `ν̇ = M⁻¹ force`
+    fn accelerate(&mut self) {
+        self.acceleration.copy_from(&self.force);
         if self.mass_factor.factorise(&self.dynamics.mass_matrix) {
             self.mass_factor.solve_in_place(&mut self.acceleration);
         } else {
             // Only a state that is not finite gets here; the flight ends on it.
             self.acceleration.fill(f64::NAN);
+        }
+    }
+
+    /// Turns the gathered forces into accelerations and takes one Euler step.
+    fn integrate(&mut self, step: f64) {
+        self.accelerate();
+        if self.has_stops && self.add_stops(step) {
+            self.accelerate();
         }
         if self.integrator == Integrator::SemiImplicitEuler {
             self.state.velocity.axpy(step, &self.acceleration, 1.0);

@@ -12,7 +12,7 @@
 //! which is the published order of execution with its unit delays written out: its physics block runs
 //! first in a tick, on what the tick before left in the delays. Equation M77 of `docs/model.md`, the end of a flight M80.
 
-use crate::config::{DynamicsBackend, Engine, ScenarioConfig};
+use crate::config::{DivergenceConfig, DynamicsBackend, Engine, FallConfig, ScenarioConfig};
 use crate::disturbances::WindEstimator;
 use crate::log::{FlightLog, FlightResult, LogRow, TrackingErrors};
 use crate::plant::Plant;
@@ -26,32 +26,85 @@ use nalgebra::Vector3;
 use std::fmt;
 use std::ops::ControlFlow;
 
-/// When and why a flight was lost.
+/// How a flight ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// It flew to its end, on course.
+    Completed,
+    /// It flew to its end, but after the start-up was further from its set-point than
+    /// `simulator.course_error`.
+    OffCourse,
+    /// It was lost: the robot tipped over or left its set-point behind.
+    Fell,
+    /// Its numbers are none, or such that physics excludes them: what a simulation says then means nothing.
+    Diverged,
+}
+
+impl Outcome {
+    /// Its name in result files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Completed => "completed",
+            Self::OffCourse => "off_course",
+            Self::Fell => "fell",
+            Self::Diverged => "diverged",
+        }
+    }
+}
+
+/// When and why a flight ended early.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Fall {
+pub struct Loss {
     /// Time \[s\].
     pub time: f64,
     /// What was exceeded.
-    pub reason: FallReason,
+    pub reason: LossReason,
 }
 
-/// Why a flight was lost.
+/// Why a flight ended early: the first two are falls, by the others it diverged, with the limit.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum FallReason {
+pub enum LossReason {
     /// Base and desired base are this far apart \[rad\].
     RotationError(f64),
     /// Centre of mass and reference are this far apart \[m\].
     ComError(f64),
     /// The state holds a number that is not finite.
     NotFinite,
+    /// Base or air move faster than this \[m/s\].
+    Speed(f64),
+    /// The base turns faster than this \[rad/s\].
+    AngularVelocity(f64),
+    /// A joint moves faster than this \[rad/s, m/s\].
+    JointVelocity(f64),
+    /// A joint is further beyond its stops than this \[rad, m\].
+    JointPosition(f64),
+    /// A thrust is more than this times the jet's greatest.
+    Thrust(f64),
 }
 
-impl fmt::Display for FallReason {
+impl LossReason {
+    /// Whether the robot fell or the computation diverged.
+    #[must_use]
+    pub fn outcome(self) -> Outcome {
+        match self {
+            Self::RotationError(_) | Self::ComError(_) => Outcome::Fell,
+            _ => Outcome::Diverged,
+        }
+    }
+}
+
+impl fmt::Display for LossReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::RotationError(angle) => write!(f, "rotation error {:.1} deg", angle.to_degrees()),
             Self::ComError(distance) => write!(f, "CoM error {distance:.2} m"),
             Self::NotFinite => write!(f, "state not finite"),
+            Self::Speed(limit) => write!(f, "speed above {limit} m/s"),
+            Self::AngularVelocity(limit) => write!(f, "angular velocity above {limit} rad/s"),
+            Self::JointVelocity(limit) => write!(f, "joint velocity above {limit} rad/s"),
+            Self::JointPosition(limit) => write!(f, "joint more than {limit} rad beyond its stop"),
+            Self::Thrust(limit) => write!(f, "thrust above {limit} times its greatest"),
         }
     }
 }
@@ -68,8 +121,9 @@ pub struct Scenario {
     wind_estimator: Option<WindEstimator>,
     time_step: f64,
     n_ticks: usize,
-    max_rotation_error: f64,
-    max_com_error: f64,
+    fall: FallConfig,
+    divergence: DivergenceConfig,
+    course_error: f64,
 }
 
 /// A flight that was stopped from outside.
@@ -152,8 +206,9 @@ impl Scenario {
             controller_wind,
             time_step,
             n_ticks,
-            max_rotation_error: config.simulator.fall.rotation_error_deg.to_radians(),
-            max_com_error: config.simulator.fall.com_error,
+            fall: config.simulator.fall.clone(),
+            divergence: config.simulator.divergence.clone(),
+            course_error: config.simulator.course_error,
         })
     }
 
@@ -163,7 +218,7 @@ impl Scenario {
         self.n_ticks
     }
 
-    /// Flies to the end or to the fall. `progress(tick, n_ticks)` is called every tick and may stop
+    /// Flies to the end, or until the flight is lost. `progress(tick, n_ticks)` is called every tick and may stop
     /// the flight.
     ///
     /// # Errors
@@ -174,7 +229,7 @@ impl Scenario {
     ) -> Result<FlightResult, Interrupted> {
         let mut log = FlightLog::new(self.plant.robot(), self.n_ticks + 1);
         let mut state: Option<ControllerState> = None;
-        let mut fall = None;
+        let mut loss = None;
         for tick in 0..=self.n_ticks {
             let time = tick as f64 * self.time_step;
             let wind = self.wind.velocity(time);
@@ -192,7 +247,7 @@ impl Scenario {
                 state = self.controller.start(&measurement).ok();
             }
             let Some(state) = &mut state else {
-                fall = Some(Fall { time, reason: FallReason::NotFinite });
+                loss = Some(Loss { time, reason: self.divergence(&wind).unwrap_or(LossReason::NotFinite) });
                 break;
             };
             self.controller.tick(state, &measurement);
@@ -206,8 +261,8 @@ impl Scenario {
                 command,
                 errors,
             });
-            fall = self.fall_at(time, &errors);
-            if fall.is_some() {
+            loss = self.lost(&wind, &errors).map(|reason| Loss { time, reason });
+            if loss.is_some() {
                 break;
             }
             let (torque, thrust_rate) = (&command.joint_torque, &command.thrust_rate);
@@ -217,20 +272,59 @@ impl Scenario {
             }
         }
         log.joint_setpoint = state.map_or_else(Vec::new, |state| state.posture().as_slice().to_vec());
-        Ok(FlightResult { fall, summary: Summary::new(&log, log.len()), log })
+        let ending = loss.map(|loss| loss.reason.outcome());
+        // Numbers that physics excludes are in the log, but no merit of the flight.
+        let is_excluded = ending == Some(Outcome::Diverged) && !log.is_empty();
+        let summary = Summary::new(&log, log.len() - usize::from(is_excluded));
+        let is_off_course = summary.max_com_error > self.course_error;
+        let flown = if is_off_course { Outcome::OffCourse } else { Outcome::Completed };
+        Ok(FlightResult { outcome: ending.unwrap_or(flown), loss, log, summary })
     }
 
-    fn fall_at(&self, time: f64, errors: &TrackingErrors) -> Option<Fall> {
-        let reason =
-            if !self.plant.state().is_finite() || !errors.rotation.is_finite() || !errors.com.is_finite() {
-                FallReason::NotFinite
-            } else if errors.rotation > self.max_rotation_error {
-                FallReason::RotationError(errors.rotation)
-            } else if errors.com > self.max_com_error {
-                FallReason::ComError(errors.com)
+    /// Why a flight is lost now, if it is.
+    fn lost(&self, wind: &Vector3<f64>, errors: &TrackingErrors) -> Option<LossReason> {
+        self.divergence(wind).or_else(|| {
+            if !errors.rotation.is_finite() || !errors.com.is_finite() {
+                Some(LossReason::NotFinite)
+            } else if errors.rotation > self.fall.rotation_error_deg.to_radians() {
+                Some(LossReason::RotationError(errors.rotation))
+            } else if errors.com > self.fall.com_error {
+                Some(LossReason::ComError(errors.com))
             } else {
-                return None;
-            };
-        Some(Fall { time, reason })
+                None
+            }
+        })
+    }
+
+    /// What about the state of the world physics excludes, if something.
+    fn divergence(&self, wind: &Vector3<f64>) -> Option<LossReason> {
+        let (state, thrusts, robot) = (self.plant.state(), self.plant.jets().thrust(), self.plant.robot());
+        let limits = &self.divergence;
+        let is_finite = state.is_finite() && thrusts.iter().chain(wind).all(|number| number.is_finite());
+        let speed = state.base_linear_velocity().norm().max(wind.norm());
+        let joints = || robot.joints.iter().zip(state.joint_position.iter());
+        let excess =
+            joints().map(|(joint, position)| (joint.stops.0 - position).max(position - joint.stops.1));
+        let excess = excess.fold(f64::NEG_INFINITY, f64::max);
+        let fastest =
+            state.joint_velocity().iter().fold(0.0, |fastest: f64, velocity| fastest.max(velocity.abs()));
+        let is_too_strong = robot
+            .jets
+            .iter()
+            .zip(thrusts)
+            .any(|(jet, thrust)| *thrust > limits.thrust_ratio * jet.thrust_max);
+        [
+            (!is_finite, LossReason::NotFinite),
+            (speed > limits.speed, LossReason::Speed(limits.speed)),
+            (
+                state.base_angular_velocity().norm() > limits.angular_velocity,
+                LossReason::AngularVelocity(limits.angular_velocity),
+            ),
+            (fastest > limits.joint_velocity, LossReason::JointVelocity(limits.joint_velocity)),
+            (excess > limits.joint_excess, LossReason::JointPosition(limits.joint_excess)),
+            (is_too_strong, LossReason::Thrust(limits.thrust_ratio)),
+        ]
+        .into_iter()
+        .find_map(|(is_beyond, reason)| is_beyond.then_some(reason))
     }
 }

@@ -95,6 +95,14 @@ const fn of_ground(
     Signal { name, dims, unit, meaning, is_integer: false, is_of_ground: true, read: None }
 }
 
+impl Signal {
+    /// Numbers in one row of the log of a robot.
+    #[must_use]
+    pub fn row_len(&self, robot: &RobotModel) -> usize {
+        self.dims.iter().map(|dim| dim.len(robot)).product()
+    }
+}
+
 const fn integer(signal: Signal) -> Signal {
     Signal { is_integer: true, ..signal }
 }

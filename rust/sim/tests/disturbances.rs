@@ -278,6 +278,20 @@ fn turbulence_has_its_standard_deviation_and_rises_with_the_ramp() {
     }
 }
 
+/// Masses and inertias of every body have the factor, the base's centre of mass alone the offset.
+#[test]
+fn a_model_error_scales_masses_and_inertias() {
+    let right = robot("ironcub_mk1");
+    let offset = Vector3::new(0.01, -0.02, 0.03);
+    let error = ModelError { mass_scale: 1.25, com_offset: offset.into() };
+    let wrong = error.apply(right.clone());
+    for (index, (right, wrong)) in right.bodies.iter().zip(&wrong.bodies).enumerate() {
+        assert_eq!(wrong.mass, 1.25 * right.mass);
+        assert_eq!(wrong.inertia_b, 1.25 * right.inertia_b);
+        assert_eq!(wrong.com_b, if index == 0 { right.com_b + offset } else { right.com_b });
+    }
+}
+
 fn one(change: impl Fn(&mut ScenarioConfig)) -> FlightResult {
     let mut config = experiment("test2");
     config.simulator.duration = 20.0;
@@ -290,7 +304,7 @@ fn a_flight_loses_an_arm_engine_and_falls() {
     let result = one(|config| {
         config.disturbances.jets = failure(FailureKind::Off, 0.0);
     });
-    let fall = result.fall.unwrap();
+    let fall = result.loss.unwrap();
     assert!(fall.time > 0.5 && fall.time < 10.0, "{fall:?}");
     assert_eq!(result.log.series("thrust").unwrap().row(60)[1], 0.0);
 }

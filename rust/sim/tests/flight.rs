@@ -17,6 +17,8 @@ mod network;
 mod published;
 #[path = "flight/simulator.rs"]
 mod simulator;
+#[path = "flight/stops.rs"]
+mod stops;
 #[path = "flight/wind.rs"]
 mod wind;
 
@@ -31,10 +33,11 @@ fn with(mut config: ScenarioConfig, change: impl FnOnce(&mut ScenarioConfig)) ->
 }
 
 /// An experiment of ours in the world that the published numbers come from: printed coefficients on both
-/// sides, explicit Euler.
+/// sides, explicit Euler, no joint stops.
 fn as_published(name: &str) -> ScenarioConfig {
     with(common::experiment(name), |config| {
         config.simulator.integrator = Integrator::ExplicitEuler;
+        config.simulator.joint_stops = false;
         let printed = common::experiment("test2_published").simulator.aero;
         if config.controller.aero != (AeroConfig::Off {}) {
             config.controller.aero = printed.clone();

@@ -275,18 +275,61 @@ fn estimator_step_equals_its_equations() {
     let throttle = model.steady_throttle(100.0);
     let config = EkfConfig { r: 2.0, ..EkfConfig::default() };
     let mut ekf = ThrustEkf::new(&config, model, 100.0).unwrap();
-    let a = ekf.jacobian(throttle);
     ekf.update(106.0, throttle, DT);
-    // Gain P Cᵀ/R = (0.5, 0.05); innovation 6 N; the model's own acceleration is zero.
-    assert_within!(relative(ekf.thrust(), 100.03), 1e-12);
-    assert_within!(relative(ekf.thrust_rate(), 0.003), 1e-9);
+    // Gain P Cᵀ/(P₁₁ + R/dt) = (1, 0.1)/201; innovation 6 N.
+    let (thrust, rate) = (100.0 + 6.0 / 201.0, 0.6 / 201.0);
+    let acceleration = model.thrust_acceleration(thrust, rate, throttle);
+    assert_within!(relative(ekf.thrust(), thrust + DT * rate), 1e-14);
+    assert_within!(relative(ekf.thrust_rate(), rate + DT * acceleration), 1e-12);
+    // P − K C P, then Φ P Φᵀ + dt Q with Φ = ((1, dt), (dt a₂₁, 1 + dt a₂₂)) at the new estimate.
+    let (p11, p12, p22) = (1.0 - 1.0 / 201.0, 0.1 - 0.1 / 201.0, 1.0 - 0.01 / 201.0);
+    let (a21, a22) = model.acceleration_slopes(thrust, rate, throttle);
+    let (f21, f22) = (DT * a21, 1.0 + DT * a22);
     let p = ekf.covariance();
-    assert_within!(relative(p.m11, 1.0 + DT * (2.0 * 0.1 + 10.0 - 0.5)), 1e-12);
-    let p12 = 0.1 + DT * (1.0 + a.m21 + 0.1 * a.m22 + 1.0 - 0.05);
-    assert_within!(relative(p.m12, p12), 1e-12);
-    assert_eq!(p.m12, p.m21);
-    let p22 = 1.0 + DT * (2.0 * (0.1 * a.m21 + a.m22) + 10.0 - 0.005);
-    assert_within!(relative(p.m22, p22), 1e-12);
+    assert_within!(relative(p.m11, p11 + 2.0 * DT * p12 + DT * DT * p22 + DT * 10.0), 1e-14);
+    let off_diagonal = f21 * (p11 + DT * p12) + f22 * (p12 + DT * p22) + DT;
+    assert_within!(relative(p.m12, off_diagonal), 1e-12);
+    assert_within!(relative(p.m21, off_diagonal), 1e-12);
+    let last = f21 * f21 * p11 + 2.0 * f21 * f22 * p12 + f22 * f22 * p22 + DT * 10.0;
+    assert_within!(relative(p.m22, last), 1e-12);
+}
+
+/// However well the thrust is measured, the covariance stays one and the estimate stays at the thrust.
+#[test]
+fn estimators_are_stable_for_every_measurement_noise() {
+    for r in [1e-12, 4e-3, 1.0, 1e6] {
+        let model = model("P220");
+        let throttle = model.steady_throttle(100.0);
+        let config = EkfConfig { r, init_state: Some([90.0, 0.0]), ..EkfConfig::default() };
+        let mut ekf = ThrustEkf::new(&config, model, 100.0).unwrap();
+        for tick in 0..1000 {
+            ekf.update(100.0, throttle, DT);
+            let p = ekf.covariance();
+            assert!(p.m11 >= 0.0 && p.m22 >= 0.0 && p.m11 < 1e3, "R = {r}, tick {tick}: {p}");
+            assert!((ekf.thrust() - 100.0).abs() < 11.0, "R = {r}, tick {tick}: {}", ekf.thrust());
+        }
+    }
+}
+
+/// A jet without thrust does not pull, and its thrust rate is not negative; a NaN stays one.
+#[test]
+fn thrust_is_never_negative() {
+    for config in [JetsConfig::Ideal {}, JetsConfig::SecondOrder(SecondOrderConfig::default())] {
+        let mut jets = Jets::new(&config, &jets(), &engines(), &[0.5; 4]).unwrap();
+        for _ in 0..100 {
+            jets.advance(&[-90.0; 4], DT);
+            assert!(jets.thrust().iter().all(|thrust| *thrust >= 0.0), "{:?}", jets.thrust());
+        }
+    }
+    let mut jets = Jets::new(&JetsConfig::Ideal {}, &jets(), &engines(), &[0.5, 0.5, 2.0, 0.0]).unwrap();
+    jets.advance(&[-100.0, f64::NAN, -100.0, 50.0], DT);
+    assert_eq!(jets.thrust()[0], 0.0);
+    assert!(jets.thrust()[1].is_nan());
+    assert_eq!(jets.thrust()[2..], [1.0, 0.5]);
+    assert_eq!((jets.thrust_rate()[0], jets.thrust_rate()[2]), (0.0, -100.0));
+    let mut engine = EngineDynamics::new(model("P220"), 0.1, -200.0);
+    engine.step(0.0, DT);
+    assert_eq!((engine.thrust, engine.thrust_rate), (0.0, 0.0));
 }
 
 /// Started wrong, the estimate finds thrust and thrust rate of an engine that follows a throttle.

@@ -133,6 +133,23 @@ fn what_cannot_be_flown_is_refused_by_line() {
     assert!(load_recording(Path::new("nowhere.csv")).unwrap_err().to_string().contains("nowhere.csv"));
 }
 
+/// Of a half turn between two rows the axis is rounding: refused, and the rows named.
+#[test]
+fn a_half_turn_between_rows_is_refused() {
+    for (turn, is_refused) in [(178.5_f64, false), (179.5, true), (180.0, true)] {
+        let mut text = format!("{}\n", COLUMNS[..7].join(","));
+        for (time, yaw) in [(0.0, 0.0), (1.0, 0.0), (2.0, turn.to_radians())] {
+            writeln!(text, "{time},0,0,1,0,0,{yaw}").unwrap();
+        }
+        let message = parse_recording(&text, "r.csv").err().map(|error| error.to_string());
+        assert_eq!(message.is_some(), is_refused, "{message:?}");
+        if let Some(message) = message {
+            assert!(message.contains("r.csv") && message.contains("179 deg"), "{message}");
+            assert!(message.contains(&format!("turned by {turn:.1} deg since")), "{message}");
+        }
+    }
+}
+
 #[test]
 fn commands_beside_a_file_are_refused() {
     let mission = MissionConfig {
@@ -172,7 +189,7 @@ fn the_controller_flies_a_file_named_beside_its_configuration() {
     assert!(mission.file.as_ref().is_some_and(|file| file.is_absolute()));
     config.mission = mission;
     let result = Scenario::new(&config).unwrap().run(|_, _| ControlFlow::Continue(())).unwrap();
-    assert!(result.fall.is_none());
+    assert!(result.loss.is_none());
     assert!(result.summary.max_com_error < 0.02, "{}", result.summary.max_com_error);
     let height = result.log.series("com_position").unwrap().row(1000)[2];
     assert_within!(difference(height, 1.751_881), 5e-3, because "a curve through samples is compared with the motion it was sampled from");

@@ -35,8 +35,7 @@ impl Axisymmetric {
     /// A set that a link does not have, a coefficient that is not finite, a density that is not
     /// positive.
     pub fn new(config: &AxisymmetricConfig, links: &[AeroLink]) -> Result<Self, BuildError> {
-        let air_density =
-            check("air_density", config.air_density, |rho| rho > 0.0, "a positive density in kg/m³")?;
+        let air_density = super::check_air_density(config.air_density)?;
         let coefficients =
             links.iter().map(|link| coefficients_of(link, &config.coefficients)).collect::<Result<_, _>>()?;
         Ok(Self { k_a: 0.5 * air_density, coefficients })

@@ -20,7 +20,7 @@ pub use card::{Activation, Architecture, Baseline, Card, Feature, Inputs, Layout
 pub use tensors::{Tensor, Tensors};
 
 use super::{LinksInAir, axisymmetric_force};
-use crate::error::{BuildError, check};
+use crate::error::BuildError;
 use crate::kinematics::Kinematics;
 use crate::robot::{AxisymmetricCoefficients, RobotModel};
 use mirror::{Mirror, reflect};
@@ -90,7 +90,7 @@ impl Network {
         air_density: f64,
         robot: &RobotModel,
     ) -> Result<Self, BuildError> {
-        let air_density = check("air_density", air_density, |rho| rho > 0.0, "a positive density in kg/m³")?;
+        let air_density = super::check_air_density(air_density)?;
         card.check(robot)?;
         let (inputs, outputs) = (card.n_inputs(), 3 * robot.aero_links.len());
         let is_double = precision == Precision::F64;

@@ -96,7 +96,7 @@ impl SphereCylinder {
     /// not increase, a reference Reynolds number outside its table.
     pub fn new(config: &SphereCylinderConfig, links: &[AeroLink]) -> Result<Self, BuildError> {
         let positive = |value: f64| value > 0.0;
-        let rho = check("air_density", config.air_density, positive, "a positive density in kg/m³")?;
+        let rho = super::check_air_density(config.air_density)?;
         let mu =
             check("dynamic_viscosity", config.dynamic_viscosity, positive, "a positive viscosity in Pa s")?;
         let c = &config.cylinder;

@@ -9,6 +9,9 @@ use nalgebra::{Matrix3, Vector3};
 /// Numbers that every sample has: time, position, attitude.
 pub const REQUIRED: usize = 7;
 
+/// Greatest turn from one sample to the next \[rad\]: of half a turn the axis is rounding.
+const MAX_TURN: f64 = 179.0 * std::f64::consts::PI / 180.0;
+
 /// Where the reference is at one time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RecordedMotion {
@@ -64,7 +67,19 @@ impl Recording {
             };
             return Err(BuildError::bad_value(place(index), format!("{row:?}"), expected));
         }
-        Ok(Self::from_rows(rows, width))
+        let recording = Self::from_rows(rows, width);
+        match recording.turns_b.iter().position(|turn| turn.norm() > MAX_TURN) {
+            None => Ok(recording),
+            Some(row) => {
+                let turn = recording.turns_b[row].norm().to_degrees();
+                let turned = format!("turned by {turn:.1} deg since {}", place(row));
+                Err(BuildError::bad_value(
+                    place(row + 1),
+                    turned,
+                    "a turn below 179 deg, whose axis is certain",
+                ))
+            }
+        }
     }
 
     fn from_rows(rows: &[Vec<f64>], width: usize) -> Self {

@@ -34,14 +34,15 @@ impl Default for EkfConfig {
     }
 }
 
-/// Extended Kalman filter of one engine, continuous-time form, integrated by forward Euler.
+/// Extended Kalman filter of one engine: a measurement of variance `R/dt`, then a step of `dt`.
 ///
 /// ```text
-/// x̂˙ = ( Ṫ, T̈(x̂, u) ) + P Cᵀ R⁻¹ (y − T),   C = (1 0)
-/// Ṗ = A P + P Aᵀ + Q − P Cᵀ R⁻¹ C P,   A = ∂(Ṫ, T̈)/∂x at (x̂, u)
+/// K = P Cᵀ (C P Cᵀ + R/dt)⁻¹,   x̂ ← x̂ + K (y − T̂),   P ← P − K C P,   C = (1 0)
+/// x̂ ← x̂ + dt ( Ṫ, T̈(x̂, u) ),   P ← Φ P Φᵀ + dt Q,   Φ = 1 + dt A,   A = ∂(Ṫ, T̈)/∂x at (x̂, u)
 /// ```
 ///
-/// Source: the published controller. Forward Euler is stable while `dt P₁₁/R` is well below 1.
+/// The published estimator integrates the continuous-time equations, which these become for small `dt`, by
+/// forward Euler, and diverges where `dt P₁₁/R` is above 1; here P stays a covariance for every R.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ThrustEkf {
     model: EngineModel,
@@ -99,13 +100,16 @@ impl ThrustEkf {
     /// Moves the estimate on by `dt` \[s\], with the thrust measured now \[N\] and the throttle \[%\]
     /// held from now on.
     pub fn update(&mut self, measured_thrust: f64, throttle: f64, dt: f64) {
+        let column = self.covariance.column(0).into_owned();
+        let gain = column / (column.x + self.r / dt);
+        self.state += gain * (measured_thrust - self.state.x);
+        self.covariance -= gain * column.transpose();
+
         let (thrust, thrust_rate) = (self.state.x, self.state.y);
         let drift = Vector2::new(thrust_rate, self.model.thrust_acceleration(thrust, thrust_rate, throttle));
-        let gain = self.covariance.column(0) / self.r;
-        let spread = self.jacobian(throttle) * self.covariance;
-        let learned = gain * gain.transpose() * self.r;
-        self.state += dt * (drift + gain * (measured_thrust - thrust));
-        self.covariance += dt * (spread + spread.transpose() + self.q - learned);
+        let transition = Matrix2::identity() + dt * self.jacobian(throttle);
+        self.state += dt * drift;
+        self.covariance = transition * self.covariance * transition.transpose() + dt * self.q;
     }
 }
 

@@ -50,12 +50,14 @@ fn joint(entry: &JointEntry, in_urdf: &TreeJoint) -> Result<Joint, BuildError> {
         Some(value) => check_number(&of(key), value, |x| x > 0.0, "a positive number").map(|x| x * unit),
         None => urdf.ok_or_else(|| missing(&of(key), "a positive number, as the URDF has none")),
     };
+    let (lower, upper) = in_urdf.limits.unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
     Ok(Joint {
         name: entry.name.clone(),
         kind: in_urdf.kind,
         parent_from_child: in_urdf.parent_from_child,
         axis_b: in_urdf.axis_b,
         limits,
+        stops: (lower.min(limits.0), upper.max(limits.1)),
         torque_max: greatest("torque_max", 1.0, entry.torque_max, in_urdf.torque_max)?,
         torque_rate_max: greatest("torque_rate_max", 1.0, entry.torque_rate_max, Some(f64::INFINITY))?,
         velocity_max: greatest(velocity_key, per_unit, given.1, in_urdf.velocity_max)?,

@@ -21,8 +21,8 @@ pub struct JetFaultsConfig {
     /// One jet that fails.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub failure: Option<JetFailure>,
-    /// Thrust stays between zero and this times the robot's greatest thrust; without it nothing
-    /// but the controller limits thrust, as published.
+    /// Thrust stays below this times the robot's greatest thrust; without it nothing but the controller
+    /// limits it, as published.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub thrust_limit_scale: Option<f64>,
     /// Whether the controller's own limits are scaled as well.
@@ -238,8 +238,6 @@ impl JetFaults {
         if let Some(limit) = self.limits.get(jet) {
             if thrust > *limit {
                 (thrust, thrust_rate) = (*limit, thrust_rate.min(0.0));
-            } else if thrust < 0.0 {
-                (thrust, thrust_rate) = (0.0, thrust_rate.max(0.0));
             }
         }
         let Some(failing) = self.failing.as_mut().filter(|failing| failing.jet == jet) else {

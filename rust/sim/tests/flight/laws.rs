@@ -128,7 +128,7 @@ fn the_integrator_hardly_matters() {
         let flights = fly(&variants);
         let errors: Vec<f64> =
             flights.iter().map(|flight| flight.summary.max_rotation_error.to_degrees()).collect();
-        assert!(flights.iter().all(|flight| flight.fall.is_none()));
+        assert!(flights.iter().all(|flight| flight.loss.is_none()));
         for error in &errors {
             assert_within!((error - errors[0]).abs(), limit, because "the integrators differ by their order, not by rounding", "{name}: {errors:?} deg");
         }

@@ -14,7 +14,7 @@ fn flights<const N: usize>(names: [&str; N]) -> [FlightResult; N] {
 
 #[track_caller]
 fn assert_completed(result: &FlightResult) {
-    assert!(result.fall.is_none(), "{:?}", result.fall);
+    assert!(result.loss.is_none(), "{:?}", result.loss);
     assert_eq!(result.summary.ticks_without_solution, 0.0);
 }
 
@@ -27,7 +27,7 @@ fn rotation_error_deg(result: &FlightResult) -> f64 {
 #[test]
 fn test3_falls_with_published_arms() {
     let [published, right] = flights(["test3_published", "test3"]);
-    let fall = published.fall.unwrap_or_else(|| panic!("it flew on"));
+    let fall = published.loss.unwrap_or_else(|| panic!("it flew on"));
     assert!((12.0..=40.0).contains(&fall.time), "fell at {} s: {}", fall.time, fall.reason);
     assert_completed(&right);
     let leaning = rotation_error_deg(&right);

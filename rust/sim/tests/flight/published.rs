@@ -4,7 +4,7 @@ use super::common::{assert_within, experiment, fly};
 use super::{NO_AIR, STILL, as_published, com_offset, data, peak, ramp_to, rotation_error_at, with};
 use flight_core::aero::LeverArm;
 use flight_sim::config::{AeroKinematics, Integrator};
-use flight_sim::{FallReason, FlightResult, ScenarioConfig};
+use flight_sim::{FlightResult, LossReason, ScenarioConfig};
 
 #[track_caller]
 fn assert_close(what: &str, found: f64, expected: f64, tolerance: f64) {
@@ -18,7 +18,7 @@ fn assert_close(what: &str, found: f64, expected: f64, tolerance: f64) {
 
 #[track_caller]
 fn assert_completed(result: &FlightResult, config: &ScenarioConfig) {
-    assert!(result.fall.is_none(), "{}: {:?}", config.title, result.fall);
+    assert!(result.loss.is_none(), "{}: {:?}", config.title, result.loss);
     assert_eq!(result.log.len(), config.simulator.n_ticks() + 1, "{}", config.title);
 }
 
@@ -34,7 +34,7 @@ fn with_last_bits(config: &ScenarioConfig) -> Vec<FlightResult> {
 
 /// Whether flights that differ in last bits all fall or all complete; if not, the outcome is no claim.
 fn outcome_is_certain(flights: &[FlightResult]) -> bool {
-    flights.iter().all(|flight| flight.fall.is_some() == flights[0].fall.is_some())
+    flights.iter().all(|flight| flight.loss.is_some() == flights[0].loss.is_some())
 }
 
 /// The robot is lost by turning over, in a window of time widened by what last bits change of it; nothing is
@@ -44,13 +44,13 @@ fn assert_turned_over(flights: &[FlightResult], from: f64, to: f64) {
     if !outcome_is_certain(flights) {
         return;
     }
-    let times: Vec<f64> = flights.iter().map(|flight| flight.fall.unwrap().time).collect();
+    let times: Vec<f64> = flights.iter().map(|flight| flight.loss.unwrap().time).collect();
     let (first, last) = times.iter().fold((f64::MAX, f64::MIN), |(a, b), t| (a.min(*t), b.max(*t)));
     let spread = last - first;
     assert!((from - spread..=to + spread).contains(&times[0]), "fell at {times:?} s");
     for flight in flights {
         // Once beyond 60 deg it may also drift off before it has turned by 90.
-        assert!(flight.summary.max_rotation_error > 60_f64.to_radians(), "{:?}", flight.fall);
+        assert!(flight.summary.max_rotation_error > 60_f64.to_radians(), "{:?}", flight.loss);
     }
 }
 
@@ -261,7 +261,7 @@ fn only_the_momentum_feedback_matters() {
     ]);
     let [full, no_lambda, no_torque, no_momentum] = flights.as_slice() else { panic!() };
     for flight in [no_lambda, no_torque] {
-        assert!(flight.fall.is_none());
+        assert!(flight.loss.is_none());
         assert_sound(flight);
         let (a, b) = (&flight.summary, &full.summary);
         assert_close("rotation", a.max_rotation_error.to_degrees(), b.max_rotation_error.to_degrees(), 1.0);
@@ -287,7 +287,7 @@ fn frozen_kinematics_fell_both_controllers() {
     assert_turned_over(&test1, 16.1, 16.5);
     assert_turned_over(&with_last_bits(&with(experiment("test2_published"), freeze)), 27.0, 28.0);
     assert_turned_over(&with_last_bits(&with(as_published("test2"), freeze)), 25.0, 28.0);
-    assert!(matches!(test1[0].fall.unwrap().reason, FallReason::RotationError(_)));
+    assert!(matches!(test1[0].loss.unwrap().reason, LossReason::RotationError(_)));
 }
 
 /// The wrong arm on one side only is worse than on both: the aware controller falls as well.
@@ -328,7 +328,7 @@ fn the_baseline_degrades_with_the_wind() {
             continue;
         }
         let flight = &flights[0];
-        assert!(flight.fall.is_none(), "{speed} m/s: {:?}", flight.fall);
+        assert!(flight.loss.is_none(), "{speed} m/s: {:?}", flight.loss);
         let error = flight.summary.max_rotation_error.to_degrees();
         assert_close(&format!("{speed} m/s"), error, tabled, 0.6);
     }
@@ -358,7 +358,7 @@ fn the_aware_controller_flies_in_every_wind() {
     let configs: Vec<ScenarioConfig> =
         winds.map(|wind| with(as_published("test2"), |config| config.wind = ramp_to(wind))).collect();
     for (config, flight) in configs.iter().zip(fly(&configs)) {
-        assert!(flight.fall.is_none(), "{:?}: {:?}", config.wind, flight.fall);
+        assert!(flight.loss.is_none(), "{:?}: {:?}", config.wind, flight.loss);
         assert_eq!(flight.summary.ticks_without_solution, 0.0);
     }
 }
@@ -392,7 +392,7 @@ fn the_default_world_is_not_chaotic() {
             .collect();
         let flights = fly(&configs);
         for flight in &flights {
-            assert!(flight.fall.is_none(), "{name}: {:?}", flight.fall);
+            assert!(flight.loss.is_none(), "{name}: {:?}", flight.loss);
             let apart = flight.summary.max_rotation_error - flights[0].summary.max_rotation_error;
             assert!(apart.abs().to_degrees() < 0.005, "{name}: {apart} rad apart");
         }

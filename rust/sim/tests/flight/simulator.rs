@@ -6,9 +6,9 @@ use flight_core::spatial::{orthonormality_error, rotation_from_wxyz};
 use flight_io::{load_controller, load_robot};
 use flight_sim::signals::Dimension;
 use flight_sim::{
-    BatchError, Fall, FallReason, FlightLog, FlightResult, Interrupted, Scenario, ScenarioConfig, fly_batch,
+    BatchError, FlightLog, FlightResult, Interrupted, Loss, LossReason, Scenario, ScenarioConfig, fly_batch,
 };
-use flight_sim::{SIGNALS, Summary, figures};
+use flight_sim::{Outcome, SIGNALS, Summary, figures};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
@@ -337,25 +337,104 @@ fn falls_have_their_reason() {
     let flights = fly(&[tipped, shoved, blasted]);
     let last = |flight: &FlightResult, name: &str| *data(flight, name).last().unwrap();
     for flight in &flights {
-        let Fall { time, .. } = flight.fall.unwrap();
+        let Loss { time, .. } = flight.loss.unwrap();
         assert_eq!(last(flight, "time"), time);
         assert_eq!(flight.log.len(), tick_at(time) + 1);
     }
-    let reason = |k: usize| flights[k].fall.unwrap().reason;
+    let reason = |k: usize| flights[k].loss.unwrap().reason;
 
-    let FallReason::RotationError(angle) = reason(0) else { panic!("{}", reason(0)) };
+    let LossReason::RotationError(angle) = reason(0) else { panic!("{}", reason(0)) };
     assert_eq!(angle, last(&flights[0], "rotation_error"));
     let errors = data(&flights[0], "rotation_error");
     assert!(angle.to_degrees() > 10.0 && errors[errors.len() - 2].to_degrees() <= 10.0);
     assert_eq!(reason(0).to_string(), format!("rotation error {:.1} deg", angle.to_degrees()));
 
-    let FallReason::ComError(distance) = reason(1) else { panic!("{}", reason(1)) };
+    let LossReason::ComError(distance) = reason(1) else { panic!("{}", reason(1)) };
     assert!((0.1..0.11).contains(&distance));
     assert_eq!(reason(1).to_string(), "CoM error 0.10 m");
 
-    assert_eq!(reason(2), FallReason::NotFinite);
-    assert_eq!(reason(2).to_string(), "state not finite");
-    assert!(flights[2].fall.unwrap().time <= 0.02, "{:?}", flights[2].fall);
+    assert!(flights[..2].iter().all(|flight| flight.outcome == Outcome::Fell));
+
+    assert_eq!(reason(2), LossReason::Speed(300.0));
+    assert_eq!(reason(2).to_string(), "speed above 300 m/s");
+    assert_eq!((flights[2].outcome, flights[2].loss.unwrap().time), (Outcome::Diverged, 0.0));
+}
+
+/// A flight that reaches its end has completed, or was off course where its position error after the start-up
+/// exceeds the limit.
+#[test]
+fn a_flight_that_reaches_its_end_is_on_course_or_not() {
+    let flight = run(&short(4.0));
+    let error = flight.summary.max_com_error;
+    for (factor, outcome) in [(1.01, Outcome::Completed), (0.99, Outcome::OffCourse)] {
+        let limited = with(short(4.0), |config| config.simulator.course_error = factor * error);
+        let flight = run(&limited);
+        assert_eq!((flight.outcome, flight.loss), (outcome, None));
+    }
+    // The start-up does not count.
+    let early = with(short(2.5), |config| config.simulator.course_error = 1e-9);
+    assert_eq!(run(&early).outcome, Outcome::Completed);
+}
+
+/// Each limit of what physics allows ends a flight at the tick that exceeds it, with its name; the row is in the
+/// log and no merit.
+#[test]
+fn numbers_that_physics_excludes_diverge() {
+    type Spoil = fn(&mut ScenarioConfig);
+    let spoilt: [(Spoil, LossReason, &str); 6] = [
+        (|c| c.simulator.initial.base_velocity[1] = 301.0, LossReason::Speed(300.0), "speed above 300 m/s"),
+        (
+            |c| c.wind = flight_sim::WindConfig::Constant { velocity: [0.0, 301.0, 0.0] },
+            LossReason::Speed(300.0),
+            "speed above 300 m/s",
+        ),
+        (
+            |c| c.simulator.initial.base_velocity[4] = -101.0,
+            LossReason::AngularVelocity(100.0),
+            "angular velocity above 100 rad/s",
+        ),
+        (
+            |c| c.simulator.initial.joint_position[3] -= 8.0,
+            LossReason::JointPosition(6.0),
+            "joint more than 6 rad beyond its stop",
+        ),
+        (
+            |c| c.simulator.initial.thrust[2] = 2201.0,
+            LossReason::Thrust(10.0),
+            "thrust above 10 times its greatest",
+        ),
+        (
+            |c| c.simulator.divergence.joint_velocity = 1e-6,
+            LossReason::JointVelocity(1e-6),
+            "joint velocity above 0.000001 rad/s",
+        ),
+    ];
+    for (spoil, reason, text) in spoilt {
+        let config = with(short(0.5), |config| {
+            config.simulator.initial.free_fall_tick = false;
+            spoil(config);
+        });
+        let flight = run(&config);
+        let loss = flight.loss.unwrap();
+        assert_eq!((flight.outcome, loss.reason), (Outcome::Diverged, reason));
+        assert_eq!(loss.reason.to_string(), text);
+        assert_eq!(flight.log.len(), tick_at(loss.time) + 1);
+        let merits = flight.summary;
+        assert!(merits.values().iter().all(|figure| !figure.is_nan()), "{merits:?}");
+        assert!(merits.max_aero_force < 100.0, "{merits:?}");
+    }
+}
+
+/// Below its limits nothing diverges.
+#[test]
+fn numbers_that_physics_allows_fly() {
+    let fast = with(short(0.02), |config| {
+        config.simulator.initial.base_velocity = [299.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+        config.simulator.aero = super::NO_AIR;
+        config.controller.aero = super::NO_AIR;
+        config.simulator.fall.com_error = 1e9;
+    });
+    assert!(run(&fast).loss.is_none());
 }
 
 /// A robot that nothing touches falls freely whatever the controller commands of its joints, but for the
@@ -375,7 +454,7 @@ fn without_thrust_the_centre_of_mass_falls_freely() {
             }
         });
         let result = run(&config);
-        assert!(result.fall.is_none());
+        assert!(result.loss.is_none());
         for (velocity, time) in data(&result, "com_velocity").chunks(3).zip(data(&result, "time")) {
             assert_within!((velocity[2] + 9.81 * time).abs(), tolerance, because "free fall in steps of 10 ms: h²/12 of the acceleration's change", "{velocity:?} at {time} s");
             assert_within!(velocity[0].abs(), tolerance, because "free fall in steps of 10 ms: h²/12 of the acceleration's change", "{velocity:?}");
@@ -392,7 +471,7 @@ type Refusal = (&'static str, fn(&mut ScenarioConfig), &'static str);
 #[test]
 #[rustfmt::skip]
 fn bad_simulators_are_refused_by_name() {
-    let refusals: [Refusal; 24] = [
+    let refusals: [Refusal; 30] = [
         ("simulator.duration", |c| c.simulator.duration = 0.0, "is 0"),
         ("simulator.duration", |c| c.simulator.duration = -5.0, "is -5"),
         ("simulator.duration", |c| c.simulator.duration = f64::NAN, "is NaN"),
@@ -400,6 +479,10 @@ fn bad_simulators_are_refused_by_name() {
         ("simulator.time_step", |c| c.simulator.time_step = 0.0, "is 0"),
         ("simulator.time_step", |c| c.simulator.time_step = -0.01, "is -0.01"),
         ("simulator.time_step", |c| c.simulator.time_step = f64::NAN, "is NaN"),
+        ("simulator.time_step", |c| c.simulator.time_step = 9e18, "in (0, 1]"),
+        ("simulator.duration", |c| (c.simulator.duration, c.simulator.time_step) = (1e5, 0.01), "exceeds 2 GiB"),
+        ("simulator.initial.base_position", |c| c.simulator.initial.base_position[2] = -1e7, "up to 1e6 m"),
+        ("air_density", |c| c.simulator.aero = serde_json::from_str(r#"{"model": "axisymmetric", "coefficients": "corrected", "air_density": 1e308}"#).unwrap(), "10000"),
         ("simulator.duration / simulator.time_step", |c| c.simulator.time_step = 1e-9, "at most ten million"),
         ("simulator.duration / simulator.time_step", |c| (c.simulator.duration, c.simulator.time_step) = (1e300, 1e-300), "at most ten million"),
         ("simulator.substeps", |c| c.simulator.substeps = 0, "is 0"),
@@ -408,6 +491,8 @@ fn bad_simulators_are_refused_by_name() {
         ("simulator.fall.rotation_error_deg", |c| c.simulator.fall.rotation_error_deg = 181.0, "is 181"),
         ("simulator.fall.com_error", |c| c.simulator.fall.com_error = 0.0, "is 0"),
         ("simulator.fall.com_error", |c| c.simulator.fall.com_error = f64::NAN, "is NaN"),
+        ("simulator.course_error", |c| c.simulator.course_error = 0.0, "is 0"),
+        ("simulator.divergence.speed", |c| c.simulator.divergence.speed = f64::NAN, "is NaN"),
         ("simulator.initial.base_position", |c| c.simulator.initial.base_position[1] = f64::NAN, "is NaN"),
         ("simulator.initial.base_rpy_deg", |c| c.simulator.initial.base_rpy_deg[2] = f64::INFINITY, "is inf"),
         ("simulator.initial.base_velocity", |c| c.simulator.initial.base_velocity[5] = f64::NAN, "is NaN"),
@@ -441,5 +526,5 @@ fn bad_time_steps_are_refused_by_the_controller() {
 fn the_shortest_flight_has_one_row() {
     let result = run(&short(0.004));
     assert_eq!(result.log.len(), 1);
-    assert!(result.fall.is_none());
+    assert!(result.loss.is_none());
 }

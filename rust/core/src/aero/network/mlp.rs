@@ -142,7 +142,9 @@ impl<T: Real> Layer<T> {
     ) {
         let (biases, _) = self.bias.as_chunks::<P>();
         let (columns, _) = self.weights.as_chunks::<P>();
-        for (index, (panel, bias)) in columns.chunks_exact(self.inputs.max(1)).zip(biases).enumerate() {
+        for (index, bias) in biases.iter().enumerate() {
+            // A layer without inputs has panels without columns.
+            let panel = &columns[index * self.inputs..(index + 1) * self.inputs];
             let sums = weighted_sums(panel, bias, x);
             dispatch(
                 #[inline(always)]
