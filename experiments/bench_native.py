@@ -25,7 +25,7 @@ Times = dict[str, float]
 """What was measured to nanoseconds: the median over turns of medians over rounds."""
 
 FOLDER = REPOSITORY / "target" / "side_by_side"
-SOURCES = REPOSITORY / "rust" / "core" / "benches" / "native"
+SOURCES = REPOSITORY / "rust" / "sim" / "benches" / "native"
 URDF = REPOSITORY / "configs" / "robot" / "ironcub_mk1.urdf"
 QPS = tuple(f"{name} QP, {case}" for name in ("momentum", "torque") for case in ("calm", "saturated"))
 EIGEN = "cmeel-eigen==3.4.1"  # the headers that Pinocchio was compiled with are not in its wheel

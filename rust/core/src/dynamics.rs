@@ -256,7 +256,7 @@ impl MassFactor {
     pub fn factorise(&mut self, mass_matrix: &DMatrix<f64>) -> bool {
         self.factor.copy_from(mass_matrix);
         let n = self.factor.nrows();
-        linalg::cholesky_in_place(self.factor.as_mut_slice(), n, n)
+        linalg::cholesky_in_place(self.factor.as_mut_slice(), n, n, n)
     }
 
     /// Joint block of the factor, starting at its first entry, in columns of the whole factor's height;

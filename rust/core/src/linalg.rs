@@ -3,13 +3,156 @@
 //! Matrices are column-major: entry `(i, j)` is `a[i + j·ld]` with leading dimension `ld ≥ n`, so a
 //! leading block of a larger buffer is a matrix too. Nothing allocates.
 //!
-//! Inverses and squares work on tiles of [`TALL`] rows and [`WIDE`] columns whose sums stay in
-//! registers, with the vector instructions that [`dispatch`] finds at run time. Processors without fused
-//! multiplication and addition round once more; results then differ in their last bits.
+//! The kernels of matrices are written for vectors of any length and run with those that [`Arch`] finds at run
+//! time, of eight, four or two numbers. They take a tile at a time, a vector of rows by up to [`WIDE`] columns,
+//! whose sums stay in registers. Where fewer rows than a vector are left the tile begins earlier, and what is
+//! computed twice gets the same value twice; a matrix with fewer rows than a vector takes them one by one.
+//! Processors without fused multiplication and addition round once more; results then differ in their last
+//! bits.
 //!
 //! Sizes are the caller's promise, as they are for slice indexing: a slice that is too short panics.
 
-use pulp::Arch;
+#![allow(clippy::needless_range_loop, reason = "indices are those of the equations, and of constant range")]
+
+use pulp::{Arch, Scalar, Scalar256b, Simd, WithSimd};
+
+/// Columns of a tile.
+const WIDE: usize = 4;
+
+/// Runs plain loops compiled for the vector instructions of this processor. What they call must be inlined.
+#[inline(always)]
+pub(crate) fn dispatch_plain<R>(loops: impl FnOnce() -> R) -> R {
+    Arch::new().dispatch(loops)
+}
+
+/// Runs a kernel with the vector instructions of this processor.
+#[inline(always)]
+pub(crate) fn dispatch<K: WithSimd>(kernel: K) -> K::Output {
+    dispatch_to(Arch::new(), kernel)
+}
+
+/// [`dispatch`] to given instructions.
+#[inline(always)]
+fn dispatch_to<K: WithSimd>(arch: Arch, kernel: K) -> K::Output {
+    match arch {
+        // Without instructions of its own it is left to the compiler what becomes of four numbers at once.
+        Arch::Scalar => kernel.with_simd(Scalar256b),
+        arch => arch.dispatch(kernel),
+    }
+}
+
+/// Runs a kernel on a matrix.
+#[inline(always)]
+fn run<K: Kernel>(kernel: K) -> K::Output {
+    dispatch(Fitted(kernel))
+}
+
+/// What can run with any vectors that are not longer than its columns.
+trait Kernel {
+    type Output;
+
+    /// Rows of its matrix.
+    fn rows(&self) -> usize;
+
+    /// Runs with vectors of `S::F64_LANES` numbers.
+    fn with_vectors<S: Simd>(self, simd: S) -> Self::Output;
+}
+
+/// A kernel whose vectors are as long as they can be, or single numbers.
+struct Fitted<K>(K);
+
+impl<K: Kernel> WithSimd for Fitted<K> {
+    type Output = K::Output;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> K::Output {
+        if self.0.rows() < S::F64_LANES { self.0.with_vectors(Scalar) } else { self.0.with_vectors(simd) }
+    }
+}
+
+/// Reads the vector of a column that begins at `top`.
+#[inline(always)]
+fn load<S: Simd>(_: S, column: &[f64], top: usize) -> S::f64s {
+    S::as_simd_f64s(&column[top..top + S::F64_LANES]).0[0]
+}
+
+/// Writes it.
+#[inline(always)]
+fn store<S: Simd>(_: S, column: &mut [f64], top: usize, vector: S::f64s) {
+    S::as_mut_simd_f64s(&mut column[top..top + S::F64_LANES]).0[0] = vector;
+}
+
+/// Reads the tile of C columns that begins at row `top`.
+#[inline(always)]
+fn load_columns<S: Simd, const C: usize>(simd: S, columns: &[f64], ld: usize, top: usize) -> [S::f64s; C] {
+    let mut tile = [simd.splat_f64s(0.0); C];
+    for c in 0..C {
+        tile[c] = load(simd, &columns[c * ld..], top);
+    }
+    tile
+}
+
+/// `a − b`, column by column.
+#[inline(always)]
+fn differences<S: Simd, const C: usize>(simd: S, mut a: [S::f64s; C], b: [S::f64s; C]) -> [S::f64s; C] {
+    for c in 0..C {
+        a[c] = simd.sub_f64s(a[c], b[c]);
+    }
+    a
+}
+
+/// Where the tiles over the rows `first..n` begin.
+#[inline(always)]
+fn tops<S: Simd>(_: S, first: usize, n: usize) -> impl Iterator<Item = usize> {
+    (first..n).step_by(S::F64_LANES).map(move |row| row.min(n - S::F64_LANES))
+}
+
+/// Where the last tile begins.
+#[inline(always)]
+fn last_top<S: Simd>(_: S, n: usize) -> usize {
+    n - S::F64_LANES
+}
+
+/// `Σ_k A_ik B_(j+c)k` over the columns `from..to` of both, for the rows i of the tile at `top`: `sums[c]`.
+#[inline(always)]
+fn outer_sums<S: Simd, const C: usize>(
+    simd: S,
+    (a, lda, top): (&[f64], usize, usize),
+    (b, ldb, j): (&[f64], usize, usize),
+    (from, to): (usize, usize),
+) -> [S::f64s; C] {
+    let mut sums = [simd.splat_f64s(0.0); C];
+    if from >= to {
+        return sums;
+    }
+    let (a, b) = (a[from * lda..to * lda].chunks_exact(lda), b[from * ldb..to * ldb].chunks_exact(ldb));
+    for (a, b) in a.zip(b) {
+        let (left, right) = (load(simd, a, top), &b[j..j + C]);
+        for c in 0..C {
+            sums[c] = simd.mul_add_e_f64s(left, simd.splat_f64s(right[c]), sums[c]);
+        }
+    }
+    sums
+}
+
+/// Runs `$panel` over `$from..$n` by as many columns as a vector has rows, at most [`WIDE`], fewer at the end.
+macro_rules! for_panels {
+    ($self:ident.$panel:ident::<$S:ident>($simd:ident, $from:expr, $n:expr)) => {
+        let width = WIDE.min($S::F64_LANES);
+        for j in ($from..$n).step_by(width) {
+            let is_done = match width.min($n - j) {
+                1 => $self.$panel::<$S, 1>($simd, j),
+                2 => $self.$panel::<$S, 2>($simd, j),
+                3 => $self.$panel::<$S, 3>($simd, j),
+                _ => $self.$panel::<$S, WIDE>($simd, j),
+            };
+            if !is_done {
+                return false;
+            }
+        }
+        return true;
+    };
+}
 
 /// Inner product `xᵀ y` over the shorter length.
 ///
@@ -52,163 +195,216 @@ pub fn add_scaled(y: &mut [f64], factor: f64, x: &[f64]) {
     }
 }
 
-/// `y ← y + Σ_k factor_k · column_k` over K neighbouring columns.
-///
-/// One pass for all K: `y` is loaded and stored once, and the loop stays free of bounds checks because
-/// every column is cut to the length of `y` first.
-#[inline]
-fn add_columns<const K: usize>(y: &mut [f64], columns: &[f64], ld: usize, factors: [f64; K]) {
-    let columns: [&[f64]; K] = std::array::from_fn(|k| &columns[k * ld..][..y.len()]);
-    for (i, y) in y.iter_mut().enumerate() {
-        let mut sum = 0.0;
-        for k in 0..K {
-            sum += factors[k] * columns[k][i];
-        }
-        *y += sum;
-    }
-}
-
 /// `y ← y + A x` for a `y.len() × x.len()` matrix.
 ///
 /// # Panics
 /// If `a` does not hold that matrix.
 pub fn add_mat_vec(y: &mut [f64], a: &[f64], ld: usize, x: &[f64]) {
-    let (blocks, rest) = x.as_chunks::<4>();
-    for (block, &factors) in blocks.iter().enumerate() {
-        add_columns(y, &a[block * 4 * ld..], ld, factors);
+    run(AddMatVec { y, a, ld, x });
+}
+
+/// [`add_mat_vec`].
+struct AddMatVec<'a> {
+    y: &'a mut [f64],
+    a: &'a [f64],
+    ld: usize,
+    x: &'a [f64],
+}
+
+impl Kernel for AddMatVec<'_> {
+    type Output = ();
+
+    fn rows(&self) -> usize {
+        self.y.len()
     }
-    if !y.is_empty() {
-        let left = (x.len() - rest.len()) * ld;
-        match *rest {
-            [x0, x1, x2] => add_columns(y, &a[left..], ld, [x0, x1, x2]),
-            [x0, x1] => add_columns(y, &a[left..], ld, [x0, x1]),
-            [x0] => add_columns(y, &a[left..], ld, [x0]),
-            _ => {}
+
+    #[inline(always)]
+    fn with_vectors<S: Simd>(self, simd: S) {
+        let Self { y, a, ld, x } = self;
+        let n = y.len();
+        if n == 0 {
+            return;
+        }
+        // Before the tile above it changes some of its rows.
+        let last_y = load(simd, y, last_top(simd, n));
+        let (blocks, rest) = x.as_chunks::<WIDE>();
+        for top in tops(simd, 0, n) {
+            // Sums of their own: additions need not wait for one another.
+            let mut sums = [simd.splat_f64s(0.0); WIDE];
+            for (block, factors) in blocks.iter().enumerate() {
+                for c in 0..WIDE {
+                    let column = load(simd, &a[(block * WIDE + c) * ld..], top);
+                    sums[c] = simd.mul_add_e_f64s(column, simd.splat_f64s(factors[c]), sums[c]);
+                }
+            }
+            for (c, factor) in rest.iter().enumerate() {
+                let column = load(simd, &a[(blocks.len() * WIDE + c) * ld..], top);
+                sums[0] = simd.mul_add_e_f64s(column, simd.splat_f64s(*factor), sums[0]);
+            }
+            let [s0, s1, s2, s3] = sums;
+            let sum = simd.add_f64s(simd.add_f64s(s0, s1), simd.add_f64s(s2, s3));
+            let old = if top == last_top(simd, n) { last_y } else { load(simd, y, top) };
+            store(simd, y, top, simd.add_f64s(old, sum));
+        }
+    }
+}
+
+/// Writes `w_i A_ij w_j`, with as many rows and columns as there are weights, into a matrix of leading
+/// dimension `ld_to`.
+///
+/// # Panics
+/// If a slice does not hold its matrix.
+pub fn scale_symmetric(a: &[f64], ld: usize, weights: &[f64], to: &mut [f64], ld_to: usize) {
+    run(ScaleSymmetric { a, ld, weights, to, ld_to });
+}
+
+/// [`scale_symmetric`].
+struct ScaleSymmetric<'a> {
+    a: &'a [f64],
+    ld: usize,
+    weights: &'a [f64],
+    to: &'a mut [f64],
+    ld_to: usize,
+}
+
+impl Kernel for ScaleSymmetric<'_> {
+    type Output = ();
+
+    fn rows(&self) -> usize {
+        self.weights.len()
+    }
+
+    #[inline(always)]
+    fn with_vectors<S: Simd>(self, simd: S) {
+        let Self { a, ld, weights, to, ld_to } = self;
+        for top in tops(simd, 0, weights.len()) {
+            let of_rows = load(simd, weights, top);
+            for (j, of_column) in weights.iter().enumerate() {
+                let weight = simd.mul_f64s(of_rows, simd.splat_f64s(*of_column));
+                store(simd, &mut to[j * ld_to..], top, simd.mul_f64s(load(simd, &a[j * ld..], top), weight));
+            }
         }
     }
 }
 
 /// Factors a symmetric positive definite matrix, `A = L Lᵀ`, over its own lower triangle; `false` if
-/// it is not positive definite to working precision (or holds a NaN). See [`cholesky_resume_in_place`].
+/// it is not positive definite to working precision (or holds a NaN).
 ///
-/// # Panics
-/// If `a` does not hold an `n × n` matrix.
-#[must_use]
-pub fn cholesky_in_place(a: &mut [f64], n: usize, ld: usize) -> bool {
-    cholesky_resume_in_place(a, 0, n, ld)
-}
-
-/// [`cholesky_in_place`] for a matrix whose first `done` columns hold their part of `L` already, all `n`
-/// rows of it, and whose other columns hold `A`.
+/// The matrix has `n` columns and `rows ≥ n` rows: what stands below the square becomes `B L⁻ᵀ`, so a
+/// right-hand side that is kept there as a row comes out as `L⁻¹ b`.
 ///
 /// The diagonal receives the **reciprocals** `1/L_jj`: every later substitution multiplies by them,
-/// and a division costs ten multiplications. The strict upper triangle is neither read nor written.
-/// After `false` the lower triangle is spoilt.
+/// and a division costs ten multiplications. The strict upper triangle does not matter and is left spoilt, like
+/// everything after `false`.
 ///
 /// A pivot must exceed `n ε a_jj`: below that it consists of rounding. The test is relative to each
 /// diagonal entry, so rows may have different units.
 ///
-/// Left-looking: column j is finished before column j+1 is touched, so the square root of one column
-/// overlaps with the update of the next.
+/// Left-looking by panels of [`WIDE`] columns. Within a panel the columns wait for nothing but a division
+/// each: the square roots are taken beside it, `L_ij = u_ij / √d_j` with `d_j = u_jj`.
 ///
 /// # Panics
-/// If `a` does not hold an `n × n` matrix.
+/// If `a` does not hold that matrix.
 #[must_use]
-pub fn cholesky_resume_in_place(a: &mut [f64], done: usize, n: usize, ld: usize) -> bool {
-    let relative_floor = n as f64 * f64::EPSILON;
-    for j in done..n {
-        let (left, todo) = a.split_at_mut(j * ld);
-        let column = &mut todo[j..n];
-        let floor = relative_floor * column[0];
-        let mut k = 0;
-        while k + 4 <= j {
-            subtract_finished::<4>(column, &left[k * ld + j..], ld);
-            k += 4;
-        }
-        match j - k {
-            3 => subtract_finished::<3>(column, &left[k * ld + j..], ld),
-            2 => subtract_finished::<2>(column, &left[k * ld + j..], ld),
-            1 => subtract_finished::<1>(column, &left[k * ld + j..], ld),
-            _ => {}
-        }
-        let pivot = column[0];
-        // NaN must fail too, and so must an infinite entry, whose floor is infinite.
-        if pivot.is_nan() || pivot <= floor {
-            return false;
-        }
-        let reciprocal = 1.0 / pivot.sqrt();
-        column[0] = reciprocal;
-        for c in &mut column[1..] {
-            *c *= reciprocal;
-        }
-    }
-    true
+pub fn cholesky_in_place(a: &mut [f64], n: usize, rows: usize, ld: usize) -> bool {
+    cholesky_resume_in_place(a, 0, n, rows, ld)
 }
 
-/// Takes K finished columns out of `column`: `a_i −= Σ_k L_0k L_ik`, rows counted from the diagonal.
-#[inline]
-fn subtract_finished<const K: usize>(column: &mut [f64], finished: &[f64], ld: usize) {
-    add_columns::<K>(column, finished, ld, std::array::from_fn(|k| -finished[k * ld]));
+/// [`cholesky_in_place`] for a matrix whose columns before [`resumable`]`(from)` hold their part of `L` already,
+/// in all rows, and whose other columns hold `A`. The factor has the same bits as one made at once.
+///
+/// # Panics
+/// If `a` does not hold that matrix.
+#[must_use]
+pub fn cholesky_resume_in_place(a: &mut [f64], from: usize, n: usize, rows: usize, ld: usize) -> bool {
+    run(Cholesky { a, from: resumable(from), n, rows, ld })
 }
 
-/// Rows of a tile: two vectors of four.
-const TALL: usize = 8;
-
-/// Columns of a tile.
-const WIDE: usize = 4;
-
-/// Runs `kernel` compiled for the vector instructions of this processor; it gets to know whether they
-/// multiply and add in one. What it calls must be inlined.
-#[inline(always)]
-pub(crate) fn dispatch<R>(kernel: impl FnOnce(bool) -> R) -> R {
-    match Arch::new() {
-        Arch::Scalar => kernel(false),
-        arch => arch.dispatch(
-            #[inline(always)]
-            || kernel(cfg!(any(target_arch = "x86_64", target_arch = "aarch64"))),
-        ),
-    }
+/// How many of the first `count` columns of a factor are kept if the others are made anew.
+#[must_use]
+pub fn resumable(count: usize) -> usize {
+    count / WIDE * WIDE
 }
 
-/// `a b + c`. Unless `fused`, `mul_add` would be a call.
-#[inline(always)]
-fn multiply_add(fused: bool, a: f64, b: f64, c: f64) -> f64 {
-    if fused { a.mul_add(b, c) } else { a * b + c }
-}
-
-/// The first N entries.
-#[inline(always)]
-fn chunk<const N: usize>(x: &[f64]) -> [f64; N] {
-    std::array::from_fn(|i| x[..N][i])
-}
-
-/// Tiles over the rows `first..n`, `n ≥ TALL`: where each begins, and its first row that is new. The last one
-/// overlaps the one before it.
-#[inline(always)]
-fn tiles(first: usize, n: usize) -> impl Iterator<Item = (usize, usize)> {
-    (first..n).step_by(TALL).map(move |row| (row.min(n - TALL), row))
-}
-
-/// `Σ_k A_(r+i)k A_(j+c)k` over the first `count` columns: `sums[c][i]`.
-#[inline(always)]
-fn outer_sums<const R: usize, const C: usize>(
-    fused: bool,
-    a: &[f64],
+/// [`cholesky_in_place`].
+struct Cholesky<'a> {
+    a: &'a mut [f64],
+    from: usize,
+    n: usize,
+    rows: usize,
     ld: usize,
-    count: usize,
-    r: usize,
-    j: usize,
-) -> [[f64; R]; C] {
-    let mut sums = [[0.0; R]; C];
-    for k in 0..count {
-        let (left, right) = (chunk::<R>(&a[k * ld + r..]), chunk::<C>(&a[k * ld + j..]));
-        for (sums, right) in sums.iter_mut().zip(right) {
-            for (sum, left) in sums.iter_mut().zip(left) {
-                *sum = multiply_add(fused, left, right, *sum);
+}
+
+impl Kernel for Cholesky<'_> {
+    type Output = bool;
+
+    fn rows(&self) -> usize {
+        self.rows
+    }
+
+    #[inline(always)]
+    fn with_vectors<S: Simd>(mut self, simd: S) -> bool {
+        for_panels!(self.panel::<S>(simd, self.from, self.n));
+    }
+}
+
+impl Cholesky<'_> {
+    /// Columns `j..j + C` of the factor, given those before; C is at most the length of a vector.
+    #[inline(always)]
+    fn panel<S: Simd, const C: usize>(&mut self, simd: S, j: usize) -> bool {
+        let (rows, ld) = (self.rows, self.ld);
+        let floor = self.n as f64 * f64::EPSILON;
+        let (left, panel) = self.a.split_at_mut(j * ld);
+        // Before the tile above it changes some of its rows.
+        let last = last_top(simd, rows);
+        let last_old = load_columns::<S, C>(simd, panel, ld, last);
+        // The first tile has the square on the diagonal: u_c, column c before it is divided by √d_c.
+        let first = j.min(last);
+        let sums = outer_sums::<S, C>(simd, (left, ld, first), (left, ld, j), (0, j));
+        let first_u = differences(simd, load_columns::<S, C>(simd, panel, ld, first), sums);
+        let mut square = [[0.0; C]; C];
+        let mut floors = [0.0; C];
+        for c in 0..C {
+            floors[c] = floor * panel[c * ld + j + c];
+            store(simd, &mut panel[c * ld..], first, first_u[c]);
+            square[c].copy_from_slice(&panel[c * ld + j..][..C]);
+        }
+        let mut factors = [[0.0; C]; C];
+        let mut roots = [0.0; C];
+        for c in 0..C {
+            let pivot = square[c][c];
+            // NaN must fail too, and so must an infinite entry, whose floor is infinite.
+            if pivot.is_nan() || pivot <= floors[c] {
+                return false;
+            }
+            let reciprocal = 1.0 / pivot;
+            for d in c + 1..C {
+                factors[d][c] = square[c][d] * reciprocal;
+                for i in d..C {
+                    square[d][i] -= square[c][i] * factors[d][c];
+                }
+            }
+            roots[c] = reciprocal.sqrt();
+        }
+        for top in tops(simd, j, rows) {
+            let mut u = if top == first {
+                first_u
+            } else {
+                let old = if top == last { last_old } else { load_columns(simd, panel, ld, top) };
+                differences(simd, old, outer_sums::<S, C>(simd, (left, ld, top), (left, ld, j), (0, j)))
+            };
+            for c in 0..C {
+                for d in 0..c {
+                    u[c] = simd.negate_mul_add_e_f64s(u[d], simd.splat_f64s(factors[c][d]), u[c]);
+                }
+                store(simd, &mut panel[c * ld..], top, simd.mul_f64s(u[c], simd.splat_f64s(roots[c])));
             }
         }
+        for c in 0..C {
+            panel[c * ld + j + c] = roots[c];
+        }
+        true
     }
-    sums
 }
 
 /// Solves `L X = B` in place, `L` as [`cholesky_in_place`] leaves it; `b` holds the right-hand sides
@@ -263,46 +459,77 @@ pub fn solve_lower_transposed_in_place(l: &[f64], n: usize, ld: usize, b: &mut [
     }
 }
 
-/// Writes the inverse of `L` (as [`cholesky_in_place`] leaves it) into the `n × n` matrix `inverse`:
-/// a plain lower triangle, zeros above it.
+/// Writes `L⁻ᵀ`, `L` as [`cholesky_in_place`] leaves it, into the `n × n` matrix `inverse`: a plain upper
+/// triangle, zeros below it.
 ///
 /// ```text
-/// W e_i = (e_i − Σ_m>i L_mi W e_m) / L_ii,   last column first
+/// U = L⁻ᵀ,   U_JJ = L_JJ⁻ᵀ,   U_TJ = −(U_TT L_JTᵀ) U_JJ        panels J first to last, T above J
 /// ```
 ///
 /// # Panics
 /// If either slice does not hold its matrix.
-pub fn invert_lower(l: &[f64], n: usize, ld: usize, inverse: &mut [f64]) {
-    dispatch(
-        #[inline(always)]
-        |fused| {
-            for i in (0..n).rev() {
-                let (column, finished) = inverse[i * n..].split_at_mut(n);
-                let factors = &l[i * ld..][..n];
-                column.fill(0.0);
-                if n < TALL {
-                    for m in i + 1..n {
-                        add_scaled(column, -factors[i] * factors[m], &finished[(m - i - 1) * n..][..n]);
-                    }
-                } else {
-                    for (top, first) in tiles(i + 1, n) {
-                        let mut sums = [0.0; TALL];
-                        // Columns beyond the tile have zeros in its rows.
-                        for m in i + 1..top + TALL {
-                            let entries = chunk::<TALL>(&finished[(m - i - 1) * n + top..]);
-                            for (sum, entry) in sums.iter_mut().zip(entries) {
-                                *sum = multiply_add(fused, factors[m], entry, *sum);
-                            }
-                        }
-                        for (entry, sum) in column[first..top + TALL].iter_mut().zip(&sums[first - top..]) {
-                            *entry = -factors[i] * sum;
-                        }
-                    }
+pub fn invert_lower_transposed(l: &[f64], n: usize, ld: usize, inverse: &mut [f64]) {
+    run(InvertLower { l, n, ld, inverse });
+}
+
+/// [`invert_lower_transposed`].
+struct InvertLower<'a> {
+    l: &'a [f64],
+    n: usize,
+    ld: usize,
+    inverse: &'a mut [f64],
+}
+
+impl Kernel for InvertLower<'_> {
+    type Output = bool;
+
+    fn rows(&self) -> usize {
+        self.n
+    }
+
+    #[inline(always)]
+    fn with_vectors<S: Simd>(mut self, simd: S) -> bool {
+        self.inverse[..self.n * self.n].fill(0.0);
+        for_panels!(self.panel::<S>(simd, 0, self.n));
+    }
+}
+
+impl InvertLower<'_> {
+    /// Columns `j..j + C` of `L⁻ᵀ`, given those before.
+    #[inline(always)]
+    fn panel<S: Simd, const C: usize>(&mut self, simd: S, j: usize) -> bool {
+        let (l, n, ld) = (self.l, self.n, self.ld);
+        // Row c of L_JJ⁻¹, which is column c of U_JJ.
+        let mut own = [[0.0; C]; C];
+        for c in 0..C {
+            let reciprocal = l[(j + c) * ld + j + c];
+            own[c][c] = reciprocal;
+            for d in 0..c {
+                let mut sum = 0.0;
+                for m in d..c {
+                    sum += l[(j + m) * ld + j + c] * own[m][d];
                 }
-                column[i] = factors[i];
+                own[c][d] = -sum * reciprocal;
             }
-        },
-    );
+        }
+        let (left, panel) = self.inverse.split_at_mut(j * n);
+        for first in (0..j).step_by(S::F64_LANES) {
+            // Rows of the tile below j get zeros: so far U ends at column j.
+            let top = first.min(last_top(simd, n));
+            let sums = outer_sums::<S, C>(simd, (left, n, top), (l, ld, j), (top, j));
+            for c in 0..C {
+                let mut entries = simd.splat_f64s(0.0);
+                for d in 0..=c {
+                    entries = simd.negate_mul_add_e_f64s(sums[d], simd.splat_f64s(own[c][d]), entries);
+                }
+                store(simd, &mut panel[c * n..], top, entries);
+            }
+        }
+        for c in 0..C {
+            panel[c * n + j..][..C].copy_from_slice(&own[c]);
+        }
+        true
+    }
 }
 
 /// Writes the inverse `L⁻ᵀ L⁻¹` of the symmetric matrix whose factor `L` is (as [`cholesky_in_place`]
@@ -311,69 +538,106 @@ pub fn invert_lower(l: &[f64], n: usize, ld: usize, inverse: &mut [f64]) {
 /// # Panics
 /// If a slice does not hold its matrix.
 pub fn invert_symmetric(l: &[f64], n: usize, ld: usize, work: &mut [f64], inverse: &mut [f64]) {
-    invert_lower(l, n, ld, work);
-    // Columns of L⁻ᵀ are what tiles are made of.
-    for j in 0..n {
-        for i in j + 1..n {
-            work.swap(i + j * n, j + i * n);
-        }
-    }
-    dispatch(
-        #[inline(always)]
-        // Row i of L⁻ᵀ begins at column i.
-        |fused| outer_product(fused, work, n, |row| row, inverse),
-    );
+    invert_lower_transposed(l, n, ld, work);
+    run(TimesTranspose { a: work, n, is_upper: true, product: inverse });
 }
 
-/// Writes `A Aᵀ` of a matrix of `n` rows.
+/// Writes `A Aᵀ` of a matrix with n rows and as many columns as `a` holds; exactly symmetric.
 ///
 /// # Panics
 /// If `product` does not hold an `n × n` matrix.
 pub fn times_transpose(a: &[f64], n: usize, product: &mut [f64]) {
-    dispatch(
-        #[inline(always)]
-        |fused| outer_product(fused, a, n, |_| 0, product),
-    );
+    run(TimesTranspose { a, n, is_upper: false, product });
 }
 
-/// `A Aᵀ` of a matrix of n rows, of which row i is zero before column `start(i)`, which does not fall with i.
-#[inline(always)]
-fn outer_product(fused: bool, a: &[f64], n: usize, start: impl Fn(usize) -> usize, product: &mut [f64]) {
-    let tiled = if n < TALL { 0 } else { n / WIDE * WIDE };
-    let columns = a.len() / n.max(1);
-    for j in (0..tiled).step_by(WIDE) {
-        for (top, first) in tiles(j, n) {
-            let from = start(top);
-            let sums = outer_sums::<TALL, WIDE>(fused, &a[from * n..], n, columns - from, top, j);
-            for (c, sums) in sums.iter().enumerate() {
-                product[(j + c) * n + first..][..top + TALL - first].copy_from_slice(&sums[first - top..]);
+/// [`times_transpose`].
+///
+/// Every entry and its mirror image sum the same products in the same order, but for zeros.
+struct TimesTranspose<'a> {
+    a: &'a [f64],
+    n: usize,
+    /// Whether row i is zero before column i.
+    is_upper: bool,
+    product: &'a mut [f64],
+}
+
+impl Kernel for TimesTranspose<'_> {
+    type Output = bool;
+
+    fn rows(&self) -> usize {
+        self.n
+    }
+
+    #[inline(always)]
+    fn with_vectors<S: Simd>(mut self, simd: S) -> bool {
+        for_panels!(self.panel::<S>(simd, 0, self.n));
+    }
+}
+
+impl TimesTranspose<'_> {
+    /// Columns `j..j + C` of the product.
+    #[inline(always)]
+    fn panel<S: Simd, const C: usize>(&mut self, simd: S, j: usize) -> bool {
+        let (a, n) = (self.a, self.n);
+        for top in tops(simd, 0, n) {
+            let from = if self.is_upper { top.max(j) } else { 0 };
+            let sums = outer_sums::<S, C>(simd, (a, n, top), (a, n, j), (from, a.len() / n));
+            for c in 0..C {
+                store(simd, &mut self.product[(j + c) * n..], top, sums[c]);
             }
         }
-    }
-    for column in tiled..n {
-        for row in column..n {
-            let entries = (start(row)..columns).map(|k| a[row + k * n] * a[column + k * n]);
-            product[row + column * n] = entries.sum();
-        }
-    }
-    for column in 0..n {
-        for row in 0..column {
-            product[row + column * n] = product[column + row * n];
-        }
+        true
     }
 }
 
-/// Writes the symmetric product `Aᵀ A` of a matrix with `rows` rows and as many columns as `a` holds.
-///
-/// # Panics
-/// If `product` does not hold a square matrix of that many columns.
-pub fn gram(a: &[f64], rows: usize, product: &mut [f64]) {
-    let columns = a.len() / rows.max(1);
-    for j in 0..columns {
-        for i in 0..=j {
-            let entry = dot(&a[i * rows..][..rows], &a[j * rows..][..rows]);
-            product[i + j * columns] = entry;
-            product[j + i * columns] = entry;
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{DMatrix, DVector};
+
+    /// Every set of instructions that this processor has, the least one included.
+    fn levels() -> Vec<Arch> {
+        #[cfg(target_arch = "x86_64")]
+        let more = [pulp::x86::V3::try_new().map(Arch::V3), pulp::x86::V4::try_new().map(Arch::V4)];
+        #[cfg(not(target_arch = "x86_64"))]
+        let more = [Some(Arch::new())];
+        std::iter::once(Arch::Scalar).chain(more.into_iter().flatten()).collect()
+    }
+
+    /// All kernels with all instructions, on matrices shorter and longer than a vector.
+    #[test]
+    fn every_level_agrees_with_nalgebra() {
+        for (level, arch) in levels().into_iter().enumerate() {
+            for n in 1..=29 {
+                let b = DMatrix::from_fn(n, n + 2, |i, j| ((7 * i + 3 * j + i * j) as f64).sin());
+                let a = &b * b.transpose() + DMatrix::identity(n, n);
+                let x = DVector::from_fn(n, |i, _| (i as f64).cos());
+                // Sums of n + 2 terms below 1, and a condition below 1e3.
+                let tolerance = 1e-11;
+
+                let mut l = a.clone();
+                let kernel = Cholesky { a: l.as_mut_slice(), from: 0, n, rows: n, ld: n };
+                assert!(dispatch_to(arch, Fitted(kernel)));
+                let mut inverse = DMatrix::from_element(n, n, f64::NAN);
+                let kernel = InvertLower { l: l.as_slice(), n, ld: n, inverse: inverse.as_mut_slice() };
+                dispatch_to(arch, Fitted(kernel));
+                let mut whole = DMatrix::from_element(n, n, f64::NAN);
+                let (factors, product) = (inverse.as_slice(), whole.as_mut_slice());
+                let kernel = TimesTranspose { a: factors, n, is_upper: true, product };
+                dispatch_to(arch, Fitted(kernel));
+                let error = (&whole * &a - DMatrix::identity(n, n)).amax();
+                assert!(error < tolerance, "level {level}, n = {n}: {error:e}");
+
+                let mut y = x.clone();
+                let kernel = AddMatVec { y: y.as_mut_slice(), a: a.as_slice(), ld: n, x: x.as_slice() };
+                dispatch_to(arch, Fitted(kernel));
+                assert!((y - (&x + &a * &x)).amax() < tolerance, "level {level}, n = {n}");
+
+                let kernel =
+                    TimesTranspose { a: b.as_slice(), n, is_upper: false, product: whole.as_mut_slice() };
+                dispatch_to(arch, Fitted(kernel));
+                assert!((whole - &b * b.transpose()).amax() < tolerance, "level {level}, n = {n}");
+            }
         }
     }
 }

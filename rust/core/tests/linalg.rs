@@ -77,7 +77,7 @@ fn factor_times_its_transpose_is_the_matrix() {
     for n in 0..34 {
         let a = definite(&mut rng, n);
         let (mut buffer, ld) = padded(&a);
-        assert!(cholesky_in_place(&mut buffer, n, ld), "n = {n}");
+        assert!(cholesky_in_place(&mut buffer, n, n, ld), "n = {n}");
         let l = lower(&buffer, n, ld);
         let error = &l * l.transpose() - &a;
         for (i, j) in (0..n).flat_map(|i| (0..n).map(move |j| (i, j))) {
@@ -87,12 +87,38 @@ fn factor_times_its_transpose_is_the_matrix() {
                 1e-13 * (a[(i, i)] * a[(j, j)]).sqrt(),
                 "n = {n}, ({i}, {j})"
             );
-            // Neither the upper triangle nor the padding is touched.
-            if i < j {
-                assert_eq!(buffer[i + j * ld], a[(i, j)]);
-            }
         }
+        // The padding is not touched.
         assert!(buffer.chunks_exact(ld).all(|column| column[n..].iter().all(|v| v.is_nan())));
+    }
+}
+
+/// A right-hand side below the matrix comes out as `L⁻¹ b`.
+#[test]
+fn a_row_below_the_square_is_substituted() {
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    for n in 1..30 {
+        let (a, b) = (definite(&mut rng, n), random(&mut rng, n, 1));
+        let mut tall = a.clone().insert_row(n, 0.0);
+        tall.row_mut(n).copy_from(&b.transpose());
+        assert!(cholesky_in_place(tall.as_mut_slice(), n, n + 1, n + 1));
+        let l = lower(tall.as_slice(), n, n + 1);
+        let found = tall.row(n).transpose();
+        // Backward stable, row by row.
+        let bound = 1e-14 * (l.abs() * found.abs() + b.abs());
+        assert!((&l * &found - &b).abs().zip_map(&bound, |r, b| r / b).max() <= 1.0, "n = {n}");
+    }
+}
+
+#[test]
+fn scaling_weighs_rows_and_columns() {
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    for n in 0..30 {
+        let (a, w) = (random(&mut rng, n, n), random(&mut rng, n, 1));
+        let (buffer, ld) = padded(&a);
+        let mut to = DMatrix::from_element(n, n, f64::NAN);
+        scale_symmetric(&buffer, ld, w.as_slice(), to.as_mut_slice(), n);
+        assert_eq!(to, DMatrix::from_fn(n, n, |i, j| a[(i, j)] * (w[i] * w[j])));
     }
 }
 
@@ -102,11 +128,12 @@ fn resuming_after_any_column_gives_the_same_factor() {
     let n = 23;
     let a = definite(&mut rng, n);
     let (mut whole, ld) = padded(&a);
-    assert!(cholesky_in_place(&mut whole, n, ld));
+    assert!(cholesky_in_place(&mut whole, n, n, ld));
     for done in 0..=n {
         let (mut resumed, _) = padded(&a);
-        resumed[..done * ld].copy_from_slice(&whole[..done * ld]);
-        assert!(cholesky_resume_in_place(&mut resumed, done, n, ld));
+        let kept = resumable(done) * ld;
+        resumed[..kept].copy_from_slice(&whole[..kept]);
+        assert!(cholesky_resume_in_place(&mut resumed, done, n, n, ld));
         assert_eq!(lower(&resumed, n, ld), lower(&whole, n, ld));
     }
 }
@@ -116,7 +143,7 @@ fn substitutions_undo_the_factor_for_many_right_hand_sides() {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     for n in 1..34 {
         let (mut buffer, ld) = padded(&definite(&mut rng, n));
-        assert!(cholesky_in_place(&mut buffer, n, ld));
+        assert!(cholesky_in_place(&mut buffer, n, n, ld));
         let l = lower(&buffer, n, ld);
         let b = random(&mut rng, n, 5);
         // Backward stable: judged by the residual, row by row, not by the error of x.
@@ -134,24 +161,22 @@ fn substitutions_undo_the_factor_for_many_right_hand_sides() {
 }
 
 #[test]
-fn inverse_factor_and_gram_products_match_nalgebra() {
+fn inverse_factor_and_products_match_nalgebra() {
     let mut rng = ChaCha8Rng::seed_from_u64(6);
     for n in 0..30 {
         let (mut buffer, ld) = padded(&definite(&mut rng, n));
-        assert!(cholesky_in_place(&mut buffer, n, ld));
+        assert!(cholesky_in_place(&mut buffer, n, n, ld));
         let l = lower(&buffer, n, ld);
         let mut inverse = DMatrix::from_element(n, n, f64::NAN);
-        invert_lower(&buffer, n, ld, inverse.as_mut_slice());
+        invert_lower_transposed(&buffer, n, ld, inverse.as_mut_slice());
+        inverse = inverse.transpose();
         let bound = (l.abs() * inverse.abs()).add_scalar(1e-300) * 1e-14;
         let error = (&l * &inverse - DMatrix::identity(n, n)).abs().zip_map(&bound, |e, b| e / b);
         // Above the diagonal both are exactly zero: 0/1e-314.
         assert!(error.iter().all(|e| *e <= 1.0), "n = {n}");
         assert_eq!(inverse, inverse.lower_triangle());
 
-        let a = random(&mut rng, n, n);
         let mut product = DMatrix::from_element(n, n, f64::NAN);
-        gram(a.as_slice(), n, product.as_mut_slice());
-        assert!((&product - a.transpose() * &a).amax_or_zero() < 1e-13, "n = {n}");
         for columns in [0, 1, n / 2, n, n + 3] {
             let a = random(&mut rng, n, columns);
             times_transpose(a.as_slice(), n, product.as_mut_slice());
@@ -173,7 +198,7 @@ fn inverse_factor_and_gram_products_match_nalgebra() {
 
 #[test]
 fn matrices_that_are_not_positive_definite_are_refused() {
-    let refused = |entries: &[f64], n| !cholesky_in_place(&mut entries.to_vec(), n, n);
+    let refused = |entries: &[f64], n| !cholesky_in_place(&mut entries.to_vec(), n, n, n);
     assert!(refused(&[-1.0], 1));
     assert!(refused(&[0.0], 1));
     assert!(refused(&[f64::NAN], 1));

@@ -71,16 +71,16 @@ impl QpAnswer {
         Self { status, iterations: 0, kkt: f64::NAN, active: 0 }
     }
 
-    /// Judges `x` and the multipliers of the rows by the certificate alone. `otherwise` is the status where
-    /// they do not pass.
+    /// Judges `x` and the multipliers of the rows by their residual `kkt` alone. `otherwise` is the status
+    /// where it does not pass.
     pub(super) fn judged(
         qp: &QpProblem,
         x: &[f64],
         multipliers: &[f64],
+        kkt: f64,
         iterations: u32,
         otherwise: QpStatus,
     ) -> Self {
-        let kkt = kkt_residual(qp, x, multipliers);
         let status = if kkt <= KKT_TOLERANCE {
             QpStatus::Solved
         } else if kkt.is_finite() {

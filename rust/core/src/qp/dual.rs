@@ -13,7 +13,7 @@
 //! the data, with the residual corrected until it stops falling, before the certificate judges it.
 
 use super::scaled::Scaled;
-use super::{QpAnswer, QpProblem, QpSolver, QpStatus};
+use super::{QpAnswer, QpProblem, QpSolver, QpStatus, kkt_residual};
 use crate::linalg;
 
 /// Changes of the active set allowed per constraint and variable. A calm tick needs one for each active
@@ -39,6 +39,8 @@ pub struct DualActiveSet {
     x: Vec<f64>,
     multipliers: Vec<f64>,
     scaled: Scaled,
+    /// Scaled Hessian.
+    h: Vec<f64>,
     /// Scaled normals of the rows, n entries each.
     normals: Vec<f64>,
     /// Length of each scaled normal; zero for a row that says nothing.
@@ -92,16 +94,17 @@ impl QpSolver for DualActiveSet {
         if end != QpStatus::Solved {
             return QpAnswer { iterations, ..QpAnswer::refused(end) };
         }
-        self.scaled.unscale(qp, &mut self.y);
+        self.scaled.unscale(qp, &self.y, &mut self.work);
         self.multipliers.fill(0.0);
         for (constraint, pressure) in self.active.iter().zip(&self.pressure) {
             if let Constraint::Row(k) = constraint {
                 self.multipliers[*k] = pressure.max(0.0);
             }
         }
-        let answer = QpAnswer::judged(qp, &self.y, &self.multipliers, iterations, QpStatus::Inaccurate);
+        let (x, u) = (&self.work, &self.multipliers);
+        let answer = QpAnswer::judged(qp, x, u, kkt_residual(qp, x, u), iterations, QpStatus::Inaccurate);
         if answer.status != QpStatus::NonFinite {
-            self.x.copy_from_slice(&self.y);
+            self.x.copy_from_slice(x);
         }
         answer
     }
@@ -126,6 +129,7 @@ impl DualActiveSet {
             x: zeros(),
             multipliers: vec![0.0; rows],
             scaled: Scaled::new(n),
+            h: vec![0.0; n * n],
             normals: vec![0.0; n * rows],
             lengths: vec![0.0; rows],
             limits: vec![0.0; rows],
@@ -162,20 +166,15 @@ impl DualActiveSet {
                 return Err(QpStatus::InfeasibleBounds);
             }
         }
-        if !self.scaled.h.iter().chain(&self.scaled.g).all(|entry| entry.is_finite()) {
+        linalg::scale_symmetric(qp.h.as_slice(), n, &self.scaled.s, &mut self.h, n);
+        if !self.h.iter().chain(&self.scaled.g).all(|entry| entry.is_finite()) {
             return Err(QpStatus::NonFinite);
         }
-        self.factor.copy_from_slice(&self.scaled.h);
-        if !linalg::cholesky_in_place(&mut self.factor, n, n) {
+        self.factor.copy_from_slice(&self.h);
+        if !linalg::cholesky_in_place(&mut self.factor, n, n, n) {
             return Err(QpStatus::NotPositiveDefinite);
         }
-        // J = L⁻ᵀ: the inverse comes as columns of L⁻¹, whose rows are the columns of J.
-        linalg::invert_lower(&self.factor, n, n, &mut self.r);
-        for row in 0..n {
-            for column in 0..n {
-                self.j[column + row * n] = self.r[row + column * n];
-            }
-        }
+        linalg::invert_lower_transposed(&self.factor, n, n, &mut self.j);
         self.active.clear();
         self.pressure.clear();
         self.is_active.fill(false);
@@ -403,7 +402,7 @@ impl DualActiveSet {
                 *step = -g;
             }
             for (column, y) in self.y.iter().enumerate() {
-                linalg::add_scaled(&mut self.step, -y, &self.scaled.h[column * n..][..n]);
+                linalg::add_scaled(&mut self.step, -y, &self.h[column * n..][..n]);
             }
             for k in 0..q {
                 let pressure = self.pressure[k];

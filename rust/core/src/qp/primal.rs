@@ -13,7 +13,7 @@
 //! Block pivoting and projected Newton have no such argument and do fail on saturated problems.
 
 use super::scaled::Scaled;
-use super::{QpAnswer, QpProblem, QpSolver, QpStatus};
+use super::{QpAnswer, QpProblem, QpSolver, QpStatus, kkt_residual};
 use crate::linalg;
 
 /// Passes allowed per variable. A calm tick needs one in all; the worst of four million fuzzed problems
@@ -24,6 +24,10 @@ pub const PASSES_PER_VARIABLE: u32 = 10;
 /// bounds that rounding takes and gives back must not go on for ever.
 const CORRECTION_LIMIT: u32 = 4;
 
+/// An answer with this residual is not refined: that could only move it within the rounding of one entry.
+/// Flight problems come to 1 or 2 ε, so one of many ticks pays for a refinement.
+const UNREFINED: f64 = 2.0 * f64::EPSILON;
+
 /// Where a variable is held.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Side {
@@ -33,6 +37,17 @@ enum Side {
     Lower,
     /// At its upper bound.
     Upper,
+}
+
+/// How far a step was followed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Followed {
+    /// To its end, or until nothing is left to gain but rounding.
+    Whole,
+    /// To the first minimum on it; more variables are held.
+    Part,
+    /// Not at all: the data are not finite.
+    NotFinite,
 }
 
 /// Where a solve begins: the last answer and its working set.
@@ -77,24 +92,27 @@ pub struct PrimalActiveSet {
     scaled: Scaled,
     /// Current point, always inside the bounds.
     y: Vec<f64>,
+    /// `y` in the units of the problem, and its residual.
+    candidate: Vec<f64>,
+    kkt: f64,
     /// `H y + g`.
     gradient: Vec<f64>,
-    /// Let go since the factor was last brought up to date.
-    released: Vec<bool>,
+    /// Where the Newton step leads: `y` where a variable is held.
+    target: Vec<f64>,
     /// Newton step, zero where a variable is held.
     step: Vec<f64>,
     /// `H · step`.
     h_step: Vec<f64>,
     /// Multiple of `step` at which a variable meets its bound; infinite where it does not.
     meets: Vec<f64>,
-    /// Free variables in the order of `factor`: a released one joins at the end.
-    free: Vec<usize>,
-    /// Cholesky factor of the free rows and columns, leading dimension n.
+    /// `s` where a variable is free, zero where it is held.
+    weights: Vec<f64>,
+    /// Cholesky factor of H with the rows and columns of held variables those of the unit matrix, and below
+    /// it the right-hand side as one more row; leading dimension n + 1.
     factor: Vec<f64>,
-    /// Leading columns of `factor` that are valid for `free`.
-    factored: usize,
-    /// Right-hand side and solution over the free variables.
-    reduced: Vec<f64>,
+    /// The working set that `factor` was made for; `None` before that.
+    factored: Vec<Option<bool>>,
+    work: Vec<f64>,
 }
 
 impl QpSolver for PrimalActiveSet {
@@ -108,14 +126,14 @@ impl QpSolver for PrimalActiveSet {
         }
         self.start();
         let mut iterations = 0;
-        let end = self.descend(&mut iterations);
+        let end = self.descend(qp, &mut iterations);
         if end == QpStatus::NonFinite {
             return QpAnswer { iterations, ..QpAnswer::refused(end) };
         }
-        self.scaled.unscale(qp, &mut self.y);
-        let mut answer = QpAnswer::judged(qp, &self.y, &[], iterations, QpStatus::Inaccurate);
+        let x = &self.candidate;
+        let mut answer = QpAnswer::judged(qp, x, &[], self.kkt, iterations, QpStatus::Inaccurate);
         if answer.status != QpStatus::NonFinite {
-            self.x.copy_from_slice(&self.y);
+            self.x.copy_from_slice(x);
             if end != QpStatus::Solved {
                 answer.status = end;
             }
@@ -144,15 +162,17 @@ impl PrimalActiveSet {
             side: vec![Side::Free; n],
             scaled: Scaled::new(n),
             y: zeros(),
+            candidate: zeros(),
+            kkt: f64::NAN,
             gradient: zeros(),
-            released: vec![false; n],
+            target: zeros(),
             step: zeros(),
             h_step: zeros(),
             meets: zeros(),
-            free: Vec::with_capacity(n),
-            factor: vec![0.0; n * n],
-            factored: 0,
-            reduced: zeros(),
+            weights: zeros(),
+            factor: vec![0.0; n * (n + 1)],
+            factored: vec![None; n],
+            work: zeros(),
         }
     }
 
@@ -190,9 +210,7 @@ impl PrimalActiveSet {
         let Scaled { inverse_s, lower, upper, .. } = &self.scaled;
         let bounds = lower.iter().zip(upper);
         let last = self.x.iter().zip(inverse_s);
-        self.released.fill(false);
-        self.free.clear();
-        self.factored = 0;
+        self.factored.fill(None);
         for (((y, side), (x, inverse_s)), (&lower, &upper)) in
             self.y.iter_mut().zip(&mut self.side).zip(last).zip(bounds)
         {
@@ -208,50 +226,68 @@ impl PrimalActiveSet {
                 }
             };
         }
-        self.free.extend((0..self.n).filter(|&i| self.side[i] == Side::Free));
     }
 
     /// The active-set loop. `Solved` means that it found the right working set.
-    fn descend(&mut self, iterations: &mut u32) -> QpStatus {
-        self.update_gradient();
-        if !self.gradient.iter().all(|q| q.is_finite()) {
-            return QpStatus::NonFinite;
-        }
+    fn descend(&mut self, qp: &QpProblem, iterations: &mut u32) -> QpStatus {
         let mut corrections = 0;
         loop {
             if *iterations >= self.iteration_limit {
+                self.certify(qp);
                 return QpStatus::IterationLimit;
             }
             *iterations += 1;
-            if !self.update_factor() {
-                return QpStatus::NotPositiveDefinite;
+            // The first pass needs no gradient, if its step fits. The others ask for what is left of one, and
+            // so end at rounding.
+            let is_first = *iterations == 1;
+            if !is_first {
+                self.update_gradient(qp);
             }
-            self.newton_step();
-            if !self.follow_step() {
-                continue;
+            if !self.aim(qp, is_first) {
+                self.update_gradient(qp);
+                self.certify(qp);
+                let finite = self.gradient.iter().all(|q| q.is_finite());
+                return if finite { QpStatus::NotPositiveDefinite } else { QpStatus::NonFinite };
             }
-            self.update_gradient();
+            match self.follow(qp, !is_first) {
+                Followed::Whole => {}
+                Followed::Part => continue,
+                Followed::NotFinite => return QpStatus::NonFinite,
+            }
+            if self.certify(qp) {
+                return QpStatus::Solved;
+            }
+            self.update_gradient(qp);
             if self.release() {
                 continue;
             }
             // One step of iterative refinement: same factor, gradient fresh from the data. On an
             // ill-conditioned face it can reach a bound, which then has to be held like any other.
-            self.newton_step();
+            self.correct();
             if corrections == CORRECTION_LIMIT {
-                self.add_whole_step();
+                self.take_target();
+                self.certify(qp);
                 return QpStatus::Solved;
             }
-            if self.follow_step() {
+            if self.follow(qp, true) == Followed::Whole {
+                self.certify(qp);
                 return QpStatus::Solved;
             }
             corrections += 1;
         }
     }
 
+    /// Brings `y` to the units of the problem and judges it; whether nothing but rounding is left.
+    fn certify(&mut self, qp: &QpProblem) -> bool {
+        self.scaled.unscale(qp, &self.y, &mut self.candidate);
+        self.kkt = kkt_residual(qp, &self.candidate, &[]);
+        self.kkt <= UNREFINED
+    }
+
     /// `gradient = H y + g`, from the data every time: running updates would keep their rounding.
-    fn update_gradient(&mut self) {
+    fn update_gradient(&mut self, qp: &QpProblem) {
         self.gradient.copy_from_slice(&self.scaled.g);
-        linalg::add_mat_vec(&mut self.gradient, &self.scaled.h, self.n, &self.y);
+        self.scaled.add_hessian_times(qp, &self.y, &mut self.work, &mut self.gradient);
     }
 
     /// Lets go of every bound whose multiplier has the wrong sign; `false` if there is none.
@@ -261,9 +297,8 @@ impl PrimalActiveSet {
         let tolerance = self.n as f64 * f64::EPSILON * size;
         let Scaled { lower, upper, .. } = &self.scaled;
         let bounds = lower.iter().zip(upper);
-        let held = self.side.iter_mut().zip(&mut self.released);
         let mut any = false;
-        for (((side, released), q), (lower, upper)) in held.zip(&self.gradient).zip(bounds) {
+        for ((side, q), (lower, upper)) in self.side.iter_mut().zip(&self.gradient).zip(bounds) {
             let held_back = match side {
                 Side::Free => false,
                 Side::Lower => *q < -tolerance,
@@ -271,117 +306,143 @@ impl PrimalActiveSet {
             };
             if held_back && lower < upper {
                 *side = Side::Free;
-                *released = true;
                 any = true;
             }
         }
         any
     }
 
-    /// Brings `free` and its factor up to date with the working set.
+    /// Sets the target to the minimiser over the free variables, the others where they are; `false` if H is
+    /// not positive definite on them.
     ///
-    /// Columns left of the first change keep their values: a variable that is held takes its row with
-    /// it, a released one adds a row, and only the columns from there on are factored again.
-    fn update_factor(&mut self) -> bool {
-        let n = self.n;
-        let old = self.free.len();
-        let kept = self.free.iter().position(|&i| self.side[i] != Side::Free).unwrap_or(old);
-        self.factored = self.factored.min(kept);
-        let mut m = kept;
-        for row in kept..old {
-            let i = self.free[row];
-            if self.side[i] == Side::Free {
-                self.free[m] = i;
-                for column in self.factor.chunks_exact_mut(n.max(1)).take(self.factored) {
-                    column[m] = column[row];
-                }
-                m += 1;
+    /// ```text
+    /// H_FF y_F = −(g_F + H_FB y_B),   given the gradient   H_FF (y_F − y_F,now) = −gradient_F
+    /// ```
+    fn aim(&mut self, qp: &QpProblem, is_first: bool) -> bool {
+        let (n, ld) = (self.n, self.n + 1);
+        let h = qp.h.as_slice();
+        self.work.fill(0.0);
+        for (j, side) in self.side.iter().enumerate() {
+            self.weights[j] = self.scaled.s[j];
+            if *side != Side::Free {
+                self.weights[j] = 0.0;
+            }
+            if *side != Side::Free && is_first {
+                linalg::add_scaled(&mut self.work, self.y[j] * self.scaled.s[j], &h[j * n..][..n]);
             }
         }
-        self.free.truncate(m);
+        // Columns left of the first change keep their values, but for the rows of what changed.
+        let is_changed = |(side, factored): (&Side, &Option<bool>)| *factored != Some(*side == Side::Free);
+        let kept = self.side.iter().zip(&self.factored).position(is_changed).unwrap_or(n);
+        let kept = linalg::resumable(kept);
+        if kept < n {
+            let weights = &self.weights[kept..];
+            let to = &mut self.factor[kept * ld + kept..];
+            linalg::scale_symmetric(&h[kept * n + kept..], n, weights, to, ld);
+        }
         for i in 0..n {
-            if self.released[i] {
-                self.append_row(i);
-                self.released[i] = false;
+            let is_free = self.side[i] == Side::Free;
+            if i >= kept && !is_free {
+                self.factor[i * ld + i] = 1.0;
             }
-        }
-        let m = self.free.len();
-        for (c, &j) in self.free.iter().enumerate().skip(self.factored) {
-            let from = &self.scaled.h[j * n..][..n];
-            let to = &mut self.factor[c * n..][c..m];
-            for (to, &i) in to.iter_mut().zip(&self.free[c..]) {
-                *to = from[i];
+            let right = match (is_free, is_first) {
+                (true, true) => -(self.scaled.g[i] + self.scaled.s[i] * self.work[i]),
+                (true, false) => -self.gradient[i],
+                (false, true) => self.y[i],
+                (false, false) => 0.0,
+            };
+            self.target[i] = right;
+            self.factor[i * ld + n] = right;
+            if i >= kept && kept > 0 && self.factored[i] != Some(is_free) {
+                for k in 0..kept {
+                    self.step[k] = h[k * n + i] * (self.weights[k] * self.weights[i]);
+                }
+                self.set_row(i, kept);
             }
+            self.factored[i] = Some(is_free);
         }
-        let definite = linalg::cholesky_resume_in_place(&mut self.factor, self.factored, m, n);
-        self.factored = m;
-        definite
+        self.step.copy_from_slice(&self.target);
+        self.set_row(n, kept);
+        if !linalg::cholesky_resume_in_place(&mut self.factor, kept, n, ld, ld) {
+            return false;
+        }
+        for (target, column) in self.target.iter_mut().zip(self.factor.chunks_exact(n + 1)) {
+            *target = column[n];
+        }
+        linalg::solve_lower_transposed_in_place(&self.factor, n, n + 1, &mut self.target);
+        if !is_first {
+            linalg::add_scaled(&mut self.target, 1.0, &self.y);
+        }
+        true
     }
 
-    /// Adds variable i to `free` and its row to the factored columns: `L row_i = H_Fi`.
-    fn append_row(&mut self, i: usize) {
-        let n = self.n;
-        let row = self.free.len();
-        let entries = &mut self.reduced[..self.factored];
-        for (entry, &j) in entries.iter_mut().zip(&self.free) {
-            *entry = self.scaled.h[j + i * n];
-        }
-        linalg::solve_lower_in_place(&self.factor, self.factored, n, entries);
-        for (column, entry) in self.factor.chunks_exact_mut(n.max(1)).zip(entries) {
-            column[row] = *entry;
-        }
-        self.free.push(i);
-    }
-
-    /// `step_F = −H_FF⁻¹ gradient_F`, zero elsewhere.
-    fn newton_step(&mut self) {
-        let m = self.free.len();
-        let reduced = &mut self.reduced[..m];
-        for (r, &i) in reduced.iter_mut().zip(&self.free) {
-            *r = -self.gradient[i];
-        }
-        linalg::solve_lower_in_place(&self.factor, m, self.n, reduced);
-        linalg::solve_lower_transposed_in_place(&self.factor, m, self.n, reduced);
-        self.step.fill(0.0);
-        for (r, &i) in reduced.iter().zip(&self.free) {
-            self.step[i] = *r;
+    /// Writes `L⁻¹ step` of the first `kept` columns to row i of the factor.
+    fn set_row(&mut self, i: usize, kept: usize) {
+        let ld = self.n + 1;
+        let entries = &mut self.step[..kept];
+        linalg::solve_lower_in_place(&self.factor, kept, ld, entries);
+        for (column, entry) in self.factor.chunks_exact_mut(ld).zip(entries) {
+            column[i] = *entry;
         }
     }
 
-    /// Adds the step; the clamp takes back no more than rounding.
-    fn add_whole_step(&mut self) {
+    /// Sets the target to `y − H_FF⁻¹ gradient_F`, with the factor at hand.
+    fn correct(&mut self) {
+        for ((step, q), side) in self.step.iter_mut().zip(&self.gradient).zip(&self.side) {
+            *step = if *side == Side::Free { -q } else { 0.0 };
+        }
+        linalg::solve_lower_in_place(&self.factor, self.n, self.n + 1, &mut self.step);
+        linalg::solve_lower_transposed_in_place(&self.factor, self.n, self.n + 1, &mut self.step);
+        for ((target, y), step) in self.target.iter_mut().zip(&self.y).zip(&self.step) {
+            *target = y + step;
+        }
+    }
+
+    /// Goes to the target; the clamp takes back no more than rounding.
+    fn take_target(&mut self) {
         let bounds = self.scaled.lower.iter().zip(&self.scaled.upper);
-        for ((y, d), (lower, upper)) in self.y.iter_mut().zip(&self.step).zip(bounds) {
-            *y = (*y + d).max(*lower).min(*upper);
+        for ((y, target), (lower, upper)) in self.y.iter_mut().zip(&self.target).zip(bounds) {
+            *y = target.max(*lower).min(*upper);
         }
     }
 
     /// Follows the bent step to the first minimum of the objective on it, and holds the variables that
-    /// met a bound. `true` if the whole step fits: `y` is then the minimiser for its working set. Also
-    /// if nothing is left to gain but rounding, so that no pass leaves everything as it was.
-    fn follow_step(&mut self) -> bool {
-        let Scaled { h, lower, upper, .. } = &self.scaled;
-        let mut nearest = f64::INFINITY;
-        let bounds = lower.iter().zip(upper);
-        for (((t, d), y), (lower, upper)) in self.meets.iter_mut().zip(&self.step).zip(&self.y).zip(bounds) {
-            let room = if *d > 0.0 { upper - y } else { lower - y };
-            *t = if *d == 0.0 { f64::INFINITY } else { room / d };
-            nearest = nearest.min(*t);
+    /// met a bound. The whole of it if the target is inside the bounds: `y` is then the minimiser for its
+    /// working set. Also if nothing is left to gain but rounding, so that no pass leaves everything as it was.
+    fn follow(&mut self, qp: &QpProblem, is_gradient_known: bool) -> Followed {
+        let bounds = self.scaled.lower.iter().zip(&self.scaled.upper);
+        // No branch in the loop, so that it vectorises.
+        #[allow(clippy::needless_bitwise_bool, reason = "`&&` branches")]
+        let inside = |fits: bool, (target, (lower, upper)): (&f64, (&f64, &f64))| {
+            fits & (lower <= target) & (target <= upper)
+        };
+        if self.target.iter().zip(bounds).fold(true, inside) {
+            self.y.copy_from_slice(&self.target);
+            return Followed::Whole;
         }
-        if nearest >= 1.0 {
-            self.add_whole_step();
-            return true;
+        if !is_gradient_known {
+            self.update_gradient(qp);
+        }
+        if !self.gradient.iter().chain(&self.target).all(|value| value.is_finite()) {
+            return Followed::NotFinite;
+        }
+        let Scaled { s, lower, upper, .. } = &self.scaled;
+        let points = self.target.iter().zip(&self.y).zip(lower.iter().zip(upper));
+        for ((t, d), ((target, y), (lower, upper))) in self.meets.iter_mut().zip(&mut self.step).zip(points) {
+            *d = target - y;
+            let room = if *d > 0.0 { upper - y } else { lower - y };
+            *t = if *d == 0.0 { f64::INFINITY } else { room / *d };
         }
         self.h_step.fill(0.0);
-        linalg::add_mat_vec(&mut self.h_step, h, self.n, &self.step);
+        self.scaled.add_hessian_times(qp, &self.step, &mut self.work, &mut self.h_step);
         let mut t = 0.0;
         let mut met_any = false;
         // Each turn but the last holds one more variable.
-        for _ in 0..=self.free.len() {
+        for _ in 0..=self.n {
             let slope = linalg::dot(&self.gradient, &self.step);
             let curvature = linalg::dot(&self.step, &self.h_step);
             if slope >= 0.0 || curvature <= 0.0 {
-                return !met_any;
+                return if met_any { Followed::Part } else { Followed::Whole };
             }
             let minimum = t - slope / curvature;
             let mut met = None;
@@ -403,8 +464,11 @@ impl PrimalActiveSet {
                 if d > 0.0 { (Side::Upper, upper[i]) } else { (Side::Lower, lower[i]) };
             self.step[i] = 0.0;
             self.meets[i] = f64::INFINITY;
-            linalg::add_scaled(&mut self.h_step, -d, &h[i * self.n..][..self.n]);
+            let column = &qp.h.as_slice()[i * self.n..][..self.n];
+            for ((h_step, entry), s_row) in self.h_step.iter_mut().zip(column).zip(s) {
+                *h_step -= d * (entry * (s_row * s[i]));
+            }
         }
-        false
+        if met_any { Followed::Part } else { Followed::Whole }
     }
 }

@@ -1,22 +1,37 @@
 //! Multilayer perceptrons, one sample or a mirrored pair at a time.
 //!
-//! A matrix is stored in panels of `P` rows, entry by entry of the input: the sums of one panel stay
-//! in registers while its weights stream past once, for both samples of a pair. The loops are plain
-//! and of constant length, and run with the vector instructions that `linalg::dispatch` finds. They multiply
-//! and add in two steps everywhere, so that every processor computes the same bits.
+//! A matrix is stored in panels of rows, entry by entry of the input: the sums of one panel stay in registers
+//! while its weights stream past once, for both samples of a pair. The vectors are those that
+//! `linalg::dispatch` finds. They multiply and add in two steps everywhere, so that every processor computes
+//! the same bits.
 
 use super::card::{Activation, Architecture};
 use super::tensors::Tensors;
 use crate::error::BuildError;
-use crate::linalg::dispatch;
+use crate::linalg::{dispatch, dispatch_plain};
+use pulp::{Simd, WithSimd};
 use std::fmt::Debug;
-use std::ops::{AddAssign, Mul};
 
 /// Samples that are asked at once, the second being the mirrored one. Unused where nothing is mirrored.
 pub type Pair = [f64; 2];
 
 /// A floating-point type that weights are widened to.
-trait Real: Copy + Debug + Default + Mul<Output = Self> + AddAssign {
+trait Real: Copy + Debug + Default + 'static {
+    /// Numbers in the longest vectors there are, of 64 bytes.
+    const LANES: usize = 64 / size_of::<Self>();
+    /// A vector of them.
+    type Vector<S: Simd>: Copy;
+    /// The whole vectors of a slice.
+    fn vectors<S: Simd>(x: &[Self]) -> &[Self::Vector<S>];
+    fn vectors_mut<S: Simd>(x: &mut [Self]) -> &mut [Self::Vector<S>];
+    fn splat<S: Simd>(simd: S, x: Self) -> Self::Vector<S>;
+    /// `a + b c`, rounded twice.
+    fn add_product<S: Simd>(
+        simd: S,
+        a: Self::Vector<S>,
+        b: Self::Vector<S>,
+        c: Self::Vector<S>,
+    ) -> Self::Vector<S>;
     fn from_f32(x: f32) -> Self;
     fn from_f64(x: f64) -> Self;
     fn to_f64(self) -> f64;
@@ -26,6 +41,28 @@ trait Real: Copy + Debug + Default + Mul<Output = Self> + AddAssign {
 }
 
 impl Real for f32 {
+    type Vector<S: Simd> = S::f32s;
+
+    #[inline(always)]
+    fn vectors<S: Simd>(x: &[Self]) -> &[S::f32s] {
+        S::as_simd_f32s(x).0
+    }
+
+    #[inline(always)]
+    fn vectors_mut<S: Simd>(x: &mut [Self]) -> &mut [S::f32s] {
+        S::as_mut_simd_f32s(x).0
+    }
+
+    #[inline(always)]
+    fn splat<S: Simd>(simd: S, x: Self) -> S::f32s {
+        simd.splat_f32s(x)
+    }
+
+    #[inline(always)]
+    fn add_product<S: Simd>(simd: S, a: S::f32s, b: S::f32s, c: S::f32s) -> S::f32s {
+        simd.add_f32s(a, simd.mul_f32s(b, c))
+    }
+
     fn from_f32(x: f32) -> Self {
         x
     }
@@ -57,6 +94,28 @@ impl Real for f32 {
 }
 
 impl Real for f64 {
+    type Vector<S: Simd> = S::f64s;
+
+    #[inline(always)]
+    fn vectors<S: Simd>(x: &[Self]) -> &[S::f64s] {
+        S::as_simd_f64s(x).0
+    }
+
+    #[inline(always)]
+    fn vectors_mut<S: Simd>(x: &mut [Self]) -> &mut [S::f64s] {
+        S::as_mut_simd_f64s(x).0
+    }
+
+    #[inline(always)]
+    fn splat<S: Simd>(simd: S, x: Self) -> S::f64s {
+        simd.splat_f64s(x)
+    }
+
+    #[inline(always)]
+    fn add_product<S: Simd>(simd: S, a: S::f64s, b: S::f64s, c: S::f64s) -> S::f64s {
+        simd.add_f64s(a, simd.mul_f64s(b, c))
+    }
+
     fn from_f32(x: f32) -> Self {
         Self::from(x)
     }
@@ -111,7 +170,7 @@ fn exp(x: f32) -> f32 {
 /// One layer: `W x + b`.
 #[derive(Debug, Clone)]
 struct Layer<T> {
-    /// Panel by panel, input by input, `P` rows each; rows past the last are zero.
+    /// Panel by panel, input by input, V vectors of 64 bytes each; rows past the last are zero.
     weights: Vec<T>,
     /// Filled up to whole panels with zeros.
     bias: Vec<T>,
@@ -119,13 +178,14 @@ struct Layer<T> {
 }
 
 impl<T: Real> Layer<T> {
-    fn new<const P: usize>(weights: &[f32], bias: &[f32], inputs: usize) -> Self {
-        let panels = bias.len().div_ceil(P);
+    fn new<const V: usize>(weights: &[f32], bias: &[f32], inputs: usize) -> Self {
+        let height = V * T::LANES;
+        let panels = bias.len().div_ceil(height);
         let entry = |row: usize, input: usize| weights.get(row * inputs + input).copied().unwrap_or(0.0);
-        let rows = |panel: usize, input: usize| (0..P).map(move |row| (panel * P + row, input));
+        let rows = |panel: usize, input: usize| (0..height).map(move |row| (panel * height + row, input));
         let order = (0..panels).flat_map(|panel| (0..inputs).flat_map(move |input| rows(panel, input)));
         let mut padded: Vec<T> = bias.iter().map(|b| T::from_f32(*b)).collect();
-        padded.resize(panels * P, T::default());
+        padded.resize(panels * height, T::default());
         Self {
             weights: order.map(|(row, input)| T::from_f32(entry(row, input))).collect(),
             bias: padded,
@@ -134,62 +194,72 @@ impl<T: Real> Layer<T> {
     }
 
     /// Writes `activate(W x + b)` to `out`, sample by sample, panels filled up.
-    fn apply<const P: usize, const B: usize>(
+    fn apply<const V: usize, const B: usize>(
         &self,
         x: &[Vec<T>; B],
         out: &mut [Vec<T>; B],
         activate: impl Fn(T) -> T,
     ) {
-        let (biases, _) = self.bias.as_chunks::<P>();
-        let (columns, _) = self.weights.as_chunks::<P>();
-        for (index, bias) in biases.iter().enumerate() {
-            // A layer without inputs has panels without columns.
-            let panel = &columns[index * self.inputs..(index + 1) * self.inputs];
-            let sums = weighted_sums(panel, bias, x);
-            dispatch(
-                #[inline(always)]
-                |_| {
-                    for (sums, out) in sums.iter().zip(&mut *out) {
-                        for (sum, out) in sums.iter().zip(&mut out[index * P..]) {
-                            *out = activate(*sum);
+        dispatch(Sums::<T, V, B> { layer: self, x, out });
+        let rows = self.bias.len();
+        dispatch_plain(
+            #[inline(always)]
+            || {
+                for out in out {
+                    for y in &mut out[..rows] {
+                        *y = activate(*y);
+                    }
+                }
+            },
+        );
+    }
+}
+
+/// `W x + b` of a layer, for every sample.
+struct Sums<'a, T, const V: usize, const B: usize> {
+    layer: &'a Layer<T>,
+    x: &'a [Vec<T>; B],
+    out: &'a mut [Vec<T>; B],
+}
+
+impl<T: Real, const V: usize, const B: usize> WithSimd for Sums<'_, T, V, B> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { layer: Layer { weights, bias, inputs }, x, out } = self;
+        let height = V * T::LANES;
+        // Vectors of this processor in a panel, V at a time.
+        let vectors = T::vectors::<S>(&bias[..height.min(bias.len())]).len();
+        for (panel, bias) in bias.chunks_exact(height).enumerate() {
+            let weights = &weights[panel * height * inputs..][..height * inputs];
+            let (weights, bias) = (T::vectors::<S>(weights), T::vectors::<S>(bias));
+            for first in (0..vectors).step_by(V) {
+                let mut sums = [[T::splat(simd, T::default()); V]; B];
+                for sums in &mut sums {
+                    sums.copy_from_slice(&bias[first..first + V]);
+                }
+                for (k, column) in weights.chunks_exact(vectors).enumerate() {
+                    let column = &column[first..first + V];
+                    for b in 0..B {
+                        let x = T::splat(simd, x[b][k]);
+                        for v in 0..V {
+                            sums[b][v] = T::add_product(simd, sums[b][v], column[v], x);
                         }
                     }
-                },
-            );
+                }
+                for (out, sums) in out.iter_mut().zip(&sums) {
+                    let out = T::vectors_mut::<S>(&mut out[panel * height..][..height]);
+                    out[first..first + V].copy_from_slice(sums);
+                }
+            }
         }
     }
 }
 
-/// `P` rows of `W x + b`, for every sample.
-///
-/// A function of its own, and nothing but sums in it: that is what keeps them in registers.
-#[inline(never)]
-fn weighted_sums<T: Real, const P: usize, const B: usize>(
-    panel: &[[T; P]],
-    bias: &[T; P],
-    x: &[Vec<T>; B],
-) -> [[T; P]; B] {
-    let x: [&[T]; B] = std::array::from_fn(|b| &x[b][..panel.len()]);
-    dispatch(
-        #[inline(always)]
-        |_| {
-            let mut sums = [*bias; B];
-            for (k, weights) in panel.iter().enumerate() {
-                for b in 0..B {
-                    let x = x[b][k];
-                    for row in 0..P {
-                        sums[b][row] += weights[row] * x;
-                    }
-                }
-            }
-            sums
-        },
-    )
-}
-
-/// Networks of one shape and the space to evaluate them in: panels of `P` rows, `B` samples at once.
+/// Networks of one shape and the space to evaluate them in: panels of `V` vectors, `B` samples at once.
 #[derive(Debug, Clone)]
-struct Mlp<T, const P: usize, const B: usize> {
+struct Mlp<T, const V: usize, const B: usize> {
     members: Vec<Vec<Layer<T>>>,
     activation: Activation,
     input: [Vec<T>; B],
@@ -197,7 +267,7 @@ struct Mlp<T, const P: usize, const B: usize> {
     back: [Vec<T>; B],
 }
 
-impl<T: Real, const P: usize, const B: usize> Mlp<T, P, B> {
+impl<T: Real, const V: usize, const B: usize> Mlp<T, V, B> {
     fn load(
         tensors: &mut Tensors,
         architecture: &Architecture,
@@ -213,11 +283,11 @@ impl<T: Real, const P: usize, const B: usize> Mlp<T, P, B> {
                 let name = format!("member.{member}.layer.{index}");
                 let weights = tensors.take(&format!("{name}.weight"), &[width[1], width[0]])?;
                 let bias = tensors.take(&format!("{name}.bias"), &[width[1]])?;
-                layers.push(Layer::new::<P>(&weights, &bias, width[0]));
+                layers.push(Layer::new::<V>(&weights, &bias, width[0]));
             }
             members.push(layers);
         }
-        let widest = widths.iter().max().copied().unwrap_or(0).next_multiple_of(P);
+        let widest = widths.iter().max().copied().unwrap_or(0).next_multiple_of(V * T::LANES);
         let space = |length| std::array::from_fn(|_| vec![T::default(); length]);
         Ok(Self {
             members,
@@ -243,15 +313,15 @@ impl<T: Real, const P: usize, const B: usize> Mlp<T, P, B> {
             for layer in hidden {
                 let x = if is_first { &self.input } else { &self.front };
                 match self.activation {
-                    Activation::Relu => layer.apply::<P, B>(x, &mut self.back, T::relu),
-                    Activation::Tanh => layer.apply::<P, B>(x, &mut self.back, T::tanh),
-                    Activation::Silu => layer.apply::<P, B>(x, &mut self.back, T::silu),
+                    Activation::Relu => layer.apply::<V, B>(x, &mut self.back, T::relu),
+                    Activation::Tanh => layer.apply::<V, B>(x, &mut self.back, T::tanh),
+                    Activation::Silu => layer.apply::<V, B>(x, &mut self.back, T::silu),
                 }
                 std::mem::swap(&mut self.front, &mut self.back);
                 is_first = false;
             }
             let x = if is_first { &self.input } else { &self.front };
-            last.apply::<P, B>(x, &mut self.back, |sum| sum);
+            last.apply::<V, B>(x, &mut self.back, |sum| sum);
             for (b, y) in self.back.iter().enumerate() {
                 for (output, y) in outputs.iter_mut().zip(y) {
                     output[b] += share * y.to_f64();
@@ -261,17 +331,17 @@ impl<T: Real, const P: usize, const B: usize> Mlp<T, P, B> {
     }
 }
 
-/// The networks, in the asked precision and for the asked number of samples. Panels are such that the
-/// sums fill half of the sixteen vector registers that every x86-64 has.
+/// The networks, in the asked precision and for the asked number of samples. The eight sums of
+/// a pass hide the latency of an addition, and fill half of sixteen vector registers.
 #[derive(Debug, Clone)]
 pub struct Evaluator(Kind);
 
 #[derive(Debug, Clone)]
 enum Kind {
-    Single(Mlp<f32, 32, 1>),
-    SinglePair(Mlp<f32, 16, 2>),
-    Double(Mlp<f64, 16, 1>),
-    DoublePair(Mlp<f64, 8, 2>),
+    Single(Mlp<f32, 8, 1>),
+    SinglePair(Mlp<f32, 4, 2>),
+    Double(Mlp<f64, 8, 1>),
+    DoublePair(Mlp<f64, 4, 2>),
 }
 
 impl Evaluator {
