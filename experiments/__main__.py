@@ -4,7 +4,7 @@ Other commands, each explained by `python -m experiments COMMAND --help`: `sweep
 (all results on one page), `trim`, `trajectory`, `force-rate`, `observer-limit`, `tip-over`, `engine-choice` (battery
 against fuel), `import-robot` (from a URDF to a robot that flies), `identify-aero` (coefficients from a flight's log),
 `import-cfd`, `fit-aero`, `calibrate-surrogate`, `surrogate-dataset` (data to learn from), `train` and `train-search`
-(networks).
+(networks), `schema` (what follows from the types of the configuration).
 
 A result goes to `results/flight/NAME/`; with --set, the folder's name states the changes, e.g.
 `test1--wind.velocity=0_-12_0`. With --out DIR it goes to `DIR/NAME/`, whatever was set.
@@ -42,6 +42,7 @@ COMMANDS = {
     "calibrate-surrogate": "experiments.calibrate_surrogate",
     "surrogate-dataset": "experiments.surrogate_dataset",
     "train": "experiments.training.command",
+    "schema": "experiments.schema",
     "train-search": "experiments.training.search",
 }
 

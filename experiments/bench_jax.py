@@ -26,10 +26,10 @@ import numpy as np
 from experiments import bench_jaxsim, manifest
 from jax_aero import rust, sim
 from jax_aero.aero import LinkConventions, aero_model, link_forces
-from jax_aero.config import aero_config, scenario_config
 from jax_aero.control import qp
 from jax_aero.control import tick as control
 from jax_aero.dynamics import dynamics, forward_dynamics
+from jax_aero.io import aero_config, scenario_config
 from jax_aero.kinematics import kinematics
 from jax_aero.linalg import CHUNK
 from jax_aero.robot import RobotModel, load_robot

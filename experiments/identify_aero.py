@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 from experiments import Refused, study
 from jax_aero import rust, sim
 from jax_aero.aero import Axisymmetric
-from jax_aero.config import scenario_config
 from jax_aero.identify import descend, misfit_of, segments_of, wrenches_along
+from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
 from jax_aero.sim.rollout import fly_chunk
 
@@ -78,11 +78,11 @@ def run(seed: int = 1, steps: int = STEPS) -> dict[str, Any]:
         truth = rng.uniform(-SPREAD, SPREAD, families.shape) * (families != 0.0)
         true_model = replace(model, areas=model.areas * (1.0 + truth[member.ravel()]))
         flown = replace(scenario, plant=replace(scenario.plant, aero=true_model))
-        _, log = fly_chunk(flown, state, jnp.array(0, jnp.int32), typed.simulator.n_ticks + 1)
+        _, log = fly_chunk(flown, state, jnp.array(0, jnp.int32), int(scenario.n_ticks) + 1)
         log = {name: np.asarray(signal) for name, signal in log._asdict().items()}
         seconds = {"fly": time.perf_counter() - started}
 
-        segments = segments_of(typed.wind, with_noise(log, rng), scenario.plant, FIRST_TICK, N_STARTS, HORIZON)
+        segments = segments_of(scenario.wind, with_noise(log, rng), scenario.plant, FIRST_TICK, N_STARTS, HORIZON)
         deviation = np.concatenate([np.full(6, NOISE["base"]), np.full(scenario.plant.robot.n_joints, NOISE["joints"])])
         started = time.perf_counter()
         misfit = misfit_of(scenario.plant, model, segments, member.ravel(), deviation, SPREAD)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -49,6 +50,11 @@ def find(kind: str, name: str) -> Path:
         known = ", ".join(sorted(entry.stem for entry in (CONFIGS / kind).glob("*.toml")))
         raise Refused(f"no {kind} study `{name}`; there are {known}")
     return path
+
+
+def schema_of(kind: str, folder: Path) -> str:
+    """Return the path of the schema of a kind of file, from a folder."""
+    return os.path.relpath(CONFIGS / "schema" / f"{kind}.schema.json", folder.resolve())
 
 
 def digest(config: Mapping[str, Any], files: Sequence[Path]) -> str:

@@ -1,752 +1,887 @@
-"""A flight's configuration as typed pytrees, field for field what the Rust crate reads.
+"""Types of a flight's and a robot's configuration.
 
-Numbers are leaves, so gains, weights, coefficients or winds can be batched and differentiated; names and switches are
-static. `scenario_config` builds them from what `jax_aero.rust.load_config` returns, which has checked every value;
-here unknown and missing keys are refused once more, so that no setting is ever silently ignored.
-
->>> from jax_aero import rust
->>> config = scenario_config(rust.load_config("configs/experiments/test2.toml"))
->>> float(config.controller.momentum.c0)
-50.0
+Made by `python -m experiments schema` from the crate's types: not to be edited.
 """
+
+# ruff: noqa: D205, N815
 
 from __future__ import annotations
 
-import difflib
-import functools
-import operator
-import types
-import typing
-from collections.abc import Mapping
-from dataclasses import MISSING, field, fields, is_dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, TypeVar, cast
+from typing import Annotated, Literal, TypeAlias
 
-import numpy as np
-from scipy.spatial.transform import Rotation
+from msgspec import Meta, field
 
-from jax_aero import noise
-from jax_aero.types import Array, Static, pytree
-
-T = TypeVar("T")
-
-LeverArm: TypeAlias = Literal["rotated", "unrotated"]
-"""Where a link's force acts when its moment is formed: `p + R c`, or as published `p + c`."""
-JacobianOffset: TypeAlias = Literal["link_rotation", "base_rotation"]
-"""Which point's Jacobian carries a link's force: `p + R c`, or as published `p + R_B c`."""
-Backend: TypeAlias = Literal["tree", "mjx"]
-"""What computes mass matrix and bias: the sums of `jax_aero.dynamics`, or MuJoCo's JAX implementation."""
-RateFeedback: TypeAlias = Literal["wrench", "force", "moment", "none"]
-"""What of the total aerodynamic wrench about the centre of mass the estimated momentum rate holds."""
-Integrator: TypeAlias = Literal["semi_implicit_euler", "explicit_euler"]
-"""Whether a pose moves with the new velocity or with the old one."""
-LinkVelocity: TypeAlias = Literal["at_centre", "shifted_twice"]
-"""Which point's velocity makes the relative wind: the centre, or as published the Jacobian's point shifted again."""
+from jax_aero.tables import NonNegative, Positive, Table
 
 
-def _default(value: Any) -> Any:
-    """Field that a table may leave out: number or array of double precision."""
-    return field(default_factory=lambda: _number(value))
+class CylinderTables(Table, frozen=True, kw_only=True):
+    """Measured drag coefficients of circular cylinders."""
+
+    axial_drag: tuple[float, ...]
+    """Drag coefficient along the axis, on the area `π d²/4`; only its ratio to its maximum counts."""
+    crosswind_drag: tuple[float, ...]
+    """Drag coefficient across the wind, infinite length, on the area `d l`."""
+    diameter_over_length: tuple[float, ...]
+    """Ratios diameter over length of `finite_length_drag`."""
+    finite_length_drag: tuple[float, ...]
+    """Drag coefficient across the wind of a finite cylinder; only its ratio to its maximum counts."""
+    length_over_diameter: tuple[float, ...]
+    """Ratios length over diameter of `axial_drag`."""
+    reference_reynolds: Positive
+    """Reynolds number, on the diameter, at which the axial coefficients count unscaled."""
+    reynolds: tuple[float, ...]
+    """Reynolds numbers of `crosswind_drag`."""
 
 
-# --- aerodynamics ------------------------------------------------------------------------------------------------
-
-
-@pytree
-class Off:
-    """No aerodynamic force: what the baseline controller assumes."""
-
-
-@pytree
-class AxisymmetricConfig:
-    """Fitted force areas of axisymmetric links."""
-
-    coefficients: Static[str]
-    """Name of a coefficient set that every link of the robot has."""
-    air_density: Array
-    """[kg/m³]"""
-
-
-@pytree
-class CylinderTables:
-    """Measured drag coefficients of circular cylinders; see `configs/aero/sphere_cylinder.toml`."""
-
-    reference_reynolds: Array
-    reynolds: Array
-    crosswind_drag: Array
-    diameter_over_length: Array
-    finite_length_drag: Array
-    length_over_diameter: Array
-    axial_drag: Array
-
-
-@pytree
-class SphereTables:
+class SphereTables(Table, frozen=True, kw_only=True):
     """Measured drag coefficients of spheres, on the area `π d²/4`."""
 
-    drag_below_reynolds_10: Array
-    reynolds: Array
-    drag: Array
+    drag: tuple[float, ...]
+    """Drag coefficient."""
+    drag_below_reynolds_10: Positive
+    """Drag coefficient below Reynolds number 10."""
+    reynolds: tuple[float, ...]
+    """Reynolds numbers of `drag`; between 10 and the first one a correlation is used."""
 
 
-@pytree
-class SphereCylinderConfig:
+Precision: TypeAlias = Literal["f32", "f64"]
+"""Precision of the weighted sums; everything around them is double.
+
+f32: Single, as networks are trained.
+f64: Double: the same weights widened, to compare implementations with.
+"""
+
+
+class OffAeroConfig(Table, frozen=True, kw_only=True, tag_field="model", tag="off"):
+    """No aerodynamic force."""
+
+
+class AxisymmetricAeroConfig(Table, frozen=True, kw_only=True, tag_field="model", tag="axisymmetric"):
+    """Fitted force areas of axisymmetric links."""
+
+    air_density: Positive
+    """Density of the air [kg/m³]."""
+    coefficients: str
+    """Name of a coefficient set that every link of the robot has."""
+
+
+class SphereCylinderAeroConfig(Table, frozen=True, kw_only=True, tag_field="model", tag="sphere_cylinder"):
     """Literature drag of spheres and finite cylinders."""
 
-    air_density: Array
-    """[kg/m³]"""
-    dynamic_viscosity: Array
-    """[Pa s]"""
+    air_density: Positive
+    """Density of the air [kg/m³]."""
     cylinder: CylinderTables
+    """Drag of circular cylinders."""
+    dynamic_viscosity: Positive
+    """Dynamic viscosity of the air [Pa s]."""
     sphere: SphereTables
+    """Drag of spheres."""
 
 
-@pytree
-class NetworkConfig:
+class NetworkAeroConfig(Table, frozen=True, kw_only=True, tag_field="model", tag="network"):
     """A neural network of wind and posture."""
 
-    card: Static[str]
-    """Path of the network's JSON card; the weights lie beside it."""
-    air_density: Array
-    """[kg/m³]"""
-    precision: Static[Literal["f32", "f64"]] = "f32"
-    """Of the weighted sums."""
+    air_density: Positive
+    """Density of the air [kg/m³]."""
+    card: Path
+    """The network's JSON card; the weights lie beside it."""
+    precision: Precision = "f32"
+    """Precision of the weighted sums."""
 
 
-AeroConfig: TypeAlias = Off | AxisymmetricConfig | SphereCylinderConfig | NetworkConfig
+AeroConfig: TypeAlias = OffAeroConfig | AxisymmetricAeroConfig | SphereCylinderAeroConfig | NetworkAeroConfig
 """Which aerodynamic model, and its numbers: one file of `configs/aero/`."""
 
 
-@pytree
-class ForceFactorsConfig:
-    """Factors on the forces of a model: coefficients that are not what they are thought to be."""
+RateFeedback: TypeAlias = Literal["wrench", "force", "moment", "none"]
+"""What of the total aerodynamic wrench about the centre of mass the estimated momentum rate holds.
 
-    scale: Array = _default(1.0)
-    """() on all forces."""
-    drag: Array = _default(1.0)
-    """() on the part along the air."""
-    normal: Array = _default(1.0)
-    """() on the part across it."""
-    links: dict[str, Array] = field(default_factory=dict)
-    """() on the whole force of a link, by its name."""
+wrench: Force and moment.
+force: The force alone.
+moment: The moment alone.
+none: Nothing.
+"""
 
 
-# --- jets --------------------------------------------------------------------------------------------------------
+class AeroFeedback(Table, frozen=True, kw_only=True):
+    """Where the estimated aerodynamic forces enter the controller; each can be left out for an ablation."""
 
-
-@pytree
-class Ideal:
-    """Thrust is the integral of the commanded rate."""
-
-
-@pytree
-class EkfConfig:
-    """Numbers of the thrust estimator, in the letters of its equations."""
-
-    init_p: Array = _default([[1.0, 0.1], [0.1, 1.0]])
-    """(2, 2) covariance of the initial state."""
-    q: Array = _default([[10.0, 1.0], [1.0, 10.0]])
-    """(2, 2) intensity of the process noise."""
-    r: Array = _default(1.0)
-    """() intensity of the measurement noise."""
-    init_state: Array | None = None
-    """(2,) initial (T, Ṫ) [N, N/s]; without it (initial thrust, 0)."""
-
-
-@pytree
-class SecondOrderConfig:
-    """Identified second-order engines behind a throttle loop."""
-
-    rate_gain_p: Array = _default(150.0)
-    """[1/s]"""
-    rate_gain_i: Array = _default(0.0)
-    """[1/s²]"""
-    ekf: EkfConfig = field(default_factory=EkfConfig)
-    feedback: Static[Literal["measured", "estimated"]] = "measured"
-    """Which thrust the flight controller is given."""
-    engines: Static[tuple[str, ...] | None] = None
-    """Engine of each jet; without it, those of the robot."""
-
-
-JetsConfig: TypeAlias = Ideal | SecondOrderConfig
-
-
-@pytree
-class JetFailureConfig:
-    """A jet that stops obeying."""
-
-    jet: Static[str]
-    time: Array
-    """When it fails [s]."""
-    kind: Static[Literal["off", "stuck"]]
-    """Whether its thrust goes, or stays where it is."""
-    decay: Array = _default(0.0)
-    """Time constant with which a jet that is off loses its thrust [s]; zero for at once."""
-
-
-@pytree
-class MeasurementNoiseConfig:
-    """White noise on the thrust that estimators of second-order jets measure."""
-
-    std: Array
-    """[N]"""
-    seed: Static[int] = 0
-
-
-@pytree
-class JetFaultsConfig:
-    """What is wrong with the jets."""
-
-    limit_is_known: Static[bool] = False
-    """Whether the controller's own limits are scaled as well."""
-    lag: Array = _default(0.0)
-    """Time constant with which the commanded thrust rate takes effect [s]; zero for at once."""
-    thrust_limit_scale: Array | None = None
-    """Thrust stays between zero and this times the robot's greatest thrust; without it nothing limits it."""
-    failure: JetFailureConfig | None = None
-    measurement_noise: MeasurementNoiseConfig | None = None
-    force_scale: dict[str, Array] = field(default_factory=dict)
-    """() force that a jet exerts over the thrust that it seems to have, by its name; the others exert their thrust."""
-
-
-# --- wind --------------------------------------------------------------------------------------------------------
-
-
-@pytree
-class ConstantWind:
-    """The same all the time."""
-
-    velocity: Array
-    """(3,) [m/s]."""
-
-
-@pytree
-class RampWind:
-    """Still, then rising linearly to a constant: the published profile."""
-
-    velocity: Array
-    """(3,) after the ramp [m/s]."""
-    ramp_start: Array
-    """[s]"""
-    ramp_end: Array
-    """[s]"""
-
-
-@pytree
-class GustWind:
-    """A steady wind with one "1 − cos" gust on top."""
-
-    velocity: Array
-    """(3,) [m/s]."""
-    gust: Array
-    """(3,) added at the peak [m/s]."""
-    start: Array
-    """[s]"""
-    duration: Array
-    """[s]"""
-
-
-@pytree
-class RecordedWind:
-    """A recorded wind: linear between samples, constant outside."""
-
-    times: Array
-    """(k,) [s], increasing."""
-    velocities: Array
-    """(k, 3) [m/s]."""
-
-
-@pytree
-class TurbulentWind:
-    """A ramp with turbulence on top, which rises with it: a sum of waves with the spectrum of a Gauss–Markov process.
-
-    Its random numbers are drawn when the configuration is built, so that they are numbers like all others.
-    """
-
-    velocity: Array
-    """(3,) mean after the ramp [m/s]."""
-    ramp_start: Array
-    """[s]"""
-    ramp_end: Array
-    """[s]"""
-    std: Array
-    """(3,) standard deviation of the turbulence [m/s]."""
-    time_scale: Array
-    """() [s]."""
-    places: Array
-    """(3, 24) where in the spectrum each wave stands, in bands of equal variance."""
-    phases: Array
-    """(3, 24) [rad]."""
-
-
-WindConfig: TypeAlias = ConstantWind | RampWind | GustWind | RecordedWind | TurbulentWind
-
-
-# --- controller --------------------------------------------------------------------------------------------------
-
-
-@pytree
-class AeroFeedback:
-    """Where the estimated aerodynamic forces enter the controller; each can be left out."""
-
-    momentum_rate: Static[RateFeedback] = "wrench"
-    """What of `A_a f_a` enters the estimated momentum rate."""
-    lambda_a: Static[bool] = True
+    lambda_: bool = field(default=True, name="lambda")
     """Whether `Λ_a` enters the derivative of the momentum rate."""
-    torque: Static[bool] = True
+    momentum_rate: RateFeedback = "wrench"
+    """What of `A_a f_a` enters the estimated momentum rate."""
+    torque: bool = True
     """Whether `J_aᵀ f_a` enters the torque law."""
 
 
-@pytree
-class WindEstimateConfig:
-    """Errors of the measured wind."""
+AeroKinematics: TypeAlias = Literal["current", "frozen"]
+"""Which kinematics place the links in the wind.
 
-    bias: Array = _default([0.0, 0.0, 0.0])
-    """(3,) added to the wind [m/s, inertial axes]."""
-    noise_std: Array = _default(0.0)
-    """() standard deviation of white noise on every axis, independent in every tick [m/s]."""
-    delay: Array = _default(0.0)
-    """() delay of the measured wind, rounded to ticks [s]."""
-    time_constant: Array = _default(0.0)
-    """() of a first-order low pass behind all other errors [s]; zero for none."""
-    mean_only: Array = _default(0.0)
-    """() 1 or 0: whether the measured wind is its mean over the flight."""
-    seed: Static[int] = 0
+current: Those of the robot now.
+frozen: Those of the first tick for the whole flight (published): axes, points and Jacobians stay, only velocities
+are current.
+"""
 
 
-@pytree
-class MomentumGains:
-    """Gains of the momentum and attitude tasks."""
-
-    kp_linear: Array
-    """(3,) [1/s²]."""
-    kd_linear: Array
-    """(3,) [1/s]."""
-    ko: Array
-    """() [s]."""
-    c0: Array
-    """() [N m]."""
-    c1: Array
-    """() [N m s]."""
-
-
-@pytree
-class MomentumWeights:
-    """Weights of the tasks in the momentum QP."""
-
-    momentum: Array
-    angular_momentum: Array
-    posture: Array
-    joint_velocity: Array
-    thrust_rate: dict[str, Array]
-    """By jet."""
-    symmetry: Array
-    symmetric_jets: Static[tuple[tuple[str, str], ...]]
-    """Pairs of jets meant to act alike."""
-    regularisation: Array
-
-
-@pytree
-class BoundsConfig:
+class BoundsConfig(Table, frozen=True, kw_only=True):
     """Bounds of the momentum QP: rates fade out, as a tanh, where the value meets its own limit."""
 
-    thrust_rate_max: dict[str, Array]
-    """By jet [N/s]."""
-    thrust_steepness: Array
-    """() [1/N]."""
-    joint_steepness: Array
-    """() [1/rad, 1/m]."""
-    joint_velocity_max_deg: Array | None = None
-    """() of revolute joints, in place of the robot's own limits [deg/s]."""
+    joint_steepness: Positive
+    """Steepness at the joint limits [1/rad, 1/m]."""
+    joint_velocity_max_deg: Positive | None = None
+    """Greatest velocity of revolute joints in place of the robot's own limits [deg/s]."""
+    thrust_rate_max: dict[str, float]
+    """Greatest thrust rate, by jet [N/s]."""
+    thrust_steepness: Positive
+    """Steepness at the thrust limits [1/N]."""
 
 
-@pytree
-class TorqueConfig:
-    """The joint torque controller, all scalars. Limits are of revolute joints, in place of the robot's own."""
+class WrenchLimits(Table, frozen=True, kw_only=True):
+    """What the wrench of every foot may be, in sole axes about the sole's origin; where its centre of pressure may be
+    stands with the robot's foot.
+    """
 
-    kd: Array
-    """[1/s]"""
-    kp: Array
-    """[1/s²]"""
-    weight_acceleration: Array
-    weight_torque: Array
-    regularisation: Array
-    torque_max: Array | None = None
-    """[N m]"""
-    torque_rate_max: Array | None = None
-    """[N m/s]"""
+    friction: Positive
+    """Friction `|f_xy| ≤ μ f_z`, as the regular polygon of twelve corners inside the circle."""
+    torsional_friction: NonNegative
+    """Torsion `|m_z| ≤ κ f_z` [m]."""
+    vertical_force_min: NonNegative
+    """Least vertical force [N]."""
 
 
-@pytree
-class ObserverConfig:
-    """How fast the observer of the unmodelled wrench follows, and what it believes at most; all scalars."""
+class ContactConfig(Table, frozen=True, kw_only=True):
+    """What a controller needs to stand; without it, it flies."""
 
-    gain_force: Array
-    """`K_o` of the force [1/s]."""
-    gain_moment: Array
-    """`K_o` of the moment [1/s]."""
-    force_max: Array
+    feet: tuple[str, ...]
+    """Names of the feet to stand on; the robot's other feet are no contacts."""
+    force_rate_dead_zone: NonNegative
+    """Rates below this are not integrated [N/s, N m/s]."""
+    force_rate_max: Positive
+    """Greatest rate of every component of `f_c*` [N/s, N m/s]."""
+    start_with_moment: bool
+    """Whether `f_c*` starts with the measured moment about y besides the vertical force."""
+    vertical_force_min: Positive
+    """Vertical force beyond which a foot carries [N]; all of `feet` have to."""
+    weight_foot_acceleration: NonNegative
+    """Weight of `J_c ν̇ + J̇_c ν = 0` in the torque QP."""
+    weight_foot_velocity: NonNegative
+    """Weight of `J_c ν = 0` in the momentum QP."""
+    weight_force: NonNegative
+    """Weight of `f_c → f_c*` in the torque QP."""
+    weight_force_rate: NonNegative
+    """Weight of `ḟ_c → 0` in the momentum QP."""
+    wrench: WrenchLimits
+    """What the wrench of a foot may be."""
+
+
+JacobianOffset: TypeAlias = Literal["link_rotation", "base_rotation"]
+"""Which point's Jacobian carries a link's force in the controller's `Λ_a` and torque law.
+
+link_rotation: The aerodynamic centre, `p + R c`.
+base_rotation: `p + R_B c`: the offset is turned with the base instead of the link (published).
+"""
+
+
+LeverArm: TypeAlias = Literal["rotated", "unrotated"]
+"""Where a link's force acts when its moment is formed.
+
+rotated: At the aerodynamic centre, `p + R c`.
+unrotated: At `p + c`: the offset is added without turning it into inertial axes (published).
+"""
+
+
+LinkVelocity: TypeAlias = Literal["at_centre", "shifted_twice"]
+"""Which point's velocity the controller takes for the link's own motion through the air.
+
+at_centre: The aerodynamic centre.
+shifted_twice: The point of `JacobianOffset` shifted once more by the unrotated offset (published).
+"""
+
+
+class MomentumGains(Table, frozen=True, kw_only=True):
+    """Gains of the momentum task (M57 of `docs/model.md`) and the attitude task (M60)."""
+
+    c0: NonNegative
+    """`c₀` of the attitude task [N m]."""
+    c1: NonNegative
+    """`c₁` of the attitude task [N m s]."""
+    kd_linear: tuple[NonNegative, NonNegative, NonNegative]
+    """`K_D` on the linear momentum error, per axis [1/s]."""
+    ko: Positive
+    """`K_O`; its inverse is added to `K_P + K_D` [s]."""
+    kp_linear: tuple[NonNegative, NonNegative, NonNegative]
+    """`K_P` on the integral of the linear momentum error, per axis [1/s²]."""
+
+
+class ObserverConfig(Table, frozen=True, kw_only=True):
+    """How fast the observer follows, and what it believes at most."""
+
+    force_max: NonNegative
     """Greatest observed force along each axis [N]."""
-    moment_max: Array
+    gain_force: NonNegative
+    """`K_o` of the force [1/s]."""
+    gain_moment: NonNegative
+    """`K_o` of the moment [1/s]."""
+    moment_max: NonNegative
     """Greatest observed moment about each axis [N m]."""
 
 
-@pytree
-class QpConfig:
-    """How the Rust crate solves its QPs; JAX has one solver."""
+Fallback: TypeAlias = Literal["hold", "clarabel"]
+"""What happens when the first solver gives no certified answer.
 
-    solver: Static[Literal["active_set", "clarabel"]] = "active_set"
-    fallback: Static[Literal["clarabel", "hold"]] = "hold"
+hold: Thrusts and joints stop, torques stay. Nothing allocates.
+clarabel: Clarabel (allocates); hold if it fails too.
+"""
 
 
-@pytree
-class SetpointConfig:
+Solver: TypeAlias = Literal["active_set", "clarabel"]
+"""Which solver answers first.
+
+active_set: The active-set methods: no allocation, a few microseconds.
+clarabel: Clarabel: allocates, hundreds of microseconds.
+"""
+
+
+class QpConfig(Table, frozen=True, kw_only=True):
+    """How QPs are solved."""
+
+    fallback: Fallback = "hold"
+    """What to do without an answer."""
+    solver: Solver = "active_set"
+    """The solver of every tick."""
+
+
+class SetpointConfig(Table, frozen=True, kw_only=True):
     """Speeds, limits and smoothing times of the set-point generator."""
 
-    speed: Array
-    """(2,) forward and vertical speed of the raw position [m/s]."""
-    attitude_rate_deg: Array
-    """(2,) rates of raw pitch and yaw [deg/s]."""
-    nose_down_limits_deg: Array
-    """(2,) least and greatest raw pitch, positive nose down [deg]."""
-    turbo_boost: Array
-    """() the forward speed grows to `1 + turbo_boost` times itself."""
-    turbo_rate: Array
-    """() growth of the boost [1/s]."""
-    position_smoothing: Array
-    """() [s]."""
-    acceleration_smoothing: Array
-    """() [s]."""
-    angular_velocity_smoothing: Array
-    """() [s]."""
-    attitude_gain: Array
-    """() [1/s]."""
+    acceleration_smoothing: Positive
+    """Smoothing time of the filter whose rate output is the jerk [s]."""
+    angular_velocity_smoothing: Positive
+    """Smoothing time of the angular velocity [s]."""
+    attitude_gain: NonNegative
+    """Gain with which the smoothed attitude follows the raw one [1/s]."""
+    attitude_rate_deg: tuple[NonNegative, NonNegative]
+    """Rates of raw pitch and yaw [deg/s]."""
+    nose_down_limits_deg: tuple[float, float]
+    """Least and greatest raw pitch, positive nose down [deg]."""
+    position_smoothing: Positive
+    """Smoothing time of the position [s]."""
+    speed: tuple[NonNegative, NonNegative]
+    """Forward and vertical speed of the raw position [m/s]."""
+    turbo_boost: NonNegative
+    """The forward speed grows to `1 + turbo_boost` times itself."""
+    turbo_rate: Positive
+    """Growth of the boost [1/s]."""
 
 
-@pytree
-class ModelError:
-    """How the controller's robot differs from the one that flies."""
+class TorqueConfig(Table, frozen=True, kw_only=True):
+    """The joint torque controller."""
 
-    mass_scale: Array = _default(1.0)
-    """() factor on all masses and inertias."""
-    com_offset: Array = _default([0.0, 0.0, 0.0])
-    """(3,) added to the base body's centre of mass [m, base axes]."""
+    kd: NonNegative
+    """`K_Ds` on the joint velocity error [1/s]."""
+    kp: NonNegative
+    """`K_Ps` on the integral of the joint velocity error [1/s²]."""
+    regularisation: Positive
+    """Added to the diagonal of the Hessian."""
+    torque_max: Positive | None = None
+    """Greatest torque of revolute joints in place of the robot's own limits [N m]."""
+    torque_rate_max: Positive | None = None
+    """Greatest rate of the torque of revolute joints in place of the robot's own limits [N m/s]."""
+    weight_acceleration: NonNegative
+    """Weight of the joint acceleration task."""
+    weight_torque: NonNegative
+    """Weight of the torques."""
 
 
-@pytree
-class ControllerConfig:
-    """Everything that makes a controller; one file in `configs/control/`."""
+class MomentumWeights(Table, frozen=True, kw_only=True):
+    """Weights of the tasks in the momentum QP."""
+
+    angular_momentum: NonNegative
+    """Angular-momentum constraint task."""
+    joint_velocity: NonNegative
+    """Joint velocities towards zero."""
+    momentum: NonNegative
+    """Momentum and attitude tasks."""
+    posture: NonNegative
+    """Posture task."""
+    regularisation: Positive
+    """Added to the diagonal of the Hessian."""
+    symmetric_jets: tuple[tuple[str, str], ...]
+    """Pairs of jets meant to act alike."""
+    symmetry: NonNegative
+    """Equal thrust rates within each pair of `symmetric_jets`."""
+    thrust_rate: dict[str, float]
+    """Thrust rates towards zero, by jet."""
+
+
+class ControllerSection(Table, frozen=True, kw_only=True):
+    """One file of `configs/control/`."""
 
     aero: AeroConfig
-    momentum: MomentumGains
-    posture_gain: dict[str, Array]
-    """By joint group [1/s]."""
-    weights: MomentumWeights
+    """The controller's own aerodynamic model; `off` is the baseline controller."""
+    aero_feedback: AeroFeedback = AeroFeedback()
+    """Where the aerodynamic estimate enters."""
     bounds: BoundsConfig
-    torque: TorqueConfig
-    setpoint: SetpointConfig
-    aero_feedback: AeroFeedback = field(default_factory=AeroFeedback)
-    lever_arm: Static[LeverArm] = "rotated"
-    jacobian_offset: Static[JacobianOffset] = "link_rotation"
-    link_velocity: Static[LinkVelocity] = "at_centre"
+    """Bounds of the momentum QP."""
+    contact: ContactConfig | None = None
+    """What it takes to stand on the ground; without it the controller knows no feet."""
+    jacobian_offset: JacobianOffset = "link_rotation"
+    """Point whose Jacobian carries link forces (in `Λ_a` and the torque law)."""
+    lever_arm: LeverArm = "rotated"
+    """Point at which moments of link forces are formed (in `A_a`)."""
+    link_velocity: LinkVelocity = "at_centre"
+    """Point whose velocity makes the relative wind."""
+    momentum: MomentumGains
+    """Gains of the momentum and attitude tasks."""
     observer: ObserverConfig | None = None
     """What observes the wrench that no model knows; without it there is none."""
-    qp: QpConfig = field(default_factory=QpConfig)
+    posture_gain: dict[str, float]
+    """Posture gain `K_s` by joint group [1/s]."""
+    qp: QpConfig = QpConfig()
+    """How QPs are solved."""
+    setpoint: SetpointConfig
+    """Set-point generation."""
+    torque: TorqueConfig
+    """The joint torque controller."""
+    use_jets: bool = True
+    """Whether thrusts are known of and asked for."""
+    weights: MomentumWeights
+    """Weights of the momentum QP."""
 
 
-@pytree
-class RecordedReference:
-    """A reference computed beforehand, sample by sample; derivatives that are missing are differences."""
+class ForceFactorsConfig(Table, frozen=True, kw_only=True):
+    """Factors on the force of every link; all one unless said otherwise."""
 
-    times: Array
-    """(k,) [s], increasing."""
-    com_position: Array
-    """(k, 3) [m]."""
-    rpy: Array
-    """(k, 3) roll, pitch, yaw of the base [rad]."""
-    com_velocity: Array | None
-    """(k, 3) [m/s]."""
-    com_acceleration: Array | None
-    """(k, 3) [m/s²]."""
-    com_jerk: Array | None
-    """(k, 3) [m/s³]."""
+    drag: float = 1.0
+    """Factor on the part along the air's velocity relative to the link."""
+    links: dict[str, float] = field(default_factory=dict)
+    """Factor on the whole force of a link, by its name; links that are not named keep theirs."""
+    normal: float = 1.0
+    """Factor on the part across it."""
+    scale: float = 1.0
+    """Factor on all forces."""
 
 
-@pytree
-class MissionConfig:
-    """When the autopilot commands what: for each motion open intervals (k, 2) of time [s]."""
+class ConstantWindConfig(Table, frozen=True, kw_only=True, tag_field="profile", tag="constant"):
+    """The same all the time."""
 
-    up: Array = _default(np.zeros((0, 2)))
-    down: Array = _default(np.zeros((0, 2)))
-    forward: Array = _default(np.zeros((0, 2)))
-    forward_turbo: Array = _default(np.zeros((0, 2)))
-    pitch_up: Array = _default(np.zeros((0, 2)))
-    yaw_left: Array = _default(np.zeros((0, 2)))
-    file: RecordedReference | None = None
-    """A recorded reference to fly instead of any command."""
+    velocity: tuple[float, float, float]
+    """Velocity of the air [m/s]."""
 
 
-# --- simulator ---------------------------------------------------------------------------------------------------
+class RampWindConfig(Table, frozen=True, kw_only=True, tag_field="profile", tag="ramp"):
+    """Still, then rising linearly to a constant: the published profile."""
+
+    ramp_end: float
+    """When it has risen [s]."""
+    ramp_start: float
+    """When the wind starts to rise [s]."""
+    velocity: tuple[float, float, float]
+    """Velocity after the ramp [m/s]."""
 
 
-@pytree
-class InitialConfig:
-    """State at the beginning of a flight."""
+class GustWindConfig(Table, frozen=True, kw_only=True, tag_field="profile", tag="gust"):
+    """A steady wind with one "1 − cos" gust on top."""
 
-    base_position: Array
-    """(3,) [m]."""
-    base_rpy_deg: Array
-    """(3,) [deg]."""
-    joint_position: Array
-    """(n,) [rad]."""
-    thrust: Array
-    """(j,) [N]."""
-    base_velocity: Array = _default(np.zeros(6))
-    """(6,) of the base origin and angular, inertial axes [m/s, rad/s]."""
-    free_fall_tick: Static[bool] = False
-    """Whether the first physics step has neither thrust nor torque."""
+    duration: Positive
+    """How long it lasts [s]."""
+    gust: tuple[float, float, float]
+    """Velocity added at the peak of the gust [m/s]."""
+    start: float
+    """When the gust begins [s]."""
+    velocity: tuple[float, float, float]
+    """Steady velocity [m/s]."""
 
 
-@pytree
-class DivergenceConfig:
-    """What physics excludes: a flight whose numbers go beyond has diverged."""
+class TurbulentWindConfig(Table, frozen=True, kw_only=True, tag_field="profile", tag="turbulent"):
+    """The published profile with turbulence on top, which rises with it."""
 
-    speed: Array = _default(300.0)
-    """() of base and air [m/s]."""
-    angular_velocity: Array = _default(100.0)
-    """() of the base [rad/s]."""
-    joint_velocity: Array = _default(100.0)
-    """() [rad/s, m/s]."""
-    joint_excess: Array = _default(6.0)
-    """() of a joint beyond its stops [rad, m]."""
-    thrust_ratio: Array = _default(10.0)
-    """() of a thrust to the jet's greatest."""
-
-
-@pytree
-class FallConfig:
-    """When a robot counts as fallen."""
-
-    rotation_error_deg: Array
-    """() [deg]."""
-    com_error: Array
-    """() [m]."""
+    ramp_end: float
+    """When it has risen [s]."""
+    ramp_start: float
+    """When the wind starts to rise [s]."""
+    seed: Annotated[int, Meta(ge=0)] = 0
+    """Seed of the turbulence."""
+    std: tuple[NonNegative, NonNegative, NonNegative]
+    """Standard deviation of the turbulence on each axis [m/s]."""
+    time_scale: Positive
+    """Time scale of the turbulence [s]."""
+    velocity: tuple[float, float, float]
+    """Mean velocity after the ramp [m/s]."""
 
 
-@pytree
-class SimulatorConfig:
-    """Simulator of the robot's surroundings."""
+class FileWindConfig(Table, frozen=True, kw_only=True, tag_field="profile", tag="file"):
+    """A recorded wind: a CSV file with header `time,x,y,z`, linear in between, constant outside."""
 
-    duration: Static[float]
-    """[s]"""
-    time_step: Static[float]
-    """Tick of controller and physics [s]."""
-    aero: AeroConfig
-    jets: JetsConfig
-    initial: InitialConfig
-    fall: FallConfig
-    substeps: Static[int] = 1
-    """Physics steps within a tick."""
-    integrator: Static[Integrator] = "semi_implicit_euler"
-    dynamics: Static[Backend] = "tree"
-    lever_arm: Static[LeverArm] = "rotated"
-    kinematics: Static[Literal["current", "frozen"]] = "current"
-    """Which kinematics place the links in the wind."""
-    joint_stops: Static[bool] = True
-    """Whether joints meet their stops."""
-    course_error: Array = _default(0.5)
-    """() greatest position error after the start-up of a flight that is on course [m]."""
-    divergence: DivergenceConfig = field(default_factory=DivergenceConfig)
-
-    @property
-    def n_ticks(self) -> int:
-        """Number of ticks after the one at time zero."""
-        return int(np.floor(self.duration / self.time_step + 0.5))
+    path: Path
+    """The file; relative paths start at the configuration file."""
 
 
-@pytree
-class Disturbances:
-    """What is done to robot and controller; none of it is part of the controller."""
+WindConfig: TypeAlias = ConstantWindConfig | RampWindConfig | GustWindConfig | TurbulentWindConfig | FileWindConfig
+"""A wind profile; all velocities in m/s, inertial axes, all times in s."""
 
-    wind_estimate: WindEstimateConfig | None = None
-    """Errors of the wind that the controller is given; without them it is the true one."""
+
+FailureKind: TypeAlias = Literal["off", "stuck"]
+"""What a failed jet does.
+
+off: Its thrust goes.
+stuck: Its thrust stays where it is.
+"""
+
+
+class JetFailure(Table, frozen=True, kw_only=True):
+    """A jet that stops obeying."""
+
+    decay: NonNegative = 0.0
+    """Time constant with which a jet that is off loses its thrust [s]; zero for at once."""
+    jet: str
+    """Name of the jet."""
+    kind: FailureKind
+    """How."""
+    time: NonNegative
+    """When it fails [s]."""
+
+
+class MeasurementNoise(Table, frozen=True, kw_only=True):
+    """White noise on measured thrusts."""
+
+    seed: Annotated[int, Meta(ge=0)] = 0
+    """Seed."""
+    std: NonNegative
+    """Standard deviation [N]."""
+
+
+class JetFaultsConfig(Table, frozen=True, kw_only=True):
+    """Faults of the jets; none by default."""
+
+    failure: JetFailure | None = None
+    """One jet that fails."""
+    force_scale: dict[str, float] = field(default_factory=dict)
+    """Force that a jet exerts, over the thrust that it seems to have, by its name; jets that are not named exert their
+    thrust.
+    """
+    lag: NonNegative = 0.0
+    """Time constant with which the commanded thrust rate takes effect [s]; zero for at once."""
+    limit_is_known: bool = False
+    """Whether the controller's own limits are scaled as well."""
+    measurement_noise: MeasurementNoise | None = None
+    """Noise on the thrust that the estimators of second-order jets measure."""
+    thrust_limit_scale: Positive | None = None
+    """Thrust stays below this times the robot's greatest thrust; without it nothing but the controller limits it, as
+    published.
+    """
+
+
+class ModelError(Table, frozen=True, kw_only=True):
+    """How the controller's robot differs from the one that flies; not at all by default."""
+
+    com_offset: tuple[
+        Annotated[float, Meta(ge=-10, le=10)],
+        Annotated[float, Meta(ge=-10, le=10)],
+        Annotated[float, Meta(ge=-10, le=10)],
+    ] = (0.0, 0.0, 0.0)
+    """Added to the base body's centre of mass in the controller's robot [m, base axes]."""
+    mass_scale: Annotated[float, Meta(ge=0.01, le=100)] = 1.0
+    """Factor on all masses and inertias of the controller's robot."""
+
+
+class WindEstimateConfig(Table, frozen=True, kw_only=True):
+    """Errors of the wind estimate; none by default."""
+
+    bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Added to the wind [m/s, inertial axes]."""
+    delay: Annotated[float, Meta(ge=0, le=1000)] = 0.0
+    """Age of the wind that is given, rounded to ticks [s]."""
+    mean_only: bool = False
+    """Whether only the mean over the flight is given."""
+    noise_std: NonNegative = 0.0
+    """Standard deviation of white noise on every axis, drawn anew each tick [m/s]."""
+    seed: Annotated[int, Meta(ge=0)] = 0
+    """Seed of the noise."""
+    time_constant: NonNegative = 0.0
+    """Time constant of a first-order low pass behind all other errors [s]; zero for none."""
+
+
+class Disturbances(Table, frozen=True, kw_only=True):
+    """Disturbances of a flight; none by default."""
+
+    aero: ForceFactorsConfig = ForceFactorsConfig()
+    """Factors on the simulated aerodynamic forces: coefficients that are not what they are thought to be."""
+    aero_estimate: ForceFactorsConfig = ForceFactorsConfig()
+    """Factors on the forces that the controller estimates: information that is wrong or left out."""
     controller_wind: WindConfig | None = None
     """A wind that the controller is given in place of the one that blows."""
-    model_error: ModelError | None = None
-    """How the controller's robot differs from the one that flies."""
-    aero: ForceFactorsConfig | None = None
-    """Factors on the simulated aerodynamic forces."""
-    aero_estimate: ForceFactorsConfig | None = None
-    """Factors on the forces that the controller estimates."""
-    jets: JetFaultsConfig | None = None
+    jets: JetFaultsConfig = JetFaultsConfig()
     """What is wrong with the jets."""
+    model_error: ModelError = ModelError()
+    """How the controller's robot differs from the one that flies."""
+    wind_estimate: WindEstimateConfig | None = None
+    """Errors of the wind that the controller is given; without them it is the true one."""
 
 
-@pytree
-class ScenarioConfig:
+class DivergenceConfig(Table, frozen=True, kw_only=True):
+    """What physics excludes: a flight whose numbers go beyond has diverged. A state that is not finite always has."""
+
+    angular_velocity: Positive = 100.0
+    """Angular velocity of the base [rad/s]; by default 16 turns a second."""
+    joint_excess: Positive = 6.0
+    """How far a joint is beyond its stops [rad, m]; by default about a turn."""
+    joint_velocity: Positive = 100.0
+    """Velocity of a joint [rad/s, m/s]; by default ten times what motors of such robots do."""
+    speed: Positive = 300.0
+    """Speed of base and air [m/s]; by default near that of sound, where no aerodynamic model here holds."""
+    thrust_ratio: Positive = 10.0
+    """Thrust as a multiple of the jet's greatest."""
+
+
+DynamicsBackend: TypeAlias = Literal["tree", "mjx"]
+"""What computes mass matrix and bias.
+
+tree: The tree of bodies of this project.
+mjx: MuJoCo's JAX implementation, for `engine = "jax"` alone.
+"""
+
+
+class EkfConfig(Table, frozen=True, kw_only=True):
+    """Numbers of the estimator, in the letters of its equations; the defaults are the published ones, but for the
+    initial state.
+    """
+
+    Q: tuple[tuple[float, float], tuple[float, float]] = ((10.0, 1.0), (1.0, 10.0))
+    """`Q`: intensity of the process noise."""
+    R: Positive = 1.0
+    """`R`: intensity of the measurement noise."""
+    init_P: tuple[tuple[float, float], tuple[float, float]] = ((1.0, 0.1), (0.1, 1.0))
+    """`P(0)`: covariance of the initial state."""
+    init_state: tuple[float, float] | None = None
+    """`x̂(0) = (T, Ṫ)` [N, N/s]; without it `(initial thrust, 0)`. The published value is (0, 0), which makes the
+    throttle loop act on too small a thrust for the first two seconds.
+    """
+
+
+Engine: TypeAlias = Literal["rust", "jax", "mujoco"]
+"""Who flies a configuration.
+
+rust: This crate.
+jax: The batched, differentiable simulation in Python.
+mujoco: MuJoCo, in Python: the one that knows the ground.
+"""
+
+
+class FallConfig(Table, frozen=True, kw_only=True):
+    """When a robot counts as fallen."""
+
+    com_error: Positive
+    """Greatest distance between centre of mass and reference [m]."""
+    rotation_error_deg: Annotated[float, Meta(gt=0, le=180)]
+    """Greatest rotation between base and reference [deg]."""
+
+
+class GroundConfig(Table, frozen=True, kw_only=True):
+    """The plane z = 0 under the robot's feet. Only engines that know contact fly a world that has it."""
+
+    contact_time: Positive
+    """Time in which a touching corner comes to rest [s]: softer with a longer one."""
+    friction: Positive
+    """Coulomb friction of soles on the ground."""
+    settling: NonNegative
+    """How long stiff joints hold the initial posture before the controller takes over at time zero [s]."""
+
+
+class InitialConfig(Table, frozen=True, kw_only=True):
+    """State at the beginning of a flight."""
+
+    base_position: tuple[float, float, float]
+    """Position of the base origin [m]."""
+    base_rpy_deg: tuple[float, float, float]
+    """Roll, pitch, yaw of the base [deg]."""
+    base_velocity: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """Velocity of the base origin, then angular velocity, inertial axes [m/s, rad/s]."""
+    free_fall_tick: bool = False
+    """Whether the first physics step has neither thrust nor torque, as the delays of the published model make it: the
+    controller first sees a robot that has fallen for one tick.
+    """
+    joint_position: tuple[float, ...]
+    """Joint positions in the robot's order [rad]."""
+    thrust: tuple[NonNegative, ...]
+    """Thrusts in the robot's order [N]."""
+
+
+Integrator: TypeAlias = Literal["semi_implicit_euler", "explicit_euler"]
+"""How a physics step is taken.
+
+semi_implicit_euler: Velocity first, pose with the new velocity: feeds no energy into fast joint motion.
+explicit_euler: Pose and velocity both advance with the old velocity and acceleration (published).
+"""
+
+
+ThrustFeedback: TypeAlias = Literal["measured", "estimated"]
+"""Which thrust the flight controller sees.
+
+measured: The true thrust, without noise.
+estimated: The estimate of the `ThrustEkf`.
+"""
+
+
+class IdealJetsConfig(Table, frozen=True, kw_only=True, tag_field="dynamics", tag="ideal"):
+    """Thrust is the integral of the command."""
+
+
+class SecondOrderJetsConfig(Table, frozen=True, kw_only=True, tag_field="dynamics", tag="second_order"):
+    """Identified second-order engines behind a throttle loop."""
+
+    ekf: EkfConfig = EkfConfig()
+    """The thrust estimator."""
+    engines: tuple[str, ...] | None = None
+    """Engine of each jet, by name; without it, those of the robot."""
+    feedback: ThrustFeedback = "measured"
+    """What the flight controller is given as thrust; the throttle loop always uses the estimate."""
+    rate_gain_i: NonNegative = 0.0
+    """Integral gain of the thrust-rate loop [1/s²]."""
+    rate_gain_p: NonNegative = 150.0
+    """Proportional gain of the thrust-rate loop [1/s]."""
+
+
+JetsConfig: TypeAlias = IdealJetsConfig | SecondOrderJetsConfig
+"""How thrust follows the commanded thrust rate."""
+
+
+class MissionConfig(Table, frozen=True, kw_only=True):
+    """One file of `configs/mission/`: commands, or the file of a recorded reference."""
+
+    down: tuple[tuple[float, float], ...] = ()
+    """Descend [s]."""
+    file: Path | None = None
+    """A recorded reference to fly instead of any command. Relative paths start at the configuration file."""
+    forward: tuple[tuple[float, float], ...] = ()
+    """Fly forwards at the plain speed [s]."""
+    forward_turbo: tuple[tuple[float, float], ...] = ()
+    """Fly forwards with boosted speed, nose down [s]."""
+    pitch_up: tuple[tuple[float, float], ...] = ()
+    """Raise the nose [s]."""
+    up: tuple[tuple[float, float], ...] = ()
+    """Climb [s]."""
+    yaw_left: tuple[tuple[float, float], ...] = ()
+    """Turn left [s]."""
+
+
+class MotorsConfig(Table, frozen=True, kw_only=True):
+    """What stands between a motor's torque and its joint."""
+
+    damping: NonNegative
+    """Viscous friction of every joint [N m s]."""
+    friction: NonNegative
+    """Dry friction of every joint [N m]."""
+    friction_of: dict[str, float] = field(default_factory=dict)
+    """Dry friction of joints that have another, by name [N m]."""
+    inertia: NonNegative
+    """Rotor inertia seen at every joint [kg m²]."""
+
+
+class SimulatorConfig(Table, frozen=True, kw_only=True):
+    """The world the robot flies in."""
+
+    aero: AeroConfig
+    """Aerodynamics of the world."""
+    course_error: Positive = 0.5
+    """Greatest distance of the centre of mass from its set-point, after the start-up, of a flight that is on course
+    [m].
+    """
+    divergence: DivergenceConfig = DivergenceConfig()
+    """What physics excludes."""
+    duration: Positive
+    """Length of the flight [s]."""
+    dynamics: DynamicsBackend = "tree"
+    """What computes mass matrix and bias."""
+    fall: FallConfig
+    """When a robot counts as fallen."""
+    ground: GroundConfig | None = None
+    """The ground, where there is one."""
+    initial: InitialConfig
+    """State at the beginning."""
+    integrator: Integrator = "semi_implicit_euler"
+    """How a physics step is taken."""
+    jets: JetsConfig
+    """How thrust follows the command."""
+    joint_stops: bool = True
+    """Whether joints meet the stops of the robot's URDF, widened to the range of the controller."""
+    kinematics: AeroKinematics = "current"
+    """Which kinematics place the links in the wind."""
+    lever_arm: LeverArm = "rotated"
+    """Point at which link forces act."""
+    motors: MotorsConfig | None = None
+    """Friction and inertia of the motors; without them, ideal torques."""
+    substeps: Annotated[int, Meta(ge=1, le=1000)] = 1
+    """Physics steps within a tick; forces that depend on the state follow it, commands are held."""
+    time_step: Annotated[float, Meta(gt=0, le=1)]
+    """Tick of controller and physics [s]."""
+
+
+class ScenarioConfig(Table, frozen=True, kw_only=True):
     """One flight: which robot, in which simulator and wind, under which controller, on which mission."""
 
-    robot: Static[str]
-    """Path of the robot's TOML file."""
-    simulator: SimulatorConfig
-    controller: ControllerConfig
+    controller: ControllerSection
+    """The controller."""
+    description: str = ""
+    """What the flight is for."""
+    disturbances: Disturbances = Disturbances()
+    """What is done to robot and controller."""
+    engine: Engine = "rust"
+    """Which engine flies it. This crate is one of them and reads the files of both."""
     mission: MissionConfig
+    """When the autopilot asks for what."""
+    robot: Path
+    """The robot's TOML file."""
+    simulator: SimulatorConfig
+    """The world."""
+    title: str = ""
+    """What people read in tables and figures."""
     wind: WindConfig
-    disturbances: Disturbances = field(default_factory=Disturbances)
-    title: Static[str] = ""
-    description: Static[str] = ""
-    engine: Static[Literal["rust", "jax"]] = "rust"
-    """Engine of the experiment; JAX flies configurations of either."""
+    """The wind that blows; the controller is given it too, unless `disturbances` say otherwise."""
 
 
-# --- from a resolved table ---------------------------------------------------------------------------------------
+class AeroEntry(Table, frozen=True, kw_only=True):
+    """A link on which aerodynamic force acts."""
+
+    axis: tuple[float, float, float]
+    """Axis of symmetry in link axes, a unit vector."""
+    centre: tuple[float, float, float]
+    """Where the force acts, in link axes [m]."""
+    diameter: Positive
+    """Diameter [m]."""
+    family: str
+    """Name of its coefficients in every coefficient set."""
+    frame: str
+    """Link of the URDF."""
+    is_sphere: bool = False
+    """Whether the link is a sphere to the sphere/cylinder model."""
+    length: Positive
+    """Length along the axis [m]."""
+    name: str
+    """Name of the link in tables and plots."""
 
 
-def scenario_config(table: Mapping[str, Any]) -> ScenarioConfig:
-    """Build a flight's configuration from a resolved table, as `rust.load_config` returns it.
+class AxisymmetricCoefficients(Table, frozen=True, kw_only=True):
+    """Coefficients of one axisymmetric link, all force areas [m²]."""
 
-    Raises
-    ------
-    ValueError
-        Naming the key that is unknown or missing.
-    """
-    return _build(ScenarioConfig, table, "")
+    cda: tuple[float, float, float, float, float]
+    """`C_D A = w₀ + w₁ cos α + w₂ sin² α + w₃ sin³ α + w₄ cos³ α`."""
+    cna: float
+    """`C_N A = w₅ sin² α cos α`."""
 
 
-def aero_config(table: Mapping[str, Any]) -> AeroConfig:
-    """Build an aerodynamic model's configuration from its table."""
-    return cast(AeroConfig, _build_union(AeroConfig, table, "aero"))
+class EngineCoefficients(Table, frozen=True, kw_only=True):
+    """Second-order model of an engine: thrust `T` [N] under throttle `u` in percent."""
+
+    b_d: float
+    """Gain that grows with the thrust rate [1/s per percent]."""
+    b_t: float
+    """Gain that grows with thrust [1/s² per percent]."""
+    b_u: float
+    """Gain of the throttle [N/s² per percent]."""
+    b_uu: float
+    """Curvature of the throttle [1/percent]."""
+    c: float
+    """Constant drift [N/s²]."""
+    k_d: float
+    """Damping [1/s]."""
+    k_dd: float
+    """Quadratic damping [1/N]."""
+    k_t: float
+    """Stiffness [1/s²]."""
+    k_td: float
+    """Damping that grows with thrust [1/(N s)]."""
+    k_tt: float
+    """Quadratic stiffness [1/(N s²)]."""
+    throttle_max: float
+    """Greatest throttle [percent]."""
+    throttle_min: float
+    """Least throttle [percent]."""
 
 
-# Tagged tables: the key that says which kind, and the type of each kind.
-_KINDS: dict[str, dict[str, type]] = {
-    "model": {
-        "off": Off,
-        "axisymmetric": AxisymmetricConfig,
-        "sphere_cylinder": SphereCylinderConfig,
-        "network": NetworkConfig,
-    },
-    "dynamics": {"ideal": Ideal, "second_order": SecondOrderConfig},
-    "profile": {
-        "constant": ConstantWind,
-        "ramp": RampWind,
-        "gust": GustWind,
-        "file": RecordedWind,
-        "turbulent": TurbulentWind,
-    },
-}
-_TAGS = {AeroConfig: "model", JetsConfig: "dynamics", WindConfig: "profile"}
+class FootEntry(Table, frozen=True, kw_only=True):
+    """A foot: a sole and the corners that can touch the ground."""
+
+    centre_of_pressure_x: tuple[float, float] | None = None
+    """Least and greatest x of the centre of pressure [m]; without it, the extent of the vertices."""
+    centre_of_pressure_y: tuple[float, float] | None = None
+    """Least and greatest y of the centre of pressure [m]; without it, the extent of the vertices."""
+    frame: str
+    """Link of the URDF: the sole."""
+    name: str
+    """Name of the foot."""
+    vertices: tuple[tuple[float, float, float], ...]
+    """Corners that can touch the ground, in sole axes [m]."""
 
 
-# Fields whose name differs from the key.
-_KEYS_IN_FILES = {
-    ("AeroFeedback", "lambda_a"): "lambda",
-    ("EkfConfig", "init_p"): "init_P",
-    ("EkfConfig", "q"): "Q",
-    ("EkfConfig", "r"): "R",
-}
+class JointEntry(Table, frozen=True, kw_only=True):
+    """A joint that moves."""
+
+    limits: tuple[float, float] | None = None
+    """Of a prismatic joint [m]; without them, the limits of the URDF hold."""
+    limits_deg: tuple[float, float] | None = None
+    """Of a revolute joint [deg]; without them, the limits of the URDF hold."""
+    name: str
+    """Name of the joint in the URDF."""
+    torque_max: Positive | None = None
+    """In place of the URDF's effort [N m, N]."""
+    torque_rate_max: Positive | None = None
+    """Without it, nothing limits the rate [N m/s, N/s]."""
+    velocity_max: Positive | None = None
+    """Of a prismatic joint, in place of the URDF's velocity [m/s]."""
+    velocity_max_deg: Positive | None = None
+    """Of a revolute joint, in place of the URDF's velocity [deg/s]."""
 
 
-def _build_union(union: Any, table: Mapping[str, Any], where: str) -> Any:
-    tag = _TAGS[union]
-    kind = table.get(tag)
-    if kind not in _KINDS[tag]:
-        raise ValueError(f"`{where}.{tag}` is {kind!r}; expected one of {', '.join(_KINDS[tag])}")
-    rest = {key: value for key, value in table.items() if key != tag}
-    if kind == "file":
-        return _recorded_wind(rest, where)
-    if kind == "turbulent":
-        rest |= _waves(rest.pop("seed", 0))
-    return _build(_KINDS[tag][str(kind)], rest, where)
+class GroupEntry(Table, frozen=True, kw_only=True):
+    """Joints that are treated and plotted together."""
+
+    joints: tuple[JointEntry, ...]
+    """Its joints."""
+    name: str
+    """Name of the group, as posture gains and plots name it."""
 
 
-def _recorded_wind(table: Mapping[str, Any], where: str) -> RecordedWind:
-    if set(table) != {"path"}:
-        raise ValueError(f"`{where}` of profile file has keys {sorted(table)}; expected only `path`")
-    samples = np.loadtxt(table["path"], delimiter=",", skiprows=1, ndmin=2)
-    return RecordedWind(times=_number(samples[:, 0]), velocities=_number(samples[:, 1:4]))
+class JetEntry(Table, frozen=True, kw_only=True):
+    """A jet engine: a force along a fixed axis of a frame."""
+
+    axis: tuple[float, float, float]
+    """Direction of the force on the robot in frame axes, a unit vector."""
+    engine: str
+    """Name of its engine."""
+    frame: str
+    """Link of the URDF; the thrust acts at its origin."""
+    name: str
+    """Name of the jet."""
+    thrust_max: Positive
+    """Greatest thrust [N]."""
 
 
-WAVES = 24
-"""Waves of turbulence per axis."""
-TURBULENCE_STREAM = 2
+class RobotFile(Table, frozen=True, kw_only=True):
+    """A robot's TOML file."""
 
-
-def _waves(seed: int) -> dict[str, Any]:
-    """Draw the waves of turbulence: axis by axis, a place in every band and a phase."""
-    draws = noise.uniforms(seed, TURBULENCE_STREAM, 3 * WAVES * 2).reshape(3, WAVES, 2)
-    # Not up to the edge of a band: the last one has none.
-    places = (np.arange(WAVES) + 0.25 + 0.5 * draws[..., 0]) / WAVES
-    return {"places": places, "phases": 2.0 * np.pi * draws[..., 1]}
-
-
-GREATEST_TURN_DEG = 179.0
-"""From one row of a recorded reference to the next [deg]: of half a turn the axis is rounding."""
-
-
-def recorded_reference(path: str) -> RecordedReference:
-    """Read a recorded reference: CSV, `#` begins a comment, the header names 7, 10, 13 or 16 columns.
-
-    `rust.check_config` says what is wrong with a file that the crate refuses; here its shape and turns are checked.
-    """
-    text = Path(path).read_text(encoding="utf-8").splitlines()
-    lines = [line for line in text if line.strip() and not line.lstrip().startswith("#")]
-    rows = np.array([line.split(",") for line in lines[1:]], dtype=np.float64)
-    if rows.ndim != 2 or rows.shape[1] not in (7, 10, 13, 16) or len(rows) < 2:
-        raise ValueError(f"reference file {path} has shape {rows.shape}; expected 2 rows or more of 7, 10, 13 or 16")
-    rotations = Rotation.from_euler("xyz", rows[:, 4:7])
-    turns = np.degrees((rotations[:-1].inv() * rotations[1:]).magnitude())
-    if np.any(turns > GREATEST_TURN_DEG):
-        row = int(np.argmax(turns > GREATEST_TURN_DEG)) + 1
-        raise ValueError(
-            f"reference file {path} turns by {turns[row - 1]:.1f} deg from row {row} to row {row + 1}; "
-            f"expected a turn below {GREATEST_TURN_DEG:g} deg, whose axis is certain"
-        )
-    columns = [_number(rows[:, first : first + 3]) for first in range(1, rows.shape[1], 3)]
-    known: list[Any] = [*columns, None, None, None]
-    return RecordedReference(_number(rows[:, 0]), *known[:5])
-
-
-def _build(cls: type[T], table: Mapping[str, Any], where: str) -> T:
-    assert is_dataclass(cls)
-    hints = typing.get_type_hints(cls)
-    keys = {_KEYS_IN_FILES.get((cls.__name__, item.name), item.name): item for item in fields(cls)}
-    for key in table:
-        if key not in keys:
-            near = difflib.get_close_matches(key, keys, n=1)
-            hint = f"did you mean `{near[0]}`?" if near else f"expected one of {', '.join(keys)}"
-            raise ValueError(f"unknown key `{where}.{key}`; {hint}".replace("`.", "`"))
-    values = {}
-    for key, item in keys.items():
-        if key in table:
-            values[item.name] = _value(hints[item.name], table[key], f"{where}.{key}".lstrip("."))
-        elif item.default is MISSING and item.default_factory is MISSING:
-            raise ValueError(f"`{where}.{key}` is missing".replace("`.", "`"))
-    return cls(**values)
-
-
-def _value(hint: Any, value: Any, where: str) -> Any:
-    if isinstance(hint, types.UnionType):  # `X | None`
-        options = [option for option in typing.get_args(hint) if option is not type(None)]
-        hint = functools.reduce(operator.or_, options)
-    if hint in _TAGS:
-        return _build_union(hint, value, where)
-    if hint is RecordedReference:
-        return recorded_reference(value)
-    if is_dataclass(hint):
-        return _build(cast(type[Any], hint), value, where)
-    if typing.get_origin(hint) is Literal and value not in typing.get_args(hint):
-        raise ValueError(f"`{where}` is {value!r}; expected one of {', '.join(map(str, typing.get_args(hint)))}")
-    if hint is Array:
-        return _number(np.reshape(value, (-1, 2)) if where.startswith("mission.") else value)
-    origin = typing.get_origin(hint)
-    if origin is dict:
-        return {name: _number(entry) for name, entry in value.items()}
-    if origin is tuple:
-        return tuple(tuple(entry) if isinstance(entry, list) else entry for entry in value)
-    return hint(value) if hint in (int, float) else value
-
-
-def _number(value: Any) -> Array:
-    """Double precision, and no weak type: a second flight must not compile again."""
-    return cast(Array, np.asarray(value, dtype=np.float64))
+    aero_links: tuple[AeroEntry, ...] = ()
+    """Links on which aerodynamic force acts."""
+    base_link: str
+    """Link of the URDF whose body floats."""
+    coefficients: dict[str, dict[str, AxisymmetricCoefficients]] = field(default_factory=dict)
+    """Coefficients by set, then by link family."""
+    engines: dict[str, EngineCoefficients] = field(default_factory=dict)
+    """Second-order engines, by name."""
+    feet: tuple[FootEntry, ...] = ()
+    """Feet that can touch the ground."""
+    forward_axis: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    """Forward direction in base axes, a unit vector orthogonal to z."""
+    gravity: Positive = 9.81
+    """Gravity [m/s²]."""
+    jets: tuple[JetEntry, ...] = ()
+    """Jet engines on the robot."""
+    joint_groups: tuple[GroupEntry, ...] = ()
+    """Joints that move, in groups; their order is that of every joint vector."""
+    locked: dict[str, float] = field(default_factory=dict)
+    """Joints held at a position [rad, m]."""
+    name: str
+    """Name of the robot."""
+    urdf: Path
+    """URDF file, relative to this one."""

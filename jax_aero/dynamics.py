@@ -16,7 +16,7 @@ from typing import assert_never
 import jax.numpy as jnp
 import numpy as np
 
-from jax_aero.config import Backend
+from jax_aero.config import DynamicsBackend
 from jax_aero.kinematics import sum_over_ancestors
 from jax_aero.linalg import solve_positive_definite
 from jax_aero.robot import RobotModel
@@ -24,7 +24,7 @@ from jax_aero.spatial import cross, multiply, rotate, skew
 from jax_aero.types import Array, Dynamics, Kinematics, State
 
 
-def dynamics(robot: RobotModel, state: State, kin: Kinematics, backend: Backend = "tree") -> Dynamics:
+def dynamics(robot: RobotModel, state: State, kin: Kinematics, backend: DynamicsBackend = "tree") -> Dynamics:
     """Rigid-body dynamics of one state; `kin` must belong to it."""
     match backend:
         case "tree":

@@ -16,12 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero.aero import Axisymmetric, LinkConventions, link_forces, wrench_about
-from jax_aero.config import WindConfig
 from jax_aero.jets import JetsState
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.sim.plant import Plant, PlantState, advance, observe
-from jax_aero.sim.wind import wind_velocity
+from jax_aero.sim.wind import Wind, wind_velocity
 from jax_aero.spatial import rotation_from_wxyz
 from jax_aero.types import Array, State
 
@@ -43,7 +42,7 @@ class Segments(NamedTuple):
 
 
 def segments_of(
-    wind: WindConfig, log: Mapping[str, NDArray[np.float64]], plant: Plant, first_tick: int, count: int, horizon: int
+    wind: Wind, log: Mapping[str, NDArray[np.float64]], plant: Plant, first_tick: int, count: int, horizon: int
 ) -> Segments:
     """Return `count` segments of `horizon` ticks of a log, evenly spread from `first_tick` to its end."""
     starts = np.linspace(first_tick, len(log["time"]) - horizon - 1, count, dtype=int)

@@ -1,20 +1,27 @@
-"""From a TOML file to one resolved table, as the crate reads it; the compiled crate is not needed.
+"""From a TOML file to one resolved table, and to the types of `jax_aero.config`; the compiled crate is not needed.
 
 A table may name another file as its `base`: that file's table is read first, and the keys beside `base` are laid over
-it, table by table. Paths start at the file that names them. Keys are not judged here: `config.scenario_config` does.
+it, table by table. Paths start at the file that names them. Which keys are paths, and which tables are of several
+kinds, the types say; no key is judged before all files are merged.
 
->>> load_config("configs/experiments/test2.toml", {"wind.velocity": [0.0, -12.0, 0.0]})["wind"]["profile"]
+>>> table = load_config("configs/experiments/test2.toml", {"wind.velocity": [0.0, -12.0, 0.0]})
+>>> table["wind"]["profile"]
 'ramp'
+>>> scenario_config(table).controller.momentum.c0
+50.0
 """
 
 from __future__ import annotations
 
-import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from msgspec import inspect
+
+from jax_aero import tables
+from jax_aero.config import AeroConfig, ScenarioConfig
 from jax_aero.keys import set_key
 
 Table = dict[str, Any]
@@ -22,11 +29,10 @@ Table = dict[str, Any]
 MAX_DEPTH = 16
 """How deep `base` files may refer to one another."""
 
-PATH_KEYS = ("robot", "path", "file", "card")
-"""Keys whose value is a path, made absolute on reading."""
+MAX_FILES = 256
+"""How many files one configuration may consist of."""
 
-KINDS = {"aero": "model", "jets": "dynamics", "wind": "profile", "controller_wind": "profile"}
-"""Tables of several kinds, with the key that says which kind one is."""
+FLIGHT = inspect.type_info(ScenarioConfig)
 
 
 def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> Table:
@@ -37,7 +43,7 @@ def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None =
     ValueError
         Naming the file that cannot be read or parsed or that refers to itself, or the key that cannot be set.
     """
-    table = _read(Path(path), "", 0)
+    table = resolve(path)
     for key, value in (overrides or {}).items():
         override(table, key, value)
     return table
@@ -45,50 +51,80 @@ def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None =
 
 def override(table: Table, key: str, value: Any) -> None:
     """Set a dotted key. There is no file at which a path could start, so it starts at the current folder."""
-    is_path = key.rsplit(".", 1)[-1] in PATH_KEYS and isinstance(value, str)
-    set_key(table, key, str(Path(value).resolve()) if is_path else value)
+    place: inspect.Type | None = FLIGHT
+    for part in key.split("."):
+        place = _below(place, part)
+    set_key(table, key, str(Path(value).resolve()) if _is_path(place) and isinstance(value, str) else value)
 
 
-def _read(path: Path, name: str, depth: int) -> Table:
-    """Return the table of a file, which stands under the key `name`."""
-    if depth > MAX_DEPTH:
-        raise ValueError(f"{path}: `base` files refer to one another more than {MAX_DEPTH} deep")
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as reason:
-        raise ValueError(f"cannot read {path}: {reason.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as reason:
-        raise ValueError(f"{path}: {reason}") from None
-    return _resolve(table, name, path.parent, depth)
+def scenario_config(table: Mapping[str, Any]) -> ScenarioConfig:
+    """Return the typed configuration of a resolved table.
+
+    Raises
+    ------
+    ValueError
+        Naming the key, its value and what was expected.
+    """
+    return tables.convert(table, ScenarioConfig, "configuration")
 
 
-def _resolve(table: Table, name: str, folder: Path, depth: int) -> Table:
-    base = table.pop("base", None)
+def aero_config(table: Mapping[str, Any]) -> AeroConfig:
+    """Return the typed configuration of an aerodynamic model."""
+    found: AeroConfig = tables.convert(table, AeroConfig, "aerodynamic model")  # type: ignore[arg-type]
+    return found
+
+
+def paths(table: Table, place: inspect.Type | None = FLIGHT) -> Iterator[tuple[Table, str]]:
+    """Yield every path of a resolved table, as the table in it and the key."""
     for key, value in table.items():
+        below = _below(place, key)
         if isinstance(value, dict):
-            table[key] = _resolve(value, key, folder, depth)
-        elif isinstance(value, str) and key in PATH_KEYS:
-            table[key] = _absolute(folder / value)
-    if base is None:
-        return table
-    if not isinstance(base, str):
-        raise ValueError(f"`base` in {folder} is {base!r}; expected the path of a TOML file")
-    return _lay_over(_read(folder / base, name, depth + 1), name, table)
+            yield from paths(value, below)
+        elif isinstance(value, str) and _is_path(below):
+            yield table, key
 
 
-def _lay_over(under: Table, name: str, over: Table) -> Table:
-    """Return the keys of both, which are the table `name`; tables merge, everything else is replaced.
+def resolve(path: str | PathLike[str], kind: inspect.Type | None = FLIGHT) -> Table:
+    """Read a TOML file whose table is of this type, and resolve every `base` and path in it."""
+    count = iter(range(MAX_FILES))
+
+    def read(path: Path, place: inspect.Type | None, depth: int) -> Table:
+        if depth > MAX_DEPTH:
+            raise tables.ConfigError(f"{path}: `base` files refer to one another more than {MAX_DEPTH} deep")
+        if next(count, None) is None:
+            raise tables.ConfigError(f"{path}: more than {MAX_FILES} `base` files are read")
+        return resolved(tables.read(path), place, path.parent, depth)
+
+    def resolved(table: Table, place: inspect.Type | None, folder: Path, depth: int) -> Table:
+        base = table.pop("base", None)
+        for key, value in table.items():
+            below = _below(place, key)
+            if isinstance(value, dict):
+                table[key] = resolved(value, below, folder, depth)
+            elif isinstance(value, str) and _is_path(below):
+                table[key] = _absolute(folder / value)
+        if base is None:
+            return table
+        if not isinstance(base, str):
+            raise tables.ConfigError(f"`base` in {folder} is {base!r}; expected the path of a TOML file")
+        return _lay_over(read(folder / base, place, depth + 1), place, table)
+
+    return read(Path(path), kind, 0)
+
+
+def _lay_over(under: Table, place: inspect.Type | None, over: Table) -> Table:
+    """Return the keys of both, which are tables at this place; tables merge, everything else is replaced.
 
     A table of another kind replaces the one below it: keys of that kind would not be understood.
     """
-    kind = KINDS.get(name)
-    if kind in under and kind in over and under[kind] != over[kind]:
+    tag = _tag(place)
+    if tag in under and tag in over and under[tag] != over[tag]:
         return over
     merged = dict(under)
     for key, value in over.items():
-        below = merged.get(key)
-        is_pair = isinstance(below, dict) and isinstance(value, dict)
-        merged[key] = _lay_over(below or {}, key, value) if is_pair else value
+        before = merged.get(key)
+        is_pair = isinstance(before, dict) and isinstance(value, dict)
+        merged[key] = _lay_over(before or {}, _below(place, key), value) if is_pair else value
     return merged
 
 
@@ -96,4 +132,32 @@ def _absolute(path: Path) -> str:
     try:
         return str(path.resolve(strict=True))
     except OSError as reason:
-        raise ValueError(f"cannot read {path}: {reason.strerror}") from None
+        raise tables.ConfigError(f"cannot read {path}: {reason.strerror}") from None
+
+
+# --- what the types say of a place -------------------------------------------------------------------------------
+
+
+def _alternatives(place: inspect.Type | None) -> tuple[inspect.Type, ...]:
+    """Return the types that a value at this place may have."""
+    return place.types if isinstance(place, inspect.UnionType) else () if place is None else (place,)
+
+
+def _below(place: inspect.Type | None, key: str) -> inspect.Type | None:
+    """Return the place of a key of a table, whichever alternative has it."""
+    for option in _alternatives(place):
+        if isinstance(option, inspect.DictType):
+            return option.value_type
+        for field in option.fields if isinstance(option, inspect.StructType) else ():
+            if field.encode_name == key:
+                return field.type
+    return None
+
+
+def _is_path(place: inspect.Type | None) -> bool:
+    return any(isinstance(option, inspect.CustomType) and option.cls is Path for option in _alternatives(place))
+
+
+def _tag(place: inspect.Type | None) -> str | None:
+    """Return the key that says which alternative a table is, if there are several."""
+    return next((option.tag_field for option in _alternatives(place) if isinstance(option, inspect.StructType)), None)

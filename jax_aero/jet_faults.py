@@ -17,9 +17,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jax_aero import noise
-from jax_aero.config import Ideal, JetFaultsConfig, JetsConfig
+from jax_aero.config import IdealJetsConfig, JetFaultsConfig, JetsConfig
 from jax_aero.robot import RobotModel
-from jax_aero.types import Array
+from jax_aero.types import Array, leaf
 
 MEASUREMENT_STREAM = 1
 
@@ -74,21 +74,21 @@ def start_faults(
         raise ValueError(f"disturbances.jets.failure.jet is `{failure.jet}`; {robot.name} has {', '.join(names)}")
     for name in settings.force_scale.keys() - set(names):
         raise ValueError(f"disturbances.jets.force_scale has `{name}`; {robot.name} has {', '.join(names)}")
-    if settings.measurement_noise is not None and isinstance(dynamics, Ideal):
+    if settings.measurement_noise is not None and isinstance(dynamics, IdealJetsConfig):
         raise ValueError("disturbances.jets.measurement_noise disturbs estimators; jets of dynamics `ideal` have none")
     thrust_max, zero = jnp.asarray(robot.jets.thrust_max), jnp.zeros(())
     scale = settings.thrust_limit_scale
     drawn: Array | None = None
-    if not isinstance(dynamics, Ideal):
+    if not isinstance(dynamics, IdealJetsConfig):
         drawn = _sensor_noise(settings, n_ticks, len(names))
     faults = JetFaults(
-        lag=settings.lag,
+        lag=leaf(settings.lag),
         upper=jnp.full(thrust_max.shape, np.inf) if scale is None else scale * thrust_max,
         fails=jnp.array([failure is not None and name == failure.jet for name in names]),
         is_stuck=jnp.array(failure is not None and failure.kind == "stuck"),
-        failure_time=zero if failure is None else failure.time,
-        decay=zero if failure is None else failure.decay,
-        force_scale=jnp.stack([jnp.asarray(settings.force_scale.get(name, 1.0)) for name in names]),
+        failure_time=zero if failure is None else leaf(failure.time),
+        decay=zero if failure is None else leaf(failure.decay),
+        force_scale=leaf([settings.force_scale.get(name, 1.0) for name in names]),
         sensor_noise=drawn,
     )
     rest = jnp.zeros_like(thrust_max)

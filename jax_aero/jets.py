@@ -16,9 +16,9 @@ from typing import Any, NamedTuple, Protocol, assert_never
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from jax_aero.config import Ideal, JetsConfig, SecondOrderConfig
+from jax_aero.config import IdealJetsConfig, JetsConfig, SecondOrderJetsConfig
 from jax_aero.robot import ENGINE_KEYS, RobotModel
-from jax_aero.types import Array, Static, pytree
+from jax_aero.types import Array, Static, leaf, pytree
 
 MIN_INPUT_GAIN = 1e-9
 """Input gains below this [N/s² per %] cannot steer: the throttle loop then holds."""
@@ -169,9 +169,9 @@ def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
         For an engine that the robot's file does not have.
     """
     match settings:
-        case Ideal():
+        case IdealJetsConfig():
             return IdealJets()
-        case SecondOrderConfig():
+        case SecondOrderJetsConfig():
             names = settings.engines or robot.jets.engines
             if unknown := set(names) - set(robot.engines):
                 known = ", ".join(sorted(robot.engines))
@@ -179,13 +179,13 @@ def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
             coefficients = jnp.reshape(jnp.asarray([robot.engines[name] for name in names]), (-1, len(ENGINE_KEYS)))
             return SecondOrderJets(
                 engines=Engines(*coefficients.T),
-                rate_gain_p=settings.rate_gain_p,
-                rate_gain_i=settings.rate_gain_i,
-                q=settings.ekf.q,
-                r=settings.ekf.r,
+                rate_gain_p=leaf(settings.rate_gain_p),
+                rate_gain_i=leaf(settings.rate_gain_i),
+                q=leaf(settings.ekf.Q),
+                r=leaf(settings.ekf.R),
                 feedback_is_estimated=settings.feedback == "estimated",
-                init_state=settings.ekf.init_state,
-                init_p=settings.ekf.init_p,
+                init_state=None if settings.ekf.init_state is None else leaf(settings.ekf.init_state),
+                init_p=leaf(settings.ekf.init_P),
             )
         case _:
             assert_never(settings)

@@ -23,6 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import mujoco_model, rust
+from jax_aero.config import Disturbances
+from jax_aero.io import scenario_config
 from jax_aero.result import Outcome
 from jax_aero.summary import condense, figures
 
@@ -235,7 +237,7 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
         raise ValueError("`simulator.ground` is absent; expected a table: this engine flies nothing without ground")
     disturbances = config.get("disturbances", {})
     for key in ("aero", "jets", "wind_estimate"):
-        if key in disturbances:
+        if getattr(scenario_config(config).disturbances, key) != getattr(Disturbances(), key):
             raise ValueError(f"this engine does not support `disturbances.{key}`")
     plant, controller = GroundPlant(config), rust.Controller(config)
     times = _times(simulator)

@@ -6,10 +6,8 @@ differentiated; everything that gives the computation its shape (names, parents,
 
 from __future__ import annotations
 
-import difflib
 import functools
-import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, cast
@@ -17,7 +15,9 @@ from typing import Any, cast
 import numpy as np
 from jaxtyping import Float
 
-from jax_aero.types import Array, Static, pytree
+from jax_aero import tables
+from jax_aero.config import JointEntry, RobotFile
+from jax_aero.types import Array, Static, leaf, pytree
 from jax_aero.urdf import BodyTree, Joint, read_tree
 
 ENGINE_KEYS = ("k_t", "k_tt", "k_d", "k_dd", "k_td", "b_u", "b_t", "b_d", "b_uu", "c", "throttle_min", "throttle_max")
@@ -184,258 +184,158 @@ def load_robot(path: str | PathLike[str]) -> RobotModel:
         Naming the key, its value and what was expected.
     """
     toml_path = Path(path).resolve()
-    table = tomllib.loads(toml_path.read_text())
+    file = tables.load(toml_path, RobotFile)
     try:
-        return _robot(toml_path, table)
+        return _robot(toml_path, file)
     except ValueError as reason:
         raise ValueError(f"{toml_path.name}: {reason}") from None
 
 
-def _robot(toml_path: Path, table: Mapping[str, Any]) -> RobotModel:
-    _check_keys(table, _FILE, "")
-    groups = [(group["name"], group["joints"]) for group in table.get("joint_groups", [])]
-    entries = [entry for _, joints in groups for entry in joints]
-    order = [entry["name"] for entry in entries]
-    urdf_text = (toml_path.parent / table["urdf"]).read_text()
-    locked = {
-        name: float(_numbers(f"position of locked joint `{name}`", position, ()))
-        for name, position in table.get("locked", {}).items()
-    }
-    tree = read_tree(urdf_text, table["base_link"], order, locked)
-    limits, torque_max, torque_rate_max, velocity_max = _joint_limits(entries, tree)
+def _robot(toml_path: Path, file: RobotFile) -> RobotModel:
+    for item, entries in (
+        ("joint group", file.joint_groups),
+        ("aerodynamic link", file.aero_links),
+        ("jet", file.jets),
+        ("foot", file.feet),
+    ):
+        _unique(item, [entry.name for entry in entries])
+    joints = [joint for group in file.joint_groups for joint in group.joints]
+    order = [joint.name for joint in joints]
+    tree = read_tree(file.urdf.read_text(encoding="utf-8"), file.base_link, order, file.locked)
+    limits = [_limits(entry, joint) for entry, joint in zip(joints, tree.joints, strict=True)]
+    lower, upper, torque_max, torque_rate_max, velocity_max = np.reshape(limits, (-1, 5)).T
     ranges = [(-np.inf, np.inf) if joint.limits is None else joint.limits for joint in tree.joints]
-    stops = [(min(a, c), max(b, d)) for (a, b), (c, d) in zip(limits, ranges, strict=True)]
-    starts = np.cumsum([0] + [len(joints) for _, joints in groups]).tolist()
+    stops = [(min(a, c), max(b, d)) for a, b, (c, d) in zip(lower, upper, ranges, strict=True)]
+    starts = np.cumsum([0] + [len(group.joints) for group in file.joint_groups]).tolist()
     return RobotModel(
-        name=table["name"],
+        name=file.name,
         parent=tuple(body.parent for body in tree.bodies),
         body_names=tuple(body.name for body in tree.bodies),
         joint_names=tuple(order),
         joint_is_prismatic=tuple(joint.is_prismatic for joint in tree.joints),
         joint_groups=tuple(
-            (name, tuple(range(start, start + len(joints))))
-            for (name, joints), start in zip(groups, starts, strict=False)
+            (group.name, tuple(range(start, start + len(group.joints))))
+            for group, start in zip(file.joint_groups, starts, strict=False)
         ),
         source=str(toml_path),
-        masses=_leaf([body.mass for body in tree.bodies]),
-        coms=_leaf([body.com for body in tree.bodies]),
-        inertias=_leaf([body.inertia for body in tree.bodies]),
-        joint_rotations=_leaf(np.reshape([joint.parent_from_child.rotation for joint in tree.joints], (-1, 3, 3))),
-        joint_positions=_leaf(np.reshape([joint.parent_from_child.position for joint in tree.joints], (-1, 3))),
-        joint_axes=_leaf(np.reshape([joint.axis for joint in tree.joints], (-1, 3))),
-        joint_limits=_leaf(np.reshape(limits, (-1, 2))),
-        joint_stops=_leaf(np.reshape(stops, (-1, 2))),
-        joint_torque_max=_leaf(torque_max),
-        joint_torque_rate_max=_leaf(torque_rate_max),
-        joint_velocity_max=_leaf(velocity_max),
-        forward_axis=_forward_axis(table.get("forward_axis", [1.0, 0.0, 0.0])),
-        gravity=_numbers("gravity", table.get("gravity", 9.81), (), positive=True),
-        jets=_jets(table.get("jets", []), tree, table.get("engines", {})),
-        aero_links=_aero_links(table.get("aero_links", []), tree, table.get("coefficients", {})),
-        engines={
-            name: _numbers(f"engines.{name}", [engine[key] for key in ENGINE_KEYS], (len(ENGINE_KEYS),))
-            for name, engine in table.get("engines", {}).items()
-        },
+        masses=leaf([body.mass for body in tree.bodies]),
+        coms=leaf([body.com for body in tree.bodies]),
+        inertias=leaf([body.inertia for body in tree.bodies]),
+        joint_rotations=leaf(np.reshape([joint.parent_from_child.rotation for joint in tree.joints], (-1, 3, 3))),
+        joint_positions=leaf(np.reshape([joint.parent_from_child.position for joint in tree.joints], (-1, 3))),
+        joint_axes=leaf(np.reshape([joint.axis for joint in tree.joints], (-1, 3))),
+        joint_limits=leaf(np.stack([lower, upper], axis=1)),
+        joint_stops=leaf(np.reshape(stops, (-1, 2))),
+        joint_torque_max=leaf(torque_max),
+        joint_torque_rate_max=leaf(torque_rate_max),
+        joint_velocity_max=leaf(velocity_max),
+        forward_axis=_forward_axis(file.forward_axis),
+        gravity=leaf(file.gravity),
+        jets=_jets(file, tree),
+        aero_links=_aero_links(file, tree),
+        engines={name: leaf([getattr(engine, key) for key in ENGINE_KEYS]) for name, engine in file.engines.items()},
     )
 
 
-def _forward_axis(value: object) -> Array:
-    axis = _numbers("forward_axis", value, (3,))
+def _unique(item: str, names: Sequence[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{item} `{name}` is listed more than once; expected a name that occurs once")
+
+
+def _forward_axis(value: tuple[float, ...]) -> Array:
+    axis = leaf(value)
     if abs(np.linalg.norm(axis) - 1.0) > 1e-6 or abs(axis[2]) > 1e-6:
-        raise ValueError(f"`forward_axis` is {value!r}; expected a unit vector orthogonal to base z")
+        raise ValueError(f"`forward_axis` is {list(value)}; expected a unit vector orthogonal to base z")
     return axis
 
 
-_ENTRY = {"name": True, "frame": True}
-_FILE: dict[str, Any] = {
-    "name": True,
-    "urdf": True,
-    "base_link": True,
-    "forward_axis": False,
-    "gravity": False,
-    "locked": False,
-    "joint_groups[]": {
-        "name": True,
-        "joints[]": {
-            "name": True,
-            **dict.fromkeys(["limits_deg", "limits", "velocity_max_deg", "velocity_max"], False),
-            **dict.fromkeys(["torque_max", "torque_rate_max"], False),
-        },
-    },
-    "aero_links[]": {
-        **_ENTRY,
-        **dict.fromkeys(["family", "axis", "centre", "diameter", "length"], True),
-        "is_sphere": False,
-    },
-    "coefficients": {"*": {"*": {"cda": True, "cna": True}}},
-    "jets[]": {**_ENTRY, "axis": True, "thrust_max": True, "engine": True},
-    "engines": {"*": dict.fromkeys(ENGINE_KEYS, True)},
-    "feet[]": {**_ENTRY, "vertices": True, "centre_of_pressure_x": False, "centre_of_pressure_y": False},
-}
-"""Keys of a robot's file, and whether they must be there; `[]` marks lists of tables, `*` any name."""
+def _unit(of: str, value: tuple[float, ...]) -> Any:
+    length = np.linalg.norm(value)
+    if abs(length - 1.0) > 1e-6:
+        raise ValueError(f"axis of {of} is {list(value)}; expected a vector of length 1")
+    return np.asarray(value) / length
 
 
-_TEXTS = ("name", "urdf", "base_link", "frame", "family", "engine")
-
-
-def _check_keys(table: Any, keys: Mapping[str, Any], where: str) -> None:
-    """Refuse unknown and missing keys, naming where they stand."""
-    if not isinstance(table, Mapping):
-        raise ValueError(f"`{where}` is {table!r}; expected a table")
-    place = f"{where}." if where else ""
-    if "*" in keys:
-        for name, entry in table.items():
-            _check_keys(entry, keys["*"], place + name)
-        return
-    known = {key.removesuffix("[]"): inner for key, inner in keys.items()}
-    for key in table:
-        if key not in known:
-            near = difflib.get_close_matches(key, known, n=1)
-            hint = f"did you mean `{near[0]}`?" if near else f"expected one of {', '.join(known)}"
-            raise ValueError(f"unknown key `{place}{key}`; {hint}")
-    for key, inner in known.items():
-        if key not in table:
-            if inner is True or key == "joints":
-                raise ValueError(f"`{place}{key}` is missing")
-        elif key in _TEXTS and not isinstance(table[key], str):
-            raise ValueError(f"`{place}{key}` is {table[key]!r}; expected a text")
-        elif f"{key}[]" in keys:
-            if not isinstance(table[key], list):
-                raise ValueError(f"`{place}{key}` is {table[key]!r}; expected a list of tables")
-            for number, entry in enumerate(table[key]):
-                _check_keys(entry, inner, f"{place}{key}[{number}]")
-        elif isinstance(inner, Mapping):
-            _check_keys(table[key], inner, place + key)
-
-
-def _numbers(where: str, value: Any, shape: tuple[int, ...], *, positive: bool = False) -> Array:
-    """Return finite numbers of this shape."""
-    kind = "positive" if positive else "finite"
-    try:
-        numbers = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        numbers = np.full((), np.nan)
-    if numbers.shape != shape or not np.all(np.isfinite(numbers)) or (positive and not np.all(numbers > 0.0)):
-        expected = f"{shape[0]} {kind} numbers" if shape else f"a {kind} number"
-        raise ValueError(f"{where} is {value!r}; expected {expected}")
-    return cast(Array, numbers)
-
-
-def _leaf(value: Any) -> Array:
-    return cast(Array, np.asarray(value, dtype=np.float64))
-
-
-def _joint_limits(entries: Sequence[Mapping[str, Any]], tree: BodyTree) -> tuple[list[Any], ...]:
-    """Position limits, greatest torques, their greatest rates and greatest velocities of all joints."""
-    limits = [_limits(entry, joint) for entry, joint in zip(entries, tree.joints, strict=True)]
-    return (
-        [(lower, upper) for lower, upper, *_ in limits],
-        *([each[column] for each in limits] for column in range(2, 5)),
-    )
-
-
-def _limits(entry: Mapping[str, Any], joint: Joint) -> tuple[float, ...]:
-    """Lower and upper position, torque, torque rate, velocity of one joint."""
-    keys = ("limits", "velocity_max") if joint.is_prismatic else ("limits_deg", "velocity_max_deg")
-    wrong = ("limits_deg", "velocity_max_deg") if joint.is_prismatic else ("limits", "velocity_max")
-    for key in wrong:
-        if key in entry:
-            kind = "prismatic" if joint.is_prismatic else "revolute"
-            raise ValueError(
-                f"{key} of joint `{entry['name']}` is given, which is {kind}; expected {' and '.join(keys)}"
-            )
-    unit = 1.0 if joint.is_prismatic else np.pi / 180.0
-    if keys[0] in entry:
-        lower, upper = (unit * _numbers(f"{keys[0]} of joint `{entry['name']}`", entry[keys[0]], (2,))).tolist()
-    elif joint.limits is not None:
-        lower, upper = joint.limits
-    else:
-        raise ValueError(f"limits_deg of joint `{entry['name']}` are missing, as the joint is continuous in the URDF")
-    if not lower < upper:
-        raise ValueError(f"limits of joint `{entry['name']}` are {(lower, upper)}; expected lower below upper")
+def _limits(entry: JointEntry, joint: Joint) -> tuple[float, ...]:
+    """Lower and upper position, greatest torque, greatest torque rate and greatest velocity of one joint."""
+    keys, others = ("limits_deg", "velocity_max_deg"), ("limits", "velocity_max")
+    unit, kind = np.pi / 180.0, "revolute"
+    if joint.is_prismatic:
+        keys, others, unit, kind = others, keys, 1.0, "prismatic"
+    for key in others:
+        if getattr(entry, key) is not None:
+            raise ValueError(f"{key} of joint `{entry.name}` is given, which is {kind}; expected {' and '.join(keys)}")
+    given = getattr(entry, keys[0])
+    limits = joint.limits if given is None else (unit * given[0], unit * given[1])
+    if limits is None:
+        raise ValueError(f"{keys[0]} of joint `{entry.name}` are missing, as the joint is continuous in the URDF")
+    if not limits[0] < limits[1]:
+        raise ValueError(f"limits of joint `{entry.name}` are {tuple(limits)}; expected lower below upper")
 
     def greatest(key: str, unit: float, urdf: float | None) -> float:
-        if key in entry:
-            return unit * float(_numbers(f"{key} of joint `{entry['name']}`", entry[key], (), positive=True))
-        if urdf is None:
-            raise ValueError(
-                f"{key} of joint `{entry['name']}` is missing; expected a positive number: the URDF has none"
-            )
-        return urdf
+        value: float | None = getattr(entry, key)
+        if value is None and urdf is None:
+            raise ValueError(f"{key} of joint `{entry.name}` is missing; expected a positive number: the URDF has none")
+        return unit * value if value is not None else cast(float, urdf)
 
     return (
-        lower,
-        upper,
+        *limits,
         greatest("torque_max", 1.0, joint.torque_max),
         greatest("torque_rate_max", 1.0, np.inf),
         greatest(keys[1], unit, joint.velocity_max),
     )
 
 
-def _frames(entries: Sequence[Mapping[str, Any]], tree: BodyTree) -> tuple[tuple[int, ...], Array, Array]:
+def _frames(kind: str, entries: Sequence[Any], tree: BodyTree) -> tuple[tuple[int, ...], Array, Array]:
     """Bodies, rotations and positions of the frames of some entries."""
     for entry in entries:
-        if entry["frame"] not in tree.places:
-            raise ValueError(f"frame of `{entry['name']}`: unknown link `{entry['frame']}`")
-    places = [tree.places[entry["frame"]] for entry in entries]
+        if entry.frame not in tree.places:
+            raise ValueError(f"frame of {kind} `{entry.name}`: unknown link `{entry.frame}`")
+    places = [tree.places[entry.frame] for entry in entries]
     rotations = np.reshape([pose.rotation for _, pose in places], (-1, 3, 3))
     positions = np.reshape([pose.position for _, pose in places], (-1, 3))
-    return tuple(body for body, _ in places), _leaf(rotations), _leaf(positions)
+    return tuple(body for body, _ in places), leaf(rotations), leaf(positions)
 
 
-def _size(entry: Mapping[str, Any], key: str) -> Array:
-    return _numbers(f"{key} of `{entry['name']}`", entry[key], (), positive=True)
-
-
-def _unit(entry: Mapping[str, Any]) -> Any:
-    axis = _numbers(f"axis of `{entry['name']}`", entry["axis"], (3,))
-    length = np.linalg.norm(axis)
-    if abs(length - 1.0) > 1e-6:
-        raise ValueError(f"axis of `{entry['name']}` is {entry['axis']}; expected a vector of length 1")
-    return axis / length
-
-
-def _jets(entries: Sequence[Mapping[str, Any]], tree: BodyTree, engines: Mapping[str, Any]) -> Jets:
-    for entry in entries:
-        if entry["engine"] not in engines:
-            raise ValueError(f"engine of jet `{entry['name']}`: unknown name `{entry['engine']}`")
-    bodies, rotations, positions = _frames(entries, tree)
+def _jets(file: RobotFile, tree: BodyTree) -> Jets:
+    for entry in file.jets:
+        if entry.engine not in file.engines:
+            raise ValueError(f"engine of jet `{entry.name}`: unknown name `{entry.engine}`")
+    bodies, rotations, positions = _frames("jet", file.jets, tree)
     return Jets(
-        names=tuple(entry["name"] for entry in entries),
+        names=tuple(entry.name for entry in file.jets),
         bodies=bodies,
-        engines=tuple(entry["engine"] for entry in entries),
+        engines=tuple(entry.engine for entry in file.jets),
         rotations=rotations,
         positions=positions,
-        axes=_leaf(np.reshape([_unit(entry) for entry in entries], (-1, 3))),
-        thrust_max=_leaf([_size(entry, "thrust_max") for entry in entries]),
+        axes=leaf(np.reshape([_unit(f"jet `{entry.name}`", entry.axis) for entry in file.jets], (-1, 3))),
+        thrust_max=leaf([entry.thrust_max for entry in file.jets]),
     )
 
 
-def _aero_links(entries: Sequence[Mapping[str, Any]], tree: BodyTree, sets: Mapping[str, Any]) -> AeroLinks:
-    bodies, rotations, positions = _frames(entries, tree)
+def _aero_links(file: RobotFile, tree: BodyTree) -> AeroLinks:
+    entries = file.aero_links
+    bodies, rotations, positions = _frames("aerodynamic link", entries, tree)
     coefficients = {}
-    for name, families in sets.items():
-        if missing := {entry["family"] for entry in entries} - set(families):
-            raise ValueError(f"coefficient set `{name}` lacks the families {sorted(missing)}")
-        rows = [
-            [
-                *_numbers(f"cda of coefficients.{name}.{family}", families[family]["cda"], (5,)),
-                _numbers(f"cna of coefficients.{name}.{family}", families[family]["cna"], ()),
-            ]
-            for family in (entry["family"] for entry in entries)
-        ]
-        coefficients[name] = _leaf(np.reshape(rows, (-1, 6)))
+    for name, families in file.coefficients.items():
+        used = {entry.family for entry in entries}
+        if used != set(families):
+            found, expected = ", ".join(sorted(families)), ", ".join(sorted(used))
+            raise ValueError(
+                f"families of coefficient set `{name}` are {found}; expected those of the links, {expected}"
+            )
+        rows = [(*families[entry.family].cda, families[entry.family].cna) for entry in entries]
+        coefficients[name] = leaf(np.reshape(rows, (-1, 6)))
     return AeroLinks(
-        names=tuple(entry["name"] for entry in entries),
+        names=tuple(entry.name for entry in entries),
         bodies=bodies,
-        is_sphere=tuple(bool(entry.get("is_sphere", False)) for entry in entries),
+        is_sphere=tuple(entry.is_sphere for entry in entries),
         rotations=rotations,
         positions=positions,
-        axes=_leaf(np.reshape([_unit(entry) for entry in entries], (-1, 3))),
-        centres=_leaf(
-            np.reshape([_numbers(f"centre of `{entry['name']}`", entry["centre"], (3,)) for entry in entries], (-1, 3))
-        ),
-        diameters=_leaf([_size(entry, "diameter") for entry in entries]),
-        lengths=_leaf([_size(entry, "length") for entry in entries]),
+        axes=leaf(np.reshape([_unit(f"link `{entry.name}`", entry.axis) for entry in entries], (-1, 3))),
+        centres=leaf(np.reshape([entry.centre for entry in entries], (-1, 3))),
+        diameters=leaf([entry.diameter for entry in entries]),
+        lengths=leaf([entry.length for entry in entries]),
         coefficients=coefficients,
     )

@@ -10,21 +10,24 @@ Traceback (most recent call last):
 jax_aero.tables.ConfigError: wind.toml: `speeds[1]` is -1.0; expected a number > 0
 >>> convert({"speed": [3.0]}, Wind, "wind.toml")
 Traceback (most recent call last):
-jax_aero.tables.ConfigError: wind.toml: unknown key `speed`; did you mean `speeds`? Known: speeds, is_gusty
+jax_aero.tables.ConfigError: wind.toml: unknown key `speed`; did you mean `speeds`? (known: speeds, is_gusty)
 """
 
 from __future__ import annotations
 
-import copy
 import difflib
+import json
 import math
+import operator
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, TypeVar
 
 import msgspec
+from msgspec import inspect
 
 T = TypeVar("T")
 
@@ -52,7 +55,7 @@ class Interval(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fiel
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
-            raise ValueError("Expected `interval`")
+            raise ValueError("expected two numbers, the lower one first")
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -80,13 +83,11 @@ def load(path: Path, kind: type[T], changes: Mapping[str, Any] | None = None) ->
 
 def convert(table: Mapping[str, Any], kind: type[T], origin: str, folder: Path = Path()) -> T:
     """Turn a plain table into its type; `origin` names it in refusals, and paths in it start at `folder`."""
-    for key, value in _numbers(table):
-        if not math.isfinite(value):
-            raise ConfigError(f"{origin}: `{key}` is {value}; expected a finite number")
     try:
-        return _convert(table, kind, folder)
-    except msgspec.ValidationError as refusal:
-        raise ConfigError(f"{origin}: {_explain(str(refusal), table, kind, folder)}") from None
+        built: T = _build(table, inspect.type_info(kind), "", folder)
+    except _Refusal as refusal:
+        raise ConfigError(f"{origin}: {refusal}") from None
+    return built
 
 
 def files(config: Any) -> Iterator[Path]:
@@ -114,97 +115,141 @@ def _path_schema(_: type) -> dict[str, Any]:
     return {"type": "string", "format": "path"}
 
 
-def _convert(table: Mapping[str, Any], kind: type[T], folder: Path) -> T:
-    def decode(wanted: type, value: Any) -> Any:
-        if wanted is Path and isinstance(value, str):
+# --- from plain values to their types, and what is refused -------------------------------------------------------
+
+
+class _Refusal(Exception):
+    """Key, value and what was expected, in the words of the crate."""
+
+
+def _build(value: Any, kind: inspect.Type, key: str, folder: Path) -> Any:
+    """Return a value as its type; `key` says where it stands."""
+    match kind:
+        case inspect.UnionType():
+            return _build_one_of(value, kind.types, key, folder)
+        case inspect.StructType(array_like=False):
+            return _build_table(value, kind, key, folder)
+        case inspect.StructType() if isinstance(value, list | tuple) and len(value) == len(kind.fields):
+            pairs = zip(kind.fields, value, strict=True)
+            parts = {field.name: _build(part, field.type, key, folder) for field, part in pairs}
+            return _made(kind.cls, parts, key, value)
+        case inspect.DictType() if isinstance(value, Mapping):
+            return {name: _build(entry, kind.value_type, _join(key, name), folder) for name, entry in value.items()}
+        case inspect.TupleType() if isinstance(value, list | tuple) and len(value) == len(kind.item_types):
+            items = enumerate(zip(value, kind.item_types, strict=True))
+            return tuple(_build(item, each, f"{key}[{index}]", folder) for index, (item, each) in items)
+        case inspect.VarTupleType() if isinstance(value, list | tuple) and len(value) >= (kind.min_length or 0):
+            return tuple(_build(item, kind.item_type, f"{key}[{index}]", folder) for index, item in enumerate(value))
+        case inspect.LiteralType() if value in kind.values:
+            return value
+        case inspect.BoolType() if isinstance(value, bool):
+            return value
+        case inspect.IntType() if isinstance(value, int) and not isinstance(value, bool) and _in_range(value, kind):
+            return value
+        case inspect.FloatType() if isinstance(value, int | float) and not isinstance(value, bool):
+            if math.isfinite(value) and _in_range(value, kind):
+                return float(value)
+        case inspect.StrType() if isinstance(value, str) and re.search(kind.pattern or "", value):
+            return value
+        case inspect.CustomType() if isinstance(value, str | Path):
             path = (folder / value).resolve()
             if path.is_file():
                 return path
-        raise ValueError("Expected `path`")
-
-    return msgspec.convert(table, kind, strict=True, dec_hook=decode)
-
-
-def _numbers(value: Any, key: str = "") -> Iterator[tuple[str, float]]:
-    if isinstance(value, Mapping):
-        for name, entry in value.items():
-            yield from _numbers(entry, f"{key}.{name}" if key else name)
-    elif isinstance(value, list | tuple):
-        for index, entry in enumerate(value):
-            yield from _numbers(entry, f"{key}[{index}]")
-    elif isinstance(value, float):
-        yield key, value
+        case inspect.AnyType():
+            return value
+    raise _refusal(key, value, _expected(kind, value))
 
 
-# --- refusals ----------------------------------------------------------------------------------------------------
-
-_WORDS = {
-    "float": "a number",
-    "int": "an integer",
-    "str": "a text",
-    "bool": "true or false",
-    "array": "a list",
-    "object": "a table",
-    "interval": "two numbers, the lower one first",
-    "range": "choices, or low and high, perhaps log",
-    "path": "the path of a file that exists, from this one",
-}
-
-
-def _explain(message: str, table: Mapping[str, Any], kind: Any, folder: Path) -> str:
-    """Say what msgspec says, with the whole key and the value."""
-    text, _, where = message.partition(" - at ")
-    key, value, found = _locate(re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", where), text, table, kind, folder)
-    if match := re.match(r"Object contains unknown field `(.*)`", text):
-        known = [field.encode_name for field in found.fields]
-        near = difflib.get_close_matches(match[1], known, 1)
-        hint = f"; did you mean `{near[0]}`?" if near else "."
-        return f"unknown key `{f'{key}.{match[1]}'.lstrip('.')}`{hint} Known: {', '.join(known)}"
-    if match := re.match(r"Object missing required field `(.*)`", text):
-        return f"`{f'{key}.{match[1]}'.lstrip('.')}` is missing"
-    if match := re.match(r"Expected (.*?)(, got .*)?$", text):
-        words = re.sub(r"`(\w+)( \| null)?`", lambda kind: _WORDS.get(kind[1], kind[1]), match[1])
-        return f"`{key}` is {value!r}; expected {words.removesuffix('.0')}"
-    if text.startswith("Invalid enum value"):
-        return f"`{key}` is {value!r}; expected one of {', '.join(map(str, found.values))}"
-    if not key:
-        return text
-    return f"`{key}.{text[1:]}" if text.startswith("`") else f"`{key}`: {text}"
+def _build_one_of(value: Any, options: Sequence[inspect.Type], key: str, folder: Path) -> Any:
+    there = [option for option in options if not isinstance(option, inspect.NoneType)]
+    if value is None and len(there) < len(options):
+        return None
+    tagged = {option.tag: option for option in there if isinstance(option, inspect.StructType) and option.tag_field}
+    if not tagged:
+        for option in there[:-1]:
+            with suppress(_Refusal):
+                return _build(value, option, key, folder)
+        return _build(value, there[-1], key, folder)
+    if not isinstance(value, Mapping):
+        raise _refusal(key, value, "a table")
+    tag = next(str(option.tag_field) for option in tagged.values())
+    if tag not in value:
+        raise _Refusal(f"`{_join(key, tag)}` is missing")
+    if not isinstance(value[tag], str) or value[tag] not in tagged:
+        raise _refusal(_join(key, tag), value[tag], f"one of {', '.join(map(str, tagged))}")
+    return _build_table({name: entry for name, entry in value.items() if name != tag}, tagged[value[tag]], key, folder)
 
 
-def _locate(
-    steps: list[tuple[str, str]], text: str, table: Mapping[str, Any], kind: Any, folder: Path
-) -> tuple[str, Any, Any]:
-    """Return key, value and type at a place as msgspec writes it; it writes `[...]` for every key of a free table."""
-    key = ""
-    value: Any = table
-    found: Any = msgspec.inspect.type_info(kind)
-    for name, index in steps:
-        found = _one_of(found)
-        if name:
-            key, value = f"{key}.{name}".lstrip("."), value[name]
-            found = next(field.type for field in found.fields if field.encode_name == name)
-        elif index == "...":
-            last = next(entry for entry in value if _refuses(text, {entry: value[entry]}, value, table, kind, folder))
-            key, value, found = f"{key}.{last}".lstrip("."), value[last], found.value_type
-        else:
-            key, value = f"{key}[{index}]", value[int(index)]
-            items = getattr(found, "item_types", None) or [field.type for field in getattr(found, "fields", ())]
-            found = items[int(index)] if items else found.item_type
-    return key, value, _one_of(found)
+def _build_table(value: Any, kind: inspect.StructType, key: str, folder: Path) -> Any:
+    if not isinstance(value, Mapping):
+        raise _refusal(key, value, "a table")
+    known = {field.encode_name: field for field in kind.fields}
+    built = {}
+    for name, entry in value.items():
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            hint = f"; did you mean `{near[0]}`?" if near else ""
+            raise _Refusal(f"unknown key `{_join(key, name)}`{hint} (known: {', '.join(known)})")
+        built[known[name].name] = _build(entry, known[name].type, _join(key, name), folder)
+    for name, field in known.items():
+        if field.required and name not in value:
+            raise _Refusal(f"`{_join(key, name)}` is missing")
+    return _made(kind.cls, built, key, value)
 
 
-def _one_of(found: Any) -> Any:
-    """Return the part of a union with nothing that is not nothing."""
-    options = getattr(found, "types", (found,))
-    return next((option for option in options if not isinstance(option, msgspec.inspect.NoneType)), found)
-
-
-def _refuses(text: str, entry: Any, whole: Any, table: Mapping[str, Any], kind: Any, folder: Path) -> bool:
-    """Return whether the same refusal comes when a free table holds one entry alone."""
-    memo: dict[int, Any] = {id(whole): entry}
+def _made(cls: type, parts: dict[str, Any], key: str, value: Any) -> Any:
+    """Return the table of these values; what its own check refuses stands below `key`."""
     try:
-        _convert(copy.deepcopy(dict(table), memo), kind, folder)
-    except msgspec.ValidationError as refusal:
-        return str(refusal).startswith(text)
-    return False
+        return cls(**parts)
+    except ValueError as reason:
+        text = str(reason)
+        if text.startswith("expected "):
+            raise _refusal(key, value, text.removeprefix("expected ")) from None
+        if text.startswith("`"):
+            raise _Refusal(f"`{_join(key, text[1:])}") from None
+        raise _Refusal(f"`{key}`: {text}" if key else text) from None
+
+
+LIMITS = {"ge": ("≥", operator.ge), "gt": (">", operator.gt), "le": ("≤", operator.le), "lt": ("<", operator.lt)}
+
+
+def _in_range(value: float, kind: inspect.IntType | inspect.FloatType) -> bool:
+    given = [(accepts, getattr(kind, name)) for name, (_, accepts) in LIMITS.items()]
+    return all(limit is None or accepts(value, limit) for accepts, limit in given)
+
+
+def _expected(kind: inspect.Type, value: Any) -> str:
+    """Say what a type accepts."""
+    match kind:
+        case inspect.IntType() | inspect.FloatType():
+            words = "an integer" if isinstance(kind, inspect.IntType) else "a number"
+            if isinstance(value, float) and not math.isfinite(value):
+                return "a finite number"
+            given = [(sign, getattr(kind, name)) for name, (sign, _) in LIMITS.items()]
+            limits = " and ".join(f"{sign} {limit:g}" for sign, limit in given if limit is not None)
+            return f"{words} {limits}".rstrip()
+        case inspect.TupleType():
+            return f"a list of {len(kind.item_types)}"
+        case inspect.VarTupleType():
+            return f"a list of {kind.min_length} or more" if kind.min_length else "a list"
+        case inspect.StructType():
+            return f"a list of {len(kind.fields)}"
+        case inspect.LiteralType():
+            return f"one of {', '.join(map(str, kind.values))}"
+        case inspect.BoolType():
+            return "true or false"
+        case inspect.StrType():
+            return f"a text that matches {kind.pattern}" if kind.pattern else "a text"
+        case inspect.CustomType():
+            return "the path of a file" + (" that exists, from this one" if isinstance(value, str) else "")
+    return "a table"
+
+
+def _join(key: str, name: str) -> str:
+    return f"{key}.{name}" if key else name
+
+
+def _refusal(key: str, value: Any, expected: str) -> _Refusal:
+    text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), default=repr)
+    shown = f"{text[:79]}…" if len(text) > 80 else text
+    return _Refusal(f"{f'`{key}`' if key else 'the whole'} is {shown}; expected {expected}")

@@ -9,7 +9,7 @@ Equation M7 of `docs/model.md`.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Annotated, Any, NamedTuple, TypeAlias, TypeVar, dataclass_transform
+from typing import Annotated, Any, NamedTuple, TypeAlias, TypeVar, cast, dataclass_transform
 
 import jax
 import jax.numpy as jnp
@@ -35,6 +35,16 @@ def pytree(cls: type[T]) -> type[T]:
     jax.tree_util.register_dataclass(made, [name for name in names if name not in static], static)
     decorated: type[T] = made
     return decorated
+
+
+def leaf(value: Any) -> Array:
+    """Return a number of a configuration, or a list of them, as a leaf: double precision, and no weak type."""
+    return value if isinstance(value, jax.Array) else cast(Array, np.asarray(value, dtype=np.float64))
+
+
+def leaves(cls: type[T], settings: Any) -> T:
+    """Return a pytree whose fields are all leaves, from the values of these names in a table of a configuration."""
+    return cls(**{item.name: leaf(getattr(settings, item.name)) for item in fields(cast(Any, cls))})
 
 
 class State(NamedTuple):

@@ -123,8 +123,7 @@ def import_robot(
         forward=forward,
     )
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "robot.toml"
-    path.write_text(text, encoding="utf-8")
+    path = _write(folder / "robot.toml", "robot", text)
     rust.Robot(path)  # both loaders check it
     load_twin(path)
     robot = load_robot(path)
@@ -132,9 +131,8 @@ def import_robot(
     if not trim.feasible:
         return Imported(folder, trim, None, None)
     groups = [skeleton.group_name(chain) for chain in tree.chains(held)]
-    (folder / "controller.toml").write_text(
-        scenario.controller_text(robot, groups, _inertia(path, trim), folder), encoding="utf-8"
-    )
+    text = scenario.controller_text(robot, groups, _inertia(path, trim), folder)
+    _write(folder / "controller.toml", "control", text)
     hover = _fly(folder, robot, trim, "hover", mission=HOVER, wind="still", duration=10.0)
     mission = None
     if fly_mission:
@@ -181,10 +179,14 @@ def _inertia(path: Path, trim: TrimResult) -> float:
 def _fly(
     folder: Path, robot: Robot, trim: TrimResult, name: str, *, mission: str, wind: str, duration: float
 ) -> rust.FlightResult:
-    path = folder / f"{name}.toml"
     text = scenario.scenario_text(robot, trim, folder, mission=mission, wind=wind, duration=duration)
-    path.write_text(text, encoding="utf-8")
-    return rust.fly(rust.load_config(path))
+    return rust.fly(rust.load_config(_write(folder / f"{name}.toml", "experiments", text)))
+
+
+def _write(path: Path, kind: str, text: str) -> Path:
+    """Write a file whose first line names the schema of its kind, by which editors complete keys."""
+    path.write_text(f"#:schema {study.schema_of(kind, path.parent)}\n{text}", encoding="utf-8")
+    return path
 
 
 def report(result: Imported) -> str:

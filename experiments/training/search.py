@@ -41,7 +41,7 @@ class Range(tables.Table, frozen=True):
     def __post_init__(self) -> None:
         numbers = [number is not None for number in (self.low, self.high)]
         if any(numbers) if self.choices is not None else not all(numbers):
-            raise ValueError("Expected `range`")
+            raise ValueError("expected choices, or low and high, perhaps log")
 
 
 class SearchConfig(tables.Table, frozen=True):

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from jax_aero.aero.protocol import AeroModel, LinksInAir
 from jax_aero.config import ForceFactorsConfig
 from jax_aero.robot import RobotModel
-from jax_aero.types import Array, pytree
+from jax_aero.types import Array, leaf, pytree
 
 
 @pytree
@@ -39,13 +39,12 @@ class Weighted:
         return self.links[:, None] * (self.drag * along + self.normal * (forces - along))
 
 
-def weighted(model: AeroModel, factors: ForceFactorsConfig | None, robot: RobotModel, table: str) -> AeroModel:
+def weighted(model: AeroModel, factors: ForceFactorsConfig, robot: RobotModel, table: str) -> AeroModel:
     """Return the model with factors on its forces, without any the model itself; errors name the `table`."""
-    if factors is None:
+    if factors == ForceFactorsConfig():
         return model
     names = robot.aero_links.names
     if unknown := set(factors.links) - set(names):
         raise ValueError(f"{table}.links names {sorted(unknown)}; {robot.name} has {', '.join(names)}")
-    one = jnp.ones_like(jnp.asarray(factors.scale))
-    by_link = factors.scale * jnp.asarray([factors.links.get(name, one) for name in names])
-    return Weighted(model, factors.drag, factors.normal, by_link)
+    by_link = factors.scale * leaf([factors.links.get(name, 1.0) for name in names])
+    return Weighted(model, leaf(factors.drag), leaf(factors.normal), by_link)

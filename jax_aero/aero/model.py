@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from os import PathLike
-from typing import Literal, assert_never
+from typing import assert_never
 
 import jax.numpy as jnp
 from jaxtyping import Float
@@ -16,7 +16,7 @@ from jax_aero.aero.network_card import load_network
 from jax_aero.aero.protocol import AeroModel, LinksInAir
 from jax_aero.aero.sphere_cylinder import sphere_cylinder_model
 from jax_aero.robot import RobotModel
-from jax_aero.types import Array, Static, pytree
+from jax_aero.types import Array, Static, leaf, pytree
 
 
 @pytree
@@ -35,7 +35,7 @@ class NetworkModel:
     network: Network
     air_density: Float[Array, ""]
     """[kg/m³]."""
-    precision: Static[Literal["f32", "f64"]]
+    precision: Static[config.Precision]
     """Of the weighted sums: single, or that of the flight."""
 
     def forces(self, links: LinksInAir) -> Array:
@@ -57,17 +57,17 @@ def aero_model(settings: config.AeroConfig, robot: RobotModel, read_network: Rea
         If the robot lacks the coefficient set, or a network's card or weights are not what they should be.
     """
     match settings:
-        case config.Off():
+        case config.OffAeroConfig():
             return NoAero()
-        case config.AxisymmetricConfig():
+        case config.AxisymmetricAeroConfig():
             sets = robot.aero_links.coefficients
             if settings.coefficients not in sets:
                 found = f"coefficients is `{settings.coefficients}`"
                 raise ValueError(f"{found}; {robot.name} has {', '.join(sorted(sets))}")
-            return Axisymmetric(k_a=0.5 * settings.air_density, areas=sets[settings.coefficients])
-        case config.SphereCylinderConfig():
+            return Axisymmetric(k_a=0.5 * leaf(settings.air_density), areas=sets[settings.coefficients])
+        case config.SphereCylinderAeroConfig():
             return sphere_cylinder_model(settings, robot.aero_links)
-        case config.NetworkConfig():
-            return NetworkModel(read_network(settings.card, robot), settings.air_density, settings.precision)
+        case config.NetworkAeroConfig():
+            return NetworkModel(read_network(settings.card, robot), leaf(settings.air_density), settings.precision)
         case _:
             assert_never(settings)

@@ -11,9 +11,9 @@ import numpy as np
 from jax_aero.aero.attack import attack, normal_directions
 from jax_aero.aero.pchip import Pchip, interpolate, interpolate_linearly, pchip
 from jax_aero.aero.protocol import LinksInAir
-from jax_aero.config import SphereCylinderConfig
+from jax_aero.config import SphereCylinderAeroConfig
 from jax_aero.robot import AeroLinks
-from jax_aero.types import Array, pytree
+from jax_aero.types import Array, leaf, pytree
 
 
 @pytree
@@ -41,23 +41,24 @@ class SphereCylinder:
         return sphere_cylinder_forces(self, links.axes, links.v_air)
 
 
-def sphere_cylinder_model(config: SphereCylinderConfig, links: AeroLinks) -> SphereCylinder:
+def sphere_cylinder_model(config: SphereCylinderAeroConfig, links: AeroLinks) -> SphereCylinder:
     """Work out the constants of every link."""
     c, d, length = config.cylinder, jnp.asarray(links.diameters), jnp.asarray(links.lengths)
     is_sphere = np.array(links.is_sphere)
-    cylinder = pchip(c.reynolds, c.crosswind_drag)
-    finite, axial = pchip(c.diameter_over_length, c.finite_length_drag), pchip(c.length_over_diameter, c.axial_drag)
-    reference_drag = interpolate_linearly(cylinder, jnp.asarray(c.reference_reynolds))
+    cylinder = pchip(leaf(c.reynolds), leaf(c.crosswind_drag))
+    finite = pchip(leaf(c.diameter_over_length), leaf(c.finite_length_drag))
+    axial = pchip(leaf(c.length_over_diameter), leaf(c.axial_drag))
+    reference_drag = interpolate_linearly(cylinder, leaf(c.reference_reynolds))
     # π/4 d/l takes the axial coefficient from the area π d²/4 to d l.
     return SphereCylinder(
         half_density_area=0.5 * config.air_density * length * d * jnp.where(is_sphere, 0.25 * jnp.pi, 1.0),
         reynolds_per_speed=config.air_density * d / config.dynamic_viscosity,
         is_sphere=jnp.asarray(is_sphere),
-        crosswind=interpolate(finite, d / length) / jnp.max(c.finite_length_drag),
-        axial=interpolate(axial, length / d) / jnp.max(c.axial_drag) * (0.25 * jnp.pi) * (d / length) / reference_drag,
+        crosswind=interpolate(finite, d / length) / max(c.finite_length_drag),
+        axial=interpolate(axial, length / d) / max(c.axial_drag) * (0.25 * jnp.pi) * (d / length) / reference_drag,
         cylinder=cylinder,
-        sphere=pchip(config.sphere.reynolds, config.sphere.drag),
-        drag_below_reynolds_10=jnp.asarray(config.sphere.drag_below_reynolds_10),
+        sphere=pchip(leaf(config.sphere.reynolds), leaf(config.sphere.drag)),
+        drag_below_reynolds_10=leaf(config.sphere.drag_below_reynolds_10),
     )
 
 

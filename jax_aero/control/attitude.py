@@ -20,9 +20,24 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from jax_aero.config import MomentumGains
 from jax_aero.spatial import cross, multiply, rotate, rotate_back, skew, vee_of_skew_part
-from jax_aero.types import Array, Setpoint
+from jax_aero.types import Array, Setpoint, pytree
+
+
+@pytree
+class TaskGains:
+    """Gains of the momentum task (M57 of `docs/model.md`) and of the attitude task (M60)."""
+
+    kp_linear: Float[Array, "3"]
+    """[1/s²]."""
+    kd_linear: Float[Array, "3"]
+    """[1/s]."""
+    ko: Float[Array, ""]
+    """[s]."""
+    c0: Float[Array, ""]
+    """[N m]."""
+    c1: Float[Array, ""]
+    """[N m s]."""
 
 
 class AttitudeDemand(NamedTuple):
@@ -35,7 +50,7 @@ class AttitudeDemand(NamedTuple):
 
 
 def attitude_demand(
-    gains: MomentumGains,
+    gains: TaskGains,
     setpoint: Setpoint,
     rotation: Array,
     angular_velocity: Array,

@@ -18,11 +18,24 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
-from jax_aero.config import ObserverConfig
-from jax_aero.types import Array
+from jax_aero.types import Array, pytree
 
 GAP_MAX = 10.5
 """Longest time between two measurements that are compared, in ticks. Half a tick is for rounding."""
+
+
+@pytree
+class ObserverGains:
+    """How fast the observer follows, and what it believes at most."""
+
+    gain_force: Float[Array, ""]
+    """`K_o` of the force [1/s]."""
+    gain_moment: Float[Array, ""]
+    """`K_o` of the moment [1/s]."""
+    force_max: Float[Array, ""]
+    """Greatest observed force along each axis [N]."""
+    moment_max: Float[Array, ""]
+    """Greatest observed moment about each axis [N m]."""
 
 
 class ObserverState(NamedTuple):
@@ -47,7 +60,7 @@ def start(like: Array) -> ObserverState:
 
 
 def update(
-    config: ObserverConfig, time_step: Array, last: ObserverState, time: Array, momentum: Array, rate: Array
+    gains: ObserverGains, time_step: Array, last: ObserverState, time: Array, momentum: Array, rate: Array
 ) -> ObserverState:
     """Take a measurement in.
 
@@ -56,9 +69,9 @@ def update(
     elapsed = time - last.time
     is_near = last.is_known & (elapsed > 0.0) & (elapsed < GAP_MAX * time_step)
     elapsed = jnp.where(is_near, elapsed, time_step)
-    shares = -jnp.expm1(-elapsed * _sixfold(config.gain_force, config.gain_moment))
+    shares = -jnp.expm1(-elapsed * _sixfold(gains.gain_force, gains.gain_moment))
     moved = last.wrench + shares * ((momentum - last.momentum) / elapsed - last.rate - last.wrench)
-    limits = _sixfold(config.force_max, config.moment_max)
+    limits = _sixfold(gains.force_max, gains.moment_max)
     is_used = is_near & jnp.all(jnp.isfinite(moved))
     wrench = jnp.where(is_used, jnp.clip(moved, -limits, limits), last.wrench)
     return ObserverState(wrench, jnp.array(True), jnp.asarray(time, wrench.dtype), momentum, rate)

@@ -5,15 +5,38 @@ Equation M49 of `docs/model.md`.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
-from jax_aero.config import RecordedReference
 from jax_aero.spatial import exp_so3, log_so3, multiply, rotation_from_rpy
-from jax_aero.types import Array
+from jax_aero.types import Array, leaf
+
+GREATEST_TURN_DEG = 179.0
+"""From one row of a recorded reference to the next [deg]: of half a turn the axis is rounding."""
+
+
+class RecordedReference(NamedTuple):
+    """A reference computed beforehand, sample by sample; derivatives that are missing are differences."""
+
+    times: Float[Array, " k"]
+    """[s], increasing."""
+    com_position: Float[Array, "k 3"]
+    """[m]."""
+    rpy: Float[Array, "k 3"]
+    """Roll, pitch, yaw of the base [rad]."""
+    com_velocity: Float[Array, "k 3"] | None
+    """[m/s]."""
+    com_acceleration: Float[Array, "k 3"] | None
+    """[m/s²]."""
+    com_jerk: Float[Array, "k 3"] | None
+    """[m/s³]."""
 
 
 class RecordedMotion(NamedTuple):
@@ -36,6 +59,29 @@ class Recording(NamedTuple):
     """At every sample."""
     turns: Array
     """(k − 1, 3) rotation vector from each sample to the next, in axes of the former [rad]."""
+
+
+def read_reference(path: str | PathLike[str]) -> RecordedReference:
+    """Read a recorded reference: CSV, `#` begins a comment, the header names 7, 10, 13 or 16 columns.
+
+    `rust.check_config` says what is wrong with a file that the crate refuses; here its shape and turns are checked.
+    """
+    text = Path(path).read_text(encoding="utf-8").splitlines()
+    lines = [line for line in text if line.strip() and not line.lstrip().startswith("#")]
+    rows = np.array([line.split(",") for line in lines[1:]], dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] not in (7, 10, 13, 16) or len(rows) < 2:
+        raise ValueError(f"reference file {path} has shape {rows.shape}; expected 2 rows or more of 7, 10, 13 or 16")
+    rotations = Rotation.from_euler("xyz", rows[:, 4:7])
+    turns = np.degrees((rotations[:-1].inv() * rotations[1:]).magnitude())
+    if np.any(turns > GREATEST_TURN_DEG):
+        row = int(np.argmax(turns > GREATEST_TURN_DEG)) + 1
+        raise ValueError(
+            f"reference file {path} turns by {turns[row - 1]:.1f} deg from row {row} to row {row + 1}; "
+            f"expected a turn below {GREATEST_TURN_DEG:g} deg, whose axis is certain"
+        )
+    columns = [leaf(rows[:, first : first + 3]) for first in range(1, rows.shape[1], 3)]
+    known: list[Any] = [*columns, None, None, None]
+    return RecordedReference(leaf(rows[:, 0]), *known[:5])
 
 
 @jax.jit

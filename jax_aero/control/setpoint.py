@@ -9,6 +9,7 @@ Equations M43 to M48 of `docs/model.md`. Source: the published flight-control li
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -27,7 +28,7 @@ from jax_aero.spatial import (
     skew,
     vee_of_skew_part,
 )
-from jax_aero.types import Array, Setpoint
+from jax_aero.types import Array, Setpoint, leaf, pytree
 
 # --- autopilot ----------------------------------------------------------------------------------------------------
 
@@ -45,7 +46,25 @@ class AutopilotCommand(NamedTuple):
     """Whether the forward speed is boosted, bool."""
 
 
-def autopilot_command(mission: MissionConfig, time: Array) -> AutopilotCommand:
+@pytree
+class Commands:
+    """When the autopilot commands what: for each motion open intervals (k, 2) of time [s]."""
+
+    up: Float[Array, "_ 2"]
+    down: Float[Array, "_ 2"]
+    forward: Float[Array, "_ 2"]
+    forward_turbo: Float[Array, "_ 2"]
+    pitch_up: Float[Array, "_ 2"]
+    yaw_left: Float[Array, "_ 2"]
+
+
+def commands(mission: MissionConfig) -> Commands:
+    """Return the commands of a configured mission."""
+    lists = {item.name: leaf(getattr(mission, item.name)) for item in fields(Commands)}
+    return Commands(**{name: intervals.reshape(-1, 2) for name, intervals in lists.items()})
+
+
+def autopilot_command(mission: Commands, time: Array) -> AutopilotCommand:
     """Return the command at `time` [s]. Intervals are open."""
     time = jnp.asarray(time)
     # A tick on an end of an interval is outside; the margin keeps rounding of k · 0.01 from moving it inside.
@@ -171,15 +190,15 @@ def setpoint_params(config: SetpointConfig, forward_axis: Array, time_step: Arra
     forward_axis = jnp.asarray(forward_axis)
     up = jnp.array([0.0, 0.0, 1.0], forward_axis.dtype)
     return SetpointParams(
-        speed=config.speed,
-        attitude_rate=jnp.deg2rad(config.attitude_rate_deg),
-        nose_down_limits=jnp.deg2rad(config.nose_down_limits_deg),
-        turbo_boost=config.turbo_boost,
-        turbo_rate=config.turbo_rate,
-        attitude_gain=config.attitude_gain,
-        position_filter=filter_gains(config.position_smoothing, time_step),
-        jerk_filter=filter_gains(config.acceleration_smoothing, time_step),
-        angular_velocity_filter=filter_gains(config.angular_velocity_smoothing, time_step),
+        speed=leaf(config.speed),
+        attitude_rate=jnp.deg2rad(leaf(config.attitude_rate_deg)),
+        nose_down_limits=jnp.deg2rad(leaf(config.nose_down_limits_deg)),
+        turbo_boost=leaf(config.turbo_boost),
+        turbo_rate=leaf(config.turbo_rate),
+        attitude_gain=leaf(config.attitude_gain),
+        position_filter=filter_gains(leaf(config.position_smoothing), time_step),
+        jerk_filter=filter_gains(leaf(config.acceleration_smoothing), time_step),
+        angular_velocity_filter=filter_gains(leaf(config.angular_velocity_smoothing), time_step),
         base_from_heading=jnp.stack([forward_axis, cross(up, forward_axis), up], axis=1),
         time_step=time_step,
     )
@@ -199,7 +218,7 @@ def _heading_rpy(params: SetpointParams, rotation: Array) -> Array:
 
 
 def update(
-    params: SetpointParams, mission: MissionConfig | Recording, state: SetpointState, time: Array
+    params: SetpointParams, mission: Commands | Recording, state: SetpointState, time: Array
 ) -> tuple[SetpointState, Setpoint]:
     """Return the set-point of the tick at `time` [s]: that of the autopilot's commands, or a recorded one.
 
@@ -279,7 +298,7 @@ class Trajectory(NamedTuple):
 
 
 def trajectory(
-    params: SetpointParams, mission: MissionConfig | Recording, com: Array, rotation: Array, n_ticks: int
+    params: SetpointParams, mission: Commands | Recording, com: Array, rotation: Array, n_ticks: int
 ) -> Trajectory:
     """Return the set-points of `n_ticks` ticks from time zero; `com` (3,) and `rotation` (3, 3) begin it."""
 

@@ -23,14 +23,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jax_aero.config import ControllerConfig, MomentumGains
-from jax_aero.control.attitude import AttitudeDemand
+from jax_aero.config import ControllerSection
+from jax_aero.control.attitude import AttitudeDemand, TaskGains
 from jax_aero.control.bounds import rate_bounds
 from jax_aero.control.momentum import MomentumModel
 from jax_aero.control.qp import BoxQp
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import multiply, rotate_back
-from jax_aero.types import Array, Dynamics, Kinematics, Setpoint, State
+from jax_aero.types import Array, Dynamics, Kinematics, Setpoint, State, leaf
 
 
 class TaskParams(NamedTuple):
@@ -71,42 +71,48 @@ class MomentumQp(NamedTuple):
     problem: BoxQp
 
 
-def task_params(config: ControllerConfig, robot: RobotModel) -> TaskParams:
+def task_params(config: ControllerSection, robot: RobotModel) -> TaskParams:
     """Bring weights and bounds into the order of the robot's jets and joints."""
     weights, bounds = config.weights, config.bounds
-    gains = [jnp.broadcast_to(config.posture_gain[name], (len(joints),)) for name, joints in robot.joint_groups]
-    posture_gain = jnp.concatenate(gains) if gains else jnp.zeros(0)
+    gains = _by_name("posture_gain", config.posture_gain, [name for name, _ in robot.joint_groups], robot)
+    counts = [len(joints) for _, joints in robot.joint_groups]
     velocity_max = bounds.joint_velocity_max_deg
     return TaskParams(
-        momentum=weights.momentum,
-        angular_momentum=weights.angular_momentum,
-        posture=weights.posture,
-        joint_velocity=weights.joint_velocity,
-        thrust_rate=_per_jet(weights.thrust_rate, robot),
-        symmetry=weights.symmetry,
-        regularisation=weights.regularisation,
-        posture_gain=posture_gain,
-        thrust_rate_max=_per_jet(bounds.thrust_rate_max, robot),
-        thrust_steepness=bounds.thrust_steepness,
+        momentum=leaf(weights.momentum),
+        angular_momentum=leaf(weights.angular_momentum),
+        posture=leaf(weights.posture),
+        joint_velocity=leaf(weights.joint_velocity),
+        thrust_rate=leaf(_by_name("weights.thrust_rate", weights.thrust_rate, robot.jets.names, robot)),
+        symmetry=leaf(weights.symmetry),
+        regularisation=leaf(weights.regularisation),
+        posture_gain=leaf(np.repeat(gains, counts)),
+        thrust_rate_max=leaf(_by_name("bounds.thrust_rate_max", bounds.thrust_rate_max, robot.jets.names, robot)),
+        thrust_steepness=leaf(bounds.thrust_steepness),
         joint_velocity_max=in_place_of(
-            robot.joint_velocity_max, None if velocity_max is None else jnp.deg2rad(velocity_max), robot
+            robot.joint_velocity_max, None if velocity_max is None else np.deg2rad(velocity_max), robot
         ),
-        joint_steepness=bounds.joint_steepness,
+        joint_steepness=leaf(bounds.joint_steepness),
     )
 
 
-def _per_jet(table: Mapping[str, Array], robot: RobotModel) -> Array:
-    return jnp.asarray([table[name] for name in robot.jets.names])
+def _by_name(table: str, values: Mapping[str, float], names: Sequence[str], robot: RobotModel) -> list[float]:
+    """Return the value of every name, in this order."""
+    for name in {*values, *names}:
+        if name not in names:
+            raise ValueError(f"unknown name `{name}` in controller.{table}; {robot.name} has {', '.join(names)}")
+        if name not in values:
+            raise ValueError(f"`controller.{table}.{name}` is missing; expected a number")
+    return [values[name] for name in names]
 
 
-def in_place_of(own: Array, common: Array | None, robot: RobotModel) -> Array:
+def in_place_of(own: Array, common: Array | float | None, robot: RobotModel) -> Array:
     """Limits (n,) of the joints: the robot's own, or for revolute joints the common one where it is given."""
     if common is None:
         return jnp.asarray(own)
     return jnp.where(np.array(robot.joint_is_prismatic, dtype=bool), own, common)
 
 
-def symmetric_pairs(config: ControllerConfig, robot: RobotModel) -> tuple[tuple[int, int], ...]:
+def symmetric_pairs(config: ControllerSection, robot: RobotModel) -> tuple[tuple[int, int], ...]:
     """Return the indices of the jets meant to act alike.
 
     Raises
@@ -124,7 +130,7 @@ def symmetric_pairs(config: ControllerConfig, robot: RobotModel) -> tuple[tuple[
 class TaskInputs(NamedTuple):
     """What the tasks of a tick are made from."""
 
-    gains: MomentumGains
+    gains: TaskGains
     robot: RobotModel
     state: State
     thrust: Float[Array, " j"]

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Bool, Float
 
 from jax_aero.aero import (
@@ -29,23 +30,23 @@ from jax_aero.aero import (
     weighted,
 )
 from jax_aero.aero.network_card import load_network
-from jax_aero.config import MissionConfig, MomentumGains, ObserverConfig, RateFeedback, ScenarioConfig, TorqueConfig
+from jax_aero.config import MissionConfig, RateFeedback, ScenarioConfig
 from jax_aero.control import observer, qp
 from jax_aero.control import setpoint as generator
-from jax_aero.control.attitude import attitude_demand
+from jax_aero.control.attitude import TaskGains, attitude_demand
 from jax_aero.control.momentum import momentum_model
-from jax_aero.control.observer import ObserverState
+from jax_aero.control.observer import ObserverGains, ObserverState
 from jax_aero.control.protocol import Command, Measurement, Terms
 from jax_aero.control.qp import QpAnswer, WarmStart
-from jax_aero.control.recorded import Recording, recording
-from jax_aero.control.setpoint import SetpointParams, SetpointState
+from jax_aero.control.recorded import Recording, read_reference, recording
+from jax_aero.control.setpoint import Commands, SetpointParams, SetpointState
 from jax_aero.control.tasks import Task, TaskInputs, TaskParams, in_place_of, momentum_qp, symmetric_pairs, task_params
-from jax_aero.control.torque import limit_rate, torque_qp
+from jax_aero.control.torque import TorqueParams, limit_rate, torque_qp
 from jax_aero.dynamics import dynamics
 from jax_aero.kinematics import generalised_force, kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import is_rotation, multiply
-from jax_aero.types import Array, Setpoint, State, where
+from jax_aero.types import Array, Setpoint, State, leaf, leaves, where
 
 NOMINAL, BAD_MEASUREMENT, MOMENTUM_HELD, TORQUE_HELD, BOTH_HELD = range(5)
 """Codes of `Command.status`: whether a command is what the controller wanted, as in the Rust crate.
@@ -86,18 +87,18 @@ class MomentumController:
     """The controller's aerodynamic model."""
     rate_feedback: Float[Array, "6"]
     """1 or 0: which components of the total estimated wrench enter the momentum rate."""
-    momentum: MomentumGains
+    momentum: TaskGains
     tasks: TaskParams
     other_tasks: tuple[Task, ...]
     """Objectives of one's own in the momentum QP."""
-    torque: TorqueConfig
+    torque: TorqueParams
     torque_max: Float[Array, " n"]
     """[N m]."""
     torque_rate_max: Float[Array, " n"]
     """[N m/s]."""
     setpoint: SetpointParams
-    observer: ObserverConfig | None
-    mission: MissionConfig | Recording
+    observer: ObserverGains | None
+    mission: Commands | Recording
     """What to follow: the autopilot's commands, or recorded set-points."""
     time_step: Float[Array, ""]
     """[s]."""
@@ -154,11 +155,14 @@ def momentum_controller(
         Naming what in the configuration does not fit the robot.
     """
     controller, time_step = config.controller, jnp.asarray(config.simulator.time_step, float)
+    if controller.contact is not None or not controller.use_jets:
+        key, value = ("contact", "given") if controller.contact is not None else ("use_jets", "false")
+        raise ValueError(f"`controller.{key}` is {value}; expected a controller that flies: JAX knows no feet")
     feedback = controller.aero_feedback
     return MomentumController(
         switches=Switches(
             LinkConventions(controller.lever_arm, controller.jacobian_offset, controller.link_velocity),
-            lambda_a=feedback.lambda_a,
+            lambda_a=feedback.lambda_,
             torque=feedback.torque,
             symmetric_pairs=symmetric_pairs(controller, robot),
         ),
@@ -169,23 +173,27 @@ def momentum_controller(
             "disturbances.aero_estimate",
         ),
         rate_feedback=_components(feedback.momentum_rate),
-        momentum=controller.momentum,
+        momentum=leaves(TaskGains, controller.momentum),
         tasks=task_params(controller, robot),
         other_tasks=tasks,
-        torque=controller.torque,
+        torque=leaves(TorqueParams, controller.torque),
         torque_max=in_place_of(robot.joint_torque_max, controller.torque.torque_max, robot),
         torque_rate_max=in_place_of(robot.joint_torque_rate_max, controller.torque.torque_rate_max, robot),
         setpoint=generator.setpoint_params(controller.setpoint, robot.forward_axis, time_step),
-        observer=controller.observer,
-        mission=config.mission if config.mission.file is None else recording(config.mission.file),
+        observer=None if controller.observer is None else leaves(ObserverGains, controller.observer),
+        mission=_mission(config.mission),
         time_step=time_step,
     )
+
+
+def _mission(mission: MissionConfig) -> Commands | Recording:
+    return generator.commands(mission) if mission.file is None else recording(read_reference(mission.file))
 
 
 def _components(known: RateFeedback) -> Array:
     """Return 1 for each component (6,) of a wrench that is known, 0 for the others."""
     has_force, has_moment = known in ("wrench", "force"), known in ("wrench", "moment")
-    return jnp.repeat(jnp.array([has_force, has_moment], float), 3)
+    return leaf(np.repeat([has_force, has_moment], 3))
 
 
 def init(params: MomentumController, robot: RobotModel, state: State) -> ControllerState:

@@ -17,10 +17,23 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from jax_aero.config import TorqueConfig
 from jax_aero.control.qp import BoxQp
 from jax_aero.linalg import solve_positive_definite
-from jax_aero.types import Array
+from jax_aero.types import Array, pytree
+
+
+@pytree
+class TorqueParams:
+    """Gains and weights of the torque QP."""
+
+    kd: Float[Array, ""]
+    """[1/s]."""
+    kp: Float[Array, ""]
+    """[1/s²]."""
+    weight_acceleration: Float[Array, ""]
+    weight_torque: Float[Array, ""]
+    regularisation: Float[Array, ""]
+    """Added to the diagonal."""
 
 
 class TorqueQp(NamedTuple):
@@ -36,7 +49,7 @@ class TorqueQp(NamedTuple):
 
 
 def torque_qp(
-    params: TorqueConfig,
+    params: TorqueParams,
     torque_max: Array,
     mass_matrix: Array,
     force: Array,

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, Int
 
 from jax_aero import noise
 from jax_aero.config import WindEstimateConfig
-from jax_aero.types import Array, pytree
+from jax_aero.types import Array, leaf, pytree
 
 NOISE_STREAM = 0
 
@@ -50,11 +50,11 @@ def wind_estimate(settings: WindEstimateConfig, time_step: Array, winds: Array) 
     # Half a tick rounds up.
     delay = np.floor(np.asarray(settings.delay) / np.asarray(time_step) + 0.5)
     return WindEstimate(
-        bias=settings.bias,
-        noise_std=settings.noise_std,
+        bias=leaf(settings.bias),
+        noise_std=leaf(settings.noise_std),
         noise=jnp.asarray(noise.normals(settings.seed, NOISE_STREAM, 3 * ticks).reshape(ticks, 3)),
         delay_ticks=jnp.asarray(delay, jnp.int32),
-        time_constant=settings.time_constant,
+        time_constant=leaf(settings.time_constant),
         mean=jnp.mean(winds, axis=0),
         is_mean=jnp.asarray(settings.mean_only, bool),
     )

@@ -19,7 +19,8 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import load_network
-from jax_aero.config import ScenarioConfig, scenario_config
+from jax_aero.config import ScenarioConfig
+from jax_aero.io import scenario_config
 from jax_aero.result import FlightResult, Progress
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.sim.rollout import CHUNK, Ending, finished

@@ -27,14 +27,22 @@ from jax_aero.aero import (
     weighted,
 )
 from jax_aero.aero.network_card import load_network
-from jax_aero.config import Backend, Disturbances, InitialConfig, Integrator, LeverArm, SimulatorConfig
+from jax_aero.config import (
+    Disturbances,
+    DynamicsBackend,
+    InitialConfig,
+    Integrator,
+    JetFaultsConfig,
+    LeverArm,
+    SimulatorConfig,
+)
 from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.jet_faults import FaultState, JetFaults, delayed, limited, measured, start_faults
 from jax_aero.jets import JetDynamics, JetsState, jet_dynamics
 from jax_aero.kinematics import frame_poses, generalised_force, kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import exp_so3, multiply, rotate, rotation_from_rpy
-from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, State, Static, pytree
+from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, State, Static, leaf, pytree
 
 STOP_STIFFNESS = 1e5
 """Of a joint's stop [N m/rad, N/m]: 50 N m press half a milliradian into it."""
@@ -60,7 +68,7 @@ class Plant:
     substeps: Static[int]
     is_frozen: Static[bool]
     """Whether links stay where they were at the first tick, as far as the air is concerned (published)."""
-    backend: Static[Backend]
+    backend: Static[DynamicsBackend]
 
 
 class PlantState(NamedTuple):
@@ -84,6 +92,11 @@ class Observation(NamedTuple):
     link_forces: LinkForces
 
 
+def n_ticks(config: SimulatorConfig) -> int:
+    """Return the number of ticks after the one at time zero."""
+    return int(np.floor(config.duration / config.time_step + 0.5))
+
+
 def start_plant(
     config: SimulatorConfig,
     disturbances: Disturbances,
@@ -105,8 +118,8 @@ def start_plant(
     _check(initial, robot)
     jets = jets or jet_dynamics(config.jets, robot)
     faults, fault_state = None, None
-    if disturbances.jets is not None:
-        faults, fault_state = start_faults(disturbances.jets, config.jets, robot, config.n_ticks)
+    if disturbances.jets != JetFaultsConfig():
+        faults, fault_state = start_faults(disturbances.jets, config.jets, robot, n_ticks(config))
     plant = Plant(
         robot=robot,
         aero=weighted(
@@ -114,7 +127,7 @@ def start_plant(
         ),
         jets=jets,
         jet_faults=faults,
-        time_step=jnp.asarray(config.time_step, jnp.asarray(initial.joint_position).dtype),
+        time_step=jnp.asarray(leaf(config.time_step)),
         lever_arm=config.lever_arm,
         integrator=config.integrator,
         has_stops=config.joint_stops,
@@ -122,17 +135,17 @@ def start_plant(
         is_frozen=config.kinematics == "frozen",
         backend=config.dynamics,
     )
-    joint_position = jnp.asarray(initial.joint_position)
+    joint_position = jnp.asarray(leaf(initial.joint_position))
     state = State(
-        base_position=jnp.asarray(initial.base_position),
-        base_rotation=rotation_from_rpy(jnp.deg2rad(initial.base_rpy_deg)),
+        base_position=jnp.asarray(leaf(initial.base_position)),
+        base_rotation=rotation_from_rpy(jnp.deg2rad(leaf(initial.base_rpy_deg))),
         joint_position=joint_position,
-        velocity=jnp.concatenate([jnp.asarray(initial.base_velocity), jnp.zeros_like(joint_position)]),
+        velocity=jnp.concatenate([jnp.asarray(leaf(initial.base_velocity)), jnp.zeros_like(joint_position)]),
     )
     if initial.free_fall_tick:
         state = _fall_freely(plant, state)
     first = state if plant.is_frozen else None
-    return plant, PlantState(state, jets.start(jnp.asarray(initial.thrust)), first, fault_state)
+    return plant, PlantState(state, jets.start(jnp.asarray(leaf(initial.thrust))), first, fault_state)
 
 
 def _check(initial: InitialConfig, robot: RobotModel) -> None:
@@ -140,8 +153,8 @@ def _check(initial: InitialConfig, robot: RobotModel) -> None:
         ("joint_position", initial.joint_position, robot.n_joints),
         ("thrust", initial.thrust, robot.jets.count),
     ):
-        if np.shape(value) != (count,):
-            raise ValueError(f"`simulator.initial.{name}` has shape {np.shape(value)}; {robot.name} needs ({count},)")
+        if len(value) != count:
+            raise ValueError(f"`simulator.initial.{name}` has {len(value)} entries; {robot.name} needs {count}")
 
 
 def at_rest(state: PlantState) -> PlantState:

@@ -25,18 +25,19 @@ from jaxtyping import Float, Int
 
 from jax_aero.aero import AeroModel, ReadNetwork
 from jax_aero.aero.network_card import load_network
-from jax_aero.config import DivergenceConfig, FallConfig, ScenarioConfig, WindConfig, scenario_config
+from jax_aero.config import ModelError, ScenarioConfig
 from jax_aero.control.protocol import Command, Controller, Measurement
 from jax_aero.control.tick import momentum_controller
 from jax_aero.control.wind_estimate import WindEstimate, measured_wind, wind_estimate
+from jax_aero.io import scenario_config
 from jax_aero.jet_faults import known_limits
 from jax_aero.jets import JetDynamics
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.sim import plant as world
 from jax_aero.sim.plant import Observation, Plant, PlantState
-from jax_aero.sim.wind import wind_velocity
+from jax_aero.sim.wind import Wind, wind_model, wind_velocity
 from jax_aero.spatial import multiply, rotation_angle, rpy_from_rotation, safe_norm, wxyz_from_rotation
-from jax_aero.types import Array, State, Static, pytree, where, with_dtype
+from jax_aero.types import Array, State, Static, leaf, leaves, pytree, where, with_dtype
 
 (
     FLYING,
@@ -58,6 +59,32 @@ Tree = TypeVar("Tree")
 
 
 @pytree
+class FallLimits:
+    """When a robot counts as fallen."""
+
+    rotation_error_deg: Float[Array, ""]
+    """Greatest rotation between base and set-point [deg]."""
+    com_error: Float[Array, ""]
+    """Greatest distance between centre of mass and set-point [m]."""
+
+
+@pytree
+class DivergenceLimits:
+    """What physics excludes: a flight whose numbers go beyond has diverged."""
+
+    speed: Float[Array, ""]
+    """Of base and air [m/s]."""
+    angular_velocity: Float[Array, ""]
+    """Of the base [rad/s]."""
+    joint_velocity: Float[Array, ""]
+    """[rad/s, m/s]."""
+    joint_excess: Float[Array, ""]
+    """Of a joint beyond its stops [rad, m]."""
+    thrust_ratio: Float[Array, ""]
+    """Of a thrust to the jet's greatest."""
+
+
+@pytree
 class Scenario:
     """Everything that does not change in a flight. Every number is a leaf: batch and differentiate what you like.
 
@@ -67,14 +94,14 @@ class Scenario:
     plant: Plant
     controller: Controller[Any]
     """What to do, the mission included."""
-    wind: WindConfig
-    fall: FallConfig
-    divergence: DivergenceConfig
+    wind: Wind
+    fall: FallLimits
+    divergence: DivergenceLimits
     course_error: Float[Array, ""]
     """Greatest position error of a flight that is on course [m]."""
     controller_model: RobotModel | None
     """The robot as the controller models it; `None` if that is the robot that flies."""
-    controller_wind: WindConfig | None
+    controller_wind: Wind | None
     """Wind that the controller measures in place of the one that blows."""
     wind_estimate: WindEstimate | None
     """Errors of the measured wind; `None` if it is measured exactly."""
@@ -175,19 +202,26 @@ def prepare(
         config = scenario_config(config)
     if robot is None:
         robot = load_robot(config.robot)
+    for key, table in (("ground", config.simulator.ground), ("motors", config.simulator.motors)):
+        if table is not None:
+            raise ValueError(f"`simulator.{key}` is given; expected none: this engine knows neither ground nor motors")
+    wind, replaced = wind_model(config.wind), config.disturbances.controller_wind
+    controller_wind = None if replaced is None else wind_model(replaced)
     plant, state = world.start_plant(config.simulator, config.disturbances, robot, aero, jets, read_network)
-    errors = config.disturbances.wind_estimate
+    estimate, ticks, errors = config.disturbances.wind_estimate, world.n_ticks(config.simulator), None
+    if estimate is not None:
+        errors = wind_estimate(estimate, plant.time_step, _winds(controller_wind or wind, ticks, plant.time_step))
     scenario = Scenario(
         plant=plant,
         controller=controller or momentum_controller(config, robot, read_network),
-        wind=config.wind,
-        fall=config.simulator.fall,
-        divergence=config.simulator.divergence,
-        course_error=config.simulator.course_error,
+        wind=wind,
+        fall=leaves(FallLimits, config.simulator.fall),
+        divergence=leaves(DivergenceLimits, config.simulator.divergence),
+        course_error=leaf(config.simulator.course_error),
         controller_model=controller_model(config, robot),
-        controller_wind=config.disturbances.controller_wind,
-        wind_estimate=None if errors is None else wind_estimate(errors, plant.time_step, _winds(config)),
-        n_ticks=jnp.array(config.simulator.n_ticks, jnp.int32),
+        controller_wind=controller_wind,
+        wind_estimate=errors,
+        n_ticks=jnp.array(ticks, jnp.int32),
         precision="",
     )
     flight_state = begin(scenario, state)
@@ -199,12 +233,9 @@ def in_precision(scenario: Scenario, state: FlightState, dtype: Any) -> tuple[Sc
     return with_dtype((replace(scenario, precision=np.dtype(dtype).name), state), dtype)
 
 
-def _winds(config: ScenarioConfig) -> Array:
-    """Wind that the controller is given at every tick of the flight, without errors (ticks, 3) [m/s]."""
-    times = jnp.arange(config.simulator.n_ticks + 1) * config.simulator.time_step
-    winds: Array = jax.jit(jax.vmap(wind_velocity, in_axes=(None, 0)))(
-        config.disturbances.controller_wind or config.wind, times
-    )
+def _winds(wind: Wind, ticks: int, time_step: Array) -> Array:
+    """Wind at every tick of a flight (ticks + 1, 3) [m/s]."""
+    winds: Array = jax.jit(jax.vmap(wind_velocity, in_axes=(None, 0)))(wind, jnp.arange(ticks + 1) * time_step)
     return winds
 
 
@@ -212,11 +243,11 @@ def controller_model(config: ScenarioConfig, robot: RobotModel) -> RobotModel | 
     """Return the controller's model of the robot; `None` if it is the one that flies."""
     error, faults = config.disturbances.model_error, config.disturbances.jets
     model = robot
-    if faults is not None and faults.limit_is_known:
+    if faults.limit_is_known:
         model = replace(robot, jets=replace(robot.jets, thrust_max=known_limits(faults, robot)))
-    if error is not None:
+    if error != ModelError():
         masses, inertias = error.mass_scale * robot.masses, error.mass_scale * robot.inertias
-        coms = jnp.asarray(robot.coms).at[0].add(error.com_offset)
+        coms = jnp.asarray(robot.coms).at[0].add(leaf(error.com_offset))
         model = replace(model, masses=masses, coms=coms, inertias=inertias)
     return None if model is robot else model
 
@@ -367,7 +398,7 @@ def _divergence(scenario: Scenario, state: PlantState, wind: Array) -> tuple[Arr
     return code, limit
 
 
-def _judge(limits: FallConfig, rotation_error: Array, com_error: Array) -> tuple[Array, Array]:
+def _judge(limits: FallLimits, rotation_error: Array, com_error: Array) -> tuple[Array, Array]:
     """Whether and why the robot has fallen, and by how much."""
     over_rotated = rotation_error > jnp.deg2rad(limits.rotation_error_deg)
     is_far = com_error > limits.com_error

@@ -5,15 +5,127 @@ Equations M36 to M38 of `docs/model.md`.
 
 from __future__ import annotations
 
-from typing import assert_never
+from typing import TypeAlias, assert_never
 
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
 
-from jax_aero.config import ConstantWind, GustWind, RampWind, RecordedWind, TurbulentWind, WindConfig
-from jax_aero.types import Array
+from jax_aero import config, noise
+from jax_aero.types import Array, leaf, leaves, pytree
 
 
-def wind_velocity(wind: WindConfig, time: Array) -> Array:
+@pytree
+class ConstantWind:
+    """The same all the time."""
+
+    velocity: Float[Array, "3"]
+    """[m/s]."""
+
+
+@pytree
+class RampWind:
+    """Still, then rising linearly to a constant: the published profile."""
+
+    velocity: Float[Array, "3"]
+    """After the ramp [m/s]."""
+    ramp_start: Float[Array, ""]
+    """[s]."""
+    ramp_end: Float[Array, ""]
+    """[s]."""
+
+
+@pytree
+class GustWind:
+    """A steady wind with one "1 − cos" gust on top."""
+
+    velocity: Float[Array, "3"]
+    """[m/s]."""
+    gust: Float[Array, "3"]
+    """Added at the peak [m/s]."""
+    start: Float[Array, ""]
+    """[s]."""
+    duration: Float[Array, ""]
+    """[s]."""
+
+
+@pytree
+class RecordedWind:
+    """A recorded wind: linear between samples, constant outside."""
+
+    times: Float[Array, " k"]
+    """[s], increasing."""
+    velocities: Float[Array, "k 3"]
+    """[m/s]."""
+
+
+@pytree
+class TurbulentWind:
+    """A ramp with turbulence on top, which rises with it: a sum of waves with the spectrum of a Gauss–Markov process.
+
+    Its random numbers are drawn when it is built, so that they are numbers like all others.
+    """
+
+    velocity: Float[Array, "3"]
+    """Mean after the ramp [m/s]."""
+    ramp_start: Float[Array, ""]
+    """[s]."""
+    ramp_end: Float[Array, ""]
+    """[s]."""
+    std: Float[Array, "3"]
+    """Standard deviation of the turbulence [m/s]."""
+    time_scale: Float[Array, ""]
+    """[s]."""
+    places: Float[Array, "3 24"]
+    """Where in the spectrum each wave stands, in bands of equal variance."""
+    phases: Float[Array, "3 24"]
+    """[rad]."""
+
+
+Wind: TypeAlias = ConstantWind | RampWind | GustWind | RecordedWind | TurbulentWind
+"""A wind as a function of time."""
+
+WAVES = 24
+"""Waves of turbulence per axis."""
+TURBULENCE_STREAM = 2
+
+
+def wind_model(settings: config.WindConfig) -> Wind:
+    """Build the wind that the configuration asks for. Outside loops: files are read and waves drawn here."""
+    match settings:
+        case config.ConstantWindConfig():
+            return leaves(ConstantWind, settings)
+        case config.RampWindConfig():
+            return leaves(RampWind, settings)
+        case config.GustWindConfig():
+            return leaves(GustWind, settings)
+        case config.TurbulentWindConfig():
+            places, phases = _waves(settings.seed)
+            return TurbulentWind(
+                velocity=leaf(settings.velocity),
+                ramp_start=leaf(settings.ramp_start),
+                ramp_end=leaf(settings.ramp_end),
+                std=leaf(settings.std),
+                time_scale=leaf(settings.time_scale),
+                places=places,
+                phases=phases,
+            )
+        case config.FileWindConfig():
+            samples = np.loadtxt(settings.path, delimiter=",", skiprows=1, ndmin=2)
+            return RecordedWind(times=leaf(samples[:, 0]), velocities=leaf(samples[:, 1:4]))
+        case _:
+            assert_never(settings)
+
+
+def _waves(seed: int) -> tuple[Array, Array]:
+    """Draw the waves of turbulence: axis by axis, a place in every band and a phase."""
+    draws = noise.uniforms(seed, TURBULENCE_STREAM, 3 * WAVES * 2).reshape(3, WAVES, 2)
+    # Not up to the edge of a band: the last one has none.
+    places = (np.arange(WAVES) + 0.25 + 0.5 * draws[..., 0]) / WAVES
+    return leaf(places), leaf(2.0 * np.pi * draws[..., 1])
+
+
+def wind_velocity(wind: Wind, time: Array) -> Array:
     """Velocity of the air (3,) at `time` [s]: m/s, inertial axes."""
     match wind:
         case ConstantWind():

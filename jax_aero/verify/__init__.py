@@ -113,8 +113,8 @@ def verify_ticks(config: Mapping[str, Any], samples: Sequence[Sample], group: st
     import jax
     import jax.numpy as jnp
 
-    from jax_aero.config import scenario_config
     from jax_aero.control import tick as control
+    from jax_aero.io import scenario_config
     from jax_aero.robot import load_robot
     from jax_aero.types import Setpoint, State
 

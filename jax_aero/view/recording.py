@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jax_aero import rust
-from jax_aero.io import PATH_KEYS
+from jax_aero import io, rust
 from jax_aero.summary import SETTLING_TIME
 from jax_aero.view import Refused, require
 
@@ -292,15 +291,9 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 def _here(config: rust.Config) -> rust.Config:
     """Paths of a manifest start at the repository; make them absolute."""
     placed = copy.deepcopy(config)
-
-    def place(table: dict[str, Any]) -> None:
-        for key, value in table.items():
-            if isinstance(value, dict):
-                place(value)
-            elif key in PATH_KEYS and isinstance(value, str) and (REPOSITORY / value).is_file():
-                table[key] = str(REPOSITORY / value)
-
-    place(placed)
+    for table, key in io.paths(placed):
+        if (REPOSITORY / table[key]).is_file():
+            table[key] = str(REPOSITORY / table[key])
     return placed
 
 

@@ -14,16 +14,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from msgspec import structs
 
 from jax_aero import rust
-from jax_aero.config import scenario_config
 from jax_aero.control import setpoint, tick
 from jax_aero.control.attitude import attitude_demand
 from jax_aero.control.bounds import rate_bounds
 from jax_aero.control.torque import limit_rate, torque_qp
+from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
 from jax_aero.spatial import exp_so3, rotation_from_rpy
-from jax_aero.types import Setpoint, State
+from jax_aero.types import Setpoint, State, leaf
 from tests.measurements import measured
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -113,17 +114,18 @@ def test_torque_qp(twin, rng):
 
 def test_setpoints(twin, rng):
     """Ten ticks of the generator in the turbo segment, by every number of its configuration."""
-    config, _, _ = twin
-    numbers = config.controller.setpoint
+    config, _, controller = twin
+    numbers = {name: leaf(value) for name, value in structs.asdict(config.controller.setpoint).items()}
 
     def fly(x):
         settings, com, rpy = x
-        settings = replace(settings, turbo_boost=numbers.turbo_boost)  # a count of ticks, once rounded
-        params = setpoint.setpoint_params(settings, jnp.array([-1.0, 0.0, 0.0]), jnp.array(0.01))
+        settings = settings | {"turbo_boost": numbers["turbo_boost"]}  # a count of ticks, once rounded
+        configured = structs.replace(config.controller.setpoint, **settings)
+        params = setpoint.setpoint_params(configured, jnp.array([-1.0, 0.0, 0.0]), jnp.array(0.01))
         state = setpoint.start(params, com, rotation_from_rpy(rpy))
 
         def one(state, time):
-            return setpoint.update(params, config.mission, state, time)
+            return setpoint.update(params, controller.mission, state, time)
 
         return jax.lax.scan(one, state, 21.0 + 0.01 * jnp.arange(10))[1]
 

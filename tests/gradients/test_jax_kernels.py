@@ -12,12 +12,13 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero import LinkConventions, LinksInAir, aero_model, link_forces, wrench_about
-from jax_aero.config import SecondOrderConfig, aero_config, scenario_config
+from jax_aero.config import SecondOrderJetsConfig
 from jax_aero.dynamics import dynamics, forward_dynamics
+from jax_aero.io import aero_config, scenario_config
 from jax_aero.jets import jet_dynamics
 from jax_aero.kinematics import generalised_force, kinematics, point_jacobians
 from jax_aero.robot import load_robot
-from jax_aero.sim.wind import wind_velocity
+from jax_aero.sim.wind import wind_model, wind_velocity
 from jax_aero.spatial import exp_so3, rotation_angle, rotation_from_rpy, rpy_from_rotation, wxyz_from_rotation
 from jax_aero.types import State
 
@@ -143,9 +144,8 @@ def test_link_forces(check_gradient, robot, models, state, quirks):
     check_gradient(evaluate, (state, jnp.array([1.0, -9.0, 0.5]), models["simulator"]), tolerance=1e-5)
 
 
-def fly_jets(inputs, settings, robot):
+def fly_jets(inputs, model):
     start, command = inputs
-    model = jet_dynamics(settings, robot)
     jets = model.start(start)
     for _ in range(2):
         jets = model.advance(jets, command, 0.01)
@@ -156,11 +156,11 @@ def fly_jets(inputs, settings, robot):
 def test_second_order_jets(check_gradient, robot, thrust):
     """Also with the throttle at its lower limit."""
     settings = scenario_config(rust.load_config(EXPERIMENTS / "second_order_jets.toml")).simulator.jets
-    assert isinstance(settings, SecondOrderConfig)
+    assert isinstance(settings, SecondOrderJetsConfig)
     inputs = (jnp.full(4, thrust + 0.5), jnp.array([-40.0, 3.0, 10.0, -3.0]))
-    check_gradient(fly_jets, inputs, settings, robot, tolerance=1e-5)
+    check_gradient(fly_jets, inputs, jet_dynamics(settings, robot), tolerance=1e-5)
 
 
 def test_wind(check_gradient):
-    wind = scenario_config(rust.load_config(EXPERIMENTS / "test2.toml")).wind
+    wind = wind_model(scenario_config(rust.load_config(EXPERIMENTS / "test2.toml")).wind)
     check_gradient(lambda inputs: wind_velocity(*inputs), (wind, jnp.array(6.0)))

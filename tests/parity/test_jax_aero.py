@@ -11,7 +11,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero import LinkConventions, LinksInAir, aero_model, link_forces, wrench_about
-from jax_aero.config import aero_config, scenario_config
+from jax_aero.io import aero_config, scenario_config
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import load_robot
 from jax_aero.types import State

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.config import scenario_config
 from jax_aero.control import recorded, setpoint
+from jax_aero.io import scenario_config
+from jax_aero.sim.plant import n_ticks
 from tests.measurements import measured
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -29,13 +30,13 @@ def test_setpoints(name, agree):
     table = rust.load_config(EXPERIMENTS / f"{name}.toml")
     config = scenario_config(table)
 
-    @jax.jit(static_argnums=1)
-    def fly(config, n_ticks):
+    @jax.jit
+    def fly(mission):
         time_step = jnp.array(config.simulator.time_step)
         params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, time_step)
-        return setpoint.trajectory(params, config.mission, *START, n_ticks)
+        return setpoint.trajectory(params, mission, *START, n_ticks(config.simulator) + 1)
 
-    found = jax.device_get(fly(config, config.simulator.n_ticks + 1))
+    found = jax.device_get(fly(setpoint.commands(config.mission)))
     ours = found.setpoint._asdict() | {"raw_position": found.raw_position, "raw_rpy": found.raw_rpy}
     theirs = rust.setpoint_trajectory(table, *START)
     assert ours.keys() == theirs.keys()
@@ -64,9 +65,9 @@ def test_recorded_setpoints(columns, agree, tmp_path):
     def follow(recording):
         time_step = jnp.array(config.simulator.time_step)
         params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, time_step)
-        return setpoint.trajectory(params, recording, *START, config.simulator.n_ticks + 1)
+        return setpoint.trajectory(params, recording, *START, n_ticks(config.simulator) + 1)
 
-    found = jax.device_get(follow(recorded.recording(config.mission.file)))
+    found = jax.device_get(follow(recorded.recording(recorded.read_reference(config.mission.file))))
     ours = found.setpoint._asdict() | {"raw_position": found.raw_position, "raw_rpy": found.raw_rpy}
     for signal, expected in rust.setpoint_trajectory(table, *START).items():
         agree(f"recorded: {signal}", ours[signal], expected, TOLERANCE.get(signal, 1e-12))
@@ -79,7 +80,9 @@ def test_float32_setpoints_stay_within_a_millimetre_and_a_hundredth_of_a_degree(
         config = scenario_config(table)
         time_step = jnp.float32(config.simulator.time_step)
         params = setpoint.setpoint_params(config.controller.setpoint, jnp.float32(FORWARD), time_step)
-        found = jax.device_get(setpoint.trajectory(params, config.mission, *map(jnp.float32, START), 5001))
+        found = jax.device_get(
+            setpoint.trajectory(params, setpoint.commands(config.mission), *map(jnp.float32, START), 5001)
+        )
     theirs = rust.setpoint_trajectory(table, *START)
     assert found.setpoint.com_position.dtype == np.float32
     measured(

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.config import scenario_config
 from jax_aero.control import qp, tick
+from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
 from jax_aero.types import Setpoint, State
 from jax_aero.verify import SOLUTIONS, crate_quantity, tick_quantities

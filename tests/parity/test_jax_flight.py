@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from jax_aero import io, rust, sim
-from jax_aero.config import scenario_config
+from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
 from jax_aero.sim.plant import PlantState, advance, observe, start_plant
-from jax_aero.sim.wind import wind_velocity
+from jax_aero.sim.wind import wind_model, wind_velocity
 from jax_aero.spatial import rotation_from_wxyz
 from jax_aero.types import State, pytree
 from jax_aero.verify import Comparison, verify_flight
@@ -120,7 +120,8 @@ def test_every_tick_of_the_world(experiment, agree):
     table = rust.load_config(EXPERIMENTS / f"{experiment}.toml", changes)
     rust.check_config(table)
     config, log = scenario_config(table), rust.fly(table).log
-    plant, start = jax.jit(start_plant)(config.simulator, config.disturbances, load_robot(table["robot"]))
+    robot, wind_now = load_robot(table["robot"]), wind_model(config.wind)
+    plant, start = jax.jit(lambda: start_plant(config.simulator, config.disturbances, robot))()
     velocity = np.concatenate([log["base_velocity"], log["joint_velocity"]], axis=1)
     agree("first state", start.robot.velocity, velocity[0], 1e-10)
 
@@ -128,7 +129,7 @@ def test_every_tick_of_the_world(experiment, agree):
         time, position, wxyz, joints, velocity, torque, thrust_rate = logged
         robot = State(position, rotation_from_wxyz(wxyz), joints, velocity)
         state = PlantState(robot, remembered[0], start.first, remembered[1])
-        wind = wind_velocity(config.wind, time)
+        wind = wind_velocity(wind_now, time)
         seen = observe(plant, state, wind)
         after = advance(plant, state, seen, torque, thrust_rate, wind)
         return (after.jets, after.faults), (seen.link_forces.forces, after.robot, after.jets.thrust, wind)
@@ -250,8 +251,8 @@ def test_winds(profile, tmp_path):
     samples.write_text("time,x,y,z\n0.05,1,2,3\n0.1,-1,0.5,0\n0.25,4,-3,1\n")
     wind = WINDS.get(profile, {"profile": "file", "path": str(samples)})
     table = rust.load_config(EXPERIMENTS / "test2.toml", {"simulator.duration": 0.4}) | {"wind": wind}
-    log, config = rust.fly(table).log, scenario_config(table)
-    ours = jax.vmap(lambda time: wind_velocity(config.wind, time))(jnp.asarray(log["time"]))
+    log, model = rust.fly(table).log, wind_model(scenario_config(table).wind)
+    ours = jax.vmap(lambda time: wind_velocity(model, time))(jnp.asarray(log["time"]))
     np.testing.assert_allclose(ours, log["wind"], rtol=0, atol=1e-12)
 
 

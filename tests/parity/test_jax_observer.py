@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.config import ObserverConfig, scenario_config
 from jax_aero.control import observer, tick
+from jax_aero.control.observer import ObserverGains
+from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
 from jax_aero.types import State
 
@@ -79,7 +80,7 @@ def test_a_flight_with_missing_measurements(flown, agree):
 
 def test_the_law_on_every_axis():
     """`w (1 − exp(−K_o t))`, as the crate's own test has it."""
-    config = ObserverConfig(*(np.float64(value) for value in (2.0, 5.0, 600.0, 100.0)))
+    config = ObserverGains(*(np.float64(value) for value in (2.0, 5.0, 600.0, 100.0)))
     wrench = jnp.array([30.0, -50.0, 70.0, 3.0, -5.0, 7.0])
     rate = jnp.array([-11.0, 13.0, 17.0, -1.9, 2.3, 2.9])
     times = 0.01 * jnp.arange(200)
@@ -97,7 +98,7 @@ def test_the_law_on_every_axis():
 
 def test_gradients_of_a_refused_comparison_are_finite():
     """Two measurements at one time: nothing is compared, and nothing is divided by zero."""
-    config = ObserverConfig(*(np.float64(value) for value in (2.0, 5.0, 600.0, 100.0)))
+    config = ObserverGains(*(np.float64(value) for value in (2.0, 5.0, 600.0, 100.0)))
 
     def total(momentum):
         state = observer.start(momentum)

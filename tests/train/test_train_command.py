@@ -125,11 +125,11 @@ def test_an_interrupted_run_goes_on_and_ends_as_if_nothing_had_been(result, data
     [
         ({"network.colour": "1"}, "--set network.colour: there is no such key"),
         ({"training.dropout": "2.0"}, "`training.dropout` is 2.0; expected a number < 1"),
-        ({"network.activation": "gelu"}, "`network.activation` is 'gelu'; expected one of"),
+        ({"network.activation": "gelu"}, '`network.activation` is "gelu"; expected one of'),
         ({"network.baseline": "best"}, "`network.baseline` is"),
         ({"validation.folds_run": "9"}, "`validation.folds_run` is 9; expected at most 5"),
         ({"training.noise": "{ colour = 1.0 }"}, "`training.noise` names ['colour']"),
-        ({"training.epochs": '"many"'}, "`training.epochs` is 'many'; expected an integer"),
+        ({"training.epochs": '"many"'}, '`training.epochs` is "many"; expected an integer'),
     ],
 )
 def test_a_wrong_setting_is_named(data, tmp_path, capsys, change, message):

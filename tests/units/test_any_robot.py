@@ -123,7 +123,7 @@ def test_the_legs_of_mk1_have_the_torques_of_their_motors():
     [
         ("limits = [-0.12, 0.15]", "limits_deg = [-10.0, 10.0]", ["limits_deg of joint `rail`", "prismatic"]),
         ("velocity_max_deg = 90.0", "velocity_max = 1.0", ["velocity_max of joint `hinge`", "revolute"]),
-        ("torque_max = 100.0", "torque_max = -1.0", ["torque_max of joint `rail`", "-1"]),
+        ("torque_max = 100.0", "torque_max = -1.0", ["torque_max` is -1.0"]),
         ("torque_rate_max = 900.0", "torque_rat_max = 900.0", ["torque_rat_max", "torque_rate_max"]),
         ('effort="30"', 'effort="-30"', ["effort", "joint `hinge`", "-30"]),
         ('effort="80"', "", ["torque_max of joint `stroke`", "missing"]),

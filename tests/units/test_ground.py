@@ -195,9 +195,9 @@ def test_an_incomplete_log_is_refused(frontal):
 @pytest.mark.parametrize(
     ("overrides", "named"),
     [
-        ({"simulator.ground.friction": 0.0}, "simulator.ground.friction is 0"),
+        ({"simulator.ground.friction": 0.0}, "`simulator.ground.friction` is 0"),
         ({"simulator.motors.friction_of": {"tail": 1.0}}, "friction_of names `tail`"),
-        ({"controller.contact.wrench.friction": -1.0}, "wrench.friction is -1"),
+        ({"controller.contact.wrench.friction": -1.0}, "wrench.friction` is -1"),
         ({"engine": "rust"}, 'engine = "mujoco"'),
     ],
 )
@@ -220,7 +220,7 @@ def test_engines_refuse_what_they_do_not_know(monkeypatch):
 
 
 def test_jax_refuses_feet_by_name():
-    from jax_aero.config import scenario_config
+    from jax_aero import sim
 
     config = standing(engine="mujoco")
     for section, key in [
@@ -230,7 +230,7 @@ def test_jax_refuses_feet_by_name():
         ("controller", "use_jets"),
     ]:
         with pytest.raises(ValueError, match=rf"`{section}\.{key}`"):
-            scenario_config(config)
+            sim.fly(config)
         del config[section][key]
 
 

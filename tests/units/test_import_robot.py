@@ -48,6 +48,10 @@ def test_meshes_named_by_package_give_the_sizes_of_links(tmp_path, stl, agree, m
     measured("diameter", abs(link["diameter"] - np.sqrt(0.7 * 0.6)), 1e-4)
     assert np.abs(result.trim.residual).max() < 1e-6
     assert result.hover.outcome == "completed"
+    for name in ("robot", "controller", "hover"):
+        path = tmp_path / "out" / f"{name}.toml"
+        first = path.read_text(encoding="utf-8").splitlines()[0]
+        assert (path.parent / first.removeprefix("#:schema ")).is_file()
     assert result.hover.summary["max_com_error"] < 0.01
 
 

@@ -12,8 +12,12 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
-from jax_aero.config import AxisymmetricConfig, recorded_reference, scenario_config
+from jax_aero.config import AxisymmetricAeroConfig
+from jax_aero.control.recorded import read_reference
+from jax_aero.control.tick import momentum_controller
+from jax_aero.io import scenario_config
 from jax_aero.robot import ancestors_of, levels_of, load_robot
+from jax_aero.sim.plant import n_ticks
 from jax_aero.types import Static, pytree, with_dtype
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -32,20 +36,28 @@ def test_a_half_turn_between_rows_is_refused(tmp_path, turn, is_refused):
     path = tmp_path / "reference.csv"
     path.write_text(f"time,x,y,z,roll,pitch,yaw\n0,0,0,1,0,0,0\n1,0,0,1,0,0,0\n2,0,0,1,0,0,{np.radians(turn)}\n")
     if not is_refused:
-        assert recorded_reference(str(path)).rpy.shape == (3, 3)
+        assert read_reference(str(path)).rpy.shape == (3, 3)
         return
     with pytest.raises(ValueError, match=rf"turns by {turn} deg from row 2 to row 3; expected a turn below 179 deg"):
-        recorded_reference(str(path))
+        read_reference(str(path))
 
 
 def test_numbers_are_leaves_and_names_are_structure(table):
-    config = scenario_config(table)
-    assert config.simulator.n_ticks == 5000
-    assert isinstance(config.controller.aero, AxisymmetricConfig)
-    assert all(leaf.dtype == np.float64 for leaf in jax.tree.leaves(config))
-    other = scenario_config(table | {"controller": table["controller"] | {"lever_arm": "unrotated"}})
-    assert jax.tree.structure(config) != jax.tree.structure(other)
-    assert jax.tree.structure(config) == jax.tree.structure(scenario_config(table))
+    config, robot = scenario_config(table), load_robot(table["robot"])
+    assert n_ticks(config.simulator) == 5000
+    assert isinstance(config.controller.aero, AxisymmetricAeroConfig)
+
+    def controller(**changes):
+        changed = scenario_config(table | {"controller": table["controller"] | changes})
+        return momentum_controller(changed, robot)
+
+    with jax.enable_x64(True):
+        made = controller()
+        assert all(leaf.dtype == np.float64 and not getattr(leaf, "weak_type", False) for leaf in jax.tree.leaves(made))
+        assert jax.tree.structure(made) != jax.tree.structure(controller(lever_arm="unrotated"))
+        assert jax.tree.structure(made) == jax.tree.structure(
+            controller(posture_gain=table["controller"]["posture_gain"])
+        )
 
 
 @pytest.mark.parametrize("section", ["", "simulator", "controller", "mission", "wind"])

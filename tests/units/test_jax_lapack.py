@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from jax_aero import rust, sim
-from jax_aero.config import scenario_config
 from jax_aero.control import qp
+from jax_aero.io import scenario_config
 from jax_aero.linalg import CHUNK, solve_positive_definite
 
 pytestmark = pytest.mark.usefixtures("x64")

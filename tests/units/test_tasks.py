@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from jax_aero import io
-from jax_aero.config import scenario_config
 from jax_aero.control.tasks import Diagonal, Rows
 from jax_aero.control.tick import init, momentum_controller, tick
+from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
 from jax_aero.types import Array, State, Static, pytree
 

@@ -144,7 +144,7 @@ def test_collocation_is_exact_for_polynomials(degree):
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [
-        ('goal = "min_time"', 'goal = "min_noise"', "`goal` is 'min_noise'; expected one of min_fuel, min_time"),
+        ('goal = "min_time"', 'goal = "min_noise"', '`goal` is "min_noise"; expected one of min_fuel, min_time'),
         ("intervals = 10", "intervals = 10.5", "`intervals` is 10.5; expected an integer"),
         ("[fuel.l_arm_jet]", "[fuel.tail_jet]", "`fuel` has tail_jet, "),
         ('"torso", ', '"tail", ', "free_groups names `tail`"),

@@ -164,7 +164,7 @@ def test_a_map_is_a_result_with_a_manifest(tmp_path, monkeypatch):
     ("old", "new", "complaint"),
     [
         ("margin_min = 0.05", "margin = 0.05", "unknown key `margin`"),
-        ("yaw_deg = 180.0", 'yaw_deg = "south"', "`yaw_deg` is 'south'; expected a number"),
+        ("yaw_deg = 180.0", 'yaw_deg = "south"', '`yaw_deg` is "south"; expected a number'),
         ("free_groups = []", 'free_groups = ["tail"]', "free_groups names `tail`"),
         ("ironcub_mk1.toml", "ironcub_mk9.toml", "expected the path of a file that exists"),
         ("[map]", "[maps]", "unknown key `maps`"),

@@ -8,7 +8,7 @@ pub mod check;
 
 use crate::spatial::Pose;
 use nalgebra::{Matrix3, Unit, Vector3};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// A robot that has passed every check.
@@ -123,8 +123,8 @@ pub struct Frame {
     pub body_from_frame: Pose,
 }
 
-/// Coefficients of one axisymmetric link, all force areas \[m²\] (see [`crate::aero`]).
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+/// Coefficients of one axisymmetric link, all force areas \[m²\].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct AxisymmetricCoefficients {
@@ -175,7 +175,7 @@ pub struct Jet {
 /// ```text
 /// T̈ = k_t T + k_tt T² + k_d Ṫ + k_dd Ṫ² + k_td T Ṫ + c + (b_u + b_t T + b_d Ṫ)(u + b_uu u²)
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct EngineCoefficients {

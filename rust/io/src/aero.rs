@@ -13,7 +13,8 @@ use std::path::PathBuf;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "model", rename_all = "snake_case", deny_unknown_fields)]
 pub enum AeroConfig {
-    /// No aerodynamic force. Braces, because serde lets unknown keys pass beside a bare name.
+    /// No aerodynamic force.
+    // Braces, because serde lets unknown keys pass beside a bare name.
     Off {},
     /// Fitted force areas of axisymmetric links.
     Axisymmetric(AxisymmetricConfig),
@@ -34,6 +35,7 @@ pub struct NetworkConfig {
     #[serde(default)]
     pub precision: Precision,
     /// Density of the air \[kg/m³\].
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub air_density: f64,
 }
 

@@ -19,39 +19,48 @@ use flight_core::robot::{
 use flight_core::spatial::unit_vector;
 use nalgebra::{Unit, Vector3};
 use schemars::JsonSchema;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 use tree::Tree;
 
 /// A robot's TOML file.
-#[derive(Deserialize, JsonSchema)]
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RobotFile {
+    /// Name of the robot.
     name: String,
     /// URDF file, relative to this one.
     #[schemars(extend("format" = "path"))]
     urdf: String,
+    /// Link of the URDF whose body floats.
     base_link: String,
     /// Forward direction in base axes, a unit vector orthogonal to z.
     #[serde(default = "default_forward_axis")]
     forward_axis: [f64; 3],
+    /// Gravity \[m/s²\].
     #[serde(default = "default_gravity")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     gravity: f64,
+    /// Joints that move, in groups; their order is that of every joint vector.
     #[serde(default)]
     joint_groups: Vec<GroupEntry>,
     /// Joints held at a position \[rad, m\].
     #[serde(default)]
     locked: BTreeMap<String, f64>,
+    /// Links on which aerodynamic force acts.
     #[serde(default)]
     aero_links: Vec<AeroEntry>,
     /// Coefficients by set, then by link family.
     #[serde(default)]
     coefficients: BTreeMap<String, BTreeMap<String, AxisymmetricCoefficients>>,
+    /// Jet engines on the robot.
     #[serde(default)]
     jets: Vec<JetEntry>,
+    /// Second-order engines, by name.
     #[serde(default)]
     engines: BTreeMap<String, EngineCoefficients>,
+    /// Feet that can touch the ground.
     #[serde(default)]
     feet: Vec<FootEntry>,
 }
@@ -66,63 +75,95 @@ fn default_gravity() -> f64 {
     9.81
 }
 
-#[derive(Deserialize, JsonSchema)]
+/// Joints that are treated and plotted together.
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct GroupEntry {
+    /// Name of the group, as posture gains and plots name it.
     name: String,
+    /// Its joints.
     joints: Vec<JointEntry>,
 }
 
-#[derive(Deserialize, JsonSchema)]
+/// A joint that moves.
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct JointEntry {
+    /// Name of the joint in the URDF.
     name: String,
-    /// Of a revolute joint; without them, the limits of the URDF hold.
+    /// Of a revolute joint \[deg\]; without them, the limits of the URDF hold.
     limits_deg: Option<[f64; 2]>,
     /// Of a prismatic joint \[m\]; without them, the limits of the URDF hold.
     limits: Option<[f64; 2]>,
     /// In place of the URDF's effort \[N m, N\].
+    #[schemars(extend("exclusiveMinimum" = 0))]
     torque_max: Option<f64>,
     /// Without it, nothing limits the rate \[N m/s, N/s\].
+    #[schemars(extend("exclusiveMinimum" = 0))]
     torque_rate_max: Option<f64>,
-    /// Of a revolute joint, in place of the URDF's velocity.
+    /// Of a revolute joint, in place of the URDF's velocity \[deg/s\].
+    #[schemars(extend("exclusiveMinimum" = 0))]
     velocity_max_deg: Option<f64>,
     /// Of a prismatic joint, in place of the URDF's velocity \[m/s\].
+    #[schemars(extend("exclusiveMinimum" = 0))]
     velocity_max: Option<f64>,
 }
 
-#[derive(Deserialize, JsonSchema)]
+/// A link on which aerodynamic force acts.
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct AeroEntry {
+    /// Name of the link in tables and plots.
     name: String,
+    /// Link of the URDF.
     frame: String,
+    /// Name of its coefficients in every coefficient set.
     family: String,
+    /// Axis of symmetry in link axes, a unit vector.
     axis: [f64; 3],
+    /// Where the force acts, in link axes \[m\].
     centre: [f64; 3],
+    /// Diameter \[m\].
+    #[schemars(extend("exclusiveMinimum" = 0))]
     diameter: f64,
+    /// Length along the axis \[m\].
+    #[schemars(extend("exclusiveMinimum" = 0))]
     length: f64,
+    /// Whether the link is a sphere to the sphere/cylinder model.
     #[serde(default)]
     is_sphere: bool,
 }
 
-#[derive(Deserialize, JsonSchema)]
+/// A jet engine: a force along a fixed axis of a frame.
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct JetEntry {
+    /// Name of the jet.
     name: String,
+    /// Link of the URDF; the thrust acts at its origin.
     frame: String,
+    /// Direction of the force on the robot in frame axes, a unit vector.
     axis: [f64; 3],
+    /// Greatest thrust \[N\].
+    #[schemars(extend("exclusiveMinimum" = 0))]
     thrust_max: f64,
+    /// Name of its engine.
     engine: String,
 }
 
-#[derive(Deserialize, JsonSchema)]
+/// A foot: a sole and the corners that can touch the ground.
+#[derive(Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct FootEntry {
+    /// Name of the foot.
     name: String,
+    /// Link of the URDF: the sole.
     frame: String,
+    /// Corners that can touch the ground, in sole axes \[m\].
     vertices: Vec<[f64; 3]>,
-    /// Without it, the extent of the vertices \[m\].
+    /// Least and greatest x of the centre of pressure \[m\]; without it, the extent of the vertices.
     centre_of_pressure_x: Option<[f64; 2]>,
+    /// Least and greatest y of the centre of pressure \[m\]; without it, the extent of the vertices.
     centre_of_pressure_y: Option<[f64; 2]>,
 }
 

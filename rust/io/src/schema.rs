@@ -81,9 +81,10 @@ impl<'a> Node<'a> {
         })
     }
 
-    /// The place of the items of this list.
+    /// The place of the items of this list, which are of one type.
     pub(crate) fn item(self) -> Option<Self> {
-        self.node.get("items").map(|node| Self { root: self.root, node }.followed())
+        let of_tuple = || self.node.get("prefixItems").and_then(|items| items.get(0));
+        self.node.get("items").or_else(of_tuple).map(|node| Self { root: self.root, node }.followed())
     }
 
     /// Whether the text here is a path.
@@ -213,7 +214,8 @@ impl<'a> Node<'a> {
         };
         let limits = [("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤")];
         let limits = limits.iter().filter_map(|(name, sign)| Some(format!("{sign} {}", limit(name)?)));
-        [vec![words], limits.collect()].concat().join(" ")
+        let limits = limits.collect::<Vec<_>>().join(" and ");
+        if limits.is_empty() { words } else { format!("{words} {limits}") }
     }
 }
 

@@ -35,7 +35,7 @@ pub struct ScenarioConfig {
     #[serde(default)]
     pub description: String,
     /// Which engine flies it. This crate is one of them and reads the files of both.
-    #[serde(default, skip_serializing_if = "Engine::is_rust")]
+    #[serde(default)]
     pub engine: Engine,
     /// The robot's TOML file.
     #[schemars(extend("format" = "path"))]
@@ -49,7 +49,7 @@ pub struct ScenarioConfig {
     /// The wind that blows; the controller is given it too, unless `disturbances` say otherwise.
     pub wind: WindConfig,
     /// What is done to robot and controller.
-    #[serde(default, skip_serializing_if = "Disturbances::is_default")]
+    #[serde(default)]
     pub disturbances: Disturbances,
 }
 
@@ -112,29 +112,25 @@ pub enum Engine {
     Mujoco,
 }
 
-impl Engine {
-    #[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
-    fn is_rust(&self) -> bool {
-        *self == Self::Rust
-    }
-}
-
 /// The world the robot flies in.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SimulatorConfig {
     /// Length of the flight \[s\].
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub duration: f64,
     /// Tick of controller and physics \[s\].
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1))]
     pub time_step: f64,
     /// Physics steps within a tick; forces that depend on the state follow it, commands are held.
     #[serde(default = "one")]
+    #[schemars(range(min = 1, max = 1000))]
     pub substeps: u32,
     /// How a physics step is taken.
     #[serde(default)]
     pub integrator: Integrator,
     /// What computes mass matrix and bias.
-    #[serde(default, skip_serializing_if = "DynamicsBackend::is_tree")]
+    #[serde(default)]
     pub dynamics: DynamicsBackend,
     /// Aerodynamics of the world.
     pub aero: AeroConfig,
@@ -162,6 +158,7 @@ pub struct SimulatorConfig {
     /// Greatest distance of the centre of mass from its set-point, after the start-up, of a flight that is on
     /// course \[m\].
     #[serde(default = "half_a_metre")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub course_error: f64,
     /// What physics excludes.
     #[serde(default)]
@@ -185,13 +182,6 @@ pub enum DynamicsBackend {
     Tree,
     /// MuJoCo's JAX implementation, for `engine = "jax"` alone.
     Mjx,
-}
-
-impl DynamicsBackend {
-    #[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
-    fn is_tree(&self) -> bool {
-        *self == Self::Tree
-    }
 }
 
 /// How a physics step is taken.
@@ -231,6 +221,7 @@ pub struct InitialConfig {
     #[serde(default)]
     pub base_velocity: [f64; 6],
     /// Thrusts in the robot's order \[N\].
+    #[schemars(inner(range(min = 0)))]
     pub thrust: Vec<f64>,
     /// Whether the first physics step has neither thrust nor torque, as the delays of the published
     /// model make it: the controller first sees a robot that has fallen for one tick.
@@ -247,14 +238,19 @@ fn yes() -> bool {
 #[serde(default, deny_unknown_fields)]
 pub struct DivergenceConfig {
     /// Speed of base and air \[m/s\]; by default near that of sound, where no aerodynamic model here holds.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub speed: f64,
     /// Angular velocity of the base \[rad/s\]; by default 16 turns a second.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub angular_velocity: f64,
     /// Velocity of a joint \[rad/s, m/s\]; by default ten times what motors of such robots do.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub joint_velocity: f64,
     /// How far a joint is beyond its stops \[rad, m\]; by default about a turn.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub joint_excess: f64,
     /// Thrust as a multiple of the jet's greatest.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub thrust_ratio: f64,
 }
 
@@ -275,8 +271,10 @@ impl Default for DivergenceConfig {
 #[serde(deny_unknown_fields)]
 pub struct FallConfig {
     /// Greatest rotation between base and reference \[deg\].
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 180))]
     pub rotation_error_deg: f64,
     /// Greatest distance between centre of mass and reference \[m\].
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub com_error: f64,
 }
 

@@ -25,26 +25,16 @@ pub struct Disturbances {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub controller_wind: Option<WindConfig>,
     /// How the controller's robot differs from the one that flies.
-    #[serde(skip_serializing_if = "ModelError::is_default")]
     pub model_error: ModelError,
     /// Factors on the simulated aerodynamic forces: coefficients that are not what they are thought to be.
-    #[serde(skip_serializing_if = "ForceFactorsConfig::is_default")]
     pub aero: ForceFactorsConfig,
     /// Factors on the forces that the controller estimates: information that is wrong or left out.
-    #[serde(skip_serializing_if = "ForceFactorsConfig::is_default")]
     pub aero_estimate: ForceFactorsConfig,
     /// What is wrong with the jets.
-    #[serde(skip_serializing_if = "JetFaultsConfig::is_default")]
     pub jets: JetFaultsConfig,
 }
 
 impl Disturbances {
-    /// Whether there are none.
-    #[must_use]
-    pub fn is_default(&self) -> bool {
-        *self == Self::default()
-    }
-
     /// The controller's model of `robot`: with errors, and with the limits of weak jets where they are
     /// known.
     ///

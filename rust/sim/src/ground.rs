@@ -11,10 +11,13 @@ use std::collections::BTreeMap;
 #[serde(deny_unknown_fields)]
 pub struct GroundConfig {
     /// Coulomb friction of soles on the ground.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub friction: f64,
     /// Time in which a touching corner comes to rest \[s\]: softer with a longer one.
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub contact_time: f64,
     /// How long stiff joints hold the initial posture before the controller takes over at time zero \[s\].
+    #[schemars(range(min = 0))]
     pub settling: f64,
 }
 
@@ -23,13 +26,16 @@ pub struct GroundConfig {
 #[serde(deny_unknown_fields)]
 pub struct MotorsConfig {
     /// Dry friction of every joint \[N m\].
+    #[schemars(range(min = 0))]
     pub friction: f64,
     /// Dry friction of joints that have another, by name \[N m\].
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    #[serde(default)]
     pub friction_of: BTreeMap<String, f64>,
     /// Viscous friction of every joint \[N m s\].
+    #[schemars(range(min = 0))]
     pub damping: f64,
     /// Rotor inertia seen at every joint \[kg m²\].
+    #[schemars(range(min = 0))]
     pub inertia: f64,
 }
 

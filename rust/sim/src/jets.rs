@@ -23,8 +23,8 @@ use std::collections::BTreeMap;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "dynamics", rename_all = "snake_case", deny_unknown_fields)]
 pub enum JetsConfig {
-    /// Thrust is the integral of the command. Braces, because serde lets unknown keys pass beside a
-    /// bare name.
+    /// Thrust is the integral of the command.
+    // Braces, because serde lets unknown keys pass beside a bare name.
     Ideal {},
     /// Identified second-order engines behind a throttle loop.
     SecondOrder(SecondOrderConfig),
@@ -35,8 +35,10 @@ pub enum JetsConfig {
 #[serde(default, deny_unknown_fields)]
 pub struct SecondOrderConfig {
     /// Proportional gain of the thrust-rate loop \[1/s\].
+    #[schemars(range(min = 0))]
     pub rate_gain_p: f64,
     /// Integral gain of the thrust-rate loop \[1/s²\].
+    #[schemars(range(min = 0))]
     pub rate_gain_i: f64,
     /// The thrust estimator.
     pub ekf: EkfConfig,

@@ -17,40 +17,43 @@ use std::path::{Path, PathBuf};
 pub enum WindConfig {
     /// The same all the time.
     Constant {
-        /// Velocity of the air.
+        /// Velocity of the air \[m/s\].
         velocity: [f64; 3],
     },
     /// Still, then rising linearly to a constant: the published profile.
     Ramp {
-        /// Velocity after the ramp.
+        /// Velocity after the ramp \[m/s\].
         velocity: [f64; 3],
-        /// When the wind starts to rise.
+        /// When the wind starts to rise \[s\].
         ramp_start: f64,
-        /// When it has risen.
+        /// When it has risen \[s\].
         ramp_end: f64,
     },
     /// A steady wind with one "1 − cos" gust on top.
     Gust {
-        /// Steady velocity.
+        /// Steady velocity \[m/s\].
         velocity: [f64; 3],
-        /// Velocity added at the peak of the gust.
+        /// Velocity added at the peak of the gust \[m/s\].
         gust: [f64; 3],
-        /// When the gust begins.
+        /// When the gust begins \[s\].
         start: f64,
-        /// How long it lasts.
+        /// How long it lasts \[s\].
+        #[schemars(extend("exclusiveMinimum" = 0))]
         duration: f64,
     },
     /// The published profile with turbulence on top, which rises with it.
     Turbulent {
-        /// Mean velocity after the ramp.
+        /// Mean velocity after the ramp \[m/s\].
         velocity: [f64; 3],
-        /// When the wind starts to rise.
+        /// When the wind starts to rise \[s\].
         ramp_start: f64,
-        /// When it has risen.
+        /// When it has risen \[s\].
         ramp_end: f64,
-        /// Standard deviation of the turbulence on each axis.
+        /// Standard deviation of the turbulence on each axis \[m/s\].
+        #[schemars(inner(range(min = 0)))]
         std: [f64; 3],
-        /// Time scale of the turbulence.
+        /// Time scale of the turbulence \[s\].
+        #[schemars(extend("exclusiveMinimum" = 0))]
         time_scale: f64,
         /// Seed of the turbulence.
         #[serde(default)]

@@ -274,7 +274,7 @@ fn missing_and_ill_typed_keys_are_named() {
         ("robot", Value::Null, "is missing"),
         ("controller.momentum.c0", json!("fifty"), "is \"fifty\"; expected a number"),
         ("controller.momentum.kp_linear", json!([1.0, 2.0]), "is [1.0,2.0]; expected a list of 3"),
-        ("simulator.substeps", json!(-1), "is -1; expected an integer ≥ 0"),
+        ("simulator.substeps", json!(-1), "is -1; expected an integer ≥ 1 and ≤ 1000"),
         (
             "simulator.integrator",
             json!("magic"),

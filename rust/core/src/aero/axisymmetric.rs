@@ -16,6 +16,7 @@ pub struct AxisymmetricConfig {
     /// Name of a coefficient set that every link of the robot has.
     pub coefficients: String,
     /// Density of the air \[kg/m³\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub air_density: f64,
 }
 

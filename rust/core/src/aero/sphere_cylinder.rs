@@ -15,8 +15,10 @@ use std::f64::consts::FRAC_PI_4;
 #[serde(deny_unknown_fields)]
 pub struct SphereCylinderConfig {
     /// Density of the air \[kg/m³\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub air_density: f64,
     /// Dynamic viscosity of the air \[Pa s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub dynamic_viscosity: f64,
     /// Drag of circular cylinders.
     pub cylinder: CylinderTables,
@@ -30,6 +32,7 @@ pub struct SphereCylinderConfig {
 #[serde(deny_unknown_fields)]
 pub struct CylinderTables {
     /// Reynolds number, on the diameter, at which the axial coefficients count unscaled.
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub reference_reynolds: f64,
     /// Reynolds numbers of `crosswind_drag`.
     pub reynolds: Vec<f64>,
@@ -51,6 +54,7 @@ pub struct CylinderTables {
 #[serde(deny_unknown_fields)]
 pub struct SphereTables {
     /// Drag coefficient below Reynolds number 10.
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub drag_below_reynolds_10: f64,
     /// Reynolds numbers of `drag`; between 10 and the first one a correlation is used.
     pub reynolds: Vec<f64>,

@@ -46,7 +46,7 @@ pub struct ControllerConfig {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub observer: Option<ObserverConfig>,
     /// Whether thrusts are known of and asked for.
-    #[serde(default = "yes", skip_serializing_if = "is_true")]
+    #[serde(default = "yes")]
     pub use_jets: bool,
     /// How QPs are solved.
     #[serde(default)]
@@ -94,25 +94,25 @@ fn yes() -> bool {
     true
 }
 
-#[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
-fn is_true(value: &bool) -> bool {
-    *value
-}
-
 /// Gains of the momentum task (M57 of `docs/model.md`) and the attitude task (M60).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct MomentumGains {
     /// `K_P` on the integral of the linear momentum error, per axis \[1/s²\].
+    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
     pub kp_linear: [f64; 3],
     /// `K_D` on the linear momentum error, per axis \[1/s\].
+    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
     pub kd_linear: [f64; 3],
     /// `K_O`; its inverse is added to `K_P + K_D` \[s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub ko: f64,
     /// `c₀` of the attitude task \[N m\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub c0: f64,
     /// `c₁` of the attitude task \[N m s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub c1: f64,
 }
 
@@ -122,20 +122,26 @@ pub struct MomentumGains {
 #[serde(deny_unknown_fields)]
 pub struct MomentumWeights {
     /// Momentum and attitude tasks.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub momentum: f64,
     /// Angular-momentum constraint task.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub angular_momentum: f64,
     /// Posture task.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub posture: f64,
     /// Joint velocities towards zero.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub joint_velocity: f64,
     /// Thrust rates towards zero, by jet.
     pub thrust_rate: BTreeMap<String, f64>,
     /// Equal thrust rates within each pair of [`Self::symmetric_jets`].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub symmetry: f64,
     /// Pairs of jets meant to act alike.
     pub symmetric_jets: Vec<[String; 2]>,
     /// Added to the diagonal of the Hessian.
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub regularisation: f64,
 }
 
@@ -147,11 +153,14 @@ pub struct BoundsConfig {
     /// Greatest thrust rate, by jet \[N/s\].
     pub thrust_rate_max: BTreeMap<String, f64>,
     /// Steepness at the thrust limits \[1/N\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub thrust_steepness: f64,
     /// Greatest velocity of revolute joints in place of the robot's own limits \[deg/s\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub joint_velocity_max_deg: Option<f64>,
     /// Steepness at the joint limits \[1/rad, 1/m\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub joint_steepness: f64,
 }
 
@@ -161,20 +170,27 @@ pub struct BoundsConfig {
 #[serde(deny_unknown_fields)]
 pub struct TorqueConfig {
     /// `K_Ds` on the joint velocity error \[1/s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub kd: f64,
     /// `K_Ps` on the integral of the joint velocity error \[1/s²\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub kp: f64,
     /// Weight of the joint acceleration task.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub weight_acceleration: f64,
     /// Weight of the torques.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub weight_torque: f64,
     /// Added to the diagonal of the Hessian.
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub regularisation: f64,
     /// Greatest torque of revolute joints in place of the robot's own limits \[N m\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub torque_max: Option<f64>,
     /// Greatest rate of the torque of revolute joints in place of the robot's own limits \[N m/s\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub torque_rate_max: Option<f64>,
 }
 

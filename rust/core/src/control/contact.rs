@@ -35,20 +35,27 @@ pub struct ContactConfig {
     /// Names of the feet to stand on; the robot's other feet are no contacts.
     pub feet: Vec<String>,
     /// Vertical force beyond which a foot carries \[N\]; all of `feet` have to.
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub vertical_force_min: f64,
     /// Whether `f_c*` starts with the measured moment about y besides the vertical force.
     pub start_with_moment: bool,
     /// Greatest rate of every component of `f_c*` \[N/s, N m/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub force_rate_max: f64,
     /// Rates below this are not integrated \[N/s, N m/s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub force_rate_dead_zone: f64,
     /// Weight of `ḟ_c → 0` in the momentum QP.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub weight_force_rate: f64,
     /// Weight of `J_c ν = 0` in the momentum QP.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub weight_foot_velocity: f64,
     /// Weight of `J_c ν̇ + J̇_c ν = 0` in the torque QP.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub weight_foot_acceleration: f64,
     /// Weight of `f_c → f_c*` in the torque QP.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub weight_force: f64,
     /// What the wrench of a foot may be.
     pub wrench: WrenchLimits,
@@ -61,10 +68,13 @@ pub struct ContactConfig {
 #[serde(deny_unknown_fields)]
 pub struct WrenchLimits {
     /// Friction `|f_xy| ≤ μ f_z`, as the regular polygon of twelve corners inside the circle.
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub friction: f64,
     /// Torsion `|m_z| ≤ κ f_z` \[m\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub torsional_friction: f64,
     /// Least vertical force \[N\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub vertical_force_min: f64,
 }
 

@@ -29,24 +29,24 @@ impl Mission {
 /// Time interval `(start, end)` \[s\], open at both ends.
 pub type Interval = (f64, f64);
 
-/// When the autopilot commands what. Every list may be empty or absent.
+/// When the autopilot commands what: lists of open intervals, each of which may be empty or absent.
 ///
 /// Source: the published autopilot; `configs/mission/*.toml` hold its three missions.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Commands {
-    /// Climb.
+    /// Climb \[s\].
     pub up: Vec<Interval>,
-    /// Descend.
+    /// Descend \[s\].
     pub down: Vec<Interval>,
-    /// Fly forwards at the plain speed.
+    /// Fly forwards at the plain speed \[s\].
     pub forward: Vec<Interval>,
-    /// Fly forwards with boosted speed, nose down.
+    /// Fly forwards with boosted speed, nose down \[s\].
     pub forward_turbo: Vec<Interval>,
-    /// Raise the nose.
+    /// Raise the nose \[s\].
     pub pitch_up: Vec<Interval>,
-    /// Turn left.
+    /// Turn left \[s\].
     pub yaw_left: Vec<Interval>,
 }
 

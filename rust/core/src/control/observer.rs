@@ -23,12 +23,16 @@ const GAP_MAX: f64 = 10.5;
 #[serde(deny_unknown_fields)]
 pub struct ObserverConfig {
     /// `K_o` of the force \[1/s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub gain_force: f64,
     /// `K_o` of the moment \[1/s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub gain_moment: f64,
     /// Greatest observed force along each axis \[N\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub force_max: f64,
     /// Greatest observed moment about each axis \[N m\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub moment_max: f64,
 }
 

@@ -22,22 +22,30 @@ use serde::{Deserialize, Serialize};
 #[serde(deny_unknown_fields)]
 pub struct SetpointConfig {
     /// Forward and vertical speed of the raw position \[m/s\].
+    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
     pub speed: [f64; 2],
     /// Rates of raw pitch and yaw \[deg/s\].
+    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
     pub attitude_rate_deg: [f64; 2],
     /// Least and greatest raw pitch, positive nose down \[deg\].
     pub nose_down_limits_deg: [f64; 2],
     /// The forward speed grows to `1 + turbo_boost` times itself.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub turbo_boost: f64,
     /// Growth of the boost \[1/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub turbo_rate: f64,
     /// Smoothing time of the position \[s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub position_smoothing: f64,
     /// Smoothing time of the filter whose rate output is the jerk \[s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub acceleration_smoothing: f64,
     /// Smoothing time of the angular velocity \[s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub angular_velocity_smoothing: f64,
     /// Gain with which the smoothed attitude follows the raw one \[1/s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub attitude_gain: f64,
 }
 

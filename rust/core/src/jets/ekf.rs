@@ -25,6 +25,7 @@ pub struct EkfConfig {
     pub q: [[f64; 2]; 2],
     /// `R`: intensity of the measurement noise.
     #[serde(rename = "R")]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub r: f64,
 }
 

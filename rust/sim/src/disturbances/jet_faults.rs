@@ -24,17 +24,18 @@ pub struct JetFaultsConfig {
     /// Thrust stays below this times the robot's greatest thrust; without it nothing but the controller
     /// limits it, as published.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
     pub thrust_limit_scale: Option<f64>,
     /// Whether the controller's own limits are scaled as well.
     pub limit_is_known: bool,
     /// Time constant with which the commanded thrust rate takes effect \[s\]; zero for at once.
+    #[schemars(range(min = 0))]
     pub lag: f64,
     /// Noise on the thrust that the estimators of second-order jets measure.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub measurement_noise: Option<MeasurementNoise>,
     /// Force that a jet exerts, over the thrust that it seems to have, by its name; jets that are not named
     /// exert their thrust.
-    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub force_scale: BTreeMap<String, f64>,
 }
 
@@ -58,11 +59,13 @@ pub struct JetFailure {
     /// Name of the jet.
     pub jet: String,
     /// When it fails \[s\].
+    #[schemars(range(min = 0))]
     pub time: f64,
     /// How.
     pub kind: FailureKind,
     /// Time constant with which a jet that is off loses its thrust \[s\]; zero for at once.
     #[serde(default)]
+    #[schemars(range(min = 0))]
     pub decay: f64,
 }
 
@@ -81,6 +84,7 @@ pub enum FailureKind {
 #[serde(deny_unknown_fields)]
 pub struct MeasurementNoise {
     /// Standard deviation \[N\].
+    #[schemars(range(min = 0))]
     pub std: f64,
     /// Seed.
     #[serde(default)]

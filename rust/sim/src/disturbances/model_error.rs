@@ -10,8 +10,10 @@ use serde::{Deserialize, Serialize};
 #[serde(deny_unknown_fields, default)]
 pub struct ModelError {
     /// Factor on all masses and inertias of the controller's robot.
+    #[schemars(range(min = 0.01, max = 100))]
     pub mass_scale: f64,
     /// Added to the base body's centre of mass in the controller's robot \[m, base axes\].
+    #[schemars(inner(range(min = -10, max = 10)))]
     pub com_offset: [f64; 3],
 }
 

@@ -21,10 +21,13 @@ pub struct WindEstimateConfig {
     /// Added to the wind \[m/s, inertial axes\].
     pub bias: [f64; 3],
     /// Standard deviation of white noise on every axis, drawn anew each tick \[m/s\].
+    #[schemars(range(min = 0))]
     pub noise_std: f64,
     /// Age of the wind that is given, rounded to ticks \[s\].
+    #[schemars(range(min = 0, max = 1000))]
     pub delay: f64,
     /// Time constant of a first-order low pass behind all other errors \[s\]; zero for none.
+    #[schemars(range(min = 0))]
     pub time_constant: f64,
     /// Whether only the mean over the flight is given.
     pub mean_only: bool,

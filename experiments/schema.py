@@ -1,0 +1,456 @@
+"""Write what follows from the types of the configuration: `python -m experiments schema`.
+
+The crate's types are the description of a flight and of a robot. From their JSON Schemas are made: the schemas of
+`configs/schema/`, by which editors complete keys; the Python types of `jax_aero/config.py`; and the page
+`docs/reference/configuration.md`. The schemas of studies, sweeps and trainings come from the Python types that read
+them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import json
+import re
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from experiments import manifest, tip_over, trajectory, trim
+from experiments.sweep.perturbation import Perturbation
+from experiments.sweep.spec import Axis, Spec
+from experiments.training.config import Training
+from experiments.training.search import SearchConfig
+from jax_aero import rust, tables
+
+Node = dict[str, Any]
+
+STUDIES: dict[str, Any] = {
+    "perturbation": Perturbation,
+    "sweep_axes": Axis,
+    "sweeps": Spec,
+    "tip_over": tip_over.TipOverConfig,
+    "training": Training,
+    "training_search": SearchConfig,
+    "trajectory": trajectory.TrajectoryConfig,
+    "trim": trim.TrimConfig,
+}
+"""What Python alone reads, by the name of its schema."""
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+MADE = "by `python -m experiments schema` from the crate's types"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    argparse.ArgumentParser(prog="python -m experiments schema", description=__doc__).parse_args(arguments)
+    for path, text in files().items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+        print(path.relative_to(manifest.REPOSITORY))
+    return 0
+
+
+def files() -> dict[Path, str]:
+    """Return the text of every file that follows from the types."""
+    crate = rust.schemas()
+    found = {name: schema if name == "robot" else of_parts(schema) for name, schema in crate.items()}
+    found |= {name: {"$schema": DIALECT, **tables.schema(kind)} for name, kind in STUDIES.items()}
+    found["sweeps"] = _with_files(found["sweeps"])
+    folder, docs = manifest.REPOSITORY / "configs" / "schema", manifest.REPOSITORY / "docs"
+    return {
+        **{folder / f"{name}.schema.json": _json(schema) for name, schema in sorted(found.items())},
+        manifest.REPOSITORY / "jax_aero" / "config.py": python_types(crate),
+        docs / "reference" / "configuration.md": reference(crate),
+    }
+
+
+def _json(schema: Node) -> str:
+    return json.dumps(_plain(schema), indent=1, ensure_ascii=False, sort_keys=True) + "\n"
+
+
+def _plain(node: Any) -> Any:
+    """Return a schema without what editors do not know: formats of numbers, brackets escaped for rustdoc."""
+    if isinstance(node, dict):
+        kept = {key: _plain(value) for key, value in node.items() if key != "format" or value == "path"}
+        if isinstance(kept.get("description"), str):
+            kept["description"] = _prose(kept["description"])
+        return kept
+    return [_plain(entry) for entry in node] if isinstance(node, list) else node
+
+
+def of_parts(schema: Node) -> Node:
+    """Return the schema of files in which any table may leave keys to the file that it names as its `base`.
+
+    What is missing then is refused when the files have been merged.
+    """
+    partial = copy.deepcopy(schema)
+    for node in _nodes(partial):
+        if "properties" in node:
+            node.pop("required", None)
+            text = "File whose table is read first; the keys beside `base` are laid over it."
+            node["properties"]["base"] = {"type": "string", "format": "path", "description": text}
+        if any("properties" in option for option in node.get("oneOf", ())):
+            node["anyOf"] = node.pop("oneOf")  # without its kind, a table may be several
+    return partial
+
+
+def _with_files(schema: Node) -> Node:
+    """Return the schema of sweeps, in which a file may stand for a table."""
+    changed = copy.deepcopy(schema)
+    path = {"type": "string", "format": "path"}
+    instead = {"type": "object", "properties": {"file": path}, "required": ["file"], "additionalProperties": False}
+    properties = changed["$defs"]["Spec"]["properties"]
+    properties["axis"]["items"] = {"anyOf": [properties["axis"]["items"], instead]}
+    properties["perturbation"]["anyOf"] = [{"$ref": properties["perturbation"].pop("$ref")}, instead]
+    return changed
+
+
+def _nodes(node: Any) -> Iterator[Node]:
+    """Yield every table of a schema."""
+    if isinstance(node, dict):
+        yield node
+        node = list(node.values())
+    if isinstance(node, list):
+        for entry in node:
+            yield from _nodes(entry)
+
+
+# --- what a schema says ------------------------------------------------------------------------------------------
+
+
+class Tagged(NamedTuple):
+    """Tables of several kinds, with the key that says which kind one is."""
+
+    tag: str
+    kinds: dict[str, Node]
+    """By the value of that key; without it among the properties."""
+
+
+def _present(node: Node) -> tuple[Node, bool]:
+    """Return a node without the alternative of nothing, and whether there is one."""
+    if isinstance(node.get("type"), list):
+        return {**node, "type": node["type"][0]}, "null" in node["type"]
+    if options := node.get("anyOf"):
+        there = [option for option in options if option.get("type") != "null"]
+        return {**there[0], **{key: node[key] for key in ("description", "default") if key in node}}, True
+    return node, False
+
+
+def _tagged(node: Node) -> Tagged | None:
+    """Return the kinds of a table that has several."""
+    options = [option for option in node.get("oneOf", ()) if "properties" in option]
+    if not options:
+        return None
+    (tag,) = (key for key, value in options[0]["properties"].items() if "const" in value)
+    kinds = {}
+    for option in options:
+        rest = {key: value for key, value in option["properties"].items() if key != tag}
+        required = [key for key in option["required"] if key != tag]
+        kinds[option["properties"][tag]["const"]] = {**option, "properties": rest, "required": required}
+    return Tagged(tag, kinds)
+
+
+def _choices(node: Node) -> dict[str, str] | None:
+    """Return the names that may stand here, with their meaning."""
+    if "enum" in node:
+        return dict.fromkeys(node["enum"], "")
+    found = {option["const"]: option.get("description", "") for option in node.get("oneOf", ()) if "const" in option}
+    return found or None
+
+
+def _length(node: Node) -> int | None:
+    """Return the number of items of a list, if it is fixed."""
+    return node.get("minItems") if node.get("minItems") == node.get("maxItems") else None
+
+
+def _items(node: Node) -> Node:
+    found: Node = node.get("items") or node["prefixItems"][0]
+    return found
+
+
+def _definitions(schemas: Mapping[str, Node]) -> dict[str, Node]:
+    """Return every named type of flights and robots, the two themselves last."""
+    found: dict[str, Node] = {}
+    for name in ("experiments", "robot"):
+        schema = schemas[name]
+        for key, node in [*schema.get("$defs", {}).items(), (schema["title"], schema)]:
+            assert found.setdefault(key, node) == node, f"two types are named {key}"
+    return found
+
+
+def _named(node: Node) -> str | None:
+    """Return the name of the type that a node refers to."""
+    reference = _present(node)[0].get("$ref")
+    return None if reference is None else str(reference).removeprefix("#/$defs/")
+
+
+def _references(node: Any) -> Iterator[str]:
+    for inner in _nodes(node):
+        if isinstance(inner.get("$ref"), str):
+            yield inner["$ref"].removeprefix("#/$defs/")
+
+
+# --- Python types ------------------------------------------------------------------------------------------------
+
+HEADER = f'''"""Types of a flight's and a robot's configuration.
+
+Made {MADE}: not to be edited.
+"""
+
+# ruff: noqa: D205, N815
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, TypeAlias
+
+from msgspec import Meta, field
+
+from jax_aero.tables import NonNegative, Positive, Table
+'''
+
+RANGES = {"minimum": "ge", "exclusiveMinimum": "gt", "maximum": "le", "exclusiveMaximum": "lt"}
+KEYWORDS = ("lambda",)
+MOST = 80
+"""Longest type on one line."""
+
+
+def python_types(schemas: Mapping[str, Node]) -> str:
+    """Return the module of the Python types."""
+    definitions = _definitions(schemas)
+    done: set[str] = set()
+    parts: list[str] = []
+
+    def write(name: str) -> None:
+        if name in done:
+            return
+        done.add(name)
+        for needed in _references({key: value for key, value in definitions[name].items() if key != "$defs"}):
+            write(needed)
+        parts.append(_python_type(name, definitions[name]))
+
+    for name in definitions:
+        write(name)
+    return HEADER + "".join(parts)
+
+
+def _python_type(name: str, node: Node) -> str:
+    text = _docstring(node, 0)
+    if choices := _choices(node):
+        listed = "".join(f"\n{key}: {_prose(meaning)}" for key, meaning in choices.items() if meaning)
+        text = _quoted(_prose(node.get("description", "")) + ("\n" + listed if listed else ""), 0)
+        return f"\n\n{name}: TypeAlias = Literal[{', '.join(map(json.dumps, choices))}]\n{text}"
+    if tagged := _tagged(node):
+        names = {kind: f"{''.join(map(str.title, kind.split('_')))}{name}" for kind in tagged.kinds}
+        classes = [
+            _class(names[kind], option, f', tag_field="{tagged.tag}", tag="{kind}"')
+            for kind, option in tagged.kinds.items()
+        ]
+        return "".join(classes) + f"\n\n{name}: TypeAlias = {' | '.join(names.values())}\n{text}"
+    return _class(name, node, "")
+
+
+def _class(name: str, node: Node, options: str) -> str:
+    lines = [f"\n\nclass {name}(Table, frozen=True, kw_only=True{options}):\n", _docstring(node, 4, name)]
+    required = node.get("required", ())
+    for key, value in node["properties"].items():
+        if lines[-1].endswith('"""\n'):
+            lines.append("\n" if len(lines) == 2 else "")
+        lines.append(f"    {_field(key, value, key in required)}\n")
+        lines.append(_docstring(value, 4))
+    return "".join(lines)
+
+
+def _field(key: str, node: Node, required: bool) -> str:
+    kind, nullable = _annotation(node)
+    name = f"{key}_" if key in KEYWORDS else key
+    renamed = f'name="{key}"' if name != key else ""
+    default = node.get("default")
+    if required:
+        return f"{name}: {kind}" + (f" = field({renamed})" if renamed else "")
+    if default is None:
+        assert nullable, key
+        return f"{name}: {kind} = None"
+    if isinstance(default, dict):
+        reference = _named(node)
+        value = f"{reference}()" if reference else "field(default_factory=dict)"
+        return f"{name}: {kind} = {value}"
+    value = _python_value(default)
+    return f"{name}: {kind} = " + (f"field(default={value}, {renamed})" if renamed else value)
+
+
+def _python_value(value: Any) -> str:
+    if isinstance(value, list):
+        inner = [_python_value(entry) for entry in value]
+        return f"({', '.join(inner)}{',' if len(inner) == 1 else ''})"
+    return json.dumps(value) if isinstance(value, str) else repr(value)
+
+
+def _annotation(node: Node) -> tuple[str, bool]:
+    """Return the Python type of a node, and whether it may be nothing."""
+    node, nullable = _present(node)
+    if reference := _named(node):
+        kind = reference
+    elif node["type"] == "array":
+        inner, length = _annotation(_items(node))[0], _length(node)
+        items = [inner] * length if length else [inner, "..."]
+        kind = f"tuple[{', '.join(items)}]"
+        if len(kind) > MOST:
+            kind = "".join(["tuple[\n", *(f"        {item},\n" for item in items), "    ]"])
+    elif node["type"] == "object":
+        kind = f"dict[str, {_annotation(node['additionalProperties'])[0]}]"
+    elif node["type"] == "string":
+        kind = "Path" if node.get("format") == "path" else "str"
+    elif node["type"] == "boolean":
+        kind = "bool"
+    else:
+        base = {"number": "float", "integer": "int"}[node["type"]]
+        limits = {RANGES[key]: node[key] for key in RANGES if key in node}
+        shortened = {"gt": "Positive", "ge": "NonNegative"}.get("".join(limits))
+        if not limits:
+            kind = base
+        elif base == "float" and shortened and not any(limits.values()):
+            kind = shortened
+        else:
+            kind = f"Annotated[{base}, Meta({', '.join(f'{key}={value}' for key, value in limits.items())})]"
+    return f"{kind} | None" if nullable else kind, nullable
+
+
+def _docstring(node: Node, indent: int, otherwise: str = "") -> str:
+    text = _prose(node.get("description", "")) or (f"`{otherwise}`." if otherwise else "")
+    return _quoted(text, indent) if text else ""
+
+
+def _quoted(text: str, indent: int) -> str:
+    space = " " * indent
+    parts = [textwrap.fill(part, 116 - indent, break_long_words=False) for part in text.split("\n")]
+    whole = "\n".join(parts)
+    end = f"\n{space}" if "\n" in whole else ""
+    body = "\n".join(f"{space}{line}" if line else "" for line in whole.split("\n")).strip()
+    return f'{space}"""{body}{end}"""\n'
+
+
+def _prose(text: str) -> str:
+    """Return a description on one line, as plain text without code."""
+    text = re.sub(r"\[(`[^`]*`)\]", r"\1", " ".join(text.partition("```")[0].split())).replace("`Self::", "`")
+    return re.sub(r"\\([][])", r"\1", text)
+
+
+# --- the page ----------------------------------------------------------------------------------------------------
+
+INTRODUCTION = f"""# Configuration reference
+
+Every key of a flight's and of a robot's TOML files. Whatever is not here is refused with the key, its value and what
+was expected. This page is made {MADE}.
+
+Any table of a flight may name another file as its `base`: that file's table is read first, and the keys beside `base`
+are laid over it, table by table; a table of another kind (another `profile`, `model` or `dynamics`) replaces it whole.
+Paths start at the file that names them. Keys without a default are required.
+
+The first line of a file, such as `#:schema ../schema/experiments.schema.json`, names its schema, so that an editor
+with [Taplo](https://taplo.tamasfe.dev) (in VS Code: *Even Better TOML*) completes keys and marks mistakes. Sweeps,
+studies and trainings have schemas in `configs/schema/` too.
+"""
+
+COLUMNS = "| key | type | unit | default | range | meaning |\n|---|---|---|---|---|---|\n"
+
+
+def reference(schemas: Mapping[str, Node]) -> str:
+    """Return the page of all keys."""
+    definitions = _definitions(schemas)
+    parts = [INTRODUCTION]
+    for root, heading in (("experiments", "A flight"), ("robot", "A robot")):
+        name = schemas[root]["title"]
+        parts.append(f"\n## {heading}: `configs/{root}/*.toml`\n")
+        places = _places(name, definitions)
+        for part, keys in places.items():
+            if part != name:
+                parts.append(f"\n### {', '.join(f'`{key}`' for key in keys)} {{#{part}}}\n")
+            parts.append(_section(definitions[part], definitions))
+    return "".join(parts)
+
+
+def _places(root: str, definitions: Mapping[str, Node]) -> dict[str, list[str]]:
+    """Return the tables below a root, each with the dotted keys where it stands."""
+    found: dict[str, list[str]] = {root: [""]}
+
+    def walk(node: Node, key: str) -> None:
+        node = _present(node)[0]
+        if (name := _named(node)) and not _choices(definitions[name]):
+            known = found.setdefault(name, [])
+            if key not in known:
+                known.append(key)
+                inside(definitions[name], key)
+        elif node.get("type") == "array":
+            walk(_items(node), f"{key}[]")
+        elif isinstance(node.get("additionalProperties"), dict):
+            walk(node["additionalProperties"], f"{key}.NAME")
+
+    def inside(node: Node, key: str) -> None:
+        tagged = _tagged(node)
+        for option in tagged.kinds.values() if tagged else [node]:
+            for name, inner in option["properties"].items():
+                walk(inner, f"{key}.{name}".lstrip("."))
+
+    inside(definitions[root], "")
+    return found
+
+
+def _section(node: Node, definitions: Mapping[str, Node]) -> str:
+    text = f"\n{_markdown(node.get('description', ''))[0]}\n"
+    tagged = _tagged(node)
+    if tagged is None:
+        return f"{text}\n{COLUMNS}{_rows(node, definitions)}"
+    for kind, option in tagged.kinds.items():
+        text += f'\n`{tagged.tag} = "{kind}"`: {_prose(option.get("description", ""))}\n'
+        if option["properties"]:
+            text += f"\n{COLUMNS}{_rows(option, definitions)}"
+    return text
+
+
+def _rows(node: Node, definitions: Mapping[str, Node]) -> str:
+    return "".join(
+        _row(key, value, key in node.get("required", ()), definitions) for key, value in node["properties"].items()
+    )
+
+
+def _row(key: str, node: Node, required: bool, definitions: Mapping[str, Node]) -> str:
+    meaning, unit = _markdown(node.get("description", ""))
+    kind, limits, choices = _kind(node, definitions)
+    default = node.get("default")
+    if isinstance(default, dict):
+        written = "its own" if _named(node) else "none"
+    else:
+        written = "" if required else "none" if default is None else f"`{json.dumps(default, ensure_ascii=False)}`"
+    listed = "; ".join(f"`{name}`: {_prose(text).rstrip('.')}" for name, text in choices.items() if text)
+    meaning = " ".join(part for part in (meaning, f"{listed}." if listed else "") if part)
+    cells = [f"`{key}`", kind, unit, written, limits, meaning]
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n"
+
+
+def _kind(node: Node, definitions: Mapping[str, Node]) -> tuple[str, str, dict[str, str]]:
+    """Return type and range of a node in words, and its choices with their meaning."""
+    node = _present(node)[0]
+    if name := _named(node):
+        if choices := _choices(definitions[name]):
+            return " or ".join(f"`{choice}`" for choice in choices), "", choices
+        return f"[table](#{name})", "", {}
+    if node["type"] == "array":
+        inner, limits, choices = _kind(_items(node), definitions)
+        length = _length(node)
+        return f"list of {inner}" if length is None else f"list of {length}: {inner}", limits, choices
+    if node["type"] == "object":
+        inner, limits, choices = _kind(node["additionalProperties"], definitions)
+        return f"by name: {inner}", limits, choices
+    words = {"string": "path" if node.get("format") == "path" else "text", "boolean": "true or false"}
+    signs = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
+    limits = ", ".join(f"{sign} {node[name]:g}" for name, sign in signs.items() if name in node)
+    return words.get(node["type"], str(node["type"])), limits, {}
+
+
+def _markdown(text: str) -> tuple[str, str]:
+    """Return a description without its first unit, and that unit."""
+    unit = re.search(r" \\\[([^]\\]*)\\\]", text)
+    return (_prose(text.replace(unit[0], "", 1)), unit[1]) if unit else (_prose(text), "")

@@ -1,0 +1,210 @@
+"""Reading a configuration in both languages: the same table out of the same files, the same words for a mistake."""
+
+from __future__ import annotations
+
+import copy
+import random
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from jax_aero import io, rust, tables
+from jax_aero.config import (
+    ControllerSection,
+    Disturbances,
+    ForceFactorsConfig,
+    JetFaultsConfig,
+    MissionConfig,
+    RobotFile,
+    SimulatorConfig,
+)
+from jax_aero.keys import get, set_key
+from jax_aero.robot import load_robot
+
+ROOT = Path(__file__).resolve().parents[2]
+CONFIGS = ROOT / "configs"
+EXPERIMENTS = sorted((CONFIGS / "experiments").glob("*.toml"))
+VARIED = ["test2", "test4", "second_order_jets", "engine_out", "balancing_front", "sensor_noise", "min_time"]
+"""Experiments that hold every table of a flight between them, but for the winds below."""
+WINDS = [
+    {"profile": "gust", "velocity": [1.0, 0.0, 0.0], "gust": [0.0, 5.0, 0.0], "start": 1.0, "duration": 2.0},
+    {
+        "profile": "turbulent",
+        "velocity": [1.0, 0.0, 0.0],
+        "ramp_start": 0.0,
+        "ramp_end": 1.0,
+        "std": [1.0, 1.0, 1.0],
+        "time_scale": 2.0,
+    },
+]
+
+
+def configurations():
+    for name in VARIED:
+        yield rust.load_config(CONFIGS / "experiments" / f"{name}.toml")
+    for wind in WINDS:
+        yield rust.load_config(CONFIGS / "experiments/test2.toml") | {"wind": wind}
+
+
+def wrong_values(value):
+    """Values of another type, or outside every range, with the part of the key where they stand."""
+    yield "", {"wrong": True} if not isinstance(value, dict) else [3, 4]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        yield "", -1.5
+    else:
+        yield "", "wrong"
+        yield "", True
+        yield "", -1e300
+    if isinstance(value, list):
+        yield "", [*value, "wrong"]
+    if isinstance(value, list) and value:
+        yield ".0", "wrong"
+    if isinstance(value, str):
+        yield "", 3
+    if isinstance(value, dict):
+        yield ".mistyped", 3
+
+
+def mistakes():
+    """Every configuration with one mistake, at every key: (key, configuration)."""
+    for config in configurations():
+        for key in rust.config_keys(config):
+            spoilt = copy.deepcopy(config)
+            *parents, last = key.split(".")
+            del (get(spoilt, ".".join(parents)) if parents else spoilt)[last]
+            yield f"no {key}", spoilt
+            for below, value in wrong_values(get(config, key)):
+                spoilt = copy.deepcopy(config)
+                set_key(spoilt, key + below, value)
+                yield f"{key}{below} = {value}", spoilt
+
+
+def words(read, config):
+    """What is said of a configuration, without the hint at what was probably meant; `None` if it is accepted."""
+    try:
+        read(config)
+    except ValueError as reason:
+        text = re.sub(r"(; did you mean `\w+`\?)? \(known: .*\)$", "", str(reason).removeprefix("configuration: "))
+        if choices := re.search(r"one of (.*)$", text):
+            return text.replace(choices[1], ", ".join(sorted(choices[1].split(", "))))
+        return text
+    return None
+
+
+def test_mistakes_are_refused_in_the_same_words():
+    """Key, value and what was expected; what only the robot can tell is left to the crate and to `prepare`."""
+    for mistake, config in random.Random(1).sample(list(mistakes()), 300):
+        ours, theirs = words(io.scenario_config, config), words(rust.check_config, config)
+        if ours is not None:
+            assert ours == theirs, mistake
+        else:
+            assert theirs is None or "`" not in theirs.partition(" ")[0], f"{mistake}: {theirs}"
+
+
+def written(table):
+    """A configuration as the crate writes it: lists, and no key for what is not there."""
+    if isinstance(table, dict):
+        return {key: written(value) for key, value in table.items() if value is not None}
+    return [written(value) for value in table] if isinstance(table, list | tuple) else table
+
+
+@pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
+def test_types_and_defaults_are_those_of_the_crate(path):
+    """What Python's types write out, the crate does: the same keys, the same defaults."""
+    assert written(tables.plain(io.scenario_config(io.load_config(path)))) == rust.load_config(path)
+
+
+@pytest.mark.parametrize("kind", [Disturbances, ForceFactorsConfig, JetFaultsConfig, MissionConfig])
+def test_a_table_of_defaults_alone(kind):
+    assert tables.convert({}, kind, "nothing") == kind()
+
+
+def test_required_keys_are_those_of_the_crate():
+    schemas = rust.schemas()
+    for name, kind in (("simulator", SimulatorConfig), ("control", ControllerSection), ("robot", RobotFile)):
+        required = {field.encode_name for field in io.inspect.type_info(kind).fields if field.required}
+        assert required == set(schemas[name]["required"])
+
+
+FILES = {
+    "sub/weak.toml": "model = 'axisymmetric'\ncoefficients = 'published'\nair_density = 1.0\n",
+    "sub/none.toml": "model = 'off'\n",
+    "sub/ramp.toml": "profile = 'ramp'\nvelocity = [1.0, 0.0, 0.0]\nramp_start = 1.0\nramp_end = 2.0\n",
+    "sub/recorded.toml": "profile = 'file'\npath = 'wind.csv'\n",
+    "sub/wind.csv": "time,x,y,z\n0,1,2,3\n",
+}
+CASES = {
+    "a table merges": "[wind]\nbase = 'sub/ramp.toml'\nramp_end = 9.0\n",
+    "another kind replaces": "[wind]\nbase = 'sub/ramp.toml'\nprofile = 'constant'\nvelocity = [1.0, 1.0, 1.0]\n",
+    "another kind below another key": (
+        "[disturbances.controller_wind]\nbase = 'sub/ramp.toml'\nprofile = 'constant'\nvelocity = [2.0, 0.0, 0.0]\n"
+    ),
+    "a path in a part": "[wind]\nbase = 'sub/recorded.toml'\n",
+    "another model": "controller.aero = { base = 'sub/none.toml' }\nsimulator.aero = { base = 'sub/weak.toml' }\n",
+    "lists are replaced": "[mission]\nup = [[1, 2]]\n",
+    "a name is no kind": "[disturbances.aero_estimate.links]\nhead = 0.5\n",
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_files_merge_alike(case, tmp_path):
+    for name, text in FILES.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    top = tmp_path / "top.toml"
+    top.write_text(f"base = '{CONFIGS / 'experiments/test2.toml'}'\n{CASES[case]}")
+    ours = io.load_config(top)
+    rust.check_config(ours)
+    assert written(tables.plain(io.scenario_config(ours))) == rust.load_config(top)
+
+
+def test_reading_is_bounded_in_both_languages(tmp_path):
+    """Files that name the next one three times over would be read 3^16 times."""
+    for depth in range(16):
+        text = "\n".join(f"[{key}]\nbase = 'f{depth + 1}.toml'" for key in ("a", "b", "c"))
+        (tmp_path / f"f{depth}.toml").write_text(text)
+    (tmp_path / "f16.toml").write_text("")
+    for load in (io.load_config, rust.load_config):
+        with pytest.raises(ValueError, match="more than 256 `base` files"):
+            load(tmp_path / "f0.toml")
+
+
+@pytest.mark.parametrize("key", ["robot", "wind.path", "simulator.aero.card", "controller.aero.card", "mission.file"])
+def test_a_path_on_the_command_line_starts_at_the_current_folder(key, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    table = {part: {"aero": {}} for part in ("simulator", "controller")} | {"wind": {}, "mission": {}}
+    io.override(table, key, "here.txt")
+    assert get(table, key) == str(tmp_path / "here.txt")
+    io.override(table, "title", "here.txt")
+    assert table["title"] == "here.txt"
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('name = "sparrow"', 'name = "sparrow"\ngravity = -9.81'),
+        ('name = "sparrow"', 'name = "sparrow"\ngravity = nan'),
+        ('base_link = "pelvis"', "base_link = 3"),
+        ('base_link = "pelvis"', ""),
+        ("diameter = 0.14", "diameter = -0.14"),
+        ("diameter = 0.14", 'diameter = "wide"'),
+        ("limits_deg = [-40.0, 40.0]", "limits_deg = [-40.0]"),
+        ("limits_deg = [-40.0, 40.0]", "limit_deg = [-40.0, 40.0]"),
+        ("thrust_max = 100.0", "thrust_max = 0.0"),
+        ("[0.0161, 0.0, 0.0319, 0.0, 0.0]", "[0.0161, 0.0, 0.0319, 0.0]"),
+    ],
+)
+def test_mistakes_in_a_robot_are_refused_in_the_same_words(tmp_path, old, new):
+    shutil.copy(CONFIGS / "robot/sparrow.urdf", tmp_path)
+    text = (CONFIGS / "robot/sparrow.toml").read_text(encoding="utf-8")
+    assert old in text
+    path = tmp_path / "sparrow.toml"
+    path.write_text(text.replace(old, new, 1))
+    said = []
+    for load in (rust.Robot, load_robot):
+        with pytest.raises(ValueError, match=r"`") as refusal:
+            load(path)
+        said.append(re.sub(r"(; did you mean `\w+`\?)? \(known: .*\)$", "", str(refusal.value)).split(": ", 1)[1])
+    assert said[0] == said[1]
