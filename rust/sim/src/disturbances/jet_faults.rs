@@ -239,10 +239,10 @@ impl JetFaults {
     /// Call once per step and jet.
     pub fn limited(&mut self, jet: usize, thrust: f64, thrust_rate: f64, dt: f64) -> (f64, f64) {
         let (mut thrust, mut thrust_rate) = (thrust, thrust_rate);
-        if let Some(limit) = self.limits.get(jet) {
-            if thrust > *limit {
-                (thrust, thrust_rate) = (*limit, thrust_rate.min(0.0));
-            }
+        if let Some(limit) = self.limits.get(jet)
+            && thrust > *limit
+        {
+            (thrust, thrust_rate) = (*limit, thrust_rate.min(0.0));
         }
         let Some(failing) = self.failing.as_mut().filter(|failing| failing.jet == jet) else {
             return (thrust, thrust_rate);

@@ -57,7 +57,7 @@ fn test4_flies() {
 fn the_axisymmetric_model_is_good_enough_to_arrive() {
     for name in ["robustness", "robustness_published"] {
         let flights = with_last_bits(&experiment(name));
-        let arrived: Vec<_> = flights.iter().filter(|result| result.fall.is_none()).collect();
+        let arrived: Vec<_> = flights.iter().filter(|result| result.loss.is_none()).collect();
         assert!(arrived.len() >= 2, "{name}: {} of {} arrive", arrived.len(), flights.len());
         for result in arrived {
             assert_completed(result);
