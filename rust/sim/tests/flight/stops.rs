@@ -43,9 +43,9 @@ fn a_pressed_joint_rests_at_its_stop() {
     let (lower, _) = robot("ironcub_mk1").joints[ELBOW].stops;
     assert_eq!(lower, 12_f64.to_radians(), "the controller may go further than the URDF");
     for integrator in [Integrator::SemiImplicitEuler, Integrator::ExplicitEuler] {
-        for step in [0.01, 0.005, 0.002, 0.001] {
+        for (step, ticks) in [(0.01, 50), (0.005, 100), (0.002, 250), (0.001, 500)] {
             let mut plant = plant(integrator, true);
-            let motion = pressed(&mut plant, -20.0, step, (0.5 / step) as usize);
+            let motion = pressed(&mut plant, -20.0, step, ticks);
             let hit = motion.iter().position(|(position, _)| *position < lower + 1e-3).unwrap();
             for (position, velocity) in &motion[hit + 2..] {
                 assert!((lower - 1e-3..lower + 1e-3).contains(position), "{step}: {position}");
