@@ -34,8 +34,8 @@ ARMS = ("corrected", "published")
 # What distinguishes configs/simulator/flight_published.toml and configs/control/aero_aware_published.toml from the
 # physically correct ones, coefficients aside.
 SIMULATOR_ARMS = {
-    "corrected": {"lever_arm": "rotated", "integrator": "semi_implicit_euler"},
-    "published": {"lever_arm": "unrotated", "integrator": "explicit_euler"},
+    "corrected": {"lever_arm": "rotated", "integrator": "semi_implicit_euler", "joint_stops": True},
+    "published": {"lever_arm": "unrotated", "integrator": "explicit_euler", "joint_stops": False},
 }
 CONTROLLER_ARMS = {
     "corrected": {"lever_arm": "rotated", "jacobian_offset": "link_rotation", "link_velocity": "at_centre"},
