@@ -2,10 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on fails")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-#[path = "../../sim/tests/common/mod.rs"]
-mod common;
-
-use common::{assert_within, relative};
+use crate::common::{assert_within, relative};
 use flight_core::BuildError;
 use flight_core::aero::axisymmetric::axisymmetric_force;
 use flight_core::aero::{AeroModel, Attack, LinksInAir, Pchip, SphereCylinder, SphereCylinderConfig};

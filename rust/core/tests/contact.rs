@@ -3,10 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-#[path = "../../sim/tests/common/mod.rs"]
-mod common;
-
-use common::{Running, TIME_STEP, assert_within, configs, random_state, rng};
+use crate::common::{Running, TIME_STEP, assert_within, configs, random_state, rng};
 use flight_core::control::CommandStatus;
 use flight_core::control::config::{ControllerConfig, Solver};
 use flight_core::control::contact::{Contact, ContactConfig, ContactState, WRENCH_ROWS};
@@ -21,7 +18,7 @@ use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 use rand::RngExt;
 
 fn standing() -> ScenarioConfig {
-    common::experiment("balancing_front")
+    crate::common::experiment("balancing_front")
 }
 
 fn contact_config() -> ContactConfig {
@@ -36,7 +33,7 @@ fn controller(change: impl FnOnce(&mut ControllerConfig)) -> Running {
 
 /// The left foot; the right one has the same limits.
 fn foot() -> Foot {
-    common::robot("ironcub_mk1").feet.remove(0)
+    crate::common::robot("ironcub_mk1").feet.remove(0)
 }
 
 fn at_rest() -> RobotState {
@@ -129,7 +126,7 @@ fn the_momentum_rate_is_the_sum_of_what_acts() {
         let mut state = at_rest();
         state.joint_position.iter_mut().for_each(|s| *s += rng.random_range(-0.05..0.05));
         state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.2..0.2));
-        let wind = common::random_vector(&mut rng, 15.0);
+        let wind = crate::common::random_vector(&mut rng, 15.0);
         let status = controller.tick(&measurement(&state, wind, &weight_on_both())).status;
         assert_eq!(status, CommandStatus::Nominal);
         let terms = controller.terms();
@@ -161,7 +158,7 @@ fn moved(state: &RobotState, time: f64) -> RobotState {
 /// velocity and its change: all by central differences along the motion.
 #[test]
 fn rates_of_the_feet_are_their_differences() {
-    let robot = common::robot("ironcub_mk1");
+    let robot = crate::common::robot("ironcub_mk1");
     let mut rng = rng(4);
     for _ in 0..20 {
         let state = random_state(&mut rng, &robot);
@@ -367,7 +364,7 @@ fn small_force_rates_are_dropped() {
 /// In the air a controller that could stand flies as one that could not.
 #[test]
 fn in_the_air_feet_change_nothing() {
-    let flight = common::experiment("test2");
+    let flight = crate::common::experiment("test2");
     let robot = load_robot(&flight.robot).unwrap();
     let make = |contact: Option<ContactConfig>| {
         let mut controller = flight.controller.clone();
@@ -380,7 +377,7 @@ fn in_the_air_feet_change_nothing() {
     for tick in 0..200 {
         state.joint_position.iter_mut().for_each(|s| *s += rng.random_range(-0.01..0.01));
         let thrust = [98.0, 98.0, 113.0, 113.0];
-        let wind = common::random_vector(&mut rng, 10.0);
+        let wind = crate::common::random_vector(&mut rng, 10.0);
         let time = f64::from(tick) * TIME_STEP;
         let foot_wrenches = &[Vector6::zeros(); 2];
         let measurement = Measurement { time, state: &state, thrust: &thrust, wind, foot_wrenches };
@@ -400,7 +397,7 @@ fn clarabel_commands_the_same() {
     for _ in 0..20 {
         let mut state = at_rest();
         state.velocity.iter_mut().for_each(|v| *v = rng.random_range(-0.05..0.05));
-        let wind = common::random_vector(&mut rng, 10.0);
+        let wind = crate::common::random_vector(&mut rng, 10.0);
         for controller in [&mut ours, &mut theirs] {
             let status = controller.tick(&measurement(&state, wind, &weight_on_both())).status;
             assert_eq!(status, CommandStatus::Nominal);
@@ -458,10 +455,10 @@ fn bad_numbers_are_refused_by_name() {
         c.engine = flight_sim::Engine::Rust;
     });
     assert!(Scenario::new(&standing()).is_err(), "this engine has no ground");
-    let said = common::experiment("test2");
+    let said = crate::common::experiment("test2");
     let mut sparrow = said.controller.clone();
     sparrow.law.contact = Some(contact_config());
-    let mut footless = common::robot("ironcub_mk1");
+    let mut footless = crate::common::robot("ironcub_mk1");
     footless.feet.clear();
     let said = sparrow.law.check(&footless).expect_err("refused").to_string();
     assert!(said.contains("controller.contact.feet names `l_sole`"), "{said}");
@@ -473,12 +470,12 @@ fn bad_numbers_are_refused_by_name() {
 /// A measured wind that does not blow enters the controller's forces and not the simulator's.
 #[test]
 fn a_controller_wind_is_given_and_does_not_blow() {
-    let mut config = common::experiment("test2");
+    let mut config = crate::common::experiment("test2");
     config.simulator.duration = 0.2;
     let wind = flight_sim::WindConfig::Constant { velocity: [0.0, -10.0, 0.0] };
     config.wind = flight_sim::WindConfig::Constant { velocity: [0.0; 3] };
     config.disturbances.controller_wind = Some(wind);
-    let result = common::fly(&[config]).remove(0);
+    let result = crate::common::fly(&[config]).remove(0);
     let sideways = |name: &str| {
         let series = result.log.series(name).unwrap();
         series.row(10).chunks_exact(3).map(|force| force[1]).sum::<f64>()

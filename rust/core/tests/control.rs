@@ -4,10 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-#[path = "../../sim/tests/common/mod.rs"]
-mod common;
-
-use common::{
+use crate::common::{
     Loop, Running, assert_within, configs, experiment, random_state, random_vector, rng, robot, tick_at,
 };
 use flight_core::control::bounds::rate_bounds;

@@ -5,10 +5,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-#[path = "../../sim/tests/common/mod.rs"]
-mod common;
-
-use common::{assert_within, both_robots, random_state, random_vector, rng};
+use crate::common::{assert_within, both_robots, random_state, random_vector, rng};
 use flight_core::dynamics::{Dynamics, MassFactor};
 use flight_core::kinematics::{Kinematics, RobotState};
 use flight_core::robot::{Frame, RobotModel};

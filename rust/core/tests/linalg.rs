@@ -2,10 +2,7 @@
 
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-#[path = "../../sim/tests/common/mod.rs"]
-mod common;
-
-use common::assert_within;
+use crate::common::assert_within;
 use flight_core::linalg::*;
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng};

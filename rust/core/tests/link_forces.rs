@@ -2,10 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-#[path = "../../sim/tests/common/mod.rs"]
-mod common;
-
-use common::{Loop, assert_within, both_robots, experiment, random_state, random_vector, rng, robot};
+use crate::common::{Loop, assert_within, both_robots, experiment, random_state, random_vector, rng, robot};
 use flight_core::aero::{AeroModel, JacobianOffset, LeverArm, LinkConventions, LinkForces, LinkVelocity};
 use flight_core::kinematics::Kinematics;
 use flight_core::spatial::rotation_from_rpy;

@@ -1,12 +1,10 @@
 //! Claims about the network: it says what JAX says, obeys the laws, and refuses what it cannot trust.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on fails")]
 
-#[path = "../../sim/tests/common/mod.rs"]
-mod common;
 #[path = "../../sim/tests/common/network.rs"]
 mod network;
 
-use common::{assert_within, random_state, random_vector, rng, robot};
+use crate::common::{assert_within, random_state, random_vector, rng, robot};
 use flight_core::aero::{AeroModel, ForceFactorsConfig, LinkConventions, LinkForces, Precision};
 use flight_core::kinematics::Kinematics;
 use flight_core::spatial::rotation_from_wxyz;

@@ -3,10 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-#[path = "../../sim/tests/common/mod.rs"]
-mod common;
-
-use common::{Running, TIME_STEP, assert_within, experiment};
+use crate::common::{Running, TIME_STEP, assert_within, experiment};
 use flight_core::control::CommandStatus;
 use flight_core::control::observer::{ObserverConfig, ObserverState, Sample};
 use flight_core::dynamics::Dynamics;

@@ -4,10 +4,7 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 #![allow(clippy::cast_possible_truncation, reason = "numbers of variables are below 65")]
 
-#[path = "../../sim/tests/common/mod.rs"]
-mod common;
-
-use common::assert_within;
+use crate::common::assert_within;
 use flight_core::qp::{
     ClarabelSolver, KKT_TOLERANCE, PASSES_PER_VARIABLE, PrimalActiveSet, QpProblem, QpSolver, QpStatus,
     kkt_residual,

@@ -4,10 +4,7 @@
 #![allow(clippy::expect_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-#[path = "../../sim/tests/common/mod.rs"]
-mod common;
-
-use common::{assert_within, rng};
+use crate::common::{assert_within, rng};
 use flight_core::control::contact::WrenchLimits;
 use flight_core::qp::{
     ClarabelSolver, DualActiveSet, KKT_TOLERANCE, PrimalActiveSet, QpProblem, QpSolver, QpStatus,

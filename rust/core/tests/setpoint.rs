@@ -4,10 +4,7 @@
 #![allow(clippy::approx_constant, reason = "-3.14 is an angle in a table")]
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-#[path = "../../sim/tests/common/mod.rs"]
-mod common;
-
-use common::{TIME_STEP, assert_within, configs, experiment, random_vector, rng, tick_at};
+use crate::common::{TIME_STEP, assert_within, configs, experiment, random_vector, rng, tick_at};
 use flight_core::control::minimum_jerk::{FilterState, MinimumJerkFilter};
 use flight_core::control::mission::{Commands, Mission};
 use flight_core::control::setpoint::{RawSetpoint, Setpoint, SetpointConfig, SetpointGenerator};

@@ -3,10 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-#[path = "../../sim/tests/common/mod.rs"]
-mod common;
-
-use common::{assert_within, random_vector, rng};
+use crate::common::{assert_within, random_vector, rng};
 use flight_core::spatial::{
     Pose, axis_angle, exp_so3, log_so3, orthonormality_error, project_to_so3, rotation_angle,
     rotation_from_rpy, rotation_from_wxyz, rpy_from_rotation, skew, unit_vector, vee_of_skew_part,

@@ -4,10 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 #![allow(clippy::float_cmp, reason = "entries that are written as they are have their bits")]
 
-#[path = "../../sim/tests/common/mod.rs"]
-mod common;
-
-use common::{Running, assert_within, experiment, random_state, rng};
+use crate::common::{Running, assert_within, experiment, random_state, rng};
 use flight_core::aero::LinkForces;
 use flight_core::control::config::AeroFeedback;
 use flight_core::control::momentum::MomentumModel;

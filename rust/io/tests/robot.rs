@@ -3,10 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "limits are copied, not computed")]
 
-#[path = "../../sim/tests/common/mod.rs"]
-mod common;
-
-use common::assert_within;
+use crate::common::assert_within;
 #[path = "robot/ironcub.rs"]
 mod ironcub;
 #[path = "robot/refusals.rs"]

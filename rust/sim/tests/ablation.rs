@@ -4,9 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 #![allow(clippy::float_cmp, reason = "the same computation gives the same bits")]
 
-mod common;
-
-use common::{Running, assert_within, experiment, fly};
+use crate::common::{Running, assert_within, experiment, fly};
 use flight_core::Measurement;
 use flight_core::control::config::RateFeedback;
 use flight_io::load_robot;
@@ -64,11 +62,12 @@ fn settings_that_change_nothing_leave_every_bit_of_a_flight() {
 }
 
 #[test]
-fn silent_defaults_are_not_written_out() {
+fn a_configuration_is_written_out_with_every_default_and_without_absent_options() {
     let text = serde_json::to_string(&experiment("test2")).unwrap();
-    for key in ["disturbances", "moment\"", "normal", "engine"] {
-        assert!(!text.contains(key), "{key}");
+    for key in ["disturbances", "aero_estimate", "engine", "joint_stops"] {
+        assert!(text.contains(&format!("\"{key}\"")), "{key}");
     }
+    assert!(!text.contains("null"), "{text}");
 }
 
 #[test]

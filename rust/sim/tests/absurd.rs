@@ -1,8 +1,7 @@
 //! What cannot be right is refused where it is built, or does not outlive its tick.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
-mod common;
-use common::{Running, assert_within, experiment};
+use crate::common::{Running, assert_within, experiment};
 use flight_core::Measurement;
 use flight_core::control::CommandStatus;
 use flight_core::spatial::{orthonormality_error, rotation_from_rpy, rpy_from_rotation};

@@ -3,9 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
-mod common;
-
-use common::{configs, experiment, robot};
+use crate::common::{configs, experiment, robot};
 use flight_core::BuildError;
 use flight_core::control::config::RateFeedback;
 use flight_io::{AeroConfig, ControllerSection, MissionConfig, Schema, load, load_aero};

@@ -3,9 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 #![allow(clippy::float_cmp, reason = "the same computation gives the same bits")]
 
-mod common;
-
-use common::{assert_within, experiment, fly, robot};
+use crate::common::{assert_within, experiment, fly, robot};
 use flight_sim::disturbances::{
     FailureKind, JetFailure, JetFaultsConfig, MeasurementNoise, ModelError, WindEstimateConfig, WindEstimator,
 };

@@ -7,8 +7,6 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-mod common;
-
 #[path = "flight/laws.rs"]
 mod laws;
 #[path = "flight/network.rs"]
@@ -35,10 +33,10 @@ fn with(mut config: ScenarioConfig, change: impl FnOnce(&mut ScenarioConfig)) ->
 /// An experiment of ours in the world that the published numbers come from: printed coefficients on both
 /// sides, explicit Euler, no joint stops.
 fn as_published(name: &str) -> ScenarioConfig {
-    with(common::experiment(name), |config| {
+    with(crate::common::experiment(name), |config| {
         config.simulator.integrator = Integrator::ExplicitEuler;
         config.simulator.joint_stops = false;
-        let printed = common::experiment("test2_published").simulator.aero;
+        let printed = crate::common::experiment("test2_published").simulator.aero;
         if config.controller.aero != (AeroConfig::Off {}) {
             config.controller.aero = printed.clone();
         }
@@ -75,5 +73,5 @@ fn com_offset(result: &FlightResult, axis: usize) -> f64 {
 
 /// Rotation error at a time \[deg\].
 fn rotation_error_at(result: &FlightResult, time: f64) -> f64 {
-    data(result, "rotation_error")[common::tick_at(time)].to_degrees()
+    data(result, "rotation_error")[crate::common::tick_at(time)].to_degrees()
 }

@@ -2,9 +2,7 @@
 
 #![allow(clippy::unwrap_used)] // a test stops at the first thing that is not there
 
-mod common;
-
-use common::assert_within;
+use crate::common::assert_within;
 use flight_core::aero::{LinkConventions, LinkForces};
 use flight_core::control::Terms;
 use flight_core::control::setpoint::Setpoint;

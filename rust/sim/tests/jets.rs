@@ -4,10 +4,7 @@
 #![allow(clippy::unreadable_literal, reason = "coefficients stand as they were published")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-#[path = "common/mod.rs"]
-mod common;
-
-use common::{assert_within, relative};
+use crate::common::{assert_within, relative};
 use flight_core::jets::{
     EkfConfig, EngineDynamics, EngineModel, ThrustEkf, ThrustRateController, thrust_force, thrust_wrench,
 };

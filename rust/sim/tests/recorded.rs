@@ -2,10 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // tests stop at the first surprise
 
-#[path = "common/mod.rs"]
-mod common;
-
-use common::{assert_within, difference};
+use crate::common::{assert_within, difference};
 use flight_core::control::mission::Commands;
 use flight_core::spatial::{rotation_from_rpy, rpy_from_rotation};
 use flight_io::MissionConfig;

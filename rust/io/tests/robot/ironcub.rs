@@ -1,6 +1,6 @@
 //! iRonCub-Mk1's files hold the published figures.
 
-use super::common::assert_within;
+use crate::common::assert_within;
 use super::{assert_close, robot_file};
 use flight_core::robot::{AxisymmetricCoefficients, EngineCoefficients, Frame, RobotModel};
 use flight_core::spatial::{Pose, axis_angle};

@@ -1,6 +1,6 @@
 //! Laws of the closed loop, whatever the numbers: where it settles, and what a finer step tends to.
 
-use super::common::{Loop, assert_within, experiment, fly};
+use crate::common::{Loop, assert_within, experiment, fly};
 use super::{as_published, data, ramp_to, with};
 use flight_core::aero::LeverArm;
 use flight_core::spatial::vee_of_skew_part;
@@ -49,7 +49,7 @@ fn an_unknown_wrench_is_held_with_an_error() {
 }
 
 fn experiment_mission(name: &str) -> flight_io::MissionConfig {
-    let file = super::common::configs("mission").join(name).with_extension("toml");
+    let file = crate::common::configs("mission").join(name).with_extension("toml");
     flight_io::load(&file).unwrap()
 }
 

@@ -2,7 +2,7 @@
 //!
 //! The network is ours, not the paper's, so outcomes are claimed, and how large things are; not digits.
 
-use super::common::{experiment, fly};
+use crate::common::{experiment, fly};
 use super::published::with_last_bits;
 use super::{data, with};
 use flight_core::aero::Precision;

@@ -1,6 +1,6 @@
 //! The published numbers: start-up, TEST1, TEST2, ablations, robustness, quirks.
 
-use super::common::{assert_within, experiment, fly};
+use crate::common::{assert_within, experiment, fly};
 use super::{NO_AIR, STILL, as_published, com_offset, data, peak, ramp_to, rotation_error_at, with};
 use flight_core::aero::LeverArm;
 use flight_sim::config::{AeroKinematics, Integrator};

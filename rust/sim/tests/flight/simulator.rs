@@ -1,6 +1,6 @@
 //! What the simulator promises besides physics: the log, batches, interruption, falls, refusals.
 
-use super::common::{assert_within, experiment, fly, tick_at};
+use crate::common::{assert_within, experiment, fly, tick_at};
 use super::{STILL, data, ramp_to, with};
 use flight_core::spatial::{orthonormality_error, rotation_from_wxyz};
 use flight_io::{load_controller, load_robot};

@@ -1,6 +1,6 @@
 //! Joint stops: what the equation M87 of `docs/model.md` says of them.
 
-use super::common::{assert_within, experiment, robot};
+use crate::common::{assert_within, experiment, robot};
 use super::{NO_AIR, with};
 use flight_sim::config::Integrator;
 use flight_sim::{Disturbances, Plant};

@@ -1,6 +1,6 @@
 //! Wind profiles: their values, their joints, and what is refused.
 
-use super::common::assert_within;
+use crate::common::assert_within;
 use flight_sim::{Wind, WindConfig};
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
