@@ -242,7 +242,7 @@ def symmetric_jets(params: TaskParams, pairs: tuple[tuple[int, int], ...], input
     """Let the jets of a pair act alike."""
     n = inputs.joints + inputs.posture.shape[0]
     eye = np.eye(n)
-    matrix = jnp.asarray(np.array([eye[a] - eye[b] for a, b in pairs]).reshape(-1, n), inputs.thrust.dtype)
+    matrix = jnp.asarray(np.array([eye[a] - eye[b] for a, b in pairs]).reshape(len(pairs), n), inputs.thrust.dtype)
     return Rows(matrix, jnp.zeros(len(pairs), matrix.dtype), jnp.repeat(params.symmetry, len(pairs)))
 
 

@@ -32,7 +32,7 @@ def problem(x64, tmp_path_factory):
     table = io.load_config(ROOT / "configs" / "experiments" / "test2.toml")
     table["wind"] |= {"ramp_start": -1.0, "ramp_end": 0.5}
     table["simulator"]["jets"] = {"dynamics": "second_order"}
-    network = io.load_config(ROOT / "configs" / "aero" / "network.toml")
+    network = io.load_config(ROOT / "configs" / "experiments" / "test4.toml")["simulator"]["aero"]
     table["simulator"]["aero"] = network | {"precision": "f64"}
     table["mission"] = {"file": str(tmp_path_factory.mktemp("reference") / "sway.csv")}
     first = rust.fly(table | {"mission": {}, "simulator": table["simulator"] | {"duration": 0.01}})

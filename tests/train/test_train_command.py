@@ -124,7 +124,7 @@ def test_an_interrupted_run_goes_on_and_ends_as_if_nothing_had_been(result, data
     ("change", "message"),
     [
         ({"network.colour": "1"}, "--set network.colour: there is no such key"),
-        ({"training.dropout": "2.0"}, "`training.dropout` is 2.0; expected a number < 1"),
+        ({"training.dropout": "2.0"}, "`training.dropout` is 2.0; expected a number ≥ 0 and < 1"),
         ({"network.activation": "gelu"}, '`network.activation` is "gelu"; expected one of'),
         ({"network.baseline": "best"}, "`network.baseline` is"),
         ({"validation.folds_run": "9"}, "`validation.folds_run` is 9; expected at most 5"),

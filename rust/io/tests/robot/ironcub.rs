@@ -1,7 +1,7 @@
 //! iRonCub-Mk1's files hold the published figures.
 
-use crate::common::assert_within;
 use super::{assert_close, robot_file};
+use crate::common::assert_within;
 use flight_core::robot::{AxisymmetricCoefficients, EngineCoefficients, Frame, RobotModel};
 use flight_core::spatial::{Pose, axis_angle};
 use flight_io::{RobotFiles, load_robot};

@@ -1,7 +1,7 @@
 //! Laws of the closed loop, whatever the numbers: where it settles, and what a finer step tends to.
 
-use crate::common::{Loop, assert_within, experiment, fly};
 use super::{as_published, data, ramp_to, with};
+use crate::common::{Loop, assert_within, experiment, fly};
 use flight_core::aero::LeverArm;
 use flight_core::spatial::vee_of_skew_part;
 use flight_sim::ScenarioConfig;

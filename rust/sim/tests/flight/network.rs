@@ -2,9 +2,9 @@
 //!
 //! The network is ours, not the paper's, so outcomes are claimed, and how large things are; not digits.
 
-use crate::common::{experiment, fly};
 use super::published::with_last_bits;
 use super::{data, with};
+use crate::common::{experiment, fly};
 use flight_core::aero::Precision;
 use flight_io::AeroConfig;
 use flight_sim::{FlightResult, ScenarioConfig};

@@ -1,7 +1,7 @@
 //! The published numbers: start-up, TEST1, TEST2, ablations, robustness, quirks.
 
-use crate::common::{assert_within, experiment, fly};
 use super::{NO_AIR, STILL, as_published, com_offset, data, peak, ramp_to, rotation_error_at, with};
+use crate::common::{assert_within, experiment, fly};
 use flight_core::aero::LeverArm;
 use flight_sim::config::{AeroKinematics, Integrator};
 use flight_sim::{FlightResult, LossReason, ScenarioConfig};

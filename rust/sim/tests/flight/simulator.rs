@@ -1,7 +1,7 @@
 //! What the simulator promises besides physics: the log, batches, interruption, falls, refusals.
 
-use crate::common::{assert_within, experiment, fly, tick_at};
 use super::{STILL, data, ramp_to, with};
+use crate::common::{assert_within, experiment, fly, tick_at};
 use flight_core::spatial::{orthonormality_error, rotation_from_wxyz};
 use flight_io::{load_controller, load_robot};
 use flight_sim::signals::Dimension;

@@ -1,7 +1,7 @@
 //! Joint stops: what the equation M87 of `docs/model.md` says of them.
 
-use crate::common::{assert_within, experiment, robot};
 use super::{NO_AIR, with};
+use crate::common::{assert_within, experiment, robot};
 use flight_sim::config::Integrator;
 use flight_sim::{Disturbances, Plant};
 use nalgebra::Vector3;
