@@ -16,8 +16,12 @@ MEASURED := $(abspath target/measured)
 WORKERS ?= 2
 PARALLEL := --numprocesses $(WORKERS) --dist worksteal
 
+# What XLA has compiled, shared by the test processes and kept for their next run.
+JAX_CACHE := JAX_COMPILATION_CACHE_DIR=$(abspath target/jax) JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0.3 \
+	JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES=-1
+
 # Another processor: no AVX in the C library's functions, in what XLA compiles, in OpenBLAS or in NumPy.
-OTHER_PROCESSOR = GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-AVX512VL,-AVX512DQ \
+OTHER_PROCESSOR = $(JAX_CACHE) GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-AVX512VL,-AVX512DQ \
 	XLA_FLAGS=--xla_cpu_max_isa=SSE4_2 OPENBLAS_CORETYPE=Nehalem NPY_DISABLE_CPU_FEATURES="$(NUMPY_FEATURES)"
 NUMPY_FEATURES = $(shell $(BIN)/python -c 'import numpy; \
 	print(*numpy.show_config(mode="dicts")["SIMD Extensions"].get("found", []))')
@@ -46,7 +50,7 @@ view: $(MODULE) ## fly in the browser: drag the wind until the robot falls
 test: $(MODULE) ## run every test, Rust first, then Python
 	rm -rf $(MEASURED)
 	MEASURED=$(MEASURED) cargo test --locked
-	MEASURED=$(MEASURED) $(BIN)/python -m pytest $(PARALLEL)
+	MEASURED=$(MEASURED) $(JAX_CACHE) $(BIN)/python -m pytest $(PARALLEL)
 
 portability: $(MODULE) ## run the numerical tests as another processor would, on one core and on two (QUICK=1: a minute)
 	$(if $(QUICK),,$(OTHER_PROCESSOR) cargo test --locked)
