@@ -2,18 +2,16 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on fails")]
 
 #[path = "../../sim/tests/common/network.rs"]
-mod network;
+mod cards;
 
 use crate::common::{assert_within, random_state, random_vector, rng, robot};
+use cards::{COMPACT, Shape, Tensor, card, file_of, n_inputs, paper, random_network, random_tensors, write};
 use flight_core::aero::{AeroModel, ForceFactorsConfig, LinkConventions, LinkForces, Precision};
 use flight_core::kinematics::Kinematics;
 use flight_core::spatial::rotation_from_wxyz;
 use flight_core::{BuildError, RobotModel, RobotState};
 use flight_io::{AeroConfig, NetworkConfig, load_aero};
 use nalgebra::{DVector, Vector3};
-use network::{
-    COMPACT, Shape, Tensor, card, file_of, n_inputs, paper, random_network, random_tensors, write,
-};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
