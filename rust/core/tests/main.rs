@@ -1,0 +1,18 @@
+//! Every test of the crate in one binary: what they share is compiled once.
+
+#[path = "../../sim/tests/common/mod.rs"]
+mod common;
+
+mod aero;
+mod contact;
+mod control;
+mod dynamics;
+mod linalg;
+mod link_forces;
+mod network;
+mod observer;
+mod qp;
+mod qp_rows;
+mod setpoint;
+mod spatial;
+mod tasks;

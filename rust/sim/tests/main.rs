@@ -1,0 +1,13 @@
+//! Every test of the crate in one binary: what they share is compiled once.
+
+mod common;
+
+mod ablation;
+mod absurd;
+mod config;
+mod disturbances;
+mod examples;
+mod flight;
+mod golden;
+mod jets;
+mod recorded;
