@@ -18,9 +18,11 @@ use clarabel::solver::SupportedConeT::NonnegativeConeT;
 use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver};
 use common::Tick;
 use flight_core::RobotModel;
+use flight_core::aero::{LinkConventions, LinkForces};
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::qp::{ClarabelSolver, PrimalActiveSet, QpProblem, QpSolver};
+use flight_io::load_aero;
 use flight_sim::Scenario;
 use nalgebra::Matrix6xX;
 use std::error::Error;
@@ -61,6 +63,14 @@ fn main() -> Result<(), Box<dyn Error>> {
             time_solvers(&name, &problems);
         }
     }
+    let mut network = load_aero(&common::configuration("test4")?.simulator.aero, robot)?;
+    let mut links = LinkForces::new(robot);
+    let conventions = LinkConventions::default();
+    report("shipped network, links placed", 200, calm.len(), || {
+        for tick in &calm {
+            links.update(robot, &bundle.kinematics, conventions, &mut network, black_box(&tick.wind));
+        }
+    });
     let config = common::configuration("test2")?;
     report("flight of 50 s", 5, 1, || {
         let flown = Scenario::new(&config).map(|flight| flight.run(|_, _| ControlFlow::Continue(())));
