@@ -43,7 +43,8 @@ def main(names: list[str]) -> None:
 
 def neighbours_of(config: rust.Config) -> Iterator[rust.Config]:
     """Yield the configuration with initial states that differ by 1e-13 of their size."""
-    for key, step in (("joint_position", 1e-13), ("joint_position", -1e-13), ("thrust", 1e-11)):
+    steps = [("joint_position", sign * size) for size in (1e-13, 3e-14, 3e-13) for sign in (1, -1)]
+    for key, step in [*steps, ("thrust", 1e-11), ("thrust", -1e-11)]:
         changed = copy.deepcopy(config)
         start = changed["simulator"]["initial"]
         start[key] = [value + step * (1 + index % 3) for index, value in enumerate(start[key])]
