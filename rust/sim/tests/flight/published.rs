@@ -23,7 +23,7 @@ fn assert_completed(result: &FlightResult, config: &ScenarioConfig) {
 }
 
 /// The flight, and three whose first thrust differs in its last bits.
-pub fn with_last_bits(config: &ScenarioConfig) -> Vec<FlightResult> {
+fn with_last_bits(config: &ScenarioConfig) -> Vec<FlightResult> {
     let nudged = |bits| {
         with(config.clone(), |config| {
             config.simulator.initial.thrust[0] *= 1.0 + f64::from(bits) * f64::EPSILON;
