@@ -2,7 +2,7 @@
 
 use crate::plant::Plant;
 use crate::scenario::{Loss, Outcome};
-use crate::signals::{Dimension, Read, SIGNALS, Signal};
+use crate::signals::{SIGNALS, Signal};
 use crate::summary::Summary;
 use flight_core::control::setpoint::Setpoint;
 use flight_core::control::{Command, Terms};
@@ -19,7 +19,6 @@ pub struct Series {
     pub row_shape: Vec<usize>,
     /// All rows.
     pub data: Vec<f64>,
-    read: Read,
 }
 
 impl PartialEq for Series {
@@ -29,12 +28,10 @@ impl PartialEq for Series {
 }
 
 impl Series {
-    /// Space for `n_ticks` rows; `None` for a signal that this engine does not log.
-    fn new(signal: &'static Signal, robot: &RobotModel, n_ticks: usize) -> Option<Self> {
-        let dims = signal.dims.iter().filter(|dim| **dim != Dimension::Time);
-        let row_shape: Vec<usize> = dims.map(|dim| dim.len(robot)).collect();
-        let data = Vec::with_capacity(row_shape.iter().product::<usize>() * n_ticks);
-        signal.read.map(|read| Self { signal, row_shape, data, read })
+    /// Space for `n_ticks` rows.
+    fn new(signal: &'static Signal, robot: &RobotModel, n_ticks: usize) -> Self {
+        let row_shape = signal.row_shape(robot).collect();
+        Self { signal, row_shape, data: Vec::with_capacity(signal.row_len(robot) * n_ticks) }
     }
 
     /// Numbers in one row.
@@ -109,7 +106,8 @@ impl FlightLog {
     /// Space for `n_ticks` rows of a robot's signals.
     #[must_use]
     pub fn new(robot: &RobotModel, n_ticks: usize) -> Self {
-        let series = SIGNALS.iter().filter_map(|signal| Series::new(signal, robot, n_ticks)).collect();
+        let logged = SIGNALS.iter().filter(|signal| signal.read.is_some());
+        let series = logged.map(|signal| Series::new(signal, robot, n_ticks)).collect();
         Self { series, joint_setpoint: Vec::new() }
     }
 
@@ -134,7 +132,9 @@ impl FlightLog {
     /// Appends one row of every signal.
     pub fn push(&mut self, row: &LogRow) {
         for series in &mut self.series {
-            (series.read)(row, &mut series.data);
+            if let Some(read) = series.signal.read {
+                read(row, &mut series.data);
+            }
         }
     }
 }

@@ -96,10 +96,15 @@ const fn of_ground(
 }
 
 impl Signal {
+    /// Shape of one row of the log of a robot.
+    pub fn row_shape(&self, robot: &RobotModel) -> impl Iterator<Item = usize> {
+        self.dims.iter().filter(|dim| **dim != Dimension::Time).map(|dim| dim.len(robot))
+    }
+
     /// Numbers in one row of the log of a robot.
     #[must_use]
     pub fn row_len(&self, robot: &RobotModel) -> usize {
-        self.dims.iter().map(|dim| dim.len(robot)).product()
+        self.row_shape(robot).product()
     }
 }
 

@@ -172,6 +172,8 @@ pub struct MomentumQp {
     /// Offsets of all tasks, in their order.
     pub offset: DVector<f64>,
     weights: DVector<f64>,
+    /// `√W`.
+    roots: DVector<f64>,
     /// `√W A` of the rows.
     weighted: DMatrix<f64>,
     /// The diagonal part of `H`.
@@ -194,6 +196,7 @@ impl MomentumQp {
             matrix: DMatrix::zeros(n, 0),
             offset: DVector::zeros(0),
             weights: DVector::zeros(0),
+            roots: DVector::zeros(0),
             weighted: DMatrix::zeros(n, 0),
             diagonal: DVector::zeros(n),
             thrust_rate_max: config.per_jet(&config.bounds.thrust_rate_max, robot),
@@ -244,6 +247,7 @@ impl MomentumQp {
         self.offset.resize_vertically_mut(offsets.end, 0.0);
         self.weights.resize_vertically_mut(offsets.end, 0.0);
         self.weights.rows_mut(old, weights.len()).copy_from_slice(&weights);
+        self.roots = self.weights.map(f64::sqrt);
         self.stack.push(Entry { task, rows, offsets, first });
         Ok(())
     }
@@ -283,7 +287,7 @@ impl MomentumQp {
         g.fill(0.0);
         for Entry { rows, offsets, first, .. } in &self.stack {
             for (row, entry) in rows.clone().zip(offsets.clone()) {
-                let root = self.weights[entry].sqrt();
+                let root = self.roots[entry];
                 let from = self.matrix.column(row);
                 self.weighted.column_mut(row).zip_apply(&from, |to, from| *to = root * from);
                 g.axpy(self.weights[entry] * self.offset[entry], &from, 1.0);
