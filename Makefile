@@ -32,7 +32,7 @@ NUMERICAL := $(if $(QUICK),tests/parity/test_qp.py tests/parity/test_jax_qp_box.
 export PYO3_PYTHON := $(abspath $(BIN)/python)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo view test lint bench figures reproduce verify docs clean portability
+.PHONY: help setup demo view test lint bench figures reproduce verify docs clean portability wheel
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -56,6 +56,11 @@ portability: $(MODULE) ## run the numerical tests as another processor would, on
 	$(if $(QUICK),,$(OTHER_PROCESSOR) cargo test --locked)
 	$(if $(QUICK),,$(OTHER_PROCESSOR) taskset --cpu-list 0 $(BIN)/python -m pytest -q $(NUMERICAL))
 	$(OTHER_PROCESSOR) taskset --cpu-list 0,1 $(BIN)/python -m pytest -q $(PARALLEL) $(NUMERICAL)
+
+wheel: $(MODULE) ## build wheel and source package into dist/, and fly with the wheel alone in an empty environment
+	rm -rf dist
+	$(BIN)/maturin build --release --locked --quiet --sdist --out dist
+	$(BIN)/python tests/wheel.py dist/*.whl
 
 lint: $(MODULE) ## check formats, lints, types and import contracts
 	cargo fmt --all --check
@@ -102,7 +107,7 @@ docs: $(MODULE) ## build the documentation site into site/, the crate's own besi
 	rm -rf site/rust && cp -r target/doc site/rust
 
 clean: ## remove what set-up and builds made; results stay
-	rm -rf target site $(VENV) jax_aero/_core*.so .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf target site dist $(VENV) jax_aero/_core*.so .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Stamps: a second `make demo` starts at once.

@@ -1,11 +1,5 @@
 """Run flights by name and say how they ended.
 
-Other commands, each explained by `python -m experiments COMMAND --help`: `sweep` (many perturbed flights), `report`
-(all results on one page), `trim`, `trajectory`, `force-rate`, `observer-limit`, `tip-over`, `engine-choice` (battery
-against fuel), `import-robot` (from a URDF to a robot that flies), `identify-aero` (coefficients from a flight's log),
-`import-cfd`, `fit-aero`, `calibrate-surrogate`, `surrogate-dataset` (data to learn from), `train` and `train-search`
-(networks), `schema` (what follows from the types of the configuration).
-
 A result goes to `results/flight/NAME/`; with --set, the folder's name states the changes, e.g.
 `test1--wind.velocity=0_-12_0`. With --out DIR it goes to `DIR/NAME/`, whatever was set.
 """
@@ -13,47 +7,33 @@ A result goes to `results/flight/NAME/`; with --set, the folder's name states th
 from __future__ import annotations
 
 import argparse
-import importlib
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from experiments import Refused, flight, manifest, overrides
 from experiments.engines import ENGINES
 from experiments.table import outcome_table
-
-INTERRUPTED = 130
-
-COMMANDS = {
-    "sweep": "experiments.sweep.command",
-    "report": "experiments.report.command",
-    "engine-choice": "experiments.engine_choice",
-    "trim": "experiments.trim",
-    "trajectory": "experiments.trajectory",
-    "force-rate": "experiments.force_rate",
-    "observer-limit": "experiments.observer_limit",
-    "tip-over": "experiments.tip_over",
-    "identify-aero": "experiments.identify_aero",
-    "import-robot": "experiments.import_robot.command",
-    "import-cfd": "experiments.import_cfd",
-    "fit-aero": "experiments.fit_aero",
-    "calibrate-surrogate": "experiments.calibrate_surrogate",
-    "surrogate-dataset": "experiments.surrogate_dataset",
-    "train": "experiments.training.command",
-    "schema": "experiments.schema",
-    "train-search": "experiments.training.search",
-}
+from jax_aero import cli, places
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return its exit status."""
+    """Run `python -m experiments WORD ...`, where the word is a command of `jax-aero`, or the name of a flight."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if words and (name := words[0].replace("_", "-")) in COMMANDS:
-        # Imported on demand: a single flight needs none of their dependencies.
-        run_command: Callable[[Sequence[str]], int] = importlib.import_module(COMMANDS[name]).main
-        return run_command(words[1:])
+    first = words[0].replace("_", "-") if words else ""
+    if first in cli.COMMANDS:
+        return cli.main(words)
+    known = [*places.names("experiments"), *cli.COMMANDS]
+    if first.isidentifier() and words[0] not in known:
+        print(f"error: no experiment or command `{words[0]}`{places.did_you_mean(words[0], known)}", file=sys.stderr)
+        return cli.REFUSED
+    return cli.run("fly", words)
+
+
+def fly(words: Sequence[str]) -> int:
+    """Fly experiments; return the exit status."""
     given = _parser().parse_args(words)
     names = [name for name, _ in flight.available()] if given.all else given.names
     if given.list or not names:
@@ -71,14 +51,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         print("interrupted; the flight under way left nothing behind", file=sys.stderr)
-        return INTERRUPTED
+        return cli.INTERRUPTED
     print(outcome_table(finished))
     return 0
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m experiments", description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help="a file stem in configs/experiments, or a path")
+    parser = cli.Parser("fly", __doc__)
+    named = parser.add_argument("names", nargs="*", metavar="NAME", help="one of --list, or the path of a TOML file")
+    cli.completes(named, lambda: places.names("experiments"))
     parser.add_argument(
         "--set",
         action="append",
@@ -97,7 +78,7 @@ def _parser() -> argparse.ArgumentParser:
 def _print_list() -> None:
     entries = list(flight.available())
     width = max((len(name) for name, _ in entries), default=0)
-    print("experiments (python -m experiments NAME):")
+    print("experiments (jax-aero fly NAME):")
     for name, title in entries:
         print(f"  {name:<{width}}  {title}")
 

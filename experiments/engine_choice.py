@@ -26,7 +26,7 @@ from typing import Any
 from experiments import manifest
 
 ROBOT = manifest.REPOSITORY / "configs" / "robot" / "ironcub_mk1.toml"
-RESULTS = manifest.REPOSITORY / "results"
+RESULTS = manifest.RESULTS
 
 PAPER_BATTERY, PAPER_FUEL = 26.31, 4.61
 """What the paper prints [kg]."""

@@ -17,7 +17,7 @@ from experiments import Refused, engines, manifest, overrides, record
 from jax_aero import rust
 
 CONFIGS = manifest.REPOSITORY / "configs" / "experiments"
-RESULTS = manifest.REPOSITORY / "results" / "flight"
+RESULTS = manifest.RESULTS / "flight"
 
 
 def available(configs: Path = CONFIGS) -> Iterator[tuple[str, str]]:
@@ -73,6 +73,7 @@ def run(
         engine=document["engine"],
     )
     record.write_run(folder, dataset, document, replace=overwrite)
+    print(os.path.relpath(folder / record.RUN_FILE))
     return document
 
 

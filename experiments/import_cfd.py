@@ -21,7 +21,7 @@ from jax_aero.aero.cfd_import import read_mat, read_solver_table
 from jax_aero.aero.dataset import JOINTS, Dataset, Floats, read_postures, save
 
 POSTURES = manifest.REPOSITORY / "configs" / "tables" / "postures.toml"
-OUT = manifest.REPOSITORY / "results" / "datasets"
+OUT = manifest.RESULTS / "datasets"
 
 COMMIT = "0d43057"
 TABLE_PATH = "simulations/ironcub-automatic-cfd/auto-cfd-sim/data/outputParameters.csv"

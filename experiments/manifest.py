@@ -12,9 +12,9 @@ from datetime import UTC, datetime
 from pathlib import Path, PurePath
 from typing import Any
 
-from jax_aero import rust
+from jax_aero import places, rust
 
-REPOSITORY = Path(__file__).resolve().parent.parent
+REPOSITORY, RESULTS = places.HOME, places.RESULTS
 
 
 def build(
@@ -75,6 +75,8 @@ def seeds(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, in
 
 def git_state() -> dict[str, Any]:
     """Return commit and whether the working tree differs from it; nulls outside a git checkout."""
+    if not places.IS_CHECKOUT:  # the package may be installed below a folder of another repository
+        return {"commit": None, "dirty": None}
     commit = _git("rev-parse", "HEAD")
     changes = _git("status", "--porcelain")
     return {"commit": commit, "dirty": None if changes is None else bool(changes)}

@@ -8,10 +8,10 @@ them.
 
 from __future__ import annotations
 
-import argparse
 import copy
 import json
 import re
+import sys
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -22,7 +22,8 @@ from experiments.sweep.perturbation import Perturbation
 from experiments.sweep.spec import Axis, Spec
 from experiments.training.config import Training
 from experiments.training.search import SearchConfig
-from jax_aero import rust, tables
+from jax_aero import places, rust, tables
+from jax_aero.cli import REFUSED, Parser
 
 Node = dict[str, Any]
 
@@ -44,7 +45,10 @@ MADE = "by `python -m experiments schema` from the crate's types"
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
-    argparse.ArgumentParser(prog="python -m experiments schema", description=__doc__).parse_args(arguments)
+    Parser("schema", __doc__).parse_args(arguments)
+    if not places.IS_CHECKOUT:
+        print("error: `schema` writes into a checkout of the repository, and this is none", file=sys.stderr)
+        return REFUSED
     for path, text in files().items():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")

@@ -23,7 +23,7 @@ from jax_aero.files import complete_folder, write_json
 
 T = TypeVar("T")
 
-RESULTS = manifest.REPOSITORY / "results"
+RESULTS = manifest.RESULTS
 CONFIGS = manifest.REPOSITORY / "configs"
 
 

@@ -4,7 +4,7 @@ A table may name another file as its `base`: that file's table is read first, an
 it, table by table. Paths start at the file that names them. Which keys are paths, and which tables are of several
 kinds, the types say; no key is judged before all files are merged.
 
->>> table = load_config("configs/experiments/test2.toml", {"wind.velocity": [0.0, -12.0, 0.0]})
+>>> table = load_config("test2", {"wind.velocity": [0.0, -12.0, 0.0]})
 >>> table["wind"]["profile"]
 'ramp'
 >>> scenario_config(table).controller.momentum.c0
@@ -23,6 +23,7 @@ from msgspec import inspect
 from jax_aero import tables
 from jax_aero.config import AeroConfig, ScenarioConfig
 from jax_aero.keys import set_key
+from jax_aero.places import find
 
 Table = dict[str, Any]
 
@@ -36,14 +37,14 @@ FLIGHT = inspect.type_info(ScenarioConfig)
 
 
 def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> Table:
-    """Read a TOML file and resolve every `base` and path in it; then set the dotted keys of `overrides`.
+    """Read an experiment, by name or path; resolve every `base` and path; set the dotted keys of `overrides`.
 
     Raises
     ------
     ValueError
         Naming the file that cannot be read or parsed or that refers to itself, or the key that cannot be set.
     """
-    table = resolve(path)
+    table = resolve(find("experiments", path))
     for key, value in (overrides or {}).items():
         override(table, key, value)
     return table

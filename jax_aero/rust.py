@@ -5,7 +5,7 @@ The only importer of the compiled module `jax_aero._core`.
 Examples
 --------
 >>> from jax_aero import rust
->>> config = rust.load_config("configs/experiments/test2.toml", {"simulator.duration": 1.0})
+>>> config = rust.load_config("test2", {"simulator.duration": 1.0})
 >>> flight = rust.fly(config)
 >>> flight["thrust"].shape[1]
 4
@@ -29,17 +29,17 @@ import functools
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from os import PathLike, fspath
+from os import PathLike
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from jax_aero import _core
 from jax_aero._core import BoxQpSolver, ControllerState, Robot, __version__, kkt_residual
 from jax_aero.io import override
+from jax_aero.places import find
 from jax_aero.result import FlightResult, Progress
 
 __all__ = [
@@ -251,7 +251,7 @@ class ContactTick:
 class Plant:
     """The simulated robot of a configuration, with its jets and wind, for a control loop of your own.
 
-    >>> plant = Plant(load_config("configs/experiments/test2.toml"))
+    >>> plant = Plant(load_config("test2"))
     >>> measurement = plant.reset()
     >>> measurement = plant.step(thrust_rate=[0.0] * 4, joint_torque=[0.0] * 23)
     >>> measurement.time
@@ -471,7 +471,7 @@ def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None =
     Parameters
     ----------
     path
-        A TOML file such as `configs/experiments/test2.toml`.
+        The name of an experiment, such as `test2`, or the path of a TOML file.
     overrides
         Dotted key to value, e.g. `{"wind.velocity": [0, -12, 0]}`. A key has to exist in the
         resolved configuration, or at least be one the crate accepts.
@@ -481,7 +481,7 @@ def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None =
     ValueError
         Naming the file or key, the value and what was expected.
     """
-    config: Config = json.loads(_core.resolve_config(fspath(path)))
+    config: Config = json.loads(_core.resolve_config(find("experiments", path)))
     check_config(config)
     return _with_overrides(config, overrides) if overrides else config
 
@@ -598,7 +598,14 @@ def aero_forces(robot: Robot, aero: Mapping[str, Any], axes: ArrayLike, v_air: A
 
 def rotation_from_wxyz(wxyz: ArrayLike) -> Array:
     """Return the rotation matrices (..., 3, 3) of quaternions (..., 4) of any length but zero."""
-    return np.asarray(Rotation.from_quat(wxyz, scalar_first=True).as_matrix(), dtype=np.float64)
+    quaternions = _array(wxyz)
+    w, x, y, z = np.moveaxis(quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 def link_forces(robot: Robot, aero: Mapping[str, Any], state: State, wind: ArrayLike) -> Array:

@@ -10,6 +10,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
+from jax_aero import cli
+from jax_aero.places import did_you_mean
 from paper_figs import (
     ablation,
     demo,
@@ -107,8 +109,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     known = [*FIGURES, *_sweep_names(given.sweeps)]
     names = known if not given.names or given.names == ["all"] else given.names
     if unknown := [name for name in names if name not in known]:
-        print(f"error: no figure {', '.join(unknown)}; there are {', '.join(known)}", file=sys.stderr)
-        return 2
+        print(f"error: no figure `{unknown[0]}`{did_you_mean(unknown[0], known)}", file=sys.stderr)
+        return cli.REFUSED
     style.use()
     missing = 0
     for name in names:
@@ -145,11 +147,12 @@ def _sweep_names(folder: Path) -> Iterator[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    listed = "; ".join(f"{name}: {about} (runs: {' '.join(shown)})" for name, (_, shown, about) in FIGURES.items())
-    parser = argparse.ArgumentParser(prog="python -m paper_figs", description=__doc__, epilog=listed)
-    parser.add_argument(
-        "names", nargs="*", metavar="FIGURE", help=f"all (default), or any of {', '.join(FIGURES)}, or a sweep"
+    listed = "figures, and the runs that fill them:\n" + "\n".join(
+        f"  {name:<18}{about}; {' '.join(shown) or 'none'}" for name, (_, shown, about) in FIGURES.items()
     )
+    parser = cli.Parser("figures", __doc__, epilog=listed)
+    named = parser.add_argument("names", nargs="*", metavar="FIGURE", help="figures or sweeps (default: all there are)")
+    cli.completes(named, lambda: [*FIGURES, *SWEEPS, "all"])
     parser.add_argument("--runs", nargs="+", metavar="RUN", help="which runs fill the figure, in its order")
     parser.add_argument("--results", type=Path, default=runs.default_results(), metavar="DIR", help="where flights lie")
     parser.add_argument("--sweeps", type=Path, default=sweeps.default_sweeps(), metavar="DIR", help="where sweeps lie")
@@ -158,4 +161,4 @@ def _parser() -> argparse.ArgumentParser:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(cli.run("figures", sys.argv[1:]))

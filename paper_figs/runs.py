@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from jax_aero.places import RESULTS
+
 Series = xr.DataArray
 
 
@@ -78,9 +80,9 @@ def load(results: Path, name: str) -> Run:
 
 def default_results() -> Path:
     """Return where experiments leave flights."""
-    return Path(__file__).resolve().parent.parent / "results" / "flight"
+    return RESULTS / "flight"
 
 
 def default_out() -> Path:
     """Return where figures go."""
-    return Path(__file__).resolve().parent.parent / "results" / "figures"
+    return RESULTS / "figures"

@@ -10,6 +10,7 @@ from typing import Any
 
 import pandas as pd
 
+from jax_aero.places import RESULTS
 from paper_figs.runs import MissingRun
 
 
@@ -71,7 +72,7 @@ def load(results: Path, name: str) -> Sweep:
 
 def default_sweeps() -> Path:
     """Return where sweeps lie."""
-    return Path(__file__).resolve().parent.parent / "results" / "sweeps"
+    return RESULTS / "sweeps"
 
 
 def axis_label(axis: dict[str, Any]) -> str:

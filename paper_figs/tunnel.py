@@ -18,9 +18,10 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from jax_aero.places import CONFIGS
 from paper_figs import style
 
-TABLES = Path(__file__).resolve().parent.parent / "configs" / "tables"
+TABLES = CONFIGS / "tables"
 TUNNEL, CFD = "wind_tunnel.toml", "cfd_tunnel.toml"
 
 FINEST = "953C"

@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         result = import_robot(
             given.urdf,
-            given.out or manifest.REPOSITORY / "results" / "robot" / given.urdf.stem,
+            given.out or manifest.RESULTS / "robot" / given.urdf.stem,
             jets=given.jet,
             feet=given.foot,
             held=given.hold,

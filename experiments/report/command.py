@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from experiments.report import claims
 from experiments.report.metrics import Metrics
 from experiments.report.page import Heading, Page, Picture, Table, Text
 from experiments.report.results import Results, Sweep, count
+from jax_aero.cli import Parser
 from jax_aero.files import write_text
 
 PAPER_RUNS = ("test1", "test2", "test3", "test4", "robustness")
@@ -33,11 +33,11 @@ PARTS = {
 
 def main(arguments: Sequence[str]) -> int:
     """Write the report from what results there are."""
-    parser = argparse.ArgumentParser(prog="python -m experiments report", description=__doc__)
+    parser = Parser("report", __doc__)
     parser.add_argument(
         "--results",
         type=Path,
-        default=manifest.REPOSITORY / "results",
+        default=manifest.RESULTS,
         metavar="DIR",
         help="folder with flight/, sweeps/",
     )

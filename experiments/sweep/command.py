@@ -6,7 +6,6 @@ last byte; a finished one is only replaced with --overwrite.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,8 +14,8 @@ from experiments import Refused
 from experiments.sweep import run, spec
 from experiments.sweep.cluster import Ray
 from experiments.sweep.design import Design
-
-INTERRUPTED = 130
+from jax_aero import places
+from jax_aero.cli import INTERRUPTED, Parser, completes
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -46,9 +45,10 @@ def _shown(folder: Path) -> str:
     return str(folder.relative_to(Path.cwd())) if folder.is_relative_to(Path.cwd()) else str(folder)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m experiments sweep", description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help="a file stem in configs/sweeps, or a path")
+def _parser() -> Parser:
+    parser = Parser("sweep", __doc__)
+    named = parser.add_argument("names", nargs="*", metavar="NAME", help="one of --list, or the path of a TOML file")
+    completes(named, lambda: places.names("sweeps"))
     parser.add_argument("--all", action="store_true", help="every sweep of configs/sweeps")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/sweeps)")
     parser.add_argument("--overwrite", action="store_true", help="start from the beginning, and replace a result")

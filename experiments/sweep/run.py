@@ -32,7 +32,7 @@ from jax_aero import rust, tables
 from jax_aero.files import write_json
 from jax_aero.result import Outcome
 
-RESULTS = manifest.REPOSITORY / "results" / "sweeps"
+RESULTS = manifest.RESULTS / "sweeps"
 
 
 class Workers(Protocol):

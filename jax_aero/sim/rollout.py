@@ -2,7 +2,7 @@
 
 >>> from jax_aero.io import load_config
 >>> from jax_aero.sim import fly
->>> config = load_config("configs/experiments/test2.toml", {"simulator.duration": 0.05})
+>>> config = load_config("test2", {"simulator.duration": 0.05})
 >>> fly(config)["thrust"].shape
 (6, 4)
 """

@@ -1,10 +1,10 @@
 """Comparison of the Rust crate with JAX. Both are run on the same states and through the same flight.
 
-    python -m jax_aero verify                                    # TEST2: random and recorded states, whole flight
-    python -m jax_aero verify --config configs/experiments/test2_published.toml --set wind.velocity=[0,-12,0]
-    python -m jax_aero verify --controller my_controller.toml    # another controller in the same flight
-    python -m jax_aero verify --robot my_robot.toml              # another robot: its kinematics and dynamics
-    python -m jax_aero verify --config configs/experiments/test4.toml    # the network, in double precision
+    jax-aero verify                                    # TEST2: random and recorded states, whole flight
+    jax-aero verify --config test2_published --set wind.velocity=[0,-12,0]
+    jax-aero verify --controller my_controller.toml    # another controller in the same flight
+    jax-aero verify --robot my_robot.toml              # another robot: its kinematics and dynamics
+    jax-aero verify --config test4                     # the network, in double precision
 
 Prints a table, writes it beside a figure, and exits with 1 if anything disagrees. Kernels are compared relative to the
 largest entry of the crate's answers, flights by the absolute difference of every logged signal.
@@ -22,7 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from jax_aero import rust
+from jax_aero import places, rust
+from jax_aero.cli import Parser, completes
 from jax_aero.keys import parse_assignments
 from jax_aero.verify import (
     Comparison,
@@ -53,23 +54,24 @@ def main(arguments: Sequence[str]) -> int:
             facts["robot"] = Path(options.robot).name
             verify_robot(options.robot, options.states, comparison, options.backend, options.seed)
         else:
-            facts |= {"flight": config["title"] or options.config.stem, "config": rust.config_digest(config)[:12]}
+            facts |= {"flight": config["title"] or options.config, "config": rust.config_digest(config)[:12]}
             verify_robot(config["robot"], options.states, comparison, options.backend, options.seed)
             verify_ticks(config, random_samples(config, options.states, options.seed), "random", comparison)
             expected, _ = verify_flight(config, comparison, options.backend)
             verify_ticks(config, recorded_samples(config, expected, options.states), "recorded", comparison)
     rows = comparison.rows
     print(table(rows))
-    folder = options.out or Path("results") / "verify" / Path(options.robot or options.config).stem
+    folder = options.out or places.RESULTS / "verify" / Path(options.robot or options.config).stem
     written = write(rows, folder, facts)
     bad = [row for row in rows if not row.agrees]
     print(f"\n{len(rows) - len(bad)} of {len(rows)} quantities agree; see {', '.join(map(str, written))}")
     return 1 if bad else 0
 
 
-def _parse(arguments: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m jax_aero verify", description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--config", type=Path, default=Path("configs/experiments/test2.toml"), help="flight to compare")
+def _parse(arguments: Sequence[str]) -> Any:
+    parser = Parser("verify", __doc__)
+    chosen = parser.add_argument("--config", default="test2", metavar="NAME", help="flight to compare: name or path")
+    completes(chosen, lambda: places.names("experiments"))
     parser.add_argument("--controller", type=Path, help="controller file that replaces the flight's")
     parser.add_argument("--robot", help="robot file: compare only its kinematics and dynamics")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change the configuration")
@@ -85,8 +87,9 @@ def _config(options: argparse.Namespace) -> dict[str, Any]:
     if options.controller is None:
         return rust.load_config(options.config, changes)
     with tempfile.TemporaryDirectory() as folder:
-        mixed = Path(folder) / options.config.name
-        base, controller = (json.dumps(str(path.resolve())) for path in (options.config, options.controller))
+        mixed = Path(folder) / "mixed.toml"
+        config = places.find("experiments", options.config)
+        base, controller = (json.dumps(str(path.resolve())) for path in (config, options.controller))
         mixed.write_text(f"base = {base}\ncontroller = {{ base = {controller} }}\n", encoding="utf-8")
         return rust.load_config(mixed, changes)
 

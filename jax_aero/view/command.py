@@ -1,4 +1,4 @@
-"""The commands `view`, `video` and `snapshot` of `python -m jax_aero`."""
+"""The commands `view`, `video` and `snapshot`."""
 
 from __future__ import annotations
 
@@ -10,18 +10,17 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from jax_aero.cli import INTERRUPTED, Parser
 from jax_aero.view import Refused, recording, require
-
-INTERRUPTED = 130
 
 RESULT = "a folder or run.nc that `python -m experiments NAME` wrote, or the NAME of one in results/flight"
 
 
 def view(words: Sequence[str]) -> int:
     """Serve the page until Ctrl-C."""
-    parser = argparse.ArgumentParser(
-        prog="python -m jax_aero view",
-        description="Show a flight in the browser, beside another one as a ghost if two are given, and repeat it "
+    parser = Parser(
+        "view",
+        "Show a flight in the browser, beside another one as a ghost if two are given, and repeat it "
         "with other wind, controller, aerodynamics. Without RESULT the baseline is flown.",
     )
     parser.add_argument("results", nargs="*", metavar="RESULT", help=f"{RESULT}; at most two")
@@ -65,7 +64,7 @@ def _check_address(host: str, port: int) -> None:
 
 def video(words: Sequence[str]) -> int:
     """Write a video."""
-    parser = argparse.ArgumentParser(prog="python -m jax_aero video", description="Film a flight.")
+    parser = Parser("video", "Film a flight.")
     _common(parser, Path("flight.mp4"), "1280x720")
     parser.add_argument("--fps", type=float, default=30.0, help="pictures per second (default 30)")
     parser.add_argument("--speed", type=float, default=1.0, help="flight seconds per second of video (default 1)")
@@ -96,9 +95,7 @@ def video(words: Sequence[str]) -> int:
 
 def snapshot(words: Sequence[str]) -> int:
     """Write a picture."""
-    parser = argparse.ArgumentParser(
-        prog="python -m jax_aero snapshot", description="Draw one moment of a flight, or several in one picture."
-    )
+    parser = Parser("snapshot", "Draw one moment of a flight, or several in one picture.")
     _common(parser, Path("flight.png"), "1920x1080")
     parser.add_argument(
         "--at", type=float, nargs="+", default=[], metavar="S", help="moments [s] (default: six, evenly spread)"
@@ -123,7 +120,7 @@ def snapshot(words: Sequence[str]) -> int:
     return _guarded(work)
 
 
-def _common(parser: argparse.ArgumentParser, out: Path, size: str) -> None:
+def _common(parser: Parser, out: Path, size: str) -> None:
     parser.add_argument("result", metavar="RESULT", help=RESULT)
     parser.add_argument("--out", type=Path, default=out, metavar="FILE", help=f"what to write (default {out})")
     parser.add_argument("--size", type=_size, default=_size(size), metavar="WxH", help=f"pixels (default {size})")

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import io, rust
+from jax_aero.places import HOME, RESULTS
 from jax_aero.summary import SETTLING_TIME
 from jax_aero.view import Refused, require
 
 Vector = NDArray[np.float64]
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 RUN_FILE, MANIFEST_FILE = "run.nc", "manifest.json"
 
 SIGNALS = (
@@ -243,7 +243,7 @@ EXPECTED = "expected a folder or a run.nc that `python -m experiments NAME` wrot
 
 
 def _run_file(path: Path) -> Path:
-    named = REPOSITORY / "results" / "flight" / path
+    named = RESULTS / "flight" / path
     if not path.exists() and path.parent == Path() and named.is_dir():
         path = named
     if path.is_dir():
@@ -292,8 +292,8 @@ def _here(config: rust.Config) -> rust.Config:
     """Paths of a manifest start at the repository; make them absolute."""
     placed = copy.deepcopy(config)
     for table, key in io.paths(placed):
-        if (REPOSITORY / table[key]).is_file():
-            table[key] = str(REPOSITORY / table[key])
+        if (HOME / table[key]).is_file():
+            table[key] = str(HOME / table[key])
     return placed
 
 

@@ -9,11 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from jax_aero import rust
-from jax_aero.view import Refused
-from jax_aero.view.recording import REPOSITORY
+from jax_aero.places import CONFIGS
 from jax_aero.wind_direction import speed_and_direction, wind_from
-
-CONFIGS = REPOSITORY / "configs"
 
 MODELS = {
     "axisymmetric, corrected": "axisymmetric_corrected.toml",
@@ -83,10 +80,7 @@ class Settings:
 
 def default_config() -> rust.Config:
     """TEST1: the flight to start from when no result is given."""
-    path = CONFIGS / "experiments" / "test1.toml"
-    if not path.is_file():
-        raise Refused(f"there is no `{path}`; run this in a checkout of the repository, or give a RESULT")
-    return rust.load_config(path)
+    return rust.load_config("test1")
 
 
 def settings_of(config: rust.Config) -> Settings:

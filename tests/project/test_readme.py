@@ -54,6 +54,8 @@ def test_python_runs(code):
 def test_make_targets_exist(code):
     """Running `make test` in a test would never end, so make only says what it would do."""
     for line in code.splitlines():
+        if line == "source .venv/bin/activate":
+            continue
         assert line.startswith("make ")
         run(["make", "-n", *line.split()[1:]])
 

@@ -44,7 +44,7 @@ def test_a_missing_flight_is_named_with_the_command_that_flies_it(tmp_path, caps
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [(["fig99"], "no figure fig99; there are fig2"), (["fig5", "--runs", "test2"], "fig5 shows 2 runs, not 1")],
+    [(["fig99"], "no figure `fig99`; did you mean fig"), (["fig5", "--runs", "test2"], "fig5 shows 2 runs, not 1")],
 )
 def test_a_mistake_is_named(arguments, message, capsys):
     assert main(arguments) == 2

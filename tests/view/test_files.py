@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jax_aero import __main__ as commands
-from jax_aero import rust
+from jax_aero import places, rust
 from jax_aero.view import Refused, command, offscreen, recording, video
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
@@ -98,7 +98,7 @@ def test_the_robot_drawn_is_the_robot_that_flew(seen):
 @pytest.mark.usefixtures("_can_draw")
 def test_another_robot_is_drawn_too(seen, tmp_path):
     """Nothing is about iRonCub alone; this one stands still."""
-    path = recording.REPOSITORY / "configs/robot/sparrow.toml"
+    path = places.HOME / "configs/robot/sparrow.toml"
     robot = rust.Robot(path)
     n, joints, jets, links = 3, len(robot.joint_names), len(robot.jet_names), len(robot.aero_link_names)
     still = {

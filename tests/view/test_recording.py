@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from jax_aero import __main__ as commands
-from jax_aero import rust
+from jax_aero import places, rust
 from jax_aero.view import Refused, drawing, recording
 from jax_aero.view.settings import AS_GIVEN, MODELS, Settings, apply, default_config, settings_of
 from jax_aero.view.shapes import look_of
 
-ROOT = recording.REPOSITORY
+ROOT = places.HOME
 ROBOTS = [ROOT / "configs/robot/ironcub_mk1.toml", ROOT / "configs/robot/sparrow.toml"]
 
 
@@ -209,11 +209,6 @@ def test_three_results_are_one_too_many(fallen, capsys):
 def test_an_address_that_is_none_is_refused(words, expected, capsys):
     assert commands.main(["view", *words]) == 2
     assert expected in capsys.readouterr().err
-
-
-def test_an_unknown_command_lists_the_known_ones(capsys):
-    assert commands.main(["film"]) == 2
-    assert "{verify,view,video,snapshot}" in capsys.readouterr().err
 
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch, fallen, capsys):

@@ -1,0 +1,173 @@
+"""The command `jax-aero`: everything that this project does, one sub-command each.
+
+`python -m jax_aero COMMAND` is the same; `python -m experiments` and `python -m paper_figs` lead here too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import shlex
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from importlib.metadata import version
+from typing import Any, NamedTuple
+
+import argcomplete
+
+from jax_aero.places import did_you_mean
+
+REFUSED, INTERRUPTED, CLOSED = 2, 130, 141
+
+
+class Command(NamedTuple):
+    """A sub-command: where its function is, the extra of the package that it needs, and what it does."""
+
+    function: str
+    extra: str
+    about: str
+
+
+GROUPS: dict[str, dict[str, Command]] = {
+    "fly and look": {
+        "fly": Command("experiments.__main__:fly", "figs", "fly experiments by name: jax-aero fly test2"),
+        "sweep": Command("experiments.sweep.command:main", "figs", "fly many perturbed flights, and count"),
+        "figures": Command("paper_figs.__main__:main", "figs", "draw figures from results"),
+        "report": Command("experiments.report.command:main", "figs", "write all results on one page"),
+        "view": Command("jax_aero.view.command:view", "view", "watch a flight in the browser, and fly it again"),
+        "video": Command("jax_aero.view.command:video", "view", "film a flight"),
+        "snapshot": Command("jax_aero.view.command:snapshot", "view", "draw moments of a flight"),
+    },
+    "understand": {
+        "verify": Command("jax_aero.verify.command:main", "twin", "compare the Rust crate with JAX"),
+        "trim": Command("experiments.trim:main", "symbolic", "find hovering trims by wind"),
+        "trajectory": Command("experiments.trajectory:main", "symbolic", "plan optimal trajectories"),
+        "force-rate": Command("experiments.force_rate:main", "twin", "measure the aerodynamic force's rate"),
+        "observer-limit": Command("experiments.observer_limit:main", "twin", "bound the observer's gain"),
+        "tip-over": Command("experiments.tip_over:main", "twin", "find the wind that tips the standing robot over"),
+        "engine-choice": Command("experiments.engine_choice:main", "symbolic", "compare battery and fuel"),
+    },
+    "build models": {
+        "import-robot": Command("experiments.import_robot.command:main", "twin", "make a robot that flies of a URDF"),
+        "import-cfd": Command("experiments.import_cfd:main", "twin", "read CFD tables into a data set"),
+        "identify-aero": Command("experiments.identify_aero:main", "twin", "find coefficients in a flight's log"),
+        "fit-aero": Command("experiments.fit_aero:main", "fit", "fit coefficients to a data set"),
+        "calibrate-surrogate": Command("experiments.calibrate_surrogate:main", "fit", "calibrate the panel model"),
+        "surrogate-dataset": Command("experiments.surrogate_dataset:main", "twin", "make data to learn from"),
+        "train": Command("experiments.training.command:main", "train", "train an aerodynamic network"),
+        "train-search": Command("experiments.training.search:main", "train", "search for a network's settings"),
+        "schema": Command("experiments.schema:main", "figs", "write what follows from the configuration's types"),
+    },
+}
+
+COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
+
+
+class Parser(argparse.ArgumentParser):
+    """The arguments of a sub-command: a wrong word is answered with what was probably meant; Tab completes."""
+
+    def __init__(self, command: str, about: str | None, **more: Any) -> None:
+        super().__init__(
+            prog=f"jax-aero {command}".strip(),
+            description=about,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            **more,
+        )
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Return the arguments; anything that is not understood ends the program with status 2."""
+        argcomplete.autocomplete(self)
+        given, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            options = [option for option in self._option_string_actions if option.startswith("--")]
+            hint = did_you_mean(unknown[0].split("=")[0], options) if unknown[0].startswith("-") else ""
+            self.error(f"`{unknown[0]}` is not understood{hint}")
+        return given
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            raise argparse.ArgumentError(action, f"`{value}` is unknown{did_you_mean(str(value), action.choices)}")
+
+
+def completes(action: argparse.Action, words: Callable[[], Iterable[str]]) -> None:
+    """Let Tab complete an argument with these words."""
+    setattr(action, "completer", lambda **_: words())  # noqa: B010 - an attribute that argcomplete reads
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if "_ARGCOMPLETE" in os.environ:
+        words = _words_before_cursor()
+    name = words[0].replace("_", "-") if words else "help"
+    if name in COMMANDS:
+        return run(name, words[1:])
+    _parser().parse_args(words)
+    print(_help())
+    return 0 if words else REFUSED
+
+
+def run(name: str, words: Sequence[str]) -> int:
+    """Run one sub-command. What it needs is imported now, so that no other command waits for it."""
+    try:
+        module, function = COMMANDS[name].function.split(":")
+        work: Callable[[Sequence[str]], int | None] = getattr(importlib.import_module(module), function)
+        return work(words) or 0
+    except ModuleNotFoundError as missing:
+        package = (missing.name or "").split(".")[0]
+        if package in ("", "jax_aero", "experiments", "paper_figs"):
+            raise
+        return _refuse(f"`{name}` needs the package `{package}`: pip install 'jax-aero[{COMMANDS[name].extra}]'")
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:  # as of `| head`; nothing more can be said there
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return CLOSED
+
+
+def _refuse(message: str) -> int:
+    print(f"error: {message}", file=sys.stderr)
+    return REFUSED
+
+
+def _parser() -> Parser:
+    parser = Parser("", None, add_help=False)
+    parser.add_argument("-h", "--help", action="store_true")
+    parser.add_argument("--version", action="version", version=version("jax-aero"))
+    parser.add_argument("command", nargs="?", default="help", choices=[*COMMANDS, "help"], metavar="COMMAND")
+    return parser
+
+
+def _help() -> str:
+    width = max(map(len, COMMANDS))
+    listed = "\n".join(
+        f"\n{title}:\n" + "\n".join(f"  {name:<{width}}  {command.about}" for name, command in group.items())
+        for title, group in GROUPS.items()
+    )
+    return f"""usage: jax-aero COMMAND ...
+
+Flight of a jet-powered humanoid robot in the wind: physics, control, experiments and figures.
+{listed}
+
+first steps:
+  jax-aero fly --list                    what there is to fly
+  jax-aero fly test1 test2               fly it: how it ended, and a folder with every signal
+  jax-aero fly test1 --set wind.velocity=[0,-12,0]
+  jax-aero figures fig5 --runs test2 test1
+  jax-aero COMMAND --help                what a command takes
+
+Exit status: 0 done, 1 something disagrees or is missing, 2 refused, 130 interrupted with Ctrl-C.
+Tab completes after: eval "$(register-python-argcomplete jax-aero)"
+"""
+
+
+def _words_before_cursor() -> list[str]:
+    """Return the words whose completion the shell asks for, and tell argcomplete to leave out the command's name."""
+    line = os.environ["COMP_LINE"][: int(os.environ["COMP_POINT"])]
+    words = shlex.split(line + "_")[1:]  # the mark keeps an empty last word
+    if len(words) < 2:
+        return []
+    os.environ["_ARGCOMPLETE"] = "2"
+    return words[:1]

@@ -1,0 +1,48 @@
+"""Where files lie: configurations in the package, results in the checkout or, without one, in the current folder."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from os import PathLike, fspath
+from pathlib import Path
+
+CONFIGS = (Path(__file__).parent / "configs").resolve()
+"""`configs/` of a checkout, to which a link in the package leads, or the package's own copy."""
+
+HOME = CONFIGS.parent
+"""Folder at which the paths in manifests start."""
+
+IS_CHECKOUT = (HOME / "rust").is_dir()
+
+RESULTS = (HOME if IS_CHECKOUT else Path.cwd()) / "results"
+
+
+def names(kind: str) -> list[str]:
+    """Return the names of all files of a folder of `configs/`."""
+    return sorted(path.stem for path in (CONFIGS / kind).glob("*.toml"))
+
+
+def find(kind: str, name: str | PathLike[str]) -> Path:
+    """Return a file of `configs/KIND/` by its name, or any file by its path.
+
+    >>> find("experiments", "test2").name
+    'test2.toml'
+    """
+    text = fspath(name)
+    if "/" in text or text.endswith(".toml") or not isinstance(name, str):
+        return Path(text)
+    if text not in (known := names(kind)):
+        raise ValueError(f"there is no `{text}` in configs/{kind}{did_you_mean(text, known)}")
+    return CONFIGS / kind / f"{text}.toml"
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return the end of a refusal that names what is similar to a word, or else everything there is.
+
+    >>> did_you_mean("swep", ["sweep", "trim"])
+    '; did you mean sweep?'
+    """
+    known = list(known)
+    near = difflib.get_close_matches(word, known, n=3, cutoff=0.5)
+    return f"; did you mean {' or '.join(near)}?" if near else f"; there are {', '.join(known) or 'none'}"

@@ -1,0 +1,114 @@
+"""The command `jax-aero`: what it knows, how it refuses, how it ends; and where files lie."""
+
+import importlib
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import experiments.__main__ as experiments
+from jax_aero import cli, places, rust
+from tests.measurements import measured
+
+ROOT = Path(__file__).resolve().parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_every_command_exists_and_names_an_extra(name):
+    command = cli.COMMANDS[name]
+    module, function = command.function.split(":")
+    assert callable(getattr(importlib.import_module(module), function))
+    assert command.extra in PROJECT["optional-dependencies"]
+
+
+def test_the_package_installs_the_command():
+    assert PROJECT["scripts"] == {"jax-aero": "jax_aero.cli:main"}
+
+
+def test_help_names_every_command(capsys):
+    assert cli.main(["--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(f"\n  {name} " in shown for name in cli.COMMANDS)
+    assert cli.main([]) == cli.REFUSED
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (["swep"], "did you mean sweep"),
+        (["--hlp"], "did you mean --help"),
+        (["fly", "tset1"], "did you mean test1"),
+        (["fly", "test1", "--overwite"], "did you mean --overwrite"),
+        (["fly", "test1", "--engine", "rusty"], "did you mean rust"),
+        (["figures", "fig6b"], "did you mean fig6"),
+        (["sweep", "baseline_edges"], "baseline_edge"),
+        (["view", "--prot", "1"], "did you mean --port"),
+    ],
+)
+def test_a_wrong_word_is_answered_with_what_was_meant(words, meant, capsys):
+    try:
+        status = cli.main(words)
+    except SystemExit as ended:
+        status = ended.code
+    assert status == cli.REFUSED
+    assert meant in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("word", ["swep", "tset1"])
+def test_the_old_entrance_knows_both_commands_and_flights(word, capsys):
+    assert experiments.main([word]) == cli.REFUSED
+    assert f"did you mean {'sweep' if word == 'swep' else 'test1'}" in capsys.readouterr().err
+
+
+def test_ctrl_c_and_a_missing_package_are_one_line(monkeypatch, capsys):
+    def interrupted(words):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("paper_figs.__main__.main", interrupted)
+    assert cli.main(["figures"]) == cli.INTERRUPTED
+    assert capsys.readouterr().err == "interrupted\n"
+
+    def incomplete(words):
+        raise ModuleNotFoundError("No module named 'tqdm.auto'", name="tqdm.auto")
+
+    monkeypatch.setattr("experiments.__main__.fly", incomplete)
+    assert cli.main(["fly", "test1"]) == cli.REFUSED
+    assert capsys.readouterr().err == "error: `fly` needs the package `tqdm`: pip install 'jax-aero[figs]'\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [("jax-aero obs", {"observer-limit"}), ("jax-aero fly test1_p", {"test1_published", "test1_published_observer"})],
+)
+def test_tab_completes_commands_and_names(line, expected, tmp_path):
+    answer = tmp_path / "words"
+    environment = os.environ | {
+        "_ARGCOMPLETE": "1",
+        "COMP_LINE": line,
+        "COMP_POINT": str(len(line)),
+        "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
+    }
+    code = "import sys; from jax_aero.cli import main; sys.exit(main())"
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment, check=True, timeout=60)
+    assert {word.strip() for word in answer.read_text().split("\v") if word.strip()} == expected
+
+
+def test_a_configuration_is_found_by_name_and_by_path():
+    assert places.find("experiments", "test2") == ROOT / "configs/experiments/test2.toml"
+    assert rust.load_config("test2") == rust.load_config(ROOT / "configs/experiments/test2.toml")
+    with pytest.raises(ValueError, match="there is no `tset2` in configs/experiments; did you mean test2"):
+        rust.load_config("tset2")
+
+
+def test_rotations_of_quaternions_are_those_of_scipy():
+    wxyz = np.random.default_rng(0).normal(size=(7, 4))
+    expected = Rotation.from_quat(wxyz, scalar_first=True).as_matrix()
+    error = np.abs(rust.rotation_from_wxyz(wxyz) - expected).max()
+    measured("rotation of a quaternion", error, 5e-15, because="a dozen roundings of numbers below 2")
+    assert rust.rotation_from_wxyz(wxyz[0]).shape == (3, 3)
