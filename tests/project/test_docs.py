@@ -27,6 +27,8 @@ KINDS = {
     ("experiment", "toml"),
     ("robot", "toml"),
     ("sweep", "toml"),
+    (None, "c"),
+    (None, "cpp"),
     (None, "rust"),
 }
 
@@ -59,8 +61,9 @@ def test_every_block_says_how_it_is_tried(page):
     assert 2 * len(found) == len(re.findall("^```", text, re.M))
     for block in found:
         assert (block["kind"], block["language"]) in KINDS, block[0]
-        if block["language"] == "rust":  # taken from a program that the crate's tests run
-            assert re.fullmatch(r'--8<-- "rust/sim/examples/tutorial\.rs:\w+"\n', block["code"])
+        if block["language"] in {"rust", "c", "cpp"}:  # taken from a program that the crates' tests run
+            program = r"rust/(sim/examples/tutorial\.rs|capi/examples/(loop\.c|hover\.cpp))"
+            assert re.fullmatch(rf'--8<-- "{program}:\w+"\n', block["code"])
 
 
 @pytest.mark.parametrize("page", having("run", "python"), ids=name)
@@ -101,7 +104,8 @@ def test_shown_commands_name_targets_and_modules_that_exist():
                 assert words[0] == "-m", line
                 assert words[1] == "pip" or (ROOT / words[1].replace(".", "/")).exists(), line
             else:
-                assert line == "cargo run --release --example tutorial"
+                assert program in {"cargo", "cc", "target/loop"}, line
+                assert all((ROOT / word).exists() for word in words if word.startswith(("rust/", "configs/"))), line
 
 
 def test_the_shown_robot_has_keys_that_exist():

@@ -3,6 +3,7 @@
 #![allow(dead_code, reason = "no test binary needs everything")]
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
+pub mod counting;
 pub mod measured;
 
 #[allow(unused_imports, reason = "no test binary needs everything")]

@@ -1,0 +1,69 @@
+// The controller from C++: a planner of one's own hands over a set-point in each tick.
+#include "flight.h"
+#include <array>
+#include <cstdio>
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+// --8<-- [start:class]
+class Controller {
+  public:
+    explicit Controller(const std::string &path) {
+        std::array<char, 1024> message{};
+        handle.reset(flight_controller_create(path.c_str(), message.data(), message.size()));
+        if (!handle) {
+            throw std::runtime_error(message.data());
+        }
+        thrust_rate.resize(flight_jet_count(handle.get()));
+        joint_velocity.resize(flight_joint_count(handle.get()));
+        joint_torque.resize(flight_joint_count(handle.get()));
+    }
+    FlightStatus start(const FlightMeasurement &measurement) { return flight_start(handle.get(), &measurement); }
+    FlightStatus tick(const FlightMeasurement &measurement, const FlightSetpoint &setpoint) {
+        const FlightCommand command{thrust_rate.data(), joint_velocity.data(), joint_torque.data()};
+        return flight_tick(handle.get(), &measurement, &setpoint, &command);
+    }
+
+    std::vector<double> thrust_rate, joint_velocity, joint_torque;
+
+  private:
+    struct Free {
+        void operator()(FlightController *controller) const { flight_controller_free(controller); }
+    };
+    std::unique_ptr<FlightController, Free> handle;
+};
+// --8<-- [end:class]
+
+int main(int argc, char **argv) {
+    if (argc != 2) {
+        std::fprintf(stderr, "usage: %s CONFIGURATION\n", argv[0]);
+        return 2;
+    }
+    try {
+        Controller controller(argv[1]);
+        const std::vector<double> still(controller.joint_velocity.size());
+        const std::vector<double> thrust(controller.thrust_rate.size(), 100.0);
+        FlightMeasurement measurement{};
+        measurement.base_rotation[0] = measurement.base_rotation[4] = measurement.base_rotation[8] = 1.0;
+        measurement.joint_position = measurement.joint_velocity = still.data();
+        measurement.thrust = thrust.data();
+        FlightSetpoint setpoint{};
+        setpoint.rotation[0] = setpoint.rotation[4] = setpoint.rotation[8] = 1.0;
+        setpoint.com_position[2] = 1.0;
+        FlightStatus status = controller.start(measurement);
+        if (status == FLIGHT_NOMINAL) {
+            status = controller.tick(measurement, setpoint);
+        }
+        std::printf("status %d, thrust rate", static_cast<int>(status));
+        for (const double rate : controller.thrust_rate) {
+            std::printf(" %.17g", rate);
+        }
+        std::printf("\n");
+        return status == FLIGHT_NOMINAL ? 0 : 1;
+    } catch (const std::exception &reason) {
+        std::fprintf(stderr, "error: %s\n", reason.what());
+        return 1;
+    }
+}

@@ -1,0 +1,327 @@
+//! The interface to C: what it answers, that its header is up to date, and that its examples compile and run.
+
+#![allow(unsafe_code, reason = "the interface is C's")]
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+#[path = "../../sim/tests/common/counting.rs"]
+mod counting;
+
+use counting::{Counting, allocations};
+use flight::{
+    FlightCommand, FlightController, FlightMeasurement, FlightSetpoint, FlightStatus,
+    flight_controller_create, flight_controller_free, flight_foot_count, flight_jet_count, flight_jet_name,
+    flight_joint_count, flight_joint_name, flight_start, flight_tick, flight_time_step,
+};
+use flight_core::Measurement;
+use flight_core::control::setpoint::Setpoint;
+use flight_io::load_robot;
+use flight_sim::{Plant, load_scenario};
+use nalgebra::{Matrix3, Vector3};
+use std::ffi::{CStr, CString};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::ptr::{null, null_mut};
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+const HERE: &str = env!("CARGO_MANIFEST_DIR");
+
+fn config(name: &str) -> PathBuf {
+    Path::new(HERE).join("../../configs/experiments").join(name).with_extension("toml")
+}
+
+/// A controller of C that is freed with the test.
+struct Handle(*mut FlightController);
+
+impl Drop for Handle {
+    fn drop(&mut self) {
+        unsafe { flight_controller_free(self.0) };
+    }
+}
+
+fn create(path: &Path) -> Result<Handle, String> {
+    let path = CString::new(path.to_str().unwrap()).unwrap();
+    let mut message = [0; 400];
+    let made = unsafe { flight_controller_create(path.as_ptr(), message.as_mut_ptr(), message.len()) };
+    if made.is_null() {
+        return Err(unsafe { CStr::from_ptr(message.as_ptr()) }.to_str().unwrap().to_owned());
+    }
+    Ok(Handle(made))
+}
+
+/// Arrays of a measurement and a command, and the structs that point to them.
+struct Arrays {
+    joint_position: Vec<f64>,
+    joint_velocity: Vec<f64>,
+    thrust: Vec<f64>,
+    thrust_rate: Vec<f64>,
+    velocity_command: Vec<f64>,
+    torque: Vec<f64>,
+}
+
+impl Arrays {
+    fn new(joints: usize, jets: usize) -> Self {
+        let (per_joint, per_jet) = (vec![0.0; joints], vec![100.0; jets]);
+        Self {
+            joint_position: per_joint.clone(),
+            joint_velocity: per_joint.clone(),
+            thrust: per_jet.clone(),
+            thrust_rate: per_jet,
+            velocity_command: per_joint.clone(),
+            torque: per_joint,
+        }
+    }
+
+    fn measurement(&self) -> FlightMeasurement {
+        FlightMeasurement {
+            time: 0.0,
+            base_position: [0.0; 3],
+            base_rotation: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+            base_linear_velocity: [0.0; 3],
+            base_angular_velocity: [0.0; 3],
+            joint_position: self.joint_position.as_ptr(),
+            joint_velocity: self.joint_velocity.as_ptr(),
+            thrust: self.thrust.as_ptr(),
+            wind: [0.0; 3],
+            foot_wrenches: null(),
+        }
+    }
+
+    fn command(&mut self) -> FlightCommand {
+        FlightCommand {
+            thrust_rate: self.thrust_rate.as_mut_ptr(),
+            joint_velocity: self.velocity_command.as_mut_ptr(),
+            joint_torque: self.torque.as_mut_ptr(),
+        }
+    }
+}
+
+/// A second of flight through C and through the crate, each measurement with every field different from zero: the
+/// same bits in every tick. A field that is copied to a wrong place or by columns would differ.
+#[test]
+fn a_flight_through_c_is_that_of_the_crate() {
+    let scenario = load_scenario(&config("test2")).unwrap();
+    let robot = load_robot(&scenario.robot).unwrap();
+    let (joints, jets) = (robot.joints.len(), robot.jets.len());
+    let mut plant = Plant::new(robot.clone(), &scenario.simulator, &scenario.disturbances).unwrap();
+    let mut controller = scenario.controller(robot).unwrap();
+    let c = create(&config("test2")).unwrap();
+    let mut arrays = Arrays::new(joints, jets);
+    let wind = Vector3::new(3.0, -4.0, 0.5);
+    let mut flight = None;
+    for tick in 0..100 {
+        let time = f64::from(tick) * scenario.simulator.time_step;
+        plant.observe(&wind);
+        let (state, thrust) = (plant.state(), plant.jets().thrust_feedback());
+        let measurement = Measurement { time, state, thrust, wind, foot_wrenches: &[] };
+        arrays.joint_position.copy_from_slice(state.joint_position.as_slice());
+        arrays.joint_velocity.copy_from_slice(state.joint_velocity());
+        arrays.thrust.copy_from_slice(thrust);
+        let given = FlightMeasurement {
+            time,
+            base_position: state.base.position.into(),
+            base_rotation: state.base.rotation.transpose().as_slice().try_into().unwrap(),
+            base_linear_velocity: state.base_linear_velocity().into(),
+            base_angular_velocity: state.base_angular_velocity().into(),
+            wind: wind.into(),
+            ..arrays.measurement()
+        };
+        if tick == 0 {
+            flight = Some(controller.start(&measurement).unwrap());
+            assert_eq!(unsafe { flight_start(c.0, &raw const given) }, FlightStatus::FlightNominal);
+        }
+        // Half of the ticks follow the mission, the others a set-point whose numbers all differ.
+        let near = |offset: f64| Vector3::new(0.1, 0.2, 0.3) * (1.0 + offset);
+        let setpoint = Setpoint {
+            com_velocity: near(1.0),
+            com_acceleration: near(2.0),
+            com_jerk: near(3.0),
+            angular_velocity_b: near(4.0),
+            angular_acceleration_b: near(5.0),
+            angular_jerk_b: near(6.0),
+            ..Setpoint::hold(plant.kinematics().com + near(0.0) * 0.1, state.base.rotation)
+        };
+        let c_setpoint = FlightSetpoint {
+            com_position: setpoint.com_position.into(),
+            com_velocity: setpoint.com_velocity.into(),
+            com_acceleration: setpoint.com_acceleration.into(),
+            com_jerk: setpoint.com_jerk.into(),
+            rotation: setpoint.rotation.transpose().as_slice().try_into().unwrap(),
+            angular_velocity: setpoint.angular_velocity_b.into(),
+            angular_acceleration: setpoint.angular_acceleration_b.into(),
+            angular_jerk: setpoint.angular_jerk_b.into(),
+        };
+        let towards = tick % 2 == 1;
+        let ours = flight.as_mut().unwrap();
+        let expected = if towards {
+            controller.tick_towards(ours, &measurement, &setpoint)
+        } else {
+            controller.tick(ours, &measurement)
+        };
+        let (c_command, followed) = (arrays.command(), if towards { &raw const c_setpoint } else { null() });
+        let mut status = FlightStatus::FlightNotStarted;
+        let allocated = allocations(|| {
+            status = unsafe { flight_tick(c.0, &raw const given, followed, &raw const c_command) };
+        });
+        assert_eq!(allocated, 0, "a tick allocates");
+        assert_eq!(status, FlightStatus::FlightNominal);
+        assert_eq!(arrays.thrust_rate, expected.thrust_rate.as_slice(), "tick {tick}");
+        assert_eq!(arrays.velocity_command, expected.joint_velocity.as_slice(), "tick {tick}");
+        assert_eq!(arrays.torque, expected.joint_torque.as_slice(), "tick {tick}");
+        let (torque, rate) = (arrays.torque.clone(), arrays.thrust_rate.clone());
+        plant.advance(&torque, &rate, &wind, scenario.simulator.time_step);
+    }
+    assert!(plant.state().base.rotation != Matrix3::identity(), "the rotation was never looked at");
+}
+
+#[test]
+fn names_and_counts_are_those_of_the_robot() {
+    let scenario = load_scenario(&config("test2")).unwrap();
+    let robot = load_robot(&scenario.robot).unwrap();
+    let c = create(&config("test2")).unwrap();
+    let name = |name| unsafe { CStr::from_ptr(name) }.to_str().unwrap().to_owned();
+    unsafe {
+        assert_eq!(flight_joint_count(c.0), robot.joints.len());
+        assert_eq!(flight_jet_count(c.0), robot.jets.len());
+        assert_eq!(flight_foot_count(c.0), robot.feet.len());
+        assert!((flight_time_step(c.0) - scenario.simulator.time_step).abs() == 0.0);
+        for (index, joint) in robot.joints.iter().enumerate() {
+            assert_eq!(name(flight_joint_name(c.0, index)), joint.name);
+        }
+        for (index, jet) in robot.jets.iter().enumerate() {
+            assert_eq!(name(flight_jet_name(c.0, index)), jet.name);
+        }
+        assert!(flight_joint_name(c.0, robot.joints.len()).is_null());
+        assert_eq!(flight_joint_count(null()), 0);
+        flight_controller_free(null_mut());
+    }
+}
+
+#[test]
+fn what_cannot_be_used_is_refused() {
+    let refused = |path: &str| create(Path::new(path)).err().unwrap();
+    assert!(refused("no/such.toml").contains("no/such.toml"));
+    let mut short = [1; 8];
+    unsafe {
+        let path = c"no/such.toml";
+        assert!(flight_controller_create(path.as_ptr(), short.as_mut_ptr(), short.len()).is_null());
+        assert_eq!(short[7], 0, "the message ends within its space");
+        assert!(flight_controller_create(null(), null_mut(), 0).is_null());
+    }
+    let c = create(&config("test2")).unwrap();
+    let mut arrays = Arrays::new(unsafe { flight_joint_count(c.0) }, unsafe { flight_jet_count(c.0) });
+    let (measurement, command) = (arrays.measurement(), arrays.command());
+    let start = |given: &FlightMeasurement| unsafe { flight_start(c.0, given) };
+    let tick = |given: &FlightMeasurement| unsafe { flight_tick(c.0, given, null(), &raw const command) };
+    let lacking = FlightMeasurement { thrust: null(), ..measurement };
+    let wrong = FlightMeasurement { base_position: [f64::NAN; 3], ..measurement };
+    assert_eq!(tick(&measurement), FlightStatus::FlightNotStarted);
+    assert_eq!(start(&lacking), FlightStatus::FlightNullPointer);
+    assert_eq!(start(&wrong), FlightStatus::FlightNotStarted);
+    assert_eq!(start(&measurement), FlightStatus::FlightNominal);
+    assert_eq!(tick(&lacking), FlightStatus::FlightNullPointer);
+    assert_eq!(tick(&wrong), FlightStatus::FlightBadMeasurement);
+    assert_eq!(tick(&measurement), FlightStatus::FlightNominal);
+    let setpoint = FlightSetpoint {
+        com_position: [0.0; 3],
+        com_velocity: [0.0; 3],
+        com_acceleration: [0.0; 3],
+        com_jerk: [0.0; 3],
+        rotation: [0.0; 9],
+        angular_velocity: [0.0; 3],
+        angular_acceleration: [0.0; 3],
+        angular_jerk: [0.0; 3],
+    };
+    unsafe {
+        let status = flight_tick(c.0, &raw const measurement, &raw const setpoint, &raw const command);
+        assert_eq!(status, FlightStatus::FlightBadSetpoint);
+        let no_torque = FlightCommand { joint_torque: null_mut(), ..command };
+        let status = flight_tick(c.0, &raw const measurement, null(), &raw const no_torque);
+        assert_eq!(status, FlightStatus::FlightNullPointer);
+        assert_eq!(flight_start(null_mut(), &raw const measurement), FlightStatus::FlightNullPointer);
+    }
+}
+
+/// `include/flight.h` is what cbindgen makes of the source; with `UPDATE=1` it is written.
+#[test]
+fn the_header_is_that_of_the_source() {
+    let target = Path::new(HERE).join("include/flight.h");
+    let config = cbindgen::Config::from_file(Path::new(HERE).join("cbindgen.toml")).unwrap();
+    let mut made = Vec::new();
+    cbindgen::Builder::new()
+        .with_src(Path::new(HERE).join("src/lib.rs"))
+        .with_config(config)
+        .generate()
+        .unwrap()
+        .write(&mut made);
+    if std::env::var_os("UPDATE").is_some() {
+        std::fs::write(&target, &made).unwrap();
+    }
+    let there = std::fs::read(&target).unwrap();
+    assert!(there == made, "run UPDATE=1 cargo test -p flight-capi");
+}
+
+/// Compiles an example against the library that this test was built with, and runs it.
+fn run_example(compiler: &str, source: &str, arguments: &[&str]) -> Output {
+    let folder = tempfile::tempdir().unwrap();
+    let program = folder.path().join("program");
+    let libraries = std::env::current_exe().unwrap().parent().unwrap().to_owned();
+    let built = Command::new(compiler)
+        .args(["-O2", "-Wall", "-Wextra", "-Werror", "-I"])
+        .arg(Path::new(HERE).join("include"))
+        .arg(Path::new(HERE).join("examples").join(source))
+        .arg("-o")
+        .arg(&program)
+        .arg("-L")
+        .arg(&libraries)
+        .arg(format!("-Wl,-rpath,{}", libraries.display()))
+        .arg("-lflight")
+        .output()
+        .unwrap();
+    assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
+    Command::new(program).args(arguments).output().unwrap()
+}
+
+fn numbers(line: &str) -> Vec<f64> {
+    line.split_whitespace().filter_map(|word| word.parse().ok()).collect()
+}
+
+#[test]
+fn the_loop_in_c_ticks_and_reports() {
+    let path = config("test2");
+    let ran = run_example("cc", "loop.c", &[path.to_str().unwrap(), "20"]);
+    let text = String::from_utf8(ran.stdout).unwrap();
+    assert!(ran.status.success(), "{text}{}", String::from_utf8_lossy(&ran.stderr));
+    assert!(text.contains("not nominal      0 of 20"), "{text}");
+    assert!(text.contains("100 Hz"), "{text}");
+    let refused = run_example("cc", "loop.c", &["no/such.toml"]);
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&refused.stderr).contains("no/such.toml"));
+}
+
+#[test]
+fn the_example_in_cpp_gives_the_command_of_the_crate() {
+    let path = config("test2");
+    let ran = run_example("c++", "hover.cpp", &[path.to_str().unwrap()]);
+    let text = String::from_utf8(ran.stdout).unwrap();
+    assert!(ran.status.success(), "{text}{}", String::from_utf8_lossy(&ran.stderr));
+
+    let scenario = load_scenario(&path).unwrap();
+    let robot = load_robot(&scenario.robot).unwrap();
+    let state = flight_core::RobotState::zero(robot.joints.len());
+    let thrust = vec![100.0; robot.jets.len()];
+    let feet = vec![nalgebra::Vector6::zeros(); robot.feet.len()];
+    let mut controller = scenario.controller(robot).unwrap();
+    let measurement = Measurement {
+        time: 0.0,
+        state: &state,
+        thrust: &thrust,
+        wind: Vector3::zeros(),
+        foot_wrenches: &feet,
+    };
+    let mut flight = controller.start(&measurement).unwrap();
+    let setpoint = Setpoint::hold(Vector3::new(0.0, 0.0, 1.0), Matrix3::identity());
+    let command = controller.tick_towards(&mut flight, &measurement, &setpoint);
+    assert_eq!(numbers(&text)[0..], *command.thrust_rate.as_slice(), "{text}");
+}
