@@ -1,19 +1,59 @@
 """Flight of a jet-powered humanoid robot in the wind.
 
-`jax_aero.rust` exposes the Rust crate, which is the authority on physics and control: load a configuration, fly it,
-read the log as NumPy arrays. `jax_aero.sim` is the same flight in JAX, which works without the compiled crate.
+>>> import jax_aero
+>>> config = jax_aero.load("test2", {"simulator.duration": 0.1})
+>>> jax_aero.fly(config).outcome
+'completed'
+
+`load`, `fly` and `fly_batch` are those of the Rust crate, which is the authority on physics and control
+(`jax_aero.rust` has the rest of it). `prepare` and `rollout` are the same flight in JAX, to `jit`, `vmap` and `grad`;
+`changed` replaces numbers in what `prepare` returns (`jax_aero.sim` has the rest). `air` gives aerodynamic forces to
+other simulators. What needs a package of an extra imports
+it on first use.
 """
 
-from typing import Any
+from __future__ import annotations
 
-__all__ = ["__version__", "rust"]
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jax_aero import air as air
+    from jax_aero import rust as rust
+    from jax_aero import sim as sim
+    from jax_aero.rust import __version__ as __version__
+    from jax_aero.rust import fly as fly
+    from jax_aero.rust import fly_batch as fly_batch
+    from jax_aero.rust import load_config
+    from jax_aero.sim.rollout import rollout as rollout
+    from jax_aero.sim.step import prepare as prepare
+    from jax_aero.types import changed as changed
+
+    load = load_config
+
+_PLACES = {
+    "__version__": "jax_aero.rust:__version__",
+    "air": "jax_aero.air",
+    "changed": "jax_aero.types:changed",
+    "fly": "jax_aero.rust:fly",
+    "fly_batch": "jax_aero.rust:fly_batch",
+    "load": "jax_aero.rust:load_config",
+    "prepare": "jax_aero.sim:prepare",
+    "rollout": "jax_aero.sim:rollout",
+    "rust": "jax_aero.rust",
+    "sim": "jax_aero.sim",
+}
+
+__all__ = list(_PLACES)
 
 
 def __getattr__(name: str) -> Any:
-    # On first use: parts of the package that do not need the compiled crate load without it.
-    if name not in __all__:
+    if name not in _PLACES:
         raise AttributeError(f"module `jax_aero` has no attribute `{name}`")
-    import importlib
+    module, _, attribute = _PLACES[name].partition(":")
+    found: Any = importlib.import_module(module)
+    return getattr(found, attribute) if attribute else found
 
-    rust = importlib.import_module("jax_aero.rust")
-    return rust if name == "rust" else rust.__version__
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_PLACES])

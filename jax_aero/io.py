@@ -34,6 +34,7 @@ MAX_FILES = 256
 """How many files one configuration may consist of."""
 
 FLIGHT = inspect.type_info(ScenarioConfig)
+AERO = inspect.type_info(AeroConfig)
 
 
 def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> Table:

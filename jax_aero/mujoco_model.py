@@ -27,7 +27,7 @@ from jax_aero.spatial import multiply, rotate_back, skew, wxyz_from_rotation
 from jax_aero.types import Array, State
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that an unused GPU backend is not installed
-    from mujoco import mjx
+    from mujoco import mjx as mjx
 
 
 class Order(NamedTuple):

@@ -8,13 +8,16 @@ Equation M7 of `docs/model.md`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Annotated, Any, NamedTuple, TypeAlias, TypeVar, cast, dataclass_transform
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+
+from jax_aero.places import did_you_mean
 
 Array: TypeAlias = jax.Array
 """An array; before it enters a traced function it may as well be a NumPy array, which keeps its 64 bits."""
@@ -141,6 +144,36 @@ def where(condition: Array, yes: Tree, no: Tree) -> Tree:
     """Return `yes` where the condition holds and `no` elsewhere, leaf by leaf."""
     chosen: Tree = jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
     return chosen
+
+
+def changed(tree: Tree, values: Mapping[str, Any]) -> Tree:
+    """Return a scenario, or a part of it, with other numbers at dotted names such as `controller.momentum.c0`.
+
+    A number keeps the shape that it had, so that nothing compiles again.
+
+    Raises
+    ------
+    ValueError
+        Naming the part that a name does not lead to, or the shape that was expected.
+    """
+    for name, value in values.items():
+        tree = _changed(tree, name.split("."), name, value)
+    return tree
+
+
+def _changed(node: Any, path: list[str], name: str, value: Any) -> Any:
+    first, *rest = path
+    known = {item.name for item in fields(node)} if is_dataclass(node) else set(getattr(node, "_fields", ()))
+    if first not in known:
+        raise ValueError(f"`{first}` in `{name}` is unknown{did_you_mean(first, sorted(known))}")
+    before = getattr(node, first)
+    if rest:
+        after = _changed(before, rest, name, value)
+    elif jnp.shape(value) != jnp.shape(before):
+        raise ValueError(f"`{name}` has shape {jnp.shape(value)}; expected {jnp.shape(before)}")
+    else:
+        after = jnp.asarray(value, jnp.result_type(before))
+    return cast(Any, replace if is_dataclass(node) else type(node)._replace)(node, **{first: after})
 
 
 def with_dtype(tree: Tree, dtype: Any) -> Tree:

@@ -1,0 +1,257 @@
+"""Aerodynamic forces on limbs, for other simulators: a `mujoco.MjModel` or a model of MJX.
+
+>>> import mujoco
+>>> from jax_aero import air
+>>> arm = '''<mujoco><worldbody><body name="arm"><joint axis="0 1 0"/>
+...     <geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.03"/></body></worldbody></mujoco>'''
+>>> model = mujoco.MjModel.from_xml_string(arm)
+>>> wind = air.of_links(model, [air.Link("arm", diameter=0.06, length=0.5, centre=(0.0, 0.0, -0.25))])
+>>> mujoco.set_mjcb_control(wind.callback([8.0, 0.0, 0.0]))
+>>> data = mujoco.MjData(model)
+>>> mujoco.mj_step(model, data)
+>>> bool(data.xfrc_applied[1, 0] > 0.0)
+True
+>>> mujoco.set_mjcb_control(None)
+
+Links come from a robot file of ours (`of_robot`) or are declared (`of_links`); models are those of `configs/aero`. The
+forces are those of `jax_aero.aero.link_forces`, with physically correct points: each acts at its link's aerodynamic
+centre, in the wind relative to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jax_aero import config, io, places
+from jax_aero.aero import AeroModel, LinkConventions, aero_model, link_forces
+from jax_aero.aero.axisymmetric import Axisymmetric
+from jax_aero.mujoco_model import mjx as mjx
+from jax_aero.robot import AeroLinks, RobotModel, load_robot
+from jax_aero.spatial import cross
+from jax_aero.types import Array, Kinematics, Static, leaf, pytree
+
+Wind = ArrayLike | Callable[[float], ArrayLike]
+"""Velocity of the air (3,) [m/s, world axes], or a function that gives it at a time [s]."""
+
+AIR_DENSITY = 1.225
+"""Of the links that bring coefficients along [kg/m³]."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """A limb as the air sees it, in the frame of the MuJoCo body that carries it."""
+
+    body: str
+    diameter: float
+    """[m]."""
+    length: float | None = None
+    """Of a cylinder, along its axis [m]; `None` makes it a sphere."""
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """Direction of the axis of symmetry."""
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where the force acts [m]."""
+    coefficients: tuple[float, ...] | None = None
+    """Force areas w0 to w5 [m²] of the axisymmetric model; all links have them or none."""
+
+
+@pytree
+class _Limbs:
+    """What stands for a robot where links are declared: no model of single links asks for more of it."""
+
+    name: Static[str]
+    aero_links: AeroLinks
+
+
+class LinkLoads(NamedTuple):
+    """What acts on the links, world axes."""
+
+    forces: Array
+    """(L, 3) [N]."""
+    points: Array
+    """(L, 3) where they act [m]."""
+
+
+@pytree
+class Air:
+    """The air around the links of one model of MuJoCo. Every number is a leaf."""
+
+    aero: AeroModel
+    robot: RobotModel
+    bodies: Static[tuple[int, ...]]
+    """Bodies of MuJoCo that carry links, in the order that `robot` gives them."""
+    roots: Static[tuple[int, ...]]
+    """Root of the tree of each of these bodies."""
+    joints: Static[tuple[int, ...]]
+    """Place in `qpos` of each joint of the robot; none where links are declared."""
+
+    def loads(self, data: Any, wind: Array) -> LinkLoads:
+        """Return the forces on the links, from data of MuJoCo or MJX whose positions and velocities are up to date.
+
+        `cvel` holds the angular velocity and, of the point of the body at the centre of mass of its whole tree, the
+        linear one; here velocities are those of the bodies' origins.
+        """
+        bodies, roots = np.array(self.bodies, dtype=int), np.array(self.roots, dtype=int)
+        positions, velocities = jnp.asarray(data.xpos)[bodies], jnp.asarray(data.cvel)[bodies]
+        angular = velocities[:, :3]
+        linear = velocities[:, 3:] + cross(angular, positions - jnp.asarray(data.subtree_com)[roots])
+        nothing = jnp.zeros((len(self.joints), 3), positions.dtype)
+        kin = Kinematics(
+            body_rotations=jnp.asarray(data.xmat)[bodies].reshape(-1, 3, 3),
+            body_positions=positions,
+            joint_linear=nothing,
+            joint_angular=nothing,
+            com=positions[0],
+            angular_velocities=angular,
+            linear_velocities=linear,
+            joint_position=jnp.asarray(data.qpos)[np.array(self.joints, dtype=int)],
+        )
+        found = link_forces(self.aero, self.robot, kin, LinkConventions(), wind)
+        return LinkLoads(found.forces, found.arm_points)
+
+    def xfrc(self, data: Any, wind: Array) -> Array:
+        """Return force and torque on every body (nbody, 6), about its centre of mass, as `xfrc_applied`. Pure."""
+        loads = self.loads(data, wind)
+        carriers = np.array(self.bodies, dtype=int)[np.array(self.robot.aero_links.bodies, dtype=int)]
+        centres = jnp.asarray(data.xipos)
+        wrenches = jnp.concatenate([loads.forces, cross(loads.points - centres[carriers], loads.forces)], axis=1)
+        return jnp.zeros((len(centres), 6), wrenches.dtype).at[carriers].add(wrenches)
+
+    def blow(self, model: Any, data: Any, wind: Array) -> Any:
+        """Return MJX data with `xfrc_applied` of this state in this wind; call it before `mjx.step`. Pure."""
+        placed = mjx.com_vel(model, mjx.com_pos(model, mjx.kinematics(model, data)))
+        return data.replace(xfrc_applied=self.xfrc(placed, wind))
+
+    def callback(self, wind: Wind) -> Callable[[Any, Any], None]:
+        """Return a function for `mujoco.set_mjcb_control`, which fills `xfrc_applied` at every evaluation of forces.
+
+        It replaces what stands there for the bodies that carry links, and leaves the other bodies alone.
+        """
+        with jax.enable_x64(True):
+            air = jax.tree.map(jnp.asarray, self)
+        rows = sorted({self.bodies[body] for body in self.robot.aero_links.bodies})
+
+        def apply(model: Any, data: Any) -> None:  # noqa: ARG001 - the signature is MuJoCo's
+            now = wind(data.time) if callable(wind) else wind
+            with jax.enable_x64(True):
+                given = _Seen(*(np.array(getattr(data, name)) for name in _Seen._fields))
+                data.xfrc_applied[rows] = np.asarray(_xfrc(air, given, jnp.asarray(now, jnp.float64)))[rows]
+
+        return apply
+
+
+class _Seen(NamedTuple):
+    """The part of MuJoCo's data that forces depend on."""
+
+    xpos: Any
+    xmat: Any
+    xipos: Any
+    cvel: Any
+    subtree_com: Any
+    qpos: Any
+
+
+@jax.jit
+def _xfrc(air: Air, data: _Seen, wind: Array) -> Array:
+    return air.xfrc(data, wind)
+
+
+def settings(name: str) -> config.AeroConfig:
+    """Return the configuration of an aerodynamic model, by its name in `configs/aero` or by the path of a file."""
+    return io.aero_config(io.resolve(places.find("aero", name), io.AERO))
+
+
+def of_robot(
+    model: Any, robot: str = "ironcub_mk1", aero: str | AeroModel = "axisymmetric_corrected", prefix: str = ""
+) -> Air:
+    """Return the air around a robot of ours in a model of MuJoCo, whose bodies and joints have the names of its URDF.
+
+    Parameters
+    ----------
+    model
+        A `mujoco.MjModel`.
+    robot
+        Name in `configs/robot`, or the path of a robot's TOML file.
+    aero
+        Name in `configs/aero`, path of a file, or a model of one's own.
+    prefix
+        What stands before every name in `model`, as where a scene attaches several robots.
+
+    Raises
+    ------
+    ValueError
+        Naming the body or joint that `model` does not have.
+    """
+    ours = load_robot(places.find("robot", robot))
+    chosen = aero_model(settings(aero), ours) if isinstance(aero, str) else aero
+    bodies = [_body(model, prefix + name) for name in ours.body_names]
+    joints = [model.joint(_known(model, "joint", prefix + name)).qposadr[0] for name in ours.joint_names]
+    return _air(model, chosen, ours, bodies, joints)
+
+
+def of_links(model: Any, links: Sequence[Link], aero: str = "sphere_cylinder") -> Air:
+    """Return the air around declared links of a `mujoco.MjModel`.
+
+    `aero` is a model of spheres and cylinders in `configs/aero`; links with coefficients have the axisymmetric model.
+
+    Raises
+    ------
+    ValueError
+        Naming the link and what is wrong with it.
+    """
+    if not links:
+        raise ValueError("there is no link; expected one or more")
+    bodies = list(dict.fromkeys(link.body for link in links))
+    for link in links:
+        if not (link.diameter > 0.0 and (link.length is None or link.length > 0.0)):
+            size = f"diameter {link.diameter} and length {link.length}"
+            raise ValueError(f"link of `{link.body}` has {size}; expected positive numbers")
+        if np.linalg.norm(link.axis) == 0.0:
+            raise ValueError(f"axis of the link of `{link.body}` is zero; expected a direction")
+    given = [link.coefficients for link in links if link.coefficients is not None]
+    if given and (len(given) < len(links) or any(len(row) != 6 for row in given)):
+        raise ValueError("some links have coefficients; expected six for every link, or none at all")
+    axes = np.array([link.axis for link in links], dtype=np.float64)
+    aero_links = AeroLinks(
+        names=tuple(link.body for link in links),
+        bodies=tuple(bodies.index(link.body) for link in links),
+        is_sphere=tuple(link.length is None for link in links),
+        rotations=leaf(np.tile(np.eye(3), (len(links), 1, 1))),
+        positions=leaf(np.zeros((len(links), 3))),
+        axes=leaf(axes / np.linalg.norm(axes, axis=1, keepdims=True)),
+        centres=leaf([link.centre for link in links]),
+        diameters=leaf([link.diameter for link in links]),
+        lengths=leaf([link.diameter if link.length is None else link.length for link in links]),
+        coefficients={},
+    )
+    limbs = cast(RobotModel, _Limbs("declared links", aero_links))
+    chosen: AeroModel
+    if given:
+        chosen = Axisymmetric(k_a=leaf(0.5 * AIR_DENSITY), areas=leaf(given))
+    else:
+        with jax.enable_x64(True):
+            chosen = aero_model(settings(aero), limbs)
+    return _air(model, chosen, limbs, [_body(model, name) for name in bodies], [])
+
+
+def _air(model: Any, aero: AeroModel, robot: RobotModel, bodies: list[int], joints: list[Any]) -> Air:
+    roots = tuple(int(model.body_rootid[body]) for body in bodies)
+    return Air(aero, robot, tuple(bodies), roots, tuple(int(place) for place in joints))
+
+
+def _body(model: Any, name: str) -> int:
+    return int(model.body(_known(model, "body", name)).id)
+
+
+def _known(model: Any, kind: str, name: str) -> str:
+    count, of = (model.nbody, model.body) if kind == "body" else (model.njnt, model.joint)
+    names = [of(index).name for index in range(count)]
+    if name not in names:
+        raise ValueError(f"the model has no {kind} `{name}`{places.did_you_mean(name, names)}")
+    return name

@@ -1,0 +1,122 @@
+"""The air for other simulators: MuJoCo feels what our own simulator does, with our robots and with declared links."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from jax_aero import air, places, rust
+from jax_aero.aero import LinkConventions, aero_model, generalised_aero_force, link_forces
+from jax_aero.kinematics import kinematics
+from jax_aero.mujoco_model import mjx, mujoco_model, order_of, to_mujoco
+from jax_aero.robot import load_robot
+from jax_aero.types import State
+from tests.measurements import measured
+
+pytestmark = pytest.mark.usefixtures("x64")
+
+WIND = [3.0, -8.0, 1.0]
+PENDULUM = """
+<mujoco><option timestep="0.01"/><worldbody><body name="arm">
+  <joint name="hinge" axis="0 1 0" damping="0.6"/>
+  <geom type="sphere" pos="0 0 -0.5" size="0.05" mass="0.4"/>
+</body></worldbody></mujoco>
+"""
+BALL = air.Link("arm", diameter=0.1, centre=(0.0, 0.0, -0.5), coefficients=(0.02, 0.0, 0.0, 0.0, 0.0, 0.0))
+
+
+@jax.jit
+def _generalised_force(aero, robot, state):
+    kin = kinematics(robot, state)
+    found = link_forces(aero, robot, kin, LinkConventions(), jnp.asarray(WIND))
+    return generalised_aero_force(robot, kin, found, found.arm_points)
+
+
+@pytest.mark.parametrize(
+    ("name", "aero"),
+    [("ironcub_mk1", "axisymmetric_corrected"), ("ironcub_mk1", "network"), ("sparrow", "sphere_cylinder")],
+)
+def test_mujoco_feels_the_air_of_our_simulator(name, aero):
+    """The callback's effect on the generalised forces of MuJoCo, and the forces on the links beside the crate's."""
+    robot = load_robot(places.find("robot", name))
+    model = mujoco_model(robot.source)
+    rng = np.random.default_rng(3)
+    n = robot.n_joints
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    rotation *= np.sign(np.linalg.det(rotation))
+    state = State(rng.normal(size=3), rotation, 0.5 * rng.normal(size=n), rng.normal(size=6 + n))
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = to_mujoco(robot, State(*map(jnp.asarray, state)))
+    mujoco.mj_forward(model, data)
+    calm = data.qfrc_smooth.copy()
+    wind = air.of_robot(model, name, aero)
+    mujoco.set_mjcb_control(wind.callback(lambda _: WIND))
+    try:
+        mujoco.mj_forward(model, data)
+    finally:
+        mujoco.set_mjcb_control(None)
+    felt = (data.qfrc_smooth - calm)[order_of(robot.source, robot.joint_names).dofs]
+    felt[3:6] = rotation @ felt[3:6]  # MuJoCo turns in body axes
+
+    expected = np.asarray(_generalised_force(aero_model(air.settings(aero), robot), robot, state))
+    # The network's weighted sums are in single precision, and MuJoCo poses bodies with other roundings.
+    tolerance = 1e-5 if aero == "network" else 1e-9
+    measured(f"generalised force, {name}, {aero}", np.abs(felt - expected).max() / np.abs(expected).max(), tolerance)
+    if aero == "axisymmetric_corrected":
+        table = rust.load_config("test2")["simulator"]["aero"]
+        crate = rust.link_forces(rust.Robot(robot.source), table, rust.State(*state), WIND)
+        total = data.xfrc_applied[:, :3].sum(axis=0)
+        measured("total force beside the crate's [N]", np.abs(total - crate.sum(axis=0)).max(), 1e-9)
+
+
+def test_a_pendulum_leans_by_the_ratio_of_drag_and_weight():
+    model = mujoco.MjModel.from_xml_string(PENDULUM)
+    data = mujoco.MjData(model)
+    mujoco.set_mjcb_control(air.of_links(model, [BALL]).callback([6.0, 0.0, 0.0]))
+    try:
+        mujoco.mj_step(model, data, nstep=1500)
+    finally:
+        mujoco.set_mjcb_control(None)
+    drag = 0.5 * air.AIR_DENSITY * 0.02 * 6.0**2
+    expected = -np.arctan(drag / (0.4 * 9.81))  # the hinge turns +z towards +x, and so -z towards -x
+    measured("angle of the pendulum [rad]", abs(data.qpos[0] - expected), 1e-6)
+
+
+def test_mjx_gets_the_forces_of_mujoco_as_a_pure_function():
+    model = mujoco.MjModel.from_xml_string(PENDULUM)
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = 0.4, -2.0
+    wind = air.of_links(
+        model, [air.Link("arm", diameter=0.1, length=0.3, axis=(0.0, 1.0, 1.0), centre=(0.0, 0.0, -0.4))]
+    )
+    mujoco.set_mjcb_control(wind.callback(WIND))
+    try:
+        mujoco.mj_forward(model, data)
+    finally:
+        mujoco.set_mjcb_control(None)
+    ours = mjx.put_model(model)
+    start = mjx.make_data(ours).replace(qpos=jnp.array([0.4]), qvel=jnp.array([-2.0]))
+    blown = jax.jit(lambda state: wind.blow(ours, state, jnp.asarray(WIND)).xfrc_applied)(start)
+    measured("wrench in MJX [N, N m]", np.abs(np.asarray(blown) - data.xfrc_applied).max(), 1e-9)
+    assert np.abs(data.xfrc_applied[1]).min() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("links", "message"),
+    [
+        ([], "there is no link"),
+        ([air.Link("arn", 0.1)], "no body `arn`; did you mean arm"),
+        ([air.Link("arm", 0.0)], "diameter 0.0"),
+        ([air.Link("arm", 0.1, axis=(0.0, 0.0, 0.0))], "axis of the link of `arm` is zero"),
+        ([BALL, air.Link("arm", 0.1)], "some links have coefficients"),
+    ],
+)
+def test_bad_links_are_refused(links, message):
+    with pytest.raises(ValueError, match=message):
+        air.of_links(mujoco.MjModel.from_xml_string(PENDULUM), links)
+
+
+def test_a_robot_that_is_not_there_is_refused():
+    with pytest.raises(ValueError, match="the model has no body `root_link`"):
+        air.of_robot(mujoco.MjModel.from_xml_string(PENDULUM))
