@@ -17,7 +17,7 @@ INLINE = re.compile(r"\$(?P<latex>[^$\n]+)\$")
 NUMBER = re.compile(r"\\tag\{(?P<number>M\d+)\}")
 CODE = re.compile(r"^Code: (?P<places>.*)$", re.MULTILINE)
 MODEL = "model.md"
-WIDE = {"deviations.md"}
+WIDE = {"deviations.md", "paper.md"}
 
 TIGHT = {"|", "\u2016", "/"}
 """Operators without space around them."""

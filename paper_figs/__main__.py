@@ -23,6 +23,7 @@ from paper_figs import (
     identify,
     maps,
     observer_limit,
+    paper,
     runs,
     scatter,
     style,
@@ -106,6 +107,9 @@ DRAWINGS: Mapping[str, Callable[[sweeps.Sweep], Figure]] = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     given = _parser().parse_args(arguments)
+    if given.index:
+        print(paper.page(), end="")
+        return 0
     known = [*FIGURES, *_sweep_names(given.sweeps)]
     names = known if not given.names or given.names == ["all"] else given.names
     if unknown := [name for name in names if name not in known]:
@@ -153,6 +157,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = cli.Parser("figures", __doc__, epilog=listed)
     named = parser.add_argument("names", nargs="*", metavar="FIGURE", help="figures or sweeps (default: all there are)")
     cli.completes(named, lambda: [*FIGURES, *SWEEPS, "all"])
+    parser.add_argument("--index", action="store_true", help="print the page docs/paper.md: the paper, item by item")
     parser.add_argument("--runs", nargs="+", metavar="RUN", help="which runs fill the figure, in its order")
     parser.add_argument("--results", type=Path, default=runs.default_results(), metavar="DIR", help="where flights lie")
     parser.add_argument("--sweeps", type=Path, default=sweeps.default_sweeps(), metavar="DIR", help="where sweeps lie")

@@ -1,6 +1,7 @@
-"""The paper's claims about flight, what we measured, and whether they agree. Verdicts are computed, not written.
+"""The paper's claims, what we measured, and whether they agree. Verdicts are computed, not written.
 
-A claim whose measurement is not there says which command makes it.
+A claim whose measurement is not there says which command makes it. `docs/claims.json` keeps what was measured once, for
+`docs/paper.md`.
 """
 
 from __future__ import annotations
@@ -9,11 +10,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from experiments import engine_choice
+from experiments.report import facts
 from experiments.report.ground import Ground
 from experiments.report.metrics import FINAL, Metrics
 from experiments.report.results import Results, Sweep, count
-from jax_aero import rust
+from experiments.report.verdicts import AGREES, NOT_FLOWN, differs, out_of_reach
 
 RIGHT, HEAD, PUBLISHED = (
     "corrected arms, 10 m/s from the side",
@@ -41,10 +42,15 @@ LEANING = 45.0
 class Claim:
     """One claim with its verdict."""
 
+    key: str
     where: str
     claim: str
     measured: str
     verdict: str
+    command: str
+    """What makes the measurement; empty where committed files alone do."""
+    figure: str
+    """Name of the figure of `paper_figs` that shows it; empty without one."""
 
 
 class NotFlownError(Exception):
@@ -62,17 +68,31 @@ Judge: TypeAlias = Callable[[Results], tuple[str, str]]
 
 @dataclass(frozen=True)
 class _Claim:
+    key: str
     where: str
     claim: str
     judge: Judge
+    flights: tuple[str, ...] = ()
+    sweep: str = ""
+    figure: str = ""
+
+    @property
+    def command(self) -> str:
+        """Return what makes the measurement."""
+        words = [f"python -m experiments {' '.join(self.flights)}"] if self.flights else []
+        return "; ".join([*words, *([f"python -m experiments sweep {self.sweep}"] if self.sweep else [])])
+
+
+def _fact(key: str, where: str, claim: str, judge: Callable[[], tuple[str, str]], figure: str = "") -> _Claim:
+    return _Claim(key, where, claim, lambda _: judge(), figure=figure)
 
 
 def _stated(claim: _Claim, results: Results) -> Claim:
     try:
         measured, verdict = claim.judge(results)
     except NotFlownError as reason:
-        measured, verdict = str(reason), "not measured yet"
-    return Claim(claim.where, claim.claim, measured, verdict)
+        measured, verdict = str(reason), NOT_FLOWN
+    return Claim(claim.key, claim.where, claim.claim, measured, verdict, claim.command, claim.figure)
 
 
 def _flight(results: Results, name: str) -> Metrics:
@@ -96,24 +116,16 @@ def _sweep(results: Results, name: str) -> Sweep:
 
 def _agreement(corrected: bool, published: bool) -> str:
     if corrected and published:
-        return "holds"
+        return AGREES
     if published:
-        return "holds with the published lever arms only"
-    return "holds with corrected lever arms only" if corrected else "does not hold"
+        return f"{AGREES} with published lever arms; with corrected ones it {differs('it does not hold')}"
+    if corrected:
+        return f"{AGREES} with corrected lever arms; with published ones it {differs('it does not hold')}"
+    return differs("it does not hold")
 
 
-def _mass(_: Results) -> tuple[str, str]:
-    mass = rust.Robot(str(engine_choice.ROBOT)).mass
-    return f"{mass:.2f} kg in the model", "holds" if abs(mass - 43.3) < 0.05 else "does not hold"
-
-
-def _engine_choice(_: Results) -> tuple[str, str]:
-    found = engine_choice.results(engine_choice.Choice())
-    text = (
-        f"fuel {found['fuel_kg']:.2f} kg; battery {found['battery_kg']:.2f} kg from the printed 13 kW for 15 kg, "
-        f"{found['battery_at_1_kW_per_kg_kg']:.2f} kg from 1 kW per kg"
-    )
-    return text, "fuel holds; the battery's figure belongs to 1 kW per kg of thrust, not to the printed 0.87"
+def _judged(holds: bool, how: str = "it does not hold") -> str:
+    return AGREES if holds else differs(how)
 
 
 def _pair(results: Results, test: str) -> tuple[str, list[Mapping[str, float]]]:
@@ -156,13 +168,13 @@ def _joint_errors(results: Results) -> tuple[str, str]:
         f"{FINAL:g} s; TEST1, published arms: at most {baseline.joint_error_max:.0f}°, "
         f"{baseline.joint_error_at_end:.0f}° over the {FINAL:g} s before the fall"
     )
-    return text, "holds" if bounded and grows else "does not hold"
+    return text, _judged(bounded and grows)
 
 
 def _aligned(results: Results) -> tuple[str, str]:
     median, greatest = _flight(results, "test2").force_angle
     text = f"TEST2: angle between total force and relative wind {median:.1f}° in the median, {greatest:.1f}° at most"
-    return text, "holds" if median < 15.0 else "does not hold"
+    return text, _judged(median < 15.0)
 
 
 def _asymmetry(results: Results) -> tuple[str, str]:
@@ -171,14 +183,14 @@ def _asymmetry(results: Results) -> tuple[str, str]:
         f"left and right differ by up to {wind.asymmetry[0]:.1f} N (arms) and {wind.asymmetry[1]:.1f} N (chest) "
         f"in the side wind, by {still.asymmetry[0]:.1f} N and {still.asymmetry[1]:.1f} N without wind"
     )
-    return text, "holds" if max(wind.asymmetry) > 1.5 * max(still.asymmetry) else "does not hold"
+    return text, _judged(max(wind.asymmetry) > 1.5 * max(still.asymmetry))
 
 
 def _robustness(results: Results) -> tuple[str, str]:
     text, shares = _pair(results, "robustness")
     verdict = _agreement(*(share["completed_low"] > 0.9 for share in shares))
     leaning = max(_flight(results, name).rotation_error for name in ("robustness", "robustness_published"))
-    if verdict.startswith("holds") and leaning > LEANING:
+    if verdict.startswith(AGREES) and leaning > LEANING:
         verdict += f", but the robot leans by up to {leaning:.0f}°"
     return text, verdict
 
@@ -190,9 +202,9 @@ def _transitions(results: Results) -> tuple[str, str]:
         texts.append(f"{arms} arms: {run.force_difference:.1f} N of {run.force:.1f} N, at {run.difference_time:.0f} s")
         times.append(run.difference_time)
     verdict = _agreement(*(time >= 20.0 for time in times))
-    if verdict == "holds" and min(times) < 35.0:
+    if verdict == AGREES and min(times) < 35.0:
         late = _agreement(*(time >= 35.0 for time in times))
-        verdict = f"in the transitions it holds; from 35 s on it {late}"
+        verdict = f'{AGREES} on transitions; "from 35 s on" {late}'
     return "greatest difference, " + "; ".join(texts), verdict
 
 
@@ -203,7 +215,7 @@ def _thrusts_alike(results: Results) -> tuple[str, str]:
         "corrected arms"
     )
     apart = max(abs(one - other) for one, other in zip(axisymmetric, network, strict=True))
-    return text, "holds" if apart < 10.0 else "does not hold"
+    return text, _judged(apart < 10.0)
 
 
 def _lambda(results: Results) -> tuple[str, str]:
@@ -216,11 +228,11 @@ def _lambda(results: Results) -> tuple[str, str]:
             f"{without['rotation_error_deg_median']:.1f}° without"
         )
         same.append(abs(whole["rotation_error_deg_median"] - without["rotation_error_deg_median"]) < 1.0)
-    return "median rotation error " + "; ".join(texts), "holds" if all(same) else "holds in part"
+    return "median rotation error " + "; ".join(texts), _judged(all(same), "not in every world")
 
 
 def _minimum(results: Results) -> tuple[str, str]:
-    return answer(results), "answered below; the paper's own ablation (Supplementary Fig. 17) is not public to us"
+    return answer(results), out_of_reach("the paper's own ablation is not public to us; this answer is ours")
 
 
 def answer(results: Results) -> str:
@@ -259,7 +271,7 @@ def answer(results: Results) -> str:
 def _stands(results: Results) -> tuple[str, str]:
     runs = _stood(results)
     text = "; ".join(f"{run.name}: {run.ending}, feet carry {_always(run.always_carried)}" for run in runs)
-    return text, "holds" if all(run.completed and run.always_carried for run in runs) else "does not hold"
+    return text, _judged(all(run.completed and run.always_carried for run in runs))
 
 
 def _always(yes: bool) -> str:
@@ -278,7 +290,7 @@ def _against(results: Results) -> tuple[str, str]:
         and abs(run.shift[axis]) > max(VISIBLE_SHIFT, 5.0 * abs(run.shift[1 - axis]))
         for run, axis in zip(runs, axes, strict=True)
     )
-    return text, "holds" if all(opposed) else "does not hold"
+    return text, _judged(all(opposed))
 
 
 VISIBLE_SHIFT = 2e-3
@@ -288,13 +300,13 @@ VISIBLE_SHIFT = 2e-3
 def _ankle_pitch(results: Results) -> tuple[str, str]:
     front, _ = _stood(results)
     first = max(front.left_leg, key=lambda joint: abs(front.left_leg[joint]))
-    return _leg(front), "holds" if first == "ankle_pitch" else "does not hold"
+    return _leg(front), _judged(first == "ankle_pitch")
 
 
 def _rolls(results: Results) -> tuple[str, str]:
     _, lateral = _stood(results)
     order = sorted(lateral.left_leg, key=lambda joint: -abs(lateral.left_leg[joint]))
-    return _leg(lateral), "holds" if set(order[:2]) == {"hip_roll", "ankle_roll"} else "does not hold"
+    return _leg(lateral), _judged(set(order[:2]) == {"hip_roll", "ankle_roll"})
 
 
 def _leg(run: Ground) -> str:
@@ -309,7 +321,8 @@ def _momentum_rate(results: Results) -> tuple[str, str]:
         for run in runs
     )
     falls = all(run.rate_end < run.rate_peak and run.rate_end < 0.25 * abs(run.force).max() for run in runs)
-    return text, "holds in part: it falls, but not to zero: the CoM error holds it" if falls else "does not hold"
+    how = "it falls, but not to zero: the CoM error holds it" if falls else "it does not fall"
+    return text, differs(how)
 
 
 def _identities(results: Results) -> tuple[str, str]:
@@ -320,62 +333,198 @@ def _identities(results: Results) -> tuple[str, str]:
         for run in runs
     )
     exact = all(run.identity < 1e-9 and abs(run.vertical[1]) < 0.5 for run in runs)
-    return text, "holds" if exact else "does not hold"
+    return text, _judged(exact)
 
 
 def _onset(results: Results) -> tuple[str, str]:
     runs = _stood(results)
     text = "; ".join(f"{run.name}: CoM has moved 1 mm after {run.onset:.1f} s" for run in runs)
     near = all(abs(run.onset - 2.0) < 1.0 for run in runs)
-    return text, "holds" if near else "later than on the real robot: our dry friction is chosen, not measured"
+    return text, _judged(near, "later than on the real robot: our dry friction is chosen, not measured")
 
+
+_TESTS = "paper_tests"
+_STANDING = ("balancing_front", "balancing_lateral")
+_ROBUSTNESS = ("robustness", "robustness_published")
 
 CLAIMS = (
-    _Claim("Mechanical design", "The robot's mass is 43.3 kg", _mass),
-    _Claim(
-        "Actuators selection",
-        "Five minutes of a 40 kg robot need 26.31 kg of battery or 4.61 kg of fuel",
-        _engine_choice,
+    _fact("mass", "Mechanical design", "The robot's mass is 43.3 kg", facts.mass),
+    _fact("added_mass", "Mechanical design", "10.3 kg more than iCub v2.7", facts.added_mass),
+    _fact("battery", "Actuators selection", "Five minutes of a 40 kg robot need 26.31 kg of battery", facts.battery),
+    _fact("fuel", "Actuators selection", "Five minutes of a 40 kg robot need 4.61 kg of fuel", facts.fuel),
+    _fact("chest_engine", "Actuators selection", "P220-RXi: about 22 kg of thrust for 0.6 l/min", facts.chest_engine),
+    _fact("lift", "Number of jet engines", "A 40 kg robot needs at least two P220", facts.lift),
+    _fact("arm_engine", "Number of jet engines", "The forearms carry P100", facts.arm_engine),
+    _fact("stress", "FEM analysis", "At most 57 MPa (jetpack) and 77 MPa (forearm)", facts.stress),
+    _fact("strength", "FEM analysis", "At least 5 times below the strength of Ergal, the weakest", facts.strength),
+    _fact("campaign", "Wind tunnel", "400 measurements, 54 tests, 4 symmetric and 15 other postures", facts.campaign),
+    _fact("ranges", "Experiment setup", "Hovering β −90° to 90°, flight α 25° to 65°", facts.ranges, "fig2"),
+    _fact("blockage", "Wind tunnel facility", "Blockage at most 3 % of 4 m × 3.84 m", facts.blockage),
+    _fact("reynolds", "Suppl. Note 1", "The Reynolds number is high", facts.reynolds),
+    _fact("mach", "Suppl. Note 1", "The Mach number is negligible", facts.mach),
+    _fact("boundary", "CFD", "k = 2.89e-6 m²/s², ε = 0.0236e-6 m²/s³, ω = 8.17 1/s at the boundary", facts.boundary),
+    _fact("postures", "CFD", "About 8500 free-stream simulations", facts.postures),
+    _fact("cells", "Mesh sensitivity", "About 97 % fewer cells than the finest mesh", facts.cells, "supp_mesh"),
+    _fact("network_size", "Network", "9 inner layers of 1048 neurons, 22 inputs, 39 outputs", facts.network_size),
+    _fact(
+        "network_error", "Network", "An error of at most 3e-6 on the validation set", facts.network_error, "training"
     ),
+    _fact(
+        "order",
+        "Axisymmetric model",
+        "An error one order of magnitude above the network's",
+        facts.order_of_magnitude,
+        "fig4_fit",
+    ),
+    _fact("coefficients", "Suppl. Table 2", "Coefficients of the axisymmetric model", facts.misprint, "fig4_fit"),
     _Claim(
+        "test1",
         "TEST1",
         "The baseline controller fails to complete the mission: the robot falls due to imbalances",
         _fails("test1"),
+        ("test1", "test1_published"),
+        _TESTS,
+        "suppl7_published",
     ),
-    _Claim("TEST2", "The aerodynamic-aware controller keeps balance throughout all manoeuvres", _flies("test2")),
-    _Claim("TEST3", "With the network as simulator the baseline fails", _fails("test3")),
-    _Claim("TEST4", "With the network as simulator and feedback the aware controller completes", _flies("test4")),
     _Claim(
-        "Suppl. Fig. 7a, d",
+        "test2",
+        "TEST2",
+        "The aerodynamic-aware controller keeps balance throughout all manoeuvres",
+        _flies("test2"),
+        ("test2", "test2_published"),
+        _TESTS,
+        "suppl7",
+    ),
+    _Claim(
+        "test3",
+        "TEST3",
+        "With the network as simulator the baseline fails",
+        _fails("test3"),
+        ("test3", "test3_published"),
+        _TESTS,
+        "suppl7_published",
+    ),
+    _Claim(
+        "test4",
+        "TEST4",
+        "With the network as simulator and feedback the aware controller completes",
+        _flies("test4"),
+        ("test4", "test4_published"),
+        _TESTS,
+        "fig5_robustness",
+    ),
+    _Claim(
+        "joint_errors",
+        "Suppl. Fig. 7 a, d",
         "Joint errors grow until the failure, and in successful flights stay bounded and decrease in static phases",
         _joint_errors,
+        ("test2", "test1_published"),
+        figure="suppl7_published",
     ),
     _Claim(
-        "Suppl. Fig. 7e", "The axisymmetric model's total force is largely aligned with the relative wind", _aligned
+        "aligned",
+        "Suppl. Fig. 7 e",
+        "The axisymmetric model's total force is largely aligned with the relative wind",
+        _aligned,
+        ("test2",),
+        figure="suppl7",
     ),
-    _Claim("Fig. 5f", "The thrusts are asymmetric because of the aerodynamic moment", _asymmetry),
-    _Claim("Results", "The thrusts are comparable, whatever the aerodynamic model of the simulation", _thrusts_alike),
     _Claim(
+        "asymmetry",
+        "Fig. 5 f",
+        "The thrusts are asymmetric because of the aerodynamic moment",
+        _asymmetry,
+        ("test2", "no_wind"),
+        figure="fig5_robustness",
+    ),
+    _Claim(
+        "thrusts_alike",
+        "Flight simulations",
+        "The thrusts are comparable, whatever the aerodynamic model of the simulation",
+        _thrusts_alike,
+        ("test2", "test4"),
+        figure="fig5_robustness",
+    ),
+    _Claim(
+        "robustness",
         "Robustness",
         "A controller with a simpler model than the simulator's completes; errors stay bounded",
         _robustness,
+        _ROBUSTNESS,
+        _TESTS,
+        "fig5_robustness",
     ),
-    _Claim("Suppl. Fig. 7j", "The two models differ most in the transitions, especially from 35 s", _transitions),
-    _Claim("Methods", "The change of aerodynamic forces with posture and speed is negligible in control", _lambda),
-    _Claim("Fig. 6", "The standing robot keeps its balance when the measured wind does not blow", _stands),
-    _Claim("Fig. 6c, i", "The CoM moves against the aerodynamic force", _against),
-    _Claim("Fig. 6d", "In frontal wind it moves mainly by the ankle pitch joints", _ankle_pitch),
-    _Claim("Fig. 6j", "In lateral wind it moves by the hip and ankle roll joints", _rolls),
-    _Claim("Results, ground experiments", "The motion minimises the estimated linear momentum rate", _momentum_rate),
     _Claim(
-        "Methods, on the ground",
+        "transitions",
+        "Suppl. Fig. 7 j",
+        "The two models differ most in the transitions, especially from 35 s",
+        _transitions,
+        _ROBUSTNESS,
+        figure="suppl7",
+    ),
+    _Claim(
+        "lambda",
+        "Flight control design",
+        "The change of aerodynamic forces with posture and speed is negligible in control",
+        _lambda,
+        sweep="ablation_terms",
+        figure="ablation_terms",
+    ),
+    _Claim(
+        "stands",
+        "Fig. 6",
+        "The standing robot keeps its balance when the measured wind does not blow",
+        _stands,
+        _STANDING,
+        figure="fig6",
+    ),
+    _Claim("against", "Fig. 6 c, i", "The CoM moves against the aerodynamic force", _against, _STANDING, figure="fig6"),
+    _Claim(
+        "ankle_pitch",
+        "Fig. 6 d",
+        "In frontal wind it moves mainly by the ankle pitch joints",
+        _ankle_pitch,
+        _STANDING,
+        figure="fig6",
+    ),
+    _Claim(
+        "rolls",
+        "Fig. 6 j",
+        "In lateral wind it moves by the hip and ankle roll joints",
+        _rolls,
+        _STANDING,
+        figure="fig6",
+    ),
+    _Claim(
+        "momentum_rate",
+        "Ground experiments",
+        "The motion minimises the estimated linear momentum rate",
+        _momentum_rate,
+        _STANDING,
+        figure="fig6",
+    ),
+    _Claim(
+        "identities",
+        "Ground experiments",
         "The momentum rate is the sum of foot forces, aerodynamic forces and weight; the feet carry the weight",
         _identities,
+        _STANDING,
+        figure="fig6",
     ),
-    _Claim("Fig. 6c, i", "The motion becomes visible about 2 s after the wind starts to rise", _onset),
     _Claim(
-        "Suppl. Fig. 17",
+        "onset",
+        "Fig. 6 c, i",
+        "The motion becomes visible about 2 s after the wind starts to rise",
+        _onset,
+        _STANDING,
+        figure="fig6",
+    ),
+    _Claim(
+        "minimum",
+        "Suppl. Fig. 17, Note 7",
         "There is a minimum of aerodynamic information with which the mission is still flown",
         _minimum,
+        sweep="ablation_terms",
+        figure="ablation_terms",
     ),
 )

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from experiments import engine_choice, manifest
-from experiments.report import claims
+from experiments.report import claims, facts
 from experiments.report.metrics import Metrics
 from experiments.report.page import Heading, Page, Picture, Table, Text
 from experiments.report.results import Results, Sweep, count
@@ -41,17 +43,39 @@ def main(arguments: Sequence[str]) -> int:
         metavar="DIR",
         help="folder with flight/, sweeps/",
     )
-    results = Results(parser.parse_args(arguments).results)
-    page = build(results)
+    parser.add_argument(
+        "--claims",
+        type=Path,
+        metavar="FILE",
+        help="where the claims go for `docs/paper.md` (default claims.json beside the report)",
+    )
+    given = parser.parse_args(arguments)
+    results = Results(given.results)
+    stated = claims.all_claims(results)
+    page = build(results, stated)
     results.folder.mkdir(parents=True, exist_ok=True)
-    for name, text in (("report.md", page.markdown()), ("report.html", page.html())):
-        path = results.folder / name
+    for path, text in (
+        (results.folder / "report.md", page.markdown()),
+        (results.folder / "report.html", page.html()),
+        (given.claims or results.folder / "claims.json", claims_json(stated)),
+    ):
         write_text(path, text)
         print(path)
     return 0
 
 
-def build(results: Results) -> Page:
+def claims_json(stated: Sequence[claims.Claim]) -> str:
+    """Return the claims as they were measured, with the commit that measured them."""
+    document = {
+        "command": "python -m experiments report --claims docs/claims.json",
+        "commit": manifest.git_state()["commit"],
+        "tables": {name: rows() for name, rows in facts.TABLES.items()},
+        "claims": {claim.key: dataclasses.asdict(claim) for claim in stated},
+    }
+    return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
+
+
+def build(results: Results, stated: Sequence[claims.Claim]) -> Page:
     """Return the whole report."""
     page = Page("What flies, and why")
     page.add(
@@ -64,8 +88,11 @@ def build(results: Results) -> Page:
         ),
         Heading(2, "The paper's claims"),
         Table(
-            ("where", "claim", "measured", "verdict"),
-            [(c.where, c.claim, c.measured, f"**{c.verdict}**") for c in claims.all_claims(results)],
+            ("where", "claim", "measured", "verdict", "figure", "command"),
+            [
+                (c.where, c.claim, c.measured, f"**{c.verdict}**", _linked(results, c.figure), _coded(c.command))
+                for c in stated
+            ],
         ),
     )
     _minimum(page, results)
@@ -79,6 +106,15 @@ def build(results: Results) -> Page:
     _engines(page)
     _speed(page, results)
     return page
+
+
+def _linked(results: Results, figure: str) -> str:
+    path = results.figure(figure) if figure else None
+    return f"[{figure}]({path})" if path else figure
+
+
+def _coded(command: str) -> str:
+    return f"`{command}`" if command else "committed files"
 
 
 def _minimum(page: Page, results: Results) -> None:

@@ -1,0 +1,308 @@
+"""Everything the paper shows, item by item: `python -m paper_figs --index` prints the page `docs/paper.md`.
+
+`ITEMS` is the one table of what there is. What we measured, and the verdict, come from the typed tables of tunnel and
+CFD and from `docs/claims.json`, which `python -m experiments report --claims docs/claims.json` writes from results.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jax_aero.places import HOME
+from paper_figs import tunnel
+
+DOCS = HOME / "docs"
+CLAIMS = DOCS / "claims.json"
+GALLERY = "img/gallery"
+HEADINGS = ("item", "ours", "command", "paper", "measured", "verdict")
+NOT_FLOWN = "not flown here"
+
+
+@dataclass(frozen=True)
+class Item:
+    """One item of the paper, or one of ours beyond it."""
+
+    name: str
+    shows: str
+    figure: str = ""
+    """A figure or sweep of `paper_figs`."""
+    links: tuple[str, ...] = ()
+    """Pages of `docs`, and files of the repository."""
+    claims: tuple[str, ...] = ()
+    """Keys of `docs/claims.json`."""
+    tunnel: Callable[[], Sequence[tunnel.Claim]] | None = None
+    """Figures from the typed tables of tunnel and CFD."""
+    verdict: str = ""
+    """Where there is no figure to compare: the verdict as we see it."""
+    command: str = ""
+    """What makes it, where that is not `python -m paper_figs FIGURE`."""
+
+
+def _tunnel(claims: Callable[..., list[tunnel.Claim]], *, with_cfd: bool) -> Callable[[], list[tunnel.Claim]]:
+    def read() -> list[tunnel.Claim]:
+        tables = tunnel.read(tunnel.TUNNEL)
+        return claims(tables, tunnel.read(tunnel.CFD)["run"]) if with_cfd else claims(tables)
+
+    return read
+
+
+_NO_MESH = "out of reach: needs the authors' CFD meshes and solutions, which are not public"
+_NO_LEVELS = "out of reach: the levels of the paper are not public to us"
+_NO_CAD = "out of reach: photographs and CAD of the prototype"
+_TRAINING = "python -m experiments train compact --dataset results/datasets/freestream.nc"
+
+FIGURE_ITEMS: Sequence[Item] = (
+    Item("Fig. 1 a, b", "the robot: mass, sizes", links=("#the-robot",), claims=("mass", "added_mass")),
+    Item("Fig. 1 c–f", "jetpack and forearm, assembled and exploded", verdict=_NO_CAD),
+    Item("Fig. 2 d", "drag by speed", "fig2", tunnel=_tunnel(tunnel.speed_claims, with_cfd=False)),
+    Item("Fig. 2 e", "drag by posture", "fig2", tunnel=_tunnel(tunnel.posture_claims, with_cfd=False)),
+    Item("Fig. 3 a, b", "CFD beside the tunnel", "fig3", tunnel=_tunnel(tunnel.turbulence_claims, with_cfd=True)),
+    Item("Fig. 3 c–f", "surface pressure and contours of the flow", verdict=_NO_MESH),
+    Item("Fig. 3 g, h", "lattice Boltzmann simulation, drag within 1 %", verdict=_NO_MESH),
+    Item(
+        "Fig. 4 a–c",
+        "the network's drag of the head",
+        "fig4_network",
+        claims=("network_size", "network_error"),
+        command=f"{_TRAINING}; python -m paper_figs fig4_network",
+    ),
+    Item("Fig. 4 d, e", "the axisymmetric model over the CFD", "fig4_fit", claims=("order",)),
+    Item("Fig. 5 b–i", "TEST2 and TEST1", "fig5", claims=("test1", "test2")),
+    Item(
+        "Fig. 5 b–i",
+        "TEST4 and the robustness test",
+        "fig5_robustness",
+        claims=("test4", "robustness", "asymmetry", "thrusts_alike"),
+    ),
+    Item(
+        "Fig. 6 a–l",
+        "ground experiments",
+        "fig6",
+        ("deviations.md#on-the-ground",),
+        ("stands", "against", "ankle_pitch", "rolls", "momentum_rate", "identities", "onset"),
+    ),
+)
+
+EQUATIONS: Sequence[Item] = (
+    Item("Network layer, ReLU", "forward pass", links=("model.md#m23",), verdict="agrees"),
+    Item("Mean squared error", "loss", links=("configs/training/paper.toml",), verdict="agrees"),
+    Item(
+        "Eq. axisymmetric force",
+        "drag and normal force of a link",
+        links=("model.md#m20",),
+        verdict="agrees, with the division by sin α carried out",
+    ),
+    Item("Eq. conditions 1, 2", "slopes and values at 0° and 180°", links=("model.md#m29",), verdict="agrees"),
+    Item("Eq. C_D A, C_N A", "force areas over the angle of attack", links=("model.md#m20",), verdict="agrees"),
+    Item("Assumption 1", "no aerodynamic moments on links", links=("model.md#m27",), verdict="agrees"),
+    Item("Eq. generalised force", "forces of all links in joint space", links=("model.md#m27",), verdict="agrees"),
+    Item("Eq. momentum rate", "centroidal momentum under jets and air", links=("model.md#m56",), verdict="agrees"),
+    Item(
+        "Eq. second derivative",
+        "linear in thrust rates and joint velocities",
+        links=("model.md#m55",),
+        claims=("lambda",),
+    ),
+    Item(
+        "Eq. QP",
+        "thrust rates and joint velocities",
+        links=("model.md#m64",),
+        verdict="differs: two weights in print, eight tasks in the published code and here",
+    ),
+    Item("Eq. joint dynamics", "rows of the joints", links=("model.md#m69",), verdict="agrees"),
+    Item(
+        "Eq. joint accelerations",
+        "high-gain law",
+        links=("model.md#m68",),
+        verdict="differs: s* is the integral of ṡ − ṡ* in the published code and here",
+    ),
+    Item(
+        "Eq. torques",
+        "inverse dynamics",
+        links=("model.md#m70", "deviations.md#paper-against-its-own-code"),
+        verdict="differs: the printed law has M̄⁻¹ for M̄ and contradicts the equation before it",
+    ),
+)
+
+NUMBERS: Sequence[Item] = (
+    Item(
+        "Actuators selection",
+        "battery against fuel",
+        claims=("battery", "fuel"),
+        command="python -m experiments engine-choice",
+    ),
+    Item("Actuators selection", "engines", links=("#suppl-table-1",), claims=("chest_engine", "lift", "arm_engine")),
+    Item("FEM analysis", "stresses of the interfaces", claims=("stress", "strength")),
+    Item(
+        "Wind tunnel",
+        "extent of the campaign",
+        links=("configs/tables/wind_tunnel.toml",),
+        claims=("campaign", "ranges"),
+    ),
+    Item("Wind tunnel facility", "section 4 m × 3.84 m", claims=("blockage",)),
+    Item(
+        "Wind tunnel facility",
+        "balance RUAG 192-6L, error below 0.2 %; 124 pressure taps",
+        verdict="out of reach: raw records of the balance and the scanners are not public",
+    ),
+    Item("CFD", "dataset, boundary", links=("configs/tables/postures.toml",), claims=("boundary", "postures")),
+    Item("CFD", "104 runs with support; pressure is 95 % of the drag", verdict=_NO_MESH),
+    Item("Mesh sensitivity", "cells", "supp_mesh", claims=("cells",)),
+    Item("TEST3", "baseline in the network's air", "suppl7_published", claims=("test3",)),
+)
+
+SUPPLEMENT: Sequence[Item] = (
+    Item("Suppl. Fig. 1", "finite elements of jetpack and forearm", claims=("stress", "strength")),
+    Item("Suppl. Fig. 2", "pressure taps", verdict="out of reach: positions are not public"),
+    Item("Suppl. Fig. 3, 4", "simplified geometry, control volume, mesh", verdict=_NO_MESH),
+    Item("Suppl. Fig. 5", "mesh study, curves", "supp_mesh", tunnel=_tunnel(tunnel.mesh_claims, with_cfd=True)),
+    Item("Suppl. Fig. 5", "velocity contours of two meshes", verdict=_NO_MESH),
+    Item(
+        "Suppl. Fig. 6", "the robot as spheres and cylinders", links=("#the-robot", "img/frames.png"), verdict="agrees"
+    ),
+    Item(
+        "Suppl. Fig. 7",
+        "TEST1 to TEST3 and the robustness test, corrected arms",
+        "suppl7",
+        claims=("test2", "aligned", "transitions"),
+    ),
+    Item("Suppl. Fig. 7", "the same, published arms", "suppl7_published", claims=("test1", "test3", "joint_errors")),
+    Item(
+        "Suppl. Fig. 10–14",
+        "whole campaign, aerodynamic efficiency",
+        verdict="out of reach: only the records of Fig. 2 and 3 are in this repository",
+    ),
+    Item("Suppl. Fig. 15, 16", "not named in the text", verdict="out of reach: the supplement is not public to us"),
+    Item("Suppl. Fig. 17, Note 7", "ablation of the feedback", "ablation_terms", claims=("minimum",)),
+    Item("Suppl. Fig. 17", "scale of the estimate", "ablation_scale", verdict=_NO_LEVELS),
+    Item("Suppl. Fig. 17", "links", "ablation_links", verdict=_NO_LEVELS),
+    Item("Suppl. Fig. 17", "models", "ablation_models", verdict=_NO_LEVELS),
+    Item("Suppl. Fig. 17", "models, in the network's air", "ablation_models_network", verdict=_NO_LEVELS),
+    Item("Suppl. Table 1", "engines", links=("#suppl-table-1",), claims=("chest_engine", "arm_engine")),
+    Item("Suppl. Table 2", "coefficients", links=("#suppl-table-2",), claims=("coefficients",)),
+    Item("Suppl. Table 3", "meshes", links=("#suppl-table-3",), claims=("cells",)),
+    Item("Suppl. Note 1", "Reynolds and Mach numbers, blockage", claims=("reynolds", "mach", "blockage")),
+    Item("Suppl. Note 2", "force areas", links=("model.md#m20", "conventions.md"), verdict="agrees"),
+    Item("Suppl. Note 3", "averaged Navier-Stokes equations", verdict=_NO_MESH),
+    Item("Suppl. Note 4", "spheres and cylinders from the literature", links=("model.md#m21",), verdict="agrees"),
+    Item("Suppl. Note 5", "robot model and derivation of the controller", links=("model.md",), verdict="agrees"),
+    Item(
+        "Suppl. Note 6",
+        "jets away from the body",
+        links=("configs/trim/hover_posture.toml",),
+        verdict="out of reach: the redesign is not public",
+    ),
+)
+
+BEYOND: Sequence[Item] = tuple(
+    Item("beyond", shows, figure)
+    for figure, shows in (
+        ("training", "loss curves"),
+        ("paper_tests", "neighbours of the paper's tests"),
+        ("demo", "three controllers, corrected and published arms"),
+        ("surrogate", "a panel model beside the tunnel"),
+        ("trim", "winds that can be trimmed"),
+        ("trajectory", "planned trajectories"),
+        ("identify", "coefficients from a flight's log"),
+        ("tip_over", "wind that tips the standing robot over"),
+        ("observer_limit", "limit of the observer"),
+        ("force_rate", "force rate that the controller leaves out"),
+        ("ablation_wind_bias", "biased wind"),
+        ("ablation_wind_noise", "noisy wind"),
+        ("ablation_wind_noise_filtered", "noisy wind behind a low pass"),
+        ("ablation_wind_delay", "late wind"),
+        ("ablation_wind_lowpass", "low-passed wind"),
+        ("ablation_wind_mean", "mean wind"),
+        ("baseline_edge", "where the baseline fails"),
+        ("map_wind", "wind from everywhere"),
+        ("map_mass_com", "wrong mass and CoM"),
+        ("map_thrust", "weak and slow engines"),
+        ("jet_failure", "one engine out"),
+        ("jet_dynamics", "engines instead of ideal thrust"),
+        ("ekf_noise", "noise of thrust sensors"),
+        ("sensitivity", "what the aware controller is sensitive to"),
+        ("observer_tests", "the paper's tests with the observer"),
+        ("observer_wind", "wind from everywhere, with the observer"),
+        ("observer_hover", "hovering, with the observer"),
+        ("observer_turbulence", "turbulence, with the observer"),
+        ("observer_missions", "fast missions and a gust, with the observer"),
+        ("observer_errors", "a robot that is not the model's, with the observer"),
+    )
+)
+
+SECTIONS: Mapping[str, Sequence[Item]] = {
+    "Figures": FIGURE_ITEMS,
+    "Equations": EQUATIONS,
+    "Numbers of the text": NUMBERS,
+    "Supplement": SUPPLEMENT,
+    "Beyond the paper": BEYOND,
+}
+ITEMS: Sequence[Item] = tuple(item for items in SECTIONS.values() for item in items)
+
+TABLES = {
+    "The robot": ("robot", "Links that meet the air, for Fig. 1 and Suppl. Fig. 6: `configs/robot/ironcub_mk1.toml`."),
+    "Suppl. Table 1": ("engines", "Engines as identified: where they rest without acceleration."),
+    "Suppl. Table 2": ("coefficients", "Force areas [m²] as published, and refitted to the public table."),
+    "Suppl. Table 3": ("meshes", "Meshes of flight30 in the public records; sizing parameters are not public."),
+}
+
+
+def page(claims: Path = CLAIMS) -> str:
+    """Return the page."""
+    record = json.loads(claims.read_text(encoding="utf-8"))
+    about = (
+        "Made by `python -m paper_figs --index`. A verdict *agrees*, *differs* (by how much) or is *out of reach* "
+        f"(why). Flights were measured at commit `{record['commit'][:10]}` with `{record['command']}`; what follows "
+        "from committed files alone is computed again by the tests. [Deviations](deviations.md) explains what differs."
+    )
+    parts = ["# The paper, item by item", about]
+    for title, items in SECTIONS.items():
+        rows = [HEADINGS, ("---",) * len(HEADINGS)]
+        rows += [row for item in items for row in _rows(item, record["claims"])]
+        parts += [f"## {title}", _table(rows)]
+    for title, (name, caption) in TABLES.items():
+        headings, *rows = record["tables"][name]
+        parts += [f"## {title}", caption, _table([headings, ["---"] * len(headings), *rows])]
+    return "\n\n".join(parts) + "\n"
+
+
+def command_of(item: Item, claims: Mapping[str, Any]) -> str:
+    """Return what makes an item: flights first, then the figure."""
+    if item.command:
+        return item.command
+    flown = dict.fromkeys(
+        word for key in item.claims if claims[key]["command"] for word in claims[key]["command"].split("; ")
+    )
+    return "; ".join([*flown, *([f"python -m paper_figs {item.figure}"] if item.figure else [])])
+
+
+def _rows(item: Item, claims: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
+    ours = ", ".join([*([_figure(item.figure)] if item.figure else []), *map(_link, item.links)])
+    command = "; ".join(f"`{word}`" for word in command_of(item, claims).split("; ") if word)
+    found = [(claims[key]["claim"], claims[key]["measured"], claims[key]["verdict"]) for key in item.claims]
+    if item.tunnel:
+        # A claim of which the paper says nothing has no verdict.
+        found += [(f"{c.what}: {c.paper}", f"{100 * c.value:.1f} %", c.verdict) for c in item.tunnel() if c.verdict]
+    for number, (paper, measured, verdict) in enumerate(found or [("", "", item.verdict)]):
+        first = (f"{item.name}: {item.shows}", ours, command) if number == 0 else ("", "", "")
+        yield (*first, paper, measured, verdict)
+
+
+def _figure(name: str) -> str:
+    path = f"{GALLERY}/{name}.png"
+    return f"[{name}]({path})" if (DOCS / path).is_file() else f"`{name}`"
+
+
+def _link(link: str) -> str:
+    if link.startswith("configs/"):
+        return f"`{link}`"
+    name = link.removeprefix("#").replace("-", " ") if link.startswith("#") else link.rsplit("#", 1)[-1]
+    return f"[{name}]({link})"
+
+
+def _table(rows: Sequence[Sequence[str]]) -> str:
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows)

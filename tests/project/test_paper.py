@@ -1,0 +1,95 @@
+"""docs/paper.md: every figure has an item, what an item names exists, and the page is what its sources say."""
+
+import dataclasses
+import importlib
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from experiments.report import claims, facts
+from experiments.report.results import Results
+from jax_aero.cli import COMMANDS
+from paper_figs import paper
+from paper_figs.__main__ import FIGURES, SWEEPS, main
+
+ROOT = Path(__file__).resolve().parents[2]
+RECORD = json.loads(paper.CLAIMS.read_text(encoding="utf-8"))
+WORDS = ("agrees", "differs: ", "out of reach: ", paper.NOT_FLOWN)
+MODEL = (ROOT / "docs/model.md").read_text(encoding="utf-8")
+
+
+def anchors(page: str) -> set[str]:
+    """What a page can be linked at: its headings, as the site spells them."""
+    headings = re.findall(r"^#+ (.+)$", page, re.M)
+    return {re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", heading.lower())).strip("-") for heading in headings}
+
+
+def test_the_page_is_what_the_command_prints(capsys):
+    assert main(["--index"]) == 0
+    assert (ROOT / "docs/paper.md").read_text(encoding="utf-8") == capsys.readouterr().out
+
+
+def test_every_figure_and_sweep_has_an_item():
+    shown = {item.figure for item in paper.ITEMS} - {""}
+    assert set(FIGURES) | set(SWEEPS) <= shown
+    assert shown <= {*FIGURES, *(path.stem for path in (ROOT / "configs/sweeps").glob("*.toml"))}
+
+
+def test_every_claim_is_shown_and_has_a_verdict():
+    used = {key for item in paper.ITEMS for key in item.claims}
+    assert used == set(RECORD["claims"]) == {claim.key for claim in claims.CLAIMS}
+    for claim in RECORD["claims"].values():
+        assert claim["verdict"].startswith(WORDS), claim
+
+
+def test_every_item_of_the_paper_has_a_verdict():
+    for title, items in paper.SECTIONS.items():
+        for item in items:
+            judged = bool(item.claims or item.tunnel) + bool(item.verdict)
+            assert judged == (title != "Beyond the paper"), item.name
+            assert not item.verdict or item.verdict.startswith(WORDS), item.name
+            assert item.figure or item.links or item.claims or item.verdict.startswith("out of reach"), item.name
+
+
+@pytest.mark.parametrize("link", sorted({link for item in paper.ITEMS for link in item.links}))
+def test_links_lead_somewhere(link):
+    path, _, anchor = link.partition("#")
+    if path.startswith("configs/"):
+        assert (ROOT / path).is_file()
+    elif re.fullmatch(r"m\d+", anchor):
+        assert rf"\tag{{{anchor.upper()}}}" in MODEL
+    else:
+        page = ROOT / "docs" / (path or "paper.md")
+        assert page.is_file()
+        assert not anchor or anchor in anchors(page.read_text(encoding="utf-8"))
+
+
+def test_commands_name_what_exists():
+    experiments = {path.stem for path in (ROOT / "configs/experiments").glob("*.toml")}
+    for item in paper.ITEMS:
+        for command in paper.command_of(item, RECORD["claims"]).split("; "):
+            if not command:
+                continue
+            python, option, module, first, *rest = command.split()
+            assert (python, option) == ("python", "-m"), command
+            importlib.import_module(module)
+            if module == "paper_figs":
+                assert [first, *rest] == [item.figure]
+            elif first == "sweep":
+                assert all((ROOT / f"configs/sweeps/{name}.toml").is_file() for name in rest)
+            else:
+                assert first in COMMANDS or {first, *rest} <= experiments, command
+
+
+def test_facts_and_tables_are_those_of_the_files(tmp_path):
+    """What needs no flight is computed again; what does was kept, and names the command that makes it."""
+    fresh = {claim.key: claim for claim in claims.all_claims(Results(tmp_path))}
+    for key, kept in RECORD["claims"].items():
+        if fresh[key].command:
+            fixed = ("key", "where", "claim", "command", "figure")
+            assert {name: kept[name] for name in fixed} == {name: getattr(fresh[key], name) for name in fixed}
+        else:
+            assert kept == dataclasses.asdict(fresh[key])
+    assert RECORD["tables"] == {name: rows() for name, rows in facts.TABLES.items()}
