@@ -418,7 +418,16 @@ class FileWindConfig(Table, frozen=True, kw_only=True, tag_field="profile", tag=
     """The file; relative paths start at the configuration file."""
 
 
-WindConfig: TypeAlias = ConstantWindConfig | RampWindConfig | GustWindConfig | TurbulentWindConfig | FileWindConfig
+class SamplesWindConfig(Table, frozen=True, kw_only=True, tag_field="profile", tag="samples"):
+    """A recorded wind that stands here: linear in between, constant outside."""
+
+    samples: tuple[tuple[float, float, float, float], ...]
+    """Time [s], increasing, and velocity along x, y and z [m/s]."""
+
+
+WindConfig: TypeAlias = (
+    ConstantWindConfig | RampWindConfig | GustWindConfig | TurbulentWindConfig | FileWindConfig | SamplesWindConfig
+)
 """A wind profile; all velocities in m/s, inertial axes, all times in s."""
 
 

@@ -113,6 +113,9 @@ def wind_model(settings: config.WindConfig) -> Wind:
         case config.FileWindConfig():
             samples = np.loadtxt(settings.path, delimiter=",", skiprows=1, ndmin=2)
             return RecordedWind(times=leaf(samples[:, 0]), velocities=leaf(samples[:, 1:4]))
+        case config.SamplesWindConfig():
+            samples = np.asarray(settings.samples)
+            return RecordedWind(times=leaf(samples[:, 0]), velocities=leaf(samples[:, 1:4]))
         case _:
             assert_never(settings)
 

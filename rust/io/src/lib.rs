@@ -6,12 +6,13 @@
 //! MissionConfig ──load_mission──► Mission             all of them ──load_controller──► Controller
 //! ```
 //!
-//! [`toml`] reads the TOML files and what they build on.
+//! [`toml`] reads the TOML files and what they build on; [`files`] reads whatever is read.
 
 #![forbid(unsafe_code)]
 
 pub mod aero;
 pub mod controller;
+pub mod files;
 pub mod mission;
 pub mod network;
 pub mod robot;
@@ -21,27 +22,8 @@ pub mod toml;
 
 pub use aero::{AeroConfig, NetworkConfig, load_aero};
 pub use controller::{ControllerSection, load_controller};
+pub use files::{hold, read_bytes, read_text};
 pub use mission::{MissionConfig, load_mission};
 pub use robot::{RobotFile, RobotFiles, load_robot, robot_from_text};
 pub use schema::Schema;
-pub use toml::{from_value, load, resolve};
-
-use flight_core::BuildError;
-use std::path::Path;
-
-/// Longest text file that is read \[bytes\].
-const MAX_TEXT_LENGTH: u64 = 64 * 1024 * 1024;
-
-/// Text of a regular file.
-///
-/// # Errors
-/// [`BuildError`] naming the file, also for a device, a pipe, or more than 64 MiB.
-pub fn read_text(path: &Path) -> Result<String, BuildError> {
-    let unreadable = |source| BuildError::Unreadable { path: path.to_owned(), source };
-    let metadata = std::fs::metadata(path).map_err(unreadable)?;
-    if !metadata.is_file() || metadata.len() > MAX_TEXT_LENGTH {
-        let expected = format!("a regular file of at most {MAX_TEXT_LENGTH} bytes");
-        return Err(BuildError::malformed(path.display().to_string(), format!("expected {expected}")));
-    }
-    std::fs::read_to_string(path).map_err(unreadable)
-}
+pub use toml::{from_value, load, resolve, resolve_table};

@@ -1,12 +1,13 @@
 //! Networks: a JSON card that says what the weights mean, a safetensors file with the weights.
 
 use crate::aero::NetworkConfig;
-use crate::{read_text, tensors};
+use crate::{read_bytes, read_text, tensors};
 use flight_core::aero::network::{Architecture, Card, Inputs, Network, Output};
 use flight_core::{BuildError, RobotModel};
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// The `format` of every card.
 const FORMAT: &str = "flight-aero-network";
@@ -82,10 +83,9 @@ impl CardFile {
 impl Weights {
     /// The bytes of the weights file beside the card at `card`, if they are those the card was written
     /// for, and where they were found.
-    fn read(&self, card: &Path) -> Result<(PathBuf, Vec<u8>), BuildError> {
+    fn read(&self, card: &Path) -> Result<(PathBuf, Arc<[u8]>), BuildError> {
         let file = card.with_file_name(&self.file);
-        let bytes =
-            std::fs::read(&file).map_err(|source| BuildError::Unreadable { path: file.clone(), source })?;
+        let bytes = read_bytes(&file)?;
         let digest =
             Sha256::digest(&bytes).iter().fold(String::new(), |hex, byte| hex + &format!("{byte:02x}"));
         if digest != self.sha256.to_lowercase() {

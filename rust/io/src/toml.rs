@@ -7,7 +7,7 @@
 //! controller = { base = "../control/aero_aware.toml", momentum = { c0 = 60.0 } }
 //! ```
 
-use crate::read_text;
+use crate::files::{absolute, read_text};
 use crate::schema::{Node, Schema, join};
 use flight_core::BuildError;
 use schemars::JsonSchema;
@@ -78,6 +78,14 @@ pub fn resolve(path: &Path, schema: &Schema) -> Result<Value, BuildError> {
     Reader { files: 0 }.read(path, Some(schema.root()), 0).map(Value::Object)
 }
 
+/// As [`resolve`], for a table that is no file yet; its paths start at `folder`.
+///
+/// # Errors
+/// As [`resolve`].
+pub fn resolve_table(table: Map<String, Value>, folder: &Path, schema: &Schema) -> Result<Value, BuildError> {
+    Reader { files: 0 }.resolve_table(table, Some(schema.root()), folder, 0).map(Value::Object)
+}
+
 /// What is read for one configuration.
 struct Reader {
     files: usize,
@@ -121,7 +129,7 @@ impl Reader {
                     *inner = self.resolve_table(std::mem::take(inner), node, folder, depth)?;
                 }
                 Value::String(text) if node.is_some_and(Node::is_path) => {
-                    *text = absolute(&folder.join(&*text))?;
+                    *text = absolute(&folder.join(&*text))?.display().to_string();
                 }
                 _ => {}
             }
@@ -156,10 +164,4 @@ fn lay_over(under: &mut Map<String, Value>, over: Map<String, Value>, node: Opti
             }
         }
     }
-}
-
-fn absolute(path: &Path) -> Result<String, BuildError> {
-    let full =
-        path.canonicalize().map_err(|source| BuildError::Unreadable { path: path.to_owned(), source })?;
-    Ok(full.display().to_string())
 }

@@ -1,7 +1,7 @@
 //! Closed-loop simulation of [`flight_core`]: the simulated robot in its wind, its log, batches.
 //!
 //! ```text
-//! ScenarioConfig ──► Scenario: Plant, Wind, Controller ──run──► FlightResult: log, outcome, summary
+//! ScenarioConfig ──► Scenario: Plant, Wind, Controller ──begin──► Flight ──step, step, …──► FlightResult
 //! ```
 
 #![forbid(unsafe_code)]
@@ -25,7 +25,7 @@ pub use config::{Engine, ScenarioConfig, SimulatorConfig, load_scenario, scenari
 pub use disturbances::Disturbances;
 pub use log::{FlightLog, FlightResult};
 pub use plant::Plant;
-pub use scenario::{Interrupted, Loss, LossReason, Outcome, Scenario};
+pub use scenario::{Flight, Interrupted, Loss, LossReason, Outcome, Scenario};
 pub use signals::SIGNALS;
 pub use summary::{Summary, figures};
 pub use wind::{Wind, WindConfig};

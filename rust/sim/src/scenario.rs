@@ -224,61 +224,24 @@ impl Scenario {
     /// # Errors
     /// [`Interrupted`] if `progress` said so.
     pub fn run(
-        mut self,
+        self,
         mut progress: impl FnMut(usize, usize) -> ControlFlow<()>,
     ) -> Result<FlightResult, Interrupted> {
-        let mut log = FlightLog::new(self.plant.robot(), self.n_ticks + 1);
-        let mut state: Option<ControllerState> = None;
-        let mut loss = None;
-        for tick in 0..=self.n_ticks {
-            let time = tick as f64 * self.time_step;
-            let wind = self.wind.velocity(time);
-            self.plant.observe(&wind);
-            let given = self.controller_wind.as_ref().map_or(wind, |wind| wind.velocity(time));
-            let estimate = self.wind_estimator.as_mut().map_or(given, |estimator| estimator.update(&given));
-            let measurement = Measurement {
-                time,
-                state: self.plant.state(),
-                thrust: self.plant.jets().thrust_feedback(),
-                wind: estimate,
-                foot_wrenches: &[],
-            };
-            if state.is_none() {
-                state = self.controller.start(&measurement).ok();
-            }
-            let Some(state) = &mut state else {
-                loss = Some(Loss { time, reason: self.divergence(&wind).unwrap_or(LossReason::NotFinite) });
-                break;
-            };
-            self.controller.tick(state, &measurement);
-            let command = self.controller.command();
-            let errors = TrackingErrors::new(&self.plant, &self.controller.terms().setpoint);
-            log.push(&LogRow {
-                time,
-                wind,
-                plant: &self.plant,
-                terms: self.controller.terms(),
-                command,
-                errors,
-            });
-            loss = self.lost(&wind, &errors).map(|reason| Loss { time, reason });
-            if loss.is_some() {
-                break;
-            }
-            let (torque, thrust_rate) = (&command.joint_torque, &command.thrust_rate);
-            self.plant.advance(torque.as_slice(), thrust_rate.as_slice(), &wind, self.time_step);
-            if progress(tick, self.n_ticks).is_break() {
+        let mut flight = self.begin();
+        while !flight.has_ended() {
+            let tick = flight.tick;
+            if flight.step() && progress(tick, flight.n_ticks()).is_break() {
                 return Err(Interrupted);
             }
         }
-        log.joint_setpoint = state.map_or_else(Vec::new, |state| state.posture().as_slice().to_vec());
-        let ending = loss.map(|loss| loss.reason.outcome());
-        // Numbers that physics excludes are in the log, but no merit of the flight.
-        let is_excluded = ending == Some(Outcome::Diverged) && !log.is_empty();
-        let summary = Summary::new(&log, log.len() - usize::from(is_excluded));
-        let is_off_course = summary.max_com_error > self.course_error;
-        let flown = if is_off_course { Outcome::OffCourse } else { Outcome::Completed };
-        Ok(FlightResult { outcome: ending.unwrap_or(flown), loss, log, summary })
+        Ok(flight.result())
+    }
+
+    /// The flight before its first tick.
+    #[must_use]
+    pub fn begin(self) -> Flight {
+        let log = FlightLog::new(self.plant.robot(), self.n_ticks + 1);
+        Flight { scenario: self, log, state: None, loss: None, tick: 0 }
     }
 
     /// Why a flight is lost now, if it is.
@@ -326,5 +289,122 @@ impl Scenario {
         ]
         .into_iter()
         .find_map(|(is_beyond, reason)| is_beyond.then_some(reason))
+    }
+}
+
+/// A flight under way.
+#[derive(Debug)]
+pub struct Flight {
+    scenario: Scenario,
+    log: FlightLog,
+    /// From the first tick on.
+    state: Option<ControllerState>,
+    loss: Option<Loss>,
+    /// The next one.
+    tick: usize,
+}
+
+impl Flight {
+    /// Flies one tick; `false` if the flight is lost in it, or had ended before.
+    pub fn step(&mut self) -> bool {
+        if self.has_ended() {
+            return false;
+        }
+        let Scenario { plant, controller, wind, controller_wind, wind_estimator, time_step, .. } =
+            &mut self.scenario;
+        let time = self.tick as f64 * *time_step;
+        let wind = wind.velocity(time);
+        plant.observe(&wind);
+        let given = controller_wind.as_ref().map_or(wind, |wind| wind.velocity(time));
+        let estimate = wind_estimator.as_mut().map_or(given, |estimator| estimator.update(&given));
+        let measurement = Measurement {
+            time,
+            state: plant.state(),
+            thrust: plant.jets().thrust_feedback(),
+            wind: estimate,
+            foot_wrenches: &[],
+        };
+        if self.state.is_none() {
+            self.state = controller.start(&measurement).ok();
+            self.log.joint_setpoint =
+                self.state.as_ref().map_or_else(Vec::new, |state| state.posture().as_slice().to_vec());
+        }
+        let Some(state) = &mut self.state else {
+            let reason = self.scenario.divergence(&wind).unwrap_or(LossReason::NotFinite);
+            self.loss = Some(Loss { time, reason });
+            return false;
+        };
+        controller.tick(state, &measurement);
+        let (terms, command) = (controller.terms(), controller.command());
+        let errors = TrackingErrors::new(plant, &terms.setpoint);
+        self.log.push(&LogRow { time, wind, plant, terms, command, errors });
+        self.loss = self.scenario.lost(&wind, &errors).map(|reason| Loss { time, reason });
+        if self.loss.is_some() {
+            return false;
+        }
+        let Scenario { plant, controller, time_step, .. } = &mut self.scenario;
+        let command = controller.command();
+        let (torque, thrust_rate) = (&command.joint_torque, &command.thrust_rate);
+        plant.advance(torque.as_slice(), thrust_rate.as_slice(), &wind, *time_step);
+        self.tick += 1;
+        true
+    }
+
+    /// Whether its last tick is flown, or it is lost.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        self.loss.is_some() || self.tick > self.scenario.n_ticks
+    }
+
+    /// Number of ticks after the one at time zero.
+    #[must_use]
+    pub fn n_ticks(&self) -> usize {
+        self.scenario.n_ticks
+    }
+
+    /// What was flown so far.
+    #[must_use]
+    pub fn log(&self) -> &FlightLog {
+        &self.log
+    }
+
+    /// The robot that flies.
+    #[must_use]
+    pub fn robot(&self) -> &RobotModel {
+        self.scenario.plant.robot()
+    }
+
+    /// From the next tick on, this wind blows.
+    pub fn set_wind(&mut self, wind: Wind) {
+        self.scenario.wind = wind;
+    }
+
+    /// When and why it was lost, if it was.
+    #[must_use]
+    pub fn loss(&self) -> Option<Loss> {
+        self.loss
+    }
+
+    /// Figures of merit of what was flown so far.
+    #[must_use]
+    pub fn summary(&self) -> Summary {
+        // Numbers that physics excludes are in the log, but no merit of the flight.
+        let is_excluded = self.loss.is_some_and(|loss| loss.reason.outcome() == Outcome::Diverged);
+        Summary::new(&self.log, self.log.len().saturating_sub(usize::from(is_excluded)))
+    }
+
+    /// How it ended; before its end, as if it ended now.
+    #[must_use]
+    pub fn outcome(&self, summary: &Summary) -> Outcome {
+        let is_off_course = summary.max_com_error > self.scenario.course_error;
+        let flown = if is_off_course { Outcome::OffCourse } else { Outcome::Completed };
+        self.loss.map_or(flown, |loss| loss.reason.outcome())
+    }
+
+    /// What it leaves behind.
+    #[must_use]
+    pub fn result(self) -> FlightResult {
+        let summary = self.summary();
+        FlightResult { outcome: self.outcome(&summary), loss: self.loss, log: self.log, summary }
     }
 }

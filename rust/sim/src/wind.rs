@@ -65,6 +65,11 @@ pub enum WindConfig {
         #[schemars(extend("format" = "path"))]
         path: PathBuf,
     },
+    /// A recorded wind that stands here: linear in between, constant outside.
+    Samples {
+        /// Time \[s\], increasing, and velocity along x, y and z \[m/s\].
+        samples: Vec<[f64; 4]>,
+    },
 }
 
 /// A checked wind profile.
@@ -138,6 +143,7 @@ impl Wind {
                 duration: check("wind.duration", *duration, |d| d > 0.0, "a positive time in s")?,
             },
             WindConfig::File { path } => Self::Recorded(read_samples(path)?),
+            WindConfig::Samples { samples } => Self::Recorded(check_samples(samples)?),
         })
     }
 
@@ -177,6 +183,20 @@ fn ramp(start: f64, end: f64) -> Result<(f64, f64), BuildError> {
 /// How far a rise has come, from 0 to 1.
 fn risen((start, end): &(f64, f64), time: f64) -> f64 {
     if time >= *end { 1.0 } else { ((time - start) / (end - start)).max(0.0) }
+}
+
+fn check_samples(samples: &[[f64; 4]]) -> Result<Vec<(f64, Vector3<f64>)>, BuildError> {
+    let refuse = |value: String, expected| Err(BuildError::bad_value("wind.samples", value, expected));
+    if samples.is_empty() {
+        return refuse("[]".into(), "at least one sample");
+    }
+    if let Some(sample) = samples.iter().find(|sample| !sample.iter().all(|number| number.is_finite())) {
+        return refuse(format!("{sample:?}"), "four finite numbers: time, x, y, z");
+    }
+    if let Some([_, after]) = samples.array_windows().find(|[before, after]| before[0] >= after[0]) {
+        return refuse(format!("{after:?}"), "a time later than that of the sample before");
+    }
+    Ok(samples.iter().map(|[time, x, y, z]| (*time, Vector3::new(*x, *y, *z))).collect())
 }
 
 fn read_samples(path: &Path) -> Result<Vec<(f64, Vector3<f64>)>, BuildError> {

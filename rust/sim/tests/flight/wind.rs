@@ -92,6 +92,24 @@ fn recorded_wind_is_interpolated() {
     assert_blows(&single, 9.0, [1.0, 2.0, 3.0]);
 }
 
+/// Samples of the configuration blow as those of a file; what is no recording is refused.
+#[test]
+fn samples_blow_as_a_file_does() {
+    let samples = |samples: &[[f64; 4]]| Wind::new(&WindConfig::Samples { samples: samples.to_vec() });
+    let wind = samples(&[[0.0, 1.0, 2.0, 3.0], [2.0, 3.0, 2.0, -1.0]]).unwrap();
+    for (time, velocity) in [(-5.0, [1.0, 2.0, 3.0]), (0.5, [1.5, 2.0, 2.0]), (9.0, [3.0, 2.0, -1.0])] {
+        assert_blows(&wind, time, velocity);
+    }
+    for (bad, word) in [
+        (&[][..], "at least one sample"),
+        (&[[0.0, f64::NAN, 0.0, 0.0]], "four finite numbers"),
+        (&[[1.0, 0.0, 0.0, 0.0], [1.0, 2.0, 0.0, 0.0]], "[1.0, 2.0, 0.0, 0.0]; expected a time later"),
+    ] {
+        let message = samples(bad).unwrap_err().to_string();
+        assert!(message.contains("wind.samples") && message.contains(word), "{message}");
+    }
+}
+
 /// A wind file that cannot be read as one is refused, with the line and what stands there.
 #[test]
 fn bad_wind_files_are_refused_with_their_line() {

@@ -1,0 +1,78 @@
+//! The one place where files are read: those held in memory first, then those on the disk.
+//!
+//! A program without a disk (a page in a browser) holds every file it needs under a relative path.
+
+use flight_core::BuildError;
+use std::collections::BTreeMap;
+use std::path::{Component, Path, PathBuf};
+use std::sync::{Arc, PoisonError, RwLock};
+
+/// Longest text file that is read \[bytes\].
+const MAX_TEXT_LENGTH: u64 = 64 * 1024 * 1024;
+
+static HELD: RwLock<BTreeMap<PathBuf, Arc<[u8]>>> = RwLock::new(BTreeMap::new());
+
+/// Holds a file in memory, for the whole program and as long as it runs; it is found instead of one on the disk.
+pub fn hold(path: &Path, bytes: Vec<u8>) {
+    HELD.write().unwrap_or_else(PoisonError::into_inner).insert(normal(path), bytes.into());
+}
+
+fn held(path: &Path) -> Option<Arc<[u8]>> {
+    HELD.read().unwrap_or_else(PoisonError::into_inner).get(&normal(path)).cloned()
+}
+
+/// Bytes of a file.
+///
+/// # Errors
+/// [`BuildError`] naming the file.
+pub fn read_bytes(path: &Path) -> Result<Arc<[u8]>, BuildError> {
+    let on_disk = || std::fs::read(path).map(Arc::from);
+    held(path).map_or_else(on_disk, Ok).map_err(|source| unreadable(path, source))
+}
+
+/// Text of a regular file.
+///
+/// # Errors
+/// [`BuildError`] naming the file, also for a device, a pipe, or more than 64 MiB.
+pub fn read_text(path: &Path) -> Result<String, BuildError> {
+    if let Some(bytes) = held(path) {
+        return String::from_utf8(bytes.to_vec())
+            .map_err(|error| BuildError::malformed(path.display().to_string(), error));
+    }
+    let metadata = std::fs::metadata(path).map_err(|source| unreadable(path, source))?;
+    if !metadata.is_file() || metadata.len() > MAX_TEXT_LENGTH {
+        let expected = format!("a regular file of at most {MAX_TEXT_LENGTH} bytes");
+        return Err(BuildError::malformed(path.display().to_string(), format!("expected {expected}")));
+    }
+    std::fs::read_to_string(path).map_err(|source| unreadable(path, source))
+}
+
+/// The path by which a file is known wherever it is named.
+///
+/// # Errors
+/// [`BuildError`] naming a file that does not exist.
+pub(crate) fn absolute(path: &Path) -> Result<PathBuf, BuildError> {
+    if held(path).is_some() {
+        return Ok(normal(path));
+    }
+    path.canonicalize().map_err(|source| unreadable(path, source))
+}
+
+fn unreadable(path: &Path, source: std::io::Error) -> BuildError {
+    BuildError::Unreadable { path: path.to_owned(), source }
+}
+
+/// A path without `.` and `..`.
+fn normal(path: &Path) -> PathBuf {
+    let mut out = PathBuf::new();
+    for part in path.components() {
+        match part {
+            Component::CurDir => {}
+            Component::ParentDir if matches!(out.components().next_back(), Some(Component::Normal(_))) => {
+                out.pop();
+            }
+            part => out.push(part),
+        }
+    }
+    out
+}

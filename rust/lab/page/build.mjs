@@ -1,0 +1,72 @@
+// Makes the page: `node build.mjs WASM LOOK OUT COMMIT`. One HTML file, one classic script, nothing fetched, so that it opens from
+// disk as from any server.
+import { build } from "esbuild";
+import { mkdirSync, readFileSync, readdirSync, statSync, writeFileSync } from "node:fs";
+import { gzipSync } from "node:zlib";
+import { dirname, join, relative } from "node:path";
+import { fileURLToPath } from "node:url";
+
+const [wasm, look, out, commit] = process.argv.slice(2);
+const here = dirname(fileURLToPath(import.meta.url));
+const root = join(here, "../../..");
+const MOST = 3e6; // bytes, compressed
+
+// What the choices of `scenario.js` build on.
+const KEPT = [
+  ["configs/aero", /\.toml$/],
+  ["configs/aero/networks", /^default\./],
+  ["configs/control", /^(aero_aware|aero_aware_published|baseline|observer|observer_without_model)\.toml$/],
+  ["configs/mission", /^(in_line|hover|closed_circuit|min_time)\./],
+  ["configs/robot", /^ironcub_mk1\./],
+  ["configs/simulator", /^flight(_published)?\.toml$/],
+];
+
+const files = {};
+const binary = {};
+for (const [folder, kept] of KEPT) {
+  for (const name of readdirSync(join(root, folder)).sort()) {
+    const path = join(root, folder, name);
+    if (!statSync(path).isFile() || !kept.test(name)) continue;
+    const bytes = readFileSync(path);
+    if (name.endsWith(".safetensors")) binary[relative(root, path)] = bytes.toString("base64");
+    else files[relative(root, path)] = bytes.toString("utf8");
+  }
+}
+
+const data = {
+  wasm: readFileSync(wasm).toString("base64"),
+  look: JSON.parse(readFileSync(look, "utf8")),
+  commit: commit || null,
+  files,
+  binary,
+};
+
+const bundled = await build({
+  entryPoints: [join(here, "main.js")],
+  bundle: true,
+  minify: true,
+  format: "iife",
+  target: ["es2022"],
+  write: false,
+  legalComments: "eof",
+  plugins: [
+    {
+      name: "data",
+      setup(made) {
+        made.onResolve({ filter: /^lab:data$/ }, () => ({ path: "data", namespace: "lab" }));
+        made.onLoad({ filter: /.*/, namespace: "lab" }, () => ({ contents: JSON.stringify(data), loader: "json" }));
+      },
+    },
+  ],
+});
+const script = bundled.outputFiles[0].contents;
+mkdirSync(out, { recursive: true });
+let compressed = gzipSync(script).length;
+writeFileSync(join(out, "lab.js"), script);
+for (const name of ["index.html", "style.css"]) {
+  const text = readFileSync(join(here, name));
+  compressed += gzipSync(text).length;
+  writeFileSync(join(out, name), text);
+}
+if (compressed > MOST) throw new Error(`the page has ${compressed} bytes compressed; expected at most ${MOST}`);
+console.log(`${out}: ${(compressed / 1e6).toFixed(2)} MB compressed, wasm ${(data.wasm.length * 0.75e-6).toFixed(2)} MB`);

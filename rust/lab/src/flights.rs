@@ -1,0 +1,157 @@
+//! Flights by number, and the questions that a page has.
+
+use flight_core::error::BuildError;
+use flight_core::kinematics::{Kinematics, RobotState};
+use flight_core::spatial::{Pose, rotation_from_wxyz};
+use flight_io::{Schema, from_value, resolve_table};
+use flight_sim::{Flight, Scenario, ScenarioConfig, Wind, WindConfig, figures};
+use serde::Deserialize;
+use serde_json::{Map, Value, json};
+use std::path::Path;
+
+/// Where paths of a page's configuration start.
+const FOLDER: &str = "configs/experiments";
+
+/// What a page may ask.
+#[derive(Deserialize)]
+#[serde(tag = "ask", rename_all = "snake_case", deny_unknown_fields)]
+enum Question {
+    /// A new flight of a configuration, which may build on the files that are held.
+    Begin { config: Map<String, Value> },
+    /// Another wind, from the next tick on.
+    Wind { flight: usize, wind: Value },
+    /// How a flight ended; before its end, as if it ended now.
+    Result { flight: usize },
+    /// Gives a flight's memory back.
+    End { flight: usize },
+}
+
+/// A flight and what its pose is computed in.
+struct Held {
+    flight: Flight,
+    state: RobotState,
+    kinematics: Kinematics,
+    poses: Vec<f64>,
+}
+
+/// All flights; a flight's number is its place.
+#[derive(Default)]
+pub struct Flights {
+    held: Vec<Option<Held>>,
+}
+
+impl Flights {
+    /// The answer to a question: an object, with `refused` in it if there is none.
+    pub fn answer(&mut self, question: &[u8]) -> String {
+        let question =
+            serde_json::from_slice(question).map_err(|error| BuildError::malformed("question", error));
+        let answer = question.and_then(|question| match question {
+            Question::Begin { config } => self.begin(config),
+            Question::Wind { flight, wind } => {
+                let wind: WindConfig = from_value(wind, "wind")?;
+                self.of(flight)?.flight.set_wind(Wind::new(&wind)?);
+                Ok(json!({}))
+            }
+            Question::Result { flight } => Ok(self.of(flight)?.result()),
+            Question::End { flight } => {
+                self.of(flight)?;
+                self.held[flight] = None;
+                Ok(json!({}))
+            }
+        });
+        answer.unwrap_or_else(|error| json!({ "refused": error.to_string() })).to_string()
+    }
+
+    fn of(&mut self, flight: usize) -> Result<&mut Held, BuildError> {
+        let held = self.held.get_mut(flight).and_then(Option::as_mut);
+        held.ok_or_else(|| BuildError::bad_value("flight", flight, "the number of one that has begun"))
+    }
+
+    fn begin(&mut self, config: Map<String, Value>) -> Result<Value, BuildError> {
+        let resolved = resolve_table(config, Path::new(FOLDER), &Schema::of::<ScenarioConfig>())?;
+        let config: ScenarioConfig = from_value(resolved, "scenario")?;
+        let flight = Scenario::new(&config)?.begin();
+        let robot = flight.robot();
+        let names = |names: Vec<&str>| names.into_iter().map(str::to_owned).collect::<Vec<_>>();
+        let free = self.held.iter().position(Option::is_none);
+        let number = free.unwrap_or(self.held.len());
+        let about = json!({
+            "flight": number,
+            "n_ticks": flight.n_ticks(),
+            "config": config,
+            "bodies": names(robot.bodies.iter().map(|body| body.name.as_str()).collect()),
+            "joints": names(robot.joints.iter().map(|joint| joint.name.as_str()).collect()),
+            "jets": names(robot.jets.iter().map(|jet| jet.name.as_str()).collect()),
+            "links": names(robot.aero_links.iter().map(|link| link.name.as_str()).collect()),
+            "signals": flight.log().series.iter().map(|series| json!({
+                "name": series.signal.name,
+                "unit": series.signal.unit,
+                "row_shape": series.row_shape,
+                "width": series.width(),
+            })).collect::<Vec<_>>(),
+        });
+        let held = Held {
+            state: RobotState::zero(robot.n_joints()),
+            kinematics: Kinematics::new(robot),
+            poses: Vec::new(),
+            flight,
+        };
+        if free.is_none() {
+            self.held.push(None);
+        }
+        self.held[number] = Some(held);
+        Ok(about)
+    }
+
+    /// Flies up to `ticks` ticks; the number of rows in the log.
+    pub fn advance(&mut self, flight: usize, ticks: usize) -> usize {
+        let Ok(Held { flight, .. }) = self.of(flight) else { return 0 };
+        for _ in 0..ticks {
+            if !flight.step() {
+                break;
+            }
+        }
+        flight.log().len()
+    }
+
+    /// All rows of a signal.
+    pub fn series(&self, flight: usize, index: usize) -> Option<&[f64]> {
+        let held = self.held.get(flight)?.as_ref()?;
+        held.flight.log().series.get(index).map(|series| &series.data[..])
+    }
+
+    /// Poses of all bodies at a row of the log: rotation by columns, then position.
+    pub fn pose(&mut self, flight: usize, row: usize) -> Option<&[f64]> {
+        let Held { flight, state, kinematics, poses } = self.of(flight).ok()?;
+        let log = flight.log();
+        let read = |name: &str| log.series(name).map(|series| series.row(row)).filter(|row| !row.is_empty());
+        let quaternion: [f64; 4] = read("base_quaternion")?.try_into().ok()?;
+        let position: [f64; 3] = read("base_position")?.try_into().ok()?;
+        state.base = Pose { rotation: rotation_from_wxyz(&quaternion), position: position.into() };
+        state.joint_position.as_mut_slice().copy_from_slice(read("joint_position")?);
+        kinematics.update(flight.robot(), state);
+        poses.clear();
+        for body in &kinematics.bodies {
+            poses.extend(body.i_from_b.rotation.iter().chain(&body.i_from_b.position));
+        }
+        Some(poses)
+    }
+}
+
+impl Held {
+    fn result(&self) -> Value {
+        let (summary, loss) = (self.flight.summary(), self.flight.loss());
+        let figures = figures()
+            .into_iter()
+            .zip(summary.values())
+            .map(|(figure, value)| (figure.name.to_owned(), value.into()));
+        json!({
+            "has_ended": self.flight.has_ended(),
+            "outcome": self.flight.outcome(&summary).name(),
+            "lost_time": loss.map(|loss| loss.time),
+            "lost_reason": loss.map(|loss| loss.reason.to_string()),
+            "joint_setpoint": self.flight.log().joint_setpoint,
+            "summary": figures.collect::<Map<String, Value>>(),
+        })
+    }
+}
