@@ -28,11 +28,16 @@ NUMPY_FEATURES = $(shell $(BIN)/python -c 'import numpy; \
 NUMERICAL := $(if $(QUICK),tests/parity/test_qp.py tests/parity/test_jax_qp_box.py tests/parity/test_aero.py, \
 	tests/parity tests/gradients tests/units tests/train)
 
+# The flight lab: a page that flies in a browser. Vector instructions that every browser has since 2023.
+LAB := target/lab
+LAB_PAGE := rust/lab/page
+LAB_WASM := target/wasm32-unknown-unknown/release/flight_lab.wasm
+
 # One interpreter for every build of the bindings, so that cargo does not build them again for another.
 export PYO3_PYTHON := $(abspath $(BIN)/python)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo view test lint bench figures reproduce verify docs clean portability wheel
+.PHONY: help setup demo view test lint bench figures reproduce verify docs lab clean portability wheel
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -105,9 +110,23 @@ docs: $(MODULE) ## build the documentation site into site/, the crate's own besi
 	$(BIN)/python -m mkdocs build --strict
 	cargo doc --locked --no-deps --package flight-core --package flight-io --package flight-sim
 	rm -rf site/rust && cp -r target/doc site/rust
+	if [ -d $(LAB) ]; then mkdir -p site/lab && cp -r $(LAB) site/lab/fly; else echo "no flight lab: make lab builds it"; fi
+
+lab: $(MODULE) $(LAB_PAGE)/node_modules ## build the flight lab into target/lab/: a folder that any browser opens (needs npm)
+	@rustc --print target-libdir --target wasm32-unknown-unknown | xargs test -d || \
+		{ echo "Rust's WebAssembly target is missing: rustup target add wasm32-unknown-unknown"; exit 1; }
+	RUSTFLAGS="-C target-feature=+simd128" cargo build --locked --quiet --release --package flight-lab \
+		--target wasm32-unknown-unknown
+	$(BIN)/python rust/lab/look.py target/look.json
+	node $(LAB_PAGE)/build.mjs $(LAB_WASM) target/look.json $(LAB) "$$(git rev-parse HEAD 2>/dev/null)"
+
+$(LAB_PAGE)/node_modules: $(LAB_PAGE)/package-lock.json
+	@command -v npm >/dev/null || { echo "npm is missing: apt-get install nodejs npm, or https://nodejs.org"; exit 1; }
+	npm ci --prefix $(LAB_PAGE) --silent --no-audit --no-fund
+	@touch $@
 
 clean: ## remove what set-up and builds made; results stay
-	rm -rf target site dist $(VENV) jax_aero/_core*.so .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf target site dist $(VENV) $(LAB_PAGE)/node_modules jax_aero/_core*.so .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Stamps: a second `make demo` starts at once.

@@ -37,6 +37,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "report": Command("experiments.report.command:main", "figs", "write all results on one page"),
         "view": Command("jax_aero.view.command:view", "view", "watch a flight in the browser, and fly it again"),
         "video": Command("jax_aero.view.command:video", "view", "film a flight"),
+        "import-lab": Command("experiments.import_lab:main", "figs", "make a result of what the flight lab exported"),
         "snapshot": Command("jax_aero.view.command:snapshot", "view", "draw moments of a flight"),
     },
     "understand": {

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,3 +47,30 @@ class FlightResult:
 
     def __getitem__(self, signal: str) -> NDArray[np.float64]:
         return self.log[signal]
+
+
+LAB_FORMAT = ("flight-lab-run", 1)
+"""Format and version of the `run.json` that the flight lab exports."""
+
+
+def from_lab(document: Mapping[str, Any]) -> FlightResult:
+    """Return the flight in a `run.json` of the flight lab, to the last bit."""
+    if (found := (document.get("format"), document.get("version"))) != LAB_FORMAT:
+        raise ValueError(f"`format` and `version` are {found}; expected {LAB_FORMAT}")
+
+    def signal(name: str) -> NDArray[np.float64]:
+        entry = document["log"][name]
+        values = np.frombuffer(base64.b64decode(entry["data"], validate=True), dtype="<f8")
+        if values.size != math.prod(entry["shape"]):
+            raise ValueError(f"`{name}` has {values.size} numbers; expected shape {entry['shape']}")
+        return values.reshape(entry["shape"]).astype(np.float64)
+
+    return FlightResult(
+        log={name: signal(name) for name in document["log"]},
+        joint_setpoint=np.asarray(document["joint_setpoint"], dtype=np.float64),
+        outcome=document["outcome"],
+        lost_time=document["lost_time"],
+        lost_reason=document["lost_reason"],
+        # JSON has no infinity and no NaN.
+        summary={name: math.nan if value is None else value for name, value in document["summary"].items()},
+    )

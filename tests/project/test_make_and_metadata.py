@@ -24,6 +24,7 @@ TARGETS = {
     "reproduce",
     "verify",
     "docs",
+    "lab",
     "view",
     "clean",
     "portability",

@@ -81,7 +81,7 @@ export const DEFAULTS = {
   ...Object.fromEntries(Object.entries(NUMBERS).map(([key, { value }]) => [key, value])),
   /** An engine that is switched off: its name and when [s]. */
   engine: null,
-  /** A dragged wind: [time [s], x, y [m/s]], linear in between; it begins where the ramp was left. */
+  /** A dragged wind: [time [s], x, y [m/s]], linear in between. The first is where the ramp is left, with the ramp's wind. */
   steer: [],
 };
 
@@ -124,7 +124,8 @@ export function rampUntil(settings, time) {
 
 function wind(settings) {
   if (settings.steer.length) {
-    const samples = [...rampUntil(settings, settings.steer[0][0]).slice(0, -1), ...settings.steer];
+    const [[left], ...dragged] = settings.steer;
+    const samples = [...rampUntil(settings, left), ...dragged];
     return { profile: "samples", samples: samples.map(([time, x, y]) => [time, x, y, 0]) };
   }
   const [x, y] = velocity(settings.speed, settings.from);

@@ -3,8 +3,8 @@ import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
 const THEMES = {
-  light: { sky: 0xdce9f3, ground: 0xe9ecef, fine: 0xcfd4da, coarse: 0xaab1ba, ink: "#3a4450", light: 2.2 },
-  dark: { sky: 0x10161d, ground: 0x171e26, fine: 0x28313c, coarse: 0x3a4654, ink: "#b8c4d0", light: 1.5 },
+  light: { sky: 0xd5e4f0, ground: 0xe4e8ec, fine: 0xb9c0c8, coarse: 0x7d8792, ink: "#3a4450", light: 2.2 },
+  dark: { sky: 0x10161d, ground: 0x171e26, fine: 0x303b48, coarse: 0x55657a, ink: "#b8c4d0", light: 1.5 },
 };
 const FOLLOWED = 0.75; // height at which the followed centre of mass is drawn [m]
 const TRAIL = 4000; // points
@@ -177,10 +177,37 @@ export class Scene {
     Object.assign(this.sun.shadow.camera, { left: -3, right: 3, top: 3, bottom: -3, near: 1, far: 30 });
     this.sun.shadow.bias = -5e-4;
     this.scene.add(this.sky, this.sun, this.sun.target);
-    this.plane = new THREE.Mesh(new THREE.PlaneGeometry(400, 400), new THREE.MeshStandardMaterial({ roughness: 1 }));
+    this.ground = { offset: { value: new THREE.Vector2() }, fine: { value: new THREE.Color() }, coarse: { value: new THREE.Color() } };
+    const material = new THREE.MeshStandardMaterial({ roughness: 1 });
+    // Lines every 1 m and 10 m, one pixel wide, fading where they would be closer than a few pixels.
+    material.onBeforeCompile = (shader) => {
+      Object.assign(shader.uniforms, this.ground);
+      shader.vertexShader = shader.vertexShader
+        .replace("#include <common>", "#include <common>\nvarying vec2 place;")
+        .replace("#include <begin_vertex>", "#include <begin_vertex>\nplace = position.xy;");
+      shader.fragmentShader = shader.fragmentShader
+        .replace(
+          "#include <common>",
+          `#include <common>
+          varying vec2 place;
+          uniform vec2 offset;
+          uniform vec3 fine, coarse;
+          float lines(float cell) {
+            vec2 at = (place + offset) / cell, width = fwidth(at);
+            vec2 near = 1.0 - min(abs(fract(at - 0.5) - 0.5) / width, 1.0);
+            return max(near.x, near.y) * (1.0 - smoothstep(0.1, 0.4, max(width.x, width.y)));
+          }`,
+        )
+        .replace(
+          "#include <color_fragment>",
+          `#include <color_fragment>
+          diffuseColor.rgb = mix(diffuseColor.rgb, fine, lines(1.0));
+          diffuseColor.rgb = mix(diffuseColor.rgb, coarse, lines(10.0));`,
+        );
+    };
+    this.plane = new THREE.Mesh(new THREE.PlaneGeometry(400, 400), material);
     this.plane.receiveShadow = true;
     this.scene.add(this.plane);
-    this.grids = [];
   }
 
   #mark(farthest) {
@@ -211,7 +238,7 @@ export class Scene {
 
   /** Puts the camera where it sees robot and wind from behind the right shoulder. */
   view() {
-    this.camera.position.set(-3.1, -2.7, 2.0);
+    this.camera.position.set(-3.7, -2.0, 1.9);
     this.controls.target.set(0, 0, 0.85);
     this.controls.update();
     this.isMoved = true;
@@ -220,18 +247,11 @@ export class Scene {
   theme(name) {
     const theme = THEMES[name];
     this.scene.background = new THREE.Color(theme.sky);
-    this.scene.fog = new THREE.Fog(theme.sky, 14, 60);
+    this.scene.fog = new THREE.Fog(theme.sky, 12, 50);
     this.plane.material.color.set(theme.ground);
     this.sun.intensity = theme.light;
-    for (const grid of this.grids) this.scene.remove(grid);
-    this.grids = [
-      [1, theme.fine],
-      [10, theme.coarse],
-    ].map(([cell, tint]) => {
-      const grid = new THREE.GridHelper(200, 200 / cell, tint, tint).rotateX(Math.PI / 2);
-      this.scene.add(grid);
-      return Object.assign(grid, { cell });
-    });
+    this.ground.fine.value.set(theme.fine);
+    this.ground.coarse.value.set(theme.coarse);
     for (const { sprite, canvas, text } of this.posts) {
       const pen = canvas.getContext("2d");
       pen.clearRect(0, 0, 128, 64);
@@ -279,8 +299,8 @@ export class Scene {
       this.ghost.show(ghost.poses, ghost.thrust);
       this.ghostTrail.show(ghost.path, ghost.row);
     }
-    this.plane.position.z = height - 0.002;
-    for (const grid of this.grids) grid.position.set(-(com.x % grid.cell), -(com.y % grid.cell), height + grid.cell * 1e-4);
+    this.plane.position.z = height;
+    this.ground.offset.value.set(com.x, com.y);
     this.#blow(now, seconds);
     this.isMoved = true;
   }

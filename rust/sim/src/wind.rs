@@ -193,8 +193,10 @@ fn check_samples(samples: &[[f64; 4]]) -> Result<Vec<(f64, Vector3<f64>)>, Build
     if let Some(sample) = samples.iter().find(|sample| !sample.iter().all(|number| number.is_finite())) {
         return refuse(format!("{sample:?}"), "four finite numbers: time, x, y, z");
     }
-    if let Some([_, after]) = samples.array_windows().find(|[before, after]| before[0] >= after[0]) {
-        return refuse(format!("{after:?}"), "a time later than that of the sample before");
+    for (before, after) in samples.iter().zip(&samples[1..]) {
+        if before[0] >= after[0] {
+            return refuse(format!("{after:?}"), "a time later than that of the sample before");
+        }
     }
     Ok(samples.iter().map(|[time, x, y, z]| (*time, Vector3::new(*x, *y, *z))).collect())
 }

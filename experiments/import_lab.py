@@ -1,0 +1,78 @@
+"""A flight of the flight lab as a result folder: `run.json`, which the page exports, to `run.nc` and `manifest.json`.
+
+The configuration is checked and hashed as that of any flight, so that `python -m experiments` and the viewer take the
+folder for what it is.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from experiments import Refused, flight, manifest, record
+from jax_aero import cli, places, result, rust
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    parser = cli.Parser("import-lab", __doc__)
+    parser.add_argument("run", type=Path, help="run.json, as the lab exports it")
+    parser.add_argument("--name", default="lab", help="name of the result (default: lab)")
+    parser.add_argument("--out", type=Path, default=flight.RESULTS, help="folder of the result folder")
+    parser.add_argument("--overwrite", action="store_true", help="replace a result of that name")
+    given = parser.parse_args(arguments)
+    try:
+        document = read(given.run, given.out / given.name, overwrite=given.overwrite)
+    except Refused as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return cli.REFUSED
+    when = "" if document["lost_time"] is None else f" at {document['lost_time']:.2f} s"
+    print(f"{given.out / given.name}: {document['title']}: {document['outcome']}{when}")
+    return 0
+
+
+def read(path: Path, folder: Path, *, overwrite: bool = False) -> dict[str, Any]:
+    """Write the result folder of a `run.json`; return its manifest."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        flown = result.from_lab(document)
+        config = here(document["config"])
+        digest = rust.config_digest(config)
+    except (OSError, ValueError, KeyError, TypeError) as reason:
+        raise Refused(f"{path} is no run of the lab: {reason!r}") from None
+    if flight.existing(folder, digest, overwrite=overwrite) is None:
+        written = {
+            **{key: value for key, value in document.items() if key not in ("format", "version", "log", "has_ended")},
+            "name": folder.name,
+            "config": manifest.portable(config),
+            "config_digest": digest,
+            "overrides": {},
+            "seed": dict(manifest.seeds(config)) or None,
+            "command": f"flight lab {document['link']}",
+        }
+        dataset = record.to_dataset(flown, rust.Robot(config["robot"]), title=document["title"], config_digest=digest)
+        record.write_run(folder, dataset, written, replace=overwrite)
+    manifest_of_folder = record.read_manifest(folder)
+    assert manifest_of_folder is not None  # it was written, or was there
+    return manifest_of_folder
+
+
+def here(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a configuration of the lab with its paths in this repository."""
+
+    def moved(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: moved(item) for key, item in value.items()}
+        if isinstance(value, list):
+            return [moved(item) for item in value]
+        if isinstance(value, str) and value.startswith("configs/"):
+            return str(places.HOME / value)
+        return value
+
+    table = moved(copy.deepcopy(dict(config)))
+    assert isinstance(table, dict)
+    return table
