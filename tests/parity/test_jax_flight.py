@@ -239,7 +239,10 @@ WINDS = {
     "calm that is turbulent": TURBULENT | {"velocity": [0.0, 0.0, 0.0], "seed": 2**60 + 7},
     "constant": {"profile": "constant", "velocity": [1.0, -2.0, 0.5]},
     "gust": {"profile": "gust", "velocity": [0.0, -4.0, 0.0], "gust": [2.0, 0.0, -1.0], "start": 0.1, "duration": 0.2},
-    "samples": {"profile": "samples", "samples": [[0.05, 1.0, 2.0, 3.0], [0.1, -1.0, 0.5, 0.0], [0.25, 4.0, -3.0, 1.0]]},
+    "samples": {
+        "profile": "samples",
+        "samples": [[0.05, 1.0, 2.0, 3.0], [0.1, -1.0, 0.5, 0.0], [0.25, 4.0, -3.0, 1.0]],
+    },
     "step": {"profile": "ramp", "velocity": [0.0, -3.0, 0.0], "ramp_start": 0.2, "ramp_end": 0.2},
 }
 
