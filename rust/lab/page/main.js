@@ -522,7 +522,10 @@ class Page {
     this.clear.hidden = !settings.steer.length;
     for (const [button, test] of this.tests) button.setAttribute("aria-pressed", toHash({ ...DEFAULTS, ...test }) === toHash(settings));
     for (const [button, jet] of this.engines) button.setAttribute("aria-pressed", settings.engine?.[0] === jet);
-    [...$("tour").children].forEach((button, index) => button.setAttribute("aria-current", index === this.scenario));
+    [...$("tour").children].forEach((button, index) => {
+      button.setAttribute("aria-current", index === this.scenario);
+      if (index === this.scenario) $("tour").scrollLeft = button.offsetLeft - $("tour").offsetLeft - 40;
+    });
     if (this.scenario === null) $("caption").hidden = true;
     const colours = JET_COLOURS[matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"];
     [...$("jets-key").children].forEach((key, index) => (key.style.color = colours[index]));
