@@ -252,7 +252,11 @@ def _python_type(name: str, node: Node) -> str:
             _class(names[kind], option, f', tag_field="{tagged.tag}", tag="{kind}"')
             for kind, option in tagged.kinds.items()
         ]
-        return "".join(classes) + f"\n\n{name}: TypeAlias = {' | '.join(names.values())}\n{text}"
+        union = " | ".join(names.values())
+        is_long = len(f"{name}: TypeAlias = {union}") > 120
+        return (
+            "".join(classes) + f"\n\n{name}: TypeAlias = " + (f"(\n    {union}\n)" if is_long else union) + f"\n{text}"
+        )
     return _class(name, node, "")
 
 
