@@ -4,8 +4,9 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
-PACKAGES := $(VENV)/.packages
+# The module with what flying and drawing need, and the packages that everything else needs.
 MODULE := $(VENV)/.module
+PACKAGES := $(VENV)/.packages
 RUST_SOURCES := Cargo.toml Cargo.lock $(shell find rust -name '*.rs' -o -name Cargo.toml)
 DEMO := test1 test2 test1_observer test1_published test2_published test1_published_observer
 
@@ -43,31 +44,32 @@ export PYO3_PYTHON := $(abspath $(BIN)/python)
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
-setup: $(MODULE) ## create .venv, install the pinned packages, compile the Rust module
+setup: $(PACKAGES) ## create .venv, compile the Rust module, install all pinned packages
 
 demo: $(MODULE) ## fly three controllers with corrected and with published lever arms: table and figure
+	@echo "six flights of 50 s and two figures (half a minute)"
 	$(BIN)/python -m experiments $(DEMO) --overwrite
 	$(BIN)/python -m paper_figs demo fig5
 
-view: $(MODULE) ## fly in the browser: drag the wind until the robot falls
+view: $(PACKAGES) ## fly in the browser: drag the wind until the robot falls
 	$(BIN)/python -m jax_aero view
 
-test: $(MODULE) ## run every test, Rust first, then Python
+test: $(PACKAGES) ## run every test, Rust first, then Python
 	rm -rf $(MEASURED)
 	MEASURED=$(MEASURED) cargo test --locked
 	MEASURED=$(MEASURED) $(JAX_CACHE) $(BIN)/python -m pytest $(PARALLEL)
 
-portability: $(MODULE) ## run the numerical tests as another processor would, on one core and on two (QUICK=1: a minute)
+portability: $(PACKAGES) ## run the numerical tests as another processor would, on one core and on two (QUICK=1: a minute)
 	$(if $(QUICK),,$(OTHER_PROCESSOR) cargo test --locked)
 	$(if $(QUICK),,$(OTHER_PROCESSOR) taskset --cpu-list 0 $(BIN)/python -m pytest -q $(NUMERICAL))
 	$(OTHER_PROCESSOR) taskset --cpu-list 0,1 $(BIN)/python -m pytest -q $(PARALLEL) $(NUMERICAL)
 
-wheel: $(MODULE) ## build wheel and source package into dist/, and fly with the wheel alone in an empty environment
+wheel: $(PACKAGES) ## build wheel and source package into dist/, and fly with the wheel alone in an empty environment
 	rm -rf dist
 	$(BIN)/maturin build --release --locked --quiet --sdist --out dist
 	$(BIN)/python tests/wheel.py dist/*.whl
 
-lint: $(MODULE) ## check formats, lints, types and import contracts
+lint: $(PACKAGES) ## check formats, lints, types and import contracts
 	cargo fmt --all --check
 	cargo clippy --locked --workspace --all-targets -- -D warnings
 	$(BIN)/ruff check .
@@ -75,17 +77,17 @@ lint: $(MODULE) ## check formats, lints, types and import contracts
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(MODULE) ## measure every part of a tick, and the crate beside Pinocchio, DAQP and Clarabel
+bench: $(PACKAGES) ## measure every part of a tick, and the crate beside Pinocchio, DAQP and Clarabel
 	cargo bench --locked --bench dynamics --bench aero --bench qp --bench flight
 	$(BIN)/python -m experiments.bench
 	$(BIN)/python -m experiments.bench_symbolic
 	$(BIN)/python -m experiments.bench_jax --quick
 
-figures: $(MODULE) ## draw every figure whose results are there; flies the demo's flights if they are not
+figures: $(PACKAGES) ## draw every figure whose results are there; flies the demo's flights if they are not
 	$(BIN)/python -m experiments $(DEMO)
 	-$(BIN)/python -m paper_figs all
 
-reproduce: $(MODULE) ## fly everything, draw everything, write results/report.md and .html (20 minutes on 2 cores)
+reproduce: $(PACKAGES) ## fly everything, draw everything, write results/report.md and .html (20 minutes on 2 cores)
 	$(BIN)/python -m experiments --all
 	$(BIN)/python -m experiments sweep --all
 	$(BIN)/python -m experiments engine-choice
@@ -100,12 +102,12 @@ reproduce: $(MODULE) ## fly everything, draw everything, write results/report.md
 	-$(BIN)/python -m paper_figs all
 	$(BIN)/python -m experiments report
 
-verify: $(MODULE) ## compare the crate with independent implementations and stored states
+verify: $(PACKAGES) ## compare the crate with independent implementations and stored states
 	$(BIN)/python -m jax_aero verify
 	$(BIN)/python -m jax_aero verify --config configs/experiments/test4.toml
 	$(BIN)/python -m pytest tests/parity
 
-docs: $(MODULE) ## build the documentation site into site/, the crate's own beside it
+docs: $(PACKAGES) ## build the documentation site into site/, the crate's own beside it
 	$(BIN)/python -m experiments schema
 	$(BIN)/python -m mkdocs build --strict
 	cargo doc --locked --no-deps --package flight-core --package flight-io --package flight-sim
@@ -134,10 +136,18 @@ $(BIN)/python:
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed; name one with PYTHON=..."; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-$(PACKAGES): requirements.lock | $(BIN)/python
-	$(BIN)/python -m pip install --quiet -r requirements.lock
+$(VENV)/.maturin: requirements.lock | $(BIN)/python
+	@echo "set-up 1 of 2: build tool (seconds)"
+	$(BIN)/python -m pip install --quiet --constraint requirements.lock maturin
 	@touch $@
 
-$(MODULE): $(PACKAGES) pyproject.toml $(RUST_SOURCES)
-	PIP_QUIET=1 VIRTUAL_ENV=$(abspath $(VENV)) env -u CONDA_PREFIX $(BIN)/maturin develop --release --locked --quiet
+$(MODULE): $(VENV)/.maturin pyproject.toml $(RUST_SOURCES)
+	@echo "set-up 2 of 2: compile the Rust module, install what flying and drawing need (two minutes on two cores)"
+	PIP_QUIET=1 PIP_CONSTRAINT=$(abspath requirements.lock) VIRTUAL_ENV=$(abspath $(VENV)) env -u CONDA_PREFIX \
+		$(BIN)/maturin develop --release --locked --quiet --extras figs
+	@touch $@
+
+$(PACKAGES): requirements.lock | $(MODULE)
+	@echo "set-up of everything else: JAX, viewer, tests, documents (2.5 GB, some minutes)"
+	$(BIN)/python -m pip install --quiet -r requirements.lock
 	@touch $@

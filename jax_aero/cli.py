@@ -32,9 +32,9 @@ class Command(NamedTuple):
 GROUPS: dict[str, dict[str, Command]] = {
     "fly and look": {
         "fly": Command("experiments.__main__:fly", "figs", "fly experiments by name: jax-aero fly test2"),
-        "sweep": Command("experiments.sweep.command:main", "figs", "fly many perturbed flights, and count"),
+        "sweep": Command("experiments.sweep.command:main", "sweeps", "fly many perturbed flights, and count"),
         "figures": Command("paper_figs.__main__:main", "figs", "draw figures from results"),
-        "report": Command("experiments.report.command:main", "figs", "write all results on one page"),
+        "report": Command("experiments.report.command:main", "sweeps", "write all results on one page"),
         "view": Command("jax_aero.view.command:view", "view", "watch a flight in the browser, and fly it again"),
         "video": Command("jax_aero.view.command:video", "view", "film a flight"),
         "import-lab": Command("experiments.import_lab:main", "figs", "make a result of what the flight lab exported"),
@@ -58,7 +58,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "surrogate-dataset": Command("experiments.surrogate_dataset:main", "twin", "make data to learn from"),
         "train": Command("experiments.training.command:main", "train", "train an aerodynamic network"),
         "train-search": Command("experiments.training.search:main", "train", "search for a network's settings"),
-        "schema": Command("experiments.schema:main", "figs", "write what follows from the configuration's types"),
+        "schema": Command("experiments.schema:main", "symbolic", "write what follows from the configuration's types"),
     },
 }
 
