@@ -8,7 +8,7 @@
 `load`, `fly` and `fly_batch` are those of the Rust crate, which is the authority on physics and control
 (`jax_aero.rust` has the rest of it). `prepare` and `rollout` are the same flight in JAX, to `jit`, `vmap` and `grad`;
 `changed` replaces numbers in what `prepare` returns (`jax_aero.sim` has the rest). `air` gives aerodynamic forces to
-other simulators. What needs a package of an extra imports
+other simulators, `env` is the flight as a reinforcement-learning environment. What needs a package of an extra imports
 it on first use.
 """
 
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jax_aero import air as air
+    from jax_aero import env as env
     from jax_aero import rust as rust
     from jax_aero import sim as sim
     from jax_aero.rust import __version__ as __version__
@@ -35,6 +36,7 @@ _PLACES = {
     "__version__": "jax_aero.rust:__version__",
     "air": "jax_aero.air",
     "changed": "jax_aero.types:changed",
+    "env": "jax_aero.env",
     "fly": "jax_aero.rust:fly",
     "fly_batch": "jax_aero.rust:fly_batch",
     "load": "jax_aero.rust:load_config",

@@ -1,5 +1,7 @@
 """The documentation builds without a warning, and what it shows, runs."""
 
+import ast
+import importlib
 import re
 import shutil
 import subprocess
@@ -21,6 +23,7 @@ PAGES = sorted([DOCS / "index.md", DOCS / "start.md", *DOCS.glob("tutorial/*.md"
 FENCE = re.compile(r"(?:<!-- test: (?P<kind>[\w-]+) -->\n)?^```(?P<language>\w+)\n(?P<code>.*?)^```$", re.M | re.S)
 KINDS = {
     ("run", "python"),
+    ("parse", "python"),  # takes minutes to compile; its names are checked
     ("run", "sh"),
     ("dry-run", "sh"),
     ("show", "sh"),
@@ -73,6 +76,15 @@ def test_the_python_of_a_page_is_one_program_that_runs(page):
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False, timeout=120
     )
     assert answer.returncode == 0, answer.stderr
+
+
+@pytest.mark.parametrize("page", having("parse", "python"), ids=name)
+def test_the_names_that_a_page_imports_exist(page):
+    for code in blocks(page, "parse", "python"):
+        for node in ast.walk(ast.parse(code)):
+            if isinstance(node, ast.ImportFrom):
+                module = importlib.import_module(str(node.module))
+                assert all(hasattr(module, alias.name) for alias in node.names)
 
 
 @pytest.mark.parametrize("page", having("run", "sh"), ids=name)

@@ -1,0 +1,191 @@
+"""The flight as a reinforcement-learning environment of pure functions, shaped like those of MuJoCo Playground.
+
+>>> import jax
+>>> from jax_aero import env
+>>> hover = env.FlightEnv()
+>>> states = jax.jit(jax.vmap(hover.reset))(jax.random.split(jax.random.key(0), 8))
+>>> states = jax.jit(jax.vmap(hover.step))(states, jax.numpy.zeros((8, hover.action_size)))
+>>> states.obs.shape, states.reward.shape
+((8, 65), (8,))
+
+An action of as many numbers between −1 and 1 as there are jets and joints is a residual on the controller's thrust
+rates and joint velocities, or takes their place (`env_task.Task.steering`). An episode ends when the robot is lost; how
+long it may last, and how finished ones start anew, is the trainer's: `episode_length` says what the task intends.
+`jax_aero.env_gym` is the same task for Gymnasium, over the crate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax_aero.control.protocol import Command, Measurement
+from jax_aero.control.tick import MomentumController
+from jax_aero.env_task import Seen, Task, added_torque, observation, rewards, steering
+from jax_aero.io import load_config
+from jax_aero.kinematics import kinematics
+from jax_aero.robot import RobotModel
+from jax_aero.sim.step import FLYING, FlightRow, FlightState, Scenario, prepare, step
+from jax_aero.types import Array, Static, changed, pytree
+from jax_aero.types import State as RobotState
+
+__all__ = ["EnvState", "FlightEnv", "Task"]
+
+
+class EnvState(NamedTuple):
+    """An environment between two steps."""
+
+    flight: FlightState
+    tick: Array
+    """Number of the next tick."""
+    wind: Array
+    """Of this episode, after its rise (3,) [m/s]."""
+    com_setpoint: Array
+    """(3,) [m]."""
+    setpoint_rotation: Array
+    """(3, 3)."""
+    obs: Array
+    reward: Array
+    done: Array
+    """1 where the robot is lost."""
+    metrics: dict[str, Array]
+    """Parts of the reward, and the errors of attitude [rad] and position [m]."""
+    info: dict[str, Any]
+    """For wrappers; left as it is."""
+
+
+@pytree
+class Steered:
+    """The flight controller with an action laid over its answer."""
+
+    inner: MomentumController
+    action: Array
+    task: Static[Task]
+
+    def init(self, robot: RobotModel, state: RobotState) -> Any:
+        """Start the controller."""
+        return self.inner.init(robot, state)
+
+    def step(self, robot: RobotModel, state: Any, measurement: Measurement) -> tuple[Any, Command]:
+        """One tick, and what the action changes of it."""
+        inner = self.inner
+        memory, command = inner.step(robot, state, measurement)
+        terms = command.terms
+        assert terms is not None
+        assert command.joint_velocity is not None
+        rates, velocities = steering(jnp, self.task, self.action, command.thrust_rate, command.joint_velocity)
+        bounds, j = terms.momentum_qp.problem, rates.shape[0]
+        rates = jnp.clip(rates, bounds.lower[:j], bounds.upper[:j])
+        more = added_torque(
+            jnp,
+            terms.torque_qp.problem.h,
+            terms.torque_qp.gain,
+            inner.torque.weight_acceleration,
+            inner.torque.kd,
+            velocities - command.joint_velocity,
+        )
+        torque = jnp.clip(command.joint_torque + more, -inner.torque_max, inner.torque_max)
+        return memory, command._replace(thrust_rate=rates, joint_torque=torque, joint_velocity=velocities)
+
+
+class FlightEnv:
+    """Hover in a wind that every episode draws anew; `reset` and `step` are pure, to `jit` and `vmap`.
+
+    Parameters
+    ----------
+    task
+        What there is to learn.
+    changes
+        Dotted keys of the configuration to change, as in `load_config`.
+    dtype
+        Precision of the simulation; by default JAX's own (`jax.enable_x64`).
+    """
+
+    def __init__(self, task: Task | None = None, changes: Mapping[str, Any] | None = None, dtype: Any = None) -> None:
+        self.task = task or Task()
+        precision = np.dtype(jnp.result_type(float)) if dtype is None else np.dtype(dtype)
+        self._scenario, self._start = prepare(
+            self.task.episode(load_config(self.task.experiment, changes)), dtype=precision
+        )
+        if not isinstance(self._scenario.controller, MomentumController):
+            raise TypeError("the experiment's controller is not the momentum controller")
+        robot = self._scenario.plant.robot
+        self.action_size = robot.jets.count + robot.n_joints
+        self.observation_size = 15 + 2 * robot.n_joints + robot.jets.count
+        self.dt = float(self._scenario.plant.time_step)
+        self.episode_length = round(self.task.duration / self.dt)
+
+    def reset(self, key: Array) -> EnvState:
+        """Begin an episode: draw its wind."""
+        speed_key, direction_key = jax.random.split(key)
+        dtype = self._start.plant.robot.velocity.dtype
+        speed = jax.random.uniform(speed_key, (), dtype, 0.0, self.task.wind_max)
+        angle = jax.random.uniform(direction_key, (), dtype, 0.0, 2.0 * jnp.pi)
+        wind = speed * jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)])
+        return self.start(wind)
+
+    def start(self, wind: Array) -> EnvState:
+        """Begin an episode in a given wind (3,) [m/s]."""
+        flight = self._start
+        robot = flight.plant.robot
+        wind = jnp.asarray(wind, robot.velocity.dtype)
+        zero = jnp.zeros((), robot.velocity.dtype)
+        names = ("attitude", "position", "effort", "attitude_error", "position_error")
+        com = kinematics(self._scenario.plant.robot, robot).com
+        state = EnvState(
+            flight=flight,
+            tick=jnp.zeros((), jnp.int32),
+            wind=wind,
+            com_setpoint=com,
+            setpoint_rotation=robot.base_rotation,
+            obs=jnp.zeros(self.observation_size, jnp.float32),
+            reward=zero,
+            done=zero,
+            metrics=dict.fromkeys(names, zero),
+            info={},
+        )
+        return state._replace(obs=self._observe(state)[1])
+
+    def step(self, state: EnvState, action: Array) -> EnvState:
+        """Fly one tick with an action (action_size,) between −1 and 1."""
+        inner = self._scenario.controller
+        assert isinstance(inner, MomentumController)
+        action = jnp.asarray(action, state.wind.dtype)
+        scenario: Scenario = changed(self._scenario, {"wind.velocity": state.wind})
+        scenario = replace(scenario, controller=Steered(inner, action, self.task))
+        flight, row = step(scenario, state.flight, state.tick)
+        assert isinstance(row, FlightRow)
+        state = state._replace(flight=flight, tick=state.tick + 1, com_setpoint=row.com_setpoint)
+        seen, obs = self._observe(state)
+        parts = rewards(jnp, seen, action)
+        lost = flight.loss != FLYING
+        finite = {name: jnp.where(lost, 0.0, value).astype(state.reward.dtype) for name, value in parts.items()}
+        errors = {
+            "attitude_error": row.rotation_error,
+            "position_error": jnp.linalg.norm(seen.com_error),
+        }
+        return state._replace(
+            obs=jnp.where(jnp.isfinite(obs), obs, 0.0),
+            reward=sum(finite.values(), jnp.zeros_like(state.reward)),
+            done=lost.astype(state.done.dtype),
+            metrics=finite | errors,
+        )
+
+    def _observe(self, state: EnvState) -> tuple[Seen, Array]:
+        robot, now = self._scenario.plant.robot, state.flight.plant
+        seen = Seen(
+            rotation=now.robot.base_rotation,
+            velocity=now.robot.velocity,
+            joint_position=now.robot.joint_position,
+            thrust=now.jets.thrust,
+            com_error=kinematics(robot, now.robot).com - state.com_setpoint,
+            setpoint_rotation=state.setpoint_rotation,
+            posture=self._start.plant.robot.joint_position,
+        )
+        obs: Array = observation(jnp, seen, robot.jets.thrust_max)
+        return seen, obs

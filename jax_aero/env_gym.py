@@ -1,0 +1,105 @@
+"""The flight as an environment of Gymnasium: a loop over the plant and the controller of the crate, without JAX.
+
+>>> from jax_aero.env_gym import HoverEnv
+>>> hover = HoverEnv()
+>>> obs, info = hover.reset(seed=0)
+>>> obs, reward, terminated, truncated, info = hover.step(hover.action_space.sample())
+
+Needs the extra `rl`. The task, what is observed and what is rewarded are those of `jax_aero.env`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium  # type: ignore[import-not-found,unused-ignore]
+import numpy as np
+from numpy.typing import NDArray
+
+from jax_aero import rust, tables
+from jax_aero.env_task import Seen, Task, added_torque, observation, rewards, steering
+
+LARGEST = 1e6
+"""Beyond anything that is observed before a flight counts as lost."""
+
+
+class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """Hover in a wind that every episode draws anew; actions as in `jax_aero.env.FlightEnv`."""
+
+    _measurement: rust.Measurement
+    metadata = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
+
+    def __init__(self, task: Task | None = None) -> None:
+        self.task = task or Task()
+        self._config = self.task.episode(rust.load_config(self.task.experiment))
+        self._robot = rust.Robot(self._config["robot"])
+        jets = tables.read(Path(self._config["robot"])).get("jets", [])
+        self._thrust_max = np.array([jet["thrust_max"] for jet in jets])
+        n, j = len(self._robot.joint_names), len(self._robot.jet_names)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (j + n,), np.float32)
+        self.observation_space = gymnasium.spaces.Box(-LARGEST, LARGEST, (15 + 2 * n + j,), np.float32)
+        self._last_tick = round(self.task.duration / self._config["simulator"]["time_step"])
+        self._ticks = 0
+        self._begin([0.0, 0.0, 0.0])
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin an episode, in the wind `options["wind"]` (3,) [m/s] if there is one, else in one that is drawn."""
+        super().reset(seed=seed)
+        speed, angle = self.np_random.uniform(0.0, self.task.wind_max), self.np_random.uniform(0.0, 2.0 * np.pi)
+        drawn = [speed * np.cos(angle), speed * np.sin(angle), 0.0]
+        self._begin([float(part) for part in (options or {}).get("wind", drawn)])
+        return self._observe()[1], {"wind": self._config["wind"]["velocity"]}
+
+    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Fly one tick."""
+        now, law = self._measurement, self._config["controller"]["torque"]
+        tick = self._controller.tick(now.state, now.thrust, now.wind, now.time)
+        wide = np.asarray(action, dtype=np.float64)
+        rates, velocities = steering(np, self.task, wide, tick.thrust_rate, tick.joint_velocity_command)
+        j = rates.shape[0]
+        rates = np.clip(rates, tick.momentum_qp.lower[:j], tick.momentum_qp.upper[:j])
+        more = added_torque(
+            np,
+            tick.torque_qp.h,
+            tick.torque_gain,
+            law["weight_acceleration"],
+            law["kd"],
+            velocities - tick.joint_velocity_command,
+        )
+        torque = np.clip(tick.joint_torque + more, tick.torque_qp.lower, tick.torque_qp.upper)
+        self._measurement = self._plant.step(rates, torque)
+        self._ticks += 1
+        seen, obs = self._observe()
+        parts = {name: float(value) for name, value in rewards(np, seen, wide).items()}
+        limits = self._config["simulator"]["fall"]
+        cosine = 0.5 * (np.trace(self._upright.T @ seen.rotation) - 1.0)
+        turned = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        lost = bool(turned > limits["rotation_error_deg"] or np.linalg.norm(seen.com_error) > limits["com_error"])
+        return obs, 0.0 if lost else sum(parts.values()), lost, self._ticks >= self._last_tick, parts
+
+    def _begin(self, wind: list[float]) -> None:
+        self._config["wind"]["velocity"] = wind
+        self._plant, self._controller = rust.Plant(self._config), rust.Controller(self._config)
+        self._measurement = self._plant.reset()
+        self._ticks = 0
+        state = self._measurement.state
+        self._upright: NDArray[np.float64] = np.array(state.base_rotation)
+        self._posture: NDArray[np.float64] = np.array(state.joint_position)
+        self._com = rust.dynamics(self._robot, state).com_position
+
+    def _observe(self) -> tuple[Seen, NDArray[np.float32]]:
+        state = self._measurement.state
+        seen = Seen(
+            rotation=np.asarray(state.base_rotation),
+            velocity=np.asarray(state.velocity),
+            joint_position=np.asarray(state.joint_position),
+            thrust=self._measurement.thrust,
+            com_error=rust.dynamics(self._robot, state).com_position - self._com,
+            setpoint_rotation=self._upright,
+            posture=self._posture,
+        )
+        obs: NDArray[np.float32] = observation(np, seen, self._thrust_max)
+        return seen, obs

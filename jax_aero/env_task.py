@@ -1,0 +1,109 @@
+"""The task that both environments set: hover in a wind that is drawn anew, and what is observed and rewarded.
+
+Functions are given `numpy` or `jax.numpy`, so that the environment of JAX and that of the crate agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+Steering = Literal["residual", "rates"]
+"""What an action is: added to the controller's answer, or in its place."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What there is to learn."""
+
+    experiment: str = "test1"
+    """Robot, simulator and controller: an experiment by name or path. Its mission and wind are replaced."""
+    steering: Steering = "residual"
+    duration: float = 10.0
+    """Of an episode [s]."""
+    wind_max: float = 12.0
+    """Greatest wind [m/s]; speed and horizontal direction are drawn uniformly."""
+    ramp: float = 1.0
+    """Time in which the wind rises [s]."""
+    thrust_rate: float = 20.0
+    """Of an action of 1 [N/s]."""
+    joint_velocity: float = 0.5
+    """Of an action of 1 [rad/s]."""
+
+    def episode(self, config: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the configuration of an episode in still air, from that of the experiment."""
+        wind = {"profile": "ramp", "velocity": [0.0, 0.0, 0.0], "ramp_start": 0.0, "ramp_end": self.ramp}
+        simulator = {**config["simulator"], "duration": self.duration}
+        return {**config, "mission": {}, "wind": wind, "simulator": simulator}
+
+
+class Seen(NamedTuple):
+    """The state that is observed and rewarded; inertial axes unless a suffix says otherwise."""
+
+    rotation: Any
+    """`inertial_from_base` (3, 3)."""
+    velocity: Any
+    """ν (6 + n,) [m/s, rad/s]."""
+    joint_position: Any
+    """(n,) [rad]."""
+    thrust: Any
+    """(j,) [N]."""
+    com_error: Any
+    """Centre of mass from its set-point (3,) [m]."""
+    setpoint_rotation: Any
+    """Desired `inertial_from_base` (3, 3)."""
+    posture: Any
+    """Joint positions of the first tick (n,) [rad]."""
+
+
+def observation(xp: Any, seen: Seen, thrust_max: Any) -> Any:
+    """Return what an agent sees, of order one: (15 + 2 n + j,).
+
+    The direction of gravity in base axes, the rotation from the set-point, and errors and velocities in base axes.
+    """
+    base = seen.rotation
+    error = seen.setpoint_rotation.T @ base
+    skewed = 0.5 * xp.stack([error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1]])
+    parts = [
+        -base[2],
+        skewed,
+        base.T @ seen.com_error,
+        base.T @ seen.velocity[:3],
+        base.T @ seen.velocity[3:6],
+        seen.joint_position - seen.posture,
+        0.1 * seen.velocity[6:],
+        seen.thrust / thrust_max,
+    ]
+    return xp.concatenate(parts).astype(xp.float32)
+
+
+def rewards(xp: Any, seen: Seen, action: Any) -> dict[str, Any]:
+    """Return the parts of the reward of one tick, each at most what perfect hovering gives; their sum is at most 1."""
+    error = seen.setpoint_rotation.T @ seen.rotation
+    # 1 − cos of the angle between base and set-point.
+    angle = 0.5 * (3.0 - xp.trace(error))
+    return {
+        "attitude": 0.5 * xp.exp(-20.0 * angle),
+        "position": 0.5 * xp.exp(-20.0 * xp.sum(seen.com_error**2)),
+        "effort": -0.01 * xp.mean(action**2),
+    }
+
+
+def steering(xp: Any, task: Task, action: Any, thrust_rate: Any, joint_velocity: Any) -> tuple[Any, Any]:
+    """Return thrust rates and joint velocities that an action asks for, given the controller's own."""
+    j = thrust_rate.shape[0]
+    action = xp.clip(action, -1.0, 1.0)
+    rates, velocities = task.thrust_rate * action[:j], task.joint_velocity * action[j:]
+    if task.steering == "residual":
+        return thrust_rate + rates, joint_velocity + velocities
+    return rates, velocities
+
+
+def added_torque(xp: Any, hessian: Any, gain: Any, weight: Any, kd: Any, velocity: Any) -> Any:
+    """Return the torque that follows a joint velocity [rad/s] added to the command, where no bound is met.
+
+    The torque QP minimises with the Hessian `H` and the gradient term `w G (s̈_free − s̈*)`, whose `s̈*` holds
+    `kd` times the commanded velocity.
+    """
+    return xp.linalg.solve(hessian, weight * gain @ (kd * velocity))

@@ -1,0 +1,92 @@
+"""The environments: Gymnasium's checks, the controller's own flight, and that both environments set one task."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from jax_aero import rust
+from jax_aero.control.torque import TorqueParams, torque_qp
+from jax_aero.env import FlightEnv
+from jax_aero.env_gym import HoverEnv
+from jax_aero.env_task import Task, added_torque, steering
+from tests.measurements import measured
+
+WIND = [3.0, -9.0, 0.0]
+
+
+def test_gymnasium_finds_no_fault():
+    check_env(HoverEnv(Task(duration=0.2)), skip_render_check=True)
+
+
+def test_without_a_residual_the_controller_flies_as_it_does():
+    hover = HoverEnv(Task(duration=0.5))
+    first, _ = hover.reset(options={"wind": WIND})
+    assert first.shape == hover.observation_space.shape
+    for tick in range(50):
+        _, reward, terminated, truncated, _ = hover.step(np.zeros(27, np.float32))
+        assert 0.9 < reward <= 1.0
+        assert not terminated
+        assert truncated == (tick == 49)
+    flown = rust.fly(hover._config)["base_position"][50]
+    measured("base after 50 ticks [m]", np.abs(hover._measurement.state.base_position - flown).max(), 1e-12)
+
+
+def test_both_environments_are_one_task(x64):
+    """Six ticks with drawn actions: observations and rewards, in the environment of JAX and in that of the crate."""
+    task = Task(duration=1.0, ramp=0.05)
+    crate, ours = HoverEnv(task), FlightEnv(task)
+    assert (ours.action_size, ours.observation_size) == (27, 65)
+    seen, _ = crate.reset(options={"wind": WIND})
+    reset = jax.vmap(ours.reset)(jax.random.split(jax.random.key(0), 2))
+    speeds = np.linalg.norm(reset.wind, axis=1)
+    assert np.all(speeds <= task.wind_max)
+    assert speeds[0] != speeds[1]
+    states = jax.vmap(ours.start)(jnp.array([WIND, [0.0, 0.0, 0.0]]))
+    step = jax.jit(jax.vmap(ours.step))
+    measured("first observation", np.abs(states.obs[0] - seen).max(), 1e-6)
+    rng = np.random.default_rng(0)
+    for _ in range(6):
+        action = rng.uniform(-1.0, 1.0, 27).astype(np.float32)
+        seen, reward, terminated, _, parts = crate.step(action)
+        states = step(states, jnp.stack([jnp.asarray(action), jnp.zeros(27, jnp.float32)]))
+        measured("observation", np.abs(states.obs[0] - seen).max(), 1e-6)
+        measured("reward", abs(float(states.reward[0]) - reward), 1e-9)
+        assert float(states.done[0]) == terminated == 0.0
+    assert set(parts) < set(states.metrics)
+    assert states.metrics["position_error"].shape == (2,)
+    lost = states._replace(flight=states.flight._replace(loss=jnp.array([1, 0], jnp.int32)))
+    after = step(lost, jnp.zeros((2, 27), jnp.float32))
+    assert after.done.tolist() == [1.0, 0.0]
+    assert float(after.reward[0]) == 0.0
+
+
+def test_an_action_is_a_residual_or_takes_the_controllers_place():
+    action = np.array([1.0, -3.0, 0.5])
+    own = np.array([5.0, 6.0]), np.array([0.1])
+    rates, velocities = steering(np, Task(thrust_rate=10.0, joint_velocity=2.0), action, *own)
+    assert rates.tolist() == [15.0, -4.0]
+    assert velocities.tolist() == [1.1]
+    rates, velocities = steering(np, Task("test1", "rates", thrust_rate=10.0, joint_velocity=2.0), action, *own)
+    assert rates.tolist() == [10.0, -10.0]
+    assert velocities.tolist() == [1.0]
+
+
+def test_the_added_torque_is_what_the_torque_law_would_add(x64):
+    """Between two answers of the QP without bounds, for two commanded velocities."""
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(8, 8))
+    mass, force = jnp.asarray(root @ root.T + 8.0 * np.eye(8)), jnp.asarray(rng.normal(size=8))
+    params = TorqueParams(*map(jnp.asarray, (20.0, 5.0, 3.0, 0.1, 1e-3)))
+    more = np.array([0.3, -0.2])
+    law = jax.jit(lambda error: torque_qp(params, jnp.full(2, 1e9), mass, force, error, jnp.zeros(2)))
+    parts = [law(-more), law(0.0 * more)]
+    ahead, behind = (-np.linalg.solve(part.problem.h, part.problem.g) for part in parts)
+    added = added_torque(np, parts[0].problem.h, parts[0].gain, 3.0, 20.0, more)
+    measured("added torque [N m]", np.abs(added - (ahead - behind)).max(), 1e-10)
+
+
+def test_a_task_names_what_it_does_not_know():
+    with pytest.raises(ValueError, match="did you mean test1"):
+        FlightEnv(Task(experiment="tset1"))
