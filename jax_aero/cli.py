@@ -52,6 +52,7 @@ GROUPS: dict[str, dict[str, Command]] = {
     "build models": {
         "import-robot": Command("experiments.import_robot.command:main", "twin", "make a robot that flies of a URDF"),
         "import-cfd": Command("experiments.import_cfd:main", "twin", "read CFD tables into a data set"),
+        "import-tunnel": Command("experiments.import_tunnel:main", "twin", "read wind-tunnel balance files"),
         "identify-aero": Command("experiments.identify_aero:main", "twin", "find coefficients in a flight's log"),
         "fit-aero": Command("experiments.fit_aero:main", "fit", "fit coefficients to a data set"),
         "calibrate-surrogate": Command("experiments.calibrate_surrogate:main", "fit", "calibrate the panel model"),

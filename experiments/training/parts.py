@@ -16,6 +16,7 @@ import numpy.typing as npt
 from experiments.training.config import Training
 from jax_aero.aero.dataset import Dataset, Floats, Indices
 from jax_aero.aero.network import Layer, Network
+from jax_aero.aero.posture import total_wrench
 from jax_aero.files import write_json
 from jax_aero.robot import RobotModel
 from jax_aero.train import Samples, baseline_errors, distil_samples, fit, predict_areas, samples_of
@@ -70,7 +71,7 @@ def run(
     started = time.perf_counter()
     rows, held_out = dataset.take(part.train), dataset.take(part.held_out)
     model = training.start(robot, training.seed)
-    samples = samples_of(model, robot, rows)
+    samples = samples_of(model, robot, rows, with_totals=training.training.has_totals)
     unseen = samples_of(model, robot, held_out) if len(held_out) else None
     curves: dict[str, list[list[float | None]]] = {}
     seconds = []
@@ -105,7 +106,7 @@ def run(
         predicted = predict_areas(network, robot, held_out)
         teachers = predict_areas(mean_of(members), robot, held_out) if training.distillation else predicted
         areas = predicted.astype(np.float32)
-        errors |= _errors(predicted, held_out) | {"baselines": baseline_errors(robot, rows, held_out)}
+        errors |= _errors(robot, predicted, held_out) | {"baselines": baseline_errors(robot, rows, held_out)}
         errors["ensemble_mse"] = float(np.mean((teachers - held_out.force_area_b) ** 2))
     return Finished(part, errors, areas, curves), network
 
@@ -124,7 +125,15 @@ def _student(
     assert training.distillation is not None
     how = training.distillation
     seed = training.seed + 1000 * part.seed + training.ensemble.members
-    samples = distil_samples(teachers, robot, rows, count=how.samples, spread_deg=how.spread_deg, seed=seed)
+    samples = distil_samples(
+        teachers,
+        robot,
+        rows,
+        count=how.samples,
+        spread_deg=how.spread_deg,
+        seed=seed,
+        with_totals=how.training.has_totals,
+    )
     name = f"{part.name}-student"
     fitted = fit(
         training.start(robot, seed),
@@ -148,17 +157,25 @@ def mean_of(members: list[Network]) -> Network:
     return dataclasses.replace(members[0], layers=layers)
 
 
-def _errors(predicted: Floats, held_out: Dataset) -> dict[str, Any]:
+def _errors(robot: RobotModel, predicted: Floats, held_out: Dataset) -> dict[str, Any]:
     square = (predicted - held_out.force_area_b) ** 2
     spread = float(np.mean((held_out.force_area_b - held_out.force_area_b.mean(axis=0)) ** 2))
-    total = np.linalg.norm((predicted - held_out.force_area_b).sum(axis=1), axis=1)
+    off = total_wrench(robot, held_out.joint_position_deg, predicted - held_out.force_area_b)
+    present = total_wrench(robot, held_out.joint_position_deg, held_out.force_area_b)
     return {
         "mse": float(square.mean()),
         "r2": 1.0 - float(square.mean()) / spread,
-        "whole_robot_rms": float(np.sqrt(np.mean(total**2))),
+        "whole_robot_rms": vector_rms(off.force_area),
+        "moment_rms": vector_rms(off.moment_volume),
+        "moment_present_rms": vector_rms(present.moment_volume),
         "by_posture": {name: float(square[held_out.posture == name].mean()) for name in held_out.postures},
         "by_link": [float(value) for value in square.mean(axis=(0, 2))],
     }
+
+
+def vector_rms(vectors: Floats) -> float:
+    """Root of the mean squared length of vectors (n, 3)."""
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
 
 
 def keep(work: Path, finished: Finished) -> None:

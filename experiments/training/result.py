@@ -56,7 +56,10 @@ def summarise(finished: Sequence[Finished], chosen_on: Sequence[str] = ()) -> di
             "fold_max": float(folds.max()),
             "train_mse": mean([one.errors["train_mse"] for one in here]),
             "ensemble_mse": mean([one.errors["ensemble_mse"] for one in here]),
-            "whole_robot_rms": float(np.sqrt(mean([one.errors["whole_robot_rms"] ** 2 for one in here]))),
+            **{
+                name: float(np.sqrt(mean([one.errors[name] ** 2 for one in here])))
+                for name in ("whole_robot_rms", "moment_rms", "moment_present_rms")
+            },
             "by_link": dict(
                 zip(LINKS, np.average([one.errors["by_link"] for one in here], axis=0, weights=weights), strict=True)
             ),

@@ -12,7 +12,8 @@ import numpy as np
 from jax_aero.aero.dataset import JOINTS, LINKS, Floats
 from jax_aero.kinematics import frame_poses, kinematics
 from jax_aero.robot import RobotModel
-from jax_aero.types import Array, State
+from jax_aero.spatial import rotate
+from jax_aero.types import Array, Kinematics, State
 
 
 class LinkFrames(NamedTuple):
@@ -42,10 +43,62 @@ def link_frames(robot: RobotModel, joint_position_deg: Floats) -> LinkFrames:
 @jax.jit
 @partial(jax.vmap, in_axes=(None, 0))
 def _frames(robot: RobotModel, angles: Array) -> tuple[Array, Array]:
-    places, links = np.array([robot.joint_names.index(name) for name in JOINTS]), robot.aero_links
+    links = robot.aero_links
+    return frame_poses(_standing(robot, angles), links.bodies, links.rotations, links.positions)
+
+
+def _standing(robot: RobotModel, angles: Array) -> Kinematics:
+    """Kinematics at rest, the base at the origin with its axes along the inertial ones."""
+    places = np.array([robot.joint_names.index(name) for name in JOINTS])
     joints = jnp.zeros(robot.n_joints).at[places].set(angles)
-    still = State(jnp.zeros(3), jnp.eye(3), joints, jnp.zeros(6 + robot.n_joints))
-    return frame_poses(kinematics(robot, still), links.bodies, links.rotations, links.positions)
+    return kinematics(robot, State(jnp.zeros(3), jnp.eye(3), joints, jnp.zeros(6 + robot.n_joints)))
+
+
+class Wrench(NamedTuple):
+    """What the links' force areas add up to, base axes; N rows."""
+
+    force_area: Floats
+    """(N, 3) total force `F / (½ ρ V²)` [m²]."""
+    moment_volume: Floats
+    """(N, 3) total moment about the centre of mass `M / (½ ρ V²)` [m³], every force at its link's centre."""
+
+
+def total_wrench(robot: RobotModel, joint_position_deg: Floats, force_area_b: Floats) -> Wrench:
+    """Return the totals of force areas (N, 13, 3) [m²], base axes, at joint angles (N, 19) [deg]; rows may repeat."""
+    moments = np.cross(link_arms(robot, joint_position_deg), force_area_b).sum(axis=1)
+    return Wrench(force_area_b.sum(axis=1), moments)
+
+
+def link_arms(robot: RobotModel, joint_position_deg: Floats) -> Floats:
+    """Return the links' aerodynamic centres from the centre of mass (N, 13, 3) [m], base axes; rows may repeat."""
+    shapes, shape_of = np.unique(joint_position_deg, axis=0, return_inverse=True)
+    with jax.enable_x64(True):
+        arms = np.asarray(_arms(robot, np.radians(shapes)))
+    found: Floats = arms[shape_of.reshape(-1)]
+    return found
+
+
+@jax.jit
+@partial(jax.vmap, in_axes=(None, 0))
+def _arms(robot: RobotModel, angles: Array) -> Array:
+    kin, links = _standing(robot, angles), robot.aero_links
+    rotations, positions = frame_poses(kin, links.bodies, links.rotations, links.positions)
+    return positions + rotate(rotations, links.centres) - kin.com
+
+
+def centres_of_mass(robot: RobotModel, joint_position_deg: Floats) -> Floats:
+    """Return the centre of mass from the base origin (N, 3) [m], base axes, at joint angles (N, 19) [deg]."""
+    shapes, shape_of = np.unique(joint_position_deg, axis=0, return_inverse=True)
+    with jax.enable_x64(True):
+        coms = np.asarray(_coms(robot, np.radians(shapes)))
+    found: Floats = coms[shape_of.reshape(-1)]
+    return found
+
+
+@jax.jit
+@partial(jax.vmap, in_axes=(None, 0))
+def _coms(robot: RobotModel, angles: Array) -> Array:
+    return _standing(robot, angles).com
 
 
 def link_axes(robot: RobotModel, joint_position_deg: Floats) -> Floats:

@@ -11,12 +11,19 @@ import numpy as np
 from jax_aero.aero.dataset import Dataset, Floats
 from jax_aero.aero.network import Network, raw_output
 from jax_aero.robot import RobotModel
-from jax_aero.train.samples import Samples, chunks, make_samples
+from jax_aero.train.samples import Samples, chunks, make_samples, totals_of
 from jax_aero.types import Array
 
 
 def distil_samples(
-    teachers: Sequence[Network], robot: RobotModel, dataset: Dataset, *, count: int, spread_deg: float, seed: int
+    teachers: Sequence[Network],
+    robot: RobotModel,
+    dataset: Dataset,
+    *,
+    count: int,
+    spread_deg: float,
+    seed: int,
+    with_totals: bool = False,
 ) -> Samples:
     """Return samples answered by the mean of the teachers: the dataset's rows and `count` made-up ones.
 
@@ -29,7 +36,8 @@ def distil_samples(
     joints = np.concatenate([dataset.joint_position_deg, joints])
     wind = np.concatenate([dataset.wind_b, wind])
     x = make_samples(teachers[0], robot, joints, wind, None).x
-    return Samples(x, mean_output(teachers, x).astype(np.float32))
+    totals = totals_of(teachers[0], robot, joints, wind) if with_totals else None
+    return Samples(x, mean_output(teachers, x).astype(np.float32), totals)
 
 
 def made_up(rng: np.random.Generator, postures: Floats, count: int, spread_deg: float) -> tuple[Floats, Floats]:

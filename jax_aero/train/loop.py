@@ -20,7 +20,7 @@ from jax_aero import tables
 from jax_aero.aero.network import Layer, Network, raw_output
 from jax_aero.train.adam import AdamState, adam_start, adam_step
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from jax_aero.train.loss import batch_output, mean_squared_error
+from jax_aero.train.loss import batch_output, mean_squared_error, total_error
 from jax_aero.train.samples import Samples, chunks
 from jax_aero.types import Array, pytree
 
@@ -50,6 +50,10 @@ class Settings(tables.Table, frozen=True):
     """Precision of matrix products; a processor without the lower ones computes in float32."""
     scale_output: bool = True
     """Whether the network answers in units of the spread of its targets, about their mean."""
+    total_force: tables.NonNegative = 0.0
+    """Weight of the mean square error of the total force beside that of the links."""
+    total_moment: tables.NonNegative = 0.0
+    """Weight of that of the total moment about the centre of mass [1/m²]."""
     validate_every: tables.Count = 1
     """Epochs."""
     patience: tables.Natural = 0
@@ -58,6 +62,11 @@ class Settings(tables.Table, frozen=True):
     def __post_init__(self) -> None:
         if unknown := set(self.noise) - set(BLOCK_SIZES):
             raise ValueError(f"`noise` names {sorted(unknown)}; expected blocks of features, {', '.join(BLOCK_SIZES)}")
+
+    @property
+    def has_totals(self) -> bool:
+        """Return whether the loss contains total force or moment."""
+        return self.total_force > 0.0 or self.total_moment > 0.0
 
     def __hash__(self) -> int:
         # Settings are a static argument of compiled functions.
@@ -136,6 +145,8 @@ def fit(
     batch = settings.batch or count
     if batch > count:
         raise ValueError(f"`batch` is {batch}; there are {count} rows")
+    if settings.has_totals and training.totals is None:
+        raise ValueError("the loss contains total force or moment; expected samples with totals")
     network = _scaled(network, training) if settings.scale_output else network
     digest = _digest(network, training, validation, settings, seed)
     now = _Now(_State(network.layers, adam_start(network.layers), network.layers), 0, np.inf, 0, ())
@@ -143,7 +154,8 @@ def fit(
         best_error, best_epoch = found.facts["best"] or (np.inf, 0)
         curves = tuple((row[0], row[1], row[2]) for row in found.facts["curves"])
         now = _Now(found.state, found.epoch, best_error, best_epoch, curves)
-    data = (jnp.asarray(training.x), jnp.asarray((training.y - network.offset) / network.scale))
+    totals = jnp.asarray(training.totals) if settings.has_totals else None
+    data = (jnp.asarray(training.x), jnp.asarray((training.y - network.offset) / network.scale), totals)
     noise = _noise(network, settings)
     run = functools.partial(_epoch, settings, network.activation, batch)
     unit = float(network.scale[0]) ** 2
@@ -225,13 +237,14 @@ def _epoch(
     batch: int,
     layers: tuple[Layer, ...],
     adam: AdamState,
-    data: tuple[Array, Array],
+    data: tuple[Array, Array, Array | None],
     noise: Array,
     seed: Array,
     epoch: Array,
 ) -> tuple[tuple[Layer, ...], AdamState, Array]:
     """One pass over the data; its random numbers depend on seed and epoch alone."""
-    x, y = data
+    x, y, totals = data
+    weights = jnp.repeat(jnp.array([settings.total_force, settings.total_moment], jnp.float32), 3) / 3.0
     steps = x.shape[0] // batch
     key = jax.random.fold_in(jax.random.key(seed), epoch)
     order_key, noise_key = jax.random.split(key)
@@ -243,7 +256,8 @@ def _epoch(
         if settings.noise:
             seen = seen + noise * jax.random.normal(for_noise, seen.shape, seen.dtype)
         output = batch_output(layers, activation, seen, for_dropout, settings.dropout)
-        return mean_squared_error(output, y[rows])
+        error = mean_squared_error(output, y[rows])
+        return error if totals is None else error + total_error(output, y[rows], totals[rows], weights)
 
     def step(carry: Any, entry: Any) -> tuple[Any, Array]:
         layers, adam = carry
@@ -284,6 +298,7 @@ def _digest(network: Network, training: Samples, validation: Samples | None, set
     total = hashlib.sha256(json.dumps([tables.plain(settings), seed], sort_keys=True).encode())
     shape = (network.blocks, network.frame, network.layout, network.activation, network.mirror is None)
     total.update(repr(shape).encode())
-    for array in (*training, *(validation or ()), *jax.tree.leaves(network.layers)):
+    arrays = (*training, *(validation or ()), *jax.tree.leaves(network.layers))
+    for array in (one for one in arrays if one is not None):
         total.update(np.ascontiguousarray(array).tobytes())
     return total.hexdigest()

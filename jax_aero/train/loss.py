@@ -33,6 +33,12 @@ def batch_output(
     return h
 
 
+def total_error(output: Array, y: Array, totals: Array, weights: Array) -> Array:
+    """Mean over members and rows of `Σ_i w_i (T (output − y))_i²`, T (B, 6, 39) to total force and moment; M96."""
+    wrench = jnp.einsum("bij,mbj->mbi", totals, output - y)
+    return jnp.mean(jnp.sum(weights * wrench**2, axis=-1))
+
+
 def mean_squared_error(output: Array, y: Array) -> Array:
     """Mean over members, rows and components of `(output − y)²`."""
     return jnp.mean((output - y) ** 2)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 
@@ -19,7 +20,9 @@ from jax_aero.aero.network import (
     from_base_axes,
     link_geometry,
     network_areas,
+    to_base_axes,
 )
+from jax_aero.aero.posture import link_arms
 from jax_aero.robot import RobotModel
 from jax_aero.types import Array
 
@@ -36,18 +39,23 @@ class Samples(NamedTuple):
     """(N, n) features."""
     y: npt.NDArray[np.float32]
     """(N, 39) force areas in the network's frame and layout, less the baseline [m²]."""
+    totals: npt.NDArray[np.float32] | None = None
+    """(N, 6, 39) from such areas to the total force [m²] and the total moment about the centre of mass [m³], base
+    axes; M96. Only where the loss asks for it."""
 
     def take(self, rows: Any) -> Samples:
         """Return some of the rows."""
-        return Samples(self.x[rows], self.y[rows])
+        return Samples(self.x[rows], self.y[rows], None if self.totals is None else self.totals[rows])
 
 
-def samples_of(network: Network, robot: RobotModel, dataset: Dataset) -> Samples:
-    """Return features and targets of all rows.
+def samples_of(network: Network, robot: RobotModel, dataset: Dataset, *, with_totals: bool = False) -> Samples:
+    """Return features and targets of all rows, and what they add up to if asked.
 
     Turning the targets into link axes keeps sums of squares, so the error of a sample is that of the force areas.
     """
-    return make_samples(network, robot, dataset.joint_position_deg, dataset.wind_b, dataset.force_area_b)
+    posed = (dataset.joint_position_deg, dataset.wind_b)
+    samples = make_samples(network, robot, *posed, dataset.force_area_b)
+    return samples._replace(totals=totals_of(network, robot, *posed)) if with_totals else samples
 
 
 def make_samples(
@@ -58,6 +66,14 @@ def make_samples(
     with jax.enable_x64(True):
         x, y = _in_chunks(_sample_rows, network, robot, joint_position_deg, wind_b, areas)
     return Samples(x.astype(np.float32), y.astype(np.float32))
+
+
+def totals_of(network: Network, robot: RobotModel, joint_position_deg: Floats, wind_b: Floats) -> Any:
+    """Return the map (N, 6, 39) from a network's outputs to total force and moment about the centre of mass; M96."""
+    arms = link_arms(robot, joint_position_deg)
+    with jax.enable_x64(True):
+        (totals,) = _in_chunks(_total_rows, network, robot, joint_position_deg, wind_b, arms)
+    return totals.astype(np.float32)
 
 
 def predict_areas(network: Network, robot: RobotModel, dataset: Dataset) -> Floats:
@@ -79,6 +95,19 @@ def _sample_rows(network: Network, wind: Array, joints: Array, geometry: LinkGeo
         return x, from_base_axes(network.frame, network.layout, areas, wind, geometry.rotations)
 
     return jax.vmap(one)(wind, joints, geometry, areas)
+
+
+@jax.jit
+def _total_rows(network: Network, wind: Array, _joints: Array, geometry: LinkGeometry, arms: Array) -> Any:
+    def one(wind: Array, geometry: LinkGeometry, arms: Array) -> Array:
+        def wrench(y: Array) -> Array:
+            areas = to_base_axes(network.frame, network.layout, y, wind, geometry.rotations)
+            return jnp.concatenate([areas.sum(0), jnp.cross(arms, areas).sum(0)])
+
+        matrix: Array = jax.jacfwd(wrench)(jnp.zeros(3 * len(arms), wind.dtype))
+        return matrix
+
+    return (jax.vmap(one)(wind, geometry, arms),)
 
 
 @jax.jit

@@ -1,0 +1,378 @@
+"""Balance files of the wind tunnel: six components, reduced to force areas and moment volumes with their uncertainty.
+
+    GVP files, or reduced tables ──► Points ──reduce_points──► xarray.Dataset
+
+Balance axes of iRonCub-Mk1 are X forward, Y left, Z up, turning with the robot; of Mk3 X left, Y down, Z backward. Base
+(`root_link`) axes are x backward, y right, z up. Equations M28 and M95 of `docs/model.md`.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from jax_aero.aero.dataset import JOINTS, Floats
+
+GVP_COLUMNS = 86
+COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+WIND_OFF = 5.0
+"""Below this the wind is off [m/s]."""
+EXPOSED = {"hovering": 20.5, "flight": 1.0}
+"""Sideslip beyond which the support stands in the wind, or the record is of combined wind, by kind of test [deg]."""
+
+HIP = np.array([0.00645, 0.0, -0.11991])
+"""Midpoint of the hip-pitch axis of Mk1 from the base origin, base axes [m]."""
+BASE_FROM_BALANCE = {"mk1": np.diag([-1.0, -1.0, 1.0]), "mk3": np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])}
+"""Rotation from balance to base axes of a robot that is mounted upright."""
+MOUNT = {("mk1", "hovering"): 0.0, ("mk1", "flight"): -45.0, ("mk3", "hovering"): 0.0, ("mk3", "flight"): 0.0}
+"""Pitch of the robot on the balance [deg]; of Mk1 the robot's pitch is 90° + mount + the balance's."""
+
+
+class Lever(NamedTuple):
+    """Where the balance centre is from the hip-pitch axis."""
+
+    offset: tuple[float, float, float]
+    """Balance axes [m]."""
+    deviation: tuple[float, float, float]
+    """Standard deviations, balance axes [m]."""
+
+
+LEVERS = {
+    (kind, side): Lever((-0.497, 0.0, height), deviation)
+    for kind, deviation in (("hovering", (0.03, 0.01, 0.005)), ("flight", (0.11, 0.01, 0.02)))
+    for side, height in (("below", -0.021), ("above", 0.021))
+}
+"""By kind of test and side of the balance centre. The authors' scripts changed the sign of the height once; on the
+mount of the flight postures the distance is not known well."""
+REPEATABILITY = np.array([0.002, 0.003, 0.001])
+"""Of moment volumes within a campaign, base axes [m³]."""
+
+
+@dataclass(frozen=True)
+class Points:
+    """Measured points as they stand in the files; N rows."""
+
+    campaign: Sequence[str]
+    test: Sequence[str]
+    point: Sequence[int]
+    kind: Sequence[str]
+    """`hovering` or `flight`."""
+    posture: Sequence[str]
+    marks: Sequence[tuple[str, ...]]
+    """What speaks against a point, from the table of tests."""
+    robot: str
+    balance_pitch_deg: Floats
+    pitch_deg: Floats
+    """Robot's vertical axis above the horizontal [deg]."""
+    yaw_deg: Floats
+    speed: Floats
+    dynamic_pressure: Floats
+    air_density: Floats
+    temperature: Floats
+    load: Floats
+    """(N, 6) [N, N m], balance axes about the balance centre, tare and wind-off zero removed."""
+    deviation: Floats
+    """(N, 6) sample standard deviations."""
+    zero_return: Floats
+    """(N, 6) the test's last reading without wind; nan without one."""
+
+    def __len__(self) -> int:
+        return len(self.test)
+
+
+class Gvp(NamedTuple):
+    """One balance file."""
+
+    header: Mapping[str, str]
+    rows: Floats
+    """(n, 86), wind-off rows included."""
+
+
+def read_gvp(text: str, source: str) -> Gvp:
+    """Read a balance file.
+
+    Raises
+    ------
+    ValueError
+        Naming file, line and column where something is not what the format has.
+    """
+    lines = [line for line in text.splitlines() if line.strip()]
+    if len(lines) < 3 or "=" not in lines[0] or not lines[1].startswith("ID(0)"):
+        raise ValueError(f"{source}: no balance file; expected a line KEY=VALUE;…, one of columns ID(0),…, and rows")
+    header = dict(part.strip().split("=", 1) for part in lines[0].split(";") if "=" in part)
+    rows = []
+    for number, line in enumerate(lines[2:], start=3):
+        cells = line.split("\t")
+        if len(cells) != GVP_COLUMNS:
+            raise ValueError(f"{source}, line {number}: {len(cells)} columns; expected {GVP_COLUMNS}")
+        rows.append([_number(cell, source, number, column) for column, cell in enumerate(cells)])
+    found = np.array(rows)
+    needed = np.r_[1:5, 8:11, 12, 14:20, 74:80]
+    bad = np.argwhere(~np.isfinite(found[:, needed]))
+    if len(bad):
+        row, column = bad[0]
+        raise ValueError(f"{source}, line {row + 3}, column {needed[column]}: nan; expected a finite number")
+    return Gvp(header, found)
+
+
+def _number(cell: str, source: str, line: int, column: int) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        raise ValueError(f"{source}, line {line}, column {column}: {cell!r}; expected a number") from None
+
+
+def read_sweep(text: str, source: str) -> tuple[Floats, Floats]:
+    """Return forces and moments (n, 3) of a gravity sweep (`.tara`), balance axes, from its first zero [N, N m]."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    if not lines or not lines[0].startswith("a_nom"):
+        raise ValueError(f"{source}: no gravity sweep; expected a line of columns a_nom[deg], …")
+    rows = [
+        [_number(cell, source, number, column) for column, cell in enumerate(line.split("\t")[:10])]
+        for number, line in enumerate(lines[1:], start=2)
+    ]
+    found = np.array(rows)
+    return found[:, 4:7], found[:, 7:10]
+
+
+def centre_of_gravity(force: Floats, moment: Floats) -> tuple[Floats, Floats]:
+    """Return the centre of gravity (3,) of what hangs on the balance, from its centre, and standard deviations [m].
+
+    While the balance turns, the weight's part in its axes changes by ΔF, and its moment by ΔM = r × ΔF.
+    """
+    matrix = np.concatenate([-_skew(one) for one in force])
+    right = moment.reshape(-1)
+    normal = np.linalg.inv(matrix.T @ matrix)
+    r = normal @ matrix.T @ right
+    left = right - matrix @ r
+    variance = float(left @ left) / max(len(right) - 3, 1)
+    return r, np.sqrt(variance * np.diag(normal))
+
+
+def _skew(v: Floats) -> Floats:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+class Test(NamedTuple):
+    """What the table of tests says of one."""
+
+    campaign: str
+    kind: str
+    posture: str
+    robot: str
+    marks: tuple[str, ...]
+    """Against the whole test."""
+    point_marks: Mapping[int, tuple[str, ...]]
+    """Against single points."""
+    tare_above_deg: float | None = None
+    """Pitch of the robot beyond which the tare was extrapolated."""
+
+
+def points_of(test: str, about: Test, gvp: Gvp) -> Points:
+    """Return the wind-on points of one file."""
+    on = gvp.rows[:, 8] >= WIND_OFF
+    rows, off = gvp.rows[on], gvp.rows[~on]
+    zero = off[-1, 14:20] if len(off) else np.full(6, np.nan)
+    pitch = rows[:, 3] + (90.0 + MOUNT[about.robot, about.kind] if about.robot == "mk1" else 0.0)
+    numbers = [int(one) for one in rows[:, 0]]
+    return Points(
+        campaign=[about.campaign] * len(rows),
+        test=[test] * len(rows),
+        point=numbers,
+        kind=[about.kind] * len(rows),
+        posture=[about.posture] * len(rows),
+        marks=[_marks(about, number, alpha) for number, alpha in zip(numbers, pitch, strict=True)],
+        robot=about.robot,
+        balance_pitch_deg=rows[:, 3],
+        pitch_deg=pitch,
+        yaw_deg=rows[:, 4],
+        speed=rows[:, 8],
+        dynamic_pressure=rows[:, 9],
+        air_density=rows[:, 10],
+        temperature=rows[:, 12],
+        load=rows[:, 14:20],
+        deviation=rows[:, 74:80],
+        zero_return=np.tile(zero, (len(rows), 1)),
+    )
+
+
+def _marks(about: Test, number: int, pitch: float) -> tuple[str, ...]:
+    extrapolated = about.tare_above_deg is not None and pitch > about.tare_above_deg + 1.0
+    return (
+        *about.marks,
+        *about.point_marks.get(number, ()),
+        *(("tare extrapolated",) if extrapolated else ()),
+    )
+
+
+def read_reduced(text: str, tests: Mapping[tuple[str, str], Test], source: str) -> Points:
+    """Read a table of reduced points with the balance's own components; the reduction of others is not read.
+
+    Columns: campaign, test, point, V, q, rho, T_K, alpha, beta, F*_bal_N, M*_bal_Nm, sdF*, sdM*, zrF*, zrM*.
+    """
+    rows = list(csv.DictReader(io.StringIO(text)))
+    if not rows:
+        raise ValueError(f"{source}: no rows")
+    balance = [f"{name}_bal_{'N' if name[0] == 'F' else 'Nm'}" for name in COMPONENTS]
+    plain = ("V", "q", "rho", "T_K", "alpha", "beta")
+    wanted = [
+        "campaign",
+        "test",
+        "point",
+        *plain,
+        *balance,
+        *(f"{p}{name}" for p in ("sd", "zr") for name in COMPONENTS),
+    ]
+    if missing := [name for name in wanted if name not in rows[0]]:
+        raise ValueError(f"{source}: no column {', '.join(missing)}")
+    about = []
+    for number, row in enumerate(rows, start=2):
+        key = (row["campaign"], row["test"])
+        if key not in tests:
+            raise ValueError(f"{source}, line {number}: test {key[1]} of {key[0]} is not in the table of tests")
+        about.append(tests[key])
+
+    def numbers(names: Iterable[str]) -> Floats:
+        names = list(names)
+        return np.array([[_number(row[n], source, i, 0) for n in names] for i, row in enumerate(rows, start=2)])
+
+    speed, q, rho, temperature, pitch, yaw = numbers(plain).T
+    mount = np.array([90.0 + MOUNT[one.robot, one.kind] if one.robot == "mk1" else 0.0 for one in about])
+    return Points(
+        campaign=[one.campaign for one in about],
+        test=[row["test"] for row in rows],
+        point=[int(row["point"]) for row in rows],
+        kind=[one.kind for one in about],
+        posture=[one.posture for one in about],
+        marks=[_marks(one, int(row["point"]), a) for one, row, a in zip(about, rows, pitch, strict=True)],
+        robot=about[0].robot,
+        balance_pitch_deg=pitch - mount,
+        pitch_deg=pitch,
+        yaw_deg=yaw,
+        speed=speed,
+        dynamic_pressure=q,
+        air_density=rho,
+        temperature=temperature,
+        load=numbers(balance),
+        deviation=numbers(f"sd{name}" for name in COMPONENTS),
+        zero_return=numbers(f"zr{name}" for name in COMPONENTS),
+    )
+
+
+def join(parts: Sequence[Points]) -> Points:
+    """Return the points of several files of one robot."""
+    if len({part.robot for part in parts}) != 1:
+        raise ValueError(f"points of {sorted({part.robot for part in parts})}; expected one robot")
+    found: dict[str, Any] = {"robot": parts[0].robot}
+    for name in Points.__dataclass_fields__:
+        if name == "robot":
+            continue
+        values = [getattr(part, name) for part in parts]
+        is_array = isinstance(values[0], np.ndarray)
+        found[name] = np.concatenate(values) if is_array else [entry for value in values for entry in value]
+    return Points(**found)
+
+
+def base_from_balance(robot: str, kind: str) -> Floats:
+    """Return the rotation (3, 3) from balance axes to base axes: Ry(−mount) and the change of axes."""
+    angle = -np.radians(MOUNT[robot, kind])
+    c, s = np.cos(angle), np.sin(angle)
+    turned: Floats = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ BASE_FROM_BALANCE[robot]
+    return turned
+
+
+def reduce_points(points: Points, joints: Mapping[str, Floats], coms: Mapping[str, Floats], side: str) -> xr.Dataset:
+    """Reduce points to force areas and moment volumes in base axes, about balance centre, hip and centre of mass.
+
+        M_hip = M_bal + r × F,   M_com = M_hip + (p_hip − p_com) × F                                   (M95)
+
+    with r the balance centre from the hip. Without a centre of mass (Mk3) those two are nan.
+
+    Parameters
+    ----------
+    joints, coms
+        Joint angles (19,) [deg] and centre of mass (3,) [m], base axes, by posture.
+    side
+        Whether the balance centre is `below` or `above` the hip-pitch axis.
+    """
+    n = len(points)
+    turns = np.stack([base_from_balance(points.robot, kind) for kind in points.kind])
+    q = points.dynamic_pressure[:, None]
+    forces = np.einsum("nij,nj->ni", turns, points.load[:, :3] / q)
+    moments = np.einsum("nij,nj->ni", turns, points.load[:, 3:] / q)
+    zero = np.einsum("nij,nkj->nki", turns, (points.zero_return / q).reshape(n, 2, 3))
+    levers = [LEVERS[kind, side] for kind in points.kind]
+    to_hip = np.einsum("nij,nj->ni", turns, np.array([lever.offset for lever in levers]))
+    com = np.array([coms.get(posture, np.full(3, np.nan)) for posture in points.posture])
+    if points.robot != "mk1":
+        to_hip = np.full((n, 3), np.nan)
+    to_com = to_hip + HIP - com
+    sigma = np.array([lever.deviation for lever in levers])
+    u_lever = np.sqrt(sum(_lever_part(axis, sigma, points.load[:, :3] / q, turns) ** 2 for axis in range(3)))
+    u_zero = np.abs(zero[:, 1] + np.cross(to_com, zero[:, 0]))
+    u_repeat = np.tile(REPEATABILITY, (n, 1))
+    marks = [(*m, *(("support",) if _is_exposed(k, b) else ())) for m, k, b in _zip(points)]
+    angles = np.array([joints.get(name, np.full(len(JOINTS), np.nan)) for name in points.posture])
+    vector, load = ("point", "axis"), ("point", "component")
+    area, volume = {"units": "m2"}, {"units": "m3"}
+    variables: dict[str, Any] = {
+        "number": ("point", np.array(points.point), {"long_name": "number of the point in its test"}),
+        "pitch": (
+            "point",
+            points.pitch_deg,
+            {"units": "degree", "long_name": "robot's vertical axis above horizontal"},
+        ),
+        "yaw": ("point", points.yaw_deg, {"units": "degree", "long_name": "about the tunnel's vertical"}),
+        "speed": ("point", points.speed, {"units": "m s-1"}),
+        "dynamic_pressure": ("point", points.dynamic_pressure, {"units": "Pa"}),
+        "air_density": ("point", points.air_density, {"units": "kg m-3"}),
+        "temperature": ("point", points.temperature, {"units": "K"}),
+        "load": (load, points.load, {"units": "N, N m", "long_name": "balance axes, about the balance centre"}),
+        "deviation": (load, points.deviation, {"units": "N, N m", "long_name": "of the samples: unsteadiness"}),
+        "zero_return": (load, points.zero_return, {"units": "N, N m", "long_name": "last reading without wind"}),
+        "force_area": (vector, forces, area),
+        "moment_balance": (vector, moments, volume),
+        "moment_hip": (vector, moments + np.cross(to_hip, forces), volume),
+        "moment_com": (vector, moments + np.cross(to_com, forces), volume),
+        "u_lever": (vector, u_lever, volume),
+        "u_zero": (vector, u_zero, volume),
+        "u_repeat": (vector, u_repeat, volume),
+        "u_total": (vector, np.sqrt(u_lever**2 + u_zero**2 + u_repeat**2), volume),
+        "com": (vector, com, {"units": "m", "long_name": "centre of mass of the model from the base origin"}),
+        "joint_position": (("point", "joint"), angles, {"units": "degree"}),
+    }
+    coords: dict[str, Any] = {
+        "campaign": ("point", list(points.campaign)),
+        "test": ("point", list(points.test)),
+        "kind": ("point", list(points.kind)),
+        "posture": ("point", list(points.posture)),
+        "marks": ("point", [", ".join(found) for found in marks]),
+        "robot_only": ("point", np.array([not found for found in marks]).astype("i1")),
+        "axis": ["x", "y", "z"],
+        "component": list(COMPONENTS),
+        "joint": list(JOINTS),
+    }
+    text = "base (root_link) axes: x backward, y right, z up; divided by the dynamic pressure"
+    return xr.Dataset(variables, coords, {"robot": points.robot, "side": side, "axes": text})
+
+
+def _zip(points: Points) -> Iterable[tuple[tuple[str, ...], str, float]]:
+    return zip(points.marks, points.kind, points.yaw_deg.tolist(), strict=True)
+
+
+def _is_exposed(kind: str, yaw: float) -> bool:
+    return abs(yaw) > EXPOSED[kind]
+
+
+def _lever_part(axis: int, sigma: Floats, forces: Floats, turns: Floats) -> Floats:
+    """Moment volume (N, 3), base axes, of one standard deviation of the offset along one balance axis."""
+    offset = np.zeros_like(sigma)
+    offset[:, axis] = sigma[:, axis]
+    part: Floats = np.einsum("nij,nj->ni", turns, np.cross(offset, forces))
+    return part
