@@ -1,4 +1,4 @@
-"""Turn wind-tunnel balance files into a dataset: `python -m experiments import-tunnel --clone DIR`.
+"""Turn wind-tunnel balance files into a dataset: `jax-aero import-tunnel --clone DIR`.
 
 The files are the `data_GVPM/TID_*.GVP` of the three campaigns in the public repository
 https://github.com/ami-iit/element_cfd-simulation (BSD-3-Clause); nothing of it is shipped here. A table of points with
@@ -36,7 +36,7 @@ SIDES = ("below", "above")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
-    parser = argparse.ArgumentParser(prog="python -m experiments import-tunnel", description=__doc__)
+    parser = argparse.ArgumentParser(prog="jax-aero import-tunnel", description=__doc__)
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--clone", type=Path, metavar="DIR", help="a local clone of element_cfd-simulation")
     source.add_argument("--table", type=Path, metavar="FILE", help="a table of points of one robot (CSV)")

@@ -47,6 +47,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "force-rate": Command("experiments.force_rate:main", "twin", "measure the aerodynamic force's rate"),
         "observer-limit": Command("experiments.observer_limit:main", "twin", "bound the observer's gain"),
         "tip-over": Command("experiments.tip_over:main", "twin", "find the wind that tips the standing robot over"),
+        "tunnel-moments": Command("experiments.tunnel_moments:main", "twin", "compare moments with the wind tunnel"),
         "engine-choice": Command("experiments.engine_choice:main", "symbolic", "compare battery and fuel"),
     },
     "build models": {
@@ -58,6 +59,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "calibrate-surrogate": Command("experiments.calibrate_surrogate:main", "fit", "calibrate the panel model"),
         "surrogate-dataset": Command("experiments.surrogate_dataset:main", "twin", "make data to learn from"),
         "train": Command("experiments.training.command:main", "train", "train an aerodynamic network"),
+        "train-ensemble": Command("experiments.training.ensemble:main", "train", "train networks with intervals"),
         "train-search": Command("experiments.training.search:main", "train", "search for a network's settings"),
         "schema": Command("experiments.schema:main", "symbolic", "write what follows from the configuration's types"),
     },

@@ -22,6 +22,7 @@ from paper_figs import (
     force_rate,
     identify,
     maps,
+    model_pairs,
     observer_limit,
     paper,
     runs,
@@ -35,6 +36,7 @@ from paper_figs import (
     trajectory,
     trim,
     tunnel,
+    tunnel_moments,
 )
 
 Draw = Callable[[Path, Sequence[str]], tuple[Figure, dict[str, str]]]
@@ -62,6 +64,7 @@ FIGURES: dict[str, tuple[Draw, Sequence[str], str]] = {
     "identify": (identify.draw, identify.RUNS, "aerodynamic coefficients identified from one flight's log"),
     "tip_over": (tip_over.draw, tip_over.RUNS, "what wind tips the standing robot over"),
     "observer_limit": (observer_limit.draw, observer_limit.RUNS, "the greatest dM/dθ against the observer's gain"),
+    "tunnel_moments": (tunnel_moments.draw, tunnel_moments.RUNS, "models' moments beside the wind tunnel"),
     "force_rate": (force_rate.draw, force_rate.RUNS, "the aerodynamic force rate that the controller leaves out"),
 }
 """Figures of single flights."""
@@ -93,6 +96,7 @@ SWEEPS: Sequence[str] = (
     "observer_turbulence",
     "observer_missions",
     "observer_errors",
+    "model_pairs",
 )
 """Sweeps that `all` expects; others are drawn too where their results are."""
 
@@ -101,6 +105,7 @@ DRAWINGS: Mapping[str, Callable[[sweeps.Sweep], Figure]] = {
     "curve": ablation.draw,
     "map": maps.draw,
     "scatter": scatter.draw,
+    "matrix": model_pairs.draw,
 }
 
 

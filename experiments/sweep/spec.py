@@ -113,7 +113,7 @@ class Spec(tables.Table, frozen=True):
     chunk: tables.Count = 48
     """Flights that are computed, and stored, together."""
     perturbation: Perturbation = Perturbation()
-    drawing: Literal["levels", "curve", "map", "scatter"] = "curve"
+    drawing: Literal["levels", "curve", "map", "scatter", "matrix"] = "curve"
     panels: str = ""
     """Axis whose levels are panels of a figure, if any."""
 

@@ -1,0 +1,255 @@
+"""Train independent networks and calibrate their total force and moment: `jax-aero train-ensemble`.
+
+Eight small networks differ in start, inputs, widths, axisymmetric part and in the postures they saw. Each fold of whole
+postures is predicted by networks that saw none of it; the spread of the networks and a conformal factor give intervals
+for total force and total moment about the centre of mass, whose coverage is measured posture by posture with the factor
+of the other postures. The result goes to `results/training/ensemble/`; `--write DIR` puts weights, cards and
+`ensemble.json` there. A run that was stopped goes on with the same command.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from experiments import Refused, study
+from experiments.training import config, result
+from experiments.training.parts import vector_rms
+from jax_aero.aero.dataset import Dataset, Floats, Indices, load
+from jax_aero.aero.network import Network
+from jax_aero.aero.network_card import save_network
+from jax_aero.aero.posture import total_wrench
+from jax_aero.files import write_json
+from jax_aero.train import fit, predict_areas, samples_of
+
+BASE = study.CONFIGS / "training" / "compact.toml"
+FOLDS = 5
+COVERAGE = 0.9
+LINK_BLOCKS = ["link_wind", "link_position", "link_shadow"]
+JOINT_NOISE = {"wind": 0.05, "joints": 0.02, "link_shadow": 0.03}
+
+MEMBERS: tuple[Mapping[str, Any], ...] = (
+    {"hidden": [64, 64, 64]},
+    {"hidden": [96, 96, 96]},
+    {"hidden": [64, 64, 64, 64], "baseline": "corrected"},
+    {"hidden": [96, 64, 96], "baseline": "refit"},
+    {"hidden": [80, 80, 80], "features": ["link_wind", "link_position"]},
+    {"hidden": [96, 96], "activation": "tanh"},
+    {"hidden": [96, 96, 96], "features": ["wind", "joints", "link_shadow"]},
+    {"hidden": [64, 96, 64], "baseline": "none"},
+)
+"""What differs from `compact.toml`."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    parser = argparse.ArgumentParser(prog="jax-aero train-ensemble", description=__doc__)
+    parser.add_argument("--dataset", type=Path, required=True, metavar="FILE", help="from import-cfd")
+    parser.add_argument("--epochs", type=int, default=60, metavar="N", help="of every network (default 60)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="result folder (default results/training/ensemble)")
+    parser.add_argument("--write", type=Path, metavar="DIR", help="write weights, cards and ensemble.json there")
+    given = parser.parse_args(arguments)
+    try:
+        document = run(given.dataset, given.epochs, given.out or study.RESULTS / "training" / "ensemble", given.write)
+    except (Refused, ValueError, OSError) as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return 2
+    for key, value in document["summary"].items():
+        print(f"{key:<72} {value:.4g}")
+    return 0
+
+
+def run(path: Path, epochs: int, folder: Path, write: Path | None) -> dict[str, Any]:
+    """Train, calibrate, write; return the manifest."""
+    started = time.perf_counter()
+    robot, dataset = config.robot(), load(path).mirrored()
+    trainings = [member_training(changes, epochs) for changes in MEMBERS]
+    digest = study.digest({"members": list(MEMBERS), "epochs": epochs, "data": dataset.sha256}, [config.ROBOT, BASE])
+    work = folder.with_name(f".{folder.name}.{digest[:12]}")
+    work.mkdir(parents=True, exist_ok=True)
+    predicted = np.zeros((len(MEMBERS), len(dataset), *dataset.force_area_b.shape[1:]), np.float32)
+    for fold, (train, held_out) in enumerate(dataset.grouped_folds(0, FOLDS)):
+        for number, training in enumerate(trainings):
+            file = work / f"fold-{fold}-member-{number}.npy"
+            if not file.is_file():
+                network = train_member(number, training, dataset.take(without_one(dataset, train, fold + number)))
+                np.save(file, predict_areas(network, robot, dataset.take(held_out)).astype(np.float32))
+                print(
+                    f"fold {fold}, member {number}: {time.perf_counter() - started:.0f} s", file=sys.stderr, flush=True
+                )
+            predicted[number, held_out] = np.load(file)
+    totals = [total_wrench(robot, dataset.joint_position_deg, areas.astype(np.float64)) for areas in predicted]
+    truth = total_wrench(robot, dataset.joint_position_deg, dataset.force_area_b)
+    found = {
+        name: intervals(np.stack([getattr(one, key) for one in totals]), getattr(truth, key), dataset.family)
+        for name, key in (("force", "force_area"), ("moment", "moment_volume"))
+    }
+    summary = summarise(predicted, dataset, found)
+    if write is not None:
+        write_members(write, trainings, dataset, found, summary, path.name)
+    data = to_dataset(dataset, totals, truth, digest)
+    settings = {"members": [dict(one) for one in MEMBERS], "epochs": epochs, "folds": FOLDS}
+    document = study.build_manifest(
+        "ensemble",
+        data.attrs["title"],
+        settings,
+        digest,
+        summary=summary,
+        timings={"this call": time.perf_counter() - started},
+        engine="jax",
+    )
+    study.write(folder, data, document)
+    return document
+
+
+def member_training(changes: Mapping[str, Any], epochs: int) -> config.Training:
+    """Return the settings of one network."""
+    table = study.read(BASE)
+    table["network"] |= dict(changes)
+    blocks = table["network"]["features"]
+    noise = table["training"]["noise"] | JOINT_NOISE
+    table["training"] |= {"epochs": epochs, "noise": {block: noise[block] for block in blocks}}
+    table["ensemble"] = {"members": 1, "keep": "mean"}
+    del table["distillation"]
+    return config.parse(BASE, table)
+
+
+def train_member(number: int, training: config.Training, rows: Dataset) -> Network:
+    """Train one network from a start of its own."""
+    seed = 100 + number
+    start = training.start(config.robot(), seed)
+    return fit(start, samples_of(start, config.robot(), rows), None, training.training, seed).network
+
+
+def without_one(dataset: Dataset, rows: Indices, number: int) -> Indices:
+    """Return rows without those of one posture and its mirror image, another for every number."""
+    families = np.unique(dataset.family[rows])
+    kept: Indices = rows[dataset.family[rows] != families[number % len(families)]]
+    return kept
+
+
+def intervals(predicted: Floats, truth: Floats, family: Indices) -> dict[str, Any]:
+    """Return a conformal factor k, so that |error| ≤ k √(s² + s₀²) with the networks' spread s, and its coverage.
+
+    Parameters
+    ----------
+    predicted
+        (members, N, 3), every row by networks that did not see its posture.
+    family
+        (N,) number of the posture, mirror images together.
+    """
+    error = np.linalg.norm(predicted.mean(axis=0) - truth, axis=1)
+    spread = np.sqrt(predicted.var(axis=0, ddof=1).sum(axis=1))
+    floor = float(np.sqrt(np.mean(spread**2)))
+    score = error / np.sqrt(spread**2 + floor**2)
+    covered = {}
+    for one in np.unique(family):
+        other = np.quantile(score[family != one], COVERAGE)
+        covered[int(one)] = float(np.mean(score[family == one] <= other))
+    factor = float(np.quantile(score, COVERAGE))
+    weights = [int(np.sum(family == one)) for one in covered]
+    return {
+        "factor": factor,
+        "floor": floor,
+        "rms": vector_rms(predicted.mean(axis=0) - truth),
+        "coverage": float(np.average(list(covered.values()), weights=weights)),
+        "coverage_min": min(covered.values()),
+        "coverage_max": max(covered.values()),
+        "half_width": float(np.mean(factor * np.sqrt(spread**2 + floor**2))),
+        "correlation": float(np.corrcoef(error, spread)[0, 1]),
+    }
+
+
+def summarise(predicted: Any, dataset: Dataset, found: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """Return the figures of a card: errors on unseen postures, and how the intervals cover them."""
+    mean = predicted.mean(axis=0) - dataset.force_area_b
+    single = [float(np.mean((one - dataset.force_area_b) ** 2)) for one in predicted]
+    summary = {
+        "links, mean of the networks: mean square error [m4]": float(np.mean(mean**2)),
+        "links, best single network [m4]": min(single),
+        "links, worst single network [m4]": max(single),
+    }
+    for name, unit in (("force", "m2"), ("moment", "m3")):
+        one = found[name]
+        summary |= {
+            f"total {name}: rms error of the mean [{unit}]": one["rms"],
+            f"total {name}: conformal factor": one["factor"],
+            f"total {name}: mean half width [{unit}]": one["half_width"],
+            f"total {name}: coverage of unseen postures": one["coverage"],
+            f"total {name}: coverage, worst posture": one["coverage_min"],
+            f"total {name}: coverage, best posture": one["coverage_max"],
+            f"total {name}: correlation of error and spread": one["correlation"],
+        }
+    return summary
+
+
+def write_members(
+    folder: Path,
+    trainings: Sequence[config.Training],
+    dataset: Dataset,
+    found: Mapping[str, Any],
+    summary: Mapping[str, float],
+    source: str,
+) -> None:
+    """Write weights and cards of networks trained on all postures but one each, and what calibrates them."""
+    robot = config.robot()
+    everything = np.arange(len(dataset), dtype=np.int64)
+    for number, training in enumerate(trainings):
+        rows = dataset.take(without_one(dataset, everything, number))
+        network = train_member(number, training, rows)
+        left_out = sorted(set(dataset.postures) - set(rows.postures))
+        facts = result.card_facts(
+            rows,
+            {},
+            epochs=training.training.epochs,
+            seed=100 + number,
+            source=source,
+            held_out=f"one of an ensemble, not shown {', '.join(left_out)}; errors: ensemble.json",
+        )
+        save_network(
+            folder / f"member_{number}.json",
+            network,
+            robot,
+            description=f"Network {number} of an ensemble of independent ones.",
+            training=facts | {"check": result.check_rows(network, robot, dataset)},
+        )
+    card = {
+        "members": [f"member_{number}.json" for number in range(len(trainings))],
+        "interval": "|error| <= factor sqrt(spread^2 + floor^2); spread: standard deviation of the members, all axes",
+        "coverage_aimed_at": COVERAGE,
+        "force_m2": found["force"],
+        "moment_about_com_m3": found["moment"],
+        "unseen_postures": dict(summary),
+        "dataset_sha256": dataset.sha256,
+    }
+    write_json(folder / "ensemble.json", card)
+
+
+def to_dataset(dataset: Dataset, totals: Sequence[Any], truth: Any, digest: str) -> xr.Dataset:
+    """Label what the networks said of postures that they had not seen."""
+    row = ("member", "row", "xyz")
+    variables: dict[str, Any] = {
+        "force_area": (("row", "xyz"), truth.force_area, {"units": "m2"}),
+        "moment_volume": (
+            ("row", "xyz"),
+            truth.moment_volume,
+            {"units": "m3", "long_name": "about the centre of mass"},
+        ),
+        "predicted_force_area": (row, np.stack([one.force_area for one in totals]), {"units": "m2"}),
+        "predicted_moment_volume": (row, np.stack([one.moment_volume for one in totals]), {"units": "m3"}),
+        "wind": (("row", "xyz"), dataset.wind_b, {"units": "1"}),
+    }
+    coords = {"posture": ("row", dataset.posture.astype(str)), "xyz": ["x", "y", "z"]}
+    title = "An ensemble of networks on postures that it has not seen"
+    return xr.Dataset(variables, coords, {"title": title, "config_hash": digest})
+
+
+if __name__ == "__main__":
+    sys.exit(main())

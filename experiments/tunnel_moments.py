@@ -1,0 +1,287 @@
+"""Compare every model's moments with the wind tunnel: `jax-aero tunnel-moments`.
+
+Each model is evaluated at the measured points of iRonCub-Mk1, with the forces at the links' centres and where the
+published code has them, and compared with the measured moment about the centre of mass, for both sides on which the
+balance centre may be. Intervals draw postures with replacement, and the balance centre within its tolerance once for
+each campaign and mount. The result goes to `results/tunnel_moments/mk1/`;
+`jax-aero figures tunnel_moments` draws it. Needs `results/datasets/tunnel_mk1.nc` of `import-tunnel`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from experiments import Refused, study
+from experiments.import_cfd import OUT
+from jax_aero.aero import tunnel
+from jax_aero.aero.dataset import JOINTS, Floats, tunnel_from_base, wind_direction
+from jax_aero.aero.model import aero_model
+from jax_aero.aero.posture import centres_of_mass, link_frames
+from jax_aero.aero.protocol import LinksInAir
+from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogate
+from jax_aero.io import aero_config
+from jax_aero.kinematics import kinematics
+from jax_aero.robot import RobotModel, load_robot
+from jax_aero.spatial import rotate
+from jax_aero.types import State
+
+ROBOT = study.CONFIGS / "robot" / "ironcub_mk1.toml"
+AERO = study.CONFIGS / "aero"
+PANELS = AERO / "panels" / "surrogate.toml"
+MODELS = {
+    "axisymmetric, published": "axisymmetric_published",
+    "axisymmetric, corrected": "axisymmetric_corrected",
+    "axisymmetric, signed": "axisymmetric_signed",
+    "axisymmetric, refit": "axisymmetric_refit",
+    "spheres and cylinders": "sphere_cylinder",
+    "network, shipped": "network",
+}
+PANEL_MODEL, NOTHING = "panels", "no moment"
+ARMS, SIDES = ("corrected arms", "published arms"), ("below", "above")
+GROUPS = ("hovering", "flight", "all")
+NEWTON_METRES = 0.5 * 1.225 * 10.0**2
+"""Of one cubic metre, at 10 m/s [N m]."""
+DRAWS, SEED = 1000, 1
+ENDS = (0.025, 0.975)
+ADDED = ("2.5 %", "97.5 %", "share above zero")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    parser = argparse.ArgumentParser(prog="jax-aero tunnel-moments", description=__doc__)
+    parser.add_argument(
+        "--dataset", type=Path, default=OUT / "tunnel_mk1.nc", metavar="FILE", help="from import-tunnel"
+    )
+    given = parser.parse_args(arguments)
+    try:
+        document = run(read(given.dataset))
+    except (Refused, ValueError, OSError) as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return 2
+    for key, value in document["summary"].items():
+        print(f"{key:<88} {value:8.3f}")
+    return 0
+
+
+def read(path: Path) -> xr.Dataset:
+    """Return the points of the tunnel."""
+    if not path.is_file():
+        raise Refused(f"no {path.name}; make it with: jax-aero import-tunnel --clone DIR")
+    return xr.load_dataset(path, engine="h5netcdf")
+
+
+def run(data: xr.Dataset) -> dict[str, Any]:
+    """Evaluate, compare, write; return the manifest."""
+    started = time.perf_counter()
+    robot = load_robot(ROBOT)
+    predicted = {name: moments(robot, data, areas) for name, areas in model_areas(robot, data).items()}
+    names = [NOTHING, *predicted]
+    volumes = np.stack([np.zeros((2, data.sizes["point"], 3)), *predicted.values()])
+    measured = np.stack([moment_about_com(data, side) for side in SIDES])
+    errors, intervals, added = compare(data, volumes)
+    arms, point = np.array(ARMS), ("point", "axis")
+    result = xr.Dataset(
+        {
+            "predicted": (("model", "arms", *point), volumes, {"units": "m3"}),
+            "measured": (("side", *point), measured, {"units": "m3"}),
+            "uncertainty": (point, data["u_total"].values, {"units": "m3"}),
+            "rms": (("model", "arms", "side", "group"), errors, {"units": "N m", "long_name": "at 10 m/s"}),
+            "interval": (("model", "arms", "side", "group", "end"), intervals, {"units": "N m"}),
+            "added": (("model", "side", "group", "figure"), added, {"long_name": "by the published arms: N m, share"}),
+        },
+        {
+            "model": names,
+            "arms": arms,
+            "side": list(SIDES),
+            "group": list(GROUPS),
+            "end": list(ENDS),
+            "figure": list(ADDED),
+            "axis": ["x", "y", "z"],
+            **{name: data[name] for name in ("campaign", "test", "kind", "posture", "marks", "robot_only")},
+            **{name: data[name] for name in ("pitch", "yaw", "speed")},
+        },
+    )
+    networks = [AERO / "networks" / "default.json"]
+    files = [ROBOT, PANELS, *(AERO / f"{name}.toml" for name in MODELS.values()), *networks]
+    digest = study.digest({"draws": DRAWS, "points": data.sizes["point"]}, files)
+    result.attrs |= {"title": "Models' moments beside the wind tunnel", "config_hash": digest}
+    document = study.build_manifest(
+        "mk1",
+        result.attrs["title"],
+        {"draws": DRAWS, "seed": SEED},
+        digest,
+        summary=summary(result),
+        timings={"all": time.perf_counter() - started},
+        engine="jax",
+    )
+    study.write(study.RESULTS / "tunnel_moments" / "mk1", result, document)
+    return document
+
+
+def model_areas(robot: RobotModel, data: xr.Dataset) -> dict[str, Floats]:
+    """Return the force areas of the links (N, 13, 3) [m²], base axes, by model."""
+    joints, wind = data["joint_position"].values, wind_direction(data["pitch"].values, data["yaw"].values)
+    found = {}
+    for name, file in MODELS.items():
+        table = study.read(AERO / f"{file}.toml")
+        if "card" in table:
+            table["card"] = str(AERO / table["card"])
+        found[name] = evaluated(robot, table, joints, wind * data["speed"].values[:, None])
+    panels = load_surrogate(PANELS, robot)
+    features = batched_features(robot, panels.panels, panels.wake)
+    found[PANEL_MODEL] = force_areas(panels.coefficients, features(joints, wind))
+    return found
+
+
+def evaluated(robot: RobotModel, table: Mapping[str, Any], joints: Floats, air: Floats) -> Floats:
+    """Return the force areas (N, 13, 3) of a model at rest in air that moves with (N, 3) [m/s], base axes."""
+    with jax.enable_x64(True):
+        model = aero_model(aero_config(table), robot)
+        places, links = np.array([robot.joint_names.index(name) for name in JOINTS]), robot.aero_links
+
+        def one(angles: Any, wind: Any) -> Any:
+            position = jnp.zeros(robot.n_joints).at[places].set(angles)
+            kin = kinematics(robot, State(jnp.zeros(3), jnp.eye(3), position, jnp.zeros(6 + robot.n_joints)))
+            rotations = kin.body_rotations[np.array(links.bodies)] @ links.rotations
+            axes = rotate(rotations, links.axes)
+            forces = model.forces(LinksInAir(axes, jnp.broadcast_to(wind, axes.shape), wind, robot, kin))
+            return forces / (0.5 * float(table["air_density"]) * jnp.sum(wind**2))
+
+        areas = jax.jit(jax.vmap(one))(jnp.asarray(np.radians(joints)), jnp.asarray(air))
+        return np.asarray(areas, dtype=np.float64)
+
+
+def moments(robot: RobotModel, data: xr.Dataset, areas: Floats) -> Floats:
+    """Return moment volumes about the centre of mass (2, N, 3) [m³], base axes, by lever arm.
+
+    The published arm adds a link's offset without turning it into inertial axes; the robot stands as in flight, pitched
+    in a wind that comes from the side, not yawed.
+    """
+    joints = data["joint_position"].values
+    shapes, shape_of = np.unique(joints, axis=0, return_inverse=True)
+    frames, offsets = link_frames(robot, shapes), np.asarray(robot.aero_links.centres)
+    rotations, origins = frames.rotations[shape_of], frames.positions[shape_of]
+    com = centres_of_mass(robot, joints)[:, None, :]
+    base_from_inertial = np.swapaxes(tunnel_from_base(data["pitch"].values, 0.0), -1, -2)
+    right = origins + np.einsum("nlij,lj->nli", rotations, offsets) - com
+    published = origins + np.einsum("nij,lj->nli", base_from_inertial, offsets) - com
+    return np.stack([np.cross(arms, areas).sum(axis=1) for arms in (right, published)])
+
+
+def moment_about_com(data: xr.Dataset, side: str, more: Callable[[str, str], Floats] | None = None) -> Floats:
+    """Return the measured moment volumes about the centre of mass (N, 3), base axes, on one side.
+
+    `more(campaign, kind)` is added to the offset, balance axes [m].
+    """
+    kinds, campaigns = data["kind"].values, data["campaign"].values
+    arms = np.zeros((len(kinds), 3))
+    for kind in np.unique(kinds):
+        for campaign in np.unique(campaigns):
+            chosen = (kinds == kind) & (campaigns == campaign)
+            offset = np.array(tunnel.LEVERS[str(kind), side].offset)
+            offset = offset if more is None else offset + more(str(campaign), str(kind))
+            arms[chosen] = tunnel.base_from_balance("mk1", str(kind)) @ offset
+    arms += tunnel.HIP - data["com"].values
+    found: Floats = data["moment_balance"].values + np.cross(arms, data["force_area"].values)
+    return found
+
+
+def compare(data: xr.Dataset, volumes: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return rms errors at 10 m/s (model, arms, side, group), their 95 % intervals, and that of what the arms add.
+
+    The last is (model, side, group, 3): 2.5 and 97.5 % of the published arms' rms error less that of the corrected
+    ones, and the share of draws in which it is positive.
+    """
+    alone = data["robot_only"].values == 1
+    data, volumes = data.isel(point=alone), volumes[:, :, alone]
+    kinds = data["kind"].values
+    chosen = (kinds == "hovering", kinds == "flight", np.ones(len(kinds), dtype=bool))
+    cluster = np.array([f"{c} {p}" for c, p in zip(data["campaign"].values, data["posture"].values, strict=True)])
+    rng = np.random.default_rng(SEED)
+    shape = (len(volumes), len(ARMS), len(SIDES), len(GROUPS))
+    errors, drawn = np.zeros(shape), np.zeros((DRAWS, *shape))
+    for s, side in enumerate(SIDES):
+        square = _squares(volumes, moment_about_com(data, side))
+        for g, rows in enumerate(chosen):
+            errors[..., s, g] = np.sqrt(square[..., rows].mean(axis=-1))
+        for draw in range(DRAWS):
+            square = _squares(volumes, moment_about_com(data, side, _offsets(rng, side)))
+            for g, rows in enumerate(chosen):
+                weight = _resampled(rng, cluster, rows)
+                drawn[draw, ..., s, g] = np.sqrt(square @ weight / weight.sum())
+    intervals = np.moveaxis(np.quantile(drawn, ENDS, axis=0), 0, -1) * NEWTON_METRES
+    more = (drawn[:, :, 1] - drawn[:, :, 0]) * NEWTON_METRES
+    added = np.concatenate([np.quantile(more, ENDS, axis=0), np.mean(more > 0.0, axis=0)[None]])
+    return errors * NEWTON_METRES, intervals, np.moveaxis(added, 0, -1)
+
+
+def _squares(volumes: Floats, measured: Floats) -> Floats:
+    square: Floats = np.sum((volumes - measured) ** 2, axis=-1)
+    return square
+
+
+def _offsets(rng: np.random.Generator, side: str) -> Callable[[str, str], Floats]:
+    """Draw one error of the offset for each campaign and mount."""
+
+    def more(_campaign: str, kind: str) -> Floats:
+        drawn: Floats = rng.normal(size=3) * np.array(tunnel.LEVERS[kind, side].deviation)
+        return drawn
+
+    return more
+
+
+def _resampled(rng: np.random.Generator, cluster: Any, rows: Any) -> Floats:
+    """Weights of the points when their postures are drawn with replacement."""
+    names, number = np.unique(cluster[rows], return_inverse=True)
+    count = np.bincount(rng.integers(len(names), size=len(names)), minlength=len(names))
+    weight = np.zeros(len(cluster))
+    weight[rows] = count[number]
+    return weight
+
+
+def summary(result: xr.Dataset) -> dict[str, float]:
+    """Return rms errors with their intervals, what the published arms add, and hovering in wind from the side."""
+    found: dict[str, float] = {}
+    alone = result["robot_only"] == 1
+    for group in GROUPS:
+        rows = alone if group == "all" else alone & (result["kind"] == group)
+        own = np.sqrt(np.mean(np.sum(result["uncertainty"].values[rows.values] ** 2, axis=1)))
+        found[f"{group}: the measurement's own standard deviation [N m]"] = own * NEWTON_METRES
+        for side in SIDES:
+            for name in result["model"].values:
+                for arms in ARMS if name != NOTHING else ARMS[:1]:
+                    at = {"model": name, "side": side, "group": group, "arms": arms}
+                    key = f"{group}, centre {side}, {name}, {arms}"
+                    found[f"{key}: rms [N m]"] = float(result["rms"].sel(at))
+                    for text, value in zip(("2.5 %", "97.5 %"), result["interval"].sel(at).values, strict=True):
+                        found[f"{key}: {text}"] = float(value)
+                if name != NOTHING:
+                    added = result["added"].sel(model=name, side=side, group=group).values
+                    key = f"{group}, centre {side}, {name}: published arms add"
+                    found |= {f"{key}, {text}": float(value) for text, value in zip(ADDED, added, strict=True)}
+    for campaign in np.unique(result["campaign"].values):
+        rows = (result["posture"] == "hovering") & (result["campaign"] == campaign) & (abs(result["yaw"] - 90.0) < 1.0)
+        chosen = result.isel(point=rows.values & ~result["marks"].str.contains("doubtful").values)
+        for axis in ("x", "z"):
+            for side in SIDES:
+                value = float(chosen["measured"].sel(side=side, axis=axis).mean()) * NEWTON_METRES
+                found[f"hovering at 90 deg, {campaign}, centre {side}, {axis}: measured with support [N m]"] = value
+            for name in result["model"].values[1:]:
+                for arms in ARMS:
+                    value = float(chosen["predicted"].sel(model=name, arms=arms, axis=axis).mean()) * NEWTON_METRES
+                    found[f"hovering at 90 deg, {campaign}, {axis}, {name}, {arms} [N m]"] = value
+    return found
+
+
+if __name__ == "__main__":
+    sys.exit(main())

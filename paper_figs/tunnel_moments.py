@@ -1,0 +1,113 @@
+"""Models' moments about the centre of mass beside the wind tunnel, with intervals and both lever arms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from paper_figs import style
+from paper_figs.studies import load
+
+RUNS = ("mk1",)
+NEWTON_METRES = 61.25
+"""Of one cubic metre at 10 m/s [N m]."""
+SHOWN = {
+    "axisymmetric, corrected": style.BLUE,
+    "spheres and cylinders": style.GREEN,
+    "panels": style.ORANGE,
+    "network, shipped": style.VERMILION,
+}
+SIDES = {"below": "o", "above": "^"}
+CAMPAIGNS = {"exp_2022_03_21": "March", "exp_2022_11_03": "November"}
+SIGMAS = 2.0
+"""Half the length of an error bar."""
+EXPOSED = 20.5
+"""Sideslip beyond which the support stands in the wind [deg]."""
+
+
+def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+    """Draw pitch against the angle of attack, roll against sideslip, and rms errors with their intervals."""
+    study = load(results, "tunnel_moments", names[0])
+    figure, grid = plt.subplots(2, 2, figsize=(style.FULL_WIDTH, 5.4), layout="constrained")
+    _angles(grid[0, 0], study)
+    _sideslip(grid[0, 1], study, "x", "roll")
+    _sideslip(grid[1, 0], study, "z", "yaw")
+    _errors(grid[1, 1], study)
+    for axes, mark in zip(grid.flat, "abcd", strict=True):
+        style.letter(axes, mark)
+    handles, labels = grid[0, 1].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=6)
+    return figure, {names[0]: str(study.attrs["config_hash"])}
+
+
+def _angles(axes: Axes, study: xr.Dataset) -> None:
+    """Pitching moment of flight30 without sideslip."""
+    rows = (study["posture"] == "flight30") & (study["robot_only"] == 1)
+    points = study.isel(point=rows.values).sortby("pitch")
+    _measured(axes, points, points["pitch"], "y")
+    _models(axes, points, points["pitch"].values, "y")
+    axes.set_xlabel(r"angle of attack $\alpha$ [deg]")
+    axes.set_ylabel("pitching moment at 10 m/s [N m]")
+    axes.set_title("flight30, robot alone")
+
+
+def _sideslip(axes: Axes, study: xr.Dataset, axis: str, name: str) -> None:
+    """Moment of the hovering posture against sideslip, the support in the wind beyond 20 degrees."""
+    rows = (study["posture"] == "hovering") & ~study["marks"].str.contains("doubtful|outlier")
+    points = study.isel(point=rows.values).sortby("yaw")
+    axes.axvspan(EXPOSED, 92.0, color=style.LIGHT, alpha=0.5, linewidth=0)
+    axes.axvspan(-92.0, -EXPOSED, color=style.LIGHT, alpha=0.5, linewidth=0)
+    for (campaign, label), fill in zip(CAMPAIGNS.items(), ("none", style.BLACK), strict=True):
+        own = points.isel(point=(points["campaign"] == campaign).values)
+        _measured(axes, own, own["yaw"], axis, label=label, fill=fill)
+    _models(axes, points, points["yaw"].values, axis)
+    axes.set_xlim(-92.0, 92.0)
+    axes.set_xlabel(r"sideslip $\beta$ [deg]")
+    axes.set_ylabel(f"{name}ing moment at 10 m/s [N m]")
+    axes.set_title("hovering; grey: the support in the wind")
+
+
+def _measured(
+    axes: Axes, points: xr.Dataset, x: xr.DataArray, axis: str, *, label: str = "tunnel", fill: str = style.BLACK
+) -> None:
+    for side, marker in SIDES.items():
+        y = points["measured"].sel(side=side, axis=axis).values * NEWTON_METRES
+        bar = SIGMAS * points["uncertainty"].sel(axis=axis).values * NEWTON_METRES
+        shown = {"fmt": marker, "markersize": 2.5, "color": style.BLACK, "markerfacecolor": fill, "linewidth": 0.4}
+        axes.errorbar(x.values, y, bar, label=f"{label}, centre {side}", **shown)  # type: ignore[arg-type]  # Matplotlib's options
+
+
+def _models(axes: Axes, points: xr.Dataset, x: np.ndarray, axis: str) -> None:
+    for name, colour in SHOWN.items():
+        for arms, dash in zip(points["arms"].values, ("-", ":"), strict=True):
+            y = points["predicted"].sel(model=name, arms=arms, axis=axis).values * NEWTON_METRES
+            places, first = np.unique(np.round(x), return_inverse=True)
+            mean = np.bincount(first, y) / np.bincount(first)
+            label = name if dash == "-" else None
+            axes.plot(places, mean, dash, color=colour, linewidth=1.0, label=label)
+
+
+def _errors(axes: Axes, study: xr.Dataset) -> None:
+    """Rms error over the points of hovering postures that are of the robot alone."""
+    names = [str(name) for name in study["model"].values]
+    colours = (style.BLUE, style.VERMILION)
+    for row, name in enumerate(names):
+        for a, (arms, colour) in enumerate(zip(study["arms"].values, colours, strict=True)):
+            for s, (side, marker) in enumerate(SIDES.items()):
+                if a and row == 0:
+                    continue
+                at = {"model": name, "arms": arms, "side": side, "group": "hovering"}
+                low, high = study["interval"].sel(at).values
+                y = row + 0.18 * (2 * a + s - 1.5)
+                axes.plot([low, high], [y, y], color=colour, linewidth=1.0)
+                axes.plot(float(study["rms"].sel(at)), y, marker, color=colour, markersize=3)
+    axes.set_yticks(range(len(names)), names)
+    axes.invert_yaxis()
+    axes.set_xlabel("rms error at 10 m/s, 95 % interval [N m]")
+    axes.set_title("hovering; red: published arms")

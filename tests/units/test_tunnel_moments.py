@@ -1,0 +1,119 @@
+"""Models beside the tunnel's moments, networks with intervals, and the matrix of pairs: what they compute."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments import import_tunnel, tunnel_moments
+from experiments.training import ensemble
+from jax_aero.aero import dataset, tunnel
+from jax_aero.aero.fit import predicted_areas
+from jax_aero.aero.posture import link_axes, total_wrench
+from jax_aero.robot import load_robot
+from paper_figs import model_pairs
+from tests.units.test_import_cfd import read, table
+from tests.units.test_tunnel import clone, gvp
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return load_robot(tunnel_moments.ROBOT)
+
+
+@pytest.fixture(scope="module")
+def points(tmp_path_factory):
+    load = (-20.0, 3.0, 1.0, -0.5, -1.5, 0.3)
+    files = {
+        "TID_0001.GVP": gvp([(1, 0.0, 0.0, 12.0, 85.0, load), (2, 0.0, 20.0, 12.0, 85.0, load)]),
+        "TID_0018.GVP": gvp([(1, -5.0, 0.0, 17.0, 170.0, load)]),
+    }
+    (found,) = import_tunnel.from_clone(clone(tmp_path_factory.mktemp("clone"), files))
+    return {side: import_tunnel.reduced(found, side) for side in tunnel_moments.SIDES}
+
+
+def test_the_measured_moment_has_the_offset_of_its_side(points):
+    for side, data in points.items():
+        found = tunnel_moments.moment_about_com(points["below"], side)
+        np.testing.assert_allclose(found, data["moment_com"].values, atol=1e-15)
+    moved = tunnel_moments.moment_about_com(points["below"], "below", lambda *_: np.array([0.0, 0.0, 0.01]))
+    turns = [tunnel.base_from_balance("mk1", kind) for kind in points["below"]["kind"].values]
+    arm = np.array([turn @ [0.0, 0.0, 0.01] for turn in turns])
+    expected = np.cross(arm, points["below"]["force_area"].values)
+    np.testing.assert_allclose(moved - points["below"]["moment_com"].values, expected, atol=1e-15)
+
+
+def test_corrected_arms_are_the_links_centres_and_published_ones_are_not_turned(robot, points):
+    data = points["below"]
+    areas = np.random.default_rng(1).normal(size=(3, 13, 3))
+    right, published = tunnel_moments.moments(robot, data, areas)
+    joints = data["joint_position"].values
+    np.testing.assert_allclose(right, total_wrench(robot, joints, areas).moment_volume, atol=1e-14)
+    # Upright, inertial axes are the base's: the arms differ by the offset, turned and not.
+    frames = tunnel_moments.link_frames(robot, joints[:1])
+    offsets = np.asarray(robot.aero_links.centres)
+    turned = np.einsum("lij,lj->li", frames.rotations[0], offsets)
+    upright = dataset.tunnel_from_base(data["pitch"].values[0], 0.0)
+    more = np.cross(offsets @ upright - turned, areas[0]).sum(axis=0)
+    np.testing.assert_allclose(published[0] - right[0], more, atol=1e-14)
+
+
+def test_models_are_evaluated_in_the_wind_of_the_tunnel(robot, points):
+    data = points["below"].isel(point=[0])
+    joints, wind = data["joint_position"].values, dataset.wind_direction(data["pitch"].values, data["yaw"].values)
+    settings = tunnel_moments.study.read(tunnel_moments.AERO / "axisymmetric_corrected.toml")
+    found = tunnel_moments.evaluated(robot, settings, joints, 12.0 * wind)
+    expected = predicted_areas(np.asarray(robot.aero_links.coefficients["corrected"]), link_axes(robot, joints), wind)
+    np.testing.assert_allclose(found, expected, atol=1e-14)
+
+
+def test_a_model_that_is_the_measurement_has_no_error(points):
+    data = points["below"]
+    below = tunnel_moments.moment_about_com(data, "below")
+    volumes = np.stack([np.zeros((2, 3, 3)), np.stack([below, below + 0.02])])
+    errors, intervals, added = tunnel_moments.compare(data, volumes)
+    np.testing.assert_allclose(errors[1, 0, 0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(errors[1, 1, 0], 0.02 * np.sqrt(3.0) * tunnel_moments.NEWTON_METRES, atol=1e-12)
+    assert np.all(intervals[..., 0] <= intervals[..., 1])
+    assert added.shape == (2, 2, 3, 3)
+    assert added[1, 0, 2, 2] > 0.9
+
+
+def test_intervals_cover_what_they_say_where_the_error_follows_the_spread():
+    rng = np.random.default_rng(3)
+    family = np.repeat(np.arange(10), 400)
+    size = rng.uniform(0.5, 2.0, size=(4000, 1))
+    truth = np.zeros((4000, 3))
+    predicted = size * rng.normal(size=(8, 4000, 3))
+    found = ensemble.intervals(predicted, truth, family)
+    # 4000 draws: a standard deviation of 0.5 per cent about 90.
+    assert 0.88 < found["coverage"] < 0.92
+    assert found["coverage_min"] < found["coverage"] < found["coverage_max"]
+
+
+def test_members_of_an_ensemble_differ_and_miss_one_posture():
+    trainings = [ensemble.member_training(changes, 3) for changes in ensemble.MEMBERS]
+    assert len({repr(one.network) for one in trainings}) == len(trainings) == 8
+    data = read(table())
+    everything = np.arange(len(data))
+    kept = ensemble.without_one(data, everything, 0)
+    assert 0 < len(kept) < len(data)
+    assert len(set(data.family[kept])) == len(set(data.family)) - 1
+
+
+def test_a_cell_of_the_matrix_counts_balanced_arrivals():
+    flights = pd.DataFrame(
+        {
+            "world": ["a", "a", "a", "b"],
+            "model": ["m"] * 4,
+            "outcome": ["completed", "completed", "fell", "completed"],
+            "rotation_error_deg": [10.0, 60.0, 120.0, 5.0],
+        }
+    )
+    share, lean = model_pairs.matrices(flights, ["m"], ["a", "b"])
+    np.testing.assert_allclose(share, [[1 / 3, 1.0]])
+    np.testing.assert_allclose(lean, [[60.0, 5.0]])
+
+
+def test_without_data_the_command_says_what_makes_them(tmp_path, capsys):
+    assert tunnel_moments.main(["--dataset", str(tmp_path / "none.nc")]) == 2
+    assert "import-tunnel" in capsys.readouterr().err
