@@ -35,6 +35,8 @@ GROUPS: dict[str, dict[str, Command]] = {
         "sweep": Command("experiments.sweep.command:main", "sweeps", "fly many perturbed flights, and count"),
         "figures": Command("paper_figs.__main__:main", "figs", "draw figures from results"),
         "report": Command("experiments.report.command:main", "sweeps", "write all results on one page"),
+        "along": Command("experiments.along:main", "symbolic", "find fuel and clearance along flights"),
+        "pictures": Command("experiments.pictures:main", "view", "draw the robot for figures of the paper"),
         "view": Command("jax_aero.view.command:view", "view", "watch a flight in the browser, and fly it again"),
         "video": Command("jax_aero.view.command:video", "view", "film a flight"),
         "import-lab": Command("experiments.import_lab:main", "figs", "make a result of what the flight lab exported"),

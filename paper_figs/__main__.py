@@ -14,6 +14,7 @@ from jax_aero import cli
 from jax_aero.places import did_you_mean
 from paper_figs import (
     ablation,
+    along,
     demo,
     fig4_fit,
     fig4_network,
@@ -25,6 +26,7 @@ from paper_figs import (
     model_pairs,
     observer_limit,
     paper,
+    pictures,
     runs,
     scatter,
     style,
@@ -43,11 +45,13 @@ Draw = Callable[[Path, Sequence[str]], tuple[Figure, dict[str, str]]]
 
 FIGURES: dict[str, tuple[Draw, Sequence[str], str]] = {
     "fig2": (tunnel.fig2, (), "Fig. 2 d, e: the wind tunnel's drag by speed and by posture; needs no run"),
+    "fig2_setup": (pictures.setup, pictures.RUNS, "Fig. 2 a-c as a drawing: robot, pylon, balance, axes"),
     "fig3": (tunnel.fig3, (), "Fig. 3 a, b: CFD beside the wind tunnel; needs no run"),
     "supp_mesh": (tunnel.mesh, (), "Suppl. Fig. 5: mesh study; needs no run"),
     "fig4_fit": (fig4_fit.draw, fig4_fit.RUNS, "Fig. 4 d, e: the axisymmetric model over the CFD"),
     "fig4_network": (fig4_network.draw, fig4_network.RUNS, "Fig. 4 a-c: the network's drag of the head, two splits"),
     "training": (training.draw, training.RUNS, "loss curves of a training run"),
+    "fig5a": (pictures.flight, pictures.RUNS, "Fig. 5 a: the flight, rendered"),
     "fig5": (fig5_flight.draw, fig5_flight.RUNS, "Fig. 5 b-i: one mission flown twice"),
     "fig5_robustness": (
         fig5_flight.draw,
@@ -55,6 +59,8 @@ FIGURES: dict[str, tuple[Draw, Sequence[str], str]] = {
         "Fig. 5 b-i as the paper fills it: TEST4, robustness",
     ),
     "fig6": (fig6_balancing.draw, fig6_balancing.RUNS, "Fig. 6 a-l: ground experiments in frontal and lateral wind"),
+    "postures": (pictures.postures, pictures.RUNS, "Suppl. Fig. 8, 9: the postures, rendered"),
+    "along": (along.draw, along.RUNS, "fuel burnt and clearance of the jets along flights"),
     "suppl7": (suppl7.draw, suppl7.RUNS, "Suppl. Fig. 7: TEST1, TEST2, TEST3, robustness; corrected arms"),
     "suppl7_published": (suppl7.draw, suppl7.PUBLISHED, "Suppl. Fig. 7; published arms"),
     "demo": (demo.draw, demo.RUNS, "three controllers, corrected and published lever arms"),

@@ -58,6 +58,13 @@ _TRAINING = "python -m experiments train compact --dataset results/datasets/free
 FIGURE_ITEMS: Sequence[Item] = (
     Item("Fig. 1 a, b", "the robot: mass, sizes", links=("#the-robot",), claims=("mass", "added_mass")),
     Item("Fig. 1 c–f", "jetpack and forearm, assembled and exploded", verdict=_NO_CAD),
+    Item(
+        "Fig. 2 a–c",
+        "tunnel, test section, robot on its support, as a drawing",
+        "fig2_setup",
+        verdict="agrees in its parts; where the strut holds the robot is not public",
+        command="python -m experiments test2; python -m experiments pictures; python -m paper_figs fig2_setup",
+    ),
     Item("Fig. 2 d", "drag by speed", "fig2", tunnel=_tunnel(tunnel.speed_claims, with_cfd=False)),
     Item("Fig. 2 e", "drag by posture", "fig2", tunnel=_tunnel(tunnel.posture_claims, with_cfd=False)),
     Item("Fig. 3 a, b", "CFD beside the tunnel", "fig3", tunnel=_tunnel(tunnel.turbulence_claims, with_cfd=True)),
@@ -71,6 +78,13 @@ FIGURE_ITEMS: Sequence[Item] = (
         command=f"{_TRAINING}; python -m paper_figs fig4_network",
     ),
     Item("Fig. 4 d, e", "the axisymmetric model over the CFD", "fig4_fit", claims=("order",)),
+    Item(
+        "Fig. 5 a",
+        "the flight, rendered with forces, exhausts and wind",
+        "fig5a",
+        verdict="agrees",
+        command="python -m experiments test2; python -m experiments pictures; python -m paper_figs fig5a",
+    ),
     Item("Fig. 5 b–i", "TEST2 and TEST1", "fig5", claims=("test1", "test2")),
     Item(
         "Fig. 5 b–i",
@@ -135,6 +149,7 @@ NUMBERS: Sequence[Item] = (
         claims=("battery", "fuel"),
         command="python -m experiments engine-choice",
     ),
+    Item("Actuators selection", "fuel along flights", "along", claims=("fuel_flown",)),
     Item("Actuators selection", "engines", links=("#suppl-table-1",), claims=("chest_engine", "lift", "arm_engine")),
     Item("FEM analysis", "stresses of the interfaces", claims=("stress", "strength")),
     Item(
@@ -172,6 +187,14 @@ SUPPLEMENT: Sequence[Item] = (
     ),
     Item("Suppl. Fig. 7", "the same, published arms", "suppl7_published", claims=("test1", "test3", "joint_errors")),
     Item(
+        "Suppl. Fig. 8, 9",
+        "postures, rendered",
+        "postures",
+        ("configs/tables/postures.toml",),
+        verdict="out of reach: which 19 postures the supplement shows; all that the public tables have are drawn",
+        command="python -m experiments test2; python -m experiments pictures; python -m paper_figs postures",
+    ),
+    Item(
         "Suppl. Fig. 10–14",
         "whole campaign, aerodynamic efficiency",
         verdict="out of reach: only the records of Fig. 2 and 3 are in this repository",
@@ -193,8 +216,9 @@ SUPPLEMENT: Sequence[Item] = (
     Item(
         "Suppl. Note 6",
         "jets away from the body",
-        links=("configs/trim/hover_posture.toml",),
-        verdict="out of reach: the redesign is not public",
+        "along",
+        ("configs/trim/hover_posture.toml",),
+        ("clearance",),
     ),
 )
 

@@ -14,6 +14,8 @@ COMMANDS = {
     "fit": "python -m experiments fit-aero",
     "training": "python -m experiments train compact --dataset results/datasets/freestream.nc",
     "surrogate": "python -m experiments calibrate-surrogate",
+    "along": "python -m experiments along",
+    "pictures": "python -m experiments pictures",
     "identify": "python -m experiments identify-aero",
 }
 """What makes a study, where that is not `python -m experiments.KIND NAME`."""

@@ -69,6 +69,11 @@ class Results:
             found[path.parent.name] = Sweep(document, pq.read_table(path).to_pylist())
         return found
 
+    def study(self, kind: str, name: str) -> dict[str, Any] | None:
+        """Return the figures of a study, if it was made."""
+        path = self.folder / kind / name / "manifest.json"
+        return dict(json.loads(path.read_text(encoding="utf-8"))["summary"]) if path.is_file() else None
+
     def figure(self, name: str) -> str | None:
         """Return the path of a figure beside the report, if it was drawn."""
         return f"figures/{name}.png" if (self.folder / "figures" / f"{name}.png").is_file() else None

@@ -1,0 +1,153 @@
+"""What follows from the logs of flights: the fuel that is burnt, and how far jets stay from the body.
+
+`python -m experiments along [NAME ...]` reads `results/flight/NAME/`. Fuel is a straight line in the thrust of every
+jet, as in `configs/trajectory/min_time.toml`; the clearance is that of `configs/trim/hover_posture.toml`: from the axis
+of an exhaust to the surface of a link, soles included. The result goes to `results/along/flights/`;
+`python -m paper_figs along` draws it.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from experiments import Refused, record, study
+from experiments.engine_choice import ROBOT, Choice
+from experiments.trajectory import Consumption, fuel_lines
+from jax_aero import cli, tables
+from jax_aero.symbolic import load_robot
+from jax_aero.symbolic.clearance import pairs
+from jax_aero.symbolic.kinematics import Kinematics
+
+FLIGHTS = ("test2", "test2_published", "test4", "robustness", "test1", "test1_published", "no_wind")
+STEP = 0.1
+"""Between the moments that are looked at [s]."""
+KIND, NAME = "along", "flights"
+
+Array = NDArray[np.float64]
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command line; return its exit status."""
+    parser = cli.Parser("along", __doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"flights (default {' '.join(FLIGHTS)})")
+    try:
+        document = run(parser.parse_args(arguments).names or FLIGHTS)
+    except Refused as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return cli.REFUSED
+    for name, found in document["summary"].items():
+        print(f"{name:<28} " + ", ".join(f"{key} {value:.4g}" for key, value in found.items()))
+    return 0
+
+
+def run(names: Sequence[str]) -> dict[str, Any]:
+    """Read the flights, write the study, return its manifest."""
+    started = time.perf_counter()
+    runs = {name: _read(name) for name in names}
+    plan = study.read(study.CONFIGS / "trajectory" / "min_time.toml")
+    trim = study.read(study.CONFIGS / "trim" / "hover_posture.toml")
+    fuel = {jet: tables.convert(points, Consumption, "min_time.toml") for jet, points in plan["fuel"].items()}
+    dataset = of_runs(runs, fuel, float(trim["plume_length"]))
+    config = {
+        "fuel": plan["fuel"],
+        "plume_length": trim["plume_length"],
+        "flights": {n: _hash(r) for n, r in runs.items()},
+    }
+    dataset.attrs |= {"title": "Fuel and clearance along flights", "config_hash": study.digest(config, [ROBOT])}
+    document = study.build_manifest(
+        NAME,
+        dataset.attrs["title"],
+        config,
+        dataset.attrs["config_hash"],
+        summary=figures(dataset),
+        timings={"all": time.perf_counter() - started},
+        command=["python", "-m", "experiments", "along", *names],
+    )
+    study.write(study.RESULTS / KIND / NAME, dataset, document)
+    return document
+
+
+def _read(name: str) -> xr.Dataset:
+    path = study.RESULTS / "flight" / name / record.RUN_FILE
+    if not path.is_file():
+        raise Refused(f"no flight `{name}`; fly it with: python -m experiments {name}")
+    with xr.open_dataset(path, engine="h5netcdf") as opened:
+        return opened[["joint_position", "thrust"]].load().assign_attrs(opened.attrs)
+
+
+def _hash(run: xr.Dataset) -> str:
+    return str(run.attrs["config_hash"])
+
+
+def of_runs(runs: dict[str, xr.Dataset], fuel: dict[str, Consumption], plume_length: float) -> xr.Dataset:
+    """Return fuel burnt and clearance of every flight up to its loss, on common times."""
+    robot = load_robot(ROBOT)
+    distances, jets = clearance_of(robot, plume_length)
+    idle, slope = fuel_lines(fuel, robot)
+    end = max(float(run["time"][-1]) for run in runs.values())
+    times = np.arange(0.0, end + 0.5 * STEP, STEP)
+    burnt = np.full((len(runs), times.size), np.nan)
+    nearest = np.full((len(runs), times.size, len(jets)), np.nan)
+    for index, run in enumerate(runs.values()):
+        lost = float(run.attrs["lost_time"])
+        until = float(run["time"][-1]) if np.isnan(lost) else lost
+        flown = times <= until + 1e-9
+        total = fuel_burnt(run["time"].values, run["thrust"].values, idle, slope)
+        burnt[index, flown] = np.interp(times[flown], run["time"].values, total)
+        posture = run["joint_position"].sel(time=times[flown], method="nearest").values
+        nearest[index, flown] = np.array([distances(row).full().ravel() for row in posture])
+    return xr.Dataset(
+        {
+            "fuel": (("flight", "time"), burnt, {"units": "l", "long_name": "fuel burnt"}),
+            "clearance": (
+                ("flight", "time", "jet"),
+                nearest,
+                {"units": "m", "long_name": "from the exhaust's axis to the nearest link"},
+            ),
+        },
+        {"flight": list(runs), "time": ("time", times, {"units": "s"}), "jet": jets},
+    )
+
+
+def clearance_of(robot: Any, plume_length: float) -> tuple[ca.Function, list[str]]:
+    """Return how far every jet's exhaust is from the nearest link [m], a function of the joints, and the jets."""
+    tree = Kinematics(robot)
+    found = pairs(tree, plume_length)
+    jets = [jet.name for jet in robot.jets]
+    least = [ca.mmin(ca.vertcat(*(pair.distance for pair in found if pair.jet == jet))) for jet in jets]
+    (here,) = tree.here(ca.vertcat(*least))
+    placed = ca.substitute(here, ca.vertcat(tree.base_position, ca.vec(tree.base_rotation)), _origin())
+    return ca.Function("clearance", [tree.joint_position], [placed]), jets
+
+
+def _origin() -> ca.SX:
+    return ca.SX(ca.DM([0.0, 0.0, 0.0, *np.eye(3).ravel(order="F")]))
+
+
+def fuel_burnt(times: Array, thrust: Array, idle: Array, slope: Array) -> Array:
+    """Return the fuel burnt until each time [l]: the integral of idle + slope T over jets, by trapezoids."""
+    rate = idle.sum() + thrust @ slope
+    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(times))])
+
+
+def figures(dataset: xr.Dataset) -> dict[str, dict[str, float]]:
+    """Return fuel, its mass in five minutes at the mean rate, and the least clearance, by flight."""
+    found = {}
+    for name in dataset["flight"].values.tolist():
+        one = dataset.sel(flight=name)
+        fuel = one["fuel"].dropna("time")
+        litres, seconds = float(fuel[-1]), float(fuel["time"][-1])
+        found[name] = {
+            "fuel_l": litres,
+            "five_minutes_kg": litres / seconds * 300.0 * Choice().fuel_density,
+            "clearance_mm": 1e3 * float(one["clearance"].min()),
+        }
+    return found

@@ -1,0 +1,146 @@
+"""Pictures that figures of the paper need: a hovering flight in the wind, and the postures of the campaigns.
+
+`python -m experiments pictures` draws with MuJoCo's offscreen renderer (the viewer's) and writes pixels, and the links
+of the hovering posture as capsules, to `results/pictures/paper/`; `python -m paper_figs fig5a postures fig2_setup` show
+them. The flight is `results/flight/test2`.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from experiments import Refused, study
+from experiments.engine_choice import ROBOT
+from jax_aero import cli, rust
+from jax_aero.symbolic import load_robot
+from jax_aero.symbolic.kinematics import Kinematics
+from jax_aero.view import Refused as NotDrawn
+from jax_aero.view import recording
+from jax_aero.view.offscreen import Camera, Studio, camera_at
+
+FLIGHT, MOMENT = "test2", 14.0
+"""What Fig. 5 a shows: hovering while the wind blows [s]."""
+FLIGHT_SIZE, POSTURE_SIZE = (960, 720), (240, 320)
+"""Width and height [pixels]."""
+FACING_X = np.array([0.0, 0.0, 0.0, 1.0])  # w, x, y, z: yaw of 180 degrees, the base's x axis points backwards
+KIND, NAME = "pictures", "paper"
+
+Array = NDArray[np.float64]
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command line; return its exit status."""
+    cli.Parser("pictures", __doc__).parse_args(arguments)
+    try:
+        run()
+    except (Refused, NotDrawn) as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return cli.REFUSED
+    print(study.RESULTS / KIND / NAME)
+    return 0
+
+
+def run() -> dict[str, Any]:
+    """Draw everything, write, return the manifest."""
+    started = time.perf_counter()
+    flown = recording.read(study.RESULTS / "flight" / FLIGHT)
+    with Studio(flown, *FLIGHT_SIZE) as studio:
+        flight = studio.picture(MOMENT, camera_at(flown, MOMENT, "chase", 2.5), trail=False)
+    robot = rust.Robot(str(ROBOT))
+    named = named_postures()
+    pictures = [posture_picture(robot, joints) for joints in named.values()]
+    starts, ends, diameters = capsules(posture_vector(robot, named["hovering"]))
+    colour = ["red", "green", "blue"]
+    dataset = xr.Dataset(
+        {
+            "flight": (("row", "column", "colour"), flight, {"long_name": f"{flown.title}, {MOMENT:g} s"}),
+            "posture_picture": (("posture", "posture_row", "posture_column", "colour"), np.stack(pictures)),
+            "link_start": (("link", "xyz"), starts, {"units": "m", "long_name": "capsule of the link, base axes"}),
+            "link_end": (("link", "xyz"), ends, {"units": "m"}),
+            "link_diameter": (("link",), diameters, {"units": "m"}),
+        },
+        {"posture": list(named), "colour": colour, "xyz": ["x", "y", "z"], "link": list(robot.aero_link_names)},
+    )
+    config = {
+        "flight": FLIGHT,
+        "moment": MOMENT,
+        "postures": {name: list(joints.values()) for name, joints in named.items()},
+    }
+    dataset.attrs |= {"title": "Pictures of the paper", "config_hash": study.digest(config, [ROBOT])}
+    document = study.build_manifest(
+        NAME,
+        dataset.attrs["title"],
+        config,
+        dataset.attrs["config_hash"],
+        summary={"postures": len(named)},
+        timings={"all": time.perf_counter() - started},
+        command=["python", "-m", "experiments", "pictures"],
+        engine="mujoco",
+    )
+    study.write(study.RESULTS / KIND / NAME, dataset, document)
+    return document
+
+
+def named_postures() -> dict[str, dict[str, float]]:
+    """Return joint angles [deg] of the postures of the public table and of the tunnel, by posture and joint."""
+    known = study.read(study.CONFIGS / "tables" / "postures.toml")
+    both = {**known["free_stream"], **known["tunnel"]}
+    return {name: dict(zip(known["joints"], angles, strict=True)) for name, angles in both.items()}
+
+
+def posture_vector(robot: rust.Robot, joints_deg: Mapping[str, float]) -> Array:
+    """Return joint angles [rad] in the robot's order; joints that are not named stay at zero."""
+    return np.radians([float(joints_deg.get(name, 0.0)) for name in robot.joint_names])
+
+
+def posture_picture(robot: rust.Robot, joints_deg: Mapping[str, float]) -> NDArray[np.uint8]:
+    """Draw the robot in a posture, without wind and jets, from its left in front."""
+    jets, links = len(robot.jet_names), len(robot.aero_link_names)
+    far = np.array([[0.0, 0.0, -50.0]])  # the cross of the set-point is out of sight
+    height = np.array([[0.0, 0.0, 0.72]])
+    still = recording.Recording(
+        title="posture",
+        signals={
+            "time": np.zeros(1),
+            "base_position": height,
+            "base_quaternion": FACING_X[None],
+            "base_rpy_setpoint": np.zeros((1, 3)),
+            "joint_position": posture_vector(robot, joints_deg)[None],
+            "com_position": height,
+            "com_velocity": np.zeros((1, 3)),
+            "com_setpoint": far,
+            "rotation_error": np.zeros(1),
+            "thrust": np.zeros((1, jets)),
+            "wind": np.zeros((1, 3)),
+            "aero_force_sim": np.zeros((1, links, 3)),
+        },
+        robot=robot,
+        robot_path=ROBOT,
+        outcome="posture",
+        lost_time=None,
+        lost_reason=None,
+    )
+    with Studio(still, *POSTURE_SIZE) as studio:
+        return studio.picture(0.0, Camera(np.array([0.0, 0.0, 0.72]), -145.0, -8.0, 2.3), trail=False)
+
+
+def capsules(joints: Array) -> tuple[Array, Array, Array]:
+    """Return start and end [m, base axes] and diameter [m] of the cylinder that stands for every aerodynamic link."""
+    described = load_robot(ROBOT)
+    tree = Kinematics(described)
+    points = []
+    for link in described.aero_links:
+        pose, half = tree.poses[link.frame], 0.0 if link.is_sphere else 0.5 * link.length
+        points += [pose.point(link.centre - half * link.axis), pose.point(link.centre + half * link.axis)]
+    here = tree.here(*points)
+    at = ca.Function("at", [tree.base_position, tree.base_rotation, tree.joint_position], [ca.horzcat(*here)])
+    placed = at(np.zeros(3), np.eye(3), joints).full().T
+    return placed[0::2], placed[1::2], np.array([link.diameter for link in described.aero_links])

@@ -1,0 +1,40 @@
+"""Fuel burnt, and how far jets stay from the body, along flights."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+
+from paper_figs import style
+from paper_figs.studies import load
+
+RUNS = ("flights",)
+COLOURS = (style.BLUE, style.SKY, style.GREEN, style.PURPLE, style.VERMILION, style.ORANGE, style.BLACK)
+
+
+def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+    """Draw fuel on the left and the least clearance of the four jets on the right."""
+    study = load(results, "along", names[0])
+    figure, (left, right) = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 3.1), layout="constrained", sharex=True)
+    for index, flight in enumerate(study["flight"].values.tolist()):
+        one = study.sel(flight=flight)
+        look = {"color": COLOURS[index % len(COLOURS)], "linestyle": "--" if "published" in flight else "-"}
+        fuel = one["fuel"].dropna("time")
+        left.plot(fuel["time"], fuel, label=flight.replace("_", " "), **look)
+        nearest = 1e3 * one["clearance"].min("jet").dropna("time")
+        right.plot(nearest["time"], nearest, linewidth=0.9, **look)
+        if float(fuel["time"][-1]) < float(study["time"][-1]):
+            for axes, line in ((left, fuel), (right, nearest)):
+                axes.plot(line["time"][-1], line[-1], "X", color=style.VERMILION, markersize=6)
+    left.set_ylabel("fuel burnt [l]")
+    left.set_ylim(bottom=0.0)
+    right.set_ylabel("exhaust axis to nearest link [mm]")
+    right.axhline(0.0, color=style.GREY, linewidth=0.9)
+    for axes, mark in ((left, "a"), (right, "b")):
+        axes.set_xlabel("time [s]")
+        style.letter(axes, mark)
+    left.legend()
+    return figure, {names[0]: str(study.attrs["config_hash"])}

@@ -1,0 +1,114 @@
+"""Fuel and clearance along a flight; pictures and the drawing of the tunnel from a study made up."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from experiments import along, pictures, record
+from experiments.engine_choice import ROBOT
+from experiments.trajectory import Consumption
+from jax_aero import rust, tables
+from jax_aero.symbolic import load_robot
+from paper_figs import along as along_figure
+from paper_figs import pictures as pictures_figure
+
+POSTURE = [0.1, *[0.0] * 2, *[-0.17, 0.44, 0.7, 0.26] * 2, *[0.0] * 12]
+
+
+def fuel():
+    points = {"thrust": [0.0, 100.0], "consumption": [0.06, 0.36]}
+    return {jet.name: tables.convert(points, Consumption, "here") for jet in load_robot(ROBOT).jets}
+
+
+def test_fuel_is_the_integral_of_idle_and_thrust(agree):
+    times = np.array([0.0, 1.0, 3.0])
+    thrust = np.array([[10.0, 0.0], [10.0, 0.0], [10.0, 40.0]])
+    burnt = along.fuel_burnt(times, thrust, np.array([0.5, 0.25]), np.array([0.1, 0.2]))
+    # 1.75 l/s over the first second; then up to 9.75 l/s over two, by a trapezoid.
+    agree("fuel", burnt, [0.0, 1.75, 1.75 + 0.5 * (1.75 + 9.75) * 2.0], 1e-14)
+
+
+@pytest.fixture
+def study(make_flight, robot):
+    runs = {}
+    for name, lost in (("whole", None), ("fell", 21.5)):
+        flight = make_flight(step=0.5, lost_time=lost)
+        flight.log["thrust"][:] = 100.0
+        flight.log["joint_position"][:] = POSTURE
+        runs[name] = record.to_dataset(flight, robot, title=name, config_digest="0")
+    return along.of_runs(runs, fuel(), 1.5)
+
+
+def test_figures_of_a_flight_end_with_it(study, agree):
+    found = along.figures(study)
+    # Four jets at 100 N burn 0.36 l/min each.
+    agree("fuel", found["whole"]["fuel_l"], 4 * 0.36 / 60.0 * 50.0, 1e-9)
+    agree("fuel until the fall", found["fell"]["fuel_l"], 4 * 0.36 / 60.0 * 21.5, 1e-9)
+    agree("five minutes", found["whole"]["five_minutes_kg"], 4 * 0.36 * 5.0 * 0.8, 1e-9)
+    assert np.isnan(study["clearance"].sel(flight="fell", time=30.0)).all()
+
+
+def test_the_nearest_link_of_the_papers_posture_is_the_pelvis(measured):
+    joints = np.array(rust.load_config("configs/experiments/test2.toml")["simulator"]["initial"]["joint_position"])
+    distances, jets = along.clearance_of(load_robot(ROBOT), 1.5)
+    values = distances(joints).full().ravel()
+    assert jets[int(values.argmin())].startswith("chest")
+    measured("clearance", abs(values.min() - 0.0352), 2e-4, because="typed to the digits that are allowed")
+
+
+def test_the_figure_shows_flights(study, tmp_path):
+    study.attrs["config_hash"] = "0"
+    folder = tmp_path / "along" / "flights"
+    folder.mkdir(parents=True)
+    record.write_dataset(study, folder / "run.nc")
+    figure, hashes = along_figure.draw(tmp_path / "flight")
+    assert [len(axes.lines) for axes in figure.axes] == [3, 4]
+    assert hashes == {"flights": "0"}
+
+
+def test_capsules_are_where_the_robots_file_has_them(agree):
+    robot = rust.Robot(str(ROBOT))
+    joints = pictures.posture_vector(robot, pictures.named_postures()["Config1"])
+    starts, ends, diameters = pictures.capsules(joints)
+    links = tables.read(ROBOT)["aero_links"]
+    agree("lengths", np.linalg.norm(ends - starts, axis=1)[1:], [link["length"] for link in links[1:]], 1e-12)
+    agree("diameters", diameters, [link["diameter"] for link in links], 1e-15)
+    pelvis = list(robot.aero_link_names).index("root_link")
+    agree("centre of the base", 0.5 * (starts + ends)[pelvis], links[pelvis]["centre"], 1e-12)
+
+
+def made_up_pictures(tmp_path):
+    names = list(pictures.named_postures())
+    starts = np.array([[0.0, 0.1, -0.2], [0.0, 0.0, 0.4]])
+    study = xr.Dataset(
+        {
+            "flight": (("row", "column", "colour"), np.zeros((6, 8, 3), np.uint8), {"long_name": "made up"}),
+            "posture_picture": (("posture", "r", "c", "colour"), np.zeros((len(names), 4, 3, 3), np.uint8)),
+            "link_start": (("link", "xyz"), starts),
+            "link_end": (("link", "xyz"), starts + np.array([[0.0, 0.0, 0.3], [0.0, 0.0, 0.0]])),
+            "link_diameter": (("link",), [0.1, 0.2]),
+        },
+        {"posture": names},
+        {"config_hash": "0"},
+    )
+    folder = tmp_path / "pictures" / "paper"
+    folder.mkdir(parents=True)
+    record.write_dataset(study, folder / "run.nc")
+    return names
+
+
+@pytest.mark.parametrize("name", ["flight", "postures", "setup"])
+def test_pictures_are_shown(name, tmp_path):
+    names = made_up_pictures(tmp_path)
+    figure, hashes = getattr(pictures_figure, name)(tmp_path / "flight")
+    assert hashes == {"paper": "0"}
+    titles = [axes.get_title(loc="center") for axes in figure.axes]
+    assert name != "postures" or titles[: len(names)] == names
+
+
+def test_the_drawn_robot_leans_into_the_wind_and_turns_left(agree):
+    """M28: tunnel from base is R_z(β) R_y(α − 90°): at α = 45° the head goes upwind, and β turns about z."""
+    up, back = np.eye(3)[2], np.eye(3)[0]
+    half = np.sqrt(0.5)
+    agree("head", pictures_figure._turned(up, 45.0, 0.0), [-half, 0.0, half], 1e-14)
+    agree("back", pictures_figure._turned(back, 90.0, 90.0), [0.0, 1.0, 0.0], 1e-14)
