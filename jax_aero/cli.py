@@ -43,6 +43,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "snapshot": Command("jax_aero.view.command:snapshot", "view", "draw moments of a flight"),
     },
     "understand": {
+        "air": Command("experiments.air:main", "twin", "force and moment of robot and links by angle and posture"),
         "verify": Command("jax_aero.verify.command:main", "twin", "compare the Rust crate with JAX"),
         "trim": Command("experiments.trim:main", "symbolic", "find hovering trims by wind"),
         "trajectory": Command("experiments.trajectory:main", "symbolic", "plan optimal trajectories"),

@@ -1,0 +1,72 @@
+"""`jax-aero air`: angles, tables, and sums that physics demands."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from experiments import air as command
+from jax_aero import air, cli, places, rust
+from jax_aero.aero import aero_model
+from jax_aero.robot import load_robot
+from tests.measurements import measured
+
+
+def test_the_files_hold_every_link_and_their_sum(tmp_path, capsys):
+    arguments = ["air", "--alpha", "30:90:30", "--speed", "8", "--beside", "cfd_tunnel", "--posture", "flight30"]
+    assert cli.main([*arguments, "--out", str(tmp_path)]) == 0
+    written = tmp_path / "flight30--alpha=30_90_30--beta=0.csv"
+    with written.open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert {path.suffix for path in tmp_path.iterdir()} == {".csv", ".png"}
+    assert len(rows) == 3 * 14
+    for alpha in ("30.0", "60.0", "90.0"):
+        here = [row for row in rows if row["alpha_deg"] == alpha]
+        for column in command.COLUMNS:
+            total, parts = float(here[0][column]), [float(row[column]) for row in here[1:]]
+            assert abs(total - sum(parts)) <= 2e-5 * max(map(abs, parts), default=1.0)  # six digits are written
+        assert float(here[0]["drag_n"]) == pytest.approx(
+            0.5 * command.DENSITY * 64.0 * float(here[0]["cda_m2"]), rel=1e-5
+        )
+    assert str(written.name) in capsys.readouterr().out
+
+
+def test_the_loads_are_those_of_the_crate_turned_into_the_tunnel(x64):
+    """Upright, the wind blows along base x and lift is up along base z; side forces follow the yaw."""
+    robot = load_robot(places.find("robot", "ironcub_mk1"))
+    model = aero_model(air.settings("axisymmetric_corrected"), robot)
+    joints = command.posture(robot, "hovering")
+    alphas, betas = np.array([90.0]), np.array([0.0, 25.0])
+    found = command.loads(robot, model, joints, alphas, betas, 10.0)
+    crate, table = rust.Robot(robot.source), rust.load_config("test2")["simulator"]["aero"]
+    state = rust.State.at_rest(crate, joints)
+    straight = rust.link_forces(crate, table, state, [10.0, 0.0, 0.0])
+    measured("forces without yaw [N]", np.abs(found.forces[0] - straight).max(), 1e-10)
+    yaw = np.radians(25.0)
+    wind = 10.0 * np.array([np.cos(yaw), -np.sin(yaw), 0.0])
+    turned = rust.link_forces(crate, table, state, wind).sum(axis=0)
+    total = found.forces[1].sum(axis=0)
+    drag, side = turned @ wind / 10.0, turned @ np.array([np.sin(yaw), np.cos(yaw), 0.0])
+    measured("forces with yaw [N]", np.abs(total - [drag, side, turned[2]]).max(), 1e-10)
+
+
+def test_angles_are_numbers_or_ranges():
+    assert command.angles("--alpha", "90").tolist() == [90.0]
+    assert command.angles("--alpha", "-10:10:5").tolist() == [-10.0, -5.0, 0.0, 5.0, 10.0]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--alpha", "0:10"], "FROM:TO:STEP"),
+        (["--alpha", "0:10:5", "--beta", "0:10:5"], "expected one range"),
+        (["--posture", "hoverin"], "did you mean hovering"),
+        (["--model", "axisymetric_corrected"], "did you mean axisymmetric_corrected"),
+        (["--robot", "sparrow"], "expected --posture zero"),
+        (["--speed", "0"], "expected a positive number"),
+        (["--alpha", "0:20:10", "--beside", "wind_tunnel"], "holds nothing of posture"),
+    ],
+)
+def test_mistakes_are_named(words, message, capsys):
+    assert cli.main(["air", *words]) == cli.REFUSED
+    assert message in capsys.readouterr().err
