@@ -196,8 +196,12 @@ SUPPLEMENT: Sequence[Item] = (
     ),
     Item(
         "Suppl. Fig. 10–14",
-        "whole campaign, aerodynamic efficiency",
-        verdict="out of reach: only the records of Fig. 2 and 3 are in this repository",
+        "whole campaign: forces, moments and efficiency",
+        "tunnel_moments",
+        ("moments.md", "configs/tables/tunnel_tests.toml"),
+        verdict="out of reach: the supplement is not public to us; the balance files are, and ours are read from them",
+        command="python -m experiments import-tunnel; python -m experiments tunnel-moments; "
+        "python -m paper_figs tunnel_moments",
     ),
     Item("Suppl. Fig. 15, 16", "not named in the text", verdict="out of reach: the supplement is not public to us"),
     Item("Suppl. Fig. 17, Note 7", "ablation of the feedback", "ablation_terms", claims=("minimum",)),
@@ -241,6 +245,7 @@ BEYOND: Sequence[Item] = tuple(
         ("ablation_wind_delay", "late wind"),
         ("ablation_wind_lowpass", "low-passed wind"),
         ("ablation_wind_mean", "mean wind"),
+        ("model_pairs", "pairs of models in simulator and controller"),
         ("baseline_edge", "where the baseline fails"),
         ("map_wind", "wind from everywhere"),
         ("map_mass_com", "wrong mass and CoM"),
