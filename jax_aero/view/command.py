@@ -39,9 +39,12 @@ def _serve(given: Any) -> int:
     require(["viser"], "the page")
     from jax_aero.view.page import Page
     from jax_aero.view.settings import default_config
+    from jax_aero.view.shapes import look_of
 
     config = recordings[0].config if recordings else default_config()
     page = Page(recordings, config, given.host, given.port)
+    if meshes := look_of(page.solid.robot).without_shape:
+        print(f"meshes are not drawn; links with aerodynamics are shown as the air sees them: {', '.join(meshes)}")
     print(f"{page.url} shows {page.solid.title}; Ctrl-C ends it", flush=True)
     try:
         threading.Event().wait()

@@ -38,7 +38,7 @@ def letter_video(
     text(draw, (margin, margin + int(1.7 * size)), f"{now.time:.1f} s", size, SOFT)
     lines = [
         f"wind {np.linalg.norm(now.wind):.1f} m/s",
-        f"tilt {np.rad2deg(now.rotation_error):.0f}°",
+        f"attitude error {np.rad2deg(now.rotation_error):.0f}°",
         f"off course {np.linalg.norm(now.com - now.com_setpoint):.2f} m",
         f"speed {np.linalg.norm(now.com_velocity):.1f} m/s",
         f"height {now.com[2]:.1f} m",

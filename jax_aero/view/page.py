@@ -18,6 +18,7 @@ from jax_aero import rust
 from jax_aero.view import drawing, panel
 from jax_aero.view.drawing import Scales
 from jax_aero.view.nodes import LIT, RobotNodes, segments, sky, thinned
+from jax_aero.view.origins import own_origins
 from jax_aero.view.recording import Recording, from_flight
 from jax_aero.view.settings import ARMS, CONTROLLERS, MODELS, Settings, apply, can_change_wind, settings_of
 from jax_aero.view.shapes import look_of
@@ -67,7 +68,8 @@ class Page:
         self.lock = threading.RLock()
         self.wake = threading.Condition()
         self.ended = threading.Event()
-        with contextlib.redirect_stdout(io.StringIO()):  # it prints its address, whatever `verbose` says
+        # It prints its address, whatever `verbose` says.
+        with contextlib.redirect_stdout(io.StringIO()), own_origins(host):
             self.server = viser.ViserServer(host=host, port=port, label="jax-aero", verbose=False)
         try:
             self._build_scene()

@@ -67,14 +67,15 @@ def _badge(flight: Recording) -> str:
 
 def numbers(flight: Recording, time: float) -> str:
     """Return the moment in one or two lines."""
-    now = flight.at(time)
+    now, jets = flight.at(time), flight.robot.jet_names
     parts = [
-        f"tilt {np.rad2deg(now.rotation_error):.1f}°",
+        f"attitude error {np.rad2deg(now.rotation_error):.1f}°",
+        f"lean {np.rad2deg(now.lean):.1f}°",
         f"off course {np.linalg.norm(now.com - now.com_setpoint):.2f} m",
         f"{np.linalg.norm(now.com_velocity):.1f} m/s",
         f"height {now.com[2]:.1f} m",
         f"air {np.linalg.norm(now.aero_force.sum(axis=0)):.1f} N",
-        "thrusts " + " · ".join(f"{thrust:.0f}" for thrust in now.thrust) + " N",
+        "thrusts " + " · ".join(f"{name} {t:.0f}" for name, t in zip(jets, now.thrust, strict=True)) + " N",
     ]
     return (
         '<div style="padding:0.2em 1em;font-size:0.8em;color:#445;font-variant-numeric:tabular-nums">'
@@ -124,7 +125,7 @@ def plot_series(has_ghost: bool) -> tuple[uplot.Series, ...]:
     )
     return (
         uplot.Series(label="time [s]"),
-        uplot.Series(label="tilt [°]", stroke=_hex(drawing.FELL), width=2),
+        uplot.Series(label="attitude error [°]", stroke=_hex(drawing.FELL), width=2),
         *ghost,
         uplot.Series(label="now", stroke="#334", width=1, points={"show": False}),
     )
@@ -134,7 +135,7 @@ def plot_axes() -> tuple[uplot.Axis, ...]:
     """Axes with their units."""
     return (
         uplot.Axis(label="time [s]", labelSize=18, size=26),
-        uplot.Axis(label="tilt [°]", labelSize=18, size=34),
+        uplot.Axis(label="attitude error [°]", labelSize=18, size=34),
     )
 
 

@@ -71,6 +71,11 @@ class Instant(NamedTuple):
     wind: Vector
     aero_force: Vector
 
+    @property
+    def lean(self) -> float:
+        """Angle between the base's z axis and the vertical [rad]."""
+        return float(np.arccos(np.clip(self.body_rotations[0, 2, 2], -1.0, 1.0)))
+
 
 @dataclass(frozen=True)
 class Merit:

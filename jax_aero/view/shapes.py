@@ -63,41 +63,57 @@ class Look:
     shapes: tuple[Shape, ...]
     jets: tuple[Mount, ...]
     links: tuple[Mount, ...]
+    without_shape: tuple[str, ...] = ()
+    """Links of which the URDF has meshes alone; those with aerodynamics are drawn as the air sees them."""
 
 
 def look_of(robot: rust.Robot) -> Look:
-    """Read what a robot looks like from its own TOML and URDF text; meshes are left out."""
+    """Read what a robot looks like from its own TOML and URDF text, whose meshes are not read."""
     table = tomllib.loads(robot.toml_text)
     tree = read_tree(robot.urdf_text, table["base_link"], robot.joint_names, table.get("locked", {}))
     if [body.name for body in tree.bodies] != list(robot.body_names):
         raise ValueError(f"bodies of the URDF are {[body.name for body in tree.bodies]}; expected {robot.body_names}")
     engines = {entry["frame"] for entry in table.get("jets", [])}
     soles = {entry["frame"] for entry in table.get("feet", [])}
-    shapes = []
+    in_air = {entry["frame"]: entry for entry in table.get("aero_links", [])}
+    shapes, without_shape = [], []
     for link in ElementTree.fromstring(robot.urdf_text).iter("link"):
         name = link.attrib["name"]
         role: Role = "engine" if name in engines else "sole" if name in soles else "shell"
         body, body_from_link = tree.places[name]
-        for visual in link.findall("visual"):
-            if primitive := _primitive(visual):
-                pose = body_from_link @ origin_of(visual)
-                shapes.append(Shape(name, *primitive, role, body, pose))
+        visuals = link.findall("visual")
+        drawn = [(primitive, origin_of(visual)) for visual in visuals if (primitive := _primitive(visual))]
+        if visuals and not drawn:
+            without_shape.append(name)
+            drawn = [_seen_by_air(in_air[name])] if name in in_air else []
+        shapes += [Shape(name, *primitive, role, body, body_from_link @ pose) for primitive, pose in drawn]
     return Look(
         shapes=(*shapes, *_struts(tree, shapes)),
         jets=tuple(_jet(entry, tree) for entry in table.get("jets", [])),
         links=tuple(_link(entry, tree) for entry in table.get("aero_links", [])),
+        without_shape=tuple(without_shape),
     )
+
+
+def _seen_by_air(entry: dict[str, Any]) -> tuple[tuple[Kind, tuple[float, float, float]], Pose]:
+    """Sphere or cylinder of an aerodynamic link, and where it is in the link's axes."""
+    radius = 0.5 * entry["diameter"]
+    axis = np.asarray(entry["axis"], dtype=np.float64)
+    pose = Pose(rotation_onto(axis / np.linalg.norm(axis)), np.asarray(entry["centre"], dtype=np.float64))
+    if entry.get("is_sphere", False):
+        return ("sphere", (radius, radius, radius)), pose
+    return ("cylinder", (radius, radius, entry["length"])), pose
 
 
 def _primitive(visual: ElementTree.Element) -> tuple[Kind, tuple[float, float, float]] | None:
     for element in visual.iterfind("geometry/*"):
-        numbers = {key: [float(word) for word in value.split()] for key, value in element.attrib.items()}
         if element.tag == "cylinder":
-            return "cylinder", (numbers["radius"][0], numbers["radius"][0], numbers["length"][0])
+            radius = float(element.attrib["radius"])
+            return "cylinder", (radius, radius, float(element.attrib["length"]))
         if element.tag == "sphere":
-            return "sphere", (numbers["radius"][0],) * 3
+            return "sphere", (float(element.attrib["radius"]),) * 3
         if element.tag == "box":
-            x, y, z = numbers["size"]
+            x, y, z = (float(edge) for edge in element.attrib["size"].split())
             return "box", (x, y, z)
     return None
 

@@ -179,7 +179,7 @@ def _strip(
     for i, time in enumerate(times):
         left = i * panel[0]
         now = recording.at(time)
-        words = f"{i + 1}    {time:.1f} s    tilt {np.rad2deg(now.rotation_error):.0f}°"
+        words = f"{i + 1}    {time:.1f} s    attitude error {np.rad2deg(now.rotation_error):.0f}°"
         labels.text(draw, (left + 0.7 * letters, top - 1.5 * letters), words, letters, labels.INK)
         if i:
             draw.line((left, top, left, top + panel[1]), fill=labels.PAPER, width=max(letters // 6, 2))

@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import os
 import re
 import shutil
 import subprocess
@@ -151,11 +152,14 @@ def test_shown_sweeps_can_be_planned(page, tmp_path):
         assert design.n_rows > 0
 
 
-def test_the_notebook_runs():
-    notebook = nbformat.read(DOCS / "notebooks/first_flight.ipynb", as_version=4)
+@pytest.mark.parametrize("path", sorted(DOCS.glob("notebooks/*.ipynb")), ids=name)
+def test_a_notebook_runs(path, monkeypatch):
+    # What it compiles runs for a second at most: the compiler's own time counts.
+    monkeypatch.setenv("XLA_FLAGS", f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0".strip())
+    notebook = nbformat.read(path, as_version=4)
     stored = [cell.outputs for cell in notebook.cells if cell.cell_type == "code"]
     assert any("image/png" in output.get("data", {}) for outputs in stored for output in outputs)
-    NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(ROOT)}}).execute()
+    NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(path.parent)}}).execute()
 
 
 def test_the_site_builds_without_a_warning(tmp_path):
