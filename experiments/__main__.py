@@ -10,7 +10,6 @@ import argparse
 import shlex
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from experiments import Refused, flight, manifest, overrides
@@ -69,7 +68,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--all", action="store_true", help="every experiment of configs/experiments")
     parser.add_argument("--engine", choices=sorted(ENGINES), help="engine (default: that of the configuration)")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/flight)")
+    parser.add_argument("--out", type=cli.path, metavar="DIR", help="folder for the results (default results/flight)")
     parser.add_argument("--overwrite", action="store_true", help="fly again and replace a result that is there")
     parser.add_argument("--list", action="store_true", help="list the experiments and stop")
     return parser

@@ -12,6 +12,7 @@ import shlex
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import argcomplete
@@ -95,6 +96,13 @@ class Parser(argparse.ArgumentParser):
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
             raise argparse.ArgumentError(action, f"`{value}` is unknown{did_you_mean(str(value), action.choices)}")
+
+
+def path(text: str) -> Path:
+    """Return a path that is given as an argument; an empty one is a mistake, not the current folder."""
+    if not text:
+        raise argparse.ArgumentTypeError("the path is empty; expected a file or folder")
+    return Path(text)
 
 
 def completes(action: argparse.Action, words: Callable[[], Iterable[str]]) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from jax_aero.cli import INTERRUPTED, Parser
+from jax_aero.cli import path as cli_path
 from jax_aero.view import Refused, recording, require
 
 RESULT = "a folder or run.nc that `python -m experiments NAME` wrote, or the NAME of one in results/flight"
@@ -67,7 +68,7 @@ def _check_address(host: str, port: int) -> None:
 
 def video(words: Sequence[str]) -> int:
     """Write a video."""
-    parser = Parser("video", "Film a flight.")
+    parser = Parser("video", "Film a flight, as MP4 or, where --out ends in .gif, as GIF.")
     _common(parser, Path("flight.mp4"), "1280x720")
     parser.add_argument("--fps", type=float, default=30.0, help="pictures per second (default 30)")
     parser.add_argument("--speed", type=float, default=1.0, help="flight seconds per second of video (default 1)")
@@ -78,6 +79,7 @@ def video(words: Sequence[str]) -> int:
     def work() -> int:
         from jax_aero.view.video import write_video
 
+        _spare(given)
         with _Bar("frame") as bar:
             write_video(
                 recording.read(given.result, given.robot),
@@ -108,6 +110,7 @@ def snapshot(words: Sequence[str]) -> int:
     def work() -> int:
         from jax_aero.view.video import write_snapshot
 
+        _spare(given)
         with _Bar("picture") as bar:
             write_snapshot(
                 recording.read(given.result, given.robot),
@@ -125,10 +128,16 @@ def snapshot(words: Sequence[str]) -> int:
 
 def _common(parser: Parser, out: Path, size: str) -> None:
     parser.add_argument("result", metavar="RESULT", help=RESULT)
-    parser.add_argument("--out", type=Path, default=out, metavar="FILE", help=f"what to write (default {out})")
+    parser.add_argument("--out", type=cli_path, default=out, metavar="FILE", help=f"what to write (default {out})")
+    parser.add_argument("--overwrite", action="store_true", help="replace a file that is there")
     parser.add_argument("--size", type=_size, default=_size(size), metavar="WxH", help=f"pixels (default {size})")
     parser.add_argument("--camera", choices=("chase", "side"), default="chase", help="point of view (default chase)")
     parser.add_argument("--robot", metavar="FILE", help="TOML file of the robot, where the result does not lead to it")
+
+
+def _spare(given: Any) -> None:
+    if given.out.exists() and not given.overwrite:
+        raise Refused(f"`{given.out}` is there already; choose another --out, or --overwrite it")
 
 
 def _size(text: str) -> tuple[int, int]:

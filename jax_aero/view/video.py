@@ -1,8 +1,8 @@
-"""`python -m jax_aero video` and `snapshot`: a flight as a film, or several of its moments in one picture."""
+"""`jax-aero video` and `snapshot`: a flight as a film, or several of its moments in one picture."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -54,29 +54,54 @@ def write_video(
     """
     end = recording.duration if end is None else min(end, recording.duration)
     _check(fps, speed, size, start, end, out)
-    require(["av", "PIL"], "writing a video")
-    import av
+    require(["PIL"] if out.suffix == ".gif" else ["av", "PIL"], "writing a video")
+    times = frame_times(recording, fps, speed, start, end)
+    encode = _encode_gif if out.suffix == ".gif" else _encode_mp4
+    with complete_file(out) as draft, Studio(recording, *size) as studio:
+        encode(draft, _frames(recording, studio, times, viewpoint, progress), fps, size)
+    return len(times)
 
+
+def _frames(
+    recording: Recording, studio: Studio, times: Sequence[float], viewpoint: Viewpoint, progress: Progress | None
+) -> Iterator[Any]:
+    """Yield the pixels (h, w, 3) of every frame; a moment that stays is drawn once."""
     from jax_aero.view.labels import letter_video
 
-    times = frame_times(recording, fps, speed, start, end)
-    with complete_file(out) as draft, Studio(recording, *size) as studio, av.open(draft, "w", format="mp4") as film:
+    drawn_at, pixels = -1.0, np.zeros((0, 0, 3), dtype=np.uint8)
+    for number, time in enumerate(times):
+        if time != drawn_at:
+            camera = camera_at(recording, time, viewpoint)
+            pixels = studio.picture(time, camera)
+            scale, ended = studio.pixels_per_metre(camera), time >= recording.duration
+            pixels = letter_video(pixels, recording, time, studio.scales, scale, outcome=ended)
+            drawn_at = time
+        yield pixels
+        if progress is not None:
+            progress(number + 1, len(times))
+
+
+def _encode_mp4(draft: Path, frames: Iterator[Any], fps: float, size: tuple[int, int]) -> None:
+    import av
+
+    with av.open(draft, "w", format="mp4") as film:
         stream: Any = film.add_stream(_encoder(), rate=Fraction(fps).limit_denominator(1001))
         stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
         stream.options = {"crf": "20", "preset": "medium"}
-        drawn_at, pixels = -1.0, np.zeros((0, 0, 3), dtype=np.uint8)
-        for number, time in enumerate(times):
-            if time != drawn_at:
-                camera = camera_at(recording, time, viewpoint)
-                pixels = studio.picture(time, camera)
-                scale, ended = studio.pixels_per_metre(camera), time >= recording.duration
-                pixels = letter_video(pixels, recording, time, studio.scales, scale, outcome=ended)
-                drawn_at = time
+        for pixels in frames:
             film.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
-            if progress is not None:
-                progress(number + 1, len(times))
         film.mux(stream.encode())
-    return len(times)
+
+
+def _encode_gif(draft: Path, frames: Iterator[Any], fps: float, _size: tuple[int, int]) -> None:
+    """Write 256 colours a frame, which repeats for ever; a GIF counts time in hundredths of a second."""
+    from PIL import Image
+
+    pictures = [Image.fromarray(pixels).quantize(256) for pixels in frames]
+    duration = 10 * max(round(100.0 / fps), 2)
+    pictures[0].save(
+        draft, format="GIF", save_all=True, append_images=pictures[1:], duration=duration, loop=0, optimize=False
+    )
 
 
 def _encoder() -> str:
@@ -94,13 +119,13 @@ def _check(fps: float, speed: float, size: tuple[int, int], start: float, end: f
         raise Refused(f"size is {size[0]}x{size[1]}; expected even numbers from 64 to 4096, e.g. 1280x720")
     if not 0.0 <= start < end:
         raise Refused(f"the video would run from {start:g} to {end:g} s; expected a start before the end of the flight")
-    _check_out(out, ".mp4")
+    _check_out(out, ".mp4", ".gif")
 
 
-def _check_out(out: Path, suffix: str) -> None:
+def _check_out(out: Path, *suffixes: str) -> None:
     """Before any work is done."""
-    if out.suffix != suffix:
-        raise Refused(f"`{out}` does not end in {suffix}; expected a file like flight{suffix}")
+    if out.suffix not in suffixes:
+        raise Refused(f"`{out}` does not end in {' or '.join(suffixes)}; expected a file like flight{suffixes[0]}")
     if not out.parent.is_dir():
         raise Refused(f"there is no folder `{out.parent}` for `{out.name}`")
 

@@ -49,6 +49,7 @@ def test_help_names_every_command(capsys):
         (["figures", "fig6b"], "did you mean fig6"),
         (["sweep", "baseline_edges"], "baseline_edge"),
         (["view", "--prot", "1"], "did you mean --port"),
+        (["fly", "test1", "--out", ""], "the path is empty"),
     ],
 )
 def test_a_wrong_word_is_answered_with_what_was_meant(words, meant, capsys):

@@ -56,6 +56,35 @@ def test_a_clip_has_the_frames_that_were_asked_for(fallen, tmp_path, capsys):
     assert [entry.name for entry in tmp_path.iterdir()] == ["clip.mp4"]
 
 
+@pytest.mark.usefixtures("_can_draw")
+def test_a_gif_has_its_frames_and_what_is_there_is_spared(fallen, tmp_path, capsys):
+    out = tmp_path / "clip.gif"
+    words = [
+        "video",
+        str(fallen),
+        "--out",
+        str(out),
+        "--start",
+        "17",
+        "--end",
+        "17.4",
+        "--fps",
+        "5",
+        "--size",
+        "160x96",
+    ]
+    assert commands.main(words) == 0
+    with Image.open(out) as film:
+        assert (film.n_frames, film.size, film.info["duration"], film.info["loop"]) == (3, (160, 96), 200, 0)
+    before = out.read_bytes()
+    for attempt in (words, ["snapshot", str(fallen), "--out", str(tmp_path / "clip.png")]):
+        (tmp_path / "clip.png").write_bytes(b"mine")
+        capsys.readouterr()
+        assert commands.main(attempt) == 2
+        assert "is there already; choose another --out, or --overwrite it" in capsys.readouterr().err
+    assert out.read_bytes() == before
+
+
 def test_a_video_ends_where_the_flight_ends(seen, agree):
     times = video.frame_times(seen, fps=10.0, speed=2.0, start=0.0, end=seen.duration)
     np.testing.assert_allclose(np.diff(times[:100]), 0.2)
