@@ -24,7 +24,9 @@ def draw(sweep: Sweep) -> Figure:
         axes.imshow(share, vmin=0.0, vmax=1.0, cmap="RdYlBu", aspect="auto")
         for row, column in np.ndindex(*share.shape):
             text = f"{100 * share[row, column]:.0f}\n{lean[row, column]:.0f}°"
-            axes.text(column, row, text, ha="center", va="center", fontsize=5.5)
+            is_dark = not 0.2 < share[row, column] < 0.8
+            axes.text(column, row, text, ha="center", va="center", fontsize=5.5, color="white" if is_dark else "black")
+        axes.grid(visible=False)
         axes.set_xticks(range(len(levels["world"])), levels["world"], rotation=35, ha="right")
         axes.set_yticks(range(len(levels["model"])), levels["model"])
         axes.set_xlabel("simulator")
@@ -43,7 +45,7 @@ def matrices(flights: pd.DataFrame, models: list[str], worlds: list[str]) -> tup
     for row, model in enumerate(models):
         for column, world in enumerate(worlds):
             own = flights[(flights["model"] == model) & (flights["world"] == world)]
-            error = own["rotation_error_deg"].to_numpy()
+            error = np.degrees(own["max_rotation_error"].to_numpy())
             share[row, column] = np.mean((own["outcome"] == "completed") & (error <= BALANCED))
             lean[row, column] = np.median(error)
     return share, lean

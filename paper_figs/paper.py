@@ -90,7 +90,7 @@ FIGURE_ITEMS: Sequence[Item] = (
         "Fig. 5 b–i",
         "TEST4 and the robustness test",
         "fig5_robustness",
-        claims=("test4", "robustness", "asymmetry", "thrusts_alike"),
+        claims=("test4", "robustness", "model_pairs", "asymmetry", "thrusts_alike"),
     ),
     Item(
         "Fig. 6 a–l",

@@ -202,6 +202,25 @@ def _robustness(results: Results) -> tuple[str, str]:
     return text, verdict
 
 
+def _model_pairs(results: Results) -> tuple[str, str]:
+    """How many winds are flown on course with the simulator's own model, with another's, without, and observed."""
+    sweep = _sweep(results, "model_pairs")
+    texts, shares = [], []
+    for arms in sweep.levels("arms"):
+        cells = sweep.select(arms=arms)
+        kinds = {
+            "the simulator's model": [cell for cell in cells if cell["model"] == cell["world"]],
+            "another model": [cell for cell in cells if cell["model"] in sweep.levels("world")],
+            "no model": [cell for cell in cells if cell["model"] == "none"],
+            "no model, observer": [cell for cell in cells if cell["model"] == "observer, no model"],
+        }
+        kinds["another model"] = [cell for cell in kinds["another model"] if cell["model"] != cell["world"]]
+        counts = {name: (sum(c["on_course"] for c in own), len(own)) for name, own in kinds.items()}
+        texts.append(f"{arms}, on course: " + ", ".join(f"{name} {n} of {m}" for name, (n, m) in counts.items()))
+        shares.append(counts["another model"][0] / counts["another model"][1])
+    return "; ".join(texts), _agreement(*(share > 0.9 for share in shares))
+
+
 def _transitions(results: Results) -> tuple[str, str]:
     texts, times = [], []
     for arms, name in (("corrected", "robustness"), ("published", "robustness_published")):
@@ -494,6 +513,14 @@ CLAIMS = (
         _thrusts_alike,
         ("test2", "test4"),
         figure="fig5_robustness",
+    ),
+    _Claim(
+        "model_pairs",
+        "Robustness",
+        "The aware controller is robust to a model other than the simulator's (winds from everywhere)",
+        _model_pairs,
+        sweep="model_pairs",
+        figure="model_pairs",
     ),
     _Claim(
         "robustness",
