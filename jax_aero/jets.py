@@ -148,7 +148,7 @@ class SecondOrderJets:
         """Move throttles on from the present estimate, then estimators and engines over `dt` [s]."""
         throttle, integral = _throttle_loop(self, state.engine, command, dt)
         seen = state.thrust if measured is None else measured
-        estimate, covariance = _update_ekf(self, state.engine, seen, throttle, dt)
+        estimate, covariance = update_ekf(self, state.engine, seen, throttle, dt)
         # T̈ at the start of the step, as in the published simulator.
         acceleration = thrust_acceleration(self.engines, state.thrust, state.thrust_rate, throttle)
         thrust = state.thrust + dt * (state.thrust_rate + 0.5 * dt * acceleration)
@@ -261,7 +261,7 @@ def _throttle_loop(
     return jnp.where(acts, throttle, state.throttle), state.integral + jnp.where(acts, dt * error, 0.0)
 
 
-def _update_ekf(
+def update_ekf(
     model: SecondOrderJets, state: EngineState, measured: Array, throttle: Array, dt: Array | float
 ) -> tuple[Array, Array]:
     """Advance the extended Kalman filter of every engine: a measurement of variance `R/dt`, then a step of `dt`.

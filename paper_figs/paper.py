@@ -150,7 +150,12 @@ NUMBERS: Sequence[Item] = (
         command="python -m experiments engine-choice",
     ),
     Item("Actuators selection", "fuel along flights", "along", claims=("fuel_flown",)),
-    Item("Actuators selection", "engines", links=("#suppl-table-1",), claims=("chest_engine", "lift", "arm_engine")),
+    Item(
+        "Actuators selection",
+        "engines",
+        links=("#suppl-table-1",),
+        claims=("chest_engine", "lift", "arm_engine", "arm_engines"),
+    ),
     Item("FEM analysis", "stresses of the interfaces", claims=("stress", "strength")),
     Item(
         "Wind tunnel",
@@ -236,6 +241,7 @@ BEYOND: Sequence[Item] = tuple(
         ("trim", "winds that can be trimmed"),
         ("trajectory", "planned trajectories"),
         ("identify", "coefficients from a flight's log"),
+        ("engine", "an engine identified from a log"),
         ("tip_over", "wind that tips the standing robot over"),
         ("observer_limit", "limit of the observer"),
         ("force_rate", "force rate that the controller leaves out"),

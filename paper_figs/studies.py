@@ -14,6 +14,8 @@ COMMANDS = {
     "fit": "python -m experiments fit-aero",
     "training": "python -m experiments train compact --dataset results/datasets/freestream.nc",
     "surrogate": "python -m experiments calibrate-surrogate",
+    "identify_engine": "python -m experiments identify-engine",
+    "arm_engines": "python -m experiments arm-engines",
     "along": "python -m experiments along",
     "pictures": "python -m experiments pictures",
     "identify": "python -m experiments identify-aero",

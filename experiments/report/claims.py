@@ -383,6 +383,20 @@ def _fuel_flown(results: Results) -> tuple[str, str]:
     return text, _judged(abs(mass - 4.61) < 0.25, f"{mass - 4.61:+.2f} kg; the engines burn more, and idle counts")
 
 
+def _arm_engines(results: Results) -> tuple[str, str]:
+    found = results.study("arm_engines", "paper")
+    if found is None:
+        raise NotFlownError("`python -m experiments arm-engines` has not been run")
+    weak = {name.removesuffix(" P100"): cell for name, cell in found.items() if name.endswith("P100")}
+    text = "with P100 in the arms: " + "; ".join(
+        f"{name} {cell['outcome'].replace('_', ' ')}, arms up to {cell['arm_thrust_max']:.0f} N, "
+        f"rotation error {cell['rotation_error']:.1f}° ({found[f'{name} P160']['rotation_error']:.1f}° with P160)"
+        for name, cell in weak.items()
+    )
+    same = all(cell["outcome"] == found[f"{name} P160"]["outcome"] for name, cell in weak.items())
+    return text, _judged(same, "not every flight ends alike")
+
+
 def _clearance(results: Results) -> tuple[str, str]:
     found = {name: figures["clearance_mm"] for name, figures in _along(results).items()}
     text = "exhaust's axis to the nearest link, at least: " + ", ".join(f"{n} {mm:.0f} mm" for n, mm in found.items())
@@ -424,6 +438,13 @@ CLAIMS = (
     _fact("chest_engine", "Actuators selection", "P220-RXi: about 22 kg of thrust for 0.6 l/min", facts.chest_engine),
     _fact("lift", "Number of jet engines", "A 40 kg robot needs at least two P220", facts.lift),
     _fact("arm_engine", "Number of jet engines", "The forearms carry P100", facts.arm_engine),
+    _Claim(
+        "arm_engines",
+        "Number of jet engines",
+        "P100 and the more powerful P160 can be exchanged",
+        _arm_engines,
+        study="arm-engines",
+    ),
     _fact("stress", "FEM analysis", "At most 57 MPa (jetpack) and 77 MPa (forearm)", facts.stress),
     _fact("strength", "FEM analysis", "At least 5 times below the strength of Ergal, the weakest", facts.strength),
     _fact("campaign", "Wind tunnel", "400 measurements, 54 tests, 4 symmetric and 15 other postures", facts.campaign),

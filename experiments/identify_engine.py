@@ -1,0 +1,415 @@
+"""Identify a second-order engine (M32) from a log of a test bench, validate it on another log, tune its estimator.
+
+`python -m experiments identify-engine` makes two logs of an engine of the robot's file (`--engine P220`), as a bench
+would write them: time, throttle and thrust with noise, 100 times a second. `--train FILE --test FILE` reads real ones:
+CSV with the columns `time_s,throttle_percent,thrust_n`.
+
+1. Local cubics smooth thrust and its two derivatives; linear least squares give all coefficients but b_uu.
+2. Output error: segments of a second are simulated (M33) from their smoothed start, then segments of 20 s, and
+   Levenberg-Marquardt moves all ten coefficients until thrusts agree.
+3. The other log is simulated as a whole from its first sample.
+4. Of the estimator (M35), R follows from the noise that is left, Q from the likelihood of its innovations.
+
+The result goes to `results/identify_engine/NAME/`; `python -m paper_figs engine` draws it.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from experiments import Refused, study
+from experiments.engine_choice import ROBOT
+from jax_aero import cli
+from jax_aero.jets import Engines, EngineState, SecondOrderJets, thrust_acceleration, update_ekf
+from jax_aero.robot import ENGINE_KEYS
+
+KIND = "identify_engine"
+COLUMNS = ("time_s", "throttle_percent", "thrust_n")
+STEP = 0.01
+"""Of a log, and of the simulated controller [s]."""
+FINE = 10
+"""Steps of the generator between two samples: the bench is no discrete model."""
+NOISE = 1.0
+"""Standard deviation of the generated thrust [N]."""
+WINDOW = 10
+"""Samples on either side that a local cubic is fitted to."""
+SEGMENTS = (100, 2000)
+"""Samples of a simulated segment: short ones converge from far away, in long ones the start no longer matters."""
+PUBLISHED_Q, PUBLISHED_R = np.array([[10.0, 1.0], [1.0, 10.0]]), 1.0
+COEFFICIENTS = ENGINE_KEYS[:10]
+"""k_t to c; the throttle's limits are known."""
+
+Array = NDArray[np.float64]
+
+
+class Log(NamedTuple):
+    """A test on the bench."""
+
+    time: Array
+    """[s], equally spaced."""
+    throttle: Array
+    """[%]"""
+    thrust: Array
+    """Measured [N]."""
+
+
+class Smoothed(NamedTuple):
+    """Thrust and its derivatives from local cubics."""
+
+    thrust: Array
+    rate: Array
+    acceleration: Array
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the command line; return its exit status."""
+    parser = cli.Parser("identify-engine", __doc__)
+    parser.add_argument(
+        "--engine", default="P220", help="engine of the robot's file that makes the logs (default P220)"
+    )
+    parser.add_argument("--train", type=Path, metavar="FILE", help="log to identify from")
+    parser.add_argument("--test", type=Path, metavar="FILE", help="log to validate on")
+    parser.add_argument("--logs", type=Path, metavar="DIR", help="write the logs that were made there")
+    given = parser.parse_args(arguments)
+    try:
+        document = run(given.engine, given.train, given.test, given.logs)
+    except Refused as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return cli.REFUSED
+    for key, value in document["summary"].items():
+        print(f"{key:<58} {value:.4g}")
+    return 0
+
+
+def run(name: str, train: Path | None = None, test: Path | None = None, logs: Path | None = None) -> dict[str, Any]:
+    """Make or read logs, identify, validate, tune, write; return the manifest."""
+    if (train is None) != (test is None):
+        raise Refused("one of --train and --test is given; expected both, or none")
+    table = study.read(ROBOT)["engines"]
+    if name not in table:
+        raise Refused(f"no engine `{name}`; there are {', '.join(table)}")
+    started = time.perf_counter()
+    truth = np.array([table[name][key] for key in ENGINE_KEYS], dtype=float)
+    made = train is None or test is None
+    pair = (
+        (bench_log(truth, 1), bench_log(truth, 2))
+        if train is None or test is None
+        else (read_log(train), read_log(test))
+    )
+    if logs is not None:
+        for log, stem in zip(pair, ("train", "test"), strict=True):
+            write_log(log, logs / f"{name}_{stem}.csv")
+    with jax.enable_x64(True):
+        found = identify(pair[0], truth[10:])
+        whole = simulate(found, pair[1].throttle, smooth(pair[1].thrust))
+        of_file = simulate(truth, pair[1].throttle, smooth(pair[1].thrust))
+        q, r = tune(found, pair[0])
+        estimates = {
+            label: estimate(found, pair[1], *numbers)[0]
+            for label, numbers in (("tuned", (q, r)), ("published", (PUBLISHED_Q, PUBLISHED_R)))
+        }
+    dataset = to_dataset(pair[1], found, truth, whole, of_file, estimates)
+    dataset.attrs |= {"q_thrust": q[0, 0], "q_rate": q[1, 1], "r": r, "made": int(made)}
+    settings = {"engine": name, "made": made, "seeds": [1, 2]}
+    digest = study.digest(settings, [ROBOT] if made else [path for path in (train, test) if path])
+    dataset.attrs |= {"title": f"{name} identified from a log", "config_hash": digest}
+    document = study.build_manifest(
+        name,
+        dataset.attrs["title"],
+        settings,
+        digest,
+        summary=figures(dataset),
+        timings={"all": time.perf_counter() - started},
+        command=["python", "-m", "experiments", "identify-engine", "--engine", name],
+        engine="jax",
+    )
+    study.write(study.RESULTS / KIND / name, dataset, document)
+    return document
+
+
+# --- logs
+
+
+def bench_log(engine: Array, seed: int, seconds: float = 60.0) -> Log:
+    """Return the log of a test: throttle in steps and ramps between 25 and 100 %, thrust with noise.
+
+    The engine is integrated ten times as finely as the log is written; `seed` draws throttle and noise.
+    """
+    rng = np.random.default_rng(seed)
+    n = round(seconds / STEP) + 1
+    throttle = profile(rng, n)
+    thrust, rate = steady_start(engine, throttle[0]), 0.0
+    measured = np.empty(n)
+    for tick in range(n):
+        measured[tick] = thrust
+        for _ in range(FINE):
+            acceleration = acceleration_of(engine, thrust, rate, throttle[tick])
+            thrust, rate = advanced(thrust, rate, acceleration, STEP / FINE)
+    return Log(STEP * np.arange(n), throttle, measured + rng.normal(scale=NOISE, size=n))
+
+
+def profile(rng: np.random.Generator, n: int) -> Array:
+    """Return a throttle [%]: levels that last 1 to 4 s, reached at once or by a ramp of up to 2 s."""
+    throttle, level = np.empty(n), 50.0
+    start = 0
+    while start < n:
+        goal = rng.uniform(25.0, 100.0)
+        ramp = int(rng.choice([0.0, rng.uniform(0.3, 2.0)]) / STEP)
+        hold = int(rng.uniform(1.0, 4.0) / STEP)
+        part = np.concatenate([np.linspace(level, goal, ramp, endpoint=False), np.full(hold, goal)])
+        end = min(n, start + part.size)
+        throttle[start:end] = part[: end - start]
+        start, level = end, goal
+    return throttle
+
+
+def steady_start(engine: Array, throttle: float) -> float:
+    """Return the thrust [N] at which the engine rests, by letting it run for a minute."""
+    thrust, rate = 50.0, 0.0
+    for _ in range(6000):
+        thrust, rate = advanced(thrust, rate, acceleration_of(engine, thrust, rate, throttle), STEP)
+    return thrust
+
+
+def acceleration_of(e: Array, thrust: float, rate: float, throttle: float) -> float:
+    """Return M32 [N/s²]."""
+    v = throttle * (1.0 + e[8] * throttle)
+    drift = thrust * (e[0] + e[1] * thrust + e[4] * rate) + rate * (e[2] + e[3] * rate) + e[9]
+    return float(drift + (e[5] + e[6] * thrust + e[7] * rate) * v)
+
+
+def advanced(thrust: float, rate: float, acceleration: float, step: float) -> tuple[float, float]:
+    """Return thrust and rate after a step of M33."""
+    return thrust + step * (rate + 0.5 * step * acceleration), rate + step * acceleration
+
+
+def read_log(path: Path) -> Log:
+    """Read the log of a bench.
+
+    Raises
+    ------
+    Refused
+        Naming the file, and what was expected.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        values = np.array([[float(row[column]) for column in COLUMNS] for row in rows])
+    except OSError as reason:
+        raise Refused(f"cannot read `{path}`: {reason.strerror}") from None
+    except (KeyError, TypeError, ValueError):
+        raise Refused(f"`{path}` is no log; expected numbers in the columns {', '.join(COLUMNS)}") from None
+    if len(values) <= SEGMENTS[-1] or not np.isfinite(values).all():
+        raise Refused(f"`{path}` has {len(values)} rows; expected more than {SEGMENTS[-1]}, all finite")
+    if np.abs(np.diff(values[:, 0]) - STEP).max() > 0.05 * STEP:
+        raise Refused(f"`{path}`: samples are not {STEP:g} s apart")
+    return Log(*values.T)
+
+
+def write_log(log: Log, path: Path) -> None:
+    """Write a log as `read_log` reads it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    rows = "\n".join(f"{t:.2f},{u:.4f},{thrust:.4f}" for t, u, thrust in zip(*log, strict=True))
+    path.write_text(f"{','.join(COLUMNS)}\n{rows}\n", encoding="utf-8")
+
+
+# --- identification
+
+
+def smooth(thrust: Array) -> Smoothed:
+    """Return thrust and two derivatives by least-squares cubics over `2 WINDOW + 1` samples."""
+    offsets = STEP * np.arange(-WINDOW, WINDOW + 1)
+    solve = np.linalg.pinv(np.vander(offsets, 4, increasing=True))
+    padded = np.pad(thrust, WINDOW, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * WINDOW + 1)
+    c = windows @ solve.T
+    return Smoothed(c[:, 0], c[:, 1], 2.0 * c[:, 2])
+
+
+def regression(log: Log) -> Array:
+    """Return the ten coefficients by linear least squares on smoothed derivatives, b_uu zero."""
+    t, d, a = smooth(log.thrust)
+    u = log.throttle
+    inner = slice(2 * WINDOW, -2 * WINDOW)
+    columns = np.stack([t, t * t, d, d * d, t * d, u, t * u, d * u, np.ones_like(t)], axis=1)[inner]
+    size = np.abs(columns).max(axis=0)
+    k = np.linalg.lstsq(columns / size, a[inner], rcond=None)[0] / size
+    return np.array([*k[:8], 0.0, k[8]])
+
+
+def identify(log: Log, limits: Array, steps: int = 40) -> Array:
+    """Return the twelve numbers of an engine, `limits` those of its throttle [%]."""
+    found = regression(log)
+    for segment in SEGMENTS:
+        residual = residual_of(log, limits, segment)
+        # Coefficients differ by orders of magnitude; one that starts at zero has the size that b_uu has.
+        scale = np.where(found == 0.0, 1e-3, np.abs(found))
+        found = scale * levenberg(lambda x, r=residual, s=scale: r(s * x), found / scale, steps)  # type: ignore[misc]
+    return np.concatenate([found, limits])
+
+
+def residual_of(log: Log, limits: Array, segment: int) -> Callable[[Any], Any]:
+    """Return the differences between simulated segments and the log [N], as a function of the ten coefficients."""
+    n = (log.time.size - 1) // segment
+    smoothed = smooth(log.thrust)
+    firsts = segment * np.arange(n)
+    throttle = jnp.asarray(log.throttle[: n * segment].reshape(n, segment))
+    seen = jnp.asarray(log.thrust[1 : n * segment + 1].reshape(n, segment))
+    start = jnp.asarray(np.stack([smoothed.thrust[firsts], smoothed.rate[firsts]], axis=1))
+
+    def residual(k: Any) -> Any:
+        engine = Engines(*k, *limits)
+
+        def step(state: Any, u: Any) -> Any:
+            after = _step(engine, state[..., 0], state[..., 1], u)
+            return jnp.stack(after, axis=-1), after[0]
+
+        _, thrusts = jax.lax.scan(step, start, throttle.T)
+        # A bad guess may diverge: bounded, its error still says which way is better.
+        return jnp.clip(thrusts.T - seen, -1e3, 1e3).ravel()
+
+    return residual
+
+
+def _step(engine: Engines, thrust: Any, rate: Any, throttle: Any) -> tuple[Any, Any]:
+    acceleration = thrust_acceleration(engine, thrust, rate, throttle)
+    return thrust + STEP * (rate + 0.5 * STEP * acceleration), rate + STEP * acceleration
+
+
+def levenberg(residual: Callable[[Any], Any], start: Array, steps: int) -> Array:
+    """Minimise the sum of squares by Levenberg-Marquardt."""
+    value = jax.jit(residual)
+    slope = jax.jit(jax.jacfwd(residual))
+    x, damping = start, 1e-3
+    here = np.asarray(value(x))
+    for _ in range(steps):
+        j = np.asarray(slope(x))
+        normal, gradient = j.T @ j, j.T @ here
+        moved = False
+        for _ in range(8):
+            trial = x - np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12), gradient)
+            there = np.asarray(value(trial))
+            if there @ there < here @ here:
+                moved = there @ there < (1.0 - 1e-9) * (here @ here)
+                x, here, damping = trial, there, 0.3 * damping
+                break
+            damping *= 10.0
+        if not moved:
+            break
+    return np.asarray(x)
+
+
+def simulate(engine: Array, throttle: Array, smoothed: Smoothed) -> Array:
+    """Return the thrust [N] of the whole log from its first sample alone."""
+    e = Engines(*engine)
+
+    def step(state: Any, u: Any) -> Any:
+        return _step(e, *state, u), state[0]
+
+    _, thrusts = jax.lax.scan(step, (jnp.asarray(smoothed.thrust[0]), jnp.asarray(0.0)), jnp.asarray(throttle))
+    return np.asarray(thrusts)
+
+
+# --- estimator
+
+
+def estimate(engine: Array, log: Log, q: Array, r: float) -> tuple[Array, float]:
+    """Return estimated thrust and rate (n, 2) of M35, and the log likelihood of its innovations."""
+    model = SecondOrderJets(
+        engines=Engines(*(jnp.array([value]) for value in engine)),
+        rate_gain_p=jnp.array(0.0),
+        rate_gain_i=jnp.array(0.0),
+        q=jnp.asarray(q),
+        r=jnp.asarray(r),
+        feedback_is_estimated=True,
+        init_state=None,
+        init_p=jnp.eye(2),
+    )
+    one = jnp.ones(1)
+
+    def step(state: EngineState, sample: Any) -> Any:
+        seen, throttle = sample
+        variance = state.covariance[0, 0, 0] + model.r / STEP
+        error = seen - state.estimate[0, 0]
+        found, covariance = update_ekf(model, state, seen * one, throttle * one, STEP)
+        likelihood = -0.5 * (jnp.log(2.0 * jnp.pi * variance) + error * error / variance)
+        return state._replace(estimate=found, covariance=covariance), (state.estimate[0], likelihood)
+
+    start = EngineState(one, 0.0 * one, jnp.array([[smooth(log.thrust).thrust[0], 0.0]]), 10.0 * jnp.eye(2)[None])
+    _, (states, likelihood) = jax.lax.scan(step, start, (jnp.asarray(log.thrust), jnp.asarray(log.throttle)))
+    return np.asarray(states), float(likelihood[10:].sum())
+
+
+def tune(engine: Array, log: Log) -> tuple[Array, float]:
+    """Return Q and R: R from the noise about the smoothed thrust, Q diagonal, the likeliest of a grid.
+
+    The noise about a cubic through 2 w + 1 samples is less by what the cubic takes up: its share at the middle.
+    """
+    offsets = STEP * np.arange(-WINDOW, WINDOW + 1)
+    taken = np.linalg.pinv(np.vander(offsets, 4, increasing=True))[0, WINDOW]
+    left = log.thrust - smooth(log.thrust).thrust
+    # The median is not disturbed by the edges of steps, where a cubic does not follow.
+    variance = (np.median(np.abs(left)) / 0.6745) ** 2 / (1.0 - taken)
+    r = float(variance * STEP)
+    grid = [np.diag([a, b]) for a in 10.0 ** np.arange(-4.0, 2.0) for b in 10.0 ** np.arange(-2.0, 4.0)]
+    return max(grid, key=lambda q: estimate(engine, log, q, r)[1]), r
+
+
+# --- result
+
+
+def to_dataset(
+    log: Log, found: Array, truth: Array, whole: Array, of_file: Array, estimates: Mapping[str, Array]
+) -> xr.Dataset:
+    """Label the held-out log, what the models make of it, and what the estimators do."""
+    smoothed = smooth(log.thrust)
+    variables: dict[str, Any] = {
+        "throttle": (("time",), log.throttle, {"units": "%"}),
+        "thrust": (("time",), log.thrust, {"units": "N", "long_name": "measured"}),
+        "thrust_smoothed": (("time",), smoothed.thrust, {"units": "N"}),
+        "rate_smoothed": (("time",), smoothed.rate, {"units": "N/s"}),
+        "thrust_identified": (("time",), whole, {"units": "N", "long_name": "simulated from the first sample"}),
+        "thrust_file": (("time",), of_file, {"units": "N", "long_name": "the same, coefficients of the file"}),
+        "found": (("coefficient",), found),
+        "file": (("coefficient",), truth),
+    }
+    for label, states in estimates.items():
+        variables[f"estimate_{label}"] = (("time", "state"), states, {"units": "N, N/s"})
+    coordinates = {"time": ("time", log.time, {"units": "s"}), "coefficient": list(ENGINE_KEYS), "state": ["T", "Tdot"]}
+    return xr.Dataset(variables, coordinates)
+
+
+def figures(dataset: xr.Dataset) -> dict[str, float]:
+    """Return rms errors on the held-out log."""
+    span = float(dataset["thrust_smoothed"].max() - dataset["thrust_smoothed"].min())
+    inner = slice(50, -50)
+
+    def rms(values: Any) -> float:
+        return float(np.sqrt(np.mean(np.asarray(values)[inner] ** 2)))
+
+    found = {"noise: measured less smoothed [N]": rms(dataset["thrust"] - dataset["thrust_smoothed"])}
+    for label, name in (("identified", "thrust_identified"), ("of the file", "thrust_file")):
+        error = rms(dataset[name] - dataset["thrust_smoothed"])
+        found[f"thrust simulated, {label}: rms error [N]"] = error
+        found[f"thrust simulated, {label}: rms error [% of range]"] = 100.0 * error / span
+    # Of a log that was made the truth is known; of a real one the smoothed log is the best there is.
+    true_thrust = np.asarray(dataset["thrust_file" if dataset.attrs["made"] else "thrust_smoothed"])
+    for label in ("tuned", "published"):
+        state = np.asarray(dataset[f"estimate_{label}"])
+        found[f"estimator, {label}: rms thrust error [N]"] = rms(state[:, 0] - true_thrust)
+        found[f"estimator, {label}: rms rate error [N/s]"] = rms(state[:, 1] - np.gradient(true_thrust, STEP))
+    for key in ("q_thrust", "q_rate", "r"):
+        if key in dataset.attrs:
+            found[f"tuned {key}"] = float(dataset.attrs[key])
+    return found

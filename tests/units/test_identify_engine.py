@@ -1,0 +1,115 @@
+"""An engine from a bench's log: reading, smoothing, regression, descent; and other engines in the arms."""
+
+import tomllib
+
+import jax
+import numpy as np
+import pytest
+
+from experiments import Refused, arm_engines, study
+from experiments import identify_engine as bench
+from experiments.engine_choice import ROBOT
+from paper_figs import engine as engine_figure
+
+
+@pytest.fixture(scope="module")
+def truth():
+    table = study.read(ROBOT)["engines"]["P220"]
+    return np.array([table[key] for key in bench.ENGINE_KEYS], dtype=float)
+
+
+@pytest.fixture(scope="module")
+def log(truth):
+    return bench.bench_log(truth, 1)
+
+
+def test_a_log_is_read_as_it_was_written(log, tmp_path, agree):
+    bench.write_log(log, tmp_path / "a.csv")
+    read = bench.read_log(tmp_path / "a.csv")
+    agree("thrust", read.thrust, log.thrust, 1e-4)
+    agree("throttle", read.throttle, log.throttle, 1e-4)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a,b\n1,2\n", "expected numbers in the columns time_s, throttle_percent, thrust_n"),
+        ("time_s,throttle_percent,thrust_n\n0,1,x\n", "expected numbers"),
+        ("time_s,throttle_percent,thrust_n\n0,1,2\n", "1 rows; expected more than 2000"),
+    ],
+)
+def test_what_is_no_log_is_refused(text, words, tmp_path):
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(Refused, match=words):
+        bench.read_log(tmp_path / "a.csv")
+    with pytest.raises(Refused, match="cannot read"):
+        bench.read_log(tmp_path / "none.csv")
+
+
+def test_a_log_with_a_gap_is_refused(log, tmp_path):
+    times = log.time.copy()
+    times[100:] += 1.0
+    bench.write_log(log._replace(time=times), tmp_path / "a.csv")
+    with pytest.raises(Refused, match=r"samples are not 0\.01 s apart"):
+        bench.read_log(tmp_path / "a.csv")
+
+
+def test_smoothing_leaves_a_cubic_alone(measured):
+    t = bench.STEP * np.arange(200)
+    found = bench.smooth(3.0 + 2.0 * t - t**2 + 0.5 * t**3)
+    inner = slice(bench.WINDOW, -bench.WINDOW)
+    # Condition of the cubics in powers of 0.1 s: 1e4 last bits of 4 in value, 1e4 times more in each derivative.
+    measured("thrust", np.abs(found.thrust - (3.0 + 2.0 * t - t**2 + 0.5 * t**3))[inner].max(), 1e-11)
+    measured("rate", np.abs(found.rate - (2.0 - 2.0 * t + 1.5 * t**2))[inner].max(), 1e-9)
+    measured("acceleration", np.abs(found.acceleration - (-2.0 + 3.0 * t))[inner].max(), 1e-7)
+
+
+def test_the_generator_obeys_the_crates_engine(truth, agree):
+    """M32, term by term, against the JAX twin, whose parity with the crate other tests hold."""
+    from jax_aero.jets import Engines, thrust_acceleration
+
+    with jax.enable_x64(True):
+        for thrust, rate, throttle in ((120.0, 15.0, 60.0), (40.0, -30.0, 90.0)):
+            twin = thrust_acceleration(Engines(*truth), thrust, rate, throttle)
+            agree("acceleration", bench.acceleration_of(truth, thrust, rate, throttle), float(twin), 1e-12)
+    agree("step", bench.advanced(10.0, 2.0, 4.0, 0.5), (10.0 + 1.0 + 0.5, 4.0), 1e-15)
+
+
+def test_descent_finds_a_minimum(agree):
+    def residual(x):
+        return np.array([1.0, 0.0]) * 0.0 + jax.numpy.stack([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
+
+    with jax.enable_x64(True):
+        agree("Rosenbrock's minimum", bench.levenberg(residual, np.array([-1.2, 1.0]), 60), [1.0, 1.0], 1e-6)
+
+
+def test_a_log_of_a_minute_gives_the_engine(truth, log, measured, tmp_path):
+    """From regression alone to the whole log: another log is simulated to within its noise."""
+    with jax.enable_x64(True):
+        found = bench.identify(log, truth[10:])
+        other = bench.bench_log(truth, 2, 30.0)
+        whole = bench.simulate(found, other.throttle, bench.smooth(other.thrust))
+        true = bench.simulate(truth, other.throttle, bench.smooth(other.thrust))
+        states, likelihood = bench.estimate(truth, other, bench.PUBLISHED_Q, 0.01)
+        _, wrong = bench.estimate(truth, other, bench.PUBLISHED_Q, 1e-4)
+    settled = slice(300, None)
+    measured("held-out thrust [N]", np.sqrt(np.mean((whole - true)[settled] ** 2)), 4.0)
+    # The estimator is better than its sensor, and a noise it does not have is less likely.
+    assert np.std((states[:, 0] - true)[settled]) < 0.6 * bench.NOISE
+    assert likelihood > wrong
+    dataset = bench.to_dataset(other, found, truth, whole, true, {"tuned": states, "published": states})
+    dataset.attrs |= {"made": 1, "config_hash": "0"}
+    assert bench.figures(dataset)["noise: measured less smoothed [N]"] < 1.2
+    folder = tmp_path / "identify_engine" / "P220"
+    folder.mkdir(parents=True)
+    bench.study.record.write_dataset(dataset, folder / "run.nc")
+    figure, hashes = engine_figure.draw(tmp_path / "flight")
+    assert len(figure.axes) == 3
+    assert hashes == {"P220": "0"}
+
+
+def test_only_the_arms_change():
+    text = ROBOT.read_text(encoding="utf-8")
+    jets = tomllib.loads(arm_engines.with_arms(text, "P100", 100.0))["jets"]
+    assert [(jet["engine"], jet["thrust_max"]) for jet in jets] == [("P100", 100.0)] * 2 + [("P220", 220.0)] * 2
+    assert arm_engines.with_arms(text, "P160", 160.0) == text
