@@ -156,7 +156,7 @@ def bench_log(engine: Array, seed: int, seconds: float = 60.0) -> Log:
         for _ in range(FINE):
             acceleration = acceleration_of(engine, thrust, rate, throttle[tick])
             thrust, rate = advanced(thrust, rate, acceleration, STEP / FINE)
-    return Log(STEP * np.arange(n), throttle, measured + rng.normal(scale=NOISE, size=n))
+    return Log(np.linspace(0.0, seconds, n), throttle, measured + rng.normal(scale=NOISE, size=n))
 
 
 def profile(rng: np.random.Generator, n: int) -> Array:
@@ -315,7 +315,7 @@ def simulate(engine: Array, throttle: Array, smoothed: Smoothed) -> Array:
     e = Engines(*engine)
 
     def step(state: Any, u: Any) -> Any:
-        return _step(e, *state, u), state[0]
+        return _step(e, state[0], state[1], u), state[0]
 
     _, thrusts = jax.lax.scan(step, (jnp.asarray(smoothed.thrust[0]), jnp.asarray(0.0)), jnp.asarray(throttle))
     return np.asarray(thrusts)
