@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from experiments import manifest, tip_over, trajectory, trim
+from experiments import manifest, tip_over, trajectory, trim, waypoints
 from experiments.sweep.perturbation import Perturbation
 from experiments.sweep.spec import Axis, Spec
 from experiments.training.config import Training
@@ -36,6 +36,7 @@ STUDIES: dict[str, Any] = {
     "training_search": SearchConfig,
     "trajectory": trajectory.TrajectoryConfig,
     "trim": trim.TrimConfig,
+    "waypoints": waypoints.Waypoints,
 }
 """What Python alone reads, by the name of its schema."""
 

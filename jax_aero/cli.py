@@ -33,6 +33,7 @@ class Command(NamedTuple):
 GROUPS: dict[str, dict[str, Command]] = {
     "fly and look": {
         "fly": Command("experiments.__main__:fly", "figs", "fly experiments by name: jax-aero fly test2"),
+        "waypoints": Command("experiments.waypoints:main", "figs", "make a mission of waypoints, to fly"),
         "sweep": Command("experiments.sweep.command:main", "sweeps", "fly many perturbed flights, and count"),
         "figures": Command("paper_figs.__main__:main", "figs", "draw figures from results"),
         "report": Command("experiments.report.command:main", "sweeps", "write all results on one page"),

@@ -1,0 +1,204 @@
+"""Make a mission of waypoints: forward, aside, climb, turn, hold; from rest to rest, smooth to the third derivative.
+
+    jax-aero waypoints box
+    jax-aero fly results/waypoints/box/box.toml
+
+A file of configs/waypoints names the experiment that it changes, a speed, and steps, one motion each. The result is a
+recorded reference, which every engine follows, and an experiment that flies it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from jax_aero import places, rust, tables
+from jax_aero.cli import REFUSED, Parser, completes
+from jax_aero.cli import path as cli_path
+from jax_aero.files import write_text
+from jax_aero.tables import Positive, Table
+
+Array = NDArray[np.float64]
+
+SAMPLE = 0.05
+"""Between rows of the reference [s]."""
+PEAK = 35.0 / 16.0
+"""Greatest speed of a motion over its mean speed."""
+
+
+class Step(Table, frozen=True, kw_only=True):
+    """One motion; exactly one of its keys is given, besides `speed`."""
+
+    forward: float | None = None
+    """Along the heading, backwards if negative [m]."""
+    left: float | None = None
+    """Across the heading [m]."""
+    climb: float | None = None
+    """Upwards [m]."""
+    climb_to: float | None = None
+    """Height of the centre of mass above that of the start [m]."""
+    turn_deg: float | None = None
+    """To the left [deg]."""
+    hold: Positive | None = None
+    """Stay [s]."""
+    speed: Positive | None = None
+    """Greatest speed of this motion [m/s, or deg/s for a turn]; that of the file if missing."""
+
+
+class Waypoints(Table, frozen=True, kw_only=True):
+    """A mission of waypoints; one file of `configs/waypoints`."""
+
+    experiment: Path
+    """What is flown, but for its mission and duration."""
+    title: str
+    start: Annotated[float, msgspec.Meta(ge=0.0)] = 3.0
+    """When the first motion begins [s]."""
+    speed: Positive = 2.0
+    """Greatest speed [m/s]."""
+    turn_speed_deg: Positive = 30.0
+    """Greatest rate of a turn [deg/s]."""
+    settling: Annotated[float, msgspec.Meta(ge=0.0)] = 5.0
+    """Flown after the last motion [s]."""
+    steps: tuple[Step, ...]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Samples of the motion: times (k,) [s], derivatives 0 to 3 of the centre of mass (4, k, 3), heading (k,) [rad]."""
+
+    times: Array
+    com: Array
+    heading: Array
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write a reference and an experiment that flies it; return the exit status."""
+    parser = Parser("waypoints", __doc__)
+    named = parser.add_argument("name", metavar="NAME", help="a name in configs/waypoints, or the path of a TOML file")
+    completes(named, lambda: places.names("waypoints"))
+    parser.add_argument("--out", type=cli_path, metavar="DIR", help="folder for the result (default results/waypoints)")
+    given = parser.parse_args(arguments)
+    try:
+        path = places.find("waypoints", given.name)
+        written = write(path, tables.load(path, Waypoints), (given.out or places.RESULTS / "waypoints") / path.stem)
+    except (OSError, ValueError) as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return REFUSED
+    for file in written:
+        print(os.path.relpath(file))
+    return 0
+
+
+def write(path: Path, points: Waypoints, folder: Path) -> list[Path]:
+    """Write `mission.csv` and the experiment; return both."""
+    config = rust.load_config(points.experiment)
+    com, rpy, forward = start_of(config)
+    found = reference(points, com, forward)
+    rows = np.column_stack(
+        [
+            found.times,
+            found.com[0],
+            np.tile(rpy[:2], (len(found.times), 1)),
+            rpy[2] + found.heading,
+            *found.com[1:],
+        ]
+    )
+    header = "time,x,y,z,roll,pitch,yaw,vx,vy,vz,ax,ay,az,jx,jy,jz"
+    text = "\n".join(",".join(f"{value:.10g}" for value in row) for row in rows)
+    mission, flight = folder / "mission.csv", folder / f"{path.stem}.toml"
+    write_text(mission, f"# Source: ours, jax-aero waypoints {path.stem}\n{header}\n{text}\n")
+    # Tables of a base stay where nothing replaces them: its commands would be beside the reference.
+    without = "".join(
+        f", {name} = []" for name, value in config["mission"].items() if isinstance(value, list) and value
+    )
+    base = os.path.relpath(points.experiment, folder.resolve())
+    duration = float(found.times[-1]) + points.settling
+    write_text(
+        flight,
+        f"# Source: ours, jax-aero waypoints {path.stem}\nbase = {_quoted(base)}\ntitle = {_quoted(points.title)}\n"
+        f'mission = {{ file = "mission.csv"{without} }}\nsimulator = {{ duration = {duration:g} }}\n',
+    )
+    return [mission, flight]
+
+
+def start_of(config: rust.Config) -> tuple[Array, Array, Array]:
+    """Return centre of mass [m], roll, pitch and yaw [rad], and the horizontal forward direction of the first tick."""
+    simulator = {**config["simulator"], "duration": config["simulator"]["time_step"]}
+    flight = rust.fly({**config, "mission": {}, "simulator": simulator})
+    axis = tables.read(Path(config["robot"])).get("forward_axis", [1.0, 0.0, 0.0])
+    forward = rust.rotation_from_wxyz(flight["base_quaternion"][0]) @ np.asarray(axis, dtype=np.float64)
+    forward[2] = 0.0
+    return flight["com_setpoint"][0], flight["base_rpy_setpoint"][0], forward / np.linalg.norm(forward)
+
+
+def reference(points: Waypoints, com: Array, forward: Array) -> Reference:
+    """Return the motion from a start, step by step.
+
+    Raises
+    ------
+    ValueError
+        Naming the step that has none or several motions.
+    """
+    times, com_rows, headings = [np.array([points.start])], [_still(com)], [np.zeros(1)]
+    place, heading, now = np.array(com, dtype=np.float64), 0.0, points.start
+    for number, step in enumerate(points.steps, start=1):
+        shift, turn, duration = _motion(points, number, step, place, heading, com, forward)
+        count = max(int(np.ceil(duration / SAMPLE)), 1)
+        s = np.arange(1, count + 1) / count
+        blend = _blend(s, duration)
+        rows = blend[:, :, None] * shift
+        rows[0] += place
+        times.append(now + duration * s)
+        com_rows.append(rows)
+        headings.append(heading + blend[0] * turn)
+        place, heading, now = place + shift, heading + turn, now + duration
+    return Reference(np.concatenate(times), np.concatenate(com_rows, axis=1), np.concatenate(headings))
+
+
+def _motion(
+    points: Waypoints, number: int, step: Step, place: Array, heading: float, com: Array, forward: Array
+) -> tuple[Array, float, float]:
+    """Return shift [m], turn [rad] and duration [s] of one step."""
+    given = msgspec.structs.asdict(step)
+    motions = {name: value for name, value in given.items() if name != "speed" and value is not None}
+    if len(motions) != 1:
+        raise ValueError(f"step {number} has {', '.join(motions) or 'no motion'}; expected one motion")
+    ((kind, value),) = motions.items()
+    if kind == "hold":
+        return np.zeros(3), 0.0, value
+    if kind == "turn_deg":
+        return np.zeros(3), float(np.radians(value)), PEAK * abs(value) / (step.speed or points.turn_speed_deg)
+    cos, sin = np.cos(heading), np.sin(heading)
+    ahead = np.array([cos * forward[0] - sin * forward[1], sin * forward[0] + cos * forward[1], 0.0])
+    left, up = np.array([-ahead[1], ahead[0], 0.0]), np.array([0.0, 0.0, 1.0])
+    shift: Array = {
+        "forward": value * ahead,
+        "left": value * left,
+        "climb": value * up,
+        "climb_to": (com[2] + value - place[2]) * up,
+    }[kind]
+    return shift, 0.0, PEAK * float(np.linalg.norm(shift)) / (step.speed or points.speed)
+
+
+def _blend(s: Array, duration: float) -> Array:
+    """Rise from 0 to 1 at s = t/T, and its time derivatives, (4, k): `35 s⁴ − 84 s⁵ + 70 s⁶ − 20 s⁷`."""
+    rise = np.polynomial.Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
+    return np.stack([rise.deriv(order)(s) / duration**order if order else rise(s) for order in range(4)])
+
+
+def _still(com: Array) -> Array:
+    rows: Array = np.zeros((4, 1, 3))
+    rows[0, 0] = com
+    return rows
+
+
+def _quoted(text: Any) -> str:
+    return msgspec.json.encode(str(text)).decode()

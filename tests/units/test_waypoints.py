@@ -1,0 +1,72 @@
+"""Missions of waypoints: smooth, in the directions they name, refused where they are not clear, and flown."""
+
+import numpy as np
+import pytest
+
+from experiments import waypoints
+from experiments.waypoints import Step, Waypoints, reference
+from jax_aero import cli, places, rust, tables
+from tests.measurements import measured
+
+EAST = np.array([1.0, 0.0, 0.0])
+
+
+def points(*steps, **more):
+    return Waypoints(experiment=places.find("experiments", "test2"), title="", steps=steps, **more)
+
+
+def test_steps_go_where_they_say():
+    steps = (Step(forward=4.0), Step(turn_deg=90.0), Step(left=1.0), Step(climb_to=3.0), Step(climb=-1.0))
+    found = reference(points(*steps, start=2.0), np.array([1.0, 2.0, 0.5]), EAST)
+    # East by 4; heading north; left of north is west; up to 3 above the start, and 1 down.
+    measured("end [m]", np.abs(found.com[0, -1] - [1.0 + 4.0 - 1.0, 2.0, 0.5 + 3.0 - 1.0]).max(), 1e-12)
+    assert found.heading[-1] == np.pi / 2
+    assert found.times[0] == 2.0
+    assert np.all(np.diff(found.times) > 0.0)
+
+
+def test_a_motion_is_at_rest_at_its_ends_and_keeps_its_speed():
+    found = reference(points(Step(forward=6.0, speed=2.0)), np.zeros(3), EAST)
+    measured("derivatives at the end", np.abs(found.com[1:, -1]).max(), 1e-9)
+    fastest = np.linalg.norm(found.com[1], axis=1).max()
+    assert 0.99 * 2.0 < fastest <= 2.0 + 1e-12
+    assert abs(found.times[-1] - 3.0 - 35.0 / 16.0 * 6.0 / 2.0) < 1e-12
+
+
+def test_derivatives_are_those_of_the_positions():
+    found = reference(points(Step(forward=6.0), start=0.0), np.zeros(3), EAST)
+    step = found.times[2] - found.times[1]
+    why = "the error of the difference quotient, step² / 6 of the derivative two orders up"
+    for order, tolerance in ((0, 2e-3), (1, 6e-3), (2, 4e-2)):
+        slope = (found.com[order, 3:] - found.com[order, 1:-2]) / (2 * step)
+        measured(f"derivative {order + 1}", np.abs(slope - found.com[order + 1, 2:-1]).max(), tolerance, why)
+
+
+@pytest.mark.parametrize(
+    ("step", "message"),
+    [(Step(), "step 1 has no motion"), (Step(forward=1.0, climb=1.0), "forward, climb; expected one")],
+)
+def test_an_unclear_step_is_refused(step, message):
+    with pytest.raises(ValueError, match=message):
+        reference(points(step), np.zeros(3), EAST)
+
+
+def test_the_shipped_box_is_written_and_can_be_flown(tmp_path, capsys):
+    assert cli.main(["waypoints", "box", "--out", str(tmp_path)]) == 0
+    flight = tmp_path / "box" / "box.toml"
+    assert "box.toml" in capsys.readouterr().out
+    config = rust.load_config(flight)
+    flown = rust.fly(config)
+    assert flown.outcome == "completed"
+    start, end = flown["com_setpoint"][0], flown["com_setpoint"][-1]
+    box = tables.load(places.find("waypoints", "box"), Waypoints)
+    _, _, forward = waypoints.start_of(rust.load_config("test2"))
+    left = np.array([-forward[1], forward[0], 0.0])
+    measured("set-point at the end [m]", np.abs(end - start - (20.0 * forward + 10.0 * left + [0, 0, 4.0])).max(), 1e-2)
+    assert np.abs(flown["com_position"][-1] - end).max() < 0.1
+    assert box.steps[0].forward == 20.0
+
+
+def test_mistakes_are_named(capsys):
+    assert cli.main(["waypoints", "bix"]) == cli.REFUSED
+    assert "did you mean box" in capsys.readouterr().err
