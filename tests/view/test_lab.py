@@ -98,7 +98,7 @@ def visit(browser: Any, built: Path) -> Iterator[Callable[..., Visit]]:
     contexts = []
 
     def open_page(link: str = "", **options: Any) -> Visit:
-        contexts.append(browser.new_context(**{"viewport": {"width": 700, "height": 480}, **options}))
+        contexts.append(browser.new_context(**{"viewport": {"width": 420, "height": 300}, **options}))
         return Visit(contexts[-1].new_page(), built, link)
 
     yield open_page
@@ -173,7 +173,7 @@ def test_every_scene_plays_and_proves_its_number(visit):
 
 
 def test_controls_act_and_a_link_holds_the_whole_scenario(visit):
-    page = visit("#mission=hover&controller=aware")
+    page = visit("#mission=hover&controller=aware", viewport={"width": 800, "height": 420})
     page.seek(11.0)
     page.tab.get_by_label("controller", exact=True).select_option("observer")
     assert page.settings()["controller"] == "observer"
@@ -238,7 +238,7 @@ def test_keys_touch_and_small_screens(visit):
     page.wait("page.isPlaying")
     x, y = center(page.tab.locator("#pad").bounding_box())
     page.tab.touchscreen.tap(x, y + 20)  # from behind
-    page.wait("page.settings.speed !== 11 && Math.abs(Math.abs(page.settings.from) - 180) < 1")
+    page.wait("page.target[0] > 5")
     assert page.complaints == []
 
 

@@ -17,7 +17,8 @@ const degrees = (radians) => (radians * 180) / Math.PI;
 
 const RATES = [0.1, 0.25, 0.5, 1, 2, 5];
 const BUDGET = 12; // of a picture, for the simulation [ms]
-const SPARE = 6; // of a picture, for flights in the background [ms]
+const SPARE = 6; // of a picture, for flights in the background: at least this [ms],
+const SHARE = 0.25; // and this share of the time that pictures take
 const CHUNK = 5; // ticks between two looks at the clock
 const TURNING = 0.2; // a dragged wind needs this long for each change [s]
 const LEANING = 10; // beyond this tilt a flight that arrives is said to lean [deg]
@@ -166,13 +167,12 @@ class Page {
       if (time >= this.solid.duration) this.now = 0; // an ended flight flies again
       this.branch(time >= this.solid.duration || this.result?.lost_time != null && !isPast ? 0 : time);
     }
-    if (!this.isPlaying) this.#steer();
     this.isStale = true;
   }
 
   /** Lets the wind turn to what is wanted, where the last change is over. */
   #steer() {
-    if (!this.wanted || this.solid.flown < this.goal) return;
+    if (!this.wanted) return;
     const { settings, solid } = this;
     const time = round(solid.flown);
     const { steer } = settings;
@@ -215,12 +215,12 @@ class Page {
     if (isCatchingUp) {
       this.#fly(solid, this.goal, 2 * BUDGET);
       if (this.ghost && !isBehind(solid, this.goal)) this.#fly(this.ghost, this.now, 2 * BUDGET);
-    } else if (this.isPlaying) {
+    } else {
       this.#steer();
-      this.#play(seconds * this.rate);
+      if (this.isPlaying) this.#play(seconds * this.rate);
     }
     const flown = performance.now();
-    if (!isCatchingUp) this.#work(this.isPlaying ? SPARE : 2 * SPARE);
+    if (!isCatchingUp) this.#work(Math.max(SPARE, SHARE * seconds * 1000));
     if (this.solid.hasEnded && !this.result) {
       this.result = this.solid.result();
       this.isStale = true; // the next picture says it
