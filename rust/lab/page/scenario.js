@@ -177,7 +177,8 @@ export function title(settings) {
   if (test) return `${test[0]} in the lab`;
   const named = (key) => LISTS[key].values[settings[key]][0];
   const arms = settings.arms === "published" ? ", published arms" : "";
-  return `${named("controller")}, ${named("mission")}, ${settings.speed} m/s from ${settings.from}°, air: ${named("air")}${arms}`;
+  const wind = settings.steer.length ? "dragged wind" : settings.speed ? `${settings.speed} m/s from ${settings.from}°` : "still air";
+  return `${named("controller")}, ${named("mission")}, ${wind}, air: ${named("air")}${arms}`;
 }
 
 /** A configuration as a file of `configs/experiments` would be. */

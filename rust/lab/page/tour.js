@@ -13,7 +13,7 @@ export const TOUR = [
     ghost: "none",
     start: 0,
     text: "Four jets carry the robot, and the controller corrects thrusts and joints 100 times a second so that it stays in place. The air is still: nothing pushes it away.",
-    proof: ({ watched }) => [`${(1000 * watched.summary.max_com_error).toFixed(1)} mm`, "greatest distance of the centre of mass from its set-point"],
+    proof: ({ watched }) => [`${(1000 * watched.summary.max_com_error).toFixed(1)} mm`, "from its set-point at most, the centre of mass, after a start-up of 3 s"],
   },
   {
     name: "The wind rises",
