@@ -66,7 +66,8 @@ portability: $(PACKAGES) ## run the numerical tests as another processor would, 
 
 wheel: $(PACKAGES) ## build wheel and source package into dist/, and fly with the wheel alone in an empty environment
 	rm -rf dist
-	$(BIN)/maturin build --release --locked --quiet --sdist --out dist
+	$(BIN)/maturin sdist --quiet --out dist
+	$(BIN)/maturin build --release --locked --quiet --out dist
 	$(BIN)/python tests/wheel.py dist/*.whl
 
 lint: $(PACKAGES) ## check formats, lints, types and import contracts

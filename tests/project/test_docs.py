@@ -14,9 +14,10 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
+from experiments import waypoints
 from experiments.sweep import spec
 from experiments.sweep.design import Design
-from jax_aero import cli, rust
+from jax_aero import cli, rust, tables
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -31,6 +32,7 @@ KINDS = {
     ("experiment", "toml"),
     ("robot", "toml"),
     ("sweep", "toml"),
+    ("waypoints", "toml"),
     (None, "c"),
     (None, "cpp"),
     (None, "rust"),
@@ -150,6 +152,16 @@ def test_shown_sweeps_can_be_planned(page, tmp_path):
         design = Design(spec.load(str(file)))
         design.check()
         assert design.n_rows > 0
+
+
+@pytest.mark.parametrize("page", having("waypoints", "toml"), ids=name)
+def test_shown_waypoints_become_a_flight(page, tmp_path):
+    configs = shutil.copytree(ROOT / "configs", tmp_path / "configs")
+    for code in blocks(page, "waypoints", "toml"):
+        file = configs / "waypoints" / "shown.toml"
+        file.write_text(code, encoding="utf-8")
+        _, flight = waypoints.write(file, tables.load(file, waypoints.Waypoints), tmp_path / "shown")
+        assert rust.load_config(flight)["title"] == tomllib.loads(code)["title"]
 
 
 @pytest.mark.parametrize("path", sorted(DOCS.glob("notebooks/*.ipynb")), ids=name)
