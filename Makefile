@@ -66,7 +66,7 @@ portability: $(PACKAGES) ## run the numerical tests as another processor would, 
 
 wheel: $(PACKAGES) ## build wheel and source package into dist/, and fly with the wheel alone in an empty environment
 	rm -rf dist
-	$(BIN)/maturin sdist --quiet --out dist
+	$(BIN)/maturin sdist --out dist
 	$(BIN)/maturin build --release --locked --quiet --out dist
 	$(BIN)/python tests/wheel.py dist/*.whl
 
