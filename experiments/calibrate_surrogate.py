@@ -2,15 +2,13 @@
 
 Published drag curves of the links, and the whole robot's force in the typed tables of wind tunnel and CFD, but for the
 postures flight50 and flight60, which judge the result beside the axisymmetric model. The penalties are those that do
-best on calibration postures left out in turn. The result goes to `results/surrogate/calibration/`, the coefficients as
-`surrogate.toml` in it; the one in `configs/aero/panels/` is a copy. `python -m paper_figs surrogate` draws it.
+best on calibration postures left out in turn. The result goes to `results/calibrate_surrogate/calibration/`,
+the coefficients as `surrogate.toml` in it, copied to `configs/aero/panels/`; `python -m paper_figs surrogate` draws it.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
-import time
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -18,8 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, study
 from experiments.import_cfd import POSTURES, known_postures
+from experiments.study import CONFIGS, Findings, Study
+from jax_aero import tables
 from jax_aero.aero import fit, surrogate_fit
 from jax_aero.aero.dataset import Floats, tunnel_from_base
 from jax_aero.aero.posture import link_axes
@@ -27,8 +26,8 @@ from jax_aero.aero.surrogate import TERMS, Wake, batched_features, build_panels,
 from jax_aero.aero.surrogate_fit import Records, Settings
 from jax_aero.robot import RobotModel, load_robot
 
-ROBOT = study.CONFIGS / "robot" / "ironcub_mk1.toml"
-TUNNEL, CFD = (study.CONFIGS / "tables" / name for name in ("wind_tunnel.toml", "cfd_tunnel.toml"))
+ROBOT = CONFIGS / "robot" / "ironcub_mk1.toml"
+TUNNEL, CFD = (CONFIGS / "tables" / name for name in ("wind_tunnel.toml", "cfd_tunnel.toml"))
 
 JUDGES = ("flight50", "flight60")
 """Postures that no coefficient has seen."""
@@ -55,24 +54,12 @@ class Row(NamedTuple):
     cla: float
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return its exit status."""
-    parser = argparse.ArgumentParser(prog="python -m experiments calibrate-surrogate", description=__doc__)
-    parser.parse_args(arguments)
-    try:
-        document = run()
-    except (Refused, ValueError) as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
-    for key, value in document["summary"].items():
-        print(f"{key:<72} {value:.4g}")
-    print("results/surrogate/calibration/: run.nc, manifest.json, surrogate.toml")
-    return 0
+class CalibrationConfig(tables.Table, frozen=True):
+    """A calibration has no settings."""
 
 
-def run() -> dict[str, Any]:
-    """Calibrate, judge, write; return the manifest."""
-    started = time.perf_counter()
+def compute(_name: str, _config: CalibrationConfig) -> Findings:
+    """Calibrate and judge."""
     robot = load_robot(ROBOT)
     rows = list(table_rows())
     learned = records([row for row in rows if row.posture not in JUDGES])
@@ -80,32 +67,27 @@ def run() -> dict[str, Any]:
     features = batched_features(robot, build_panels(robot, **PANELS), WAKE)
     curves = np.asarray(robot.aero_links.coefficients[CURVES])
     calibration = surrogate_fit.prepare(robot, curves, features, learned)
-    prepared = time.perf_counter()
     settings, tried = surrogate_fit.choose(calibration)
     weights = surrogate_fit.solve(calibration, settings)
-    chosen = time.perf_counter()
 
     seen = features(everything.joint_position_deg, everything.wind_b)
     areas = {"surrogate": force_areas(weights[surrogate_fit.FAMILY_OF], seen).sum(axis=1)}
     areas |= {name: axisymmetric(robot, name, everything) for name in COMPARED}
     turn = tunnel_from_base(everything.pitch_deg, everything.yaw_deg)
     models = {name: np.einsum("nij,nj->ni", turn, area) for name, area in areas.items()}
-    result = to_dataset(everything, models)
-    digest = study.digest({"panels": PANELS, "wake": WAKE._asdict()}, [ROBOT, POSTURES, TUNNEL, CFD])
-    result.attrs |= {"title": "Panel model and axisymmetric models beside the wind tunnel", "config_hash": digest}
-    summary = {"left-out calibration postures, rms vector error [m2]": tried[settings], **figures(everything, models)}
-    document = study.build_manifest(
-        "calibration",
-        result.attrs["title"],
-        {"panels": PANELS, "wake": WAKE._asdict(), "settings": settings._asdict(), "records": len(learned.posture)},
-        digest,
-        summary=summary,
-        timings={"prepare": prepared - started, "choose": chosen - prepared},
-        engine="jax",
+    inputs = {"panels": PANELS, "wake": WAKE._asdict(), "settings": settings._asdict()}
+    return Findings(
+        "Panel model and axisymmetric models beside the wind tunnel",
+        to_dataset(everything, models),
+        {"left-out calibration postures, rms vector error [m2]": tried[settings], **figures(everything, models)},
+        inputs=inputs | {"records": len(learned.posture)},
+        files=[ROBOT, POSTURES, TUNNEL, CFD],
+        texts={"surrogate.toml": toml(weights, settings)},
     )
-    texts = {"surrogate.toml": toml(weights, settings)}
-    study.write(study.RESULTS / "surrogate" / "calibration", result, document, texts)
-    return document
+
+
+STUDY = Study("calibrate_surrogate", __doc__, CalibrationConfig, compute, ("calibration",), engine="jax")
+main = STUDY.main
 
 
 def table_rows() -> Iterator[Row]:

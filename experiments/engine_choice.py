@@ -14,7 +14,6 @@ Source: paper, Methods, "Actuators Selection".
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import tomllib
@@ -24,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments import manifest
+from jax_aero.cli import Parser
 
 ROBOT = manifest.REPOSITORY / "configs" / "robot" / "ironcub_mk1.toml"
 RESULTS = manifest.RESULTS
@@ -103,7 +103,7 @@ def engines(path: Path = ROBOT) -> list[dict[str, Any]]:
 
 def main(arguments: Sequence[str]) -> int:
     """Print the comparison and the engines; write both beside the other results."""
-    parser = argparse.ArgumentParser(prog="python -m experiments engine-choice", description=__doc__.split("\n", 1)[0])
+    parser = Parser("engine-choice", __doc__.split("\n", 1)[0])
     for name, value in vars(Choice()).items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=float, default=value, metavar="X")
     parser.add_argument("--out", type=Path, default=RESULTS, metavar="DIR", help="folder of engine_choice.json")

@@ -1,16 +1,14 @@
-"""Fit the paper's axisymmetric model to a dataset: `python -m experiments fit-aero --dataset FILE`.
+"""Fit the paper's axisymmetric model to a dataset: `python -m experiments fit-aero [NAME]`.
 
 Lasso chooses terms, least squares fits them, family by family. Beside that: the published terms refitted, what the
 published normal-force coefficients are fits of, and how well every coefficient set of the robot explains the data. The
-result goes to `results/fit/NAME/`, with the new coefficients as TOML; `python -m paper_figs fig4_fit` draws it.
+result goes to `results/fit_aero/NAME/`, with the new coefficients as TOML; `python -m paper_figs fig4_fit` draws it.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,45 +16,35 @@ import numpy as np
 import xarray as xr
 
 from experiments import Refused, study
+from experiments.study import CONFIGS, Findings, Study
+from jax_aero import tables
 from jax_aero.aero import fit
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, load
 from jax_aero.aero.posture import link_axes
 from jax_aero.robot import RobotModel, load_robot
 
-ROBOT = study.CONFIGS / "robot" / "ironcub_mk1.toml"
-DATASET = study.RESULTS / "datasets" / "freestream.nc"
+ROBOT = CONFIGS / "robot" / "ironcub_mk1.toml"
 PRINTED, RIGHT = "published", "corrected"
 """Sets of the robot with the coefficients as printed, and with the head's."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return its exit status."""
-    parser = argparse.ArgumentParser(prog="python -m experiments fit-aero", description=__doc__)
-    parser.add_argument("--dataset", type=Path, default=DATASET, metavar="FILE", help="what import-cfd wrote")
-    parser.add_argument("--name", metavar="NAME", help="of the result (default: that of the dataset)")
-    given = parser.parse_args(arguments)
-    try:
-        document, tables = run(given.dataset, given.name or given.dataset.stem)
-    except FileNotFoundError:
-        print(f"error: no dataset {given.dataset}; write it with: python -m experiments import-cfd", file=sys.stderr)
-        return 2
-    except (Refused, ValueError) as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
-    print(tables)
-    print(f"results/fit/{document['name']}/: run.nc, manifest.json, refit.toml")
-    return 0
+class FitConfig(tables.Table, frozen=True):
+    """A fit."""
+
+    dataset: str = ""
+    """What import-cfd wrote; without it, `results/datasets/NAME.nc`."""
 
 
-def run(path: Path, name: str) -> tuple[dict[str, Any], str]:
-    """Fit, compare, write; return the manifest and the printed tables."""
-    started = time.perf_counter()
+def compute(name: str, config: FitConfig) -> Findings:
+    """Fit and compare."""
+    path = Path(config.dataset) if config.dataset else study.RESULTS / "datasets" / f"{name}.nc"
+    if not path.is_file():
+        raise Refused(f"no dataset {path}; write it with: python -m experiments import-cfd")
     computed = load(path)
     computed = computed.take(~computed.is_mirrored)
     dataset = computed.mirrored()
     robot = load_robot(ROBOT)
     axes = link_axes(robot, dataset.joint_position_deg)
-    read = time.perf_counter()
     fits = fit.fit(dataset, axes)
     rows = np.flatnonzero(~dataset.is_mirrored)
     variants = variants_of(robot, fits)
@@ -65,22 +53,19 @@ def run(path: Path, name: str) -> tuple[dict[str, Any], str]:
         for variant, areas in variants.items()
     }
     refitted = published_terms(robot, dataset, axes)
-    seconds = {"read": read - started, "fit": time.perf_counter() - read}
-
-    result = to_dataset(dataset, axes, variants, refitted)
-    digest = study.digest({"dataset": dataset.sha256}, [ROBOT])
-    result.attrs |= {"title": f"Axisymmetric model fitted to {path.name}", "config_hash": digest}
-    document = study.build_manifest(
-        name,
-        result.attrs["title"],
-        {"dataset": {"file": path, "sha256": dataset.sha256, "provenance": dict(dataset.provenance)}},
-        digest,
-        summary=figures(quality, fits, refitted),
-        timings=seconds,
-        engine="scikit-learn",
+    return Findings(
+        f"Axisymmetric model fitted to {path.name}",
+        to_dataset(dataset, axes, variants, refitted),
+        figures(quality, fits, refitted),
+        inputs={"dataset": path.name, "sha256": dataset.sha256, "provenance": dict(dataset.provenance)},
+        files=[ROBOT],
+        texts={"refit.toml": toml(fits, path.name)},
+        report=report(quality, fits, refitted),
     )
-    study.write(study.RESULTS / "fit" / name, result, document, {"refit.toml": toml(fits, path.name)})
-    return document, report(quality, fits, refitted)
+
+
+STUDY = Study("fit_aero", __doc__, FitConfig, compute, ("freestream",), engine="scikit-learn")
+main = STUDY.main
 
 
 def variants_of(robot: RobotModel, fits: Mapping[str, fit.FamilyFit]) -> dict[str, Floats]:

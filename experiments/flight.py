@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 import os
+import shlex
 import sys
 import time
 import tomllib
@@ -13,7 +13,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from experiments import Refused, engines, manifest, overrides, record
+from experiments import Refused, engines, manifest, overrides, record, study
 from jax_aero import rust
 
 CONFIGS = manifest.REPOSITORY / "configs" / "experiments"
@@ -27,15 +27,9 @@ def available(configs: Path = CONFIGS) -> Iterator[tuple[str, str]]:
             yield path.stem, str(tomllib.load(file).get("title", ""))
 
 
-def find(name: str, configs: Path = CONFIGS) -> Path:
+def find(name: str) -> Path:
     """Return the file of an experiment given by name or by path."""
-    path = Path(name) if "/" in name or name.endswith(".toml") else configs / f"{name}.toml"
-    if path.is_file():
-        return path
-    stems = [stem for stem, _ in available(configs)]
-    near = difflib.get_close_matches(path.stem, stems, n=3, cutoff=0.5)
-    hint = f"did you mean {' or '.join(near)}?" if near else "see `python -m experiments --list`"
-    raise Refused(f"no experiment `{name}`; {hint}")
+    return study.find("experiments", name)
 
 
 def run(
@@ -63,7 +57,19 @@ def run(
     except ValueError as reason:  # an engine that does not support a setting
         raise Refused(f"{name}: {reason}") from None
     document = manifest.build(
-        name, config, flight, overrides=changes, command=command, wall_time=time.perf_counter() - started
+        name,
+        config.get("title") or name,
+        config,
+        rust.config_digest(config),
+        summary=flight.summary,
+        command=shlex.split(command),
+        engine=engines.engine_of(config),
+        outcome=flight.outcome,
+        lost_time=flight.lost_time,
+        lost_reason=flight.lost_reason,
+        overrides=manifest.portable(changes),
+        seed=dict(manifest.seeds(config)) or None,
+        wall_time_s=round(time.perf_counter() - started, 3),
     )
     dataset = record.to_dataset(
         flight,

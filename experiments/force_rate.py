@@ -1,6 +1,6 @@
 """How large is what the paper's controller neglects: the rate of the aerodynamic forces, along a flight.
 
-`python -m experiments.force_rate [NAME]` flies an experiment (default test2) and splits the second derivative of the
+`python -m experiments force-rate [NAME]` flies an experiment (default test2) and splits the second derivative of the
 centroidal momentum at every tick, with the derivatives of the symbolic implementation, into what the controller's QP
 models (A_T Ṫ, Λ_T ν, Λ_a ν) and what it leaves out (link forces that change as links turn, as they accelerate, as the
 wind changes). The result goes to `results/force_rate/NAME/`.
@@ -8,63 +8,44 @@ wind changes). The result goes to `results/force_rate/NAME/`.
 
 from __future__ import annotations
 
-import argparse
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, flight, study
-from jax_aero import rust
+from experiments.study import Findings, Study
+from jax_aero import rust, tables
 from jax_aero.summary import SETTLING_TIME
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.momentum import ForceRate
-
-"""The first seconds of a flight, a free fall and its recovery, are left out of the figures [s]; as in the crate."""
 
 KNOWN = ("thrust_rate", "lambda_t", "lambda_a")
 NEGLECTED = ("attitude", "acceleration", "wind")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return its exit status."""
-    parser = argparse.ArgumentParser(prog="python -m experiments.force_rate", description=__doc__)
-    parser.add_argument("name", nargs="?", default="test2", help="an experiment (default test2)")
-    given = parser.parse_args(arguments)
-    try:
-        document = run(given.name)
-    except Refused as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
-    for key, value in document["summary"].items():
-        print(f"{key:<44} {value:.4g}")
-    return 0
+class ForceRateConfig(tables.Table, frozen=True):
+    """How long the experiment that names the study is flown."""
+
+    duration: tables.Positive | None = None
+    """Instead of the experiment's own [s]."""
 
 
-def run(name: str = "test2", duration: float | None = None) -> dict[str, Any]:
-    """Fly, split, write; return the manifest."""
-    path = flight.find(name)
-    overrides = {} if duration is None else {"simulator.duration": duration}
-    config = rust.load_config(path, overrides)
-    started = time.perf_counter()
+def compute(name: str, settings: ForceRateConfig) -> Findings:
+    """Fly and split."""
+    overrides = {} if settings.duration is None else {"simulator.duration": settings.duration}
+    config = rust.load_config(name, overrides)
     model = MomentumModel(load_robot(config["robot"]), config["simulator"]["aero"])
-    built = time.perf_counter()
     log = rust.fly(config).log
-    flown = time.perf_counter()
     parts, mismatch = split(model, log)
-    timings = {"build": built - started, "fly": flown - built, "split": time.perf_counter() - flown}
-
-    digest = rust.config_digest(config)
-    dataset = to_dataset(log["time"][1:-1], parts, title=f"{config['title']}: second derivative of the momentum")
-    dataset.attrs["config_hash"] = digest
+    dataset = to_dataset(log["time"][1:-1], parts)
     summary = figures(dataset) | {"mismatch with differences of the log, rms over rms": mismatch}
-    title = f"Neglected rate of the aerodynamic force, {config['title']}"
-    document = study.build_manifest(name, title, config, digest, summary=summary, timings=timings)
-    study.write(study.RESULTS / "force_rate" / name, dataset, document)
-    return document
+    return Findings(f"Second derivative of the momentum: {config['title']}", dataset, summary, flights={name: config})
+
+
+STUDY = Study("force_rate", __doc__, ForceRateConfig, compute, ("test2",))
+main = STUDY.main
 
 
 def split(model: MomentumModel, log: Mapping[str, Any]) -> tuple[ForceRate, float]:
@@ -99,7 +80,7 @@ def split(model: MomentumModel, log: Mapping[str, Any]) -> tuple[ForceRate, floa
     return parts, float(error)
 
 
-def to_dataset(t: Any, parts: ForceRate, *, title: str) -> xr.Dataset:
+def to_dataset(t: Any, parts: ForceRate) -> xr.Dataset:
     """Label the parts."""
     units = "N s-1 (linear), N m s-1 (angular)"
     meaning = {
@@ -115,9 +96,8 @@ def to_dataset(t: Any, parts: ForceRate, *, title: str) -> xr.Dataset:
         for name, text in meaning.items()
     }
     six = [f"{kind}_{axis}" for kind in ("linear", "angular") for axis in "xyz"]
-    return xr.Dataset(
-        variables, {"time": ("time", t, {"units": "s"}), "six": six}, {"title": title, "settling_time": SETTLING_TIME}
-    )
+    time = ("time", t, {"units": "s", "long_name": "time"})
+    return xr.Dataset(variables, {"time": time, "six": six}, {"settling_time": SETTLING_TIME})
 
 
 def figures(dataset: xr.Dataset) -> dict[str, float]:

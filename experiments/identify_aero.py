@@ -8,14 +8,12 @@ the forces of another flight, in head wind.
 
     minimise  Σ ((ν_simulated − ν_logged)/σ)² / 2  +  Σ (θ/0.3)² / 2      areas = (1 + θ) · those of the file
 
-The result goes to `results/identify/aero/`; `python -m paper_figs identify` draws it.
+The result goes to `results/identify_aero/aero/`; `python -m paper_figs identify` draws it.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -26,8 +24,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import Refused, study
-from jax_aero import rust, sim
+from experiments.study import Findings, Study
+from jax_aero import rust, sim, tables
 from jax_aero.aero import Axisymmetric
 from jax_aero.identify import descend, misfit_of, segments_of, wrenches_along
 from jax_aero.io import scenario_config
@@ -43,51 +41,40 @@ HORIZON = 10
 """Ticks that are simulated from every logged state."""
 FIRST_TICK, N_STARTS = 600, 240
 """From when on there is wind, and from how many states the log is simulated."""
-STEPS, RATE = 150, 0.03
-"""Steps and step length of the descent."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return its exit status."""
-    parser = argparse.ArgumentParser(prog="python -m experiments identify-aero", description=__doc__)
-    parser.add_argument("--seed", type=int, default=1, help="of the true areas and of the noise (default 1)")
-    parser.add_argument("--steps", type=int, default=STEPS, help=f"steps of the descent (default {STEPS})")
-    given = parser.parse_args(arguments)
-    try:
-        document = run(given.seed, given.steps)
-    except Refused as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
-    for key, value in document["summary"].items():
-        print(f"{key:<44} {value:.4g}")
-    return 0
+class IdentifyConfig(tables.Table, frozen=True):
+    """An identification."""
+
+    seed: tables.Natural = 1
+    """Of the true areas and of the noise."""
+    steps: tables.Count = 150
+    """Of the descent."""
+    rate: tables.Positive = 0.03
+    """Step length of the descent."""
 
 
-def run(seed: int = 1, steps: int = STEPS) -> dict[str, Any]:
-    """Fly, identify, validate, write; return the manifest."""
-    config = rust.load_config(study.CONFIGS / "experiments" / f"{FLIGHT}.toml")
-    validation = rust.load_config(study.CONFIGS / "experiments" / f"{VALIDATION}.toml", {"simulator.duration": 20.0})
+def compute(_: str, settings: IdentifyConfig) -> Findings:
+    """Fly, identify, validate."""
+    config = rust.load_config(FLIGHT)
+    validation = rust.load_config(VALIDATION, {"simulator.duration": 20.0})
     with jax.enable_x64(True):
-        started = time.perf_counter()
         typed = scenario_config(config)
         scenario, state = sim.prepare(typed)
         model = scenario.plant.aero
         assert isinstance(model, Axisymmetric)
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(settings.seed)
         families, member = np.unique(np.asarray(model.areas), axis=0, return_inverse=True)
         truth = rng.uniform(-SPREAD, SPREAD, families.shape) * (families != 0.0)
         true_model = replace(model, areas=model.areas * (1.0 + truth[member.ravel()]))
         flown = replace(scenario, plant=replace(scenario.plant, aero=true_model))
         _, log = fly_chunk(flown, state, jnp.array(0, jnp.int32), int(scenario.n_ticks) + 1)
         log = {name: np.asarray(signal) for name, signal in log._asdict().items()}
-        seconds = {"fly": time.perf_counter() - started}
 
         segments = segments_of(scenario.wind, with_noise(log, rng), scenario.plant, FIRST_TICK, N_STARTS, HORIZON)
         deviation = np.concatenate([np.full(6, NOISE["base"]), np.full(scenario.plant.robot.n_joints, NOISE["joints"])])
-        started = time.perf_counter()
         misfit = misfit_of(scenario.plant, model, segments, member.ravel(), deviation, SPREAD)
-        theta, losses = descend(misfit, families != 0.0, steps, RATE)
-        seconds["identify"] = time.perf_counter() - started
+        theta, losses = descend(misfit, families != 0.0, settings.steps, settings.rate)
         loss_true = float(misfit(jnp.asarray(truth)))
         found = replace(model, areas=model.areas * (1.0 + theta[member.ravel()]))
         flown_ahead = rust.fly(validation).log
@@ -98,22 +85,13 @@ def run(seed: int = 1, steps: int = STEPS) -> dict[str, Any]:
 
     links = scenario.plant.robot.aero_links.names
     dataset = to_dataset(families, truth, theta, losses, validation_log["time"], forces, links, member.ravel())
-    settings = {"flight": config, "validation": VALIDATION, "seed": seed, "steps": steps}
-    digest = study.digest(settings, [])
     dataset.attrs["loss_true"] = loss_true
-    dataset.attrs |= {"title": "Aerodynamic coefficients from a flight's log", "config_hash": digest}
-    document = study.build_manifest(
-        "aero",
-        dataset.attrs["title"],
-        settings,
-        digest,
-        summary=figures(dataset),
-        timings=seconds,
-        command=["python", "-m", "experiments", "identify-aero", "--seed", str(seed), "--steps", str(steps)],
-        engine="jax",
-    )
-    study.write(study.RESULTS / "identify" / "aero", dataset, document)
-    return document
+    flights = {FLIGHT: config, VALIDATION: validation}
+    return Findings("Aerodynamic coefficients from a flight's log", dataset, figures(dataset), flights=flights)
+
+
+STUDY = Study("identify_aero", __doc__, IdentifyConfig, compute, ("aero",), engine="jax")
+main = STUDY.main
 
 
 def with_noise(log: Mapping[str, NDArray[np.float64]], rng: np.random.Generator) -> dict[str, NDArray[np.float64]]:

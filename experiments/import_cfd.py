@@ -19,6 +19,8 @@ import numpy as np
 from experiments import Refused, manifest
 from jax_aero.aero.cfd_import import read_mat, read_solver_table
 from jax_aero.aero.dataset import JOINTS, Dataset, Floats, read_postures, save
+from jax_aero.cli import Parser
+from jax_aero.command import exit_status
 
 POSTURES = manifest.REPOSITORY / "configs" / "tables" / "postures.toml"
 OUT = manifest.RESULTS / "datasets"
@@ -30,7 +32,7 @@ TABLE_PATH = "simulations/ironcub-automatic-cfd/auto-cfd-sim/data/outputParamete
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
-    parser = argparse.ArgumentParser(prog="python -m experiments import-cfd", description=__doc__)
+    parser = Parser("import-cfd", __doc__)
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--table", type=Path, metavar="FILE", help="the solver's table")
     source.add_argument("--clone", type=Path, metavar="DIR", help="a local clone of element_cfd-simulation")
@@ -42,16 +44,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--out", type=Path, metavar="FILE", help="the dataset (default results/datasets/NAME.nc)")
     given = parser.parse_args(arguments)
-    try:
-        dataset = _read(given)
-        out: Path = given.out or OUT / f"{'training_file' if given.mat else 'freestream'}.nc"
-        save(dataset, out)
-    except (Refused, OSError, ValueError) as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
+
+    def work() -> None:
+        keep(_read(given), given.out or OUT / f"{'training_file' if given.mat else 'freestream'}.nc")
+
+    return exit_status(work)
+
+
+def keep(dataset: Dataset, out: Path) -> None:
+    """Write a dataset and print what it is."""
+    save(dataset, out)
     print(summary(dataset))
     print(f"{out}: sha256 {dataset.sha256}")
-    return 0
 
 
 def _read(given: argparse.Namespace) -> Dataset:

@@ -6,8 +6,9 @@ import importlib.metadata
 import math
 import os
 import platform
+import shlex
 import subprocess
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path, PurePath
 from typing import Any
@@ -19,34 +20,42 @@ REPOSITORY, RESULTS = places.HOME, places.RESULTS
 
 def build(
     name: str,
+    title: str,
     config: Mapping[str, Any],
-    flight: rust.FlightResult,
+    digest: str,
     *,
-    overrides: Mapping[str, Any],
-    command: str,
-    wall_time: float,
+    summary: Mapping[str, Any],
+    command: Sequence[str],
+    engine: str,
+    **more: Any,
 ) -> dict[str, Any]:
-    """Return the manifest of one flight, ready for JSON."""
+    """Return the manifest of one result, ready for JSON; `more` are entries of its kind alone."""
     return {
         "name": name,
-        "title": config.get("title") or name,
-        "outcome": flight.outcome,
-        "lost_time": flight.lost_time,
-        "lost_reason": flight.lost_reason,
-        # JSON has no infinity, and the errors of a fall may be infinite.
-        "summary": {key: value if math.isfinite(value) else None for key, value in flight.summary.items()},
-        "config_digest": rust.config_digest(config),
+        "title": title,
+        # JSON has neither infinity, to which the errors of a fall may grow, nor NaN.
+        "summary": {key: _finite(value) for key, value in summary.items()},
+        "config_digest": digest,
         "config": portable(config),
-        "overrides": portable(overrides),
-        "seed": dict(seeds(config)) or None,
-        "command": command,
-        "engine": config.get("engine", "rust"),
+        "command": shlex.join(str(portable(word)) for word in command),
+        "engine": engine,
+        **more,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "wall_time_s": round(wall_time, 3),
         "git": git_state(),
-        "versions": versions(),
+        "versions": versions() | _version_of(engine),
         "device": device(),
     }
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _version_of(package: str) -> dict[str, str]:
+    try:
+        return {package: importlib.metadata.version(package)}
+    except importlib.metadata.PackageNotFoundError:
+        return {}
 
 
 def portable(value: Any) -> Any:
@@ -96,10 +105,7 @@ def versions() -> dict[str, str]:
     """Return the versions a number in the result could depend on."""
     found = {"python": platform.python_version(), "flight-core": rust.__version__}
     for package in ("jax-aero", "numpy", "scipy", "xarray", "h5netcdf", "pyarrow"):
-        try:
-            found[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            found[package] = "not installed as a package"
+        found |= _version_of(package) or {package: "not installed as a package"}
     return found
 
 

@@ -8,67 +8,54 @@ plant and controller. The result goes to `results/observer_limit/hover/`.
 
 from __future__ import annotations
 
-import argparse
 import sys
-import time
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import Refused, flight, study
-from jax_aero import rust
+from experiments.study import Findings, Study
+from jax_aero import rust, tables
 
 AXES = {"roll": 0, "yaw": 2}
 """Places in base axes."""
-GAINS = (0.0, 1.0, 2.0, 3.0, 5.0, 10.0)
-"""K_o [1/s]; zero is the published controller."""
 EXPERIMENT = "test1_observer"
 SETTINGS = {"mission": {}, "simulator.initial.free_fall_tick": False}
 PUSH, PUSHED = 0.1, 0.3
 """Moment that begins the motion, and how long it acts [N m, s]."""
 LOST = 0.5
 """A rotation whose sine is beyond this does not come back."""
-DURATION = 12.0
-"""Of a flight [s]."""
 SEARCH = (0.2, 200.0)
 """Where the limit is sought [N m/rad]."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return its exit status."""
-    parser = argparse.ArgumentParser(prog="python -m experiments observer-limit", description=__doc__)
-    parser.parse_args(arguments)
-    try:
-        document = run()
-    except Refused as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
-    for key, value in document["summary"].items():
-        print(f"{key:<44} {value:.4g}")
-    return 0
+class ObserverLimit(tables.Table, frozen=True):
+    """Which limits are sought."""
+
+    gains: tuple[tables.NonNegative, ...] = (0.0, 1.0, 2.0, 3.0, 5.0, 10.0)
+    """K_o [1/s]; zero is the published controller."""
+    axes: tuple[Literal["roll", "yaw"], ...] = ("roll", "yaw")
+    duration: tables.Positive = 12.0
+    """Of a flight [s]."""
 
 
-def run(gains: Sequence[float] = GAINS, axes: Sequence[str] = tuple(AXES)) -> dict[str, Any]:
-    """Predict, fly, write; return the manifest."""
-    config = rust.load_config(flight.find(EXPERIMENT), SETTINGS)
-    started = time.perf_counter()
+def compute(_: str, limits: ObserverLimit) -> Findings:
+    """Predict and fly."""
+    gains, axes = limits.gains, limits.axes
+    config = rust.load_config(EXPERIMENT, SETTINGS)
     inertia = hovering_inertia(config)
     predicted = [[predicted_limit(config, inertia[AXES[axis], AXES[axis]], gain) for gain in gains] for axis in axes]
-    flown = [[flown_limit(config, AXES[axis], gain) for gain in gains] for axis in axes]
-    timings = {"all": time.perf_counter() - started}
-    digest = rust.config_digest(config)
+    flown = [[flown_limit(config, AXES[axis], gain, limits.duration) for gain in gains] for axis in axes]
     what = {"predicted": "from the linearised loop", "flown": "of the crate's plant and controller"}
     data = xr.Dataset(
         {
-            key: (("axis", "gain"), values, {"units": "N m rad-1", "long_name": f"greatest dM/dtheta, {what[key]}"})
+            key: (("axis", "gain"), values, {"units": "N m rad-1", "long_name": f"greatest dM/dθ, {what[key]}"})
             for key, values in (("predicted", predicted), ("flown", flown))
         },
-        {"axis": list(axes), "gain": ("gain", list(gains), {"units": "s-1"})},
-        {"title": "Greatest destabilising moment slope", "config_hash": digest},
+        {"axis": list(axes), "gain": ("gain", list(gains), {"units": "s-1", "long_name": "gain of the observer"})},
     )
     summary = {
         f"{axis}, K_o {gain:g}: {key} [N m/rad]": float(data[key].sel(axis=axis, gain=gain))
@@ -76,9 +63,11 @@ def run(gains: Sequence[float] = GAINS, axes: Sequence[str] = tuple(AXES)) -> di
         for gain in gains
         for key in what
     }
-    document = study.build_manifest("hover", "Limit of the observer", config, digest, summary=summary, timings=timings)
-    study.write(study.RESULTS / "observer_limit" / "hover", data, document)
-    return document
+    return Findings("Greatest destabilising moment slope", data, summary, flights={EXPERIMENT: config})
+
+
+STUDY = Study("observer_limit", __doc__, ObserverLimit, compute, ("hover",))
+main = STUDY.main
 
 
 def loop(inertia: float, c0: float, c1: float, gain: float, slope: float) -> NDArray[np.float64]:
@@ -103,19 +92,19 @@ def predicted_limit(config: Mapping[str, Any], inertia: float, gain: float) -> f
     return _limit(is_held, 1e-4)
 
 
-def flown_limit(config: Mapping[str, Any], axis: int, gain: float) -> float:
+def flown_limit(config: Mapping[str, Any], axis: int, gain: float, duration: float) -> float:
     """Return the greatest slope [N m/rad] with which the robot comes back."""
-    return _limit(lambda slope: comes_back(config, axis, gain, slope), 0.02)
+    return _limit(lambda slope: comes_back(config, axis, gain, slope, duration), 0.02)
 
 
-def comes_back(config: Mapping[str, Any], axis: int, gain: float, slope: float) -> bool:
+def comes_back(config: Mapping[str, Any], axis: int, gain: float, slope: float, duration: float) -> bool:
     """Push a hovering robot about one axis of its base, with a moment that grows with the rotation about it."""
-    settings = rust.load_config(flight.find(EXPERIMENT), {**SETTINGS, "controller.observer.gain_moment": gain})
+    settings = rust.load_config(EXPERIMENT, {**SETTINGS, "controller.observer.gain_moment": gain})
     plant, controller = rust.Plant(settings), rust.Controller(settings)
     measured = plant.reset()
     desired = np.asarray(measured.state.base_rotation)
     angles = []
-    for _ in range(round(DURATION / config["simulator"]["time_step"])):
+    for _ in range(round(duration / config["simulator"]["time_step"])):
         tick = controller.tick(measured.state, measured.thrust, np.zeros(3), measured.time)
         rotation = np.asarray(measured.state.base_rotation)
         angles.append(_rotation_about(axis, desired.T @ rotation))

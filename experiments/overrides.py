@@ -4,21 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-from experiments import Refused
-from jax_aero.keys import parse_assignments
+from jax_aero.keys import parse_assignments as parse
+
+__all__ = ["folder_suffix", "parse"]
 
 SUFFIX_LENGTH = 100
-
-
-def parse(assignments: Iterable[str]) -> dict[str, Any]:
-    """Return the values of `key=value` texts by key; see `jax_aero.keys.parse_assignments`."""
-    try:
-        return parse_assignments(assignments)
-    except ValueError as reason:
-        raise Refused(str(reason)) from None
 
 
 def folder_suffix(overrides: Mapping[str, Any]) -> str:

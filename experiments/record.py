@@ -7,13 +7,14 @@ was flown, by which code, on what machine). It appears complete or not at all.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 import xarray as xr
 
+from experiments import Refused
 from jax_aero import rust
 from jax_aero.files import complete_folder, write_json
 from jax_aero.result import FlightResult
@@ -99,11 +100,25 @@ def write_dataset(dataset: xr.Dataset, path: Path) -> None:
     dataset.to_netcdf(path, engine="h5netcdf", encoding=encoding)
 
 
-def write_run(folder: Path, dataset: xr.Dataset, manifest: Mapping[str, Any], *, replace: bool = False) -> None:
-    """Write a whole result folder at once."""
+def write_run(
+    folder: Path,
+    dataset: xr.Dataset,
+    manifest: Mapping[str, Any],
+    *,
+    replace: bool = False,
+    texts: Mapping[str, str] | None = None,
+    more: Callable[[Path], object] = lambda _: None,
+) -> None:
+    """Write a whole result folder at once; `texts` are further files by name, and `more` writes others into it."""
     with complete_folder(folder, replace=replace) as draft:
         write_dataset(dataset, draft / RUN_FILE)
         write_json(draft / MANIFEST_FILE, manifest)
+        for name, text in (texts or {}).items():
+            (draft / name).write_text(text, encoding="utf-8")
+        more(draft)
+        own = {entry.name for entry in draft.iterdir()}
+        if replace and folder.exists() and (others := {entry.name for entry in folder.iterdir()} - own):
+            raise Refused(f"{folder.name} holds more than a result ({min(others)}), so it is not replaced")
 
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:

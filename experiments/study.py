@@ -1,54 +1,160 @@
 """Studies: results that are no flight, such as a trim or an optimal trajectory. One folder each, like a flight's.
 
-A study is configured by a TOML file of its own. Paths in it start at that file; every file named counts towards the
-digest, so that an outdated result is recognised.
+A kind of study is a type of configuration and a function from it to findings. The keys stand in a TOML file of
+`configs/KIND/`, paths in it relative to that file, or, where the kind has no such folder, in the type's defaults; --set
+changes them. Keys, flights and every file named count towards the digest, so that an outdated result is recognised.
 """
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import json
 import os
-import sys
+import time
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import xarray as xr
 
-from experiments import Refused, manifest, record
-from jax_aero import tables
-from jax_aero.files import complete_folder, write_json
+from experiments import Refused, manifest, overrides, record
+from jax_aero import places, rust, tables
+from jax_aero.cli import Parser, completes
+from jax_aero.command import exit_status
+from jax_aero.keys import set_key
 
-T = TypeVar("T")
+C = TypeVar("C", bound=tables.Table)
 
 RESULTS = manifest.RESULTS
-CONFIGS = manifest.REPOSITORY / "configs"
+CONFIGS = places.CONFIGS
 
 
-def read(path: Path) -> dict[str, Any]:
-    """Read a TOML file."""
-    try:
-        return tables.read(path)
-    except tables.ConfigError as reason:
-        raise Refused(str(reason)) from None
+@dataclass(frozen=True)
+class Findings:
+    """What a study has found."""
+
+    title: str
+    dataset: xr.Dataset
+    summary: Mapping[str, Any]
+    """Printed, and kept in the manifest; `None` where there is no number."""
+    flights: Mapping[str, rust.Config] = field(default_factory=dict)
+    """Resolved configurations that it depends on."""
+    inputs: Mapping[str, Any] = field(default_factory=dict)
+    """What else it depends on."""
+    files: Sequence[Path] = ()
+    """Files that it depends on, beside those that the configuration names."""
+    texts: Mapping[str, str] = field(default_factory=dict)
+    """Further files of the result, by name."""
+    timings: Mapping[str, float] = field(default_factory=dict)
+    """Wall times of parts [s]."""
+    report: str = ""
+    """Printed instead of the summary."""
 
 
-def load(path: Path, kind: type[T], changes: Mapping[str, Any] | None = None) -> T:
-    """Read a TOML file into its type, with some keys of the outermost table replaced."""
-    try:
-        return tables.load(path, kind, changes)
-    except tables.ConfigError as reason:
-        raise Refused(str(reason)) from None
+@dataclass(frozen=True)
+class Study(Generic[C]):
+    """One kind of study."""
+
+    interrupted: ClassVar[str] = "nothing was written"
+    """Told after Ctrl-C."""
+
+    kind: str
+    """Folder of configurations and of results."""
+    about: str | None
+    config: type[C]
+    compute: Any
+    """Function of name and configuration, which returns `Findings`."""
+    names: Sequence[str]
+    """Studies that are made where none is named."""
+    engine: str = "casadi"
+    """Package that does the work."""
+
+    @property
+    def command(self) -> str:
+        """Return how the command line calls it."""
+        return self.kind.replace("_", "-")
+
+    def main(self, arguments: Sequence[str] | None = None) -> int:
+        """Run the command line; return its exit status."""
+        parser = Parser(self.command, self.about)
+        named = parser.add_argument("names", nargs="*", default=self.names, metavar="NAME", help=self._about_names())
+        completes(named, lambda: places.names(self.kind))
+        add_set(parser)
+        given = parser.parse_args(arguments)
+
+        def work() -> None:
+            for name in given.names:
+                self.run(name, overrides.parse(given.set))
+
+        return exit_status(work, interrupted=self.interrupted)
+
+    def _about_names(self) -> str:
+        default = f" (default {' '.join(self.names)})"
+        folder = CONFIGS / self.kind
+        return f"a file stem in configs/{self.kind}, or a path{default}" if folder.is_dir() else f"a name{default}"
+
+    def read(self, name: str, changes: Mapping[str, Any] | None = None) -> tuple[str, C]:
+        """Return the name and the configuration of a study that is given by name or path."""
+        if not (CONFIGS / self.kind).is_dir():
+            table: dict[str, Any] = {}
+            for key, value in (changes or {}).items():
+                set_key(table, key, value)
+            return name, tables.convert(table, self.config, self.command)
+        path = find(self.kind, name)
+        return path.stem, tables.load(path, self.config, changes)
+
+    def run(self, name: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Compute, write, print; return the manifest."""
+        started = time.perf_counter()
+        name, config = self.read(name, changes)
+        findings: Findings = self.compute(name, config)
+        timings = {**findings.timings, "all": time.perf_counter() - started}
+        hashed = {"flights": {key: rust.config_digest(flight) for key, flight in findings.flights.items()}}
+        table = {**tables.plain(config), **findings.inputs}
+        digested = digest({**table, **hashed}, [*tables.files(config), *findings.files])
+        document = manifest.build(
+            name,
+            findings.title,
+            {**table, **({"flights": findings.flights} if findings.flights else {})},
+            digested,
+            summary=findings.summary,
+            command=self._command(name, changes or {}),
+            engine=self.engine,
+            timings_s={key: round(seconds, 4) for key, seconds in timings.items()},
+        )
+        dataset = findings.dataset.assign_attrs(title=findings.title, config_hash=digested)
+        folder = RESULTS / self.kind / name
+        record.write_run(folder, dataset, document, replace=True, texts=findings.texts)
+        print(f"{findings.title}\n{findings.report or listing(findings.summary)}")
+        print(f"{manifest.portable(folder)}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
+        return document
+
+    def _command(self, name: str, changes: Mapping[str, Any]) -> list[str]:
+        assignments = (f"{key}={json.dumps(manifest.portable(value))}" for key, value in changes.items())
+        options = (word for assignment in assignments for word in ("--set", assignment))
+        return ["jax-aero", self.command, name, *options]
+
+
+def listing(summary: Mapping[str, Any]) -> str:
+    """Return the figures of a summary, one in a line."""
+    width = max((len(key) for key in summary), default=0)
+    shown = {key: format(value, ".5g") if isinstance(value, int | float) else value for key, value in summary.items()}
+    return "\n".join(f"  {key:<{width}}  {value}" for key, value in shown.items())
+
+
+def add_set(parser: argparse.ArgumentParser) -> None:
+    """Add the option that changes keys of a configuration."""
+    text = "change one key of the configuration; the value as in TOML, e.g. wind.velocity=[0,-12,0]"
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=text)
 
 
 def find(kind: str, name: str) -> Path:
-    """Return the configuration of a study by its name, or by its path."""
-    path = Path(name) if "/" in name or name.endswith(".toml") else CONFIGS / kind / f"{name}.toml"
+    """Return the configuration of a kind by its name, or by its path."""
+    path = places.find(kind, name)
     if not path.is_file():
-        known = ", ".join(sorted(entry.stem for entry in (CONFIGS / kind).glob("*.toml")))
-        raise Refused(f"no {kind} study `{name}`; there are {known}")
+        raise Refused(f"there is no file {path}")
     return path
 
 
@@ -63,56 +169,3 @@ def digest(config: Mapping[str, Any], files: Sequence[Path]) -> str:
     for file in files:
         total.update(file.read_bytes())
     return total.hexdigest()
-
-
-def build_manifest(
-    name: str,
-    title: str,
-    config: Mapping[str, Any],
-    config_digest: str,
-    *,
-    summary: Mapping[str, Any],
-    timings: Mapping[str, float],
-    command: Sequence[str] | None = None,
-    engine: str = "casadi",
-) -> dict[str, Any]:
-    """Return the manifest of a study, ready for JSON; `timings` are in seconds of wall time."""
-    from importlib.metadata import version
-
-    return {
-        "name": name,
-        "title": title,
-        "summary": dict(summary),
-        "config_digest": config_digest,
-        "config": manifest.portable(config),
-        "command": " ".join(str(manifest.portable(word)) for word in command or _command()),
-        "engine": engine,
-        "timings_s": {key: round(value, 4) for key, value in timings.items()},
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "git": manifest.git_state(),
-        "versions": manifest.versions() | {engine: version(engine)},
-        "device": manifest.device(),
-    }
-
-
-def _command() -> list[str]:
-    # argv[0] is the path of the module that runs: `experiments.trim`, or `experiments`.
-    module = Path(sys.argv[0]).stem
-    return ["python", "-m", "experiments" if module == "__main__" else f"experiments.{module}", *sys.argv[1:]]
-
-
-def write(
-    folder: Path,
-    dataset: xr.Dataset,
-    document: Mapping[str, Any],
-    texts: Mapping[str, str] | None = None,
-) -> None:
-    """Write a result folder at once, in the place of an older result; `texts` are further files by name."""
-    texts = texts or {}
-    if folder.exists() and (more := set(record.unrelated_files(folder)) - set(texts)):
-        raise Refused(f"{manifest.portable(folder)} holds more than a result ({min(more)}), so it is not replaced")
-    with complete_folder(folder, replace=True) as draft:
-        record.write_dataset(dataset, draft / record.RUN_FILE)
-        for name, text in texts.items():
-            (draft / name).write_text(text, encoding="utf-8")
-        write_json(draft / record.MANIFEST_FILE, document)

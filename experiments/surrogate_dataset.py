@@ -6,7 +6,6 @@ it is computed, so an interrupted run goes on with the same command.
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import shutil
 import sys
@@ -18,10 +17,12 @@ import numpy as np
 from tqdm import tqdm
 
 from experiments import Refused, manifest
-from experiments.import_cfd import OUT, POSTURES, known_postures, summary
+from experiments.import_cfd import OUT, POSTURES, keep, known_postures
 from jax_aero.aero.cfd_import import AIR_DENSITY, SPEED, checks
-from jax_aero.aero.dataset import Dataset, Floats, save, wind_direction
+from jax_aero.aero.dataset import Dataset, Floats, wind_direction
 from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogate
+from jax_aero.cli import Parser
+from jax_aero.command import exit_status
 from jax_aero.files import complete_file
 from jax_aero.robot import load_robot
 
@@ -34,32 +35,23 @@ YAWS = np.arange(-160.0, 181.0, 20.0)
 SYMMETRIC = ("hovering", "flight30", "flight60")
 COUNTS = (24, 30)
 """Postures of the paper's dataset and of its simulations."""
-INTERRUPTED = 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
-    parser = argparse.ArgumentParser(prog="python -m experiments surrogate-dataset", description=__doc__)
+    parser = Parser("surrogate-dataset", __doc__)
     parser.add_argument("--out", type=Path, default=OUT / "surrogate.nc", metavar="FILE")
     parser.add_argument("--postures", type=int, choices=COUNTS, default=COUNTS[1], help="how many (default 30)")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="these postures instead")
     parser.add_argument("--model", type=Path, default=SURROGATE, metavar="FILE", help="coefficients of the panel model")
     given = parser.parse_args(arguments)
-    try:
-        dataset = compute(given.only or posture_names(given.postures), given.model, parts_of(given.out))
-        save(dataset, given.out)
-    except (Refused, OSError, ValueError) as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(
-            f"interrupted; go on with the same command ({parts_of(given.out).name} has what is done)", file=sys.stderr
-        )
-        return INTERRUPTED
-    shutil.rmtree(parts_of(given.out), ignore_errors=True)
-    print(summary(dataset))
-    print(f"{given.out}: sha256 {dataset.sha256}")
-    return 0
+    parts = parts_of(given.out)
+
+    def work() -> None:
+        keep(compute(given.only or posture_names(given.postures), given.model, parts), given.out)
+        shutil.rmtree(parts, ignore_errors=True)
+
+    return exit_status(work, interrupted=f"go on with the same command ({parts.name} has what is done)")
 
 
 def parts_of(out: Path) -> Path:

@@ -8,11 +8,9 @@ stopped. The result goes to `results/tip_over/NAME/`; `python -m paper_figs tip_
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
-import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +18,8 @@ import numpy as np
 import xarray as xr
 from tqdm import tqdm
 
-from experiments import Refused, engines, study
+from experiments import engines, study
+from experiments.study import Findings, Study
 from jax_aero import rust, tables
 from jax_aero.files import write_json
 from jax_aero.wind_direction import wind_from
@@ -50,32 +49,10 @@ FEEDBACK = ("measured wind", "no measured wind")
 STILL = {"profile": "constant", "velocity": [0.0, 0.0, 0.0]}
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return its exit status."""
-    parser = argparse.ArgumentParser(prog="python -m experiments tip-over", description=__doc__)
-    parser.add_argument("name", nargs="?", default="ground", help="a file stem in configs/tip_over, or a path")
-    given = parser.parse_args(arguments)
-    try:
-        document = run(study.find("tip_over", given.name))
-    except Refused as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted; the trials made so far are kept, the same command goes on", file=sys.stderr)
-        return 130
-    for key, value in document["summary"].items():
-        print(f"{key:<60} {value if value is None else format(value, '.4g')}")
-    return 0
-
-
-def run(path: Path, results: Path = study.RESULTS) -> dict[str, Any]:
-    """Make every trial that is not made yet, write, return the manifest."""
-    config = study.load(path, TipOverConfig)
+def compute(name: str, config: TipOverConfig) -> Findings:
+    """Make every trial that is not made yet."""
     base = rust.load_config(config.experiment)
-    digest = study.digest({**tables.plain(config), "experiment": rust.config_digest(base)}, [])
-    folder = results / "tip_over" / path.stem
-    trials = Trials(folder.with_name(f".{path.stem}.trials.json"))
-    started = time.perf_counter()
+    trials = Trials(trials_of(name))
     low, high = config.speeds.lower, config.speeds.upper
     shape = (len(FEEDBACK), len(config.friction), len(config.directions_deg))
     limit, slips = np.full(shape, np.nan), np.zeros(shape, dtype=np.int8)
@@ -98,19 +75,28 @@ def run(path: Path, results: Path = study.RESULTS) -> dict[str, Any]:
             slips[cell] = found["slipped"]
             force[cell] = found["force"]
     dataset = to_dataset(config, limit, slips, force)
-    dataset.attrs["config_hash"] = digest
-    document = study.build_manifest(
-        path.stem,
-        config.title,
-        {**tables.plain(config), "experiment": base},
-        digest,
-        summary=figures(dataset),
-        timings={"this call": time.perf_counter() - started},
-        engine="mujoco",
-    )
-    study.write(folder, dataset, document)
-    trials.path.unlink(missing_ok=True)
-    return document
+    return Findings(config.title, dataset, figures(dataset), flights={"experiment": base})
+
+
+def trials_of(name: str) -> Path:
+    """Return the file that keeps the trials of a study under way."""
+    return study.RESULTS / "tip_over" / f".{name}.trials.json"
+
+
+class TipOver(Study[TipOverConfig]):
+    """Keeps trials until the result is there."""
+
+    interrupted = "the trials made so far are kept, the same command goes on"
+
+    def run(self, name: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Compute, write, print; return the manifest."""
+        document = super().run(name, changes)
+        trials_of(document["name"]).unlink(missing_ok=True)
+        return document
+
+
+STUDY = TipOver("tip_over", __doc__, TipOverConfig, compute, ("ground",), engine="mujoco")
+main = STUDY.main
 
 
 class Trials:
@@ -212,22 +198,17 @@ def to_dataset(config: TipOverConfig, limit: Any, slips: Any, force: Any) -> xr.
             "direction": ("direction", list(config.directions_deg), {"units": "deg", "long_name": "0 from ahead"}),
             "xyz": ["x", "y", "z"],
         },
-        {"title": config.title, "resolution": config.resolution},
+        {"resolution": config.resolution},
     )
 
 
-def figures(dataset: xr.Dataset) -> dict[str, float | None]:
-    """Return the limits by name."""
-    return dict(_figures(dataset))
-
-
-def _figures(dataset: xr.Dataset) -> Iterator[tuple[str, float | None]]:
-    for feedback in dataset["feedback"].values.tolist():
-        for friction in dataset["friction"].values.tolist():
-            for direction in dataset["direction"].values.tolist():
-                value = float(dataset["speed"].sel(feedback=feedback, friction=friction, direction=direction))
-                key = f"{feedback}, friction {friction:g}, from {direction:g} deg [m/s]"
-                yield key, None if np.isnan(value) else value
+def figures(dataset: xr.Dataset) -> dict[str, float]:
+    """Return the limits by name; NaN where even the lowest speed tips the robot."""
+    limits = dataset["speed"].stack(cell=dataset["speed"].dims)
+    return {
+        f"{feedback}, friction {friction:g}, from {direction:g} deg [m/s]": float(value)
+        for (feedback, friction, direction), value in zip(limits["cell"].values, limits.values, strict=True)
+    }
 
 
 if __name__ == "__main__":

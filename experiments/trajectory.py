@@ -1,31 +1,28 @@
-"""Optimal flights: `python -m experiments.trajectory [CONFIG ...]` plans, exports, flies and compares with the paper's.
+"""Optimal flights: `python -m experiments trajectory [NAME ...]` plans, exports, flies and compares with the paper's.
 
 A plan is solved on the centroidal model (`jax_aero/symbolic/trajectory.py`), written as a reference that the
 controllers fly (`mission = { file = "reference.csv" }`), and flown in closed loop by the Rust engine, in the same wind
-as the paper's flight, which is flown beside it. Results go to `results/trajectory/CONFIG/`: `run.nc` holds the plan,
-the flown flight and the paper's; `reference.csv` the reference. With --export it is also left in `configs/mission/`.
+as the paper's flight, which is flown beside it. Results go to `results/trajectory/NAME/`: `run.nc` holds the plan,
+the flown flight and the paper's; `reference.csv` the reference, of which `configs/mission/` holds a copy.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, study
+from experiments import Refused
+from experiments.study import Findings, Study
 from jax_aero import rust, tables
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.robot import Robot
 from jax_aero.symbolic.trajectory import Trajectory, TrajectoryProblem, TrajectorySettings
-
-GOALS = ("min_time", "min_fuel")
 
 
 class Consumption(tables.Table, frozen=True):
@@ -99,40 +96,17 @@ ARRIVED = 0.05
 """A flight has arrived when it stays this near to its end [m]. Ours."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return its exit status."""
-    parser = argparse.ArgumentParser(prog="python -m experiments.trajectory", description=__doc__)
-    parser.add_argument("configs", nargs="*", default=GOALS, metavar="CONFIG", help="file stems in configs/trajectory")
-    parser.add_argument("--export", action="store_true", help="leave the reference in configs/mission too")
-    given = parser.parse_args(arguments)
-    try:
-        for name in given.configs:
-            document = run(study.find("trajectory", name), export=given.export)
-            print(f"{document['title']}:")
-            for key, value in document["summary"].items():
-                print(f"  {key:<52} {value if isinstance(value, str) else format(value, '.5g')}")
-    except Refused as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
-    return 0
-
-
-def run(path: Path, *, export: bool = False, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Plan, fly, compare, write; return the manifest. `changes` replace keys of the configuration."""
-    config = study.load(path, TrajectoryConfig, changes)
+def compute(name: str, config: TrajectoryConfig) -> Findings:
+    """Plan, fly, compare."""
     base = rust.load_config(config.flight)
     robot = load_robot(base["robot"])
-    problem = TrajectoryProblem(MomentumModel(robot, base["simulator"]["aero"]), settings(path, config, base, robot))
+    problem = TrajectoryProblem(MomentumModel(robot, base["simulator"]["aero"]), settings(config, base, robot))
     plan = problem.solve(config.sample_time)
     if not plan.success:
-        raise Refused(f"{path.stem}: no trajectory found: {plan.message}")
-    text = csv_of(plan, config.start_time, f"{config.title}: python -m experiments.trajectory {path.stem}")
-
-    started = time.perf_counter()
+        raise Refused(f"{name}: no trajectory found: {plan.message}")
+    text = csv_of(plan, config.start_time, f"{config.title}: python -m experiments trajectory {name}")
     flown, paper = fly(base, text, config.start_time + plan.duration + config.hold_time), rust.fly(base)
-    timings = {"build": plan.build_time, "solve": plan.solve_time, "fly": time.perf_counter() - started}
-    digest = study.digest(tables.plain(config), [config.flight])
-    dataset = to_dataset(plan, flown, paper, robot, config, digest)
+    dataset = to_dataset(plan, flown, paper, robot, config)
     summary = {
         "solver": f"{plan.message}, {plan.iterations} iterations",
         "largest constraint violation of the plan": plan.defect,
@@ -140,20 +114,20 @@ def run(path: Path, *, export: bool = False, changes: Mapping[str, Any] | None =
         **figures("flown", dataset, "flown"),
         **figures("paper", dataset, "paper"),
     }
-    document = study.build_manifest(
-        path.stem, config.title, tables.plain(config), digest, summary=summary, timings=timings
-    )
-    study.write(study.RESULTS / "trajectory" / path.stem, dataset, document, {"reference.csv": text})
-    if export:
-        (study.CONFIGS / "mission" / f"{path.stem}.csv").write_text(text, encoding="utf-8")
-    return document
+    timings = {"build": plan.build_time, "solve": plan.solve_time}
+    texts = {"reference.csv": text}
+    return Findings(config.title, dataset, summary, flights={"paper": base}, texts=texts, timings=timings)
 
 
-def settings(path: Path, config: TrajectoryConfig, base: Mapping[str, Any], robot: Robot) -> TrajectorySettings:
+STUDY = Study("trajectory", __doc__, TrajectoryConfig, compute, ("min_time", "min_fuel"))
+main = STUDY.main
+
+
+def settings(config: TrajectoryConfig, base: Mapping[str, Any], robot: Robot) -> TrajectorySettings:
     """Put the numbers of a configuration into SI units, names into indices."""
     groups = rust.Robot(base["robot"]).joint_groups
     if unknown := set(config.free_groups) - set(groups):
-        raise Refused(f"{path.name}: free_groups names `{min(unknown)}`; the robot has {', '.join(groups)}")
+        raise Refused(f"free_groups names `{min(unknown)}`; the robot has {', '.join(groups)}")
     free = sorted(robot.joint_names.index(joint) for group in config.free_groups for joint in groups[group])
     idle, slope = fuel_lines(config.fuel, robot)
     return TrajectorySettings(
@@ -228,7 +202,6 @@ def to_dataset(
     paper: rust.FlightResult,
     robot: Robot,
     config: TrajectoryConfig,
-    digest: str,
 ) -> xr.Dataset:
     """Put plan, flown flight and the paper's flight beside each other, each with a time of its own.
 
@@ -294,8 +267,6 @@ def to_dataset(
     coords |= {"xyz": list("xyz"), "rpy": ["roll", "pitch", "yaw"], "joint": list(robot.joint_names)}
     coords["jet"] = [jet.name for jet in robot.jets]
     facts = {
-        "title": config.title,
-        "config_hash": digest,
         "end": np.array(config.end, dtype=float),
         "outcome_flown": flown.outcome,
         "outcome_paper": paper.outcome,

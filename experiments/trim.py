@@ -1,14 +1,12 @@
-"""Trim: `python -m experiments.trim [CONFIG] --wind X Y Z`, or `--map` for all winds of the configuration.
+"""Trim: `python -m experiments trim [NAME] --wind X Y Z`, or `--map` for all winds of the configuration.
 
 A wind or flight velocity in, attitude, joints and thrusts in equilibrium out; or the constraint that stands in the way.
-Without --map the answer is printed; with it, results go to `results/trim/CONFIG/`.
+Without --map the answer is printed; with it, results go to `results/trim/NAME/`.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,8 +15,11 @@ import numpy as np
 import xarray as xr
 from tqdm import tqdm
 
-from experiments import Refused, study
+from experiments import Refused, overrides, study
+from experiments.study import Findings, Study
 from jax_aero import tables
+from jax_aero.cli import Parser
+from jax_aero.command import exit_status
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.aero import load_aero
 from jax_aero.symbolic.trim import Objective, Trim, TrimResult, TrimSettings
@@ -67,41 +68,37 @@ class TrimConfig(tables.Table, frozen=True):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status: 1 if there is no trim."""
-    given = _parser().parse_args(arguments)
-    try:
-        path = study.find("trim", given.config)
-        if given.map:
-            print(_summary_text(run_map(path)["summary"]))
-            return 0
-        trim, _ = load(path)
-        result = trim.solve(given.wind, given.velocity, given.objective)
-    except Refused as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
-    print(report(trim, result))
-    return 0 if result.feasible else 1
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m experiments.trim", description=__doc__)
-    parser.add_argument("config", nargs="?", default="free_joints", help="a file stem in configs/trim, or a path")
+    parser = Parser("trim", __doc__)
+    parser.add_argument("name", nargs="?", default="free_joints", help="a file stem in configs/trim, or a path")
     vector: dict[str, Any] = {"nargs": 3, "type": float, "metavar": ("X", "Y", "Z"), "default": [0.0, 0.0, 0.0]}
     parser.add_argument("--wind", help="velocity of the air [m/s, inertial axes]", **vector)
     parser.add_argument("--velocity", help="flight velocity [m/s, inertial axes]", **vector)
     parser.add_argument("--objective", choices=OBJECTIVES, default="min_thrust")
     parser.add_argument("--map", action="store_true", help="solve all winds of the configuration, write a result")
-    return parser
+    study.add_set(parser)
+    given = parser.parse_args(arguments)
+
+    def work() -> int:
+        changes = overrides.parse(given.set)
+        if given.map:
+            MAP.run(given.name, changes)
+            return 0
+        trim = build(MAP.read(given.name, changes)[1])
+        result = trim.solve(given.wind, given.velocity, given.objective)
+        print(report(trim, result))
+        return 0 if result.feasible else 1
+
+    return exit_status(work)
 
 
-def load(path: Path) -> tuple[Trim, TrimConfig]:
-    """Read a configuration and build its problem."""
-    config = study.load(path, TrimConfig)
+def build(config: TrimConfig) -> Trim:
+    """Return the problem of a configuration."""
     robot = load_robot(config.robot)
-    posture = np.array(study.read(config.posture)["initial"]["joint_position"], dtype=float)
-    groups = study.read(config.robot).get("joint_groups", [])
+    posture = np.array(tables.read(config.posture)["initial"]["joint_position"], dtype=float)
+    groups = tables.read(config.robot).get("joint_groups", [])
     members = {group["name"]: [joint["name"] for joint in group["joints"]] for group in groups}
     if unknown := set(config.free_groups) - set(members):
-        raise Refused(f"{path.name}: free_groups names `{min(unknown)}`; {robot.name} has {', '.join(members)}")
+        raise Refused(f"free_groups names `{min(unknown)}`; {robot.name} has {', '.join(members)}")
     free = [robot.joint_names.index(joint) for group in config.free_groups for joint in members[group]]
     settings = TrimSettings(
         posture=posture,
@@ -116,7 +113,7 @@ def load(path: Path) -> tuple[Trim, TrimConfig]:
         posture_weight=config.posture_weight,
         spread_weight=config.spread_weight,
     )
-    return Trim(MomentumModel(robot, load_aero(config.aero)), settings), config
+    return Trim(MomentumModel(robot, load_aero(config.aero)), settings)
 
 
 def report(trim: Trim, result: TrimResult) -> str:
@@ -151,15 +148,14 @@ def report(trim: Trim, result: TrimResult) -> str:
     return "\n".join(lines)
 
 
-def run_map(path: Path) -> dict[str, Any]:
-    """Solve every wind of a configuration for both objectives; write `results/trim/NAME`; return the manifest."""
-    trim, config = load(path)
+def compute(name: str, config: TrimConfig) -> Findings:
+    """Solve every wind of a configuration for both objectives."""
+    trim = build(config)
     speeds, directions = config.map.speeds, config.map.directions_deg
-    started = time.perf_counter()
     found: dict[tuple[str, int, int], TrimResult] = {}
     there = [(objective, d, s) for objective in OBJECTIVES for d in range(len(directions)) for s in range(len(speeds))]
     # There are many local minima: solve the map forwards from solved neighbours, then backwards, and keep the best.
-    with tqdm(total=2 * len(there), desc=path.stem, unit="wind", disable=not sys.stderr.isatty(), leave=False) as bar:
+    with tqdm(total=2 * len(there), desc=name, unit="wind", disable=not sys.stderr.isatty(), leave=False) as bar:
         for cells, step in ((there, -1), (there[::-1], 1)):
             for objective, d, s in cells:
                 wind = wind_from(speeds[s], directions[d])
@@ -172,13 +168,7 @@ def run_map(path: Path) -> dict[str, Any]:
                     tried.append(found[objective, d, s])
                 found[objective, d, s] = min(tried, key=lambda result: (not result.feasible, result.cost))
                 bar.update()
-    elapsed = time.perf_counter() - started
-
-    digest = study.digest(
-        tables.plain(config), [*tables.files(config), config.robot.parent / study.read(config.robot)["urdf"]]
-    )
     dataset = _map_dataset(trim, found, speeds, directions)
-    dataset.attrs |= {"title": config.title, "config_hash": digest}
     results = list(found.values())
     solved = [result.solve_time for result in results if result.feasible]
     summary = {
@@ -188,12 +178,11 @@ def run_map(path: Path) -> dict[str, Any]:
         "median solve time of a trim [s]": float(np.median(solved)),
         "strongest wind with a trim from every direction [m/s]": _everywhere(dataset),
     }
-    timings = {"build": trim.build_time, "map": elapsed}
-    document = study.build_manifest(
-        path.stem, config.title, tables.plain(config), digest, summary=summary, timings=timings
-    )
-    study.write(study.RESULTS / "trim" / path.stem, dataset, document)
-    return document
+    urdf = config.robot.parent / tables.read(config.robot)["urdf"]
+    return Findings(config.title, dataset, summary, files=[urdf], timings={"build": trim.build_time})
+
+
+MAP = Study("trim", __doc__, TrimConfig, compute, ("free_joints",))
 
 
 def _everywhere(dataset: xr.Dataset) -> float:
@@ -266,10 +255,6 @@ def _map_dataset(
         "jet": [jet.name for jet in robot.jets],
     }
     return xr.Dataset(variables, coords)
-
-
-def _summary_text(summary: dict[str, Any]) -> str:
-    return "\n".join(f"{key:<56} {value:.4g}" for key, value in summary.items())
 
 
 def _angles(limits_deg: tables.Interval) -> tuple[float, float]:

@@ -17,9 +17,11 @@ from typing import Any, NamedTuple
 
 import argcomplete
 
+from jax_aero.command import INTERRUPTED as INTERRUPTED
+from jax_aero.command import REFUSED as REFUSED
 from jax_aero.places import did_you_mean
 
-REFUSED, INTERRUPTED, CLOSED = 2, 130, 141
+CLOSED = 141
 
 
 class Command(NamedTuple):

@@ -8,6 +8,8 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from jax_aero.command import Refused
+
 BARE_WORD = re.compile(r"[A-Za-z_./][\w./-]*")
 
 
@@ -16,7 +18,7 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
 
     Raises
     ------
-    ValueError
+    Refused
         If a text has no `=`, an empty part of a key, or a value that TOML cannot read.
     """
     return dict(_parse_assignment(assignment) for assignment in assignments)
@@ -25,13 +27,13 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
 def _parse_assignment(assignment: str) -> tuple[str, Any]:
     key, equals, text = (part.strip() for part in assignment.partition("="))
     if not equals or not all(key.split(".")):
-        raise ValueError(f"--set {assignment}: expected key=value, e.g. wind.velocity=[0,-12,0]")
+        raise Refused(f"--set {assignment}: expected key=value, e.g. wind.velocity=[0,-12,0]")
     try:
         return key, tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError as reason:
         # Shells remove quotes, so `simulator.lever_arm=unrotated` is accepted without them.
         if BARE_WORD.fullmatch(text) is None:
-            raise ValueError(f"--set {assignment}: `{text}` is no TOML value ({reason})") from None
+            raise Refused(f"--set {assignment}: `{text}` is no TOML value ({reason})") from None
         return key, text
 
 
@@ -50,7 +52,7 @@ def set_key(config: dict[str, Any], key: str, value: Any) -> None:
 
     Raises
     ------
-    ValueError
+    Refused
         If a part of the key names a value that is no table, or an index outside its list.
     """
     *parents, last = key.split(".")
@@ -59,11 +61,11 @@ def set_key(config: dict[str, Any], key: str, value: Any) -> None:
         table = table[_index(key, table, part)] if isinstance(table, list) else table.setdefault(part, {})
         if not isinstance(table, dict | list):
             path = ".".join(parents[:depth])
-            raise ValueError(f"cannot set `{key}`: `{path}` is a value ({table!r}), not a table")
+            raise Refused(f"cannot set `{key}`: `{path}` is a value ({table!r}), not a table")
     table[_index(key, table, last) if isinstance(table, list) else last] = copy.deepcopy(value)
 
 
 def _index(key: str, entries: list[Any], part: str) -> int:
     if not part.isdecimal() or int(part) >= len(entries):
-        raise ValueError(f"cannot set `{key}`: `{part}` is no index into a list of {len(entries)}")
+        raise Refused(f"cannot set `{key}`: `{part}` is no index into a list of {len(entries)}")
     return int(part)

@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from os import PathLike, fspath
 from pathlib import Path
 
+from jax_aero.command import Refused
+
 CONFIGS = (Path(__file__).parent / "configs").resolve()
 """`configs/` of a checkout, to which a link in the package leads, or the package's own copy."""
 
@@ -33,7 +35,7 @@ def find(kind: str, name: str | PathLike[str]) -> Path:
     if "/" in text or text.endswith(".toml") or not isinstance(name, str):
         return Path(text)
     if text not in (known := names(kind)):
-        raise ValueError(f"there is no `{text}` in configs/{kind}{did_you_mean(text, known)}")
+        raise Refused(f"there is no `{text}` in configs/{kind}{did_you_mean(text, known)}")
     return CONFIGS / kind / f"{text}.toml"
 
 

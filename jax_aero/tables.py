@@ -29,6 +29,9 @@ from typing import Annotated, Any, TypeAlias, TypeVar
 import msgspec
 from msgspec import inspect
 
+from jax_aero.command import Refused
+from jax_aero.keys import set_key
+
 T = TypeVar("T")
 
 MAX_FILE_SIZE = 4 * 1024 * 1024
@@ -43,7 +46,7 @@ Natural: TypeAlias = Annotated[int, msgspec.Meta(ge=0)]
 """A number of things, or none."""
 
 
-class ConfigError(ValueError):
+class ConfigError(Refused):
     """A configuration that is refused; the message names file, key and value, and says what was expected."""
 
 
@@ -77,8 +80,11 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def load(path: Path, kind: type[T], changes: Mapping[str, Any] | None = None) -> T:
-    """Read a file into its type, with some keys of the outermost table replaced."""
-    return convert(read(path) | dict(changes or {}), kind, path.name, path.parent)
+    """Read a file into its type, with some dotted keys replaced."""
+    table = read(path)
+    for key, value in (changes or {}).items():
+        set_key(table, key, value)
+    return convert(table, kind, path.name, path.parent)
 
 
 def convert(table: Mapping[str, Any], kind: type[T], origin: str, folder: Path = Path()) -> T:

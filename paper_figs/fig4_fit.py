@@ -22,7 +22,7 @@ NORMAL = r"$C_N A$ [m$^2$]"
 
 def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
     """Draw the lower leg as the paper does; below it the head's misprint and the chest's sign."""
-    study = load(results, "fit", names[0])
+    study = load(results, "fit_aero", names[0])
     figure, grid = plt.subplots(2, 2, figsize=(style.FULL_WIDTH, 5.6), layout="constrained")
     drag_of_leg, normal_of_leg, drag_of_head, normal_of_chest = grid.ravel()
     _drag(drag_of_leg, study, ["l_lower_leg", "r_lower_leg"], {"published": style.VERMILION, "refit": style.BLUE})

@@ -20,7 +20,7 @@ MODELS = (("file", "of the file", style.VERMILION), ("identified", "identified",
 
 def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
     """Draw the descent, the drag areas at 90° before and after, and the error in a flight that was not used."""
-    study = load(results, "identify", names[0])
+    study = load(results, "identify_aero", names[0])
     figure, grid = plt.subplots(2, 2, figsize=(style.FULL_WIDTH, 4.6), layout="constrained")
     _descent(grid[0, 0], study)
     _areas(grid[0, 1], study)

@@ -23,7 +23,7 @@ POSTURES = {"flight50": ("o", "-"), "flight60": ("s", "--")}
 
 def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
     """Draw curves above, errors by posture below."""
-    study = load(results, "surrogate", names[0])
+    study = load(results, "calibrate_surrogate", names[0])
     figure, grid = plt.subplot_mosaic("ab;cc", figsize=(style.FULL_WIDTH, 5.2), layout="constrained")
     for mark, component in (("a", "drag"), ("b", "lift")):
         _curves(grid[mark], study, component)

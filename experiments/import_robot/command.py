@@ -21,6 +21,8 @@ import numpy as np
 from experiments import Refused, manifest, study
 from experiments.import_robot import scenario, shapes, skeleton
 from jax_aero import rust
+from jax_aero.cli import Parser
+from jax_aero.command import exit_status
 from jax_aero.robot import load_robot as load_twin
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.aero import load_aero
@@ -43,7 +45,8 @@ class Imported:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status: 1 if the robot has no trim or does not complete a flight."""
     given = _parser().parse_args(arguments)
-    try:
+
+    def work() -> int:
         result = import_robot(
             given.urdf,
             given.out or manifest.RESULTS / "robot" / given.urdf.stem,
@@ -54,20 +57,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
             forward=given.forward,
             fly_mission=given.mission,
         )
-    except (Refused, ValueError, OSError) as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
-    print(report(result))
-    flights = [flight for flight in (result.hover, result.mission) if flight is not None]
-    return 0 if result.trim.feasible and all(flight.outcome == "completed" for flight in flights) else 1
+        print(report(result))
+        flights = [flight for flight in (result.hover, result.mission) if flight is not None]
+        return 0 if result.trim.feasible and all(flight.outcome == "completed" for flight in flights) else 1
+
+    return exit_status(work)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m experiments import-robot",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def _parser() -> Parser:
+    parser = Parser("import-robot", __doc__)
     add = parser.add_argument
     add("urdf", type=Path)
     add("--out", type=Path, help="folder for the files (default: results/robot/URDF)")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from experiments import study
+from jax_aero import tables
 from jax_aero.symbolic.robot import Robot
 from jax_aero.symbolic.trim import TrimResult
 
@@ -20,7 +21,7 @@ INERTIA_OF_PUBLISHED_GAINS = 6.66
 
 def controller_text(robot: Robot, groups: Sequence[str], inertia: float, folder: Path) -> str:
     """Return the published controller for another robot: its jets and groups, attitude gains scaled by its inertia."""
-    table = study.read(study.CONFIGS / "control" / "aero_aware.toml")
+    table = tables.read(study.CONFIGS / "control" / "aero_aware.toml")
     reach = {jet.name: 0.5 * jet.thrust_max for jet in robot.jets}
     table["aero"] = {"base": _relative(study.CONFIGS / "aero" / "sphere_cylinder.toml", folder)}
     for key in ("c0", "c1"):

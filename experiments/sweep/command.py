@@ -6,16 +6,16 @@ last byte; a finished one is only replaced with --overwrite.
 
 from __future__ import annotations
 
-import sys
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments import Refused
 from experiments.sweep import run, spec
 from experiments.sweep.cluster import Ray
 from experiments.sweep.design import Design
 from jax_aero import places
-from jax_aero.cli import INTERRUPTED, Parser, completes
+from jax_aero.cli import Parser, completes
+from jax_aero.command import exit_status
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -27,22 +27,14 @@ def main(arguments: Sequence[str]) -> int:
             print(f"  {name:<28}  {title}")
         return 0 if given.list else 2
     workers: run.Workers = Ray(given.address, given.workers) if given.cluster else run.Local(given.workers)
-    try:
-        designs = [Design(spec.load(name)) for name in names]
-        for design in designs:
+
+    def work() -> None:
+        for design in [Design(spec.load(name)) for name in names]:
             folder = run.run(design, workers, out=given.out, overwrite=given.overwrite)
-            print(f"{design.spec.name}: {design.n_rows} flights in {len(design.cells)} cells, {_shown(folder)}")
-    except Refused as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted; the same command goes on with the next chunk", file=sys.stderr)
-        return INTERRUPTED
-    return 0
+            flown = f"{design.n_rows} flights in {len(design.cells)} cells"
+            print(f"{design.spec.name}: {flown}, {os.path.relpath(folder)}")
 
-
-def _shown(folder: Path) -> str:
-    return str(folder.relative_to(Path.cwd())) if folder.is_relative_to(Path.cwd()) else str(folder)
+    return exit_status(work, interrupted="the same command goes on with the next chunk")
 
 
 def _parser() -> Parser:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from experiments import Refused, manifest, study
+from experiments import manifest, study
 from experiments.sweep.perturbation import Perturbation
 from jax_aero import tables
 
@@ -142,24 +142,19 @@ def available() -> dict[str, str]:
     """Return name and title of every sweep."""
     titles = {}
     for path in sorted(CONFIGS.glob("*.toml")):
-        titles[path.stem] = str(study.read(path).get("title", ""))
+        titles[path.stem] = str(tables.read(path).get("title", ""))
     return titles
 
 
 def load(name: str) -> Spec:
     """Read the sweep of a name or of a path."""
-    path = Path(name) if "/" in name or name.endswith(".toml") else CONFIGS / f"{name}.toml"
-    if not path.is_file():
-        raise Refused(f"no sweep `{name}`; there are {', '.join(available()) or 'none'}")
-    return from_table(path.stem, _with_files(study.read(path), path.parent))
+    path = study.find("sweeps", name)
+    return from_table(path.stem, _with_files(tables.read(path), path.parent))
 
 
 def from_table(name: str, table: Mapping[str, Any]) -> Spec:
     """Return the checked sweep of a table."""
-    try:
-        return tables.convert({"name": name, **table}, Spec, f"sweep {name}")
-    except tables.ConfigError as reason:
-        raise Refused(str(reason)) from None
+    return tables.convert({"name": name, **table}, Spec, f"sweep {name}")
 
 
 def _with_files(value: Any, folder: Path) -> Any:
@@ -169,7 +164,7 @@ def _with_files(value: Any, folder: Path) -> Any:
     """
     if isinstance(value, Mapping):
         if value.keys() == {"file"}:
-            return _with_files(study.read(folder / value["file"]), (folder / value["file"]).parent)
+            return _with_files(tables.read(folder / value["file"]), (folder / value["file"]).parent)
         if isinstance(card := value.get("card"), str):
             value = {**value, "card": str((folder / card).resolve())}
         return {key: _with_files(item, folder) for key, item in value.items()}

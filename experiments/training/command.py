@@ -18,39 +18,31 @@ from typing import Any
 
 from tqdm import tqdm
 
-from experiments import Refused, manifest, overrides, study
+from experiments import Refused, manifest, overrides, record, study
 from experiments.training import config, parts, result
 from experiments.training.parts import Finished
 from jax_aero.aero.dataset import Dataset, load
 from jax_aero.aero.network import Network
-from jax_aero.train import Interrupted
+from jax_aero.aero.network_card import save_network
+from jax_aero.cli import Parser
+from jax_aero.command import exit_status
 
 RESULTS = study.RESULTS / "training"
-INTERRUPTED = 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
-    parser = argparse.ArgumentParser(prog="python -m experiments train", description=__doc__)
+    parser = Parser("train", __doc__)
     parser.add_argument("name", help="a file stem in configs/training, or a path")
     parser.add_argument(
         "--dataset", type=Path, required=True, metavar="FILE", help="from import-cfd or surrogate-dataset"
     )
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change one key of the file")
+    study.add_set(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="result folder (default results/training/NAME)")
     parser.add_argument("--write", type=Path, metavar="CARD", help="write weights and card there too (…/NAME.json)")
     parser.add_argument("--restart", action="store_true", help="throw away what an unfinished run left")
     given = parser.parse_args(arguments)
-    try:
-        errors = run(given)
-    except (Refused, ValueError, OSError) as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
-    except Interrupted:
-        print("interrupted; the same command goes on where this one stopped", file=sys.stderr)
-        return INTERRUPTED
-    print(table(errors))
-    return 0
+    return exit_status(lambda: print(table(run(given))), interrupted="the same command goes on where this one stopped")
 
 
 def run(given: argparse.Namespace) -> dict[str, Any]:
@@ -68,7 +60,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     work = _work_folder(folder, digest, restart=given.restart)
     finished, network = _train(training, dataset, work)
     errors = result.summarise(finished, training.chosen_on)
-    final = None
+    facts: dict[str, Any] = {}
     if network is not None:
         facts = result.card_facts(
             dataset,
@@ -78,13 +70,17 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
             source=given.dataset.name,
             held_out=f"final weights: all rows; errors: {_held_out(training)}",
         ) | {"check": result.check_rows(network, config.robot(), dataset)}
-        final = result.Final(network, config.robot(), training.description, facts)
+
+    def save(card: Path) -> None:
+        if network is not None:
+            save_network(card, network, config.robot(), description=training.description, training=facts)
+
     document = _manifest(folder.name, training, document, digest, finished, errors, time.perf_counter() - started)
     data = result.to_dataset(config.robot(), dataset, finished, training.title)
     data.attrs["config_hash"] = digest
-    result.write(folder, data, document, final)
-    if given.write and final is not None:
-        final.save(given.write)
+    record.write_run(folder, data, document, replace=True, more=lambda draft: save(draft / f"{folder.name}.json"))
+    if given.write:
+        save(given.write)
     shutil.rmtree(work)
     print(f"{manifest.portable(folder.resolve())}: {document['summary']['parameters']} parameters")
     return errors
@@ -106,7 +102,16 @@ def _manifest(
         "seconds_per_epoch": {one.part.name: one.errors["seconds_per_epoch"] for one in finished},
     }
     timings = {one.part.name: float(one.errors["seconds"]) for one in finished} | {"this call": seconds}
-    return study.build_manifest(name, training.title, table, digest, summary=summary, timings=timings, engine="jax")
+    return manifest.build(
+        name,
+        training.title,
+        table,
+        digest,
+        summary=summary,
+        command=["python", "-m", "experiments", "train", *sys.argv[2:]],
+        engine="jax",
+        timings_s=timings,
+    )
 
 
 def _held_out(training: config.Training) -> str:

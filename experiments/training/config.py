@@ -10,10 +10,10 @@ from typing import Annotated, Any, Literal
 import jax
 from msgspec import Meta
 
-from experiments import Refused, manifest, study
+from experiments import manifest
 from jax_aero import tables
 from jax_aero.aero.network import Activation, Block, Frame, Layout, Network, check_output, init_network
-from jax_aero.keys import get, set_key
+from jax_aero.keys import set_key
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.train import Settings
 
@@ -127,25 +127,10 @@ class Training(tables.Table, frozen=True):
 
 def read(path: Path, changes: Mapping[str, Any] | None = None) -> tuple[Training, dict[str, Any]]:
     """Read and check a file, with some keys changed; return it typed, and as a table."""
-    table = study.read(path)
+    table = tables.read(path)
     for key, value in (changes or {}).items():
-        change(table, key, value)
-    return parse(path, table), table
-
-
-def change(table: dict[str, Any], key: str, value: Any) -> None:
-    """Set a dotted key that the file has."""
-    if get(table, key) is None:
-        raise Refused(f"--set {key}: there is no such key in the file")
-    set_key(table, key, value)
-
-
-def parse(path: Path, table: Mapping[str, Any]) -> Training:
-    """Check a table and return it typed."""
-    try:
-        return tables.convert(table, Training, path.name)
-    except tables.ConfigError as reason:
-        raise Refused(str(reason)) from None
+        set_key(table, key, value)
+    return tables.convert(table, Training, path.name), table
 
 
 @functools.cache

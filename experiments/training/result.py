@@ -1,23 +1,19 @@
-"""What a training run leaves behind: predictions of held-out rows, loss curves, errors, a card with weights."""
+"""What a training run leaves behind: predictions of held-out rows, loss curves, errors, what a card says."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, record
 from experiments.training.parts import Finished
 from jax_aero.aero.dataset import JOINTS, LINKS, Dataset, Floats
 from jax_aero.aero.network import Network, baseline_areas, with_precision
-from jax_aero.aero.network_card import save_network
-from jax_aero.files import complete_folder, write_json
 from jax_aero.robot import RobotModel
 from jax_aero.train.samples import posture_geometry, predict_areas
 
@@ -198,29 +194,3 @@ def check_rows(network: Network, robot: RobotModel, dataset: Dataset) -> list[di
         {"joint_position_deg": q.tolist(), "wind_b": w.tolist(), "areas_b": a.tolist()}
         for q, w, a in zip(joints, wind, areas, strict=True)
     ]
-
-
-class Final(NamedTuple):
-    """The network that was trained on everything."""
-
-    network: Network
-    robot: RobotModel
-    description: str
-    facts: Mapping[str, Any]
-
-    def save(self, card: Path) -> None:
-        """Write card and weights."""
-        save_network(card, self.network, self.robot, description=self.description, training=self.facts)
-
-
-def write(folder: Path, data: xr.Dataset, document: Mapping[str, Any], final: Final | None) -> None:
-    """Write a result folder at once, in the place of an older result of the same name."""
-    card = f"{folder.name}.json"
-    own = {card, f"{folder.name}.safetensors"}
-    if folder.exists() and (more := set(record.unrelated_files(folder)) - own):
-        raise Refused(f"{folder.name} holds more than a result ({min(more)}), so it is not replaced")
-    with complete_folder(folder, replace=True) as draft:
-        record.write_dataset(data, draft / record.RUN_FILE)
-        if final is not None:
-            final.save(draft / card)
-        write_json(draft / record.MANIFEST_FILE, document)

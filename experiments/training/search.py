@@ -19,11 +19,14 @@ from typing import Any
 import numpy as np
 import optuna
 
-from experiments import Refused, study
+from experiments import manifest, study
 from experiments.training import config
-from experiments.training.command import INTERRUPTED
 from jax_aero import tables
 from jax_aero.aero.dataset import Dataset, load
+from jax_aero.cli import Parser
+from jax_aero.command import exit_status
+from jax_aero.files import write_json
+from jax_aero.keys import set_key
 from jax_aero.train import fit, samples_of
 
 RESULTS = study.RESULTS / "training_search"
@@ -65,7 +68,7 @@ class SearchConfig(tables.Table, frozen=True):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
-    parser = argparse.ArgumentParser(prog="python -m experiments train-search", description=__doc__)
+    parser = Parser("train-search", __doc__)
     parser.add_argument("name", help="a file stem in configs/training_search, or a path")
     parser.add_argument("--dataset", type=Path, required=True, metavar="FILE", help="what to train on")
     parser.add_argument(
@@ -73,21 +76,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="result folder (default results/training_search/NAME)")
     given = parser.parse_args(arguments)
-    try:
-        return run(given)
-    except (Refused, ValueError, OSError) as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted; the same command goes on with the next trial", file=sys.stderr)
-        return INTERRUPTED
+    return exit_status(lambda: run(given), interrupted="the same command goes on with the next trial")
 
 
-def run(given: argparse.Namespace) -> int:
+def run(given: argparse.Namespace) -> None:
     """Search until there are enough trials; write the table of them."""
     path = study.find("training_search", given.name)
-    settings = study.load(path, SearchConfig)
-    base = study.read(settings.base)
+    settings = tables.load(path, SearchConfig)
+    base = tables.read(settings.base)
     dataset = load(given.dataset)
     out: Path = given.out or RESULTS / path.stem
     out.mkdir(parents=True, exist_ok=True)
@@ -116,7 +112,6 @@ def run(given: argparse.Namespace) -> int:
         )
     _write(out, search, base, digest)
     print(f"best of {_complete(search)}: {search.best_value:.3e} m4 with {search.best_params}")
-    return 0
 
 
 def _complete(search: optuna.Study) -> int:
@@ -139,10 +134,10 @@ def changed(path: Path, base: Mapping[str, Any], changes: Mapping[str, Any]) -> 
     """Return the base file with some keys changed; noise of features that a trial lacks is left out."""
     table = copy.deepcopy(dict(base))
     for key, value in changes.items():
-        config.change(table, key, value)
+        set_key(table, key, value)
     noise = table["training"]["noise"]
     table["training"]["noise"] = {block: std for block, std in noise.items() if block in table["network"]["features"]}
-    return config.parse(path, table)
+    return tables.convert(table, config.Training, path.name)
 
 
 def error_of(training: config.Training, dataset: Dataset, settings: SearchConfig) -> float:
@@ -168,16 +163,17 @@ def _write(out: Path, search: optuna.Study, base: Mapping[str, Any], digest: str
             writer.writerow(
                 [trial.number, trial.state.name, trial.value, seconds, *(trial.params.get(key) for key in keys)]
             )
-    document = study.build_manifest(
+    document = manifest.build(
         out.name,
         "Search for training settings",
         base,
         digest,
         summary={"best_error_m4": search.best_value, "best": search.best_params, "trials": _complete(search)},
-        timings={"all trials": sum(t.duration.total_seconds() for t in search.trials if t.duration)},
+        command=["python", "-m", "experiments", "train-search", *sys.argv[2:]],
         engine="optuna",
+        timings_s={"all trials": sum(t.duration.total_seconds() for t in search.trials if t.duration)},
     )
-    (out / "manifest.json").write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_json(out / "manifest.json", document)
 
 
 if __name__ == "__main__":

@@ -11,9 +11,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Iterable
 
-
-class Refused(Exception):
-    """A request that cannot be carried out; the message states why, and what would be accepted."""
+from jax_aero.command import Refused as Refused
 
 
 def require(modules: Iterable[str], purpose: str) -> None:

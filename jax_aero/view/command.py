@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 import socket
-import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jax_aero.cli import INTERRUPTED, Parser
+from jax_aero.cli import Parser
 from jax_aero.cli import path as cli_path
+from jax_aero.command import exit_status
 from jax_aero.view import Refused, recording, require
 
 RESULT = "a folder or run.nc that `python -m experiments NAME` wrote, or the NAME of one in results/flight"
@@ -29,7 +29,7 @@ def view(words: Sequence[str]) -> int:
     parser.add_argument("--host", default="127.0.0.1", help="where to listen (default: this machine alone)")
     parser.add_argument("--port", type=int, default=8080, help="port; the next free one if it is taken (default 8080)")
     given = parser.parse_args(words)
-    return _guarded(lambda: _serve(given))
+    return exit_status(lambda: _serve(given))
 
 
 def _serve(given: Any) -> int:
@@ -95,7 +95,7 @@ def video(words: Sequence[str]) -> int:
         print(given.out)
         return 0
 
-    return _guarded(work)
+    return exit_status(work)
 
 
 def snapshot(words: Sequence[str]) -> int:
@@ -123,7 +123,7 @@ def snapshot(words: Sequence[str]) -> int:
         print(given.out)
         return 0
 
-    return _guarded(work)
+    return exit_status(work)
 
 
 def _common(parser: Parser, out: Path, size: str) -> None:
@@ -170,15 +170,3 @@ class _Bar:
     def __exit__(self, *_: object) -> None:
         if self.bar is not None:
             self.bar.close()
-
-
-def _guarded(work: Callable[[], int]) -> int:
-    """Run; a refusal is a line and status 2, Ctrl-C a line and status 130."""
-    try:
-        return work()
-    except Refused as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return INTERRUPTED

@@ -12,7 +12,8 @@ from experiments.__main__ import main
 from experiments.training import command
 from jax_aero.aero.dataset import save
 from jax_aero.aero.network_card import load_network, read_card
-from jax_aero.train import predict_areas
+from jax_aero.command import INTERRUPTED
+from jax_aero.train import Interrupted, predict_areas
 from paper_figs.__main__ import main as draw
 
 # A small plain network: what is compiled is what takes the time.
@@ -105,11 +106,11 @@ def test_an_interrupted_run_goes_on_and_ends_as_if_nothing_had_been(result, data
     def stop_at_the_second(part, *arguments):
         done.append(part.name)
         if len(done) == 2:
-            raise command.Interrupted
+            raise Interrupted
         return run(part, *arguments)
 
     monkeypatch.setattr(command.parts, "run", stop_at_the_second)
-    assert main(words(data, out)) == command.INTERRUPTED
+    assert main(words(data, out)) == INTERRUPTED
     assert "the same command goes on" in capsys.readouterr().err
     assert not out.exists()
     assert main(words(data, out, training__epochs="5")) == 2
@@ -123,7 +124,7 @@ def test_an_interrupted_run_goes_on_and_ends_as_if_nothing_had_been(result, data
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"network.colour": "1"}, "--set network.colour: there is no such key"),
+        ({"network.colour": "1"}, "unknown key `network.colour`"),
         ({"training.dropout": "2.0"}, "`training.dropout` is 2.0; expected a number ≥ 0 and < 1"),
         ({"network.activation": "gelu"}, '`network.activation` is "gelu"; expected one of'),
         ({"network.baseline": "best"}, "`network.baseline` is"),

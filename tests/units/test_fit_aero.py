@@ -147,21 +147,21 @@ def result(tmp_path_factory, robot, sampled, axes):
     ds.save(dataclasses.replace(sampled, force_area_b=areas), folder / "made_up.nc")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(study, "RESULTS", folder)
-        status = fit_aero.main(["--dataset", str(folder / "made_up.nc"), "--name", "freestream"])
+        status = fit_aero.main(["freestream", "--set", f"dataset={folder / 'made_up.nc'}"])
     return folder, status
 
 
 def test_the_command_writes_results_a_manifest_and_toml(result):
     folder, status = result
     assert status == 0
-    manifest = json.loads((folder / "fit" / "freestream" / "manifest.json").read_text())
+    manifest = json.loads((folder / "fit_aero" / "freestream" / "manifest.json").read_text())
     measured("link mean square error [m4]", manifest["summary"]["corrected: link mean square error [m4]"], 1e-12)
     assert (
         manifest["summary"]["of these, refitted within 5 %"]
         == manifest["summary"]["drag coefficients of the published model"]
     )
     assert str(folder) not in json.dumps(manifest)
-    text = (folder / "fit" / "freestream" / "refit.toml").read_text()
+    text = (folder / "fit_aero" / "freestream" / "refit.toml").read_text()
     assert "[coefficients.refit]" in text
     assert "cda = [0.03960, 0.0, -0.00818, 0.0, 0.0]" in text
 
@@ -174,7 +174,7 @@ def test_the_figure_is_drawn(result):
 
 
 def test_a_missing_dataset_is_named_with_the_command_that_makes_it(tmp_path, capsys):
-    assert fit_aero.main(["--dataset", str(tmp_path / "none.nc")]) == 2
+    assert fit_aero.main(["--set", f"dataset={tmp_path / 'none.nc'}"]) == 2
     assert "python -m experiments import-cfd" in capsys.readouterr().err
 
 
@@ -189,7 +189,7 @@ def test_a_solver_table_goes_through_import_and_fit(tmp_path, monkeypatch, robot
     rows = modelled_rows(dict(zip(names, axes, strict=True)), truth, winds)
     (tmp_path / "table.csv").write_text(solver_table(rows))
     assert import_cfd.main(["--table", str(tmp_path / "table.csv"), "--out", str(tmp_path / "made.nc")]) == 0
-    document, _ = fit_aero.run(tmp_path / "made.nc", "made")
+    document = fit_aero.STUDY.run("made", {"dataset": str(tmp_path / "made.nc")})
     found = document["summary"]
     # Rounding of areas up to 0.1 m²: the square of 1e-15, far below (1e-12 m²)².
     measured("mean square error of the right set [m4]", found["signed: link mean square error [m4]"], 1e-24)
@@ -197,7 +197,7 @@ def test_a_solver_table_goes_through_import_and_fit(tmp_path, monkeypatch, robot
     assert found["signed: R2"] == 1.0
     assert found["corrected: R2"] < 0.99
     assert found["published: R2"] < found["corrected: R2"]
-    table = xr.load_dataset(tmp_path / "fit" / "made" / "run.nc", engine="h5netcdf")
+    table = xr.load_dataset(tmp_path / "fit_aero" / "made" / "run.nc", engine="h5netcdf")
     refit = table["coefficients"].sel(variant="refit").values
     np.testing.assert_allclose(refit, truth, atol=1e-9)  # as in the test on exact data above
 

@@ -21,7 +21,7 @@ def result(tmp_path_factory):
     folder = tmp_path_factory.mktemp("results")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(study, "RESULTS", folder)
-        document = force_rate.run("test2", duration=12.0)
+        document = force_rate.STUDY.run("test2", {"duration": 12.0})
     return folder, document
 
 
@@ -52,5 +52,5 @@ def test_the_manifest_and_the_figure(result):
     figure, hashes = force_rate_figure.draw(folder / "flight")
     assert hashes == {"test2": document["config_digest"]}
     plt.close(figure)
-    with pytest.raises(MissingRun, match=r"make it with: python -m experiments\.force_rate test9"):
+    with pytest.raises(MissingRun, match=r"make it with: python -m experiments force-rate test9"):
         force_rate_figure.draw(folder / "flight", ("test9",))

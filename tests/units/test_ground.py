@@ -280,10 +280,11 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     text = (ROOT / "configs/tip_over/ground.toml").read_text().replace("../", f"{ROOT}/configs/")
     path = tmp_path / "small.toml"
     path.write_text(text.replace("[0.0, 30.0, 60.0, 90.0, 120.0, 150.0, 180.0]", "[0.0, 90.0]"))
+    monkeypatch.setattr(tip_over.study, "RESULTS", tmp_path)
     with pytest.raises(KeyboardInterrupt):
-        tip_over.run(path, tmp_path)
+        tip_over.STUDY.run(str(path))
     interrupted = len(made)
-    document = tip_over.run(path, tmp_path)
+    document = tip_over.STUDY.run(str(path))
     assert all(14.5 <= value <= 15.0 for value in document["summary"].values())
     assert len(document["summary"]) == 4
     assert list((tmp_path / "tip_over").glob(".*")) == []

@@ -10,9 +10,7 @@ from paper_figs import observer_limit as figure_of_limit
 
 @pytest.fixture(scope="module")
 def config():
-    return observer_limit.rust.load_config(
-        observer_limit.flight.find(observer_limit.EXPERIMENT), observer_limit.SETTINGS
-    )
+    return observer_limit.rust.load_config(observer_limit.EXPERIMENT, observer_limit.SETTINGS)
 
 
 @pytest.mark.parametrize("inertia", [0.7, 3.0])
@@ -32,8 +30,8 @@ def test_a_flight_comes_back_below_the_limit_and_not_above(config, gain):
     """The predicted limit of yaw within 20 %."""
     axis = observer_limit.AXES["yaw"]
     limit = observer_limit.predicted_limit(config, observer_limit.hovering_inertia(config)[axis, axis], gain)
-    assert observer_limit.comes_back(config, axis, gain, 0.8 * limit)
-    assert not observer_limit.comes_back(config, axis, gain, 1.2 * limit)
+    assert observer_limit.comes_back(config, axis, gain, 0.8 * limit, 12.0)
+    assert not observer_limit.comes_back(config, axis, gain, 1.2 * limit, 12.0)
 
 
 def test_the_couple_is_one(config, agree, measured):
@@ -49,8 +47,7 @@ def test_the_couple_is_one(config, agree, measured):
 
 def test_the_result_and_the_figure(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "RESULTS", tmp_path)
-    monkeypatch.setattr(observer_limit, "DURATION", 0.05)
-    document = observer_limit.run(gains=(3.0,), axes=("yaw",))
+    document = observer_limit.STUDY.run("hover", {"gains": [3.0], "axes": ["yaw"], "duration": 0.05})
     assert set(document["summary"]) == {f"yaw, K_o 3: {key} [N m/rad]" for key in ("predicted", "flown")}
     figure, hashes = figure_of_limit.draw(tmp_path / "flight")
     assert hashes == {"hover": document["config_digest"]}

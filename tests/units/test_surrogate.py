@@ -12,6 +12,7 @@ from jax_aero.aero import dataset as ds
 from jax_aero.aero import fit, surrogate, surrogate_fit
 from jax_aero.aero.dataset import LINKS
 from jax_aero.aero.posture import _frames, link_frames
+from jax_aero.command import INTERRUPTED
 from jax_aero.robot import load_robot
 from paper_figs import surrogate as surrogate_figure
 from tests.measurements import measured
@@ -149,12 +150,12 @@ def calibrated(tmp_path_factory):
         patch.setattr(study, "RESULTS", folder)
         # The penalties that ship; trying all of them takes a while.
         patch.setattr(surrogate_fit, "GRID", {"to_common": (10.0,), "to_zero": (1.0,)})
-        document = calibrate_surrogate.run()
+        document = calibrate_surrogate.STUDY.run("calibration")
     return folder, document
 
 
 def test_the_shipped_coefficients_are_those_of_the_calibration(calibrated, robot, model):
-    again = surrogate.load_surrogate(calibrated[0] / "surrogate" / "calibration" / "surrogate.toml", robot)
+    again = surrogate.load_surrogate(calibrated[0] / "calibrate_surrogate" / "calibration" / "surrogate.toml", robot)
     np.testing.assert_allclose(again.coefficients, model.coefficients, atol=2e-3)
 
 
@@ -171,7 +172,7 @@ def test_the_figure_is_drawn(calibrated):
     figure, hashes = surrogate_figure.draw(calibrated[0] / "flight")
     assert set(hashes) == {"calibration"}
     plt.close(figure)
-    manifest = json.loads((calibrated[0] / "surrogate" / "calibration" / "manifest.json").read_text())
+    manifest = json.loads((calibrated[0] / "calibrate_surrogate" / "calibration" / "manifest.json").read_text())
     assert manifest["config_digest"] == hashes["calibration"]
 
 
@@ -202,7 +203,7 @@ def test_a_small_dataset_is_written_interrupted_and_resumed(tmp_path, monkeypatc
         return surrogate.force_areas(coefficients, features)
 
     monkeypatch.setattr(surrogate_dataset, "force_areas", interrupted)
-    assert surrogate_dataset.main(arguments) == surrogate_dataset.INTERRUPTED
+    assert surrogate_dataset.main(arguments) == INTERRUPTED
     assert "go on with the same command" in capsys.readouterr().err
     assert not out.exists()
     assert surrogate_dataset.main(arguments) == 0

@@ -36,10 +36,10 @@ def climb(base):
         "intervals": 5,
         "degree": 2,
     }
-    config = study.load(PATH, experiment.TrajectoryConfig, changes)
+    config = tables.load(PATH, experiment.TrajectoryConfig, changes)
     robot = load_robot(base["robot"])
     model = MomentumModel(robot, base["simulator"]["aero"])
-    return config, model, experiment.settings(PATH, config, base, robot)
+    return config, model, experiment.settings(config, base, robot)
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,7 @@ def test_what_cannot_be_is_said_with_the_constraint(climb):
 
 def test_fuel_is_the_line_through_idle_and_full_thrust(base):
     robot = load_robot(base["robot"])
-    idle, slope = experiment.fuel_lines(study.load(PATH, experiment.TrajectoryConfig).fuel, robot)
+    idle, slope = experiment.fuel_lines(tables.load(PATH, experiment.TrajectoryConfig).fuel, robot)
     arm, chest = 60 * (idle[0] + slope[0] * np.array([2.0, 100.0])), 60 * (idle[2] + slope[2] * np.array([9.0, 220.0]))
     np.testing.assert_allclose([*arm, *chest], [0.08, 0.39, 0.13, 0.725])
 
@@ -156,7 +156,7 @@ def test_a_configuration_that_cannot_be_meant_is_refused(tmp_path, old, new, com
     path = tmp_path / "odd.toml"
     path.write_text(text.replace('"../', f'"{ROOT}/configs/').replace(old, new))
     with pytest.raises(Refused, match=complaint):
-        experiment.run(path)
+        experiment.STUDY.run(str(path))
 
 
 def test_the_result_names_its_reference_and_its_flights(tmp_path, monkeypatch, climb, plan):
@@ -172,22 +172,26 @@ def test_the_result_names_its_reference_and_its_flights(tmp_path, monkeypatch, c
         "rotation_error": np.zeros(3),
     }
     flight = rust.FlightResult(log, np.zeros(23), "completed", None, None, {})
-    dataset = experiment.to_dataset(plan, flight, flight, model.robot, config, "0" * 64)
+    dataset = experiment.to_dataset(plan, flight, flight, model.robot, config)
     monkeypatch.setattr(study, "RESULTS", tmp_path)
-    document = study.build_manifest(
-        "small", "Small", tables.plain(config), "0" * 64, summary={}, timings={"solve": 1.0}
-    )
-    folder = tmp_path / "trajectory" / "small"
-    study.write(folder, dataset, document, {"reference.csv": "time\n"})
+    findings = study.Findings("Small", dataset, {"a figure": np.inf}, texts={"reference.csv": "time\n"})
+    small = replace(experiment.STUDY, compute=lambda *_: findings)
+    document = small.run("min_time", {"speed_max": 3.0})
+    folder = tmp_path / "trajectory" / "min_time"
     assert sorted(path.name for path in folder.iterdir()) == ["manifest.json", "reference.csv", "run.nc"]
+    assert document["summary"] == {"a figure": None}
+    assert document["command"] == "python -m experiments trajectory min_time --set speed_max=3.0"
+    assert document["config"]["speed_max"] == 3.0
     read = xr.load_dataset(folder / "run.nc", engine="h5netcdf")
     assert read["com_position_plan"].attrs["units"] == "m"
-    study.write(folder, dataset, document, {"reference.csv": "time\n"})
+    again, other = small.run("min_time", {"speed_max": 3.0}), small.run("min_time")
+    assert read.attrs["config_hash"] == document["config_digest"] == again["config_digest"]
+    assert other["config_digest"] != document["config_digest"]
     (folder / "notes.txt").write_text("mine")
     with pytest.raises(Refused, match=r"holds more than a result \(notes\.txt\)"):
-        study.write(folder, dataset, document, {"reference.csv": "time\n"})
-    figure, hashes = trajectory_figure.draw(tmp_path / "flight", ("small",))
-    assert hashes == {"small": "0" * 64}
+        small.run("min_time")
+    figure, hashes = trajectory_figure.draw(tmp_path / "flight", ("min_time",))
+    assert set(hashes) == {"min_time"}
     plt.close(figure)
     found = experiment.figures("flown", dataset, "flown")
     assert found["flown: peak CoM error [m]"] == 0.0

@@ -20,12 +20,12 @@ SIDE_WIND = (0.0, -10.0, 0.0)
 
 @pytest.fixture(scope="module")
 def held():
-    return experiment.load(study.find("trim", "hover_posture"))[0]
+    return experiment.build(experiment.MAP.read("hover_posture")[1])
 
 
 @pytest.fixture(scope="module")
 def free():
-    return experiment.load(study.find("trim", "free_joints"))[0]
+    return experiment.build(experiment.MAP.read("free_joints")[1])
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +134,7 @@ def test_the_command_line(capsys):
     assert experiment.main(["hover_posture", "--wind", "0", "-20", "0"]) == 1
     assert capsys.readouterr().out.startswith("NO TRIM: force balance along y missed by")
     assert experiment.main(["vertical_posture"]) == 2
-    assert "there are free_joints, hover_posture" in capsys.readouterr().err
+    assert "did you mean hover_posture?" in capsys.readouterr().err
 
 
 def test_a_map_is_a_result_with_a_manifest(tmp_path, monkeypatch):
@@ -143,10 +143,10 @@ def test_a_map_is_a_result_with_a_manifest(tmp_path, monkeypatch):
     head = text[: text.index("[map]")]
     path = tmp_path / "small.toml"
     path.write_text(head + "[map]\nspeeds = [0.0, 10.0, 20.0]\ndirections_deg = [0.0, 90.0]\n")
-    document = experiment.run_map(path)
+    document = experiment.MAP.run(str(path))
     assert document["summary"]["trims requested"] == 12
     assert document["summary"]["strongest wind with a trim from every direction [m/s]"] == 10.0
-    assert set(document["timings_s"]) == {"build", "map"}
+    assert set(document["timings_s"]) == {"build", "all"}
     assert str(tmp_path) not in (tmp_path / "trim/small/manifest.json").read_text()
 
     data = xr.load_dataset(tmp_path / "trim/small/run.nc", engine="h5netcdf")
@@ -176,4 +176,4 @@ def test_a_configuration_that_cannot_be_meant_is_refused(tmp_path, old, new, com
     path = tmp_path / "odd.toml"
     path.write_text(text.replace('"../', f'"{ROOT}/configs/').replace(old, new))
     with pytest.raises(Refused, match=complaint):
-        experiment.load(path)
+        experiment.build(experiment.MAP.read(str(path))[1])

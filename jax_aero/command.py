@@ -1,0 +1,25 @@
+"""What every command line has in common: how it refuses, and how it is interrupted."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+REFUSED, INTERRUPTED = 2, 130
+"""Statuses of a command."""
+
+
+class Refused(ValueError):
+    """A request of the user that cannot, or must not, be carried out; the message states what and why."""
+
+
+def exit_status(work: Callable[[], int | None], *, interrupted: str = "nothing was written") -> int:
+    """Run a command; return its status, 2 after a refusal and 130 after Ctrl-C, both of which are told in a line."""
+    try:
+        return work() or 0
+    except (ValueError, OSError) as reason:
+        print(f"error: {reason}", file=sys.stderr)
+        return REFUSED
+    except KeyboardInterrupt:
+        print(f"interrupted; {interrupted}", file=sys.stderr)
+        return INTERRUPTED
