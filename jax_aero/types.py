@@ -34,10 +34,15 @@ def pytree(cls: type[T]) -> type[T]:
     """Make a frozen dataclass whose fields are leaves or subtrees, but for those annotated `Static[...]`."""
     made: Any = dataclass(frozen=True)(cls)
     names = [item.name for item in fields(made)]
-    static = [item.name for item in fields(made) if str(item.type).startswith("Static[")]
+    static = [item.name for item in fields(made) if _is_static(item.type)]
     jax.tree_util.register_dataclass(made, [name for name in names if name not in static], static)
     decorated: type[T] = made
     return decorated
+
+
+def _is_static(annotation: Any) -> bool:
+    """Whether a field is structure; with postponed annotations its type is a text."""
+    return "static" in getattr(annotation, "__metadata__", ()) or str(annotation).startswith("Static[")
 
 
 def leaf(value: Any) -> Array:

@@ -21,7 +21,7 @@ from typing import NamedTuple, Protocol, assert_never
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jax_aero.config import ControllerSection
 from jax_aero.control.attitude import AttitudeDemand, TaskGains
@@ -165,7 +165,7 @@ class Rows(NamedTuple):
 class Diagonal(NamedTuple):
     """A task: `u + offset = 0` for as many unknowns as there are weights, from `first` on."""
 
-    first: int
+    first: int | Int[Array, ""]
     offset: Float[Array, " k"]
     weights: Float[Array, " k"]
 
@@ -275,7 +275,7 @@ def _cost(tasks: Sequence[Rows | Diagonal], n: int) -> tuple[Array, Array]:
             case Rows():
                 pass
             case Diagonal(first, shift, weight):
-                place = slice(first, first + weight.shape[0])
+                place = first + np.arange(weight.shape[0])
                 diagonal = diagonal.at[place].add(weight)
                 g = g.at[place].add(weight * shift)
             case _:

@@ -66,12 +66,7 @@ class TurbulentWind:
     Its random numbers are drawn when it is built, so that they are numbers like all others.
     """
 
-    velocity: Float[Array, "3"]
-    """Mean after the ramp [m/s]."""
-    ramp_start: Float[Array, ""]
-    """[s]."""
-    ramp_end: Float[Array, ""]
-    """[s]."""
+    mean: RampWind
     std: Float[Array, "3"]
     """Standard deviation of the turbulence [m/s]."""
     time_scale: Float[Array, ""]
@@ -101,15 +96,8 @@ def wind_model(settings: config.WindConfig) -> Wind:
             return leaves(GustWind, settings)
         case config.TurbulentWindConfig():
             places, phases = _waves(settings.seed)
-            return TurbulentWind(
-                velocity=leaf(settings.velocity),
-                ramp_start=leaf(settings.ramp_start),
-                ramp_end=leaf(settings.ramp_end),
-                std=leaf(settings.std),
-                time_scale=leaf(settings.time_scale),
-                places=places,
-                phases=phases,
-            )
+            mean = leaves(RampWind, settings)
+            return TurbulentWind(mean, leaf(settings.std), leaf(settings.time_scale), places, phases)
         case config.FileWindConfig():
             samples = np.loadtxt(settings.path, delimiter=",", skiprows=1, ndmin=2)
             return RecordedWind(times=leaf(samples[:, 0]), velocities=leaf(samples[:, 1:4]))
@@ -136,7 +124,7 @@ def wind_velocity(wind: Wind, time: Array) -> Array:
         case RampWind():
             return _risen(wind, time) * wind.velocity
         case TurbulentWind():
-            return _risen(wind, time) * (wind.velocity + _turbulence(wind, time))
+            return _risen(wind.mean, time) * (wind.mean.velocity + _turbulence(wind, time))
         case GustWind():
             phase = (time - wind.start) / wind.duration
             is_blowing = (phase >= 0.0) & (phase <= 1.0)
@@ -148,7 +136,7 @@ def wind_velocity(wind: Wind, time: Array) -> Array:
             assert_never(wind)
 
 
-def _risen(wind: RampWind | TurbulentWind, time: Array) -> Array:
+def _risen(wind: RampWind, time: Array) -> Array:
     """How far the wind has risen, from 0 to 1."""
     has_length = wind.ramp_end > wind.ramp_start
     length = jnp.where(has_length, wind.ramp_end - wind.ramp_start, 1.0)

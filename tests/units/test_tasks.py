@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jax_aero import io
-from jax_aero.control.tasks import Diagonal, Rows
+from jax_aero.control.tasks import Diagonal, Rows, _cost
 from jax_aero.control.tick import init, momentum_controller, tick
 from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
@@ -74,6 +74,23 @@ def test_it_adds_its_square_to_the_cost(first_tick, is_row, measured):
     g[4 + 3] -= 40.0 * 0.07
     measured("H with a task", np.abs(more.h - h).max() / np.abs(h).max(), 1e-14, because="sums in another order")
     measured("g with a task", np.abs(more.g - g).max() / np.abs(g).max(), 1e-14, because="sums in another order")
+
+
+def test_the_number_of_an_unknown_may_be_traced():
+    def cost(first):
+        some = Rows(jnp.arange(4.0)[None], jnp.array([0.5]), jnp.array([2.0]))
+        return _cost([some, Diagonal(first, jnp.array([0.1, 0.2]), jnp.array([3.0, 4.0]))], 4)
+
+    for fixed, traced in zip(cost(1), jax.jit(cost)(1), strict=True):
+        np.testing.assert_array_equal(traced, fixed)
+    np.testing.assert_array_equal(np.diag(cost(1)[0]), 2.0 * np.arange(4.0) ** 2 + [0.0, 3.0, 4.0, 0.0])
+
+
+def test_a_static_field_is_known_by_its_type_and_by_its_text():
+    written = pytree(type("Written", (), {"__annotations__": {"joint": "Static[int]", "weight": "Array"}}))
+    evaluated = pytree(type("Evaluated", (), {"__annotations__": {"joint": Static[int], "weight": Array}}))
+    for kind in (written, evaluated):
+        assert jax.tree.leaves(kind(3, 40.0)) == [40.0]
 
 
 def test_a_heavy_one_is_obeyed(first_tick, measured):

@@ -5,12 +5,14 @@
 //! ```
 
 use flight_core::Measurement;
+use flight_core::control::momentum_qp::{Equations, Layout, Task, TaskInputs};
 use flight_io::{MissionConfig, load_controller, load_robot};
 use flight_sim::{Plant, Scenario, ScenarioConfig, WindConfig, fly_batch, load_scenario};
 use nalgebra::Vector3;
 use std::error::Error;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// A file or folder of `configs/`.
 fn configs(name: &str) -> PathBuf {
@@ -72,6 +74,64 @@ fn own_loop(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
 }
 // --8<-- [end:own_loop]
 
+// --8<-- [start:own_task]
+/// Asks one joint to turn at a velocity: `ṡ_j − v = 0`, an equation of one unknown.
+#[derive(Debug)]
+struct KeepVelocity {
+    unknown: usize,
+    velocity: f64,
+    weight: f64,
+}
+
+impl Task for KeepVelocity {
+    fn name(&self) -> &'static str {
+        "keep velocity"
+    }
+
+    fn layout(&self) -> Layout {
+        Layout::Diagonal { first: self.unknown, weights: vec![self.weight] }
+    }
+
+    fn update(&self, _: &TaskInputs, equations: &mut Equations) {
+        equations.offset[0] = -self.velocity;
+    }
+}
+
+fn own_task(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
+    let robot = load_robot(&config.robot)?;
+    let plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances)?;
+    let mut controller = load_controller(robot, &config.controller, &config.mission, config.simulator.time_step)?;
+    let joints = controller.terms().momentum_qp.unknowns.joint_velocity.clone();
+    controller.add_task(Arc::new(KeepVelocity { unknown: joints.start, velocity: 0.1, weight: 1e6 }))?;
+
+    let thrust = plant.jets().thrust_feedback().to_vec();
+    let wind = Vector3::zeros();
+    let measurement = Measurement { time: 0.0, state: plant.state(), thrust: &thrust, wind, foot_wrenches: &[] };
+    let mut state = controller.start(&measurement)?;
+    let command = controller.tick(&mut state, &measurement);
+    println!("first joint asked to turn at {:.3} rad/s", command.joint_velocity[0]);
+    Ok(())
+}
+// --8<-- [end:own_task]
+
+// --8<-- [start:own_aero]
+/// Flat plates across the wind: `0.5 ρ A |v| v` on every link.
+fn own_aero(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
+    let mut plant = Plant::new(load_robot(&config.robot)?, &config.simulator, &config.disturbances)?;
+    let (wind, area) = (Vector3::new(0.0, -5.0, 0.0), 0.05);
+    let (no_torque, no_rate) = ([0.0; 23], [0.0; 4]);
+    for _ in 0..10 {
+        plant.observe(&wind);
+        let plate = |v: &Vector3<f64>| 0.6 * area * v.norm() * v;
+        let forces = plant.link_forces().v_air_i.iter().map(plate).collect();
+        plant.replace_link_forces(Some(forces))?;
+        plant.advance(&no_torque, &no_rate, &wind, config.simulator.time_step);
+    }
+    println!("pushed to y = {:.4} m", plant.kinematics().com.y);
+    Ok(())
+}
+// --8<-- [end:own_aero]
+
 // --8<-- [start:own_robot]
 fn own_robot() -> Result<(), Box<dyn Error>> {
     let robot = load_robot(&configs("robot/sparrow.toml"))?;
@@ -93,5 +153,7 @@ pub(crate) fn main() -> Result<(), Box<dyn Error>> {
     let config = hover()?;
     wind(config.clone())?;
     own_loop(&config)?;
+    own_task(&config)?;
+    own_aero(&config)?;
     own_robot()
 }
