@@ -22,16 +22,33 @@ fn rotation_error_deg(result: &FlightResult) -> f64 {
     result.summary.max_rotation_error.to_degrees()
 }
 
-/// TEST3: without aerodynamics in the controller the robot turns over with the published arms, and leans
-/// far with the right ones.
+/// TEST3: without aerodynamics in the controller the robot turns over with the published arms, whatever the last bits.
+/// With corrected arms it leans so far that they decide the end: of 20 flights that differ in them 20 or, with other
+/// vector instructions, 19 arrive.
 #[test]
 fn test3_falls_with_published_arms() {
-    let [published, right] = flights(["test3_published", "test3"]);
+    let [published] = flights(["test3_published"]);
     let fall = published.loss.unwrap_or_else(|| panic!("it flew on"));
     assert!((12.0..=40.0).contains(&fall.time), "fell at {} s: {}", fall.time, fall.reason);
-    assert_completed(&right);
-    let leaning = rotation_error_deg(&right);
-    assert!((15.0..=80.0).contains(&leaning), "{leaning}");
+    for result in arrived("test3", 8, 4) {
+        assert!(rotation_error_deg(&result) > 15.0, "{}", rotation_error_deg(&result));
+    }
+}
+
+/// Flights of an experiment whose first thrust differs in its last bits, those that arrive: at least so many.
+fn arrived(name: &str, flights: u32, least: usize) -> Vec<FlightResult> {
+    let config = experiment(name);
+    let nudged: Vec<_> = (0..flights)
+        .map(|bits| {
+            with(config.clone(), |config| {
+                config.simulator.initial.thrust[0] *= 1.0 + f64::from(bits) * f64::EPSILON;
+            })
+        })
+        .collect();
+    let arrived: Vec<_> = fly(&nudged).into_iter().filter(|result| result.loss.is_none()).collect();
+    assert!(arrived.len() >= least, "{name}: {} of {flights} arrive", arrived.len());
+    arrived.iter().for_each(assert_completed);
+    arrived
 }
 
 /// TEST4: with the same network in the controller it flies, with either kind of arms. The controller's
@@ -54,19 +71,7 @@ fn test4_flies() {
 #[test]
 fn the_axisymmetric_model_is_good_enough_to_arrive() {
     for name in ["robustness", "robustness_published"] {
-        let config = experiment(name);
-        let nudged: Vec<_> = (0..12_u32)
-            .map(|bits| {
-                with(config.clone(), |config| {
-                    config.simulator.initial.thrust[0] *= 1.0 + f64::from(bits) * f64::EPSILON;
-                })
-            })
-            .collect();
-        let flights = fly(&nudged);
-        let arrived: Vec<_> = flights.iter().filter(|result| result.loss.is_none()).collect();
-        assert!(arrived.len() >= 4, "{name}: {} of {} arrive", arrived.len(), flights.len());
-        for result in arrived {
-            assert_completed(result);
+        for result in arrived(name, 12, 4) {
             let difference = result.summary.max_aero_force_difference;
             assert!((1.0..=12.0).contains(&difference), "{difference} N");
         }
