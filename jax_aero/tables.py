@@ -167,9 +167,8 @@ def _build(value: Any, kind: inspect.Type, key: str, folder: Path) -> Any:
 
 
 def _build_one_of(value: Any, options: Sequence[inspect.Type], key: str, folder: Path) -> Any:
+    # A key that has no value is left out: `null` is no value.
     there = [option for option in options if not isinstance(option, inspect.NoneType)]
-    if value is None and len(there) < len(options):
-        return None
     tagged = {option.tag: option for option in there if isinstance(option, inspect.StructType) and option.tag_field}
     if not tagged:
         for option in there[:-1]:

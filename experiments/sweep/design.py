@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments import Refused, flight, manifest
-from experiments.sweep import keys
+from experiments.sweep import keys, table
 from experiments.sweep.spec import Level, Spec
 from jax_aero import rust, tables
 
@@ -23,6 +23,10 @@ class Design:
     """A sweep with its base flights read: everything a process needs to fly any row."""
 
     spec: Spec
+
+    def __post_init__(self) -> None:
+        if taken := table.COLUMNS & {axis.name for axis in self.spec.axis}:
+            raise Refused(f"sweep {self.spec.name}: axis `{min(taken)}` has the name of a column of its tables")
 
     @cached_property
     def cells(self) -> list[tuple[Level, ...]]:
@@ -137,9 +141,3 @@ def _cards(value: Any) -> Iterator[str]:
             if key == "card":
                 yield item
             yield from _cards(item)
-
-
-def config_hash(config: rust.Config) -> str:
-    """Return a short hash of one row's configuration, the same on every machine."""
-    text = json.dumps(manifest.portable(config), sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]

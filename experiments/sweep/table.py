@@ -5,22 +5,27 @@ Nothing in these tables depends on when, where or in which order flights were fl
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from experiments import manifest
 from experiments.engines import Failure
-from experiments.sweep.design import Design, config_hash
 from jax_aero import rust
 from jax_aero.files import complete_file
 from jax_aero.result import FlightResult, Outcome
 from jax_aero.summary import SETTLING_TIME
+
+if TYPE_CHECKING:
+    from experiments.sweep.design import Design
 
 SUMMARY = tuple(name for name, figure in rust.figures().items() if not figure.is_of_ground)
 """Figures of merit of a flight that tables keep."""
@@ -29,6 +34,17 @@ ON_COURSE_ROTATION = math.radians(15.0)
 ON_COURSE_COM = 0.25
 """A completed flight that was never this far off [rad, m] counts as on course, a stricter word than completed."""
 
+
+PLACE = [("row", pa.int64()), ("cell", pa.int64()), ("repeat", pa.int64())]
+FLIGHT = [
+    ("config_hash", pa.string()),
+    ("outcome", pa.string()),
+    ("lost_time", pa.float64()),
+    ("lost_reason", pa.string()),
+    ("error", pa.string()),
+    *((name, pa.float64()) for name in SUMMARY),
+]
+"""Columns of a sweep's flights, before and after those of its axes."""
 
 QUANTITIES = {
     "rotation_error_deg": ("max_rotation_error", math.degrees(1.0)),
@@ -46,20 +62,7 @@ QUANTILES = {"low": 0.1, "median": 0.5, "high": 0.9, "worst": 1.0}
 
 def schema(design: Design) -> pa.Schema:
     """Return the columns of a sweep's flights."""
-    return pa.schema(
-        [
-            ("row", pa.int64()),
-            ("cell", pa.int64()),
-            ("repeat", pa.int64()),
-            *_axis_columns(design),
-            ("config_hash", pa.string()),
-            ("outcome", pa.string()),
-            ("lost_time", pa.float64()),
-            ("lost_reason", pa.string()),
-            ("error", pa.string()),
-            *((name, pa.float64()) for name in SUMMARY),
-        ]
-    )
+    return pa.schema([*PLACE, *_axis_columns(design), *FLIGHT])
 
 
 def _axis_columns(design: Design) -> Iterator[tuple[str, pa.DataType]]:
@@ -151,3 +154,13 @@ def write_parts(parts: Iterable[pa.Table], schema: pa.Schema, path: Path) -> Non
     with complete_file(path) as draft, pq.ParquetWriter(draft, schema, compression="zstd") as writer:
         for part in parts:
             writer.write_table(part)
+
+
+def config_hash(config: Mapping[str, Any]) -> str:
+    """Return a short hash of one row's configuration, the same on every machine."""
+    text = json.dumps(manifest.portable(config), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+COLUMNS = {name for name, _ in (*PLACE, *FLIGHT)} | set(_cell({name: np.zeros(0) for name, _ in FLIGHT}))
+"""Names that no axis may have."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import copy
+import math
 import random
 import re
 import shutil
 from pathlib import Path
 
 import pytest
+from msgspec import inspect
 
 from jax_aero import io, rust, tables
 from jax_aero.config import (
@@ -18,6 +20,7 @@ from jax_aero.config import (
     JetFaultsConfig,
     MissionConfig,
     RobotFile,
+    ScenarioConfig,
     SimulatorConfig,
 )
 from jax_aero.keys import get, set_key
@@ -101,6 +104,82 @@ def test_mistakes_are_refused_in_the_same_words():
             assert ours == theirs, mistake
         else:
             assert theirs is None or "`" not in theirs.partition(" ")[0], f"{mistake}: {theirs}"
+
+
+def numbers(kind, value, key=""):
+    """Every number in a value, as its key and its type; of a list the first."""
+    match kind:
+        case inspect.UnionType():
+            tagged = [each for each in kind.types if isinstance(each, inspect.StructType) and each.tag_field]
+            chosen = [each for each in tagged if value[each.tag_field] == each.tag] or kind.types
+            yield from numbers(chosen[0], value, key)
+        case inspect.StructType(array_like=False):
+            for field in kind.fields:
+                if field.encode_name in value:
+                    yield from numbers(field.type, value[field.encode_name], f"{key}.{field.encode_name}")
+        case inspect.DictType():
+            for name, entry in value.items():
+                yield from numbers(kind.value_type, entry, f"{key}.{name}")
+        case inspect.VarTupleType(item_type=item) | inspect.TupleType(item_types=(item, *_)) if value:
+            yield from numbers(item, value[0], f"{key}.0")
+        case inspect.IntType() | inspect.FloatType():
+            yield key.removeprefix("."), kind
+
+
+def ends(kind):
+    """The last number inside a range and the first outside, at every end."""
+    for name, outwards in (("ge", -1), ("gt", -1), ("le", 1), ("lt", 1)):
+        limit = getattr(kind, name)
+        if limit is not None:
+            step = 1 if isinstance(kind, inspect.IntType) else math.ulp(limit)
+            is_part = name in ("ge", "le")
+            yield (limit, limit + outwards * step) if is_part else (limit - outwards * step, limit)
+
+
+def test_every_range_of_the_schema_is_that_of_both_languages():
+    """Outside both refuse it in the same words; inside, the crate refuses no number for itself."""
+    tried = set()
+    for config in [*configurations(), rust.load_config("test1_observer")]:
+        for key, kind in list(numbers(inspect.type_info(ScenarioConfig), config)):
+            if (key, kind) in tried:
+                continue
+            tried.add((key, kind))
+            for inside, outside in ends(kind):
+                spoilt = copy.deepcopy(config)
+                set_key(spoilt, key, outside)
+                said = words(io.scenario_config, spoilt)
+                assert said is not None, key
+                assert said == words(rust.check_config, spoilt), key
+                set_key(spoilt, key, inside)
+                assert words(io.scenario_config, spoilt) is None, key
+                said = words(rust.check_config, spoilt)
+                assert said is None or key in COMBINED, f"{key} = {inside}: {said}"
+    assert len(tried) > 80
+
+
+COMBINED = ("simulator.time_step", "simulator.substeps")
+"""Keys that the crate refuses together with others: the number of ticks, the steepness of bounds."""
+
+
+def optional(kind, key=""):
+    """The keys that may be left out and have no default."""
+    if isinstance(kind, inspect.UnionType):
+        if any(isinstance(each, inspect.NoneType) for each in kind.types):
+            yield key.removeprefix(".")
+        kind = kind.types[0]
+    if isinstance(kind, inspect.StructType) and not kind.tag_field:
+        for field in kind.fields:
+            yield from optional(field.type, f"{key}.{field.encode_name}")
+
+
+@pytest.mark.parametrize("key", optional(inspect.type_info(ScenarioConfig)))
+def test_null_is_no_value(key):
+    config = rust.load_config("test2")
+    set_key(config, key, None)
+    said = words(io.scenario_config, config)
+    assert said is not None
+    assert said.startswith(f"`{key}` is null; expected")
+    assert said == words(rust.check_config, config)
 
 
 def written(table):

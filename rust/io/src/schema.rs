@@ -140,7 +140,7 @@ impl<'a> Node<'a> {
             "boolean" => value.is_boolean(),
             "integer" => value.is_i64() || value.is_u64(),
             "number" => value.is_number(),
-            _ => value.is_null(),
+            _ => false, // `null`, beside another type: a key that has no value is left out
         };
         if !kinds.iter().any(matches) {
             return Err(refusal(key, value, &self.expected(kinds[0])));
@@ -153,7 +153,8 @@ impl<'a> Node<'a> {
                 let x = number.as_f64().unwrap_or(f64::NAN);
                 let accepted = limit("minimum").is_none_or(|limit| x >= limit)
                     && limit("exclusiveMinimum").is_none_or(|limit| x > limit)
-                    && limit("maximum").is_none_or(|limit| x <= limit);
+                    && limit("maximum").is_none_or(|limit| x <= limit)
+                    && limit("exclusiveMaximum").is_none_or(|limit| x < limit);
                 if accepted { Ok(()) } else { Err(refusal(key, value, &self.expected(kinds[0]))) }
             }
             _ => Ok(()),
