@@ -8,7 +8,6 @@ of an exhaust to the surface of a link, soles included. The result goes to `resu
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -18,10 +17,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import Refused, record, study
+from experiments import Refused, manifest, record, study
 from experiments.engine_choice import ROBOT, Choice
 from experiments.trajectory import Consumption, fuel_lines
 from jax_aero import cli, tables
+from jax_aero.command import exit_status
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.clearance import pairs
 from jax_aero.symbolic.kinematics import Kinematics
@@ -38,22 +38,21 @@ def main(arguments: Sequence[str]) -> int:
     """Run the command line; return its exit status."""
     parser = cli.Parser("along", __doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"flights (default {' '.join(FLIGHTS)})")
-    try:
-        document = run(parser.parse_args(arguments).names or FLIGHTS)
-    except Refused as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return cli.REFUSED
-    for name, found in document["summary"].items():
-        print(f"{name:<28} " + ", ".join(f"{key} {value:.4g}" for key, value in found.items()))
-    return 0
+    names = parser.parse_args(arguments).names or FLIGHTS
+
+    def work() -> None:
+        for name, found in run(names)["summary"].items():
+            print(f"{name:<28} " + ", ".join(f"{key} {value:.4g}" for key, value in found.items()))
+
+    return exit_status(work)
 
 
 def run(names: Sequence[str]) -> dict[str, Any]:
     """Read the flights, write the study, return its manifest."""
     started = time.perf_counter()
     runs = {name: _read(name) for name in names}
-    plan = study.read(study.CONFIGS / "trajectory" / "min_time.toml")
-    trim = study.read(study.CONFIGS / "trim" / "hover_posture.toml")
+    plan = tables.read(study.CONFIGS / "trajectory" / "min_time.toml")
+    trim = tables.read(study.CONFIGS / "trim" / "hover_posture.toml")
     fuel = {jet: tables.convert(points, Consumption, "min_time.toml") for jet, points in plan["fuel"].items()}
     dataset = of_runs(runs, fuel, float(trim["plume_length"]))
     config = {
@@ -62,16 +61,17 @@ def run(names: Sequence[str]) -> dict[str, Any]:
         "flights": {n: _hash(r) for n, r in runs.items()},
     }
     dataset.attrs |= {"title": "Fuel and clearance along flights", "config_hash": study.digest(config, [ROBOT])}
-    document = study.build_manifest(
+    document = manifest.build(
         NAME,
         dataset.attrs["title"],
         config,
         dataset.attrs["config_hash"],
         summary=figures(dataset),
-        timings={"all": time.perf_counter() - started},
-        command=["python", "-m", "experiments", "along", *names],
+        command=["jax-aero", "along", *names],
+        engine="casadi",
+        timings_s={"all": time.perf_counter() - started},
     )
-    study.write(study.RESULTS / KIND / NAME, dataset, document)
+    record.write_run(study.RESULTS / KIND / NAME, dataset, document, replace=True)
     return document
 
 

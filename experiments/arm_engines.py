@@ -7,7 +7,6 @@ flies missions with both, with ideal jets and with identified ones. The result g
 from __future__ import annotations
 
 import shutil
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -17,9 +16,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, flight, study
+from experiments import flight, manifest, record, study
 from experiments.engine_choice import ROBOT
 from jax_aero import cli, rust
+from jax_aero.command import exit_status
 from jax_aero.summary import SETTLING_TIME
 
 ENGINES = {"P160": 160.0, "P100": 100.0}
@@ -32,15 +32,13 @@ KIND, NAME = "arm_engines", "paper"
 def main(arguments: Sequence[str]) -> int:
     """Run the command line; return its exit status."""
     cli.Parser("arm-engines", __doc__).parse_args(arguments)
-    try:
-        document = run()
-    except Refused as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return cli.REFUSED
-    for name, found in document["summary"].items():
-        values = ", ".join(f"{key} {found[key]:.4g} {unit}" for key, unit in QUANTITIES.items())
-        print(f"{name:<26} {found['outcome']:<10} {values}")
-    return 0
+
+    def work() -> None:
+        for name, found in run()["summary"].items():
+            values = ", ".join(f"{key} {found[key]:.4g} {unit}" for key, unit in QUANTITIES.items())
+            print(f"{name:<26} {found['outcome']:<10} {values}")
+
+    return exit_status(work)
 
 
 def run() -> dict[str, Any]:
@@ -68,17 +66,17 @@ def run() -> dict[str, Any]:
     )
     config = {"engines": ENGINES, "experiments": EXPERIMENTS}
     dataset.attrs |= {"title": "Engines of the arms", "config_hash": study.digest(config, [ROBOT])}
-    document = study.build_manifest(
+    document = manifest.build(
         NAME,
         dataset.attrs["title"],
         config,
         dataset.attrs["config_hash"],
         summary=found,
-        timings={"all": time.perf_counter() - started},
-        command=["python", "-m", "experiments", "arm-engines"],
+        command=["jax-aero", "arm-engines"],
         engine="numpy",
+        timings_s={"all": time.perf_counter() - started},
     )
-    study.write(study.RESULTS / KIND / NAME, dataset, document)
+    record.write_run(study.RESULTS / KIND / NAME, dataset, document, replace=True)
     return document
 
 

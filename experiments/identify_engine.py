@@ -16,7 +16,6 @@ The result goes to `results/identify_engine/NAME/`; `python -m paper_figs engine
 from __future__ import annotations
 
 import csv
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -28,9 +27,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import Refused, study
+from experiments import Refused, manifest, record, study
 from experiments.engine_choice import ROBOT
-from jax_aero import cli
+from jax_aero import cli, tables
+from jax_aero.command import exit_status
 from jax_aero.jets import Engines, EngineState, SecondOrderJets, thrust_acceleration, update_ekf
 from jax_aero.robot import ENGINE_KEYS
 
@@ -82,21 +82,18 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--test", type=Path, metavar="FILE", help="log to validate on")
     parser.add_argument("--logs", type=Path, metavar="DIR", help="write the logs that were made there")
     given = parser.parse_args(arguments)
-    try:
-        document = run(given.engine, given.train, given.test, given.logs)
-    except Refused as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return cli.REFUSED
-    for key, value in document["summary"].items():
-        print(f"{key:<58} {value:.4g}")
-    return 0
+
+    def work() -> None:
+        print(study.listing(run(given.engine, given.train, given.test, given.logs)["summary"]))
+
+    return exit_status(work)
 
 
 def run(name: str, train: Path | None = None, test: Path | None = None, logs: Path | None = None) -> dict[str, Any]:
     """Make or read logs, identify, validate, tune, write; return the manifest."""
     if (train is None) != (test is None):
         raise Refused("one of --train and --test is given; expected both, or none")
-    table = study.read(ROBOT)["engines"]
+    table = tables.read(ROBOT)["engines"]
     if name not in table:
         raise Refused(f"no engine `{name}`; there are {', '.join(table)}")
     started = time.perf_counter()
@@ -124,17 +121,17 @@ def run(name: str, train: Path | None = None, test: Path | None = None, logs: Pa
     settings = {"engine": name, "made": made, "seeds": [1, 2]}
     digest = study.digest(settings, [ROBOT] if made else [path for path in (train, test) if path])
     dataset.attrs |= {"title": f"{name} identified from a log", "config_hash": digest}
-    document = study.build_manifest(
+    document = manifest.build(
         name,
         dataset.attrs["title"],
         settings,
         digest,
         summary=figures(dataset),
-        timings={"all": time.perf_counter() - started},
-        command=["python", "-m", "experiments", "identify-engine", "--engine", name],
+        command=["jax-aero", "identify-engine", "--engine", name],
         engine="jax",
+        timings_s={"all": time.perf_counter() - started},
     )
-    study.write(study.RESULTS / KIND / name, dataset, document)
+    record.write_run(study.RESULTS / KIND / name, dataset, document, replace=True)
     return document
 
 

@@ -7,7 +7,6 @@ them. The flight is `results/flight/test2`.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -17,12 +16,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import Refused, study
+from experiments import manifest, record, study
 from experiments.engine_choice import ROBOT
-from jax_aero import cli, rust
+from jax_aero import cli, rust, tables
+from jax_aero.command import exit_status
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.kinematics import Kinematics
-from jax_aero.view import Refused as NotDrawn
 from jax_aero.view import recording
 from jax_aero.view.offscreen import Camera, Studio, camera_at
 
@@ -39,13 +38,12 @@ Array = NDArray[np.float64]
 def main(arguments: Sequence[str]) -> int:
     """Run the command line; return its exit status."""
     cli.Parser("pictures", __doc__).parse_args(arguments)
-    try:
+
+    def work() -> None:
         run()
-    except (Refused, NotDrawn) as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return cli.REFUSED
-    print(study.RESULTS / KIND / NAME)
-    return 0
+        print(study.RESULTS / KIND / NAME)
+
+    return exit_status(work)
 
 
 def run() -> dict[str, Any]:
@@ -75,23 +73,23 @@ def run() -> dict[str, Any]:
         "postures": {name: list(joints.values()) for name, joints in named.items()},
     }
     dataset.attrs |= {"title": "Pictures of the paper", "config_hash": study.digest(config, [ROBOT])}
-    document = study.build_manifest(
+    document = manifest.build(
         NAME,
         dataset.attrs["title"],
         config,
         dataset.attrs["config_hash"],
         summary={"postures": len(named)},
-        timings={"all": time.perf_counter() - started},
-        command=["python", "-m", "experiments", "pictures"],
+        command=["jax-aero", "pictures"],
         engine="mujoco",
+        timings_s={"all": time.perf_counter() - started},
     )
-    study.write(study.RESULTS / KIND / NAME, dataset, document)
+    record.write_run(study.RESULTS / KIND / NAME, dataset, document, replace=True)
     return document
 
 
 def named_postures() -> dict[str, dict[str, float]]:
     """Return joint angles [deg] of the postures of the public table and of the tunnel, by posture and joint."""
-    known = study.read(study.CONFIGS / "tables" / "postures.toml")
+    known = tables.read(study.CONFIGS / "tables" / "postures.toml")
     both = {**known["free_stream"], **known["tunnel"]}
     return {name: dict(zip(known["joints"], angles, strict=True)) for name, angles in both.items()}
 

@@ -9,10 +9,8 @@ each campaign and mount. The result goes to `results/tunnel_moments/mk1/`;
 
 from __future__ import annotations
 
-import argparse
 import sys
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +19,10 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, study
+from experiments import Refused
 from experiments.import_cfd import OUT
+from experiments.study import CONFIGS, Findings, Study
+from jax_aero import tables
 from jax_aero.aero import tunnel
 from jax_aero.aero.dataset import JOINTS, Floats, tunnel_from_base, wind_direction
 from jax_aero.aero.model import aero_model
@@ -35,8 +35,8 @@ from jax_aero.robot import RobotModel, load_robot
 from jax_aero.spatial import rotate
 from jax_aero.types import State
 
-ROBOT = study.CONFIGS / "robot" / "ironcub_mk1.toml"
-AERO = study.CONFIGS / "aero"
+ROBOT = CONFIGS / "robot" / "ironcub_mk1.toml"
+AERO = CONFIGS / "aero"
 PANELS = AERO / "panels" / "surrogate.toml"
 MODELS = {
     "axisymmetric, published": "axisymmetric_published",
@@ -56,21 +56,24 @@ ENDS = (0.025, 0.975)
 ADDED = ("2.5 %", "97.5 %", "share above zero")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return its exit status."""
-    parser = argparse.ArgumentParser(prog="jax-aero tunnel-moments", description=__doc__)
-    parser.add_argument(
-        "--dataset", type=Path, default=OUT / "tunnel_mk1.nc", metavar="FILE", help="from import-tunnel"
-    )
-    given = parser.parse_args(arguments)
-    try:
-        document = run(read(given.dataset))
-    except (Refused, ValueError, OSError) as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
-    for key, value in document["summary"].items():
-        print(f"{key:<88} {value:8.3f}")
-    return 0
+class MomentsConfig(tables.Table, frozen=True):
+    """A comparison."""
+
+    dataset: str = str(OUT / "tunnel_mk1.nc")
+    """From import-tunnel."""
+
+
+def compute(_: str, config: MomentsConfig) -> Findings:
+    """Evaluate and compare."""
+    result = compared(read(Path(config.dataset)))
+    networks = [AERO / "networks" / "default.json"]
+    files = [ROBOT, PANELS, *(AERO / f"{name}.toml" for name in MODELS.values()), *networks]
+    inputs = {"draws": DRAWS, "seed": SEED, "points": result.sizes["point"]}
+    return Findings("Models' moments beside the wind tunnel", result, summary(result), inputs=inputs, files=files)
+
+
+STUDY = Study("tunnel_moments", __doc__, MomentsConfig, compute, ("mk1",), engine="jax")
+main = STUDY.main
 
 
 def read(path: Path) -> xr.Dataset:
@@ -80,9 +83,8 @@ def read(path: Path) -> xr.Dataset:
     return xr.load_dataset(path, engine="h5netcdf")
 
 
-def run(data: xr.Dataset) -> dict[str, Any]:
-    """Evaluate, compare, write; return the manifest."""
-    started = time.perf_counter()
+def compared(data: xr.Dataset) -> xr.Dataset:
+    """Return the moments of all models beside the measured ones, and their errors."""
     robot = load_robot(ROBOT)
     predicted = {name: moments(robot, data, areas) for name, areas in model_areas(robot, data).items()}
     names = [NOTHING, *predicted]
@@ -90,7 +92,7 @@ def run(data: xr.Dataset) -> dict[str, Any]:
     measured = np.stack([moment_about_com(data, side) for side in SIDES])
     errors, intervals, added = compare(data, volumes)
     arms, point = np.array(ARMS), ("point", "axis")
-    result = xr.Dataset(
+    return xr.Dataset(
         {
             "predicted": (("model", "arms", *point), volumes, {"units": "m3"}),
             "measured": (("side", *point), measured, {"units": "m3"}),
@@ -111,21 +113,6 @@ def run(data: xr.Dataset) -> dict[str, Any]:
             **{name: data[name] for name in ("pitch", "yaw", "speed")},
         },
     )
-    networks = [AERO / "networks" / "default.json"]
-    files = [ROBOT, PANELS, *(AERO / f"{name}.toml" for name in MODELS.values()), *networks]
-    digest = study.digest({"draws": DRAWS, "points": data.sizes["point"]}, files)
-    result.attrs |= {"title": "Models' moments beside the wind tunnel", "config_hash": digest}
-    document = study.build_manifest(
-        "mk1",
-        result.attrs["title"],
-        {"draws": DRAWS, "seed": SEED},
-        digest,
-        summary=summary(result),
-        timings={"all": time.perf_counter() - started},
-        engine="jax",
-    )
-    study.write(study.RESULTS / "tunnel_moments" / "mk1", result, document)
-    return document
 
 
 def model_areas(robot: RobotModel, data: xr.Dataset) -> dict[str, Floats]:
@@ -133,7 +120,7 @@ def model_areas(robot: RobotModel, data: xr.Dataset) -> dict[str, Floats]:
     joints, wind = data["joint_position"].values, wind_direction(data["pitch"].values, data["yaw"].values)
     found = {}
     for name, file in MODELS.items():
-        table = study.read(AERO / f"{file}.toml")
+        table = tables.read(AERO / f"{file}.toml")
         if "card" in table:
             table["card"] = str(AERO / table["card"])
         found[name] = evaluated(robot, table, joints, wind * data["speed"].values[:, None])

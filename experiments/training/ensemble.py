@@ -9,7 +9,6 @@ of the other postures. The result goes to `results/training/ensemble/`; `--write
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -19,13 +18,16 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, study
+from experiments import manifest, record, study
 from experiments.training import config, result
 from experiments.training.parts import vector_rms
+from jax_aero import tables
 from jax_aero.aero.dataset import Dataset, Floats, Indices, load
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import save_network
 from jax_aero.aero.posture import total_wrench
+from jax_aero.cli import Parser
+from jax_aero.command import exit_status
 from jax_aero.files import write_json
 from jax_aero.train import fit, predict_areas, samples_of
 
@@ -50,20 +52,18 @@ MEMBERS: tuple[Mapping[str, Any], ...] = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
-    parser = argparse.ArgumentParser(prog="jax-aero train-ensemble", description=__doc__)
+    parser = Parser("train-ensemble", __doc__)
     parser.add_argument("--dataset", type=Path, required=True, metavar="FILE", help="from import-cfd")
     parser.add_argument("--epochs", type=int, default=60, metavar="N", help="of every network (default 60)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="result folder (default results/training/ensemble)")
     parser.add_argument("--write", type=Path, metavar="DIR", help="write weights, cards and ensemble.json there")
     given = parser.parse_args(arguments)
-    try:
-        document = run(given.dataset, given.epochs, given.out or study.RESULTS / "training" / "ensemble", given.write)
-    except (Refused, ValueError, OSError) as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
-    for key, value in document["summary"].items():
-        print(f"{key:<72} {value:.4g}")
-    return 0
+    folder = given.out or study.RESULTS / "training" / "ensemble"
+
+    def work() -> None:
+        print(study.listing(run(given.dataset, given.epochs, folder, given.write)["summary"]))
+
+    return exit_status(work, interrupted="the same command goes on where this one stopped")
 
 
 def run(path: Path, epochs: int, folder: Path, write: Path | None) -> dict[str, Any]:
@@ -96,29 +96,30 @@ def run(path: Path, epochs: int, folder: Path, write: Path | None) -> dict[str, 
         write_members(write, trainings, dataset, found, summary, path.name)
     data = to_dataset(dataset, totals, truth, digest)
     settings = {"members": [dict(one) for one in MEMBERS], "epochs": epochs, "folds": FOLDS}
-    document = study.build_manifest(
+    document = manifest.build(
         "ensemble",
         data.attrs["title"],
         settings,
         digest,
         summary=summary,
-        timings={"this call": time.perf_counter() - started},
+        command=["jax-aero", "train-ensemble", *sys.argv[2:]],
         engine="jax",
+        timings_s={"this call": time.perf_counter() - started},
     )
-    study.write(folder, data, document)
+    record.write_run(folder, data, document, replace=True)
     return document
 
 
 def member_training(changes: Mapping[str, Any], epochs: int) -> config.Training:
     """Return the settings of one network."""
-    table = study.read(BASE)
+    table = tables.read(BASE)
     table["network"] |= dict(changes)
     blocks = table["network"]["features"]
     noise = table["training"]["noise"] | JOINT_NOISE
     table["training"] |= {"epochs": epochs, "noise": {block: noise[block] for block in blocks}}
     table["ensemble"] = {"members": 1, "keep": "mean"}
     del table["distillation"]
-    return config.parse(BASE, table)
+    return tables.convert(table, config.Training, BASE.name)
 
 
 def train_member(number: int, training: config.Training, rows: Dataset) -> Network:

@@ -141,9 +141,9 @@ def test_every_range_of_the_schema_is_that_of_both_languages():
     tried = set()
     for config in [*configurations(), rust.load_config("test1_observer")]:
         for key, kind in list(numbers(inspect.type_info(ScenarioConfig), config)):
-            if (key, kind) in tried:
+            if (key, str(kind)) in tried:
                 continue
-            tried.add((key, kind))
+            tried.add((key, str(kind)))
             for inside, outside in ends(kind):
                 spoilt = copy.deepcopy(config)
                 set_key(spoilt, key, outside)
@@ -172,7 +172,7 @@ def optional(kind, key=""):
             yield from optional(field.type, f"{key}.{field.encode_name}")
 
 
-@pytest.mark.parametrize("key", optional(inspect.type_info(ScenarioConfig)))
+@pytest.mark.parametrize("key", list(optional(inspect.type_info(ScenarioConfig))))
 def test_null_is_no_value(key):
     config = rust.load_config("test2")
     set_key(config, key, None)

@@ -6,15 +6,16 @@ import jax
 import numpy as np
 import pytest
 
-from experiments import Refused, arm_engines, study
+from experiments import Refused, arm_engines
 from experiments import identify_engine as bench
 from experiments.engine_choice import ROBOT
+from jax_aero import tables
 from paper_figs import engine as engine_figure
 
 
 @pytest.fixture(scope="module")
 def truth():
-    table = study.read(ROBOT)["engines"]["P220"]
+    table = tables.read(ROBOT)["engines"]["P220"]
     return np.array([table[key] for key in bench.ENGINE_KEYS], dtype=float)
 
 
@@ -102,7 +103,7 @@ def test_a_log_of_a_minute_gives_the_engine(truth, log, measured, tmp_path):
     assert bench.figures(dataset)["noise: measured less smoothed [N]"] < 1.2
     folder = tmp_path / "identify_engine" / "P220"
     folder.mkdir(parents=True)
-    bench.study.record.write_dataset(dataset, folder / "run.nc")
+    bench.record.write_dataset(dataset, folder / "run.nc")
     figure, hashes = engine_figure.draw(tmp_path / "flight")
     assert len(figure.axes) == 3
     assert hashes == {"P220": "0"}

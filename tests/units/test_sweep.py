@@ -128,7 +128,10 @@ def test_wind_is_given_by_where_it_comes_from(speed, direction, velocity, agree)
         ),
         ({"axis": [{"name": "x", "values": [1]}]}, "there is no key"),
         ({"axis": [{"name": "x", "key": "wind.speed", "low": 1, "high": 2}]}, "needs values"),
-        ({"axis": [{"name": "thrust_max_low", "key": "wind.speed", "values": [1]}]}, "axis `thrust_max_low` has the name"),
+        (
+            {"axis": [{"name": "thrust_max_low", "key": "wind.speed", "values": [1]}]},
+            "axis `thrust_max_low` has the name",
+        ),
         ({"panels": "world"}, "`panels` is 'world'"),
         ({"perturbation": {"joint_position": -1}}, "`perturbation.joint_position` is -1; expected a number ≥ 0"),
         ({"perturbation": {"gravity": 1}}, "unknown key `perturbation.gravity`"),

@@ -60,7 +60,7 @@ def test_corrected_arms_are_the_links_centres_and_published_ones_are_not_turned(
 def test_models_are_evaluated_in_the_wind_of_the_tunnel(robot, points):
     data = points["below"].isel(point=[0])
     joints, wind = data["joint_position"].values, dataset.wind_direction(data["pitch"].values, data["yaw"].values)
-    settings = tunnel_moments.study.read(tunnel_moments.AERO / "axisymmetric_corrected.toml")
+    settings = tunnel_moments.tables.read(tunnel_moments.AERO / "axisymmetric_corrected.toml")
     found = tunnel_moments.evaluated(robot, settings, joints, 12.0 * wind)
     expected = predicted_areas(np.asarray(robot.aero_links.coefficients["corrected"]), link_axes(robot, joints), wind)
     np.testing.assert_allclose(found, expected, atol=1e-14)
@@ -115,5 +115,5 @@ def test_a_cell_of_the_matrix_counts_balanced_arrivals():
 
 
 def test_without_data_the_command_says_what_makes_them(tmp_path, capsys):
-    assert tunnel_moments.main(["--dataset", str(tmp_path / "none.nc")]) == 2
+    assert tunnel_moments.main(["--set", f"dataset={tmp_path / 'none.nc'}"]) == 2
     assert "import-tunnel" in capsys.readouterr().err
