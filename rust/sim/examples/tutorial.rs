@@ -100,13 +100,15 @@ impl Task for KeepVelocity {
 fn own_task(config: &ScenarioConfig) -> Result<(), Box<dyn Error>> {
     let robot = load_robot(&config.robot)?;
     let plant = Plant::new(robot.clone(), &config.simulator, &config.disturbances)?;
-    let mut controller = load_controller(robot, &config.controller, &config.mission, config.simulator.time_step)?;
+    let mut controller =
+        load_controller(robot, &config.controller, &config.mission, config.simulator.time_step)?;
     let joints = controller.terms().momentum_qp.unknowns.joint_velocity.clone();
     controller.add_task(Arc::new(KeepVelocity { unknown: joints.start, velocity: 0.1, weight: 1e6 }))?;
 
     let thrust = plant.jets().thrust_feedback().to_vec();
     let wind = Vector3::zeros();
-    let measurement = Measurement { time: 0.0, state: plant.state(), thrust: &thrust, wind, foot_wrenches: &[] };
+    let measurement =
+        Measurement { time: 0.0, state: plant.state(), thrust: &thrust, wind, foot_wrenches: &[] };
     let mut state = controller.start(&measurement)?;
     let command = controller.tick(&mut state, &measurement);
     println!("first joint asked to turn at {:.3} rad/s", command.joint_velocity[0]);
