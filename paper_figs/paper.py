@@ -291,8 +291,8 @@ def page(claims: Path = CLAIMS) -> str:
     record = json.loads(claims.read_text(encoding="utf-8"))
     about = (
         "Made by `python -m paper_figs --index`. A verdict *agrees*, *differs* (by how much) or is *out of reach* "
-        f"(why). Flights were measured at commit `{record['commit'][:10]}` with `{record['command']}`; what follows "
-        "from committed files alone is computed again by the tests. [Deviations](deviations.md) explains what differs."
+        f"(why). `{record['command']}` keeps what was measured, with its commit; what follows from committed files "
+        "alone is computed again by the tests. [Deviations](deviations.md) explains what differs."
     )
     parts = ["# The paper, item by item", about]
     for title, items in SECTIONS.items():

@@ -12,16 +12,19 @@ from experiments.report import claims, facts
 from experiments.report.metrics import Metrics
 from experiments.report.page import Heading, Page, Picture, Table, Text
 from experiments.report.results import Results, Sweep, count
+from experiments.report.verdicts import NOT_FLOWN
 from jax_aero.cli import Parser
 from jax_aero.files import write_text
 
 PAPER_RUNS = ("test1", "test2", "test3", "test4", "robustness")
 PUBLISHED_RUNS = tuple(f"{name}_published" for name in PAPER_RUNS)
 FIGURES = {
+    "fig5a": "Fig. 5 a of the paper: TEST2 hovering in the wind, rendered.",
     "fig5": "Fig. 5 b–i of the paper: TEST2 above, TEST1 below, corrected arms.",
     "fig5_robustness": "Fig. 5 b–i as the paper fills it: TEST4 above, the robustness test below; corrected arms.",
     "fig6": "Fig. 6 of the paper: MuJoCo in place of the real robot, its dry friction chosen by us.",
     "tip_over": "Beyond the paper: the greatest wind the standing robot withstands, by direction.",
+    "along": "Discussion, Note 6: fuel, and how far exhausts stay from the body.",
     "suppl7": "Supplementary Fig. 7: TEST1, TEST2, TEST3 and the robustness test, corrected lever arms.",
     "suppl7_published": "Supplementary Fig. 7, published lever arms.",
 }
@@ -52,25 +55,35 @@ def main(arguments: Sequence[str]) -> int:
     given = parser.parse_args(arguments)
     results = Results(given.results)
     stated = claims.all_claims(results)
+    kept: Path = given.claims or results.folder / "claims.json"
     page = build(results, stated)
     results.folder.mkdir(parents=True, exist_ok=True)
     for path, text in (
         (results.folder / "report.md", page.markdown()),
         (results.folder / "report.html", page.html()),
-        (given.claims or results.folder / "claims.json", claims_json(stated)),
+        (kept, claims_json(stated, kept)),
     ):
         write_text(path, text)
         print(path)
     return 0
 
 
-def claims_json(stated: Sequence[claims.Claim]) -> str:
-    """Return the claims as they were measured, with the commit that measured them."""
+def claims_json(stated: Sequence[claims.Claim], kept: Path) -> str:
+    """Return the claims as they were measured, each with its commit; what is not flown here stays as it was kept."""
+    older = json.loads(kept.read_text(encoding="utf-8"))["claims"] if kept.is_file() else {}
+    commit = manifest.git_state()["commit"]
+    found = {}
+    for claim in stated:
+        measured = {"measured": claim.measured, "verdict": claim.verdict, "commit": commit}
+        if claim.verdict == NOT_FLOWN and claim.key in older:
+            measured = {name: older[claim.key].get(name) for name in measured}
+        elif claim.key in older and all(older[claim.key][name] == measured[name] for name in ("measured", "verdict")):
+            measured["commit"] = older[claim.key].get("commit", commit)
+        found[claim.key] = dataclasses.asdict(claim) | measured
     document = {
         "command": "python -m experiments report --claims docs/claims.json",
-        "commit": manifest.git_state()["commit"],
         "tables": {name: rows() for name, rows in facts.TABLES.items()},
-        "claims": {claim.key: dataclasses.asdict(claim) for claim in stated},
+        "claims": found,
     }
     return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
 
@@ -87,6 +100,7 @@ def build(results: Results, stated: Sequence[claims.Claim]) -> Page:
             "*published arms* where the published code has them (`docs/deviations.md`)."
         ),
         Heading(2, "The paper's claims"),
+        Text(_counted(stated)),
         Table(
             ("where", "claim", "measured", "verdict", "figure", "command"),
             [
@@ -106,6 +120,16 @@ def build(results: Results, stated: Sequence[claims.Claim]) -> Page:
     _engines(page)
     _speed(page, results)
     return page
+
+
+def _counted(stated: Sequence[claims.Claim]) -> str:
+    """Return how many claims got each verdict; one that agrees in part counts as such."""
+    words = ("agrees", "agrees in part", "differs", "out of reach", "not flown here")
+    found = dict.fromkeys(words, 0)
+    for claim in stated:
+        word = next(word for word in words if claim.verdict.startswith(word))
+        found["agrees in part" if word == "agrees" and claim.verdict != word else word] += 1
+    return f"{len(stated)} claims: " + ", ".join(f"**{n}** {word}" for word, n in found.items() if n) + "."
 
 
 def _linked(results: Results, figure: str) -> str:
@@ -156,14 +180,19 @@ def _runs(page: Page, results: Results) -> None:
         "total force, max [N]",
         "simulator − controller, max [N]",
     )
-    named = [*PAPER_RUNS, *PUBLISHED_RUNS]
-    others = sorted(set(results.flights) - set(named))
-    flights = [results.flights[name] for name in (*named, *others) if name in results.flights]
+    named = (*PAPER_RUNS, *PUBLISHED_RUNS)
     page.add(
         Text("The network is ours: the paper's weights are not public. Its card says what it was trained on."),
-        Table(headings, [_run(flight) for flight in flights]),
+        Table(headings, [_run(results.flights[name]) for name in named if name in results.flights]),
     )
     page.add(*_pictures(results, FIGURES.items()))
+    others = sorted(set(results.flights) - set(named))
+    if others:
+        page.add(
+            Heading(2, "Runs of our own"),
+            Text("Not in the paper: other controllers, missions, engines and robots."),
+            Table(headings, [_run(results.flights[name]) for name in others]),
+        )
 
 
 def _run(flight: Metrics) -> Sequence[str]:

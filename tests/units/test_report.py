@@ -1,5 +1,6 @@
 """The report: metrics of made-up flights, verdicts from made-up counts, and pages that say the same twice."""
 
+import dataclasses
 import json
 from xml.etree import ElementTree
 
@@ -12,7 +13,7 @@ import xarray as xr
 from experiments import engine_choice, record
 from experiments.__main__ import main
 from experiments.report import claims, facts, metrics
-from experiments.report.command import _spans, build
+from experiments.report.command import _counted, _spans, build, claims_json
 from experiments.report.page import Heading, Page, Picture, Table, Text
 from experiments.report.results import Results
 from experiments.report.verdicts import AGREES, NOT_FLOWN, within
@@ -168,8 +169,16 @@ def test_the_report_is_written_from_what_there_is(results, capsys):
     assert main(["report", "--results", str(results.folder)]) == 0
     text = (results.folder / "report.md").read_text()
     tables = [line for line in text.splitlines() if line.startswith("| --- |")]
-    assert (results.folder / "report.html").read_text().count("<table>") == len(tables) == 6
-    for word in ("## The paper's claims", "## The paper's runs", "paper_tests", "TEST3", "26.31", "300"):
+    assert (results.folder / "report.html").read_text().count("<table>") == len(tables) == 7
+    for word in (
+        "## The paper's claims",
+        "## The paper's runs",
+        "## Runs of our own",
+        "paper_tests",
+        "TEST3",
+        "26.31",
+        "300",
+    ):
         assert word in text
     assert str(results.folder) not in text
     assert build(Results(results.folder / "nowhere"), []).markdown().startswith("# What flies, and why")
@@ -184,6 +193,25 @@ def test_spans_of_sound_values(values, known, text):
 
 
 # --- facts from committed files
+
+
+def test_what_is_not_flown_here_stays_as_it_was_kept(tmp_path):
+    base = claims.Claim("k", "w", "c", "12 m", "agrees", "fly it", "")
+    kept = tmp_path / "claims.json"
+    kept.write_text(claims_json([base], kept))
+    first = json.loads(kept.read_text())["claims"]["k"]
+    absent = dataclasses.replace(base, claim="reworded", measured="has not been run", verdict=NOT_FLOWN)
+    assert json.loads(claims_json([absent], kept))["claims"]["k"] == first | {"claim": "reworded"}
+    again = json.loads(claims_json([dataclasses.replace(base, measured="13 m")], kept))["claims"]["k"]
+    assert again["measured"] == "13 m"
+    assert json.loads(claims_json([absent], tmp_path / "none.json"))["claims"]["k"]["verdict"] == NOT_FLOWN
+
+
+def test_verdicts_are_counted():
+    base = claims.Claim("k", "w", "c", "m", "agrees", "", "")
+    verdicts = ("agrees", "agrees on one", "differs: 2", "differs: 3", "out of reach: why")
+    text = _counted([dataclasses.replace(base, verdict=verdict) for verdict in verdicts])
+    assert text == "5 claims: **1** agrees, **1** agrees in part, **2** differs, **1** out of reach."
 
 
 def test_a_verdict_says_by_how_much():
