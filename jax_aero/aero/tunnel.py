@@ -180,7 +180,7 @@ def points_of(test: str, about: Test, gvp: Gvp) -> Points:
     rows, off = gvp.rows[on], gvp.rows[~on]
     zero = off[-1, 14:20] if len(off) else np.full(6, np.nan)
     pitch = rows[:, 3] + (90.0 + MOUNT[about.robot, about.kind] if about.robot == "mk1" else 0.0)
-    numbers = [int(one) for one in rows[:, 0]]
+    numbers = list(range(1, len(rows) + 1))  # a test's own numbers may begin anywhere
     return Points(
         campaign=[about.campaign] * len(rows),
         test=[test] * len(rows),

@@ -102,8 +102,11 @@ def test_points_in_which_the_support_shows_are_marked(tmp_path):
     data = read(tmp_path, "TID_0001.GVP", gvp(rows))
     assert data["robot_only"].values.tolist() == [1, 1, 0]
     assert data["marks"].values.tolist() == ["", "", "support"]
-    doubtful = read(tmp_path / "tare", "TID_0057.GVP", gvp([(7, 10.0, 0.0, 17.0, 160.0, (0.0,) * 6)]))
-    assert doubtful["marks"].item() == "tare drifted, outlier, tare extrapolated"
+    # The seventh point, whatever number it has in the file.
+    rows = [(n, pitch, 0.0, 17.0, 160.0, (0.0,) * 6) for n, pitch in enumerate((0.0,) * 6 + (10.0,), start=11)]
+    doubtful = read(tmp_path / "tare", "TID_0057.GVP", gvp(rows))
+    assert doubtful["marks"].values.tolist() == [*["tare drifted"] * 6, "tare drifted, outlier, tare extrapolated"]
+    assert doubtful["number"].values.tolist() == [1, 2, 3, 4, 5, 6, 7]
 
 
 def test_a_gravity_sweep_gives_the_centre_of_gravity(tmp_path):
