@@ -153,6 +153,7 @@ def test_both_pages_say_the_same():
     page.add(
         Heading(2, "Part"),
         Text("**bold** and `a<b`"),
+        Text("*Right arms*: 3 * 4 * 5"),
         Table(("a", "b"), [("1", "x|y")]),
         Picture("figures/a.png", "what it shows"),
     )
@@ -160,6 +161,7 @@ def test_both_pages_say_the_same():
     assert "| 1 | x\\|y |" in markdown
     assert "<td>x|y</td>" in html
     assert "<b>bold</b> and <code>a&lt;b</code>" in html
+    assert "<p><i>Right arms</i>: 3 * 4 * 5</p>" in html
     assert "<h1>Title &amp; more</h1>" in html
     assert "![what it shows](figures/a.png)" in markdown
     assert '<img src="figures/a.png" alt="what it shows">' in html
