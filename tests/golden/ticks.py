@@ -1,10 +1,12 @@
 """Complete ticks of the controller: what it was given, and every intermediate value it computed.
 
-A stored name stays when a value is renamed; `TICK_NAMES` says what it is called in `rust.Tick` now.
+`python -m tests.golden.ticks [NAME ...]` stores those of some flights again, of all if there is none. A stored name
+stays when a value is renamed; `TICK_NAMES` says what it is called in `rust.Tick` now.
 """
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +18,28 @@ from jax_aero.rust import Controller, State
 from tests.golden import flights
 
 FOLDER = Path(__file__).parent / "ticks"
-INSTANTS = {"test1": (2200, 3000), "test2": (700, 2600), "test4": (1400,), "thrust_saturation": (1200, 2000)}
-"""Rows of flights whose state, thrust and wind the ticks start from."""
+INSTANTS = {
+    "test1": (2200, 3000),
+    "test2": (700, 1400, 2600),
+    "test4": (1400,),
+    "thrust_saturation": (1200, 2000),
+    "balancing_front": (2000, 2500),
+}
+"""Rows of flights whose state, thrust, wind and feet the ticks start from."""
+
+CHANGED: dict[str, dict[str, Any]] = {
+    "test2_1400": {"memory.velocity_error_integral": 10.0 * np.cos(np.arange(23.0))},
+    "balancing_front_2500": {"foot_wrenches": [[2.0, 0.0, 210.0, 1.0, 60.0, 0.0], [-2.0, 0.0, 214.0, -1.0, 48.0, 0.0]]},
+}
+"""Where a tick is given something else than its flight had, so that torques and foot wrenches reach their bounds: joint
+errors in rad s, wrenches in N and N m with their centre of pressure beyond the toes."""
 
 TICK_NAMES: dict[str, str] = {}
 """First word of a stored name to that of the value in `Tick`, where the two differ."""
 
 MEMORY = ("posture", "inertia_0_b", "velocity_error_integral")
 GIVEN = ("base_position", "base_rotation", "joint_position", "velocity", "thrust", "wind", "time")
+FEET = "foot_wrenches"
 
 Values = dict[str, NDArray[np.float64]]
 
@@ -33,12 +49,10 @@ def compute(config: rust.Config, given: Values) -> Values:
     controller = Controller(config)
     state = State(*(given[key] for key in GIVEN[:4]))
     setpoint = {key.split(".")[1]: value for key, value in given.items() if key.startswith("setpoint.")}
-    started = controller.start(state, given["thrust"], given["wind"], float(given["time"]))
+    measurement = state, given["thrust"], given["wind"], float(given["time"])
+    started = controller.start(*measurement, foot_wrenches=given.get(FEET))
     controller.state = started.with_posture_control(*(given[f"memory.{key}"] for key in MEMORY))
-    tick = controller.tick(
-        state, given["thrust"], given["wind"], float(given["time"]), setpoint=rust.Setpoint(**setpoint)
-    )
-    return values(tick)
+    return values(controller.tick(*measurement, setpoint=rust.Setpoint(**setpoint), foot_wrenches=given.get(FEET)))
 
 
 def values(tick: rust.Tick) -> Values:
@@ -67,10 +81,11 @@ def stored(name: str) -> tuple[Values, Values]:
     return given, {key: value for key, value in content.items() if not key.startswith("given ")}
 
 
-def make() -> None:
+def make(names: list[str]) -> None:
     """Fly, take the instants and store their ticks."""
     FOLDER.mkdir(exist_ok=True)
-    for name, rows in INSTANTS.items():
+    for name in names or INSTANTS:
+        rows = INSTANTS[name]
         config = flights.load(name)
         log = flights.fly(config).log
         controller = Controller(config)
@@ -82,13 +97,17 @@ def make() -> None:
                 "joint_position": log["joint_position"][row],
                 "velocity": np.concatenate([log["base_velocity"][row], log["joint_velocity"][row]]),
                 "thrust": log["thrust"][row],
-                "wind": log["wind"][row],
+                "wind": log.get("measured_wind", log["wind"])[row],
                 "time": log["time"][row],
             }
-            tick = controller.tick(State(*(given[key] for key in GIVEN[:4])), *(given[key] for key in GIVEN[4:]))
+            if "foot_wrench" in log:
+                given[FEET] = log["foot_wrench"][row]
+            measurement = State(*(given[key] for key in GIVEN[:4])), *(given[key] for key in GIVEN[4:])
+            tick = controller.tick(*measurement, foot_wrenches=given.get(FEET))
             if row in rows and before is not None:
                 given |= {f"memory.{key}": getattr(before, key) for key in MEMORY}
                 given |= {key: value for key, value in values(tick).items() if key.startswith("setpoint.")}
+                given |= {key: np.array(value) for key, value in CHANGED.get(f"{name}_{row}", {}).items()}
                 found = compute(config, given)
                 prefixed = {f"given {key}": value for key, value in given.items()}
                 np.savez_compressed(FOLDER / f"{name}_{row}.npz", **prefixed, **found)
@@ -102,4 +121,4 @@ def _rotation(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 if __name__ == "__main__":
-    make()
+    make(sys.argv[1:])
