@@ -83,6 +83,35 @@ def test_prismatic_joints_fly_in_both_engines():
     assert largest_difference(ours, twin) < 1e-9
 
 
+def sparrow():
+    """Sparrow climbs, flies five seconds forwards in a side wind and descends."""
+    jets = ("back_jet", "l_jet", "r_jet")
+    config = hover_of(CONFIGS / "robot/sparrow.toml", jets, duration=14.0)
+    config["mission"] = {"up": [[1.0, 3.0]], "forward": [[4.0, 9.0]], "down": [[10.0, 12.0]]}
+    config["wind"] = {"profile": "ramp", "velocity": [0.0, -2.0, 0.0], "ramp_start": 1.0, "ramp_end": 3.0}
+    controller = config["controller"]
+    controller["posture_gain"] = {"legs": 30.0, "upper_body": 20.0}
+    # Its jets hardly turn it about the vertical: swinging limbs would.
+    controller["weights"] |= {"symmetric_jets": [["l_jet", "r_jet"]], "symmetry": 0.1, "posture": 1000.0}
+    controller["momentum"] |= {"c0": 10.0, "c1": 100.0}
+    config["simulator"]["initial"] |= {"joint_position": [0.0] * 5, "thrust": [15.0, 58.0, 58.0]}
+    return config
+
+
+def test_the_sparrow_flies_a_whole_mission_forward_in_both_engines(measured):
+    ours, twin = both(sparrow())
+    for flight in (ours, twin):
+        assert flight.outcome == "completed"
+        assert (flight.log["qp_status"] == 0).all()
+        com = flight.log["com_position"]
+        # 0.75 m/s for five seconds forwards (x) and for two seconds up and down.
+        assert np.abs(com[-1] - com[0] - [3.75, 0.0, 0.0]).max() < 0.05
+        assert abs(com[:, 2].max() - com[0, 2] - 1.49) < 0.05
+        assert flight.summary["max_com_error"] < 0.05
+    # A difference of 1e-13 N in the first thrust is one of 1e-13 at the end, and rounding is a hundred times as large.
+    measured("largest difference of the engines", largest_difference(ours, twin), 1e-10)
+
+
 def test_torques_and_their_rates_and_velocities_keep_to_each_joints_own_limits():
     robot = load_robot(CONFIGS / "robot/slider.toml")
     # TOML over URDF: force [N] and torque [N m], rates, velocities.

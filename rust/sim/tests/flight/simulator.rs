@@ -9,6 +9,7 @@ use flight_sim::{
     BatchError, FlightLog, FlightResult, Interrupted, Loss, LossReason, Scenario, ScenarioConfig, fly_batch,
 };
 use flight_sim::{Outcome, SIGNALS, Summary, figures};
+use nalgebra::Vector3;
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
@@ -507,6 +508,28 @@ fn bad_simulators_are_refused_by_name() {
         let message = Scenario::new(&with(experiment("test2"), spoil)).unwrap_err().to_string();
         assert!(message.contains(item) && message.contains(value), "{item}: {message}");
     }
+}
+
+/// TEST2 at ticks of 2 and 5 ms is the flight of 10 ms: the same places at every time and the same greatest speed, to
+/// 1 % of the way and of the speed.
+#[test]
+fn the_flight_does_not_depend_on_the_tick() {
+    let at = |time_step| with(experiment("test2"), |config| config.simulator.time_step = time_step);
+    let flights = fly(&[at(0.01), at(0.005), at(0.002)]);
+    let places = |flight: usize| flights[flight].log.series("com_position").unwrap();
+    let speed = |flight: usize| {
+        let velocity = &flights[flight].log.series("com_velocity").unwrap().data;
+        velocity.chunks_exact(3).map(|v| Vector3::from_column_slice(v).norm()).fold(0.0, f64::max)
+    };
+    for (finer, ratio) in [(1, 2), (2, 5)] {
+        for tick in 0..flights[0].log.len() {
+            for (found, expected) in places(finer).row(ratio * tick).iter().zip(places(0).row(tick)) {
+                assert_within!((found - expected).abs(), 0.01 * 78.0, because "set-points of ticks of another length differ by what happens in one tick", "{tick}");
+            }
+        }
+        assert_within!((speed(finer) - speed(0)).abs(), 0.01 * 7.5);
+    }
+    assert!(flights.iter().all(|flight| flight.outcome == Outcome::Completed));
 }
 
 /// The controller's own time step is refused too: it may be built without a simulator.

@@ -389,6 +389,16 @@ mod tests {
         }
     }
 
+    /// A layer without inputs is its bias.
+    #[test]
+    fn a_layer_without_inputs_is_its_bias() {
+        let bias: Vec<f32> = (0..40_u8).map(|row| 0.5 - f32::from(row)).collect();
+        let layer = Layer::<f32>::new::<4>(&[], &bias, 0);
+        let mut out = [(); 2].map(|()| vec![f32::NAN; layer.bias.len()]);
+        layer.apply::<4, 2>(&[vec![], vec![]], &mut out, |sum| sum);
+        assert!(out.iter().all(|out| out[..bias.len()] == bias[..]));
+    }
+
     /// Saturation, and a NaN that stays one.
     #[test]
     fn activations_are_total() {
