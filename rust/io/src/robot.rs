@@ -2,8 +2,8 @@
 //! every value checked once.
 //!
 //! The URDF says what the robot is made of; the TOML file beside it says what it is used for: the
-//! order of the joints, where air and engines push, what the feet look like. `tree` finds what moves,
-//! `merge` joins what does not, `urdf` converts single values.
+//! order of the joints, where aerodynamic forces and thrusts act, the geometry of the feet. `tree` finds what
+//! moves, `merge` joins what does not, `urdf` converts single values.
 
 mod joints;
 mod merge;
@@ -221,8 +221,9 @@ fn parse_toml(text: &str, origin: &str) -> Result<RobotFile, BuildError> {
 }
 
 fn build(file: RobotFile, urdf_text: &str, origin: &str) -> Result<RobotModel, BuildError> {
-    let urdf = urdf_rs::read_from_string(urdf_text)
-        .map_err(|error| BuildError::malformed(format!("{origin}: urdf `{}`", file.urdf), error))?;
+    let malformed = |error: String| BuildError::malformed(format!("{origin}: urdf `{}`", file.urdf), error);
+    urdf::check_depth(urdf_text).map_err(malformed)?;
+    let urdf = urdf_rs::read_from_string(urdf_text).map_err(|error| malformed(error.to_string()))?;
     let order: Vec<&str> =
         file.joint_groups.iter().flat_map(|group| &group.joints).map(|joint| joint.name.as_str()).collect();
     let tree = tree::build(&urdf, &file.base_link, &order, &file.locked)?;

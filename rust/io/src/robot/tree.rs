@@ -32,7 +32,7 @@ pub(super) struct TreeJoint {
 }
 
 impl Tree {
-    /// The frame of a link; `item` says who asks.
+    /// The frame of a link; `item` names the entry that refers to it.
     pub(super) fn frame(&self, item: &str, link: &str) -> Result<Frame, BuildError> {
         let (body, body_from_frame) =
             *self.places.get(link).ok_or_else(|| BuildError::unknown_name(item, link, self.places.keys()))?;

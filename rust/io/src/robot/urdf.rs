@@ -4,7 +4,29 @@ use flight_core::error::{BuildError, check as check_number};
 use flight_core::robot::{JointKind, check};
 use flight_core::spatial::{Pose, rotation_from_rpy};
 use nalgebra::{Unit, Vector3};
+use quick_xml::Reader;
+use quick_xml::events::Event;
 use urdf_rs::JointType;
+
+/// Deepest nesting of tags: a parser calls itself once a level, and a stack is finite.
+const MAX_DEPTH: u32 = 64;
+
+/// Refuses tags that nest too deeply, and says why; also for a text that is no XML.
+pub(super) fn check_depth(text: &str) -> Result<(), String> {
+    let mut reader = Reader::from_str(text);
+    let mut depth = 0;
+    loop {
+        match reader.read_event().map_err(|error| error.to_string())? {
+            Event::Start(_) if depth == MAX_DEPTH => {
+                return Err(format!("tags nest more than {MAX_DEPTH} deep"));
+            }
+            Event::Start(_) => depth += 1,
+            Event::End(_) => depth -= 1,
+            Event::Eof => return Ok(()),
+            _ => {}
+        }
+    }
+}
 
 /// A URDF origin; `item` says whose.
 pub(super) fn pose(item: &str, origin: &urdf_rs::Pose) -> Result<Pose, BuildError> {

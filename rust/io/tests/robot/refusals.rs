@@ -172,6 +172,17 @@ fn impossible_urdf_is_refused_by_name_and_value() {
 }
 
 /// A moving body needs mass and inertia, though a link of it may lack them.
+/// Instead of the end of the process, in which a parser that calls itself once a level would run out of stack.
+#[test]
+fn tags_that_nest_deeply_are_refused() {
+    let (toml, urdf) = sparrow_texts();
+    let nested = |depth| format!("{}{}</robot>", "<a>".repeat(depth), "</a>".repeat(depth));
+    let load = |depth| robot_from_text(&toml, &urdf.replacen("</robot>", &nested(depth), 1), "sparrow.toml");
+    assert!(load(63).is_ok());
+    let message = load(20_000).unwrap_err().to_string();
+    assert!(message.contains("`sparrow.urdf`: tags nest more than 64 deep"), "{message}");
+}
+
 #[test]
 fn massless_and_point_like_bodies_are_refused() {
     let cases = [
