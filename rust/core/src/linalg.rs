@@ -135,11 +135,11 @@ fn outer_sums<S: Simd, const C: usize>(
     sums
 }
 
-/// Runs `$panel` over `$from..$n` by as many columns as a vector has rows, at most [`WIDE`], fewer at the end.
+/// Runs `$panel` over `0..$n` by as many columns as a vector has rows, at most [`WIDE`], fewer at the end.
 macro_rules! for_panels {
-    ($self:ident.$panel:ident::<$S:ident>($simd:ident, $from:expr, $n:expr)) => {
+    ($self:ident.$panel:ident::<$S:ident>($simd:ident, $n:expr)) => {
         let width = WIDE.min($S::F64_LANES);
-        for j in ($from..$n).step_by(width) {
+        for j in (0..$n).step_by(width) {
             let is_done = match width.min($n - j) {
                 1 => $self.$panel::<$S, 1>($simd, j),
                 2 => $self.$panel::<$S, 2>($simd, j),
@@ -294,8 +294,8 @@ impl Kernel for ScaleSymmetric<'_> {
 /// right-hand side that is kept there as a row comes out as `L⁻¹ b`.
 ///
 /// The diagonal receives the **reciprocals** `1/L_jj`: every later substitution multiplies by them,
-/// and a division costs ten multiplications. The strict upper triangle does not matter and is left spoilt, like
-/// everything after `false`.
+/// and a division costs ten multiplications. The strict upper triangle does not matter and is left
+/// without meaning, like everything after `false`.
 ///
 /// A pivot must exceed `n ε a_jj`: below that it consists of rounding. The test is relative to each
 /// diagonal entry, so rows may have different units.
@@ -307,29 +307,12 @@ impl Kernel for ScaleSymmetric<'_> {
 /// If `a` does not hold that matrix.
 #[must_use]
 pub fn cholesky_in_place(a: &mut [f64], n: usize, rows: usize, ld: usize) -> bool {
-    cholesky_resume_in_place(a, 0, n, rows, ld)
-}
-
-/// [`cholesky_in_place`] for a matrix whose columns before [`resumable`]`(from)` hold their part of `L` already,
-/// in all rows, and whose other columns hold `A`. The factor has the same bits as one made at once.
-///
-/// # Panics
-/// If `a` does not hold that matrix.
-#[must_use]
-pub fn cholesky_resume_in_place(a: &mut [f64], from: usize, n: usize, rows: usize, ld: usize) -> bool {
-    run(Cholesky { a, from: resumable(from), n, rows, ld })
-}
-
-/// How many of the first `count` columns of a factor are kept if the others are made anew.
-#[must_use]
-pub fn resumable(count: usize) -> usize {
-    count / WIDE * WIDE
+    run(Cholesky { a, n, rows, ld })
 }
 
 /// [`cholesky_in_place`].
 struct Cholesky<'a> {
     a: &'a mut [f64],
-    from: usize,
     n: usize,
     rows: usize,
     ld: usize,
@@ -344,7 +327,7 @@ impl Kernel for Cholesky<'_> {
 
     #[inline(always)]
     fn with_vectors<S: Simd>(mut self, simd: S) -> bool {
-        for_panels!(self.panel::<S>(simd, self.from, self.n));
+        for_panels!(self.panel::<S>(simd, self.n));
     }
 }
 
@@ -353,7 +336,7 @@ impl Cholesky<'_> {
     #[inline(always)]
     fn panel<S: Simd, const C: usize>(&mut self, simd: S, j: usize) -> bool {
         let (rows, ld) = (self.rows, self.ld);
-        let floor = self.n as f64 * f64::EPSILON;
+        let relative = self.n as f64 * f64::EPSILON;
         let (left, panel) = self.a.split_at_mut(j * ld);
         // Before the tile above it changes some of its rows.
         let last = last_top(simd, rows);
@@ -363,9 +346,9 @@ impl Cholesky<'_> {
         let sums = outer_sums::<S, C>(simd, (left, ld, first), (left, ld, j), (0, j));
         let first_u = differences(simd, load_columns::<S, C>(simd, panel, ld, first), sums);
         let mut square = [[0.0; C]; C];
-        let mut floors = [0.0; C];
+        let mut least = [0.0; C];
         for c in 0..C {
-            floors[c] = floor * panel[c * ld + j + c];
+            least[c] = relative * panel[c * ld + j + c];
             store(simd, &mut panel[c * ld..], first, first_u[c]);
             square[c].copy_from_slice(&panel[c * ld + j..][..C]);
         }
@@ -373,8 +356,8 @@ impl Cholesky<'_> {
         let mut roots = [0.0; C];
         for c in 0..C {
             let pivot = square[c][c];
-            // NaN must fail too, and so must an infinite entry, whose floor is infinite.
-            if pivot.is_nan() || pivot <= floors[c] {
+            // NaN must fail too, and so must an infinite entry, whose least pivot is infinite.
+            if pivot.is_nan() || pivot <= least[c] {
                 return false;
             }
             let reciprocal = 1.0 / pivot;
@@ -490,7 +473,7 @@ impl Kernel for InvertLower<'_> {
     #[inline(always)]
     fn with_vectors<S: Simd>(mut self, simd: S) -> bool {
         self.inverse[..self.n * self.n].fill(0.0);
-        for_panels!(self.panel::<S>(simd, 0, self.n));
+        for_panels!(self.panel::<S>(simd, self.n));
     }
 }
 
@@ -570,7 +553,7 @@ impl Kernel for TimesTranspose<'_> {
 
     #[inline(always)]
     fn with_vectors<S: Simd>(mut self, simd: S) -> bool {
-        for_panels!(self.panel::<S>(simd, 0, self.n));
+        for_panels!(self.panel::<S>(simd, self.n));
     }
 }
 
@@ -616,7 +599,7 @@ mod tests {
                 let tolerance = 1e-11;
 
                 let mut l = a.clone();
-                let kernel = Cholesky { a: l.as_mut_slice(), from: 0, n, rows: n, ld: n };
+                let kernel = Cholesky { a: l.as_mut_slice(), n, rows: n, ld: n };
                 assert!(dispatch_to(arch, Fitted(kernel)));
                 let mut inverse = DMatrix::from_element(n, n, f64::NAN);
                 let kernel = InvertLower { l: l.as_slice(), n, ld: n, inverse: inverse.as_mut_slice() };

@@ -4,6 +4,7 @@
 mod common;
 
 mod aero;
+mod certificate;
 mod contact;
 mod control;
 mod dynamics;

@@ -145,11 +145,13 @@ impl TorqueQp {
     /// `H = P W P + diagonal`, `g = P W (c_free − c*) − w_f f_c*`.
     fn update_cost(&mut self, contact: &Contact) {
         let QpProblem { h, g, .. } = &mut self.problem;
-        linalg::times_transpose(self.weighted.as_slice(), g.len(), h.as_mut_slice());
+        let n = g.len();
+        linalg::times_transpose(self.weighted.as_slice(), n, h.as_mut_slice());
         for (i, weight) in self.diagonal.iter().enumerate() {
             h[(i, i)] += weight;
         }
-        g.gemv(1.0, &self.weighted, &self.weighted_error, 0.0);
+        g.fill(0.0);
+        linalg::add_mat_vec(g.as_mut_slice(), self.weighted.as_slice(), n, self.weighted_error.as_slice());
         for (g, wanted) in g.iter_mut().zip(&contact.force) {
             *g -= self.weight_force * wanted;
         }

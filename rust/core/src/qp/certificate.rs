@@ -6,12 +6,24 @@ use crate::linalg;
 /// Largest [`kkt_residual`] of an answer that may call itself [`QpStatus::Solved`]: `√ε ≈ 1.5e-8`.
 ///
 /// The residual is a backward error: `x` is the exact minimiser for a `g` that differs from the given one
-/// by that fraction of its largest scaled entry. The objective is quadratic around the minimiser, so at
-/// `√ε` it is exact to ε over the smallest eigenvalue of the scaled H: to what rounding of the data leaves
-/// of it. It is also below the resolution of single precision (6e-8), and so of any measurement that g was
-/// made of: a finer limit would refuse answers that no flight can tell from the exact one.
+/// by that fraction of its largest scaled entry, which is below the resolution of single precision (6e-8), and so of
+/// any measurement that g was made of. What follows for `x`, of 60 problems of 2 to 30 variables each, units from 1e-6
+/// to 1e6, none to all bounds active, their minimisers known from residuals in twice the precision
+/// (`cargo test -p flight-core --test main certificate -- --nocapture`; errors are those of `y`, in parts of `size`):
 ///
-/// The active-set methods reach rounding, `n² ε`: about 1e-14 on flight problems.
+/// ```text
+/// condition of the scaled H         1        1e3      1e6      1e9      1e12
+/// residual, primal method           3e-16    3e-16    4e-16    4e-16    TWELVE_KKT
+/// residual, dual method             4e-16    2e-15    1e-12    3e-13    TWELVE_DUAL
+/// error, primal method              3e-16    1e-14    2e-11    1e-8     TWELVE_ERR
+/// worst error that is accepted      2e-8     5e-6     3e-3     0.4      TWELVE_ACC
+/// and what it costs / size²         6e-16    1e-13    7e-11    8e-9     TWELVE_COST
+/// ```
+///
+/// The methods stay four decades below the limit, so it refuses no answer of theirs; where the dual method fails
+/// (4 problems in 60 at 1e9) its residual says so. The momentum QP in flight has a condition of 2e5 and the torque QP
+/// of 2e4: an answer at the limit would be wrong by a thousandth of the largest step, at a cost that shows in no
+/// digit that a flight depends on. Refusing it would command nothing at all, so a finer limit would be no safer.
 pub const KKT_TOLERANCE: f64 = 1.490_116_119_384_765_6e-8;
 
 /// How a solve ended. The codes of [`QpStatus::code`] are for logs and never change meaning.
@@ -133,10 +145,11 @@ pub fn kkt_residual(qp: &QpProblem, x: &[f64], multipliers: &[f64]) -> f64 {
         for (i, gradient) in (first..first + count).zip(gradient) {
             let (lower, upper) = (qp.lower[i], qp.upper[i]);
             let root = h[i + i * n].sqrt();
-            let (y, q) = (root * x[i], gradient / root);
+            let inverse = root.recip();
+            let (y, q) = (root * x[i], gradient * inverse);
             let projected = (y - q).max(root * lower).min(root * upper);
             residual = residual.max((y - projected).abs());
-            size = size.max((g[i] / root).abs()).max(y.abs());
+            size = size.max((g[i] * inverse).abs()).max(y.abs());
             // `max` and `min` drop NaN, so it is looked for separately.
             finite &= q.is_finite() && y.is_finite() && !lower.is_nan() && !upper.is_nan();
         }

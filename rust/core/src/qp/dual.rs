@@ -39,8 +39,6 @@ pub struct DualActiveSet {
     x: Vec<f64>,
     multipliers: Vec<f64>,
     scaled: Scaled,
-    /// Scaled Hessian.
-    h: Vec<f64>,
     /// Scaled normals of the rows, n entries each.
     normals: Vec<f64>,
     /// Length of each scaled normal; zero for a row that says nothing.
@@ -129,7 +127,6 @@ impl DualActiveSet {
             x: zeros(),
             multipliers: vec![0.0; rows],
             scaled: Scaled::new(n),
-            h: vec![0.0; n * n],
             normals: vec![0.0; n * rows],
             lengths: vec![0.0; rows],
             limits: vec![0.0; rows],
@@ -166,11 +163,10 @@ impl DualActiveSet {
                 return Err(QpStatus::InfeasibleBounds);
             }
         }
-        linalg::scale_symmetric(qp.h.as_slice(), n, &self.scaled.s, &mut self.h, n);
-        if !self.h.iter().chain(&self.scaled.g).all(|entry| entry.is_finite()) {
+        if !self.scaled.h.iter().chain(&self.scaled.g).all(|entry| entry.is_finite()) {
             return Err(QpStatus::NonFinite);
         }
-        self.factor.copy_from_slice(&self.h);
+        self.factor.copy_from_slice(&self.scaled.h);
         if !linalg::cholesky_in_place(&mut self.factor, n, n, n) {
             return Err(QpStatus::NotPositiveDefinite);
         }
@@ -402,7 +398,7 @@ impl DualActiveSet {
                 *step = -g;
             }
             for (column, y) in self.y.iter().enumerate() {
-                linalg::add_scaled(&mut self.step, -y, &self.h[column * n..][..n]);
+                linalg::add_scaled(&mut self.step, -y, &self.scaled.h[column * n..][..n]);
             }
             for k in 0..q {
                 let pressure = self.pressure[k];

@@ -24,6 +24,10 @@ pub const PASSES_PER_VARIABLE: u32 = 10;
 /// bounds that rounding takes and gives back must not go on for ever.
 const CORRECTION_LIMIT: u32 = 4;
 
+/// Least pivot of a factor whose answer is not refined: rounding moves it by about `ε / PIVOT_MIN = 2e-12` of its
+/// size.
+const PIVOT_MIN: f64 = 1e-4;
+
 /// Where a variable is held.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Side {
@@ -101,13 +105,11 @@ pub struct PrimalActiveSet {
     h_step: Vec<f64>,
     /// Multiple of `step` at which a variable meets its bound; infinite where it does not.
     meets: Vec<f64>,
-    /// `s` where a variable is free, zero where it is held.
-    weights: Vec<f64>,
-    /// Cholesky factor of H with the rows and columns of held variables those of the unit matrix, and below
-    /// it the right-hand side as one more row; leading dimension n + 1.
+    /// The free variables.
+    free: Vec<usize>,
+    /// Cholesky factor of their part of H, and below it the right-hand side as one more row; leading dimension n + 1.
     factor: Vec<f64>,
-    /// The working set that `factor` was made for; `None` before that.
-    factored: Vec<Option<bool>>,
+    /// An entry for each free variable.
     work: Vec<f64>,
 }
 
@@ -165,9 +167,8 @@ impl PrimalActiveSet {
             step: zeros(),
             h_step: zeros(),
             meets: zeros(),
-            weights: zeros(),
+            free: Vec::with_capacity(n),
             factor: vec![0.0; n * (n + 1)],
-            factored: vec![None; n],
             work: zeros(),
         }
     }
@@ -206,7 +207,6 @@ impl PrimalActiveSet {
         let Scaled { inverse_s, lower, upper, .. } = &self.scaled;
         let bounds = lower.iter().zip(upper);
         let last = self.x.iter().zip(inverse_s);
-        self.factored.fill(None);
         for (((y, side), (x, inverse_s)), (&lower, &upper)) in
             self.y.iter_mut().zip(&mut self.side).zip(last).zip(bounds)
         {
@@ -237,22 +237,26 @@ impl PrimalActiveSet {
             // so end at rounding.
             let is_first = *iterations == 1;
             if !is_first {
-                self.update_gradient(qp);
+                self.update_gradient();
             }
-            if !self.aim(qp, is_first) {
-                self.update_gradient(qp);
+            if !self.aim(is_first) {
+                self.update_gradient();
                 self.certify(qp);
                 let finite = self.gradient.iter().all(|q| q.is_finite());
                 return if finite { QpStatus::NotPositiveDefinite } else { QpStatus::NonFinite };
             }
-            match self.follow(qp, !is_first) {
+            match self.follow(!is_first) {
                 Followed::Whole => {}
                 Followed::Part => continue,
                 Followed::NotFinite => return QpStatus::NonFinite,
             }
-            self.update_gradient(qp);
+            self.update_gradient();
             if self.release() {
                 continue;
+            }
+            if self.is_well_conditioned() {
+                self.certify(qp);
+                return QpStatus::Solved;
             }
             // One step of iterative refinement: same factor, gradient fresh from the data. Not even an answer
             // that is certified to 2 ε goes without: where H is ill-conditioned x would be wrong by 1e-7 of its
@@ -264,7 +268,7 @@ impl PrimalActiveSet {
                 self.certify(qp);
                 return QpStatus::Solved;
             }
-            if self.follow(qp, true) == Followed::Whole {
+            if self.follow(true) == Followed::Whole {
                 self.certify(qp);
                 return QpStatus::Solved;
             }
@@ -279,9 +283,9 @@ impl PrimalActiveSet {
     }
 
     /// `gradient = H y + g`, from the data every time: running updates would keep their rounding.
-    fn update_gradient(&mut self, qp: &QpProblem) {
+    fn update_gradient(&mut self) {
         self.gradient.copy_from_slice(&self.scaled.g);
-        self.scaled.add_hessian_times(qp, &self.y, &mut self.work, &mut self.gradient);
+        self.scaled.add_hessian_times(&self.y, &mut self.gradient);
     }
 
     /// Lets go of every bound whose multiplier has the wrong sign; `false` if there is none.
@@ -312,83 +316,58 @@ impl PrimalActiveSet {
     /// ```text
     /// H_FF y_F = −(g_F + H_FB y_B),   given the gradient   H_FF (y_F − y_F,now) = −gradient_F
     /// ```
-    fn aim(&mut self, qp: &QpProblem, is_first: bool) -> bool {
+    fn aim(&mut self, is_first: bool) -> bool {
         let (n, ld) = (self.n, self.n + 1);
-        let h = qp.h.as_slice();
-        self.work.fill(0.0);
-        for (j, side) in self.side.iter().enumerate() {
-            self.weights[j] = self.scaled.s[j];
-            if *side != Side::Free {
-                self.weights[j] = 0.0;
-            }
-            if *side != Side::Free && is_first {
-                linalg::add_scaled(&mut self.work, self.y[j] * self.scaled.s[j], &h[j * n..][..n]);
+        let h = &self.scaled.h;
+        self.free.clear();
+        self.free.extend((0..n).filter(|&j| self.side[j] == Side::Free));
+        self.target.copy_from_slice(&self.y);
+        if is_first {
+            self.gradient.copy_from_slice(&self.scaled.g);
+            for j in (0..n).filter(|&j| self.side[j] != Side::Free) {
+                linalg::add_scaled(&mut self.gradient, self.y[j], &h[j * n..][..n]);
             }
         }
-        // Columns left of the first change keep their values, but for the rows of what changed.
-        let is_changed = |(side, factored): (&Side, &Option<bool>)| *factored != Some(*side == Side::Free);
-        let kept = self.side.iter().zip(&self.factored).position(is_changed).unwrap_or(n);
-        let kept = linalg::resumable(kept);
-        if kept < n {
-            let weights = &self.weights[kept..];
-            let to = &mut self.factor[kept * ld + kept..];
-            linalg::scale_symmetric(&h[kept * n + kept..], n, weights, to, ld);
-        }
-        for i in 0..n {
-            let is_free = self.side[i] == Side::Free;
-            if i >= kept && !is_free {
-                self.factor[i * ld + i] = 1.0;
+        let m = self.free.len();
+        for (place, &j) in self.free.iter().enumerate() {
+            let (from, to) = (&h[j * n..][..n], &mut self.factor[place * ld..][..=m]);
+            for (to, &i) in to[place..].iter_mut().zip(&self.free[place..]) {
+                *to = from[i];
             }
-            let right = match (is_free, is_first) {
-                (true, true) => -(self.scaled.g[i] + self.scaled.s[i] * self.work[i]),
-                (true, false) => -self.gradient[i],
-                (false, true) => self.y[i],
-                (false, false) => 0.0,
-            };
-            self.target[i] = right;
-            self.factor[i * ld + n] = right;
-            if i >= kept && kept > 0 && self.factored[i] != Some(is_free) {
-                for k in 0..kept {
-                    self.step[k] = h[k * n + i] * (self.weights[k] * self.weights[i]);
-                }
-                self.set_row(i, kept);
-            }
-            self.factored[i] = Some(is_free);
+            to[m] = -self.gradient[j];
         }
-        self.step.copy_from_slice(&self.target);
-        self.set_row(n, kept);
-        if !linalg::cholesky_resume_in_place(&mut self.factor, kept, n, ld, ld) {
+        if !linalg::cholesky_in_place(&mut self.factor, m, m + 1, ld) {
             return false;
         }
-        for (target, column) in self.target.iter_mut().zip(self.factor.chunks_exact(n + 1)) {
-            *target = column[n];
+        let steps = &mut self.work[..m];
+        for (step, column) in steps.iter_mut().zip(self.factor.chunks_exact(ld)) {
+            *step = column[m];
         }
-        linalg::solve_lower_transposed_in_place(&self.factor, n, n + 1, &mut self.target);
-        if !is_first {
-            linalg::add_scaled(&mut self.target, 1.0, &self.y);
+        linalg::solve_lower_transposed_in_place(&self.factor, m, ld, steps);
+        for (&j, step) in self.free.iter().zip(steps) {
+            self.target[j] = if is_first { *step } else { self.y[j] + *step };
         }
         true
     }
 
-    /// Writes `L⁻¹ step` of the first `kept` columns to row i of the factor.
-    fn set_row(&mut self, i: usize, kept: usize) {
-        let ld = self.n + 1;
-        let entries = &mut self.step[..kept];
-        linalg::solve_lower_in_place(&self.factor, kept, ld, entries);
-        for (column, entry) in self.factor.chunks_exact_mut(ld).zip(entries) {
-            column[i] = *entry;
-        }
+    /// Whether no pivot of the factor, out of a diagonal between 1 and 4, is below [`PIVOT_MIN`].
+    fn is_well_conditioned(&self) -> bool {
+        let mut reciprocals = self.factor.iter().step_by(self.n + 2).take(self.free.len());
+        reciprocals.all(|reciprocal| reciprocal * reciprocal <= 1.0 / PIVOT_MIN)
     }
 
     /// Sets the target to `y − H_FF⁻¹ gradient_F`, with the factor at hand.
     fn correct(&mut self) {
-        for ((step, q), side) in self.step.iter_mut().zip(&self.gradient).zip(&self.side) {
-            *step = if *side == Side::Free { -q } else { 0.0 };
+        let (m, ld) = (self.free.len(), self.n + 1);
+        let steps = &mut self.work[..m];
+        for (step, &j) in steps.iter_mut().zip(&self.free) {
+            *step = -self.gradient[j];
         }
-        linalg::solve_lower_in_place(&self.factor, self.n, self.n + 1, &mut self.step);
-        linalg::solve_lower_transposed_in_place(&self.factor, self.n, self.n + 1, &mut self.step);
-        for ((target, y), step) in self.target.iter_mut().zip(&self.y).zip(&self.step) {
-            *target = y + step;
+        linalg::solve_lower_in_place(&self.factor, m, ld, steps);
+        linalg::solve_lower_transposed_in_place(&self.factor, m, ld, steps);
+        self.target.copy_from_slice(&self.y);
+        for (step, &j) in steps.iter().zip(&self.free) {
+            self.target[j] += step;
         }
     }
 
@@ -403,7 +382,7 @@ impl PrimalActiveSet {
     /// Follows the bent step to the first minimum of the objective on it, and holds the variables that
     /// met a bound. The whole of it if the target is inside the bounds: `y` is then the minimiser for its
     /// working set. Also if nothing is left to gain but rounding, so that no pass leaves everything as it was.
-    fn follow(&mut self, qp: &QpProblem, is_gradient_known: bool) -> Followed {
+    fn follow(&mut self, is_gradient_known: bool) -> Followed {
         let bounds = self.scaled.lower.iter().zip(&self.scaled.upper);
         // No branch in the loop, so that it vectorises.
         #[allow(clippy::needless_bitwise_bool, reason = "`&&` branches")]
@@ -415,12 +394,12 @@ impl PrimalActiveSet {
             return Followed::Whole;
         }
         if !is_gradient_known {
-            self.update_gradient(qp);
+            self.update_gradient();
         }
         if !self.gradient.iter().chain(&self.target).all(|value| value.is_finite()) {
             return Followed::NotFinite;
         }
-        let Scaled { s, lower, upper, .. } = &self.scaled;
+        let Scaled { h, lower, upper, .. } = &self.scaled;
         let points = self.target.iter().zip(&self.y).zip(lower.iter().zip(upper));
         for ((t, d), ((target, y), (lower, upper))) in self.meets.iter_mut().zip(&mut self.step).zip(points) {
             *d = target - y;
@@ -428,7 +407,7 @@ impl PrimalActiveSet {
             *t = if *d == 0.0 { f64::INFINITY } else { room / *d };
         }
         self.h_step.fill(0.0);
-        self.scaled.add_hessian_times(qp, &self.step, &mut self.work, &mut self.h_step);
+        self.scaled.add_hessian_times(&self.step, &mut self.h_step);
         let mut t = 0.0;
         let mut met_any = false;
         // Each turn but the last holds one more variable.
@@ -458,10 +437,7 @@ impl PrimalActiveSet {
                 if d > 0.0 { (Side::Upper, upper[i]) } else { (Side::Lower, lower[i]) };
             self.step[i] = 0.0;
             self.meets[i] = f64::INFINITY;
-            let column = &qp.h.as_slice()[i * self.n..][..self.n];
-            for ((h_step, entry), s_row) in self.h_step.iter_mut().zip(column).zip(s) {
-                *h_step -= d * (entry * (s_row * s[i]));
-            }
+            linalg::add_scaled(&mut self.h_step, -d, &h[i * self.n..][..self.n]);
         }
         if met_any { Followed::Part } else { Followed::Whole }
     }

@@ -3,13 +3,13 @@
 use super::{QpProblem, QpStatus};
 use crate::linalg;
 
-/// Linear term and bounds in `y_i = x_i / s_i` with `s_i ≈ 1/√H_ii` (Jacobi scaling), so that thrust rates
-/// and joint velocities weigh the same; the Hessian is then `s_i H_ij s_j`. `s` is a power of two: the scaling
-/// itself rounds nothing.
+/// Hessian `s_i H_ij s_j`, linear term and bounds in `y_i = x_i / s_i` with `s_i ≈ 1/√H_ii` (Jacobi scaling), so
+/// that thrust rates and joint velocities weigh the same. `s` is a power of two: the scaling itself rounds nothing.
 #[derive(Debug, Clone)]
 pub(super) struct Scaled {
     pub s: Vec<f64>,
     pub inverse_s: Vec<f64>,
+    pub h: Vec<f64>,
     pub g: Vec<f64>,
     pub lower: Vec<f64>,
     pub upper: Vec<f64>,
@@ -19,7 +19,14 @@ impl Scaled {
     /// Space for `n` variables.
     pub fn new(n: usize) -> Self {
         let zeros = || vec![0.0; n];
-        Self { s: zeros(), inverse_s: zeros(), g: zeros(), lower: zeros(), upper: zeros() }
+        Self {
+            s: zeros(),
+            inverse_s: zeros(),
+            h: vec![0.0; n * n],
+            g: zeros(),
+            lower: zeros(),
+            upper: zeros(),
+        }
     }
 
     /// Scales `qp`; refuses a diagonal that is not positive.
@@ -41,23 +48,13 @@ impl Scaled {
             self.lower[j] = qp.lower[j] * self.inverse_s[j];
             self.upper[j] = qp.upper[j] * self.inverse_s[j];
         }
+        linalg::scale_symmetric(h, n, &self.s, &mut self.h, n);
         Ok(())
     }
 
-    /// Adds the scaled Hessian times `y` to `product`. `work` is space for n values.
-    pub fn add_hessian_times(&self, qp: &QpProblem, y: &[f64], work: &mut [f64], product: &mut [f64]) {
-        let n = self.s.len();
-        for ((x, y), s) in work.iter_mut().zip(y).zip(&self.s) {
-            *x = y * s;
-        }
-        // Exact: s is a power of two.
-        for (product, inverse_s) in product.iter_mut().zip(&self.inverse_s) {
-            *product *= inverse_s;
-        }
-        linalg::add_mat_vec(product, qp.h.as_slice(), n, work);
-        for (product, s) in product.iter_mut().zip(&self.s) {
-            *product *= s;
-        }
+    /// Adds the scaled Hessian times `y` to `product`.
+    pub fn add_hessian_times(&self, y: &[f64], product: &mut [f64]) {
+        linalg::add_mat_vec(product, &self.h, self.s.len(), y);
     }
 
     /// From `y` to `x` in the units of the problem, inside its bounds.
