@@ -12,7 +12,7 @@
 //! * `ClarabelSolver` (feature `clarabel`): an interior-point method that shares nothing with them but the
 //!   data. It allocates; tests compare with it, and a configuration may choose it.
 //!
-//! No answer is taken on trust: each [`QpAnswer`] carries its [`kkt_residual`], computed from the problem
+//! Every answer is checked: each [`QpAnswer`] carries its [`kkt_residual`], computed from the problem
 //! alone, and a [`QpChain`] tries its methods in order until one of them is certified.
 
 mod certificate;

@@ -1,8 +1,7 @@
-//! The robot: a tree of rigid bodies with named frames, read once, checked once, then trusted.
+//! The robot: a tree of rigid bodies with named frames, checked when it is read and constant from then on.
 //!
 //! Body 0 is the floating base; joint `i` moves body `i + 1`. Every joint stands after its ancestors:
-//! then a loop over bodies walks from the base outwards, and the same loop backwards walks from the
-//! tips inwards. [`check`] holds what the numbers of a robot must satisfy.
+//! then a loop over bodies goes from the base outwards, and the same loop backwards from the tips inwards. [`check`] holds what the numbers of a robot must satisfy.
 
 pub mod check;
 

@@ -1,7 +1,7 @@
 //! Rotations, poses and the small matrices of rigid-body kinematics.
 //!
 //! Transforms are named `a_from_b`: `p_a = a_from_b * p_b`. Frames are a suffix: `_i` inertial,
-//! `_b` body. This is the only file that knows the order of a quaternion: `wxyz`, everywhere.
+//! `_b` body. The order of a quaternion is `wxyz` everywhere, and used in this file alone.
 //!
 //! Equations M1 to M5 of `docs/model.md`.
 

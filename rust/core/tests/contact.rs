@@ -314,7 +314,7 @@ fn the_momentum_qp_on_the_ground_is_its_tasks() {
 
 /// Both feet above the threshold, or none: `f_c*` starts from what is felt and is zero otherwise.
 #[test]
-fn contact_switches_with_what_the_feet_feel() {
+fn contact_switches_with_the_measured_wrenches() {
     let mut controller = controller(|_| ());
     let state = at_rest();
     let still = Vector3::zeros();

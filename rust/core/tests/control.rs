@@ -57,6 +57,16 @@ impl Sample {
     fn tick<'a>(&self, controller: &'a mut Running) -> &'a Command {
         controller.tick(&self.measurement())
     }
+
+    /// The robot after it has moved on at its present velocity.
+    fn after(&self, time: f64) -> Self {
+        let mut moved = self.clone();
+        let turn = flight_core::spatial::exp_so3(&(self.state.base_angular_velocity() * time));
+        moved.state.base.rotation = turn * self.state.base.rotation;
+        moved.state.base.position += self.state.base_linear_velocity() * time;
+        moved.state.joint_position += self.state.velocity.rows_range(6..) * time;
+        moved
+    }
 }
 
 /// Everything commanded, in one vector.
@@ -647,14 +657,7 @@ fn lambda_is_the_derivative_of_the_momentum_rate() {
         sample.state = random_state(&mut rng, controller.model());
         sample.thrust.iter_mut().for_each(|thrust| *thrust = rng.random_range(10.0..150.0));
         let mut estimate = |time: f64| {
-            let mut moved = sample.clone();
-            let omega = sample.state.base_angular_velocity();
-            moved.state.base.rotation =
-                flight_core::spatial::exp_so3(&(omega * time)) * sample.state.base.rotation;
-            moved.state.base.position += sample.state.base_linear_velocity() * time;
-            let joints = sample.state.velocity.rows(6, 23) * time;
-            moved.state.joint_position += joints;
-            moved.tick(&mut controller);
+            sample.after(time).tick(&mut controller);
             controller.terms().momentum.rate_estimate
         };
         let difference = (estimate(STEP) - estimate(-STEP)) / (2.0 * STEP);
@@ -681,14 +684,7 @@ fn lambda_a_is_the_derivative_of_the_aerodynamic_moment() {
         let lambda = &controller.terms().momentum.lambda_a * &sample.state.velocity;
         let forces = controller.terms().link_forces.forces_i.clone();
         let mut moment = |time: f64| {
-            let mut moved = sample.clone();
-            let omega = sample.state.base_angular_velocity();
-            moved.state.base.rotation =
-                flight_core::spatial::exp_so3(&(omega * time)) * sample.state.base.rotation;
-            moved.state.base.position += sample.state.base_linear_velocity() * time;
-            let joints = sample.state.velocity.rows(6, 23) * time;
-            moved.state.joint_position += joints;
-            moved.tick(&mut controller);
+            sample.after(time).tick(&mut controller);
             let terms = controller.terms();
             let arms = terms.link_forces.arm_points_i.iter().zip(&forces);
             arms.map(|(p, f)| (p - terms.kinematics.com).cross(f)).sum::<Vector3<f64>>()

@@ -57,7 +57,7 @@ fn shapes() -> [(&'static str, Shape); 5] {
 
 /// Answers of the JAX network, in both precisions; `tests/data/make_network.py` wrote them.
 #[test]
-fn a_network_says_what_jax_says() {
+fn a_network_has_the_outputs_of_jax() {
     let robot = robot("ironcub_mk1");
     let text = std::fs::read_to_string(data("tests/data/network_small_areas.json")).unwrap();
     let cases: Vec<Value> = serde_json::from_str(&text).unwrap();

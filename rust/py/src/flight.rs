@@ -163,8 +163,8 @@ pub fn fly_batch(
         done.store(finished, Ordering::Relaxed);
         if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
-    // Python hears of signals only in the thread that called us, so that thread waits and asks while
-    // another one flies. A flight under way when Python says stop is the last of its thread.
+    // Python handles signals only in the thread that called this function, so that thread waits and checks for
+    // them while another one flies. A flight under way at an interrupt is the last of its thread.
     let results = py
         .detach(|| {
             std::thread::scope(|scope| {
@@ -195,7 +195,7 @@ pub fn fly_batch(
     results.into_iter().enumerate().map(convert).collect()
 }
 
-/// Tells Python about progress now and then, and remembers what it raised.
+/// Calls Python's progress callback now and then, and keeps the exception it raised.
 struct Reporter {
     progress: Option<Py<PyAny>>,
     last: Instant,

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// The plane z = 0 under the robot's feet. Only engines that know contact fly a world that has it.
+/// The plane z = 0 under the robot's feet. Only engines that simulate contact fly a world that has it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct GroundConfig {

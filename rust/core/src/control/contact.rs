@@ -1,9 +1,9 @@
 //! Feet on the ground: when they carry, what they carry, and what they may carry.
 //!
 //! ```text
-//! carrying        every foot feels more than a threshold of vertical force
+//! carrying        the vertical force on every foot exceeds a threshold
 //! feet stay       J_c ν = 0,   J_c ν̇ + J̇_c ν = 0
-//! f_c*            ∫ ḟ_c* dt, from what the feet felt when they began to carry
+//! f_c*            ∫ ḟ_c* dt, from the measured wrenches when they began to carry
 //! ```
 //!
 //! `f_c*` is the integral of the momentum QP's own answer, not a measurement: it is the estimate in the

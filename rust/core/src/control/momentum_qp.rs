@@ -137,7 +137,7 @@ pub struct Equations<'a> {
     pub unknowns: &'a Unknowns,
 }
 
-/// An objective of the momentum QP. `update` runs in the tick: it must not allocate, and remembers nothing.
+/// An objective of the momentum QP. `update` runs in the tick: it must not allocate, and has no state.
 pub trait Task: Debug + Send + Sync {
     /// What it is called; no two tasks of a controller are called the same.
     fn name(&self) -> &'static str;

@@ -113,8 +113,8 @@ pub struct StandingTick {
     pub torque_qp: QpProblem,
 }
 
-/// Ten seconds of standing in a side wind that rises to 15 m/s and that only the controller knows of. There
-/// is no ground here: the joints sway by a degree, the feet feel the weight shift from one to the other.
+/// Ten seconds of standing in a side wind that rises to 15 m/s and that only the controller is given. There
+/// is no ground here: the joints sway by a degree, the measured weight shifts from one foot to the other.
 pub fn standing() -> Result<Vec<StandingTick>, BuildError> {
     let config = configuration("balancing_lateral")?;
     let mut controller = controller(&config)?;
