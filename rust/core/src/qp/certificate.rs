@@ -13,17 +13,17 @@ use crate::linalg;
 ///
 /// ```text
 /// condition of the scaled H         1        1e3      1e6      1e9      1e12
-/// residual, primal method           3e-16    3e-16    4e-16    4e-16    TWELVE_KKT
-/// residual, dual method             4e-16    2e-15    1e-12    3e-13    TWELVE_DUAL
-/// error, primal method              3e-16    1e-14    2e-11    1e-8     TWELVE_ERR
-/// worst error that is accepted      2e-8     5e-6     3e-3     0.4      TWELVE_ACC
-/// and what it costs / size²         6e-16    1e-13    7e-11    8e-9     TWELVE_COST
+/// residual, primal method           3e-16    3e-16    4e-16    4e-16    5e-16
+/// residual, dual method             4e-16    2e-15    1e-12    3e-13    7e-16
+/// error, primal method              3e-16    1e-14    2e-11    1e-8     2e-5
+/// worst error that is accepted      2e-8     5e-6     3e-3     0.4      0.8
+/// and what it costs / size²         6e-16    1e-13    7e-11    8e-9     2e-9
 /// ```
 ///
 /// The methods stay four decades below the limit, so it refuses no answer of theirs; where the dual method fails
-/// (4 problems in 60 at 1e9) its residual says so. The momentum QP in flight has a condition of 2e5 and the torque QP
-/// of 2e4: an answer at the limit would be wrong by a thousandth of the largest step, at a cost that shows in no
-/// digit that a flight depends on. Refusing it would command nothing at all, so a finer limit would be no safer.
+/// (4 problems in 60 at 1e9, 12 at 1e12) its residual says so. The momentum QP in flight has a condition of 2e5, the
+/// torque QP of 2e4, on the ground of 5e8: in flight an answer at the limit would be wrong by a thousandth of the
+/// largest step, at a cost of 1e-11. Refusing it would command nothing at all, so a finer limit would be no safer.
 pub const KKT_TOLERANCE: f64 = 1.490_116_119_384_765_6e-8;
 
 /// How a solve ended. The codes of [`QpStatus::code`] are for logs and never change meaning.
