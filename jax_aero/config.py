@@ -137,6 +137,15 @@ class BoundsConfig(Table, frozen=True, kw_only=True):
     """Steepness at the thrust limits [1/N]."""
 
 
+class ChannelConfig(Table, frozen=True, kw_only=True):
+    """One kind of measurement."""
+
+    delay: Annotated[float, Meta(ge=0, le=0.2)] = 0.0
+    """Age of the measurement when it comes, rounded to ticks [s]."""
+    time_constant: NonNegative = 0.0
+    """Time in which the estimate follows it [s]; zero takes it as it comes."""
+
+
 class WrenchLimits(Table, frozen=True, kw_only=True):
     """What the wrench of every foot may be, in sole axes about the sole's origin; where its centre of pressure may be
     stands with the robot's foot.
@@ -173,6 +182,25 @@ class ContactConfig(Table, frozen=True, kw_only=True):
     """Weight of `ḟ_c → 0` in the momentum QP."""
     wrench: WrenchLimits
     """What the wrench of a foot may be."""
+
+
+class EstimatorConfig(Table, frozen=True, kw_only=True):
+    """How old the measurements are, and how much they are trusted."""
+
+    base_angular_velocity: ChannelConfig = ChannelConfig()
+    """Gyroscopes."""
+    base_linear_velocity: ChannelConfig = ChannelConfig()
+    """Velocity of the base origin."""
+    base_position: ChannelConfig = ChannelConfig()
+    """Position of the base origin."""
+    base_rotation: ChannelConfig = ChannelConfig()
+    """Rotation of the base."""
+    joint_position: ChannelConfig = ChannelConfig()
+    """Joint positions."""
+    joint_velocity: ChannelConfig = ChannelConfig()
+    """Joint velocities."""
+    thrust: ChannelConfig = ChannelConfig()
+    """Thrusts."""
 
 
 JacobianOffset: TypeAlias = Literal["link_rotation", "base_rotation"]
@@ -326,6 +354,8 @@ class ControllerSection(Table, frozen=True, kw_only=True):
     """Bounds of the momentum QP."""
     contact: ContactConfig | None = None
     """What it takes to stand on the ground; without it the controller knows no feet."""
+    estimator: EstimatorConfig | None = None
+    """Estimates the state from what is measured; without it the controller is given the measurements."""
     jacobian_offset: JacobianOffset = "link_rotation"
     """Point whose Jacobian carries link forces (in `Λ_a` and the torque law)."""
     lever_arm: LeverArm = "rotated"
@@ -569,6 +599,19 @@ class EkfConfig(Table, frozen=True, kw_only=True):
     """
 
 
+class EncoderConfig(Table, frozen=True, kw_only=True):
+    """Encoders of the joints."""
+
+    delay: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    """Age of what is measured, rounded to ticks [s]."""
+    resolution: NonNegative = 0.0
+    """Step of the positions [rad, m]; zero for none."""
+    velocity_time_constant: NonNegative | None = None
+    """Velocities are differences of positions behind a first-order low pass of this time constant [s]; without it they
+    are measured as such.
+    """
+
+
 Engine: TypeAlias = Literal["rust", "jax", "mujoco"]
 """Who flies a configuration.
 
@@ -688,6 +731,47 @@ class MotorsConfig(Table, frozen=True, kw_only=True):
     """Rotor inertia seen at every joint [kg m²]."""
 
 
+class SensorConfig(Table, frozen=True, kw_only=True):
+    """A sensor with three axes, in the unit of what it measures."""
+
+    bias: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Added to every measurement."""
+    delay: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    """Age of what is measured, rounded to ticks [s]."""
+    noise_std: NonNegative = 0.0
+    """Standard deviation of white noise on every axis, drawn anew each tick."""
+
+
+class ThrustSensorConfig(Table, frozen=True, kw_only=True):
+    """Thrust sensors, all alike."""
+
+    bias: float = 0.0
+    """Added to every measurement [N]."""
+    delay: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    """Age of what is measured, rounded to ticks [s]."""
+    noise_std: NonNegative = 0.0
+    """Standard deviation of white noise on every jet, drawn anew each tick [N]."""
+
+
+class SensorsConfig(Table, frozen=True, kw_only=True):
+    """Sensors of the robot's own state; exact unless something is said of them."""
+
+    base_angular_velocity: SensorConfig = SensorConfig()
+    """Gyroscopes [rad/s, base axes]; the measured rotation turns them into inertial axes."""
+    base_linear_velocity: SensorConfig = SensorConfig()
+    """Velocity of the base origin [m/s, inertial axes]."""
+    base_position: SensorConfig = SensorConfig()
+    """Position of the base origin [m, inertial axes]."""
+    base_rotation: SensorConfig = SensorConfig()
+    """Rotation of the base; bias and noise turn it about its own axes [rad]."""
+    joints: EncoderConfig = EncoderConfig()
+    """Joints."""
+    seed: Annotated[int, Meta(ge=0)] = 0
+    """Seed of all their noise."""
+    thrust: ThrustSensorConfig = ThrustSensorConfig()
+    """Thrust of every jet."""
+
+
 class SimulatorConfig(Table, frozen=True, kw_only=True):
     """The world the robot flies in."""
 
@@ -721,6 +805,8 @@ class SimulatorConfig(Table, frozen=True, kw_only=True):
     """Point at which link forces act."""
     motors: MotorsConfig | None = None
     """Friction and inertia of the motors; without them, ideal torques."""
+    sensors: SensorsConfig | None = None
+    """Sensors of the robot's own state; without them the controller is given the state itself."""
     substeps: Annotated[int, Meta(ge=1, le=1000)] = 1
     """Physics steps within a tick; forces that depend on the state follow it, commands are held."""
     time_step: Annotated[float, Meta(gt=0, le=1)]

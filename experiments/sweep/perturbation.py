@@ -13,10 +13,20 @@ import numpy as np
 
 from jax_aero import keys, tables
 
-SEED_KEYS = ("wind.seed", "disturbances.wind_estimate.seed", "disturbances.jets.measurement_noise.seed")
+SEED_KEYS = (
+    "wind.seed",
+    "disturbances.wind_estimate.seed",
+    "disturbances.jets.measurement_noise.seed",
+    "simulator.sensors.seed",
+)
 """Keys that get a seed of their own in every repeat, where their table is there and made of chance."""
 
-CHANCE = {"wind": ("time_scale",), "disturbances.wind_estimate": (), "disturbances.jets.measurement_noise": ()}
+CHANCE = {
+    "wind": ("time_scale",),
+    "disturbances.wind_estimate": (),
+    "disturbances.jets.measurement_noise": (),
+    "simulator.sensors": (),
+}
 """Keys that mark a table of random numbers."""
 
 

@@ -23,18 +23,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jax_aero.aero import AeroModel, ReadNetwork
+from jax_aero.aero import AeroModel, ReadNetwork, aero_model, weighted
 from jax_aero.aero.network_card import load_network
 from jax_aero.config import ModelError, ScenarioConfig
+from jax_aero.control import estimator as estimating
+from jax_aero.control import wind_observer as wind_observing
+from jax_aero.control.estimator import Estimator, EstimatorState, Order, Reading
 from jax_aero.control.protocol import Command, Controller, Measurement
 from jax_aero.control.tick import momentum_controller
+from jax_aero.control.wind_observer import WindObserver, WindState
 from jax_aero.control.wind_estimate import WindEstimate, measured_wind, wind_estimate
 from jax_aero.io import scenario_config
 from jax_aero.jet_faults import known_limits
 from jax_aero.jets import JetDynamics
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.sim import plant as world
+from jax_aero.sim import sensors as sensing
 from jax_aero.sim.plant import Observation, Plant, PlantState
+from jax_aero.sim.sensors import Sensors, SensorState
 from jax_aero.sim.wind import Wind, wind_model, wind_velocity
 from jax_aero.spatial import multiply, rotation_angle, rpy_from_rotation, safe_norm, wxyz_from_rotation
 from jax_aero.types import Array, State, Static, leaf, leaves, pytree, where, with_dtype
@@ -105,6 +111,12 @@ class Scenario:
     """Wind that the controller measures in place of the one that blows."""
     wind_estimate: WindEstimate | None
     """Errors of the measured wind; `None` if it is measured exactly."""
+    sensors: Sensors | None
+    """Errors of what is measured of the robot; `None` if its state is known exactly."""
+    estimator: Estimator | None
+    """Between what is measured and the controller, where there is one."""
+    wind_observer: WindObserver | None
+    """What tells the controller the wind in place of the wind; `None` where it is told."""
     n_ticks: Int[Array, ""]
     """Number of ticks after the one at time zero."""
     precision: Static[str]
@@ -119,6 +131,12 @@ class FlightState(NamedTuple):
     """State of the controller."""
     measured_wind: Float[Array, "3"]
     """Of the last tick [m/s]."""
+    sensors: SensorState | None
+    """`None` where sensors are exact."""
+    estimator: EstimatorState | None
+    """`None` where there is no estimator."""
+    wind_observer: WindState | None
+    """`None` where the controller is told the wind."""
     loss: Int[Array, ""]
     """`FLYING`, or by which criterion the flight was lost."""
     loss_size: Float[Array, ""]
@@ -155,6 +173,13 @@ class FlightRow(NamedTuple):
     momentum_setpoint: Array
     momentum_rate_estimate: Array
     unmodelled_wrench: Array
+    measured_base_position: Array
+    measured_base_quaternion: Array
+    measured_base_velocity: Array
+    measured_joint_velocity: Array
+    measured_thrust: Array
+    measured_wind: Array
+    measured_wind_std: Array
     qp_status: Array
     qp_kkt: Array
     qp_iterations: Array
@@ -221,6 +246,9 @@ def prepare(
         controller_model=controller_model(config, robot),
         controller_wind=controller_wind,
         wind_estimate=errors,
+        sensors=_sensors(config, plant, ticks),
+        estimator=_estimator(config, plant, read_network),
+        wind_observer=_wind_observer(config, plant, read_network),
         n_ticks=jnp.array(ticks, jnp.int32),
         precision="",
     )
@@ -231,6 +259,30 @@ def prepare(
 def in_precision(scenario: Scenario, state: FlightState, dtype: Any) -> tuple[Scenario, FlightState]:
     """Return both with all numbers of this floating-point type."""
     return with_dtype((replace(scenario, precision=np.dtype(dtype).name), state), dtype)
+
+
+def _sensors(config: ScenarioConfig, plant: Plant, ticks: int) -> Sensors | None:
+    settings = config.simulator.sensors
+    return None if settings is None else sensing.sensors(settings, plant.time_step, ticks, plant.robot.jets.count)
+
+
+def _estimator(config: ScenarioConfig, plant: Plant, read_network: ReadNetwork) -> Estimator | None:
+    settings = config.controller.estimator
+    if settings is None:
+        return None
+    return estimating.estimator(settings, _controller_aero(config, plant.robot, read_network), plant.time_step)
+
+
+def _wind_observer(config: ScenarioConfig, plant: Plant, read_network: ReadNetwork) -> WindObserver | None:
+    settings = config.controller.wind_observer
+    if settings is None:
+        return None
+    return wind_observing.wind_observer(settings, _controller_aero(config, plant.robot, read_network), plant.time_step)
+
+
+def _controller_aero(config: ScenarioConfig, robot: RobotModel, read_network: ReadNetwork) -> AeroModel:
+    aero = aero_model(config.controller.aero, robot, read_network)
+    return weighted(aero, config.disturbances.aero_estimate, robot, "disturbances.aero_estimate")
 
 
 def _winds(wind: Wind, ticks: int, time_step: Array) -> Array:
@@ -258,10 +310,20 @@ def begin(scenario: Scenario, plant: PlantState) -> FlightState:
     # A state that physics excludes is lost at once, and must not spoil derivatives before that.
     divergence, _ = _divergence(scenario, plant, jnp.zeros_like(plant.robot.velocity[:3]))
     first = where(divergence == FLYING, plant, world.at_rest(plant))
+    seen, before = Reading(first.robot, scenario.plant.jets.feedback(first.jets)), None
+    if scenario.sensors is not None:
+        before = sensing.start(scenario.sensors, seen)
+        _, seen = sensing.read(scenario.sensors, before, seen, jnp.array(0))
+    estimator = None
+    if scenario.estimator is not None:
+        estimator = estimating.start(scenario.estimator, seen)
     return FlightState(
         plant=plant,
-        controller=_init(scenario.controller, robot, first.robot),
+        controller=_init(scenario.controller, robot, seen.state),
         measured_wind=jnp.zeros_like(plant.robot.velocity[:3]),
+        sensors=before,
+        estimator=estimator,
+        wind_observer=None if scenario.wind_observer is None else wind_observing.start(scenario.wind_observer),
         loss=jnp.array(FLYING, jnp.int32),
         loss_size=jnp.zeros_like(plant.robot.velocity[0]),
         loss_tick=jnp.array(-1, jnp.int32),
@@ -292,17 +354,34 @@ def step(scenario: Scenario, state: FlightState, tick: Array) -> tuple[FlightSta
     now, air = where(is_sound, (state.plant, wind), (at_rest, jnp.zeros_like(wind)))
 
     given = air if scenario.controller_wind is None else wind_velocity(scenario.controller_wind, time)
-    measured = given if scenario.wind_estimate is None else _measured_wind(scenario, state, tick)
+    told = given if scenario.wind_estimate is None else _measured_wind(scenario, state, tick)
+    wind_seen, measured, wind_std = state.wind_observer, told, jnp.zeros_like(wind)
+    if wind_seen is not None:
+        measured, wind_std = wind_seen.wind, jnp.sqrt(jnp.diag(wind_seen.covariance))
     model = plant.robot if scenario.controller_model is None else scenario.controller_model
-    measurement = Measurement(time, now.robot, plant.jets.feedback(now.jets), measured)
+    said, sensors = Reading(now.robot, plant.jets.feedback(now.jets)), state.sensors
+    if scenario.sensors is not None and sensors is not None:
+        sensors, said = sensing.read(scenario.sensors, sensors, said, tick)
+    estimator = state.estimator
+    if scenario.estimator is not None and estimator is not None:
+        estimator, said = estimating.update(scenario.estimator, model, estimator, said, measured)
+    measurement = Measurement(time, said.state, said.thrust, measured)
     memory, command = scenario.controller.step(model, state.controller, measurement)
+    if scenario.wind_observer is not None and wind_seen is not None and command.terms is not None:
+        wind_seen = wind_observing.update(
+            scenario.wind_observer, model, wind_seen, command.terms, measurement.thrust, measurement.time
+        )
+    if estimator is not None:
+        terms = command.terms
+        unmodelled = jnp.zeros(6) if terms is None else terms.momentum.unmodelled_wrench
+        estimator = estimating.command(estimator, Order(command.joint_torque, command.thrust_rate, unmodelled))
     seen = _observe(scenario, now, command, air)
 
     rotation_error, com_error = jnp.zeros(()), jnp.zeros(())
     if command.setpoint is not None:
         rotation_error = rotation_angle(multiply(command.setpoint.rotation.T, now.robot.base_rotation))
         com_error = safe_norm(seen.kinematics.com - command.setpoint.com_position)
-    row = _nan_unless(is_sound, _row(time, wind, now, command, seen, rotation_error))
+    row = _nan_unless(is_sound, _row(time, wind, now, measurement, wind_std, command, seen, rotation_error))
     robot = state.plant.robot
     row = row._replace(
         time=time,
@@ -323,7 +402,10 @@ def step(scenario: Scenario, state: FlightState, tick: Array) -> tuple[FlightSta
     after = FlightState(
         plant=where(goes_on, moved, state.plant),
         controller=where(goes_on, memory, state.controller),
-        measured_wind=measured,
+        measured_wind=told,
+        sensors=sensors,
+        estimator=estimator,
+        wind_observer=wind_seen,
         loss=jnp.where(lost_now, loss, state.loss),
         loss_size=jnp.where(lost_now, size, state.loss_size),
         loss_tick=jnp.where(lost_now, tick.astype(jnp.int32), state.loss_tick),
@@ -367,9 +449,12 @@ def _measured_wind(scenario: Scenario, state: FlightState, tick: Array) -> Array
 
 
 def _observe(scenario: Scenario, state: PlantState, command: Command, wind: Array) -> Observation:
-    """Observe the plant; what the controller computed for the same robot is not computed again."""
+    """Observe the plant; what the controller computed for the same robot in the same state is not computed again."""
     plant, terms = scenario.plant, command.terms
-    if terms is None or scenario.controller_model is not None or plant.backend != "tree":
+    is_another = (
+        scenario.controller_model is not None or scenario.sensors is not None or scenario.estimator is not None
+    )
+    if terms is None or is_another or plant.backend != "tree":
         return world.observe(plant, state, wind)
     return world.observe(plant, state, wind, (terms.kinematics, terms.dynamics))
 
@@ -412,6 +497,8 @@ def _row(
     time: Array,
     wind: Array,
     state: PlantState,
+    measurement: Measurement,
+    wind_std: Array,
     command: Command,
     seen: Observation,
     rotation_error: Array,
@@ -459,6 +546,13 @@ def _row(
         ),
         momentum_rate_estimate=(jnp.full_like(momentum, jnp.nan) if terms is None else terms.momentum.rate_estimate),
         unmodelled_wrench=(jnp.full_like(momentum, jnp.nan) if terms is None else terms.momentum.unmodelled_wrench),
+        measured_base_position=measurement.state.base_position,
+        measured_base_quaternion=wxyz_from_rotation(measurement.state.base_rotation),
+        measured_base_velocity=measurement.state.velocity[:6],
+        measured_joint_velocity=measurement.state.velocity[6:],
+        measured_thrust=measurement.thrust,
+        measured_wind=measurement.wind,
+        measured_wind_std=wind_std,
         qp_status=of_qps("status", time.dtype),
         qp_kkt=of_qps("kkt", time.dtype),
         qp_iterations=of_qps("iterations", time.dtype),

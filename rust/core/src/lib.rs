@@ -7,7 +7,8 @@
 //!
 //! Each arrow is one plain struct, filled once per tick and passed on. Modules, each using only those
 //! before it: [`error`] · [`spatial`] · [`linalg`] · [`robot`] · [`kinematics`] · [`dynamics`] ·
-//! [`aero`] · [`jets`] · [`control`].
+//! [`aero`] · [`jets`] · [`control`] · [`estimator`] ·
+//! [`wind_observer`].
 //!
 //! SI units and radians; vectors and Jacobians in inertial axes unless a suffix says otherwise.
 
@@ -17,16 +18,20 @@ pub mod aero;
 pub mod control;
 pub mod dynamics;
 pub mod error;
+pub mod estimator;
 pub mod jets;
 pub mod kinematics;
 pub mod linalg;
 pub mod qp;
 pub mod robot;
 pub mod spatial;
+pub mod wind_observer;
 
 pub use nalgebra;
 
 pub use control::{Command, Controller, Measurement};
 pub use error::BuildError;
+pub use estimator::{Estimator, Reading};
 pub use kinematics::RobotState;
 pub use robot::RobotModel;
+pub use wind_observer::WindObserver;

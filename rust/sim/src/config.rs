@@ -3,14 +3,15 @@
 use crate::disturbances::Disturbances;
 use crate::ground::{GroundConfig, MotorsConfig};
 use crate::jets::JetsConfig;
+use crate::sensors::SensorsConfig;
 use crate::signals::SIGNALS;
 use crate::wind::WindConfig;
-use flight_core::Controller;
-use flight_core::aero::LeverArm;
+use flight_core::aero::{AeroModel, LeverArm};
 use flight_core::error::{BuildError, check};
 use flight_core::kinematics::RobotState;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::{Pose, rotation_from_rpy};
+use flight_core::{Controller, Estimator, WindObserver};
 use flight_io::{
     AeroConfig, ControllerSection, MissionConfig, RobotFile, Schema, from_value, load, load_aero,
     load_mission,
@@ -59,13 +60,50 @@ impl ScenarioConfig {
     /// # Errors
     /// [`BuildError`] naming what in the configuration cannot be used.
     pub fn controller(&self, robot: RobotModel) -> Result<Controller, BuildError> {
-        let ControllerSection { aero, law } = &self.controller;
+        let ControllerSection { aero, law, .. } = &self.controller;
         let robot = self.disturbances.controller_robot(robot)?;
         // First, so that gains of another robot are named before its missing coefficients.
         law.check(&robot)?;
         let factors = &self.disturbances.aero_estimate;
         let aero = load_aero(aero, &robot)?.weighted(factors, &robot, "disturbances.aero_estimate")?;
         Controller::new(robot, aero, load_mission(&self.mission)?, law.clone(), self.simulator.time_step)
+    }
+
+    /// The state estimator of this flight of `robot`, if there is one; it has the controller's models.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming what in the configuration cannot be used.
+    pub fn estimator(&self, robot: RobotModel) -> Result<Option<Estimator>, BuildError> {
+        let Some(config) = &self.controller.estimator else {
+            return Ok(None);
+        };
+        let (robot, aero) = self.models(robot)?;
+        Estimator::new(config, robot, aero, self.simulator.time_step).map(Some)
+    }
+
+    /// What tells this flight of `robot` the wind, if it is not told; it has the controller's models.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming what in the configuration cannot be used.
+    pub fn wind_observer(&self, robot: RobotModel) -> Result<Option<WindObserver>, BuildError> {
+        let Some(config) = &self.controller.wind_observer else {
+            return Ok(None);
+        };
+        if matches!(self.controller.aero, AeroConfig::Off {}) {
+            let expected = "a model of the air: without one no force says anything of the wind";
+            return Err(BuildError::bad_value("controller.aero.model", "off", expected));
+        }
+        let (robot, aero) = self.models(robot)?;
+        WindObserver::new(config, robot, aero, self.simulator.time_step).map(Some)
+    }
+
+    /// The controller's models of `robot` and of the air.
+    fn models(&self, robot: RobotModel) -> Result<(RobotModel, AeroModel), BuildError> {
+        let robot = self.disturbances.controller_robot(robot)?;
+        let factors = &self.disturbances.aero_estimate;
+        let aero = load_aero(&self.controller.aero, &robot)?;
+        let aero = aero.weighted(factors, &robot, "disturbances.aero_estimate")?;
+        Ok((robot, aero))
     }
 }
 
@@ -142,6 +180,9 @@ pub struct SimulatorConfig {
     pub kinematics: AeroKinematics,
     /// How thrust follows the command.
     pub jets: JetsConfig,
+    /// Sensors of the robot's own state; without them the controller is given the state itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensors: Option<SensorsConfig>,
     /// The ground, where there is one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ground: Option<GroundConfig>,
@@ -307,6 +348,9 @@ impl SimulatorConfig {
             |x| 0.0 < x && x <= 180.0,
             "degrees in (0, 180]",
         )?;
+        if let Some(sensors) = &self.sensors {
+            sensors.check()?;
+        }
         if let Some(ground) = &self.ground {
             ground.check()?;
         }

@@ -16,11 +16,14 @@ use crate::config::{DivergenceConfig, DynamicsBackend, Engine, FallConfig, Scena
 use crate::disturbances::WindEstimator;
 use crate::log::{FlightLog, FlightResult, LogRow, TrackingErrors};
 use crate::plant::Plant;
+use crate::sensors::Sensors;
 use crate::summary::Summary;
 use crate::wind::Wind;
 use flight_core::control::{Controller, ControllerState, Measurement};
 use flight_core::error::BuildError;
+use flight_core::estimator::Estimator;
 use flight_core::robot::RobotModel;
+use flight_core::wind_observer::WindObserver;
 use flight_io::load_robot;
 use nalgebra::Vector3;
 use std::fmt;
@@ -119,6 +122,12 @@ pub struct Scenario {
     controller_wind: Option<Wind>,
     /// Between the wind and the controller; `None` without errors.
     wind_estimator: Option<WindEstimator>,
+    /// Between the robot's state and the controller; `None` where they are exact.
+    sensors: Option<Sensors>,
+    /// Between what is measured and the controller, where there is one.
+    estimator: Option<Estimator>,
+    /// What tells the controller the wind in place of the wind; `None` where it is told.
+    wind_observer: Option<WindObserver>,
     time_step: f64,
     n_ticks: usize,
     fall: FallConfig,
@@ -175,6 +184,16 @@ impl Scenario {
         if config.engine == Engine::Rust {
             return Self::new(config).map(|_| ());
         }
+        for (key, is_there) in [
+            ("simulator.sensors", config.simulator.sensors.is_some()),
+            ("controller.estimator", config.controller.estimator.is_some()),
+            ("controller.wind_observer", config.controller.wind_observer.is_some()),
+        ] {
+            if is_there {
+                let expected = "none: engine = \"mujoco\" tells its controller state and wind as they are";
+                return Err(BuildError::bad_value(key, "given", expected));
+            }
+        }
         if config.simulator.ground.is_none() {
             let expected = "a table: engine = \"mujoco\" flies nothing that has no ground under it";
             return Err(BuildError::bad_value("simulator.ground", "absent", expected));
@@ -198,8 +217,15 @@ impl Scenario {
             let sum: Vector3<f64> = times.map(|time| given.velocity(time)).sum();
             WindEstimator::new(estimate, time_step, sum / (n_ticks + 1) as f64)
         };
+        let sensors = config.simulator.sensors.as_ref();
+        let sensors = sensors
+            .map(|sensors| Sensors::new(sensors, time_step, robot.joints.len(), robot.jets.len()))
+            .transpose()?;
         Ok(Self {
             plant,
+            sensors,
+            estimator: config.estimator(robot.clone())?,
+            wind_observer: config.wind_observer(robot.clone())?,
             wind_estimator: disturbances.wind_estimate.as_ref().map(estimator).transpose()?,
             controller: config.controller(robot)?,
             wind,
@@ -310,20 +336,35 @@ impl Flight {
         if self.has_ended() {
             return false;
         }
-        let Scenario { plant, controller, wind, controller_wind, wind_estimator, time_step, .. } =
-            &mut self.scenario;
+        let Scenario {
+            plant,
+            controller,
+            wind,
+            controller_wind,
+            wind_estimator,
+            sensors,
+            estimator,
+            wind_observer,
+            time_step,
+            ..
+        } = &mut self.scenario;
         let time = self.tick as f64 * *time_step;
         let wind = wind.velocity(time);
         plant.observe(&wind);
         let given = controller_wind.as_ref().map_or(wind, |wind| wind.velocity(time));
         let estimate = wind_estimator.as_mut().map_or(given, |estimator| estimator.update(&given));
-        let measurement = Measurement {
-            time,
-            state: plant.state(),
-            thrust: plant.jets().thrust_feedback(),
-            wind: estimate,
-            foot_wrenches: &[],
-        };
+        let estimate = wind_observer.as_ref().map_or(estimate, WindObserver::wind);
+        let wind_std = wind_observer.as_ref().map_or_else(Vector3::zeros, WindObserver::std);
+        let truth = (plant.state(), plant.jets().thrust_feedback());
+        let (seen, thrust) = sensors.as_mut().map_or(truth, |sensors| {
+            let reading = sensors.read(truth.0, truth.1);
+            (&reading.state, &reading.thrust)
+        });
+        let (seen, thrust) = estimator.as_mut().map_or((seen, thrust), |estimator| {
+            let estimated = estimator.update(seen, thrust, &estimate);
+            (&estimated.state, &estimated.thrust)
+        });
+        let measurement = Measurement { time, state: seen, thrust, wind: estimate, foot_wrenches: &[] };
         if self.state.is_none() {
             self.state = controller.start(&measurement).ok();
             self.log.joint_setpoint =
@@ -335,15 +376,30 @@ impl Flight {
             return false;
         };
         controller.tick(state, &measurement);
+        if let Some(observer) = wind_observer {
+            observer.update(controller.terms(), measurement.thrust, time);
+        }
         let (terms, command) = (controller.terms(), controller.command());
         let errors = TrackingErrors::new(plant, &terms.setpoint);
-        self.log.push(&LogRow { time, wind, plant, terms, command, errors });
+        self.log.push(&LogRow {
+            time,
+            wind,
+            plant,
+            measurement: &measurement,
+            wind_std,
+            terms,
+            command,
+            errors,
+        });
         self.loss = self.scenario.lost(&wind, &errors).map(|reason| Loss { time, reason });
         if self.loss.is_some() {
             return false;
         }
-        let Scenario { plant, controller, time_step, .. } = &mut self.scenario;
+        let Scenario { plant, controller, estimator, time_step, .. } = &mut self.scenario;
         let command = controller.command();
+        if let Some(estimator) = estimator {
+            estimator.command(command, &controller.terms().momentum.unmodelled_wrench);
+        }
         let (torque, thrust_rate) = (&command.joint_torque, &command.thrust_rate);
         plant.advance(torque.as_slice(), thrust_rate.as_slice(), &wind, *time_step);
         self.tick += 1;

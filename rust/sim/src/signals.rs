@@ -130,7 +130,7 @@ const WRENCH: &str = "N (force), N m (moment)";
 
 /// Every signal. Joint quantities are those of revolute joints: of prismatic ones m stands for rad and N for
 /// N m.
-pub static SIGNALS: [Signal; 34] = [
+pub static SIGNALS: [Signal; 40] = [
     signal("time", TIME, "s", "time", |row, out| out.push(row.time)),
     signal("base_position", XYZ, "m", "position of the base origin, inertial frame", |row, out| {
         out.extend(&row.plant.state().base.position);
@@ -214,6 +214,49 @@ pub static SIGNALS: [Signal; 34] = [
         "observed part of it that no model of the controller knows",
         |row, out| out.extend(&row.terms.momentum.unmodelled_wrench),
     ),
+    signal("measured_base_position", XYZ, "m", "base position that the controller is given", |row, out| {
+        out.extend(&row.measurement.state.base.position);
+    }),
+    signal(
+        "measured_base_quaternion",
+        WXYZ,
+        "1",
+        "base rotation that the controller is given",
+        |row, out| {
+            out.extend(wxyz_from_rotation(&row.measurement.state.base.rotation));
+        },
+    ),
+    signal(
+        "measured_base_velocity",
+        SIX,
+        "m s-1 (linear), rad s-1 (angular)",
+        "base velocity that the controller is given, mixed",
+        |row, out| out.extend(&row.measurement.state.velocity.as_slice()[..6]),
+    ),
+    signal(
+        "measured_joint_velocity",
+        JOINT,
+        "rad s-1",
+        "joint velocity that the controller is given",
+        |row, out| out.extend(row.measurement.state.joint_velocity()),
+    ),
+    signal("measured_thrust", JET, "N", "thrust of each jet that the controller is given", |row, out| {
+        out.extend(row.measurement.thrust);
+    }),
+    signal(
+        "measured_wind",
+        XYZ,
+        "m s-1",
+        "wind velocity that the controller is given, inertial frame",
+        |row, out| out.extend(&row.measurement.wind),
+    ),
+    signal(
+        "measured_wind_std",
+        XYZ,
+        "m s-1",
+        "standard deviation of that wind where it is estimated from the robot's motion, else zero",
+        |row, out| out.extend(&row.wind_std),
+    ),
     integer(signal("qp_status", QP, "1", "outcome of each QP; 0 is solved", |row, out| {
         out.extend(row.qps().map(|answer| f64::from(answer.status.code())));
     })),
@@ -232,7 +275,6 @@ pub static SIGNALS: [Signal; 34] = [
         is_of_ground: false,
         read: None,
     },
-    of_ground("measured_wind", XYZ, "m s-1", "measured wind velocity, inertial frame"),
     of_ground(
         "joint_torque_measured",
         JOINT,

@@ -45,7 +45,7 @@ fn signals_and_figures_are_declared_once() {
 #[test]
 fn the_log_has_every_signal_of_every_tick() {
     let result = run(&short(0.5));
-    let expected: [(&str, &[usize]); 25] = [
+    let expected: [(&str, &[usize]); 32] = [
         ("time", &[]),
         ("base_position", &[3]),
         ("base_quaternion", &[4]),
@@ -68,6 +68,13 @@ fn the_log_has_every_signal_of_every_tick() {
         ("momentum_setpoint", &[6]),
         ("momentum_rate_estimate", &[6]),
         ("unmodelled_wrench", &[6]),
+        ("measured_base_position", &[3]),
+        ("measured_base_quaternion", &[4]),
+        ("measured_base_velocity", &[6]),
+        ("measured_joint_velocity", &[23]),
+        ("measured_thrust", &[4]),
+        ("measured_wind", &[3]),
+        ("measured_wind_std", &[3]),
         ("qp_status", &[2]),
         ("qp_kkt", &[2]),
         ("qp_iterations", &[2]),

@@ -1,0 +1,210 @@
+"""How late and how noisy measurements may be: the hovering loop, linearised tick by tick.
+
+`python -m experiments inner-loop` takes the robot that hovers in still air under the published weights and under those of
+the observer, without an observer, and forms the Jacobian of one tick: of the world by the model's equations of motion,
+of the controller by differences of its ticks, both about the same state. A measurement that is D ticks late is a row of
+the state of D ticks ago. Printed are, for every measurement, the greatest delay without a growing mode, in ticks of 2 ms;
+how fast the open loop grows; and what noise makes of the commanded joint rates.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm, logm, solve_discrete_lyapunov
+
+from experiments import flight
+from jax_aero import rust
+
+Matrix = NDArray[np.float64]
+
+WEIGHTS = (10.0, 30.0)
+"""Of joint velocities: published, and with the observer."""
+STEP = 1e-6
+"""Of the differences, in SI units."""
+SETTLING = 15.0
+"""Until the robot hovers [s]."""
+LONGEST = 0.06
+"""Delays that are tried [s]."""
+NOISE = {"base position": 5e-3, "base rotation": 2e-3, "base velocity": 0.02, "gyroscopes": 0.01, "thrust": 0.5}
+"""Standard deviations of measurements [m, rad, m/s, rad/s, N]."""
+
+
+class Loop(NamedTuple):
+    """A linear loop of n joints and j jets: x the deviation of the state, i the integral of the joint velocity error."""
+
+    world: Matrix
+    """∂x⁺/∂x."""
+    acting: Matrix
+    """∂x⁺/∂u, u the thrust rates and torques."""
+    answer: Matrix
+    """∂u/∂y, y the measured x."""
+    answer_integral: Matrix
+    """∂u/∂i."""
+    integral: Matrix
+    """∂i⁺/∂y."""
+    integral_integral: Matrix
+    """∂i⁺/∂i."""
+    joint_rate: Matrix
+    """∂ṡ*/∂y."""
+    channels: dict[str, Sequence[int]]
+    """Places of each measurement in y."""
+    time_step: float
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    argparse.ArgumentParser(prog="python -m experiments inner-loop", description=__doc__).parse_args(arguments)
+    for weight in WEIGHTS:
+        fine, flown = linearised(weight, 0.002), linearised(weight, 0.01)
+        print(f"weight of joint velocities {weight:g}")
+        print(f"  open loop: fastest growth {growth(fine.world, fine.time_step):.1f} 1/s")
+        for name in (*fine.channels, "everything"):
+            late = greatest_delay(fine, name)
+            print(f"  {name:<16} late: " + (f"up to {1e3 * late:.0f} ms" if late < LONGEST else "no limit found"))
+        for name, std in NOISE.items():
+            found = np.degrees(joint_rates(flown, name, std))
+            print(f"  {name:<16} noise {std:g}: {found:.1f} deg/s of commanded joint rates, 10 ms ticks")
+    return 0
+
+
+def linearised(weight: float, time_step: float) -> Loop:
+    """Return the loop of the robot that hovers in still air."""
+    settings = {"simulator.time_step": time_step, "controller.weights.joint_velocity": weight}
+    config = rust.load_config(flight.find("no_wind"), {**settings, "mission": {}, "simulator.duration": 2 * SETTLING})
+    plant, controller = rust.Plant(config), rust.Controller(config)
+    measured = plant.reset()
+    for _ in range(round(SETTLING / time_step)):
+        tick = controller.tick(measured.state, measured.thrust, measured.wind, measured.time)
+        measured = plant.step(tick.thrust_rate, tick.joint_torque)
+    memory = controller.state
+    assert memory is not None
+    before = tick.velocity_error_integral
+    now = np.concatenate([np.asarray(measured.state.base_position), np.zeros(3), np.asarray(measured.state.joint_position)])
+    now = np.concatenate([now, np.asarray(measured.state.velocity), measured.thrust])
+    turned = np.asarray(measured.state.base_rotation)
+    n, jets = len(before), len(measured.thrust)
+    velocity, thrust = slice(6 + n, 12 + 2 * n), slice(12 + 2 * n, None)
+
+    def ticked(x: Matrix, integral: Matrix) -> rust.Tick:
+        at = now + x
+        state = rust.State(at[:3], turned @ expm(_skew(x[3:6])), at[6 : 6 + n], at[velocity])
+        controller.state = memory.with_posture_control(tick.posture, tick.inertia_0_b, before + integral)
+        return controller.tick(state, at[thrust], np.zeros(3), measured.time)
+
+    def answered(x: Matrix, integral: Matrix) -> Matrix:
+        found = ticked(x, integral)
+        change = found.velocity_error_integral - before
+        return np.concatenate([found.thrust_rate, found.unlimited_torque, change, found.joint_velocity_command])
+
+    zero, none = np.zeros(len(now)), np.zeros(n)
+    held = answered(zero, none)[: jets + n]
+
+    def moved(x: Matrix, extra: Matrix) -> Matrix:
+        rotation = turned @ expm(_skew(x[3:6]))
+        return _stepped(ticked(x, none), now + x, rotation, turned, held + extra, time_step) - now
+
+    by_state = _jacobian(lambda x: answered(x, none), len(now))
+    by_integral = _jacobian(lambda i: answered(zero, i), n)
+    u, i = slice(0, jets + n), slice(jets + n, jets + 2 * n)
+    s = 12 + n
+    channels = {
+        "base position": range(0, 3),
+        "base rotation": range(3, 6),
+        "base velocity": range(6 + n, 9 + n),
+        "gyroscopes": range(9 + n, s),
+        "joint positions": range(6, 6 + n),
+        "joint velocities": range(s, s + n),
+        "joints": [*range(6, 6 + n), *range(s, s + n)],
+        "thrust": range(s + n, s + n + jets),
+    }
+    return Loop(
+        world=_jacobian(lambda x: moved(x, np.zeros(jets + n)), len(now)),
+        acting=_jacobian(lambda extra: moved(zero, extra), jets + n),
+        answer=by_state[u],
+        answer_integral=by_integral[u],
+        integral=by_state[i],
+        integral_integral=by_integral[i],
+        joint_rate=by_state[i.stop :],
+        channels={name: list(places) for name, places in channels.items()},
+        time_step=time_step,
+    )
+
+
+def closed(loop: Loop, ages: Matrix) -> Matrix:
+    """Return the Jacobian of a tick of the closed loop, each measurement so many ticks old."""
+    n, oldest, joints = len(loop.world), int(ages.max()), len(loop.integral)
+    size = n * (oldest + 1) + joints
+    seen = np.zeros((n, size))
+    seen[np.arange(n), n * ages + np.arange(n)] = 1.0
+    kept = np.eye(size)[-joints:]
+    jacobian = np.zeros((size, size))
+    jacobian[:n, :n] = loop.world
+    jacobian[:n] += loop.acting @ (loop.answer @ seen + loop.answer_integral @ kept)
+    jacobian[n : n * (oldest + 1), : n * oldest] = np.eye(n * oldest)
+    jacobian[-joints:] = loop.integral @ seen + loop.integral_integral @ kept
+    return jacobian
+
+
+def growth(jacobian: Matrix, time_step: float) -> float:
+    """Return the greatest growth of a mode [1/s]."""
+    return float(np.log(np.abs(np.linalg.eigvals(jacobian)).max()) / time_step)
+
+
+def greatest_delay(loop: Loop, name: str) -> float:
+    """Return the greatest delay [s] of a measurement, or of everything, up to which no mode grows."""
+    for late in range(1, round(LONGEST / loop.time_step) + 1):
+        ages = np.zeros(len(loop.world), dtype=int)
+        ages[loop.channels.get(name, slice(None))] = late
+        if growth(closed(loop, ages), loop.time_step) > 0.01:  # a mode at zero is the position of the set-point
+            return (late - 1) * loop.time_step
+    return LONGEST
+
+
+def joint_rates(loop: Loop, name: str, std: float) -> float:
+    """Return the greatest standard deviation of a commanded joint rate [rad/s] under noise of a measurement."""
+    noise = np.zeros(len(loop.world))
+    noise[loop.channels[name]] = std**2
+    jacobian = closed(loop, np.zeros(len(loop.world), dtype=int))
+    entering = np.vstack([loop.acting @ loop.answer, loop.integral])
+    # Hardly less than one for each mode: those that do not move at all are not excited.
+    state = solve_discrete_lyapunov((1.0 - 1e-5) * jacobian, entering * noise @ entering.T)
+    seen = state[: len(noise), : len(noise)] + np.diag(noise)
+    return float(np.sqrt(np.diag(loop.joint_rate @ seen @ loop.joint_rate.T).max()))
+
+
+def _stepped(
+    tick: rust.Tick, at: Matrix, rotation: Matrix, hovering: Matrix, u: Matrix, time_step: float
+) -> Matrix:
+    """State after a semi-implicit step from `at` (M78) under thrust rates and torques u.
+
+    `rotation` is the base's; what it differs from the hovering one is a vector in base axes.
+    """
+    n, jets = len(tick.velocity_error_integral), len(tick.thrust_rate)
+    velocity, thrust = at[6 + n : 12 + 2 * n], at[12 + 2 * n :]
+    joints = tick.joint_acceleration_free + tick.torque_gain @ u[jets:]
+    wrench = tick.a_t @ thrust
+    arm = tick.com_position - at[:3]
+    about_base = np.concatenate([wrench[:3], wrench[3:] + np.cross(arm, wrench[:3])])
+    mass = tick.mass_matrix
+    base = np.linalg.solve(mass[:6, :6], about_base - tick.bias[:6] - mass[:6, 6:] @ joints)
+    velocity = velocity + time_step * np.concatenate([base, joints])
+    turned = np.real(logm(hovering.T @ expm(_skew(time_step * velocity[3:6])) @ rotation))
+    moved = np.array([turned[2, 1], turned[0, 2], turned[1, 0]])
+    joint_position = at[6 : 6 + n] + time_step * velocity[6:]
+    return np.concatenate(
+        [at[:3] + time_step * velocity[:3], moved, joint_position, velocity, thrust + time_step * u[:jets]]
+    )
+
+
+def _jacobian(function: Callable[[Matrix], Matrix], size: int) -> Matrix:
+    columns = [(function(step) - function(-step)) / (2.0 * STEP) for step in STEP * np.eye(size)]
+    return np.array(columns).T
+
+
+def _skew(v: Matrix) -> Matrix:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])

@@ -1,0 +1,212 @@
+"""State estimator beside the controller: the robot's model, corrected by measurements, and ahead of their age.
+
+```text
+measured at age d ──► wait until all are of one age D ──► correct x̂(t − D)
+x̂(t − D) ──► D ticks of the model under the commands that were given ──► x̂(t), for the controller
+```
+
+Ages and shares are numbers; the greatest age is structure.
+
+Equations M91 to M93 of `docs/model.md`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, link_forces
+from jax_aero.config import EstimatorConfig
+from jax_aero.dynamics import dynamics, forward_dynamics
+from jax_aero.kinematics import frame_poses, generalised_force, kinematics
+from jax_aero.robot import RobotModel
+from jax_aero.spatial import cross, exp_so3, log_so3, multiply, project_to_so3, rotate
+from jax_aero.types import Array, State, leaf, pytree, where
+
+
+class Reading(NamedTuple):
+    """What is known of a robot's state, measured or estimated."""
+
+    state: State
+    thrust: Float[Array, " j"]
+    """[N]."""
+
+
+class Order(NamedTuple):
+    """What acts on the robot from one tick to the next."""
+
+    torque: Float[Array, " n"]
+    """[N m]."""
+    thrust_rate: Float[Array, " j"]
+    """[N/s]."""
+    unmodelled: Float[Array, "6"]
+    """Wrench that no model knows, about the centre of mass [N, N m]."""
+
+
+@pytree
+class Estimator:
+    """How old measurements are, and how much they are believed.
+
+    In this order: base position, rotation, linear and angular velocity, joint positions and velocities, thrusts.
+    """
+
+    age: Int[Array, "7"]
+    """In ticks."""
+    share: Float[Array, "7"]
+    """Share of the innovation that is believed."""
+    learnt: Float[Array, ""]
+    """Share of what the joints do besides that is learnt per tick; zero where nothing is."""
+    aero: AeroModel
+    time_step: Float[Array, ""]
+    """[s]."""
+
+
+class EstimatorState(NamedTuple):
+    """The estimator from one tick to the next."""
+
+    line: Reading
+    """The last measurements, the latest first, as many as the greatest age and one: one more axis in front."""
+    orders: Order
+    """The last commands likewise."""
+    then: Reading
+    """Estimate at the greatest age."""
+    disturbance: Float[Array, " n"]
+    """Accelerations of the joints that the model does not explain [rad/s²]."""
+    ticks: Int[Array, ""]
+    """That have been taken in."""
+
+
+def estimator(config: EstimatorConfig, aero: AeroModel, time_step: Array) -> Estimator:
+    """Collect the numbers of an estimator with this model of the air."""
+    channels = (
+        config.base_position,
+        config.base_rotation,
+        config.base_linear_velocity,
+        config.base_angular_velocity,
+        config.joint_position,
+        config.joint_velocity,
+        config.thrust,
+    )
+    step = float(time_step)
+    age = [int(np.floor(channel.delay / step + 0.5)) for channel in channels]  # half a tick rounds up
+    share = [-np.expm1(-step / channel.time_constant) if channel.time_constant > 0.0 else 1.0 for channel in channels]
+    time = config.joint_disturbance
+    learnt = 0.0 if time is None else -np.expm1(-step / time)
+    return Estimator(jnp.asarray(age, jnp.int32), leaf(share), leaf(learnt), aero, time_step)
+
+
+def start(settings: Estimator, first: Reading) -> EstimatorState:
+    """Return the state of an estimator that has been told this for as long as it looks back. Outside loops."""
+    length = int(np.max(settings.age)) + 1
+
+    def often(x: Array) -> Array:
+        return jnp.stack([jnp.asarray(x)] * length)
+
+    rest = jnp.zeros_like(first.state.velocity)
+    order = Order(rest[6:], jnp.zeros_like(first.thrust), rest[:6])
+    line, orders = jax.tree.map(often, (first, order))
+    return EstimatorState(line, orders, first, rest[6:], jnp.array(0, jnp.int32))
+
+
+def update(
+    settings: Estimator, robot: RobotModel, before: EstimatorState, measured: Reading, wind: Array
+) -> tuple[EstimatorState, Reading]:
+    """Take a measurement in, in the measured wind (3,) [m/s]; the state of the next tick, and the estimate of now.
+
+    One that is not finite corrects nothing.
+    """
+    line = jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), before.line, measured)
+    oldest = before.orders.torque.shape[0] - 1
+    last: Order = jax.tree.map(lambda x: x[-1], before.orders)
+    moved = advance(settings, robot, before.then, last, before.disturbance, wind)
+    then = where(before.ticks > oldest, moved, before.then)
+
+    # Measurements that came early wait for the others.
+    waiting = oldest - settings.age
+    aligned = [jax.tree.map(lambda x, ticks=waiting[channel]: x[ticks], line) for channel in range(7)]
+    # The velocity that a correction adds is an acceleration that the tick before lacked.
+    added = aligned[5].state.velocity[6:] - then.state.velocity[6:]
+    learnt = before.disturbance + settings.learnt * settings.share[5] * added / settings.time_step
+    corrected = _correct(settings.share, then, aligned)
+    is_finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(aligned)]))
+    then = where(is_finite, corrected, then)
+    disturbance = jnp.where(is_finite, learnt, before.disturbance)
+
+    def ahead(now: Reading, given: tuple[Order, Array]) -> tuple[Reading, None]:
+        order, age = given
+        return where(before.ticks > age, advance(settings, robot, now, order, disturbance, wind), now), None
+
+    orders = jax.tree.map(lambda x: x[:oldest][::-1], before.orders)
+    now, _ = jax.lax.scan(ahead, then, (orders, jnp.arange(oldest)[::-1]))
+    return EstimatorState(line, before.orders, then, disturbance, before.ticks + 1), now
+
+
+def command(state: EstimatorState, order: Order) -> EstimatorState:
+    """Return the state with what acts from this tick to the next."""
+    return state._replace(
+        orders=jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), state.orders, order)
+    )
+
+
+def advance(
+    settings: Estimator, robot: RobotModel, reading: Reading, order: Order, disturbance: Array, wind: Array
+) -> Reading:
+    """One tick of the model under an order and unexplained accelerations (n,) of the joints, semi-implicit."""
+    state, step = reading.state, settings.time_step
+    kin = kinematics(robot, state)
+    dyn = dynamics(robot, state, kin)
+    link = link_forces(settings.aero, robot, kin, LinkConventions(), wind)
+    rotations, points = frame_poses(kin, robot.jets.bodies, robot.jets.rotations, robot.jets.positions)
+    thrusts = reading.thrust[:, None] * rotate(rotations, robot.jets.axes)
+    force = (
+        generalised_force(robot, kin, robot.jets.bodies, points, thrusts)
+        + generalised_aero_force(robot, kin, link, link.jacobian_points)
+        + jnp.concatenate([jnp.zeros_like(order.unmodelled), order.torque])
+    )
+    # What no model knows moves the whole robot: where on it that acts is not known. What moves joints besides is
+    # internal, and leaves the momentum as it is.
+    wrench = order.unmodelled - dyn.momentum_matrix[:, 6:] @ disturbance
+    angular = jnp.linalg.solve(dyn.centroidal_inertia, wrench[3:])
+    linear = wrench[:3] / robot.mass - cross(angular, kin.com - state.base_position)
+    whole = jnp.concatenate([linear, angular, disturbance])
+    velocity = state.velocity + step * (forward_dynamics(dyn, force) + whole)
+    moved = State(
+        base_position=state.base_position + step * velocity[:3],
+        base_rotation=multiply(exp_so3(step * velocity[3:6]), state.base_rotation),
+        joint_position=state.joint_position + step * velocity[6:],
+        velocity=velocity,
+    )
+    return Reading(moved, jnp.maximum(reading.thrust + step * order.thrust_rate, 0.0))
+
+
+def _correct(share: Array, estimate: Reading, measured: list[Reading]) -> Reading:
+    """Move an estimate towards measurements of its time, each by its share."""
+    now, (position, rotation, linear, angular, joints, joint_velocities, thrusts) = estimate.state, measured
+
+    def gyro(state: State) -> Array:
+        return state.base_rotation.T @ state.velocity[3:6]
+
+    turn = log_so3(multiply(now.base_rotation.T, rotation.state.base_rotation))
+    base_rotation = project_to_so3(multiply(now.base_rotation, exp_so3(share[1] * turn)))
+    gyros = gyro(now) + share[3] * (gyro(angular.state) - gyro(now))
+
+    def moved(channel: int, found: Array, said: Array) -> Array:
+        return found + share[channel] * (said - found)
+
+    state = State(
+        base_position=moved(0, now.base_position, position.state.base_position),
+        base_rotation=base_rotation,
+        joint_position=moved(4, now.joint_position, joints.state.joint_position),
+        velocity=jnp.concatenate(
+            [
+                moved(2, now.velocity[:3], linear.state.velocity[:3]),
+                base_rotation @ gyros,
+                moved(5, now.velocity[6:], joint_velocities.state.velocity[6:]),
+            ]
+        ),
+    )
+    return Reading(state, jnp.maximum(moved(6, estimate.thrust, thrusts.thrust), 0.0))

@@ -1,0 +1,121 @@
+"""The wind, from the wrench that acts on the robot: what an aerodynamic model says a wind would do, inverted.
+
+```text
+dẑ/dt = K_o (L̇ − A_T T + m g e₃ − ẑ)           the wrench of everything but jets and weight
+ẑ = Σ f_j(v_w) + error,  dv_w = random walk     an extended Kalman filter
+```
+
+It stands beside the controller: it reads what a tick computed, and the next tick is given its wind.
+
+Equation M94 of `docs/model.md`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from jax_aero.aero import AeroModel, LinkConventions, link_forces
+from jax_aero.config import WindObserverConfig
+from jax_aero.control import observer
+from jax_aero.control.observer import ObserverGains, ObserverState
+from jax_aero.control.protocol import Terms
+from jax_aero.robot import RobotModel
+from jax_aero.types import Array, leaf, pytree
+
+DIFFERENCE = 0.1
+"""Step of the differences that make the Jacobian [m/s]."""
+
+GREATEST = 1e4
+"""Greatest wrench that is believed [N, N m]."""
+
+
+@pytree
+class WindObserver:
+    """How the wind is estimated."""
+
+    aero: AeroModel
+    gain: Float[Array, ""]
+    """How fast the acting force is observed [1/s]."""
+    walk: Float[Array, ""]
+    """Standard deviation of a horizontal wind after one second [m/s]."""
+    vertical_std: Float[Array, ""]
+    """Of vertical winds [m/s]."""
+    vertical_time: Float[Array, ""]
+    """Over which they are like themselves [s]."""
+    force_std: Float[Array, "3"]
+    """Of the observed force [N]."""
+    relative_std: Float[Array, ""]
+    """Of the model's force, as a fraction of the observed one."""
+    time_step: Float[Array, ""]
+    """[s]."""
+
+
+class WindState(NamedTuple):
+    """The estimate from one tick to the next."""
+
+    wrench: ObserverState
+    wind: Float[Array, "3"]
+    """[m/s, inertial axes]."""
+    covariance: Float[Array, "3 3"]
+
+
+def wind_observer(config: WindObserverConfig, aero: AeroModel, time_step: Array) -> WindObserver:
+    """Collect the numbers of an estimate with this model of the air."""
+    return WindObserver(
+        aero=aero,
+        gain=leaf(config.gain),
+        walk=leaf(config.walk),
+        vertical_std=leaf(config.vertical_std),
+        vertical_time=leaf(config.vertical_time),
+        force_std=leaf(config.force_std),
+        relative_std=leaf(config.relative_std),
+        time_step=time_step,
+    )
+
+
+def start(settings: WindObserver) -> WindState:
+    """Return the state before the first tick: no wind, give or take a second of its walk."""
+    std = jnp.stack([jnp.asarray(x) for x in (settings.walk, settings.walk, settings.vertical_std)])
+    return WindState(observer.start(std), jnp.zeros_like(std), jnp.diag(std * std))
+
+
+def update(
+    settings: WindObserver, robot: RobotModel, before: WindState, terms: Terms, thrust: Array, time: Array
+) -> WindState:
+    """Take in what a tick of the controller computed, and the thrusts (j,) [N] and the time [s] it was given."""
+    rate = jnp.sum(terms.momentum.a_t * thrust, axis=1).at[2].add(-robot.mass * robot.gravity)
+    greatest = jnp.full_like(settings.gain, GREATEST)
+    gains = ObserverGains(settings.gain, settings.gain, greatest, greatest)
+    wrench = observer.update(gains, settings.time_step, before.wrench, time, terms.dynamics.momentum, rate)
+    force = wrench.wrench[:3]
+
+    # Horizontal winds wander, vertical ones return.
+    step = settings.time_step
+    kept = jnp.exp(-step / settings.vertical_time)
+    keep = jnp.stack([jnp.ones_like(kept), jnp.ones_like(kept), kept])
+    walk = settings.walk**2 * step
+    wandering = jnp.diag(jnp.stack([walk, walk, settings.vertical_std**2 * (1.0 - kept * kept)]))
+    wind, covariance = keep * before.wind, keep[:, None] * before.covariance * keep + wandering
+
+    def force_in(wind: Array) -> Array:
+        return link_forces(settings.aero, robot, terms.kinematics, LinkConventions(), wind).forces.sum(0)
+
+    modelled = force_in(wind)
+    shifted = jax.vmap(force_in)(wind + DIFFERENCE * jnp.eye(3, dtype=wind.dtype))
+    jacobian = ((shifted - modelled) / DIFFERENCE).T
+    # Errors of the model last; so many measurements as a time constant of the observer are one.
+    together = jnp.maximum(1.0 / (settings.gain * step), 1.0)
+    of_model = settings.relative_std**2 * jnp.sum(force * force)
+    error = jnp.diag(together * (settings.force_std**2 + of_model))
+    innovation = jacobian @ covariance @ jacobian.T + error
+    gain = jnp.linalg.solve(innovation, jacobian @ covariance).T
+    moved = wind + gain @ (force - modelled)
+    left = jnp.eye(3, dtype=wind.dtype) - gain @ jacobian
+    # Joseph's form: symmetric and positive whatever rounding does.
+    less = left @ covariance @ left.T + gain @ error @ gain.T
+    is_finite = jnp.all(jnp.isfinite(moved)) & jnp.all(jnp.isfinite(less))
+    return WindState(wrench, jnp.where(is_finite, moved, wind), jnp.where(is_finite, less, covariance))

@@ -1,0 +1,344 @@
+//! State estimator beside the controller: the robot's model, corrected by measurements, and ahead of their age.
+//!
+//! ```text
+//! measured at age d ──► wait until all are of one age D ──► correct x̂(t − D)
+//! x̂(t − D) ──► D ticks of the model under the commands that were given ──► x̂(t), for the controller
+//! ```
+//!
+//! The controller's law is proven for measurements that are neither late nor noisy; this gives it such ones. What
+//! the model does not know of the forces is the controller's observed wrench. With no age and no time constants
+//! what comes out is what went in.
+//!
+//! Equations M91 to M93 of `docs/model.md`.
+
+use crate::aero::{AeroModel, LinkConventions, LinkForces};
+use crate::control::Command;
+use crate::dynamics::{Dynamics, MassFactor};
+use crate::error::{BuildError, check};
+use crate::kinematics::{Kinematics, RobotState};
+use crate::robot::RobotModel;
+use crate::spatial::{exp_so3, log_so3, project_to_so3};
+use nalgebra::{DVector, Vector3, Vector6};
+use serde::{Deserialize, Serialize};
+
+/// Greatest age of a measurement \[s\]: every tick of it costs an evaluation of the model.
+const MAX_DELAY: f64 = 0.2;
+
+/// How old the measurements are, and how much they are trusted.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+pub struct EstimatorConfig {
+    /// Position of the base origin.
+    pub base_position: ChannelConfig,
+    /// Rotation of the base.
+    pub base_rotation: ChannelConfig,
+    /// Velocity of the base origin.
+    pub base_linear_velocity: ChannelConfig,
+    /// Gyroscopes.
+    pub base_angular_velocity: ChannelConfig,
+    /// Joint positions.
+    pub joint_position: ChannelConfig,
+    /// Joint velocities.
+    pub joint_velocity: ChannelConfig,
+    /// Thrusts.
+    pub thrust: ChannelConfig,
+    /// Time in which accelerations of the joints are learnt that the model does not explain, such as those by thrusts
+    /// that are not what they seem \[s\]; without it none are.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub joint_disturbance: Option<f64>,
+}
+
+/// One kind of measurement.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+pub struct ChannelConfig {
+    /// Age of the measurement when it comes, rounded to ticks \[s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 0.2)))]
+    pub delay: f64,
+    /// Time in which the estimate follows it \[s\]; zero takes it as it comes.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub time_constant: f64,
+}
+
+impl EstimatorConfig {
+    fn channels(&self) -> [(&'static str, &ChannelConfig); 7] {
+        [
+            ("base_position", &self.base_position),
+            ("base_rotation", &self.base_rotation),
+            ("base_linear_velocity", &self.base_linear_velocity),
+            ("base_angular_velocity", &self.base_angular_velocity),
+            ("joint_position", &self.joint_position),
+            ("joint_velocity", &self.joint_velocity),
+            ("thrust", &self.thrust),
+        ]
+    }
+
+    /// Refuses numbers that mean nothing.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check(&self) -> Result<(), BuildError> {
+        for (key, channel) in self.channels() {
+            let item = format!("controller.estimator.{key}.delay");
+            check(&item, channel.delay, |x| (0.0..=MAX_DELAY).contains(&x), "seconds from 0 to 0.2")?;
+            let item = format!("controller.estimator.{key}.time_constant");
+            check(&item, channel.time_constant, |x| x >= 0.0, "seconds ≥ 0")?;
+        }
+        if let Some(time) = self.joint_disturbance {
+            check(
+                "controller.estimator.joint_disturbance",
+                time,
+                |x| x > 0.0,
+                "a positive number of seconds",
+            )?;
+        }
+        Ok(())
+    }
+}
+
+/// What is known of a robot's state, measured or estimated.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Reading {
+    /// Pose and velocity of the robot.
+    pub state: RobotState,
+    /// Thrust of every jet \[N\].
+    pub thrust: Vec<f64>,
+}
+
+impl Reading {
+    /// Nothing moves, nothing blows, of a robot with so many joints and jets.
+    #[must_use]
+    pub fn zero(joints: usize, jets: usize) -> Self {
+        Self { state: RobotState::zero(joints), thrust: vec![0.0; jets] }
+    }
+
+    /// Copies state and thrusts of the same robot without allocating.
+    pub fn copy(&mut self, state: &RobotState, thrust: &[f64]) {
+        self.state.copy_from(state);
+        self.thrust.copy_from_slice(thrust);
+    }
+
+    fn is_finite(&self) -> bool {
+        self.state.is_finite() && self.thrust.iter().all(|thrust| thrust.is_finite())
+    }
+}
+
+/// What acts on the robot from one tick to the next.
+#[derive(Debug, Clone)]
+struct Order {
+    torque: Vec<f64>,
+    thrust_rate: Vec<f64>,
+    unmodelled: Vector6<f64>,
+}
+
+/// The robot's model and the space it works in.
+#[derive(Debug, Clone)]
+struct Model {
+    robot: RobotModel,
+    aero: AeroModel,
+    kinematics: Kinematics,
+    dynamics: Dynamics,
+    link_forces: LinkForces,
+    mass_factor: MassFactor,
+    acceleration: DVector<f64>,
+    /// Accelerations of the joints that it does not explain \[rad/s²\].
+    disturbance: DVector<f64>,
+}
+
+impl Model {
+    /// One tick on under an order, semi-implicit.
+    fn advance(&mut self, reading: &mut Reading, order: &Order, wind_i: &Vector3<f64>, time_step: f64) {
+        let Self { robot, aero, kinematics, dynamics, link_forces, mass_factor, acceleration, disturbance } =
+            self;
+        let Reading { state, thrust } = reading;
+        kinematics.update(robot, state);
+        dynamics.update(robot, state, kinematics);
+        link_forces.update(robot, kinematics, LinkConventions::default(), aero, wind_i);
+        acceleration.copy_from(&dynamics.bias);
+        acceleration.neg_mut();
+        for (joint, torque) in order.torque.iter().enumerate() {
+            acceleration[6 + joint] += torque;
+        }
+        for (jet, thrust) in robot.jets.iter().zip(thrust.iter()) {
+            let pose = kinematics.frame_pose(&jet.frame);
+            let force = pose.rotation * jet.axis_f.into_inner() * *thrust;
+            kinematics.add_generalised_force(jet.frame.body, &pose.position, &force, acceleration);
+        }
+        link_forces.add_generalised_force(robot, kinematics, acceleration);
+        if !mass_factor.factorise(&dynamics.mass_matrix) {
+            return;
+        }
+        mass_factor.solve_in_place(acceleration);
+        // What no model knows moves the whole robot: where on it that acts is not known. What moves joints besides is
+        // internal, and leaves the momentum as it is.
+        let mut wrench = order.unmodelled;
+        for (joint, extra) in disturbance.iter().enumerate() {
+            acceleration[6 + joint] += extra;
+            wrench -= dynamics.momentum_matrix.column(6 + joint) * *extra;
+        }
+        let (force, moment) = (wrench.fixed_rows::<3>(0), wrench.fixed_rows::<3>(3));
+        if let Some(inertia) = dynamics.centroidal_inertia.cholesky() {
+            let angular = inertia.solve(&Vector3::from(moment));
+            let arm = kinematics.com - state.base.position;
+            let linear = Vector3::from(force) / kinematics.mass() - angular.cross(&arm);
+            for axis in 0..3 {
+                acceleration[axis] += linear[axis];
+                acceleration[3 + axis] += angular[axis];
+            }
+        }
+        state.velocity.axpy(time_step, acceleration, 1.0);
+        state.base.position += state.base_linear_velocity() * time_step;
+        state.base.rotation = exp_so3(&(state.base_angular_velocity() * time_step)) * state.base.rotation;
+        let velocities = &state.velocity.as_slice()[6..];
+        for (position, velocity) in state.joint_position.iter_mut().zip(velocities) {
+            *position += velocity * time_step;
+        }
+        for (thrust, rate) in thrust.iter_mut().zip(&order.thrust_rate) {
+            *thrust = (*thrust + time_step * rate).max(0.0);
+        }
+    }
+}
+
+/// The estimator of one robot; all of its state is in it.
+#[derive(Debug, Clone)]
+pub struct Estimator {
+    model: Model,
+    time_step: f64,
+    /// Age of each channel in ticks, in the order of the configuration.
+    ages: [usize; 7],
+    /// Share of each channel's innovation that is believed.
+    shares: [f64; 7],
+    /// Share of what the joints do besides that is learnt per tick; zero where nothing is.
+    learnt: f64,
+    /// The last measurements, a ring as long as the greatest age and one.
+    line: Vec<Reading>,
+    /// The last commands, in the same places.
+    orders: Vec<Order>,
+    /// Ticks that have been taken in.
+    ticks: usize,
+    /// Estimate at the greatest age.
+    then: Reading,
+    /// Estimate of now.
+    now: Reading,
+}
+
+impl Estimator {
+    /// An estimator with a model of the robot and of the air, updated every `time_step` \[s\].
+    ///
+    /// # Errors
+    /// As [`EstimatorConfig::check`].
+    pub fn new(
+        config: &EstimatorConfig,
+        robot: RobotModel,
+        aero: AeroModel,
+        time_step: f64,
+    ) -> Result<Self, BuildError> {
+        config.check()?;
+        let channels = config.channels().map(|(_, channel)| *channel);
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 0.2 s
+        let ages = channels.map(|channel| (channel.delay / time_step).round() as usize);
+        let share = |time_constant: f64| -(-time_step / time_constant).exp_m1();
+        let shares = channels
+            .map(|channel| if channel.time_constant > 0.0 { share(channel.time_constant) } else { 1.0 });
+        let length = 1 + ages.into_iter().max().unwrap_or(0);
+        let (joints, jets) = (robot.joints.len(), robot.jets.len());
+        let nothing = Reading::zero(joints, jets);
+        let order =
+            Order { torque: vec![0.0; joints], thrust_rate: vec![0.0; jets], unmodelled: Vector6::zeros() };
+        let model = Model {
+            kinematics: Kinematics::new(&robot),
+            dynamics: Dynamics::new(&robot),
+            link_forces: LinkForces::new(&robot),
+            mass_factor: MassFactor::new(6 + joints),
+            acceleration: DVector::zeros(6 + joints),
+            disturbance: DVector::zeros(joints),
+            robot,
+            aero,
+        };
+        Ok(Self {
+            model,
+            time_step,
+            ages,
+            shares,
+            learnt: config.joint_disturbance.map_or(0.0, share),
+            line: vec![nothing.clone(); length],
+            orders: vec![order; length],
+            ticks: 0,
+            then: nothing.clone(),
+            now: nothing,
+        })
+    }
+
+    /// Takes a measurement in, in the measured wind \[m/s\], and returns the estimate of now. No allocation.
+    ///
+    /// The first one begins the flight: it is taken for what had been before it. One that is not finite corrects
+    /// nothing.
+    pub fn update(&mut self, state: &RobotState, thrust: &[f64], wind_i: &Vector3<f64>) -> &Reading {
+        let Self { model, ages, line, orders, ticks, then, now, .. } = self;
+        let length = line.len();
+        let (oldest, step) = (length - 1, self.time_step);
+        if *ticks == 0 {
+            line.iter_mut().for_each(|reading| reading.copy(state, thrust));
+            then.copy(state, thrust);
+        }
+        line[*ticks % length].copy(state, thrust);
+        if *ticks > oldest {
+            model.advance(then, &orders[*ticks % length], wind_i, step);
+        }
+        // Measurements that came early wait for the others.
+        let aligned = ages.map(|age| &line[(*ticks + length - (oldest - age)) % length]);
+        if aligned.iter().all(|reading| reading.is_finite()) {
+            // The velocity that a correction adds is an acceleration that the tick before lacked.
+            let added = aligned[5].state.joint_velocity().iter().zip(then.state.joint_velocity());
+            for (disturbance, (measured, found)) in model.disturbance.iter_mut().zip(added) {
+                *disturbance += self.learnt * self.shares[5] * (measured - found) / step;
+            }
+            correct(then, aligned, &self.shares);
+        }
+        now.copy(&then.state, &then.thrust);
+        for tick in ticks.saturating_sub(oldest)..*ticks {
+            model.advance(now, &orders[tick % length], wind_i, step);
+        }
+        *ticks += 1;
+        &self.now
+    }
+
+    /// What acts from this tick to the next: the command, and the wrench that the controller observes.
+    pub fn command(&mut self, command: &Command, unmodelled: &Vector6<f64>) {
+        let length = self.orders.len();
+        let order = &mut self.orders[(self.ticks + length - 1) % length];
+        order.torque.copy_from_slice(command.joint_torque.as_slice());
+        order.thrust_rate.copy_from_slice(command.thrust_rate.as_slice());
+        order.unmodelled = *unmodelled;
+    }
+}
+
+/// Moves an estimate towards measurements of its time, each by its share.
+fn correct(estimate: &mut Reading, measured: [&Reading; 7], shares: &[f64; 7]) {
+    let [position, rotation, linear, angular, joints, joint_velocities, thrusts] = measured;
+    let Reading { state, thrust } = estimate;
+    let gyro = |state: &RobotState| state.base.rotation.transpose() * state.base_angular_velocity();
+    let gyro_now = gyro(state);
+    let gyro_now = gyro_now + shares[3] * (gyro(&angular.state) - gyro_now);
+    let turn = log_so3(&(state.base.rotation.transpose() * rotation.state.base.rotation));
+    state.base.position += shares[0] * (position.state.base.position - state.base.position);
+    state.base.rotation = project_to_so3(&(state.base.rotation * exp_so3(&(shares[1] * turn))));
+    let linear_now = state.base_linear_velocity();
+    let linear_now = linear_now + shares[2] * (linear.state.base_linear_velocity() - linear_now);
+    let angular_now = state.base.rotation * gyro_now;
+    let velocities = state.velocity.as_mut_slice();
+    velocities[..3].copy_from_slice(linear_now.as_slice());
+    velocities[3..6].copy_from_slice(angular_now.as_slice());
+    for (found, measured) in state.joint_position.iter_mut().zip(&joints.state.joint_position) {
+        *found += shares[4] * (measured - *found);
+    }
+    for (found, measured) in velocities[6..].iter_mut().zip(joint_velocities.state.joint_velocity()) {
+        *found += shares[5] * (measured - *found);
+    }
+    for (found, measured) in thrust.iter_mut().zip(&thrusts.thrust) {
+        *found = (*found + shares[6] * (measured - *found)).max(0.0);
+    }
+}

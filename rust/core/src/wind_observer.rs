@@ -1,0 +1,202 @@
+//! The wind, from the wrench that acts on the robot: what an aerodynamic model says a wind would do, inverted.
+//!
+//! ```text
+//! dẑ/dt = K_o (L̇ − A_T T + m g e₃ − ẑ)           the wrench of everything but jets and weight
+//! ẑ = Σ f_j(v_w) + error,  dv_w = random walk     an extended Kalman filter
+//! ```
+//!
+//! It stands beside the controller: it reads what a tick computed, and the next tick is given its wind. A robot that
+//! stands upright feels little of a vertical wind, which is therefore held near zero by what is known of winds.
+//!
+//! Equation M94 of `docs/model.md`.
+
+use crate::aero::{AeroModel, LinkConventions, LinkForces};
+use crate::control::Terms;
+use crate::control::observer::{ObserverConfig, ObserverState, Sample};
+use crate::error::{BuildError, check};
+use crate::robot::RobotModel;
+use nalgebra::{Matrix3, Vector3, Vector6};
+use serde::{Deserialize, Serialize};
+
+/// Step of the differences that make the Jacobian \[m/s\]: large against the rounding of a network, small against winds
+/// that matter.
+const DIFFERENCE: f64 = 0.1;
+
+/// Greatest wrench that is believed \[N, N m\].
+const GREATEST: f64 = 1e4;
+
+/// How the wind is estimated.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+pub struct WindObserverConfig {
+    /// How fast the acting force is observed, `K_o` \[1/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub gain: f64,
+    /// How fast a horizontal wind changes: standard deviation after one second \[m/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub walk: f64,
+    /// Standard deviation of vertical winds \[m/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub vertical_std: f64,
+    /// Time over which vertical winds are like themselves \[s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub vertical_time: f64,
+    /// Standard deviation of the observed force, by axis: of mass, thrusts and attitude \[N\].
+    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    pub force_std: [f64; 3],
+    /// Standard deviation of the model's force, as a fraction of the observed one.
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub relative_std: f64,
+}
+
+impl Default for WindObserverConfig {
+    fn default() -> Self {
+        Self {
+            gain: 3.0,
+            walk: 2.0,
+            vertical_std: 1.0,
+            vertical_time: 2.0,
+            force_std: [1.0, 1.0, 4.0],
+            relative_std: 0.12,
+        }
+    }
+}
+
+impl WindObserverConfig {
+    /// Refuses numbers that mean nothing.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check(&self, time_step: f64) -> Result<(), BuildError> {
+        let positive = |key: &str, value: f64| {
+            check(&format!("controller.wind_observer.{key}"), value, |x| x > 0.0, "a positive number")
+                .map(|_| ())
+        };
+        let greatest = 1.0 / time_step;
+        let expected = format!("a positive number up to {greatest}, 1 / time step of {time_step} s");
+        let is_gain = |gain: f64| 0.0 < gain && gain <= greatest * (1.0 + 1e-9);
+        check("controller.wind_observer.gain", self.gain, is_gain, &expected)?;
+        positive("walk", self.walk)?;
+        positive("vertical_std", self.vertical_std)?;
+        positive("vertical_time", self.vertical_time)?;
+        self.force_std.into_iter().try_for_each(|std| positive("force_std", std))?;
+        check("controller.wind_observer.relative_std", self.relative_std, |x| x >= 0.0, "a number ≥ 0")?;
+        Ok(())
+    }
+}
+
+/// The estimate of the wind; all of its state is in it.
+#[derive(Debug, Clone)]
+pub struct WindObserver {
+    config: WindObserverConfig,
+    time_step: f64,
+    robot: RobotModel,
+    aero: AeroModel,
+    link_forces: LinkForces,
+    wrench: ObserverState,
+    wind: Vector3<f64>,
+    covariance: Matrix3<f64>,
+}
+
+impl WindObserver {
+    /// An estimator with a model of the robot and of the air, updated every `time_step` \[s\]. At first there is no
+    /// wind, give or take what a second of the random walk and the vertical winds make of it.
+    ///
+    /// # Errors
+    /// As [`WindObserverConfig::check`].
+    pub fn new(
+        config: &WindObserverConfig,
+        robot: RobotModel,
+        aero: AeroModel,
+        time_step: f64,
+    ) -> Result<Self, BuildError> {
+        config.check(time_step)?;
+        let std = Vector3::new(config.walk, config.walk, config.vertical_std);
+        Ok(Self {
+            config: *config,
+            time_step,
+            link_forces: LinkForces::new(&robot),
+            robot,
+            aero,
+            wrench: ObserverState::new(),
+            wind: Vector3::zeros(),
+            covariance: Matrix3::from_diagonal(&std.component_mul(&std)),
+        })
+    }
+
+    /// The wind \[m/s, inertial axes\].
+    #[must_use]
+    pub fn wind(&self) -> Vector3<f64> {
+        self.wind
+    }
+
+    /// Its standard deviation along each axis \[m/s\].
+    #[must_use]
+    pub fn std(&self) -> Vector3<f64> {
+        self.covariance.diagonal().map(f64::sqrt)
+    }
+
+    /// Takes in what a tick of the controller computed, and the thrusts \[N\] and the time \[s\] it was given.
+    pub fn update(&mut self, terms: &Terms, thrust: &[f64], time: f64) {
+        let mut rate = Vector6::zeros();
+        for (column, thrust) in terms.momentum.a_t.column_iter().zip(thrust) {
+            rate += column * *thrust;
+        }
+        rate[2] -= terms.kinematics.mass() * self.robot.gravity;
+        let gain = self.config.gain;
+        let gains =
+            ObserverConfig { gain_force: gain, gain_moment: gain, force_max: GREATEST, moment_max: GREATEST };
+        let sample = Sample { time, momentum: terms.dynamics.momentum, rate };
+        let observed = self.wrench.update(&gains, self.time_step, sample);
+        let force: Vector3<f64> = observed.fixed_rows::<3>(0).into();
+        self.predict();
+        self.correct(terms, &force);
+    }
+
+    /// Horizontal winds wander, vertical ones return.
+    fn predict(&mut self) {
+        let (config, step) = (&self.config, self.time_step);
+        let kept = (-step / config.vertical_time).exp();
+        self.wind.z *= kept;
+        let keep = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, kept));
+        let walk = config.walk * config.walk * step;
+        let noise = Vector3::new(walk, walk, config.vertical_std * config.vertical_std * (1.0 - kept * kept));
+        self.covariance = keep * self.covariance * keep + Matrix3::from_diagonal(&noise);
+    }
+
+    fn correct(&mut self, terms: &Terms, force: &Vector3<f64>) {
+        let modelled = self.force_in(terms, &self.wind.clone());
+        let mut jacobian = Matrix3::zeros();
+        for axis in 0..3 {
+            let mut shifted = self.wind;
+            shifted[axis] += DIFFERENCE;
+            jacobian.set_column(axis, &((self.force_in(terms, &shifted) - modelled) / DIFFERENCE));
+        }
+        // Errors of the model last; so many measurements as a time constant of the observer are one.
+        let together = (1.0 / (self.config.gain * self.time_step)).max(1.0);
+        let std = Vector3::from(self.config.force_std);
+        let of_model = self.config.relative_std * force.norm();
+        let error = std.map(|std| together * (std * std + of_model * of_model));
+        let innovation = jacobian * self.covariance * jacobian.transpose() + Matrix3::from_diagonal(&error);
+        let Some(inverse) = innovation.try_inverse() else {
+            return;
+        };
+        let gain = self.covariance * jacobian.transpose() * inverse;
+        let wind = self.wind + gain * (force - modelled);
+        let kept = Matrix3::identity() - gain * jacobian;
+        // Joseph's form: symmetric and positive whatever rounding does.
+        let covariance = kept * self.covariance * kept.transpose()
+            + gain * Matrix3::from_diagonal(&error) * gain.transpose();
+        if wind.iter().chain(covariance.iter()).all(|x| x.is_finite()) {
+            (self.wind, self.covariance) = (wind, covariance);
+        }
+    }
+
+    /// Force of the air in a wind.
+    fn force_in(&mut self, terms: &Terms, wind_i: &Vector3<f64>) -> Vector3<f64> {
+        let Self { robot, aero, link_forces, .. } = self;
+        link_forces.update(robot, &terms.kinematics, LinkConventions::default(), aero, wind_i);
+        link_forces.forces_i.iter().sum()
+    }
+}

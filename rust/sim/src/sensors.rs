@@ -1,0 +1,242 @@
+//! What the robot's sensors say of its own state: pose and velocity of the base, joints, thrusts.
+//!
+//! ```text
+//! truth ──► delay ──► + bias + noise ──► Measurement::{state, thrust}
+//! joints ──► delay ──► steps of the encoder ──► differences ──► low pass
+//! ```
+//!
+//! Equations M88 to M90 of `docs/model.md`.
+
+use crate::noise::Noise;
+use flight_core::error::{BuildError, check};
+use flight_core::estimator::Reading;
+use flight_core::kinematics::RobotState;
+use flight_core::spatial::exp_so3;
+use nalgebra::Vector3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Stream of the noise; wind and thrust estimators have others.
+const STREAM: u64 = 2;
+
+/// Longest delay \[s\]: the delay line is kept in memory.
+const MAX_DELAY: f64 = 1.0;
+
+/// Sensors of the robot's own state; exact unless something is said of them.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct SensorsConfig {
+    /// Position of the base origin \[m, inertial axes\].
+    pub base_position: SensorConfig,
+    /// Rotation of the base; bias and noise turn it about its own axes \[rad\].
+    pub base_rotation: SensorConfig,
+    /// Velocity of the base origin \[m/s, inertial axes\].
+    pub base_linear_velocity: SensorConfig,
+    /// Gyroscopes \[rad/s, base axes\]; the measured rotation turns them into inertial axes.
+    pub base_angular_velocity: SensorConfig,
+    /// Joints.
+    pub joints: EncoderConfig,
+    /// Thrust of every jet.
+    pub thrust: ThrustSensorConfig,
+    /// Seed of all their noise.
+    pub seed: u64,
+}
+
+/// A sensor with three axes, in the unit of what it measures.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct SensorConfig {
+    /// Added to every measurement.
+    pub bias: [f64; 3],
+    /// Standard deviation of white noise on every axis, drawn anew each tick.
+    #[schemars(range(min = 0))]
+    pub noise_std: f64,
+    /// Age of what is measured, rounded to ticks \[s\].
+    #[schemars(range(min = 0, max = 1))]
+    pub delay: f64,
+}
+
+/// Encoders of the joints.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct EncoderConfig {
+    /// Step of the positions \[rad, m\]; zero for none.
+    #[schemars(range(min = 0))]
+    pub resolution: f64,
+    /// Velocities are differences of positions behind a first-order low pass of this time constant \[s\]; without
+    /// it they are measured as such.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0))]
+    pub velocity_time_constant: Option<f64>,
+    /// Age of what is measured, rounded to ticks \[s\].
+    #[schemars(range(min = 0, max = 1))]
+    pub delay: f64,
+}
+
+/// Thrust sensors, all alike.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ThrustSensorConfig {
+    /// Added to every measurement \[N\].
+    pub bias: f64,
+    /// Standard deviation of white noise on every jet, drawn anew each tick \[N\].
+    #[schemars(range(min = 0))]
+    pub noise_std: f64,
+    /// Age of what is measured, rounded to ticks \[s\].
+    #[schemars(range(min = 0, max = 1))]
+    pub delay: f64,
+}
+
+impl SensorsConfig {
+    /// Refuses numbers that mean nothing.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check(&self) -> Result<(), BuildError> {
+        let at = |key: &str, value: f64, greatest: f64, expected: &str| {
+            check(&format!("simulator.sensors.{key}"), value, |x| (0.0..=greatest).contains(&x), expected)
+                .map(|_| ())
+        };
+        let is_age = "seconds from 0 to 1";
+        for (key, sensor, unit) in [
+            ("base_position", &self.base_position, "m"),
+            ("base_rotation", &self.base_rotation, "rad"),
+            ("base_linear_velocity", &self.base_linear_velocity, "m/s"),
+            ("base_angular_velocity", &self.base_angular_velocity, "rad/s"),
+        ] {
+            for bias in sensor.bias {
+                let item = format!("simulator.sensors.{key}.bias");
+                check(&item, bias, |_| true, &format!("three finite numbers in {unit}"))?;
+            }
+            let is_size = format!("a number ≥ 0 in {unit}");
+            at(&format!("{key}.noise_std"), sensor.noise_std, f64::MAX, &is_size)?;
+            at(&format!("{key}.delay"), sensor.delay, MAX_DELAY, is_age)?;
+        }
+        at("joints.resolution", self.joints.resolution, f64::MAX, "a number ≥ 0 in rad or m")?;
+        let time_constant = self.joints.velocity_time_constant.unwrap_or(0.0);
+        at("joints.velocity_time_constant", time_constant, f64::MAX, "seconds ≥ 0")?;
+        at("joints.delay", self.joints.delay, MAX_DELAY, is_age)?;
+        check("simulator.sensors.thrust.bias", self.thrust.bias, |_| true, "a finite force in N")?;
+        at("thrust.noise_std", self.thrust.noise_std, f64::MAX, "a number ≥ 0 in N")?;
+        at("thrust.delay", self.thrust.delay, MAX_DELAY, is_age)
+    }
+}
+
+/// Ages in ticks.
+#[derive(Debug, Clone)]
+struct Ages {
+    position: usize,
+    rotation: usize,
+    linear: usize,
+    angular: usize,
+    joints: usize,
+    thrust: usize,
+}
+
+/// The sensors in time; read once per tick.
+#[derive(Debug, Clone)]
+pub struct Sensors {
+    config: SensorsConfig,
+    time_step: f64,
+    ages: Ages,
+    /// Share of the way that the low pass of joint velocities goes per tick.
+    share: f64,
+    noise: Noise,
+    /// The last ticks, a ring; `now` is the latest.
+    line: Vec<Reading>,
+    now: usize,
+    is_started: bool,
+    said: Reading,
+}
+
+impl Sensors {
+    /// Sensors of a robot with so many joints and jets that are read every `time_step` \[s\].
+    ///
+    /// # Errors
+    /// As [`SensorsConfig::check`].
+    pub fn new(
+        config: &SensorsConfig,
+        time_step: f64,
+        joints: usize,
+        jets: usize,
+    ) -> Result<Self, BuildError> {
+        config.check()?;
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 1 s
+        let ticks = |delay: f64| (delay / time_step).round() as usize;
+        let ages = Ages {
+            position: ticks(config.base_position.delay),
+            rotation: ticks(config.base_rotation.delay),
+            linear: ticks(config.base_linear_velocity.delay),
+            angular: ticks(config.base_angular_velocity.delay),
+            joints: ticks(config.joints.delay),
+            thrust: ticks(config.thrust.delay),
+        };
+        let all = [ages.position, ages.rotation, ages.linear, ages.angular, ages.joints, ages.thrust];
+        let oldest = all.into_iter().max().unwrap_or(0);
+        let nothing = Reading::zero(joints, jets);
+        let time_constant = config.joints.velocity_time_constant.unwrap_or(0.0);
+        Ok(Self {
+            config: config.clone(),
+            time_step,
+            ages,
+            share: if time_constant > 0.0 { -(-time_step / time_constant).exp_m1() } else { 1.0 },
+            noise: Noise::new(config.seed, STREAM),
+            line: vec![nothing.clone(); oldest + 1],
+            now: 0,
+            is_started: false,
+            said: nothing,
+        })
+    }
+
+    /// Reads all sensors in this state of the robot. No allocation.
+    ///
+    /// Before a delay has passed, the first state is measured; the joints' low pass starts settled.
+    pub fn read(&mut self, state: &RobotState, thrust: &[f64]) -> &Reading {
+        let Self { config, ages, line, said, noise, .. } = self;
+        self.now = (self.now + 1) % line.len();
+        for (place, reading) in line.iter_mut().enumerate() {
+            if place == self.now || !self.is_started {
+                reading.copy(state, thrust);
+            }
+        }
+        let (now, length) = (self.now, line.len());
+        let then = |age: usize| &line[(now + length - age) % length];
+        let mut errors = |sensor: &SensorConfig| {
+            let drawn = Vector3::from_fn(|_, _| noise.normal());
+            Vector3::from(sensor.bias) + sensor.noise_std * drawn
+        };
+
+        said.state.base.position = then(ages.position).state.base.position + errors(&config.base_position);
+        said.state.base.rotation =
+            then(ages.rotation).state.base.rotation * exp_so3(&errors(&config.base_rotation));
+        let linear = then(ages.linear).state.base_linear_velocity() + errors(&config.base_linear_velocity);
+        let turning = &then(ages.angular).state;
+        let gyro = turning.base.rotation.transpose() * turning.base_angular_velocity()
+            + errors(&config.base_angular_velocity);
+        let angular = said.state.base.rotation * gyro;
+        said.state.velocity.as_mut_slice()[..3].copy_from_slice(linear.as_slice());
+        said.state.velocity.as_mut_slice()[3..6].copy_from_slice(angular.as_slice());
+
+        let joints = &then(ages.joints).state;
+        let velocities = &mut said.state.velocity.as_mut_slice()[6..];
+        for (joint, velocity) in velocities.iter_mut().enumerate() {
+            let (before, position) = (said.state.joint_position[joint], joints.joint_position[joint]);
+            let step = config.joints.resolution;
+            let position = if step > 0.0 { step * (position / step).round() } else { position };
+            said.state.joint_position[joint] = position;
+            let is_difference = self.is_started && config.joints.velocity_time_constant.is_some();
+            *velocity = if is_difference {
+                *velocity + self.share * ((position - before) / self.time_step - *velocity)
+            } else {
+                joints.velocity[6 + joint]
+            };
+        }
+
+        let thrusts = &then(ages.thrust).thrust;
+        for (said, thrust) in said.thrust.iter_mut().zip(thrusts) {
+            *said = thrust + config.thrust.bias + config.thrust.noise_std * noise.normal();
+        }
+        self.is_started = true;
+        &self.said
+    }
+}

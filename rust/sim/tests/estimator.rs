@@ -1,0 +1,296 @@
+//! The state estimator: with the world's own model it is ahead of any delay; each channel is believed by its share.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
+
+use crate::common::{Loop, assert_within, experiment, fly, robot};
+use flight_core::estimator::{ChannelConfig, EstimatorConfig, Reading};
+use flight_core::{BuildError, Estimator};
+use flight_io::load_robot;
+use flight_sim::sensors::{EncoderConfig, SensorConfig, ThrustSensorConfig};
+use flight_sim::{Outcome, ScenarioConfig, Sensors, SensorsConfig};
+use nalgebra::{Vector3, Vector6};
+
+const STEP: f64 = 0.01;
+const WIND: Vector3<f64> = Vector3::new(1.0, -6.0, 0.5);
+
+fn late(delay: f64) -> ChannelConfig {
+    ChannelConfig { delay, ..ChannelConfig::default() }
+}
+
+/// Every channel has its own age.
+fn ages() -> (SensorsConfig, EstimatorConfig) {
+    let sensor = |delay| SensorConfig { delay, ..SensorConfig::default() };
+    let sensors = SensorsConfig {
+        base_position: sensor(0.05),
+        base_rotation: sensor(0.04),
+        base_linear_velocity: sensor(0.03),
+        base_angular_velocity: sensor(0.0),
+        joints: EncoderConfig { delay: 0.01, ..EncoderConfig::default() },
+        thrust: ThrustSensorConfig { delay: 0.02, ..ThrustSensorConfig::default() },
+        seed: 0,
+    };
+    let estimator = EstimatorConfig {
+        base_position: late(0.05),
+        base_rotation: late(0.04),
+        base_linear_velocity: late(0.03),
+        base_angular_velocity: late(0.0),
+        joint_position: late(0.01),
+        joint_velocity: late(0.01),
+        thrust: late(0.02),
+        joint_disturbance: None,
+    };
+    (sensors, estimator)
+}
+
+fn flight(estimator: EstimatorConfig) -> ScenarioConfig {
+    let mut config = experiment("test2_observer");
+    config.simulator.joint_stops = false;
+    config.controller.estimator = Some(estimator);
+    config
+}
+
+fn estimator(config: &ScenarioConfig) -> Estimator {
+    config.estimator(load_robot(&config.robot).unwrap()).unwrap().unwrap()
+}
+
+/// Largest difference of everything in two readings.
+fn distance(a: &Reading, b: &Reading) -> f64 {
+    let thrusts = a.thrust.iter().zip(&b.thrust).map(|(a, b)| (a - b).abs());
+    [
+        (a.state.base.position - b.state.base.position).amax(),
+        (a.state.base.rotation - b.state.base.rotation).amax(),
+        (&a.state.joint_position - &b.state.joint_position).amax(),
+        (&a.state.velocity - &b.state.velocity).amax(),
+    ]
+    .into_iter()
+    .chain(thrusts)
+    .fold(0.0, f64::max)
+}
+
+/// The controller flies on the truth; the estimator, which is told late, knows it all the same.
+#[test]
+fn with_the_worlds_own_model_it_is_ahead_of_every_delay() {
+    let (late, settings) = ages();
+    let config = flight(settings);
+    let mut estimator = estimator(&config);
+    let mut world = Loop::new(&config);
+    let (joints, jets) = (23, 4);
+    let mut sensors = Sensors::new(&late, STEP, joints, jets).unwrap();
+    for tick in 0..60 {
+        world.observe(&WIND);
+        let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
+        let truth = Reading { state: state.clone(), thrust: thrust.to_vec() };
+        let said = sensors.read(state, thrust);
+        let found = estimator.update(&said.state, &said.thrust, &WIND);
+        assert_within!(distance(found, &truth), 1e-9, because "measured exactly, predicted over five ticks by the same equations in another order", "tick {tick}");
+        estimator.command(world.controller.command(), &Vector6::zeros());
+        world.advance(&WIND);
+    }
+}
+
+/// Two estimators that are told the same but for one channel at one tick differ there, by its share.
+#[test]
+fn every_channel_is_believed_by_its_share() {
+    type Change = fn(&mut Reading);
+    type Read = fn(&Reading) -> f64;
+    let gyro = |r: &Reading| (r.state.base.rotation.transpose() * r.state.base_angular_velocity()).y;
+    let cases: [(usize, Change, Read); 7] = [
+        (0, |r| r.state.base.position.z += 0.1, |r| r.state.base.position.z),
+        (
+            1,
+            |r| r.state.base.rotation *= flight_core::spatial::exp_so3(&Vector3::new(0.0, 0.1, 0.0)),
+            |r| flight_core::spatial::log_so3(&r.state.base.rotation).y,
+        ),
+        (2, |r| r.state.velocity[2] += 0.1, |r| r.state.velocity[2]),
+        (3, |r| r.state.velocity[4] += 0.1, gyro),
+        (4, |r| r.state.joint_position[3] += 0.1, |r| r.state.joint_position[3]),
+        (5, |r| r.state.velocity[6 + 3] += 0.1, |r| r.state.velocity[6 + 3]),
+        (6, |r| r.thrust[2] += 0.1, |r| r.thrust[2]),
+    ];
+    let mut settings = EstimatorConfig::default();
+    let [a, b, c, d, e, f, g] = [0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07]
+        .map(|time_constant| ChannelConfig { delay: 0.0, time_constant });
+    (settings.base_position, settings.base_rotation, settings.base_linear_velocity) = (a, b, c);
+    (settings.base_angular_velocity, settings.joint_position, settings.joint_velocity, settings.thrust) =
+        (d, e, f, g);
+    let time_constants = [0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07];
+    let config = flight(settings);
+    let world = Loop::new(&config);
+    let mut still =
+        Reading { state: world.plant.state().clone(), thrust: world.plant.jets().thrust().to_vec() };
+    still.state.base.rotation = nalgebra::Matrix3::identity();
+    still.state.velocity.fill(0.0);
+    for (channel, change, read) in cases {
+        let found = [false, true].map(|is_changed| {
+            let mut estimator = estimator(&config);
+            estimator.update(&still.state, &still.thrust, &WIND);
+            let mut said = still.clone();
+            if is_changed {
+                change(&mut said);
+            }
+            estimator.update(&said.state, &said.thrust, &WIND).clone()
+        });
+        let share = 1.0 - (-STEP / time_constants[channel]).exp();
+        let moved = read(&found[1]) - read(&found[0]);
+        // A rotation that is believed turns what the gyroscopes say, which is next to nothing here.
+        assert_within!((moved - 0.1 * share).abs(), 1e-3 * share, because "the estimate has fallen for a tick: turns and differences of second order", "channel {channel}: {moved}");
+        let others = (0..7).filter(|other| *other != channel && !(channel == 1 && *other == 3));
+        for other in others {
+            let moved = cases[other].2(&found[1]) - cases[other].2(&found[0]);
+            assert_within!(moved.abs(), 1e-3 * share, because "as above", "channel {channel} moves {other}");
+        }
+    }
+}
+
+/// A wrench that no model knows moves the whole robot: its momentum as it says, no joint.
+#[test]
+fn an_unmodelled_wrench_moves_the_whole_robot() {
+    let config = flight(EstimatorConfig {
+        base_position: ChannelConfig { delay: 0.0, time_constant: 1e9 },
+        ..EstimatorConfig::default()
+    });
+    let slow = ChannelConfig { delay: 0.0, time_constant: 1e9 };
+    let config = ScenarioConfig {
+        controller: flight_io::ControllerSection {
+            estimator: Some(EstimatorConfig {
+                base_rotation: slow,
+                base_linear_velocity: slow,
+                base_angular_velocity: slow,
+                joint_position: slow,
+                joint_velocity: slow,
+                thrust: slow,
+                ..config.controller.estimator.clone().unwrap()
+            }),
+            ..config.controller.clone()
+        },
+        ..config
+    };
+    let mut world = Loop::new(&config);
+    world.observe(&WIND);
+    let wrench = Vector6::new(30.0, -20.0, 10.0, 2.0, -3.0, 1.5);
+    let model = robot("ironcub_mk1");
+    let mut dynamics = flight_core::dynamics::Dynamics::new(&model);
+    let mut kinematics = flight_core::kinematics::Kinematics::new(&model);
+    let found = [Vector6::zeros(), wrench].map(|unmodelled| {
+        let mut estimator = estimator(&config);
+        let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
+        estimator.update(state, thrust, &WIND);
+        estimator.command(world.controller.command(), &unmodelled);
+        estimator.update(state, thrust, &WIND).clone()
+    });
+    // The momentum matrix of the state before the step, with which the step was taken.
+    kinematics.update(&model, world.plant.state());
+    dynamics.update(&model, world.plant.state(), &kinematics);
+    let difference = &found[1].state.velocity - &found[0].state.velocity;
+    let gained = &dynamics.momentum_matrix * &difference;
+    let error = (gained - STEP * wrench).amax();
+    assert_within!(error, 1e-9, because "a step of 10 ms, and corrections by 1e-11 of what differs", "{gained}");
+    assert_within!(difference.rows(6, 23).amax(), 1e-9, because "corrections by 1e-11 of what differs");
+}
+
+/// Thrusts that are not what they seem push the arms: without learning that, the joints' velocities are wrong all the time.
+#[test]
+fn what_the_model_does_not_explain_of_the_joints_is_learnt() {
+    let follow = ChannelConfig { delay: 0.0, time_constant: 0.04 };
+    let found = [None, Some(0.1)].map(|joint_disturbance| {
+        let config = flight(EstimatorConfig {
+            joint_velocity: follow,
+            joint_disturbance,
+            ..EstimatorConfig::default()
+        });
+        let (mut world, mut estimator) = (Loop::new(&config), estimator(&config));
+        let (mut error, mut momentum_error) = (0.0_f64, 0.0_f64);
+        for tick in 0..150 {
+            world.observe(&WIND);
+            let state = world.plant.state();
+            let seeming: Vec<f64> = world.plant.jets().thrust().iter().map(|thrust| thrust + 2.0).collect();
+            let found = estimator.update(state, &seeming, &WIND);
+            if tick >= 100 {
+                let difference = &found.state.velocity - &state.velocity;
+                error = error.max(difference.rows(6, 23).amax());
+                momentum_error = momentum_error.max(difference.rows(0, 6).amax());
+            }
+            estimator.command(world.controller.command(), &Vector6::zeros());
+            world.advance(&WIND);
+        }
+        (error, momentum_error)
+    });
+    assert!(found[0].0 > 0.2, "{found:?}");
+    assert!(found[1].0 < 0.1 * found[0].0, "{found:?}");
+    // The base is measured as it is: its velocities are taken as they come.
+    assert!(found[1].1 < 1e-9, "{found:?}");
+}
+
+#[test]
+fn a_measurement_that_is_no_number_corrects_nothing() {
+    let config = flight(EstimatorConfig::default());
+    let world = Loop::new(&config);
+    let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
+    let mut estimator = estimator(&config);
+    estimator.update(state, thrust, &WIND);
+    let mut wrong = state.clone();
+    wrong.velocity[7] = f64::NAN;
+    let coasting = estimator.update(&wrong, thrust, &WIND).clone();
+    assert!(coasting.state.is_finite());
+    // No command yet: free of torques it has fallen for a tick.
+    assert!(distance(&coasting, &Reading { state: state.clone(), thrust: thrust.to_vec() }) > 1e-6);
+    let back = estimator.update(state, thrust, &WIND).clone();
+    assert_within!((back.state.base.position - state.base.position).amax(), 1e-15, because "taken as it comes");
+}
+
+/// Twenty milliseconds on every signal: without the estimator the robot falls, with it it flies as if they were not there.
+#[test]
+fn a_late_robot_flies_with_an_estimator() {
+    let sensor = || SensorConfig { delay: 0.02, ..SensorConfig::default() };
+    let channels = || late(0.02);
+    let mut falling = experiment("test2_observer");
+    falling.simulator.duration = 6.0;
+    falling.simulator.sensors = Some(SensorsConfig {
+        base_position: sensor(),
+        base_rotation: sensor(),
+        base_linear_velocity: sensor(),
+        base_angular_velocity: sensor(),
+        joints: EncoderConfig { delay: 0.02, ..EncoderConfig::default() },
+        thrust: ThrustSensorConfig { delay: 0.02, ..ThrustSensorConfig::default() },
+        seed: 0,
+    });
+    let mut flying = falling.clone();
+    flying.controller.estimator = Some(EstimatorConfig {
+        base_position: channels(),
+        base_rotation: channels(),
+        base_linear_velocity: channels(),
+        base_angular_velocity: channels(),
+        joint_position: channels(),
+        joint_velocity: channels(),
+        thrust: channels(),
+        joint_disturbance: None,
+    });
+    let [falling, flying] = fly(&[falling, flying]).try_into().unwrap();
+    assert_eq!(falling.outcome, Outcome::Fell);
+    assert_eq!(flying.outcome, Outcome::Completed);
+    assert!(flying.summary.max_rotation_error.to_degrees() < 3.0, "{}", flying.summary.max_rotation_error);
+}
+
+#[test]
+fn bad_estimators_are_refused_by_name() {
+    let wrong: [(&str, EstimatorConfig); 3] = [
+        (
+            "base_position.delay is 0.3; expected seconds from 0 to 0.2",
+            EstimatorConfig { base_position: late(0.3), ..EstimatorConfig::default() },
+        ),
+        ("thrust.delay is NaN", EstimatorConfig { thrust: late(f64::NAN), ..EstimatorConfig::default() }),
+        (
+            "joint_velocity.time_constant is -1",
+            EstimatorConfig {
+                joint_velocity: ChannelConfig { delay: 0.0, time_constant: -1.0 },
+                ..EstimatorConfig::default()
+            },
+        ),
+    ];
+    for (expected, settings) in wrong {
+        let config = flight(settings);
+        let refusal: Result<_, BuildError> = config.estimator(load_robot(&config.robot).unwrap());
+        let text = refusal.unwrap_err().to_string();
+        assert!(text.contains(&format!("controller.estimator.{expected}")), "{text}");
+    }
+}

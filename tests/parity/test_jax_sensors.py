@@ -1,0 +1,68 @@
+"""Sensors in JAX against the crate's: the same truth, read by both."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax_aero import rust
+from jax_aero.io import scenario_config
+from jax_aero.control.estimator import Reading
+from jax_aero.sim.sensors import read, sensors, start
+from jax_aero.types import State
+
+EXPERIMENT = Path(__file__).resolve().parents[2] / "configs" / "experiments" / "test2_observer.toml"
+SENSORS = {
+    "seed": 3,
+    "base_position": {"bias": [0.01, 0.0, 0.02], "noise_std": 0.003, "delay": 0.02},
+    "base_rotation": {"bias": [0.003, 0.002, 0.0], "noise_std": 0.002, "delay": 0.01},
+    "base_linear_velocity": {"bias": [0.0, 0.01, 0.0], "noise_std": 0.004, "delay": 0.034},
+    "base_angular_velocity": {"bias": [0.001, -0.002, 0.001], "noise_std": 0.002},
+    "joints": {"resolution": 5e-4, "velocity_time_constant": 0.02, "delay": 0.01},
+    "thrust": {"bias": 0.2, "noise_std": 0.1, "delay": 0.02},
+}
+
+
+def rotations(wxyz):
+    """Rotation matrices (ticks, 3, 3) of quaternions (ticks, 4)."""
+    w, x, y, z = wxyz.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def test_both_read_the_same(x64, measured):
+    """The truth is that of a flight of the crate, whose log has what its sensors said."""
+    table = rust.load_config(EXPERIMENT, {"simulator.duration": 0.6, "simulator.sensors": SENSORS})
+    flown = rust.fly(table)
+    config = scenario_config(table)
+    velocity = np.hstack([flown["base_velocity"], flown["joint_velocity"]])
+    truth = Reading(
+        State(flown["base_position"], rotations(flown["base_quaternion"]), flown["joint_position"], velocity),
+        flown["thrust"],
+    )
+    truth = jax.tree.map(jnp.asarray, truth)
+    ticks = len(flown["time"])
+    errors = sensors(config.simulator.sensors, jnp.asarray(config.simulator.time_step), ticks - 1, 4)
+    before = start(errors, jax.tree.map(lambda x: x[0], truth))
+
+    def tick(state, now):
+        return read(errors, state, *now)
+
+    _, said = jax.lax.scan(tick, before, (truth, jnp.arange(ticks)))
+    because = "one rotation from a quaternion, and a difference of positions over 10 ms"
+    for name, ours in {
+        "measured_base_position": said.state.base_position,
+        "measured_base_velocity": said.state.velocity[:, :6],
+        "measured_joint_velocity": said.state.velocity[:, 6:],
+        "measured_thrust": said.thrust,
+    }.items():
+        measured(name, np.max(np.abs(ours - flown[name])), 1e-12, because=because)
+    turned = np.asarray(said.state.base_rotation) - rotations(flown["measured_base_quaternion"])
+    measured("measured_base_quaternion", np.max(np.abs(turned)), 1e-12, because=because)

@@ -1,0 +1,64 @@
+"""The wind from the wrench in JAX against the crate's: the same flight's ticks, read by both."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jax_aero import rust
+from jax_aero.aero import aero_model
+from jax_aero.control import wind_observer
+from jax_aero.control.protocol import Terms
+from jax_aero.dynamics import dynamics
+from jax_aero.io import scenario_config
+from jax_aero.kinematics import frame_poses, kinematics
+from jax_aero.robot import load_robot
+from jax_aero.spatial import cross, rotate, rotation_from_wxyz
+from jax_aero.types import State
+
+EXPERIMENT = Path(__file__).resolve().parents[2] / "configs" / "experiments" / "test2_observer.toml"
+WIND = {"profile": "ramp", "velocity": [3.0, -9.0, 1.0], "ramp_start": 0.0, "ramp_end": 0.5}
+
+
+class Momentum:
+    """The part of a tick's momentum model that the estimate reads."""
+
+    def __init__(self, a_t):
+        self.a_t = a_t
+
+
+def test_both_find_the_same_wind(x64, measured):
+    """The truth is that of a flight of the crate, whose log has the wind that its observer told the controller."""
+    table = rust.load_config(EXPERIMENT, {"simulator.duration": 1.0, "controller.wind_observer": {"walk": 3.0}})
+    table["wind"] = WIND
+    flown = rust.fly(table)
+    config, robot = scenario_config(table), load_robot(table["robot"])
+    settings = wind_observer.wind_observer(
+        config.controller.wind_observer,
+        aero_model(config.controller.aero, robot),
+        jnp.asarray(config.simulator.time_step),
+    )
+    velocity = np.hstack([flown["base_velocity"], flown["joint_velocity"]])
+
+    def tick(state, row):
+        position, wxyz, joints, rates, thrust, time = row
+        now = State(position, rotation_from_wxyz(wxyz), joints, rates)
+        kin = kinematics(robot, now)
+        rotations, points = frame_poses(kin, robot.jets.bodies, robot.jets.rotations, robot.jets.positions)
+        axes = rotate(rotations, robot.jets.axes)
+        a_t = jnp.concatenate([axes, cross(points - kin.com, axes)], axis=1).T
+        nothing = dict.fromkeys(Terms._fields)
+        terms = Terms(**nothing | {"kinematics": kin, "dynamics": dynamics(robot, now, kin), "momentum": Momentum(a_t)})
+        after = wind_observer.update(settings, robot, state, terms, thrust, time)
+        return after, (state.wind, jnp.sqrt(jnp.diag(state.covariance)))
+
+    rows = (flown["base_position"], flown["base_quaternion"], flown["joint_position"], velocity)
+    rows = jax.tree.map(jnp.asarray, (*rows, flown["thrust"], flown["time"]))
+    _, (wind, std) = jax.lax.scan(tick, wind_observer.start(settings), rows)
+    because = "a hundred ticks of sums of order one hundred; momentum differences over 10 ms"
+    measured("wind", np.max(np.abs(wind - flown["measured_wind"])), 1e-9, because=because)
+    measured("std", np.max(np.abs(std - flown["measured_wind_std"])), 1e-9, because=because)
+    assert np.linalg.norm(flown["measured_wind"][-1]) > 1.0
