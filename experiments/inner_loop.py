@@ -1,10 +1,10 @@
 """How late and how noisy measurements may be: the hovering loop, linearised tick by tick.
 
-`python -m experiments inner-loop` takes the robot that hovers in still air under the published weights and under those of
-the observer, without an observer, and forms the Jacobian of one tick: of the world by the model's equations of motion,
-of the controller by differences of its ticks, both about the same state. A measurement that is D ticks late is a row of
-the state of D ticks ago. Printed are, for every measurement, the greatest delay without a growing mode, in ticks of 2 ms;
-how fast the open loop grows; and what noise makes of the commanded joint rates.
+`python -m experiments inner-loop` takes the robot that hovers in still air under the published weights and under those
+of the observer, without an observer, and forms the Jacobian of one tick: of the world by the model's equations of
+motion, of the controller by differences of its ticks, both about the same state. A measurement that is D ticks late is
+a row of the state of D ticks ago. Printed are, for every measurement, the greatest delay up to which no mode grows, in
+ticks of 2 ms; how fast the open loop grows; and what noise makes of the commanded joint rates.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ STEP = 1e-6
 """Of the differences, in SI units."""
 SETTLING = 15.0
 """Until the robot hovers [s]."""
-LONGEST = 0.06
+LONGEST = 0.03
 """Delays that are tried [s]."""
 NOISE = {"base position": 5e-3, "base rotation": 2e-3, "base velocity": 0.02, "gyroscopes": 0.01, "thrust": 0.5}
 """Standard deviations of measurements [m, rad, m/s, rad/s, N]."""
 
 
 class Loop(NamedTuple):
-    """A linear loop of n joints and j jets: x the deviation of the state, i the integral of the joint velocity error."""
+    """A linear loop of n joints: x the deviation of the state, i the integral of the joint velocity error."""
 
     world: Matrix
     """∂x⁺/∂x."""
@@ -84,8 +84,9 @@ def linearised(weight: float, time_step: float) -> Loop:
     memory = controller.state
     assert memory is not None
     before = tick.velocity_error_integral
-    now = np.concatenate([np.asarray(measured.state.base_position), np.zeros(3), np.asarray(measured.state.joint_position)])
-    now = np.concatenate([now, np.asarray(measured.state.velocity), measured.thrust])
+    state = measured.state
+    parts = (state.base_position, np.zeros(3), state.joint_position, state.velocity, measured.thrust)
+    now = np.concatenate([np.asarray(part) for part in parts])
     turned = np.asarray(measured.state.base_rotation)
     n, jets = len(before), len(measured.thrust)
     velocity, thrust = slice(6 + n, 12 + 2 * n), slice(12 + 2 * n, None)
@@ -106,14 +107,15 @@ def linearised(weight: float, time_step: float) -> Loop:
 
     def moved(x: Matrix, extra: Matrix) -> Matrix:
         rotation = turned @ expm(_skew(x[3:6]))
-        return _stepped(ticked(x, none), now + x, rotation, turned, held + extra, time_step) - now
+        after: Matrix = _stepped(ticked(x, none), now + x, rotation, turned, held + extra, time_step) - now
+        return after
 
     by_state = _jacobian(lambda x: answered(x, none), len(now))
     by_integral = _jacobian(lambda i: answered(zero, i), n)
     u, i = slice(0, jets + n), slice(jets + n, jets + 2 * n)
     s = 12 + n
     channels = {
-        "base position": range(0, 3),
+        "base position": range(3),
         "base rotation": range(3, 6),
         "base velocity": range(6 + n, 9 + n),
         "gyroscopes": range(9 + n, s),
@@ -157,12 +159,17 @@ def growth(jacobian: Matrix, time_step: float) -> float:
 
 def greatest_delay(loop: Loop, name: str) -> float:
     """Return the greatest delay [s] of a measurement, or of everything, up to which no mode grows."""
-    for late in range(1, round(LONGEST / loop.time_step) + 1):
-        ages = np.zeros(len(loop.world), dtype=int)
+    ages = np.zeros(len(loop.world), dtype=int)
+
+    def is_stable(late: int) -> bool:
         ages[loop.channels.get(name, slice(None))] = late
-        if growth(closed(loop, ages), loop.time_step) > 0.01:  # a mode at zero is the position of the set-point
-            return (late - 1) * loop.time_step
-    return LONGEST
+        return growth(closed(loop, ages), loop.time_step) < 0.01  # a mode at zero is the position of the set-point
+
+    low, high = 0, round(LONGEST / loop.time_step) + 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if is_stable(middle) else (low, middle)
+    return low * loop.time_step
 
 
 def joint_rates(loop: Loop, name: str, std: float) -> float:
@@ -177,9 +184,7 @@ def joint_rates(loop: Loop, name: str, std: float) -> float:
     return float(np.sqrt(np.diag(loop.joint_rate @ seen @ loop.joint_rate.T).max()))
 
 
-def _stepped(
-    tick: rust.Tick, at: Matrix, rotation: Matrix, hovering: Matrix, u: Matrix, time_step: float
-) -> Matrix:
+def _stepped(tick: rust.Tick, at: Matrix, rotation: Matrix, hovering: Matrix, u: Matrix, time_step: float) -> Matrix:
     """State after a semi-implicit step from `at` (M78) under thrust rates and torques u.
 
     `rotation` is the base's; what it differs from the hovering one is a vector in base axes.

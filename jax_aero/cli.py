@@ -54,6 +54,8 @@ GROUPS: dict[str, dict[str, Command]] = {
         "trajectory": Command("experiments.trajectory:main", "symbolic", "plan optimal trajectories"),
         "force-rate": Command("experiments.force_rate:main", "twin", "measure the aerodynamic force's rate"),
         "observer-limit": Command("experiments.observer_limit:main", "twin", "bound the observer's gain"),
+        "inner-loop": Command("experiments.inner_loop:main", "twin", "find how late measurements may be"),
+        "wind-observer": Command("experiments.wind_observer:main", "twin", "measure how well the wind is known"),
         "tip-over": Command("experiments.tip_over:main", "twin", "find the wind that tips the standing robot over"),
         "tunnel-moments": Command("experiments.tunnel_moments:main", "twin", "compare moments with the wind tunnel"),
         "engine-choice": Command("experiments.engine_choice:main", "symbolic", "compare battery and fuel"),

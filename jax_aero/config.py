@@ -195,6 +195,10 @@ class EstimatorConfig(Table, frozen=True, kw_only=True):
     """Position of the base origin."""
     base_rotation: ChannelConfig = ChannelConfig()
     """Rotation of the base."""
+    joint_disturbance: Positive | None = None
+    """Time in which accelerations of the joints are learnt that the model does not explain, such as those by thrusts
+    that are not what they seem [s]; without it none are.
+    """
     joint_position: ChannelConfig = ChannelConfig()
     """Joint positions."""
     joint_velocity: ChannelConfig = ChannelConfig()
@@ -343,6 +347,23 @@ class MomentumWeights(Table, frozen=True, kw_only=True):
     """Thrust rates towards zero, by jet."""
 
 
+class WindObserverConfig(Table, frozen=True, kw_only=True):
+    """How the wind is estimated."""
+
+    force_std: tuple[NonNegative, NonNegative, NonNegative] = (1.0, 1.0, 4.0)
+    """Standard deviation of the observed force, by axis: of mass, thrusts and attitude [N]."""
+    gain: Positive = 3.0
+    """How fast the acting force is observed, `K_o` [1/s]."""
+    relative_std: NonNegative = 0.12
+    """Standard deviation of the model's force, as a fraction of the observed one."""
+    vertical_std: Positive = 1.0
+    """Standard deviation of vertical winds [m/s]."""
+    vertical_time: Positive = 2.0
+    """Time over which vertical winds are like themselves [s]."""
+    walk: Positive = 2.0
+    """How fast a horizontal wind changes: standard deviation after one second [m/s]."""
+
+
 class ControllerSection(Table, frozen=True, kw_only=True):
     """One file of `configs/control/`."""
 
@@ -378,6 +399,8 @@ class ControllerSection(Table, frozen=True, kw_only=True):
     """Whether thrusts are known of and asked for."""
     weights: MomentumWeights
     """Weights of the momentum QP."""
+    wind_observer: WindObserverConfig | None = None
+    """Estimates the wind from the force that acts on the robot; without it the controller is told the wind."""
 
 
 class ForceFactorsConfig(Table, frozen=True, kw_only=True):

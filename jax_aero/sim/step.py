@@ -31,8 +31,8 @@ from jax_aero.control import wind_observer as wind_observing
 from jax_aero.control.estimator import Estimator, EstimatorState, Order, Reading
 from jax_aero.control.protocol import Command, Controller, Measurement
 from jax_aero.control.tick import momentum_controller
-from jax_aero.control.wind_observer import WindObserver, WindState
 from jax_aero.control.wind_estimate import WindEstimate, measured_wind, wind_estimate
+from jax_aero.control.wind_observer import WindObserver, WindState
 from jax_aero.io import scenario_config
 from jax_aero.jet_faults import known_limits
 from jax_aero.jets import JetDynamics
@@ -451,9 +451,7 @@ def _measured_wind(scenario: Scenario, state: FlightState, tick: Array) -> Array
 def _observe(scenario: Scenario, state: PlantState, command: Command, wind: Array) -> Observation:
     """Observe the plant; what the controller computed for the same robot in the same state is not computed again."""
     plant, terms = scenario.plant, command.terms
-    is_another = (
-        scenario.controller_model is not None or scenario.sensors is not None or scenario.estimator is not None
-    )
+    is_another = scenario.controller_model is not None or scenario.sensors is not None or scenario.estimator is not None
     if terms is None or is_another or plant.backend != "tree":
         return world.observe(plant, state, wind)
     return world.observe(plant, state, wind, (terms.kinematics, terms.dynamics))

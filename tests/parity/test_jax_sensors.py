@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jax_aero import rust
-from jax_aero.io import scenario_config
 from jax_aero.control.estimator import Reading
+from jax_aero.io import scenario_config
 from jax_aero.sim.sensors import read, sensors, start
 from jax_aero.types import State
 

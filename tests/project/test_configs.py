@@ -57,3 +57,11 @@ def test_a_sweep_that_adds_the_observer_adds_the_recommended_one(name):
     recommended, added = table("control/observer.toml"), table(f"sweeps/{name}.toml")["set"]
     assert added["controller.observer"] == recommended["observer"]
     assert added["controller.weights.joint_velocity"] == recommended["weights"]["joint_velocity"]
+
+
+def test_a_sweep_of_realistic_sensors_has_the_realistic_sensors():
+    def table(path):
+        return tomllib.loads((ROOT / "configs" / path).read_text(encoding="utf-8"))
+
+    added = table("sweeps/sensors_tests.toml")["set"]["simulator.sensors"]
+    assert added == table("simulator/flight_sensors.toml")["sensors"]

@@ -1,0 +1,54 @@
+"""The linearised loop with late measurements, on loops whose limits are known; and what is made of a wind's estimate."""
+
+import numpy as np
+
+from experiments import inner_loop, wind_observer
+
+STEP = 0.002
+
+
+def integrator(gain):
+    """ẋ = u, u = −gain y, and an integral that nobody reads."""
+    one = np.eye(1)
+    return inner_loop.Loop(
+        world=one,
+        acting=STEP * one,
+        answer=-gain * one,
+        answer_integral=0.0 * one,
+        integral=0.0 * one,
+        integral_integral=0.5 * one,
+        joint_rate=3.0 * one,
+        channels={"x": [0]},
+        time_step=STEP,
+    )
+
+
+def test_growth_of_a_loop_without_delay_is_that_of_its_poles(agree):
+    loop = integrator(10.0)
+    found = inner_loop.growth(inner_loop.closed(loop, np.zeros(1, dtype=int)), STEP)
+    agree("decay", found, np.log(1.0 - 10.0 * STEP) / STEP, 1e-12)
+
+
+def test_the_greatest_delay_of_an_integrator_is_a_quarter_of_a_turn():
+    """An integrator under the gain k is stable up to a delay of π / 2k, of which sample and hold takes half a tick."""
+    gain = 100.0
+    expected = np.pi / 2.0 / gain - 0.5 * STEP
+    found = inner_loop.greatest_delay(integrator(gain), "x")
+    assert found <= expected < found + STEP
+
+
+def test_noise_of_a_measurement_comes_back_through_the_state(agree):
+    """x⁺ = (1 − a) x − a ε: its variance is a² / (1 − (1 − a)²), and the rate reads x + ε."""
+    gain, std = 100.0, 0.3
+    a = gain * STEP
+    variance = a * a / (1.0 - ((1.0 - 1e-5) * (1.0 - a)) ** 2) + 1.0
+    agree("rate", inner_loop.joint_rates(integrator(gain), "x", std), 3.0 * std * np.sqrt(variance), 1e-9)
+
+
+def test_a_wind_is_judged_by_its_horizontal_components_when_it_has_risen():
+    time = np.array([0.0, 7.9, 8.0, 9.0])
+    told = np.array([[9.0, 9.0, 9.0], [9.0, 9.0, 9.0], [3.0, 4.0, 9.0], [0.0, 1.0, 0.0]])
+    log = {"time": time, "wind": np.zeros((4, 3)), "measured_wind": told, "measured_wind_std": np.ones((4, 3))}
+    errors, inside = wind_observer.judged(log)
+    assert errors.tolist() == [5.0, 1.0]
+    assert inside.tolist() == [[False, False], [True, True]]
