@@ -13,27 +13,12 @@ EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
 TOLERANCE = 1e-9
 """Relative to the largest value of a signal over the flight; below one, absolute."""
 
-# What all have, so that they are of one structure: engines with estimators, turbulence, another robot, factors,
-# sensors.
+# What all have, so that they are of one structure: engines with estimators, turbulence, another robot, factors.
 COMMON = {
     "simulator.duration": 4.0,
     "disturbances.model_error.mass_scale": 1.01,
     "disturbances.aero_estimate.drag": 0.8,
     "disturbances.aero_estimate.normal": 1.2,
-    "simulator.sensors": {
-        "base_position": {"noise_std": 1e-3, "bias": [0.01, 0.0, 0.0], "delay": 0.01},
-        "base_angular_velocity": {"noise_std": 1e-4},
-        "thrust": {"noise_std": 0.01},
-        "seed": 6,
-    },
-    "controller.estimator": {
-        "base_position": {"delay": 0.01, "time_constant": 0.05},
-        "base_linear_velocity": {"time_constant": 0.02},
-        "base_rotation": {"time_constant": 0.01},
-        "thrust": {"time_constant": 0.05},
-        "joint_velocity": {"time_constant": 0.01},
-        "joint_disturbance": 0.2,
-    },
 }
 TURBULENT = {
     "profile": "turbulent",

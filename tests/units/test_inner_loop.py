@@ -1,4 +1,4 @@
-"""The linearised loop with late measurements, on loops whose limits are known; and what is made of a wind's estimate."""
+"""The linearised loop with late measurements, on loops whose limits are known; what is made of an estimated wind."""
 
 import numpy as np
 

@@ -281,7 +281,9 @@ impl Estimator {
         let length = line.len();
         let (oldest, step) = (length - 1, self.time_step);
         if *ticks == 0 {
-            line.iter_mut().for_each(|reading| reading.copy(state, thrust));
+            for reading in line.iter_mut() {
+                reading.copy(state, thrust);
+            }
             then.copy(state, thrust);
         }
         line[*ticks % length].copy(state, thrust);

@@ -107,6 +107,7 @@ fn a_saturated_tick_does_not_allocate() {
 
 /// Every model and quirk, sub-steps, second-order engines.
 #[test]
+#[allow(clippy::large_stack_arrays, reason = "a handful of configurations, once")]
 fn no_model_allocates() {
     for (what, config) in [
         ("published", experiment("test2_published")),
