@@ -92,10 +92,6 @@ reproduce: $(PACKAGES) ## fly everything, draw everything, write results/report.
 	$(BIN)/python -m experiments --all
 	$(BIN)/python -m experiments sweep --all
 	$(BIN)/python -m experiments engine-choice
-	$(BIN)/python -m experiments along
-	$(BIN)/python -m experiments arm-engines
-	$(BIN)/python -m experiments identify-engine
-	$(BIN)/python -m experiments pictures
 	$(BIN)/python -m experiments force-rate
 	$(BIN)/python -m experiments observer-limit
 	$(BIN)/python -m experiments tip-over

@@ -73,6 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     vector: dict[str, Any] = {"nargs": 3, "type": float, "metavar": ("X", "Y", "Z"), "default": [0.0, 0.0, 0.0]}
     parser.add_argument("--wind", help="velocity of the air [m/s, inertial axes]", **vector)
     parser.add_argument("--velocity", help="flight velocity [m/s, inertial axes]", **vector)
+    parser.add_argument("--without", metavar="JET", help="a jet without thrust; the attitude is free then")
     parser.add_argument("--objective", choices=OBJECTIVES, default="min_thrust")
     parser.add_argument("--map", action="store_true", help="solve all winds of the configuration, write a result")
     study.add_set(parser)
@@ -84,11 +85,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
             MAP.run(given.name, changes)
             return 0
         trim = build(MAP.read(given.name, changes)[1])
+        trim.lost = _jet(trim, given.without)
         result = trim.solve(given.wind, given.velocity, given.objective)
         print(report(trim, result))
         return 0 if result.feasible else 1
 
     return exit_status(work)
+
+
+def _jet(trim: Trim, name: str | None) -> int | None:
+    """Return the place of a jet that is named."""
+    names = [jet.name for jet in trim.model.robot.jets]
+    if name is not None and name not in names:
+        raise Refused(f"--without is `{name}`; {trim.model.robot.name} has {', '.join(names)}")
+    return None if name is None else names.index(name)
 
 
 def build(config: TrimConfig) -> Trim:

@@ -146,6 +146,69 @@ class ChannelConfig(Table, frozen=True, kw_only=True):
     """Time in which the estimate follows it [s]; zero takes it as it comes."""
 
 
+class Greatest(Table, frozen=True, kw_only=True):
+    """Greatest values that are believed; by default those of a simulated flight that has not diverged."""
+
+    angular_velocity: Positive = 100.0
+    """Angular velocity of the base [rad/s]."""
+    foot_force: Positive = 100000.0
+    """Force on a foot [N]."""
+    foot_moment: Positive = 100000.0
+    """Moment on a foot [N m]."""
+    joint_position: Positive = 100.0
+    """Joint position [rad, m]."""
+    joint_velocity: Positive = 100.0
+    """Joint velocity [rad/s, m/s]."""
+    position: Positive = 1000000.0
+    """Position of the base [m]."""
+    thrust: Positive = 10.0
+    """Thrust, as a multiple of the jet's greatest."""
+    velocity: Positive = 300.0
+    """Velocity of the base [m/s]."""
+    wind: Positive = 300.0
+    """Wind [m/s]."""
+
+
+class Jumps(Table, frozen=True, kw_only=True):
+    """Greatest differences to the reckoned value that are believed. Wind, thrusts and feet may jump."""
+
+    angular_velocity: Positive = 0.8
+    """Angular velocity of the base [rad/s]."""
+    joint_position: Positive = 0.2
+    """Joint position [rad, m]."""
+    joint_velocity: Positive = 10.0
+    """Joint velocity [rad/s, m/s]."""
+    position: Positive = 0.3
+    """Position of the base [m]."""
+    rotation: Positive = 0.2
+    """Entry of the rotation matrix of the base."""
+    velocity: Positive = 0.5
+    """Velocity of the base [m/s]."""
+
+
+class ChannelsConfig(Table, frozen=True, kw_only=True):
+    """What is believed of measurements, and what happens without them."""
+
+    descend_after: NonNegative = 3.0
+    """Age of a channel of joints or base from which on the robot levels and descends, and does so to the end [s]."""
+    frozen_ticks: Annotated[int, Meta(ge=1)] = 5
+    """Number of ticks with the same bits after which a value can be frozen."""
+    greatest: Greatest = Greatest()
+    """Greatest values that are believed, of each component."""
+    jump: Jumps | None = None
+    """Greatest differences to the reckoned value that are believed, of each component; without it all of them, and no
+    value counts as frozen and no time step as wrong.
+    """
+    velocity_gain: NonNegative = 20.0
+    """Gain with which a base velocity that is not measured follows the differences of the pose [1/s]."""
+    widening: NonNegative = 1.0
+    """Growth of `jump` with the age of a channel, as a share of itself [1/s]."""
+    wind_fade: Positive = 2.0
+    """Time in which it then fades to zero [s]."""
+    wind_hold: NonNegative = 1.0
+    """How long the last wind is held [s]."""
+
+
 class WrenchLimits(Table, frozen=True, kw_only=True):
     """What the wrench of every foot may be, in sole axes about the sole's origin; where its centre of pressure may be
     stands with the robot's foot.
@@ -205,6 +268,19 @@ class EstimatorConfig(Table, frozen=True, kw_only=True):
     """Joint velocities."""
     thrust: ChannelConfig = ChannelConfig()
     """Thrusts."""
+
+
+class EnginesConfig(Table, frozen=True, kw_only=True):
+    """When an engine counts as lost."""
+
+    confirmation: NonNegative
+    """How long it has to be exceeded [s]."""
+    descend: bool
+    """Whether the robot levels and descends when an engine is lost."""
+    deviation_max: Positive
+    """Greatest deviation of a thrust from the commanded one [N]."""
+    time_constant: Positive
+    """Time constant with which deviations of the thrust are forgotten [s]."""
 
 
 JacobianOffset: TypeAlias = Literal["link_rotation", "base_rotation"]
@@ -295,6 +371,8 @@ class SetpointConfig(Table, frozen=True, kw_only=True):
     """Gain with which the smoothed attitude follows the raw one [1/s]."""
     attitude_rate_deg: tuple[NonNegative, NonNegative]
     """Rates of raw pitch and yaw [deg/s]."""
+    descent_speed: NonNegative = 0.5
+    """Speed of the descent where the mission cannot be followed any more [m/s]."""
     nose_down_limits_deg: tuple[float, float]
     """Least and greatest raw pitch, positive nose down [deg]."""
     position_smoothing: Positive
@@ -373,10 +451,14 @@ class ControllerSection(Table, frozen=True, kw_only=True):
     """Where the aerodynamic estimate enters."""
     bounds: BoundsConfig
     """Bounds of the momentum QP."""
+    channels: ChannelsConfig = ChannelsConfig()
+    """What is believed of measurements, and what happens without them."""
     contact: ContactConfig | None = None
     """What it takes to stand on the ground; without it the controller knows no feet."""
     estimator: EstimatorConfig | None = None
     """Estimates the state from what is measured; without it the controller is given the measurements."""
+    engines: EnginesConfig | None = None
+    """When an engine counts as lost; without it, never."""
     jacobian_offset: JacobianOffset = "link_rotation"
     """Point whose Jacobian carries link forces (in `Λ_a` and the torque law)."""
     lever_arm: LeverArm = "rotated"
@@ -548,6 +630,47 @@ class ModelError(Table, frozen=True, kw_only=True):
     """Factor on all masses and inertias of the controller's robot."""
 
 
+OutageChannel: TypeAlias = Literal["wind", "thrust", "joints", "base_position", "base_rotation", "base_velocity"]
+"""What is not measured.
+
+wind: Velocity of the air.
+thrust: Thrust of one jet or of all.
+joints: Positions and velocities of all joints.
+base_position: Position of the base.
+base_rotation: Rotation of the base.
+base_velocity: Velocity of the base, linear and angular.
+"""
+
+
+OutageKind: TypeAlias = Literal["missing", "nan", "frozen", "wrong"]
+"""What is measured instead.
+
+missing: Nothing: every component is NaN.
+nan: The first component is NaN.
+frozen: What was measured when it began.
+wrong: Something else, by `error`.
+"""
+
+
+class Outage(Table, frozen=True, kw_only=True):
+    """A channel that fails for a while."""
+
+    channel: OutageChannel
+    """What is not measured."""
+    duration: Positive | None = None
+    """How long it lasts [s]; without it, for ever."""
+    error: float = 1.0
+    """Of a wrong value: added to every component, or the angle by which a rotation is turned about inertial x [the
+    channel's units].
+    """
+    jet: str | None = None
+    """Name of the jet whose thrust it is; without it, of all jets."""
+    kind: OutageKind
+    """What is measured instead."""
+    start: Positive
+    """When it begins [s]; a flight begins with everything measured."""
+
+
 class WindEstimateConfig(Table, frozen=True, kw_only=True):
     """Errors of the wind estimate; none by default."""
 
@@ -578,6 +701,8 @@ class Disturbances(Table, frozen=True, kw_only=True):
     """What is wrong with the jets."""
     model_error: ModelError = ModelError()
     """How the controller's robot differs from the one that flies."""
+    outages: tuple[Outage, ...] = ()
+    """Measurements that fail to reach the controller, or reach it wrong."""
     wind_estimate: WindEstimateConfig | None = None
     """Errors of the wind that the controller is given; without them it is the true one."""
 

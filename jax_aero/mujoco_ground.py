@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from jax_aero import mujoco_model, rust
 from jax_aero.config import Disturbances
+from jax_aero.control.channels import MODES
 from jax_aero.io import scenario_config
 from jax_aero.result import Outcome
 from jax_aero.summary import condense, figures
@@ -236,7 +237,7 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
     if "ground" not in simulator:
         raise ValueError("`simulator.ground` is absent; expected a table: this engine flies nothing without ground")
     disturbances = config.get("disturbances", {})
-    for key in ("aero", "jets", "wind_estimate"):
+    for key in ("aero", "jets", "outages", "wind_estimate"):
         if getattr(scenario_config(config).disturbances, key) != getattr(Disturbances(), key):
             raise ValueError(f"this engine does not support `disturbances.{key}`")
     plant, controller = GroundPlant(config), rust.Controller(config)
@@ -333,6 +334,7 @@ def _row(
         "qp_status": [tick.momentum_answer.status_code, tick.torque_answer.status_code],
         "qp_kkt": [tick.momentum_answer.kkt, tick.torque_answer.kkt],
         "qp_iterations": [tick.momentum_answer.iterations, tick.torque_answer.iterations],
+        "degraded_modes": float(sum(MODES[mode] for mode in tick.degraded_modes)),
         "joint_torque_measured": seen.joint_torque,
         "foot_wrench": seen.foot_wrenches,
         "sole_position": seen.soles,

@@ -328,7 +328,9 @@ class Tick:
     torque_qp, torque_answer, unlimited_torque, joint_torque
         The QP in τ, for a controller that can stand in (f_c, τ), and its answer [N m], before and after the limiter.
     status
-        "Nominal", or which part of the command is a safe substitute.
+        "Nominal", "Degraded", or which part of the command is a safe substitute.
+    degraded_modes
+        Names of the ways in which the tick differs from one with every measurement.
     posture, inertia_0_b, velocity_error_integral
         Part of the state of the controller after the tick, see `Controller.state`.
     setpoint
@@ -372,6 +374,7 @@ class Tick:
     unlimited_torque: Array
     joint_torque: Array
     status: str
+    degraded_modes: list[str]
     posture: Array
     inertia_0_b: Array
     velocity_error_integral: Array

@@ -105,6 +105,9 @@ SWEEPS: Sequence[str] = (
     "observer_missions",
     "observer_errors",
     "model_pairs",
+    "outages_observer",
+    "outages_published",
+    "engine_loss",
 )
 """Sweeps that `all` expects; others are drawn too where their results are."""
 

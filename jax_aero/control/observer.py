@@ -8,7 +8,7 @@ dŵ/dt = K_o (w − ŵ)                                               what is ob
 
 `Δt` is the time between the two measurements. Inertial axes, about the centre of mass, force first.
 
-Equations M82 to M84 of `docs/model.md`.
+Equations M82 to M84 and M106 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,9 @@ from jax_aero.types import Array, pytree
 
 GAP_MAX = 10.5
 """Longest time between two measurements that are compared, in ticks. Half a tick is for rounding."""
+
+RESIDUAL_TIME = 0.02
+"""Time constant of the residual [s]."""
 
 
 @pytree
@@ -43,6 +46,8 @@ class ObserverState(NamedTuple):
 
     wrench: Float[Array, "6"]
     """`ŵ` [N, N m]."""
+    residual: Float[Array, "6"]
+    """What was found beside it in the last hundredths of a second, `n` of M106 [N, N m]."""
     is_known: Bool[Array, ""]
     """Whether there is a last measurement: that of the rest."""
     time: Float[Array, ""]
@@ -56,7 +61,7 @@ class ObserverState(NamedTuple):
 def start(like: Array) -> ObserverState:
     """Return the state of an observer that has observed nothing, in the precision of `like`."""
     nothing = jnp.zeros(6, like.dtype)
-    return ObserverState(nothing, jnp.array(False), jnp.zeros((), like.dtype), nothing, nothing)
+    return ObserverState(nothing, nothing, jnp.array(False), jnp.zeros((), like.dtype), nothing, nothing)
 
 
 def update(
@@ -70,11 +75,19 @@ def update(
     is_near = last.is_known & (elapsed > 0.0) & (elapsed < GAP_MAX * time_step)
     elapsed = jnp.where(is_near, elapsed, time_step)
     shares = -jnp.expm1(-elapsed * _sixfold(gains.gain_force, gains.gain_moment))
-    moved = last.wrench + shares * ((momentum - last.momentum) / elapsed - last.rate - last.wrench)
+    innovation = (momentum - last.momentum) / elapsed - last.rate - last.wrench
+    moved = last.wrench + shares * innovation
     limits = _sixfold(gains.force_max, gains.moment_max)
     is_used = is_near & jnp.all(jnp.isfinite(moved))
     wrench = jnp.where(is_used, jnp.clip(moved, -limits, limits), last.wrench)
-    return ObserverState(wrench, jnp.array(True), jnp.asarray(time, wrench.dtype), momentum, rate)
+    newer = last.residual - jnp.expm1(-elapsed / RESIDUAL_TIME) * (innovation - last.residual)
+    residual = jnp.where(is_used, newer, last.residual)
+    return ObserverState(wrench, residual, jnp.array(True), jnp.asarray(time, wrench.dtype), momentum, rate)
+
+
+def hold(last: ObserverState) -> ObserverState:
+    """Return the observer after a tick whose momentum is not measured: `ŵ` stays, there is nothing to compare."""
+    return last._replace(residual=jnp.zeros_like(last.residual), is_known=jnp.array(False))
 
 
 def _sixfold(force: Array, moment: Array) -> Array:

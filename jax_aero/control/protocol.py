@@ -59,6 +59,8 @@ class Command(NamedTuple):
     torque_qp: QpAnswer | None = None
     status: Array | None = None
     """() int32, one of the codes in `tick`."""
+    degraded_modes: Array | None = None
+    """() int32, a sum of the bits in `channels.MODES`."""
     terms: Terms | None = None
 
 

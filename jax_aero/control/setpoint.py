@@ -159,6 +159,8 @@ class SetpointParams(NamedTuple):
     """[1/s]"""
     attitude_gain: Array
     """[1/s]"""
+    descent_speed: Array
+    """[m/s]"""
     position_filter: FilterGains
     jerk_filter: FilterGains
     angular_velocity_filter: FilterGains
@@ -196,6 +198,7 @@ def setpoint_params(config: SetpointConfig, forward_axis: Array, time_step: Arra
         turbo_boost=leaf(config.turbo_boost),
         turbo_rate=leaf(config.turbo_rate),
         attitude_gain=leaf(config.attitude_gain),
+        descent_speed=leaf(config.descent_speed),
         position_filter=filter_gains(leaf(config.position_smoothing), time_step),
         jerk_filter=filter_gains(leaf(config.acceleration_smoothing), time_step),
         angular_velocity_filter=filter_gains(leaf(config.angular_velocity_smoothing), time_step),
@@ -227,7 +230,22 @@ def update(
     """
     if isinstance(mission, Recording):
         return _follow(params, mission, state, time)
-    raw_position, raw_rpy, turbo_ticks = _advance_raw(params, state, autopilot_command(mission, time))
+    return _smooth(params, state, *_advance_raw(params, state, autopilot_command(mission, time)))
+
+
+def descend(params: SetpointParams, state: SetpointState) -> tuple[SetpointState, Setpoint]:
+    """Return the set-point of a tick of the way down instead of the mission: level, straight down, without boost."""
+    step = params.attitude_rate[0] * params.time_step
+    level = state.raw_rpy[:2] - jnp.clip(state.raw_rpy[:2], -step, step)
+    down = state.raw_position.at[2].add(-params.descent_speed * params.time_step)
+    rpy = jnp.concatenate([level, state.raw_rpy[2:]])
+    return _smooth(params, state, down, rpy, jnp.zeros_like(state.turbo_ticks))
+
+
+def _smooth(
+    params: SetpointParams, state: SetpointState, raw_position: Array, raw_rpy: Array, turbo_ticks: Array
+) -> tuple[SetpointState, Setpoint]:
+    """Return the smooth set-point that follows the raw one."""
     position = filter_update(params.position_filter, state.position, raw_position)
     acceleration = filter_update(params.jerk_filter, state.acceleration, position.derivatives[2])
 
@@ -260,7 +278,15 @@ def _follow(
     com, rates = motion.com, angular.derivatives
     setpoint = Setpoint(com[0], com[1], com[2], com[3], motion.rotation, rates[0], rates[1], rates[2])
     rpy = _heading_rpy(params, motion.rotation)
-    after = state._replace(raw_position=com[0], raw_rpy=rpy, angular_velocity=angular, rotation=motion.rotation)
+    after = state._replace(
+        raw_position=com[0],
+        raw_rpy=rpy,
+        # Where a descent would begin.
+        position=FilterState(jnp.stack([com[0], com[1], com[2]]), com[0]),
+        acceleration=FilterState(jnp.stack([com[2], com[3], jnp.zeros_like(com[3])]), com[2]),
+        angular_velocity=angular,
+        rotation=motion.rotation,
+    )
     return after, setpoint
 
 

@@ -7,7 +7,7 @@ tasks, QP, torques. It is a pure function of one sample; `vmap`, `jit`, `grad` a
 >>> memory = init(params, robot, state)
 >>> memory, command, terms = tick(params, robot, memory, time, state, thrust, wind)
 
-Unknowns of the momentum QP: `u = (Ṫ, ṡ)`, thrust rates and joint velocities. Equations: `docs/model.md`.
+Unknowns of the momentum QP: `u = (Ṫ, ṡ)`, thrust rates and joint velocities. Equations: `docs/model.md`, M101 here.
 """
 
 from __future__ import annotations
@@ -31,37 +31,35 @@ from jax_aero.aero import (
 )
 from jax_aero.aero.network_card import load_network
 from jax_aero.config import MissionConfig, RateFeedback, ScenarioConfig
-from jax_aero.control import observer, qp
+from jax_aero.control import channels, engines, observer, qp
 from jax_aero.control import setpoint as generator
 from jax_aero.control.attitude import TaskGains, attitude_demand
+from jax_aero.control.channels import ChannelLimits, ChannelsState, Seen, channel_limits
+from jax_aero.control.engines import EngineLimits, EngineState
 from jax_aero.control.momentum import momentum_model
 from jax_aero.control.observer import ObserverGains, ObserverState
 from jax_aero.control.protocol import Command, Measurement, Terms
-from jax_aero.control.qp import QpAnswer, WarmStart
+from jax_aero.control.qp import WarmStart
 from jax_aero.control.recorded import Recording, read_reference, recording
 from jax_aero.control.setpoint import Commands, SetpointParams, SetpointState
 from jax_aero.control.tasks import Task, TaskInputs, TaskParams, in_place_of, momentum_qp, symmetric_pairs, task_params
 from jax_aero.control.torque import TorqueParams, limit_rate, torque_qp
-from jax_aero.dynamics import dynamics
+from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.kinematics import generalised_force, kinematics
 from jax_aero.robot import RobotModel
-from jax_aero.spatial import is_rotation, multiply
+from jax_aero.spatial import cross, multiply
 from jax_aero.types import Array, Setpoint, State, leaf, leaves, where
 
-NOMINAL, BAD_MEASUREMENT, MOMENTUM_HELD, TORQUE_HELD, BOTH_HELD = range(5)
+NOMINAL, DEGRADED, MOMENTUM_HELD, TORQUE_HELD, BOTH_HELD = range(5)
 """Codes of `Command.status`: whether a command is what the controller wanted, as in the Rust crate.
 
-Bad measurement: a number is not finite or the base rotation is none; thrust rates and joint velocities are zero,
-torques stay. Momentum held: its QP has no certified answer; rates and velocities are as near to zero as their bounds
+Degraded: something of the measurement had to be reckoned, or the robot is on its way down; `Command.degraded_modes`
+says what. Momentum held: its QP has no certified answer; rates and velocities are as near to zero as their bounds
 allow, torques brake the joints. Torque held: its QP has none; torques stay.
 """
 
 INTEGRAL_LIMIT = 20.0
 """Where the published integrator of the joint velocity error saturates [rad]; no flight comes near."""
-
-
-TIME_MAX = 1e9
-"""Longest flight [s]: beyond it ticks of milliseconds are rounding errors of the time."""
 
 
 class Switches(NamedTuple):
@@ -97,7 +95,9 @@ class MomentumController:
     torque_rate_max: Float[Array, " n"]
     """[N m/s]."""
     setpoint: SetpointParams
+    channels: ChannelLimits
     observer: ObserverGains | None
+    engines: EngineLimits | None
     mission: Commands | Recording
     """What to follow: the autopilot's commands, or recorded set-points."""
     time_step: Float[Array, ""]
@@ -121,6 +121,8 @@ class ControllerState(NamedTuple):
     time: Float[Array, ""]
     """Of the last tick [s]."""
     setpoint: SetpointState
+    channels: ChannelsState
+    """What is known of the channels of the measurement."""
     posture: Float[Array, " n"]
     """Posture to return to, `s_d`: the joint positions of the first tick [rad]."""
     inertia_0: Float[Array, "3 3"]
@@ -133,6 +135,8 @@ class ControllerState(NamedTuple):
     """Whether the rate limiter has a torque to start from."""
     observer: ObserverState | None
     """The observed wrench, and the measurement that the next one is compared with; `None` without an observer."""
+    engines: EngineState | None
+    """What is known of each engine; `None` where none counts as lost."""
     momentum_start: WarmStart
     """Where the momentum QP begins."""
     torque_start: WarmStart
@@ -180,7 +184,9 @@ def momentum_controller(
         torque_max=in_place_of(robot.joint_torque_max, controller.torque.torque_max, robot),
         torque_rate_max=in_place_of(robot.joint_torque_rate_max, controller.torque.torque_rate_max, robot),
         setpoint=generator.setpoint_params(controller.setpoint, robot.forward_axis, time_step),
+        channels=channel_limits(controller.channels, robot),
         observer=None if controller.observer is None else leaves(ObserverGains, controller.observer),
+        engines=None if controller.engines is None else leaves(EngineLimits, controller.engines),
         mission=_mission(config.mission),
         time_step=time_step,
     )
@@ -205,12 +211,14 @@ def init(params: MomentumController, robot: RobotModel, state: State) -> Control
     return ControllerState(
         time=jnp.zeros((), state.joint_position.dtype),
         setpoint=generator.start(params.setpoint, kin.com, rotation),
+        channels=channels.start(robot, state),
         posture=jnp.asarray(state.joint_position),
         inertia_0=multiply(multiply(rotation.T, inertia), rotation),
         velocity_error_integral=zeros,
         joint_torque=zeros,
         torque_is_known=jnp.array(False),
         observer=None if params.observer is None else observer.start(zeros),
+        engines=None if params.engines is None else engines.start(jnp.zeros_like(params.tasks.thrust_rate)),
         momentum_start=qp.cold_start(params.tasks.thrust_rate.shape[0] + n, zeros.dtype),
         torque_start=qp.cold_start(n, zeros.dtype),
     )
@@ -230,34 +238,32 @@ def tick(
 
     `time` [s], `thrust` (j,) [N], `wind` (3,) [m/s, inertial axes]. With `setpoint` the mission is not followed.
 
-    Whatever the measurement, the set-point moves on with the time. A measurement that is not finite, whose time is
-    not that of a flight or whose base rotation is none changes nothing else; the terms are then those of a robot at
-    rest, so that gradients through such a tick are finite too.
+    What of the measurement is missing or cannot be right is reckoned from what is known; the command says what.
     """
     with jax.default_matmul_precision("highest"):
-        in_flight = (time >= 0.0) & (time <= TIME_MAX)
-        accepted = in_flight & _is_finite((state, thrust, wind)) & is_rotation(state.base_rotation)
-        state, thrust, wind = where(accepted, (state, thrust, wind), _at_rest(memory, thrust))
+        known, seen = channels.update(
+            params.channels, memory.channels, params.time_step, memory.time, time, state, thrust, wind
+        )
+        memory = memory._replace(time=seen.time, channels=known)
         if setpoint is None:
-            now = jnp.where(in_flight, time, memory.time + params.time_step)
-            moved, setpoint = generator.update(params.setpoint, params.mission, memory.setpoint, now)
-            memory = memory._replace(time=now, setpoint=moved)
-        after, command, terms = _act(params, robot, memory, time, state, thrust, wind, setpoint)
-        return where(accepted, after, memory), where(accepted, command, _refusal(memory, command)), terms
+            along = generator.update(params.setpoint, params.mission, memory.setpoint, seen.time)
+            down = generator.descend(params.setpoint, memory.setpoint)
+            moved, setpoint = where(known.is_descending, down, along)
+            memory = memory._replace(setpoint=moved)
+        return _act(params, robot, memory, seen, setpoint)
 
 
 def _act(
     params: MomentumController,
     robot: RobotModel,
     memory: ControllerState,
-    time: Array,
-    state: State,
-    thrust: Array,
-    wind: Array,
+    seen: Seen,
     setpoint: Setpoint,
 ) -> tuple[ControllerState, Command, Terms]:
-    """Tick on a measurement that is finite."""
+    """Tick on a measurement that can be used."""
     switches = params.switches
+    time, state, thrust, wind, modes, innovation, elapsed = seen
+    known = memory.channels
     kin = kinematics(robot, state)
     dyn = dynamics(robot, state, kin)
     link = link_forces(params.aero, robot, kin, switches.conventions, wind)
@@ -266,10 +272,21 @@ def _act(
     )
     observed = memory.observer
     if params.observer is not None and observed is not None:
-        observed = observer.update(
-            params.observer, params.time_step, observed, time, dyn.momentum, momentum.rate_estimate
-        )
+        rate = momentum.rate_estimate
+        compared = observer.update(params.observer, params.time_step, observed, time, dyn.momentum, rate)
+        observed = where((modes & channels.WITHOUT_MOMENTUM) == 0, compared, observer.hold(observed))
         momentum = momentum.with_unmodelled(observed.wrench)
+    turning = memory.engines
+    if params.engines is not None and turning is not None:
+        residual = jnp.zeros_like(dyn.momentum) if observed is None else observed.residual
+        turning, is_wrong, deviation = engines.update(
+            params.engines, turning, elapsed, innovation, momentum.a_t, residual
+        )
+        known = channels.distrust(known, is_wrong, deviation)
+        newly = turning.is_lost & ~memory.engines.is_lost
+        descends = known.is_descending | (jnp.any(newly) & (params.engines.descend > 0.0))
+        known = known._replace(is_descending=descends)
+        modes = modes | jnp.where(jnp.any(turning.is_lost), channels.MODES["engine_lost"], 0)
 
     # Thrust rates and joint velocities that shape momentum and attitude.
     attitude = attitude_demand(
@@ -294,6 +311,14 @@ def _act(
         memory.posture,
     )
     shaping = momentum_qp(params.tasks, switches.symmetric_pairs, inputs, params.other_tasks)
+    if turning is not None:
+        # An engine that is lost is asked for nothing: the others take its share.
+        works = jnp.concatenate([~turning.is_lost, jnp.ones_like(state.joint_position, bool)])
+        problem = shaping.problem
+        problem = problem._replace(
+            lower=jnp.where(works, problem.lower, 0.0), upper=jnp.where(works, problem.upper, 0.0)
+        )
+        shaping = shaping._replace(problem=problem)
     wanted = qp.solve(shaping.problem, memory.momentum_start)
     momentum_solved = wanted.status == qp.SOLVED
     # Nothing moves, as far as the bounds allow.
@@ -318,50 +343,35 @@ def _act(
 
     held = jnp.array([[BOTH_HELD, TORQUE_HELD], [MOMENTUM_HELD, NOMINAL]], jnp.int32)
     status = held[torque_solved.astype(jnp.int32), momentum_solved.astype(jnp.int32)]
+    is_solved = status == NOMINAL
     command = Command(
-        thrust_rate, joint_torque, joint_velocity=joint_velocity, momentum_qp=wanted, torque_qp=pushed, status=status
+        thrust_rate,
+        joint_torque,
+        joint_velocity=joint_velocity,
+        momentum_qp=wanted,
+        torque_qp=pushed,
+        status=jnp.where(is_solved & (modes != 0), DEGRADED, status),
+        degraded_modes=modes,
     )
     # Forward Euler: used first, advanced after. A tick without a commanded velocity has no error to integrate, and one
     # with held torques would integrate an error that no torque answers.
     advanced = jnp.clip(
         memory.velocity_error_integral + params.time_step * velocity_error, -INTEGRAL_LIMIT, INTEGRAL_LIMIT
     )
+    # M101: what the command makes of the robot, for the next tick; the observed wrench acts on the base.
+    wrench = momentum.unmodelled_wrench
+    moment = wrench[3:] + cross(kin.com - state.base_position, wrench[:3])
+    acting = jnp.concatenate([wrench[:3], moment, joint_torque])
+    acceleration = forward_dynamics(dyn, force + dyn.bias + acting)
     after = memory._replace(
-        velocity_error_integral=jnp.where(status == NOMINAL, advanced, memory.velocity_error_integral),
+        channels=known._replace(acceleration=acceleration, thrust_rate=thrust_rate),
+        velocity_error_integral=jnp.where(is_solved, advanced, memory.velocity_error_integral),
         joint_torque=joint_torque,
         torque_is_known=memory.torque_is_known | torque_solved,
         observer=observed,
+        engines=turning,
         momentum_start=wanted.warm_start,
         torque_start=pushed.warm_start,
     )
     terms = Terms(kin, dyn, link, momentum, setpoint, attitude, shaping, following, pushed.x)
     return after, command, terms
-
-
-def _is_finite(tree: object) -> Array:
-    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(tree)]))
-
-
-def _at_rest(memory: ControllerState, thrust: Array) -> tuple[State, Array, Array]:
-    """Return a measurement of a robot at rest, to compute with where the real one is refused."""
-    posture = memory.posture
-    zero, n = jnp.zeros(3, posture.dtype), posture.shape[0]
-    state = State(zero, jnp.eye(3, dtype=posture.dtype), posture, jnp.zeros(6 + n, posture.dtype))
-    return state, jnp.zeros_like(thrust), zero
-
-
-def _refusal(memory: ControllerState, command: Command) -> Command:
-    """Return the command of a tick that cannot act: nothing moves, torques stay."""
-
-    def no_answer(start: WarmStart) -> QpAnswer:
-        kkt = jnp.array(jnp.nan, start.x.dtype)
-        return QpAnswer(start.x, start.side, kkt, jnp.array(qp.NON_FINITE, jnp.int32), jnp.array(0, jnp.int32))
-
-    return Command(
-        thrust_rate=jnp.zeros_like(command.thrust_rate),
-        joint_velocity=jnp.zeros_like(command.joint_torque),
-        joint_torque=memory.joint_torque,
-        momentum_qp=no_answer(memory.momentum_start),
-        torque_qp=no_answer(memory.torque_start),
-        status=jnp.array(BAD_MEASUREMENT, jnp.int32),
-    )

@@ -36,6 +36,8 @@ from jax_aero.control.wind_observer import WindObserver, WindState
 from jax_aero.io import scenario_config
 from jax_aero.jet_faults import known_limits
 from jax_aero.jets import JetDynamics
+from jax_aero.outages import Held, Outage, Sample, outages_of, spoil
+from jax_aero.outages import begin as begin_outages
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.sim import plant as world
 from jax_aero.sim import sensors as sensing
@@ -117,6 +119,8 @@ class Scenario:
     """Between what is measured and the controller, where there is one."""
     wind_observer: WindObserver | None
     """What tells the controller the wind in place of the wind; `None` where it is told."""
+    outages: tuple[Outage, ...]
+    """Measurements that fail."""
     n_ticks: Int[Array, ""]
     """Number of ticks after the one at time zero."""
     precision: Static[str]
@@ -137,6 +141,8 @@ class FlightState(NamedTuple):
     """`None` where there is no estimator."""
     wind_observer: WindState | None
     """`None` where the controller is told the wind."""
+    outages: tuple[Held, ...]
+    """What was measured when each outage began."""
     loss: Int[Array, ""]
     """`FLYING`, or by which criterion the flight was lost."""
     loss_size: Float[Array, ""]
@@ -183,6 +189,7 @@ class FlightRow(NamedTuple):
     qp_status: Array
     qp_kkt: Array
     qp_iterations: Array
+    degraded_modes: Array
 
 
 def prepare(
@@ -249,6 +256,7 @@ def prepare(
         sensors=_sensors(config, plant, ticks),
         estimator=_estimator(config, plant, read_network),
         wind_observer=_wind_observer(config, plant, read_network),
+        outages=outages_of(config.disturbances.outages, robot),
         n_ticks=jnp.array(ticks, jnp.int32),
         precision="",
     )
@@ -324,6 +332,7 @@ def begin(scenario: Scenario, plant: PlantState) -> FlightState:
         sensors=before,
         estimator=estimator,
         wind_observer=None if scenario.wind_observer is None else wind_observing.start(scenario.wind_observer),
+        outages=begin_outages(scenario.outages, first.robot, plant.jets.thrust),
         loss=jnp.array(FLYING, jnp.int32),
         loss_size=jnp.zeros_like(plant.robot.velocity[0]),
         loss_tick=jnp.array(-1, jnp.int32),
@@ -365,7 +374,8 @@ def step(scenario: Scenario, state: FlightState, tick: Array) -> tuple[FlightSta
     estimator = state.estimator
     if scenario.estimator is not None and estimator is not None:
         estimator, said = estimating.update(scenario.estimator, model, estimator, said, measured)
-    measurement = Measurement(time, said.state, said.thrust, measured)
+    held, sample = spoil(scenario.outages, state.outages, time, Sample(said.state, said.thrust, measured))
+    measurement = Measurement(time, *sample)
     memory, command = scenario.controller.step(model, state.controller, measurement)
     if scenario.wind_observer is not None and wind_seen is not None and command.terms is not None:
         wind_seen = wind_observing.update(
@@ -406,6 +416,7 @@ def step(scenario: Scenario, state: FlightState, tick: Array) -> tuple[FlightSta
         sensors=sensors,
         estimator=estimator,
         wind_observer=wind_seen,
+        outages=where(goes_on, held, state.outages),
         loss=jnp.where(lost_now, loss, state.loss),
         loss_size=jnp.where(lost_now, size, state.loss_size),
         loss_tick=jnp.where(lost_now, tick.astype(jnp.int32), state.loss_tick),
@@ -452,7 +463,9 @@ def _observe(scenario: Scenario, state: PlantState, command: Command, wind: Arra
     """Observe the plant; what the controller computed for the same robot in the same state is not computed again."""
     plant, terms = scenario.plant, command.terms
     is_another = scenario.controller_model is not None or scenario.sensors is not None or scenario.estimator is not None
-    if terms is None or is_another or plant.backend != "tree":
+    channels = getattr(scenario.controller, "channels", None)
+    may_be_reckoned = bool(scenario.outages) or (channels is not None and channels.compares)
+    if terms is None or is_another or may_be_reckoned or plant.backend != "tree":
         return world.observe(plant, state, wind)
     return world.observe(plant, state, wind, (terms.kinematics, terms.dynamics))
 
@@ -554,4 +567,5 @@ def _row(
         qp_status=of_qps("status", time.dtype),
         qp_kkt=of_qps("kkt", time.dtype),
         qp_iterations=of_qps("iterations", time.dtype),
+        degraded_modes=jnp.asarray(jnp.nan if command.degraded_modes is None else command.degraded_modes, time.dtype),
     )

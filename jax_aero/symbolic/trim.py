@@ -135,6 +135,8 @@ class Trim:
     def __init__(self, model: MomentumModel, settings: TrimSettings) -> None:
         started = time.perf_counter()
         self.model, self.settings = model, settings
+        self.lost: int | None = None
+        """The jet that has no thrust; attitude is free then, and thrusts keep no margin."""
         robot = model.robot
         n, jets = robot.n_joints, len(robot.jets)
         rpy, s = ca.SX.sym("rpy", 3), ca.SX.sym("s", n)
@@ -211,6 +213,11 @@ class Trim:
         top = np.array([jet.thrust_max for jet in robot.jets])
         low = [settings.roll[0], settings.pitch[0], settings.yaw, *lower, *(0.0 * top), settings.margin_min]
         high = [settings.roll[1], settings.pitch[1], settings.yaw, *upper, *top, 0.5]
+        if self.lost is not None:
+            # No thrust can keep a margin that one of them lacks; any attitude short of gimbal lock will do.
+            high[3 + robot.n_joints + self.lost] = 0.0
+            low[-1] = high[-1] = 0.0
+            low[:2], high[:2] = [-np.pi / 2] * 2, [np.pi / 2] * 2
         return np.array(low), np.array(high)
 
     def guess(self) -> Array:

@@ -126,7 +126,19 @@ def test_a_start_nearby_leads_to_a_trim_as_good(free):
     assert again.cost <= first.cost + 1e-8
 
 
+def test_without_an_arm_jet_the_others_hold_the_robot(free, flight, monkeypatch):
+    """The weight is 425 N; the other arm is at its greatest thrust."""
+    monkeypatch.setattr(free, "lost", 0)
+    result = free.solve((0.0, 0.0, 0.0))
+    assert result.feasible, result.message
+    np.testing.assert_allclose(result.thrust, [0.0, 160.0, 180.1, 86.1], atol=0.1)
+    imbalance, _ = rust_imbalance(flight, result, (0.0, 0.0, 0.0))
+    assert abs(imbalance).max() < 1e-4  # N, N m; IPOPT's tolerance is 1e-8 of 100 N
+
+
 def test_the_command_line(capsys):
+    assert experiment.main(["hover_posture", "--without", "tail_jet"]) == 2
+    assert "tail_jet" in capsys.readouterr().err
     assert experiment.main(["hover_posture", "--wind", "0", "-10", "0"]) == 0
     said = capsys.readouterr().out
     assert said.startswith("trim: Solve_Succeeded")

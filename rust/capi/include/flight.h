@@ -14,8 +14,7 @@
 typedef enum FlightStatus {
   // The command is the one that the control law gives: both QPs solved and certified.
   FLIGHT_NOMINAL = 0,
-  // The measurement is not finite, or its base rotation is none: thrust rates and joint velocities are
-  // zero, torques stay.
+  // The measurement is not of this robot: thrust rates and joint velocities are zero, torques stay.
   FLIGHT_BAD_MEASUREMENT = 1,
   // The set-point is not finite or its rotation is none: as for a bad measurement.
   FLIGHT_BAD_SETPOINT = 2,
@@ -25,6 +24,9 @@ typedef enum FlightStatus {
   FLIGHT_TORQUE_HELD = 4,
   // Neither QP has an answer.
   FLIGHT_BOTH_HELD = 5,
+  // The command of the control law for a measurement of which something had to be reckoned (NaN stands for what is
+  // not measured), or on the way down.
+  FLIGHT_DEGRADED = 6,
   // No flight has been started, or it cannot begin with this measurement. No command is written.
   FLIGHT_NOT_STARTED = -1,
   // A pointer that must not be null is. No command is written.

@@ -26,8 +26,7 @@ use std::slice;
 pub enum FlightStatus {
     /// The command is the one that the control law gives: both QPs solved and certified.
     FlightNominal = 0,
-    /// The measurement is not finite, or its base rotation is none: thrust rates and joint velocities are
-    /// zero, torques stay.
+    /// The measurement is not of this robot: thrust rates and joint velocities are zero, torques stay.
     FlightBadMeasurement = 1,
     /// The set-point is not finite or its rotation is none: as for a bad measurement.
     FlightBadSetpoint = 2,
@@ -37,6 +36,9 @@ pub enum FlightStatus {
     FlightTorqueHeld = 4,
     /// Neither QP has an answer.
     FlightBothHeld = 5,
+    /// The command of the control law for a measurement of which something had to be reckoned (NaN stands for what is
+    /// not measured), or on the way down.
+    FlightDegraded = 6,
     /// No flight has been started, or it cannot begin with this measurement. No command is written.
     FlightNotStarted = -1,
     /// A pointer that must not be null is. No command is written.
@@ -238,6 +240,7 @@ unsafe fn copy_out(values: &[f64], target: *mut f64) {
 fn status_of(command: &Command) -> FlightStatus {
     match command.status {
         CommandStatus::Nominal => FlightStatus::FlightNominal,
+        CommandStatus::Degraded => FlightStatus::FlightDegraded,
         CommandStatus::BadMeasurement => FlightStatus::FlightBadMeasurement,
         // A state of another controller cannot be handed in.
         CommandStatus::BadState => FlightStatus::FlightNotStarted,

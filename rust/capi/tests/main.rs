@@ -221,7 +221,7 @@ fn what_cannot_be_used_is_refused() {
     assert_eq!(start(&wrong), FlightStatus::FlightNotStarted);
     assert_eq!(start(&measurement), FlightStatus::FlightNominal);
     assert_eq!(tick(&lacking), FlightStatus::FlightNullPointer);
-    assert_eq!(tick(&wrong), FlightStatus::FlightBadMeasurement);
+    assert_eq!(tick(&wrong), FlightStatus::FlightDegraded);
     assert_eq!(tick(&measurement), FlightStatus::FlightNominal);
     let setpoint = FlightSetpoint {
         com_position: [0.0; 3],

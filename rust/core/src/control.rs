@@ -10,15 +10,17 @@
 //! A tick does not allocate, does not panic and ends after a bounded number of iterations. (Clarabel
 //! allocates, where the configuration chooses it.)
 //!
-//! Equations: `docs/model.md`, the integral of M68 here. Unknowns `u = (Ṫ, ṡ)`: thrust rates and joint velocities. With
+//! Equations: `docs/model.md`, the integral of M68 and M101 here. Unknowns `u = (Ṫ, ṡ)`: thrust rates and joint velocities. With
 //! `contact` in its configuration the same controller stands on its feet as well: `u = (Ṫ, ḟ_c, ṡ)`, and
 //! torques and foot wrenches are found together.
 
 pub mod attitude;
 pub mod bounds;
+pub mod channels;
 pub mod command;
 pub mod config;
 pub mod contact;
+pub mod engines;
 pub mod minimum_jerk;
 pub mod mission;
 pub mod momentum;
@@ -39,14 +41,15 @@ use crate::error::{BuildError, check};
 use crate::kinematics::Kinematics;
 use crate::qp::{QpAnswer, QpChain, QpProblem, QpSolver, QpStatus};
 use crate::robot::RobotModel;
-use crate::spatial::is_rotation;
 use attitude::{AttitudeDemand, attitude_demand};
+use channels::{Channels, Modes, time_is_plausible};
 use config::ControllerConfig;
 use contact::Contact;
+use engines::Finding;
 use mission::Mission;
 use momentum::MomentumModel;
 use momentum_qp::{MomentumQp, Task, TaskInputs};
-use nalgebra::{DVector, Matrix3, Vector3};
+use nalgebra::{DVector, Matrix3, Vector3, Vector6};
 use observer::Sample;
 use setpoint::{Setpoint, SetpointGenerator};
 use std::sync::Arc;
@@ -88,6 +91,8 @@ pub struct Controller {
     /// Number of jets of the robot, used or not.
     n_jets: usize,
     config: ControllerConfig,
+    /// What a tick takes the measurement to be.
+    channels: Channels,
     time_step: f64,
     aero: AeroModel,
     setpoint_generator: SetpointGenerator,
@@ -95,6 +100,7 @@ pub struct Controller {
     command: Command,
     mass_factor: MassFactor,
     force: DVector<f64>,
+    acceleration: DVector<f64>,
     velocity_error: DVector<f64>,
     solution: DVector<f64>,
     momentum_solver: QpChain,
@@ -116,9 +122,12 @@ impl Controller {
         config.check(&robot)?;
         check("controller time step", time_step, |dt| dt > 0.0, "a positive number of seconds")?;
         let n_jets = robot.jets.len();
+        config.channels.check()?;
+        config.engines.as_ref().map_or(Ok(()), engines::EnginesConfig::check)?;
         let mut model = config.restrict(robot);
         config.check_rate_bounds(&model, time_step)?;
         config.observer.as_ref().map_or(Ok(()), |observer| observer.check(time_step))?;
+        let channels = Channels::new(&config.channels, &model, time_step);
         if !config.use_jets {
             model.jets.clear();
         }
@@ -140,6 +149,7 @@ impl Controller {
                 &model.forward_axis_b,
                 time_step,
             )?,
+            channels,
             terms: Terms {
                 kinematics: Kinematics::new(&model),
                 dynamics: Dynamics::new(&model),
@@ -159,7 +169,9 @@ impl Controller {
                 momentum_qp: QpAnswer::refused(QpStatus::NonFinite),
                 torque_qp: QpAnswer::refused(QpStatus::NonFinite),
                 status: CommandStatus::Nominal,
+                modes: Modes::default(),
             },
+            acceleration: DVector::zeros(n),
             mass_factor: MassFactor::new(n),
             force: DVector::zeros(n),
             velocity_error: DVector::zeros(joints),
@@ -175,9 +187,7 @@ impl Controller {
     /// # Errors
     /// [`BadStart`] for a measurement that a tick would refuse, or whose inertia or centre of mass overflow.
     pub fn start(&mut self, measurement: &Measurement) -> Result<ControllerState, BadStart> {
-        if !self.accepts(measurement) {
-            return Err(BadStart);
-        }
+        let channels = self.channels.start(measurement).ok_or(BadStart)?;
         let Terms { kinematics, dynamics, contact, .. } = &mut self.terms;
         kinematics.update(&self.model, measurement.state);
         dynamics.update(&self.model, measurement.state, kinematics);
@@ -191,23 +201,28 @@ impl Controller {
             measurement,
             &self.setpoint_generator.start(com, rotation),
             inertia_0_b,
-            contact.measured.len(),
+            channels,
+            (contact.measured.len(), self.n_jets),
             (self.solution.len(), self.terms.torque_qp.problem.len()),
         ))
     }
 
     /// One tick, which follows the mission.
     ///
-    /// Whatever the measurement, the set-point moves on with the time. A measurement that cannot be used
-    /// changes nothing else: thrust rates and joint velocities are zero, torques stay.
+    /// What of the measurement is missing or cannot be right is reckoned from what is known ([`channels`]); the command
+    /// says what. A measurement that is not of this robot moves nothing but the time and the set-point: thrust rates
+    /// and joint velocities are zero, torques stay.
     pub fn tick(&mut self, state: &mut ControllerState, measurement: &Measurement) -> &Command {
         if !self.fits(state) {
             return self.hold_command(CommandStatus::BadState);
         }
-        state.time =
-            if time_is_plausible(measurement.time) { measurement.time } else { state.time + self.time_step };
-        self.terms.setpoint = self.setpoint_generator.update(&mut state.setpoint, state.time);
-        self.act(state, measurement)
+        let is_seen = self.see(state, measurement);
+        self.terms.setpoint = if state.channels.is_descending {
+            self.setpoint_generator.descend(&mut state.setpoint)
+        } else {
+            self.setpoint_generator.update(&mut state.setpoint, state.time)
+        };
+        self.act(state, is_seen)
     }
 
     /// One tick that follows a given set-point instead of the mission.
@@ -224,39 +239,55 @@ impl Controller {
             self.command.joint_torque.copy_from(&state.joint_torque);
             return self.hold_command(CommandStatus::BadSetpoint);
         }
+        let is_seen = self.see(state, measurement);
         self.terms.setpoint = *setpoint;
-        self.act(state, measurement)
+        self.act(state, is_seen)
+    }
+
+    /// Takes a measurement in and moves the time on; whether it is one of this robot.
+    fn see(&mut self, state: &mut ControllerState, measurement: &Measurement) -> bool {
+        let is_seen = self.channels.fit(measurement);
+        if is_seen {
+            self.channels.update(&mut state.channels, measurement, state.time);
+            state.time = self.channels.seen.time;
+        } else {
+            let is_known = time_is_plausible(measurement.time);
+            state.time = if is_known { measurement.time } else { state.time + self.time_step };
+        }
+        is_seen
     }
 
     /// Observes, then solves the momentum QP and the torque QP.
-    fn act(&mut self, state: &mut ControllerState, measurement: &Measurement) -> &Command {
+    fn act(&mut self, state: &mut ControllerState, is_seen: bool) -> &Command {
         self.command.joint_torque.copy_from(&state.joint_torque);
-        if !self.accepts(measurement) {
+        if !is_seen {
             return self.hold_command(CommandStatus::BadMeasurement);
         }
-        self.observe(state, measurement);
-        self.solve_momentum_qp(state, measurement);
-        self.solve_torque_qp(state, measurement);
+        self.command.modes = self.channels.seen.modes;
+        self.observe(state);
+        self.solve_momentum_qp(state);
+        self.solve_torque_qp(state);
         &self.command
     }
 
     /// Everything that depends on the measurement alone.
-    fn observe(&mut self, state: &mut ControllerState, measurement: &Measurement) {
+    fn observe(&mut self, state: &mut ControllerState) {
+        let measurement = &self.channels.seen;
         let Terms { kinematics, dynamics, link_forces, momentum, contact, .. } = &mut self.terms;
         let conventions = LinkConventions {
             lever_arm: self.config.lever_arm,
             jacobian_offset: self.config.jacobian_offset,
             link_velocity: self.config.link_velocity,
         };
-        kinematics.update(&self.model, measurement.state);
-        dynamics.update(&self.model, measurement.state, kinematics);
+        kinematics.update(&self.model, &measurement.state);
+        dynamics.update(&self.model, &measurement.state, kinematics);
         link_forces.update(&self.model, kinematics, conventions, &mut self.aero, &measurement.wind);
         let thrust = &measurement.thrust[..self.model.jets.len()];
         let feedback = &self.config.aero_feedback;
         momentum.update(&self.model, kinematics, dynamics, thrust, link_forces, feedback);
         // What the observer compares with: the feet as measured, not as desired.
         let mut rate = momentum.rate_estimate;
-        for (known, measured) in contact.measured.iter_mut().zip(measurement.foot_wrenches) {
+        for (known, measured) in contact.measured.iter_mut().zip(&measurement.foot_wrenches) {
             *known = *measured;
         }
         contact.update(&mut state.contact, &self.model, kinematics, dynamics, self.time_step);
@@ -266,12 +297,42 @@ impl Controller {
         }
         if let Some(config) = &self.config.observer {
             let sample = Sample { time: measurement.time, momentum: dynamics.momentum, rate };
-            momentum.add_unmodelled(state.observer.update(config, self.time_step, sample));
+            let is_measured = !measurement.modes.intersects(Modes::WITHOUT_MOMENTUM);
+            let observer = &mut state.observer;
+            momentum.add_unmodelled(if is_measured {
+                observer.update(config, self.time_step, sample)
+            } else {
+                observer.hold()
+            });
+        }
+        if let Some(config) = &self.config.engines {
+            for (jet, engine) in state.engines.iter_mut().enumerate().take(self.model.jets.len()) {
+                let column: Vector6<f64> = momentum.a_t.column(jet).into();
+                let innovation = measurement.thrust_innovation[jet];
+                match engine.update(
+                    config,
+                    measurement.elapsed,
+                    innovation,
+                    &column,
+                    &state.observer.residual,
+                ) {
+                    Finding::Lost => state.channels.is_descending |= config.descend,
+                    Finding::WrongSensor => {
+                        state.channels.distrust(jet, engine.deviation);
+                        *engine = engines::EngineState::default();
+                    }
+                    Finding::Nothing => {}
+                }
+            }
+            if state.engines.iter().any(|engine| engine.is_lost) {
+                self.command.modes.insert(Modes::ENGINE_LOST);
+            }
         }
     }
 
     /// Thrust rates and joint velocities that shape momentum and attitude.
-    fn solve_momentum_qp(&mut self, state: &mut ControllerState, measurement: &Measurement) {
+    fn solve_momentum_qp(&mut self, state: &mut ControllerState) {
+        let measurement = &self.channels.seen;
         let Terms { kinematics, dynamics, momentum, setpoint, attitude, momentum_qp, contact, .. } =
             &mut self.terms;
         let moment_estimate: Vector3<f64> = momentum.rate_estimate.fixed_rows::<3>(3).into();
@@ -286,7 +347,7 @@ impl Controller {
             &inertia_0_b.try_inverse().unwrap_or_else(Matrix3::zeros),
         );
         let inputs = TaskInputs {
-            state: measurement.state,
+            state: &measurement.state,
             thrust: &measurement.thrust[..self.model.jets.len()],
             kinematics,
             dynamics,
@@ -298,13 +359,18 @@ impl Controller {
             contact,
         };
         momentum_qp.update(&self.model, &inputs);
+        // An engine that is lost is asked for nothing: the others take its share.
+        for (jet, _) in state.engines.iter().enumerate().filter(|(_, engine)| engine.is_lost) {
+            (momentum_qp.problem.lower[jet], momentum_qp.problem.upper[jet]) = (0.0, 0.0);
+        }
 
         self.momentum_solver.set_start(&state.momentum_start);
         let answer = self.momentum_solver.solve(&momentum_qp.problem);
         self.momentum_solver.store_start(&mut state.momentum_start);
         self.command.momentum_qp = answer;
         self.solution.as_mut_slice().copy_from_slice(self.momentum_solver.x());
-        self.command.status = CommandStatus::Nominal;
+        self.command.status =
+            if self.command.modes.is_empty() { CommandStatus::Nominal } else { CommandStatus::Degraded };
         if answer.status != QpStatus::Solved {
             self.command.status = CommandStatus::MomentumHeld;
             nearest_to_zero(&momentum_qp.problem, &mut self.solution);
@@ -316,7 +382,8 @@ impl Controller {
     }
 
     /// Torques that let the joints follow the commanded velocities.
-    fn solve_torque_qp(&mut self, state: &mut ControllerState, measurement: &Measurement) {
+    fn solve_torque_qp(&mut self, state: &mut ControllerState) {
+        let measurement = &self.channels.seen;
         let Terms {
             kinematics, dynamics, link_forces, momentum, torque_qp, contact, unlimited_torque, ..
         } = &mut self.terms;
@@ -335,7 +402,8 @@ impl Controller {
             self.velocity_error[joint] = velocity - self.command.joint_velocity[joint];
         }
 
-        let answer = if self.mass_factor.factorise(&dynamics.mass_matrix) {
+        let is_factorised = self.mass_factor.factorise(&dynamics.mass_matrix);
+        let answer = if is_factorised {
             torque_qp.update(
                 &self.config.torque,
                 contact,
@@ -372,12 +440,42 @@ impl Controller {
         }
         // Forward Euler: used first, advanced after. A tick without a commanded velocity has no error to
         // integrate, and one with held torques would integrate an error that no torque answers.
-        if self.command.status == CommandStatus::Nominal {
+        if matches!(self.command.status, CommandStatus::Nominal | CommandStatus::Degraded) {
             let integral = state.velocity_error_integral.iter_mut();
             for (integral, error) in integral.zip(&self.velocity_error) {
                 *integral = (*integral + self.time_step * error).clamp(-INTEGRAL_LIMIT, INTEGRAL_LIMIT);
             }
         }
+        self.foresee(state, is_factorised);
+    }
+
+    /// What the command makes of the robot, for the channels of the next tick: `ν̇ = M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a + J_cᵀ f_c
+    /// + S τ + ŵ − h)`, the observed wrench `ŵ` on the base.
+    fn foresee(&mut self, state: &mut ControllerState, is_factorised: bool) {
+        let Terms { kinematics, momentum, contact, .. } = &self.terms;
+        let acceleration = &mut self.acceleration;
+        acceleration.fill(0.0);
+        if is_factorised {
+            let wrench = &momentum.unmodelled_wrench;
+            let arm = kinematics.com - kinematics.bodies[0].i_from_b.position;
+            let (force, moment): (Vector3<f64>, Vector3<f64>) =
+                (wrench.fixed_rows::<3>(0).into(), wrench.fixed_rows::<3>(3).into());
+            acceleration.fixed_rows_mut::<3>(0).copy_from(&force);
+            acceleration.fixed_rows_mut::<3>(3).copy_from(&(moment + arm.cross(&force)));
+            acceleration.rows_mut(6, self.command.joint_torque.len()).copy_from(&self.command.joint_torque);
+            for ((foot, sole), wrench) in self.model.feet.iter().zip(&contact.soles).zip(&contact.measured) {
+                let (force, moment): (Vector3<f64>, Vector3<f64>) =
+                    (wrench.fixed_rows::<3>(0).into(), wrench.fixed_rows::<3>(3).into());
+                kinematics.visit_jacobian_columns(foot.frame.body, &sole.position, |column, v, w| {
+                    acceleration[column] += v.dot(&force) + w.dot(&moment);
+                });
+            }
+            self.mass_factor.solve_in_place(acceleration);
+            // The torque QP left the free acceleration here.
+            *acceleration += &self.force;
+        }
+        state.channels.acceleration.copy_from(acceleration);
+        state.channels.thrust_rate.copy_from(&self.command.thrust_rate);
     }
 
     /// Adds an objective of one's own to the momentum QP; not in a tick.
@@ -388,27 +486,12 @@ impl Controller {
         self.terms.momentum_qp.add(task)
     }
 
-    /// Whether a measurement is of this robot, finite and physically possible.
-    fn accepts(&self, measurement: &Measurement) -> bool {
-        let Measurement { time, state, thrust, wind, foot_wrenches } = measurement;
-        let feet = self.terms.contact.measured.len();
-        state.n_joints() == self.model.joints.len()
-            && state.velocity.len() == 6 + self.model.joints.len()
-            && thrust.len() == self.n_jets
-            && (feet == 0 || foot_wrenches.len() == feet)
-            && state.is_finite()
-            && is_rotation(&state.base.rotation)
-            && thrust.iter().all(|thrust| thrust.is_finite())
-            && wind.iter().all(|wind| wind.is_finite())
-            && foot_wrenches.iter().flatten().all(|component| component.is_finite())
-            && time_is_plausible(*time)
-    }
-
     /// Whether a state is of a controller of this shape.
     fn fits(&self, state: &ControllerState) -> bool {
         state.posture.len() == self.model.joints.len()
             && state.momentum_start.len() == self.solution.len()
             && state.contact.force.len() == self.terms.contact.force.len()
+            && self.channels.fit_state(&state.channels)
     }
 
     /// The command of a tick that cannot act: nothing moves, torques stay.
@@ -418,6 +501,7 @@ impl Controller {
         self.command.momentum_qp = QpAnswer::refused(QpStatus::NonFinite);
         self.command.torque_qp = QpAnswer::refused(QpStatus::NonFinite);
         self.command.status = status;
+        self.command.modes = Modes::default();
         &self.command
     }
 
@@ -444,14 +528,6 @@ impl Controller {
     pub fn terms(&self) -> &Terms {
         &self.terms
     }
-}
-
-/// Longest flight \[s\]: beyond it ticks of milliseconds are rounding errors of the time.
-const TIME_MAX: f64 = 1e9;
-
-/// Whether a time is that of a flight.
-fn time_is_plausible(time: f64) -> bool {
-    (0.0..=TIME_MAX).contains(&time)
 }
 
 /// The safe command where the momentum QP has no answer: nothing moves, as far as the bounds allow.

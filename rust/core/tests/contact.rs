@@ -5,6 +5,7 @@
 
 use crate::common::{Running, TIME_STEP, assert_within, configs, random_state, rng};
 use flight_core::control::CommandStatus;
+use flight_core::control::channels::Modes;
 use flight_core::control::config::{ControllerConfig, Solver};
 use flight_core::control::contact::{Contact, ContactConfig, ContactState, WRENCH_ROWS};
 use flight_core::dynamics::Dynamics;
@@ -407,9 +408,9 @@ fn clarabel_commands_the_same() {
     }
 }
 
-/// Feet that feel what is no number, or a foot too many, stop the controller until they are sound again.
+/// Feet that feel what is no number are those of the last tick; a foot too few stops the controller.
 #[test]
-fn unsound_feet_are_a_bad_measurement() {
+fn unsound_feet_are_held_and_a_missing_one_is_a_bad_measurement() {
     let mut controller = controller(|_| ());
     let state = at_rest();
     let mut status =
@@ -417,9 +418,14 @@ fn unsound_feet_are_a_bad_measurement() {
     assert_eq!(status(&weight_on_both()), CommandStatus::Nominal);
     let mut bad = weight_on_both();
     bad[0][3] = f64::NAN;
-    assert_eq!(status(&bad), CommandStatus::BadMeasurement);
+    assert_eq!(status(&bad), CommandStatus::Degraded);
     assert_eq!(status(&[Vector6::zeros()]), CommandStatus::BadMeasurement);
     assert_eq!(status(&weight_on_both()), CommandStatus::Nominal);
+    let mut held = |feet: &[Vector6<f64>]| {
+        controller.tick(&measurement(&state, Vector3::zeros(), feet));
+        (controller.command().modes, controller.terms().contact.measured.clone())
+    };
+    assert_eq!(held(&bad), (Modes::FEET_HELD, weight_on_both().to_vec()));
 }
 
 /// What is no foot, no ground, no motor is refused by name; so is a world that its engine does not know.

@@ -8,6 +8,7 @@ use crate::common::{
     Loop, Running, assert_within, configs, experiment, random_state, random_vector, rng, robot, tick_at,
 };
 use flight_core::control::bounds::rate_bounds;
+use flight_core::control::channels::Modes;
 use flight_core::control::config::{Fallback, RateFeedback, Solver};
 use flight_core::control::torque::limit_rate;
 use flight_core::control::{BadStart, CommandStatus, ControllerState};
@@ -86,6 +87,13 @@ type Spoil = (&'static str, fn(&mut Sample));
 
 /// Every part of a measurement, spoilt.
 const SPOILT: [Spoil; 14] = [
+    ("a thrust too few", |sample| sample.thrust.truncate(3)),
+    ("a thrust too many", |sample| sample.thrust.push(100.0)),
+    ("a joint too few", |sample| {
+        let mut state = RobotState::zero(22);
+        state.base = sample.state.base;
+        sample.state = state;
+    }),
     ("time", |sample| sample.time = f64::NAN),
     ("infinite time", |sample| sample.time = f64::INFINITY),
     ("base position", |sample| sample.state.base.position.y = f64::NAN),
@@ -97,17 +105,13 @@ const SPOILT: [Spoil; 14] = [
     ("thrust", |sample| sample.thrust[3] = f64::NAN),
     ("infinite thrust", |sample| sample.thrust[0] = f64::INFINITY),
     ("wind", |sample| sample.wind.z = f64::NAN),
-    ("a thrust too few", |sample| sample.thrust.truncate(3)),
-    ("a thrust too many", |sample| sample.thrust.push(100.0)),
-    ("a joint too few", |sample| {
-        let mut state = RobotState::zero(22);
-        state.base = sample.state.base;
-        sample.state = state;
-    }),
 ];
 
-/// A measurement that is not finite, or not of this robot: nothing moves, torques stay, and the next good
-/// tick follows the set-point of its time, as if the bad one had not been.
+/// How many of them are of another robot.
+const OF_ANOTHER_ROBOT: usize = 3;
+
+/// A measurement that is not of this robot: nothing moves, torques stay, and the next good tick follows the set-point
+/// of its time, as if the bad one had not been.
 #[test]
 fn bad_measurements_hold_the_last_torques() {
     let config = experiment("test2");
@@ -123,7 +127,7 @@ fn bad_measurements_hold_the_last_torques() {
     undisturbed.state = Some(state.with_posture_control(posture, inertia, integral).unwrap());
     let expected = third.tick(&mut undisturbed).clone();
     let setpoint = undisturbed.terms().setpoint;
-    for (what, spoil) in SPOILT {
+    for (what, spoil) in &SPOILT[..OF_ANOTHER_ROBOT] {
         let mut controller = controller(&config);
         let torque = good.tick(&mut controller).joint_torque.clone();
         assert!(torque.amax() > 1.0);
@@ -190,7 +194,7 @@ fn a_bad_first_measurement_starts_nothing() {
 
 /// A base rotation that is none, a time before the flight or in a million years, a set-point that is none.
 #[test]
-fn what_is_no_rotation_or_time_is_refused() {
+fn what_is_no_rotation_or_time_is_reckoned() {
     let config = experiment("test2");
     let good = Sample::start(&config);
     let spoilt: [Spoil; 5] = [
@@ -208,7 +212,12 @@ fn what_is_no_rotation_or_time_is_refused() {
         good.tick(&mut controller);
         let mut bad = good.clone();
         spoil(&mut bad);
-        assert_eq!(bad.tick(&mut controller).status, CommandStatus::BadMeasurement, "{what}");
+        let command = bad.tick(&mut controller);
+        assert_eq!(command.status, CommandStatus::Degraded, "{what}");
+        let expected = if bad.time == good.time { Modes::ROTATION_RECKONED } else { Modes::CLOCK_RECKONED };
+        assert_eq!(command.modes, expected, "{what}");
+        let rotation = &controller.terms().kinematics.bodies[0].i_from_b.rotation;
+        assert_within!((rotation - good.state.base.rotation).amax(), 0.01, "{what}");
     }
     let mut controller = controller(&config);
     good.tick(&mut controller);

@@ -5,9 +5,11 @@ mod common;
 
 mod aero;
 mod certificate;
+mod channels;
 mod contact;
 mod control;
 mod dynamics;
+mod engines;
 mod linalg;
 mod link_forces;
 mod network;

@@ -148,6 +148,8 @@ fn an_overflow_is_not_observed() {
 fn numbers_that_make_no_observer_are_refused() {
     let build = |key: &str, value: f64| {
         let mut config = experiment("test2_observer");
+        // What moves here is no robot.
+        (config.controller.law.channels.jump, config.controller.law.engines) = (None, None);
         let observer = config.controller.law.observer.as_mut().unwrap();
         match key {
             "gain_force" => observer.gain_force = value,
@@ -244,6 +246,8 @@ fn observer_of(config: &mut ScenarioConfig) -> &mut Option<ObserverConfig> {
 #[test]
 fn a_tick_observes_what_its_model_leaves_out() {
     let mut config = experiment("test2_observer");
+    // What moves here is no robot.
+    (config.controller.law.channels.jump, config.controller.law.engines) = (None, None);
     *observer_of(&mut config) = Some(WIDE);
     let mut plain = config.clone();
     *observer_of(&mut plain) = None;
@@ -271,6 +275,8 @@ fn a_tick_observes_what_its_model_leaves_out() {
 #[test]
 fn a_refused_tick_is_bridged_and_a_state_is_restored() {
     let mut config = experiment("test2_observer");
+    // What moves here is no robot.
+    (config.controller.law.channels.jump, config.controller.law.engines) = (None, None);
     *observer_of(&mut config) = Some(WIDE);
     let mut flying = controller(&config);
     let mut sample = Prescribed::new(&config);
@@ -285,7 +291,7 @@ fn a_refused_tick_is_bridged_and_a_state_is_restored() {
     let known = flying.terms().momentum.rate_estimate - flying.terms().momentum.unmodelled_wrench;
     let before = flying.terms().momentum.unmodelled_wrench;
     for _ in 0..3 {
-        let bad = Measurement { wind: Vector3::repeat(f64::NAN), ..sample.measurement() };
+        let bad = Measurement { thrust: &[], ..sample.measurement() };
         assert_eq!(flying.tick(&bad).status, CommandStatus::BadMeasurement);
         sample.tick += 1;
     }

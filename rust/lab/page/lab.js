@@ -100,10 +100,7 @@ export class Flight {
     return this.lab.ask({ ask: "result", flight: this.flight });
   }
 
-  /** Gives its memory back. */
   end() {
-    if (this.isForgotten) return;
-    this.isForgotten = true;
     this.lab.ask({ ask: "end", flight: this.flight });
   }
 }

@@ -239,6 +239,7 @@ impl Controller {
             out.set_item("contact", contact_dict(py, terms)?)?;
         }
         out.set_item("status", format!("{:?}", command.status))?;
+        out.set_item("degraded_modes", command.modes.names().collect::<Vec<_>>())?;
         if let Some(state) = &self.state {
             out.set_item("posture", vector(py, state.posture().as_slice())?)?;
             out.set_item("inertia_0_b", matrix(py, state.inertia_0_b())?)?;

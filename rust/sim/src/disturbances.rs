@@ -3,10 +3,12 @@
 
 pub mod jet_faults;
 pub mod model_error;
+pub mod outages;
 pub mod wind_estimate;
 
 pub use jet_faults::{FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise};
 pub use model_error::ModelError;
+pub use outages::{Outage, OutageChannel, OutageKind, Outages, Sample};
 pub use wind_estimate::{WindEstimateConfig, WindEstimator};
 
 use crate::wind::WindConfig;
@@ -32,6 +34,8 @@ pub struct Disturbances {
     pub aero_estimate: ForceFactorsConfig,
     /// What is wrong with the jets.
     pub jets: JetFaultsConfig,
+    /// Measurements that fail to reach the controller, or reach it wrong.
+    pub outages: Vec<Outage>,
 }
 
 impl Disturbances {

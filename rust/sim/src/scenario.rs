@@ -13,7 +13,7 @@
 //! first in a tick, on what the tick before left in the delays. Equation M77 of `docs/model.md`, the end of a flight M80.
 
 use crate::config::{DivergenceConfig, DynamicsBackend, Engine, FallConfig, ScenarioConfig};
-use crate::disturbances::WindEstimator;
+use crate::disturbances::{Outages, Sample, WindEstimator};
 use crate::log::{FlightLog, FlightResult, LogRow, TrackingErrors};
 use crate::plant::Plant;
 use crate::sensors::Sensors;
@@ -128,6 +128,10 @@ pub struct Scenario {
     estimator: Option<Estimator>,
     /// What tells the controller the wind in place of the wind; `None` where it is told.
     wind_observer: Option<WindObserver>,
+    /// Between everything that is measured and the controller.
+    outages: Outages,
+    /// What is measured at a tick.
+    sample: Sample,
     time_step: f64,
     n_ticks: usize,
     fall: FallConfig,
@@ -217,16 +221,23 @@ impl Scenario {
             let sum: Vector3<f64> = times.map(|time| given.velocity(time)).sum();
             WindEstimator::new(estimate, time_step, sum / (n_ticks + 1) as f64)
         };
+        let sample = Sample {
+            state: plant.state().clone(),
+            thrust: plant.jets().thrust_feedback().to_vec(),
+            wind: Vector3::zeros(),
+        };
         let sensors = config.simulator.sensors.as_ref();
         let sensors = sensors
             .map(|sensors| Sensors::new(sensors, time_step, robot.joints.len(), robot.jets.len()))
             .transpose()?;
         Ok(Self {
             plant,
+            sample,
             sensors,
             estimator: config.estimator(robot.clone())?,
             wind_observer: config.wind_observer(robot.clone())?,
             wind_estimator: disturbances.wind_estimate.as_ref().map(estimator).transpose()?,
+            outages: Outages::new(&disturbances.outages, &robot.jets)?,
             controller: config.controller(robot)?,
             wind,
             controller_wind,
@@ -345,6 +356,8 @@ impl Flight {
             sensors,
             estimator,
             wind_observer,
+            outages,
+            sample,
             time_step,
             ..
         } = &mut self.scenario;
@@ -364,7 +377,12 @@ impl Flight {
             let estimated = estimator.update(seen, thrust, &estimate);
             (&estimated.state, &estimated.thrust)
         });
-        let measurement = Measurement { time, state: seen, thrust, wind: estimate, foot_wrenches: &[] };
+        sample.state.copy_from(seen);
+        sample.thrust.copy_from_slice(thrust);
+        sample.wind = estimate;
+        outages.spoil(time, sample);
+        let Sample { state: seen, thrust, wind: given } = &*sample;
+        let measurement = Measurement { time, state: seen, thrust, wind: *given, foot_wrenches: &[] };
         if self.state.is_none() {
             self.state = controller.start(&measurement).ok();
             self.log.joint_setpoint =

@@ -130,7 +130,7 @@ const WRENCH: &str = "N (force), N m (moment)";
 
 /// Every signal. Joint quantities are those of revolute joints: of prismatic ones m stands for rad and N for
 /// N m.
-pub static SIGNALS: [Signal; 40] = [
+pub static SIGNALS: [Signal; 41] = [
     signal("time", TIME, "s", "time", |row, out| out.push(row.time)),
     signal("base_position", XYZ, "m", "position of the base origin, inertial frame", |row, out| {
         out.extend(&row.plant.state().base.position);
@@ -266,6 +266,14 @@ pub static SIGNALS: [Signal; 40] = [
     integer(signal("qp_iterations", QP, "1", "active-set iterations of each QP", |row, out| {
         out.extend(row.qps().map(|answer| f64::from(answer.iterations)));
     })),
+    integer(signal(
+        "degraded_modes",
+        TIME,
+        "1",
+        "in which ways the tick is degraded, a sum of bits: 1 wind held, 2 wind lost, 4 thrust modelled, 8 joints, \
+         16 position, 32 rotation, 64 velocity reckoned, 128 feet held, 256 clock reckoned, 512 descending, 1024 engine lost",
+        |row, out| out.push(f64::from(row.command.modes.bits())),
+    )),
     Signal {
         name: "joint_setpoint",
         dims: &[Dimension::Joint],

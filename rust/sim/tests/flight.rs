@@ -11,6 +11,8 @@
 mod laws;
 #[path = "flight/network.rs"]
 mod network;
+#[path = "flight/outages.rs"]
+mod outages;
 #[path = "flight/published.rs"]
 mod published;
 #[path = "flight/simulator.rs"]

@@ -1,5 +1,6 @@
 //! What goes into a tick and what comes out of it.
 
+use super::channels::Modes;
 use crate::kinematics::RobotState;
 use crate::qp::QpAnswer;
 use nalgebra::{DVector, Vector3, Vector6};
@@ -23,7 +24,7 @@ pub struct Measurement<'a> {
 /// A measurement that no flight can begin with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "a flight cannot begin with this measurement; expected finite numbers of this robot, a base rotation \
+    "a flight cannot begin with this measurement; expected numbers of this robot that can be right, a base rotation \
      that is one, and an inertia that can be inverted"
 )]
 pub struct BadStart;
@@ -33,8 +34,10 @@ pub struct BadStart;
 pub enum CommandStatus {
     /// Both QPs solved and certified.
     Nominal,
-    /// The measurement is not finite, not of this robot, or its base rotation is none: thrust rates and
-    /// joint velocities are zero, torques stay.
+    /// Both QPs solved and certified, for a measurement of which something had to be reckoned, or on the way down:
+    /// [`Command::modes`] says what.
+    Degraded,
+    /// The measurement is not of this robot: thrust rates and joint velocities are zero, torques stay.
     BadMeasurement,
     /// The state is one of another controller: as for a bad measurement.
     BadState,
@@ -64,4 +67,6 @@ pub struct Command {
     pub torque_qp: QpAnswer,
     /// Whether this is the command that the control law gives.
     pub status: CommandStatus,
+    /// In which ways this tick differs from one that measures everything.
+    pub modes: Modes,
 }

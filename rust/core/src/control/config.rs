@@ -1,6 +1,8 @@
 //! Configuration of the controller, checked against the robot when the controller is built.
 
+use super::channels::ChannelsConfig;
 use super::contact::ContactConfig;
+use super::engines::EnginesConfig;
 use super::observer::ObserverConfig;
 use super::setpoint::SetpointConfig;
 use crate::aero::{JacobianOffset, LeverArm, LinkVelocity};
@@ -45,6 +47,12 @@ pub struct ControllerConfig {
     /// What observes the wrench that no model knows; without it there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub observer: Option<ObserverConfig>,
+    /// What is believed of measurements, and what happens without them.
+    #[serde(default)]
+    pub channels: ChannelsConfig,
+    /// When an engine counts as lost; without it, never.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub engines: Option<EnginesConfig>,
     /// Whether thrusts are known of and asked for.
     #[serde(default = "yes")]
     pub use_jets: bool,

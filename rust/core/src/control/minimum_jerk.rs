@@ -42,6 +42,15 @@ impl FilterState {
         Self { derivatives, previous_input: input }
     }
 
+    /// State with these outputs, the last input being its value.
+    #[must_use]
+    pub fn moving(value: Vector3<f64>, rate: Vector3<f64>, acceleration: Vector3<f64>) -> Self {
+        Self {
+            derivatives: Matrix3::from_rows(&[value.transpose(), rate.transpose(), acceleration.transpose()]),
+            previous_input: value,
+        }
+    }
+
     /// Smoothed input.
     #[must_use]
     pub fn value(&self) -> Vector3<f64> {

@@ -8,7 +8,7 @@
 //!
 //! `f_c` is the wrench that the feet measure, whether they carry or not, so that the ground is part of the model and
 //! the law is the same in flight and standing. `Δt` is the time between the two measurements. Inertial axes, about
-//! the centre of mass, force first. Equations M82 to M84 of `docs/model.md`.
+//! the centre of mass, force first. Equations M82 to M84 and M106 of `docs/model.md`.
 
 use crate::error::{BuildError, check};
 use nalgebra::Vector6;
@@ -16,6 +16,9 @@ use serde::{Deserialize, Serialize};
 
 /// Longest time between two measurements that are compared, in ticks. Half a tick is for rounding.
 const GAP_MAX: f64 = 10.5;
+
+/// Time constant of the residual \[s\].
+const RESIDUAL_TIME: f64 = 0.02;
 
 /// How fast the observer follows, and what it believes at most.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -71,6 +74,8 @@ pub struct Sample {
 pub struct ObserverState {
     /// `ŵ` \[N, N m\].
     pub(super) wrench: Vector6<f64>,
+    /// What was found beside it in the last hundredths of a second, `n` of M106 \[N, N m\].
+    pub(super) residual: Vector6<f64>,
     /// The last measurement that was accepted.
     pub(super) last: Option<Sample>,
 }
@@ -79,7 +84,7 @@ impl ObserverState {
     /// Nothing observed yet.
     #[must_use]
     pub fn new() -> Self {
-        Self { wrench: Vector6::zeros(), last: None }
+        Self { wrench: Vector6::zeros(), residual: Vector6::zeros(), last: None }
     }
 
     /// Takes a measurement in and returns `ŵ`.
@@ -97,9 +102,19 @@ impl ObserverState {
             if is_near && moved.iter().all(|x| x.is_finite()) {
                 let (force, moment) = (config.force_max, config.moment_max);
                 let limits = Vector6::new(force, force, force, moment, moment, moment);
+                self.residual += (innovation - self.residual) * share(1.0 / RESIDUAL_TIME, elapsed);
                 self.wrench = moved.zip_map(&limits, |x, limit| x.clamp(-limit, limit));
             }
         }
+        self.wrench
+    }
+}
+
+impl ObserverState {
+    /// A tick whose momentum is not measured: `ŵ` stays, and there is nothing to compare the next one with.
+    pub fn hold(&mut self) -> Vector6<f64> {
+        self.last = None;
+        self.residual.fill(0.0);
         self.wrench
     }
 }

@@ -44,9 +44,17 @@ pub struct SetpointConfig {
     /// Smoothing time of the angular velocity \[s\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub angular_velocity_smoothing: f64,
+    /// Speed of the descent where the mission cannot be followed any more \[m/s\].
+    #[serde(default = "half_a_metre_per_second")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub descent_speed: f64,
     /// Gain with which the smoothed attitude follows the raw one \[1/s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub attitude_gain: f64,
+}
+
+fn half_a_metre_per_second() -> f64 {
+    0.5
 }
 
 impl SetpointConfig {
@@ -66,6 +74,7 @@ impl SetpointConfig {
         let non_negative = |name: &str, value: f64| at(name, value, |x| x >= 0.0, "a number ≥ 0");
         non_negative("turbo_boost", self.turbo_boost)?;
         non_negative("attitude_gain", self.attitude_gain)?;
+        non_negative("descent_speed", self.descent_speed)?;
         for speed in self.speed {
             non_negative("speed", speed)?;
         }
@@ -242,6 +251,9 @@ impl SetpointGenerator {
                 state.raw.position = com_position;
                 state.raw.rpy = self.heading_rpy(&motion.rotation);
                 state.rotation = motion.rotation;
+                // Where a descent would begin.
+                state.position = FilterState::moving(com_position, com_velocity, com_acceleration);
+                state.acceleration = FilterState::moving(com_acceleration, com_jerk, Vector3::zeros());
                 Setpoint {
                     com_position,
                     com_velocity,
@@ -254,6 +266,19 @@ impl SetpointGenerator {
                 }
             }
         }
+    }
+
+    /// Set-point of a tick of the way down instead of the mission: level, straight down, without boost.
+    #[must_use]
+    pub fn descend(&self, state: &mut SetpointState) -> Setpoint {
+        let raw = &mut state.raw;
+        let step = self.config.attitude_rate_deg[0].to_radians() * self.time_step;
+        for angle in raw.rpy.iter_mut().take(2) {
+            *angle -= angle.clamp(-step, step);
+        }
+        raw.turbo_ticks = 0;
+        raw.position.z -= self.config.descent_speed * self.time_step;
+        self.smooth(state)
     }
 
     /// Roll, pitch and yaw of the heading frame of a base rotation \[rad\].

@@ -1,7 +1,9 @@
 //! Everything that a controller carries from one tick to the next.
 
+use super::channels::ChannelsState;
 use super::command::Measurement;
 use super::contact::ContactState;
+use super::engines::EngineState;
 use super::observer::ObserverState;
 use super::setpoint::SetpointState;
 use crate::error::{BuildError, check};
@@ -15,6 +17,8 @@ use nalgebra::{DVector, Matrix3};
 pub struct ControllerState {
     /// Time of the last tick \[s\].
     pub(super) time: f64,
+    /// What is known of the channels of the measurement.
+    pub(super) channels: ChannelsState,
     /// State of the set-point generator.
     pub(super) setpoint: SetpointState,
     /// Posture to return to, `s_d`: the joint positions of the first tick \[rad\].
@@ -29,6 +33,8 @@ pub struct ControllerState {
     pub(super) torque_is_known: bool,
     /// Feet that carry, and their desired wrenches.
     pub(super) contact: ContactState,
+    /// What is known of each engine.
+    pub(super) engines: Vec<EngineState>,
     /// The observed wrench, and the measurement that the next one is compared with.
     pub(super) observer: ObserverState,
     /// Where the momentum QP begins.
@@ -38,18 +44,20 @@ pub struct ControllerState {
 }
 
 impl ControllerState {
-    /// The state before the first tick, with space for `feet` feet and the unknowns of the momentum QP and the torque QP.
+    /// The state before the first tick, with space for feet, jets and the unknowns of the momentum QP and the torque QP.
     pub(super) fn new(
         measurement: &Measurement,
         setpoint: &SetpointState,
         inertia_0_b: Matrix3<f64>,
-        feet: usize,
+        channels: ChannelsState,
+        (feet, jets): (usize, usize),
         unknowns: (usize, usize),
     ) -> Self {
         let posture = measurement.state.joint_position.clone();
         let joints = posture.len();
         Self {
             time: measurement.time,
+            channels,
             setpoint: *setpoint,
             posture,
             inertia_0_b,
@@ -57,6 +65,7 @@ impl ControllerState {
             joint_torque: DVector::zeros(joints),
             torque_is_known: false,
             contact: ContactState::new(feet),
+            engines: vec![EngineState::default(); jets],
             observer: ObserverState::new(),
             momentum_start: WarmStart::cold(unknowns.0),
             torque_start: WarmStart::cold(unknowns.1),

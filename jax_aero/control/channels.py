@@ -1,0 +1,301 @@
+"""What a tick takes the measurement to be, channel by channel, where some of it is missing or cannot be right.
+
+Every channel is treated alike. The model moves its last value on to this tick; the measured value is used if it is
+finite, within what is believed of it and near what is reckoned, and if it is not frozen, that is, the same to the bit
+for several ticks while what is reckoned moves away. Else the reckoned value is used, and the channel's age grows.
+
+All numbers of a measurement stand in one vector of `E` entries: wind, thrusts, joint positions, joint velocities, base
+velocity, position and rotation (row by row); `C` channels own them.
+
+Equations M101 to M103 of `docs/model.md`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jax_aero.config import ChannelsConfig, Jumps
+from jax_aero.robot import RobotModel
+from jax_aero.spatial import exp_so3, is_rotation, multiply, vee_of_skew_part
+from jax_aero.types import Array, State, Static, leaf, pytree
+
+GAP_MAX = 10.5
+"""Longest time between two ticks, in ticks. Half a tick is for rounding."""
+
+TIME_MAX = 1e9
+"""Longest flight [s]: beyond it ticks of milliseconds are rounding errors of the time."""
+
+VELOCITY, ROTATION = -3, -1
+"""Places among the channels."""
+
+FROZEN_SHARE = 0.02
+"""A frozen value is told from one that stands still by this share of `jump`."""
+
+MODES = {
+    "wind_held": 1,
+    "wind_lost": 2,
+    "thrust_modelled": 4,
+    "joints_reckoned": 8,
+    "position_reckoned": 16,
+    "rotation_reckoned": 32,
+    "velocity_reckoned": 64,
+    "feet_held": 128,
+    "clock_reckoned": 256,
+    "descending": 512,
+    "engine_lost": 1024,
+}
+"""In which ways a tick differs from one with every measurement: a set, one bit each, as in the Rust crate."""
+
+WITHOUT_MOMENTUM = MODES["joints_reckoned"] | MODES["rotation_reckoned"] | MODES["velocity_reckoned"]
+"""Ticks of these modes do not measure the momentum."""
+
+
+@pytree
+class ChannelLimits:
+    """What is believed of measurements, and what happens without them."""
+
+    wind_hold: Float[Array, ""]
+    """[s]."""
+    wind_fade: Float[Array, ""]
+    """[s]."""
+    frozen_ticks: Int[Array, ""]
+    widening: Float[Array, ""]
+    """[1/s]."""
+    velocity_gain: Float[Array, ""]
+    """[1/s]."""
+    descend_after: Float[Array, ""]
+    """[s]."""
+    greatest: Float[Array, " E"]
+    jump: Float[Array, " E"]
+    """Infinite where everything is believed."""
+    compares: Static[bool]
+    """Whether values are compared with what is reckoned."""
+
+
+class ChannelsState(NamedTuple):
+    """What the channels remember from one tick to the next."""
+
+    age: Float[Array, " C"]
+    """Time since they were last measured [s]."""
+    same: Int[Array, " C"]
+    """Number of ticks in which they had the bits of the tick before."""
+    is_frozen: Bool[Array, " C"]
+    """Whether they are frozen: until their bits change."""
+    is_distrusted: Bool[Array, " C"]
+    """Whether they are believed no more."""
+    last: Float[Array, " E"]
+    """The measurement of the last tick."""
+    reckoned: Float[Array, " E"]
+    """What the model makes of the last values that were measured."""
+    acceleration: Float[Array, " N"]
+    """Acceleration `ν̇` that the last command causes."""
+    thrust_rate: Float[Array, " j"]
+    """Thrust rates of the last command [N/s]."""
+    is_begun: Bool[Array, ""]
+    """Whether there was a tick."""
+    is_descending: Bool[Array, ""]
+
+
+class Seen(NamedTuple):
+    """A measurement that a tick can use."""
+
+    time: Float[Array, ""]
+    state: State
+    thrust: Float[Array, " j"]
+    wind: Float[Array, "3"]
+    modes: Int[Array, ""]
+    """What of it is not measured."""
+    thrust_innovation: Float[Array, " j"]
+    """By how much each thrust is not the reckoned one; zero where it is not measured [N]."""
+    elapsed: Float[Array, ""]
+    """Time since the last tick [s]."""
+
+
+def channel_limits(config: ChannelsConfig, robot: RobotModel) -> ChannelLimits:
+    """Collect the numbers of a configuration, entry by entry."""
+    n, most = robot.n_joints, config.greatest
+    free = dict.fromkeys(
+        ("joint_position", "joint_velocity", "position", "rotation", "velocity", "angular_velocity"), np.inf
+    )
+    near = Jumps(**free) if config.jump is None else config.jump
+
+    def entries(wind: float, thrust: Array, rotation: float, of: object) -> Array:
+        sizes = {"joint_position": n, "joint_velocity": n, "velocity": 3, "angular_velocity": 3, "position": 3}
+        values = [np.full(3, wind), np.asarray(thrust)]
+        values += [np.full(size, getattr(of, name)) for name, size in sizes.items()]
+        values += [np.full(9, rotation)]
+        return leaf(np.concatenate(values))
+
+    thrust_max = np.asarray(robot.jets.thrust_max)
+    return ChannelLimits(
+        wind_hold=leaf(config.wind_hold),
+        wind_fade=leaf(config.wind_fade),
+        frozen_ticks=jnp.array(config.frozen_ticks, jnp.int32),
+        widening=leaf(config.widening),
+        velocity_gain=leaf(config.velocity_gain),
+        descend_after=leaf(config.descend_after),
+        greatest=entries(most.wind, leaf(most.thrust * thrust_max), 2.0, most),
+        jump=entries(np.inf, leaf(np.full(thrust_max.shape, np.inf)), near.rotation, near),
+        compares=config.jump is not None,
+    )
+
+
+def start(robot: RobotModel, state: State) -> ChannelsState:
+    """Begin before the first tick, whose measurement is taken as it is."""
+    like = state.joint_position
+    jets, n = robot.jets.thrust_max.shape[0], robot.n_joints
+    owners = _owners(jets, n)
+    channels = owners.shape[0]
+    none = jnp.zeros(jets, like.dtype)
+    numbers = _flat(state, none, jnp.zeros(3, like.dtype))
+    return ChannelsState(
+        age=jnp.zeros(channels, like.dtype),
+        same=jnp.zeros(channels, jnp.int32),
+        is_frozen=jnp.zeros(channels, bool),
+        is_distrusted=jnp.zeros(channels, bool),
+        last=numbers,
+        reckoned=numbers,
+        acceleration=jnp.zeros(6 + n, like.dtype),
+        thrust_rate=none,
+        is_begun=jnp.array(False),
+        is_descending=jnp.array(False),
+    )
+
+
+def update(
+    limits: ChannelLimits,
+    memory: ChannelsState,
+    time_step: Array,
+    last_time: Array,
+    time: Array,
+    state: State,
+    thrust: Array,
+    wind: Array,
+) -> tuple[ChannelsState, Seen]:
+    """Take a measurement in; `last_time` is that of the tick before [s]."""
+    jets, n = thrust.shape[0], state.joint_position.shape[0]
+    owners = _owners(jets, n)
+    owner = owners.argmax(axis=0)
+    now = _flat(state, thrust, wind)
+
+    is_known = (time >= 0.0) & (time <= TIME_MAX)
+    clock = jnp.where(is_known, time, last_time + time_step)
+    elapsed = clock - last_time
+    is_step = (elapsed > 0.0) & (elapsed < GAP_MAX * time_step)
+    dt = jnp.where(is_step, elapsed, time_step)
+    wrong_step = memory.is_begun & ~is_step & limits.compares
+    modes = jnp.where(is_known & ~wrong_step, 0, MODES["clock_reckoned"])
+
+    reckoned = jnp.where(memory.is_begun, _reckon(memory, jets, n, dt), memory.reckoned)
+
+    def of_all(entries: Array) -> Array:
+        return jnp.all(entries[None, :] | ~owners, axis=1)
+
+    is_same = memory.is_begun & of_all(now == memory.last)
+    same = jnp.where(is_same, memory.same + 1, 0)
+    is_believed = of_all(jnp.abs(now) <= limits.greatest) & ~memory.is_distrusted
+    is_believed = is_believed.at[ROTATION].set(is_believed[ROTATION] & is_rotation(state.base_rotation))
+
+    def judge(reckoned: Array) -> tuple[Array, Array]:
+        """Whether each channel is measured, and whether it is frozen."""
+        if not limits.compares:
+            return is_believed, memory.is_frozen
+        distance = jnp.abs(now - reckoned)
+        is_near = of_all(distance <= (1.0 + limits.widening * memory.age)[owner] * limits.jump)
+        leaves = (same >= limits.frozen_ticks) & ~of_all(distance <= FROZEN_SHARE * limits.jump)
+        is_frozen = is_same & (memory.is_frozen | leaves)
+        return is_believed & is_near & ~is_frozen, is_frozen
+
+    # The pose integrates the velocity of this tick, measured or not.
+    velocity = jnp.where(judge(reckoned)[0][VELOCITY], now[-18:-12], reckoned[-18:-12])
+    pose = _integrate(memory.reckoned[-12:], velocity, dt)
+    reckoned = jnp.where(memory.is_begun, reckoned.at[-12:].set(pose), memory.reckoned)
+    is_measured, is_frozen = judge(reckoned)
+    age = jnp.where(is_measured, 0.0, memory.age + dt)
+    of_entry = is_measured[owner]
+    # What is not measured must not enter the computation, not even its derivative.
+    now = jnp.where(of_entry, now, reckoned)
+    innovation = jnp.where(memory.is_begun, (now - reckoned)[3 : 3 + jets], 0.0)
+    # Of joints and base the reckoned value moves on, to be compared with one that may be frozen.
+    is_vital = np.arange(owners.shape[0]) > jets
+    reckoned = jnp.where((is_measured & ~(is_same & is_vital))[owner], now, reckoned)
+
+    # The differences of a pose that this tick and the last one measured, and anew.
+    fresh = memory.is_begun & jnp.all(is_measured[-2:] & ~is_same[-2:] & (memory.age[-2:] == 0.0))
+    before = jnp.where(of_entry & jnp.isfinite(memory.last), memory.last, now)
+    moved = now[-12:-9] - before[-12:-9]
+    turned = vee_of_skew_part(multiply(now[-9:].reshape(3, 3), before[-9:].reshape(3, 3).T))
+    share = -jnp.expm1(-limits.velocity_gain * dt)
+    lost = reckoned[-18:-12]
+    followed = lost + share * (jnp.concatenate([moved, turned]) / dt - lost)
+    reckoned = reckoned.at[-18:-12].set(jnp.where(fresh & ~is_measured[VELOCITY], followed, lost))
+
+    used = jnp.where(of_entry, now, reckoned)
+    left = 1.0 - (age[0] - limits.wind_hold) / limits.wind_fade
+    fading = jnp.where(is_measured[0], 1.0, jnp.clip(left, 0.0, 1.0))
+    used = used.at[:3].multiply(fading)
+    is_descending = memory.is_descending | jnp.any(age[1 + jets :] > limits.descend_after)
+    bits = np.array([1] + [4] * jets + [8, 64, 16, 32])
+    for bit in np.unique(bits):
+        modes += jnp.where(jnp.any(~is_measured[bits == bit]), int(bit), 0)
+    modes += jnp.where(~is_measured[0] & (left <= 0.0), MODES["wind_lost"], 0)
+    modes += jnp.where(is_descending, MODES["descending"], 0)
+
+    after = memory._replace(
+        age=age,
+        same=same,
+        is_frozen=is_frozen,
+        last=_flat(state, thrust, wind),
+        reckoned=reckoned,
+        is_begun=jnp.array(True),
+        is_descending=is_descending,
+    )
+    joints = used[3 + jets : 3 + jets + 2 * n]
+    seen = State(
+        base_position=used[-12:-9],
+        base_rotation=used[-9:].reshape(3, 3),
+        joint_position=joints[:n],
+        velocity=jnp.concatenate([used[-18:-12], joints[n:]]),
+    )
+    return after, Seen(clock, seen, used[3 : 3 + jets], used[:3], modes.astype(jnp.int32), innovation, dt)
+
+
+def distrust(memory: ChannelsState, is_wrong: Array, deviation: Array) -> ChannelsState:
+    """Believe the thrusts (j,) of some jets no more, which were measured too large by `deviation` (j,) [N]."""
+    jets = is_wrong.shape[0]
+    return memory._replace(
+        is_distrusted=memory.is_distrusted.at[1 : 1 + jets].set(memory.is_distrusted[1 : 1 + jets] | is_wrong),
+        reckoned=memory.reckoned.at[3 : 3 + jets].add(jnp.where(is_wrong, -deviation, 0.0)),
+    )
+
+
+def _owners(jets: int, n: int) -> np.ndarray:
+    """Which channel (C) owns which entry (E)."""
+    sizes = [3, *[1] * jets, 2 * n, 6, 3, 9]
+    return np.repeat(np.eye(len(sizes), dtype=bool), sizes, axis=1)
+
+
+def _flat(state: State, thrust: Array, wind: Array) -> Array:
+    joints = (state.joint_position, state.velocity[6:])
+    base = (state.velocity[:6], state.base_position, state.base_rotation.reshape(9))
+    return jnp.concatenate([wind, thrust, *joints, *base])
+
+
+def _reckon(memory: ChannelsState, jets: int, n: int, dt: Array) -> Array:
+    """Move every value but the pose on by `dt` [s]: M78 for velocities and joints, M31 for thrusts."""
+    last = memory.reckoned
+    thrust = jnp.maximum(last[3 : 3 + jets] + dt * memory.thrust_rate, 0.0)
+    rates = last[3 + jets + n : 3 + jets + 2 * n] + dt * memory.acceleration[6:]
+    joints = last[3 + jets : 3 + jets + n] + dt * rates
+    velocity = last[-18:-12] + dt * memory.acceleration[:6]
+    return jnp.concatenate([last[:3], thrust, joints, rates, velocity, last[-12:]])
+
+
+def _integrate(pose: Array, velocity: Array, dt: Array) -> Array:
+    """Move position and rotation (12,) on by `dt` [s] with a velocity of the base (6,): M78."""
+    rotation = multiply(exp_so3(dt * velocity[3:]), pose[3:].reshape(3, 3))
+    return jnp.concatenate([pose[:3] + dt * velocity[:3], rotation.reshape(9)])

@@ -1,0 +1,68 @@
+"""Which engines do what they are told.
+
+    d ← e^{−Δt/τ} d + (T_k − T̂_k)          how far a thrust has left the commanded one
+    n ← n + (1 − e^{−Δt/τ_n}) (w − ŵ − n)   what the momentum says beside the observed wrench
+
+Equations M105 and M106 of `docs/model.md`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Bool, Float
+
+from jax_aero.types import Array, pytree
+
+
+@pytree
+class EngineLimits:
+    """When an engine counts as lost."""
+
+    time_constant: Float[Array, ""]
+    """[s]."""
+    deviation_max: Float[Array, ""]
+    """[N]."""
+    confirmation: Float[Array, ""]
+    """[s]."""
+    descend: Float[Array, ""]
+    """1 where the robot descends then, 0 where it flies on."""
+
+
+class EngineState(NamedTuple):
+    """What is known of the engines."""
+
+    deviation: Float[Array, " j"]
+    """`d` [N]."""
+    suspected: Float[Array, " j"]
+    """How long it has been too large [s]."""
+    is_lost: Bool[Array, " j"]
+    """Whether they are lost; for good."""
+
+
+def start(like: Array) -> EngineState:
+    """Return what is known of engines with thrusts like these (j,) at first."""
+    return EngineState(jnp.zeros_like(like), jnp.zeros_like(like), jnp.zeros(like.shape, bool))
+
+
+def update(
+    limits: EngineLimits, last: EngineState, dt: Array, innovation: Array, a_t: Array, residual: Array
+) -> tuple[EngineState, Array, Array]:
+    """Take in by how much thrusts (j,) are not the reckoned ones.
+
+    Also return which sensors (j,) are wrong, and by how much.
+
+    `a_t` (6, j) takes thrusts to the momentum's rate, `residual` (6,) is `n`.
+    """
+    deviation = jnp.exp(-dt / limits.time_constant) * last.deviation + innovation
+    exceeds = ~last.is_lost & (jnp.abs(deviation) > limits.deviation_max)
+    suspected = jnp.where(exceeds, last.suspected + dt, 0.0)
+    # Half a tick is for rounding.
+    is_sure = exceeds & (suspected >= limits.confirmation + 0.5 * dt)
+    explained = -(a_t.T @ residual) / jnp.sum(a_t**2, axis=0)
+    is_wrong = is_sure & (explained * jnp.sign(deviation) > 0.5 * jnp.abs(deviation))
+    is_lost = last.is_lost | (is_sure & ~is_wrong)
+    # A sensor that is believed no more says nothing about its engine.
+    after = EngineState(jnp.where(is_wrong, 0.0, deviation), jnp.where(is_wrong, 0.0, suspected), is_lost)
+    return after, is_wrong, deviation

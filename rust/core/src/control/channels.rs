@@ -1,0 +1,728 @@
+//! What a tick takes the measurement to be, channel by channel, where some of it is missing or cannot be right.
+//!
+//! Every channel is treated alike. The model moves its last value on to this tick ([`ChannelsState::reckon`]); the
+//! measured value is used if it is finite, within what is believed of it and near what is reckoned, and if it is not
+//! frozen, that is, the same to the bit for several ticks while what is reckoned moves away. Else the reckoned value is
+//! used, and the channel's age grows.
+//!
+//! ```text
+//! wind, feet        their last value; the wind fades to zero
+//! thrusts           T ← max(0, T + Δt Ṫ*)
+//! joints and base   the model's own step with the last torques and the observed wrench
+//! ```
+//!
+//! Base velocity that is not measured follows the differences of the pose, where these are measured.
+//!
+//! Equations M101 to M103 of `docs/model.md`.
+
+use super::command::Measurement;
+use crate::error::{BuildError, check};
+use crate::kinematics::RobotState;
+use crate::robot::RobotModel;
+use crate::spatial::{Pose, exp_so3, is_rotation, vee_of_skew_part};
+use nalgebra::{DVector, Matrix3, Vector3, Vector6};
+use serde::{Deserialize, Serialize};
+use std::ops::Range;
+
+/// Longest time between two ticks, in ticks. Half a tick is for rounding.
+const GAP_MAX: f64 = 10.5;
+
+/// Longest flight \[s\]: beyond it ticks of milliseconds are rounding errors of the time.
+const TIME_MAX: f64 = 1e9;
+
+/// A frozen value is told from one that stands still by this share of [`Jumps`].
+const FROZEN_SHARE: f64 = 0.02;
+
+/// What is believed of measurements, and what happens without them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct ChannelsConfig {
+    /// How long the last wind is held \[s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub wind_hold: f64,
+    /// Time in which it then fades to zero \[s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub wind_fade: f64,
+    /// Number of ticks with the same bits after which a value can be frozen.
+    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    pub frozen_ticks: u32,
+    /// Growth of `jump` with the age of a channel, as a share of itself \[1/s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub widening: f64,
+    /// Gain with which a base velocity that is not measured follows the differences of the pose \[1/s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub velocity_gain: f64,
+    /// Age of a channel of joints or base from which on the robot levels and descends, and does so to the end \[s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub descend_after: f64,
+    /// Greatest values that are believed, of each component.
+    pub greatest: Greatest,
+    /// Greatest differences to the reckoned value that are believed, of each component; without it all of them, and no
+    /// value counts as frozen and no time step as wrong.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub jump: Option<Jumps>,
+}
+
+/// Greatest values that are believed; by default those of a simulated flight that has not diverged.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct Greatest {
+    /// Wind \[m/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub wind: f64,
+    /// Thrust, as a multiple of the jet's greatest.
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub thrust: f64,
+    /// Joint position \[rad, m\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub joint_position: f64,
+    /// Joint velocity \[rad/s, m/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub joint_velocity: f64,
+    /// Position of the base \[m\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub position: f64,
+    /// Velocity of the base \[m/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub velocity: f64,
+    /// Angular velocity of the base \[rad/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub angular_velocity: f64,
+    /// Force on a foot \[N\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub foot_force: f64,
+    /// Moment on a foot \[N m\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub foot_moment: f64,
+}
+
+/// Greatest differences to the reckoned value that are believed. Wind, thrusts and feet may jump.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct Jumps {
+    /// Joint position \[rad, m\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub joint_position: f64,
+    /// Joint velocity \[rad/s, m/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub joint_velocity: f64,
+    /// Position of the base \[m\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub position: f64,
+    /// Entry of the rotation matrix of the base.
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub rotation: f64,
+    /// Velocity of the base \[m/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub velocity: f64,
+    /// Angular velocity of the base \[rad/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub angular_velocity: f64,
+}
+
+impl Default for ChannelsConfig {
+    fn default() -> Self {
+        Self {
+            wind_hold: 1.0,
+            wind_fade: 2.0,
+            frozen_ticks: 5,
+            widening: 1.0,
+            velocity_gain: 20.0,
+            descend_after: 3.0,
+            greatest: Greatest::default(),
+            jump: None,
+        }
+    }
+}
+
+impl Default for Greatest {
+    fn default() -> Self {
+        Self {
+            wind: 300.0,
+            thrust: 10.0,
+            joint_position: 100.0,
+            joint_velocity: 100.0,
+            position: 1e6,
+            velocity: 300.0,
+            angular_velocity: 100.0,
+            foot_force: 1e5,
+            foot_moment: 1e5,
+        }
+    }
+}
+
+impl Jumps {
+    /// Everything may jump.
+    const NONE: Self = Self {
+        joint_position: f64::INFINITY,
+        joint_velocity: f64::INFINITY,
+        position: f64::INFINITY,
+        rotation: f64::INFINITY,
+        velocity: f64::INFINITY,
+        angular_velocity: f64::INFINITY,
+    };
+}
+
+impl Default for Jumps {
+    fn default() -> Self {
+        Self {
+            joint_position: 0.2,
+            joint_velocity: 10.0,
+            position: 0.3,
+            rotation: 0.2,
+            velocity: 0.5,
+            angular_velocity: 0.8,
+        }
+    }
+}
+
+impl ChannelsConfig {
+    /// Refuses numbers that mean nothing.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn check(&self) -> Result<(), BuildError> {
+        let at = |key: &str, value: f64, accept: fn(f64) -> bool, expected: &str| {
+            check(&format!("controller.channels.{key}"), value, accept, expected).map(|_| ())
+        };
+        for (key, value) in [
+            ("wind_hold", self.wind_hold),
+            ("widening", self.widening),
+            ("velocity_gain", self.velocity_gain),
+            ("descend_after", self.descend_after),
+        ] {
+            at(key, value, |x| x >= 0.0, "a number ≥ 0")?;
+        }
+        let (greatest, jump) = (&self.greatest, self.jump.clone().unwrap_or_default());
+        for (key, value) in [
+            ("wind_fade", self.wind_fade),
+            ("frozen_ticks", f64::from(self.frozen_ticks)),
+            ("greatest.wind", greatest.wind),
+            ("greatest.thrust", greatest.thrust),
+            ("greatest.joint_position", greatest.joint_position),
+            ("greatest.joint_velocity", greatest.joint_velocity),
+            ("greatest.position", greatest.position),
+            ("greatest.velocity", greatest.velocity),
+            ("greatest.angular_velocity", greatest.angular_velocity),
+            ("greatest.foot_force", greatest.foot_force),
+            ("greatest.foot_moment", greatest.foot_moment),
+            ("jump.joint_position", jump.joint_position),
+            ("jump.joint_velocity", jump.joint_velocity),
+            ("jump.position", jump.position),
+            ("jump.rotation", jump.rotation),
+            ("jump.velocity", jump.velocity),
+            ("jump.angular_velocity", jump.angular_velocity),
+        ] {
+            at(key, value, |x| x > 0.0, "a positive number")?;
+        }
+        Ok(())
+    }
+}
+
+/// In which ways a tick differs from one with every measurement: a set, one bit each.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Modes(u32);
+
+impl Modes {
+    /// The wind is the last one that was measured, or fading.
+    pub const WIND_HELD: Self = Self(1);
+    /// The wind was lost for so long that none is assumed.
+    pub const WIND_LOST: Self = Self(1 << 1);
+    /// A thrust is that of the jet's model.
+    pub const THRUST_MODELLED: Self = Self(1 << 2);
+    /// The joints are reckoned from the model.
+    pub const JOINTS_RECKONED: Self = Self(1 << 3);
+    /// The base position is.
+    pub const POSITION_RECKONED: Self = Self(1 << 4);
+    /// The base rotation is.
+    pub const ROTATION_RECKONED: Self = Self(1 << 5);
+    /// The base velocity is.
+    pub const VELOCITY_RECKONED: Self = Self(1 << 6);
+    /// The wrenches on the feet are the last ones that were measured.
+    pub const FEET_HELD: Self = Self(1 << 7);
+    /// The time is the controller's own, or a step of it is none.
+    pub const CLOCK_RECKONED: Self = Self(1 << 8);
+    /// The robot levels and descends instead of following its mission.
+    pub const DESCENDING: Self = Self(1 << 9);
+    /// An engine does not do what it is told.
+    pub const ENGINE_LOST: Self = Self(1 << 10);
+
+    /// Ticks of these modes do not measure the momentum.
+    pub(super) const WITHOUT_MOMENTUM: Self =
+        Self(Self::JOINTS_RECKONED.0 | Self::ROTATION_RECKONED.0 | Self::VELOCITY_RECKONED.0);
+
+    /// Every mode and its name.
+    pub const NAMES: [(Self, &'static str); 11] = [
+        (Self::WIND_HELD, "wind_held"),
+        (Self::WIND_LOST, "wind_lost"),
+        (Self::THRUST_MODELLED, "thrust_modelled"),
+        (Self::JOINTS_RECKONED, "joints_reckoned"),
+        (Self::POSITION_RECKONED, "position_reckoned"),
+        (Self::ROTATION_RECKONED, "rotation_reckoned"),
+        (Self::VELOCITY_RECKONED, "velocity_reckoned"),
+        (Self::FEET_HELD, "feet_held"),
+        (Self::CLOCK_RECKONED, "clock_reckoned"),
+        (Self::DESCENDING, "descending"),
+        (Self::ENGINE_LOST, "engine_lost"),
+    ];
+
+    /// The set as a number, as in logs.
+    #[must_use]
+    pub fn bits(self) -> u32 {
+        self.0
+    }
+
+    /// Whether none of them is there.
+    #[must_use]
+    pub fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// Whether all of `other` are there.
+    #[must_use]
+    pub fn contains(self, other: Self) -> bool {
+        self.0 & other.0 == other.0
+    }
+
+    /// Whether some of `other` are there.
+    #[must_use]
+    pub fn intersects(self, other: Self) -> bool {
+        self.0 & other.0 != 0
+    }
+
+    /// Adds those of `other`.
+    pub fn insert(&mut self, other: Self) {
+        self.0 |= other.0;
+    }
+
+    /// Names of those that are there.
+    pub fn names(self) -> impl Iterator<Item = &'static str> {
+        Self::NAMES.into_iter().filter_map(move |(mode, name)| self.contains(mode).then_some(name))
+    }
+}
+
+/// What is remembered of a channel.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Channel {
+    /// Time since it was last measured \[s\].
+    age: f64,
+    /// Number of ticks in which it had the bits of the tick before.
+    same: u32,
+    /// Whether it is frozen: until its bits change.
+    is_frozen: bool,
+    /// Whether it is believed no more.
+    is_distrusted: bool,
+}
+
+/// What the channels remember from one tick to the next.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ChannelsState {
+    channels: Vec<Channel>,
+    /// The measurement of the last tick.
+    last: Vec<f64>,
+    /// What the model makes of the last values that were measured.
+    reckoned: Vec<f64>,
+    /// Acceleration `ν̇` that the last command causes.
+    pub acceleration: DVector<f64>,
+    /// Thrust rates of the last command \[N/s\].
+    pub thrust_rate: DVector<f64>,
+    /// Whether there was a tick.
+    is_begun: bool,
+    /// Whether the robot descends.
+    pub is_descending: bool,
+}
+
+/// A measurement that a tick can use.
+#[derive(Debug, Clone)]
+pub struct Seen {
+    /// Time \[s\].
+    pub time: f64,
+    /// Pose and velocity of the robot.
+    pub state: RobotState,
+    /// Thrust of every jet \[N\].
+    pub thrust: Vec<f64>,
+    /// By how much each thrust is not the reckoned one; zero where it is not measured \[N\].
+    pub thrust_innovation: Vec<f64>,
+    /// Time since the last tick \[s\].
+    pub elapsed: f64,
+    /// Velocity of the air \[m/s, inertial axes\].
+    pub wind: Vector3<f64>,
+    /// Wrench on each foot \[N, N m, inertial axes\].
+    pub foot_wrenches: Vec<Vector6<f64>>,
+    /// What of it is not measured.
+    pub modes: Modes,
+}
+
+/// Where the numbers of a channel are, in one vector of all numbers of a measurement.
+#[derive(Debug, Clone)]
+struct Layout {
+    wind: Range<usize>,
+    thrust: Range<usize>,
+    joints: Range<usize>,
+    position: Range<usize>,
+    rotation: Range<usize>,
+    velocity: Range<usize>,
+    feet: Range<usize>,
+}
+
+impl Layout {
+    fn new(jets: usize, joints: usize, feet: usize) -> Self {
+        let mut end = 0;
+        let mut next = |count: usize| {
+            let start = end;
+            end += count;
+            start..end
+        };
+        Self {
+            wind: next(3),
+            thrust: next(jets),
+            joints: next(2 * joints),
+            velocity: next(6),
+            position: next(3),
+            rotation: next(9),
+            feet: next(6 * feet),
+        }
+    }
+
+    fn len(&self) -> usize {
+        self.feet.end
+    }
+
+    fn n_joints(&self) -> usize {
+        self.joints.len() / 2
+    }
+}
+
+/// A channel's numbers, and how a tick without them is called.
+#[derive(Debug, Clone)]
+struct Entry {
+    range: Range<usize>,
+    mode: Modes,
+    /// Whether the robot descends without it.
+    is_vital: bool,
+}
+
+/// The channels of one controller; preallocated.
+#[derive(Debug, Clone)]
+pub struct Channels {
+    config: ChannelsConfig,
+    time_step: f64,
+    layout: Layout,
+    entries: Vec<Entry>,
+    greatest: Vec<f64>,
+    jump: Vec<f64>,
+    now: Vec<f64>,
+    /// What the tick uses.
+    pub seen: Seen,
+}
+
+impl Channels {
+    /// The channels of `robot` with its jets, joints and feet, at a tick of `time_step` \[s\].
+    #[must_use]
+    pub fn new(config: &ChannelsConfig, robot: &RobotModel, time_step: f64) -> Self {
+        let (jets, joints, feet) = (robot.jets.len(), robot.joints.len(), robot.feet.len());
+        let layout = Layout::new(jets, joints, feet);
+        let most = &config.greatest;
+        let near = config.jump.clone().unwrap_or(Jumps::NONE);
+        let mut greatest = vec![most.wind; layout.len()];
+        let mut jump = vec![f64::INFINITY; layout.len()];
+        for (entry, jet) in layout.thrust.clone().zip(&robot.jets) {
+            greatest[entry] = most.thrust * jet.thrust_max;
+        }
+        let (at, middle) = (layout.joints.start, layout.joints.start + joints);
+        greatest[at..middle].fill(most.joint_position);
+        jump[at..middle].fill(near.joint_position);
+        greatest[middle..layout.joints.end].fill(most.joint_velocity);
+        jump[middle..layout.joints.end].fill(near.joint_velocity);
+        greatest[layout.position.clone()].fill(most.position);
+        jump[layout.position.clone()].fill(near.position);
+        greatest[layout.rotation.clone()].fill(2.0);
+        jump[layout.rotation.clone()].fill(near.rotation);
+        let (linear, angular) = layout.velocity.clone().map_halves();
+        greatest[linear.clone()].fill(most.velocity);
+        jump[linear].fill(near.velocity);
+        greatest[angular.clone()].fill(most.angular_velocity);
+        jump[angular].fill(near.angular_velocity);
+        for foot in greatest[layout.feet.clone()].chunks_exact_mut(6) {
+            foot[..3].fill(most.foot_force);
+            foot[3..].fill(most.foot_moment);
+        }
+        let entry = |range: &Range<usize>, mode, is_vital| Entry { range: range.clone(), mode, is_vital };
+        let mut entries = vec![entry(&layout.wind, Modes::WIND_HELD, false)];
+        let thrusts = layout.thrust.clone();
+        entries.extend(thrusts.map(|jet| entry(&(jet..jet + 1), Modes::THRUST_MODELLED, false)));
+        entries.extend([
+            entry(&layout.joints, Modes::JOINTS_RECKONED, true),
+            entry(&layout.velocity, Modes::VELOCITY_RECKONED, true),
+            entry(&layout.position, Modes::POSITION_RECKONED, true),
+            entry(&layout.rotation, Modes::ROTATION_RECKONED, true),
+            entry(&layout.feet, Modes::FEET_HELD, false),
+        ]);
+        Self {
+            config: config.clone(),
+            time_step,
+            now: vec![0.0; layout.len()],
+            entries,
+            greatest,
+            jump,
+            seen: Seen {
+                time: 0.0,
+                state: RobotState::zero(joints),
+                thrust: vec![0.0; jets],
+                thrust_innovation: vec![0.0; jets],
+                elapsed: time_step,
+                wind: Vector3::zeros(),
+                foot_wrenches: vec![Vector6::zeros(); feet],
+                modes: Modes::default(),
+            },
+            layout,
+        }
+    }
+
+    /// Whether a measurement is of this robot.
+    #[must_use]
+    pub fn fit(&self, measurement: &Measurement) -> bool {
+        let (joints, feet) = (self.layout.n_joints(), self.seen.foot_wrenches.len());
+        measurement.state.n_joints() == joints
+            && measurement.state.velocity.len() == 6 + joints
+            && measurement.thrust.len() == self.seen.thrust.len()
+            && (feet == 0 || measurement.foot_wrenches.len() == feet)
+    }
+
+    /// Whether a state is of these channels.
+    #[must_use]
+    pub fn fit_state(&self, state: &ChannelsState) -> bool {
+        state.last.len() == self.layout.len() && state.channels.len() == self.entries.len()
+    }
+
+    /// The state before the first tick; `None` for a measurement that no flight can begin with.
+    #[must_use]
+    pub fn start(&mut self, measurement: &Measurement) -> Option<ChannelsState> {
+        if !self.fit(measurement) || !time_is_plausible(measurement.time) {
+            return None;
+        }
+        self.read(measurement);
+        let believed = |(x, most): (&f64, &f64)| x.is_finite() && x.abs() <= *most;
+        if !self.now.iter().zip(&self.greatest).all(believed)
+            || !is_rotation(&measurement.state.base.rotation)
+        {
+            return None;
+        }
+        Some(ChannelsState {
+            channels: vec![Channel::default(); self.entries.len()],
+            last: self.now.clone(),
+            reckoned: self.now.clone(),
+            acceleration: DVector::zeros(6 + self.layout.n_joints()),
+            thrust_rate: DVector::zeros(self.seen.thrust.len()),
+            is_begun: false,
+            is_descending: false,
+        })
+    }
+
+    /// Takes in a measurement that fits and makes [`Self::seen`] of it. `last_time` is that of the tick before \[s\].
+    pub fn update(&mut self, state: &mut ChannelsState, measurement: &Measurement, last_time: f64) {
+        self.read(measurement);
+        let mut modes = Modes::default();
+        let is_known = time_is_plausible(measurement.time);
+        self.seen.time = if is_known { measurement.time } else { last_time + self.time_step };
+        let elapsed = self.seen.time - last_time;
+        let is_step = elapsed > 0.0 && elapsed < GAP_MAX * self.time_step;
+        let dt = if is_step { elapsed } else { self.time_step };
+        if !is_known || (state.is_begun && !is_step && self.config.jump.is_some()) {
+            modes.insert(Modes::CLOCK_RECKONED);
+        }
+        if state.is_begun {
+            state.reckon(&self.layout, dt);
+        }
+        self.seen.elapsed = dt;
+        let reckoned = &state.reckoned[self.layout.thrust.clone()];
+        for ((to, now), reckoned) in
+            self.seen.thrust_innovation.iter_mut().zip(&self.now[self.layout.thrust.clone()]).zip(reckoned)
+        {
+            *to = now - reckoned;
+        }
+        // Of the pose: whether this tick and the last one measured it, and anew.
+        let mut is_fresh = true;
+        for (entry, channel) in self.entries.iter().zip(&mut state.channels) {
+            let range = entry.range.clone();
+            let is_same = state.is_begun && self.now[range.clone()] == state.last[range.clone()];
+            channel.same = if is_same { channel.same.saturating_add(1) } else { 0 };
+            let gate = 1.0 + self.config.widening * channel.age;
+            let is_near = |now: &[f64], reckoned: &[f64], gate: f64| {
+                let mut entries = now.iter().zip(reckoned).zip(&self.jump[range.clone()]);
+                entries.all(|((now, reckoned), jump)| (now - reckoned).abs() <= gate * jump)
+            };
+            let (now, reckoned) = (&self.now[range.clone()], &state.reckoned[range.clone()]);
+            let mut believed = now.iter().zip(&self.greatest[range.clone()]);
+            let is_rotation = entry.mode != Modes::ROTATION_RECKONED || is_rotation(&rotation_of(now));
+            let is_sound =
+                believed.all(|(x, most)| x.abs() <= *most) && is_rotation && is_near(now, reckoned, gate);
+            let leaves = channel.same >= self.config.frozen_ticks && !is_near(now, reckoned, FROZEN_SHARE);
+            channel.is_frozen = is_same && (channel.is_frozen || leaves);
+
+            let was_measured = channel.age == 0.0;
+            if is_sound && !channel.is_frozen && !channel.is_distrusted {
+                channel.age = 0.0;
+                // Of joints and base the reckoned value moves on, to be compared with one that may be frozen.
+                if !is_same || !entry.is_vital {
+                    state.reckoned[range.clone()].copy_from_slice(&self.now[range.clone()]);
+                }
+            } else {
+                channel.age += dt;
+                modes.insert(entry.mode);
+            }
+            if entry.mode == Modes::POSITION_RECKONED || entry.mode == Modes::ROTATION_RECKONED {
+                is_fresh &= was_measured && channel.age == 0.0 && !is_same && state.is_begun;
+            }
+            if entry.mode == Modes::VELOCITY_RECKONED {
+                // The pose integrates the velocity of this tick, measured or not.
+                let velocity =
+                    if channel.age > 0.0 { &state.reckoned[range.clone()] } else { &self.now[range.clone()] };
+                let velocity = Vector6::from_column_slice(velocity);
+                if state.is_begun {
+                    integrate_pose(&mut state.reckoned, &self.layout, &velocity, dt);
+                }
+            }
+            state.is_descending |= entry.is_vital && channel.age > self.config.descend_after;
+        }
+        if is_fresh && modes.contains(Modes::VELOCITY_RECKONED) {
+            let share = -(-self.config.velocity_gain * dt).exp_m1();
+            let (position, rotation) = (self.layout.position.clone(), self.layout.rotation.clone());
+            let moved = vector(&self.now[position.clone()]) - vector(&state.last[position]);
+            let turned =
+                rotation_of(&self.now[rotation.clone()]) * rotation_of(&state.last[rotation]).transpose();
+            let (moved, turned) = (moved / dt, vee_of_skew_part(&turned) / dt);
+            let velocity = &mut state.reckoned[self.layout.velocity.clone()];
+            for (velocity, found) in velocity.iter_mut().zip(moved.iter().chain(&turned)) {
+                *velocity += share * (found - *velocity);
+            }
+        }
+        // What was measured is remembered, what is used takes its place.
+        state.last.copy_from_slice(&self.now);
+        for (entry, channel) in
+            self.entries.iter().zip(&state.channels).filter(|(_, channel)| channel.age > 0.0)
+        {
+            let range = entry.range.clone();
+            self.now[range.clone()].copy_from_slice(&state.reckoned[range.clone()]);
+            if entry.mode == Modes::WIND_HELD {
+                let left = 1.0 - (channel.age - self.config.wind_hold) / self.config.wind_fade;
+                self.now[range].iter_mut().for_each(|x| *x *= left.clamp(0.0, 1.0));
+                if left <= 0.0 {
+                    modes.insert(Modes::WIND_LOST);
+                }
+            }
+        }
+        for (innovation, channel) in self.seen.thrust_innovation.iter_mut().zip(&state.channels[1..]) {
+            if channel.age > 0.0 {
+                *innovation = 0.0;
+            }
+        }
+        if state.is_descending {
+            modes.insert(Modes::DESCENDING);
+        }
+        state.is_begun = true;
+        self.seen.modes = modes;
+        self.write();
+    }
+
+    /// The numbers of a measurement that fits.
+    fn read(&mut self, measurement: &Measurement) {
+        let (layout, now) = (&self.layout, &mut self.now);
+        let RobotState { base, joint_position, velocity } = measurement.state;
+        let middle = layout.joints.start + layout.n_joints();
+        now[layout.wind.clone()].copy_from_slice(measurement.wind.as_slice());
+        now[layout.thrust.clone()].copy_from_slice(measurement.thrust);
+        now[layout.joints.start..middle].copy_from_slice(joint_position.as_slice());
+        now[middle..layout.joints.end].copy_from_slice(&velocity.as_slice()[6..]);
+        now[layout.position.clone()].copy_from_slice(base.position.as_slice());
+        now[layout.rotation.clone()].copy_from_slice(base.rotation.as_slice());
+        now[layout.velocity.clone()].copy_from_slice(&velocity.as_slice()[..6]);
+        for (to, wrench) in now[layout.feet.clone()].chunks_exact_mut(6).zip(measurement.foot_wrenches) {
+            to.copy_from_slice(wrench.as_slice());
+        }
+    }
+
+    /// The other way round.
+    fn write(&mut self) {
+        let (layout, now, seen) = (&self.layout, &self.now, &mut self.seen);
+        let middle = layout.joints.start + layout.n_joints();
+        seen.wind = vector(&now[layout.wind.clone()]);
+        seen.thrust.copy_from_slice(&now[layout.thrust.clone()]);
+        seen.state.joint_position.copy_from_slice(&now[layout.joints.start..middle]);
+        seen.state.velocity.as_mut_slice()[6..].copy_from_slice(&now[middle..layout.joints.end]);
+        seen.state.velocity.as_mut_slice()[..6].copy_from_slice(&now[layout.velocity.clone()]);
+        seen.state.base = Pose {
+            rotation: rotation_of(&now[layout.rotation.clone()]),
+            position: vector(&now[layout.position.clone()]),
+        };
+        for (to, wrench) in seen.foot_wrenches.iter_mut().zip(now[layout.feet.clone()].chunks_exact(6)) {
+            to.copy_from_slice(wrench);
+        }
+    }
+}
+
+impl ChannelsState {
+    /// Moves every value on by `dt` \[s\]: M78 for joints and base, M31 for thrusts.
+    fn reckon(&mut self, layout: &Layout, dt: f64) {
+        let Self { reckoned, acceleration, thrust_rate, .. } = self;
+        for (thrust, rate) in reckoned[layout.thrust.clone()].iter_mut().zip(thrust_rate.iter()) {
+            *thrust = (*thrust + dt * rate).max(0.0);
+        }
+        let middle = layout.joints.start + layout.n_joints();
+        let (base, joints) = acceleration.as_slice().split_at(6);
+        for (joint, acceleration) in joints.iter().enumerate() {
+            reckoned[middle + joint] += dt * acceleration;
+            reckoned[layout.joints.start + joint] += dt * reckoned[middle + joint];
+        }
+        for (velocity, acceleration) in reckoned[layout.velocity.clone()].iter_mut().zip(base) {
+            *velocity += dt * acceleration;
+        }
+    }
+
+    /// Believes the thrust of a jet no more, which was measured too large by `deviation` \[N\].
+    pub(super) fn distrust(&mut self, jet: usize, deviation: f64) {
+        let (first_entry, first_channel) = (3, 1); // behind the wind
+        self.channels[first_channel + jet].is_distrusted = true;
+        self.reckoned[first_entry + jet] -= deviation;
+    }
+}
+
+/// Moves the pose on by `dt` \[s\] with a velocity of the base: M78.
+fn integrate_pose(reckoned: &mut [f64], layout: &Layout, velocity: &Vector6<f64>, dt: f64) {
+    for (position, velocity) in reckoned[layout.position.clone()].iter_mut().zip(velocity) {
+        *position += dt * velocity;
+    }
+    let angular: Vector3<f64> = velocity.fixed_rows::<3>(3).into();
+    let rotation = exp_so3(&(angular * dt)) * rotation_of(&reckoned[layout.rotation.clone()]);
+    reckoned[layout.rotation.clone()].copy_from_slice(rotation.as_slice());
+}
+
+/// The two halves of a range.
+trait Halves {
+    fn map_halves(self) -> (Range<usize>, Range<usize>);
+}
+
+impl Halves for Range<usize> {
+    fn map_halves(self) -> (Range<usize>, Range<usize>) {
+        let middle = self.start + self.len() / 2;
+        (self.start..middle, middle..self.end)
+    }
+}
+
+/// Three numbers as a vector.
+fn vector(numbers: &[f64]) -> Vector3<f64> {
+    Vector3::from_column_slice(numbers)
+}
+
+/// Nine numbers as a matrix, column by column.
+fn rotation_of(numbers: &[f64]) -> Matrix3<f64> {
+    Matrix3::from_column_slice(numbers)
+}
+
+/// Whether a time is that of a flight.
+pub(super) fn time_is_plausible(time: f64) -> bool {
+    (0.0..=TIME_MAX).contains(&time)
+}

@@ -1,0 +1,294 @@
+//! What a tick makes of measurements that are missing, frozen or wrong: each law by itself, without a controller.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+#![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
+
+use crate::common::{assert_within, experiment, random_state, rng};
+use flight_core::Measurement;
+use flight_core::RobotState;
+use flight_core::control::channels::{Channels, ChannelsConfig, ChannelsState, Jumps, Modes, Seen};
+use flight_core::robot::RobotModel;
+use flight_core::spatial::exp_so3;
+use flight_io::load_robot;
+use nalgebra::{DVector, Matrix3, Vector3};
+use rand::RngExt;
+
+const STEP: f64 = 0.01;
+
+/// What is measured, owned.
+#[derive(Clone)]
+struct Sample {
+    time: f64,
+    state: RobotState,
+    thrust: Vec<f64>,
+    wind: Vector3<f64>,
+}
+
+impl Sample {
+    fn measurement(&self) -> Measurement<'_> {
+        let Self { time, state, thrust, wind } = self;
+        Measurement { time: *time, state, thrust, wind: *wind, foot_wrenches: &[] }
+    }
+
+    /// A tick later.
+    fn next(&self) -> Self {
+        Self { time: self.time + STEP, ..self.clone() }
+    }
+}
+
+/// Channels after their first tick.
+struct Rig {
+    channels: Channels,
+    state: ChannelsState,
+    time: f64,
+    sample: Sample,
+}
+
+impl Rig {
+    fn new(config: &ChannelsConfig) -> Self {
+        let mut robot: RobotModel = load_robot(&experiment("test2").robot).unwrap();
+        robot.feet.clear();
+        let mut rng = rng(3);
+        let state = random_state(&mut rng, &robot);
+        let sample = Sample {
+            time: 0.0,
+            state,
+            thrust: vec![80.0, 90.0, 5.0, 110.0],
+            wind: Vector3::new(6.0, -8.0, 1.0),
+        };
+        let mut channels = Channels::new(config, &robot, STEP);
+        let mut state = channels.start(&sample.measurement()).unwrap();
+        state.acceleration = DVector::from_fn(29, |_, _| rng.random_range(-2.0..2.0));
+        state.thrust_rate = DVector::from_vec(vec![30.0, -40.0, -600.0, 10.0]);
+        channels.update(&mut state, &sample.measurement(), 0.0);
+        Self { channels, state, time: 0.0, sample }
+    }
+
+    /// A tick later, with something changed.
+    fn tick(&mut self, change: impl Fn(&mut Sample)) -> &Seen {
+        self.sample = self.sample.next();
+        let mut sample = self.sample.clone();
+        change(&mut sample);
+        self.channels.update(&mut self.state, &sample.measurement(), self.time);
+        self.time = self.channels.seen.time;
+        &self.channels.seen
+    }
+}
+
+fn with_jumps() -> ChannelsConfig {
+    let jump = Jumps { velocity: 2.0, angular_velocity: 5.0, ..Jumps::default() };
+    ChannelsConfig { jump: Some(jump), ..ChannelsConfig::default() }
+}
+
+fn lose_everything(sample: &mut Sample) {
+    sample.state.base.position.fill(f64::NAN);
+    sample.state.base.rotation.fill(f64::NAN);
+    sample.state.joint_position.fill(f64::NAN);
+    sample.state.velocity.fill(f64::NAN);
+    sample.thrust.fill(f64::NAN);
+    sample.wind.fill(f64::NAN);
+}
+
+/// Everything measured: used to the bit, and nothing is degraded.
+#[test]
+fn what_is_measured_is_used() {
+    let mut rig = Rig::new(&with_jumps());
+    let expected = rig.sample.next();
+    let seen = rig.tick(|_| ()).clone();
+    assert_eq!((&seen.state, &seen.thrust, seen.wind), (&expected.state, &expected.thrust, expected.wind));
+    assert!(seen.modes.is_empty());
+    assert_eq!(seen.time, expected.time);
+}
+
+/// Without any measurement joints and base move by the step of M78, thrusts by M31, each by hand.
+#[test]
+fn what_is_missing_is_reckoned() {
+    let mut rig = Rig::new(&ChannelsConfig::default());
+    let Sample { state: mut expected, mut thrust, wind, .. } = rig.sample.clone();
+    let (acceleration, rate) = (rig.state.acceleration.clone(), rig.state.thrust_rate.clone());
+    for tick in 1..=3 {
+        expected.velocity += STEP * &acceleration;
+        let (v, w) = (expected.base_linear_velocity(), expected.base_angular_velocity());
+        expected.base.position += STEP * v;
+        expected.base.rotation = exp_so3(&(w * STEP)) * expected.base.rotation;
+        let joints = expected.velocity.rows(6, 23).into_owned();
+        expected.joint_position += STEP * joints;
+        for (thrust, rate) in thrust.iter_mut().zip(&rate) {
+            *thrust = (*thrust + STEP * rate).max(0.0);
+        }
+        let seen = rig.tick(lose_everything);
+        for (found, expected) in [
+            (seen.state.velocity.as_slice(), expected.velocity.as_slice()),
+            (seen.state.joint_position.as_slice(), expected.joint_position.as_slice()),
+            (seen.state.base.position.as_slice(), expected.base.position.as_slice()),
+            (seen.state.base.rotation.as_slice(), expected.base.rotation.as_slice()),
+            (&seen.thrust, &thrust),
+        ] {
+            let worst = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert_within!(worst, 1e-12, because "the same sums in the same order, of numbers below 1e3", "tick {tick}");
+        }
+        assert_eq!(seen.wind, wind);
+        let names: Vec<_> = seen.modes.names().collect();
+        assert_eq!(
+            names,
+            [
+                "wind_held",
+                "thrust_modelled",
+                "joints_reckoned",
+                "position_reckoned",
+                "rotation_reckoned",
+                "velocity_reckoned"
+            ]
+        );
+    }
+    assert_eq!(thrust[2], 0.0, "no engine pulls");
+}
+
+/// One number that is none, or that cannot be, loses its channel and no other.
+#[test]
+fn each_channel_is_lost_alone() {
+    let cases: [(fn(&mut Sample), Modes); 9] = [
+        (|sample| sample.wind.y = f64::NAN, Modes::WIND_HELD),
+        (|sample| sample.wind.y = 301.0, Modes::WIND_HELD),
+        (|sample| sample.thrust[1] = f64::INFINITY, Modes::THRUST_MODELLED),
+        (|sample| sample.thrust[1] = -2201.0, Modes::THRUST_MODELLED),
+        (|sample| sample.state.joint_position[4] = 101.0, Modes::JOINTS_RECKONED),
+        (|sample| sample.state.velocity[28] = f64::NAN, Modes::JOINTS_RECKONED),
+        (|sample| sample.state.base.position.z = f64::NAN, Modes::POSITION_RECKONED),
+        (|sample| sample.state.base.rotation *= 1.01, Modes::ROTATION_RECKONED),
+        (|sample| sample.state.velocity[3] = 101.0, Modes::VELOCITY_RECKONED),
+    ];
+    for (spoil, mode) in cases {
+        let mut rig = Rig::new(&ChannelsConfig::default());
+        assert_eq!(rig.tick(spoil).modes, mode);
+        assert!(rig.tick(|_| ()).modes.is_empty(), "and comes back");
+    }
+}
+
+/// The last wind for 1 s, half of it 1 s later, none after 3 s.
+#[test]
+fn a_lost_wind_is_held_and_fades() {
+    let mut rig = Rig::new(&ChannelsConfig::default());
+    let last = rig.sample.wind;
+    for tick in 1..=400 {
+        let seen = rig.tick(|sample| sample.wind.fill(f64::NAN));
+        let age = f64::from(tick) * STEP;
+        let share = (1.0 - (age - 1.0) / 2.0).clamp(0.0, 1.0);
+        assert_within!((seen.wind - last * share).amax(), 1e-12, "at {age} s");
+        assert_eq!(seen.modes.contains(Modes::WIND_LOST), tick > 300, "at {age} s");
+    }
+}
+
+/// A value is believed up to its jump, and up to twice the jump after a second without any.
+#[test]
+fn a_jump_is_believed_when_the_channel_is_old_enough() {
+    let off_by = |jump: f64| move |sample: &mut Sample| sample.state.velocity[1] += jump;
+    let mut rig = Rig::new(&with_jumps());
+    rig.state.acceleration.fill(0.0);
+    assert!(rig.tick(off_by(1.99)).modes.is_empty());
+    let mut rig = Rig::new(&with_jumps());
+    rig.state.acceleration.fill(0.0);
+    for tick in 1..=150 {
+        // Not the same bits, which would count as frozen.
+        let found = rig.tick(off_by(3.0 + 1e-6 * f64::from(tick))).modes;
+        let is_believed = !found.contains(Modes::VELOCITY_RECKONED);
+        // 3 = 2 (1 + age): from the tick on that begins with an age of 0.5 s.
+        assert_eq!(is_believed, tick > 51, "tick {tick}");
+        if is_believed {
+            break;
+        }
+    }
+}
+
+/// The same bits for five ticks while the model moves away by a fiftieth of a jump; until the bits change.
+#[test]
+fn a_frozen_velocity_is_recognised() {
+    let mut rig = Rig::new(&with_jumps());
+    rig.state.acceleration.fill(0.0);
+    rig.state.acceleration[0] = 0.5; // 5 mm/s a tick: 40 mm/s after the eighth
+    for tick in 1..=20 {
+        let seen = rig.tick(|sample| {
+            // All but the velocity moves on.
+            sample.state.joint_position[0] += 1e-3 * sample.time;
+            sample.state.base.position.x += 1e-3 * sample.time;
+        });
+        let is_known = seen.modes.contains(Modes::VELOCITY_RECKONED);
+        assert_eq!(is_known, tick > 8, "tick {tick}: {:?}", seen.modes.names().collect::<Vec<_>>());
+    }
+    assert!(!rig.tick(|sample| sample.state.velocity[0] += 0.1).modes.contains(Modes::VELOCITY_RECKONED));
+}
+
+/// A robot that stands still is not frozen, and a wind that does not change is not either.
+#[test]
+fn standing_still_is_not_frozen() {
+    let mut rig = Rig::new(&with_jumps());
+    rig.sample.state.velocity.fill(0.0);
+    rig.state.acceleration.fill(0.0);
+    rig.state.thrust_rate.fill(0.0);
+    rig.tick(|sample| sample.state.base.position.x += 1e-9);
+    for _ in 0..50 {
+        assert!(rig.tick(|_| ()).modes.is_empty());
+    }
+}
+
+/// A base velocity that is not measured follows the differences of the pose by `1 − e^{−K Δt}` a tick.
+#[test]
+fn a_lost_velocity_follows_the_pose() {
+    let mut rig = Rig::new(&ChannelsConfig::default());
+    rig.state.acceleration.fill(0.0);
+    let before = rig.sample.state.velocity.clone();
+    let (v, w) = (Vector3::new(0.7, -0.4, 0.2), Vector3::new(0.05, 0.02, -0.03));
+    let (start, rotation) = (rig.sample.state.base.position, rig.sample.state.base.rotation);
+    for tick in 1..=50 {
+        let time = f64::from(tick) * STEP;
+        let seen = rig.tick(|sample| {
+            sample.state.base.position = start + v * time;
+            sample.state.base.rotation = exp_so3(&(w * time)) * rotation;
+            sample.state.velocity.rows_mut(0, 6).fill(f64::NAN);
+        });
+        let left = (-20.0 * time).exp();
+        for axis in 0..3 {
+            let expected = v[axis] + (before[axis] - v[axis]) * left;
+            assert_within!((seen.state.velocity[axis] - expected).abs(), 1e-11, "tick {tick}");
+            let expected = w[axis] + (before[3 + axis] - w[axis]) * left;
+            let error = (seen.state.velocity[3 + axis] - expected).abs();
+            assert_within!(error, 1e-8, because "the sine of a turn of 6e-4 rad is taken for the turn: 6e-8 of it");
+        }
+    }
+}
+
+/// The clock runs on where the time is none; a step that repeats, runs back or leaps is none either.
+#[test]
+fn a_time_that_is_none_is_reckoned() {
+    for (time, is_known) in
+        [(f64::NAN, false), (-1.0, false), (2e9, false), (0.02, true), (0.5, true), (0.0, true)]
+    {
+        let mut rig = Rig::new(&with_jumps());
+        let seen = rig.tick(|sample| sample.time = time);
+        assert_eq!(seen.time, if is_known { time } else { STEP });
+        let is_step = time == 0.02;
+        assert_eq!(seen.modes.contains(Modes::CLOCK_RECKONED), !is_step, "{time}");
+    }
+}
+
+/// Without a channel of joints or base the robot descends from 3 s on, and goes on when it is back; without a wind not.
+#[test]
+fn a_robot_that_is_blind_for_long_descends_for_good() {
+    let cases: [(fn(&mut Sample), bool); 6] = [
+        (|sample| sample.wind.fill(f64::NAN), false),
+        (|sample| sample.thrust.fill(f64::NAN), false),
+        (|sample| sample.state.joint_position.fill(f64::NAN), true),
+        (|sample| sample.state.base.position.fill(f64::NAN), true),
+        (|sample| sample.state.base.rotation = Matrix3::repeat(f64::NAN), true),
+        (|sample| sample.state.velocity.rows_mut(0, 6).fill(f64::NAN), true),
+    ];
+    for (spoil, descends) in cases {
+        let mut rig = Rig::new(&ChannelsConfig::default());
+        for _ in 1..=299 {
+            assert!(!rig.tick(spoil).modes.contains(Modes::DESCENDING));
+        }
+        rig.tick(spoil);
+        rig.tick(spoil);
+        assert_eq!(rig.tick(|_| ()).modes.contains(Modes::DESCENDING), descends);
+    }
+}

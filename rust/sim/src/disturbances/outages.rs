@@ -1,0 +1,196 @@
+//! Measurements that fail to reach the controller, or reach it wrong.
+//!
+//! Equation M104 of `docs/model.md`.
+
+use flight_core::error::{BuildError, check};
+use flight_core::kinematics::RobotState;
+use flight_core::robot::Jet;
+use flight_core::spatial::axis_angle;
+use nalgebra::Vector3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// A channel that fails for a while.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Outage {
+    /// What is not measured.
+    pub channel: OutageChannel,
+    /// Name of the jet whose thrust it is; without it, of all jets.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub jet: Option<String>,
+    /// When it begins \[s\]; a flight begins with everything measured.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub start: f64,
+    /// How long it lasts \[s\]; without it, for ever.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    pub duration: Option<f64>,
+    /// What is measured instead.
+    pub kind: OutageKind,
+    /// Of a wrong value: added to every component, or the angle by which a rotation is turned about inertial x
+    /// \[the channel's units\].
+    #[serde(default = "one")]
+    pub error: f64,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+/// What is not measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OutageChannel {
+    /// Velocity of the air.
+    Wind,
+    /// Thrust of one jet or of all.
+    Thrust,
+    /// Positions and velocities of all joints.
+    Joints,
+    /// Position of the base.
+    BasePosition,
+    /// Rotation of the base.
+    BaseRotation,
+    /// Velocity of the base, linear and angular.
+    BaseVelocity,
+}
+
+/// What is measured instead.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OutageKind {
+    /// Nothing: every component is NaN.
+    Missing,
+    /// The first component is NaN.
+    Nan,
+    /// What was measured when it began.
+    Frozen,
+    /// Something else, by `error`.
+    Wrong,
+}
+
+impl Outage {
+    /// Refuses times and names that mean nothing for `jets`; `index` is its place in the list.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming the key, its value and what was expected.
+    pub fn check(&self, index: usize, jets: &[Jet]) -> Result<(), BuildError> {
+        let key = |name: &str| format!("disturbances.outages[{index}].{name}");
+        check(
+            &key("start"),
+            self.start,
+            |t| t > 0.0,
+            "seconds > 0: a flight begins with everything measured",
+        )?;
+        if let Some(duration) = self.duration {
+            check(&key("duration"), duration, |t| t > 0.0, "seconds > 0")?;
+        }
+        check(&key("error"), self.error, |_| true, "a finite number")?;
+        if let Some(name) = &self.jet {
+            if self.channel != OutageChannel::Thrust {
+                return Err(BuildError::bad_value(key("jet"), name, "none, but for the channel thrust"));
+            }
+            let names = || jets.iter().map(|jet| jet.name.as_str());
+            if !names().any(|jet| jet == name) {
+                return Err(BuildError::unknown_name(key("jet"), name, names()));
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether it is going on at `time` \[s\]. Half a microsecond is for the rounding of times.
+    fn is_on(&self, time: f64) -> bool {
+        let since = time - self.start + 5e-7;
+        since >= 0.0 && self.duration.is_none_or(|duration| since < duration)
+    }
+}
+
+/// What is measured at a tick.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sample {
+    /// Pose and velocity of the robot.
+    pub state: RobotState,
+    /// Thrust of every jet \[N\].
+    pub thrust: Vec<f64>,
+    /// Velocity of the air \[m/s\].
+    pub wind: Vector3<f64>,
+}
+
+/// Outages in time.
+#[derive(Debug, Clone)]
+pub struct Outages {
+    /// Each with the jets that it concerns, and what was measured when it began.
+    outages: Vec<(Outage, Vec<usize>, Option<Sample>)>,
+}
+
+impl Outages {
+    /// Checked outages of a robot with these jets.
+    ///
+    /// # Errors
+    /// As [`Outage::check`].
+    pub fn new(outages: &[Outage], jets: &[Jet]) -> Result<Self, BuildError> {
+        let place = |(index, outage): (usize, &Outage)| {
+            outage.check(index, jets)?;
+            let concerned = |name: &str| outage.jet.as_ref().is_none_or(|jet| jet == name);
+            let of = jets.iter().enumerate().filter(|(_, jet)| concerned(&jet.name)).map(|(jet, _)| jet);
+            Ok((outage.clone(), of.collect(), None))
+        };
+        Ok(Self { outages: outages.iter().enumerate().map(place).collect::<Result<_, _>>()? })
+    }
+
+    /// Whether there are none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.outages.is_empty()
+    }
+
+    /// Spoils what is measured at `time` \[s\].
+    pub fn spoil(&mut self, time: f64, sample: &mut Sample) {
+        for (outage, jets, held) in &mut self.outages {
+            if !outage.is_on(time) {
+                continue;
+            }
+            let held = &*held.get_or_insert_with(|| sample.clone());
+            let spoil = |numbers: &mut [f64], before: &[f64]| spoil(outage, numbers, before);
+            match outage.channel {
+                OutageChannel::Wind => spoil(sample.wind.as_mut_slice(), held.wind.as_slice()),
+                OutageChannel::Thrust => {
+                    for &jet in &*jets {
+                        spoil(&mut sample.thrust[jet..=jet], &held.thrust[jet..=jet]);
+                    }
+                }
+                OutageChannel::Joints => {
+                    let RobotState { joint_position, velocity, .. } = &mut sample.state;
+                    spoil(joint_position.as_mut_slice(), held.state.joint_position.as_slice());
+                    spoil(&mut velocity.as_mut_slice()[6..], held.state.joint_velocity());
+                }
+                OutageChannel::BasePosition => {
+                    let before = held.state.base.position;
+                    spoil(sample.state.base.position.as_mut_slice(), before.as_slice());
+                }
+                OutageChannel::BaseRotation if outage.kind == OutageKind::Wrong => {
+                    let turn = axis_angle(&Vector3::x(), outage.error);
+                    sample.state.base.rotation = turn * sample.state.base.rotation;
+                }
+                OutageChannel::BaseRotation => {
+                    let before = held.state.base.rotation;
+                    spoil(sample.state.base.rotation.as_mut_slice(), before.as_slice());
+                }
+                OutageChannel::BaseVelocity => {
+                    let before = &held.state.velocity.as_slice()[..6];
+                    spoil(&mut sample.state.velocity.as_mut_slice()[..6], before);
+                }
+            }
+        }
+    }
+}
+
+fn spoil(outage: &Outage, numbers: &mut [f64], before: &[f64]) {
+    match outage.kind {
+        OutageKind::Missing => numbers.fill(f64::NAN),
+        OutageKind::Nan => numbers.iter_mut().take(1).for_each(|x| *x = f64::NAN),
+        OutageKind::Frozen => numbers.copy_from_slice(before),
+        OutageKind::Wrong => numbers.iter_mut().for_each(|x| *x += outage.error),
+    }
+}

@@ -1,0 +1,205 @@
+//! What the recommended controller does without a channel: every cell of the table in docs/failures.md.
+
+use super::with;
+use crate::common::{assert_within, experiment};
+use flight_core::control::channels::{Jumps, Modes};
+use flight_core::control::engines::EnginesConfig;
+use flight_sim::disturbances::{FailureKind, JetFailure, Outage, OutageChannel, OutageKind};
+use flight_sim::{FlightResult, Outcome, Scenario, ScenarioConfig};
+use std::ops::ControlFlow;
+
+/// When outages begin: hovering in the wind \[s\].
+const START: f64 = 18.0;
+
+const FOR_EVER: f64 = f64::INFINITY;
+
+fn outage(channel: OutageChannel, duration: f64, kind: OutageKind) -> Outage {
+    let duration = (duration < FOR_EVER).then_some(duration);
+    Outage { channel, jet: None, start: START, duration, kind, error: 1.0 }
+}
+
+fn fly(outages: Vec<Outage>, change: impl FnOnce(&mut ScenarioConfig)) -> FlightResult {
+    let config = with(experiment("test2_observer"), |config| {
+        // As configs/control/observer_failsafe.toml.
+        let law = &mut config.controller.law;
+        law.channels.jump = Some(Jumps {
+            joint_position: 0.5,
+            joint_velocity: 30.0,
+            position: 0.3,
+            rotation: 0.2,
+            velocity: 1.0,
+            angular_velocity: 2.0,
+        });
+        law.engines = Some(EnginesConfig {
+            time_constant: 0.5,
+            deviation_max: 15.0,
+            confirmation: 0.05,
+            descend: true,
+        });
+        config.disturbances.outages = outages;
+        change(config);
+    });
+    Scenario::new(&config).unwrap().run(|_, _| ControlFlow::Continue(())).unwrap()
+}
+
+/// All modes of a flight.
+fn modes(flight: &FlightResult) -> u32 {
+    let series = flight.log.series("degraded_modes").unwrap();
+    #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+    series.data.iter().fold(0, |all, modes| all | *modes as u32)
+}
+
+/// A signal's last row.
+fn last<'a>(flight: &'a FlightResult, name: &str) -> &'a [f64] {
+    flight.log.series(name).unwrap().row(flight.log.len() - 1)
+}
+
+fn arrives(outages: Vec<Outage>, expected: u32, worst_deg: f64) {
+    let flight = fly(outages.clone(), |_| ());
+    let what = format!("{:?}", outages.first());
+    assert_eq!(flight.outcome, Outcome::Completed, "{what}: {:?}", flight.loss);
+    assert_eq!(modes(&flight), expected, "{what}");
+    let rotation = flight.summary.max_rotation_error.to_degrees();
+    assert_within!(rotation, worst_deg, because "margin of the flight, not of rounding", "{what}: {rotation} deg");
+}
+
+#[test]
+fn without_wind_it_arrives() {
+    let lost = Modes::WIND_HELD.bits() | Modes::WIND_LOST.bits();
+    for (duration, modes) in [(0.3, 1), (1.0, 1), (FOR_EVER, lost)] {
+        arrives(vec![outage(OutageChannel::Wind, duration, OutageKind::Missing)], modes, 5.0);
+    }
+}
+
+#[test]
+fn without_thrust_sensors_it_arrives() {
+    for duration in [0.3, 1.0, FOR_EVER] {
+        let lost = outage(OutageChannel::Thrust, duration, OutageKind::Missing);
+        let one = Outage { jet: Some("chest_l_jet".into()), ..lost.clone() };
+        for lost in [lost, one] {
+            arrives(vec![lost], Modes::THRUST_MODELLED.bits(), 5.0);
+        }
+    }
+}
+
+#[test]
+fn blind_for_a_second_it_arrives() {
+    for (channel, mode) in [
+        (OutageChannel::BasePosition, Modes::POSITION_RECKONED),
+        (OutageChannel::BaseRotation, Modes::ROTATION_RECKONED),
+        (OutageChannel::BaseVelocity, Modes::VELOCITY_RECKONED),
+    ] {
+        for duration in [0.3, 1.0] {
+            for kind in [OutageKind::Missing, OutageKind::Wrong] {
+                // Beyond every jump.
+                arrives(vec![Outage { error: 3.0, ..outage(channel, duration, kind) }], mode.bits(), 5.0);
+            }
+        }
+    }
+    arrives(vec![outage(OutageChannel::Joints, 0.3, OutageKind::Nan)], Modes::JOINTS_RECKONED.bits(), 5.0);
+}
+
+/// Everything of the state stands still for 0.3 s: recognised, and survived.
+#[test]
+fn a_frozen_state_is_recognised() {
+    let channels = [
+        (OutageChannel::Joints, Modes::JOINTS_RECKONED),
+        (OutageChannel::BasePosition, Modes::POSITION_RECKONED),
+        (OutageChannel::BaseRotation, Modes::ROTATION_RECKONED),
+        (OutageChannel::BaseVelocity, Modes::VELOCITY_RECKONED),
+    ];
+    let frozen = channels.map(|(channel, _)| outage(channel, 0.3, OutageKind::Frozen)).to_vec();
+    let flight = fly(frozen, |config| config.simulator.duration = 24.0);
+    assert_eq!(flight.outcome, Outcome::Completed, "{:?}", flight.loss);
+    assert!(modes(&flight) & Modes::VELOCITY_RECKONED.bits() != 0, "{}", modes(&flight));
+}
+
+/// Level, and down at the configured speed.
+#[test]
+fn blind_for_good_it_descends() {
+    for channel in [OutageChannel::BasePosition, OutageChannel::BaseRotation, OutageChannel::BaseVelocity] {
+        let lost = outage(channel, FOR_EVER, OutageKind::Missing);
+        let flight = fly(vec![lost], |config| config.simulator.duration = 28.0);
+        assert_eq!(flight.outcome, Outcome::Completed, "{channel:?}: {:?}", flight.loss);
+        assert!(modes(&flight) & Modes::DESCENDING.bits() != 0);
+        let velocity = last(&flight, "com_velocity");
+        assert_within!((velocity[2] + 0.5).abs(), 0.05, because "air pushes on the way down", "{channel:?}: {velocity:?}");
+        assert_within!(last(&flight, "rotation_error")[0].to_degrees(), 8.0, because "margin of the flight", "{channel:?}");
+    }
+}
+
+/// A thrust sensor that stands still or is off for good: the momentum tells, and the thrust is modelled from then on.
+#[test]
+fn with_a_wrong_thrust_sensor_it_arrives() {
+    for (jet, kind, error) in [
+        ("l_arm_jet", OutageKind::Wrong, -40.0),
+        ("chest_r_jet", OutageKind::Wrong, 20.0),
+        ("chest_r_jet", OutageKind::Wrong, -90.0),
+        ("l_arm_jet", OutageKind::Frozen, 0.0),
+        ("chest_r_jet", OutageKind::Frozen, 0.0),
+    ] {
+        let lost = outage(OutageChannel::Thrust, FOR_EVER, kind);
+        arrives(vec![Outage { jet: Some(jet.into()), error, ..lost }], Modes::THRUST_MODELLED.bits(), 30.0);
+    }
+}
+
+/// A second without joints is too long: torques alone do not hold them.
+#[test]
+fn a_second_without_joints_is_too_long() {
+    let joints = |duration| outage(OutageChannel::Joints, duration, OutageKind::Missing);
+    arrives(vec![joints(0.5)], Modes::JOINTS_RECKONED.bits(), 5.0);
+    let flight = fly(vec![joints(1.0)], |config| config.simulator.duration = 21.0);
+    assert_eq!(flight.outcome, Outcome::Fell);
+}
+
+const JETS: [&str; 4] = ["l_arm_jet", "r_arm_jet", "chest_l_jet", "chest_r_jet"];
+
+/// A flight in which an engine fails, and when that was found \[s\].
+fn fly_without(jet: &str, kind: FailureKind, decay: f64, duration: f64) -> (FlightResult, Option<f64>) {
+    let flight = fly(Vec::new(), |config| {
+        config.simulator.duration = duration;
+        config.disturbances.jets.failure = Some(JetFailure { jet: jet.into(), time: START, kind, decay });
+    });
+    let series = flight.log.series("degraded_modes").unwrap();
+    let first = series.data.iter().position(|modes| *modes >= f64::from(Modes::ENGINE_LOST.bits()));
+    (flight, first.map(|tick| tick as f64 * 0.01 - START))
+}
+
+/// An engine whose thrust fades in half a second: found within 0.15 s, and the robot flies to the ground at 0.5 m/s.
+#[test]
+fn without_an_engine_it_flies_to_the_ground() {
+    for jet in JETS {
+        let (flight, found) = fly_without(jet, FailureKind::Off, 0.5, 30.0);
+        assert_eq!(flight.outcome, Outcome::Completed, "{jet}: {:?}", flight.loss);
+        assert!(found.is_some_and(|time| (0.05..0.15).contains(&time)), "{jet}: {found:?}");
+        let rotation = flight.summary.max_rotation_error.to_degrees();
+        assert_within!(rotation, 20.0, because "14 degrees of the flight, not of rounding", "{jet}: {rotation} deg");
+        // Below the height at which it began, where the ground is.
+        let height = |row: &[f64]| row[2];
+        let start = height(flight.log.series("com_position").unwrap().row(0));
+        assert!(height(last(&flight, "com_position")) < start, "{jet}");
+        let speed = height(last(&flight, "com_velocity"));
+        assert_within!((speed + 0.5).abs(), 0.05, because "what is left of transients after ten seconds", "{jet}: {speed}");
+    }
+}
+
+/// One that keeps its thrust is no loss before another thrust is asked of it: the mission goes on.
+#[test]
+fn with_a_stuck_engine_it_arrives() {
+    for jet in JETS {
+        let (flight, _) = fly_without(jet, FailureKind::Stuck, 0.0, 50.0);
+        assert_eq!(flight.outcome, Outcome::Completed, "{jet}: {:?}", flight.loss);
+        let rotation = flight.summary.max_rotation_error.to_degrees();
+        assert_within!(rotation, 15.0, because "margin of the flight, not of rounding", "{jet}: {rotation} deg");
+    }
+}
+
+/// One that stops at once is found after its confirmation, and is too much all the same.
+#[test]
+fn an_engine_that_stops_at_once_is_found() {
+    for jet in JETS {
+        let (flight, found) = fly_without(jet, FailureKind::Off, 0.0, 21.0);
+        assert!(found.is_some_and(|time| time < 0.075), "{jet}: {found:?}");
+        assert_eq!(flight.outcome, Outcome::Fell, "{jet}");
+    }
+}

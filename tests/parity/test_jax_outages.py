@@ -1,0 +1,87 @@
+"""Outages in JAX against the Rust crate: what is reckoned where measurements are missing, frozen or wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jax_aero import rust, sim
+from jax_aero.config import ChannelsConfig
+from jax_aero.control.channels import MODES
+
+EXPERIMENTS = Path(__file__).resolve().parents[2] / "configs" / "experiments"
+
+JUMP = {
+    "joint_position": 0.5,
+    "joint_velocity": 30.0,
+    "position": 0.3,
+    "rotation": 0.2,
+    "velocity": 1.0,
+    "angular_velocity": 2.0,
+}
+ENGINES = {"time_constant": 0.5, "deviation_max": 15.0, "confirmation": 0.05, "descend": True}
+OUTAGES = [
+    {"channel": "wind", "start": 0.4, "kind": "missing"},
+    {"channel": "thrust", "jet": "l_arm_jet", "start": 0.5, "kind": "nan"},
+    {"channel": "base_velocity", "start": 0.6, "duration": 0.2, "kind": "missing"},
+    {"channel": "base_rotation", "start": 0.9, "duration": 0.1, "kind": "frozen"},
+    {"channel": "base_position", "start": 1.1, "duration": 0.2, "kind": "wrong"},
+    {"channel": "joints", "start": 1.4, "duration": 0.05, "kind": "nan"},
+    {"channel": "base_velocity", "start": 1.5, "kind": "frozen"},
+    {"channel": "base_rotation", "start": 1.7, "duration": 0.1, "kind": "wrong", "error": 0.4},
+]
+
+
+def test_a_flight_with_outages_of_every_kind(measured):
+    """One flight, every channel once and an engine; the robot begins to descend at its end."""
+    changes = {
+        "simulator.duration": 2.4,
+        "wind.ramp_start": 0.1,
+        "wind.ramp_end": 0.3,
+        "controller.channels.wind_hold": 0.3,
+        "controller.channels.wind_fade": 0.5,
+        "controller.channels.descend_after": 0.7,
+        "controller.channels.jump": JUMP,
+        "controller.engines": ENGINES,
+        "disturbances.outages": OUTAGES,
+        "disturbances.jets.failure": {"jet": "chest_l_jet", "time": 2.1, "kind": "off", "decay": 0.3},
+    }
+    table = rust.load_config(EXPERIMENTS / "test2_observer.toml", changes)
+    theirs = rust.fly(table)
+    [ours] = sim.fly_batch([table], full_log=True)
+    assert ours.outcome == theirs.outcome == "completed"
+    modes = theirs.log["degraded_modes"]
+    np.testing.assert_array_equal(ours.log["degraded_modes"], modes)
+    seen = set(np.unique(modes).astype(int))
+    for mode in set(MODES) - {"feet_held", "clock_reckoned"}:
+        assert any(bits & MODES[mode] for bits in seen), f"{mode} is never reached"
+    for name in ("base_position", "joint_position", "thrust", "joint_torque", "unmodelled_wrench", "com_setpoint"):
+        scale = max(1.0, np.abs(theirs.log[name]).max())
+        difference = np.abs(ours.log[name] - theirs.log[name]).max() / scale
+        measured(name, difference, 1e-9, because="rounding, as in flights without outages")
+
+
+def test_the_defaults_are_the_crates():
+    """A controller that is configured without channels has them, in both languages alike."""
+    table = rust.load_config(EXPERIMENTS / "test2.toml")
+    channels = table["controller"]["channels"]
+    ours = ChannelsConfig()
+    assert ours.jump is None
+    assert "jump" not in channels
+    assert channels["wind_hold"] == ours.wind_hold
+    assert channels["greatest"]["wind"] == ours.greatest.wind
+
+
+@pytest.mark.parametrize(
+    ("outage", "complaint"),
+    [
+        ({"channel": "wind", "start": 0.0, "kind": "nan"}, r"outages\[0\].start"),
+        ({"channel": "wind", "jet": "l_arm_jet", "start": 1.0, "kind": "nan"}, r"outages\[0\].jet"),
+        ({"channel": "thrust", "jet": "nose", "start": 1.0, "kind": "nan"}, r"outages\[0\].jet"),
+    ],
+)
+def test_outages_that_mean_nothing_are_refused(outage, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        rust.check_config(rust.load_config(EXPERIMENTS / "test2.toml", {"disturbances.outages": [outage]}))
