@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments import flight, manifest, study
+from experiments import flight, manifest
 from experiments.sweep.perturbation import Perturbation
 from jax_aero import rust, tables
 
@@ -54,7 +54,7 @@ def configurations(name: str, speed: float, flights: int) -> Iterator[dict[str, 
     table = rust.load_config(flight.find(name), settings)
     links = rust.Robot(table["robot"]).aero_link_names
     perturbation = tables.convert(
-        study.read(manifest.REPOSITORY / "configs" / "perturbation" / "flight.toml"), Perturbation, "perturbation"
+        tables.read(manifest.REPOSITORY / "configs" / "perturbation" / "flight.toml"), Perturbation, "perturbation"
     )
     for repeat in range(flights):
         config = copy.deepcopy(table)
