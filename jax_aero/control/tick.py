@@ -276,14 +276,15 @@ def _act(
         compared = observer.update(params.observer, params.time_step, observed, time, dyn.momentum, rate)
         observed = where((modes & channels.WITHOUT_MOMENTUM) == 0, compared, observer.hold(observed))
         momentum = momentum.with_unmodelled(observed.wrench)
-    turning = memory.engines
-    if params.engines is not None and turning is not None:
+    before = memory.engines
+    turning = before
+    if params.engines is not None and before is not None:
         residual = jnp.zeros_like(dyn.momentum) if observed is None else observed.residual
         turning, is_wrong, deviation = engines.update(
-            params.engines, turning, elapsed, innovation, momentum.a_t, residual
+            params.engines, before, elapsed, innovation, momentum.a_t, residual
         )
         known = channels.distrust(known, is_wrong, deviation)
-        newly = turning.is_lost & ~memory.engines.is_lost
+        newly = turning.is_lost & ~before.is_lost
         descends = known.is_descending | (jnp.any(newly) & (params.engines.descend > 0.0))
         known = known._replace(is_descending=descends)
         modes = modes | jnp.where(jnp.any(turning.is_lost), channels.MODES["engine_lost"], 0)
