@@ -449,8 +449,8 @@ impl Controller {
         self.foresee(state, is_factorised);
     }
 
-    /// What the command makes of the robot, for the channels of the next tick: `ν̇ = M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a + J_cᵀ f_c
-    /// + S τ + ŵ − h)`, the observed wrench `ŵ` on the base.
+    /// What the command makes of the robot, for the channels of the next tick:
+    /// `ν̇ = M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a + J_cᵀ f_c + S τ + ŵ − h)`, the observed wrench `ŵ` on the base.
     fn foresee(&mut self, state: &mut ControllerState, is_factorised: bool) {
         let Terms { kinematics, momentum, contact, .. } = &self.terms;
         let acceleration = &mut self.acceleration;

@@ -36,6 +36,9 @@ impl Sample {
     }
 }
 
+/// What makes a measurement unusable.
+type Spoil = fn(&mut Sample);
+
 /// Channels after their first tick.
 struct Rig {
     channels: Channels,
@@ -147,7 +150,7 @@ fn what_is_missing_is_reckoned() {
 /// One number that is none, or that cannot be, loses its channel and no other.
 #[test]
 fn each_channel_is_lost_alone() {
-    let cases: [(fn(&mut Sample), Modes); 9] = [
+    let cases: [(Spoil, Modes); 9] = [
         (|sample| sample.wind.y = f64::NAN, Modes::WIND_HELD),
         (|sample| sample.wind.y = 301.0, Modes::WIND_HELD),
         (|sample| sample.thrust[1] = f64::INFINITY, Modes::THRUST_MODELLED),
@@ -274,7 +277,7 @@ fn a_time_that_is_none_is_reckoned() {
 /// Without a channel of joints or base the robot descends from 3 s on, and goes on when it is back; without a wind not.
 #[test]
 fn a_robot_that_is_blind_for_long_descends_for_good() {
-    let cases: [(fn(&mut Sample), bool); 6] = [
+    let cases: [(Spoil, bool); 6] = [
         (|sample| sample.wind.fill(f64::NAN), false),
         (|sample| sample.thrust.fill(f64::NAN), false),
         (|sample| sample.state.joint_position.fill(f64::NAN), true),

@@ -179,13 +179,13 @@ fn bad_sensors_are_refused_by_name() {
     type Change = fn(&mut SensorsConfig);
     let refusals: [(&str, Change); 9] = [
         ("base_position.bias is NaN; expected three finite numbers in m", |c| {
-            c.base_position.bias[1] = f64::NAN
+            c.base_position.bias[1] = f64::NAN;
         }),
         ("base_rotation.noise_std is -1; expected a number ≥ 0 in rad", |c| {
-            c.base_rotation.noise_std = -1.0
+            c.base_rotation.noise_std = -1.0;
         }),
         ("base_linear_velocity.delay is 2; expected seconds from 0 to 1", |c| {
-            c.base_linear_velocity.delay = 2.0
+            c.base_linear_velocity.delay = 2.0;
         }),
         ("base_angular_velocity.delay is -0.1", |c| c.base_angular_velocity.delay = -0.1),
         ("joints.resolution is -1", |c| c.joints.resolution = -1.0),

@@ -94,10 +94,10 @@ fn bad_wind_observers_are_refused_by_name() {
     let refusals: [(&str, Change); 6] = [
         ("controller.wind_observer.gain is 0", |c| c.controller.wind_observer.as_mut().unwrap().gain = 0.0),
         ("controller.wind_observer.gain is 101", |c| {
-            c.controller.wind_observer.as_mut().unwrap().gain = 101.0
+            c.controller.wind_observer.as_mut().unwrap().gain = 101.0;
         }),
         ("controller.wind_observer.walk is NaN", |c| {
-            c.controller.wind_observer.as_mut().unwrap().walk = f64::NAN
+            c.controller.wind_observer.as_mut().unwrap().walk = f64::NAN;
         }),
         ("controller.wind_observer.force_std is -1", |c| {
             c.controller.wind_observer.as_mut().unwrap().force_std[1] = -1.0;

@@ -54,9 +54,9 @@ fn last<'a>(flight: &'a FlightResult, name: &str) -> &'a [f64] {
     flight.log.series(name).unwrap().row(flight.log.len() - 1)
 }
 
-fn arrives(outages: Vec<Outage>, expected: u32, worst_deg: f64) {
-    let flight = fly(outages.clone(), |_| ());
-    let what = format!("{:?}", outages.first());
+fn arrives(lost: Outage, expected: u32, worst_deg: f64) {
+    let what = format!("{lost:?}");
+    let flight = fly(vec![lost], |_| ());
     assert_eq!(flight.outcome, Outcome::Completed, "{what}: {:?}", flight.loss);
     assert_eq!(modes(&flight), expected, "{what}");
     let rotation = flight.summary.max_rotation_error.to_degrees();
@@ -67,7 +67,7 @@ fn arrives(outages: Vec<Outage>, expected: u32, worst_deg: f64) {
 fn without_wind_it_arrives() {
     let lost = Modes::WIND_HELD.bits() | Modes::WIND_LOST.bits();
     for (duration, modes) in [(0.3, 1), (1.0, 1), (FOR_EVER, lost)] {
-        arrives(vec![outage(OutageChannel::Wind, duration, OutageKind::Missing)], modes, 5.0);
+        arrives(outage(OutageChannel::Wind, duration, OutageKind::Missing), modes, 5.0);
     }
 }
 
@@ -77,7 +77,7 @@ fn without_thrust_sensors_it_arrives() {
         let lost = outage(OutageChannel::Thrust, duration, OutageKind::Missing);
         let one = Outage { jet: Some("chest_l_jet".into()), ..lost.clone() };
         for lost in [lost, one] {
-            arrives(vec![lost], Modes::THRUST_MODELLED.bits(), 5.0);
+            arrives(lost, Modes::THRUST_MODELLED.bits(), 5.0);
         }
     }
 }
@@ -92,11 +92,11 @@ fn blind_for_a_second_it_arrives() {
         for duration in [0.3, 1.0] {
             for kind in [OutageKind::Missing, OutageKind::Wrong] {
                 // Beyond every jump.
-                arrives(vec![Outage { error: 3.0, ..outage(channel, duration, kind) }], mode.bits(), 5.0);
+                arrives(Outage { error: 3.0, ..outage(channel, duration, kind) }, mode.bits(), 5.0);
             }
         }
     }
-    arrives(vec![outage(OutageChannel::Joints, 0.3, OutageKind::Nan)], Modes::JOINTS_RECKONED.bits(), 5.0);
+    arrives(outage(OutageChannel::Joints, 0.3, OutageKind::Nan), Modes::JOINTS_RECKONED.bits(), 5.0);
 }
 
 /// Everything of the state stands still for 0.3 s: recognised, and survived.
@@ -139,7 +139,7 @@ fn with_a_wrong_thrust_sensor_it_arrives() {
         ("chest_r_jet", OutageKind::Frozen, 0.0),
     ] {
         let lost = outage(OutageChannel::Thrust, FOR_EVER, kind);
-        arrives(vec![Outage { jet: Some(jet.into()), error, ..lost }], Modes::THRUST_MODELLED.bits(), 30.0);
+        arrives(Outage { jet: Some(jet.into()), error, ..lost }, Modes::THRUST_MODELLED.bits(), 30.0);
     }
 }
 
@@ -147,7 +147,7 @@ fn with_a_wrong_thrust_sensor_it_arrives() {
 #[test]
 fn a_second_without_joints_is_too_long() {
     let joints = |duration| outage(OutageChannel::Joints, duration, OutageKind::Missing);
-    arrives(vec![joints(0.5)], Modes::JOINTS_RECKONED.bits(), 5.0);
+    arrives(joints(0.5), Modes::JOINTS_RECKONED.bits(), 5.0);
     let flight = fly(vec![joints(1.0)], |config| config.simulator.duration = 21.0);
     assert_eq!(flight.outcome, Outcome::Fell);
 }
