@@ -172,17 +172,17 @@ class Greatest(Table, frozen=True, kw_only=True):
 class Jumps(Table, frozen=True, kw_only=True):
     """Greatest differences to the reckoned value that are believed. Wind, thrusts and feet may jump."""
 
-    angular_velocity: Positive = 0.8
+    angular_velocity: Positive = 2.0
     """Angular velocity of the base [rad/s]."""
-    joint_position: Positive = 0.2
+    joint_position: Positive = 0.5
     """Joint position [rad, m]."""
-    joint_velocity: Positive = 10.0
+    joint_velocity: Positive = 30.0
     """Joint velocity [rad/s, m/s]."""
     position: Positive = 0.3
     """Position of the base [m]."""
     rotation: Positive = 0.2
     """Entry of the rotation matrix of the base."""
-    velocity: Positive = 0.5
+    velocity: Positive = 1.0
     """Velocity of the base [m/s]."""
 
 
@@ -247,6 +247,19 @@ class ContactConfig(Table, frozen=True, kw_only=True):
     """What the wrench of a foot may be."""
 
 
+class EnginesConfig(Table, frozen=True, kw_only=True):
+    """When an engine counts as lost."""
+
+    confirmation: NonNegative
+    """How long it has to be exceeded [s]."""
+    descend: bool
+    """Whether the robot levels and descends when an engine is lost."""
+    deviation_max: Positive
+    """Greatest deviation of a thrust from the commanded one [N]."""
+    time_constant: Positive
+    """Time constant with which deviations of the thrust are forgotten [s]."""
+
+
 class EstimatorConfig(Table, frozen=True, kw_only=True):
     """How old the measurements are, and how much they are trusted."""
 
@@ -268,19 +281,6 @@ class EstimatorConfig(Table, frozen=True, kw_only=True):
     """Joint velocities."""
     thrust: ChannelConfig = ChannelConfig()
     """Thrusts."""
-
-
-class EnginesConfig(Table, frozen=True, kw_only=True):
-    """When an engine counts as lost."""
-
-    confirmation: NonNegative
-    """How long it has to be exceeded [s]."""
-    descend: bool
-    """Whether the robot levels and descends when an engine is lost."""
-    deviation_max: Positive
-    """Greatest deviation of a thrust from the commanded one [N]."""
-    time_constant: Positive
-    """Time constant with which deviations of the thrust are forgotten [s]."""
 
 
 JacobianOffset: TypeAlias = Literal["link_rotation", "base_rotation"]
@@ -455,10 +455,10 @@ class ControllerSection(Table, frozen=True, kw_only=True):
     """What is believed of measurements, and what happens without them."""
     contact: ContactConfig | None = None
     """What it takes to stand on the ground; without it the controller knows no feet."""
-    estimator: EstimatorConfig | None = None
-    """Estimates the state from what is measured; without it the controller is given the measurements."""
     engines: EnginesConfig | None = None
     """When an engine counts as lost; without it, never."""
+    estimator: EstimatorConfig | None = None
+    """Estimates the state from what is measured; without it the controller is given the measurements."""
     jacobian_offset: JacobianOffset = "link_rotation"
     """Point whose Jacobian carries link forces (in `Λ_a` and the torque law)."""
     lever_arm: LeverArm = "rotated"
@@ -779,7 +779,7 @@ class FallConfig(Table, frozen=True, kw_only=True):
 
 
 class GroundConfig(Table, frozen=True, kw_only=True):
-    """The plane z = 0 under the robot's feet. Only engines that know contact fly a world that has it."""
+    """The plane z = 0 under the robot's feet. Only engines that simulate contact fly a world that has it."""
 
     contact_time: Positive
     """Time in which a touching corner comes to rest [s]: softer with a longer one."""

@@ -169,12 +169,12 @@ impl Jumps {
 impl Default for Jumps {
     fn default() -> Self {
         Self {
-            joint_position: 0.2,
-            joint_velocity: 10.0,
+            joint_position: 0.5,
+            joint_velocity: 30.0,
             position: 0.3,
             rotation: 0.2,
-            velocity: 0.5,
-            angular_velocity: 0.8,
+            velocity: 1.0,
+            angular_velocity: 2.0,
         }
     }
 }
