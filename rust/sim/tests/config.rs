@@ -252,9 +252,9 @@ fn wrong_types_are_named_at_every_key() {
     }
     assert!(keys.len() > 300, "{}", keys.len());
     for (name, key) in keys.into_iter().filter(|(_, key)| !key.is_empty()) {
-        // No key takes a list of tables.
+        // No key takes a list of lists of tables.
         let mut value = serde_json::to_value(experiment(name)).unwrap();
-        set(&mut value, &key, json!([{"wrong": true}]));
+        set(&mut value, &key, json!([[{"wrong": true}]]));
         let message = scenario_from_value(value, "here").unwrap_err().to_string();
         assert!(message.contains(&format!("`{key}")), "{name}: {key}: {message}");
         assert!(message.contains("{\"wrong\":true}") && message.contains("expected"), "{key}: {message}");
