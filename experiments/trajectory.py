@@ -104,7 +104,7 @@ def compute(name: str, config: TrajectoryConfig) -> Findings:
     plan = problem.solve(config.sample_time)
     if not plan.success:
         raise Refused(f"{name}: no trajectory found: {plan.message}")
-    text = csv_of(plan, config.start_time, f"{config.title}: python -m experiments trajectory {name}")
+    text = csv_of(plan, config.start_time, f"{config.title}: jax-aero trajectory {name}")
     flown, paper = fly(base, text, config.start_time + plan.duration + config.hold_time), rust.fly(base)
     dataset = to_dataset(plan, flown, paper, robot, config)
     summary = {

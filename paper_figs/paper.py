@@ -266,6 +266,9 @@ BEYOND: Sequence[Item] = tuple(
         ("observer_turbulence", "turbulence, with the observer"),
         ("observer_missions", "fast missions and a gust, with the observer"),
         ("observer_errors", "a robot that is not the model's, with the observer"),
+        ("outages_observer", "channels that fail, with the observer"),
+        ("outages_published", "channels that fail, published controller"),
+        ("engine_loss", "engines that fail, with the observer"),
     )
 )
 

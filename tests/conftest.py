@@ -119,6 +119,7 @@ def made_up_flight(duration: float = 50.0, lost_time: float | None = None, step:
         "measured_thrust": np.zeros((n, 4)),
         "measured_wind": np.outer(ramp, [0.0, -10.0, 0.0]),
         "measured_wind_std": np.zeros((n, 3)),
+        "degraded_modes": np.zeros(n),
         "qp_status": np.zeros((n, 2)),
         "qp_kkt": np.full((n, 2), 1e-12),
         "qp_iterations": np.full((n, 2), 3.0),

@@ -62,7 +62,7 @@ class ChannelLimits:
     """[s]."""
     wind_fade: Float[Array, ""]
     """[s]."""
-    frozen_ticks: Int[Array, ""]
+    frozen_ticks: Float[Array, ""]
     widening: Float[Array, ""]
     """[1/s]."""
     velocity_gain: Float[Array, ""]
@@ -134,7 +134,7 @@ def channel_limits(config: ChannelsConfig, robot: RobotModel) -> ChannelLimits:
     return ChannelLimits(
         wind_hold=leaf(config.wind_hold),
         wind_fade=leaf(config.wind_fade),
-        frozen_ticks=jnp.array(config.frozen_ticks, jnp.int32),
+        frozen_ticks=leaf(config.frozen_ticks),
         widening=leaf(config.widening),
         velocity_gain=leaf(config.velocity_gain),
         descend_after=leaf(config.descend_after),

@@ -180,7 +180,7 @@ def test_the_result_names_its_reference_and_its_flights(tmp_path, monkeypatch, c
     folder = tmp_path / "trajectory" / "min_time"
     assert sorted(path.name for path in folder.iterdir()) == ["manifest.json", "reference.csv", "run.nc"]
     assert document["summary"] == {"a figure": None}
-    assert document["command"] == "python -m experiments trajectory min_time --set speed_max=3.0"
+    assert document["command"] == "jax-aero trajectory min_time --set speed_max=3.0"
     assert document["config"]["speed_max"] == 3.0
     read = xr.load_dataset(folder / "run.nc", engine="h5netcdf")
     assert read["com_position_plan"].attrs["units"] == "m"

@@ -161,7 +161,8 @@ def test_an_interrupted_video_leaves_nothing(fallen, tmp_path, monkeypatch, caps
             raise KeyboardInterrupt
 
     monkeypatch.setattr(command._Bar, "__call__", interrupt)
-    assert commands.main(["video", str(fallen), "--out", str(out), "--size", "128x96"]) == 130
+    words = ["video", str(fallen), "--out", str(out), "--size", "128x96", "--overwrite"]
+    assert commands.main(words) == 130
     assert "interrupted" in capsys.readouterr().err
     assert len(seen_halfway) == 2  # the draft was there
     assert out.read_text() == "an older one"
