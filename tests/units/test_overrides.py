@@ -1,5 +1,5 @@
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from experiments import Refused
@@ -51,6 +51,8 @@ KEYS = st.from_regex(r"[a-z_]{1,12}(\.[a-z_]{1,12}){0,3}", fullmatch=True)
 VALUES = st.recursive(st.booleans() | st.integers() | st.floats() | st.text(), st.lists, max_leaves=8)
 
 
+# How long examples take to draw says how busy the machine is, nothing of the code.
+@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(st.dictionaries(KEYS, VALUES, max_size=8))
 def test_any_suffix_is_one_short_folder_name(overrides):
     suffix = folder_suffix(overrides)
