@@ -58,7 +58,7 @@ class Study(Generic[C]):
     """One kind of study."""
 
     interrupted: ClassVar[str] = "nothing was written"
-    """Told after Ctrl-C."""
+    """Printed after Ctrl-C."""
 
     kind: str
     """Folder of configurations and of results."""

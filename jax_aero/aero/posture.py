@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
@@ -71,10 +72,15 @@ def total_wrench(robot: RobotModel, joint_position_deg: Floats, force_area_b: Fl
 
 def link_arms(robot: RobotModel, joint_position_deg: Floats) -> Floats:
     """Return the links' aerodynamic centres from the centre of mass (N, 13, 3) [m], base axes; rows may repeat."""
+    return _by_posture(_arms, robot, joint_position_deg)
+
+
+def _by_posture(of: Callable[[RobotModel, Array], Array], robot: RobotModel, joint_position_deg: Floats) -> Floats:
+    """Evaluate a function of postures (M, 19) [rad] once for each that occurs among the rows (N, 19) [deg]."""
     shapes, shape_of = np.unique(joint_position_deg, axis=0, return_inverse=True)
     with jax.enable_x64(True):
-        arms = np.asarray(_arms(robot, np.radians(shapes)))
-    found: Floats = arms[shape_of.reshape(-1)]
+        values = np.asarray(of(robot, jnp.radians(shapes)))
+    found: Floats = values[shape_of.reshape(-1)]
     return found
 
 
@@ -88,11 +94,7 @@ def _arms(robot: RobotModel, angles: Array) -> Array:
 
 def centres_of_mass(robot: RobotModel, joint_position_deg: Floats) -> Floats:
     """Return the centre of mass from the base origin (N, 3) [m], base axes, at joint angles (N, 19) [deg]."""
-    shapes, shape_of = np.unique(joint_position_deg, axis=0, return_inverse=True)
-    with jax.enable_x64(True):
-        coms = np.asarray(_coms(robot, np.radians(shapes)))
-    found: Floats = coms[shape_of.reshape(-1)]
-    return found
+    return _by_posture(_coms, robot, joint_position_deg)
 
 
 @jax.jit

@@ -33,7 +33,7 @@ VELOCITY, ROTATION = -3, -1
 """Places among the channels."""
 
 FROZEN_SHARE = 0.02
-"""A frozen value is told from one that stands still by this share of `jump`."""
+"""A frozen value differs from one that stands still by this share of `jump`."""
 
 MODES = {
     "wind_held": 1,
@@ -265,7 +265,7 @@ def update(
 
 
 def distrust(memory: ChannelsState, is_wrong: Array, deviation: Array) -> ChannelsState:
-    """Believe the thrusts (j,) of some jets no more, which were measured too large by `deviation` (j,) [N]."""
+    """Use the measured thrusts (j,) of some jets no more, which were measured too large by `deviation` (j,) [N]."""
     jets = is_wrong.shape[0]
     return memory._replace(
         is_distrusted=memory.is_distrusted.at[1 : 1 + jets].set(memory.is_distrusted[1 : 1 + jets] | is_wrong),

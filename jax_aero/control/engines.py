@@ -1,4 +1,4 @@
-"""Which engines do what they are told.
+"""Which engines follow their commands.
 
     d ← e^{−Δt/τ} d + (T_k − T̂_k)          how far a thrust has left the commanded one
     n ← n + (1 − e^{−Δt/τ_n}) (w − ŵ − n)   what the momentum says beside the observed wrench

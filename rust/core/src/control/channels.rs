@@ -30,7 +30,7 @@ const GAP_MAX: f64 = 10.5;
 /// Longest flight \[s\]: beyond it ticks of milliseconds are rounding errors of the time.
 const TIME_MAX: f64 = 1e9;
 
-/// A frozen value is told from one that stands still by this share of [`Jumps`].
+/// A frozen value differs from one that stands still by this share of [`Jumps`].
 const FROZEN_SHARE: f64 = 0.02;
 
 /// What is believed of measurements, and what happens without them.
@@ -679,7 +679,7 @@ impl ChannelsState {
         }
     }
 
-    /// Believes the thrust of a jet no more, which was measured too large by `deviation` \[N\].
+    /// Uses the measured thrust of a jet no more, which was measured too large by `deviation` \[N\].
     pub(super) fn distrust(&mut self, jet: usize, deviation: f64) {
         let (first_entry, first_channel) = (3, 1); // behind the wind
         self.channels[first_channel + jet].is_distrusted = true;

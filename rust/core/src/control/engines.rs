@@ -1,4 +1,4 @@
-//! Which engines do what they are told.
+//! Which engines follow their commands.
 //!
 //! ```text
 //! d ← e^{−Δt/τ} d + (T_k − T̂_k)        how far a thrust has left the commanded one, T̂ by M31
