@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from experiments import manifest, tip_over, trajectory, trim, waypoints
+from experiments.cfd import design as cfd
 from experiments.sweep.perturbation import Perturbation
 from experiments.sweep.spec import Axis, Spec
 from experiments.training.config import Training
@@ -28,6 +29,7 @@ from jax_aero.cli import REFUSED, Parser
 Node = dict[str, Any]
 
 STUDIES: dict[str, Any] = {
+    "cfd": cfd.Spec,
     "perturbation": Perturbation,
     "sweep_axes": Axis,
     "sweeps": Spec,

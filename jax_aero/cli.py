@@ -62,6 +62,9 @@ GROUPS: dict[str, dict[str, Command]] = {
     },
     "build models": {
         "import-robot": Command("experiments.import_robot.command:main", "twin", "make a robot that flies of a URDF"),
+        "cfd": Command("experiments.cfd.command:main", "twin", "compute forces of the air with OpenFOAM"),
+        "cfd-verify": Command("experiments.cfd.verify:main", "twin", "verify OpenFOAM on bodies of known drag"),
+        "cfd-compare": Command("experiments.cfd.compare:main", "twin", "compare our CFD with tables and the tunnel"),
         "import-cfd": Command("experiments.import_cfd:main", "twin", "read CFD tables into a data set"),
         "import-tunnel": Command("experiments.import_tunnel:main", "twin", "read wind-tunnel balance files"),
         "identify-aero": Command("experiments.identify_aero:main", "twin", "find coefficients in a flight's log"),

@@ -36,7 +36,7 @@ class Design:
             return list(itertools.product(*(axis.levels for axis in axes)))
         if self.spec.design == "list":
             return list(zip(*(axis.levels for axis in axes), strict=True))
-        points = _unit_points(self.spec.design, len(axes), self.spec.samples, self.spec.seed)
+        points = unit_points(self.spec.design, len(axes), self.spec.samples, self.spec.seed)
         return [
             tuple(
                 # Ten digits are plenty for a sample, and read well in a table.
@@ -114,7 +114,8 @@ class Design:
                 raise Refused(f"sweep {self.spec.name}: cell {cell} ({labels}): {reason}") from None
 
 
-def _unit_points(design: str, dimensions: int, samples: int, seed: int) -> Sequence[Sequence[float]]:
+def unit_points(design: str, dimensions: int, samples: int, seed: int) -> Sequence[Sequence[float]]:
+    """Return the points of a quasi-random design in the unit cube."""
     from scipy.stats import qmc
 
     if design == "sobol":

@@ -47,6 +47,8 @@ LINKS = (
 
 FORMAT = "jax-aero force areas 1"
 AREA_UNITS = "m2"
+QUALITY = "quality: "
+"""How the variables of `Dataset.quality` begin in a file."""
 
 
 def _twin(name: str) -> str:
@@ -75,6 +77,11 @@ def mirrored_areas(force_area_b: Floats) -> Floats:
     """Force areas (..., 13, 3) of the mirror image, base axes."""
     flipped: Floats = force_area_b[..., LINK_TWINS, :] * MIRROR_AXES
     return flipped
+
+
+def mirrored_couples(couple_volume_b: Floats) -> Floats:
+    """Couples (..., 13, 3) of the mirror image, base axes: the sign of an axial vector is the opposite."""
+    return -mirrored_areas(couple_volume_b)
 
 
 def wind_direction(pitch_deg: npt.ArrayLike, yaw_deg: npt.ArrayLike) -> Floats:
@@ -112,6 +119,10 @@ class Dataset:
     """(N,) of the air [m/s]."""
     air_density: Floats
     """(N,) [kg/m³]."""
+    couple_volume_b: Floats | None = None
+    """(N, 13, 3) moment about the link's centre `M / (½ ρ V²)` [m³], base axes; `None` where there is none."""
+    quality: Mapping[str, Floats] = field(default_factory=dict)
+    """What a solver reported of every row, (N,) by name with unit."""
     provenance: Mapping[str, str] = field(default_factory=dict)
     """Where the rows come from."""
     checks: Mapping[str, float] = field(default_factory=dict)
@@ -121,8 +132,11 @@ class Dataset:
         n = len(self.posture)
         shapes = {"is_mirrored": (n,), "joint_position_deg": (n, len(JOINTS)), "wind_b": (n, 3), "pitch_deg": (n,)}
         shapes |= {"yaw_deg": (n,), "force_area_b": (n, len(LINKS), 3), "speed": (n,), "air_density": (n,)}
-        for name, shape in shapes.items():
-            value = getattr(self, name)
+        if self.couple_volume_b is not None:
+            shapes["couple_volume_b"] = (n, len(LINKS), 3)
+        values = {name: getattr(self, name) for name in shapes} | dict(self.quality)
+        for name, value in values.items():
+            shape = shapes.get(name, (n,))
             if value.shape != shape:
                 raise ValueError(f"`{name}` has shape {value.shape}; expected {shape} for {n} rows")
             if not np.all(np.isfinite(value)):
@@ -173,14 +187,17 @@ class Dataset:
         digest = hashlib.sha256(FORMAT.encode())
         digest.update("\n".join(self.posture.tolist()).encode())
         digest.update(np.packbits(self.is_mirrored).tobytes())
-        for array in (self.joint_position_deg, self.wind_b, self.force_area_b):
+        couples = [] if self.couple_volume_b is None else [self.couple_volume_b]
+        for array in (self.joint_position_deg, self.wind_b, self.force_area_b, *couples):
             digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
         return digest.hexdigest()
 
     def take(self, rows: npt.NDArray[Any] | slice) -> Dataset:
         """Return some of the rows."""
         arrays: dict[str, Any] = {name: getattr(self, name)[rows] for name in ARRAYS}
-        return replace(self, **arrays)
+        if self.couple_volume_b is not None:
+            arrays["couple_volume_b"] = self.couple_volume_b[rows]
+        return replace(self, **arrays, quality={name: values[rows] for name, values in self.quality.items()})
 
     def select(self, postures: Sequence[str]) -> Dataset:
         """Return the rows of some postures."""
@@ -192,16 +209,23 @@ class Dataset:
         """Return the rows followed by their mirror images; of a dataset that holds any, the same dataset."""
         if self.is_mirrored.any():
             return self
-        twin = replace(
-            self,
-            is_mirrored=np.ones(len(self), dtype=bool),
-            joint_position_deg=mirrored_joints(self.joint_position_deg),
-            wind_b=self.wind_b * MIRROR_AXES,
-            yaw_deg=-self.yaw_deg,
-            force_area_b=mirrored_areas(self.force_area_b),
+        n = len(self)
+        both = self.take(np.tile(np.arange(n), 2))
+        is_twin = np.repeat([False, True], n)
+
+        def second(values: Floats, images: Floats) -> Floats:
+            return np.concatenate([values[:n], images[n:]])
+
+        couples = both.couple_volume_b
+        return replace(
+            both,
+            is_mirrored=is_twin,
+            joint_position_deg=second(both.joint_position_deg, mirrored_joints(both.joint_position_deg)),
+            wind_b=second(both.wind_b, both.wind_b * MIRROR_AXES),
+            yaw_deg=second(both.yaw_deg, -both.yaw_deg),
+            force_area_b=second(both.force_area_b, mirrored_areas(both.force_area_b)),
+            couple_volume_b=None if couples is None else second(couples, mirrored_couples(couples)),
         )
-        arrays: dict[str, Any] = {name: np.concatenate([getattr(self, name), getattr(twin, name)]) for name in ARRAYS}
-        return replace(self, **arrays)
 
     def random_split(self, seed: int, fraction: float = 0.2) -> tuple[Indices, Indices]:
         """Rows for training and for validation, drawn at random: the paper's split.
@@ -270,6 +294,14 @@ def save(dataset: Dataset, path: str | PathLike[str]) -> None:
         name: (dims, getattr(dataset, name), {"units": units, "long_name": text})
         for name, (dims, units, text) in _VARIABLES.items()
     }
+    if dataset.couple_volume_b is not None:
+        text = "moment about the link's centre over dynamic pressure, base axes"
+        variables["couple_volume_b"] = (
+            ("row", "link", "xyz"),
+            dataset.couple_volume_b,
+            {"units": "m3", "long_name": text},
+        )
+    variables |= {f"{QUALITY}{name}": (("row",), values, {}) for name, values in dataset.quality.items()}
     facts: dict[str, str | float] = {"format": FORMAT, "sha256": dataset.sha256}
     facts |= {f"provenance: {key}": value for key, value in dataset.provenance.items()}
     facts |= {f"check: {key}": float(value) for key, value in dataset.checks.items()}
@@ -302,10 +334,16 @@ def load(path: str | PathLike[str]) -> Dataset:
     def facts(kind: str) -> dict[str, Any]:
         return {key.removeprefix(kind): value for key, value in table.attrs.items() if key.startswith(kind)}
 
+    couples = ("couple_volume_b",) if "couple_volume_b" in table else ()
     dataset = Dataset(
         posture=table["posture"].values.astype(str),
         is_mirrored=table["is_mirrored"].values.astype(bool),
-        **{name: table[name].values.astype(np.float64) for name in _VARIABLES},
+        **{name: table[name].values.astype(np.float64) for name in (*_VARIABLES, *couples)},
+        quality={
+            str(name).removeprefix(QUALITY): table[name].values.astype(np.float64)
+            for name in table.data_vars
+            if str(name).startswith(QUALITY)
+        },
         provenance={key: str(value) for key, value in facts("provenance: ").items()},
         checks={key: float(value) for key, value in facts("check: ").items()},
     )

@@ -63,6 +63,8 @@ class Look:
     shapes: tuple[Shape, ...]
     jets: tuple[Mount, ...]
     links: tuple[Mount, ...]
+    parents: tuple[int, ...]
+    """Parent of each body; −1 for the base."""
     without_shape: tuple[str, ...] = ()
     """Links of which the URDF has meshes alone; those with aerodynamics are drawn as the air sees them."""
 
@@ -91,6 +93,7 @@ def look_of(robot: rust.Robot) -> Look:
         shapes=(*shapes, *_struts(tree, shapes)),
         jets=tuple(_jet(entry, tree) for entry in table.get("jets", [])),
         links=tuple(_link(entry, tree) for entry in table.get("aero_links", [])),
+        parents=tuple(body.parent for body in tree.bodies),
         without_shape=tuple(without_shape),
     )
 

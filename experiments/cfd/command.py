@@ -1,0 +1,161 @@
+"""Compute forces and couples of the air on the links with OpenFOAM: `jax-aero cfd NAME`.
+
+A design (configs/cfd/NAME.toml) names postures, winds and settings. A posture is meshed once for all of its winds;
+every case is kept in `results/cfd/NAME/cases/` as soon as it is computed, so an interrupted run goes on with the same
+command. At the end `dataset.nc` holds what was accepted, in the format of `import-cfd`, and `manifest.json` what was
+refused and why. Needs OpenFOAM: apt-get install openfoam.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from tqdm import tqdm
+
+from experiments import Refused, manifest, overrides, study
+from experiments.cfd import foam
+from experiments.cfd.design import KIND, Case, Design
+from experiments.cfd.geometry import Surface, robot_surfaces
+from experiments.cfd.settings import Settings
+from experiments.cfd.simulate import Result, simulate
+from jax_aero import places, tables
+from jax_aero.aero.cfd_import import checks
+from jax_aero.aero.dataset import LINKS, Dataset, Floats, save
+from jax_aero.cli import Parser, completes, path
+from jax_aero.command import exit_status
+from jax_aero.files import write_json
+
+RESULTS = manifest.RESULTS / KIND
+Simulate = Callable[[Mapping[str, Surface], Iterable[Floats], Settings, Path], Iterator[Result]]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit status."""
+    parser = Parser(KIND, __doc__)
+    named = parser.add_argument("names", nargs="+", metavar="NAME", help="a file stem in configs/cfd, or a path")
+    completes(named, lambda: places.names(KIND))
+    study.add_set(parser)
+    parser.add_argument("--out", type=path, metavar="DIR", help="folder for the results (default results/cfd)")
+    parser.add_argument("--finish", action="store_true", help="compute nothing; collect the cases that are there")
+    given = parser.parse_args(arguments)
+
+    def work() -> None:
+        for name in given.names:
+            design = Design.read(name, overrides.parse(given.set))
+            folder = (given.out or RESULTS) / design.name
+            if not given.finish:
+                foam.environment()
+                compute(design, folder)
+            print(collect(design, folder))
+
+    return exit_status(work, interrupted="the same command goes on with the next case")
+
+
+def compute(design: Design, folder: Path, simulator: Simulate = simulate) -> None:
+    """Compute the cases of a design that are not there yet."""
+    _begin(design, folder)
+    postures = {name: robot_surfaces(design.robot, joints) for name, joints in design.joints.items()}
+    done = sum(_path(folder, case).is_file() for case in design)
+    total = sum(1 for _ in design)
+    with tqdm(total=total, initial=done, desc=design.name, unit="case", file=sys.stderr, disable=None) as bar:
+        for name, cases in design.cases.items():
+            missing = [case for case in cases if not _path(folder, case).is_file()]
+            if not missing:
+                continue
+            with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
+                winds = [case.wind_b for case in missing]
+                for case, result in zip(
+                    missing, simulator(postures[name], winds, design.spec.settings, Path(scratch)), strict=True
+                ):
+                    write_json(_path(folder, case), tables.plain(result))
+                    bar.update()
+
+
+def _begin(design: Design, folder: Path) -> None:
+    """Mark the folder as this design's, or refuse one that holds another's."""
+    about = folder / "design.json"
+    if about.is_file():
+        if json.loads(about.read_text(encoding="utf-8"))["digest"] != design.digest:
+            raise Refused(f"{os.path.relpath(folder)} holds cases of other settings; choose another --out")
+    else:
+        write_json(about, {"digest": design.digest, "settings": tables.plain(design.spec.settings)})
+
+
+def collect(design: Design, folder: Path) -> str:
+    """Write the dataset of the accepted cases and the manifest; return what there is to say."""
+    found = {case: _read(_path(folder, case)) for case in design if _path(folder, case).is_file()}
+    accepted = {case: result for case, result in found.items() if not result.reason}
+    if not accepted:
+        raise Refused(f"{os.path.relpath(folder)} has no accepted case of {sum(1 for _ in design)}")
+    dataset = to_dataset(design, accepted)
+    save(dataset, folder / "dataset.nc")
+    refused = {case.file.removesuffix(".json"): result.reason for case, result in found.items() if result.reason}
+    summary = {
+        "accepted": len(accepted),
+        "refused": len(refused),
+        "not computed": sum(1 for _ in design) - len(found),
+        "postures": len(dataset.postures),
+    }
+    document = manifest.build(
+        design.name,
+        design.spec.title,
+        tables.plain(design.spec),
+        design.digest,
+        summary=summary,
+        command=["jax-aero", KIND, design.name],
+        engine="openfoam",
+        refused=refused,
+        dataset=dataset.sha256,
+    )
+    write_json(folder / "manifest.json", document)
+    lines = [f"{design.spec.title}: " + ", ".join(f"{count} {what}" for what, count in summary.items())]
+    lines += [f"  {name}: {reason}" for name, reason in refused.items()]
+    lines += [f"  {name:<34} {np.median(values):.4g}" for name, values in dataset.quality.items()]
+    return "\n".join([*lines, os.path.relpath(folder / "dataset.nc")])
+
+
+def to_dataset(design: Design, accepted: Mapping[Case, Result]) -> Dataset:
+    """Return the rows of accepted cases."""
+    n = len(accepted)
+    air = design.spec.settings.air
+    results = list(accepted.values())
+    data = Dataset(
+        posture=np.array([case.posture for case in accepted]),
+        is_mirrored=np.zeros(n, dtype=bool),
+        joint_position_deg=np.stack([design.joints[case.posture] for case in accepted]),
+        wind_b=np.stack([case.wind_b for case in accepted]),
+        pitch_deg=np.array([case.pitch_deg for case in accepted]),
+        yaw_deg=np.array([case.yaw_deg for case in accepted]),
+        force_area_b=np.array([[result.force_area_b[link] for link in LINKS] for result in results]),
+        couple_volume_b=np.array([[result.couple_volume_b[link] for link in LINKS] for result in results]),
+        speed=np.full(n, air.speed),
+        air_density=np.full(n, air.density),
+        quality={name: np.array([result.quality[name] for result in results]) for name in results[0].quality},
+        provenance={
+            "source": "OpenFOAM (simpleFoam, k-omega SST) around primitives of the robot's URDF; jax-aero cfd",
+            "design": design.name,
+            "settings": json.dumps(tables.plain(design.spec.settings), sort_keys=True),
+            "robot_sha256": design.digest,
+        },
+    )
+    return replace(data, checks=checks(data))
+
+
+def _path(folder: Path, case: Case) -> Path:
+    return folder / "cases" / case.file
+
+
+def _read(file: Path) -> Result:
+    return msgspec.json.decode(file.read_bytes(), type=Result)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

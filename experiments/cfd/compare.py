@@ -1,0 +1,167 @@
+"""Compare our simulations with those of others, and with the tunnel: `jax-aero cfd-compare NAME`.
+
+NAME is a design of `jax-aero cfd`, whose dataset is in `results/cfd/NAME/`. With `--set table=FILE`, a dataset of
+`import-cfd`, rows of equal posture and wind are compared, beside the models of this project; the tunnel's typed points
+are always. Cases and mirror images that are one case are averaged first, in both datasets.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from experiments import Refused, tunnel_moments
+from experiments.calibrate_surrogate import table_rows
+from experiments.cfd.command import RESULTS
+from experiments.study import Findings, Study
+from experiments.tunnel_moments import NEWTON_METRES, ROBOT
+from jax_aero import tables
+from jax_aero.aero.dataset import LINKS, Dataset, Floats, load, tunnel_from_base
+from jax_aero.aero.posture import total_wrench
+from jax_aero.robot import RobotModel, load_robot
+
+OPEN = "open solver"
+NEAR = 1.0
+"""How far the angles of a point of the tunnel may be from those of a case [deg]."""
+
+
+class CompareConfig(tables.Table, frozen=True):
+    """A comparison."""
+
+    table: str = ""
+    """Dataset of `import-cfd`; without it, the tunnel alone is compared."""
+
+
+def compute(name: str, config: CompareConfig) -> Findings:
+    """Compare."""
+    path = RESULTS / name / "dataset.nc"
+    if not path.is_file():
+        raise Refused(f"no {path.name} of `{name}`; make it with: jax-aero cfd {name}")
+    ours, robot = symmetrised(load(path)), load_robot(ROBOT)
+    summary = {"cases": len(ours), "postures": len(ours.postures), **couples(robot, ours), **beside_tunnel(ours)}
+    inputs: dict[str, Any] = {"dataset": ours.sha256}
+    result = xr.Dataset()
+    if config.table:
+        table = symmetrised(load(config.table))
+        here, there = matched(ours, table)
+        inputs["table"] = table.sha256
+        summary |= {"cases with a counterpart in the table": len(here)}
+        models = {OPEN: here.force_area_b, **models_at(robot, here)}
+        for model, areas in models.items():
+            summary |= {f"{model}: {key}": value for key, value in errors(robot, areas, there).items()}
+        for posture in here.postures:
+            rows = here.posture == posture
+            found = errors(robot, here.force_area_b[rows], there.take(rows))
+            summary |= {f"{posture} ({rows.sum()}): {key}": value for key, value in found.items()}
+        result = as_rows(models, there)
+    return Findings(f"Open CFD `{name}` beside others", result, summary, inputs=inputs)
+
+
+STUDY = Study("cfd_compare", __doc__, CompareConfig, compute, ("open",), engine="openfoam")
+main = STUDY.main
+
+
+def symmetrised(data: Dataset) -> Dataset:
+    """Return the rows, each averaged with all that are one case with it, mirror images included."""
+    both = data.mirrored()
+    count = np.bincount(both.group)
+    total = np.zeros((len(count), len(LINKS), 3))
+    np.add.at(total, both.group, both.force_area_b)
+    mean = total / count[:, None, None]
+    return replace(data, force_area_b=mean[both.group[: len(data)]])
+
+
+def matched(ours: Dataset, table: Dataset) -> tuple[Dataset, Dataset]:
+    """Return the rows of ours that the table has, directly or as mirror image, and those of the table, in one order."""
+    there = table.mirrored()
+    place = {key: row for row, key in reversed(list(enumerate(_keys(there))))}
+    pairs = [(row, place[key]) for row, key in enumerate(_keys(ours)) if key in place]
+    if not pairs:
+        raise Refused("no case of the design has posture and wind of a row of the table")
+    rows = np.array(pairs)
+    return ours.take(rows[:, 0]), there.take(rows[:, 1])
+
+
+def _keys(data: Dataset) -> list[tuple[float, ...]]:
+    # Adding zero makes -0 equal to 0.
+    return [tuple(row) for row in np.round(np.column_stack([data.joint_position_deg, data.wind_b]), 5) + 0.0]
+
+
+def errors(robot: RobotModel, areas: Floats, there: Dataset) -> dict[str, float]:
+    """Return errors of force areas (N, 13, 3) [m²], base axes, against the rows of a table."""
+    off = areas - there.force_area_b
+    drag, right = (np.einsum("nla,na->n", part, there.wind_b) for part in (areas, there.force_area_b))
+    wrench = total_wrench(robot, there.joint_position_deg, off)
+    return {
+        "drag, relative error, mean": float(np.mean(drag / right - 1.0)),
+        "drag, relative error, rms": float(np.sqrt(np.mean((drag / right - 1.0) ** 2))),
+        "total force, rms [m2]": float(np.sqrt(np.mean(np.sum(wrench.force_area**2, axis=1)))),
+        "links, mean square [m4]": float(np.mean(off**2)),
+        "moment of forces at link centres, rms [N m at 10 m/s]": NEWTON_METRES
+        * float(np.sqrt(np.mean(np.sum(wrench.moment_volume**2, axis=1)))),
+    }
+
+
+def models_at(robot: RobotModel, data: Dataset) -> dict[str, Floats]:
+    """Return the force areas (N, 13, 3) of the project's models in the same cases."""
+    points = xr.Dataset(
+        {
+            "joint_position": (("point", "joint"), data.joint_position_deg),
+            **{key: ("point", getattr(data, f"{key}_deg")) for key in ("pitch", "yaw")},
+            "speed": ("point", data.speed),
+        }
+    )
+    found = tunnel_moments.model_areas(robot, points)
+    return {name: found[name] for name in ("axisymmetric, corrected", tunnel_moments.PANEL_MODEL)}
+
+
+def couples(robot: RobotModel, data: Dataset) -> dict[str, float]:
+    """Return how much of the moment is couples on links, which no table of forces has."""
+    if data.couple_volume_b is None:
+        return {}
+    volumes = data.couple_volume_b.sum(axis=1)
+    moment = total_wrench(robot, data.joint_position_deg, data.force_area_b).moment_volume
+    names = {"forces at link centres": moment, "couples on links": volumes, "both": moment + volumes}
+    return {
+        f"moment about the centre of mass, {name}, rms [N m at 10 m/s]": NEWTON_METRES
+        * float(np.sqrt(np.mean(np.sum(value**2, axis=1))))
+        for name, value in names.items()
+    }
+
+
+def beside_tunnel(data: Dataset) -> dict[str, float]:
+    """Return drag, side and lift area beside the typed points of tunnel, and of simulations with its support."""
+    totals = np.einsum("nij,nj->ni", tunnel_from_base(data.pitch_deg, data.yaw_deg), data.force_area_b.sum(axis=1))
+    found: dict[str, float] = {}
+    for row in table_rows():
+        near = np.hypot(data.pitch_deg - row.pitch_deg, data.yaw_deg - row.yaw_deg) < NEAR
+        for drag, side, lift in totals[near & (data.posture == row.posture)]:
+            name = f"{row.posture} {row.pitch_deg:.0f}/{row.yaw_deg:.0f}"
+            found |= {f"{name}: drag [m2]": drag, f"{name}: drag over that of the {row.source}": drag / row.cda}
+            found |= {f"{name}: lift less that of the {row.source} [m2]": lift - row.cla}
+            found |= {f"{name}: side less that of the {row.source} [m2]": side - row.csa}
+    return found
+
+
+def as_rows(models: dict[str, Floats], there: Dataset) -> xr.Dataset:
+    """Return the force areas of all models and of the table, row by row."""
+    areas = np.stack([*models.values(), there.force_area_b])
+    return xr.Dataset(
+        {"force_area_b": (("model", "row", "link", "xyz"), areas, {"units": "m2"})},
+        {
+            "model": [*models, "table"],
+            "link": list(LINKS),
+            "xyz": ["x", "y", "z"],
+            "posture": ("row", there.posture.astype(str)),
+            "pitch": ("row", there.pitch_deg, {"units": "degree"}),
+            "yaw": ("row", there.yaw_deg, {"units": "degree"}),
+        },
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,153 @@
+"""The file of a CFD design: postures, winds and settings, read and checked."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import msgspec
+import numpy as np
+
+from experiments import Refused, study
+from experiments.cfd.settings import Settings
+from experiments.import_cfd import known_postures
+from experiments.sweep.design import unit_points
+from jax_aero import rust, tables
+from jax_aero.aero.dataset import Floats, wind_direction
+
+KIND = "cfd"
+
+
+class Winds(tables.Table, frozen=True):
+    """Directions of the wind, as pitch and yaw of the robot in the tunnel [deg]."""
+
+    design: Literal["grid", "list", "sobol"]
+    """All combinations, pairs, or directions that fill the sphere, other ones for every posture."""
+    pitch_deg: tuple[float, ...] = ()
+    """Vertical axis of the robot above the horizontal, 0 to 180, of a grid or list."""
+    yaw_deg: tuple[float, ...] = ()
+    """About the vertical of the tunnel, −180 to 180, of a grid or list."""
+    samples: tables.Natural = 0
+    """Of every posture, in a sobol design."""
+    seed: tables.Natural = 1
+    steps_deg: tuple[tables.Positive, tables.Positive] | None = None
+    """To which a sobol design rounds pitch and yaw, so that its points are some of a grid's."""
+
+    def __post_init__(self) -> None:
+        if self.design == "sobol":
+            if self.samples < 1:
+                raise ValueError(f"`samples` is {self.samples}; expected at least 1 in a sobol design")
+        elif not self.pitch_deg or not self.yaw_deg:
+            raise ValueError(f"`pitch_deg` and `yaw_deg` are expected in a {self.design}")
+        if self.design == "list" and len(self.pitch_deg) != len(self.yaw_deg):
+            raise ValueError(f"`yaw_deg` has {len(self.yaw_deg)} values; expected {len(self.pitch_deg)}, as pitch_deg")
+        for name, values, low, high in (
+            ("pitch_deg", self.pitch_deg, 0.0, 180.0),
+            ("yaw_deg", self.yaw_deg, -180.0, 180.0),
+        ):
+            if outside := [value for value in values if not low <= value <= high]:
+                raise ValueError(f"`{name}` has {outside[0]:g}; expected {low:g} to {high:g}")
+
+    def of(self, posture: int) -> list[tuple[float, float]]:
+        """Return pitch and yaw of every wind of a posture, given by its place in the design."""
+        if self.design == "grid":
+            return list(itertools.product(self.pitch_deg, self.yaw_deg))
+        if self.design == "list":
+            return list(zip(self.pitch_deg, self.yaw_deg, strict=True))
+        points = unit_points("sobol", 2, self.samples * (posture + 1), self.seed)
+        angles = [_on_sphere(*point) for point in points[self.samples * posture :]]
+        if self.steps_deg:
+            by_pitch, by_yaw = self.steps_deg
+            angles = [(by_pitch * round(pitch / by_pitch), by_yaw * round(yaw / by_yaw)) for pitch, yaw in angles]
+        return list(dict.fromkeys((pitch, -180.0 if yaw == 180.0 else yaw) for pitch, yaw in angles))
+
+
+def _on_sphere(u: float, v: float) -> tuple[float, float]:
+    """Pitch and yaw [deg] of a point of the unit square, such that directions are uniform on the sphere."""
+    yaw = np.degrees(np.arcsin(2.0 * u - 1.0))
+    turn = 360.0 * v - 180.0  # of the wind in the base's x-z plane
+    if abs(turn) <= 90.0:
+        return 90.0 + turn, float(yaw)
+    # Behind, the same direction is that of a robot turned round.
+    return 90.0 + turn - np.copysign(180.0, turn), float(np.copysign(180.0, yaw) - yaw)
+
+
+class Spec(tables.Table, frozen=True):
+    """What is computed."""
+
+    title: str
+    postures: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
+    """Names of `configs/tables/postures.toml`."""
+    winds: Winds
+    robot: Path
+    settings: Settings = Settings()
+
+
+class Case(NamedTuple):
+    """One posture in one wind."""
+
+    posture: str
+    pitch_deg: float
+    yaw_deg: float
+
+    @property
+    def wind_b(self) -> Floats:
+        """Return the unit vector along which the air moves, base axes."""
+        return wind_direction(self.pitch_deg, self.yaw_deg)
+
+    @property
+    def file(self) -> str:
+        """Return the name of its file."""
+        return f"{self.posture}_{self.pitch_deg:g}_{self.yaw_deg:g}.json"
+
+
+@dataclass(frozen=True)
+class Design:
+    """A design with its robot and postures read."""
+
+    name: str
+    spec: Spec
+
+    @classmethod
+    def read(cls, name: str, changes: Mapping[str, Any]) -> Design:
+        """Read a file of `configs/cfd/` by name, or any by its path."""
+        path = study.find(KIND, name)
+        return cls(path.stem, tables.load(path, Spec, changes))
+
+    @cached_property
+    def robot(self) -> rust.Robot:
+        """Return the robot."""
+        return rust.Robot(self.spec.robot)
+
+    @cached_property
+    def joints(self) -> dict[str, Floats]:
+        """Return joint angles (19,) [deg] by posture."""
+        known = known_postures()
+        if unknown := sorted(set(self.spec.postures) - set(known)):
+            raise Refused(f"no posture {', '.join(unknown)}; there are {', '.join(known)}")
+        return {name: known[name] for name in self.spec.postures}
+
+    @cached_property
+    def cases(self) -> dict[str, list[Case]]:
+        """Return the cases of every posture."""
+        winds = self.spec.winds
+        return {name: [Case(name, *pair) for pair in winds.of(i)] for i, name in enumerate(self.spec.postures)}
+
+    def __iter__(self) -> Iterator[Case]:
+        return itertools.chain.from_iterable(self.cases.values())
+
+    @property
+    def digest(self) -> str:
+        """Return a hash of what decides the result of a case; postures and winds may be added to a design."""
+        urdf = self.robot.urdf_text + self.robot.toml_text
+        settings = tables.plain(self.spec.settings)
+        settings["solver"].pop("ranks")
+        text = json.dumps(settings, sort_keys=True) + urdf
+        text += json.dumps({name: angles.tolist() for name, angles in self.joints.items()}, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()

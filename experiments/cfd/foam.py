@@ -1,0 +1,147 @@
+"""OpenFOAM as an external program: found or named as missing, run, and read."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments import Refused
+from jax_aero.aero.dataset import Floats
+
+PROGRAMS = ("blockMesh", "snappyHexMesh", "checkMesh", "simpleFoam")
+DEBIAN = Path("/usr/share/openfoam")
+"""Where Debian's package keeps what elsewhere WM_PROJECT_DIR says."""
+MISSING = "OpenFOAM is not here (no `{}` on the path); install it with: apt-get install openfoam"
+
+
+class Failed(Exception):
+    """A program ended with an error; the message has its last words."""
+
+
+def environment() -> dict[str, str]:
+    """Return the variables that OpenFOAM's programs need, or refuse when they are not installed."""
+    for program in PROGRAMS:
+        if shutil.which(program) is None:
+            raise Refused(MISSING.format(program))
+    found = dict(os.environ)
+    if "WM_PROJECT_DIR" not in found and DEBIAN.is_dir():
+        found["WM_PROJECT_DIR"] = str(DEBIAN)
+    # Open MPI refuses the root user of a container otherwise.
+    return found | {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "FOAM_SIGFPE": "false"}
+
+
+def run(command: list[str], folder: Path, ranks: int = 1) -> str:
+    """Run one program in the folder of a case; return what it printed.
+
+    Raises
+    ------
+    Failed
+        If it ends with an error.
+    """
+    words = command
+    if ranks > 1:
+        words = ["mpirun", "--oversubscribe", "-np", str(ranks), *command, "-parallel"]
+    answer = subprocess.run(
+        words, cwd=folder, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False
+    )
+    said = answer.stdout.decode(errors="replace")
+    if answer.returncode:
+        raise Failed(f"{command[0]} ended with status {answer.returncode}: {' '.join(said.split()[-30:])}")
+    return said
+
+
+class MeshFacts(NamedTuple):
+    """What there is to say about a mesh."""
+
+    cells: int
+    regions: int
+    finest_cells: int
+    """Cells of the highest level."""
+    finest_level: int
+    max_non_orthogonality: float
+    """[deg]"""
+    max_skewness: float
+    seconds: float
+    """That it took."""
+
+
+def mesh_facts(mesher: str, checker: str, seconds: float) -> MeshFacts:
+    """Read the output of `snappyHexMesh` and `checkMesh`."""
+    tables = re.findall(r"Cells per refinement level:\s*((?:\s*\d+\s+\d+\n)+)", mesher)
+    if not tables:
+        raise Failed("snappyHexMesh printed no table of its refinement levels")
+    levels = [tuple(map(int, line.split())) for line in tables[-1].strip().splitlines()]
+    level, count = max(pair for pair in levels if pair[1] > 0)
+    return MeshFacts(
+        cells=int(_found(r"\bcells:\s*(\d+)", checker) or 0),
+        regions=int(_found(r"Number of regions:\s*(\d+)", checker) or 0),
+        finest_cells=count,
+        finest_level=level,
+        max_non_orthogonality=float(_found(r"non-orthogonality Max:\s*(\S+)", checker) or np.nan),
+        max_skewness=float(_found(r"Max skewness = ([^\s,]+)", checker) or np.nan),
+        seconds=seconds,
+    )
+
+
+class History(NamedTuple):
+    """Forces on one link while the solver goes on; S samples, base axes."""
+
+    iteration: Floats
+    """(S,)"""
+    pressure: Floats
+    """(S, 3) force of the pressure [N]."""
+    viscous: Floats
+    """(S, 3) force of the friction [N]."""
+    couple: Floats
+    """(S, 3) moment about the link's centre [N m]."""
+
+    @property
+    def force(self) -> Floats:
+        """(S, 3) [N]."""
+        total: Floats = self.pressure + self.viscous
+        return total
+
+
+def read_histories(folder: Path, links: Mapping[str, object]) -> dict[str, History]:
+    """Read the forces of every link, over all restarts of the solver."""
+    return {name: _history(folder / "postProcessing" / name) for name in links}
+
+
+def _history(folder: Path) -> History:
+    starts = sorted(folder.iterdir(), key=lambda path: float(path.name))
+    force = np.concatenate([_numbers(start / "force.dat") for start in starts])
+    moment = np.concatenate([_numbers(start / "moment.dat") for start in starts])
+    # Columns: time, then total, pressure and viscous part.
+    return History(force[:, 0], force[:, 4:7], force[:, 7:10], moment[:, 1:4])
+
+
+def _numbers(path: Path) -> Floats:
+    text = path.read_text(encoding="utf-8").replace("(", " ").replace(")", " ")
+    rows = [line.split() for line in text.splitlines() if line and not line.startswith("#")]
+    return np.array(rows, dtype=np.float64)
+
+
+def read_y_plus(folder: Path) -> tuple[float, float]:
+    """Return mean over the links, and largest y+ of the wall's cells."""
+    path = max((folder / "postProcessing" / "yPlus").glob("*/yPlus.dat"), key=lambda file: float(file.parent.name))
+    rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    values = np.array([row[2:5] for row in rows if len(row) >= 5], dtype=np.float64)
+    return float(values[:, 2].mean()), float(values[:, 1].max())
+
+
+def last_residual(solver: str, field: str) -> float:
+    """Return the initial residual of a field in the last iteration that was printed."""
+    found = re.findall(rf"Solving for {field}, Initial residual = ([^\s,]+)", solver)
+    return float(found[-1]) if found else float("nan")
+
+
+def _found(pattern: str, text: str) -> str | None:
+    match = re.search(pattern, text)
+    return match.group(1) if match else None

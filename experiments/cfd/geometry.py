@@ -1,0 +1,177 @@
+"""The surface of the robot in a posture, in base axes: closed triangulated primitives, grouped by aerodynamic link."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments import Refused
+from jax_aero import rust
+from jax_aero.aero.dataset import JOINTS, Floats
+from jax_aero.files import write_text
+from jax_aero.urdf import Pose
+from jax_aero.view.shapes import Kind, Look, Shape, look_of
+
+SEGMENTS = 48
+"""Of a circle; its polygon is 0.3 % smaller in area than the circle, so it is drawn at the radius of equal area."""
+
+MARGIN = np.radians(2.01)
+"""Beyond a joint's stops: the robot in the wind tunnel stood with 12 degrees where its URDF stops at 10."""
+
+
+def triangles_of(kind: Kind, size: tuple[float, float, float]) -> Floats:
+    """Return the triangles (T, 3, 3) [m] of a primitive about its centre, with outward normals by the right hand."""
+    if kind == "box":
+        return _box(np.asarray(size))
+    if kind == "sphere":
+        latitude = np.linspace(-0.5 * np.pi, 0.5 * np.pi, SEGMENTS // 2 + 1)
+        return size[0] * _turned(np.cos(latitude), np.sin(latitude))
+    _, radius, length = size
+    across = radius * np.array([0.0, 1.0, 1.0, 0.0])
+    return _turned(across, 0.5 * length * np.array([-1.0, -1.0, 1.0, 1.0]))
+
+
+def _turned(radii: Floats, heights: Floats) -> Floats:
+    """Triangles of the body that a polyline from pole to pole describes when it turns about z."""
+    angle = 2.0 * np.pi * np.arange(SEGMENTS) / SEGMENTS
+    # A regular n-gon of circumradius r has the area n/2 sin(2π/n) r².
+    wide = np.sqrt(np.pi / (0.5 * SEGMENTS * np.sin(2.0 * np.pi / SEGMENTS))) * radii
+    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(SEGMENTS)], axis=-1)
+    points = wide[:, None, None] * ring + heights[:, None, None] * np.array([0.0, 0.0, 1.0])
+    points[[0, -1], :, :2] = 0.0
+    here, beside = points, np.roll(points, -1, axis=1)
+    lower = np.stack([here[:-1], beside[:-1], beside[1:]], axis=2)[1:]  # the first band has no edge below
+    upper = np.stack([here[:-1], beside[1:], here[1:]], axis=2)[:-1]
+    return np.concatenate([lower.reshape(-1, 3, 3), upper.reshape(-1, 3, 3)])
+
+
+def _box(edges: Floats) -> Floats:
+    found = []
+    for axis in range(3):
+        u, v = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
+        for sign in (1.0, -1.0):
+            corners = [sign * np.eye(3)[axis] + a * u + b * v for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+            corners = corners if sign > 0.0 else corners[::-1]
+            found += [[corners[0], corners[1], corners[2]], [corners[0], corners[2], corners[3]]]
+    return 0.5 * edges * np.array(found)
+
+
+def is_closed(triangles: Floats) -> bool:
+    """Return whether every edge is shared by two triangles that run along it in opposite directions."""
+    _, corner = np.unique(np.round(triangles.reshape(-1, 3), 9), axis=0, return_inverse=True)
+    faces = corner.reshape(-1, 3)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    one_way, counts = np.unique(edges, axis=0, return_counts=True)
+    other_way = np.unique(edges[:, ::-1], axis=0)
+    return bool(np.all(counts == 1)) and np.array_equal(one_way, other_way)
+
+
+def volume(triangles: Floats) -> float:
+    """Return the volume that closed triangles enclose [m³], by Gauss's theorem: `Σ a·(b × c)/6`."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def placed(triangles: Floats, pose: Pose) -> Floats:
+    """Return triangles in the axes that `pose` leads to."""
+    moved: Floats = triangles @ pose.rotation.T + pose.position
+    return moved
+
+
+class Surface(NamedTuple):
+    """What the air meets of one link."""
+
+    triangles: Floats
+    """(T, 3, 3) corners [m], outward normals by the right hand; bodies may overlap, each is closed."""
+    centre: Floats
+    """(3,) point about which the couple is counted [m]."""
+
+
+def robot_surfaces(robot: rust.Robot, joint_position_deg: Floats) -> dict[str, Surface]:
+    """Return the surface of every aerodynamic link in base axes, at joint angles (19,) [deg], order of `JOINTS`.
+
+    The centre of a link is its centre of mass, as in every aerodynamic table.
+
+    Raises
+    ------
+    Refused
+        If a joint is beyond its stops, or if a body does not close.
+    """
+    poses = body_poses(robot, joint_position_deg)
+    look = look_of(robot)
+    parts: dict[str, list[Floats]] = {link.name: [] for link in look.links}
+    for shape in look.shapes:
+        triangles = triangles_of(shape.kind, shape.size)
+        check_closed(shape.name, triangles)
+        parts[_link_of(shape, look, robot)].append(placed(triangles, poses[shape.body] @ shape.body_from_shape))
+    return {
+        link.name: Surface(
+            np.concatenate(parts[link.name]), poses[link.body].rotation @ link.position + poses[link.body].position
+        )
+        for link in look.links
+    }
+
+
+def check_closed(name: str, triangles: Floats) -> None:
+    """Refuse a body without an inside."""
+    if not is_closed(triangles) or volume(triangles) <= 0.0:
+        raise Refused(f"the surface of `{name}` does not close; expected outward triangles that share every edge")
+
+
+def body_poses(robot: rust.Robot, joint_position_deg: Floats) -> list[Pose]:
+    """Return the poses of the bodies from the base at joint angles (19,) [deg]; other joints are at zero."""
+    joints = np.zeros(len(robot.joint_names))
+    for name, angle in zip(JOINTS, np.radians(joint_position_deg), strict=True):
+        place = robot.joint_names.index(name)
+        low, high = robot.joint_stops[place]
+        if not low - MARGIN <= angle <= high + MARGIN:
+            raise Refused(
+                f"`{name}` is {np.degrees(angle):.1f} degrees; expected {np.degrees(low):.1f} to {np.degrees(high):.1f}"
+            )
+        joints[place] = angle
+    at = rust.dynamics(robot, rust.State.at_rest(robot, joints))
+    return [Pose(turn, place) for turn, place in zip(at.body_rotations, at.body_positions, strict=True)]
+
+
+def _link_of(shape: Shape, look: Look, robot: rust.Robot) -> str:
+    """Return the aerodynamic link that a shape counts to.
+
+    It is the link of the shape's own name, or else that of its body; bodies without a link count to the next one
+    outwards along the tree (torso to chest, shoulder to upper arm), at its ends inwards (foot to lower leg).
+    """
+    links = {link.name: link.body for link in look.links}
+    if shape.name in links:
+        return shape.name
+    carried = {body: name for name, body in reversed(links.items())}
+    carried |= {robot.body_names.index(name): name for name in links if name in robot.body_names}
+    inward = _inward(shape.body, look.parents)
+    outward = [body for body in range(len(look.parents)) if shape.body in _inward(body, look.parents)]
+    return next(carried[body] for body in (*outward, *inward) if body in carried)
+
+
+def _inward(body: int, parents: tuple[int, ...]) -> list[int]:
+    """Return a body and its ancestors, the base last."""
+    return [body, *_inward(parents[body], parents)] if parents[body] >= 0 else [body]
+
+
+def write_stl(surfaces: Mapping[str, Surface], path: Path) -> None:
+    """Write every surface as a solid of its own name."""
+    lines = []
+    for name, surface in surfaces.items():
+        a, b, c = np.moveaxis(surface.triangles, 1, 0)
+        normals = np.cross(b - a, c - a)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        lines.append(f"solid {name}")
+        for normal, corners in zip(normals, surface.triangles, strict=True):
+            lines += [f"facet normal {_numbers(normal)}", "outer loop"]
+            lines += [f"vertex {_numbers(corner)}" for corner in corners]
+            lines += ["endloop", "endfacet"]
+        lines.append(f"endsolid {name}")
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def _numbers(vector: Floats) -> str:
+    return " ".join(f"{value:.9g}" for value in vector)

@@ -1,0 +1,149 @@
+"""Verify the open solver on bodies with a known drag, and on the robot: `jax-aero cfd-verify NAME`.
+
+NAME is `sphere`, `cylinder` (free ends, five diameters long, across the wind), both at a Reynolds number of 1e5, or a
+posture, in head wind at the pitch that it flies at. Three meshes, each `ratio` times finer than the one before, then
+the coarsest with twice the iterations and in a larger cube. The observed order of accuracy is that of Richardson,
+
+    p = ln((C₁ − C₂)/(C₂ − C₃)) / ln(ratio),      C_∞ = C₃ + (C₃ − C₂)/(ratio^p − 1)
+
+and is given only where the three go one way and come closer. Needs OpenFOAM.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+import xarray as xr
+
+from experiments import Refused
+from experiments.cfd import foam
+from experiments.cfd.geometry import Surface, robot_surfaces, triangles_of
+from experiments.cfd.settings import Mesh, Settings, Shell, Solver
+from experiments.cfd.simulate import Result, simulate
+from experiments.import_cfd import known_postures
+from experiments.study import CONFIGS, Findings, Study
+from jax_aero import rust, tables
+from jax_aero.aero.dataset import Floats, wind_direction
+
+ROBOT = CONFIGS / "robot" / "ironcub_mk1.toml"
+DIAMETER = 0.0864
+"""Of sphere and cylinder [m]: a Reynolds number of 1e5 at 17 m/s; about that of an arm."""
+FLIES_AT = {"flight30": 30.0, "flight50": 50.0, "flight60": 60.0}
+"""Pitch of the postures of forward flight [deg]; others hover at 90."""
+
+
+class Subject(NamedTuple):
+    """What is simulated."""
+
+    surfaces: Mapping[str, Surface]
+    wind_b: Floats
+    area: float
+    """Over which the drag area is a coefficient [m²]."""
+    literature: float | None
+    source: str
+    mesh: Mesh
+
+
+class VerifyConfig(tables.Table, frozen=True):
+    """A verification."""
+
+    ratio: tables.Positive = 4.0 / 3.0
+    """Between the edges of cells of two meshes."""
+    finest: tables.Natural = 1
+    """How many of the three meshes are finer than that of the recipe."""
+    iterations: tables.Count = 160
+    """Of every solve."""
+
+
+def subject_of(name: str) -> Subject:
+    """Return what a name stands for."""
+    around = Mesh(
+        half_width=2.0,
+        base=0.32,
+        surface_level=6,
+        shells=tuple(Shell(distance=d, level=n) for d, n in ((0.005, 6), (0.03, 5), (0.08, 4), (0.2, 3), (0.6, 2))),
+    )
+    if name == "sphere":
+        body = Surface(triangles_of("sphere", (0.5 * DIAMETER,) * 3), np.zeros(3))
+        source = "0.47, White, Fluid Mechanics, table 7.3; 0.5, Achenbach 1972: before the drag crisis at 3e5"
+        return Subject({name: body}, np.array([1.0, 0.0, 0.0]), np.pi * DIAMETER**2 / 4, 0.47, source, around)
+    if name == "cylinder":
+        length = 5.0 * DIAMETER
+        body = Surface(triangles_of("cylinder", (0.5 * DIAMETER, 0.5 * DIAMETER, length)), np.zeros(3))
+        source = "0.74, White, Fluid Mechanics, table 7.3 (after Wieselsberger), length 5 diameters, free ends"
+        return Subject({name: body}, np.array([1.0, 0.0, 0.0]), DIAMETER * length, 0.74, source, around)
+    known = known_postures()
+    if name not in known:
+        raise Refused(f"no `{name}`; there are sphere, cylinder, {', '.join(known)}")
+    surfaces = robot_surfaces(rust.Robot(ROBOT), known[name])
+    return Subject(surfaces, wind_direction(FLIES_AT.get(name, 90.0), 0.0), 1.0, None, "", Mesh())
+
+
+def compute(name: str, config: VerifyConfig) -> Findings:
+    """Simulate and extrapolate."""
+    foam.environment()
+    subject = subject_of(name)
+    steps = [config.ratio ** (2 - config.finest - number) for number in range(3)]
+    coarsest = steps[0] * subject.mesh.base
+    width = 2.0 * coarsest * math.ceil(0.75 * subject.mesh.half_width / coarsest + 1e-9)
+    solver = msgspec.structs.replace(Settings().solver, iterations=config.iterations)
+    longer = msgspec.structs.replace(solver, iterations=2 * config.iterations)
+    plans: dict[str, tuple[float, float | None, Solver]]
+    plans = {f"base {step * subject.mesh.base:.3f} m": (step, None, solver) for step in steps}
+    plans |= {
+        "coarsest, twice the iterations": (steps[0], None, longer),
+        "coarsest, larger cube": (steps[0], width, solver),
+    }
+    found: dict[str, Result] = {}
+    for label, (step, half_width, chosen) in plans.items():
+        mesh = msgspec.structs.replace(
+            subject.mesh, base=step * subject.mesh.base, half_width=half_width or subject.mesh.half_width
+        )
+        with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
+            settings = Settings(mesh=mesh, solver=chosen)
+            (found[label],) = simulate(subject.surfaces, [subject.wind_b], settings, Path(scratch))
+        print(f"{name}, {label}: {found[label].reason or coefficient(found[label], subject)}", flush=True)
+    values = np.array([coefficient(result, subject) for result in found.values()])
+    summary: dict[str, Any] = {label: float(value) for label, value in zip(plans, values, strict=True)}
+    summary |= {f"{label}: cells": result.quality.get("cells") for label, result in found.items()}
+    summary |= {f"{label}: refused": result.reason for label, result in found.items() if result.reason}
+    summary |= extrapolated(values[:3], config.ratio)
+    summary["twice the iterations change it by"] = float(values[3] / values[0] - 1.0)
+    summary["the larger cube changes it by"] = float(values[4] / values[0] - 1.0)
+    if subject.literature is not None:
+        summary |= {"literature": subject.literature, "source": subject.source}
+        summary["finest over literature"] = float(values[2] / subject.literature)
+    data = xr.Dataset(
+        {"drag": ("run", values, {"long_name": "coefficient; of a posture the area in m2"})}, {"run": [*plans]}
+    )
+    return Findings(f"Open CFD verified: {name}", data, summary)
+
+
+def coefficient(result: Result, subject: Subject) -> float:
+    """Return the drag over the reference area; nan where there is none."""
+    total = np.sum([*result.force_area_b.values()], axis=0) if result.force_area_b else np.full(3, np.nan)
+    return float(total @ subject.wind_b / subject.area)
+
+
+def extrapolated(values: Floats, ratio: float) -> dict[str, float | str]:
+    """Return observed order and extrapolated value of three meshes, coarse to fine, or that there is none."""
+    first, second = values[0] - values[1], values[1] - values[2]
+    spread = {"finest and middle mesh differ by": float(abs(second / values[2]))}
+    if not first * second > 0.0 or abs(second) >= abs(first):
+        return {**spread, "observed order": "none: the three values do not converge"}
+    order = math.log(first / second) / math.log(ratio)
+    return {**spread, "observed order": order, "extrapolated": float(values[2] - second / (ratio**order - 1.0))}
+
+
+STUDY = Study("cfd_verify", __doc__, VerifyConfig, compute, ("sphere", "cylinder", "hovering"), engine="openfoam")
+main = STUDY.main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,295 @@
+"""The open solver: surfaces, files of a case, what is read, what is refused, resumption, and one real flow."""
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments import import_cfd
+from experiments.cfd import case, command, compare, design, foam, geometry, settings, simulate, verify
+from jax_aero import rust, tables
+from jax_aero.aero import dataset as ds
+from jax_aero.aero.dataset import LINKS
+from jax_aero.command import REFUSED, Refused
+
+ROBOT = "configs/robot/ironcub_mk1.toml"
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return rust.Robot(ROBOT)
+
+
+@pytest.fixture(scope="module")
+def hovering(robot):
+    return geometry.robot_surfaces(robot, import_cfd.known_postures()["hovering"])
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "volume"),
+    [
+        ("box", (0.1, 0.2, 0.3), 0.006),
+        ("cylinder", (0.1, 0.1, 0.5), np.pi * 0.005),
+        ("sphere", (0.1, 0.1, 0.1), 4e-3 * np.pi / 3),
+    ],
+)
+def test_a_primitive_closes_and_has_its_volume(kind, size, volume, agree):
+    triangles = geometry.triangles_of(kind, size)
+    assert geometry.is_closed(triangles)
+    assert not geometry.is_closed(triangles[1:])
+    assert not geometry.is_closed(np.concatenate([triangles[:1, ::-1], triangles[1:]]))
+    # Circles are polygons of equal area. Chords of an angle δ along the meridian cost a sphere δ²/4 + O(δ⁴).
+    chord = 2.0 * np.pi / geometry.SEGMENTS if kind == "sphere" else 0.0
+    agree(f"volume of a {kind}", geometry.volume(triangles) / volume, 1.0 - 0.25 * chord**2, chord**4 + 1e-12)
+
+
+def test_an_open_body_is_refused_by_name():
+    with pytest.raises(Refused, match="the surface of `shell` does not close"):
+        geometry.check_closed("shell", geometry.triangles_of("box", (1.0, 1.0, 1.0))[:-1])
+
+
+def test_every_link_has_a_surface_and_the_robot_is_its_own_mirror_image(hovering):
+    assert tuple(hovering) == LINKS
+    for index, (name, surface) in enumerate(hovering.items()):
+        other = hovering[LINKS[ds.LINK_TWINS[index]]]
+        # In the CAD model the chest's centre of mass is 1.3 mm off the plane of symmetry.
+        assert np.abs(surface.centre * ds.MIRROR_AXES - other.centre).max() < 4e-3, name
+        assert geometry.volume(surface.triangles) == pytest.approx(geometry.volume(other.triangles), rel=0.01)
+
+
+def test_feet_belong_to_the_lower_legs_and_shoulders_to_the_arms(hovering):
+    lowest = {name: surface.triangles[..., 2].min() for name, surface in hovering.items()}
+    assert min(lowest, key=lowest.__getitem__) in ("l_lower_leg", "r_lower_leg")
+    inmost = np.abs(hovering["l_upper_arm"].triangles[..., 1]).min()
+    assert inmost < np.abs(hovering["l_arm_jet_turbine"].triangles[..., 1]).min()
+
+
+def test_a_posture_beyond_the_stops_is_refused_in_degrees(robot):
+    joints = import_cfd.known_postures()["hovering"].copy()
+    joints[6] = 150.0
+    with pytest.raises(Refused, match=r"`l_elbow` is 150\.0 degrees; expected .* to 10[56]"):
+        geometry.robot_surfaces(robot, joints)
+
+
+def test_a_case_has_its_files_and_the_wind_in_them(hovering, tmp_path):
+    chosen = settings.Settings()
+    case.write_mesh_case(tmp_path, hovering, chosen.mesh)
+    case.write_wind_case(tmp_path, ds.wind_direction(90.0, 0.0), chosen)
+    stl = (tmp_path / "constant" / "triSurface" / "body.stl").read_text()
+    assert [line.split()[1] for line in stl.splitlines() if line.startswith("solid")] == list(LINKS)
+    assert "freestreamValue uniform (17 0 0);" in (tmp_path / "0" / "U").read_text()
+    # k = 3/2 (0.001 · 17)², ω = k / 1.469e-5.
+    assert "inletValue uniform 0.0004335;" in (tmp_path / "0" / "k").read_text()
+    assert "inletValue uniform 29.5098" in (tmp_path / "0" / "omega").read_text()
+    snappy = (tmp_path / "system" / "snappyHexMeshDict").read_text()
+    assert "levels ((0.01 6) (0.05 5) (0.15 4) (0.4 3) (1.2 2));" in snappy
+
+
+def test_a_body_too_large_for_the_cube_is_refused(hovering, tmp_path):
+    with pytest.raises(ValueError, match=r"`mesh\.half_width` is 1\.0; expected at least twice"):
+        case.write_mesh_case(tmp_path, hovering, settings.Mesh(half_width=1.0))
+
+
+FORCE = "# Time (total) (pressure) (viscous)\n{}\t(3 0 0)\t(2 0 0)\t(1 0 0)\n"
+
+
+def test_forces_are_read_over_restarts(tmp_path):
+    for start, at in ((0, 4), (16, 20)):
+        folder = tmp_path / "postProcessing" / "head" / str(start)
+        folder.mkdir(parents=True)
+        (folder / "force.dat").write_text(FORCE.format(at))
+        (folder / "moment.dat").write_text(FORCE.format(at))
+    history = foam.read_histories(tmp_path, {"head": None})["head"]
+    assert history.iteration.tolist() == [4.0, 20.0]
+    np.testing.assert_array_equal(history.force, [[3.0, 0.0, 0.0]] * 2)
+    np.testing.assert_array_equal(history.viscous, [[1.0, 0.0, 0.0]] * 2)
+
+
+def test_the_last_report_of_y_plus_is_read(tmp_path):
+    for start, value in ((16, 9.0), (100, 30.0)):
+        folder = tmp_path / "postProcessing" / "yPlus" / str(start)
+        folder.mkdir(parents=True)
+        (folder / "yPlus.dat").write_text(f"# Time patch min max average\n{start} head 1 {4 * value} {value}\n")
+    assert foam.read_y_plus(tmp_path) == (30.0, 120.0)
+
+
+LEVELS = "Cells per refinement level:\n    0\t10\n    1\t"
+MESHER = f"{LEVELS}5\n{LEVELS}7\n    2\t90\nWriting"
+CHECKER = "    cells:            107\n    Number of regions: 1 (OK).\n    Mesh non-orthogonality Max: 60.5 average: 9\n"
+FACTS = foam.mesh_facts(MESHER, CHECKER, 1.0)
+
+
+def test_the_last_table_of_levels_is_read():
+    assert (FACTS.cells, FACTS.finest_level, FACTS.finest_cells) == (107, 2, 90)
+    assert (FACTS.regions, FACTS.max_non_orthogonality) == (1, 60.5)
+    simulate.check_mesh(FACTS, 2.0, settings.Mesh(surface_level=2, base=0.5), settings.Accept())
+
+
+@pytest.mark.parametrize(
+    ("regions", "mesh", "words"),
+    [
+        (2, settings.Mesh(surface_level=2, base=0.5), "2 separate regions"),
+        (1, settings.Mesh(surface_level=3, base=0.5), "90 cells of level 2, its finest"),
+        (1, settings.Mesh(surface_level=2, base=0.1), "choose a smaller `mesh.base`"),
+    ],
+)
+def test_a_mesh_that_misses_its_level_or_leaks_is_refused(regions, mesh, words):
+    facts = FACTS._replace(regions=regions)
+    with pytest.raises(simulate.Unfit, match=words):
+        simulate.check_mesh(facts, 4.0, mesh, settings.Accept())
+
+
+def history_of(force):
+    steps = np.arange(4.0, 101.0, 4.0)
+    forces = np.zeros((len(steps), 3))
+    forces[:, 0] = force(steps)
+    return foam.History(steps, 0.9 * forces, 0.1 * forces, np.zeros_like(forces))
+
+
+@pytest.mark.parametrize(
+    ("force", "reason"),
+    [
+        (lambda t: 1.0 + np.exp(-t / 8.0), ""),
+        (lambda t: 1.0 + t / 500.0, "the force drifts by 5"),
+        (lambda t: 1.0 + 0.2 * np.cos(np.pi * t / 4.0), "the force oscillates by 20"),
+        (lambda t: np.where(t > 90.0, np.nan, 1.0), "the solver diverged"),
+    ],
+)
+def test_a_result_is_judged_by_its_window(force, reason):
+    chosen = settings.Settings(solver=settings.Solver(window=64))
+    result = simulate.reduce({"head": history_of(force)}, {"cells": 1.0}, chosen)
+    assert result.reason.startswith(reason)
+    assert bool(result.reason) == bool(reason)
+    if not reason:
+        pressure = 0.5 * 1.225 * 17.0**2
+        assert result.force_area_b["head"][0] == pytest.approx(1.0 / pressure, rel=2e-3)
+        assert result.quality["pressure share of the force"] == pytest.approx(0.9)
+
+
+def test_winds_of_a_sobol_design_fill_the_sphere_and_lie_on_the_grid():
+    winds = design.Winds(design="sobol", samples=64)
+    found = np.array([ds.wind_direction(*angles) for place in range(4) for angles in winds.of(place)])
+    np.testing.assert_allclose(found.mean(axis=0), 0.0, atol=0.02)  # 256 points of a sequence, balanced to 1/256
+    np.testing.assert_allclose(np.mean(found**2, axis=0), 1.0 / 3.0, atol=0.02)
+    rounded = design.Winds(design="sobol", samples=16, steps_deg=(10.0, 20.0)).of(3)
+    assert all(pitch % 10 == 0 and yaw % 20 == 0 and 0 <= pitch <= 180 and -180 <= yaw < 180 for pitch, yaw in rounded)
+    assert design.Winds(design="sobol", samples=64).of(1)[0] != winds.of(0)[0]
+
+
+@pytest.mark.parametrize(
+    ("winds", "words"),
+    [
+        ({"design": "sobol"}, "`winds.samples` is 0; expected at least 1"),
+        ({"design": "list", "pitch_deg": [90], "yaw_deg": [0, 1]}, "`winds.yaw_deg` has 2 values; expected 1"),
+        ({"design": "grid", "pitch_deg": [190], "yaw_deg": [0]}, "`winds.pitch_deg` has 190; expected 0 to 180"),
+    ],
+)
+def test_winds_that_cannot_be_are_refused(winds, words):
+    with pytest.raises(Refused, match=words):
+        tables.convert({"title": "x", "robot": ROBOT, "postures": ["hovering"], "winds": winds}, design.Spec, "x.toml")
+
+
+@pytest.fixture
+def small(tmp_path):
+    winds = design.Winds(design="list", pitch_deg=(90.0, 60.0, 30.0), yaw_deg=(0.0, 20.0, 0.0))
+    spec = design.Spec(title="made up", postures=("hovering", "Config5"), winds=winds, robot=Path(ROBOT))
+    return design.Design("small", spec)
+
+
+class Fake:
+    """A solver that pushes every link along the wind, refuses one wind, and can be killed after some cases."""
+
+    def __init__(self, lives=99):
+        self.lives, self.solved, self.meshed = lives, 0, 0
+
+    def __call__(self, surfaces, winds, *_):
+        self.meshed += 1
+        for wind in winds:
+            if self.solved == self.lives:
+                raise KeyboardInterrupt
+            self.solved += 1
+            if abs(wind[1]) > 0.1:
+                yield simulate.Result(reason="the force drifts")
+                continue
+            area = tuple((0.01 * wind).tolist())
+            yield simulate.Result("", dict.fromkeys(surfaces, area), dict.fromkeys(surfaces, area), {"cells": 7.0})
+
+
+def test_a_design_that_was_killed_goes_on_and_says_what_it_refused(small, tmp_path):
+    killed, rest = Fake(lives=4), Fake()
+    with pytest.raises(KeyboardInterrupt):
+        command.compute(small, tmp_path, killed)
+    command.compute(small, tmp_path, rest)
+    assert (killed.solved, killed.meshed, rest.solved, rest.meshed) == (4, 2, 2, 1)
+    said = command.collect(small, tmp_path)
+    assert "4 accepted, 2 refused, 0 not computed, 2 postures" in said
+    assert "Config5_60_20: the force drifts" in said
+    data = ds.load(tmp_path / "dataset.nc")
+    assert data.quality["cells"].tolist() == [7.0] * 4
+    np.testing.assert_allclose(data.force_area_b[0, 3], 0.01 * data.wind_b[0])
+    both = data.mirrored()
+    np.testing.assert_allclose(both.couple_volume_b[4:], -both.couple_volume_b[:4] * ds.MIRROR_AXES)
+    assert json.loads((tmp_path / "manifest.json").read_text())["summary"]["accepted"] == 4
+    command.compute(small, tmp_path, Fake(lives=0))  # nothing is left to do
+
+
+def test_a_folder_of_other_settings_is_refused(small, tmp_path):
+    command.compute(small, tmp_path, Fake())
+    finer = settings.Settings(mesh=settings.Mesh(base=0.5))
+    other = design.Design("small", design.Spec(**{**_fields(small.spec), "settings": finer}))
+    with pytest.raises(Refused, match="holds cases of other settings; choose another --out"):
+        command.compute(other, tmp_path, Fake())
+
+
+def _fields(spec):
+    return {name: getattr(spec, name) for name in spec.__struct_fields__}
+
+
+def test_the_order_of_three_meshes_is_observed_only_where_they_converge(agree):
+    # C = 0.5 + h², on edges 4/3 apart: order 2, limit 0.5.
+    values = 0.5 + np.array([16.0 / 9.0, 1.0, 9.0 / 16.0]) * 1e-2
+    found = verify.extrapolated(values, 4.0 / 3.0)
+    agree("order", found["observed order"], 2.0, 1e-9)
+    agree("limit", found["extrapolated"], 0.5, 1e-9)
+    assert "none" in verify.extrapolated(np.array([0.5, 0.6, 0.55]), 2.0)["observed order"]
+
+
+def test_rows_are_matched_directly_or_as_mirror_images_and_averaged_with_them(small, tmp_path):
+    command.compute(small, tmp_path, Fake())
+    command.collect(small, tmp_path)
+    ours = compare.symmetrised(ds.load(tmp_path / "dataset.nc"))
+    # Hovering in head wind is its own mirror image: the average has no side force.
+    assert np.abs(ours.force_area_b.sum(axis=1)[ours.posture == "hovering", 1]).max() == 0.0
+    images = ours.mirrored().take(slice(len(ours), None))
+    table = dataclasses.replace(images, is_mirrored=np.zeros(len(ours), dtype=bool))
+    here, there = compare.matched(ours, table)
+    assert len(here) == len(ours)
+    np.testing.assert_array_equal(here.force_area_b, there.force_area_b)
+
+
+def test_without_openfoam_the_command_names_what_installs_it(monkeypatch, capsys):
+    monkeypatch.setenv("PATH", "/nowhere")
+    assert command.main(["anchors"]) == REFUSED
+    assert "apt-get install openfoam" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(shutil.which("simpleFoam") is None, reason=foam.MISSING.format("simpleFoam"))
+def test_a_sphere_is_dragged_along_the_wind(tmp_path):
+    """A coarse sphere, 0.6 m wide: 20 iterations are enough for direction and size of its drag."""
+    sphere = geometry.Surface(geometry.triangles_of("sphere", (0.3, 0.3, 0.3)), np.zeros(3))
+    shells = (settings.Shell(distance=0.2, level=2), settings.Shell(distance=0.8, level=1))
+    chosen = settings.Settings(
+        mesh=settings.Mesh(half_width=3.0, base=0.5, surface_level=3, shells=shells),
+        solver=settings.Solver(upwind_iterations=8, iterations=40, window=16, sampling=2),
+        accept=settings.Accept(drift=0.2, oscillation=0.2),
+    )
+    wind = np.array([0.6, 0.0, 0.8])
+    (result,) = simulate.simulate({"head": sphere}, [wind], chosen, tmp_path)
+    assert result.reason == ""
+    area = np.array(result.force_area_b["head"])
+    # 0.1 to 0.5 is every drag coefficient that was measured on a sphere from 1e5 to 1e6 (Achenbach 1972).
+    assert 0.1 < area @ wind / (np.pi * 0.09) < 0.6
+    assert np.linalg.norm(area - (area @ wind) * wind) < 0.1 * (area @ wind)
