@@ -10,12 +10,14 @@ import argparse
 import shlex
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
-from experiments import Refused, flight, manifest, overrides
+from experiments import flight, manifest, overrides
 from experiments.engines import ENGINES
 from experiments.table import outcome_table
 from jax_aero import cli, places
+from jax_aero.command import exit_status
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -38,21 +40,17 @@ def fly(words: Sequence[str]) -> int:
     if given.list or not names:
         _print_list()
         return 0 if given.list else 2
-    try:
+
+    def work() -> None:
         changes = overrides.parse([*given.set, *([f"engine={given.engine}"] if given.engine else [])])
         paths = [flight.find(name) for name in names]
         command = _command(given)
         finished = [
             flight.run(path, changes, command=command, out=given.out, overwrite=given.overwrite) for path in paths
         ]
-    except Refused as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted; the flight under way left nothing behind", file=sys.stderr)
-        return cli.INTERRUPTED
-    print(outcome_table(finished))
-    return 0
+        print(outcome_table(finished))
+
+    return exit_status(work, interrupted="the flight under way left nothing behind")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -68,7 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--all", action="store_true", help="every experiment of configs/experiments")
     parser.add_argument("--engine", choices=sorted(ENGINES), help="engine (default: that of the configuration)")
-    parser.add_argument("--out", type=cli.path, metavar="DIR", help="folder for the results (default results/flight)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/flight)")
     parser.add_argument("--overwrite", action="store_true", help="fly again and replace a result that is there")
     parser.add_argument("--list", action="store_true", help="list the experiments and stop")
     return parser

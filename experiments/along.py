@@ -69,6 +69,7 @@ def run(names: Sequence[str]) -> dict[str, Any]:
         summary=figures(dataset),
         command=["jax-aero", "along", *names],
         engine="casadi",
+        code=[__name__],
         timings_s={"all": time.perf_counter() - started},
     )
     record.write_run(study.RESULTS / KIND / NAME, dataset, document, replace=True)

@@ -64,7 +64,8 @@ def run() -> dict[str, Any]:
         },
         {"experiment": list(EXPERIMENTS), "engine": list(ENGINES)},
     )
-    config = {"engines": ENGINES, "experiments": EXPERIMENTS}
+    flights = {name: rust.config_digest(rust.load_config(flight.find(name))) for name in EXPERIMENTS}
+    config = {"engines": ENGINES, "experiments": flights}
     dataset.attrs |= {"title": "Engines of the arms", "config_hash": study.digest(config, [ROBOT])}
     document = manifest.build(
         NAME,
@@ -74,6 +75,7 @@ def run() -> dict[str, Any]:
         summary=found,
         command=["jax-aero", "arm-engines"],
         engine="numpy",
+        code=[__name__],
         timings_s={"all": time.perf_counter() - started},
     )
     record.write_run(study.RESULTS / KIND / NAME, dataset, document, replace=True)

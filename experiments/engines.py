@@ -24,6 +24,10 @@ class Failure:
     reason: str
 
 
+MODULES = {"rust": "jax_aero.rust", "jax": "jax_aero.sim", "mujoco": "jax_aero.mujoco_ground"}
+"""Where each engine is."""
+
+
 class Engine(Protocol):
     """One way to fly."""
 
@@ -60,7 +64,7 @@ class Jax:
 
     def __init__(self) -> None:
         try:
-            module = importlib.import_module("jax_aero.sim")
+            module = importlib.import_module(MODULES["jax"])
             self._fly: Callable[..., rust.FlightResult] = module.fly
             self._fly_batch: Callable[..., list[rust.FlightResult]] = module.fly_batch
         except (ImportError, AttributeError) as reason:
@@ -92,7 +96,7 @@ class Mujoco:
 
     def __init__(self) -> None:
         try:
-            module = importlib.import_module("jax_aero.mujoco_ground")
+            module = importlib.import_module(MODULES["mujoco"])
             self._fly: Callable[..., rust.FlightResult] = module.fly
         except ImportError as reason:
             raise Refused(

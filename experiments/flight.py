@@ -14,7 +14,9 @@ from typing import Any
 from tqdm import tqdm
 
 from experiments import Refused, engines, manifest, overrides, record, study
+from experiments.sources import code_hash
 from jax_aero import rust
+from jax_aero.files import damaged
 
 CONFIGS = manifest.REPOSITORY / "configs" / "experiments"
 RESULTS = manifest.RESULTS / "flight"
@@ -47,7 +49,9 @@ def run(
         raise Refused(f"{path.stem}: {reason}") from None
     name = path.stem if out else path.stem + overrides.folder_suffix(changes)
     folder = (out or RESULTS) / name
-    finished = existing(folder, rust.config_digest(config), overwrite=overwrite)
+    engine = engines.engine_of(config)
+    code = (__name__, engines.MODULES[engine])
+    finished = existing(folder, rust.config_digest(config), code_hash(*code), overwrite=overwrite)
     if finished is not None:
         return finished
 
@@ -63,7 +67,8 @@ def run(
         rust.config_digest(config),
         summary=flight.summary,
         command=shlex.split(command),
-        engine=engines.engine_of(config),
+        engine=engine,
+        code=code,
         outcome=flight.outcome,
         lost_time=flight.lost_time,
         lost_reason=flight.lost_reason,
@@ -83,19 +88,26 @@ def run(
     return document
 
 
-def existing(folder: Path, digest: str, *, overwrite: bool) -> dict[str, Any] | None:
-    """Return the manifest of an equal finished result; refuse to touch anything else that is there."""
+def existing(folder: Path, digest: str, code: str | None, *, overwrite: bool) -> dict[str, Any] | None:
+    """Return the manifest of an equal finished result; refuse to touch anything else that is there.
+
+    A result of other code (`code`, where that is known) is kept too, and its age told.
+    """
     if not folder.exists():
         return None
     shown = os.path.relpath(folder)
     if overwrite:
-        if not folder.is_dir() or record.unrelated_files(folder):
-            raise Refused(f"{shown} holds more than a result, so it is not overwritten")
+        others = record.unrelated_files(folder) if folder.is_dir() else [folder.name]
+        if others:
+            raise Refused(f"{shown} holds more than a result ({others[0]}), so it is not overwritten")
         return None
     finished = record.read_manifest(folder)
     if finished is not None and finished.get("config_digest") == digest:
+        if name := damaged(folder, finished.get("files", {})):
+            raise Refused(f"{shown}/{name} is not what was written there; --overwrite flies it again")
         commit = (finished.get("git") or {}).get("commit") or "unknown"
-        print(f"{shown} has this flight already (commit {commit[:10]}); --overwrite flies it again")
+        other = "" if code in (None, finished.get("code_hash")) else " by other code"
+        print(f"{shown} has this flight already, flown{other} (commit {commit[:10]}); --overwrite flies it again")
         return finished
     what = "no finished result" if finished is None else "the result of another configuration"
     raise Refused(f"{shown} holds {what}; choose another --out, or --overwrite it")

@@ -129,6 +129,7 @@ def run(name: str, train: Path | None = None, test: Path | None = None, logs: Pa
         summary=figures(dataset),
         command=["jax-aero", "identify-engine", "--engine", name],
         engine="jax",
+        code=[__name__],
         timings_s={"all": time.perf_counter() - started},
     )
     record.write_run(study.RESULTS / KIND / name, dataset, document, replace=True)

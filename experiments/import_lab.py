@@ -44,7 +44,7 @@ def read(path: Path, folder: Path, *, overwrite: bool = False) -> dict[str, Any]
         digest = rust.config_digest(config)
     except (OSError, ValueError, KeyError, TypeError) as reason:
         raise Refused(f"{path} is no run of the lab: {reason!r}") from None
-    if flight.existing(folder, digest, overwrite=overwrite) is None:
+    if flight.existing(folder, digest, None, overwrite=overwrite) is None:
         written = {
             **{key: value for key, value in document.items() if key not in ("format", "version", "log", "has_ended")},
             "name": folder.name,

@@ -9,7 +9,6 @@ about the balance centre, the hip-pitch axis and the centre of mass, with an unc
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,6 +24,7 @@ from jax_aero.aero import tunnel
 from jax_aero.aero.dataset import Floats
 from jax_aero.aero.posture import centres_of_mass
 from jax_aero.aero.tunnel import Points, Test
+from jax_aero.cli import Parser
 from jax_aero.robot import load_robot
 
 TESTS = manifest.REPOSITORY / "configs" / "tables" / "tunnel_tests.toml"
@@ -36,7 +36,7 @@ SIDES = ("below", "above")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
-    parser = argparse.ArgumentParser(prog="jax-aero import-tunnel", description=__doc__)
+    parser = Parser("import-tunnel", __doc__)
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--clone", type=Path, metavar="DIR", help="a local clone of element_cfd-simulation")
     source.add_argument("--table", type=Path, metavar="FILE", help="a table of points of one robot (CSV)")
@@ -51,7 +51,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for points in found:
             data = reduced(points, given.side)
             path = out / f"tunnel_{points.robot}.nc"
-            path.parent.mkdir(parents=True, exist_ok=True)
             record.write_dataset(data, path)
             print(summary(data), path, sep="\n")
         if given.clone:

@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path, PurePath
 from typing import Any
 
+from experiments.sources import code_hash
 from jax_aero import places, rust
 
 REPOSITORY, RESULTS = places.HOME, places.RESULTS
@@ -27,9 +28,13 @@ def build(
     summary: Mapping[str, Any],
     command: Sequence[str],
     engine: str,
+    code: Sequence[str],
     **more: Any,
 ) -> dict[str, Any]:
-    """Return the manifest of one result, ready for JSON; `more` are entries of its kind alone."""
+    """Return the manifest of one result, ready for JSON.
+
+    `code` are the modules that made it, and `more` entries of its kind alone.
+    """
     return {
         "name": name,
         "title": title,
@@ -37,6 +42,7 @@ def build(
         "summary": {key: _finite(value) for key, value in summary.items()},
         "config_digest": digest,
         "config": portable(config),
+        "code_hash": code_hash(*code),
         "command": shlex.join(str(portable(word)) for word in command),
         "engine": engine,
         **more,

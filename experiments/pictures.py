@@ -67,12 +67,13 @@ def run() -> dict[str, Any]:
         },
         {"posture": list(named), "colour": colour, "xyz": ["x", "y", "z"], "link": list(robot.aero_link_names)},
     )
+    files = [ROBOT, study.RESULTS / "flight" / FLIGHT / record.RUN_FILE]
     config = {
         "flight": FLIGHT,
         "moment": MOMENT,
         "postures": {name: list(joints.values()) for name, joints in named.items()},
     }
-    dataset.attrs |= {"title": "Pictures of the paper", "config_hash": study.digest(config, [ROBOT])}
+    dataset.attrs |= {"title": "Pictures of the paper", "config_hash": study.digest(config, files)}
     document = manifest.build(
         NAME,
         dataset.attrs["title"],
@@ -81,6 +82,7 @@ def run() -> dict[str, Any]:
         summary={"postures": len(named)},
         command=["jax-aero", "pictures"],
         engine="mujoco",
+        code=[__name__],
         timings_s={"all": time.perf_counter() - started},
     )
     record.write_run(study.RESULTS / KIND / NAME, dataset, document, replace=True)

@@ -1,7 +1,7 @@
 """Result folders: what they hold and how they are written; the interface between runs and figures.
 
 A folder holds `run.nc` (every signal, with unit and named coordinates) and `manifest.json` (what
-was flown, by which code, on what machine). It appears complete or not at all.
+was flown, by which code, on what machine, and the checksum of every other file). It appears complete or not at all.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import xarray as xr
 
 from experiments import Refused
 from jax_aero import rust
-from jax_aero.files import complete_folder, write_json
+from jax_aero.files import checksums, complete_folder, write_json, write_netcdf, write_text
 from jax_aero.result import FlightResult
 
 RUN_FILE = "run.nc"
@@ -97,7 +97,7 @@ def write_dataset(dataset: xr.Dataset, path: Path) -> None:
     """Write NetCDF-4, compressed losslessly."""
     packed = {"zlib": True, "complevel": 1, "shuffle": True}
     encoding = {str(name): packed for name in dataset.data_vars}
-    dataset.to_netcdf(path, engine="h5netcdf", encoding=encoding)
+    write_netcdf(path, dataset, encoding)
 
 
 def write_run(
@@ -112,12 +112,12 @@ def write_run(
     """Write a whole result folder at once; `texts` are further files by name, and `more` writes others into it."""
     with complete_folder(folder, replace=replace) as draft:
         write_dataset(dataset, draft / RUN_FILE)
-        write_json(draft / MANIFEST_FILE, manifest)
         for name, text in (texts or {}).items():
-            (draft / name).write_text(text, encoding="utf-8")
+            write_text(draft / name, text)
         more(draft)
-        own = {entry.name for entry in draft.iterdir()}
-        if replace and folder.exists() and (others := {entry.name for entry in folder.iterdir()} - own):
+        files = checksums(draft)
+        write_json(draft / MANIFEST_FILE, {**manifest, "files": files})
+        if replace and folder.exists() and (others := set(unrelated_files(folder)) - set(files)):
             raise Refused(f"{folder.name} holds more than a result ({min(others)}), so it is not replaced")
 
 
@@ -131,5 +131,7 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
 
 
 def unrelated_files(folder: Path) -> list[str]:
-    """Return the names in a folder that belong to no result; replacing the result would delete them."""
-    return sorted(entry.name for entry in folder.iterdir() if entry.name not in (RUN_FILE, MANIFEST_FILE))
+    """Return the files in a folder that its manifest does not list; replacing the result would delete them."""
+    own = {RUN_FILE, MANIFEST_FILE, *((read_manifest(folder) or {}).get("files") or {})}
+    paths = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir())
+    return sorted(path for path in paths if path not in own)

@@ -20,6 +20,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 import xarray as xr
 
 from experiments import Refused, manifest, overrides, record
+from experiments.sources import file_hash
 from jax_aero import places, rust, tables
 from jax_aero.cli import Parser, completes
 from jax_aero.command import exit_status
@@ -122,6 +123,7 @@ class Study(Generic[C]):
             summary=findings.summary,
             command=self._command(name, changes or {}),
             engine=self.engine,
+            code=[self.compute.__module__],
             timings_s={key: round(seconds, 4) for key, seconds in timings.items()},
         )
         dataset = findings.dataset.assign_attrs(title=findings.title, config_hash=digested)
@@ -164,8 +166,7 @@ def schema_of(kind: str, folder: Path) -> str:
 
 
 def digest(config: Mapping[str, Any], files: Sequence[Path]) -> str:
-    """SHA-256 over a configuration and the files it names; the same on every machine."""
-    total = hashlib.sha256(json.dumps(manifest.portable(config), sort_keys=True).encode())
-    for file in files:
-        total.update(file.read_bytes())
-    return total.hexdigest()
+    """SHA-256 over a configuration and some files, with those that they name; the same on every machine."""
+    hashes = [file_hash(file) for file in files]
+    text = json.dumps([manifest.portable(config), hashes], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()

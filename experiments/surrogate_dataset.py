@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from experiments import Refused, manifest
+from experiments import Refused, manifest, study
 from experiments.import_cfd import OUT, POSTURES, keep, known_postures
 from jax_aero.aero.cfd_import import AIR_DENSITY, SPEED, checks
 from jax_aero.aero.dataset import Dataset, Floats, wind_direction
@@ -74,7 +74,7 @@ def compute(names: Sequence[str], model: Path, parts: Path) -> Dataset:
     robot = load_robot(ROBOT)
     surrogate = load_surrogate(model, robot)
     features = batched_features(robot, surrogate.panels, surrogate.wake)
-    digest = hashlib.sha256(b"".join(path.read_bytes() for path in (ROBOT, model, POSTURES))).hexdigest()
+    digest = study.digest({}, [ROBOT, model, POSTURES])
     pitch, yaw = (grid.ravel() for grid in np.meshgrid(PITCHES, YAWS, indexing="ij"))
     wind = wind_direction(pitch, yaw)
     parts.mkdir(parents=True, exist_ok=True)

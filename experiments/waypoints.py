@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from jax_aero import places, rust, tables
 from jax_aero.cli import REFUSED, Parser, completes
-from jax_aero.cli import path as cli_path
 from jax_aero.files import write_text
 from jax_aero.tables import Positive, Table
 
@@ -84,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = Parser("waypoints", __doc__)
     named = parser.add_argument("name", metavar="NAME", help="a name in configs/waypoints, or the path of a TOML file")
     completes(named, lambda: places.names("waypoints"))
-    parser.add_argument("--out", type=cli_path, metavar="DIR", help="folder for the result (default results/waypoints)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the result (default results/waypoints)")
     given = parser.parse_args(arguments)
     try:
         path = places.find("waypoints", given.name)

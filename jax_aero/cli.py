@@ -19,6 +19,7 @@ import argcomplete
 
 from jax_aero.command import INTERRUPTED as INTERRUPTED
 from jax_aero.command import REFUSED as REFUSED
+from jax_aero.command import told
 from jax_aero.places import did_you_mean
 
 CLOSED = 141
@@ -92,6 +93,7 @@ class Parser(argparse.ArgumentParser):
             formatter_class=argparse.RawDescriptionHelpFormatter,
             **more,
         )
+        self.register("type", Path, _path)
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Return the arguments; anything that is not understood ends the program with status 2."""
@@ -108,8 +110,8 @@ class Parser(argparse.ArgumentParser):
             raise argparse.ArgumentError(action, f"`{value}` is unknown{did_you_mean(str(value), action.choices)}")
 
 
-def path(text: str) -> Path:
-    """Return a path that is given as an argument; an empty one is a mistake, not the current folder."""
+def _path(text: str) -> Path:
+    """Return the path of an argument of `type=Path`; an empty one is a mistake, not the current folder."""
     if not text:
         raise argparse.ArgumentTypeError("the path is empty; expected a file or folder")
     return Path(text)
@@ -150,6 +152,8 @@ def run(name: str, words: Sequence[str]) -> int:
     except BrokenPipeError:  # as of `| head`; nothing more can be said there
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return CLOSED
+    except OSError as reason:  # a full disk, a folder that is read-only
+        return _refuse(told(reason))
 
 
 def _refuse(message: str) -> int:

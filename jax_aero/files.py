@@ -1,14 +1,24 @@
-"""Files and folders that appear completely or not at all."""
+"""Files and folders that appear completely or not at all, and are on the disk when they appear.
+
+Names of drafts are fixed, and whoever writes a folder or a sweep holds its lock: a draft that is found under the lock
+was left by a process that was killed.
+"""
 
 from __future__ import annotations
 
+import fcntl
+import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator
+import socket
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+
+from jax_aero.command import Refused
 
 
 @contextmanager
@@ -19,38 +29,151 @@ def complete_file(target: Path) -> Iterator[Path]:
     draft = target.with_name(f".{target.stem}.{os.getpid()}.draft{target.suffix}")
     try:
         yield draft
+        _sync(draft)
         draft.replace(target)
+        _sync(target.parent)
+    except OSError as reason:
+        raise OSError(reason.errno, reason.strerror, str(target)) from reason  # a full disk names no file
     finally:
         draft.unlink(missing_ok=True)
 
 
 @contextmanager
 def complete_folder(target: Path, *, replace: bool = False) -> Iterator[Path]:
-    """Yield a draft folder that becomes `target` when the block ends, and is removed when the block raises."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    draft = target.with_name(f".{target.name}.{os.getpid()}.draft")
-    retired = target.with_name(f".{target.name}.{os.getpid()}.old")
-    draft.mkdir()
-    try:
-        yield draft
-        if replace and target.exists():
-            target.rename(retired)
-        draft.rename(target)
-    except BaseException:
+    """Yield a draft folder that becomes `target` when the block ends, and is removed when the block raises.
+
+    A process that was killed between the two renames of a replacement leaves the old folder under another name: the
+    next one puts it back.
+
+    Raises
+    ------
+    Refused
+        If another process writes the same folder.
+    OSError
+        If `target` is there without `replace`, or the disk is full.
+    """
+    draft, retired = (target.with_name(f".{target.name}.{word}") for word in ("draft", "old"))
+    with locked(target):
         if retired.exists() and not target.exists():
             retired.rename(target)
-        raise
+        for left in (draft, retired):
+            shutil.rmtree(left, ignore_errors=True)
+        draft.mkdir()
+        try:
+            yield draft
+            for path in [*draft.rglob("*"), draft]:
+                _sync(path)
+            if replace and target.exists():
+                target.rename(retired)
+            draft.rename(target)
+            _sync(target.parent)
+        except BaseException:
+            if retired.exists() and not target.exists():
+                retired.rename(target)
+            raise
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
+            shutil.rmtree(retired, ignore_errors=True)
+
+
+@contextmanager
+def locked(target: Path) -> Iterator[None]:
+    """Hold the lock of a file or folder: `.NAME.lock` beside it, which names this process and goes with the block.
+
+    The system frees a lock when its process ends, however it ends, and the next one takes it over. Only a lock of
+    another machine is left alone: whether that process lives is not seen from here.
+
+    Raises
+    ------
+    Refused
+        Naming process, machine and start of whoever holds it.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    path = target.with_name(f".{target.name}.lock")
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            _take(descriptor, path, target)
+            if path.exists() and os.path.samestat(os.fstat(descriptor), path.stat()):
+                break  # and not a file that its holder has removed since it was opened
+        except BaseException:
+            os.close(descriptor)
+            raise
+        os.close(descriptor)
+    try:
+        yield
     finally:
-        shutil.rmtree(draft, ignore_errors=True)
-        shutil.rmtree(retired, ignore_errors=True)
+        path.unlink(missing_ok=True)
+        os.close(descriptor)
+
+
+def _take(descriptor: int, path: Path, target: Path) -> None:
+    """Lock an open file and write into it who holds it."""
+    here = socket.gethostname()
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        is_taken = False
+    except BlockingIOError:
+        is_taken = True
+    try:
+        holder = json.loads(os.pread(descriptor, 4096, 0))
+        who = f"process {holder['pid']} on {holder['host']} since {holder['since']}"
+        is_elsewhere = holder["host"] != here
+    except (ValueError, KeyError, TypeError):  # its name is not there yet, or never will be
+        who, is_elsewhere = "another process", False
+    if is_taken or is_elsewhere:
+        hint = f"; if that process has ended, remove {os.path.relpath(path)}" if is_elsewhere else ""
+        raise Refused(f"{os.path.relpath(target)} is being written by {who}{hint}")
+    me = {"pid": os.getpid(), "host": here, "since": datetime.now(UTC).isoformat(timespec="seconds")}
+    os.ftruncate(descriptor, 0)
+    os.pwrite(descriptor, json.dumps(me).encode(), 0)
+
+
+def _sync(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def checksums(folder: Path) -> dict[str, str]:
+    """Return the SHA-256 of every file of a folder, by its path in it."""
+    paths = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix(): _sha256(path) for path in paths}
+
+
+def damaged(folder: Path, checksums: Mapping[str, str]) -> str | None:
+    """Return the first file that is not what it was when its checksum was taken, or `None`."""
+
+    def is_whole(name: str, checksum: str) -> bool:
+        return (folder / name).is_file() and _sha256(folder / name) == checksum
+
+    return next((name for name, checksum in checksums.items() if not is_whole(name, checksum)), None)
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def write_bytes(path: Path, content: bytes | memoryview) -> None:
+    """Write a file in one go; a disk that is full is an `OSError` and leaves what was there."""
+    with complete_file(path) as draft:
+        draft.write_bytes(content)
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file in UTF-8."""
-    with complete_file(path) as draft:
-        draft.write_text(text, encoding="utf-8")
+    write_bytes(path, text.encode())
 
 
 def write_json(path: Path, document: Any) -> None:
     """Write a JSON document; NaN and infinity are refused with a `ValueError`, since JSON has neither."""
     write_text(path, json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def write_netcdf(path: Path, dataset: Any, encoding: Any = None) -> None:
+    """Write an xarray dataset as NetCDF-4. HDF5 works in memory, since it ends the process where a disk is full."""
+    write_bytes(path, dataset.to_netcdf(engine="h5netcdf", encoding=encoding))

@@ -75,7 +75,15 @@ def load(results: Path, name: str) -> Run:
             f"no flight `{name}` in {results}; fly it with: python -m experiments {stem}{elsewhere}"
             + (" --set ... (the changes in its name)" if stem != name else "")
         )
-    return Run(name, xr.load_dataset(path, engine="h5netcdf"))
+    return Run(name, read(path))
+
+
+def read(path: Path) -> xr.Dataset:
+    """Read a result file; what is damaged counts as missing."""
+    try:
+        return xr.load_dataset(path, engine="h5netcdf")
+    except Exception as reason:  # HDF5 fails in many ways on a damaged file
+        raise MissingRun(f"{path} is damaged ({reason}); remove its folder and make it again") from reason
 
 
 def default_results() -> Path:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import xarray as xr
 
-from paper_figs.runs import MissingRun
+from paper_figs.runs import MissingRun, read
 
 
 def load(results: Path, kind: str, name: str) -> xr.Dataset:
@@ -16,4 +16,4 @@ def load(results: Path, kind: str, name: str) -> xr.Dataset:
         words = f"train {name} --dataset FILE" if kind == "training" else f"{kind.replace('_', '-')} {name}"
         option = " --map" if kind == "trim" else ""
         raise MissingRun(f"no study `{name}` in {path.parents[1]}; make it with: python -m experiments {words}{option}")
-    return xr.load_dataset(path, engine="h5netcdf")
+    return read(path)

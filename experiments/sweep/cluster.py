@@ -22,7 +22,7 @@ QUEUED_PER_CPU = 2
 
 
 class OtherBuild(Exception):
-    """A node has another build of the crate."""
+    """A node has other code."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def _spread(ray: Any, design: Design, chunks: list[int]) -> Iterator[tuple[int, 
     shared = ray.put(pickle.dumps((design.spec, design.bases)))
     task = ray.remote(num_cpus=1, max_retries=2)(_fly_remotely)
     limit = QUEUED_PER_CPU * max(1, int(ray.cluster_resources().get("CPU", 1)))
-    waiting, expected = list(chunks), code_hash()
+    waiting, expected = list(chunks), code_hash(design)
     running: dict[Any, int] = {}
     while waiting or running:
         while waiting and len(running) < limit:
@@ -85,12 +85,14 @@ def _spread(ray: Any, design: Design, chunks: list[int]) -> Iterator[tuple[int, 
             if isinstance(error.cause, OtherBuild):
                 raise Refused(str(error.cause)) from None
             raise
+        except ray.exceptions.RayError as reason:  # its process was killed, again and again
+            raise Refused(f"chunk {chunk} did not come back ({reason}); the same command goes on with it") from None
 
 
 def _fly_remotely(shared: bytes, chunk: int, expected: str) -> Any:
-    if code_hash() != expected:
-        raise OtherBuild(f"a node has another build of the crate ({code_hash()}, here {expected})")
     spec, bases = pickle.loads(shared)
     design = Design(spec)
     vars(design)["bases"] = bases
+    if (found := code_hash(design)) != expected:
+        raise OtherBuild(f"a node has other code ({found}, here {expected})")
     return fly_chunk(design, chunk, engines.engine(spec.engine), threads=1)

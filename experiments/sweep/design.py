@@ -6,16 +6,16 @@ import copy
 import hashlib
 import itertools
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 from experiments import Refused, flight, manifest
+from experiments.sources import file_hash
 from experiments.sweep import keys, table
 from experiments.sweep.spec import Level, Spec
-from jax_aero import rust, tables
+from jax_aero import io, rust, tables
 
 
 @dataclass(frozen=True)
@@ -90,19 +90,18 @@ class Design:
 
     @cached_property
     def digest(self) -> str:
-        """Return a hash of everything that decides the result, but for the code."""
-        cells = [[(level.label, level.base, manifest.portable(level.set)) for level in levels] for levels in self.cells]
+        """Return a hash of all that decides the result, but for the code: every cell, and every file it names."""
+        configs = [self.cell_config(cell) for cell in range(len(self.cells))]
+        paths = {table[key] for config in configs for table, key in io.paths(config)}
         what = {
-            "bases": {name: rust.config_digest(config) for name, config in self.bases.items()},
-            "cells": cells,
-            "set": dict(self.spec.set),
+            "axes": [axis.name for axis in self.spec.axis],
+            "labels": [[level.label for level in levels] for levels in self.cells],
+            "cells": manifest.portable(configs),
+            "files": sorted([manifest.portable(path), file_hash(Path(path))] for path in paths),
             "perturbation": tables.plain(self.spec.perturbation),
             "numbers": [self.spec.seed, self.spec.repeats, self.spec.chunk, self.spec.engine],
         }
-        cards = {card for levels in self.cells for level in levels for card in _cards(level.set)}
-        if cards:  # other weights under the same name are another sweep
-            what["cards"] = sorted(hashlib.sha256(Path(card).read_bytes()).hexdigest() for card in cards)
-        return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
+        return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
 
     def check(self) -> None:
         """Refuse a sweep with a cell that cannot fly, before the first flight."""
@@ -133,12 +132,3 @@ def _load(sweep: str, name: str) -> rust.Config:
         return rust.load_config(flight.find(name))
     except ValueError as reason:
         raise Refused(f"sweep {sweep}: {reason}") from None
-
-
-def _cards(value: Any) -> Iterator[str]:
-    """Yield the paths of the networks that changes name."""
-    if isinstance(value, Mapping):
-        for key, item in value.items():
-            if key == "card":
-                yield item
-            yield from _cards(item)

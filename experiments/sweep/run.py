@@ -1,38 +1,42 @@
 """Fly a sweep: chunk by chunk, from where it was left, into `results/sweeps/NAME/`.
 
 ```text
-sweep.json       what is flown, and by what; at the end also how long it took
-chunks/          finished chunks of a sweep under way; a file is there completely or not at all
+sweep.json       what is flown, and by what; at the end also how long it took, and checksums
+chunks/          finished chunks of a sweep under way, with checksums
 table.parquet    every flight       cells.parquet    every cell
 ```
 """
 
 from __future__ import annotations
 
-import hashlib
-import importlib.util
 import json
 import os
+import re
 import shutil
+import sys
 import time
 import typing
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
-import pyarrow.parquet as pq
+import pyarrow as pa
 
-from experiments import Refused, engines, manifest
+from experiments import Refused, engines, manifest, sources
 from experiments.sweep import table
+from experiments.sweep.chunks import Chunks, parquet
 from experiments.sweep.design import Design
 from experiments.sweep.progress import Progress
 from jax_aero import rust, tables
-from jax_aero.files import write_json
+from jax_aero.files import checksums, damaged, locked, write_bytes, write_json
 from jax_aero.result import Outcome
 
 RESULTS = manifest.RESULTS / "sweeps"
+
+SWEEP_FILE, TABLES = "sweep.json", ("table.parquet", "cells.parquet")
 
 
 class Workers(Protocol):
@@ -72,40 +76,45 @@ def fly_chunk(
 def run(design: Design, workers: Workers, *, out: Path | None = None, overwrite: bool = False) -> Path:
     """Fly what is missing of a sweep; return its folder."""
     folder = (out or RESULTS) / design.spec.name
-    if overwrite:
-        _clear(folder)
-    if (folder / "cells.parquet").is_file():
-        _same(folder, design, running=False)
-        print(f"{os.path.relpath(folder)} is finished already; --overwrite flies it again")
-        return folder
-    design.check()
-    chunks = folder / "chunks"
-    if (folder / "sweep.json").is_file():
-        _same(folder, design, running=True)
-    chunks.mkdir(parents=True, exist_ok=True)
-    for draft in chunks.glob(".*.draft.parquet"):
-        draft.unlink()
-    document = _document(design)
-    write_json(folder / "sweep.json", document)
+    with locked(folder):
+        if overwrite and folder.exists():
+            _clear(folder)
+        _run(design, workers, folder)
+    return folder
 
-    missing = [chunk for chunk in range(design.n_chunks) if not _path(chunks, chunk).is_file()]
+
+def _run(design: Design, workers: Workers, folder: Path) -> None:
+    document = _document(design)
+    found, shown = _found(folder, document), os.path.relpath(folder)
+    if "finished" in found:
+        other = "" if found["code_hash"] == document["code_hash"] else ", flown by other code"
+        print(f"{shown} is finished already{other}; --overwrite flies it again")
+        return
+    design.check()
+    chunks = Chunks(folder / "chunks", f"{document['config_hash']} {document['code_hash']}")
+    chunks.folder.mkdir(parents=True, exist_ok=True)
+    for draft in folder.rglob(".*.draft.*"):  # of a process that was killed
+        draft.unlink()
+    whole = chunks.whole(design.n_chunks)
+    if damaged := chunks.remove(but=whole):
+        print(f"{shown}: {', '.join(damaged)}: damaged, or no chunk of this sweep; flown again", file=sys.stderr)
+    write_json(folder / SWEEP_FILE, document)
+
+    missing = [chunk for chunk in range(design.n_chunks) if chunk not in whole]
     flown = sum(len(design.chunk(chunk)) for chunk in missing)
     started = time.perf_counter()
     with Progress(design.spec.name, design.n_rows, design.n_rows - flown) as progress:
         for chunk, part in workers.fly(design, missing, progress):
-            table.write(part, _path(chunks, chunk))
+            chunks.write(chunk, part)
             progress.chunk_done(len(design.chunk(chunk)))
-    seconds = time.perf_counter() - started
-    _finish(folder, design, document, flown, seconds)
-    return folder
+    _finish(folder, design, document, chunks, flown, time.perf_counter() - started)
 
 
-def _finish(folder: Path, design: Design, document: dict[str, Any], flown: int, seconds: float) -> None:
-    """Join the chunks; the table of cells is written last and says that all is there."""
-    chunks = folder / "chunks"
-    parts = (pq.read_table(_path(chunks, chunk)) for chunk in range(design.n_chunks))
-    table.write_parts(parts, table.schema(design), folder / "table.parquet")
-    whole = pq.read_table(folder / "table.parquet")
+def _finish(folder: Path, design: Design, document: dict[str, Any], chunks: Chunks, flown: int, seconds: float) -> None:
+    """Join the chunks; the description is written last and says that all is there."""
+    whole = pa.concat_tables(chunks.read(chunk) for chunk in range(design.n_chunks))
+    for name, content in (("table.parquet", whole), ("cells.parquet", table.cells(design, whole))):
+        write_bytes(folder / name, parquet(content))
     outcomes = whole["outcome"].to_pylist()
     document["finished"] = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -113,14 +122,12 @@ def _finish(folder: Path, design: Design, document: dict[str, Any], flown: int, 
         "seconds": round(seconds, 3),
         "flights_per_minute": round(60.0 * flown / seconds, 1) if flown else None,
         "outcomes": {outcome: outcomes.count(outcome) for outcome in (*typing.get_args(Outcome), "error")},
+        "files": {name: checksum for name, checksum in checksums(folder).items() if name in TABLES},
     }
-    write_json(folder / "sweep.json", document)
-    table.write(table.cells(design, whole), folder / "cells.parquet")
-    shutil.rmtree(chunks)
-
-
-def _path(chunks: Path, chunk: int) -> Path:
-    return chunks / f"{chunk:06}.parquet"
+    write_json(folder / SWEEP_FILE, document)
+    chunks.remove()
+    with suppress(OSError):  # somebody else's file is in it
+        chunks.folder.rmdir()
 
 
 def _document(design: Design) -> dict[str, Any]:
@@ -149,39 +156,41 @@ def _document(design: Design) -> dict[str, Any]:
         "rows": design.n_rows,
         "engine": spec.engine,
         "config_hash": design.digest,
-        "code_hash": code_hash(),
+        "code_hash": code_hash(design),
         "git": manifest.git_state(),
         "versions": manifest.versions(),
         "device": manifest.device(),
     }
 
 
-def code_hash() -> str:
-    """Return a hash of the compiled crate: rows flown by two builds do not belong into one table."""
-    module = importlib.util.find_spec("jax_aero._core")
-    if module is None or module.origin is None:
-        raise Refused("the compiled module jax_aero._core is not here; `make setup` builds it")
-    return hashlib.sha256(Path(module.origin).read_bytes()).hexdigest()[:16]
+def code_hash(design: Design) -> str:
+    """Return a hash of the code that flies a sweep: rows flown by two do not belong into one table."""
+    return sources.code_hash(__name__, engines.MODULES[design.spec.engine])
 
 
-def _same(folder: Path, design: Design, *, running: bool) -> None:
-    """Refuse a folder that holds another sweep, or chunks of another build."""
+def _found(folder: Path, document: dict[str, Any]) -> dict[str, Any]:
+    """Return what a folder says of itself; refuse another sweep, one begun by other code, and damaged tables."""
+    path, shown = folder / SWEEP_FILE, os.path.relpath(folder)
+    if not path.exists():
+        return {}
     try:
-        found = json.loads((folder / "sweep.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        found = {}
-    shown = os.path.relpath(folder)
-    if found.get("config_hash") != design.digest:
+        found = json.loads(path.read_bytes())
+        is_finished, digest, code = "finished" in found, found["config_hash"], found["code_hash"]
+    except (ValueError, KeyError, TypeError):
+        raise Refused(f"{shown}/{SWEEP_FILE} is damaged; choose another --out, or --overwrite it") from None
+    if digest != document["config_hash"]:
         raise Refused(f"{shown} holds another sweep of this name; choose another --out, or --overwrite it")
-    if running and found.get("code_hash") != code_hash():
-        raise Refused(f"{shown} was begun by another build of the crate; --overwrite starts from the beginning")
+    if not is_finished and code != document["code_hash"]:
+        raise Refused(f"{shown} was begun by other code; --overwrite starts from the beginning")
+    if is_finished and (name := damaged(folder, found["finished"].get("files", {}))):
+        raise Refused(f"{shown}/{name} is not what was written there; --overwrite flies it again")
+    return dict(found)
 
 
 def _clear(folder: Path) -> None:
-    if not folder.exists():
-        return
-    known = {"sweep.json", "chunks", "table.parquet", "cells.parquet"}
-    unrelated = {entry.name for entry in folder.iterdir() if not entry.name.startswith(".")} - known
-    if unrelated:
-        raise Refused(f"{os.path.relpath(folder)} also holds {', '.join(sorted(unrelated))}, so it is not overwritten")
+    """Remove a sweep, or nothing where something else lies there."""
+    own = re.compile(rf"{SWEEP_FILE}|{'|'.join(TABLES)}|chunks/\d+\.(chunk|parquet)|(chunks/)?\.\w+\.\d+\.draft\.\w+")
+    files = [path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir()]
+    if others := sorted(name for name in files if not own.fullmatch(name)):
+        raise Refused(f"{os.path.relpath(folder)} also holds {', '.join(others)}, so it is not overwritten")
     shutil.rmtree(folder)

@@ -14,6 +14,9 @@ from jax_aero import tables
 
 CONFIGS = manifest.REPOSITORY / "configs" / "sweeps"
 
+PATHS = ("card", "file", "path", "robot")
+"""Last parts of the keys of a flight that are paths."""
+
 
 class Level(tables.Table, frozen=True):
     """One value of an axis: a label, the keys it sets, and perhaps another flight to start from."""
@@ -160,12 +163,15 @@ def from_table(name: str, table: Mapping[str, Any]) -> Spec:
 def _with_files(value: Any, folder: Path) -> Any:
     """Return `value` with every table `{ file = "..." }` in it replaced by that file's table.
 
-    A network's `card` in such a table is a path that starts there, too.
+    Paths start at the file that names them.
     """
     if isinstance(value, Mapping):
         if value.keys() == {"file"}:
             return _with_files(tables.read(folder / value["file"]), (folder / value["file"]).parent)
-        if isinstance(card := value.get("card"), str):
-            value = {**value, "card": str((folder / card).resolve())}
-        return {key: _with_files(item, folder) for key, item in value.items()}
+        return {
+            key: str((folder / item).resolve())
+            if isinstance(item, str) and key.rpartition(".")[2] in PATHS
+            else _with_files(item, folder)
+            for key, item in value.items()
+        }
     return [_with_files(item, folder) for item in value] if isinstance(value, list) else value

@@ -9,18 +9,15 @@ import hashlib
 import json
 import math
 import typing
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from experiments import manifest
 from experiments.engines import Failure
 from jax_aero import rust
-from jax_aero.files import complete_file
 from jax_aero.result import FlightResult, Outcome
 from jax_aero.summary import SETTLING_TIME
 
@@ -142,18 +139,6 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
     half = z / (1.0 + spread) * math.sqrt(share * (1.0 - share) / trials + spread / (4.0 * trials))
     # Where all or none succeed an end is exactly 1 or 0, which rounding would miss.
     return (0.0 if successes == 0 else centre - half), (1.0 if successes == trials else centre + half)
-
-
-def write(table: pa.Table, path: Path) -> None:
-    """Write one file that is there completely or not at all."""
-    write_parts([table], table.schema, path)
-
-
-def write_parts(parts: Iterable[pa.Table], schema: pa.Schema, path: Path) -> None:
-    """Write tables one after the other into one file, with one of them in memory at a time."""
-    with complete_file(path) as draft, pq.ParquetWriter(draft, schema, compression="zstd") as writer:
-        for part in parts:
-            writer.write_table(part)
 
 
 def config_hash(config: Mapping[str, Any]) -> str:

@@ -110,6 +110,7 @@ def _manifest(
         summary=summary,
         command=["python", "-m", "experiments", "train", *sys.argv[2:]],
         engine="jax",
+        code=[__name__],
         timings_s=timings,
     )
 

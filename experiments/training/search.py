@@ -171,6 +171,7 @@ def _write(out: Path, search: optuna.Study, base: Mapping[str, Any], digest: str
         summary={"best_error_m4": search.best_value, "best": search.best_params, "trials": _complete(search)},
         command=["python", "-m", "experiments", "train-search", *sys.argv[2:]],
         engine="optuna",
+        code=[__name__],
         timings_s={"all trials": sum(t.duration.total_seconds() for t in search.trials if t.duration)},
     )
     write_json(out / "manifest.json", document)

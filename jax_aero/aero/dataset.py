@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from jax_aero.files import complete_file
+from jax_aero.files import write_netcdf
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Indices: TypeAlias = npt.NDArray[np.int64]
@@ -307,8 +307,7 @@ def save(dataset: Dataset, path: str | PathLike[str]) -> None:
     facts |= {f"check: {key}": float(value) for key, value in dataset.checks.items()}
     packed = {"zlib": True, "complevel": 1, "shuffle": True}
     table = xr.Dataset(variables, coords, facts)
-    with complete_file(target) as draft:
-        table.to_netcdf(draft, engine="h5netcdf", encoding=dict.fromkeys(variables, packed))
+    write_netcdf(target, table, dict.fromkeys(variables, packed))
 
 
 def load(path: str | PathLike[str]) -> Dataset:

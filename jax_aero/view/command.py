@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from jax_aero.cli import Parser
-from jax_aero.cli import path as cli_path
 from jax_aero.command import exit_status
 from jax_aero.view import Refused, recording, require
 
@@ -128,7 +127,7 @@ def snapshot(words: Sequence[str]) -> int:
 
 def _common(parser: Parser, out: Path, size: str) -> None:
     parser.add_argument("result", metavar="RESULT", help=RESULT)
-    parser.add_argument("--out", type=cli_path, default=out, metavar="FILE", help=f"what to write (default {out})")
+    parser.add_argument("--out", type=Path, default=out, metavar="FILE", help=f"what to write (default {out})")
     parser.add_argument("--overwrite", action="store_true", help="replace a file that is there")
     parser.add_argument("--size", type=_size, default=_size(size), metavar="WxH", help=f"pixels (default {size})")
     parser.add_argument("--camera", choices=("chase", "side"), default="chase", help="point of view (default chase)")

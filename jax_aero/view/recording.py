@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import io, rust
+from jax_aero.files import damaged
 from jax_aero.places import HOME, RESULTS
 from jax_aero.summary import SETTLING_TIME
 from jax_aero.view import Refused, require
@@ -21,6 +22,9 @@ from jax_aero.view import Refused, require
 Vector = NDArray[np.float64]
 
 RUN_FILE, MANIFEST_FILE = "run.nc", "manifest.json"
+
+MAX_SIZE = 2 << 30
+"""Of all signals together [bytes]; the crate logs no more."""
 
 SIGNALS = (
     "time",
@@ -217,11 +221,22 @@ def read(result: str | Path, robot: str | Path | None = None) -> Recording:
     Raises
     ------
     Refused
-        Naming the file and what was expected.
+        Naming the file and what was expected, whatever is wrong with it.
     """
     path = _run_file(Path(result))
-    signals, facts = _read_signals(path)
+    try:
+        return _read(path, robot)
+    except Refused:
+        raise
+    except Exception as reason:  # HDF5, JSON and paths fail in many ways on what is no result
+        raise Refused(f"`{path}` is damaged ({type(reason).__name__}: {reason}); {EXPECTED}") from reason
+
+
+def _read(path: Path, robot: str | Path | None) -> Recording:
     manifest = _read_manifest(path.with_name(MANIFEST_FILE))
+    if damaged(path.parent, {name: sha256 for name, sha256 in manifest.get("files", {}).items() if name == path.name}):
+        raise Refused(f"`{path}` is not what was written there, by the checksum in {MANIFEST_FILE}; {EXPECTED}")
+    signals, facts = _read_signals(path)
     config = _here(manifest["config"]) if isinstance(manifest.get("config"), dict) else None
     robot_path = _robot_path(path, config, robot)
     try:
@@ -268,12 +283,16 @@ def _read_signals(path: Path) -> tuple[dict[str, Vector], dict[str, Any]]:
         with h5py.File(path, "r") as file:
             if missing := [name for name in SIGNALS if name not in file]:
                 raise Refused(f"`{path}` has no {', '.join(f'`{name}`' for name in missing)}; {EXPECTED}")
+            if (size := sum(file[name].nbytes for name in SIGNALS)) > MAX_SIZE:
+                raise Refused(f"`{path}` holds {size} bytes; expected at most {MAX_SIZE}")
             signals = {name: np.asarray(file[name], dtype=np.float64) for name in SIGNALS}
             facts = {key: _plain(value) for key, value in file.attrs.items() if not key.startswith("_")}
     except OSError:
         raise Refused(f"`{path}` is not a NetCDF-4 file; {EXPECTED}") from None
     if signals["time"].size == 0:
         raise Refused(f"`{path}` holds no sample; {EXPECTED}")
+    if not np.all(np.diff(signals["time"], prepend=-np.inf) > 0.0) or signals["time"][-1] == np.inf:
+        raise Refused(f"`time` in `{path}` does not increase from sample to sample; {EXPECTED}")
     return signals, facts
 
 
@@ -290,7 +309,9 @@ def _read_manifest(path: Path) -> dict[str, Any]:
         manifest = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as reason:
         raise Refused(f"`{path}` is not JSON: {reason}") from None
-    return manifest if isinstance(manifest, dict) else {}
+    if not isinstance(manifest, dict):
+        raise Refused(f"`{path}` holds no table; {EXPECTED}")
+    return manifest
 
 
 def _here(config: rust.Config) -> rust.Config:
@@ -314,14 +335,10 @@ def _robot_path(path: Path, config: rust.Config | None, given: str | Path | None
 
 
 def _check_shapes(path: Path, signals: Mapping[str, Vector], robot: rust.Robot) -> None:
-    n = signals["time"].size
-    expected = {
-        "joint_position": (n, len(robot.joint_names)),
-        "thrust": (n, len(robot.jet_names)),
-        "aero_force_sim": (n, len(robot.aero_link_names), 3),
-        "base_quaternion": (n, 4),
-    }
-    for name, shape in expected.items():
+    sizes = {"time": signals["time"].size, "xyz": 3, "wxyz": 4, "rpy": 3}
+    sizes |= {"joint": len(robot.joint_names), "jet": len(robot.jet_names), "link": len(robot.aero_link_names)}
+    for name in SIGNALS:
+        shape = tuple(sizes[dim] for dim in rust.signals()[name].dims)
         if signals[name].shape != shape:
             raise Refused(
                 f"`{name}` in `{path}` has shape {signals[name].shape}; expected {shape} for robot `{robot.name}`"

@@ -1,0 +1,129 @@
+"""Which code and which files make a number: hashes of both, the same on every machine.
+
+Code is the modules that are imported, the compiled crate, and the versions of the packages. Modules are followed from
+file to file, without importing any, so that the answer does not depend on what a process has loaded.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import importlib.machinery
+import importlib.metadata
+import json
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax_aero
+from jax_aero import tables
+from jax_aero.command import Refused
+
+FOLDERS = {"jax_aero": Path(jax_aero.__file__).parent, "experiments": Path(__file__).parent}
+"""Packages that are followed."""
+
+COMPILED = "jax_aero._core"
+
+NUMERICAL = ("casadi", "jax", "mujoco", "numpy", "pyarrow", "scipy")
+"""Packages whose version counts where they are imported."""
+
+
+@functools.cache
+def code_hash(*roots: str) -> str:
+    """Return a hash of some modules and of all that they import: numbers of different hashes do not mix.
+
+    Raises
+    ------
+    Refused
+        If the crate is not compiled.
+    """
+    files, packages = closure(*roots)
+    if COMPILED not in files:
+        raise Refused(f"the compiled module {COMPILED} is not here; `make setup` builds it")
+    total = hashlib.sha256()
+    for name in sorted(files):
+        total.update(name.encode() + hashlib.sha256(files[name].read_bytes()).digest())
+    for name in sorted(packages):
+        total.update(f"{name} {importlib.metadata.version(name)}".encode())
+    return total.hexdigest()[:16]
+
+
+def closure(*roots: str) -> tuple[dict[str, Path], set[str]]:
+    """Return the files of some modules and of all that they import, by module, and the packages that count."""
+    files: dict[str, Path] = {}
+    packages: set[str] = set()
+    # A module that was started with `python -m` is called `__main__`.
+    started = sys.modules["__main__"].__spec__
+    waiting = [started.name if root == "__main__" and started else root for root in roots]
+    while waiting:
+        name = waiting.pop()
+        top, _, rest = name.partition(".")
+        packages |= {top} & set(NUMERICAL)
+        if top not in FOLDERS or name in files or (path := _file(FOLDERS[top], rest)) is None:
+            continue
+        files[name] = path
+        waiting += [name.rpartition(".")[0]] if rest else []
+        waiting += _imports(path) if path.suffix == ".py" else []
+    return files, packages
+
+
+def _file(folder: Path, rest: str) -> Path | None:
+    base = folder.joinpath(*rest.split(".")) if rest else folder
+    names = [base / "__init__.py", *(base.with_name(base.name + end) for end in importlib.machinery.all_suffixes())]
+    return next((path for path in names if path.is_file()), None)
+
+
+def _imports(path: Path) -> Iterator[str]:
+    nodes: list[ast.AST] = [ast.parse(path.read_bytes())]
+    while nodes:
+        match nodes.pop():
+            case ast.Import(names):
+                yield from (alias.name for alias in names)
+            case ast.ImportFrom(str(module), names):
+                yield module
+                yield from (f"{module}.{alias.name}" for alias in names)
+            case ast.If(ast.Name("TYPE_CHECKING"), _, otherwise):
+                nodes += otherwise
+            case ast.stmt() | ast.Module() | ast.ExceptHandler() | ast.match_case() as node:
+                nodes += ast.iter_child_nodes(node)
+
+
+def file_hash(path: Path) -> str:
+    """Return a hash of a file and of every file that it names in turn.
+
+    A TOML or JSON file names what is a file from its folder: the URDF of a robot, the `base` of a flight, the weights
+    of a card. Where files lie does not count.
+    """
+    total = hashlib.sha256()
+    for file in _with_named(path.resolve(), set()):
+        total.update(hashlib.sha256(file.read_bytes()).digest())
+    return total.hexdigest()
+
+
+def _with_named(path: Path, seen: set[Path]) -> Iterator[Path]:
+    if path in seen:
+        return
+    seen.add(path)
+    yield path
+    for text in _texts(_table(path)):
+        if os.path.isfile(path.parent / text):  # noqa: PTH113 - `Path` raises where a text is too long for a name
+            yield from _with_named((path.parent / text).resolve(), seen)
+
+
+def _table(path: Path) -> Any:
+    """Return what a TOML or JSON file holds; a damaged one is refused by whoever uses it, and names nothing here."""
+    try:
+        return {".toml": tables.read, ".json": lambda json_file: json.loads(json_file.read_bytes())}[path.suffix](path)
+    except (KeyError, ValueError):
+        return None
+
+
+def _texts(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping | list):
+        for part in value.values() if isinstance(value, Mapping) else value:
+            yield from _texts(part)

@@ -1,0 +1,74 @@
+"""Finished chunks of a sweep under way, each in a file with a checksum.
+
+A file is the SHA-256 of the sweep's digest, the code's, the chunk's number and the table, then the table (Parquet). So
+a file that is cut short, empty, changed, or of another chunk, sweep or code, does not count.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from jax_aero.command import Refused
+from jax_aero.files import write_bytes
+
+CHECKSUM = hashlib.sha256().digest_size
+
+
+@dataclass(frozen=True)
+class Chunks:
+    """The chunks of one sweep, flown by one code."""
+
+    folder: Path
+    identity: str
+    """Digests of sweep and code."""
+
+    def path(self, chunk: int) -> Path:
+        """Return the file of a chunk."""
+        return self.folder / f"{chunk:06}.chunk"
+
+    def write(self, chunk: int, table: pa.Table) -> None:
+        """Put a chunk on the disk."""
+        content = parquet(table)
+        write_bytes(self.path(chunk), self._checksum(chunk, content) + content)
+
+    def read(self, chunk: int) -> pa.Table:
+        """Return a chunk that was there whole."""
+        content = self._content(chunk)
+        if content is None:
+            raise Refused(f"{self.path(chunk)} has changed meanwhile; the same command flies it again")
+        return pq.read_table(io.BytesIO(content))
+
+    def whole(self, count: int) -> set[int]:
+        """Return which of the first `count` chunks are there whole."""
+        return {chunk for chunk in range(count) if self._content(chunk) is not None}
+
+    def remove(self, but: Iterable[int] = ()) -> list[str]:
+        """Remove all files of chunks but some; return their names."""
+        kept = {self.path(chunk) for chunk in but}
+        others = sorted(set(self.folder.glob("*.chunk")) - kept)
+        for path in others:
+            path.unlink()
+        return [path.name for path in others]
+
+    def _content(self, chunk: int) -> bytes | None:
+        path = self.path(chunk)
+        sealed = path.read_bytes() if path.is_file() else b""
+        content = sealed[CHECKSUM:]
+        return content if sealed[:CHECKSUM] == self._checksum(chunk, content) else None
+
+    def _checksum(self, chunk: int, content: bytes) -> bytes:
+        return hashlib.sha256(f"{self.identity} {chunk} ".encode() + content).digest()
+
+
+def parquet(table: pa.Table) -> bytes:
+    """Return a table as a Parquet file."""
+    stream = io.BytesIO()
+    pq.write_table(table, stream, compression="zstd")
+    return stream.getvalue()

@@ -1,0 +1,380 @@
+"""Results: nothing is lost, nothing is silently wrong; what makes a number counts in its digest."""
+
+import json
+import os
+import re
+import resource
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from experiments import Refused, record, sources, study
+from experiments.__main__ import main
+from experiments.engines import MODULES
+from experiments.sweep import run, spec
+from experiments.sweep.chunks import Chunks
+from experiments.sweep.design import Design
+from jax_aero import cli, files, io, rust
+from jax_aero.view import recording
+
+ROOT = Path(__file__).resolve().parents[2]
+SWEEP = {
+    "title": "t",
+    "description": "d",
+    "base": "test2",
+    "set": {"simulator.duration": 0.02},
+    "axis": [{"name": "speed", "key": "wind.speed", "values": [5, 10, 15]}],
+    "chunk": 1,
+}
+
+
+def design(**changes) -> Design:
+    return Design(spec.from_table("made_up", SWEEP | changes))
+
+
+@pytest.fixture
+def flown(monkeypatch, make_flight):
+    """Make flights up instead of flying them."""
+    monkeypatch.setattr(rust, "fly", lambda *_: make_flight(step=0.5))
+
+
+# --- digests
+
+
+def test_every_file_that_a_flight_names_counts_in_its_digest(tmp_path):
+    """A new kind of path in the configuration that the digest forgets fails here."""
+    config = rust.load_config("test4")
+    for place, key in ((config, "wind"), (config["disturbances"], "controller_wind"), (config, "mission")):
+        (tmp_path / f"{key}.csv").write_text(key)
+        place[key] = {"profile": "file", "path": str(tmp_path / f"{key}.csv")}
+    config["mission"] = {"file": config["mission"]["path"]}
+    config["controller"]["aero"] = dict(config["simulator"]["aero"])
+    named = list(io.paths(config))
+    assert sorted(key for _, key in named) == ["card", "card", "file", "path", "path", "robot"]
+    for number, (table, key) in enumerate(named):
+        folder, original = tmp_path / str(number), Path(table[key])
+        folder.mkdir()
+        for path in {original, *original.parent.glob(f"{original.stem}.urdf")}:
+            (folder / path.name).write_bytes(path.read_bytes())
+        before = rust.config_digest(config)
+        table[key] = str(folder / original.name)
+        assert rust.config_digest(config) == before, "where a file lies counts"
+        for path in folder.iterdir():
+            path.write_bytes(path.read_bytes() + b"\n")
+            after = rust.config_digest(config)
+            assert after != before, f"{path.name} does not count"
+            before = after
+
+
+@pytest.mark.parametrize(
+    ("key", "name"), [("simulator.aero.card", "card.json"), ("wind.path", "wind.csv"), ("mission.file", "ref.csv")]
+)
+def test_a_file_that_a_level_names_by_a_dotted_key_counts_and_starts_at_the_sweep(tmp_path, key, name):
+    axis = f'[[axis]]\nname = "a"\nlevel = [{{ label = "x", set = {{ "{key}" = "{name}" }} }}]\n'
+    (tmp_path / "s.toml").write_text(f'title = "t"\ndescription = "d"\nbase = "test4"\n{axis}')
+    digests = set()
+    for text in ("one", "other"):
+        (tmp_path / name).write_text(text)
+        digests.add(Design(spec.load(str(tmp_path / "s.toml"))).digest)
+    assert len(digests) == 2
+
+
+def test_a_file_stands_for_the_files_that_it_names(tmp_path):
+    (tmp_path / "robot.toml").write_text('urdf = "robot.urdf"\nbase = "other.toml"\n')
+    (tmp_path / "other.toml").write_text('base = "robot.toml"\n')
+    hashes = []
+    for text in ("one", "other"):
+        (tmp_path / "robot.urdf").write_text(text)
+        hashes.append(study.digest({}, [tmp_path / "robot.toml"]))
+    (tmp_path / "other.toml").write_text('base = "robot.toml" # changed\n')
+    hashes.append(study.digest({}, [tmp_path / "robot.toml"]))
+    assert len(set(hashes)) == 3
+
+
+def test_code_is_followed_through_what_it_imports(tmp_path, monkeypatch):
+    modules = {
+        "__init__": "",
+        "a": "from experiments import b\nif TYPE_CHECKING:\n    import experiments.c\n",
+        "b": "def f():\n    from jax_aero import rust\n",
+        "c": "",
+    }
+    for name, text in modules.items():
+        (tmp_path / f"{name}.py").write_text(text)
+    monkeypatch.setitem(sources.FOLDERS, "experiments", tmp_path)
+
+    def found() -> str:
+        sources.code_hash.cache_clear()
+        return sources.code_hash("experiments.a")
+
+    before = found()
+    (tmp_path / "c.py").write_text("x = 1\n")
+    assert found() == before, "a module that is not imported counts"
+    (tmp_path / "b.py").write_text(modules["b"] + "\nx = 1\n")
+    assert found() != before
+    sources.code_hash.cache_clear()
+
+
+LOADED = """
+import importlib, sys
+from experiments import flight, sources
+from experiments.sweep import run
+roots = ["experiments.flight", "experiments.sweep.run"]
+for module in sys.argv[1:]:
+    importlib.import_module(module)
+    roots.append(module)
+    loaded = {name for name in sys.modules if name.split(".")[0] in sources.FOLDERS}
+    print(module, sorted(loaded - set(sources.closure(*roots)[0])))
+"""
+
+
+def test_no_module_that_an_engine_loads_is_left_out_of_its_hash():
+    command = [sys.executable, "-c", LOADED, *MODULES.values()]
+    answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert answer.stdout == "".join(f"{module} []\n" for module in MODULES.values())
+
+
+def test_a_result_of_other_code_is_kept_and_called_so(flown, tmp_path, capsys, monkeypatch):
+    assert main(["test1", "--out", str(tmp_path)]) == 0
+    monkeypatch.setattr("experiments.flight.code_hash", lambda *_: "other")
+    assert main(["test1", "--out", str(tmp_path)]) == 0
+    assert "flown by other code" in capsys.readouterr().out
+
+
+# --- damage
+
+
+TABLE = pa.table({"x": [1.0, 2.0]})
+
+
+def damages(whole: bytes, other: bytes) -> dict[str, bytes]:
+    """Return what a chunk may have become; `other` is another chunk."""
+    return {
+        "empty": b"",
+        "cut short": whole[:-1],
+        "a bit turned": whole[:40] + bytes([whole[40] ^ 1]) + whole[41:],
+        "of another range": other,
+        "foreign": b"PAR1 of somebody else",
+    }
+
+
+@pytest.mark.parametrize("damage", damages(bytes(50), b""))
+def test_a_damaged_chunk_does_not_count(tmp_path, damage):
+    chunks = Chunks(tmp_path, "sweep code")
+    for chunk in range(3):
+        chunks.write(chunk, TABLE)
+    assert chunks.whole(3) == {0, 1, 2}
+    assert chunks.read(1) == TABLE
+    damaged = damages(*(chunks.path(chunk).read_bytes() for chunk in (1, 2)))
+    chunks.path(1).write_bytes(damaged[damage])
+    assert chunks.whole(3) == {0, 2}
+    with pytest.raises(Refused, match="the same command flies it again"):
+        chunks.read(1)
+    assert chunks.remove(but={0, 2}) == ["000001.chunk"]
+
+
+def test_a_chunk_of_another_sweep_or_code_does_not_count(tmp_path):
+    Chunks(tmp_path, "sweep code").write(0, TABLE)
+    assert Chunks(tmp_path, "other code").whole(1) == set()
+
+
+class Stops(run.Local):
+    """Ends after two chunks."""
+
+    def fly(self, design, chunks, progress):
+        yield from super().fly(design, chunks[:2], progress)
+        raise KeyboardInterrupt
+
+
+def test_a_sweep_flies_damaged_chunks_again_and_ends_with_the_same_bytes(tmp_path, capsys):
+    whole = run.run(design(), run.Local(1), out=tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        run.run(design(), Stops(1), out=tmp_path)
+    first, second = sorted((tmp_path / "made_up" / "chunks").iterdir())
+    first.write_bytes(second.read_bytes())
+    (first.parent / "notes.txt").write_text("mine")
+    folder = run.run(design(), run.Local(1), out=tmp_path)
+    assert "000000.chunk: damaged, or no chunk of this sweep; flown again" in capsys.readouterr().err
+    assert all((folder / name).read_bytes() == (whole / name).read_bytes() for name in run.TABLES)
+    assert (first.parent / "notes.txt").read_text() == "mine"
+
+
+def test_a_damaged_table_of_a_finished_sweep_is_refused(tmp_path):
+    folder = run.run(design(), run.Local(1), out=tmp_path)
+    for name, expected in (("table.parquet", "is not what was written"), ("sweep.json", "is damaged")):
+        (folder / name).write_bytes((folder / name).read_bytes()[:-9])
+        with pytest.raises(Refused, match=f"{name} {expected}.*--overwrite"):
+            run.run(design(), run.Local(1), out=tmp_path)
+        folder = run.run(design(), run.Local(1), out=tmp_path, overwrite=True)
+
+
+def test_a_damaged_result_of_a_flight_is_refused_and_flown_again(flown, tmp_path, capsys):
+    assert main(["test1", "--out", str(tmp_path)]) == 0
+    path = tmp_path / "test1" / "run.nc"
+    path.write_bytes(path.read_bytes()[:-1])
+    assert main(["test1", "--out", str(tmp_path)]) == 2
+    assert "run.nc is not what was written there; --overwrite flies it again" in capsys.readouterr().err
+    assert main(["test1", "--out", str(tmp_path), "--overwrite"]) == 0
+
+
+def test_overwrite_removes_only_what_was_written(flown, tmp_path, capsys):
+    """Also what is hidden, or deeper."""
+    sweep = tmp_path / "sweep.toml"
+    words = {
+        "test1": ["test1", "--out", str(tmp_path), "--overwrite"],
+        "made_up": ["sweep", str(sweep), "--out", str(tmp_path), "--overwrite"],
+    }
+    sweep.write_text(
+        'name = "made_up"\ntitle = "t"\ndescription = "d"\nbase = "test2"\nset = { "simulator.duration" = 0.02 }\n'
+        '[[axis]]\nname = "a"\nkey = "wind.speed"\nvalues = [1]\n'
+    )
+    for folder, command in words.items():
+        assert main(command) == 0
+        for name in (".notes", "mine/run.nc", "chunks/notes.txt"):
+            path = tmp_path / folder / name
+            path.parent.mkdir(exist_ok=True)
+            path.write_text("mine")
+            capsys.readouterr()
+            assert main(command) == 2
+            assert name in capsys.readouterr().err
+            assert path.read_text() == "mine"
+            path.unlink()
+        assert main(command) == 0
+
+
+def test_every_file_of_a_study_counts_as_its_own(tmp_path):
+    for value in ("old", "new"):
+        record.write_run(tmp_path / "a", record.xr.Dataset(), {}, replace=value == "new", texts={f"{value}.csv": value})
+    assert sorted(files.checksums(tmp_path / "a")) == ["manifest.json", "new.csv", "run.nc"]
+
+
+@pytest.mark.parametrize("command", ["sweep", "fly", "figures", "air", "train", "snapshot", "waypoints"])
+def test_an_empty_path_is_refused(command, capsys):
+    with pytest.raises(SystemExit):
+        cli.main([command, "name", "--out", ""])
+    assert "the path is empty; expected a file or folder" in capsys.readouterr().err
+
+
+# --- one process at a time
+
+
+HOLDS = "import sys, time; from pathlib import Path; from jax_aero.files import locked\nwith locked(Path(sys.argv[1])):"
+
+
+def test_who_holds_a_sweep_is_named_and_a_dead_holder_followed(tmp_path, start):
+    code = f"{HOLDS}\n    print('held', flush=True); time.sleep(600)"
+    holder = start(sys.executable, "-c", code, tmp_path / "made_up", cwd=ROOT, stdout=subprocess.PIPE)
+    assert holder.stdout.readline() == b"held\n"
+    with pytest.raises(Refused, match=rf"made_up is being written by process {holder.pid} on \S+ since 20\d\d-"):
+        run.run(design(), run.Local(1), out=tmp_path)
+    assert not (tmp_path / "made_up").exists()
+    holder.kill()
+    holder.wait()
+    assert (tmp_path / ".made_up.lock").exists()
+    run.run(design(), run.Local(1), out=tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["made_up"]
+
+
+def test_a_lock_of_another_machine_is_left_alone(tmp_path):
+    lock = tmp_path / ".a.lock"
+    lock.write_text(json.dumps({"pid": 1, "host": "elsewhere.invalid", "since": "2026"}))
+    expected = r"process 1 on elsewhere.invalid since 2026; if .* has ended, remove .*\.a\.lock"
+    with pytest.raises(Refused, match=expected), files.locked(tmp_path / "a"):
+        pass
+    lock.write_text("")
+    with files.locked(tmp_path / "a"):
+        assert json.loads(lock.read_text())["pid"] == os.getpid()
+
+
+def test_killed_processes_lose_nothing():
+    command = [sys.executable, "-m", "tests.kill", "--trials", "5"]
+    answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert answer.returncode == 0, answer.stderr
+    assert len(answer.stdout.splitlines()) == 2
+
+
+# --- a disk that is full, or read-only
+
+
+@contextmanager
+def longest_file(size: int):
+    """Let this process write no file that is longer [bytes]: the system's error is like that of a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_what_cannot_be_written_is_one_line_and_leaves_nothing_half(flown, tmp_path, capsys):
+    """Written as HDF5 onto the disk, a flight ended the process here."""
+    with longest_file(20_000):
+        assert main(["test1", "--out", str(tmp_path)]) == 2
+    assert re.fullmatch(r"error: \S+run\.nc: File too large\n", capsys.readouterr().err)
+    assert list(tmp_path.iterdir()) == []
+
+    with longest_file(500), pytest.raises(OSError, match=r"File too large: '\S+sweep\.json'"):
+        run.run(design(), run.Local(1), out=tmp_path)
+    with longest_file(5_000), pytest.raises(OSError, match=r"File too large: '\S+000000\.chunk'"):
+        run.run(design(), run.Local(1), out=tmp_path)
+    assert list((tmp_path / "made_up" / "chunks").iterdir()) == []
+    run.run(design(), run.Local(1), out=tmp_path)
+
+
+def test_a_full_and_a_read_only_disk_are_one_line(flown, tmp_path, capsys):
+    def mount(*options: str) -> bool:
+        return subprocess.run(["mount", *options], capture_output=True).returncode == 0
+
+    if not mount("-t", "tmpfs", "-o", "size=64k", "none", str(tmp_path)):
+        pytest.skip("no right to mount a small disk")
+    try:
+        assert main(["test1", "--out", str(tmp_path)]) == 2
+        assert re.fullmatch(r"error: \S+run\.nc: No space left on device\n", capsys.readouterr().err)
+        assert list(tmp_path.iterdir()) == []
+        assert mount("-o", "remount,ro", str(tmp_path))
+        for command in (["test1"], ["sweep", "baseline_edge"]):
+            assert main([*command, "--out", str(tmp_path)]) == 2
+            assert re.fullmatch(r"error: \S+: Read-only file system\n", capsys.readouterr().err)
+    finally:
+        subprocess.run(["umount", str(tmp_path)], check=True)
+
+
+# --- reading what is damaged
+
+
+def test_the_viewer_reads_a_damaged_result_whole_or_refuses_it(tmp_path, make_flight):
+    """Bits turned, ends cut, values exchanged: 150 times, with and without the checksum."""
+    config = rust.load_config("test2")
+    folder = tmp_path / "run"
+    dataset = record.to_dataset(make_flight(step=5.0), rust.Robot(config["robot"]), title="t", config_digest="")
+    record.write_run(folder, dataset, {"config": config})
+    whole = {path.name: path.read_bytes() for path in folder.iterdir()}
+    recording.read(folder)
+    rng = np.random.default_rng(0)
+    refused = 0
+    for trial in range(150):
+        name = ("run.nc", "manifest.json")[trial % 2]
+        content = bytearray(whole[name])
+        if trial % 3 == 0:
+            del content[rng.integers(len(content)) :]
+        else:
+            for place in rng.integers(len(content), size=1 + trial % 7):
+                content[place] = rng.integers(256)
+        manifest = json.loads(whole["manifest.json"])
+        if trial % 4 < 2:  # a result from before there were checksums
+            del manifest["files"]
+        (folder / "manifest.json").write_text(json.dumps(manifest))
+        (folder / name).write_bytes(content)
+        try:
+            recording.read(folder).at(3.0)
+        except Refused:
+            refused += 1
+        for other, bytes_ in whole.items():
+            (folder / other).write_bytes(bytes_)
+    assert refused > 75
+    recording.read(folder)
