@@ -15,6 +15,7 @@ import random
 import signal
 import tempfile
 import time
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 
@@ -40,8 +41,11 @@ def killed_after(seconds: float, work: Callable[[], object]) -> bool:
     """Run work in a process of its own and kill it; return whether it had not ended by itself."""
     child = os.fork()
     if child == 0:
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        try:
             work()
+        except BaseException:
+            traceback.print_exc()
+            os._exit(1)
         os._exit(0)
     time.sleep(seconds)
     os.kill(child, signal.SIGKILL)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,6 +57,12 @@ class Chunks:
         for path in others:
             path.unlink()
         return [path.name for path in others]
+
+    def clear(self) -> None:
+        """Remove all files of chunks, and the folder unless something else is in it."""
+        self.remove()
+        with suppress(OSError):
+            self.folder.rmdir()
 
     def _content(self, chunk: int) -> bytes | None:
         path = self.path(chunk)

@@ -17,7 +17,6 @@ import sys
 import time
 import typing
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -86,15 +85,16 @@ def run(design: Design, workers: Workers, *, out: Path | None = None, overwrite:
 def _run(design: Design, workers: Workers, folder: Path) -> None:
     document = _document(design)
     found, shown = _found(folder, document), os.path.relpath(folder)
+    chunks = Chunks(folder / "chunks", f"{document['config_hash']} {document['code_hash']}")
+    for draft in folder.rglob(".*.draft.*"):  # of a process that was killed
+        draft.unlink()
     if "finished" in found:
+        chunks.clear()  # which that process may have had no time for
         other = "" if found["code_hash"] == document["code_hash"] else ", flown by other code"
         print(f"{shown} is finished already{other}; --overwrite flies it again")
         return
     design.check()
-    chunks = Chunks(folder / "chunks", f"{document['config_hash']} {document['code_hash']}")
     chunks.folder.mkdir(parents=True, exist_ok=True)
-    for draft in folder.rglob(".*.draft.*"):  # of a process that was killed
-        draft.unlink()
     whole = chunks.whole(design.n_chunks)
     if damaged := chunks.remove(but=whole):
         print(f"{shown}: {', '.join(damaged)}: damaged, or no chunk of this sweep; flown again", file=sys.stderr)
@@ -125,9 +125,7 @@ def _finish(folder: Path, design: Design, document: dict[str, Any], chunks: Chun
         "files": {name: checksum for name, checksum in checksums(folder).items() if name in TABLES},
     }
     write_json(folder / SWEEP_FILE, document)
-    chunks.remove()
-    with suppress(OSError):  # somebody else's file is in it
-        chunks.folder.rmdir()
+    chunks.clear()
 
 
 def _document(design: Design) -> dict[str, Any]:
