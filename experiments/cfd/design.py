@@ -16,7 +16,7 @@ import numpy as np
 
 from experiments import Refused, study
 from experiments.cfd.settings import Settings
-from experiments.import_cfd import known_postures
+from experiments.import_cfd import POSTURES, known_postures
 from experiments.sweep.design import unit_points
 from jax_aero import rust, tables
 from jax_aero.aero.dataset import Floats, wind_direction
@@ -55,7 +55,7 @@ class Winds(tables.Table, frozen=True):
                 raise ValueError(f"`{name}` has {outside[0]:g}; expected {low:g} to {high:g}")
 
     def of(self, posture: int) -> list[tuple[float, float]]:
-        """Return pitch and yaw of every wind of a posture, given by its place in the design."""
+        """Return pitch and yaw of every wind of a posture, given by its place in the table of postures."""
         if self.design == "grid":
             return list(itertools.product(self.pitch_deg, self.yaw_deg))
         if self.design == "list":
@@ -136,18 +136,16 @@ class Design:
     @cached_property
     def cases(self) -> dict[str, list[Case]]:
         """Return the cases of every posture."""
-        winds = self.spec.winds
-        return {name: [Case(name, *pair) for pair in winds.of(i)] for i, name in enumerate(self.spec.postures)}
+        winds, places = self.spec.winds, list(known_postures())
+        return {name: [Case(name, *pair) for pair in winds.of(places.index(name))] for name in self.joints}
 
     def __iter__(self) -> Iterator[Case]:
         return itertools.chain.from_iterable(self.cases.values())
 
     @property
     def digest(self) -> str:
-        """Return a hash of what decides the result of a case; postures and winds may be added to a design."""
-        urdf = self.robot.urdf_text + self.robot.toml_text
+        """Return a hash of what decides the result of a case; a design may grow by postures and winds."""
         settings = tables.plain(self.spec.settings)
         settings["solver"].pop("ranks")
-        text = json.dumps(settings, sort_keys=True) + urdf
-        text += json.dumps({name: angles.tolist() for name, angles in self.joints.items()}, sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
+        text = json.dumps(settings, sort_keys=True) + self.robot.urdf_text + self.robot.toml_text
+        return hashlib.sha256(text.encode() + POSTURES.read_bytes()).hexdigest()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import signal
 import subprocess
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,6 +20,10 @@ PROGRAMS = ("blockMesh", "snappyHexMesh", "checkMesh", "simpleFoam")
 DEBIAN = Path("/usr/share/openfoam")
 """Where Debian's package keeps what elsewhere WM_PROJECT_DIR says."""
 MISSING = "OpenFOAM is not here (no `{}` on the path); install it with: apt-get install openfoam"
+
+
+STOPPED = (signal.SIGINT, signal.SIGKILL, signal.SIGTERM)
+"""Signals by which a program is ended from outside: no result of the flow."""
 
 
 class Failed(Exception):
@@ -44,6 +49,8 @@ def run(command: list[str], folder: Path, ranks: int = 1) -> str:
     ------
     Failed
         If it ends with an error.
+    Refused
+        If somebody ended it.
     """
     words = command
     if ranks > 1:
@@ -52,6 +59,9 @@ def run(command: list[str], folder: Path, ranks: int = 1) -> str:
         words, cwd=folder, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False
     )
     said = answer.stdout.decode(errors="replace")
+    # A negative status is a signal; a shell, or MPI, adds 128 to it.
+    if any(answer.returncode in (-number, 128 + number) for number in STOPPED):
+        raise Refused(f"{command[0]} was ended by a signal; the same command goes on with this case")
     if answer.returncode:
         raise Failed(f"{command[0]} ended with status {answer.returncode}: {' '.join(said.split()[-30:])}")
     return said

@@ -17,7 +17,11 @@ class Shell(tables.Table, frozen=True):
 
 
 class Mesh(tables.Table, frozen=True):
-    """A cube of cubes, halved towards the surface: a cell of level n has the edge `base / 2^n`."""
+    """A cube of cubes, halved towards the surface: a cell of level n has the edge `base / 2^n`.
+
+    The mesher finds the surface by lines from cell centre to cell centre, which miss a body that is thinner than the
+    first cells. Shells find it whatever its size, if the n-th reaches half the diagonal of a cell of level n − 1.
+    """
 
     half_width: Positive = 5.0
     """Of the cube [m]."""
@@ -26,22 +30,36 @@ class Mesh(tables.Table, frozen=True):
     surface_level: Count = 6
     """Of the cells at the surface."""
     shells: tuple[Shell, ...] = (
-        Shell(distance=0.01, level=6),  # where the surface slips through coarse cells, this one finds it
+        Shell(distance=0.023, level=6),
         Shell(distance=0.05, level=5),
         Shell(distance=0.15, level=4),
         Shell(distance=0.4, level=3),
         Shell(distance=1.2, level=2),
     )
 
+    def __post_init__(self) -> None:
+        if self.surface_level not in (levels := [shell.level for shell in self.shells]):
+            raise ValueError(f"`shells` have the levels {levels}; expected one of surface_level, {self.surface_level}")
+        for shell in self.shells:
+            reach = math.sqrt(3.0) * self.edge(shell.level)
+            if shell.distance < reach:
+                raise ValueError(
+                    f"`shells` of level {shell.level} reach {shell.distance} m; expected at least {reach:.4f} m"
+                )
+
     @property
     def cells_across(self) -> int:
         """Return the number of cells of level 0 along an edge of the cube."""
         return math.ceil(2.0 * self.half_width / self.base)
 
+    def edge(self, level: int) -> float:
+        """Return the edge of a cell of a level [m]."""
+        return 2.0 * self.half_width / self.cells_across * 0.5**level
+
     @property
     def finest(self) -> float:
         """Return the edge of a cell at the surface [m]."""
-        return 2.0 * self.half_width / self.cells_across * 0.5**self.surface_level
+        return self.edge(self.surface_level)
 
 
 class Air(tables.Table, frozen=True):

@@ -68,7 +68,7 @@ def subject_of(name: str) -> Subject:
         half_width=2.0,
         base=0.32,
         surface_level=6,
-        shells=tuple(Shell(distance=d, level=n) for d, n in ((0.005, 6), (0.03, 5), (0.08, 4), (0.2, 3), (0.6, 2))),
+        shells=tuple(Shell(distance=d, level=n) for d, n in ((0.012, 6), (0.03, 5), (0.08, 4), (0.2, 3), (0.6, 2))),
     )
     if name == "sphere":
         body = Surface(triangles_of("sphere", (0.5 * DIAMETER,) * 3), np.zeros(3))
