@@ -29,9 +29,9 @@ from experiments.cfd.simulate import Result, simulate
 from jax_aero import places, tables
 from jax_aero.aero.cfd_import import checks
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, save
-from jax_aero.cli import Parser, completes, path
+from jax_aero.cli import Parser, completes
 from jax_aero.command import exit_status
-from jax_aero.files import write_json
+from jax_aero.files import locked, write_json
 
 RESULTS = manifest.RESULTS / KIND
 Simulate = Callable[[Mapping[str, Surface], Iterable[Floats], Settings, Path], Iterator[Result]]
@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     named = parser.add_argument("names", nargs="+", metavar="NAME", help="a file stem in configs/cfd, or a path")
     completes(named, lambda: places.names(KIND))
     study.add_set(parser)
-    parser.add_argument("--out", type=path, metavar="DIR", help="folder for the results (default results/cfd)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/cfd)")
     parser.add_argument("--finish", action="store_true", help="compute nothing; collect the cases that are there")
     given = parser.parse_args(arguments)
 
@@ -61,20 +61,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def compute(design: Design, folder: Path, simulator: Simulate = simulate) -> None:
     """Compute the cases of a design that are not there yet."""
-    _begin(design, folder)
     postures = {name: robot_surfaces(design.robot, joints) for name, joints in design.joints.items()}
-    done = sum(_path(folder, case).is_file() for case in design)
-    total = sum(1 for _ in design)
-    with tqdm(total=total, initial=done, desc=design.name, unit="case", file=sys.stderr, disable=None) as bar:
+    with locked(folder), tqdm(desc=design.name, unit="case", file=sys.stderr, disable=None) as bar:
+        _begin(design, folder)
+        bar.reset(total=sum(1 for _ in design))
         for name, cases in design.cases.items():
             missing = [case for case in cases if not _path(folder, case).is_file()]
-            if not missing:
-                continue
+            bar.update(len(cases) - len(missing))
             with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
                 winds = [case.wind_b for case in missing]
-                for case, result in zip(
-                    missing, simulator(postures[name], winds, design.spec.settings, Path(scratch)), strict=True
-                ):
+                results = simulator(postures[name], winds, design.spec.settings, Path(scratch)) if missing else ()
+                for case, result in zip(missing, results, strict=True):
                     write_json(_path(folder, case), tables.plain(result))
                     bar.update()
 
@@ -112,6 +109,7 @@ def collect(design: Design, folder: Path) -> str:
         summary=summary,
         command=["jax-aero", KIND, design.name],
         engine="openfoam",
+        code=[__name__],
         refused=refused,
         dataset=dataset.sha256,
     )

@@ -80,6 +80,8 @@ class MeshFacts(NamedTuple):
     max_skewness: float
     seconds: float
     """That it took."""
+    release: float
+    """Of OpenFOAM, as 1912; 0 where it does not say."""
 
 
 def mesh_facts(mesher: str, checker: str, seconds: float) -> MeshFacts:
@@ -97,6 +99,7 @@ def mesh_facts(mesher: str, checker: str, seconds: float) -> MeshFacts:
         max_non_orthogonality=float(_found(r"non-orthogonality Max:\s*(\S+)", checker) or np.nan),
         max_skewness=float(_found(r"Max skewness = ([^\s,]+)", checker) or np.nan),
         seconds=seconds,
+        release=float(_found(r"OPENFOAM=(\d+)", mesher) or 0.0),
     )
 
 

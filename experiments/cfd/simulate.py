@@ -106,6 +106,7 @@ def solve(
     histories = foam.read_histories(folder, surfaces)
     y_plus_mean, y_plus_max = foam.read_y_plus(folder)
     quality = {
+        "OpenFOAM": facts.release,
         "cells": float(facts.cells),
         "mesh seconds": round(facts.seconds, 1),
         "solve seconds": round(time.perf_counter() - started, 1),
