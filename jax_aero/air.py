@@ -27,6 +27,7 @@ from typing import Any, NamedTuple, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from jax_aero import config, io, places
@@ -72,10 +73,10 @@ class _Limbs:
 class LinkLoads(NamedTuple):
     """What acts on the links, world axes."""
 
-    forces: Array
-    """(L, 3) [N]."""
-    points: Array
-    """(L, 3) where they act [m]."""
+    forces: Float[Array, "L 3"]
+    """[N]."""
+    points: Float[Array, "L 3"]
+    """Where they act [m]."""
 
 
 @pytree
@@ -91,7 +92,7 @@ class Air:
     joints: Static[tuple[int, ...]]
     """Place in `qpos` of each joint of the robot; none where links are declared."""
 
-    def loads(self, data: Any, wind: Array) -> LinkLoads:
+    def loads(self, data: Any, wind: Float[Array, "3"]) -> LinkLoads:
         """Return the forces on the links, from data of MuJoCo or MJX whose positions and velocities are up to date.
 
         `cvel` holds the angular velocity and, of the point of the body at the centre of mass of its whole tree, the
@@ -115,15 +116,15 @@ class Air:
         found = link_forces(self.aero, self.robot, kin, LinkConventions(), wind)
         return LinkLoads(found.forces, found.arm_points)
 
-    def xfrc(self, data: Any, wind: Array) -> Array:
-        """Return force and torque on every body (nbody, 6), about its centre of mass, as `xfrc_applied`. Pure."""
+    def xfrc(self, data: Any, wind: Float[Array, "3"]) -> Float[Array, "nbody 6"]:
+        """Return force and torque on every body, about its centre of mass, as `xfrc_applied`. Pure."""
         loads = self.loads(data, wind)
         carriers = np.array(self.bodies, dtype=int)[np.array(self.robot.aero_links.bodies, dtype=int)]
         centres = jnp.asarray(data.xipos)
         wrenches = jnp.concatenate([loads.forces, cross(loads.points - centres[carriers], loads.forces)], axis=1)
         return jnp.zeros((len(centres), 6), wrenches.dtype).at[carriers].add(wrenches)
 
-    def blow(self, model: Any, data: Any, wind: Array) -> Any:
+    def blow(self, model: Any, data: Any, wind: Float[Array, "3"]) -> Any:
         """Return MJX data with `xfrc_applied` of this state in this wind; call it before `mjx.step`. Pure."""
         placed = mjx.com_vel(model, mjx.com_pos(model, mjx.kinematics(model, data)))
         return data.replace(xfrc_applied=self.xfrc(placed, wind))

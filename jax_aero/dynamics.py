@@ -15,6 +15,7 @@ from typing import assert_never
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from jax_aero.config import DynamicsBackend
 from jax_aero.kinematics import sum_over_ancestors
@@ -42,8 +43,8 @@ def dynamics(robot: RobotModel, state: State, kin: Kinematics, backend: Dynamics
     return Dynamics(mass_matrix, bias, momentum_matrix, momentum_matrix @ state.velocity, momentum_matrix[3:, 3:6])
 
 
-def forward_dynamics(dyn: Dynamics, force: Array) -> Array:
-    """Acceleration `ν̇` (N,) under a generalised force (N,): `M ν̇ = force − h`."""
+def forward_dynamics(dyn: Dynamics, force: Float[Array, " N"]) -> Float[Array, " N"]:
+    """Acceleration `ν̇` under a generalised force: `M ν̇ = force − h`."""
     return solve_positive_definite(dyn.mass_matrix, (force - dyn.bias)[:, None])[:, 0]
 
 

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int, Key
 
 from jax_aero.control.protocol import Command, Measurement
 from jax_aero.control.tick import MomentumController
@@ -41,19 +42,18 @@ class EnvState(NamedTuple):
     """An environment between two steps."""
 
     flight: FlightState
-    tick: Array
+    tick: Int[Array, ""]
     """Number of the next tick."""
-    wind: Array
-    """Of this episode, after its rise (3,) [m/s]."""
-    com_setpoint: Array
-    """(3,) [m]."""
-    setpoint_rotation: Array
-    """(3, 3)."""
-    obs: Array
-    reward: Array
-    done: Array
+    wind: Float[Array, "3"]
+    """Of this episode, after its rise [m/s]."""
+    com_setpoint: Float[Array, "3"]
+    """[m]."""
+    setpoint_rotation: Float[Array, "3 3"]
+    obs: Float[Array, " o"]
+    reward: Float[Array, ""]
+    done: Float[Array, ""]
     """1 where the robot is lost."""
-    metrics: dict[str, Array]
+    metrics: dict[str, Float[Array, ""]]
     """Parts of the reward, and the errors of attitude [rad] and position [m]."""
     info: dict[str, Any]
     """For wrappers; left as it is."""
@@ -64,7 +64,7 @@ class Steered:
     """The flight controller with an action laid over its answer."""
 
     inner: MomentumController
-    action: Array
+    action: Float[Array, " u"]
     task: Static[Task]
 
     def init(self, robot: RobotModel, state: RobotState) -> Any:
@@ -120,7 +120,7 @@ class FlightEnv:
         self.dt = float(self._scenario.plant.time_step)
         self.episode_length = round(self.task.duration / self.dt)
 
-    def reset(self, key: Array) -> EnvState:
+    def reset(self, key: Key[Array, ""]) -> EnvState:
         """Begin an episode: draw its wind."""
         speed_key, direction_key = jax.random.split(key)
         dtype = self._start.plant.robot.velocity.dtype
@@ -129,8 +129,8 @@ class FlightEnv:
         wind = speed * jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)])
         return self.start(wind)
 
-    def start(self, wind: Array) -> EnvState:
-        """Begin an episode in a given wind (3,) [m/s]."""
+    def start(self, wind: Float[Array, "3"]) -> EnvState:
+        """Begin an episode in a given wind [m/s]."""
         flight = self._start
         robot = flight.plant.robot
         wind = jnp.asarray(wind, robot.velocity.dtype)
@@ -151,8 +151,8 @@ class FlightEnv:
         )
         return state._replace(obs=self._observe(state)[1])
 
-    def step(self, state: EnvState, action: Array) -> EnvState:
-        """Fly one tick with an action (action_size,) between −1 and 1."""
+    def step(self, state: EnvState, action: Float[Array, " u"]) -> EnvState:
+        """Fly one tick with an action between −1 and 1."""
         inner = self._scenario.controller
         assert isinstance(inner, MomentumController)
         action = jnp.asarray(action, state.wind.dtype)

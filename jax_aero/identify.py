@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Bool, Float, Int
 
 from jax_aero.aero import Axisymmetric, LinkConventions, link_forces, wrench_about
 from jax_aero.jets import JetsState
@@ -29,20 +29,25 @@ class Segments(NamedTuple):
     """Logged states, and what was commanded from each on; k segments of h ticks."""
 
     first: State
-    thrust: Array
-    """(k, j) at the start [N]."""
-    torque: Array
-    """(k, h, n) [N m]."""
-    thrust_rate: Array
-    """(k, h, j) [N/s]."""
-    wind: Array
-    """(k, h, 3) [m/s]."""
-    velocity: Array
-    """(k, N) logged after the h ticks."""
+    thrust: Float[Array, "k j"]
+    """At the start [N]."""
+    torque: Float[Array, "k h n"]
+    """[N m]."""
+    thrust_rate: Float[Array, "k h j"]
+    """[N/s]."""
+    wind: Float[Array, "k h 3"]
+    """[m/s]."""
+    velocity: Float[Array, "k N"]
+    """Logged after the h ticks."""
 
 
 def segments_of(
-    wind: Wind, log: Mapping[str, NDArray[np.float64]], plant: Plant, first_tick: int, count: int, horizon: int
+    wind: Wind,
+    log: Mapping[str, Float[np.ndarray, "ticks ..."]],
+    plant: Plant,
+    first_tick: int,
+    count: int,
+    horizon: int,
 ) -> Segments:
     """Return `count` segments of `horizon` ticks of a log, evenly spread from `first_tick` to its end."""
     starts = np.linspace(first_tick, len(log["time"]) - horizon - 1, count, dtype=int)
@@ -61,8 +66,8 @@ def segments_of(
     )
 
 
-def states_of(log: Mapping[str, NDArray[np.float64]], ticks: Any) -> State:
-    """States (k, ...) of a log at some ticks."""
+def states_of(log: Mapping[str, Float[np.ndarray, "ticks ..."]], ticks: Any) -> State:
+    """States of a log at some ticks."""
     velocity = np.concatenate([log["base_velocity"][ticks], log["joint_velocity"][ticks]], axis=1)
     return State(
         base_position=jnp.asarray(log["base_position"][ticks]),
@@ -72,8 +77,8 @@ def states_of(log: Mapping[str, NDArray[np.float64]], ticks: Any) -> State:
     )
 
 
-def simulated_velocity(plant: Plant, segment: Segments) -> Array:
-    """Velocity (N,) after the ticks of one segment, from its first state and under its commands."""
+def simulated_velocity(plant: Plant, segment: Segments) -> Float[Array, " N"]:
+    """Velocity after the ticks of one segment, from its first state and under its commands."""
     jets = JetsState(segment.thrust, jnp.zeros_like(segment.thrust), None)
 
     def tick(state: PlantState, commands: tuple[Array, Array, Array]) -> tuple[PlantState, None]:
@@ -89,15 +94,15 @@ def misfit_of(
     plant: Plant,
     model: Axisymmetric,
     segments: Segments,
-    member: NDArray[np.int64],
-    deviation: NDArray[np.float64],
+    member: Int[np.ndarray, " L"],
+    deviation: Float[np.ndarray, " N"],
     spread: float,
-) -> Callable[[Array], Array]:
-    """Return the loss per logged velocity as a function of `θ` (families, 6).
+) -> Callable[[Float[Array, "families 6"]], Float[Array, ""]]:
+    """Return the loss per logged velocity as a function of `θ`.
 
         ( Σ ((ν_simulated − ν_logged)/σ)² + Σ (θ/spread)² ) / (2 k N)      areas = (1 + θ[member]) · those of `model`
 
-    `deviation` is σ (N,) [m/s, rad/s] of the logged velocities, `member` (L,) the family of each link.
+    `deviation` is σ [m/s, rad/s] of the logged velocities, `member` the family of each link.
     """
 
     def misfit(theta: Array) -> Array:
@@ -110,9 +115,12 @@ def misfit_of(
 
 
 def descend(
-    misfit: Callable[[Array], Array], exists: NDArray[np.bool_], steps: int, rate: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Minimise by Adam from θ = 0, where `exists`; return `θ` (families, 6) and the loss (steps,) before each step."""
+    misfit: Callable[[Float[Array, "families 6"]], Float[Array, ""]],
+    exists: Bool[np.ndarray, "families 6"],
+    steps: int,
+    rate: float,
+) -> tuple[Float[np.ndarray, "families 6"], Float[np.ndarray, " steps"]]:
+    """Minimise by Adam from θ = 0, where `exists`; return `θ` and the loss before each step."""
 
     @jax.jit
     def step(theta: Array, mean: Array, square: Array, count: Array) -> tuple[Array, Array, Array, Array]:
@@ -131,9 +139,9 @@ def descend(
 
 
 def wrenches_along(
-    log: Mapping[str, NDArray[np.float64]], robot: RobotModel, models: Mapping[str, Axisymmetric]
-) -> dict[str, NDArray[np.float64]]:
-    """Total force and moment about the centre of mass (ticks, 6) [N, N m] of each model along a log, inertial axes."""
+    log: Mapping[str, Float[np.ndarray, "ticks ..."]], robot: RobotModel, models: Mapping[str, Axisymmetric]
+) -> dict[str, Float[np.ndarray, "ticks 6"]]:
+    """Total force and moment about the centre of mass [N, N m] of each model along a log, inertial axes."""
 
     @jax.jit
     def along(model: Axisymmetric) -> Array:

@@ -35,7 +35,7 @@ class JetFaults(NamedTuple):
     fails: Bool[Array, " j"]
     """Whether this is the jet that fails."""
     is_stuck: Bool[Array, ""]
-    """Whether it keeps its thrust, bool; otherwise it loses it."""
+    """Whether it keeps its thrust; otherwise it loses it."""
     failure_time: Float[Array, ""]
     """[s]."""
     decay: Float[Array, ""]
@@ -104,30 +104,36 @@ def _sensor_noise(settings: JetFaultsConfig, n_ticks: int, jets: int) -> Array:
     return jnp.asarray(found.std) * drawn.reshape(-1, jets)
 
 
-def known_limits(settings: JetFaultsConfig, robot: RobotModel) -> Array:
-    """Thrust limits (j,) [N] in the controller's bounds."""
+def known_limits(settings: JetFaultsConfig, robot: RobotModel) -> Float[Array, " j"]:
+    """Thrust limits [N] in the controller's bounds."""
     if settings.limit_is_known and settings.thrust_limit_scale is not None:
         return jnp.asarray(settings.thrust_limit_scale * robot.jets.thrust_max)
     return robot.jets.thrust_max
 
 
-def delayed(faults: JetFaults, state: FaultState, command: Array, dt: Array) -> Array:
-    """Thrust rates (j,) [N/s] that reach the jets when these are commanded for the next `dt` [s]."""
+def delayed(
+    faults: JetFaults, state: FaultState, command: Float[Array, " j"], dt: Float[Array, ""]
+) -> Float[Array, " j"]:
+    """Thrust rates [N/s] that reach the jets when these are commanded for the next `dt` [s]."""
     has_lag = faults.lag > 0.0
     share = -jnp.expm1(-dt / jnp.where(has_lag, faults.lag, 1.0))
     return jnp.where(has_lag, state.command + (command - state.command) * share, command)
 
 
-def measured(faults: JetFaults, state: FaultState, thrust: Array) -> Array:
-    """Thrust (j,) [N] that estimators are given."""
+def measured(faults: JetFaults, state: FaultState, thrust: Float[Array, " j"]) -> Float[Array, " j"]:
+    """Thrust [N] that estimators are given."""
     if faults.sensor_noise is None:
         return thrust
     return thrust + faults.sensor_noise[jnp.minimum(state.tick, faults.sensor_noise.shape[0] - 1)]
 
 
 def limited(
-    faults: JetFaults, state: FaultState, thrust: Array, thrust_rate: Array, dt: Array
-) -> tuple[Array, Array, FaultState]:
+    faults: JetFaults,
+    state: FaultState,
+    thrust: Float[Array, " j"],
+    thrust_rate: Float[Array, " j"],
+    dt: Float[Array, ""],
+) -> tuple[Float[Array, " j"], Float[Array, " j"], FaultState]:
     """Thrust and thrust rate that the jets really have after a step of `dt` [s], and what is remembered of it.
 
     A jet that is off decays from the thrust of its failure: `T = T₀ exp(−(t − t₀)/τ)`.

@@ -25,7 +25,7 @@ MIN_INPUT_GAIN = 1e-9
 
 
 class Engines(NamedTuple):
-    """Coefficients of the engine of every jet, each (j,); thrust T [N], throttle u [%].
+    """Coefficients of the engine of every jet; thrust T [N], throttle u [%].
 
         T̈ = f(T, Ṫ) + g(T, Ṫ) v(u)
         f = k_t T + k_tt T² + k_d Ṫ + k_dd Ṫ² + k_td T Ṫ + c
@@ -34,18 +34,18 @@ class Engines(NamedTuple):
     Source: the published flight controller's jet model, identified on the test bench by its authors.
     """
 
-    k_t: Array
-    k_tt: Array
-    k_d: Array
-    k_dd: Array
-    k_td: Array
-    b_u: Array
-    b_t: Array
-    b_d: Array
-    b_uu: Array
-    c: Array
-    throttle_min: Array
-    throttle_max: Array
+    k_t: Float[Array, " j"]
+    k_tt: Float[Array, " j"]
+    k_d: Float[Array, " j"]
+    k_dd: Float[Array, " j"]
+    k_td: Float[Array, " j"]
+    b_u: Float[Array, " j"]
+    b_t: Float[Array, " j"]
+    b_d: Float[Array, " j"]
+    b_uu: Float[Array, " j"]
+    c: Float[Array, " j"]
+    throttle_min: Float[Array, " j"]
+    throttle_max: Float[Array, " j"]
 
 
 class JetsState(NamedTuple):
@@ -62,18 +62,24 @@ class JetsState(NamedTuple):
 class JetDynamics(Protocol):
     """How thrust follows the command, for all jets at once: a pytree whose numbers are leaves."""
 
-    def start(self, thrust: Array) -> JetsState:
-        """Jets at `thrust` (j,) [N] with thrust rate zero."""
+    def start(self, thrust: Float[Array, " j"]) -> JetsState:
+        """Jets at `thrust` [N] with thrust rate zero."""
         ...
 
-    def feedback(self, state: JetsState) -> Array:
-        """Thrust that the flight controller is given (j,) [N]."""
+    def feedback(self, state: JetsState) -> Float[Array, " j"]:
+        """Thrust that the flight controller is given [N]."""
         ...
 
-    def advance(self, state: JetsState, command: Array, dt: Array | float, measured: Array | None = None) -> JetsState:
-        """Move every jet on by `dt` [s] under the commanded thrust rates (j,) [N/s], held constant.
+    def advance(
+        self,
+        state: JetsState,
+        command: Float[Array, " j"],
+        dt: Float[Array, ""] | float,
+        measured: Float[Array, " j"] | None = None,
+    ) -> JetsState:
+        """Move every jet on by `dt` [s] under the commanded thrust rates [N/s], held constant.
 
-        Estimators are given the thrust `measured` (j,) [N], the true one without it.
+        Estimators are given the thrust `measured` [N], the true one without it.
         """
         ...
 
@@ -82,15 +88,21 @@ class JetDynamics(Protocol):
 class IdealJets:
     """Thrust is the integral of the commanded rate, never negative; upper bounds are the controller's."""
 
-    def start(self, thrust: Array) -> JetsState:
-        """Jets at `thrust` (j,) [N] with thrust rate zero."""
+    def start(self, thrust: Float[Array, " j"]) -> JetsState:
+        """Jets at `thrust` [N] with thrust rate zero."""
         return JetsState(thrust, jnp.zeros_like(thrust))
 
-    def feedback(self, state: JetsState) -> Array:
-        """Return the true thrust (j,) [N]."""
+    def feedback(self, state: JetsState) -> Float[Array, " j"]:
+        """Return the true thrust [N]."""
         return state.thrust
 
-    def advance(self, state: JetsState, command: Array, dt: Array | float, measured: Array | None = None) -> JetsState:  # noqa: ARG002 - nothing estimates here
+    def advance(
+        self,
+        state: JetsState,
+        command: Float[Array, " j"],
+        dt: Float[Array, ""] | float,
+        measured: Float[Array, " j"] | None = None,  # noqa: ARG002 - nothing estimates here
+    ) -> JetsState:
         """`T ← max(0, T + Ṫ* dt)`."""
         thrust = state.thrust + dt * command
         return JetsState(jnp.where(thrust < 0.0, 0.0, thrust), jnp.where(thrust < 0.0, 0.0, command))
@@ -114,9 +126,9 @@ class SecondOrderJets:
     """Identified engines, their throttle loop and the noise their estimator assumes."""
 
     engines: Engines
-    rate_gain_p: Array
+    rate_gain_p: Float[Array, ""]
     """[1/s]"""
-    rate_gain_i: Array
+    rate_gain_i: Float[Array, ""]
     """[1/s²]"""
     q: Float[Array, "2 2"]
     """Process noise of the estimator."""
@@ -129,8 +141,8 @@ class SecondOrderJets:
     init_p: Float[Array, "2 2"]
     """Covariance of the first estimate."""
 
-    def start(self, thrust: Array) -> JetsState:
-        """Jets at `thrust` (j,) [N] with thrust rate zero, their throttle in equilibrium."""
+    def start(self, thrust: Float[Array, " j"]) -> JetsState:
+        """Jets at `thrust` [N] with thrust rate zero, their throttle in equilibrium."""
         rest = jnp.zeros_like(thrust)
         estimate = jnp.stack([thrust, rest], axis=1)
         if self.init_state is not None:
@@ -139,12 +151,18 @@ class SecondOrderJets:
         throttle = steady_throttle(self.engines, thrust)
         return JetsState(thrust, rest, EngineState(throttle, rest, estimate, covariance))
 
-    def feedback(self, state: JetsState) -> Array:
-        """Thrust (j,) [N], true or estimated."""
+    def feedback(self, state: JetsState) -> Float[Array, " j"]:
+        """Thrust [N], true or estimated."""
         estimate: Array = state.engine.estimate[:, 0]
         return estimate if self.feedback_is_estimated else state.thrust
 
-    def advance(self, state: JetsState, command: Array, dt: Array | float, measured: Array | None = None) -> JetsState:
+    def advance(
+        self,
+        state: JetsState,
+        command: Float[Array, " j"],
+        dt: Float[Array, ""] | float,
+        measured: Float[Array, " j"] | None = None,
+    ) -> JetsState:
         """Move throttles on from the present estimate, then estimators and engines over `dt` [s]."""
         throttle, integral = _throttle_loop(self, state.engine, command, dt)
         seen = state.thrust if measured is None else measured
@@ -191,23 +209,23 @@ def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
             assert_never(settings)
 
 
-def drift(e: Engines, thrust: Array, thrust_rate: Array) -> Array:
+def drift(e: Engines, thrust: Float[Array, " j"], thrust_rate: Float[Array, " j"]) -> Float[Array, " j"]:
     """`f(T, Ṫ)` [N/s²]: thrust acceleration with `v = 0`."""
     along = thrust * (e.k_t + e.k_tt * thrust + e.k_td * thrust_rate)
     return along + thrust_rate * (e.k_d + e.k_dd * thrust_rate) + e.c
 
 
-def input_gain(e: Engines, thrust: Array, thrust_rate: Array) -> Array:
+def input_gain(e: Engines, thrust: Float[Array, " j"], thrust_rate: Float[Array, " j"]) -> Float[Array, " j"]:
     """`g(T, Ṫ)` [N/s² per %]; changes sign where the thrust rises fast."""
     return e.b_u + e.b_t * thrust + e.b_d * thrust_rate
 
 
-def throttle_input(e: Engines, throttle: Array) -> Array:
+def throttle_input(e: Engines, throttle: Float[Array, " j"]) -> Float[Array, " j"]:
     """`v(u) = u + b_uu u²` [%] of a throttle [%]."""
     return throttle * (1.0 + e.b_uu * throttle)
 
 
-def throttle_from_input(e: Engines, v: Array) -> Array:
+def throttle_from_input(e: Engines, v: Float[Array, " j"]) -> Float[Array, " j"]:
     """Throttle [%] with `v(u) = v`, on the branch through zero: `u = 2 v/(1 + √max(0, 1 + 4 b_uu v))`.
 
     The published `(−1 + √…)/(2 b_uu)` with the root moved below: also right at `b_uu = 0`. Where no throttle reaches
@@ -220,7 +238,7 @@ def throttle_from_input(e: Engines, v: Array) -> Array:
     return jnp.where(is_past_top, top, 2.0 * v / (1.0 + root))
 
 
-def steady_throttle(e: Engines, thrust: Array) -> Array:
+def steady_throttle(e: Engines, thrust: Float[Array, " j"]) -> Float[Array, " j"]:
     """Throttle [%] that holds a thrust [N]: `f(T, 0) + g(T, 0) v(u) = 0`, within the limits."""
     rest = jnp.zeros_like(thrust)
     gain = input_gain(e, thrust, rest)
@@ -229,7 +247,9 @@ def steady_throttle(e: Engines, thrust: Array) -> Array:
     return jnp.where(acts, _limited_throttle(e, v), e.throttle_min)
 
 
-def thrust_acceleration(e: Engines, thrust: Array, thrust_rate: Array, throttle: Array) -> Array:
+def thrust_acceleration(
+    e: Engines, thrust: Float[Array, " j"], thrust_rate: Float[Array, " j"], throttle: Float[Array, " j"]
+) -> Float[Array, " j"]:
     """`T̈` [N/s²] at a throttle [%], which is limited first."""
     v = throttle_input(e, jnp.clip(throttle, e.throttle_min, e.throttle_max))
     return drift(e, thrust, thrust_rate) + input_gain(e, thrust, thrust_rate) * v
@@ -262,8 +282,12 @@ def _throttle_loop(
 
 
 def update_ekf(
-    model: SecondOrderJets, state: EngineState, measured: Array, throttle: Array, dt: Array | float
-) -> tuple[Array, Array]:
+    model: SecondOrderJets,
+    state: EngineState,
+    measured: Float[Array, " j"],
+    throttle: Float[Array, " j"],
+    dt: Float[Array, ""] | float,
+) -> tuple[Float[Array, "j 2"], Float[Array, "j 2 2"]]:
     """Advance the extended Kalman filter of every engine: a measurement of variance `R/dt`, then a step of `dt`.
 
     K = P Cᵀ (C P Cᵀ + R/dt)⁻¹,   x̂ ← x̂ + K (y − T̂),   P ← P − K C P,   C = (1 0)

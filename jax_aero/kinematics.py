@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import axis_angle, cross, multiply, rotate, skew
@@ -37,13 +38,13 @@ def kinematics(robot: RobotModel, state: State) -> Kinematics:
     return Kinematics(rotations, positions, joint_linear, joint_angular, com, angular, linear, state.joint_position)
 
 
-def sum_over_ancestors(robot: RobotModel, dtype: np.dtype[np.generic] | type) -> Array:
-    """(nb, n) matrix that sums, for every body, over the joints between it and the base."""
+def sum_over_ancestors(robot: RobotModel, dtype: np.dtype[np.generic] | type) -> Float[Array, "nb n"]:
+    """Return the matrix that sums, for every body, over the joints between it and the base."""
     return jnp.asarray(robot.ancestors, dtype)
 
 
-def carriers(robot: RobotModel, bodies: tuple[int, ...], dtype: np.dtype[np.generic] | type) -> Array:
-    """(k, n) static mask: whether joint `j` moves the body of point `k`."""
+def carriers(robot: RobotModel, bodies: tuple[int, ...], dtype: np.dtype[np.generic] | type) -> Float[Array, "k n"]:
+    """Return the static mask: whether joint `j` moves the body of point `k`."""
     return jnp.asarray(robot.ancestors[np.array(bodies, dtype=int)], dtype)
 
 
@@ -62,8 +63,10 @@ def _compose_along_tree(robot: RobotModel, base_rotation: Array, local: Array) -
     return jnp.concatenate(done)[order]
 
 
-def point_jacobians(robot: RobotModel, kin: Kinematics, bodies: tuple[int, ...], points: Array) -> tuple[Array, Array]:
-    """Linear and angular Jacobians (k, 3, N), (k, 3, N) of points (k, 3) that move with `bodies`.
+def point_jacobians(
+    robot: RobotModel, kin: Kinematics, bodies: tuple[int, ...], points: Float[Array, "k 3"]
+) -> tuple[Float[Array, "k 3 N"], Float[Array, "k 3 N"]]:
+    """Linear and angular Jacobians of points that move with `bodies`.
 
     Base translation gives the columns `(e_k, 0)`, base rotation `(e_k × r, e_k)`, a joint that moves the body
     `(a × (p − o_j), a)` if it is revolute and `(a, 0)` if it is prismatic.
@@ -81,9 +84,13 @@ def point_jacobians(robot: RobotModel, kin: Kinematics, bodies: tuple[int, ...],
 
 
 def generalised_force(
-    robot: RobotModel, kin: Kinematics, bodies: tuple[int, ...], points: Array, forces: Array
-) -> Array:
-    """`Σ J_kᵀ f_k` (N,) of forces (k, 3) [N] on `bodies` at `points` (k, 3), without forming a Jacobian.
+    robot: RobotModel,
+    kin: Kinematics,
+    bodies: tuple[int, ...],
+    points: Float[Array, "k 3"],
+    forces: Float[Array, "k 3"],
+) -> Float[Array, " N"]:
+    """`Σ J_kᵀ f_k` of forces [N] on `bodies` at `points`, without forming a Jacobian.
 
     A joint carries the force and moment of its subtree: `τ_j = a · (Σ p × f − o_j × Σ f)`, about the base origin; a
     prismatic one `a · Σ f`.
@@ -97,14 +104,16 @@ def generalised_force(
     return jnp.concatenate([forces.sum(0), moments.sum(0), joints])
 
 
-def velocities_at(kin: Kinematics, bodies: tuple[int, ...], points: Array) -> Array:
-    """Velocities (k, 3) [m/s] of the points (k, 3) that move with `bodies`."""
+def velocities_at(kin: Kinematics, bodies: tuple[int, ...], points: Float[Array, "k 3"]) -> Float[Array, "k 3"]:
+    """Velocities [m/s] of the points that move with `bodies`."""
     b = np.array(bodies, dtype=int)
     return kin.linear_velocities[b] + cross(kin.angular_velocities[b], points - kin.body_positions[b])
 
 
-def frame_poses(kin: Kinematics, bodies: tuple[int, ...], rotations: Array, positions: Array) -> tuple[Array, Array]:
-    """Rotations (k, 3, 3) and origins (k, 3) in inertial axes of frames given in their bodies."""
+def frame_poses(
+    kin: Kinematics, bodies: tuple[int, ...], rotations: Float[Array, "k 3 3"], positions: Float[Array, "k 3"]
+) -> tuple[Float[Array, "k 3 3"], Float[Array, "k 3"]]:
+    """Rotations and origins in inertial axes of frames given in their bodies."""
     b = np.array(bodies, dtype=int)
     carriers = kin.body_rotations[b]
     return multiply(carriers, rotations), rotate(carriers, positions) + kin.body_positions[b]

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.custom_batching import custom_vmap
+from jaxtyping import Float, Int
 
 from jax_aero.types import Array
 
@@ -25,8 +26,8 @@ dot = partial(jnp.matmul, precision="highest")
 """Product in full precision on every device."""
 
 
-def solve_positive_definite(a: Array, b: Array) -> Array:
-    """`A⁻¹ B` for a symmetric positive definite A (n, n) and B (n, k); NaN if A is not positive definite.
+def solve_positive_definite(a: Float[Array, "u u"], b: Float[Array, "u k"]) -> Float[Array, "u k"]:
+    """`A⁻¹ B` for a symmetric positive definite A and B; NaN if A is not positive definite.
 
     Differentiable in both modes and to any order.
     """
@@ -34,13 +35,13 @@ def solve_positive_definite(a: Array, b: Array) -> Array:
     return x
 
 
-def cholesky(a: Array) -> Array:
+def cholesky(a: Float[Array, "u u"]) -> Float[Array, "u u"]:
     """Lower factor L of `A = L Lᵀ`; NaN if A is not positive definite. At most `CHUNK` in a batch on a CPU."""
     return lax.linalg.cholesky(a, symmetrize_input=False)
 
 
-def solve_factored(factor: Array, b: Array) -> Array:
-    """`A⁻¹ B` from the factor of A and B (n, k). At most `CHUNK` in a batch on a CPU."""
+def solve_factored(factor: Float[Array, "u u"], b: Float[Array, "u k"]) -> Float[Array, "u k"]:
+    """`A⁻¹ B` from the factor of A and B. At most `CHUNK` in a batch on a CPU."""
     lower = partial(lax.linalg.triangular_solve, factor, left_side=True, lower=True)
     return lower(lower(b), transpose_a=True)
 
@@ -77,7 +78,9 @@ def with_batch_rule(one: Callable[..., Any], batch: Callable[..., Any]) -> Calla
     return chosen
 
 
-def in_chunks(one: Callable[..., Any], inputs: Any, out: Any, order: Array, count: Array | int) -> Any:
+def in_chunks(
+    one: Callable[..., Any], inputs: Any, out: Any, order: Int[Array, " k"], count: Int[Array, ""] | int
+) -> Any:
     """Overwrite the rows `order[:count]` of `out` by `one(*inputs, out)` of the same rows, `CHUNK` rows at a time."""
     chunk = min(CHUNK, order.shape[0])
 

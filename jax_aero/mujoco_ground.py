@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import mujoco  # type: ignore[import-untyped]
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 from jax_aero import mujoco_model, rust
@@ -41,14 +42,14 @@ class Observed(NamedTuple):
     """State of the simulation at a tick."""
 
     state: rust.State
-    foot_wrenches: Array
-    """(feet, 6) [N, N m] about the origin of each sole, force first, inertial axes."""
-    joint_torque: Array
-    """(n,) [N m] that reaches the joints: what the motors give, less their friction."""
-    aero_force: Array
-    """(links, 3) [N]."""
-    soles: Array
-    """(feet, 3) origins of the soles [m]."""
+    foot_wrenches: Float[np.ndarray, "feet 6"]
+    """[N, N m] about the origin of each sole, force first, inertial axes."""
+    joint_torque: Float[np.ndarray, " n"]
+    """[N m] that reaches the joints: what the motors give, less their friction."""
+    aero_force: Float[np.ndarray, "L 3"]
+    """[N]."""
+    soles: Float[np.ndarray, "feet 3"]
+    """Origins of the soles [m]."""
 
 
 class GroundPlant:
@@ -101,7 +102,7 @@ class GroundPlant:
         self.data.ctrl[:] = held
         mujoco.mj_forward(model, self.data)
 
-    def observe(self, wind: Array) -> Observed:
+    def observe(self, wind: Float[np.ndarray, "3"]) -> Observed:
         """Return what is there at this tick, in a wind [m/s, inertial axes], and hold its forces."""
         model, data, order = self.model, self.data, self._order
         mujoco.mj_forward(model, data)
@@ -119,7 +120,7 @@ class GroundPlant:
         """Whether every number of the state is finite."""
         return bool(np.isfinite(self.data.qpos).all() and np.isfinite(self.data.qvel).all())
 
-    def advance(self, torque: Array) -> None:
+    def advance(self, torque: Float[np.ndarray, " n"]) -> None:
         """Advance one tick under held torques [N m]."""
         self.data.ctrl[:] = torque
         mujoco.mj_step(self.model, self.data, self._substeps)

@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import mujoco  # type: ignore[import-untyped]
 import numpy as np
+from jaxtyping import Float
 from numpy.typing import NDArray
 
 from jax_aero.robot import RobotModel
@@ -92,7 +93,7 @@ def order_of(source: str, joint_names: tuple[str, ...]) -> Order:
     )
 
 
-def to_mujoco(robot: RobotModel, state: State) -> tuple[Array, Array]:
+def to_mujoco(robot: RobotModel, state: State) -> tuple[Float[Array, " q"], Float[Array, " N"]]:
     """`qpos` and `qvel` of a state."""
     order = order_of(robot.source, robot.joint_names)
     dtype = state.velocity.dtype
@@ -104,8 +105,8 @@ def to_mujoco(robot: RobotModel, state: State) -> tuple[Array, Array]:
     return qpos, jnp.zeros(n - 1, dtype).at[order.dofs].set(ours)
 
 
-def mass_matrix_and_bias(robot: RobotModel, state: State) -> tuple[Array, Array]:
-    """`M` (N, N) and `h` (N,) in our order and mixed velocities, from MJX.
+def mass_matrix_and_bias(robot: RobotModel, state: State) -> tuple[Float[Array, "N N"], Float[Array, " N"]]:
+    """`M` and `h` in our order and mixed velocities, from MJX.
 
     With `ν_mj = T ν`, `T = blkdiag(1, Rᵀ, 1)`: `M = Tᵀ M_mj T` and `h = Tᵀ h_mj`, for `Ṫ ν = −Rᵀ (ω × ω) = 0`.
     """

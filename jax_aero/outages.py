@@ -80,14 +80,14 @@ def outages_of(settings: Sequence[OutageConfig], robot: RobotModel) -> tuple[Out
     )
 
 
-def begin(outages: Sequence[Outage], state: State, thrust: Array) -> tuple[Held, ...]:
+def begin(outages: Sequence[Outage], state: State, thrust: Float[Array, " j"]) -> tuple[Held, ...]:
     """Return the memory of outages that have not begun."""
     nothing = Sample(state, thrust, jnp.zeros_like(state.base_position))
     return tuple(Held(jnp.array(False), nothing) for _ in outages)
 
 
 def spoil(
-    outages: Sequence[Outage], held: Sequence[Held], time: Array, sample: Sample
+    outages: Sequence[Outage], held: Sequence[Held], time: Float[Array, ""], sample: Sample
 ) -> tuple[tuple[Held, ...], Sample]:
     """Spoil what is measured at `time` [s]."""
     after = []

@@ -68,8 +68,8 @@ class AeroLinks:
     """[m]."""
     lengths: Float[Array, " L"]
     """Along the axis [m]."""
-    coefficients: dict[str, Array]
-    """By set: (L, 6) force areas `w0 .. w4` of the drag and `w5` of the normal force [m²]."""
+    coefficients: dict[str, Float[Array, "L 6"]]
+    """By set: force areas `w0 .. w4` of the drag and `w5` of the normal force [m²]."""
 
     @property
     def count(self) -> int:
@@ -120,8 +120,8 @@ class RobotModel:
     """[m/s²], positive; pulls along −z."""
     jets: Jets
     aero_links: AeroLinks
-    engines: dict[str, Array]
-    """By name: (12,) coefficients in the order of `ENGINE_KEYS`."""
+    engines: dict[str, Float[Array, "12"]]
+    """By name: coefficients in the order of `ENGINE_KEYS`."""
 
     @property
     def n_joints(self) -> int:
@@ -139,13 +139,13 @@ class RobotModel:
         return 6 + len(self.joint_names)
 
     @property
-    def mass(self) -> Array:
+    def mass(self) -> Float[Array, ""]:
         """Total mass [kg]."""
         return self.masses.sum()
 
     @property
     def ancestors(self) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
-        """Whether joint `j` moves body `i`: a static mask (nb, n)."""
+        """Whether joint `j` moves body `i`: a static mask."""
         return ancestors_of(self.parent)
 
     @property

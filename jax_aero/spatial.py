@@ -11,51 +11,52 @@ from collections.abc import Iterable
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float
 
 from jax_aero.types import Array
 
 
-def skew(v: Array) -> Array:
-    """Matrix `S(v)` with `S(v) u = v × u`; (..., 3) to (..., 3, 3)."""
+def skew(v: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
+    """Matrix `S(v)` with `S(v) u = v × u`."""
     x, y, z = v[..., 0], v[..., 1], v[..., 2]
     o = jnp.zeros_like(x)
     return jnp.stack([jnp.stack([o, -z, y], -1), jnp.stack([z, o, -x], -1), jnp.stack([-y, x, o], -1)], -2)
 
 
-def multiply(a: Array, b: Array) -> Array:
-    """Multiply 3×3 matrices (..., 3, 3) as sums of products, which XLA fuses; small dots it calls one by one."""
+def multiply(a: Float[Array, "*#batch 3 3"], b: Float[Array, "*#batch 3 3"]) -> Float[Array, "*#batch 3 3"]:
+    """Multiply 3×3 matrices as sums of products, which XLA fuses; small dots it calls one by one."""
     return sum_of_three(a[..., :, k, None] * b[..., None, k, :] for k in range(3))
 
 
-def rotate(a: Array, v: Array) -> Array:
-    """Return `A v` of 3×3 matrices (..., 3, 3) and vectors (..., 3); see `multiply`."""
+def rotate(a: Float[Array, "*#batch 3 3"], v: Float[Array, "*#batch 3"]) -> Float[Array, "*#batch 3"]:
+    """Return `A v` of 3×3 matrices and vectors; see `multiply`."""
     return sum_of_three(a[..., :, k] * v[..., k, None] for k in range(3))
 
 
-def rotate_back(a: Array, v: Array) -> Array:
-    """Return `Aᵀ v` of 3×3 matrices (..., 3, 3) and vectors (..., 3); see `multiply`."""
+def rotate_back(a: Float[Array, "*#batch 3 3"], v: Float[Array, "*#batch 3"]) -> Float[Array, "*#batch 3"]:
+    """Return `Aᵀ v` of 3×3 matrices and vectors; see `multiply`."""
     return sum_of_three(a[..., k, :] * v[..., k, None] for k in range(3))
 
 
-def sum_of_three(terms: Iterable[Array]) -> Array:
+def sum_of_three(terms: Iterable[Float[Array, " *#batch"]]) -> Float[Array, " *#batch"]:
     """Sum without starting from a Python zero."""
     a, b, c = terms
     return a + b + c
 
 
-def cross(a: Array, b: Array) -> Array:
+def cross(a: Float[Array, "*#batch 3"], b: Float[Array, "*#batch 3"]) -> Float[Array, "*#batch 3"]:
     """Return `a × b` over the last axis."""
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     return jnp.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
 
 
-def vee_of_skew_part(a: Array) -> Array:
+def vee_of_skew_part(a: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3"]:
     """Vector of the antisymmetric part, `sk(A)^∨` with `sk(A) = (A − Aᵀ)/2`; inverse of `skew`."""
     return 0.5 * jnp.stack([a[..., 2, 1] - a[..., 1, 2], a[..., 0, 2] - a[..., 2, 0], a[..., 1, 0] - a[..., 0, 1]], -1)
 
 
-def exp_so3(phi: Array) -> Array:
+def exp_so3(phi: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
     """Rotation by the vector `phi` [rad]: `exp(S(φ)) = I + A S + B S²`.
 
     `A = sin θ/θ` and `B = (1 − cos θ)/θ²` are even in θ, so they are functions of `θ²` and smooth at zero.
@@ -78,27 +79,27 @@ def _sinc_and_cosc(square: Array) -> tuple[Array, Array]:
     return jnp.where(is_small, sinc, jnp.sin(theta) / theta), jnp.where(is_small, cosc, 0.5 * half * half)
 
 
-def axis_angle(axis: Array, angle: Array) -> Array:
-    """Rotation about a unit axis by an angle [rad]; (..., 3) and (...) to (..., 3, 3)."""
+def axis_angle(axis: Float[Array, "*#batch 3"], angle: Float[Array, " *#batch"]) -> Float[Array, "*#batch 3 3"]:
+    """Rotation about a unit axis by an angle [rad]."""
     s, c = jnp.sin(angle)[..., None, None], jnp.cos(angle)[..., None, None]
     outer = axis[..., :, None] * axis[..., None, :]
     return c * jnp.eye(3, dtype=axis.dtype) + s * skew(axis) + (1.0 - c) * outer
 
 
-def safe_norm(v: Array) -> Array:
+def safe_norm(v: Float[Array, "*batch _"]) -> Float[Array, " *batch"]:
     """Length over the last axis, with gradient zero where the vector is zero."""
     square = jnp.sum(v * v, -1)
     is_zero = square == 0.0
     return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, square)))
 
 
-def rotation_angle(r: Array) -> Array:
+def rotation_angle(r: Float[Array, "*batch 3 3"]) -> Float[Array, " *batch"]:
     """Angle of a rotation [rad], in [0, π]; exact near both ends (no `acos`)."""
     return jnp.arctan2(safe_norm(vee_of_skew_part(r)), 0.5 * (jnp.trace(r, axis1=-2, axis2=-1) - 1.0))
 
 
-def log_so3(r: Array) -> Array:
-    """Rotation vector (..., 3) of a rotation by less than half a turn: inverse of `exp_so3`."""
+def log_so3(r: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3"]:
+    """Rotation vector of a rotation by less than half a turn: inverse of `exp_so3`."""
     v = vee_of_skew_part(r)
     square, cosine = jnp.sum(v * v, -1), 0.5 * (jnp.trace(r, axis1=-2, axis2=-1) - 1.0)
     # There θ/sin θ = 1 + sin²θ/6 to the last bit. At half a turn sin θ may be zero too, and the axis is lost.
@@ -108,7 +109,7 @@ def log_so3(r: Array) -> Array:
     return factor[..., None] * v
 
 
-def rotation_from_rpy(rpy: Array) -> Array:
+def rotation_from_rpy(rpy: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
     """`Rz(yaw) Ry(pitch) Rx(roll)` for `rpy = (roll, pitch, yaw)` [rad]."""
     (sr, sp, sy), (cr, cp, cy) = jnp.moveaxis(jnp.sin(rpy), -1, 0), jnp.moveaxis(jnp.cos(rpy), -1, 0)
     return jnp.stack(
@@ -121,7 +122,7 @@ def rotation_from_rpy(rpy: Array) -> Array:
     )
 
 
-def rpy_from_rotation(r: Array) -> Array:
+def rpy_from_rotation(r: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3"]:
     """Inverse of `rotation_from_rpy`, pitch in [−π/2, π/2].
 
     At a pitch of ±π/2, where roll and yaw are not defined, both are zero and all derivatives finite.
@@ -136,14 +137,14 @@ def _safe_arctan2(y: Array, x: Array) -> Array:
     return jnp.where(is_zero, 0.0, jnp.arctan2(y, jnp.where(is_zero, 1.0, x)))
 
 
-def is_rotation(matrix: Array) -> Array:
-    """Return whether a matrix (3, 3) is a rotation to six digits; one that holds a NaN is none."""
+def is_rotation(matrix: Float[Array, "3 3"]) -> Bool[Array, ""]:
+    """Return whether a matrix is a rotation to six digits; one that holds a NaN is none."""
     error = jnp.abs(multiply(matrix.T, matrix) - jnp.eye(3, dtype=matrix.dtype)).max()
     tolerance = 1e-6 if matrix.dtype == jnp.float64 else 1e-4
     return (error < tolerance) & (jnp.dot(cross(matrix[:, 0], matrix[:, 1]), matrix[:, 2]) > 0.0)
 
 
-def project_to_so3(near: Array) -> Array:
+def project_to_so3(near: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3 3"]:
     """Nearest rotation to a matrix that is already close to one: two Newton–Schulz steps `R ← R (3 I − RᵀR)/2`."""
     r = near
     for _ in range(2):
@@ -151,7 +152,7 @@ def project_to_so3(near: Array) -> Array:
     return r
 
 
-def rotation_from_wxyz(wxyz: Array) -> Array:
+def rotation_from_wxyz(wxyz: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3 3"]:
     """Rotation of a quaternion `wxyz`, normalised first."""
     q = wxyz / jnp.linalg.norm(wxyz, axis=-1, keepdims=True)
     w, v = q[..., 0, None, None], q[..., 1:]
@@ -160,7 +161,7 @@ def rotation_from_wxyz(wxyz: Array) -> Array:
     return rotation
 
 
-def wxyz_from_rotation(r: Array) -> Array:
+def wxyz_from_rotation(r: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 4"]:
     """Quaternion `wxyz` of a rotation, with `w ≥ 0`.
 
     Of the four expressions that each divide by one component, the one with the largest divisor is taken.

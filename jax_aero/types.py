@@ -1,7 +1,7 @@
 """The structures that pass between modules, each for one sample; `vmap` adds the batch in front.
 
-SI units and radians; vectors and Jacobians in inertial axes unless a suffix says otherwise. In the shapes, `n` is the
-number of joints, `N = 6 + n` the length of a velocity, `nb = 1 + n` the number of bodies, `L` of aerodynamic links.
+SI units and radians; vectors and Jacobians in inertial axes unless a suffix says otherwise. The axes that shapes name
+are listed in `docs/conventions.md`.
 
 Equation M7 of `docs/model.md`.
 """
@@ -10,16 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Annotated, Any, NamedTuple, TypeAlias, TypeVar, cast, dataclass_transform
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias, TypeVar, cast, dataclass_transform
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Shaped
 
 from jax_aero.places import did_you_mean
 
-Array: TypeAlias = jax.Array
+if TYPE_CHECKING:
+    Array: TypeAlias = jax.Array
+else:
+    Array = jax.Array | np.ndarray | np.generic
 """An array; before it enters a traced function it may as well be a NumPy array, which keeps its 64 bits."""
 
 T = TypeVar("T")
@@ -45,7 +48,7 @@ def _is_static(annotation: Any) -> bool:
     return "static" in getattr(annotation, "__metadata__", ()) or str(annotation).startswith("Static[")
 
 
-def leaf(value: Any) -> Array:
+def leaf(value: Any) -> Shaped[Array, "..."]:
     """Return a number of a configuration, or a list of them, as a leaf: double precision, and no weak type."""
     return value if isinstance(value, jax.Array) else cast(Array, np.asarray(value, dtype=np.float64))
 
@@ -145,7 +148,7 @@ class Setpoint(NamedTuple):
     """[rad/s³]."""
 
 
-def where(condition: Array, yes: Tree, no: Tree) -> Tree:
+def where(condition: Bool[Array, ""], yes: Tree, no: Tree) -> Tree:
     """Return `yes` where the condition holds and `no` elsewhere, leaf by leaf."""
     chosen: Tree = jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
     return chosen

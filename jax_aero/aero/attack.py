@@ -28,8 +28,8 @@ class Attack(NamedTuple):
     """Not negative."""
 
 
-def attack(axes: Array, v_air: Array) -> Attack:
-    """Angles of attack of links with unit axes (L, 3) in air of relative velocity (L, 3), without `acos`.
+def attack(axes: Float[Array, "L 3"], v_air: Float[Array, "L 3"]) -> Attack:
+    """Angles of attack of links with unit axes in air of relative velocity, without `acos`.
 
         cos α = −k̂·v / (|v| + ε),   sin α = √(|v × k̂|² + ε (2|v| + ε)) / (|v| + ε),   ε = 1e-9 m/s
 
@@ -44,8 +44,8 @@ def attack(axes: Array, v_air: Array) -> Attack:
     return Attack(speed, cos, jnp.minimum(jnp.sqrt(across) / regular, 1.0))
 
 
-def normal_directions(axes: Array, v_air: Array) -> Array:
-    """`(v × k̂) × v`: across the wind, towards the axis, of length `|v|² sin α`; (L, 3).
+def normal_directions(axes: Float[Array, "L 3"], v_air: Float[Array, "L 3"]) -> Float[Array, "L 3"]:
+    """`(v × k̂) × v`: across the wind, towards the axis, of length `|v|² sin α`.
 
     The double cross product, not `|v|² k̂ − (v·k̂) v`: nothing cancels when wind and axis align.
     """

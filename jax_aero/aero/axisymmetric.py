@@ -21,13 +21,15 @@ class Axisymmetric:
     areas: Float[Array, "L 6"]
     """Coefficients `w0 .. w5` [m²]."""
 
-    def forces(self, links: LinksInAir) -> Array:
-        """Force on each link (L, 3) [N]; see `axisymmetric_forces`."""
+    def forces(self, links: LinksInAir) -> Float[Array, "L 3"]:
+        """Force on each link [N]; see `axisymmetric_forces`."""
         return axisymmetric_forces(self, links.axes, links.v_air)
 
 
-def axisymmetric_forces(model: Axisymmetric, axes: Array, v_air: Array) -> Array:
-    """Return the forces on the links (L, 3) [N], inertial axes.
+def axisymmetric_forces(
+    model: Axisymmetric, axes: Float[Array, "L 3"], v_air: Float[Array, "L 3"]
+) -> Float[Array, "L 3"]:
+    """Return the forces on the links [N], inertial axes.
 
         C_D A = w₀ + w₁ cos α + w₂ sin² α + w₃ sin³ α + w₄ cos³ α
         F = k_a ( |v| C_D A v + w₅ sin α cos α (v × k̂) × v ),   k_a = ρ/2

@@ -26,8 +26,8 @@ class Weighted:
     links: Float[Array, " L"]
     """On the whole force of a link."""
 
-    def forces(self, links: LinksInAir) -> Array:
-        """Force on each link (L, 3) [N].
+    def forces(self, links: LinksInAir) -> Float[Array, "L 3"]:
+        """Force on each link [N].
 
         F ← w_link ( w_drag F_∥ + w_normal (F − F_∥) ),   F_∥ = (F · v̂) v̂,   v̂ = v_air / |v_air|
         """

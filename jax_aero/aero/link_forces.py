@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from jax_aero.aero.protocol import AeroModel, LinksInAir
 from jax_aero.config import JacobianOffset, LeverArm, LinkVelocity
@@ -28,9 +29,9 @@ class LinkConventions(NamedTuple):
 
 
 def link_forces(
-    model: AeroModel, robot: RobotModel, kin: Kinematics, conventions: LinkConventions, wind: Array
+    model: AeroModel, robot: RobotModel, kin: Kinematics, conventions: LinkConventions, wind: Float[Array, "3"]
 ) -> LinkForces:
-    """Place every link in the wind (3,) [m/s, inertial axes] and evaluate the model."""
+    """Place every link in the wind [m/s, inertial axes] and evaluate the model."""
     links = robot.aero_links
     rotations, origins = frame_poses(kin, links.bodies, links.rotations, links.positions)
     centres = origins + rotate(rotations, links.centres)
@@ -46,12 +47,14 @@ def link_forces(
     return LinkForces(axes, v_air, arm_points, jacobian_points, forces)
 
 
-def wrench_about(link: LinkForces, point: Array) -> Array:
-    """Sum of the forces [N], then of their moments about `point` (3,) [N m]; (6,)."""
+def wrench_about(link: LinkForces, point: Float[Array, "3"]) -> Float[Array, "6"]:
+    """Sum of the forces [N], then of their moments about `point` [N m]."""
     moments = cross(link.arm_points - point, link.forces)
     return jnp.concatenate([link.forces.sum(0), moments.sum(0)])
 
 
-def generalised_aero_force(robot: RobotModel, kin: Kinematics, link: LinkForces, points: Array) -> Array:
-    """`Σ J_jᵀ f_j` (N,) with the forces acting at `points` (L, 3), `arm_points` or `jacobian_points`."""
+def generalised_aero_force(
+    robot: RobotModel, kin: Kinematics, link: LinkForces, points: Float[Array, "L 3"]
+) -> Float[Array, " N"]:
+    """`Σ J_jᵀ f_j` with the forces acting at `points`, `arm_points` or `jacobian_points`."""
     return generalised_force(robot, kin, robot.aero_links.bodies, points, link.forces)

@@ -23,8 +23,8 @@ from jax_aero.types import Array, Static, leaf, pytree
 class NoAero:
     """No aerodynamic force: what the baseline controller assumes."""
 
-    def forces(self, links: LinksInAir) -> Array:
-        """Zero on every link (L, 3)."""
+    def forces(self, links: LinksInAir) -> Float[Array, "L 3"]:
+        """Zero on every link."""
         return jnp.zeros_like(links.v_air)
 
 
@@ -38,8 +38,8 @@ class NetworkModel:
     precision: Static[config.Precision]
     """Of the weighted sums: single, or that of the flight."""
 
-    def forces(self, links: LinksInAir) -> Array:
-        """Force on each link (L, 3) [N]; see `network_forces`."""
+    def forces(self, links: LinksInAir) -> Float[Array, "L 3"]:
+        """Force on each link [N]; see `network_forces`."""
         kin, wind = links.kinematics, links.wind
         network = with_precision(self.network, jnp.float32 if self.precision == "f32" else wind.dtype)
         return network_forces(network, links.robot, kin, kin.joint_position, wind, self.air_density)

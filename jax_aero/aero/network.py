@@ -19,7 +19,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Key
 
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
 from jax_aero.kinematics import frame_poses, kinematics
@@ -67,8 +67,8 @@ class Layer:
 class Mirror:
     """Reflection about the base's x-z plane as matrices: of the features, and of the raw output."""
 
-    features: Float[Array, "n n"]
-    output: Float[Array, "39 39"]
+    features: Float[Array, "x x"]
+    output: Float[Array, "y y"]
 
 
 @pytree
@@ -82,9 +82,9 @@ class Network:
     joints: Static[tuple[int, ...]]
     """Indices of the 19 joints it sees in the robot's joint vector."""
     layers: tuple[Layer, ...]
-    scale: Float[Array, "39"]
+    scale: Float[Array, " y"]
     """[m²]."""
-    offset: Float[Array, "39"]
+    offset: Float[Array, " y"]
     """[m²]."""
     mirror: Mirror | None
     """Present if the prediction is symmetrised."""
@@ -116,8 +116,8 @@ def network_joints(robot: RobotModel) -> tuple[int, ...]:
     return tuple(int(joint) for joint in np.flatnonzero(moves))
 
 
-def link_geometry(robot: RobotModel, joint_position: Array) -> LinkGeometry:
-    """Geometry of the links at joint positions (n,) [rad]."""
+def link_geometry(robot: RobotModel, joint_position: Float[Array, " n"]) -> LinkGeometry:
+    """Geometry of the links at joint positions [rad]."""
     zero = jnp.zeros(robot.n_velocities, joint_position.dtype)
     state = State(zero[:3], jnp.eye(3, dtype=joint_position.dtype), joint_position, zero)
     return geometry_from_kinematics(robot, kinematics(robot, state))
@@ -136,20 +136,22 @@ def geometry_from_kinematics(robot: RobotModel, kin: Kinematics) -> LinkGeometry
     return LinkGeometry(base_from_link, centres, rotate(base_from_link, links.axes))
 
 
-def unit_wind(v_air_b: Array) -> Array:
-    """Return the unit vector of the air's velocity relative to the base (3,), base axes; (1, 0, 0) at rest."""
+def unit_wind(v_air_b: Float[Array, "3"]) -> Float[Array, "3"]:
+    """Return the unit vector of the air's velocity relative to the base, base axes; (1, 0, 0) at rest."""
     speed = safe_norm(v_air_b)
     is_still = speed == 0.0
     forward = jnp.zeros_like(v_air_b).at[0].set(1.0)
     return jnp.where(is_still, forward, v_air_b / jnp.where(is_still, 1.0, speed))
 
 
-def features(blocks: Sequence[str], wind_b: Array, joint_position: Array, geometry: LinkGeometry) -> Array:
-    """Return the inputs (n,) of a network: its blocks of features, one after the other.
+def features(
+    blocks: Sequence[str], wind_b: Float[Array, "3"], joint_position: Float[Array, " s"], geometry: LinkGeometry
+) -> Float[Array, " x"]:
+    """Return the inputs of a network: its blocks of features, one after the other.
 
-    `wind` is the unit vector `wind_b` (3,); `joints` the 19 angles [deg / 180] of `joint_position` (19,) [rad];
-    `link_wind` the unit vector in each link's axes (39); `link_position` the aerodynamic centres from the base origin
-    in base axes (39) [m], link by link; `link_shadow` how far each link stands behind the others (13).
+    `wind` is the unit vector `wind_b`; `joints` the angles [deg / 180] of `joint_position` [rad]; `link_wind` the unit
+    vector in each link's axes; `link_position` the aerodynamic centres from the base origin in base axes [m], link by
+    link; `link_shadow` how far each link stands behind the others.
 
     Angles are not standardised: joints that hardly move in the data would blow up on unseen postures.
     """
@@ -163,8 +165,8 @@ def features(blocks: Sequence[str], wind_b: Array, joint_position: Array, geomet
     return jnp.concatenate([made[block]() for block in blocks])
 
 
-def link_shadow(wind_b: Array, centres: Array) -> Array:
-    """How far each link stands in the wake of the others (L,).
+def link_shadow(wind_b: Float[Array, "3"], centres: Float[Array, "L 3"]) -> Float[Array, " L"]:
+    """How far each link stands in the wake of the others.
 
         S_l = Σ_k≠l sigmoid(d·w / h) exp(−r² / 2σ²),   d = x_l − x_k,   r² = |d|² − (d·w)²
 
@@ -241,7 +243,7 @@ def _on_diagonal(blocks: Sequence[Any]) -> Any:
 
 
 def init_network(
-    key: Array,
+    key: Key[Array, ""],
     robot: RobotModel,
     *,
     hidden: Sequence[int],
@@ -251,7 +253,7 @@ def init_network(
     mirror: bool = False,
     frame: Frame = "base",
     layout: Layout = "component",
-    baseline: Array | None = None,
+    baseline: Float[Array, "L 6"] | None = None,
     start: Literal["published", "unit"] = "published",
 ) -> Network:
     """Return a network with random weights in single precision.
@@ -296,8 +298,8 @@ def check_output(frame: str, layout: str) -> None:
         raise ValueError(f"output frame is {frame!r} with layout {layout!r}; expected one of {possible}")
 
 
-def members_output(network: Network, x: Array) -> Array:
-    """Mean output of the members (39,) for features (n,), before scaling."""
+def members_output(network: Network, x: Float[Array, " x"]) -> Float[Array, " y"]:
+    """Mean output of the members, before scaling."""
     activation = ACTIVATIONS[network.activation]
     h = jnp.broadcast_to(x, (network.members, *x.shape))
     for layer in network.layers[:-1]:
@@ -309,8 +311,8 @@ def _affine(layer: Layer, h: Array) -> Array:
     return jnp.einsum("moi,mi->mo", layer.weight, h) + layer.bias
 
 
-def raw_output(network: Network, x: Array) -> Array:
-    """Return the output (39,) [m²] in the network's own frame and layout; in the precision of the weights.
+def raw_output(network: Network, x: Float[Array, " x"]) -> Float[Array, " y"]:
+    """Return the output [m²] in the network's own frame and layout; in the precision of the weights.
 
     f(x) = scale · mean over members + offset;   symmetric: (f(x) + M f(M x)) / 2
     """
@@ -322,8 +324,10 @@ def raw_output(network: Network, x: Array) -> Array:
     return 0.5 * (both[0] + network.mirror.output.astype(x.dtype) @ both[1])
 
 
-def to_base_axes(frame: str, layout: str, y: Array, wind_b: Array, rotations: Array) -> Array:
-    """Force areas of the links (L, 3) in base axes from an output (3L,) in its own frame and layout."""
+def to_base_axes(
+    frame: str, layout: str, y: Float[Array, " y"], wind_b: Float[Array, "3"], rotations: Float[Array, "L 3 3"]
+) -> Float[Array, "L 3"]:
+    """Force areas of the links in base axes from an output in its own frame and layout."""
     if layout == "link":
         vectors = y.reshape(-1, 3)
         return rotate(rotations, vectors) if frame == "link" else vectors
@@ -332,16 +336,18 @@ def to_base_axes(frame: str, layout: str, y: Array, wind_b: Array, rotations: Ar
     return vectors @ wind_axes_from_base(wind_b) if frame == "wind" else vectors
 
 
-def from_base_axes(frame: str, layout: str, areas: Array, wind_b: Array, rotations: Array) -> Array:
-    """Inverse of `to_base_axes`: areas (L, 3) in base axes as an output (3L,). Sums of squares are kept."""
+def from_base_axes(
+    frame: str, layout: str, areas: Float[Array, "L 3"], wind_b: Float[Array, "3"], rotations: Float[Array, "L 3 3"]
+) -> Float[Array, " y"]:
+    """Inverse of `to_base_axes`: areas in base axes as an output. Sums of squares are kept."""
     if layout == "link":
         return (rotate_back(rotations, areas) if frame == "link" else areas).reshape(-1)
     vectors = areas @ wind_axes_from_base(wind_b).T if frame == "wind" else areas
     return vectors[:, jnp.array([0, 2, 1])].T.reshape(-1)
 
 
-def wind_axes_from_base(wind_b: Array) -> Array:
-    """Rotation (3, 3) to tunnel axes, x along the wind and z up: `Rz(yaw) Ry(pitch − 90°)` of the tables.
+def wind_axes_from_base(wind_b: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """Rotation to tunnel axes, x along the wind and z up: `Rz(yaw) Ry(pitch − 90°)` of the tables.
 
     With the wind across the robot the pitch is undefined, and taken as 90°.
     """
@@ -354,15 +360,17 @@ def wind_axes_from_base(wind_b: Array) -> Array:
     return jnp.stack([wind_b, side, jnp.stack([-s, jnp.zeros_like(s), c])])
 
 
-def network_areas(network: Network, wind_b: Array, joint_position: Array, geometry: LinkGeometry) -> Array:
-    """Force areas `F / (ρ/2 |v|²)` of the links (L, 3) [m²], base axes.
+def network_areas(
+    network: Network, wind_b: Float[Array, "3"], joint_position: Float[Array, " s"], geometry: LinkGeometry
+) -> Float[Array, "L 3"]:
+    """Force areas `F / (ρ/2 |v|²)` of the links [m²], base axes.
 
     Parameters
     ----------
     wind_b
-        (3,) unit vector of the air's velocity relative to the base origin, base axes; see `unit_wind`.
+        Unit vector of the air's velocity relative to the base origin, base axes; see `unit_wind`.
     joint_position
-        (19,) angles of the joints it sees [rad].
+        Angles of the joints it sees [rad].
     geometry
         The links at these angles.
     """
@@ -371,16 +379,23 @@ def network_areas(network: Network, wind_b: Array, joint_position: Array, geomet
     return areas if network.baseline is None else areas + baseline_areas(network.baseline, wind_b, geometry.axes)
 
 
-def baseline_areas(coefficients: Array, wind_b: Array, axes_b: Array) -> Array:
-    """Force areas (L, 3) [m²] of the axisymmetric model with coefficients (L, 6), all links in the same wind."""
+def baseline_areas(
+    coefficients: Float[Array, "L 6"], wind_b: Float[Array, "3"], axes_b: Float[Array, "L 3"]
+) -> Float[Array, "L 3"]:
+    """Force areas [m²] of the axisymmetric model, all links in the same wind."""
     one = jnp.ones((), wind_b.dtype)
     return axisymmetric_forces(Axisymmetric(one, coefficients), axes_b, jnp.broadcast_to(wind_b, axes_b.shape))
 
 
 def network_forces(
-    network: Network, robot: RobotModel, kin: Kinematics, joint_position: Array, wind: Array, air_density: Array
-) -> Array:
-    """Return the forces on the links (L, 3) [N], inertial axes, in a wind (3,) [m/s, inertial axes].
+    network: Network,
+    robot: RobotModel,
+    kin: Kinematics,
+    joint_position: Float[Array, " n"],
+    wind: Float[Array, "3"],
+    air_density: Float[Array, ""],
+) -> Float[Array, "L 3"]:
+    """Return the forces on the links [N], inertial axes, in a wind [m/s, inertial axes].
 
         F = ρ/2 |v|² R_B c(v/|v|, s),   v = wind − velocity of the base origin
 

@@ -21,7 +21,7 @@ class Pchip:
     slopes: Float[Array, " k"]
 
 
-def pchip(x: Array, y: Array) -> Pchip:
+def pchip(x: Float[Array, " k"], y: Float[Array, " k"]) -> Pchip:
     """Interpolant of a table (k ≥ 3).
 
     Slopes inside are the weighted harmonic mean of the neighbouring secants, zero where these change sign; slopes at
@@ -46,7 +46,7 @@ def _end_slope(h_near: Array, h_next: Array, near: Array, following: Array) -> A
     return jnp.where(slope * near <= 0.0, 0.0, limited)
 
 
-def interpolate(table: Pchip, x: Array) -> Array:
+def interpolate(table: Pchip, x: Float[Array, " *batch"]) -> Float[Array, " *batch"]:
     """Values at `x` of any shape; beyond an end of the table, the value of that end."""
     inside = jnp.clip(x, table.x[0], table.x[-1])
     below = _segment(table, inside)
@@ -58,7 +58,7 @@ def interpolate(table: Pchip, x: Array) -> Array:
     return table.y[below] + s * (a + s * (c2 + s * c3))
 
 
-def interpolate_linearly(table: Pchip, x: Array) -> Array:
+def interpolate_linearly(table: Pchip, x: Float[Array, " *batch"]) -> Float[Array, " *batch"]:
     """Values at `x` of the straight lines between neighbouring points; constant outside the table."""
     return jnp.interp(x, table.x, table.y)
 

@@ -34,6 +34,6 @@ class AeroModel(Protocol):
     ...         return jnp.broadcast_to(self.force, links.v_air.shape)
     """
 
-    def forces(self, links: LinksInAir) -> Array:
-        """Force on each link (L, 3) [N], inertial axes, at its aerodynamic centre. Pure, and traced by JAX."""
+    def forces(self, links: LinksInAir) -> Float[Array, "L 3"]:
+        """Force on each link [N], inertial axes, at its aerodynamic centre. Pure, and traced by JAX."""
         ...

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float
 
 from jax_aero.aero.attack import attack, normal_directions
 from jax_aero.aero.pchip import Pchip, interpolate, interpolate_linearly, pchip
@@ -20,24 +21,24 @@ from jax_aero.types import Array, leaf, pytree
 class SphereCylinder:
     """The sphere and cylinder model of some links; every array but the tables has one entry per link."""
 
-    half_density_area: Array
+    half_density_area: Float[Array, " L"]
     """`ρ A/2` [kg/m]."""
-    reynolds_per_speed: Array
+    reynolds_per_speed: Float[Array, " L"]
     """`ρ d/μ` [s/m]."""
-    is_sphere: Array
+    is_sphere: Bool[Array, " L"]
     """Whether the link is a sphere."""
-    crosswind: Array
+    crosswind: Float[Array, " L"]
     """Factor φ(d/l) of a finite cylinder's drag across the wind."""
-    axial: Array
+    axial: Float[Array, " L"]
     """Axial drag on the area `d l`, over that of an infinite cylinder across the wind."""
     cylinder: Pchip
     """Drag of an infinite cylinder across the wind, by Reynolds number."""
     sphere: Pchip
     """Drag of a sphere, by Reynolds number."""
-    drag_below_reynolds_10: Array
+    drag_below_reynolds_10: Float[Array, ""]
 
-    def forces(self, links: LinksInAir) -> Array:
-        """Force on each link (L, 3) [N]; see `sphere_cylinder_forces`."""
+    def forces(self, links: LinksInAir) -> Float[Array, "L 3"]:
+        """Force on each link [N]; see `sphere_cylinder_forces`."""
         return sphere_cylinder_forces(self, links.axes, links.v_air)
 
 
@@ -62,8 +63,10 @@ def sphere_cylinder_model(config: SphereCylinderAeroConfig, links: AeroLinks) ->
     )
 
 
-def sphere_cylinder_forces(model: SphereCylinder, axes: Array, v_air: Array) -> Array:
-    """Return the forces on the links (L, 3) [N], inertial axes.
+def sphere_cylinder_forces(
+    model: SphereCylinder, axes: Float[Array, "L 3"], v_air: Float[Array, "L 3"]
+) -> Float[Array, "L 3"]:
+    """Return the forces on the links [N], inertial axes.
 
         cylinder: C90 = C_cyl(Re) φ(d/l),   C0 = π/4 d/l χ(l/d) C_cyl(Re)/C_cyl(Re_ref)
                   F = ρ d l/2 ( (C0 + (C90 − C0) sin³ α) |v| v + C90 sin α cos α (v × k̂) × v )
@@ -86,7 +89,7 @@ def sphere_cylinder_forces(model: SphereCylinder, axes: Array, v_air: Array) -> 
     return model.half_density_area[:, None] * forces
 
 
-def sphere_drag(model: SphereCylinder, reynolds: Array) -> Array:
+def sphere_drag(model: SphereCylinder, reynolds: Float[Array, " L"]) -> Float[Array, " L"]:
     """Drag coefficient of a sphere, on the area `π d²/4`.
 
         C = 24/Re (1 + 0.150 Re^0.681) + 0.407/(1 + 8710/Re)   from Re = 10 to the table

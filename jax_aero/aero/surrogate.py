@@ -31,6 +31,7 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from jax_aero.aero.dataset import LINK_TWINS, LINKS, MIRROR_AXES, Floats, Indices
 from jax_aero.aero.fit import FAMILIES
@@ -172,8 +173,10 @@ def _rotation_from_z(axis: Floats, name: str) -> Floats:
     raise ValueError(f"axis of `{name}` is {axis.tolist()}; expected one of the link's own axes")
 
 
-def features_of(panels: Panels, wake: Wake) -> Callable[[Array, Array, Array], Array]:
-    """Return the function (rotations (13, 3, 3), positions (13, 3), wind (3,)) → G (13, 12, 3) [m²], base axes."""
+def features_of(
+    panels: Panels, wake: Wake
+) -> Callable[[Float[Array, "L 3 3"], Float[Array, "L 3"], Float[Array, "3"]], Float[Array, "L 12 3"]]:
+    """Return the function of rotations, positions and wind that gives G [m²], base axes."""
     link, cluster = np.array(panels.link), np.array(panels.cluster)
     of_cluster = (np.arange(cluster.max() + 1)[:, None] == cluster).astype(float)
     of_link = (np.arange(len(LINKS))[:, None] == link).astype(float)

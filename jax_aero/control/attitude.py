@@ -52,12 +52,12 @@ class AttitudeDemand(NamedTuple):
 def attitude_demand(
     gains: TaskGains,
     setpoint: Setpoint,
-    rotation: Array,
-    angular_velocity: Array,
-    moment_estimate: Array,
-    inertia_0: Array,
+    rotation: Float[Array, "3 3"],
+    angular_velocity: Float[Array, "3"],
+    moment_estimate: Float[Array, "3"],
+    inertia_0: Float[Array, "3 3"],
 ) -> AttitudeDemand:
-    """Evaluate the attitude law; `inertia_0` (3, 3) is `I₀`, velocity and moment are in inertial axes."""
+    """Evaluate the attitude law; `inertia_0` is `I₀`, velocity and moment are in inertial axes."""
     c0, c1 = gains.c0, gains.c1
     i0, i0_inv = inertia_0, inverse(inertia_0)
     w, w_d = rotate_back(rotation, angular_velocity), setpoint.angular_velocity
@@ -75,7 +75,7 @@ def attitude_demand(
     return AttitudeDemand(k_ddot_desired, rotate(rotation, sigma_b))
 
 
-def inverse(a: Array) -> Array:
+def inverse(a: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     """Inverse of a 3×3 matrix: its columns are `b × c / (a · b × c)` for the rows a, b, c and their rotations."""
     columns = cross(jnp.roll(a, -1, axis=0), jnp.roll(a, -2, axis=0))
     return columns.T / jnp.sum(a[0] * columns[0])

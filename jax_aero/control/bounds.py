@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from jax_aero.types import Array
 
 
-def rate_bounds(value: Array, lower: Array, upper: Array, rate_max: Array, steepness: Array) -> tuple[Array, Array]:
+def rate_bounds(
+    value: Float[Array, " k"],
+    lower: Float[Array, " k"],
+    upper: Float[Array, " k"],
+    rate_max: Float[Array, " k"],
+    steepness: Float[Array, ""],
+) -> tuple[Float[Array, " k"], Float[Array, " k"]]:
     """Bounds on the rate of a value that has limits itself.
 
     ```text

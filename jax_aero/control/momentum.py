@@ -45,13 +45,13 @@ class MomentumModel(NamedTuple):
     unmodelled_wrench: Float[Array, "6"]
     """Observed wrench that no model knows, `ŵ`, part of the rate; zero without an observer [N, N m]."""
 
-    def with_unmodelled(self, wrench: Array) -> MomentumModel:
+    def with_unmodelled(self, wrench: Float[Array, "6"]) -> MomentumModel:
         """Return the same with the observed wrench `ŵ` in the momentum rate."""
         return self._replace(rate_estimate=self.rate_estimate + wrench, unmodelled_wrench=wrench)
 
     @property
-    def lambda_(self) -> Array:
-        """`Λ = Λ_T + Λ_a` (6, N)."""
+    def lambda_(self) -> Float[Array, "6 N"]:
+        """`Λ = Λ_T + Λ_a`."""
         return self.lambda_t + self.lambda_a
 
 
@@ -59,15 +59,15 @@ def momentum_model(
     robot: RobotModel,
     kin: Kinematics,
     dyn: Dynamics,
-    thrust: Array,
+    thrust: Float[Array, " j"],
     link: LinkForces,
     *,
-    rate_feedback: Array | float = 1.0,
+    rate_feedback: Float[Array, "6"] | float = 1.0,
     lambda_feedback: bool = True,
 ) -> MomentumModel:
     """Evaluate all terms.
 
-    `rate_feedback` (6,) is the share of the total aerodynamic force and moment that enters the momentum rate;
+    `rate_feedback` is the share of the total aerodynamic force and moment that enters the momentum rate;
     `lambda_feedback` says whether link forces enter its derivative.
     """
     jets = robot.jets

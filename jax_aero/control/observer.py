@@ -58,14 +58,19 @@ class ObserverState(NamedTuple):
     """Its rate as modelled, `r` [N, N m]."""
 
 
-def start(like: Array) -> ObserverState:
+def start(like: Float[Array, "..."]) -> ObserverState:
     """Return the state of an observer that has observed nothing, in the precision of `like`."""
     nothing = jnp.zeros(6, like.dtype)
     return ObserverState(nothing, nothing, jnp.array(False), jnp.zeros((), like.dtype), nothing, nothing)
 
 
 def update(
-    gains: ObserverGains, time_step: Array, last: ObserverState, time: Array, momentum: Array, rate: Array
+    gains: ObserverGains,
+    time_step: Float[Array, ""],
+    last: ObserverState,
+    time: Float[Array, ""],
+    momentum: Float[Array, "6"],
+    rate: Float[Array, "6"],
 ) -> ObserverState:
     """Take a measurement in.
 

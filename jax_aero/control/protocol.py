@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol, TypeVar
 
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jax_aero.control.attitude import AttitudeDemand
 from jax_aero.control.momentum import MomentumModel
@@ -53,14 +53,14 @@ class Command(NamedTuple):
     """[N m]."""
     setpoint: Setpoint | None = None
     """What the controller follows. Without it a flight is lost only by a state that is not finite."""
-    joint_velocity: Array | None = None
-    """(n,) `ṡ*` [rad/s]."""
+    joint_velocity: Float[Array, " n"] | None = None
+    """`ṡ*` [rad/s]."""
     momentum_qp: QpAnswer | None = None
     torque_qp: QpAnswer | None = None
-    status: Array | None = None
-    """() int32, one of the codes in `tick`."""
-    degraded_modes: Array | None = None
-    """() int32, a sum of the bits in `channels.MODES`."""
+    status: Int[Array, ""] | None = None
+    """One of the codes in `tick`."""
+    degraded_modes: Int[Array, ""] | None = None
+    """A sum of the bits in `channels.MODES`."""
     terms: Terms | None = None
 
 

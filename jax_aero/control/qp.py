@@ -26,6 +26,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Float, Int
 
 from jax_aero.linalg import cholesky, dot, in_chunks, solve_factored, solve_positive_definite, with_batch_rule
 from jax_aero.types import Array
@@ -40,40 +41,40 @@ SOLVED, ITERATION_LIMIT, NOT_POSITIVE_DEFINITE, INFEASIBLE_BOUNDS, NON_FINITE, I
 
 
 class BoxQp(NamedTuple):
-    """Data of one problem in n variables."""
+    """Data of one problem."""
 
-    h: Array
-    """Hessian (n, n), taken to be exactly symmetric."""
-    g: Array
-    """Linear term (n,)."""
-    lower: Array
-    """Lower bounds (n,); -inf where there is none."""
-    upper: Array
-    """Upper bounds (n,); may equal the lower one, which fixes the variable."""
+    h: Float[Array, "u u"]
+    """Hessian, taken to be exactly symmetric."""
+    g: Float[Array, " u"]
+    """Linear term."""
+    lower: Float[Array, " u"]
+    """Lower bounds; -inf where there is none."""
+    upper: Float[Array, " u"]
+    """Upper bounds; may equal the lower one, which fixes the variable."""
 
 
 class WarmStart(NamedTuple):
     """Where a solve begins: the answer of the last one."""
 
-    x: Array
-    """Point (n,); need not be feasible."""
-    side: Array
-    """Working set (n,), int8: -1 held at the lower bound, 1 at the upper, 0 free."""
+    x: Float[Array, " u"]
+    """Point; need not be feasible."""
+    side: Int[Array, " u"]
+    """Working set: -1 held at the lower bound, 1 at the upper, 0 free."""
 
 
 class QpAnswer(NamedTuple):
     """A minimiser and how accurate it is."""
 
-    x: Array
-    """The minimiser (n,), inside the bounds."""
-    side: Array
-    """Its working set (n,), int8, as in `WarmStart`."""
-    kkt: Array
+    x: Float[Array, " u"]
+    """The minimiser, inside the bounds."""
+    side: Int[Array, " u"]
+    """Its working set, as in `WarmStart`."""
+    kkt: Float[Array, ""]
     """`kkt_residual` of x."""
-    status: Array
-    """Status code, int32; 0 is solved."""
-    iterations: Array
-    """Factorisations, int32."""
+    status: Int[Array, ""]
+    """Status code; 0 is solved."""
+    iterations: Int[Array, ""]
+    """Factorisations."""
 
     @property
     def warm_start(self) -> WarmStart:
@@ -91,7 +92,7 @@ def kkt_tolerance(dtype: Dtype) -> float:
     return float(np.sqrt(np.finfo(np.float64).eps)) if np.finfo(dtype).bits == 64 else 1e-5
 
 
-def kkt_residual(qp: BoxQp, x: Array) -> Array:
+def kkt_residual(qp: BoxQp, x: Float[Array, " u"]) -> Float[Array, ""]:
     """How far `x` is from satisfying the optimality conditions, without units.
 
     ```text

@@ -51,14 +51,14 @@ class RecordedMotion(NamedTuple):
 
 
 class Recording(NamedTuple):
-    """A recorded reference, ready for use; `k` samples."""
+    """A recorded reference, ready for use."""
 
     times: Float[Array, " k"]
     """[s], increasing."""
     samples: RecordedMotion
     """At every sample."""
-    turns: Array
-    """(k − 1, 3) rotation vector from each sample to the next, in axes of the former [rad]."""
+    turns: Float[Array, "k-1 3"]
+    """Rotation vector from each sample to the next, in axes of the former [rad]."""
 
 
 def read_reference(path: str | PathLike[str]) -> RecordedReference:
@@ -99,7 +99,7 @@ def recording(recorded: RecordedReference) -> Recording:
     return Recording(times, RecordedMotion(jnp.stack(com, axis=1), rotations, mean), turns)
 
 
-def motion_at(recording: Recording, time: Array) -> RecordedMotion:
+def motion_at(recording: Recording, time: Float[Array, ""]) -> RecordedMotion:
     """Return the reference at `time` [s]: before the first sample and after the last one it stands still there.
 
     Between samples position, velocity and acceleration each follow the cubic that has the next derivative as its slope

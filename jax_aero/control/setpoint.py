@@ -15,7 +15,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from jax_aero.config import MissionConfig, SetpointConfig
 from jax_aero.control.recorded import Recording, motion_at
@@ -36,14 +36,14 @@ from jax_aero.types import Array, Setpoint, leaf, pytree
 class AutopilotCommand(NamedTuple):
     """Commands of one tick: -1, 0 or 1 in forward, left, up axes of the robot."""
 
-    forward: Array
-    vertical: Array
-    nose_down: Array
+    forward: Float[Array, ""]
+    vertical: Float[Array, ""]
+    nose_down: Float[Array, ""]
     """A rotation about the left axis."""
-    yaw: Array
+    yaw: Float[Array, ""]
     """To the left; a rotation about the vertical."""
-    turbo: Array
-    """Whether the forward speed is boosted, bool."""
+    turbo: Bool[Array, ""]
+    """Whether the forward speed is boosted."""
 
 
 @pytree
@@ -64,7 +64,7 @@ def commands(mission: MissionConfig) -> Commands:
     return Commands(**{name: intervals.reshape(-1, 2) for name, intervals in lists.items()})
 
 
-def autopilot_command(mission: Commands, time: Array) -> AutopilotCommand:
+def autopilot_command(mission: Commands, time: Float[Array, ""]) -> AutopilotCommand:
     """Return the command at `time` [s]. Intervals are open."""
     time = jnp.asarray(time)
     # A tick on an end of an interval is outside; the margin keeps rounding of k · 0.01 from moving it inside.
@@ -101,13 +101,13 @@ class FilterGains(NamedTuple):
 
 
 class FilterState(NamedTuple):
-    """Value, first and second derivative (3 derivatives, 3 axes), and the input of the tick before (3,)."""
+    """Value, first and second derivative of three axes, and the input of the tick before."""
 
-    derivatives: Array
-    previous_input: Array
+    derivatives: Float[Array, "3 3"]
+    previous_input: Float[Array, "3"]
 
 
-def filter_gains(smoothing_time: Array, time_step: Array) -> FilterGains:
+def filter_gains(smoothing_time: Float[Array, ""], time_step: Float[Array, ""]) -> FilterGains:
     """Discretise `H(s) = (A/T³) / (s³ + (C/T) s² + (B/T²) s + A/T³)` by the bilinear transform (Tustin).
 
     ```text
@@ -131,13 +131,13 @@ def filter_gains(smoothing_time: Array, time_step: Array) -> FilterGains:
     return FilterGains(2.0 * inverse - jnp.eye(3, dtype=inverse.dtype), half * a * inverse[:, 2])
 
 
-def filter_start(initial: Array) -> FilterState:
-    """At rest at `initial` (3,)."""
+def filter_start(initial: Float[Array, "3"]) -> FilterState:
+    """At rest at `initial`."""
     return FilterState(jnp.zeros((3, 3), initial.dtype).at[0].set(initial), initial)
 
 
-def filter_update(gains: FilterGains, state: FilterState, value: Array) -> FilterState:
-    """Take the input (3,) of this tick; the result holds the outputs of this tick."""
+def filter_update(gains: FilterGains, state: FilterState, value: Float[Array, "3"]) -> FilterState:
+    """Take the input of this tick; the result holds the outputs of this tick."""
     drive = gains.input_gain[:, None] * (state.previous_input + value)
     return FilterState(multiply(gains.transition, state.derivatives) + drive, value)
 
@@ -154,19 +154,19 @@ class SetpointParams(NamedTuple):
     """Pitch and yaw [rad/s]."""
     nose_down_limits: Float[Array, "2"]
     """[rad]."""
-    turbo_boost: Array
-    turbo_rate: Array
+    turbo_boost: Float[Array, ""]
+    turbo_rate: Float[Array, ""]
     """[1/s]"""
-    attitude_gain: Array
+    attitude_gain: Float[Array, ""]
     """[1/s]"""
-    descent_speed: Array
+    descent_speed: Float[Array, ""]
     """[m/s]"""
     position_filter: FilterGains
     jerk_filter: FilterGains
     angular_velocity_filter: FilterGains
-    base_from_heading: Array
-    """(3, 3) columns forward, left, up."""
-    time_step: Array
+    base_from_heading: Float[Array, "3 3"]
+    """Columns forward, left, up."""
+    time_step: Float[Array, ""]
     """[s]"""
 
 
@@ -177,8 +177,8 @@ class SetpointState(NamedTuple):
     """Position of the centre of mass before smoothing [m]."""
     raw_rpy: Float[Array, "3"]
     """Roll, pitch (nose down) and yaw of the heading frame before smoothing [rad]."""
-    turbo_ticks: Array
-    """Ticks' worth of turbo built up, int32."""
+    turbo_ticks: Int[Array, ""]
+    """Ticks' worth of turbo built up."""
     position: FilterState
     acceleration: FilterState
     """Filter of the acceleration, whose rate is the jerk."""
@@ -187,8 +187,10 @@ class SetpointState(NamedTuple):
     """Smoothed attitude of the next tick."""
 
 
-def setpoint_params(config: SetpointConfig, forward_axis: Array, time_step: Array) -> SetpointParams:
-    """Compute the generator's numbers for ticks of `time_step` [s] and a robot's forward axis (3,) in base axes."""
+def setpoint_params(
+    config: SetpointConfig, forward_axis: Float[Array, "3"], time_step: Float[Array, ""]
+) -> SetpointParams:
+    """Compute the generator's numbers for ticks of `time_step` [s] and a robot's forward axis in base axes."""
     forward_axis = jnp.asarray(forward_axis)
     up = jnp.array([0.0, 0.0, 1.0], forward_axis.dtype)
     return SetpointParams(
@@ -207,8 +209,8 @@ def setpoint_params(config: SetpointConfig, forward_axis: Array, time_step: Arra
     )
 
 
-def start(params: SetpointParams, com: Array, rotation: Array) -> SetpointState:
-    """Begin at the centre of mass (3,) and the base rotation (3, 3) that the robot has at its first tick."""
+def start(params: SetpointParams, com: Float[Array, "3"], rotation: Float[Array, "3 3"]) -> SetpointState:
+    """Begin at the centre of mass and the base rotation that the robot has at its first tick."""
     com, rotation = jnp.asarray(com), jnp.asarray(rotation)
     rest = filter_start(jnp.zeros_like(com))
     rpy = _heading_rpy(params, rotation)
@@ -221,7 +223,7 @@ def _heading_rpy(params: SetpointParams, rotation: Array) -> Array:
 
 
 def update(
-    params: SetpointParams, mission: Commands | Recording, state: SetpointState, time: Array
+    params: SetpointParams, mission: Commands | Recording, state: SetpointState, time: Float[Array, ""]
 ) -> tuple[SetpointState, Setpoint]:
     """Return the set-point of the tick at `time` [s]: that of the autopilot's commands, or a recorded one.
 
@@ -318,15 +320,19 @@ def _advance_raw(params: SetpointParams, state: SetpointState, command: Autopilo
 class Trajectory(NamedTuple):
     """Set-points of a whole flight, one row for every tick."""
 
-    raw_position: Array
-    raw_rpy: Array
+    raw_position: Float[Array, "ticks 3"]
+    raw_rpy: Float[Array, "ticks 3"]
     setpoint: Setpoint
 
 
 def trajectory(
-    params: SetpointParams, mission: Commands | Recording, com: Array, rotation: Array, n_ticks: int
+    params: SetpointParams,
+    mission: Commands | Recording,
+    com: Float[Array, "3"],
+    rotation: Float[Array, "3 3"],
+    n_ticks: int,
 ) -> Trajectory:
-    """Return the set-points of `n_ticks` ticks from time zero; `com` (3,) and `rotation` (3, 3) begin it."""
+    """Return the set-points of `n_ticks` ticks from time zero; `com` and `rotation` begin it."""
 
     def tick(state: SetpointState, index: Array) -> tuple[SetpointState, Trajectory]:
         state, setpoint = update(params, mission, state, index * params.time_step)

@@ -105,8 +105,10 @@ def _by_name(table: str, values: Mapping[str, float], names: Sequence[str], robo
     return [values[name] for name in names]
 
 
-def in_place_of(own: Array, common: Array | float | None, robot: RobotModel) -> Array:
-    """Limits (n,) of the joints: the robot's own, or for revolute joints the common one where it is given."""
+def in_place_of(
+    own: Float[Array, " n"], common: Float[Array, ""] | float | None, robot: RobotModel
+) -> Float[Array, " n"]:
+    """Limits of the joints: the robot's own, or for revolute joints the common one where it is given."""
     if common is None:
         return jnp.asarray(own)
     return jnp.where(np.array(robot.joint_is_prismatic, dtype=bool), own, common)
@@ -144,7 +146,7 @@ class TaskInputs(NamedTuple):
     posture: Float[Array, " n"]
     """Desired posture `s_d` [rad]."""
 
-    def blocks(self, thrust_rate: Array, joint_velocity: Array) -> Array:
+    def blocks(self, thrust_rate: Float[Array, "k j"], joint_velocity: Float[Array, "k n"]) -> Float[Array, "k j+n"]:
         """Rows over all unknowns from those over `Ṫ` and over `ṡ`."""
         return jnp.concatenate([thrust_rate, joint_velocity], axis=1)
 

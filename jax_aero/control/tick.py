@@ -228,15 +228,15 @@ def tick(
     params: MomentumController,
     robot: RobotModel,
     memory: ControllerState,
-    time: Array,
+    time: Float[Array, ""],
     state: State,
-    thrust: Array,
-    wind: Array,
+    thrust: Float[Array, " j"],
+    wind: Float[Array, "3"],
     setpoint: Setpoint | None = None,
 ) -> tuple[ControllerState, Command, Terms]:
     """One tick: the memory of the next, the command, and every intermediate value.
 
-    `time` [s], `thrust` (j,) [N], `wind` (3,) [m/s, inertial axes]. With `setpoint` the mission is not followed.
+    `time` [s], `thrust` [N], `wind` [m/s, inertial axes]. With `setpoint` the mission is not followed.
 
     What of the measurement is missing or cannot be right is reckoned from what is known; the command says what.
     """

@@ -50,13 +50,13 @@ class TorqueQp(NamedTuple):
 
 def torque_qp(
     params: TorqueParams,
-    torque_max: Array,
-    mass_matrix: Array,
-    force: Array,
-    velocity_error: Array,
-    velocity_error_integral: Array,
+    torque_max: Float[Array, " n"],
+    mass_matrix: Float[Array, "N N"],
+    force: Float[Array, " N"],
+    velocity_error: Float[Array, " n"],
+    velocity_error_integral: Float[Array, " n"],
 ) -> TorqueQp:
-    """Build the QP; `torque_max` (n,) [N m], `force` (N,) holds `Σ Jᵀ T a + J_aᵀ f_a − h`."""
+    """Build the QP; `torque_max` [N m], `force` holds `Σ Jᵀ T a + J_aᵀ f_a − h`."""
     gain, free = _joint_response(mass_matrix, force)
     desired = -params.kd * velocity_error - params.kp * velocity_error_integral
     n = desired.shape[0]
@@ -74,6 +74,6 @@ def _joint_response(mass_matrix: Array, force: Array) -> tuple[Array, Array]:
     return response[:, :-1], response[:, -1]
 
 
-def limit_rate(torque: Array, target: Array, step: Array) -> Array:
+def limit_rate(torque: Float[Array, " n"], target: Float[Array, " n"], step: Float[Array, " n"]) -> Float[Array, " n"]:
     """Move `torque` towards `target` by at most `step` per entry."""
     return torque + jnp.clip(target - torque, -step, step)

@@ -44,8 +44,10 @@ class WindEstimate:
     """Whether that mean is all that is measured."""
 
 
-def wind_estimate(settings: WindEstimateConfig, time_step: Array, winds: Array) -> WindEstimate:
-    """Errors of a flight in which the true winds are `winds` (ticks, 3) [m/s]. Outside loops: noise is drawn here."""
+def wind_estimate(
+    settings: WindEstimateConfig, time_step: Float[Array, ""], winds: Float[Array, "ticks 3"]
+) -> WindEstimate:
+    """Errors of a flight in which the true winds are `winds` [m/s]. Outside loops: noise is drawn here."""
     ticks = len(winds)
     # Half a tick rounds up.
     delay = np.floor(np.asarray(settings.delay) / np.asarray(time_step) + 0.5)
@@ -61,9 +63,13 @@ def wind_estimate(settings: WindEstimateConfig, time_step: Array, winds: Array) 
 
 
 def measured_wind(
-    estimate: WindEstimate, wind_at: Callable[[Array], Array], before: Array, tick: Array, time_step: Array
-) -> Array:
-    """Measured wind (3,) [m/s] of this tick; `before` is that of the last.
+    estimate: WindEstimate,
+    wind_at: Callable[[Float[Array, ""]], Float[Array, "3"]],
+    before: Float[Array, "3"],
+    tick: Int[Array, ""],
+    time_step: Float[Array, ""],
+) -> Float[Array, "3"]:
+    """Measured wind [m/s] of this tick; `before` is that of the last.
 
     Until the delay has passed the first wind is measured; the low pass starts settled.
     """

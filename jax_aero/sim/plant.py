@@ -166,9 +166,9 @@ def at_rest(state: PlantState) -> PlantState:
 
 
 def observe(
-    plant: Plant, state: PlantState, wind: Array, known: tuple[Kinematics, Dynamics] | None = None
+    plant: Plant, state: PlantState, wind: Float[Array, "3"], known: tuple[Kinematics, Dynamics] | None = None
 ) -> Observation:
-    """Evaluate everything that depends on the state, in the given wind (3,) [m/s].
+    """Evaluate everything that depends on the state, in the given wind [m/s].
 
     `known` are kinematics and dynamics of this robot in this state, where someone has them already.
     """
@@ -185,9 +185,14 @@ def observe(
 
 
 def advance(
-    plant: Plant, state: PlantState, seen: Observation, torque: Array, thrust_rate: Array, wind: Array
+    plant: Plant,
+    state: PlantState,
+    seen: Observation,
+    torque: Float[Array, " n"],
+    thrust_rate: Float[Array, " j"],
+    wind: Float[Array, "3"],
 ) -> PlantState:
-    """Advance one tick under held torques (n,) [N m] and commanded thrust rates (j,) [N/s].
+    """Advance one tick under held torques [N m] and commanded thrust rates [N/s].
 
     `seen` is the observation of `state`; later physics steps of the tick observe anew, commands are held.
     """
@@ -263,7 +268,7 @@ def _fall_freely(plant: Plant, state: State) -> State:
     return _step(plant, state, dyn, jnp.zeros_like(state.velocity), plant.time_step)
 
 
-def integrate(plant: Plant, state: State, acceleration: Array, step: Array) -> State:
+def integrate(plant: Plant, state: State, acceleration: Float[Array, " N"], step: Float[Array, ""]) -> State:
     """One Euler step of `step` [s]: pose with the new velocity (semi-implicit) or with the old one (explicit)."""
     velocity = state.velocity + step * acceleration
     match plant.integrator:

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Int
 
 from jax_aero.config import ScenarioConfig
 from jax_aero.result import FlightResult, Outcome, Progress
@@ -57,7 +58,7 @@ def rollout(
     state: FlightState,
     n_ticks: int,
     keep: Callable[[FlightRow], Kept],
-    first_tick: Array | int = 0,
+    first_tick: Int[Array, ""] | int = 0,
     checkpoint_every: int = CHECKPOINT_EVERY,
 ) -> tuple[FlightState, Kept]:
     """Fly `n_ticks` ticks; return the state after them and, tick by tick, what `keep` takes from every row.
@@ -88,7 +89,9 @@ def rollout(
 
 
 @jax.jit(static_argnames=("n_ticks",))
-def fly_chunk(scenario: Scenario, state: FlightState, first_tick: Array, n_ticks: int) -> tuple[FlightState, FlightRow]:
+def fly_chunk(
+    scenario: Scenario, state: FlightState, first_tick: Int[Array, ""], n_ticks: int
+) -> tuple[FlightState, FlightRow]:
     """Fly some ticks forwards, with the whole log."""
     ticks = first_tick + jnp.arange(n_ticks, dtype=jnp.int32)
     return jax.lax.scan(partial(step, scenario), state, ticks)

@@ -157,39 +157,39 @@ class FlightRow(NamedTuple):
     Signals that a controller does not compute are NaN, and so is what follows from a state that is not finite.
     """
 
-    time: Array
-    base_position: Array
-    base_quaternion: Array
-    base_velocity: Array
-    base_rpy_setpoint: Array
-    joint_position: Array
-    joint_velocity: Array
-    com_position: Array
-    com_velocity: Array
-    com_setpoint: Array
-    rotation_error: Array
-    thrust: Array
-    thrust_rate: Array
-    joint_velocity_command: Array
-    joint_torque: Array
-    wind: Array
-    aero_force_sim: Array
-    aero_force_control: Array
-    momentum: Array
-    momentum_setpoint: Array
-    momentum_rate_estimate: Array
-    unmodelled_wrench: Array
-    measured_base_position: Array
-    measured_base_quaternion: Array
-    measured_base_velocity: Array
-    measured_joint_velocity: Array
-    measured_thrust: Array
-    measured_wind: Array
-    measured_wind_std: Array
-    qp_status: Array
-    qp_kkt: Array
-    qp_iterations: Array
-    degraded_modes: Array
+    time: Float[Array, ""]
+    base_position: Float[Array, "3"]
+    base_quaternion: Float[Array, "4"]
+    base_velocity: Float[Array, "6"]
+    base_rpy_setpoint: Float[Array, "3"]
+    joint_position: Float[Array, " n"]
+    joint_velocity: Float[Array, " n"]
+    com_position: Float[Array, "3"]
+    com_velocity: Float[Array, "3"]
+    com_setpoint: Float[Array, "3"]
+    rotation_error: Float[Array, ""]
+    thrust: Float[Array, " j"]
+    thrust_rate: Float[Array, " j"]
+    joint_velocity_command: Float[Array, " n"]
+    joint_torque: Float[Array, " n"]
+    wind: Float[Array, "3"]
+    aero_force_sim: Float[Array, "L 3"]
+    aero_force_control: Float[Array, "L 3"]
+    momentum: Float[Array, "6"]
+    momentum_setpoint: Float[Array, "6"]
+    momentum_rate_estimate: Float[Array, "6"]
+    unmodelled_wrench: Float[Array, "6"]
+    measured_base_position: Float[Array, "3"]
+    measured_base_quaternion: Float[Array, "4"]
+    measured_base_velocity: Float[Array, "6"]
+    measured_joint_velocity: Float[Array, " n"]
+    measured_thrust: Float[Array, " j"]
+    measured_wind: Float[Array, "3"]
+    measured_wind_std: Float[Array, "3"]
+    qp_status: Float[Array, "2"]
+    qp_kkt: Float[Array, "2"]
+    qp_iterations: Float[Array, "2"]
+    degraded_modes: Float[Array, ""]
 
 
 def prepare(
@@ -344,8 +344,8 @@ def _init(controller: Controller[Any], robot: RobotModel, state: State) -> Any:
     return controller.init(robot, state)
 
 
-def step(scenario: Scenario, state: FlightState, tick: Array) -> tuple[FlightState, FlightRow]:
-    """Fly one tick, number `tick` (int32), and record it.
+def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[FlightState, FlightRow]:
+    """Fly one tick, number `tick`, and record it.
 
     Raises
     ------

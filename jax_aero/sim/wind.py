@@ -116,8 +116,8 @@ def _waves(seed: int) -> tuple[Array, Array]:
     return leaf(places), leaf(2.0 * np.pi * draws[..., 1])
 
 
-def wind_velocity(wind: Wind, time: Array) -> Array:
-    """Velocity of the air (3,) at `time` [s]: m/s, inertial axes."""
+def wind_velocity(wind: Wind, time: Float[Array, ""]) -> Float[Array, "3"]:
+    """Velocity of the air at `time` [s]: m/s, inertial axes."""
     match wind:
         case ConstantWind():
             return jnp.asarray(wind.velocity)

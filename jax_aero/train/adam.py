@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jax_aero.types import Array, pytree
 
@@ -19,7 +19,7 @@ class AdamState:
 
     mean: Any
     square: Any
-    count: Float[Array, ""]
+    count: Int[Array, ""]
     """Steps taken."""
 
 
@@ -33,7 +33,7 @@ def adam_step(
     state: AdamState,
     parameters: Tree,
     gradient: Tree,
-    rate: Array,
+    rate: Float[Array, ""],
     *,
     beta1: float = 0.9,
     beta2: float = 0.999,

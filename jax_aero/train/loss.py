@@ -6,15 +6,20 @@ from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float, Key
 
 from jax_aero.aero.network import ACTIVATIONS, Layer
 from jax_aero.types import Array
 
 
 def batch_output(
-    layers: Sequence[Layer], activation: str, x: Array, key: Array | None = None, dropout: float = 0.0
-) -> Array:
-    """Output (m, B, 39) of all members for features (B, n), before scaling.
+    layers: Sequence[Layer],
+    activation: str,
+    x: Float[Array, "B x"],
+    key: Key[Array, ""] | None = None,
+    dropout: float = 0.0,
+) -> Float[Array, "m B y"]:
+    """Output of all members, before scaling.
 
     With a key, each unit of the hidden layers but the first is dropped with probability `dropout` and the others are
     scaled up, as in the published network, which drops behind its nine square layers. Without one nothing is dropped:
@@ -33,12 +38,14 @@ def batch_output(
     return h
 
 
-def total_error(output: Array, y: Array, totals: Array, weights: Array) -> Array:
-    """Mean over members and rows of `Σ_i w_i (T (output − y))_i²`, T (B, 6, 39) to total force and moment; M96."""
+def total_error(
+    output: Float[Array, "m B y"], y: Float[Array, "B y"], totals: Float[Array, "B 6 y"], weights: Float[Array, "6"]
+) -> Float[Array, ""]:
+    """Mean over members and rows of `Σ_i w_i (T (output − y))_i²`, T to total force and moment; M96."""
     wrench = jnp.einsum("bij,mbj->mbi", totals, output - y)
     return jnp.mean(jnp.sum(weights * wrench**2, axis=-1))
 
 
-def mean_squared_error(output: Array, y: Array) -> Array:
+def mean_squared_error(output: Float[Array, "m B y"], y: Float[Array, "B y"]) -> Float[Array, ""]:
     """Mean over members, rows and components of `(output − y)²`."""
     return jnp.mean((output - y) ** 2)

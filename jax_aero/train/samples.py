@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import numpy.typing as npt
+from jaxtyping import Float, Int
 
-from jax_aero.aero.dataset import JOINTS, Dataset, Floats, Indices
+from jax_aero.aero.dataset import JOINTS, Dataset, Floats
 from jax_aero.aero.network import (
     LinkGeometry,
     Network,
@@ -33,14 +33,13 @@ POSTURES = 32
 
 
 class Samples(NamedTuple):
-    """What a network sees, and what it should answer; N rows in single precision."""
+    """What a network sees, and what it should answer, in single precision."""
 
-    x: npt.NDArray[np.float32]
-    """(N, n) features."""
-    y: npt.NDArray[np.float32]
-    """(N, 39) force areas in the network's frame and layout, less the baseline [m²]."""
-    totals: npt.NDArray[np.float32] | None = None
-    """(N, 6, 39) from such areas to the total force [m²] and the total moment about the centre of mass [m³], base
+    x: Float[np.ndarray, "B x"]
+    y: Float[np.ndarray, "B y"]
+    """Force areas in the network's frame and layout, less the baseline [m²]."""
+    totals: Float[np.ndarray, "B 6 y"] | None = None
+    """From such areas to the total force [m²] and the total moment about the centre of mass [m³], base
     axes; M96. Only where the loss asks for it."""
 
     def take(self, rows: Any) -> Samples:
@@ -59,25 +58,31 @@ def samples_of(network: Network, robot: RobotModel, dataset: Dataset, *, with_to
 
 
 def make_samples(
-    network: Network, robot: RobotModel, joint_position_deg: Floats, wind_b: Floats, force_area_b: Floats | None
+    network: Network,
+    robot: RobotModel,
+    joint_position_deg: Float[np.ndarray, "B s"],
+    wind_b: Float[np.ndarray, "B 3"],
+    force_area_b: Float[np.ndarray, "B L 3"] | None,
 ) -> Samples:
-    """Return features of joint angles (N, 19) [deg] and winds (N, 3), and targets of areas (N, 13, 3) if there are."""
+    """Return features of joint angles [deg] and winds, and targets of areas if there are."""
     areas = np.zeros((len(wind_b), robot.aero_links.count, 3)) if force_area_b is None else force_area_b
     with jax.enable_x64(True):
         x, y = _in_chunks(_sample_rows, network, robot, joint_position_deg, wind_b, areas)
     return Samples(x.astype(np.float32), y.astype(np.float32))
 
 
-def totals_of(network: Network, robot: RobotModel, joint_position_deg: Floats, wind_b: Floats) -> Any:
-    """Return the map (N, 6, 39) from a network's outputs to total force and moment about the centre of mass; M96."""
+def totals_of(
+    network: Network, robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"], wind_b: Float[np.ndarray, "B 3"]
+) -> Float[np.ndarray, "B 6 y"]:
+    """Return the map from a network's outputs to total force and moment about the centre of mass; M96."""
     arms = link_arms(robot, joint_position_deg)
     with jax.enable_x64(True):
         (totals,) = _in_chunks(_total_rows, network, robot, joint_position_deg, wind_b, arms)
     return totals.astype(np.float32)
 
 
-def predict_areas(network: Network, robot: RobotModel, dataset: Dataset) -> Floats:
-    """Return the network's force areas (N, 13, 3) [m²] for the rows of a dataset, base axes; weights as they are."""
+def predict_areas(network: Network, robot: RobotModel, dataset: Dataset) -> Float[np.ndarray, "B L 3"]:
+    """Return the network's force areas [m²] for the rows of a dataset, base axes; weights as they are."""
     with jax.enable_x64(True):
         (areas,) = _in_chunks(_area_rows, network, robot, dataset.joint_position_deg, dataset.wind_b)
     return np.asarray(areas, dtype=np.float64)
@@ -120,8 +125,10 @@ def _geometries(robot: RobotModel, angles: Array) -> LinkGeometry:
     return jax.vmap(functools.partial(link_geometry, robot))(angles)
 
 
-def posture_geometry(robot: RobotModel, joint_position_deg: Floats) -> tuple[LinkGeometry, Indices]:
-    """Return the geometry of the different postures among rows (N, 19) [deg], and each row's place among them."""
+def posture_geometry(
+    robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]
+) -> tuple[LinkGeometry, Int[np.ndarray, " B"]]:
+    """Return the geometry of the different postures among rows [deg], and each row's place among them."""
     postures, number = np.unique(joint_position_deg, axis=0, return_inverse=True)
     seen = np.array([robot.joint_names.index(name) for name in JOINTS])
     parts = []
