@@ -17,9 +17,9 @@ from __future__ import annotations
 
 import difflib
 import json
-import math
 import operator
 import re
+import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -153,14 +153,15 @@ def _build(value: Any, kind: inspect.Type, key: str, folder: Path) -> Any:
         case inspect.IntType() if isinstance(value, int) and not isinstance(value, bool) and _in_range(value, kind):
             return value
         case inspect.FloatType() if isinstance(value, int | float) and not isinstance(value, bool):
-            if math.isfinite(value) and _in_range(value, kind):
+            if _is_finite(value) and _in_range(value, kind):
                 return float(value)
         case inspect.StrType() if isinstance(value, str) and re.search(kind.pattern or "", value):
             return value
         case inspect.CustomType() if isinstance(value, str | Path):
-            path = (folder / value).resolve()
-            if path.is_file():
-                return path
+            with suppress(OSError):  # a name that no file can have
+                path = (folder / value).resolve()
+                if path.is_file():
+                    return path
         case inspect.AnyType():
             return value
     raise _refusal(key, value, _expected(kind, value))
@@ -218,6 +219,11 @@ def _made(cls: type, parts: dict[str, Any], key: str, value: Any) -> Any:
 LIMITS = {"ge": ("≥", operator.ge), "gt": (">", operator.gt), "le": ("≤", operator.le), "lt": ("<", operator.lt)}
 
 
+def _is_finite(value: float) -> bool:
+    # Also of an integer that no float can hold.
+    return abs(value) <= sys.float_info.max
+
+
 def _in_range(value: float, kind: inspect.IntType | inspect.FloatType) -> bool:
     given = [(accepts, getattr(kind, name)) for name, (_, accepts) in LIMITS.items()]
     return all(limit is None or accepts(value, limit) for accepts, limit in given)
@@ -228,7 +234,7 @@ def _expected(kind: inspect.Type, value: Any) -> str:
     match kind:
         case inspect.IntType() | inspect.FloatType():
             words = "an integer" if isinstance(kind, inspect.IntType) else "a number"
-            if isinstance(value, float) and not math.isfinite(value):
+            if isinstance(value, int | float) and not _is_finite(value):
                 return "a finite number"
             given = [(sign, getattr(kind, name)) for name, (sign, _) in LIMITS.items()]
             limits = " and ".join(f"{sign} {limit:g}" for sign, limit in given if limit is not None)

@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 
 Vector: TypeAlias = NDArray[np.float64]
 
+GREATEST = 1e100
+"""Largest number that is read: products of three are finite."""
+
 
 @dataclass(frozen=True)
 class Pose:
@@ -90,13 +93,17 @@ def read_tree(urdf_text: str, base_link: str, order: Sequence[str], locked: Mapp
         root = ElementTree.fromstring(urdf_text)
     except ElementTree.ParseError as reason:
         raise ValueError(f"the URDF is no XML: {reason}") from None
-    links = {element.attrib["name"]: element for element in root.iter("link")}
+    links = {_attribute(element, "name"): element for element in root.iter("link")}
     joints = list(root.findall("joint"))
-    _refuse_unknown("joint order", order, [joint.attrib["name"] for joint in joints])
-    _refuse_unknown("list of locked joints", locked, [joint.attrib["name"] for joint in joints])
+    joint_names = [_attribute(joint, "name") for joint in joints]
+    for item, listed in (("link", [_attribute(link, "name") for link in root.iter("link")]), ("joint", joint_names)):
+        if repeated := {name for name in listed if listed.count(name) > 1}:
+            raise ValueError(f"{item} `{min(repeated)}` stands in the URDF more than once")
+    _refuse_unknown("joint order", order, joint_names)
+    _refuse_unknown("list of locked joints", locked, joint_names)
     children: dict[str, list[ElementTree.Element]] = {name: [] for name in links}
     for joint in joints:
-        parent = _child(joint, "parent").attrib["link"]
+        parent = _attribute(_child(joint, "parent"), "link")
         _refuse_unknown(f"parent of joint `{joint.attrib['name']}`", [parent], list(links))
         children[parent].append(joint)
     _refuse_unknown("base_link", [base_link], list(links))
@@ -109,10 +116,12 @@ def read_tree(urdf_text: str, base_link: str, order: Sequence[str], locked: Mapp
     to_visit = [(base_link, 0, IDENTITY)]
     while to_visit:
         link, body, body_from_link = to_visit.pop()
+        if link in places:
+            raise ValueError(f"link `{link}` is the child of more than one joint, or of itself")
         parts[body] += _parts(links[link], body_from_link)
         places[link] = (body, body_from_link)
         for joint in children[link]:
-            name, child = joint.attrib["name"], _child(joint, "child").attrib["link"]
+            name, child = joint.attrib["name"], _attribute(_child(joint, "child"), "link")
             body_from_joint = body_from_link @ origin_of(joint)
             _refuse_unknown(f"child of joint `{name}`", [child], list(links))
             motion = motions[name]
@@ -176,8 +185,30 @@ def _child(element: ElementTree.Element, tag: str) -> ElementTree.Element:
     return found
 
 
-def _numbers(text: str) -> Vector:
-    return np.array([float(word) for word in text.split()])
+def _attribute(element: ElementTree.Element, key: str) -> str:
+    found = element.attrib.get(key)
+    if found is None:
+        raise ValueError(f"a <{element.tag}> has no `{key}`")
+    return found
+
+
+def _numbers(element: ElementTree.Element, key: str, count: int, default: str | None = None) -> Vector:
+    """Read so many numbers of an attribute, none beyond `GREATEST`."""
+    text = _attribute(element, key) if default is None else element.attrib.get(key, default)
+    try:
+        numbers = np.array([float(word) for word in text.split()])
+    except ValueError:
+        numbers = np.array([])
+    if numbers.size != count or not (np.abs(numbers) <= GREATEST).all():
+        raise ValueError(
+            f"`{key}` of a <{element.tag}> is `{text}`; expected {'a number' if count == 1 else f'{count} numbers'} "
+            f"up to {GREATEST:g}"
+        )
+    return numbers
+
+
+def _number(element: ElementTree.Element, key: str, default: str | None = None) -> float:
+    return float(_numbers(element, key, 1, default)[0])
 
 
 def origin_of(element: ElementTree.Element) -> Pose:
@@ -185,14 +216,14 @@ def origin_of(element: ElementTree.Element) -> Pose:
     origin = element.find("origin")
     if origin is None:
         return IDENTITY
-    roll, pitch, yaw = _numbers(origin.attrib.get("rpy", "0 0 0"))
+    roll, pitch, yaw = _numbers(origin, "rpy", 3, "0 0 0")
     about = [_rotation_about(axis, angle) for axis, angle in zip(np.eye(3), (roll, pitch, yaw), strict=True)]
-    return Pose(about[2] @ about[1] @ about[0], _numbers(origin.attrib.get("xyz", "0 0 0")))
+    return Pose(about[2] @ about[1] @ about[0], _numbers(origin, "xyz", 3, "0 0 0"))
 
 
 def _axis(joint: ElementTree.Element) -> Vector:
     element = joint.find("axis")
-    axis = _numbers(element.attrib["xyz"]) if element is not None else np.array([1.0, 0.0, 0.0])
+    axis = _numbers(element, "xyz", 3) if element is not None else np.array([1.0, 0.0, 0.0])
     length = np.linalg.norm(axis)
     if abs(length - 1.0) > 1e-6:
         raise ValueError(f"axis of joint `{joint.attrib['name']}` is {axis}; expected a vector of length 1")
@@ -202,10 +233,10 @@ def _axis(joint: ElementTree.Element) -> Vector:
 def _limits(joint: ElementTree.Element) -> tuple[float, float] | None:
     if joint.attrib["type"] == "continuous":
         return None
-    limit = _child(joint, "limit").attrib
-    if missing := {"lower", "upper"} - set(limit):
+    limit = _child(joint, "limit")
+    if missing := {"lower", "upper"} - set(limit.attrib):
         raise ValueError(f"URDF limit of joint `{joint.attrib['name']}` lacks {' and '.join(sorted(missing))}")
-    return float(limit["lower"]), float(limit["upper"])
+    return _number(limit, "lower"), _number(limit, "upper")
 
 
 def _is_prismatic(joint: ElementTree.Element) -> bool:
@@ -215,8 +246,8 @@ def _is_prismatic(joint: ElementTree.Element) -> bool:
 def _greatest(joint: ElementTree.Element, key: str) -> float | None:
     """Read a limit of effort or velocity; `None` where the URDF says 0 or nothing."""
     limit = joint.find("limit")
-    value = 0.0 if limit is None else float(limit.attrib.get(key, "0"))
-    if not 0.0 <= value < np.inf:
+    value = 0.0 if limit is None else _number(limit, key, "0")
+    if value < 0.0:
         raise ValueError(
             f"URDF {key} limit of joint `{joint.attrib['name']}` is {value}; expected a number of 0 or more"
         )
@@ -233,8 +264,8 @@ def _parts(link: ElementTree.Element, body_from_link: Pose) -> list[_Part]:
     inertial = link.find("inertial")
     if inertial is None:
         return []
-    mass = float(_child(inertial, "mass").attrib["value"])
-    i = {key: float(value) for key, value in _child(inertial, "inertia").attrib.items()}
+    mass = _number(_child(inertial, "mass"), "value")
+    i = {key: _number(_child(inertial, "inertia"), key) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")}
     tensor = np.array([[i["ixx"], i["ixy"], i["ixz"]], [i["ixy"], i["iyy"], i["iyz"]], [i["ixz"], i["iyz"], i["izz"]]])
     pose = body_from_link @ origin_of(inertial)
     return [_Part(mass, pose.position, pose.rotation @ tensor @ pose.rotation.T)] if mass > 0.0 else []

@@ -1,0 +1,92 @@
+"""Files spoilt at random are read as numbers, or refused with a message: nothing else is raised.
+
+`make fuzz` tries other examples for an hour; the crate's own readers: `rust/sim/tests/fuzz.rs`.
+"""
+
+import os
+import re
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from jax_aero import io
+from jax_aero.places import HOME
+from jax_aero.robot import load_robot
+
+CONFIGS = HOME / "configs"
+
+# The same examples in every run, unless `PROPTEST_CASES` asks for more; then `--hypothesis-seed` says which.
+spoiling = settings(
+    max_examples=int(os.environ.get("PROPTEST_CASES", "60")),
+    derandomize="PROPTEST_CASES" not in os.environ,
+    database=None,
+    deadline=None,
+    suppress_health_check=list(HealthCheck),
+)
+
+NUMBERS = ["0", "-1", "1", "0.5", "1e-320", "-1e300", "1e308", "1e999", "nan", "-inf", "9" * 400, "", "[]", '"a"']
+PLACE = st.integers(0, 10**6)
+EDITS = st.lists(
+    st.tuples(st.sampled_from(["number", "number", "word", "delete", "repeat", "letter", "end"]), PLACE, PLACE),
+    min_size=1,
+    max_size=3,
+)
+
+
+def spoilt(text, edits):
+    """Replace numbers, words or letters, delete or repeat lines, or end early."""
+    for kind, at, of in edits:
+        pattern = {"number": r"[-+.\deE]*\d[-+.\deE]*", "word": r"\w+", "letter": r"(?s)."}.get(kind, r".+")
+        if not (found := list(re.finditer(pattern, text))):
+            return text
+        place, other = found[at % len(found)], found[of % len(found)].group()
+        here = place.group()
+        new = {
+            "number": NUMBERS[of % len(NUMBERS)],
+            "word": other,
+            "delete": "",
+            "repeat": f"{here}\n{other}",
+            "letter": chr(of % 300),
+            "end": "",
+        }[kind]
+        text = text[: place.start()] + new + ("" if kind == "end" else text[place.end() :])
+    return text
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("spoilt")
+
+
+@spoiling
+@given(name=st.sampled_from(["sparrow", "slider", "platform"]), of_toml=st.booleans(), edits=EDITS)
+def test_a_robot(folder, name, of_toml, edits):
+    for suffix in ("toml", "urdf"):
+        text = (CONFIGS / f"robot/{name}.{suffix}").read_text()
+        (folder / f"{name}.{suffix}").write_text(spoilt(text, edits) if (suffix == "toml") == of_toml else text)
+    try:
+        robot = load_robot(folder / f"{name}.toml")
+    except ValueError:
+        return
+    for numbers in (robot.masses, robot.coms, robot.inertias, robot.joint_positions, robot.joint_limits, robot.gravity):
+        assert np.isfinite(numbers).all()
+
+
+@spoiling
+@given(name=st.sampled_from(["aero_aware", "observer_failsafe", "estimator", "balancing"]), edits=EDITS)
+def test_a_configuration(folder, name, edits):
+    text = (CONFIGS / f"control/{name}.toml").read_text()
+    text = (
+        spoilt(text, edits)
+        .replace('"../', f'"{CONFIGS}/')
+        .replace('"observer.toml"', f'"{CONFIGS}/control/observer.toml"')
+    )
+    (folder / "control.toml").write_text(text)
+    flight = (CONFIGS / "experiments/test2.toml").read_text().replace('"../', f'"{CONFIGS}/')
+    (folder / "flight.toml").write_text(flight.replace(f"{CONFIGS}/control/aero_aware.toml", "control.toml"))
+    try:
+        io.scenario_config(io.resolve(folder / "flight.toml"))
+    except ValueError:
+        return
