@@ -268,11 +268,12 @@ def _print_targets(ours: Times, pinocchio: Times, daqp: Times, tick: str) -> Non
             print(f"| {what} | {own / other:.2f} | {target} | {_met(own / other <= target)} |")
     others = [_best(pinocchio, DYNAMICS[1]), *(_best(daqp, f"{q} QP, calm, warm") for q in ("momentum", "torque"))]
     cells = next(line.split("|") for line in tick.splitlines() if "tick, TEST2 " in line)
-    p50, p999 = (float(cells[column].split()[0]) for column in (3, 5))
+    p50, p999, own_p999 = (float(cells[column].split()[0]) for column in (3, 5, 7))
     if None not in others:
         ratio = 1e3 * p50 / sum(ns for ns in others if ns is not None)
         print(f"| whole tick, p50 / (Pinocchio + DAQP + DAQP) | {ratio:.2f} | 0.8 | {_met(ratio <= 0.8)} |")
-    print(f"| whole tick, p99.9 / p50 | {p999 / p50:.2f} | 2.5 | {_met(p999 <= 2.5 * p50)} |")
+    for what, tail in (("", own_p999), (", interruptions of the program included", p999)):
+        print(f"| whole tick, p99.9 / p50{what} | {tail / p50:.2f} | 2.5 | {_met(tail <= 2.5 * p50)} |")
     network = ours["shipped network, links placed"] / 1e3
     print(f"| shipped network, links placed | {network:.1f} µs | 6 µs | {_met(network <= 6)} |")
     flight = ours["flight of 50 s"] / 1e9

@@ -12,6 +12,7 @@
 //! Equations M23, M24 and M26 of `docs/model.md`.
 
 mod card;
+mod exponential;
 mod mirror;
 mod mlp;
 mod tensors;
@@ -22,7 +23,9 @@ pub use tensors::{Tensor, Tensors};
 use super::{LinksInAir, axisymmetric_force};
 use crate::error::BuildError;
 use crate::kinematics::Kinematics;
+use crate::linalg::dispatch_plain;
 use crate::robot::{AxisymmetricCoefficients, RobotModel};
+use exponential::exp_f64;
 use mirror::{Mirror, reflect};
 use mlp::{Evaluator, Pair};
 use nalgebra::{Matrix3, Vector3};
@@ -63,6 +66,8 @@ pub struct Network {
     inputs: Vec<Pair>,
     outputs: Vec<Pair>,
     links: Vec<PlacedLink>,
+    /// An entry for each pair of links.
+    pairs: Vec<[f64; 2]>,
 }
 
 /// One link as seen from the base, and what the network makes of it.
@@ -120,6 +125,7 @@ impl Network {
             inputs: vec![[0.0; 2]; inputs],
             outputs: vec![[0.0; 2]; outputs],
             links: vec![at_base; robot.aero_links.len()],
+            pairs: vec![[0.0; 2]; robot.aero_links.len() * robot.aero_links.len().saturating_sub(1) / 2],
         })
     }
 
@@ -202,7 +208,7 @@ impl Network {
                     3 * self.links.len()
                 }
                 Feature::LinkShadow => {
-                    shade(&mut self.links, wind_b);
+                    shade(&mut self.links, wind_b, &mut self.pairs);
                     for (index, link) in self.links.iter().enumerate() {
                         block[index][0] = link.shadow;
                         if let Some((image, _)) = mirror.map(|mirror| mirror.links[index]) {
@@ -273,19 +279,35 @@ fn write(block: &mut [Pair], sample: usize, index: usize, v: &Vector3<f64>) {
 /// ```text
 /// S_l = Σ_k≠l σ(d·û / h) exp(−r² / 2w²),   d = x_l − x_k,   r² = |d|² − (d·û)²,   σ(u) = 1/(1 + e⁻ᵘ)
 /// ```
-fn shade(links: &mut [PlacedLink], wind_b: &Vector3<f64>) {
-    for link in &mut *links {
-        link.shadow = 0.0;
-    }
-    for index in 1..links.len() {
-        let (before, rest) = links.split_at_mut(index);
-        let link = &mut rest[0];
-        for other in before {
+///
+/// `pairs` receives `exp(−d·û / h)` and `exp(−r² / 2w²)` of link l and those before it.
+fn shade(links: &mut [PlacedLink], wind_b: &Vector3<f64>, pairs: &mut [[f64; 2]]) {
+    let mut exponents = pairs.iter_mut();
+    for (index, link) in links.iter().enumerate() {
+        for (other, exponents) in links[..index].iter().zip(&mut exponents) {
             let d = link.centre_b - other.centre_b;
             let along = d.dot(wind_b);
             let across_squared = d.norm_squared() - along * along;
-            let overlap = (-across_squared / (2.0 * SHADOW_RADIUS * SHADOW_RADIUS)).exp();
-            let behind = 1.0 / (1.0 + (-along / SHADOW_LENGTH).exp());
+            *exponents = [-along / SHADOW_LENGTH, -across_squared / (2.0 * SHADOW_RADIUS * SHADOW_RADIUS)];
+        }
+    }
+    dispatch_plain(
+        #[inline(always)]
+        || {
+            for x in pairs.as_flattened_mut() {
+                *x = exp_f64(*x);
+            }
+        },
+    );
+    for link in &mut *links {
+        link.shadow = 0.0;
+    }
+    let mut pairs = pairs.iter();
+    for index in 1..links.len() {
+        let (before, rest) = links.split_at_mut(index);
+        let link = &mut rest[0];
+        for (other, [ahead, overlap]) in before.iter_mut().zip(&mut pairs) {
+            let behind = 1.0 / (1.0 + ahead);
             link.shadow += behind * overlap;
             other.shadow += (1.0 - behind) * overlap;
         }
