@@ -85,9 +85,14 @@ def area_of(surfaces: Mapping[str, Surface]) -> float:
 
 
 def solve(
-    surfaces: Mapping[str, Surface], wind_b: Floats, settings: Settings, folder: Path, facts: foam.MeshFacts
+    surfaces: Mapping[str, Surface],
+    wind_b: Floats,
+    settings: Settings,
+    folder: Path,
+    facts: foam.MeshFacts,
+    reports: Mapping[str, case.Entry] | None = None,
 ) -> Result:
-    """Solve one wind on a mesh that is there, and judge it."""
+    """Solve one wind on a mesh that is there, and judge it; `reports` are function objects beside those of forces."""
     for path in (*folder.glob("[0-9]*"), *folder.glob("processor*"), folder / "postProcessing"):
         shutil.rmtree(path, ignore_errors=True)
     case.write_wind_case(folder, wind_b, settings)
@@ -98,7 +103,7 @@ def solve(
         stages = [(solver.upwind_iterations, True), (solver.iterations, False)]
         for end, is_upwind in stages[0 if solver.upwind_iterations else 1 :]:
             case.write_schemes(folder, is_upwind=is_upwind)
-            functions = case.forces_of(surfaces, settings.air, solver.sampling)
+            functions = case.forces_of(surfaces, settings.air, solver.sampling) | dict(reports or {})
             case.write_control(folder, end=end, functions=functions)
             said = foam.run(["simpleFoam"], folder, solver.ranks)
     except foam.Failed as reason:
