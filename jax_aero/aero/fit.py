@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, Indices
 
@@ -41,25 +42,24 @@ TOLERANCE = 0.01
 
 
 class Angles(NamedTuple):
-    """Links in the wind; N rows, L links."""
+    """Links in the wind."""
 
-    cos: Floats
-    """(N, L) of the angle between the link's axis and where the air comes from."""
-    sin: Floats
-    """(N, L)"""
-    normal: Floats
-    """(N, L, 3) `(ŵ × k̂) × ŵ`, of length sin α."""
-    wind: Floats
-    """(N, 1, 3) unit vector along which the air moves."""
+    cos: Float[np.ndarray, "B L"]
+    """Of the angle between the link's axis and where the air comes from."""
+    sin: Float[np.ndarray, "B L"]
+    normal: Float[np.ndarray, "B L 3"]
+    """`(ŵ × k̂) × ŵ`, of length sin α."""
+    wind: Float[np.ndarray, "B 1 3"]
+    """Unit vector along which the air moves."""
 
 
 class Parts(NamedTuple):
     """A force area along the wind and across it."""
 
-    drag: Floats
-    """(N, L) [m²]."""
-    across: Floats
-    """(N, L, 3) [m²]."""
+    drag: Float[np.ndarray, " *batch"]
+    """[m²]."""
+    across: Float[np.ndarray, "*batch 3"]
+    """[m²]."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,8 @@ class FamilyFit:
 
     terms: tuple[tuple[int, int], ...]
     """Powers (of cos, of sin) of the terms that were kept."""
-    cda: Floats
-    """(5,) `w0 .. w4` [m²]; zero where a term was dropped."""
+    cda: Float[np.ndarray, "5"]
+    """`w0 .. w4` [m²]; zero where a term was dropped."""
     cna: float
     """`w5` of the signed normal force [m²]."""
     cna_of_magnitude: float
@@ -84,16 +84,16 @@ class FamilyFit:
     """Of the drag area with all five terms [m⁴]."""
 
 
-def angles(axes: Floats, wind_b: Floats) -> Angles:
-    """Angles of attack of links with unit axes (N, L, 3) in winds (N, 3)."""
+def angles(axes: Float[np.ndarray, "B L 3"], wind_b: Float[np.ndarray, "B 3"]) -> Angles:
+    """Angles of attack of links with unit axes in winds."""
     wind = wind_b[:, None, :]
     along = np.sum(axes * wind, axis=-1, keepdims=True)
     cos = np.clip(-along[..., 0], -1.0, 1.0)
     return Angles(cos, np.sqrt(1.0 - cos**2), axes - along * wind, wind)
 
 
-def parts(force_area_b: Floats, wind: Floats) -> Parts:
-    """Split force areas (N, L, 3) in winds (N, 1, 3)."""
+def parts(force_area_b: Float[np.ndarray, "B L 3"], wind: Float[np.ndarray, "B 1 3"]) -> Parts:
+    """Split force areas in winds."""
     drag = np.sum(force_area_b * wind, axis=-1)
     return Parts(drag, force_area_b - drag[..., None] * wind)
 
@@ -116,13 +116,21 @@ def candidate_terms() -> list[tuple[int, int]]:
     return sorted(kept, key=MODEL_TERMS.index)
 
 
-def columns_of(terms: Sequence[tuple[int, int]], cos: Floats, sin: Floats) -> Floats:
-    """Matrix (n, k) of terms at angles (n,)."""
+def columns_of(
+    terms: Sequence[tuple[int, int]], cos: Float[np.ndarray, " B"], sin: Float[np.ndarray, " B"]
+) -> Float[np.ndarray, "B k"]:
+    """Matrix of terms at angles."""
     return np.stack([cos**i * sin**j for i, j in terms], axis=1)
 
 
-def fit_family(cos: Floats, sin: Floats, force: Parts, normal: Floats, posture: Indices) -> FamilyFit:
-    """Fit the links of one family: angles (n,), forces, normal directions (n, 3), posture number of each row (n,)."""
+def fit_family(
+    cos: Float[np.ndarray, " B"],
+    sin: Float[np.ndarray, " B"],
+    force: Parts,
+    normal: Float[np.ndarray, "B 3"],
+    posture: Int[np.ndarray, " B"],
+) -> FamilyFit:
+    """Fit the links of one family: angles, forces, normal directions, posture number of each row."""
     terms = candidate_terms()
     matrix = columns_of(terms, cos, sin)
     supports = lasso_supports(matrix, force.drag)
@@ -147,7 +155,7 @@ def fit_family(cos: Floats, sin: Floats, force: Parts, normal: Floats, posture: 
     )
 
 
-def lasso_supports(matrix: Floats, target: Floats) -> dict[tuple[int, ...], float]:
+def lasso_supports(matrix: Float[np.ndarray, "B k"], target: Float[np.ndarray, " B"]) -> dict[tuple[int, ...], float]:
     """Return sets of columns that some Lasso penalty keeps, with the smallest such penalty over the largest useful.
 
     The first column is the constant. A penalty on it would call up other terms to stand in for it, so it has none:
@@ -170,13 +178,15 @@ def lasso_supports(matrix: Floats, target: Floats) -> dict[tuple[int, ...], floa
     return found
 
 
-def least_squares(matrix: Floats, target: Floats) -> Floats:
-    """Weights (k,) that minimise `|matrix w − target|²`."""
+def least_squares(matrix: Float[np.ndarray, "B k"], target: Float[np.ndarray, " B"]) -> Float[np.ndarray, " k"]:
+    """Weights that minimise `|matrix w − target|²`."""
     return np.asarray(np.linalg.lstsq(matrix, target, rcond=None)[0], dtype=np.float64)
 
 
-def spread(matrix: Floats, target: Floats, posture: Indices) -> Floats:
-    """Return standard errors (k,) of least-squares weights, had other postures been simulated: the jackknife's."""
+def spread(
+    matrix: Float[np.ndarray, "B k"], target: Float[np.ndarray, " B"], posture: Int[np.ndarray, " B"]
+) -> Float[np.ndarray, " k"]:
+    """Return standard errors of least-squares weights, had other postures been simulated: the jackknife's."""
     gram, moment = matrix.T @ matrix, matrix.T @ target
     without = []
     for number in np.unique(posture):
@@ -188,8 +198,8 @@ def spread(matrix: Floats, target: Floats, posture: Indices) -> Floats:
     return error
 
 
-def fit(dataset: Dataset, axes: Floats) -> dict[str, FamilyFit]:
-    """Fit every family to a dataset whose links have the unit axes (N, 13, 3).
+def fit(dataset: Dataset, axes: Float[np.ndarray, "B L 3"]) -> dict[str, FamilyFit]:
+    """Fit every family to a dataset whose links have the unit axes.
 
     The paper mirrors its data first; so should the caller.
     """
@@ -208,14 +218,16 @@ def fit(dataset: Dataset, axes: Floats) -> dict[str, FamilyFit]:
     return fits
 
 
-def drag_areas(coefficients: Floats, geometry: Angles) -> Floats:
-    """Drag areas (N, L) [m²] of the axisymmetric model from coefficients (L, 6) [m²]."""
+def drag_areas(coefficients: Float[np.ndarray, "L 6"], geometry: Angles) -> Float[np.ndarray, "B L"]:
+    """Drag areas [m²] of the axisymmetric model from coefficients [m²]."""
     terms = zip(coefficients.T, MODEL_TERMS, strict=False)
     return np.asarray(sum(w * geometry.cos**i * geometry.sin**j for w, (i, j) in terms))
 
 
-def predicted_areas(coefficients: Floats, axes: Floats, wind_b: Floats) -> Floats:
-    """Force areas (N, L, 3) of the axisymmetric model, base axes, from coefficients (L, 6) [m²], axes and winds."""
+def predicted_areas(
+    coefficients: Float[np.ndarray, "L 6"], axes: Float[np.ndarray, "B L 3"], wind_b: Float[np.ndarray, "B 3"]
+) -> Float[np.ndarray, "B L 3"]:
+    """Force areas of the axisymmetric model, base axes, from coefficients [m²], axes and winds."""
     geometry = angles(axes, wind_b)
     drag = drag_areas(coefficients, geometry)
     normal = coefficients[:, 5] * geometry.sin * geometry.cos
@@ -236,8 +248,8 @@ class Quality(NamedTuple):
     """Rms error of the whole robot's force area across the wind [m²]."""
 
 
-def quality(predicted_b: Floats, dataset: Dataset) -> Quality:
-    """Compare predicted areas (N, 13, 3) with those of a dataset."""
+def quality(predicted_b: Float[np.ndarray, "B L 3"], dataset: Dataset) -> Quality:
+    """Compare predicted areas with those of a dataset."""
     error = predicted_b - dataset.force_area_b
     variance = dataset.force_area_b.reshape(len(dataset), -1).var(axis=0).mean()
     mse = float(np.mean(error**2))
@@ -252,8 +264,8 @@ def quality(predicted_b: Floats, dataset: Dataset) -> Quality:
     )
 
 
-def coefficients_of(fits: Mapping[str, FamilyFit]) -> Floats:
-    """Coefficients (13, 6) in the order of `LINKS`, signed normal force."""
+def coefficients_of(fits: Mapping[str, FamilyFit]) -> Float[np.ndarray, "L 6"]:
+    """Coefficients in the order of `LINKS`, signed normal force."""
     family_of = {link: family for family, members in FAMILIES.items() for link in members}
     return np.array([[*fits[family_of[link]].cda, fits[family_of[link]].cna] for link in LINKS])
 

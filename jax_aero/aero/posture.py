@@ -9,6 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from jax_aero.aero.dataset import JOINTS, LINKS, Floats
 from jax_aero.kinematics import frame_poses, kinematics
@@ -18,16 +19,16 @@ from jax_aero.types import Array, Kinematics, State
 
 
 class LinkFrames(NamedTuple):
-    """Frames of the aerodynamic links of P postures, as seen from the base."""
+    """Frames of the aerodynamic links of postures, as seen from the base."""
 
-    rotations: Floats
-    """(P, 13, 3, 3) `base_from_link`."""
-    positions: Floats
-    """(P, 13, 3) origins from the base origin, base axes [m]."""
+    rotations: Float[np.ndarray, "k L 3 3"]
+    """`base_from_link`."""
+    positions: Float[np.ndarray, "k L 3"]
+    """Origins from the base origin, base axes [m]."""
 
 
-def link_frames(robot: RobotModel, joint_position_deg: Floats) -> LinkFrames:
-    """Frames of the links at joint angles (P, 19) [deg], order of `JOINTS`; the ankles are straight.
+def link_frames(robot: RobotModel, joint_position_deg: Float[np.ndarray, "k s"]) -> LinkFrames:
+    """Frames of the links at joint angles [deg], order of `JOINTS`; the ankles are straight.
 
     Raises
     ------
@@ -56,22 +57,24 @@ def _standing(robot: RobotModel, angles: Array) -> Kinematics:
 
 
 class Wrench(NamedTuple):
-    """What the links' force areas add up to, base axes; N rows."""
+    """What the links' force areas add up to, base axes."""
 
-    force_area: Floats
-    """(N, 3) total force `F / (½ ρ V²)` [m²]."""
-    moment_volume: Floats
-    """(N, 3) total moment about the centre of mass `M / (½ ρ V²)` [m³], every force at its link's centre."""
+    force_area: Float[np.ndarray, "B 3"]
+    """Total force `F / (½ ρ V²)` [m²]."""
+    moment_volume: Float[np.ndarray, "B 3"]
+    """Total moment about the centre of mass `M / (½ ρ V²)` [m³], every force at its link's centre."""
 
 
-def total_wrench(robot: RobotModel, joint_position_deg: Floats, force_area_b: Floats) -> Wrench:
-    """Return the totals of force areas (N, 13, 3) [m²], base axes, at joint angles (N, 19) [deg]; rows may repeat."""
+def total_wrench(
+    robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"], force_area_b: Float[np.ndarray, "B L 3"]
+) -> Wrench:
+    """Return the totals of force areas [m²], base axes, at joint angles [deg]; rows may repeat."""
     moments = np.cross(link_arms(robot, joint_position_deg), force_area_b).sum(axis=1)
     return Wrench(force_area_b.sum(axis=1), moments)
 
 
-def link_arms(robot: RobotModel, joint_position_deg: Floats) -> Floats:
-    """Return the links' aerodynamic centres from the centre of mass (N, 13, 3) [m], base axes; rows may repeat."""
+def link_arms(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> Float[np.ndarray, "B L 3"]:
+    """Return the links' aerodynamic centres from the centre of mass [m], base axes; rows may repeat."""
     return _by_posture(_arms, robot, joint_position_deg)
 
 
@@ -92,8 +95,8 @@ def _arms(robot: RobotModel, angles: Array) -> Array:
     return positions + rotate(rotations, links.centres) - kin.com
 
 
-def centres_of_mass(robot: RobotModel, joint_position_deg: Floats) -> Floats:
-    """Return the centre of mass from the base origin (N, 3) [m], base axes, at joint angles (N, 19) [deg]."""
+def centres_of_mass(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> Float[np.ndarray, "B 3"]:
+    """Return the centre of mass from the base origin [m], base axes, at joint angles [deg]."""
     return _by_posture(_coms, robot, joint_position_deg)
 
 
@@ -103,8 +106,8 @@ def _coms(robot: RobotModel, angles: Array) -> Array:
     return _standing(robot, angles).com
 
 
-def link_axes(robot: RobotModel, joint_position_deg: Floats) -> Floats:
-    """Return unit axes of symmetry (N, 13, 3) in base axes, at joint angles (N, 19) [deg]; rows may repeat."""
+def link_axes(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> Float[np.ndarray, "B L 3"]:
+    """Return unit axes of symmetry in base axes, at joint angles [deg]; rows may repeat."""
     shapes, shape_of = np.unique(joint_position_deg, axis=0, return_inverse=True)
     axes: Floats = np.einsum("plij,lj->pli", link_frames(robot, shapes).rotations, np.asarray(robot.aero_links.axes))
     return axes[shape_of.reshape(-1)]

@@ -67,18 +67,18 @@ class Wake(NamedTuple):
 
 
 class Panels(NamedTuple):
-    """Panels in link axes; I of them."""
+    """Panels in link axes."""
 
-    area: Floats
-    """(I,) [m²]."""
-    normal_l: Floats
-    """(I, 3) outward unit normals."""
-    position_l: Floats
-    """(I, 3) [m]."""
+    area: Float[np.ndarray, " k"]
+    """[m²]."""
+    normal_l: Float[np.ndarray, "k 3"]
+    """Outward unit normals."""
+    position_l: Float[np.ndarray, "k 3"]
+    """[m]."""
     link: tuple[int, ...]
-    """(I,) index in `LINKS`."""
+    """Index in `LINKS`."""
     cluster: tuple[int, ...]
-    """(I,) which wake source a panel belongs to."""
+    """Which wake source a panel belongs to."""
 
 
 class Surrogate(NamedTuple):
@@ -86,15 +86,17 @@ class Surrogate(NamedTuple):
 
     panels: Panels
     wake: Wake
-    coefficients: Floats
-    """(13, 12), the same for the links of a family."""
+    coefficients: Float[np.ndarray, "L 12"]
+    """The same for the links of a family."""
 
 
-def capsule(diameter: float, length: float, spacing: float) -> tuple[Floats, Floats, Floats]:
+def capsule(
+    diameter: float, length: float, spacing: float
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
     """Panels of a cylinder about the z axis, closed by hemispheres; of length 0, a sphere.
 
-    Returns areas (I,) [m²], outward normals (I, 3) and positions (I, 3) [m] from its middle, about `spacing` apart. The
-    areas add up to that of the body, and its symmetry planes are those of the panels.
+    Returns areas [m²], outward normals and positions [m] from its middle, about `spacing` apart. The areas add up to
+    that of the body, and its symmetry planes are those of the panels.
     """
     radius, half = 0.5 * diameter, 0.5 * length
     around = 2 * max(3, round(np.pi * diameter / spacing / 2))
@@ -287,7 +289,9 @@ def load_surrogate(path: str | PathLike[str], robot: RobotModel) -> Surrogate:
     )
 
 
-def force_areas(coefficients: Floats, features: Floats) -> Floats:
-    """Force areas (N, 13, 3) [m²], base axes, from coefficients (13, 12) and features (N, 13, 12, 3)."""
+def force_areas(
+    coefficients: Float[np.ndarray, "L 12"], features: Float[np.ndarray, "B L 12 3"]
+) -> Float[np.ndarray, "B L 3"]:
+    """Force areas [m²], base axes, from coefficients and features."""
     areas: Floats = np.einsum("lm,nlma->nla", coefficients, features)
     return areas

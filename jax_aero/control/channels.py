@@ -169,12 +169,12 @@ def start(robot: RobotModel, state: State) -> ChannelsState:
 def update(
     limits: ChannelLimits,
     memory: ChannelsState,
-    time_step: Array,
-    last_time: Array,
-    time: Array,
+    time_step: Float[Array, ""],
+    last_time: Float[Array, ""],
+    time: Float[Array, ""],
     state: State,
-    thrust: Array,
-    wind: Array,
+    thrust: Float[Array, " j"],
+    wind: Float[Array, "3"],
 ) -> tuple[ChannelsState, Seen]:
     """Take a measurement in; `last_time` is that of the tick before [s]."""
     jets, n = thrust.shape[0], state.joint_position.shape[0]
@@ -264,8 +264,8 @@ def update(
     return after, Seen(clock, seen, used[3 : 3 + jets], used[:3], modes.astype(jnp.int32), innovation, dt)
 
 
-def distrust(memory: ChannelsState, is_wrong: Array, deviation: Array) -> ChannelsState:
-    """Use the measured thrusts (j,) of some jets no more, which were measured too large by `deviation` (j,) [N]."""
+def distrust(memory: ChannelsState, is_wrong: Bool[Array, " j"], deviation: Float[Array, " j"]) -> ChannelsState:
+    """Use the measured thrusts of some jets no more, which were measured too large by `deviation` [N]."""
     jets = is_wrong.shape[0]
     return memory._replace(
         is_distrusted=memory.is_distrusted.at[1 : 1 + jets].set(memory.is_distrusted[1 : 1 + jets] | is_wrong),

@@ -41,19 +41,24 @@ class EngineState(NamedTuple):
     """Whether they are lost; for good."""
 
 
-def start(like: Array) -> EngineState:
-    """Return what is known of engines with thrusts like these (j,) at first."""
+def start(like: Float[Array, " j"]) -> EngineState:
+    """Return what is known of engines with thrusts like these at first."""
     return EngineState(jnp.zeros_like(like), jnp.zeros_like(like), jnp.zeros(like.shape, bool))
 
 
 def update(
-    limits: EngineLimits, last: EngineState, dt: Array, innovation: Array, a_t: Array, residual: Array
-) -> tuple[EngineState, Array, Array]:
-    """Take in by how much thrusts (j,) are not the reckoned ones.
+    limits: EngineLimits,
+    last: EngineState,
+    dt: Float[Array, ""],
+    innovation: Float[Array, " j"],
+    a_t: Float[Array, "6 j"],
+    residual: Float[Array, "6"],
+) -> tuple[EngineState, Bool[Array, " j"], Float[Array, " j"]]:
+    """Take in by how much thrusts are not the reckoned ones.
 
-    Also return which sensors (j,) are wrong, and by how much.
+    Also return which sensors are wrong, and by how much.
 
-    `a_t` (6, j) takes thrusts to the momentum's rate, `residual` (6,) is `n`.
+    `a_t` takes thrusts to the momentum's rate, `residual` is the `n` above [N, N m].
     """
     deviation = jnp.exp(-dt / limits.time_constant) * last.deviation + innovation
     exceeds = ~last.is_lost & (jnp.abs(deviation) > limits.deviation_max)

@@ -80,7 +80,7 @@ class EstimatorState(NamedTuple):
     """That have been taken in."""
 
 
-def estimator(config: EstimatorConfig, aero: AeroModel, time_step: Array) -> Estimator:
+def estimator(config: EstimatorConfig, aero: AeroModel, time_step: Float[Array, ""]) -> Estimator:
     """Collect the numbers of an estimator with this model of the air."""
     channels = (
         config.base_position,
@@ -113,9 +113,9 @@ def start(settings: Estimator, first: Reading) -> EstimatorState:
 
 
 def update(
-    settings: Estimator, robot: RobotModel, before: EstimatorState, measured: Reading, wind: Array
+    settings: Estimator, robot: RobotModel, before: EstimatorState, measured: Reading, wind: Float[Array, "3"]
 ) -> tuple[EstimatorState, Reading]:
-    """Take a measurement in, in the measured wind (3,) [m/s]; the state of the next tick, and the estimate of now.
+    """Take a measurement in, in the measured wind [m/s]; the state of the next tick, and the estimate of now.
 
     One that is not finite corrects nothing.
     """
@@ -153,9 +153,14 @@ def command(state: EstimatorState, order: Order) -> EstimatorState:
 
 
 def advance(
-    settings: Estimator, robot: RobotModel, reading: Reading, order: Order, disturbance: Array, wind: Array
+    settings: Estimator,
+    robot: RobotModel,
+    reading: Reading,
+    order: Order,
+    disturbance: Float[Array, " n"],
+    wind: Float[Array, "3"],
 ) -> Reading:
-    """One tick of the model under an order and unexplained accelerations (n,) of the joints, semi-implicit."""
+    """One tick of the model under an order and unexplained accelerations of the joints, semi-implicit."""
     state, step = reading.state, settings.time_step
     kin = kinematics(robot, state)
     dyn = dynamics(robot, state, kin)

@@ -63,7 +63,7 @@ class WindState(NamedTuple):
     covariance: Float[Array, "3 3"]
 
 
-def wind_observer(config: WindObserverConfig, aero: AeroModel, time_step: Array) -> WindObserver:
+def wind_observer(config: WindObserverConfig, aero: AeroModel, time_step: Float[Array, ""]) -> WindObserver:
     """Collect the numbers of an estimate with this model of the air."""
     return WindObserver(
         aero=aero,
@@ -84,9 +84,14 @@ def start(settings: WindObserver) -> WindState:
 
 
 def update(
-    settings: WindObserver, robot: RobotModel, before: WindState, terms: Terms, thrust: Array, time: Array
+    settings: WindObserver,
+    robot: RobotModel,
+    before: WindState,
+    terms: Terms,
+    thrust: Float[Array, " j"],
+    time: Float[Array, ""],
 ) -> WindState:
-    """Take in what a tick of the controller computed, and the thrusts (j,) [N] and the time [s] it was given."""
+    """Take in what a tick of the controller computed, and the thrusts [N] and the time [s] it was given."""
     rate = jnp.sum(terms.momentum.a_t * thrust, axis=1).at[2].add(-robot.mass * robot.gravity)
     greatest = jnp.full_like(settings.gain, GREATEST)
     gains = ObserverGains(settings.gain, settings.gain, greatest, greatest)

@@ -64,7 +64,7 @@ class SensorState(NamedTuple):
     """Of the last tick."""
 
 
-def sensors(config: SensorsConfig, time_step: Array, ticks: int, jets: int) -> Sensors:
+def sensors(config: SensorsConfig, time_step: Float[Array, ""], ticks: int, jets: int) -> Sensors:
     """Sensors of a flight of so many ticks. Outside loops: noise is drawn here."""
     base = (config.base_position, config.base_rotation, config.base_linear_velocity, config.base_angular_velocity)
     delays = [*(sensor.delay for sensor in base), config.joints.delay, config.thrust.delay]
@@ -91,7 +91,7 @@ def start(errors: Sensors, first: Reading) -> SensorState:
     return SensorState(jax.tree.map(lambda x: jnp.stack([jnp.asarray(x)] * length), first), first)
 
 
-def read(errors: Sensors, before: SensorState, truth: Reading, tick: Array) -> tuple[SensorState, Reading]:
+def read(errors: Sensors, before: SensorState, truth: Reading, tick: Int[Array, ""]) -> tuple[SensorState, Reading]:
     """Read all sensors; the state of the next tick, and what they say."""
     line = jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), before.line, truth)
 

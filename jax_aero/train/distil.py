@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
-from jax_aero.aero.dataset import Dataset, Floats
+from jax_aero.aero.dataset import Dataset
 from jax_aero.aero.network import Network, raw_output
 from jax_aero.robot import RobotModel
 from jax_aero.train.samples import Samples, chunks, make_samples, totals_of
@@ -40,8 +41,10 @@ def distil_samples(
     return Samples(x, mean_output(teachers, x).astype(np.float32), totals)
 
 
-def made_up(rng: np.random.Generator, postures: Floats, count: int, spread_deg: float) -> tuple[Floats, Floats]:
-    """Return joint angles (count, 19) [deg] between those of postures (P, 19), and unit winds (count, 3)."""
+def made_up(
+    rng: np.random.Generator, postures: Float[np.ndarray, "k s"], count: int, spread_deg: float
+) -> tuple[Float[np.ndarray, "count s"], Float[np.ndarray, "count 3"]]:
+    """Return joint angles [deg] between those of postures, and unit winds."""
     first, second = rng.integers(len(postures), size=(2, count))
     part = rng.uniform(size=(count, 1))
     joints = part * postures[first] + (1.0 - part) * postures[second]
@@ -50,8 +53,8 @@ def made_up(rng: np.random.Generator, postures: Floats, count: int, spread_deg: 
     return joints, wind / np.linalg.norm(wind, axis=1, keepdims=True)
 
 
-def mean_output(networks: Sequence[Network], x: np.ndarray[tuple[int, int], np.dtype[np.float32]]) -> Floats:
-    """Return the mean of the raw outputs (N, 39) of networks of one frame and layout."""
+def mean_output(networks: Sequence[Network], x: Float[np.ndarray, "B x"]) -> Float[np.ndarray, "B y"]:
+    """Return the mean of the raw outputs of networks of one frame and layout."""
     total = np.zeros((len(x), networks[0].scale.shape[0]))
     for network in networks:
         total += np.concatenate([np.asarray(_raw_rows(network, rows))[:count] for count, (rows,) in chunks(x)])

@@ -78,7 +78,7 @@ def totals_of(
     arms = link_arms(robot, joint_position_deg)
     with jax.enable_x64(True):
         (totals,) = _in_chunks(_total_rows, network, robot, joint_position_deg, wind_b, arms)
-    return totals.astype(np.float32)
+    return np.asarray(totals, dtype=np.float32)
 
 
 def predict_areas(network: Network, robot: RobotModel, dataset: Dataset) -> Float[np.ndarray, "B L 3"]:

@@ -88,7 +88,7 @@ def test_rate_bounds(rng):
 
 def test_limit_rate(rng):
     """Within the step and beyond it."""
-    inputs = (np.zeros(3), np.array([1.0, 5.0, -7.0]), np.array(3.0))
+    inputs = (np.zeros(3), np.array([1.0, 5.0, -7.0]), np.full(3, 3.0))
     assert_derivatives_agree(lambda x: limit_rate(*x), inputs, rng)
 
 
@@ -164,7 +164,7 @@ def test_a_whole_tick(twin, rng):
     memory = jax.jit(tick.init)(params, robot, first)
 
     def command(params, state, thrust, wind):
-        _, command, terms = tick.tick(params, robot, memory, 0.0, state, thrust, wind, followed)
+        _, command, terms = tick.tick(params, robot, memory, jnp.zeros(()), state, thrust, wind, followed)
         units = jnp.concatenate([jnp.full(4, 100.0), jnp.full(N_JOINTS, 0.8)])
         return jnp.concatenate([command.thrust_rate, command.joint_velocity]) / units, terms.unlimited_torque / 50.0
 
