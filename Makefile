@@ -38,7 +38,7 @@ LAB_WASM := target/wasm32-unknown-unknown/release/flight_lab.wasm
 export PYO3_PYTHON := $(abspath $(BIN)/python)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo view test lint bench figures reproduce verify docs lab clean portability wheel
+.PHONY: help setup demo view test audit lint bench figures reproduce verify docs lab clean portability wheel
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -69,6 +69,9 @@ wheel: $(PACKAGES) ## build wheel and source package into dist/, and fly with th
 	$(BIN)/maturin sdist --out dist
 	$(BIN)/maturin build --release --locked --quiet --out dist
 	$(BIN)/python tests/wheel.py dist/*.whl
+
+audit: $(PACKAGES) ## check licences, duplicates and known vulnerabilities, as far as they can be had; write dist/sbom.json
+	$(BIN)/python -m tests.supply_chain audit
 
 lint: $(PACKAGES) ## check formats, lints, types and import contracts
 	cargo fmt --all --check
@@ -137,18 +140,20 @@ $(BIN)/python:
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed; name one with PYTHON=..."; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.maturin: requirements.lock | $(BIN)/python
-	@echo "set-up 1 of 2: build tool (seconds)"
-	$(BIN)/python -m pip install --quiet --constraint requirements.lock maturin
-	@touch $@
+# Packages are those of requirements.lock, by their hashes; what flying and drawing need stands first.
+$(VENV)/.first: requirements.hashed | $(BIN)/python
+	@echo "set-up 1 of 2: build tool, and what flying and drawing need (a minute)"
+	sed '/^# ---/q' $< > $@.txt
+	$(BIN)/python -m pip install --quiet --require-hashes -r $@.txt
+	@mv $@.txt $@
 
-$(MODULE): $(VENV)/.maturin pyproject.toml $(RUST_SOURCES)
-	@echo "set-up 2 of 2: compile the Rust module, install what flying and drawing need (two minutes on two cores)"
-	PIP_QUIET=1 PIP_CONSTRAINT=$(abspath requirements.lock) VIRTUAL_ENV=$(abspath $(VENV)) env -u CONDA_PREFIX \
+$(MODULE): $(VENV)/.first pyproject.toml $(RUST_SOURCES)
+	@echo "set-up 2 of 2: compile the Rust module (two minutes on two cores)"
+	PIP_QUIET=1 PIP_NO_INDEX=1 VIRTUAL_ENV=$(abspath $(VENV)) env -u CONDA_PREFIX \
 		$(BIN)/maturin develop --release --locked --quiet --extras figs
 	@touch $@
 
-$(PACKAGES): requirements.lock | $(MODULE)
+$(PACKAGES): requirements.hashed | $(MODULE)
 	@echo "set-up of everything else: JAX, viewer, tests, documents (2.5 GB, some minutes)"
-	$(BIN)/python -m pip install --quiet -r requirements.lock
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.hashed
 	@touch $@

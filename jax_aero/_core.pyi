@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 __version__: str
 
+class PanicException(RuntimeError): ...
+
 _Array = NDArray[np.float64]
 _Progress = Callable[[int, int], None]
 

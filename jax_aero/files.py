@@ -12,6 +12,7 @@ import json
 import os
 import shutil
 import socket
+import stat
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -156,6 +157,23 @@ def damaged(folder: Path, checksums: Mapping[str, str]) -> str | None:
 def _sha256(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+MAX_SIZE = 64 * 1024 * 1024
+"""Longest file that is read into memory [bytes], as in the crate."""
+
+
+def read_bytes(path: Path, greatest: int = MAX_SIZE) -> bytes:
+    """Read a regular file; a device, a pipe and what is longer than `greatest` [bytes] are refused unread."""
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode) or status.st_size > greatest:
+        raise Refused(f"{path.name}: expected a regular file of at most {greatest} bytes")
+    return path.read_bytes()
+
+
+def read_text(path: Path, greatest: int = MAX_SIZE) -> str:
+    """Read a text file in UTF-8, as `read_bytes`."""
+    return read_bytes(path, greatest).decode()
 
 
 def write_bytes(path: Path, content: bytes | memoryview) -> None:

@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
 
+from jax_aero.files import read_text
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import multiply, rotate_back, skew, wxyz_from_rotation
 from jax_aero.types import Array, State
@@ -45,8 +46,8 @@ class Order(NamedTuple):
 def mujoco_spec(source: str) -> Any:
     """MuJoCo's description of the robot: its URDF with a free joint, motors on the joints, sites at jets and links."""
     toml_path = Path(source)
-    table = tomllib.loads(toml_path.read_text())
-    spec = mujoco.MjSpec.from_string((toml_path.parent / table["urdf"]).read_text())
+    table = tomllib.loads(read_text(toml_path))
+    spec = mujoco.MjSpec.from_string(read_text(toml_path.parent / table["urdf"]))
     spec.option.gravity = [0.0, 0.0, -table.get("gravity", 9.81)]
     # Joint limits and friction would make MJX carry a constraint solver through the flight.
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT) | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)

@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from jax_aero import tables
 from jax_aero.config import JointEntry, RobotFile
+from jax_aero.files import read_text
 from jax_aero.types import Array, Static, leaf, pytree
 from jax_aero.urdf import BodyTree, Joint, read_tree
 
@@ -201,7 +202,7 @@ def _robot(toml_path: Path, file: RobotFile) -> RobotModel:
         _unique(item, [entry.name for entry in entries])
     joints = [joint for group in file.joint_groups for joint in group.joints]
     order = [joint.name for joint in joints]
-    tree = read_tree(file.urdf.read_text(encoding="utf-8"), file.base_link, order, file.locked)
+    tree = read_tree(read_text(file.urdf), file.base_link, order, file.locked)
     limits = [_limits(entry, joint) for entry, joint in zip(joints, tree.joints, strict=True)]
     lower, upper, torque_max, torque_rate_max, velocity_max = np.reshape(limits, (-1, 5)).T
     ranges = [(-np.inf, np.inf) if joint.limits is None else joint.limits for joint in tree.joints]

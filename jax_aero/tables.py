@@ -30,12 +30,16 @@ import msgspec
 from msgspec import inspect
 
 from jax_aero.command import Refused
+from jax_aero.files import read_text
 from jax_aero.keys import set_key
 
 T = TypeVar("T")
 
 MAX_FILE_SIZE = 4 * 1024 * 1024
 """Longest configuration file that is read [bytes]."""
+
+LARGEST = 1e9
+"""Greatest magnitude of any number, as in the crate's schema."""
 
 Positive: TypeAlias = Annotated[float, msgspec.Meta(gt=0.0)]
 NonNegative: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0)]
@@ -72,9 +76,7 @@ class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 def read(path: Path) -> dict[str, Any]:
     """Read a TOML file."""
     try:
-        if not path.is_file() or path.stat().st_size > MAX_FILE_SIZE:
-            raise ConfigError(f"{path.name}: expected a file of at most {MAX_FILE_SIZE} bytes")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(read_text(path, MAX_FILE_SIZE))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as reason:
         raise ConfigError(f"{path.name}: {reason}") from None
 
@@ -152,8 +154,8 @@ def _build(value: Any, kind: inspect.Type, key: str, folder: Path) -> Any:
             return value
         case inspect.IntType() if isinstance(value, int) and not isinstance(value, bool) and _in_range(value, kind):
             return value
-        case inspect.FloatType() if isinstance(value, int | float) and not isinstance(value, bool):
-            if _is_finite(value) and _in_range(value, kind):
+        case inspect.FloatType() if _is_number(value):
+            if _is_finite(value) and _in_range(value, kind) and abs(value) <= LARGEST:
                 return float(value)
         case inspect.StrType() if isinstance(value, str) and re.search(kind.pattern or "", value):
             return value
@@ -216,6 +218,10 @@ def _made(cls: type, parts: dict[str, Any], key: str, value: Any) -> Any:
         raise _Refusal(f"`{key}`: {text}" if key else text) from None
 
 
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 LIMITS = {"ge": ("≥", operator.ge), "gt": (">", operator.gt), "le": ("≤", operator.le), "lt": ("<", operator.lt)}
 
 
@@ -236,6 +242,8 @@ def _expected(kind: inspect.Type, value: Any) -> str:
             words = "an integer" if isinstance(kind, inspect.IntType) else "a number"
             if isinstance(value, int | float) and not _is_finite(value):
                 return "a finite number"
+            if isinstance(kind, inspect.FloatType) and _is_number(value) and _in_range(value, kind):
+                return "a number from -1e9 to 1e9"
             given = [(sign, getattr(kind, name)) for name, (sign, _) in LIMITS.items()]
             limits = " and ".join(f"{sign} {limit:g}" for sign, limit in given if limit is not None)
             return f"{words} {limits}".rstrip()

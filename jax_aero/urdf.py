@@ -7,6 +7,7 @@ Equation M6 of `docs/model.md`.
 
 from __future__ import annotations
 
+import io
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +15,9 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+
+MAX_DEPTH = 64
+"""Deepest nesting of tags, as in the crate."""
 
 Vector: TypeAlias = NDArray[np.float64]
 
@@ -89,10 +93,7 @@ def read_tree(urdf_text: str, base_link: str, order: Sequence[str], locked: Mapp
     ValueError
         Naming the link or joint that cannot be.
     """
-    try:
-        root = ElementTree.fromstring(urdf_text)
-    except ElementTree.ParseError as reason:
-        raise ValueError(f"the URDF is no XML: {reason}") from None
+    root = _root_of(urdf_text)
     links = {_attribute(element, "name"): element for element in root.iter("link")}
     joints = list(root.findall("joint"))
     joint_names = [_attribute(joint, "name") for joint in joints]
@@ -150,6 +151,19 @@ def read_tree(urdf_text: str, base_link: str, order: Sequence[str], locked: Mapp
         raise ValueError(f"links {sorted(unreached)} do not hang from the base link `{base_link}`")
     bodies = [_merge(*body) for body in zip(names, parents, parts, strict=True)]
     return BodyTree(bodies, [moving[place] for place in range(len(order))], places)
+
+
+def _root_of(urdf_text: str) -> ElementTree.Element:
+    depth, root = 0, ElementTree.Element("")
+    try:
+        for event, element in ElementTree.iterparse(io.StringIO(urdf_text), ("start", "end")):
+            root = element  # the last one to end
+            depth += 1 if event == "start" else -1
+            if depth > MAX_DEPTH:
+                raise ValueError(f"tags nest more than {MAX_DEPTH} deep")
+    except ElementTree.ParseError as reason:
+        raise ValueError(f"the URDF is no XML: {reason}") from None
+    return root
 
 
 def _motion(joint: ElementTree.Element, order: Sequence[str], locked: Mapping[str, float]) -> str:

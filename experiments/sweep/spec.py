@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,6 +13,9 @@ from experiments.sweep.perturbation import Perturbation
 from jax_aero import tables
 
 CONFIGS = manifest.REPOSITORY / "configs" / "sweeps"
+
+MAX_FILES = 128
+"""How many files one sweep may consist of; files that name one another are as deep in calls."""
 
 PATHS = ("card", "file", "path", "robot")
 """Last parts of the keys of a flight that are paths."""
@@ -152,7 +155,7 @@ def available() -> dict[str, str]:
 def load(name: str) -> Spec:
     """Read the sweep of a name or of a path."""
     path = study.find("sweeps", name)
-    return from_table(path.stem, _with_files(tables.read(path), path.parent))
+    return from_table(path.stem, _with_files(tables.read(path), path.parent, iter(range(MAX_FILES))))
 
 
 def from_table(name: str, table: Mapping[str, Any]) -> Spec:
@@ -160,18 +163,20 @@ def from_table(name: str, table: Mapping[str, Any]) -> Spec:
     return tables.convert({"name": name, **table}, Spec, f"sweep {name}")
 
 
-def _with_files(value: Any, folder: Path) -> Any:
-    """Return `value` with every table `{ file = "..." }` in it replaced by that file's table.
+def _with_files(value: Any, folder: Path, count: Iterator[int]) -> Any:
+    """Return `value` with every table `{ file = "..." }` in it replaced by that file's table, while `count` lasts.
 
     Paths start at the file that names them.
     """
     if isinstance(value, Mapping):
         if value.keys() == {"file"}:
-            return _with_files(tables.read(folder / value["file"]), (folder / value["file"]).parent)
+            if next(count, None) is None:
+                raise tables.ConfigError(f"{value['file']}: more than {MAX_FILES} files are read")
+            return _with_files(tables.read(folder / value["file"]), (folder / value["file"]).parent, count)
         return {
             key: str((folder / item).resolve())
             if isinstance(item, str) and key.rpartition(".")[2] in PATHS
-            else _with_files(item, folder)
+            else _with_files(item, folder, count)
             for key, item in value.items()
         }
-    return [_with_files(item, folder) for item in value] if isinstance(value, list) else value
+    return [_with_files(item, folder, count) for item in value] if isinstance(value, list) else value

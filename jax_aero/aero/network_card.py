@@ -29,6 +29,7 @@ from jax_aero.aero.network import (
     mirror_of,
     network_joints,
 )
+from jax_aero.files import read_bytes, read_text
 from jax_aero.robot import RobotModel
 from jax_aero.types import Array
 
@@ -121,7 +122,7 @@ def load_network(path: str | PathLike[str], robot: RobotModel) -> Network:
 def read_card(path: str | PathLike[str]) -> dict[str, Any]:
     """Read a card and check everything that needs neither a robot nor the weights."""
     try:
-        card = json.loads(Path(path).read_text(encoding="utf-8"))
+        card = json.loads(read_text(Path(path)))
     except ValueError as reason:
         raise ValueError(f"card {Path(path).name}: no JSON: {reason}") from None
     for section, keys in _KEYS.items():
@@ -184,7 +185,7 @@ def _tensors(network: Network) -> dict[str, Any]:
 
 
 def _read_tensors(path: Path, sha256: str) -> dict[str, Any]:
-    content = path.read_bytes()
+    content = read_bytes(path)
     _expect("weights.sha256", sha256, hashlib.sha256(content).hexdigest())
     try:
         return parse_tensors(content)

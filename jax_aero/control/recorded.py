@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from jax_aero.files import read_text
 from jax_aero.spatial import exp_so3, log_so3, multiply, rotation_from_rpy
 from jax_aero.types import Array, leaf
 
@@ -66,7 +67,7 @@ def read_reference(path: str | PathLike[str]) -> RecordedReference:
 
     `rust.check_config` says what is wrong with a file that the crate refuses; here its shape and turns are checked.
     """
-    text = Path(path).read_text(encoding="utf-8").splitlines()
+    text = read_text(Path(path)).splitlines()
     lines = [line for line in text if line.strip() and not line.lstrip().startswith("#")]
     rows = np.array([line.split(",") for line in lines[1:]], dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] not in (7, 10, 13, 16) or len(rows) < 2:

@@ -5,6 +5,7 @@ Equations M36 to M38 of `docs/model.md`.
 
 from __future__ import annotations
 
+import io
 from typing import TypeAlias, assert_never
 
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_aero import config, noise
+from jax_aero.files import read_text
 from jax_aero.types import Array, leaf, leaves, pytree
 
 
@@ -99,7 +101,7 @@ def wind_model(settings: config.WindConfig) -> Wind:
             mean = leaves(RampWind, settings)
             return TurbulentWind(mean, leaf(settings.std), leaf(settings.time_scale), places, phases)
         case config.FileWindConfig():
-            samples = np.loadtxt(settings.path, delimiter=",", skiprows=1, ndmin=2)
+            samples = np.loadtxt(io.StringIO(read_text(settings.path)), delimiter=",", skiprows=1, ndmin=2)
             return RecordedWind(times=leaf(samples[:, 0]), velocities=leaf(samples[:, 1:4]))
         case config.SamplesWindConfig():
             samples = np.asarray(settings.samples)

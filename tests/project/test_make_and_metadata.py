@@ -29,6 +29,7 @@ TARGETS = {
     "clean",
     "portability",
     "wheel",
+    "audit",
 }
 
 

@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
 use std::sync::{Arc, PoisonError, RwLock};
 
-/// Longest text file that is read \[bytes\].
-const MAX_TEXT_LENGTH: u64 = 64 * 1024 * 1024;
+/// Longest file that is read \[bytes\].
+const MAX_LENGTH: u64 = 64 * 1024 * 1024;
 
 static HELD: RwLock<BTreeMap<PathBuf, Arc<[u8]>>> = RwLock::new(BTreeMap::new());
 
@@ -21,30 +21,29 @@ fn held(path: &Path) -> Option<Arc<[u8]>> {
     HELD.read().unwrap_or_else(PoisonError::into_inner).get(&normal(path)).cloned()
 }
 
-/// Bytes of a file.
-///
-/// # Errors
-/// [`BuildError`] naming the file.
-pub fn read_bytes(path: &Path) -> Result<Arc<[u8]>, BuildError> {
-    let on_disk = || std::fs::read(path).map(Arc::from);
-    held(path).map_or_else(on_disk, Ok).map_err(|source| unreadable(path, source))
-}
-
-/// Text of a regular file.
+/// Bytes of a regular file.
 ///
 /// # Errors
 /// [`BuildError`] naming the file, also for a device, a pipe, or more than 64 MiB.
-pub fn read_text(path: &Path) -> Result<String, BuildError> {
+pub fn read_bytes(path: &Path) -> Result<Arc<[u8]>, BuildError> {
     if let Some(bytes) = held(path) {
-        return String::from_utf8(bytes.to_vec())
-            .map_err(|error| BuildError::malformed(path.display().to_string(), error));
+        return Ok(bytes);
     }
     let metadata = std::fs::metadata(path).map_err(|source| unreadable(path, source))?;
-    if !metadata.is_file() || metadata.len() > MAX_TEXT_LENGTH {
-        let expected = format!("a regular file of at most {MAX_TEXT_LENGTH} bytes");
-        return Err(BuildError::malformed(path.display().to_string(), format!("expected {expected}")));
+    if !metadata.is_file() || metadata.len() > MAX_LENGTH {
+        let message = format!("expected a regular file of at most {MAX_LENGTH} bytes");
+        return Err(BuildError::malformed(path.display().to_string(), message));
     }
-    std::fs::read_to_string(path).map_err(|source| unreadable(path, source))
+    std::fs::read(path).map(Arc::from).map_err(|source| unreadable(path, source))
+}
+
+/// Text of a file, as [`read_bytes`].
+///
+/// # Errors
+/// [`BuildError`] naming the file, also where it is no UTF-8.
+pub fn read_text(path: &Path) -> Result<String, BuildError> {
+    String::from_utf8(read_bytes(path)?.to_vec())
+        .map_err(|error| BuildError::malformed(path.display().to_string(), error))
 }
 
 /// The path by which a file is known wherever it is named.

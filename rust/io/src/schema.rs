@@ -9,6 +9,10 @@ use flight_core::BuildError;
 use schemars::JsonSchema;
 use serde_json::{Map, Value};
 
+/// Greatest magnitude of any number: nothing in a flight is so large in its SI unit, and its fourth power, as in the
+/// certificate of a QP, is far from overflow.
+const LARGEST: f64 = 1e9;
+
 /// The schema of one kind of file.
 #[derive(Debug, Clone)]
 pub struct Schema {
@@ -155,7 +159,13 @@ impl<'a> Node<'a> {
                     && limit("exclusiveMinimum").is_none_or(|limit| x > limit)
                     && limit("maximum").is_none_or(|limit| x <= limit)
                     && limit("exclusiveMaximum").is_none_or(|limit| x < limit);
-                if accepted { Ok(()) } else { Err(refusal(key, value, &self.expected(kinds[0]))) }
+                if !accepted {
+                    Err(refusal(key, value, &self.expected(kinds[0])))
+                } else if kinds[0] == "number" && x.abs() > LARGEST {
+                    Err(refusal(key, value, "a number from -1e9 to 1e9"))
+                } else {
+                    Ok(())
+                }
             }
             _ => Ok(()),
         }

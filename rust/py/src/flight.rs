@@ -2,7 +2,7 @@
 
 use crate::arrays::{Input, Output, array, entries, value_error, vector, vectors};
 use flight_core::BuildError;
-use flight_io::{AeroConfig, NetworkConfig, RobotFiles};
+use flight_io::{AeroConfig, NetworkConfig, RobotFiles, read_bytes};
 use flight_sim::{
     BatchError, FlightResult, Scenario, ScenarioConfig, Wind, WindConfig, fly_batch as fly_rust_batch,
     load_scenario, scenario_from_value,
@@ -78,17 +78,17 @@ pub fn config_digest(config_json: &str) -> PyResult<String> {
     {
         if let (Some(WindConfig::File { path }), Some(written)) = (wind, value.pointer_mut(pointer)) {
             *written = file_name(path).into();
-            hash.update(std::fs::read(path)?);
+            hash.update(read_bytes(path).map_err(value_error)?);
         }
     }
     if let Some(path) = &config.mission.file {
         value["mission"]["file"] = file_name(path).into();
-        hash.update(std::fs::read(path)?);
+        hash.update(read_bytes(path).map_err(value_error)?);
     }
     for (part, aero) in [("simulator", &config.simulator.aero), ("controller", &config.controller.aero)] {
         if let AeroConfig::Network(NetworkConfig { card, .. }) = aero {
             value[part]["aero"]["card"] = file_name(card).into();
-            hash.update(std::fs::read(card)?); // which holds the hash of the weights
+            hash.update(read_bytes(card).map_err(value_error)?); // which holds the hash of the weights
         }
     }
     hash.update(value.to_string());

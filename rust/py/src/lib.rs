@@ -33,8 +33,15 @@ mod _core {
     use super::robot::{Robot, aero_forces, link_forces};
     use pyo3::prelude::*;
 
+    use pyo3::exceptions::PyRuntimeError;
+    use pyo3::panic::PanicException;
+
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        // A panic is an error of this program, no wish to end it: `except Exception` catches it.
+        let panic = module.py().get_type::<PanicException>();
+        panic.setattr("__bases__", (module.py().get_type::<PyRuntimeError>(),))?;
+        module.add("PanicException", panic)?;
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 }
