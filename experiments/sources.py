@@ -116,8 +116,10 @@ def _with_named(path: Path, seen: set[Path]) -> Iterator[Path]:
 def _table(path: Path) -> Any:
     """Return what a TOML or JSON file holds; a damaged one is refused by whoever uses it, and names nothing here."""
     try:
-        return {".toml": tables.read, ".json": lambda json_file: json.loads(json_file.read_bytes())}[path.suffix](path)
-    except (KeyError, ValueError):
+        if path.suffix == ".toml":
+            return tables.read(path)
+        return json.loads(path.read_bytes()) if path.suffix == ".json" else None
+    except ValueError:
         return None
 
 
