@@ -97,6 +97,7 @@ reproduce: $(PACKAGES) ## fly everything, draw everything, write results/report.
 	$(BIN)/python -m experiments engine-choice
 	$(BIN)/python -m experiments force-rate
 	$(BIN)/python -m experiments observer-limit
+	$(BIN)/python -m experiments wind-observer
 	$(BIN)/python -m experiments tip-over
 	$(BIN)/python -m experiments calibrate-surrogate
 	$(BIN)/python -m experiments identify-aero

@@ -1,4 +1,4 @@
-"""The paper's claims, what we measured, and whether they agree. Verdicts are computed, not written.
+"""The paper's claims, and ours, what we measured, and whether they agree. Verdicts are computed, not written.
 
 A claim whose measurement is not there says which command makes it. `docs/claims.json` keeps what was measured once, for
 `docs/paper.md`.
@@ -10,10 +10,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from experiments.report import facts
+from experiments.report import facts, observer
 from experiments.report.ground import Ground
 from experiments.report.metrics import FINAL, Metrics
-from experiments.report.results import Results, Sweep, count
+from experiments.report.results import NotFlownError, Results, count
 from experiments.report.verdicts import AGREES, NOT_FLOWN, differs, out_of_reach
 
 RIGHT, HEAD, PUBLISHED = (
@@ -53,10 +53,6 @@ class Claim:
     """Name of the figure of `paper_figs` that shows it; empty without one."""
 
 
-class NotFlownError(Exception):
-    """A measurement is missing; the message names the command."""
-
-
 def all_claims(results: Results) -> list[Claim]:
     """Return every claim, in the paper's order."""
     return [_stated(claim, results) for claim in CLAIMS]
@@ -89,6 +85,11 @@ def _fact(key: str, where: str, claim: str, judge: Callable[[], tuple[str, str]]
     return _Claim(key, where, claim, lambda _: judge(), figure=figure)
 
 
+def _ours(key: str, claim: str, judge: Judge, *, sweep: str = "", study: str = "") -> _Claim:
+    """Return a claim of which the paper says nothing, of the recommended controller."""
+    return _Claim(key, "ours", claim, judge, sweep=sweep, figure=sweep, study=study)
+
+
 def _stated(claim: _Claim, results: Results) -> Claim:
     try:
         measured, verdict = claim.judge(results)
@@ -110,12 +111,6 @@ def _stood(results: Results) -> tuple[Ground, Ground]:
     return results.standing["balancing_front"], results.standing["balancing_lateral"]
 
 
-def _sweep(results: Results, name: str) -> Sweep:
-    if name not in results.sweeps:
-        raise NotFlownError(f"`python -m experiments sweep {name}` has not been run")
-    return results.sweeps[name]
-
-
 def _agreement(corrected: bool, published: bool) -> str:
     if corrected and published:
         return AGREES
@@ -132,7 +127,7 @@ def _judged(holds: bool, how: str = "it does not hold") -> str:
 
 def _pair(results: Results, test: str) -> tuple[str, list[Mapping[str, float]]]:
     """How a test ends with corrected and with published lever arms, and how often its perturbed flights complete."""
-    cells = _sweep(results, "paper_tests")
+    cells = results.sweep("paper_tests")
     name = test.upper() if test.startswith("test") else test
     texts, shares = [], []
     for arms, run in (("corrected", test), ("published", f"{test}_published")):
@@ -204,7 +199,7 @@ def _robustness(results: Results) -> tuple[str, str]:
 
 def _model_pairs(results: Results) -> tuple[str, str]:
     """How many winds are flown on course with the simulator's own model, with another's, without, and observed."""
-    sweep = _sweep(results, "model_pairs")
+    sweep = results.sweep("model_pairs")
     texts, shares = [], []
     for arms in sweep.levels("arms"):
         cells = sweep.select(arms=arms)
@@ -245,7 +240,7 @@ def _thrusts_alike(results: Results) -> tuple[str, str]:
 
 
 def _lambda(results: Results) -> tuple[str, str]:
-    cells = _sweep(results, "ablation_terms")
+    cells = results.sweep("ablation_terms")
     texts, same = [], []
     for world in (RIGHT, HEAD, PUBLISHED):
         whole, without = (cells.cell(world=world, feedback=level) for level in ("everything", "without Λ_a"))
@@ -266,7 +261,7 @@ def answer(results: Results) -> str:
 
     A level is as good as everything in a world if its success rate reaches the low end of everything's interval.
     """
-    cells = _sweep(results, "ablation_terms")
+    cells = results.sweep("ablation_terms")
     worlds = cells.levels("world")
 
     def as_good(what: str) -> list[str]:
@@ -624,5 +619,60 @@ CLAIMS = (
         _minimum,
         sweep="ablation_terms",
         figure="ablation_terms",
+    ),
+    _ours(
+        "observer_corrected",
+        "Without an aerodynamic model the observer flies TEST1 and TEST3 within 5° (corrected arms)",
+        observer.tests("corrected", 5.0),
+        sweep="observer_tests",
+    ),
+    _ours(
+        "observer_published",
+        "Without an aerodynamic model the observer flies TEST1 and TEST3 within 7° (published arms)",
+        observer.tests("published", 7.0),
+        sweep="observer_tests",
+    ),
+    _ours(
+        "observer_26",
+        "Winds of 26 m/s from everywhere are flown, within 12° in the median",
+        observer.fast_wind,
+        sweep="observer_wind",
+    ),
+    _ours("observer_40", "Winds of up to 40 m/s are flown", observer.every_wind, sweep="observer_wind"),
+    _ours(
+        "observer_errors",
+        "Mass +10 %, CoM 4 cm, an arm jet -10 %: flown, within 10° in the median",
+        observer.model_errors,
+        sweep="observer_errors",
+    ),
+    _ours(
+        "sensors",
+        "With realistic sensors observer and estimator fly within 12°",
+        observer.sensors,
+        sweep="sensors_tests",
+    ),
+    _ours(
+        "outages_lasting",
+        "Without wind or thrust sensors for good the robot arrives",
+        observer.lost_for_ever,
+        sweep="outages_observer",
+    ),
+    _ours(
+        "outages_short",
+        "Without base rotation, velocity or position for 0.3 and 1 s the robot arrives",
+        observer.lost_for_a_while,
+        sweep="outages_observer",
+    ),
+    _ours(
+        "engines_lost",
+        "Without one engine the robot flies to the ground",
+        observer.lost_engines,
+        sweep="engine_loss",
+    ),
+    _ours(
+        "wind_estimate",
+        "The wind is known to 1.5 m/s above 6 m/s, its 90 % interval covers 85 to 95 %",
+        observer.wind_estimate,
+        study="wind-observer",
     ),
 )

@@ -99,7 +99,7 @@ def build(results: Results, stated: Sequence[claims.Claim]) -> Page:
             "physics has them, "
             "*published arms* where the published code has them (`docs/deviations.md`)."
         ),
-        Heading(2, "The paper's claims"),
+        Heading(2, "Claims"),
         Text(_counted(stated)),
         Table(
             ("where", "claim", "measured", "verdict", "figure", "command"),

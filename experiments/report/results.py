@@ -18,6 +18,10 @@ from jax_aero import rust
 Cell = Mapping[str, Any]
 
 
+class NotFlownError(Exception):
+    """A measurement is missing; the message names the command."""
+
+
 @dataclass(frozen=True)
 class Sweep:
     """One finished sweep."""
@@ -68,6 +72,12 @@ class Results:
             document = json.loads((path.parent / "sweep.json").read_text(encoding="utf-8"))
             found[path.parent.name] = Sweep(document, pq.read_table(path).to_pylist())
         return found
+
+    def sweep(self, name: str) -> Sweep:
+        """Return a finished sweep."""
+        if name not in self.sweeps:
+            raise NotFlownError(f"`python -m experiments sweep {name}` has not been run")
+        return self.sweeps[name]
 
     def study(self, kind: str, name: str) -> dict[str, Any] | None:
         """Return the figures of a study, if it was made."""

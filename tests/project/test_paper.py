@@ -48,7 +48,7 @@ def test_every_item_of_the_paper_has_a_verdict():
     for title, items in paper.SECTIONS.items():
         for item in items:
             judged = bool(item.claims or item.tunnel) + bool(item.verdict)
-            assert judged == (title != "Beyond the paper"), item.name
+            assert judged == 1 or (title == "Beyond the paper" and not item.verdict), item.name
             assert not item.verdict or item.verdict.startswith(WORDS), item.name
             assert item.figure or item.links or item.claims or item.verdict.startswith("out of reach"), item.name
 

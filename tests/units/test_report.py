@@ -173,7 +173,7 @@ def test_the_report_is_written_from_what_there_is(results, capsys):
     tables = [line for line in text.splitlines() if line.startswith("| --- |")]
     assert (results.folder / "report.html").read_text().count("<table>") == len(tables) == 7
     for word in (
-        "## The paper's claims",
+        "## Claims",
         "## The paper's runs",
         "## Runs of our own",
         "paper_tests",

@@ -1,0 +1,152 @@
+"""What we claim of the recommended controller, judged from its sweeps. The paper says nothing of it.
+
+An error of many flights is given as median, 90 % quantile and worst.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from experiments.report.results import Cell, NotFlownError, Results, count
+from experiments.report.verdicts import AGREES, differs
+
+OUTAGE_SPEED = 10.0
+"""Wind of the claims on outages, the paper's [m/s]."""
+
+
+def _errors(cell: Cell) -> str:
+    low, high, worst = (cell[f"rotation_error_deg_{name}"] for name in ("median", "high", "worst"))
+    return f"{count(cell)} complete, rotation error {low:.1f}, {high:.1f}, {worst:.1f}°"
+
+
+def _judged(bad: Iterable[str]) -> str:
+    named = list(bad)
+    return differs(", ".join(named)) if named else AGREES
+
+
+def _listed(cells: Iterable[tuple[str, Cell]]) -> str:
+    return "; ".join(f"{name}: {_errors(cell)}" for name, cell in cells)
+
+
+def _beyond(cells: Iterable[tuple[str, Cell]], error: str, limit: float) -> list[str]:
+    """Return what falls, and whose error is beyond a limit [deg]."""
+    found = []
+    for name, cell in cells:
+        if cell["completed"] < cell["flights"]:
+            found.append(f"{name}: {cell['flights'] - cell['completed']} of {cell['flights']} do not complete")
+        elif cell[f"rotation_error_deg_{error}"] > limit:
+            found.append(f"{name}: {cell[f'rotation_error_deg_{error}']:.1f}°")
+    return found
+
+
+def tests(arms: str, limit: float) -> Callable[[Results], tuple[str, str]]:
+    """Judge TEST1 and TEST3, flown without an aerodynamic model."""
+
+    def judge(results: Results) -> tuple[str, str]:
+        sweep = results.sweep("observer_tests")
+        cells = [(test, sweep.cell(test=f"{test}, {arms} arms")) for test in ("TEST1", "TEST3")]
+        return _listed(cells), _judged(_beyond(cells, "worst", limit))
+
+    return judge
+
+
+def _pooled(cells: list[dict[str, Any]]) -> str:
+    flights = sum(cell["flights"] for cell in cells)
+    lost = flights - sum(cell["completed"] for cell in cells)
+    worst = max(cell["rotation_error_deg_worst"] for cell in cells)
+    medians = [cell["rotation_error_deg_median"] for cell in cells]
+    return (
+        f"{lost} of {flights} do not complete, medians of the directions {min(medians):.1f} to {max(medians):.1f}°, "
+        f"worst {worst:.1f}°"
+    )
+
+
+def fast_wind(results: Results) -> tuple[str, str]:
+    """Judge 26 m/s from everywhere."""
+    sweep = results.sweep("observer_wind")
+    texts, bad = [], []
+    for controller in sweep.levels("controller"):
+        cells = sweep.select(controller=controller, speed=26.0)
+        texts.append(f"{controller}: {_pooled(cells)}")
+        bad += _beyond(((f"{controller} from {cell['direction']:g}°", cell) for cell in cells), "median", 12.0)
+    return "; ".join(texts), _judged(bad)
+
+
+def every_wind(results: Results) -> tuple[str, str]:
+    """Judge winds of up to 40 m/s."""
+    sweep = results.sweep("observer_wind")
+    texts, bad = [], []
+    for controller in sweep.levels("controller"):
+        for speed in sweep.levels("speed"):
+            cells = sweep.select(controller=controller, speed=speed)
+            lost = sum(cell["flights"] - cell["completed"] for cell in cells)
+            if speed > 26.0:
+                texts.append(f"{controller}, {speed:g} m/s: {_pooled(cells)}")
+            if lost:
+                bad.append(f"{controller} at {speed:g} m/s: {lost} of {sum(cell['flights'] for cell in cells)}")
+    return "; ".join(texts), _judged(bad)
+
+
+def model_errors(results: Results) -> tuple[str, str]:
+    """Judge a robot that is not the model's."""
+    sweep = results.sweep("observer_errors")
+    named = ("mass +10 %", "CoM 4 cm", "left arm jet -10 %")
+    errors = [name for name in sweep.levels("model_error") if any(word in name for word in named)]
+    cells = [(error, sweep.cell(controller="observer and model", model_error=error)) for error in errors]
+    return _listed(cells), _judged(_beyond(cells, "median", 10.0))
+
+
+def sensors(results: Results) -> tuple[str, str]:
+    """Judge flights with realistic sensors."""
+    sweep = results.sweep("sensors_tests")
+    cells = [
+        (flight, sweep.cell(controller="observer and estimator", flight=flight)) for flight in sweep.levels("flight")
+    ]
+    return _listed(cells), _judged(_beyond(cells, "worst", 12.0))
+
+
+def _outages(results: Results, what: Mapping[str, tuple[float, ...]]) -> tuple[str, str]:
+    sweep = results.sweep("outages_observer")
+    cells = [
+        (f"{channel}, {'for good' if duration > 30.0 else f'{duration:g} s'}", cell)
+        for channel, durations in what.items()
+        for duration in durations
+        for cell in sweep.select(channel=channel, duration=duration, speed=OUTAGE_SPEED)
+    ]
+    return _listed(cells), _judged(_beyond(cells, "worst", 90.0))
+
+
+def lost_for_ever(results: Results) -> tuple[str, str]:
+    """Judge flights without wind or thrust sensors."""
+    return _outages(results, {"wind": (60.0,), "all thrusts": (60.0,)})
+
+
+def lost_for_a_while(results: Results) -> tuple[str, str]:
+    """Judge flights without base rotation, velocity or position."""
+    return _outages(results, dict.fromkeys(("rotation", "velocity", "position"), (0.3, 1.0)))
+
+
+def lost_engines(results: Results) -> tuple[str, str]:
+    """Judge engines that fade, stop or keep their thrust while the robot hovers."""
+    sweep = results.sweep("engine_loss")
+    cells = [
+        (failure.removesuffix(" at 18 s"), sweep.cell(engines="found, descends", failure=failure))
+        for failure in sweep.levels("failure")
+        if failure.endswith("at 18 s")
+    ]
+    return _listed(cells), _judged(_beyond(cells, "worst", 90.0))
+
+
+def wind_estimate(results: Results) -> tuple[str, str]:
+    """Judge the wind that is estimated from the wrench."""
+    found = results.study("wind_observer", "turbulence")
+    if found is None:
+        raise NotFlownError("`python -m experiments wind-observer` has not been run")
+    texts, bad = [], []
+    for name, figures in found.items():
+        text = f"{name}: {figures['rms']:.2f} m/s rms, {100.0 * figures['inside']:.0f} % inside"
+        texts.append(text)
+        if figures["rms"] > 1.5 or not 0.85 <= figures["inside"] <= 0.95:
+            bad.append(text)
+    return "; ".join(texts), _judged(bad)
