@@ -23,6 +23,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
+from jaxtyping import Bool, Float, Int
 
 from jax_aero.files import write_netcdf
 
@@ -67,30 +68,30 @@ MIRROR_AXES = np.array([1.0, -1.0, 1.0])
 """Signs of a vector in the mirror, the base's x-z plane."""
 
 
-def mirrored_joints(joint_position_deg: Floats) -> Floats:
-    """Joint angles (..., 19) of the mirror image."""
+def mirrored_joints(joint_position_deg: Float[np.ndarray, "*batch s"]) -> Float[np.ndarray, "*batch s"]:
+    """Joint angles of the mirror image."""
     flipped: Floats = joint_position_deg[..., JOINT_TWINS] * JOINT_SIGNS
     return flipped
 
 
-def mirrored_areas(force_area_b: Floats) -> Floats:
-    """Force areas (..., 13, 3) of the mirror image, base axes."""
+def mirrored_areas(force_area_b: Float[np.ndarray, "*batch L 3"]) -> Float[np.ndarray, "*batch L 3"]:
+    """Force areas of the mirror image, base axes."""
     flipped: Floats = force_area_b[..., LINK_TWINS, :] * MIRROR_AXES
     return flipped
 
 
-def mirrored_couples(couple_volume_b: Floats) -> Floats:
-    """Couples (..., 13, 3) of the mirror image, base axes: the sign of an axial vector is the opposite."""
+def mirrored_couples(couple_volume_b: Float[np.ndarray, "*batch L 3"]) -> Float[np.ndarray, "*batch L 3"]:
+    """Couples of the mirror image, base axes: the sign of an axial vector is the opposite."""
     return -mirrored_areas(couple_volume_b)
 
 
-def wind_direction(pitch_deg: npt.ArrayLike, yaw_deg: npt.ArrayLike) -> Floats:
-    """Direction in which the air moves (..., 3), base axes: `(cos p cos y, −sin y, sin p cos y)`, p = pitch − 90°."""
+def wind_direction(pitch_deg: npt.ArrayLike, yaw_deg: npt.ArrayLike) -> Float[np.ndarray, "*batch 3"]:
+    """Direction in which the air moves, base axes: `(cos p cos y, −sin y, sin p cos y)`, p = pitch − 90°."""
     return tunnel_from_base(pitch_deg, yaw_deg)[..., 0, :]
 
 
-def tunnel_from_base(pitch_deg: npt.ArrayLike, yaw_deg: npt.ArrayLike) -> Floats:
-    """Rotation `Rz(yaw) Ry(pitch − 90°)` (..., 3, 3)."""
+def tunnel_from_base(pitch_deg: npt.ArrayLike, yaw_deg: npt.ArrayLike) -> Float[np.ndarray, "*batch 3 3"]:
+    """Rotation `Rz(yaw) Ry(pitch − 90°)`."""
     p, y = np.broadcast_arrays(np.radians(np.asarray(pitch_deg, float) - 90.0), np.radians(np.asarray(yaw_deg, float)))
     cp, sp, cy, sy, nil = np.cos(p), np.sin(p), np.cos(y), np.sin(y), np.zeros(p.shape)
     rows = [[cy * cp, -sy, cy * sp], [sy * cp, cy, sy * sp], [-sp, nil, cp]]
@@ -99,30 +100,30 @@ def tunnel_from_base(pitch_deg: npt.ArrayLike, yaw_deg: npt.ArrayLike) -> Floats
 
 @dataclass(frozen=True)
 class Dataset:
-    """Force areas `F / (½ ρ V²)` of links; N rows."""
+    """Force areas `F / (½ ρ V²)` of links, by row."""
 
     posture: npt.NDArray[np.str_]
-    """(N,) name of the posture; a mirror image keeps it."""
-    is_mirrored: npt.NDArray[np.bool_]
-    """(N,) whether the row is the mirror image of one that was computed."""
-    joint_position_deg: Floats
-    """(N, 19) [deg], order of `JOINTS`."""
-    wind_b: Floats
-    """(N, 3) unit vector along which the air moves, base axes."""
-    pitch_deg: Floats
-    """(N,) robot's vertical axis above the horizontal [deg]."""
-    yaw_deg: Floats
-    """(N,) about the tunnel's vertical [deg]."""
-    force_area_b: Floats
-    """(N, 13, 3) [m²], base axes, order of `LINKS`."""
-    speed: Floats
-    """(N,) of the air [m/s]."""
-    air_density: Floats
-    """(N,) [kg/m³]."""
-    couple_volume_b: Floats | None = None
-    """(N, 13, 3) moment about the link's centre `M / (½ ρ V²)` [m³], base axes; `None` where there is none."""
-    quality: Mapping[str, Floats] = field(default_factory=dict)
-    """What a solver reported of every row, (N,) by name with unit."""
+    """Name of the posture; a mirror image keeps it."""
+    is_mirrored: Bool[np.ndarray, " B"]
+    """Whether the row is the mirror image of one that was computed."""
+    joint_position_deg: Float[np.ndarray, "B s"]
+    """[deg], order of `JOINTS`."""
+    wind_b: Float[np.ndarray, "B 3"]
+    """Unit vector along which the air moves, base axes."""
+    pitch_deg: Float[np.ndarray, " B"]
+    """Robot's vertical axis above the horizontal [deg]."""
+    yaw_deg: Float[np.ndarray, " B"]
+    """About the tunnel's vertical [deg]."""
+    force_area_b: Float[np.ndarray, "B L 3"]
+    """[m²], base axes, order of `LINKS`."""
+    speed: Float[np.ndarray, " B"]
+    """Of the air [m/s]."""
+    air_density: Float[np.ndarray, " B"]
+    """[kg/m³]."""
+    couple_volume_b: Float[np.ndarray, "B L 3"] | None = None
+    """Moment about the link's centre `M / (½ ρ V²)` [m³], base axes; `None` where there is none."""
+    quality: Mapping[str, Float[np.ndarray, " B"]] = field(default_factory=dict)
+    """What a solver reported of every row, by name with unit."""
     provenance: Mapping[str, str] = field(default_factory=dict)
     """Where the rows come from."""
     checks: Mapping[str, float] = field(default_factory=dict)
@@ -151,16 +152,16 @@ class Dataset:
         return len(self.posture)
 
     @cached_property
-    def group(self) -> Indices:
-        """(N,) number shared by rows of one body shape in one wind: poles of the angle grid, own mirror images."""
+    def group(self) -> Int[np.ndarray, " B"]:
+        """Number shared by rows of one body shape in one wind: poles of the angle grid, own mirror images."""
         key = np.column_stack([self.joint_position_deg, self.wind_b])
         # Adding zero makes -0 equal to 0.
         _, numbers = np.unique(np.round(key, 6) + 0.0, axis=0, return_inverse=True)
         return np.asarray(numbers, dtype=np.int64).reshape(-1)
 
     @cached_property
-    def family(self) -> Indices:
-        """(N,) number shared by a posture and its mirror image, whatever they are called."""
+    def family(self) -> Int[np.ndarray, " B"]:
+        """Number shared by a posture and its mirror image, whatever they are called."""
         angles = np.round(self.joint_position_deg, 6) + 0.0
         images = np.round(mirrored_joints(self.joint_position_deg), 6) + 0.0
         swap = np.array(
@@ -176,8 +177,8 @@ class Dataset:
         return tuple(dict.fromkeys(self.posture.tolist()))
 
     @property
-    def force_area_w(self) -> Floats:
-        """(N, 13, 3) drag, side and lift area [m²]: along the wind, along y and z of the tunnel frame."""
+    def force_area_w(self) -> Float[np.ndarray, "B L 3"]:
+        """Drag, side and lift area [m²]: along the wind, along y and z of the tunnel frame."""
         areas: Floats = np.einsum("nij,nlj->nli", tunnel_from_base(self.pitch_deg, self.yaw_deg), self.force_area_b)
         return areas
 
@@ -227,7 +228,7 @@ class Dataset:
             couple_volume_b=None if couples is None else second(couples, mirrored_couples(couples)),
         )
 
-    def random_split(self, seed: int, fraction: float = 0.2) -> tuple[Indices, Indices]:
+    def random_split(self, seed: int, fraction: float = 0.2) -> tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]:
         """Rows for training and for validation, drawn at random: the paper's split.
 
         Information leaks: mirror images and nearly equal rows are in both parts. Report `grouped_split` beside it.
@@ -238,7 +239,7 @@ class Dataset:
 
     def grouped_split(
         self, seed: int, fraction: float = 0.2, hold_out: Sequence[str] | None = None
-    ) -> tuple[Indices, Indices]:
+    ) -> tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]:
         """Rows for training and for validation, whole postures at a time and with their mirror images.
 
         Held out are `hold_out`, or else a random share of the postures, at least one.
@@ -253,7 +254,7 @@ class Dataset:
         is_held = np.isin(self.family, held)
         return np.flatnonzero(~is_held), np.flatnonzero(is_held)
 
-    def grouped_folds(self, seed: int, folds: int = 5) -> list[tuple[Indices, Indices]]:
+    def grouped_folds(self, seed: int, folds: int = 5) -> list[tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]]:
         """Return splits like `grouped_split` in which every posture is held out exactly once."""
         families = np.random.default_rng(seed).permutation(np.unique(self.family))
         if not 2 <= folds <= len(families):
@@ -351,8 +352,8 @@ def load(path: str | PathLike[str]) -> Dataset:
     return dataset
 
 
-def read_postures(path: str | PathLike[str]) -> dict[str, Floats]:
-    """Joint angles (19,) [deg] by posture name, from a CSV with the columns `name` and `<joint>_deg`.
+def read_postures(path: str | PathLike[str]) -> dict[str, Float[np.ndarray, " s"]]:
+    """Joint angles [deg] by posture name, from a CSV with the columns `name` and `<joint>_deg`.
 
     Raises
     ------

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from jax_aero.aero.dataset import LINKS, Floats, tunnel_from_base, wind_direction
 from jax_aero.aero.fit import FAMILIES, angles, drag_areas
@@ -30,21 +31,18 @@ N_FAMILIES, N_TERMS = len(FAMILIES), len(TERMS)
 
 @dataclass(frozen=True)
 class Records:
-    """Forces on the whole robot; n rows."""
+    """Forces on the whole robot."""
 
     posture: tuple[str, ...]
-    joint_position_deg: Floats
-    """(n, 19)"""
-    pitch_deg: Floats
-    """(n,)"""
-    yaw_deg: Floats
-    """(n,)"""
-    force_area_w: Floats
-    """(n, 3) drag, side and lift area [m²]."""
+    joint_position_deg: Float[np.ndarray, "k s"]
+    pitch_deg: Float[np.ndarray, " k"]
+    yaw_deg: Float[np.ndarray, " k"]
+    force_area_w: Float[np.ndarray, "k 3"]
+    """Drag, side and lift area [m²]."""
 
     @property
-    def wind_b(self) -> Floats:
-        """(n, 3) unit vectors along which the air moves, base axes."""
+    def wind_b(self) -> Float[np.ndarray, "k 3"]:
+        """Return unit vectors along which the air moves, base axes."""
         return wind_direction(self.pitch_deg, self.yaw_deg)
 
 
@@ -74,10 +72,8 @@ GRID: Mapping[str, tuple[float, ...]] = {
 class Normal(NamedTuple):
     """Normal equations `A b = y` of weights b (8 × 12)."""
 
-    matrix: Floats
-    """(96, 96)"""
-    right: Floats
-    """(96,)"""
+    matrix: Float[np.ndarray, "96 96"]
+    right: Float[np.ndarray, "96"]
 
 
 class Calibration(NamedTuple):
@@ -85,21 +81,22 @@ class Calibration(NamedTuple):
 
     curves: Normal
     """Of all curves, each counted as one point of error 1."""
-    design: Floats
-    """(n, 3, 96) force area of the records in the tunnel frame, per weight."""
-    target: Floats
-    """(n, 3) [m²]."""
+    design: Float[np.ndarray, "k 3 96"]
+    """Force area of the records in the tunnel frame, per weight."""
+    target: Float[np.ndarray, "k 3"]
+    """[m²]."""
     posture: tuple[str, ...]
-    """(n,)"""
 
 
-def prepare(robot: RobotModel, coefficients: Floats, features: Features, records: Records) -> Calibration:
+def prepare(
+    robot: RobotModel, coefficients: Float[np.ndarray, "L 6"], features: Features, records: Records
+) -> Calibration:
     """Work out curves and records.
 
     Parameters
     ----------
     robot, coefficients
-        Whose links have the drag curves of the axisymmetric coefficients (13, 6) [m²].
+        Whose links have the drag curves of the axisymmetric coefficients [m²].
     features
         Of the panel model, see `batched_features`.
     records
@@ -129,8 +126,10 @@ def prepare(robot: RobotModel, coefficients: Floats, features: Features, records
     return Calibration(curves, design.reshape(-1, 3, size), records.force_area_w, records.posture)
 
 
-def solve(calibration: Calibration, settings: Settings, rows: Floats | None = None) -> Floats:
-    """Return the weights (8, 12) of the families, from some of the records or from all."""
+def solve(
+    calibration: Calibration, settings: Settings, rows: Bool[np.ndarray, " k"] | None = None
+) -> Float[np.ndarray, "8 12"]:
+    """Return the weights of the families, from some of the records or from all."""
     use = np.ones(len(calibration.target), dtype=bool) if rows is None else rows
     design = calibration.design[use].reshape(-1, N_FAMILIES * N_TERMS)
     weight = settings.curve_weight / settings.curve_error**2
@@ -144,8 +143,8 @@ def solve(calibration: Calibration, settings: Settings, rows: Floats | None = No
     return weights.reshape(N_FAMILIES, N_TERMS)
 
 
-def errors(calibration: Calibration, weights: Floats) -> Floats:
-    """Force areas of the model minus those of the records (n, 3) [m²]: drag, side, lift."""
+def errors(calibration: Calibration, weights: Float[np.ndarray, "8 12"]) -> Float[np.ndarray, "k 3"]:
+    """Force areas of the model minus those of the records [m²]: drag, side, lift."""
     found: Floats = calibration.design @ weights.ravel() - calibration.target
     return found
 

@@ -182,7 +182,7 @@ def test_a_solver_table_goes_through_import_and_fit(tmp_path, monkeypatch, robot
     """Of a table made with a known model the fit is that model, and every other set differs by its own figures."""
     monkeypatch.setattr(study, "RESULTS", tmp_path)
     names = ["hovering", "Config2", "Config101", "Config114"]
-    axes = link_axes(robot, [import_cfd.known_postures()[name] for name in names])
+    axes = link_axes(robot, np.array([import_cfd.known_postures()[name] for name in names]))
     rng = np.random.default_rng(3)
     winds = list(zip(rng.uniform(0.0, 180.0, 60).round(1), rng.uniform(-180.0, 180.0, 60).round(1), strict=True))
     truth = np.asarray(robot.aero_links.coefficients["signed"])
