@@ -7,9 +7,9 @@ was flown, by which code, on what machine, and the checksum of every other file)
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -17,38 +17,23 @@ import xarray as xr
 from experiments import Refused
 from jax_aero import rust
 from jax_aero.files import checksums, complete_folder, write_json, write_netcdf, write_text
-from jax_aero.result import FlightResult
+from jax_aero.result import FlightResult, RobotNames, labels_of
 
 RUN_FILE = "run.nc"
 MANIFEST_FILE = "manifest.json"
-
-
-class RobotNames(Protocol):
-    """The part of a robot that labels a log; `jax_aero.rust.Robot` is one."""
-
-    @property
-    def joint_names(self) -> Sequence[str]: ...  # noqa: D102
-    @property
-    def joint_groups(self) -> Mapping[str, Sequence[str]]: ...  # noqa: D102
-    @property
-    def aero_link_names(self) -> Sequence[str]: ...  # noqa: D102
-    @property
-    def jet_names(self) -> Sequence[str]: ...  # noqa: D102
-    @property
-    def foot_names(self) -> Sequence[str]: ...  # noqa: D102
 
 
 def to_dataset(
     flight: FlightResult, robot: RobotNames, *, title: str, config_digest: str, engine: str = "rust"
 ) -> xr.Dataset:
     """Label a flight's log with dimensions, coordinates and units."""
-    coords = _coordinates(flight, robot)
     variables: dict[str, Any] = {}
     values = {**flight.log, "joint_setpoint": np.asarray(flight.joint_setpoint)}
     declared = rust.signals()
     on_feet = any(name in values and signal.is_of_ground for name, signal in declared.items())
-    if on_feet:
-        coords["foot"] = ("foot", np.array(list(robot.foot_names), dtype=str))
+    coords = _coordinates(flight, robot)
+    if not on_feet:
+        del coords["foot"]
     for name, signal in declared.items():
         if name == "time" or (signal.is_of_ground and not on_feet):
             continue
@@ -75,18 +60,8 @@ def to_dataset(
 
 def _coordinates(flight: FlightResult, robot: RobotNames) -> dict[str, Any]:
     group_of = {joint: group for group, joints in robot.joint_groups.items() for joint in joints}
-    labels: dict[str, Sequence[str]] = {
-        "xyz": ["x", "y", "z"],
-        "wxyz": ["w", "x", "y", "z"],
-        "rpy": ["roll", "pitch", "yaw"],
-        "six": ["linear_x", "linear_y", "linear_z", "angular_x", "angular_y", "angular_z"],
-        "joint": robot.joint_names,
-        "jet": robot.jet_names,
-        "link": robot.aero_link_names,
-        "qp": ["momentum", "torque"],
-    }
     coords: dict[str, Any] = {"time": ("time", flight.log["time"], {"units": "s", "long_name": "time"})}
-    for dim, names in labels.items():
+    for dim, names in labels_of(robot).items():
         coords[dim] = (dim, np.array(list(names), dtype=str))
     groups = np.array([group_of.get(joint, "") for joint in robot.joint_names], dtype=str)
     coords["joint_group"] = ("joint", groups, {"long_name": "sub-assembly of the joint"})

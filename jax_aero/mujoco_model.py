@@ -48,6 +48,9 @@ def mujoco_spec(source: str) -> Any:
     toml_path = Path(source)
     table = tomllib.loads(read_text(toml_path))
     spec = mujoco.MjSpec.from_string(read_text(toml_path.parent / table["urdf"]))
+    # Inertias are the URDF's own; meshes would only be looked for.
+    for element in (*(geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH), *spec.meshes):
+        spec.delete(element)
     spec.option.gravity = [0.0, 0.0, -table.get("gravity", 9.81)]
     # Joint limits and friction would make MJX carry a constraint solver through the flight.
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT) | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,36 @@ class FlightResult:
 
     def __getitem__(self, signal: str) -> NDArray[np.float64]:
         return self.log[signal]
+
+
+class RobotNames(Protocol):
+    """The part of a robot that labels a log; `jax_aero.rust.Robot` is one."""
+
+    @property
+    def joint_names(self) -> Sequence[str]: ...  # noqa: D102
+    @property
+    def joint_groups(self) -> Mapping[str, Sequence[str]]: ...  # noqa: D102
+    @property
+    def aero_link_names(self) -> Sequence[str]: ...  # noqa: D102
+    @property
+    def jet_names(self) -> Sequence[str]: ...  # noqa: D102
+    @property
+    def foot_names(self) -> Sequence[str]: ...  # noqa: D102
+
+
+def labels_of(robot: RobotNames) -> dict[str, Sequence[str]]:
+    """Return names of the entries along every dimension of a signal (`rust.signals`) but time."""
+    return {
+        "xyz": ["x", "y", "z"],
+        "wxyz": ["w", "x", "y", "z"],
+        "rpy": ["roll", "pitch", "yaw"],
+        "six": ["linear_x", "linear_y", "linear_z", "angular_x", "angular_y", "angular_z"],
+        "joint": robot.joint_names,
+        "jet": robot.jet_names,
+        "link": robot.aero_link_names,
+        "qp": ["momentum", "torque"],
+        "foot": robot.foot_names,
+    }
 
 
 LAB_FORMAT = ("flight-lab-run", 1)

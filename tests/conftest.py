@@ -69,6 +69,7 @@ class MadeUpRobot:
     jet_names: list[str] = field(
         default_factory=lambda: [f"{jet}_jet_turbine" for jet in ("l_arm", "r_arm", "chest_l", "chest_r")]
     )
+    foot_names: list[str] = field(default_factory=lambda: ["l_sole", "r_sole"])
 
 
 @pytest.fixture

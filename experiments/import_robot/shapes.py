@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments import Refused
+from jax_aero.mesh import mesh_file
 from jax_aero.urdf import Pose, origin_of
 
 Array = NDArray[np.float64]
@@ -69,25 +69,6 @@ def _box(element: ET.Element, folder: Path) -> Box:
         low, high = points.min(axis=0), points.max(axis=0)
         return Box(origin @ Pose(np.eye(3), (low + high) / 2), high - low)
     raise Refused(f"geometry <{shape.tag}> is unknown; expected sphere, cylinder, capsule, box or mesh")
-
-
-def mesh_file(name: str, folder: Path) -> Path:
-    """Find a mesh: `package://PACKAGE/PATH`, `file://PATH`, or a path from the URDF's folder.
-
-    A package is looked for in ROS_PACKAGE_PATH, then above the URDF; a mesh that is nowhere there is the one file of
-    its name below the URDF's folder.
-    """
-    path = Path(name.removeprefix("package://").removeprefix("file://"))
-    places = [folder, *folder.resolve().parents]
-    if name.startswith("package://"):
-        places = [Path(place) for place in os.environ.get("ROS_PACKAGE_PATH", "").split(":") if place] + places
-    for place in places:
-        if (place / path).is_file():
-            return place / path
-    same = sorted(folder.rglob(path.name))
-    if len(same) != 1:
-        raise Refused(f"mesh {name}: {len(same)} files of that name below the URDF's folder; expected one")
-    return same[0]
 
 
 def mesh_points(path: Path) -> Array:

@@ -1,4 +1,4 @@
-"""The commands `view`, `video` and `snapshot`."""
+"""The commands `view`, `video`, `snapshot` and `export`."""
 
 from __future__ import annotations
 
@@ -39,12 +39,11 @@ def _serve(given: Any) -> int:
     require(["viser"], "the page")
     from jax_aero.view.page import Page
     from jax_aero.view.settings import default_config
-    from jax_aero.view.shapes import look_of
 
     config = recordings[0].config if recordings else default_config()
     page = Page(recordings, config, given.host, given.port)
-    if meshes := look_of(page.solid.robot).without_shape:
-        print(f"meshes are not drawn; links with aerodynamics are shown as the air sees them: {', '.join(meshes)}")
+    for reason in page.solid.look.missing:
+        print(f"not drawn, or as the air sees it: {reason}")
     print(f"{page.url} shows {page.solid.title}; Ctrl-C ends it", flush=True)
     try:
         threading.Event().wait()
@@ -67,8 +66,9 @@ def _check_address(host: str, port: int) -> None:
 
 def video(words: Sequence[str]) -> int:
     """Write a video."""
-    parser = Parser("video", "Film a flight, as MP4 or, where --out ends in .gif, as GIF.")
+    parser = Parser("video", "Film a flight, or two in one scene, as MP4 or, where --out ends in .gif, as GIF.")
     _common(parser, Path("flight.mp4"), "1280x720")
+    parser.add_argument("--ghost", metavar="RESULT", help="another flight, drawn translucent beside it")
     parser.add_argument("--fps", type=float, default=30.0, help="pictures per second (default 30)")
     parser.add_argument("--speed", type=float, default=1.0, help="flight seconds per second of video (default 1)")
     parser.add_argument("--start", type=float, default=0.0, metavar="S", help="where to begin [s]")
@@ -83,6 +83,7 @@ def video(words: Sequence[str]) -> int:
             write_video(
                 recording.read(given.result, given.robot),
                 given.out,
+                ghost=None if given.ghost is None else recording.read(given.ghost, given.robot),
                 fps=given.fps,
                 speed=given.speed,
                 size=given.size,
@@ -125,13 +126,36 @@ def snapshot(words: Sequence[str]) -> int:
     return exit_status(work)
 
 
-def _common(parser: Parser, out: Path, size: str) -> None:
+def export(words: Sequence[str]) -> int:
+    """Write a page."""
+    parser = Parser("export", "Write a flight, or two in one scene, as one HTML file that any browser plays.")
+    parser.add_argument("--ghost", metavar="RESULT", help="another flight, drawn translucent beside it")
+    _files(parser, Path("flight.html"))
+    given = parser.parse_args(words)
+
+    def work() -> int:
+        from jax_aero.view.web import write_page
+
+        _spare(given)
+        results = [given.result] if given.ghost is None else [given.result, given.ghost]
+        write_page([recording.read(result, given.robot) for result in results], given.out)
+        print(given.out)
+        return 0
+
+    return exit_status(work)
+
+
+def _files(parser: Parser, out: Path) -> None:
     parser.add_argument("result", metavar="RESULT", help=RESULT)
     parser.add_argument("--out", type=Path, default=out, metavar="FILE", help=f"what to write (default {out})")
     parser.add_argument("--overwrite", action="store_true", help="replace a file that is there")
+    parser.add_argument("--robot", metavar="FILE", help="TOML file of the robot, where the result does not lead to it")
+
+
+def _common(parser: Parser, out: Path, size: str) -> None:
+    _files(parser, out)
     parser.add_argument("--size", type=_size, default=_size(size), metavar="WxH", help=f"pixels (default {size})")
     parser.add_argument("--camera", choices=("chase", "side"), default="chase", help="point of view (default chase)")
-    parser.add_argument("--robot", metavar="FILE", help="TOML file of the robot, where the result does not lead to it")
 
 
 def _spare(given: Any) -> None:

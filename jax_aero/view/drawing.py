@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from jax_aero.mesh import Mesh
 from jax_aero.urdf import Vector
 from jax_aero.view.recording import Instant
 from jax_aero.view.shapes import Look, Role, Shape, rotation_onto
@@ -111,13 +111,6 @@ def wind_arrow(instant: Instant, scales: Scales) -> Vector | None:
     half = 0.5 * scales.wind * instant.wind
     above = instant.com + np.array([0.0, 0.0, OVERHEAD])
     return np.stack([above - half, above + half])
-
-
-class Mesh(NamedTuple):
-    """(v, 3) vertices [m] and (f, 3) faces, counter-clockwise from outside."""
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
 
 
 def revolve(profile: Sequence[tuple[float, float]], segments: int = 24) -> Mesh:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -25,9 +26,16 @@ def font(size: int) -> Any:
 
 
 def letter_video(
-    pixels: Any, recording: Recording, time: float, scales: Scales, pixels_per_metre: float, *, outcome: bool
+    pixels: Any,
+    recording: Recording,
+    time: float,
+    scales: Scales,
+    pixels_per_metre: float,
+    ghost: Recording | None = None,
+    *,
+    ended: Sequence[Recording],
 ) -> Any:
-    """Put everything a frame of a video says onto it, with the outcome if wanted; (h, w, 3) in and out."""
+    """Put everything a frame of a video says onto it, with outcomes of `ended` flights; (h, w, 3) in and out."""
     picture = Image.fromarray(pixels)
     draw = ImageDraw.Draw(picture, "RGBA")
     width, height = picture.size
@@ -35,7 +43,11 @@ def letter_video(
     margin = size
     now = recording.at(time)
     text(draw, (margin, margin), recording.title, int(1.25 * size), INK)
-    text(draw, (margin, margin + int(1.7 * size)), f"{now.time:.1f} s", size, SOFT)
+    below = margin + int(1.7 * size)
+    if ghost is not None:
+        text(draw, (margin, below), f"ghost: {ghost.title}", size, drawing.GHOST)
+        below += int(1.5 * size)
+    text(draw, (margin, below), f"{time:.1f} s", size, SOFT)
     lines = [
         f"wind {np.linalg.norm(now.wind):.1f} m/s",
         f"attitude error {np.rad2deg(now.rotation_error):.0f}°",
@@ -46,9 +58,13 @@ def letter_video(
     for i, line in enumerate(lines):
         text(draw, (width - margin, margin + int(1.35 * i * size)), line, size, INK, anchor="ra")
     legend(draw, (margin, height - 2 * margin), size, scales, pixels_per_metre)
-    if outcome:
-        badge(draw, (margin + size // 2, margin + int(4.2 * size)), recording, size, "lm")
-    share = now.time / max(recording.duration, 1e-9)
+    flights = [recording] if ghost is None else [recording, ghost]
+    for flight in flights:
+        below += int(2.5 * size)
+        if any(flight is one for one in ended):
+            words = flight.verdict if flight is recording else f"ghost: {flight.verdict}"
+            badge(draw, (margin + size // 2, below), flight, size, "lm", words)
+    share = time / max(*(flight.duration for flight in flights), 1e-9)
     draw.rectangle((0, height - max(size // 4, 2), width * share, height), fill=(*drawing.FORCE, 255))
     return np.asarray(picture)
 
@@ -83,13 +99,21 @@ def legend(
         text(draw, (place[0] + longest + 0.6 * size, middle), words, int(0.85 * size), SOFT, anchor="lm")
 
 
-def badge(draw: ImageDraw.ImageDraw, place: tuple[int, int], recording: Recording, size: int, anchor: str) -> None:
-    """Draw the outcome on its colour."""
+def badge(
+    draw: ImageDraw.ImageDraw,
+    place: tuple[int, int],
+    recording: Recording,
+    size: int,
+    anchor: str,
+    words: str | None = None,
+) -> None:
+    """Draw the outcome, or other words of it, on its colour."""
+    words = recording.verdict if words is None else words
     colour = drawing.COMPLETED if recording.outcome == "completed" else drawing.FELL
-    left, top, right, bottom = draw.textbbox(place, recording.verdict, font=font(size), anchor=anchor)
+    left, top, right, bottom = draw.textbbox(place, words, font=font(size), anchor=anchor)
     pad = 0.45 * size
     draw.rounded_rectangle((left - pad, top - pad, right + pad, bottom + pad), radius=pad, fill=(*colour, 255))
-    draw.text(place, recording.verdict, font=font(size), fill=PAPER, anchor=anchor)
+    draw.text(place, words, font=font(size), fill=PAPER, anchor=anchor)
 
 
 def profile(

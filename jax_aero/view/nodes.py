@@ -9,8 +9,9 @@ import numpy as np
 import viser
 import viser.transforms as tf
 
+from jax_aero.mesh import Mesh
 from jax_aero.view import drawing
-from jax_aero.view.drawing import Colour, Mesh, Placed, Scales
+from jax_aero.view.drawing import Colour, Placed, Scales
 from jax_aero.view.recording import Instant, Recording
 from jax_aero.view.shapes import Look
 
@@ -44,6 +45,15 @@ class RobotNodes:
                 opacity=0.5 if ghost else None,
             )
             self.groups.append((shapes, handle))
+        for shape in look.shapes:
+            if shape.mesh is not None:
+                colour = drawing.GHOST if ghost else drawing.ROLES[shape.role]
+                size = np.array([shape.size])
+                number = len(self.groups)
+                handle = _batch(
+                    server, f"{name}/mesh_{number}", shape.mesh, size, [colour], opacity=0.5 if ghost else None
+                )
+                self.groups.append(([shape], handle))
         jets, links = len(look.jets), len(look.links)
         self.flames = None
         if jets and not ghost:

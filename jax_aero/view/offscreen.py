@@ -16,7 +16,7 @@ from jax_aero.urdf import Vector
 from jax_aero.view import Refused, drawing, require
 from jax_aero.view.drawing import Colour, Scales
 from jax_aero.view.recording import Instant, Recording
-from jax_aero.view.shapes import Look, Shape, look_of, rotation_onto
+from jax_aero.view.shapes import Shape, rotation_onto
 
 Image = NDArray[np.uint8]
 
@@ -81,7 +81,7 @@ def find_backend() -> str:
 
 
 class Studio:
-    """Takes pictures of one recording; a context manager, as it holds an OpenGL context.
+    """Takes pictures of a recording, and of a ghost in the same scene; a context manager: it holds an OpenGL context.
 
     Parameters
     ----------
@@ -89,26 +89,37 @@ class Studio:
         What to show.
     width, height
         Of the pictures [pixels].
+    ghost
+        Another flight, drawn translucent.
     """
 
-    def __init__(self, recording: Recording, width: int, height: int, scales: Scales | None = None) -> None:
+    def __init__(
+        self,
+        recording: Recording,
+        width: int,
+        height: int,
+        scales: Scales | None = None,
+        ghost: Recording | None = None,
+    ) -> None:
         require(["mujoco", "OpenGL", "jax"], "drawing offscreen")
         backend = find_backend()
         os.environ["MUJOCO_GL"] = os.environ["PYOPENGL_PLATFORM"] = backend  # read when MuJoCo is first imported
-        self.recording, self.width, self.height = recording, width, height
+        self.recording, self.ghost, self.width, self.height = recording, ghost, width, height
         self.scales = Scales() if scales is None else scales
-        self.look = look_of(recording.robot)
+        self.look = recording.look
 
         import mujoco  # type: ignore[import-untyped]
 
         from jax_aero import mujoco_model
 
         self._mj = mujoco
-        source = str(recording.robot_path)
-        self.model = display_model(recording, self.look, width, height)
+        self.model = display_model(recording, width, height, ghost)
         self.data = mujoco.MjData(self.model)
-        order = mujoco_model.order_of(source, tuple(recording.robot.joint_names))
-        self._joints = order.joints
+        flights = [flight for flight in (recording, ghost) if flight is not None]
+        orders = [mujoco_model.order_of(str(f.robot_path), tuple(f.robot.joint_names)) for f in flights]
+        # The ghost's positions stand behind the robot's: seven of its base, and its joints.
+        starts = (0, 7 + len(recording.robot.joint_names))
+        self._flights = list(zip(flights, starts, [order.joints for order in orders], strict=False))
         self._cone = self.model.mesh("cone").id
         turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, self.model.mesh_quat[self._cone])
@@ -140,7 +151,7 @@ class Studio:
         view.lookat[:] = camera.look_at
         view.azimuth, view.elevation, view.distance = camera.azimuth_deg, camera.elevation_deg, camera.distance
         mj.mjv_updateScene(self.model, self.data, self._option, None, view, mj.mjtCatBit.mjCAT_ALL, scene)
-        self._add_shadow(instant)
+        self._add_shadow()
         self._add_forces(instant)
         self._add_plumes(instant)
         arrow = drawing.wind_arrow(instant, self.scales)
@@ -159,11 +170,12 @@ class Studio:
         return float(0.5 * self.height / np.tan(0.5 * np.deg2rad(FIELD_OF_VIEW_DEG)) / camera.distance)
 
     def _pose(self, time: float) -> None:
-        s, t = self.recording.signals, self.recording.signals["time"]
-        place = int(np.clip(np.searchsorted(t, time), 0, t.size - 1))
-        qpos = self.data.qpos
-        qpos[:3], qpos[3:7] = s["base_position"][place], s["base_quaternion"][place]
-        qpos[self._joints] = s["joint_position"][place]
+        for recording, start, joints in self._flights:
+            s, t = recording.signals, recording.signals["time"]
+            place = int(np.clip(np.searchsorted(t, time), 0, t.size - 1))
+            qpos = self.data.qpos[start:]
+            qpos[:3], qpos[3:7] = s["base_position"][place], s["base_quaternion"][place]
+            qpos[joints] = s["joint_position"][place]
         self._mj.mj_kinematics(self.model, self.data)
         self._mj.mj_comPos(self.model, self.data)
         self._mj.mj_camlight(self.model, self.data)
@@ -204,19 +216,18 @@ class Studio:
             geom.mat[:] = stretched @ turn
             geom.dataid = 2 * self._cone
 
-    def _add_shadow(self, instant: Instant) -> None:
-        """Lay every primitive flat on the ground, along the light, as thin as a sheet of paper."""
-        kinds = {
-            "cylinder": self._mj.mjtGeom.mjGEOM_CYLINDER,
-            "sphere": self._mj.mjtGeom.mjGEOM_SPHERE,
-            "box": self._mj.mjtGeom.mjGEOM_BOX,
-        }
+    def _add_shadow(self) -> None:
+        """Lay every shape flat on the ground, along the light, as thin as a sheet of paper."""
         flatten = np.array([[1.0, 0.0, -SUN[0] / SUN[2]], [0.0, 1.0, -SUN[1] / SUN[2]], [0.0, 0.0, 1e-3]])
-        for shape, position, rotation in zip(self.look.shapes, *drawing.place(self.look.shapes, instant), strict=True):
+        for number, shape in enumerate(self.look.shapes):
+            own = self.model.geom(f"shape_{number}").id
+            position, rotation = self.data.geom_xpos[own], self.data.geom_xmat[own].reshape(3, 3)
             if shape.role == "strut" or position[2] < 0.0:
                 continue
-            geom = self._geom(kinds[shape.kind], _mujoco_size(shape), flatten @ position, np.eye(3), SHADOW)
+            kind = self.model.geom_type[own]
+            geom = self._geom(kind, self.model.geom_size[own], flatten @ position, np.eye(3), SHADOW)
             if geom is not None:
+                geom.dataid = 2 * self.model.geom_dataid[own]
                 geom.pos[2] += 0.004
                 geom.mat[:] = flatten @ rotation
                 geom.specular = 0.0
@@ -257,44 +268,69 @@ class Studio:
         self._geom(kind, [radius, 0.5 * length, 0.0], 0.5 * (start + end), rotation, colour)
 
 
-def display_model(recording: Recording, look: Look, width: int, height: int) -> Any:
-    """MuJoCo's model of the robot as `mujoco_model` builds it, dressed for pictures: it has no geometry of its own."""
+def display_model(recording: Recording, width: int, height: int, ghost: Recording | None = None) -> Any:
+    """MuJoCo's model of the robot as `mujoco_model` builds it, dressed for pictures: it has no geometry of its own.
+
+    A ghost is a second robot in it, whose names begin with `ghost_`.
+    """
+    spec = _dressed(recording, is_ghost=False)
+    if ghost is not None:
+        other = _dressed(ghost, is_ghost=True)
+        spec.attach(other, prefix="ghost_", frame=spec.worldbody.add_frame())
+    cone = drawing.cone()
+    _add_mesh(spec, "cone", cone.vertices, cone.faces)
+    _dress_world(spec, width, height)
+    return spec.compile()
+
+
+def _dressed(recording: Recording, *, is_ghost: bool) -> Any:
+    """Return a robot with the shapes of its look, in the colours of their roles or in a ghost's."""
     import mujoco
 
     from jax_aero import mujoco_model
 
     spec = mujoco_model.mujoco_spec(str(recording.robot_path))
+    spec.compiler.discardvisual = False
+    for geom in list(spec.geoms):
+        spec.delete(geom)
     types = {
         "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
         "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
         "box": mujoco.mjtGeom.mjGEOM_BOX,
+        "mesh": mujoco.mjtGeom.mjGEOM_MESH,
     }
-    spec.compiler.discardvisual = False
     names = recording.robot.body_names
-    for geom in list(spec.geoms):
-        spec.delete(geom)
-    for shape in look.shapes:
+    for number, shape in enumerate(recording.look.shapes):
         quaternion = np.zeros(4)
         mujoco.mju_mat2Quat(quaternion, shape.body_from_shape.rotation.reshape(9))
-        spec.body(names[shape.body]).add_geom(
+        colour = drawing.GHOST if is_ghost else drawing.ROLES[shape.role]
+        geom = spec.body(names[shape.body]).add_geom(
+            name=f"shape_{number}",
             type=types[shape.kind],
-            size=_mujoco_size(shape),
             pos=shape.body_from_shape.position,
             quat=quaternion,
-            rgba=[*(part / 255.0 for part in drawing.ROLES[shape.role]), 1.0],
+            rgba=[*(part / 255.0 for part in colour), 0.35 if is_ghost else 1.0],
             contype=0,
             conaffinity=0,
             mass=0.0,
         )
-    cone = drawing.cone()
+        if shape.mesh is None:
+            geom.size = _mujoco_size(shape)
+        else:
+            geom.meshname = f"mesh_{number}"
+            _add_mesh(spec, geom.meshname, shape.mesh.vertices * shape.size, shape.mesh.faces)
+    return spec
+
+
+def _add_mesh(spec: Any, name: str, vertices: Vector, faces: Any) -> None:
+    import mujoco
+
     spec.add_mesh(
-        name="cone",
-        uservert=cone.vertices.reshape(-1).tolist(),
-        userface=cone.faces.reshape(-1).tolist(),
+        name=name,
+        uservert=vertices.reshape(-1).tolist(),
+        userface=faces.reshape(-1).tolist(),
         inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
     )
-    _dress_world(spec, width, height)
-    return spec.compile()
 
 
 def _mujoco_size(shape: Shape) -> list[float]:

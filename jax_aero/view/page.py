@@ -21,7 +21,6 @@ from jax_aero.view.nodes import LIT, RobotNodes, segments, sky, thinned
 from jax_aero.view.origins import own_origins
 from jax_aero.view.recording import Recording, from_flight
 from jax_aero.view.settings import ARMS, CONTROLLERS, MODELS, Settings, apply, can_change_wind, settings_of
-from jax_aero.view.shapes import look_of
 
 FRAME_RATE = 30.0  # pictures per second of playback
 NUMBERS_RATE = 5.0  # how often numbers and plot follow
@@ -149,10 +148,10 @@ class Page:
             for nodes in (self.robot, self.ghost_robot):
                 if nodes is not None:
                     nodes.remove()
-            self.robot = RobotNodes(self.server, "/world/robot", look_of(self.solid.robot), ghost=False)
+            self.robot = RobotNodes(self.server, "/world/robot", self.solid.look, ghost=False)
             self.ghost_robot = None
             if self.ghost is not None:
-                self.ghost_robot = RobotNodes(self.server, "/world/ghost", look_of(self.ghost.robot), ghost=True)
+                self.ghost_robot = RobotNodes(self.server, "/world/ghost", self.ghost.look, ghost=True)
             self._new_flight()
 
     def _new_flight(self) -> None:
@@ -162,12 +161,23 @@ class Page:
             self.path.points = segments(reference_path)
             self._mark_distance(float(reference_path[:, 0].max()))
             self.time.max = max(self._duration(), 0.1)
-            self.now = min(self.now, self._duration())
             self.card.content = panel.card(self.solid, self.ghost)
-            self.plot.series = panel.plot_series(self.ghost is not None)
-            self.plot.scales = panel.plot_scales(self.solid, self.ghost)
-            self.plot.data = panel.plot_data(self.solid, self.ghost, self.now)
-            self._show(self.now)
+            self._show_plot()
+            self._go(min(self.now, self._duration()))
+
+    def _show_plot(self) -> None:
+        """Plot the chosen signal of the flights that are shown."""
+        with self.lock, self.server.atomic():
+            self.chart = panel.Chart(self.solid, self.ghost, self.signal.value)
+            self.plot.series, self.plot.scales, self.plot.axes = self.chart.series, self.chart.scales, self.chart.axes
+            self.plot.data = self.chart.data(self.now)
+
+    def _go(self, time_s: float) -> None:
+        """Go to a moment: robot, time field, numbers and plot."""
+        with self.lock, self.server.atomic():
+            self._show(time_s)
+            self.time.value = round(time_s, 2)
+            self._show_numbers()
 
     def _mark_distance(self, farthest: float) -> None:
         wanted = np.arange(10.0, max(farthest, 10.0) + 5.0, 10.0)
@@ -199,10 +209,11 @@ class Page:
                 self.robot.show(instant, self.scales)
             if self.ghost is not None and self.ghost_robot is not None:
                 self.ghost_robot.show(self.ghost.at(time_s), self.scales)
-            follow = self.follow.value
-            self.world.position = (
-                (-instant.com[0], -instant.com[1], 0.75 - instant.com[2]) if follow else (0.0, 0.0, 0.0)
-            )
+            if self.follow.value:
+                self.world.position = (-instant.com[0], -instant.com[1], 0.75 - instant.com[2])
+            else:  # the camera stands, and turns towards the robot
+                for client in self.server.get_clients().values():
+                    client.camera.look_at = tuple(np.asarray(self.world.position) + instant.com)
             arrow = drawing.wind_arrow(instant, self.scales)
             self.wind.visible = self.wind_label.visible = arrow is not None and self.show_wind.value
             if arrow is not None:
@@ -217,7 +228,7 @@ class Page:
     def _show_numbers(self) -> None:
         with self.lock:
             self.numbers.content = panel.numbers(self.solid, self.now)
-            self.plot.data = panel.plot_data(self.solid, self.ghost, self.now)
+            self.plot.data = self.chart.data(self.now)
 
     # --- panel ---------------------------------------------------------------------------------------------
 
@@ -237,22 +248,27 @@ class Page:
         self.speed = gui.add_button_group("speed", tuple(SPEEDS))
         self.numbers = gui.add_html(panel.numbers(self.solid, 0.0))
         self._build_controls()
+        self.signal = gui.add_dropdown("plot", panel.signals(self.results), initial_value=panel.ATTITUDE)
+        self.chart = panel.Chart(self.solid, self.ghost, panel.ATTITUDE)
         self.plot = gui.add_uplot(
-            panel.plot_data(self.solid, self.ghost, 0.0),
-            panel.plot_series(self.ghost is not None),
-            scales=panel.plot_scales(self.solid, self.ghost),
-            axes=panel.plot_axes(),
+            self.chart.data(0.0),
+            self.chart.series,
+            scales=self.chart.scales,
+            axes=self.chart.axes,
             legend=uplot.Legend(show=False),
             height=150,
         )
         with gui.add_folder("Show", expand_by_default=False):
-            self.follow = gui.add_checkbox("follow the robot", initial_value=True)
+            self.follow = gui.add_checkbox(
+                "camera goes with the robot", initial_value=True, hint="else it stands and turns towards the robot"
+            )
             self.show_forces = gui.add_checkbox("aerodynamic forces", initial_value=True)
             self.show_plumes = gui.add_checkbox("thrusts", initial_value=True)
             self.show_wind = gui.add_checkbox("wind", initial_value=True)
             self.show_path = gui.add_checkbox("reference and trail", initial_value=True)
             self.force_length = gui.add_slider("cm per N", min=5.0, max=40.0, step=1.0, initial_value=15.0)
         self.legend = gui.add_html(panel.legend(self.scales))
+        self.signal.on_update(lambda _: self._show_plot())
         self.time.on_update(self._scrubbed)
         self.play.on_click(lambda _: self._toggle())
         self.speed.on_click(lambda _: setattr(self, "rate", SPEEDS[self.speed.value]))
@@ -298,7 +314,8 @@ class Page:
             )
             choices = (NO_GHOST, *_labels(self.results))
             chosen = _labels(self.results)[1] if self.others else NO_GHOST
-            self.compare = gui.add_dropdown("ghost", choices, initial_value=chosen)
+            self.compare: Any = gui.add_dropdown("ghost", choices, initial_value=chosen)
+            self.pin = gui.add_button("Keep this flight as ghost", icon=viser.Icon.PIN)
         if not can_change_wind(self.base):
             self.wind_speed.disabled = self.wind_direction.disabled = True
         self.feedback.disabled = start.controller == "baseline"
@@ -306,6 +323,7 @@ class Page:
         for control in (self.wind_speed, self.wind_direction, self.controller, self.model, self.arms, self.feedback):
             control.on_update(lambda _: self._changed())
         self.compare.on_update(lambda _: self._choose_ghost())
+        self.pin.on_click(lambda _: self._pin())
 
     def _settings(self) -> Settings:
         return Settings(
@@ -328,6 +346,15 @@ class Page:
         with self.lock:
             self.ghost = self.results[labels.index(self.compare.value)] if self.compare.value in labels else None
             self._show_flights()
+
+    def _pin(self) -> None:
+        """Make the flight that is shown the ghost of those that follow."""
+        with self.lock:
+            if not any(self.solid is one for one in self.results):
+                self.results.append(self.solid)
+            labels = _labels(self.results)
+            self.compare.options = (NO_GHOST, *labels)
+            self.compare.value = labels[next(i for i, one in enumerate(self.results) if one is self.solid)]
 
     def _scrubbed(self, event: Any) -> None:
         if event.client is None:  # playback moved it
@@ -394,9 +421,9 @@ class Page:
                 self.card.content = panel.note(f"This cannot be flown: {reason}")
                 continue
             self.shown_settings = wanted
-            self.solid = flown
-            self._new_flight()
-            self._show_numbers()
+            with self.lock:
+                self.solid = flown
+                self._new_flight()
 
 
 def _labels(recordings: Sequence[Recording]) -> list[str]:

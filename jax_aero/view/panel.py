@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from viser import uplot
 
+from jax_aero import rust
 from jax_aero.view import drawing
 from jax_aero.view.drawing import Colour, Scales
 from jax_aero.view.recording import Recording
 
 POINTS = 600  # of the plot
+ATTITUDE = "attitude error"
+"""Angle between base and set-point."""
+LEAN = "lean"
+"""Angle between the base's z axis and the vertical."""
 
 
 def _hex(colour: Colour) -> str:
     return "#" + "".join(f"{part:02x}" for part in colour)
+
+
+COLOURS = [_hex(one) for one in (drawing.FELL, drawing.FORCE, drawing.PLUME, drawing.REFERENCE, drawing.TRAIL)]
 
 
 def note(text: str) -> str:
@@ -84,59 +95,98 @@ def numbers(flight: Recording, time: float) -> str:
     )
 
 
-def plot_data(solid: Recording, ghost: Recording | None, now: float) -> tuple[Any, ...]:
-    """Return times [s], rotation error of both flights [deg], and a spike where we are."""
-    times = np.linspace(0.0, _end(solid, ghost), POINTS)
-    curves = [_curve(flight, times) for flight in (solid, ghost) if flight is not None]
-    place = int(np.searchsorted(times, now))
-    x = np.insert(times, place, [now] * 3)
-    curves = [np.insert(curve, place, [np.interp(now, times, curve)] * 3) for curve in curves]
-    spike = np.zeros(x.size)
-    spike[place + 1] = _top(solid, ghost)
-    return (x, *curves, spike)
+@dataclass(frozen=True)
+class Chart:
+    """What is plotted over time: of the solid flight, and dashed of a ghost.
+
+    Parameters
+    ----------
+    signal
+        `ATTITUDE`, `LEAN`, or a signal of the flights.
+    """
+
+    solid: Recording
+    ghost: Recording | None
+    signal: str
+
+    def data(self, now: float) -> tuple[Any, ...]:
+        """Return times [s], every curve, and a spike at `now`."""
+        times = np.linspace(0.0, self._end, POINTS)
+        curves = [curve for flight in self._flights for curve in _curves(flight, self.signal, times)]
+        place = int(np.searchsorted(times, now))
+        x = np.insert(times, place, [now] * 3)
+        curves = [np.insert(curve, place, [np.interp(now, times, curve)] * 3) for curve in curves]
+        low, high = self._range
+        spike = np.full(x.size, low)
+        spike[place + 1] = high
+        return (x, *curves, spike)
+
+    @property
+    def scales(self) -> dict[str, uplot.Scale]:
+        """Ranges: NaN, after a fall, would spoil what the plot finds itself."""
+        return {"x": uplot.Scale(time=False, range=(0.0, self._end)), "y": uplot.Scale(range=self._range)}
+
+    @property
+    def series(self) -> tuple[uplot.Series, ...]:
+        """Lines, in the order of `data`."""
+        lines = [uplot.Series(label="time [s]")]
+        for flight in self._flights:
+            is_ghost = flight is not self.solid
+            names = _names(flight, self.signal)
+            for number, name in enumerate(names):
+                colour = _hex(drawing.GHOST) if is_ghost and len(names) == 1 else COLOURS[number % len(COLOURS)]
+                label = f"ghost {name}" if is_ghost else name
+                lines.append(uplot.Series(label=label, stroke=colour, width=1.5, dash=(5.0, 3.0) if is_ghost else ()))
+        return (*lines, uplot.Series(label="now", stroke="#334", width=1, points={"show": False}))
+
+    @property
+    def axes(self) -> tuple[uplot.Axis, ...]:
+        """Axes with their units."""
+        unit = "°" if self.signal in (ATTITUDE, LEAN) else rust.signals()[self.signal].unit.split(" (")[0]
+        label = f"{self.signal.replace('_', ' ')} [{unit}]"
+        return (uplot.Axis(label="time [s]", labelSize=18, size=26), uplot.Axis(label=label, labelSize=18, size=44))
+
+    @property
+    def _flights(self) -> list[Recording]:
+        return [flight for flight in (self.solid, self.ghost) if flight is not None]
+
+    @property
+    def _end(self) -> float:
+        return max(flight.duration for flight in self._flights)
+
+    @cached_property
+    def _range(self) -> tuple[float, float]:
+        every = np.concatenate([_rows(flight, self.signal).ravel() for flight in self._flights])
+        every = every[np.isfinite(every)]
+        low, high = (float(every.min()), float(every.max())) if every.size else (0.0, 0.0)
+        least = 5.0 if self.signal in (ATTITUDE, LEAN) else 1e-9
+        return min(low * 1.08, 0.0), max(high * 1.08, low * 0.92, 0.0 if low < -least else least)
 
 
-def plot_scales(solid: Recording, ghost: Recording | None) -> dict[str, uplot.Scale]:
-    """Ranges of the plot: NaN, after a fall, would spoil what it finds itself."""
-    return {
-        "x": uplot.Scale(time=False, range=(0.0, _end(solid, ghost))),
-        "y": uplot.Scale(range=(0.0, _top(solid, ghost))),
-    }
+def signals(flights: Sequence[Recording]) -> list[str]:
+    """Return what can be plotted of all these flights."""
+    return [ATTITUDE, LEAN] + [
+        name for name in rust.signals() if name != "time" and all(name in flight.signals for flight in flights)
+    ]
 
 
-def _end(solid: Recording, ghost: Recording | None) -> float:
-    return max(flight.duration for flight in (solid, ghost) if flight is not None)
+def _rows(flight: Recording, signal: str) -> Any:
+    if signal == ATTITUDE:
+        return np.rad2deg(flight.rows("rotation_error"))
+    if signal == LEAN:
+        _, x, y, _ = flight.signals["base_quaternion"].T
+        return np.rad2deg(np.arccos(np.clip(1.0 - 2.0 * (x**2 + y**2), -1.0, 1.0)))[:, None]
+    return flight.rows(signal)
 
 
-def _top(solid: Recording, ghost: Recording | None) -> float:
-    highest = max(flight.merit.rotation_error for flight in (solid, ghost) if flight is not None)
-    return max(1.08 * float(np.rad2deg(highest)), 5.0)
+def _names(flight: Recording, signal: str) -> list[str]:
+    return [signal] if signal in (ATTITUDE, LEAN) else flight.names(signal) or [signal.replace("_", " ")]
 
 
-def _curve(flight: Recording, times: Any) -> Any:
-    error = np.rad2deg(np.interp(times, flight.signals["time"], flight.signals["rotation_error"]))
-    return np.where(times <= flight.duration + 1e-9, error, np.nan)
-
-
-def plot_series(has_ghost: bool) -> tuple[uplot.Series, ...]:
-    """Lines of the plot, in the order of `plot_data`."""
-    ghost = (
-        (uplot.Series(label="ghost [°]", stroke=_hex(drawing.GHOST), width=1.5, dash=(5.0, 3.0)),) if has_ghost else ()
-    )
-    return (
-        uplot.Series(label="time [s]"),
-        uplot.Series(label="attitude error [°]", stroke=_hex(drawing.FELL), width=2),
-        *ghost,
-        uplot.Series(label="now", stroke="#334", width=1, points={"show": False}),
-    )
-
-
-def plot_axes() -> tuple[uplot.Axis, ...]:
-    """Axes with their units."""
-    return (
-        uplot.Axis(label="time [s]", labelSize=18, size=26),
-        uplot.Axis(label="attitude error [°]", labelSize=18, size=34),
-    )
+def _curves(flight: Recording, signal: str, times: Any) -> list[Any]:
+    t = flight.signals["time"]
+    flown = times <= flight.duration + 1e-9
+    return [np.where(flown, np.interp(times, t, column), np.nan) for column in _rows(flight, signal).T]
 
 
 def legend(scales: Scales) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,8 +17,10 @@ from numpy.typing import NDArray
 from jax_aero import io, rust
 from jax_aero.files import damaged
 from jax_aero.places import HOME, RESULTS
+from jax_aero.result import labels_of
 from jax_aero.summary import SETTLING_TIME
 from jax_aero.view import Refused, require
+from jax_aero.view.shapes import Look, look_of
 
 Vector = NDArray[np.float64]
 
@@ -40,7 +43,7 @@ SIGNALS = (
     "wind",
     "aero_force_sim",
 )
-"""What is read of `run.nc`; `rust.signals` declares units and meaning."""
+"""What `run.nc` must hold; `rust.signals` declares units and meaning of these and of the others."""
 
 
 class Instant(NamedTuple):
@@ -107,7 +110,7 @@ class Recording:
     title
         One line.
     signals
-        The arrays of `SIGNALS`, first axis time.
+        The arrays of `SIGNALS`, and what else was logged; first axis time.
     robot
         What gives poses to the signals.
     robot_path
@@ -131,6 +134,21 @@ class Recording:
     def duration(self) -> float:
         """Time of the last sample [s]."""
         return float(self.signals["time"][-1])
+
+    @cached_property
+    def look(self) -> Look:
+        """What the robot looks like."""
+        return look_of(self.robot, self.robot_path)
+
+    def names(self, signal: str) -> list[str]:
+        """Return names of the entries of a signal's rows, in the order of `rows`; none where it is a number."""
+        places = labels_of(self.robot)
+        labels = [places[dim] for dim in rust.signals()[signal].dims[1:]]
+        return [" ".join(words) for words in itertools.product(*labels)] if labels else []
+
+    def rows(self, signal: str) -> Vector:
+        """Return a signal with its entries side by side, (n, k)."""
+        return np.reshape(self.signals[signal], (self.signals["time"].size, -1))
 
     @property
     def verdict(self) -> str:
@@ -198,7 +216,7 @@ def from_flight(flight: rust.FlightResult, config: rust.Config, title: str) -> R
     """Return the recording of a flight just flown."""
     return Recording(
         title=title,
-        signals={name: flight.log[name] for name in SIGNALS},
+        signals={name: flight.log[name] for name in rust.signals() if name in flight.log},
         robot=rust.Robot(config["robot"]),
         robot_path=Path(config["robot"]),
         outcome=flight.outcome,
@@ -283,9 +301,10 @@ def _read_signals(path: Path) -> tuple[dict[str, Vector], dict[str, Any]]:
         with h5py.File(path, "r") as file:
             if missing := [name for name in SIGNALS if name not in file]:
                 raise Refused(f"`{path}` has no {', '.join(f'`{name}`' for name in missing)}; {EXPECTED}")
-            if (size := sum(file[name].nbytes for name in SIGNALS)) > MAX_SIZE:
+            declared = [name for name, signal in rust.signals().items() if signal.dims[0] == "time" and name in file]
+            if (size := sum(file[name].nbytes for name in declared)) > MAX_SIZE:
                 raise Refused(f"`{path}` holds {size} bytes; expected at most {MAX_SIZE}")
-            signals = {name: np.asarray(file[name], dtype=np.float64) for name in SIGNALS}
+            signals = {name: np.asarray(file[name], dtype=np.float64) for name in declared}
             facts = {key: _plain(value) for key, value in file.attrs.items() if not key.startswith("_")}
     except OSError:
         raise Refused(f"`{path}` is not a NetCDF-4 file; {EXPECTED}") from None

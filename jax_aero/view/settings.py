@@ -12,15 +12,16 @@ from jax_aero import rust
 from jax_aero.places import CONFIGS
 from jax_aero.wind_direction import speed_and_direction, wind_from
 
+AERO = CONFIGS / "aero"
 MODELS = {
-    "axisymmetric, corrected": "axisymmetric_corrected.toml",
-    "axisymmetric, published": "axisymmetric_published.toml",
-    "axisymmetric, signed": "axisymmetric_signed.toml",
-    "axisymmetric, alternative": "axisymmetric_alternative.toml",
-    "spheres and cylinders": "sphere_cylinder.toml",
-    "no air": "off.toml",
-}
-"""Aerodynamic models by the name a person reads, and their file in `configs/aero`."""
+    "axisymmetric, corrected": AERO / "axisymmetric_corrected.toml",
+    "axisymmetric, published": AERO / "axisymmetric_published.toml",
+    "axisymmetric, signed": AERO / "axisymmetric_signed.toml",
+    "axisymmetric, alternative": AERO / "axisymmetric_alternative.toml",
+    "spheres and cylinders": AERO / "sphere_cylinder.toml",
+    "no air": AERO / "off.toml",
+} | {f"network {card.stem}": card for card in sorted((AERO / "networks").glob("**/*.json")) if card.stem != "ensemble"}
+"""Aerodynamic models by the name a person reads, and their file: a table, or the card of a network."""
 
 AS_GIVEN = "as in the result"
 """Stands for an aerodynamic table that is none of `MODELS`."""
@@ -56,8 +57,8 @@ class Settings:
     controller
         `baseline`, without an aerodynamic model, or `aware`.
     model
-        Aerodynamic model of the simulator, and of an aware controller; a key of `MODELS`
-        or `AS_GIVEN`.
+        Aerodynamic model of the simulator, and of an aware controller; a key of `MODELS`,
+        the path of a network's card, or `AS_GIVEN`.
     arms
         Convention of the lever arms, in simulator and controller: `corrected` or `published`.
     feedback_scale
@@ -101,9 +102,9 @@ def settings_of(config: rust.Config) -> Settings:
 def _model_of(aero: dict[str, Any]) -> str:
     for name in MODELS:
         table = aero_table(name)
-        if all(aero.get(key) == table.get(key) for key in ("model", "coefficients")):
+        if all(aero.get(key) == table.get(key) for key in ("model", "coefficients", "card")):
             return name
-    return AS_GIVEN
+    return str(aero.get("card", AS_GIVEN))
 
 
 def can_change_wind(config: rust.Config) -> bool:
@@ -143,8 +144,9 @@ def apply(base: rust.Config, settings: Settings) -> rust.Config:
 
 
 def aero_table(model: str) -> dict[str, Any]:
-    """Read the table of a model of `MODELS`, with the files it builds on."""
-    return _read(CONFIGS / "aero" / MODELS[model])
+    """Read the table of a model, with the files it builds on: a key of `MODELS`, or the path of a network's card."""
+    file = MODELS.get(model, Path(model))
+    return _read(AERO / "network.toml") | {"card": str(file)} if file.suffix == ".json" else _read(file)
 
 
 def _read(path: Path) -> dict[str, Any]:

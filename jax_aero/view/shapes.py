@@ -1,39 +1,45 @@
-"""What a robot looks like: the primitives of its URDF, struts between its joints, its jets and aerodynamic links."""
+"""What a robot looks like: primitives and meshes of its URDF, struts between its joints, jets and aerodynamic links."""
 
 from __future__ import annotations
 
 import tomllib
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from jax_aero import rust
+from jax_aero.command import Refused
+from jax_aero.mesh import Mesh, mesh_file, read_mesh
 from jax_aero.urdf import IDENTITY, BodyTree, Pose, Vector, origin_of, read_tree
 
 STRUT_RADIUS = 0.022  # m
 
-Kind = Literal["cylinder", "sphere", "box"]
+Kind = Literal["cylinder", "sphere", "box", "mesh"]
 Role = Literal["shell", "engine", "sole", "strut"]
 
 
 @dataclass(frozen=True)
 class Shape:
-    """One primitive on one body.
+    """One primitive or mesh on one body.
 
     Attributes
     ----------
     name
         The link it belongs to.
     kind, size
-        `cylinder`: radius, radius, length along z; `sphere`: radius three times; `box`: edges [m].
+        `cylinder`: radius, radius, length along z; `sphere`: radius three times; `box`: edges [m]; `mesh`: factors on
+        its vertices.
     role
         What it is, which is how it is coloured.
     body
         Place of its body in `Robot.body_names`.
     body_from_shape
-        Where its centre is, and its axes.
+        Where its centre is, or a mesh's origin, and its axes.
+    mesh
+        Of the kind `mesh` alone.
     """
 
     name: str
@@ -42,6 +48,7 @@ class Shape:
     role: Role
     body: int
     body_from_shape: Pose
+    mesh: Mesh | None = None
 
 
 @dataclass(frozen=True)
@@ -65,12 +72,19 @@ class Look:
     links: tuple[Mount, ...]
     parents: tuple[int, ...]
     """Parent of each body; −1 for the base."""
-    without_shape: tuple[str, ...] = ()
-    """Links of which the URDF has meshes alone; those with aerodynamics are drawn as the air sees them."""
+    missing: tuple[str, ...] = ()
+    """Why a link's mesh is not drawn, link by link; those with aerodynamics are drawn as the air sees them."""
 
 
-def look_of(robot: rust.Robot) -> Look:
-    """Read what a robot looks like from its own TOML and URDF text, whose meshes are not read."""
+Solid = tuple[Kind, tuple[float, float, float], Mesh | None]
+"""Kind, size and mesh of a shape."""
+
+
+def look_of(robot: rust.Robot, path: Path) -> Look:
+    """Read what a robot looks like from its own TOML and URDF text.
+
+    `path` is its TOML file, from which the URDF's meshes are found.
+    """
     table = tomllib.loads(robot.toml_text)
     tree = read_tree(robot.urdf_text, table["base_link"], robot.joint_names, table.get("locked", {}))
     if [body.name for body in tree.bodies] != list(robot.body_names):
@@ -78,51 +92,70 @@ def look_of(robot: rust.Robot) -> Look:
     engines = {entry["frame"] for entry in table.get("jets", [])}
     soles = {entry["frame"] for entry in table.get("feet", [])}
     in_air = {entry["frame"]: entry for entry in table.get("aero_links", [])}
-    shapes, without_shape = [], []
+    folder = (path.parent / table["urdf"]).parent
+    shapes: list[Shape] = []
+    missing: list[str] = []
     for link in ElementTree.fromstring(robot.urdf_text).iter("link"):
         name = link.attrib["name"]
         role: Role = "engine" if name in engines else "sole" if name in soles else "shell"
         body, body_from_link = tree.places[name]
-        visuals = link.findall("visual")
-        drawn = [(primitive, origin_of(visual)) for visual in visuals if (primitive := _primitive(visual))]
-        if visuals and not drawn:
-            without_shape.append(name)
-            drawn = [_seen_by_air(in_air[name])] if name in in_air else []
-        shapes += [Shape(name, *primitive, role, body, body_from_link @ pose) for primitive, pose in drawn]
+        drawn: list[tuple[Solid, Pose]] = []
+        reasons = []
+        for visual in link.findall("visual"):
+            try:
+                if solid := _solid(visual, folder):
+                    drawn.append((solid, origin_of(visual)))
+            except Refused as reason:
+                reasons.append(f"{name}: {reason}")
+        if reasons and not drawn and name in in_air:
+            drawn = [_seen_by_air(in_air[name])]
+        missing += reasons
+        shapes += [
+            Shape(name, kind, size, role, body, body_from_link @ pose, mesh) for (kind, size, mesh), pose in drawn
+        ]
     return Look(
         shapes=(*shapes, *_struts(tree, shapes)),
         jets=tuple(_jet(entry, tree) for entry in table.get("jets", [])),
         links=tuple(_link(entry, tree) for entry in table.get("aero_links", [])),
         parents=tuple(body.parent for body in tree.bodies),
-        without_shape=tuple(without_shape),
+        missing=tuple(missing),
     )
 
 
-def _seen_by_air(entry: dict[str, Any]) -> tuple[tuple[Kind, tuple[float, float, float]], Pose]:
+def _seen_by_air(entry: dict[str, Any]) -> tuple[Solid, Pose]:
     """Sphere or cylinder of an aerodynamic link, and where it is in the link's axes."""
     radius = 0.5 * entry["diameter"]
     axis = np.asarray(entry["axis"], dtype=np.float64)
     pose = Pose(rotation_onto(axis / np.linalg.norm(axis)), np.asarray(entry["centre"], dtype=np.float64))
     if entry.get("is_sphere", False):
-        return ("sphere", (radius, radius, radius)), pose
-    return ("cylinder", (radius, radius, entry["length"])), pose
+        return ("sphere", (radius, radius, radius), None), pose
+    return ("cylinder", (radius, radius, entry["length"]), None), pose
 
 
-def _primitive(visual: ElementTree.Element) -> tuple[Kind, tuple[float, float, float]] | None:
+def _solid(visual: ElementTree.Element, folder: Path) -> Solid | None:
     for element in visual.iterfind("geometry/*"):
         if element.tag == "cylinder":
             radius = float(element.attrib["radius"])
-            return "cylinder", (radius, radius, float(element.attrib["length"]))
+            return "cylinder", (radius, radius, float(element.attrib["length"])), None
         if element.tag == "sphere":
-            return "sphere", (float(element.attrib["radius"]),) * 3
+            radius = float(element.attrib["radius"])
+            return "sphere", (radius, radius, radius), None
         if element.tag == "box":
-            x, y, z = (float(edge) for edge in element.attrib["size"].split())
-            return "box", (x, y, z)
+            return "box", _three(element.attrib["size"]), None
+        if element.tag == "mesh":
+            mesh = read_mesh(mesh_file(element.attrib["filename"], folder))
+            return "mesh", _three(element.attrib.get("scale", "1 1 1")), mesh
     return None
 
 
+def _three(words: str) -> tuple[float, float, float]:
+    x, y, z = (float(word) for word in words.split())
+    return x, y, z
+
+
 def _struts(tree: BodyTree, shapes: list[Shape]) -> list[Shape]:
-    """Thin cylinders from every body's origin to its joints and primitives: what holds the primitives together."""
+    """Thin cylinders from every body's origin to its joints and primitives: what holds them together without meshes."""
+    meshed = {shape.body for shape in shapes if shape.kind == "mesh"}
     ends = [
         (tree.bodies[i + 1].parent, joint.parent_from_child.position, tree.bodies[i + 1].name)
         for i, joint in enumerate(tree.joints)
@@ -132,7 +165,7 @@ def _struts(tree: BodyTree, shapes: list[Shape]) -> list[Shape]:
     struts = []
     for body, end, name in ends:
         length = float(np.linalg.norm(end))
-        if length > STRUT_RADIUS:
+        if length > STRUT_RADIUS and body not in meshed:
             pose = Pose(rotation_onto(end / length), 0.5 * end)
             struts.append(Shape(f"strut_{name}", "cylinder", (STRUT_RADIUS, STRUT_RADIUS, length), "strut", body, pose))
     return struts

@@ -22,11 +22,11 @@ Progress = Callable[[int, int], None]
 """Called with (pictures drawn, pictures in all)."""
 
 
-def frame_times(recording: Recording, fps: float, speed: float, start: float, end: float) -> list[float]:
-    """Moments [s] of the frames of a video that plays from `start` to `end`, and stays where the flight ends."""
+def frame_times(duration: float, fps: float, speed: float, start: float, end: float) -> list[float]:
+    """Moments [s] of the frames of a video from `start` to `end`, which stays where the `duration` [s] ends."""
     step = speed / fps
     times = [start + i * step for i in range(int((end - start) / step + 1e-9) + 1)]
-    if end >= recording.duration:
+    if end >= duration:
         if times[-1] < end:
             times.append(end)
         times += [end] * round(HOLD * fps)
@@ -37,6 +37,7 @@ def write_video(
     recording: Recording,
     out: Path,
     *,
+    ghost: Recording | None = None,
     fps: float = 30.0,
     speed: float = 1.0,
     size: tuple[int, int] = (1280, 720),
@@ -45,19 +46,22 @@ def write_video(
     end: float | None = None,
     progress: Progress | None = None,
 ) -> int:
-    """Draw and encode a video; `out` appears when it is complete, or not at all. Returns the number of frames.
+    """Draw and encode a video, of two flights if there is a ghost; the camera goes with the first.
+
+    `out` appears when it is complete, or not at all. Returns the number of frames.
 
     Raises
     ------
     Refused
         If there is no way to draw or encode here, or a number makes no sense.
     """
-    end = recording.duration if end is None else min(end, recording.duration)
+    duration = max(flight.duration for flight in (recording, ghost) if flight is not None)
+    end = duration if end is None else min(end, duration)
     _check(fps, speed, size, start, end, out)
     require(["PIL"] if out.suffix == ".gif" else ["av", "PIL"], "writing a video")
-    times = frame_times(recording, fps, speed, start, end)
+    times = frame_times(duration, fps, speed, start, end)
     encode = _encode_gif if out.suffix == ".gif" else _encode_mp4
-    with complete_file(out) as draft, Studio(recording, *size) as studio:
+    with complete_file(out) as draft, Studio(recording, *size, ghost=ghost) as studio:
         encode(draft, _frames(recording, studio, times, viewpoint, progress), fps, size)
     return len(times)
 
@@ -68,13 +72,15 @@ def _frames(
     """Yield the pixels (h, w, 3) of every frame; a moment that stays is drawn once."""
     from jax_aero.view.labels import letter_video
 
+    flights = [flight for flight in (recording, studio.ghost) if flight is not None]
     drawn_at, pixels = -1.0, np.zeros((0, 0, 3), dtype=np.uint8)
     for number, time in enumerate(times):
         if time != drawn_at:
             camera = camera_at(recording, time, viewpoint)
             pixels = studio.picture(time, camera)
-            scale, ended = studio.pixels_per_metre(camera), time >= recording.duration
-            pixels = letter_video(pixels, recording, time, studio.scales, scale, outcome=ended)
+            scale = studio.pixels_per_metre(camera)
+            ended = [flight for flight in flights if time >= flight.duration]
+            pixels = letter_video(pixels, recording, time, studio.scales, scale, studio.ghost, ended=ended)
             drawn_at = time
         yield pixels
         if progress is not None:
@@ -173,7 +179,7 @@ def _single(
         if progress is not None:
             progress(1, 1)
         scale = studio.pixels_per_metre(camera)
-        return letter_video(pixels, recording, times[0], studio.scales, scale, outcome=True)
+        return letter_video(pixels, recording, times[0], studio.scales, scale, ended=[recording])
 
 
 def _strip(

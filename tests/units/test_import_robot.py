@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from experiments import Refused
-from experiments.import_robot import command, shapes, skeleton
+from experiments.import_robot import command, skeleton
+from jax_aero import mesh
 
 ROBOTS = Path(__file__).resolve().parents[2] / "configs" / "robot"
 
@@ -80,5 +81,5 @@ def test_what_is_not_there_is_refused_by_name(tmp_path):
     with pytest.raises(Refused, match="`nack` is no joint"):
         command.import_robot(urdf, folder, jets=[], held=["nack"])
     with pytest.raises(Refused, match=r"package://nowhere/a.stl: 0 files"):
-        shapes.mesh_file("package://nowhere/a.stl", tmp_path)
+        mesh.mesh_file("package://nowhere/a.stl", tmp_path)
     assert not folder.exists()

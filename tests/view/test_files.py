@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -86,10 +87,15 @@ def test_a_gif_has_its_frames_and_what_is_there_is_spared(fallen, tmp_path, caps
 
 
 def test_a_video_ends_where_the_flight_ends(seen, agree):
-    times = video.frame_times(seen, fps=10.0, speed=2.0, start=0.0, end=seen.duration)
+    times = video.frame_times(seen.duration, fps=10.0, speed=2.0, start=0.0, end=seen.duration)
     np.testing.assert_allclose(np.diff(times[:100]), 0.2)
     assert times[-15:] == [seen.duration] * 15
-    agree("time of the last frame", video.frame_times(seen, fps=30.0, speed=1.0, start=1.0, end=2.0)[-1], 2.0, 1e-12)
+    agree(
+        "time of the last frame",
+        video.frame_times(seen.duration, fps=30.0, speed=1.0, start=1.0, end=2.0)[-1],
+        2.0,
+        1e-12,
+    )
 
 
 @pytest.mark.usefixtures("_can_draw")
@@ -107,6 +113,21 @@ def test_a_snapshot_shows_robot_forces_thrusts_and_wind(fallen, tmp_path):
     assert near(middle["one"], plume) > 300
     assert near(middle["one"], force) > 50
     assert near(middle["before"], force) == 0  # no wind yet
+
+
+@pytest.mark.usefixtures("_can_draw")
+def test_a_ghost_flies_in_the_same_picture(seen):
+    """Both robots are where their flights have them: the ghost is the same flight, a second later."""
+    later = replace(seen, signals={**seen.signals, "time": seen.signals["time"] - 1.0})
+    with offscreen.Studio(seen, 160, 96, ghost=later) as studio:
+        picture = studio.picture(12.0, offscreen.camera_at(seen, 12.0, "chase"))
+        for prefix, time in (("", 12.0), ("ghost_", 13.0)):
+            now = seen.at(time)
+            for name, position in zip(seen.robot.body_names, now.body_positions, strict=True):
+                np.testing.assert_allclose(studio.data.body(prefix + name).xpos, position, atol=1e-6)
+        ghosts = studio.model.geom_rgba[:, 3] < 1.0
+        assert int(ghosts.sum()) == len(seen.look.shapes)
+    assert colours(picture) > 300
 
 
 @pytest.mark.usefixtures("_can_draw")

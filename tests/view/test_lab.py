@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from experiments import import_lab, record
+from jax_aero import __main__ as commands
 from jax_aero import result, rust
 from jax_aero.view import recording
 
@@ -149,6 +150,10 @@ def test_the_papers_flights_are_those_of_the_crate(visit):
         return 10000 / taken;
     }""")
     measured("speed of a flight in the page, times real time", speed)
+    page.tab.evaluate("page.seek(0); page.play(true)")
+    page.wait("page.times.drawing.length > 3")
+    for part, times in page.tab.evaluate("page.frameTimes").items():
+        measured(f"a picture's {part}, median of {times['pictures']} [ms]", times["median"])
     assert page.complaints == []
 
 
@@ -160,6 +165,9 @@ def test_every_scene_plays_and_proves_its_number(visit):
         assert page.tab.locator("#tour button[aria-current=true]").inner_text().startswith(str(index + 1))
         start = page.tab.evaluate("page.now")
         page.wait(f"page.now > {start} + 0.1")
+        page.tab.evaluate(
+            "page.jobs.forEach(({ flight }) => flight.advance(flight.n_ticks + 1))"
+        )  # not picture by picture
         page.wait("!document.querySelector('#caption').textContent.includes('computing')")
         numbers.append(page.tab.locator("#caption .proof").inner_text().replace("\n", " "))
     assert re.match(r"\d+\.\d mm", numbers[0])
@@ -245,3 +253,28 @@ def test_keys_touch_and_small_screens(visit):
 
 def center(box: dict[str, float]) -> tuple[float, float]:
     return box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+
+
+def test_an_exported_flight_plays_as_one_file(browser, built, fallen, tmp_path):
+    out = tmp_path / "fall.html"
+    assert commands.main(["export", str(fallen), "--ghost", str(fallen), "--out", str(out)]) == 0
+    tab = browser.new_context(viewport={"width": 800, "height": 500}).new_page()
+    complaints, requests = [], []
+    tab.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+    tab.on("pageerror", lambda error: complaints.append(str(error)))
+    tab.on("request", lambda request: requests.append(request.url))
+    tab.goto(out.as_uri(), timeout=SLOWEST)
+    tab.wait_for_function("page.now > 0.2", timeout=SLOWEST)  # it plays by itself
+    tab.keyboard.press("Space")
+    tab.wait_for_function("!page.isPlaying", timeout=SLOWEST)
+    tab.locator("figcaption select").last.select_option("joint_position")
+    tab.evaluate("page.seek(21)")
+    tab.wait_for_function("document.querySelector('#status').textContent.includes('attitude error')", timeout=SLOWEST)
+    seen = recording.read(fallen)
+    shown = tab.evaluate("[...page.solid.pose(page.rowAt(page.solid, 21))]")
+    now = seen.at(21.0)
+    poses = np.concatenate([np.swapaxes(now.body_rotations, 1, 2).reshape(-1, 9), now.body_positions], axis=1)
+    np.testing.assert_allclose(np.reshape(shown, (-1, 12)), poses, rtol=0, atol=1e-5)  # single precision, 100 m
+    assert complaints == []
+    assert [url for url in requests if not url.startswith("data:")] == [out.as_uri()]
+    tab.context.close()

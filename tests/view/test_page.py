@@ -50,11 +50,18 @@ class Visit:
         with Image.open(io.BytesIO(self.tab.screenshot(clip=clip, timeout=SLOWEST))) as image:
             return np.asarray(image.convert("RGB")).astype(np.int16)
 
-    def set_number(self, label: str, value: str) -> None:
-        """Type into the box beside a slider."""
-        box = self.tab.locator(
+    def _box(self, label: str) -> Any:
+        return self.tab.locator(
             f"//label[normalize-space(.)='{label}']/ancestor::*[.//input[@type='text']][1]//input[@type='text']"
         ).first
+
+    def number(self, label: str) -> float:
+        """Read the box beside a slider."""
+        return float(self._box(label).input_value())
+
+    def set_number(self, label: str, value: str) -> None:
+        """Type into the box beside a slider."""
+        box = self._box(label)
         box.fill(value)
         box.press("Enter")
 
@@ -164,4 +171,42 @@ def test_controls_fly_anew(visit):
     page.choose("lever arms", "published")
     page.choose("air", "axisymmetric, published")
     page.wait_for(lambda: falls_and_completes(page.outcomes()), "the published fall")
+    assert page.complaints == []
+
+
+def test_a_new_flight_keeps_the_moment_and_the_old_one_as_ghost(visit, fallen):
+    page = visit(fallen)
+    served = page.served
+    end = round(served.solid.duration, 2)
+    page.set_number("time [s]", "22")
+    page.wait_for(lambda: served.now > 21.0, "the end of the flight that fell")
+    page.tab.get_by_role("button", name="Keep this flight as ghost").click()
+    page.wait_for(lambda: len(page.outcomes()) == 2, "the ghost")
+    first = served.solid
+    page.choose("air", "network default")
+    page.choose("lever arms", "corrected")
+    page.wait_for(lambda: served.solid is not first and served.solid.duration == 50.0, "a flight that arrives")
+    assert served.ghost is first
+    assert served.solid.config["simulator"]["aero"]["card"].endswith("default.json")
+    # Robot, time field and numbers show one moment.
+    with served.lock:
+        assert served.time.value == round(served.now, 2) == end
+        np.testing.assert_allclose(served.robot.root.position, served.solid.at(served.now).com, atol=1e-9)
+    page.wait_for(lambda: page.number("time [s]") == end, "the moment in the time field")
+    # Any signal, its curves by name.
+    page.choose("plot", "thrust")
+    jets = served.solid.robot.jet_names
+    page.wait_for(lambda: [line["label"] for line in served.plot.series][1:5] == list(jets), "curves of the jets")
+    # A camera that stands looks at the robot.
+    page.tab.get_by_text("Show", exact=True).click()
+    page.tab.get_by_text("camera goes with the robot").click()
+    page.wait_for(lambda: not served.follow.value, "the choice")
+    page.set_number("time [s]", "45")
+    (client,) = served.server.get_clients().values()
+
+    def distance() -> float:
+        robot = np.asarray(served.world.position) + served.solid.at(45.0).com
+        return float(np.linalg.norm(np.asarray(client.camera.look_at) - robot))
+
+    page.wait_for(lambda: served.now == 45.0 and distance() < 1e-6, "a look at the robot")
     assert page.complaints == []

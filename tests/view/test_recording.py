@@ -68,7 +68,7 @@ def test_outside_the_flight_is_its_end(seen):
 @pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
 def test_jets_and_links_are_drawn_where_the_crate_has_them(path):
     robot = rust.Robot(path)
-    look = look_of(robot)
+    look = look_of(robot, path)
     rng = np.random.default_rng(3)
     limits = np.array(robot.joint_limits)
     joints = rng.uniform(limits[:, 0], limits[:, 1])
@@ -94,14 +94,14 @@ def test_jets_and_links_are_drawn_where_the_crate_has_them(path):
 @pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
 def test_every_primitive_of_the_urdf_is_drawn(path):
     robot = rust.Robot(path)
-    drawn = [shape for shape in look_of(robot).shapes if shape.role != "strut"]
+    drawn = [shape for shape in look_of(robot, path).shapes if shape.role != "strut"]
     assert len(drawn) == robot.urdf_text.count("<visual>") > 5
     assert {"shell", "engine"} <= {shape.role for shape in drawn}
 
 
 def test_arrows_are_as_long_as_the_legend_says(seen):
     now, scales = seen.at(18.0), drawing.Scales(force=0.2)
-    ends = drawing.force_arrows(look_of(seen.robot), now, scales)
+    ends = drawing.force_arrows(look_of(seen.robot, seen.robot_path), now, scales)
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     np.testing.assert_allclose(lengths, 0.2 * np.linalg.norm(now.aero_force, axis=1), atol=1e-12)
     assert lengths.max() > 0.1

@@ -1,5 +1,7 @@
 """A robot of meshes can be looked at; attitude error and lean are two angles; foreign sites are turned away."""
 
+import http.client
+import itertools
 import re
 import socket
 import tomllib
@@ -12,26 +14,88 @@ from jax_aero import places, rust
 from jax_aero.view.recording import Instant
 from jax_aero.view.shapes import look_of
 
+SPARROW = places.find("robot", "sparrow")
 
-def test_links_with_meshes_alone_are_drawn_as_the_air_sees_them():
-    robot = rust.Robot(str(places.find("robot", "sparrow")))
-    table = tomllib.loads(robot.toml_text)
-    shown = look_of(robot)
-    assert shown.without_shape == ()
-    mesh = '<geometry><mesh filename="package://bird/body.stl" scale="1 1 1"/></geometry>'
+
+def meshed(filenames: list[str]) -> SimpleNamespace:
+    """Return the sparrow with a mesh in place of every primitive, from these files in turn."""
+    robot = rust.Robot(SPARROW)
+    files = itertools.cycle(filenames)
+
+    def mesh(_: re.Match[str]) -> str:
+        return f'<geometry><mesh filename="{next(files)}" scale="0.1 0.1 0.2"/></geometry>'
+
     text = re.sub(r"<geometry>.*?</geometry>", mesh, robot.urdf_text, flags=re.S)
-    meshed = SimpleNamespace(
+    return SimpleNamespace(
         toml_text=robot.toml_text, urdf_text=text, joint_names=robot.joint_names, body_names=robot.body_names
     )
-    look = look_of(meshed)
-    assert set(look.without_shape) == {shape.name for shape in shown.shapes if shape.role != "strut"}
+
+
+def test_links_whose_mesh_is_missing_are_drawn_as_the_air_sees_them():
+    shown = look_of(rust.Robot(SPARROW), SPARROW)
+    assert shown.missing == ()
+    look = look_of(meshed(["package://bird/body.stl"]), SPARROW)
+    missing = {reason.split(":")[0] for reason in look.missing}
+    assert missing == {shape.name for shape in shown.shapes if shape.role != "strut"}
+    assert all("package://bird/body.stl: 0 files" in reason for reason in look.missing)
     drawn = {shape.name: shape for shape in look.shapes if shape.role != "strut"}
-    assert set(drawn) == {entry["frame"] for entry in table["aero_links"]} & set(look.without_shape)
+    table = tomllib.loads(rust.Robot(SPARROW).toml_text)
+    assert set(drawn) == {entry["frame"] for entry in table["aero_links"]} & missing
     entry = next(
         entry for entry in table["aero_links"] if not entry.get("is_sphere", False) and entry["frame"] in drawn
     )
     shape = drawn[entry["frame"]]
     assert shape.size == (0.5 * entry["diameter"], 0.5 * entry["diameter"], entry["length"])
+
+
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
+FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+OBJ = "".join(f"v {x} {y} {z}\n" for x, y, z in CORNERS) + "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in FACES)
+STL = "solid t\n{}endsolid t\n".format(
+    "".join(
+        "facet normal 0 0 0\nouter loop\n{}endloop\nendfacet\n".format(
+            "".join(f"vertex {x} {y} {z}\n" for x, y, z in CORNERS[face])
+        )
+        for face in FACES
+    )
+)
+DAE = """<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><created>2000-01-01T00:00:00</created><modified>2000-01-01T00:00:00</modified><up_axis>Z_UP</up_axis></asset>
+<library_geometries><geometry id="g"><mesh>
+<source id="p"><float_array id="a" count="12">{corners}</float_array><technique_common>
+<accessor source="#a" count="4" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
+<param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles count="4"><input semantic="VERTEX" source="#v" offset="0"/><p>{faces}</p></triangles>
+</mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="s">
+<node><instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#s"/></scene></COLLADA>
+""".format(corners=" ".join(map(str, CORNERS.ravel())), faces=" ".join(map(str, FACES.ravel())))
+
+
+def test_meshes_of_three_formats_are_drawn(tmp_path, monkeypatch):
+    pytest.importorskip("trimesh")
+    pytest.importorskip("collada")
+    package = tmp_path / "bird"
+    package.mkdir()
+    texts = {"a.stl": STL, "b.obj": OBJ, "c.dae": DAE}
+    for name, text in texts.items():
+        (package / name).write_text(text, encoding="utf-8")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path))
+    look = look_of(meshed([f"package://bird/{name}" for name in texts]), SPARROW)
+    assert look.missing == ()
+    shapes = [shape for shape in look.shapes if shape.role != "strut"]
+    assert {shape.kind for shape in shapes} == {"mesh"}
+    assert len(shapes) > len(texts)
+    for shape in shapes:
+        assert shape.mesh is not None
+        assert shape.size == (0.1, 0.1, 0.2)
+        corners = shape.mesh.vertices[shape.mesh.faces]
+        # Volume of the tetrahedron, and faces outwards.
+        volume = np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+        assert abs(volume - 1.0 / 6.0) < 1e-7  # single precision of a file's numbers
 
 
 def test_lean_is_measured_from_the_vertical_not_from_the_reference():
@@ -42,7 +106,7 @@ def test_lean_is_measured_from_the_vertical_not_from_the_reference():
     assert abs(now.lean - angle) < 1e-12
 
 
-def test_a_foreign_site_is_turned_away():
+def test_a_foreign_site_or_name_is_turned_away():
     viser = pytest.importorskip("viser")
     from websockets.exceptions import InvalidStatus
     from websockets.sync.client import connect
@@ -58,6 +122,11 @@ def test_a_foreign_site_is_turned_away():
         with pytest.raises(InvalidStatus) as refusal:
             connect(url, origin="http://evil.example")
         assert refusal.value.response.status_code == 403
+        for host, expected in ((f"localhost:{server.get_port()}", 200), ("evil.example", 403)):
+            page = http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=30)
+            page.request("GET", "/", headers={"Host": host})
+            assert page.getresponse().status == expected
+            page.close()
         for origin in (None, f"http://localhost:{server.get_port()}"):
             try:
                 connect(url, origin=origin).close()

@@ -59,25 +59,29 @@ const data = {
   binary,
 };
 
-const bundled = await build({
-  entryPoints: [join(here, "main.js")],
-  bundle: true,
-  minify: true,
-  format: "iife",
-  target: ["es2022"],
-  write: false,
-  legalComments: "eof",
-  plugins: [
-    {
-      name: "data",
-      setup(made) {
-        made.onResolve({ filter: /^lab:data$/ }, () => ({ path: "data", namespace: "lab" }));
-        made.onLoad({ filter: /.*/, namespace: "lab" }, () => ({ contents: JSON.stringify(data), loader: "json" }));
+async function bundled(entry) {
+  const { outputFiles } = await build({
+    entryPoints: [join(here, entry)],
+    bundle: true,
+    minify: true,
+    format: "iife",
+    target: ["es2022"],
+    write: false,
+    legalComments: "eof",
+    plugins: [
+      {
+        name: "data",
+        setup(made) {
+          made.onResolve({ filter: /^lab:data$/ }, () => ({ path: "data", namespace: "lab" }));
+          made.onLoad({ filter: /.*/, namespace: "lab" }, () => ({ contents: JSON.stringify(data), loader: "json" }));
+        },
       },
-    },
-  ],
-});
-const script = bundled.outputFiles[0].contents;
+    ],
+  });
+  return outputFiles[0];
+}
+
+const script = (await bundled("main.js")).contents;
 mkdirSync(out, { recursive: true });
 let compressed = gzipSync(script).length;
 writeFileSync(join(out, "lab.js"), script);
@@ -88,3 +92,11 @@ for (const name of ["index.html", "style.css"]) {
 }
 if (compressed > MOST) throw new Error(`the page has ${compressed} bytes compressed; expected at most ${MOST}`);
 console.log(`${out}: ${(compressed / 1e6).toFixed(2)} MB compressed, wasm ${(data.wasm.length * 0.75e-6).toFixed(2)} MB`);
+
+// The page of recorded flights: one file, into which `jax_aero.view.web` writes the flights.
+const parts = {
+  STYLE: readFileSync(join(here, "style.css"), "utf8"),
+  SCRIPT: (await bundled("flight.js")).text.replaceAll("</script", "<\\/script"),
+};
+const page = readFileSync(join(here, "flight.html"), "utf8").replace(/\/\*(STYLE|SCRIPT)\*\//g, (_, name) => parts[name]);
+writeFileSync(join(root, "jax_aero/view/flight.html"), page);

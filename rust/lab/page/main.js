@@ -1,27 +1,17 @@
-// The page: settings, playback, wind and plots around flights of the simulator.
+// The lab: settings, wind, engines and a tour around flights of the simulator.
 import data from "lab:data";
 import { Lab } from "./lab.js";
-import { Plot } from "./plots.js";
-import { Scene } from "./scene.js";
+import { $, Player, degrees, make } from "./player.js";
 import { DEFAULTS, LISTS, NUMBERS, RAMP, STRONGEST, TESTS, configuration, fromHash, matters, rampUntil, round, speedAndDirection, title, toHash, velocity } from "./scenario.js";
 import { TOUR } from "./tour.js";
 
-const $ = (id) => document.getElementById(id);
 const bytes = (base64) => Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
-const make = (tag, attributes = {}, ...children) => {
-  const element = Object.assign(document.createElement(tag), attributes);
-  element.append(...children);
-  return element;
-};
-const degrees = (radians) => (radians * 180) / Math.PI;
-
-const RATES = [0.1, 0.25, 0.5, 1, 2, 5];
 const BUDGET = 12; // of a picture, for the simulation [ms]
 const SPARE = 6; // of a picture, for flights in the background: at least this [ms],
 const SHARE = 0.25; // and this share of the time that pictures take
 const CHUNK = 5; // ticks between two looks at the clock
 const TURNING = 0.2; // a dragged wind needs this long for each change [s]
-const LEANING = 10; // beyond this tilt a flight that arrives is said to lean [deg]
+const LEANING = 10; // beyond this attitude error a flight that arrives is said to lean [deg]
 const GHOSTS = {
   none: ["none", "One robot flies."],
   baseline: ["baseline", "The same flight under the baseline, in the same wind."],
@@ -30,29 +20,23 @@ const GHOSTS = {
   previous: ["the flight before", "What was flown before the last change."],
 };
 const ENGINES = { l_arm_jet: "left arm", r_arm_jet: "right arm", chest_l_jet: "left chest", chest_r_jet: "right chest" };
-const JET_COLOURS = { light: ["#0072b2", "#3a9bd0", "#d08a00", "#c24f00"], dark: ["#3f9bd8", "#8fd0f5", "#e69f00", "#ff8a4a"] };
 
-class Page {
+class Page extends Player {
   constructor(lab) {
+    super(data.look);
     this.lab = lab;
-    this.scene = new Scene($("scene"), data.look);
     this.settings = fromHash(location.hash);
     this.ghostKind = "none";
-    this.solid = this.ghost = this.previous = null;
-    this.now = 0;
+    this.previous = null;
     this.goal = 0; // flown to before playing goes on [s]
-    this.isPlaying = !matchMedia("(prefers-reduced-motion: reduce)").matches;
-    this.rate = 1;
     this.wanted = null; // wind that is being dragged to (x, y) [m/s]
     this.jobs = []; // flights in the background
     this.whole = new Map(); // results of whole flights, by link
     this.scenario = null; // of the tour
-    this.times = { simulation: [], drawing: [], plots: [] };
     this.#build();
     this.begin();
     this.#listen();
-    this.last = performance.now();
-    requestAnimationFrame((time) => this.#frame(time));
+    this.start();
   }
 
   // --- flights ---------------------------------------------------------------------------------------------------
@@ -65,6 +49,7 @@ class Page {
       this.previous = this.solid;
       this.solid = flight;
       this.say(null);
+      if (!this.plots) this.buildPlots(flight, flight.jets.map((jet) => ENGINES[jet]));
     } catch (error) {
       this.say(error.message);
       return;
@@ -72,7 +57,6 @@ class Page {
     this.result = null;
     this.#beginGhost();
     this.now = this.goal = time;
-    $("time").max = this.solid.duration;
     history.replaceState(null, "", toHash(this.settings) || location.pathname + location.search);
     this.#showSettings();
     this.isStale = true;
@@ -103,10 +87,6 @@ class Page {
     }
     this.settings = { ...settings, steer };
     this.begin(time);
-  }
-
-  rowAt(flight, time) {
-    return Math.max(Math.min(Math.round(time / flight.timeStep), flight.rows - 1), 0);
   }
 
   /** Switches an engine off now, or on again. */
@@ -202,120 +182,55 @@ class Page {
 
   // --- pictures --------------------------------------------------------------------------------------------------
 
-  #frame(time) {
-    requestAnimationFrame((next) => this.#frame(next));
-    const seconds = Math.min(time - this.last, 100) / 1000;
-    this.last = time;
-    const begin = performance.now();
-    const { solid } = this;
-    if (!solid) return; // the link was refused
+  advance(seconds) {
     const isBehind = (flight, time) => flight && !flight.hasEnded && flight.flown < time - 1e-9;
-    const isCatchingUp = isBehind(solid, this.goal) || (!this.isPlaying && isBehind(this.ghost, this.now));
-    const moved = this.isStale || isCatchingUp || this.isPlaying;
-    if (isCatchingUp) {
-      this.#fly(solid, this.goal, 2 * BUDGET);
-      if (this.ghost && !isBehind(solid, this.goal)) this.#fly(this.ghost, this.now, 2 * BUDGET);
-    } else {
+    const { solid, ghost } = this;
+    if (!isBehind(solid, this.goal) && (this.isPlaying || !isBehind(ghost, this.now))) {
+      this.isCatchingUp = false;
       this.#steer();
-      if (this.isPlaying) this.#play(seconds * this.rate);
+      return super.advance(seconds);
     }
-    const flown = performance.now();
-    if (!isCatchingUp) this.#work(Math.max(SPARE, SHARE * seconds * 1000));
+    this.isCatchingUp = true;
+    this.#fly(solid, this.goal, 2 * BUDGET);
+    if (ghost && !isBehind(solid, this.goal)) this.#fly(ghost, this.now, 2 * BUDGET);
+    return true;
+  }
+
+  work(passed) {
+    if (!this.isCatchingUp) this.#work(Math.max(SPARE, SHARE * passed * 1000));
     if (this.solid.hasEnded && !this.result) {
       this.result = this.solid.result();
       this.isStale = true; // the next picture says it
-    } else if (moved) this.isStale = false;
-    const worked = performance.now();
-    if (moved) this.#show(this.isPlaying ? seconds * this.rate : 0);
-    const hasDrawn = this.scene.draw();
-    const drawn = performance.now();
-    if (moved && (!this.plotted || time - this.plotted > 90 || !this.isPlaying)) {
-      this.plotted = time;
-      this.#showNumbers();
-      this.#keep("plots", performance.now() - drawn);
-    }
-    if (hasDrawn && this.isPlaying) {
-      this.#keep("simulation", flown - begin);
-      this.#keep("drawing", drawn - worked);
     }
   }
 
-  /** Moves on by `seconds`, as far as the simulation follows; stops where both flights have ended. */
-  #play(seconds) {
-    const { solid, ghost } = this;
-    const ends = [solid, ghost].filter((flight) => flight?.hasEnded).map((flight) => flight.flown);
-    const isOver = solid.hasEnded && (!ghost || ghost.hasEnded);
-    this.now = Math.min(this.now + seconds, isOver ? Math.max(...ends) : solid.duration);
-    for (const flight of [solid, ghost]) {
-      if (!flight) continue;
+  fly(flights) {
+    for (const flight of flights) {
       this.#fly(flight, this.now, BUDGET);
       if (!flight.hasEnded) this.now = Math.min(this.now, flight.flown + flight.timeStep);
     }
-    if (isOver && this.now >= Math.max(...ends)) this.play(false);
   }
 
-  #keep(name, milliseconds) {
-    const kept = this.times[name];
-    kept.push(milliseconds);
-    if (kept.length > 600) kept.shift();
-  }
-
-  #moment(flight, poses) {
-    const row = this.rowAt(flight, this.now);
-    const at = (name, width) => flight.series(name).subarray(row * width, (row + 1) * width);
-    return {
-      row,
-      poses,
-      com: at("com_position", 3),
-      velocity: at("com_velocity", 3),
-      reference: at("com_setpoint", 3),
-      thrust: at("thrust", flight.jets.length),
-      forces: at("aero_force_sim", 3 * flight.links.length),
-      wind: at("wind", 3),
-      path: flight.series("com_position"),
-      referencePath: flight.series("com_setpoint"),
-    };
-  }
-
-  #show(seconds) {
+  show(seconds) {
     if (!this.solid.rows) this.solid.advance(1);
     if (this.ghost && !this.ghost.rows) this.ghost.advance(1);
-    const poses = [this.solid, this.ghost].map((flight) => flight && flight.pose(this.rowAt(flight, this.now)));
-    // Signals are read where they lie: nothing may be asked of the simulator in between.
-    this.scene.show(this.#moment(this.solid, poses[0]), this.ghost && this.#moment(this.ghost, poses[1]), seconds);
-    $("time").value = this.now;
-    $("clock").value = `${this.now.toFixed(this.rate < 1 ? 2 : 1)} / ${this.solid.duration} s`;
+    super.show(seconds);
     this.#showWind();
   }
 
-  #showNumbers() {
-    const isDark = matchMedia("(prefers-color-scheme: dark)").matches;
-    const styles = getComputedStyle(document.documentElement);
-    const of = (name) => styles.getPropertyValue(`--${name}`).trim();
-    const style = { ink: of("ink"), soft: of("soft"), line: of("line"), ghost: of("ghost") };
-    this.plots.attitude.colours = [of("bad")];
-    this.plots.com.colours = [of("accent")];
-    this.plots.thrust.colours = JET_COLOURS[isDark ? "dark" : "light"];
-    for (const plot of Object.values(this.plots)) plot.draw(this.solid, this.ghost, this.now, this.solid.duration, style);
-    this.#showStatus();
-    const middle = (kept) => [...kept].sort((a, b) => a - b)[kept.length >> 1]?.toFixed(1) ?? "–";
-    $("timing").textContent = `A picture takes ${middle(this.times.simulation)} ms to simulate and ${middle(this.times.drawing)} ms to draw (medians); commit ${(data.commit ?? "unknown").slice(0, 7)}.`;
-  }
-
-  #showStatus() {
+  showNumbers() {
+    super.showNumbers();
     const { solid, result } = this;
-    const row = this.rowAt(solid, this.now);
-    const com = solid.row("com_position", row);
-    const off = Math.hypot(...solid.row("com_setpoint", row).map((x, axis) => x - com[axis]));
-    const tilt = degrees(solid.row("rotation_error", row)[0]);
     const hasEnded = solid.hasEnded && this.now >= solid.flown - 0.5 * solid.timeStep && result;
-    const [words, mood] = hasEnded ? verdict(result, com[0]) : ["Flying", ""];
-    const about = `tilt ${tilt.toFixed(1)}°, ${off < 0.995 ? `${(100 * off).toFixed(1)} cm` : `${off.toFixed(2)} m`} off course, height ${com[2].toFixed(1)} m, ${Math.abs(com[0]).toFixed(0)} m flown`;
+    const [words, mood] = hasEnded ? verdict(result, solid.row("com_position", solid.rows - 1)[0]) : ["Flying", ""];
     $("status").replaceChildren(
       make("div", { className: `outcome ${mood}` }, words),
-      make("div", { className: "about" }, about),
+      make("div", { className: "about" }, this.words),
       make("div", { className: "about" }, title(this.settings)),
     );
+    const { simulation, drawing } = this.frameTimes;
+    const say = ({ median, p95 }) => (median === null ? "–" : `${median.toFixed(1)} ms (95 % under ${p95.toFixed(1)} ms)`);
+    $("timing").textContent = `A picture takes ${say(simulation)} to simulate and ${say(drawing)} to draw; 60 a second leave 16.7 ms. Commit ${(data.commit ?? "unknown").slice(0, 7)}.`;
   }
 
   #showWind() {
@@ -344,22 +259,10 @@ class Page {
     $("message").textContent = message ?? "";
   }
 
-  play(isPlaying) {
-    if (isPlaying && this.solid?.hasEnded && this.now >= this.solid.flown - 1e-9) this.now = 0;
-    this.isPlaying = isPlaying;
-    this.isStale = true;
-    $("play").innerHTML = isPlaying
-      ? '<svg viewBox="0 0 16 16"><path d="M3 1h4v14H3zM9 1h4v14H9z"/></svg>'
-      : '<svg viewBox="0 0 16 16"><path d="M3 1l11 7-11 7z"/></svg>';
-    $("play").setAttribute("aria-label", isPlaying ? "Pause" : "Play");
-  }
-
   /** Goes to a time; what is not flown yet is flown first. */
   seek(time) {
-    const wanted = Math.min(Math.max(time, 0), this.solid.duration);
-    this.now = this.solid.hasEnded ? Math.min(wanted, this.solid.flown) : wanted;
+    super.seek(this.solid.hasEnded ? Math.min(time, this.solid.flown) : time);
     this.goal = this.now;
-    this.isStale = true;
   }
 
   // --- tour ------------------------------------------------------------------------------------------------------
@@ -372,7 +275,7 @@ class Page {
     this.scene.view();
     this.begin(scene.start);
     this.scenario = index;
-    this.#setRate(1);
+    this.setRate(1);
     this.play(true);
     this.#showScene("…", "computing");
     this.#showSettings();
@@ -405,40 +308,11 @@ class Page {
   // --- controls --------------------------------------------------------------------------------------------------
 
   #build() {
-    this.plots = {
-      attitude: new Plot($("plot-attitude"), { least: 5, digits: 0, read: (flight) => {
-        const error = flight.series("rotation_error");
-        return [(row) => degrees(error[row])];
-      } }),
-      com: new Plot($("plot-com"), { least: 0.02, digits: 2, read: (flight) => {
-        const [com, reference] = [flight.series("com_position"), flight.series("com_setpoint")];
-        return [(row) => Math.hypot(com[3 * row] - reference[3 * row], com[3 * row + 1] - reference[3 * row + 1], com[3 * row + 2] - reference[3 * row + 2])];
-      } }),
-      thrust: new Plot($("plot-thrust"), { least: 100, digits: 0, ghosted: false, read: (flight) => {
-        const [thrust, jets] = [flight.series("thrust"), flight.jets.length];
-        return flight.jets.map((_, jet) => (row) => thrust[row * jets + jet]);
-      } }),
-    };
     $("tour").append(...TOUR.map(({ name }, index) => make("button", { type: "button", onclick: () => this.visit(index) }, `${index + 1} ${name}`)));
-    $("rate").append(...RATES.map((rate) => make("option", { value: rate }, `${rate}×`)));
-    $("again").innerHTML = '<svg viewBox="0 0 16 16"><path d="M2 1h2.4v14H2zM14 1v14L5 8z"/></svg>';
-    this.#setRate(1);
-    this.play(this.isPlaying);
     $("pad").innerHTML = `<circle class="ring" r="23.3"/><circle class="ring" r="46.7"/><circle class="ring" r="70"/>
       <text y="-72">ahead</text><text x="-60" y="-14">left</text><text y="34">10</text><text y="57">20</text>
       <path class="robot" d="M0-9L6 6H-6z"/><line class="blows" x2="0" y2="0"/><circle class="handle" r="8"/>`;
     this.#buildChoices();
-    const { colours, scales } = data.look;
-    $("legend").append(
-      ...[
-        [colours.force, `aerodynamic force on a link: ${(100 * scales.force).toFixed(0)} cm per N`],
-        [colours.plume, `thrust: ${(1e4 * scales.thrust).toFixed(0)} cm per 100 N`],
-        [colours.wind, `wind: ${(1000 * scales.wind).toFixed(0)} cm per 10 m/s`],
-        [colours.reference, "centre of mass: set-point"],
-        [colours.trail, "centre of mass: trail"],
-        [colours.ghost, "ghost"],
-      ].flatMap(([colour, words]) => [Object.assign(make("i"), { style: `background: rgb(${colour})` }), make("span", {}, words)]),
-    );
   }
 
   #buildChoices() {
@@ -491,7 +365,7 @@ class Page {
         make("div", { className: "row" }, this.clear)),
       group("Switch an engine off, now",
         make("div", { className: "row" }, ...this.engines.map(([button]) => button)),
-        hint("Its thrust is gone at this moment of the flight, and the controller is not told.")),
+        hint("Its thrust is gone at this moment of the flight, and the controller receives no signal of it.")),
       group("Ghost", list("ghost", { label: "beside it", values: GHOSTS }, (kind) => {
         this.ghostKind = kind;
         this.#beginGhost();
@@ -502,7 +376,6 @@ class Page {
       folded("Gains", ...numbers("gains")),
       folded("Errors of the controller's model", ...numbers("errors")),
     );
-    $("jets-key").append(...Object.values(ENGINES).map((name) => make("i", {}, name)));
   }
 
   get windFrom() {
@@ -527,26 +400,9 @@ class Page {
       if (index === this.scenario) $("tour").scrollLeft = button.offsetLeft - $("tour").offsetLeft - 40;
     });
     if (this.scenario === null) $("caption").hidden = true;
-    const colours = JET_COLOURS[matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"];
-    [...$("jets-key").children].forEach((key, index) => (key.style.color = colours[index]));
-  }
-
-  #setRate(rate) {
-    this.rate = rate;
-    $("rate").value = rate;
   }
 
   #listen() {
-    const dark = matchMedia("(prefers-color-scheme: dark)");
-    const theme = () => (this.scene.theme(dark.matches ? "dark" : "light"), this.#showSettings(), (this.isStale = true));
-    dark.addEventListener("change", theme);
-    theme();
-    new ResizeObserver(() => (this.scene.resize(), (this.isStale = true))).observe($("stage"));
-    this.scene.resize();
-    $("play").onclick = () => this.play(!this.isPlaying);
-    $("again").onclick = () => this.seek(0);
-    $("time").oninput = () => this.seek(Number($("time").value));
-    $("rate").onchange = () => this.#setRate(Number($("rate").value));
     $("link").onclick = () => this.#copyLink();
     $("export").onclick = () => this.#export();
     addEventListener("hashchange", () => {
@@ -554,12 +410,6 @@ class Page {
       this.scenario = this.wanted = null;
       this.begin();
     });
-    addEventListener("keydown", (event) => this.#key(event));
-    for (const plot of Object.values(this.plots)) {
-      const scrub = (event) => event.buttons && this.seek(plot.timeAt(event));
-      plot.canvas.addEventListener("pointerdown", scrub);
-      plot.canvas.addEventListener("pointermove", scrub);
-    }
     this.#drag($("pad"), () => true, (event) => {
       const { left, top, width, height } = $("pad").getBoundingClientRect();
       const [x, y] = [((event.clientX - left) / width - 0.5) * 164, ((event.clientY - top) / height - 0.5) * 164];
@@ -594,30 +444,18 @@ class Page {
     }
   }
 
-  #key(event) {
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.target === $("pad") && event.key.startsWith("Arrow")) {
-      const [speed, from] = [Math.hypot(...this.target), this.windFrom];
-      const step = { ArrowUp: [1, 0], ArrowDown: [-1, 0], ArrowLeft: [0, 5], ArrowRight: [0, -5] }[event.key];
-      this.blow(velocity(Math.max(speed + step[0], 0), from + step[1]));
-      event.preventDefault();
-      return;
-    }
-    if (event.target.closest("input, select, summary")) return;
-    const second = event.shiftKey ? 1 : 0.1;
-    const keys = {
-      ArrowLeft: () => this.seek(this.now - second),
-      ArrowRight: () => this.seek(this.now + second),
-      r: () => this.seek(0),
-      v: () => this.scene.view(),
-      w: () => $("pad").focus(),
-    };
-    if (!event.target.closest("button")) keys[" "] = () => this.play(!this.isPlaying);
+  keys(event) {
+    const keys = super.keys(event);
+    keys.w = () => $("pad").focus();
     TOUR.forEach((_, index) => (keys[index + 1] = () => this.visit(index)));
-    const action = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
-    if (!action) return;
-    action();
-    event.preventDefault();
+    if (event.target === $("pad")) {
+      const turn = (faster, further) => () => {
+        const [speed, from] = [Math.hypot(...this.target), this.windFrom];
+        this.blow(velocity(Math.max(speed + faster, 0), from + further));
+      };
+      Object.assign(keys, { ArrowUp: turn(1, 0), ArrowDown: turn(-1, 0), ArrowLeft: turn(0, 5), ArrowRight: turn(0, -5) });
+    }
+    return keys;
   }
 
   async #copyLink() {
@@ -651,6 +489,7 @@ class Page {
       git: { commit: data.commit, dirty: null },
       versions: { "flight-core": data.look.version },
       device: { browser: navigator.userAgent },
+      frame_times_ms: this.frameTimes,
       log: Object.fromEntries(log),
     };
   }
@@ -665,13 +504,13 @@ class Page {
 
 /** How a flight ended, in words, and whether that is good. */
 function verdict({ outcome, lost_time: lost, lost_reason: reason, summary }, distance) {
-  const tilt = degrees(summary.max_rotation_error);
+  const error = degrees(summary.max_rotation_error);
   if (outcome === "fell") return [`Falls at ${lost.toFixed(1)} s: ${reason.replace(" deg", "°")}`, "bad"];
   if (outcome === "diverged") return [`The computation diverges at ${lost.toFixed(1)} s: ${reason}`, "bad"];
   if (outcome === "off_course") return [`Flies to the end, but up to ${summary.max_com_error.toFixed(2)} m off course`, "bad"];
   const where = distance > 5 ? "Arrives" : "Stays in place";
   const off = `${(100 * summary.max_com_error).toFixed(1)} cm off course at most`;
-  return tilt > LEANING ? [`${where}, leaning: up to ${tilt.toFixed(1)}°, ${off}`, "bad"] : [`${where} upright: ${tilt.toFixed(1)}° of tilt, ${off}`, "good"];
+  return error > LEANING ? [`${where}, leaning: up to ${error.toFixed(1)}°, ${off}`, "bad"] : [`${where} upright: attitude error up to ${error.toFixed(1)}°, ${off}`, "good"];
 }
 
 /** A direction in words: 0 ahead, 90 left. */

@@ -1,14 +1,18 @@
 // Curves over time on a canvas: of a flight, and dashed of its ghost; the pointer moves the time.
 
-const LEFT = 38;
+const LEFT = 42;
 const BOTTOM = 17;
 const TOP = 6;
 
 export class Plot {
-  /** `read(flight)`: a list of curves, each a function of the row. `least`: what the axis covers at least. */
-  constructor(canvas, { read, colours, least, digits, ghosted = true }) {
-    Object.assign(this, { canvas, read, colours, least, digits, ghosted });
+  constructor(canvas) {
+    this.canvas = canvas;
     this.end = 1;
+  }
+
+  /** What is drawn. `read(flight)`: a list of curves, each a function of the row; `least`: what the axis covers at least. */
+  take({ read, least, ghosted = true }) {
+    Object.assign(this, { read, least, ghosted });
   }
 
   /** The time [s] under a pointer. */
@@ -22,7 +26,7 @@ export class Plot {
     const { canvas } = this;
     const ratio = Math.min(devicePixelRatio, 2);
     const { clientWidth: width, clientHeight: height } = canvas;
-    if (!width || !height) return;
+    if (!width || !height || !this.read) return;
     const [wide, high] = [Math.round(width * ratio), Math.round(height * ratio)];
     if (canvas.width !== wide || canvas.height !== high) [canvas.width, canvas.height] = [wide, high];
     this.end = end;
@@ -30,18 +34,21 @@ export class Plot {
     const curves = flights.flatMap(([flight, isGhost]) =>
       this.read(flight).map((value, index) => ({ ...sample(flight, value, width - LEFT, end), isGhost, index })),
     );
-    const top = nice(Math.max(this.least, ...curves.map((curve) => curve.top)));
+    const highest = Math.max(this.least, ...curves.map((curve) => curve.top));
+    const lowest = Math.min(0, ...curves.map((curve) => curve.bottom));
+    const top = highest > 0 ? nice(highest) : lowest < 0 ? 0 : 1;
+    const bottom = lowest < -1e-3 * top ? -nice(-lowest) : 0;
     const pen = canvas.getContext("2d");
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
     pen.clearRect(0, 0, width, height);
     const x = (time) => LEFT + (time / end) * (width - LEFT - 4);
-    const y = (value) => height - BOTTOM - (value / top) * (height - BOTTOM - TOP);
-    this.#axes(pen, x, y, width, height, top, style);
+    const y = (value) => height - BOTTOM - ((value - bottom) / (top - bottom)) * (height - BOTTOM - TOP);
+    this.#axes(pen, x, y, width, height, [bottom, top], style);
     for (const { points, isGhost, index } of curves) {
       pen.beginPath();
       pen.setLineDash(isGhost ? [4, 3] : []);
       pen.lineWidth = isGhost ? 1.2 : 1.6;
-      pen.strokeStyle = isGhost ? style.ghost : this.colours[index];
+      pen.strokeStyle = isGhost ? style.ghost : this.colours[index % this.colours.length];
       for (const [time, value] of points) pen.lineTo(x(time), y(value));
       pen.stroke();
     }
@@ -50,20 +57,20 @@ export class Plot {
     pen.fillRect(x(now) - 0.5, TOP, 1, height - BOTTOM - TOP);
   }
 
-  #axes(pen, x, y, width, height, top, style) {
+  #axes(pen, x, y, width, height, [bottom, top], style) {
     pen.font = "11px system-ui, sans-serif";
     pen.fillStyle = style.soft;
     pen.strokeStyle = style.line;
     pen.lineWidth = 1;
     pen.textAlign = "right";
     pen.textBaseline = "middle";
-    for (const share of [0, 0.5, 1]) {
-      const at = Math.round(y(share * top)) + 0.5;
+    for (const value of bottom < 0 && top > 0 ? [bottom, 0, top] : [bottom, 0.5 * (bottom + top), top]) {
+      const at = Math.round(y(value)) + 0.5;
       pen.beginPath();
       pen.moveTo(LEFT, at);
       pen.lineTo(width - 4, at);
       pen.stroke();
-      pen.fillText((share * top).toFixed(this.digits), LEFT - 5, share === 1 ? at + 3 : at);
+      pen.fillText(short(value), LEFT - 5, value === top ? at + 3 : at);
     }
     pen.textAlign = "center";
     pen.textBaseline = "alphabetic";
@@ -75,24 +82,38 @@ export class Plot {
   }
 }
 
-/** The greatest value of every pixel: peaks stay. */
+/** The least and the greatest value of every pixel: peaks stay. */
 function sample(flight, value, width, end) {
   const { rows } = flight;
   const step = Math.max(1, Math.floor(end / flight.timeStep / width));
   const points = [];
-  let top = 0;
+  let [top, bottom] = [0, 0];
   for (let row = 0; row < rows; row += step) {
-    let most = -Infinity;
-    for (let at = row; at < Math.min(row + step, rows); at++) most = Math.max(most, value(at));
+    let [most, least] = [-Infinity, Infinity];
+    for (let at = row; at < Math.min(row + step, rows); at++) {
+      const now = value(at);
+      most = Math.max(most, now);
+      least = Math.min(least, now);
+    }
     if (!Number.isFinite(most)) continue;
-    points.push([row * flight.timeStep, most]);
+    const time = row * flight.timeStep;
+    points.push([time, least]);
+    if (most > least) points.push([time, most]);
     top = Math.max(top, most);
+    bottom = Math.min(bottom, least);
   }
-  return { points, top };
+  return { points, top, bottom };
 }
 
 /** The next round number. */
 function nice(value) {
   const power = 10 ** Math.floor(Math.log10(value));
-  return [1, 1.5, 2, 3, 4, 5, 6, 8, 10].find((factor) => factor * power >= value * 0.9999) * power;
+  return ([1, 1.5, 2, 3, 4, 5, 6, 8].find((factor) => factor * power >= value * 0.9999) ?? 10) * power;
+}
+
+/** A number in five letters. */
+function short(value) {
+  const size = Math.abs(value);
+  if (size >= 1e5 || (size > 0 && size < 1e-3)) return value.toExponential(0);
+  return `${Number(value.toPrecision(3))}`;
 }

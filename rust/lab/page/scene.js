@@ -114,7 +114,17 @@ class Robot extends THREE.Group {
   }
 }
 
-function geometryOf({ kind, size }) {
+const numbers = (type, base64) => new type(Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)).buffer);
+
+function geometryOf({ kind, size, vertices, faces }) {
+  if (kind === "mesh") {
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.BufferAttribute(numbers(Float32Array, vertices), 3));
+    geometry.setIndex(new THREE.BufferAttribute(numbers(Uint32Array, faces), 1));
+    const faceted = geometry.toNonIndexed(); // corners of a triangle have its normal
+    faceted.computeVertexNormals();
+    return faceted;
+  }
   if (kind === "sphere") return new THREE.SphereGeometry(size[0], 28, 18);
   if (kind === "box") return new THREE.BoxGeometry(...size);
   return new THREE.CylinderGeometry(size[0], size[0], size[2], 28).rotateX(Math.PI / 2);
@@ -126,7 +136,7 @@ function matrixOf(r, p) {
 }
 
 export class Scene {
-  constructor(canvas, look) {
+  constructor(canvas, look, ghostLook) {
     this.look = look;
     this.canvas = canvas;
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
@@ -142,7 +152,7 @@ export class Scene {
     this.scene.add(this.world);
     this.#light();
     this.robot = new Robot(look, false);
-    this.ghost = new Robot(look, true);
+    this.ghost = new Robot(ghostLook, true);
     this.ghost.visible = false;
     const line = (name, opacity) =>
       new THREE.LineBasicMaterial({ color: colour(look.colours[name]), transparent: true, opacity });

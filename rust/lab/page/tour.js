@@ -13,7 +13,7 @@ export const TOUR = [
     ghost: "none",
     start: 0,
     text: "Four jets carry the robot, and the controller corrects thrusts and joints 100 times a second so that it stays in place. The air is still: nothing pushes it away.",
-    proof: ({ watched }) => [`${(1000 * watched.summary.max_com_error).toFixed(1)} mm`, "from its set-point at most, the centre of mass, after a start-up of 3 s"],
+    proof: ({ watched }) => [`${(1000 * watched.summary.max_com_error).toFixed(1)} mm`, "from its set-point at most, the centre of mass, after a start-up of 3\u00a0s"],
   },
   {
     name: "The wind rises",
@@ -21,8 +21,8 @@ export const TOUR = [
     others: {},
     ghost: "none",
     start: 4,
-    text: "Between 5 and 10 s a side wind rises to 10 m/s and pushes on every link. This controller is told the wind and has a model of these forces, so its jets answer before the robot is pushed away.",
-    proof: ({ watched }) => [`${watched.summary.max_aero_force.toFixed(1)} N`, `of air, held with a tilt of at most ${degrees(watched.summary.max_rotation_error)}`],
+    text: "Between 5 and 10 s a side wind rises to 10 m/s and pushes on every link. This controller is given the wind and has a model of these forces, so its jets answer before the robot is pushed away.",
+    proof: ({ watched }) => [`${watched.summary.max_aero_force.toFixed(1)} N`, `of air, held with an attitude error of at most ${degrees(watched.summary.max_rotation_error)}`],
   },
   {
     name: "The baseline leans",
@@ -33,7 +33,7 @@ export const TOUR = [
     text: "The paper's flight without an aerodynamic model: the moment of the air turns the robot until its stiffness holds against it. The violet ghost is the aware controller in the same wind.",
     proof: ({ watched, aware }) => [
       degrees(watched.summary.max_rotation_error),
-      `greatest tilt; ${degrees(aware.summary.max_rotation_error)} with the model`,
+      `greatest attitude error; ${degrees(aware.summary.max_rotation_error)} with the model`,
     ],
   },
   {
@@ -57,7 +57,7 @@ export const TOUR = [
     text: "The observer compares the robot's momentum with what its thrusts should give and takes the rest for a wrench of the air. Without model and wind sensor it arrives in the very flight that the baseline, the ghost, loses.",
     proof: ({ watched, baseline }) => [
       degrees(watched.summary.max_rotation_error),
-      `greatest tilt; the baseline ${baseline.lost_time === null ? "arrives" : `falls at ${baseline.lost_time.toFixed(1)} s`}`,
+      `greatest attitude error; the baseline ${baseline.lost_time === null ? "arrives" : `falls at ${baseline.lost_time.toFixed(1)} s`}`,
     ],
   },
 ];

@@ -1,0 +1,127 @@
+"""What the pages of `rust/lab/page` draw, and a flight as one of them: an HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jax_aero import rust
+from jax_aero.files import complete_file
+from jax_aero.view import Refused, drawing
+from jax_aero.view.recording import Recording
+from jax_aero.view.shapes import Look, Mount, Shape
+
+TEMPLATE = Path(__file__).with_name("flight.html")
+"""The page without a flight, which `make lab` builds."""
+
+RATE = 50.0
+"""Moments of a flight in the page [1/s]."""
+
+PLACE = "/*FLIGHTS*/null"
+"""Where the template has its data."""
+
+
+def write_page(recordings: Sequence[Recording], out: Path) -> None:
+    """Write one HTML file that plays a flight, and a second one as its ghost; `out` appears complete or not at all.
+
+    Raises
+    ------
+    Refused
+        If the page is not built, or `out` is no `.html` in a folder that is there.
+    """
+    if out.suffix != ".html":
+        raise Refused(f"`{out}` does not end in .html; expected a file like flight.html")
+    if not out.parent.is_dir():
+        raise Refused(f"there is no folder `{out.parent}` for `{out.name}`")
+    if not TEMPLATE.is_file():
+        raise Refused(f"there is no `{TEMPLATE.name}` beside `{Path(__file__).name}`; `make lab` builds it (with npm)")
+    table = {
+        "looks": [look_table(recording.look) for recording in recordings],
+        "flights": [flight_table(recording) for recording in recordings],
+    }
+    words = json.dumps(table, allow_nan=False).replace("</", "<\\/")
+    page = TEMPLATE.read_text(encoding="utf-8").replace(PLACE, words, 1)
+    with complete_file(out) as draft:
+        draft.write_text(page, encoding="utf-8")
+
+
+def look_table(look: Look) -> dict[str, Any]:
+    """Return shapes, jets, links, colours and scales."""
+    names = ("FORCE", "WIND", "REFERENCE", "TRAIL", "PLUME", "GHOST", "FELL", "COMPLETED")
+    scales = drawing.Scales()
+    return {
+        "version": rust.__version__,
+        "shapes": [_shape(shape) for shape in look.shapes],
+        "jets": [_mount(mount) for mount in look.jets],
+        "links": [_mount(mount) for mount in look.links],
+        "colours": {name.lower(): getattr(drawing, name) for name in names} | dict(drawing.ROLES),
+        "scales": {"force": scales.force, "thrust": scales.thrust, "wind": scales.wind},
+        "plume_radius": drawing.PLUME_RADIUS,
+        "overhead": drawing.OVERHEAD,
+    }
+
+
+def flight_table(recording: Recording) -> dict[str, Any]:
+    """Return a flight's signals and the poses of its bodies, `RATE` times a second in single precision."""
+    times = recording.signals["time"]
+    step = max(round(1.0 / RATE / (times[1] - times[0])), 1) if times.size > 1 else 1
+    shown = np.arange(0, times.size, step)
+    instants = [recording.at(time) for time in times[shown]]
+    columns = [np.swapaxes(now.body_rotations, 1, 2)[:, :2].reshape(-1, 6) for now in instants]
+    poses = np.concatenate([columns, [now.body_positions for now in instants]], axis=2)
+    declared = rust.signals()
+    numbers = {name: signal[shown] for name, signal in recording.signals.items()}
+    return {
+        "title": recording.title,
+        "verdict": recording.verdict,
+        "outcome": recording.outcome,
+        "lost_time": recording.lost_time,
+        "timeStep": float(times[step] - times[0]) if times.size > step else 1.0,
+        "rows": int(shown.size),
+        "jets": list(recording.robot.jet_names),
+        "links": list(recording.robot.aero_link_names),
+        "bodies": len(recording.robot.body_names),
+        "signals": [
+            {"name": name, "unit": declared[name].unit, "width": recording.rows(name).shape[1]}
+            for name in recording.signals
+        ],
+        "numbers": {name: _packed(signal) for name, signal in (numbers | {"body_poses": poses}).items()},
+    }
+
+
+def _packed(numbers: Any) -> str:
+    return base64.b64encode(np.asarray(numbers, dtype="<f4").tobytes()).decode()
+
+
+def _shape(shape: Shape) -> dict[str, Any]:
+    pose = shape.body_from_shape
+    table: dict[str, Any] = {
+        "kind": shape.kind,
+        "size": shape.size,
+        "role": shape.role,
+        "body": shape.body,
+        "rotation": _rounded(pose.rotation.T),  # by columns
+        "position": _rounded(pose.position),
+    }
+    if shape.mesh is not None:
+        faces = base64.b64encode(shape.mesh.faces.astype("<u4").tobytes()).decode()
+        table |= {"vertices": _packed(shape.mesh.vertices * shape.size), "faces": faces}
+    return table
+
+
+def _mount(mount: Mount) -> dict[str, Any]:
+    return {
+        "name": mount.name,
+        "body": mount.body,
+        "position": _rounded(mount.position),
+        "axis": _rounded(mount.axis),
+    }
+
+
+def _rounded(numbers: Any) -> list[float]:
+    return [round(float(number), 6) for number in numbers.ravel()]
