@@ -354,9 +354,8 @@ def _robot_path(path: Path, config: rust.Config | None, given: str | Path | None
 
 
 def _check_shapes(path: Path, signals: Mapping[str, Vector], robot: rust.Robot) -> None:
-    sizes = {"time": signals["time"].size, "xyz": 3, "wxyz": 4, "rpy": 3}
-    sizes |= {"joint": len(robot.joint_names), "jet": len(robot.jet_names), "link": len(robot.aero_link_names)}
-    for name in SIGNALS:
+    sizes = {"time": signals["time"].size} | {dim: len(names) for dim, names in labels_of(robot).items()}
+    for name in signals:
         shape = tuple(sizes[dim] for dim in rust.signals()[name].dims)
         if signals[name].shape != shape:
             raise Refused(

@@ -80,10 +80,10 @@ Solid = tuple[Kind, tuple[float, float, float], Mesh | None]
 """Kind, size and mesh of a shape."""
 
 
-def look_of(robot: rust.Robot, path: Path) -> Look:
+def look_of(robot: rust.Robot, path: Path | None = None) -> Look:
     """Read what a robot looks like from its own TOML and URDF text.
 
-    `path` is its TOML file, from which the URDF's meshes are found.
+    `path` is its TOML file, from which the URDF's meshes are found; without it they are missing.
     """
     table = tomllib.loads(robot.toml_text)
     tree = read_tree(robot.urdf_text, table["base_link"], robot.joint_names, table.get("locked", {}))
@@ -92,7 +92,7 @@ def look_of(robot: rust.Robot, path: Path) -> Look:
     engines = {entry["frame"] for entry in table.get("jets", [])}
     soles = {entry["frame"] for entry in table.get("feet", [])}
     in_air = {entry["frame"]: entry for entry in table.get("aero_links", [])}
-    folder = (path.parent / table["urdf"]).parent
+    folder = None if path is None else (path.parent / table["urdf"]).parent
     shapes: list[Shape] = []
     missing: list[str] = []
     for link in ElementTree.fromstring(robot.urdf_text).iter("link"):
@@ -132,7 +132,7 @@ def _seen_by_air(entry: dict[str, Any]) -> tuple[Solid, Pose]:
     return ("cylinder", (radius, radius, entry["length"]), None), pose
 
 
-def _solid(visual: ElementTree.Element, folder: Path) -> Solid | None:
+def _solid(visual: ElementTree.Element, folder: Path | None) -> Solid | None:
     for element in visual.iterfind("geometry/*"):
         if element.tag == "cylinder":
             radius = float(element.attrib["radius"])
@@ -143,6 +143,8 @@ def _solid(visual: ElementTree.Element, folder: Path) -> Solid | None:
         if element.tag == "box":
             return "box", _three(element.attrib["size"]), None
         if element.tag == "mesh":
+            if folder is None:
+                raise Refused(f"mesh {element.attrib['filename']}: not looked for")
             mesh = read_mesh(mesh_file(element.attrib["filename"], folder))
             return "mesh", _three(element.attrib.get("scale", "1 1 1")), mesh
     return None

@@ -165,9 +165,8 @@ def test_every_scene_plays_and_proves_its_number(visit):
         assert page.tab.locator("#tour button[aria-current=true]").inner_text().startswith(str(index + 1))
         start = page.tab.evaluate("page.now")
         page.wait(f"page.now > {start} + 0.1")
-        page.tab.evaluate(
-            "page.jobs.forEach(({ flight }) => flight.advance(flight.n_ticks + 1))"
-        )  # not picture by picture
+        # At once, not picture by picture.
+        page.tab.evaluate("page.jobs.forEach(({ flight }) => flight.advance(flight.n_ticks + 1))")
         page.wait("!document.querySelector('#caption').textContent.includes('computing')")
         numbers.append(page.tab.locator("#caption .proof").inner_text().replace("\n", " "))
     assert re.match(r"\d+\.\d mm", numbers[0])

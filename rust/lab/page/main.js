@@ -191,13 +191,14 @@ class Page extends Player {
       return super.advance(seconds);
     }
     this.isCatchingUp = true;
-    this.#fly(solid, this.goal, 2 * BUDGET);
-    if (ghost && !isBehind(solid, this.goal)) this.#fly(ghost, this.now, 2 * BUDGET);
+    const budget = Math.max(2 * BUDGET, SHARE * this.passed * 1000);
+    this.#fly(solid, this.goal, budget);
+    if (ghost && !isBehind(solid, this.goal)) this.#fly(ghost, this.now, budget);
     return true;
   }
 
-  work(passed) {
-    if (!this.isCatchingUp) this.#work(Math.max(SPARE, SHARE * passed * 1000));
+  work() {
+    if (!this.isCatchingUp) this.#work(Math.max(SPARE, SHARE * this.passed * 1000));
     if (this.solid.hasEnded && !this.result) {
       this.result = this.solid.result();
       this.isStale = true; // the next picture says it

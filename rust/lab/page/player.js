@@ -48,6 +48,7 @@ export class Player {
   start() {
     this.#listen();
     this.last = performance.now();
+    this.passed = 0; // since the last picture [s]
     requestAnimationFrame((time) => this.#frame(time));
   }
 
@@ -68,7 +69,7 @@ export class Player {
     return moved;
   }
 
-  /** What else is to be done, `passed` seconds after the last picture; may find something new to show. */
+  /** What else is to be done between two pictures; may find something new to show. */
   work() {}
 
   /** Moves on by `seconds` of the flight, as far as flights are flown; stops where all have ended. */
@@ -86,15 +87,15 @@ export class Player {
 
   #frame(time) {
     requestAnimationFrame((next) => this.#frame(next));
-    const passed = Math.max(time - this.last, 0) / 1000; // the first picture may have been due before the start
-    const seconds = Math.min(passed, 0.1);
+    this.passed = Math.max(time - this.last, 0) / 1000; // the first picture may have been due before the start
+    const seconds = Math.min(this.passed, 0.1);
     this.last = time;
     if (!this.solid) return;
     const begin = performance.now();
     const moved = this.advance(seconds);
     const flown = performance.now();
     this.isStale = false;
-    this.work(passed);
+    this.work();
     const worked = performance.now();
     if (moved) this.show(this.isPlaying ? seconds * this.rate : 0);
     const hasDrawn = this.scene.draw();
