@@ -10,6 +10,9 @@ PACKAGES := $(VENV)/.packages
 RUST_SOURCES := Cargo.toml Cargo.lock $(shell find rust -name '*.rs' -o -name Cargo.toml)
 DEMO := test1 test2 test1_observer test1_published test2_published test1_published_observer
 
+# How long `make fuzz` goes on.
+MINUTES ?= 60
+
 # Where the Rust tests write what they measured, for the summary that pytest prints.
 MEASURED := $(abspath target/measured)
 
@@ -38,7 +41,7 @@ LAB_WASM := target/wasm32-unknown-unknown/release/flight_lab.wasm
 export PYO3_PYTHON := $(abspath $(BIN)/python)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo view test audit lint bench figures reproduce verify docs lab clean portability wheel
+.PHONY: help setup demo view test fuzz audit lint bench figures reproduce verify docs lab clean portability wheel
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -72,6 +75,15 @@ wheel: $(PACKAGES) ## build wheel and source package into dist/, and fly with th
 
 audit: $(PACKAGES) ## check licences, duplicates and known vulnerabilities, as far as they can be had; write dist/sbom.json
 	$(BIN)/python -m tests.supply_chain audit
+
+fuzz: $(PACKAGES) ## try other random files, flights and faults than the tests do (MINUTES=60)
+	end=$$(($$(date +%s) + 60 * $(MINUTES))); round=$$(date +%s); \
+	while [ $$(date +%s) -lt $$end ]; do \
+		round=$$((round + 1)); echo "round $$round"; export PROPTEST_CASES=2000 PROPTEST_RNG_SEED=$$round; \
+		cargo test --locked --quiet --package flight-sim --test main fuzz && \
+		cargo test --locked --quiet --package flight-sim --test allocations random && \
+		$(BIN)/python -m pytest -q --hypothesis-seed=$$round tests/units/test_spoilt_files.py || exit 1; \
+	done
 
 lint: $(PACKAGES) ## check formats, lints, types and import contracts
 	cargo fmt --all --check

@@ -5,7 +5,7 @@
 Each mutant is drawn from the seed and its number, so a run goes on where another ended (`--first`). Its module is
 compiled from the changed syntax tree while it is imported: no file is written, and other programs see nothing of it.
 The tests of a module are the files of `tests/` that import it; where none does, those that import what imports it.
-A mutant that survives has no test that fails: docs/mutants.md says of each known one why it may.
+A mutant that survives has no test that fails: `mutants.md` beside this file says of each known one why it may.
 """
 
 from __future__ import annotations

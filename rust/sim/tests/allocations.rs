@@ -5,10 +5,16 @@
 #![allow(unsafe_code, reason = "a global allocator cannot be written without")]
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
+#[path = "common/cases.rs"]
+mod cases;
 mod common;
+#[path = "common/episode.rs"]
+mod episode;
 
+use cases::cases;
 use common::counting::{Counting, allocations};
 use common::{Loop, Running, experiment, tick_at};
+use episode::Episodes;
 use flight_core::Measurement;
 use flight_core::aero::Precision;
 use flight_core::control::CommandStatus;
@@ -17,6 +23,7 @@ use flight_io::{AeroConfig, NetworkConfig, load_robot};
 use flight_sim::ScenarioConfig;
 use flight_sim::config::AeroKinematics;
 use nalgebra::{Vector3, Vector6};
+use proptest::prelude::*;
 use std::hint::black_box;
 use std::path::Path;
 
@@ -193,4 +200,18 @@ fn a_tick_on_the_ground_does_not_allocate() {
         assert_eq!(counted, 0, "{fallback:?}");
         assert!(rows > 0, "no wrench reached its limits");
     }
+}
+
+/// Whatever flies and whatever is measured: no allocation, no panic, certified answers or none, numbers. The example
+/// `soak` tries a hundred million of these ticks.
+#[test]
+fn random_flights_with_faults() {
+    let episodes = Episodes::new(1);
+    proptest!(cases(150), |(number in any::<u64>())| {
+        if let Ok(mut flight) = episodes.draw(number) {
+            for tick in 0..100 {
+                prop_assert_eq!(flight.tick().finding, None, "tick {}", tick);
+            }
+        }
+    });
 }

@@ -9,6 +9,7 @@ mod disturbances;
 mod estimator;
 mod examples;
 mod flight;
+mod fuzz;
 mod golden;
 mod jets;
 mod recorded;
