@@ -19,6 +19,7 @@ from jax_aero.io import scenario_config
 from jax_aero.robot import ancestors_of, levels_of, load_robot
 from jax_aero.sim.plant import n_ticks
 from jax_aero.types import Static, pytree, with_dtype
+from jax_aero.urdf import read_tree
 
 ROOT = Path(__file__).resolve().parents[2]
 EXPERIMENTS = sorted((ROOT / "configs" / "experiments").glob("*.toml"))
@@ -125,6 +126,12 @@ SPOILT_ROBOTS = [
         ["joint `r_shoulder`", "mimic", "`l_shoulder`"],
     ),
     ('<child link="head"/>', '<child link="skull"/>', ["child of joint `neck`", "`skull`"]),
+    ('<child link="head"/>', '<child link="torso"/>', ["torso"]),
+    ('<child link="pack"/>', '<child link="pelvis"/>', ["pelvis"]),
+    ('<link name="head">', '<link name="pack">', ["pack"]),
+    ('<link name="head">', "<link>", ["name"]),
+    ('<mass value="2.5"/>', "<mass/>", []),
+    ('effort="40"', 'effort="-40"', []),
 ]
 
 
@@ -139,6 +146,14 @@ def test_a_robot_that_cannot_be_is_refused_in_both_languages(tmp_path, old, new,
         with pytest.raises(ValueError) as refusal:  # noqa: PT011 - the words follow
             load(tmp_path / "sparrow.toml")
         assert all(word.lower() in str(refusal.value).lower() for word in words)
+
+
+def test_a_limit_of_effort_or_velocity_that_is_zero_is_none():
+    text = SPARROW.with_suffix(".urdf").read_text()
+    order, locked = ["waist", "l_shoulder", "r_shoulder", "l_hip", "r_hip"], {"neck": 0.0}
+    joints = read_tree(text.replace('effort="60"', 'effort="0"'), "pelvis", order, locked).joints
+    assert [joint.torque_max for joint in joints] == [40.0, 40.0, 40.0, None, None]
+    assert [joint.velocity_max for joint in joints] == [4.0] * 5
 
 
 def run_python(code):

@@ -222,8 +222,9 @@ fn a_spoilt_network() {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../core/tests/data");
     let card = std::fs::read_to_string(data.join("network_small.json")).unwrap();
     let weights = std::fs::read(data.join("network_small.safetensors")).unwrap();
-    let digest =
-        |bytes: &[u8]| Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect::<String>();
+    let digest = |bytes: &[u8]| {
+        Sha256::digest(bytes).iter().fold(String::new(), |hex, byte| hex + &format!("{byte:02x}"))
+    };
     let (sha, path) = (digest(&weights), PathBuf::from("fuzz/network_small.json"));
     let scenario = experiment("test4");
     proptest!(cases(300), |(of_card in any::<bool>(), edits in edits(), density in prop_oneof![Just(1.2), Just(1e308)])| {
@@ -264,8 +265,10 @@ fn a_spoilt_aerodynamic_model() {
 
 #[test]
 fn spoilt_tables() {
-    let recording: String =
-        file("mission/min_time.csv").lines().take(12).map(|line| format!("{line}\n")).collect();
+    let recording = file("mission/min_time.csv").lines().take(12).collect::<Vec<_>>().join(
+        "
+",
+    );
     let wind = "time,x,y,z\n0,0,0,0\n1.5,1,-2,0.5\n4,3,-9.5,0\n";
     let path = PathBuf::from("fuzz/wind.csv");
     proptest!(cases(500), |(edits in edits(), time in -1.0..20.0)| {

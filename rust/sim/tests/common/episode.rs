@@ -408,7 +408,7 @@ impl Episode {
         self.answer[unknowns.joint_velocity.clone()].copy_from_slice(command.joint_velocity.as_slice());
         let nearest = |unknown: usize| {
             let (lower, upper) = (qp.problem.lower[unknown], qp.problem.upper[unknown]);
-            self.answer[unknown] == 0.0_f64.max(lower).min(upper)
+            self.answer[unknown] - 0.0_f64.max(lower).min(upper) == 0.0
         };
         // Rates of foot wrenches and multipliers of rows stay inside the controller: there the reported residual counts.
         let says_so =
