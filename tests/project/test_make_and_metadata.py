@@ -18,6 +18,7 @@ TARGETS = {
     "setup",
     "demo",
     "test",
+    "fuzz",
     "lint",
     "bench",
     "figures",
