@@ -18,9 +18,9 @@ from paper_figs import style
 from paper_figs.studies import load
 
 RUNS = ("flight30",)
-VIEW = 1.05
+VIEW = 0.9
 """Half the height of the pictures of the plane [m]."""
-FACE_POINTS = 1.6
+FACE_POINTS = 2.4
 """Edge of the mark of a face [points]: faces of a centimetre on a picture of the robot."""
 
 
@@ -80,6 +80,6 @@ def _plane(
     shown = axes.tricontourf(Triangulation(flat[:, 0], flat[:, 1]), values, levels, cmap=colours, extend="both")
     cut = study["triangles"].values[:, :, [0, 2]] @ turn.T
     axes.add_collection(PolyCollection(list(cut), facecolor=style.GREY, edgecolor=style.GREY, linewidth=0.5))
-    axes.set_xlim(-0.8 * VIEW, 1.4 * VIEW)
+    axes.set_xlim(-0.8 * VIEW, 1.2 * VIEW)
     axes.set_ylim(-VIEW, VIEW)
     figure.colorbar(shown, ax=axes, label=label, shrink=0.8)

@@ -114,7 +114,9 @@ def compute(name: str, config: VerifyConfig) -> Findings:
     summary: dict[str, Any] = {label: float(value) for label, value in zip(plans, values, strict=True)}
     summary |= {f"{label}: cells": result.quality.get("cells") for label, result in found.items()}
     summary |= {f"{label}: refused": result.reason for label, result in found.items() if result.reason}
-    summary |= extrapolated(values[:3], config.ratio)
+    is_refused = any(result.reason for result in [*found.values()][:3])
+    none = {"observed order": "none: a mesh has no steady solution"}
+    summary |= none if is_refused else extrapolated(values[:3], config.ratio)
     summary["twice the iterations change it by"] = float(values[3] / values[0] - 1.0)
     summary["the larger cube changes it by"] = float(values[4] / values[0] - 1.0)
     if subject.literature is not None:
