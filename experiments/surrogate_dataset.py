@@ -18,6 +18,7 @@ from tqdm import tqdm
 
 from experiments import Refused, manifest, study
 from experiments.import_cfd import OUT, POSTURES, keep, known_postures
+from experiments.sources import code_hash
 from jax_aero.aero.cfd_import import AIR_DENSITY, SPEED, checks
 from jax_aero.aero.dataset import Dataset, Floats, wind_direction
 from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogate
@@ -74,7 +75,7 @@ def compute(names: Sequence[str], model: Path, parts: Path) -> Dataset:
     robot = load_robot(ROBOT)
     surrogate = load_surrogate(model, robot)
     features = batched_features(robot, surrogate.panels, surrogate.wake)
-    digest = study.digest({}, [ROBOT, model, POSTURES])
+    digest = study.digest({"code": code_hash(__name__)}, [ROBOT, model, POSTURES])
     pitch, yaw = (grid.ravel() for grid in np.meshgrid(PITCHES, YAWS, indexing="ij"))
     wind = wind_direction(pitch, yaw)
     parts.mkdir(parents=True, exist_ok=True)

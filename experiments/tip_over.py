@@ -19,6 +19,7 @@ import xarray as xr
 from tqdm import tqdm
 
 from experiments import engines, study
+from experiments.sources import code_hash
 from experiments.study import Findings, Study
 from jax_aero import rust, tables
 from jax_aero.files import write_json
@@ -100,7 +101,7 @@ main = STUDY.main
 
 
 class Trials:
-    """The trials of a study made so far, by the digests of their configurations."""
+    """The trials of a study made so far, by the digests of configuration and code."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -110,7 +111,7 @@ class Trials:
 
     def make(self, config: rust.Config) -> dict[str, Any]:
         """Return how a trial ended; make it if it was not made."""
-        key = rust.config_digest(config)
+        key = f"{rust.config_digest(config)} {code_hash(__name__, engines.MODULES['mujoco'])}"
         if key not in self._made:
             self._made[key] = _outcome(engines.engine("mujoco").fly(config))
             write_json(self.path, self._made)

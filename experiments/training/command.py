@@ -19,6 +19,7 @@ from typing import Any
 from tqdm import tqdm
 
 from experiments import Refused, manifest, overrides, record, study
+from experiments.sources import code_hash
 from experiments.training import config, parts, result
 from experiments.training.parts import Finished
 from jax_aero.aero.dataset import Dataset, load
@@ -57,7 +58,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
         dataset = dataset.mirrored()
     folder: Path = given.out or RESULTS / path.stem
     digest = hashlib.sha256(f"{study.digest(document, [config.ROBOT])}{dataset.sha256}".encode()).hexdigest()
-    work = _work_folder(folder, digest, restart=given.restart)
+    work = _work_folder(folder, f"{digest} {code_hash(__name__)}", restart=given.restart)
     finished, network = _train(training, dataset, work)
     errors = result.summarise(finished, training.chosen_on)
     facts: dict[str, Any] = {}
@@ -166,7 +167,7 @@ def _work_folder(folder: Path, digest: str, *, restart: bool) -> Path:
     mark = work / "digest"
     if mark.is_file() and mark.read_text(encoding="utf-8") != digest:
         raise Refused(
-            f"{work.name} holds an unfinished run with other settings or data; finish that one, or add --restart"
+            f"{work.name} holds an unfinished run with other settings, data or code; finish that one, or add --restart"
         )
     work.mkdir(parents=True, exist_ok=True)
     mark.write_text(digest, encoding="utf-8")

@@ -19,6 +19,7 @@ import numpy as np
 import xarray as xr
 
 from experiments import manifest, record, study
+from experiments.sources import code_hash
 from experiments.training import config, result
 from experiments.training.parts import vector_rms
 from jax_aero import tables
@@ -28,7 +29,7 @@ from jax_aero.aero.network_card import save_network
 from jax_aero.aero.posture import total_wrench
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
-from jax_aero.files import write_json
+from jax_aero.files import complete_file, write_json
 from jax_aero.train import fit, predict_areas, samples_of
 
 BASE = study.CONFIGS / "training" / "compact.toml"
@@ -72,7 +73,7 @@ def run(path: Path, epochs: int, folder: Path, write: Path | None) -> dict[str, 
     robot, dataset = config.robot(), load(path).mirrored()
     trainings = [member_training(changes, epochs) for changes in MEMBERS]
     digest = study.digest({"members": list(MEMBERS), "epochs": epochs, "data": dataset.sha256}, [config.ROBOT, BASE])
-    work = folder.with_name(f".{folder.name}.{digest[:12]}")
+    work = folder.with_name(f".{folder.name}.{digest[:12]}{code_hash(__name__)}")
     work.mkdir(parents=True, exist_ok=True)
     predicted = np.zeros((len(MEMBERS), len(dataset), *dataset.force_area_b.shape[1:]), np.float32)
     for fold, (train, held_out) in enumerate(dataset.grouped_folds(0, FOLDS)):
@@ -80,7 +81,8 @@ def run(path: Path, epochs: int, folder: Path, write: Path | None) -> dict[str, 
             file = work / f"fold-{fold}-member-{number}.npy"
             if not file.is_file():
                 network = train_member(number, training, dataset.take(without_one(dataset, train, fold + number)))
-                np.save(file, predict_areas(network, robot, dataset.take(held_out)).astype(np.float32))
+                with complete_file(file) as draft:
+                    np.save(draft, predict_areas(network, robot, dataset.take(held_out)).astype(np.float32))
                 print(
                     f"fold {fold}, member {number}: {time.perf_counter() - started:.0f} s", file=sys.stderr, flush=True
                 )

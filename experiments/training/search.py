@@ -20,6 +20,7 @@ import numpy as np
 import optuna
 
 from experiments import manifest, study
+from experiments.sources import code_hash
 from experiments.training import config
 from jax_aero import tables
 from jax_aero.aero.dataset import Dataset, load
@@ -88,10 +89,10 @@ def run(given: argparse.Namespace) -> None:
     out: Path = given.out or RESULTS / path.stem
     out.mkdir(parents=True, exist_ok=True)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    # One study per question: another dataset or space must not be mixed in.
+    # One study per question: another dataset, space or code must not be mixed in.
     digest = study.digest({"table": tables.plain(settings), "base": base, "data": dataset.sha256}, [])
     search = optuna.create_study(
-        study_name=digest[:16],
+        study_name=f"{digest[:16]} {code_hash(__name__)}",
         storage=f"sqlite:///{(out / 'trials.db').resolve()}",
         sampler=optuna.samplers.TPESampler(seed=settings.seed),
         direction="minimize",

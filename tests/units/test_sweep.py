@@ -5,7 +5,9 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -366,11 +368,34 @@ def test_the_list_names_every_sweep(capsys):
     assert all(name in listed for name in spec.available())
 
 
+def kill_one_worker(mark: str, killed: list[int]) -> None:
+    """Wait for a process of this cluster that flies, and kill it; `mark` is in the environment of all of them."""
+    while not killed:
+        for folder in Path("/proc").glob("[0-9]*"):
+            with suppress(OSError):
+                flies = b"ray::_fly_remotely" in (folder / "cmdline").read_bytes()
+                if flies and mark.encode() in (folder / "environ").read_bytes():
+                    os.kill(int(folder.name), signal.SIGKILL)
+                    killed.append(int(folder.name))
+                    return
+        time.sleep(0.05)
+
+
 @pytest.mark.filterwarnings("ignore")
-def test_a_ray_cluster_of_two_workers_gives_the_same_bytes(flown, tmp_path, capsys):
+def test_a_ray_cluster_gives_the_same_bytes_also_where_a_worker_is_killed(tmp_path, capsys, monkeypatch):
     ray = pytest.importorskip("ray", reason="ray is not installed: the extra `cluster` brings it")
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-    command = ["sweep", str(quick(tmp_path)), "--out", str(tmp_path), "--cluster", "ray", "--workers", "2"]
-    assert main(command) == 0, capsys.readouterr().err
+    monkeypatch.setenv("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    monkeypatch.setenv("CLUSTER_OF_THIS_TEST", str(tmp_path))
+    killed: list[int] = []
+    killer = threading.Thread(target=kill_one_worker, args=(str(tmp_path), killed), daemon=True)
+    killer.start()
+    command = ["sweep", str(quick(tmp_path, repeats=4, duration=1.0)), "--out"]
+    try:
+        cluster = ["--cluster", "ray", "--workers", "2"]
+        assert main([*command, str(tmp_path), *cluster]) == 0, capsys.readouterr().err
+        assert len(killed) == 1, "no worker was seen to fly"
+    finally:
+        killed.append(0)
     assert not ray.is_initialized()
-    assert read(tmp_path / "quick") == read(flown)
+    assert main([*command, str(tmp_path / "here"), "--workers", "1"]) == 0
+    assert read(tmp_path / "quick") == read(tmp_path / "here" / "quick")
