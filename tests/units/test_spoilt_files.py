@@ -11,9 +11,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from experiments import record
 from jax_aero import io
 from jax_aero.places import HOME
 from jax_aero.robot import load_robot
+from jax_aero.view import Refused, recording
+from tests.conftest import MadeUpRobot, made_up_flight
 
 CONFIGS = HOME / "configs"
 
@@ -90,3 +93,29 @@ def test_a_configuration(folder, name, edits):
         io.scenario_config(io.resolve(folder / "flight.toml"))
     except ValueError:
         return
+
+
+@pytest.fixture(scope="module")
+def result(folder):
+    run = folder / "run"
+    flight = record.to_dataset(made_up_flight(1.0), MadeUpRobot(), title="made up", config_digest="")
+    manifest = {"title": "made up", "config": {"robot": str(CONFIGS / "robot/ironcub_mk1.toml")}}
+    record.write_run(run, flight, manifest)
+    return run
+
+
+@spoiling
+@given(of_manifest=st.booleans(), edits=EDITS, bits=st.lists(st.tuples(PLACE, st.integers(1, 255)), max_size=3))
+def test_a_result(folder, result, of_manifest, edits, bits):
+    copy = folder / "copy"
+    copy.mkdir(exist_ok=True)
+    manifest, run = (result / "manifest.json").read_text(), bytearray((result / "run.nc").read_bytes())
+    for at, change in bits:
+        run[at % len(run)] ^= change
+    (copy / "manifest.json").write_text(spoilt(manifest, edits) if of_manifest else manifest)
+    (copy / "run.nc").write_bytes((result / "run.nc").read_bytes() if of_manifest else run)
+    try:
+        flight = recording.read(copy)
+    except Refused:
+        return
+    assert flight.duration >= 0.0
