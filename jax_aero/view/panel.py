@@ -86,7 +86,7 @@ def numbers(flight: Recording, time: float) -> str:
         f"{np.linalg.norm(now.com_velocity):.1f} m/s",
         f"height {now.com[2]:.1f} m",
         f"air {np.linalg.norm(now.aero_force.sum(axis=0)):.1f} N",
-        "thrusts " + " · ".join(f"{name} {t:.0f}" for name, t in zip(jets, now.thrust, strict=True)) + " N",
+        *(f"{name} {t:.0f} N" for name, t in zip(jets, now.thrust, strict=True)),
     ]
     return (
         '<div style="padding:0.2em 1em;font-size:0.8em;color:#445;font-variant-numeric:tabular-nums">'
@@ -141,10 +141,12 @@ class Chart:
 
     @property
     def axes(self) -> tuple[uplot.Axis, ...]:
-        """Axes with their units."""
+        """Axes with their units; which signal it is stands over the plot."""
         unit = "°" if self.signal in (ATTITUDE, LEAN) else rust.signals()[self.signal].unit.split(" (")[0]
-        label = f"{self.signal.replace('_', ' ')} [{unit}]"
-        return (uplot.Axis(label="time [s]", labelSize=18, size=26), uplot.Axis(label=label, labelSize=18, size=44))
+        return (
+            uplot.Axis(label="time [s]", labelSize=18, size=26),
+            uplot.Axis(label=f"[{unit}]", labelSize=18, size=44),
+        )
 
     @property
     def _flights(self) -> list[Recording]:
