@@ -4,25 +4,42 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 #![allow(clippy::float_cmp, reason = "entries that are written as they are have their bits")]
 
-use crate::common::{Running, assert_within, experiment, random_state, rng};
+use crate::common::{Running, assert_within, experiment, random_state, random_vector, rng};
 use flight_core::aero::LinkForces;
-use flight_core::control::config::AeroFeedback;
+use flight_core::control::attitude::attitude_demand;
+use flight_core::control::config::{AeroFeedback, MomentumGains};
 use flight_core::control::momentum::MomentumModel;
 use flight_core::control::momentum_qp::{Equations, Layout, Task, TaskInputs};
+use flight_core::control::setpoint::Setpoint;
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::qp::QpStatus;
-use flight_core::spatial::exp_so3;
+use flight_core::spatial::{exp_so3, vee_of_skew_part};
 use flight_core::{Measurement, RobotModel, RobotState};
 use flight_io::load_robot;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3, Vector6};
 use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
 
 /// Differences of values of 1e4 over a step of 1e-5 keep 1e-16 · 1e4 / 1e-5 = 1e-7; relative to values of 1e3 and more.
 const STEP: f64 = 1e-5;
 
-/// A controller behind a tick of a random robot state, without wind; jets and their thrusts.
+/// A set-point none of whose derivatives is zero.
+fn moving_setpoint(rng: &mut ChaCha8Rng) -> Setpoint {
+    Setpoint {
+        com_velocity: random_vector(rng, 1.0),
+        com_acceleration: random_vector(rng, 1.0),
+        com_jerk: random_vector(rng, 1.0),
+        angular_velocity_b: random_vector(rng, 1.0),
+        angular_acceleration_b: random_vector(rng, 1.0),
+        angular_jerk_b: random_vector(rng, 1.0),
+        ..Setpoint::hold(random_vector(rng, 1.0), exp_so3(&random_vector(rng, 1.0)))
+    }
+}
+
+/// A controller behind a tick of a random robot state towards a set-point that moves, without wind; jets and their
+/// thrusts.
 fn ticked(name: &str, seed: u64) -> (Running, RobotState, Vec<f64>) {
     let config = experiment(name);
     let mut controller = Running::new(config.controller(load_robot(&config.robot).unwrap()).unwrap());
@@ -36,11 +53,14 @@ fn ticked(name: &str, seed: u64) -> (Running, RobotState, Vec<f64>) {
     // The first tick keeps its posture and inertia; the second one has left them.
     let mut start = state.clone();
     start.joint_position.add_scalar_mut(0.1);
-    for (time, state) in [(0.0, &start), (0.01, &state)] {
+    let measure = |time, state| {
         let wind = Vector3::zeros();
-        let measurement = Measurement { time, state, thrust: &thrust, wind, foot_wrenches: feet };
-        controller.tick(&measurement);
-    }
+        Measurement { time, state, thrust: &thrust, wind, foot_wrenches: feet }
+    };
+    controller.tick(&measure(0.0, &start));
+    let setpoint = moving_setpoint(&mut rng);
+    let Running { controller: second, state: flight } = &mut controller;
+    second.tick_towards(flight.as_mut().unwrap(), &measure(0.01, &state), &setpoint);
     (controller, state, thrust)
 }
 
@@ -153,6 +173,61 @@ fn the_attitude_task_is_the_law_of_the_angular_momentum() {
             - terms.attitude.k_ddot_desired_b;
         let found = equations(&controller, "attitude", &u);
         assert_within!((found - law).norm(), 1e-6 * (1e3 + law.norm()), "{name}");
+    }
+}
+
+/// The attitude law term by term: each is left alone by gains of zero and a moment, or an attitude, that cancels the others.
+#[test]
+fn the_attitude_law_is_each_of_its_terms() {
+    let mut rng = rng(5);
+    for _ in 0..10 {
+        let setpoint = moving_setpoint(&mut rng);
+        let rotation = setpoint.rotation * exp_so3(&random_vector(&mut rng, 0.5));
+        let inertia = Matrix3::from_diagonal(&Vector3::new(3.0, 5.0, 2.0)) + Matrix3::from_element(0.3);
+        let inverse = inertia.try_inverse().unwrap();
+        let (w, k_dot) = (random_vector(&mut rng, 2.0), random_vector(&mut rng, 3.0));
+        let (k, gains) = (inertia * w, experiment("test2").controller.law.momentum);
+        let demand = |c0, c1, setpoint: &Setpoint, rotation: &Matrix3<f64>, k_dot: &Vector3<f64>| {
+            let (velocity, moment) = (rotation * w, rotation * (k_dot + w.cross(&k)));
+            let gains = MomentumGains { c0, c1, ..gains.clone() };
+            attitude_demand(&gains, setpoint, rotation, &velocity, &moment, &inertia, &inverse)
+        };
+        let still = Setpoint {
+            angular_acceleration_b: Vector3::zeros(),
+            angular_jerk_b: Vector3::zeros(),
+            ..setpoint
+        };
+        // −ė alone, by differences of e along both motions.
+        let e = |time: f64| {
+            let desired = setpoint.rotation * exp_so3(&(setpoint.angular_velocity_b * time));
+            vee_of_skew_part(&(desired.transpose() * rotation * exp_so3(&(w * time))))
+        };
+        let e_dot = (e(STEP) - e(-STEP)) / (2.0 * STEP);
+        let found = demand(0.0, 0.0, &still, &rotation, &Vector3::zeros()).k_ddot_desired_b;
+        assert_within!((found + e_dot).amax(), 1e-8, because "differences of numbers of order one over 2e-5");
+        // I₀ ω̈_d − ė where the moment is the one of ω̇_d.
+        let wanted = inertia * setpoint.angular_acceleration_b;
+        let found = demand(7.0, 0.0, &Setpoint { rotation, ..setpoint }, &rotation, &wanted).k_ddot_desired_b;
+        let slower = demand(0.0, 0.0, &Setpoint { rotation, ..still }, &rotation, &Vector3::zeros());
+        let law = inertia * setpoint.angular_jerk_b + slower.k_ddot_desired_b;
+        assert_within!((found - law).amax(), 1e-12, because "rounding of numbers of order ten");
+        // What each gain multiplies.
+        let none = demand(0.0, 0.0, &setpoint, &rotation, &k_dot).k_ddot_desired_b;
+        let of_c0 = demand(1.0, 0.0, &setpoint, &rotation, &k_dot).k_ddot_desired_b - none;
+        let of_c1 = demand(0.0, 1.0, &setpoint, &rotation, &k_dot).k_ddot_desired_b - none;
+        let law = -(inverse * (k_dot - wanted + e(0.0)));
+        assert_within!((of_c0 - law).amax(), 1e-12, because "rounding of numbers of order ten");
+        let law = setpoint.angular_velocity_b - w;
+        assert_within!((of_c1 - law).amax(), 1e-12, because "rounding of numbers of order ten");
+        // σ = L̈ − R k̈ along a motion with this k̇, no k̈, and ω̇ = I₀⁻¹ k̇.
+        let step = 1e-3;
+        let momentum = |time: f64| {
+            let turned = exp_so3(&(w * time + inverse * k_dot * (0.5 * time * time)));
+            rotation * turned * (k + k_dot * time)
+        };
+        let second = (momentum(step) - 2.0 * momentum(0.0) + momentum(-step)) / (step * step);
+        let sigma = demand(1.0, 1.0, &setpoint, &rotation, &k_dot).sigma_i;
+        assert_within!((sigma - second).amax(), 1e-3, because "a fourth derivative of up to 1e3 times step squared");
     }
 }
 
