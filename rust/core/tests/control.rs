@@ -519,6 +519,8 @@ fn each_part_of_the_feedback_can_be_left_out() {
         assert_within!((rate(&full)[3 + axis] - rate(&baseline)[3 + axis] - moment[axis]).abs(), 1e-12);
     }
     assert!(lambda(&full).amax() > 0.1 && lambda(&baseline).amax() == 0.0);
+    let added = &terms.momentum.lambda - &baseline.terms().momentum.lambda;
+    assert_within!((added - lambda(&full)).amax(), 1e-10, because "rounding of sums of up to 1e5");
     assert!((free(&full) - free(&baseline)).amax() > 0.1);
 
     for (controller, has) in [
