@@ -203,7 +203,7 @@ fn a_tick_on_the_ground_does_not_allocate() {
 }
 
 /// Whatever flies and whatever is measured: no allocation, no panic, certified answers or none, numbers. The example
-/// `soak` tries a hundred million of these ticks.
+/// `soak` tries more of these ticks.
 #[test]
 fn random_flights_with_faults() {
     let episodes = Episodes::new(1);
