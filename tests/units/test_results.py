@@ -21,6 +21,7 @@ from experiments.sweep.chunks import Chunks
 from experiments.sweep.design import Design
 from jax_aero import cli, files, io, rust
 from jax_aero.view import recording
+from paper_figs import runs
 
 ROOT = Path(__file__).resolve().parents[2]
 SWEEP = {
@@ -378,3 +379,11 @@ def test_the_viewer_reads_a_damaged_result_whole_or_refuses_it(tmp_path, make_fl
             (folder / other).write_bytes(bytes_)
     assert refused > 75
     recording.read(folder)
+
+
+def test_a_figure_calls_a_damaged_result_missing(flown, tmp_path):
+    assert main(["test1", "--out", str(tmp_path)]) == 0
+    path = tmp_path / "test1" / "run.nc"
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(runs.MissingRun, match=r"run\.nc is damaged .*; remove its folder and make it again"):
+        runs.load(tmp_path, "test1")
