@@ -240,7 +240,7 @@ impl Estimator {
         let channels = config.channels().map(|(_, channel)| *channel);
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 0.2 s
         let ages = channels.map(|channel| (channel.delay / time_step).round() as usize);
-        let share = |time_constant: f64| -(-time_step / time_constant).exp_m1();
+        let share = |time_constant: f64| -libm::expm1(-time_step / time_constant);
         let shares = channels
             .map(|channel| if channel.time_constant > 0.0 { share(channel.time_constant) } else { 1.0 });
         let length = 1 + ages.into_iter().max().unwrap_or(0);

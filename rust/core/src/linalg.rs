@@ -3,12 +3,13 @@
 //! Matrices are column-major: entry `(i, j)` is `a[i + j·ld]` with leading dimension `ld ≥ n`, so a
 //! leading block of a larger buffer is a matrix too. Nothing allocates.
 //!
-//! The kernels of matrices are written for vectors of any length and run with those that [`Arch`] finds at run
-//! time, of eight, four or two numbers. They take a tile at a time, a vector of rows by up to [`WIDE`] columns,
+//! The kernels of matrices are written for vectors of at least [`WIDE`] numbers and run with those that [`Arch`]
+//! finds at run time, of eight or four. They take a tile at a time, a vector of rows by up to [`WIDE`] columns,
 //! whose sums stay in registers. Where fewer rows than a vector are left the tile begins earlier, and what is
-//! computed twice gets the same value twice; a matrix with fewer rows than a vector takes them one by one.
-//! Processors without fused multiplication and addition round once more; results then differ in their last
-//! bits.
+//! computed twice gets the same value twice; a matrix with fewer than [`WIDE`] rows takes them one by one.
+//!
+//! Every processor computes the same bits: an entry's sum has one order whatever the vectors, and multiplication
+//! and addition round separately, for not every processor has them fused.
 //!
 //! Sizes are the caller's promise, as they are for slice indexing: a slice that is too short panics.
 
@@ -35,9 +36,10 @@ pub(crate) fn dispatch<K: WithSimd>(kernel: K) -> K::Output {
 #[inline(always)]
 fn dispatch_to<K: WithSimd>(arch: Arch, kernel: K) -> K::Output {
     match arch {
-        // Without instructions of its own it is left to the compiler what becomes of four numbers at once.
-        Arch::Scalar => kernel.with_simd(Scalar256b),
-        arch => arch.dispatch(kernel),
+        #[cfg(target_arch = "x86_64")]
+        Arch::V3(_) | Arch::V4(_) => arch.dispatch(kernel),
+        // It is left to the compiler what becomes of four numbers at once.
+        _ => kernel.with_simd(Scalar256b),
     }
 }
 
@@ -47,7 +49,7 @@ fn run<K: Kernel>(kernel: K) -> K::Output {
     dispatch(Fitted(kernel))
 }
 
-/// What can run with any vectors that are not longer than its columns.
+/// What can run with any vectors that are not longer than its columns, single numbers or at least [`WIDE`].
 trait Kernel {
     type Output;
 
@@ -58,7 +60,7 @@ trait Kernel {
     fn with_vectors<S: Simd>(self, simd: S) -> Self::Output;
 }
 
-/// A kernel whose vectors are as long as they can be, or single numbers.
+/// A kernel whose vectors are as long as its columns allow.
 struct Fitted<K>(K);
 
 impl<K: Kernel> WithSimd for Fitted<K> {
@@ -66,7 +68,11 @@ impl<K: Kernel> WithSimd for Fitted<K> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> K::Output {
-        if self.0.rows() < S::F64_LANES { self.0.with_vectors(Scalar) } else { self.0.with_vectors(simd) }
+        match self.0.rows() {
+            rows if rows >= S::F64_LANES => self.0.with_vectors(simd),
+            rows if rows >= WIDE => self.0.with_vectors(Scalar256b),
+            _ => self.0.with_vectors(Scalar),
+        }
     }
 }
 
@@ -90,6 +96,18 @@ fn load_columns<S: Simd, const C: usize>(simd: S, columns: &[f64], ld: usize, to
         tile[c] = load(simd, &columns[c * ld..], top);
     }
     tile
+}
+
+/// `a b + c`, rounded twice.
+#[inline(always)]
+fn add_product<S: Simd>(simd: S, a: S::f64s, b: S::f64s, c: S::f64s) -> S::f64s {
+    simd.add_f64s(simd.mul_f64s(a, b), c)
+}
+
+/// `c − a b`, rounded twice.
+#[inline(always)]
+fn subtract_product<S: Simd>(simd: S, a: S::f64s, b: S::f64s, c: S::f64s) -> S::f64s {
+    simd.sub_f64s(c, simd.mul_f64s(a, b))
 }
 
 /// `a − b`, column by column.
@@ -129,7 +147,7 @@ fn outer_sums<S: Simd, const C: usize>(
     for (a, b) in a.zip(b) {
         let (left, right) = (load(simd, a, top), &b[j..j + C]);
         for c in 0..C {
-            sums[c] = simd.mul_add_e_f64s(left, simd.splat_f64s(right[c]), sums[c]);
+            sums[c] = add_product(simd, left, simd.splat_f64s(right[c]), sums[c]);
         }
     }
     sums
@@ -234,12 +252,12 @@ impl Kernel for AddMatVec<'_> {
             for (block, factors) in blocks.iter().enumerate() {
                 for c in 0..WIDE {
                     let column = load(simd, &a[(block * WIDE + c) * ld..], top);
-                    sums[c] = simd.mul_add_e_f64s(column, simd.splat_f64s(factors[c]), sums[c]);
+                    sums[c] = add_product(simd, column, simd.splat_f64s(factors[c]), sums[c]);
                 }
             }
             for (c, factor) in rest.iter().enumerate() {
                 let column = load(simd, &a[(blocks.len() * WIDE + c) * ld..], top);
-                sums[0] = simd.mul_add_e_f64s(column, simd.splat_f64s(*factor), sums[0]);
+                sums[0] = add_product(simd, column, simd.splat_f64s(*factor), sums[0]);
             }
             let [s0, s1, s2, s3] = sums;
             let sum = simd.add_f64s(simd.add_f64s(s0, s1), simd.add_f64s(s2, s3));
@@ -378,7 +396,7 @@ impl Cholesky<'_> {
             };
             for c in 0..C {
                 for d in 0..c {
-                    u[c] = simd.negate_mul_add_e_f64s(u[d], simd.splat_f64s(factors[c][d]), u[c]);
+                    u[c] = subtract_product(simd, u[d], simd.splat_f64s(factors[c][d]), u[c]);
                 }
                 store(simd, &mut panel[c * ld..], top, simd.mul_f64s(u[c], simd.splat_f64s(roots[c])));
             }
@@ -503,7 +521,7 @@ impl InvertLower<'_> {
             for c in 0..C {
                 let mut entries = simd.splat_f64s(0.0);
                 for d in 0..=c {
-                    entries = simd.negate_mul_add_e_f64s(sums[d], simd.splat_f64s(own[c][d]), entries);
+                    entries = subtract_product(simd, sums[d], simd.splat_f64s(own[c][d]), entries);
                 }
                 store(simd, &mut panel[c * n..], top, entries);
             }

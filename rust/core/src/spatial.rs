@@ -53,13 +53,14 @@ pub fn vee_of_skew_part(a: &Matrix3<f64>) -> Vector3<f64> {
 /// Rotation by the vector `phi` \[rad\]: `exp(S(φ))`.
 #[must_use]
 pub fn exp_so3(phi: &Vector3<f64>) -> Matrix3<f64> {
-    Rotation3::new(*phi).into_inner()
+    let angle = phi.norm();
+    if angle > 0.0 { axis_angle(&(phi / angle), angle) } else { Matrix3::identity() }
 }
 
 /// Angle of a rotation \[rad\], in `[0, π]`; exact near both ends (no `acos`).
 #[must_use]
 pub fn rotation_angle(r: &Matrix3<f64>) -> f64 {
-    vee_of_skew_part(r).norm().atan2(0.5 * (r.trace() - 1.0))
+    libm::atan2(vee_of_skew_part(r).norm(), 0.5 * (r.trace() - 1.0))
 }
 
 /// Rotation vector \[rad\] of a rotation by less than half a turn: inverse of [`exp_so3`]. Exact near no
@@ -75,7 +76,7 @@ pub fn log_so3(r: &Matrix3<f64>) -> Vector3<f64> {
 #[must_use]
 pub fn axis_angle(axis: &Vector3<f64>, angle: f64) -> Matrix3<f64> {
     // Rodrigues: R = c I + s S(k) + (1 − c) k kᵀ.
-    let (s, c) = angle.sin_cos();
+    let (s, c) = libm::sincos(angle);
     let v = 1.0 - c;
     let (x, y, z) = (axis.x, axis.y, axis.z);
     Matrix3::new(
@@ -94,19 +95,30 @@ pub fn axis_angle(axis: &Vector3<f64>, angle: f64) -> Matrix3<f64> {
 /// `Rz(yaw) Ry(pitch) Rx(roll)` for `rpy = (roll, pitch, yaw)` \[rad\].
 #[must_use]
 pub fn rotation_from_rpy(rpy: &Vector3<f64>) -> Matrix3<f64> {
-    Rotation3::from_euler_angles(rpy.x, rpy.y, rpy.z).into_inner()
+    let [(sr, cr), (sp, cp), (sy, cy)] = [rpy.x, rpy.y, rpy.z].map(libm::sincos);
+    Matrix3::new(
+        cy * cp,
+        cy * sp * sr - sy * cr,
+        cy * sp * cr + sy * sr,
+        sy * cp,
+        sy * sp * sr + cy * cr,
+        sy * sp * cr - cy * sr,
+        -sp,
+        cp * sr,
+        cp * cr,
+    )
 }
 
 /// Inverse of [`rotation_from_rpy`], pitch in `[−π/2, π/2]`. At gimbal lock (pitch ±π/2) only the sum
 /// or difference of roll and yaw is defined; roll is then zero.
 #[must_use]
 pub fn rpy_from_rotation(r: &Matrix3<f64>) -> Vector3<f64> {
-    let cos_pitch = r.m11.hypot(r.m21);
-    let pitch = (-r.m31).atan2(cos_pitch);
+    let cos_pitch = libm::hypot(r.m11, r.m21);
+    let pitch = libm::atan2(-r.m31, cos_pitch);
     if cos_pitch < 1e-12 {
-        return Vector3::new(0.0, pitch, (-r.m12).atan2(r.m22));
+        return Vector3::new(0.0, pitch, libm::atan2(-r.m12, r.m22));
     }
-    Vector3::new(r.m32.atan2(r.m33), pitch, r.m21.atan2(r.m11))
+    Vector3::new(libm::atan2(r.m32, r.m33), pitch, libm::atan2(r.m21, r.m11))
 }
 
 /// Nearest rotation to a matrix that is already close to one.

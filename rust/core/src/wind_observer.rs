@@ -157,7 +157,7 @@ impl WindObserver {
     /// Horizontal winds wander, vertical ones return.
     fn predict(&mut self) {
         let (config, step) = (&self.config, self.time_step);
-        let kept = (-step / config.vertical_time).exp();
+        let kept = libm::exp(-step / config.vertical_time);
         self.wind.z *= kept;
         let keep = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, kept));
         let walk = config.walk * config.walk * step;

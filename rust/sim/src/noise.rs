@@ -45,8 +45,8 @@ impl Noise {
         if let Some(spare) = self.spare.take() {
             return spare;
         }
-        let radius = (-2.0 * self.uniform().ln()).sqrt();
-        let (sin, cos) = (TAU * self.uniform()).sin_cos();
+        let radius = (-2.0 * libm::log(self.uniform())).sqrt();
+        let (sin, cos) = libm::sincos(TAU * self.uniform());
         self.spare = Some(radius * sin);
         radius * cos
     }

@@ -179,7 +179,7 @@ impl Sensors {
             config: config.clone(),
             time_step,
             ages,
-            share: if time_constant > 0.0 { -(-time_step / time_constant).exp_m1() } else { 1.0 },
+            share: if time_constant > 0.0 { -libm::expm1(-time_step / time_constant) } else { 1.0 },
             noise: Noise::new(config.seed, STREAM),
             line: vec![nothing.clone(); oldest + 1],
             now: 0,

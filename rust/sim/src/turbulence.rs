@@ -39,7 +39,7 @@ impl Turbulence {
             // Not up to the edge of the band: the last one has none.
             let place = band as f64 + 0.25 + 0.5 * noise.uniform();
             Wave {
-                frequency: (FRAC_PI_2 * place / WAVES as f64).tan() / time_scale,
+                frequency: libm::tan(FRAC_PI_2 * place / WAVES as f64) / time_scale,
                 phase: TAU * noise.uniform(),
             }
         };
@@ -54,7 +54,7 @@ impl Turbulence {
     pub fn velocity(&self, time: f64) -> Vector3<f64> {
         Vector3::from_fn(|axis, _| {
             let sum: f64 =
-                self.waves[axis].iter().map(|wave| (wave.frequency * time + wave.phase).sin()).sum();
+                self.waves[axis].iter().map(|wave| libm::sin(wave.frequency * time + wave.phase)).sum();
             self.amplitude[axis] * sum
         })
     }

@@ -158,7 +158,7 @@ impl Wind {
             Self::Gust { velocity, gust, start, duration } => {
                 let phase = (time - start) / duration;
                 let strength =
-                    if (0.0..=1.0).contains(&phase) { 0.5 * (1.0 - (TAU * phase).cos()) } else { 0.0 };
+                    if (0.0..=1.0).contains(&phase) { 0.5 * (1.0 - libm::cos(TAU * phase)) } else { 0.0 };
                 velocity + gust * strength
             }
             Self::Recorded(samples) => {

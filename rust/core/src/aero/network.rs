@@ -323,7 +323,7 @@ fn shade(links: &mut [PlacedLink], wind_b: &Vector3<f64>, pairs: &mut [[f64; 2]]
 ///
 /// Air along the base's y axis leaves p open: zero.
 fn b_from_tunnel(wind_b: &Vector3<f64>) -> Matrix3<f64> {
-    let cos_y = wind_b.x.hypot(wind_b.z);
+    let cos_y = libm::hypot(wind_b.x, wind_b.z);
     let (cos_p, sin_p) = if cos_y < 1e-12 { (1.0, 0.0) } else { (wind_b.x / cos_y, wind_b.z / cos_y) };
     let sin_y = -wind_b.y;
     let side = Vector3::new(sin_y * cos_p, cos_y, sin_y * sin_p);

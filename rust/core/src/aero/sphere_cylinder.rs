@@ -215,7 +215,7 @@ impl SphereCylinder {
         if reynolds < 10.0 {
             self.drag_below_reynolds_10
         } else if reynolds <= self.sphere.domain().0 {
-            24.0 / reynolds * (1.0 + 0.150 * reynolds.powf(0.681)) + 0.407 / (1.0 + 8710.0 / reynolds)
+            24.0 / reynolds * (1.0 + 0.150 * libm::pow(reynolds, 0.681)) + 0.407 / (1.0 + 8710.0 / reynolds)
         } else {
             self.sphere.at(reynolds)
         }

@@ -14,5 +14,5 @@
 #[must_use]
 pub fn rate_bounds(value: f64, limits: (f64, f64), rate_max: f64, steepness: f64) -> (f64, f64) {
     let (lower, upper) = limits;
-    (-rate_max * (steepness * (value - lower)).tanh(), rate_max * (steepness * (upper - value)).tanh())
+    (-rate_max * libm::tanh(steepness * (value - lower)), rate_max * libm::tanh(steepness * (upper - value)))
 }

@@ -586,7 +586,7 @@ impl Channels {
             state.is_descending |= entry.is_vital && channel.age > self.config.descend_after;
         }
         if is_fresh && modes.contains(Modes::VELOCITY_RECKONED) {
-            let share = -(-self.config.velocity_gain * dt).exp_m1();
+            let share = -libm::expm1(-self.config.velocity_gain * dt);
             let (position, rotation) = (self.layout.position.clone(), self.layout.rotation.clone());
             let moved = vector(&self.now[position.clone()]) - vector(&state.last[position]);
             let turned =

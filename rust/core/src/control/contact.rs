@@ -119,9 +119,9 @@ impl WrenchLimits {
         let mut rows = [(Vector6::zeros(), 0.0); WRENCH_ROWS];
         let half_side = std::f64::consts::PI / FRICTION_SIDES as f64;
         // A side lies between two corners of the circle, so cos(half side) nearer than they.
-        let reach = self.friction * half_side.cos();
+        let reach = self.friction * libm::cos(half_side);
         for (side, (row, _)) in rows.iter_mut().take(FRICTION_SIDES).enumerate() {
-            let (sin, cos) = (half_side * (2 * side + 1) as f64).sin_cos();
+            let (sin, cos) = libm::sincos(half_side * (2 * side + 1) as f64);
             *row = Vector6::new(cos, sin, -reach, 0.0, 0.0, 0.0);
         }
         let torsion = self.torsional_friction;

@@ -79,7 +79,7 @@ impl EngineState {
         column: &Vector6<f64>,
         residual: &Vector6<f64>,
     ) -> Finding {
-        self.deviation = (-dt / config.time_constant).exp() * self.deviation + innovation;
+        self.deviation = libm::exp(-dt / config.time_constant) * self.deviation + innovation;
         if self.is_lost || self.deviation.abs() <= config.deviation_max {
             self.suspected = 0.0;
             return Finding::Nothing;

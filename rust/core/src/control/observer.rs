@@ -127,5 +127,5 @@ impl Default for ObserverState {
 
 /// `1 − exp(−K_o Δt)`.
 fn share(gain: f64, elapsed: f64) -> f64 {
-    -(-gain * elapsed).exp_m1()
+    -libm::expm1(-gain * elapsed)
 }

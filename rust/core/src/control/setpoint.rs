@@ -11,9 +11,9 @@ use super::minimum_jerk::{FilterState, MinimumJerkFilter};
 use super::mission::{AutopilotCommand, Mission};
 use crate::error::{BuildError, check};
 use crate::spatial::{
-    is_rotation, project_to_so3, rotation_from_rpy, rpy_from_rotation, skew, vee_of_skew_part,
+    axis_angle, is_rotation, project_to_so3, rotation_from_rpy, rpy_from_rotation, skew, vee_of_skew_part,
 };
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Speeds, limits and smoothing times of the set-point generator.
@@ -312,7 +312,7 @@ impl SetpointGenerator {
         raw.rpy.y = (raw.rpy.y + rate_pitch * nose_down).clamp(low, high);
         raw.rpy.z += rate_yaw * yaw;
         let velocity = Vector3::new(speed_forward * (1.0 + boost) * forward, 0.0, speed_vertical * vertical);
-        raw.position += Rotation3::from_euler_angles(0.0, 0.0, raw.rpy.z) * velocity * self.time_step;
+        raw.position += axis_angle(&Vector3::z(), raw.rpy.z) * velocity * self.time_step;
     }
 
     /// The smooth set-point that follows the raw one.

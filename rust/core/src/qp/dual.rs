@@ -370,7 +370,7 @@ impl DualActiveSet {
         }
         for row in k..q - 1 {
             let (a, b) = (self.r[row + row * n], self.r[row + 1 + row * n]);
-            let length = a.hypot(b);
+            let length = libm::hypot(a, b);
             if length == 0.0 {
                 continue;
             }

@@ -167,7 +167,7 @@ impl Response {
     /// Thrust rates \[N/s\] that reach the jets when these are commanded for the next `dt` \[s\].
     pub fn delayed(&mut self, command: &[f64], dt: f64) -> &[f64] {
         for (delayed, command) in self.command.iter_mut().zip(command) {
-            let share = if self.lag > 0.0 { -(-dt / self.lag).exp_m1() } else { 1.0 };
+            let share = if self.lag > 0.0 { -libm::expm1(-dt / self.lag) } else { 1.0 };
             *delayed = if share < 1.0 { *delayed + (command - *delayed) * share } else { *command };
         }
         &self.command
@@ -256,7 +256,7 @@ impl JetFaults {
         match failing.kind {
             FailureKind::Stuck => (held, 0.0),
             FailureKind::Off if failing.decay > 0.0 => {
-                let thrust = held * (failing.left / failing.decay).exp();
+                let thrust = held * libm::exp(failing.left / failing.decay);
                 (thrust, -thrust / failing.decay)
             }
             FailureKind::Off => (0.0, 0.0),

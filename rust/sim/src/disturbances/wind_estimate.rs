@@ -93,7 +93,7 @@ impl WindEstimator {
             line: Vec::with_capacity(delayed_ticks),
             next: 0,
             step: if config.time_constant > 0.0 {
-                -(-time_step / config.time_constant).exp_m1()
+                -libm::expm1(-time_step / config.time_constant)
             } else {
                 1.0
             },

@@ -134,11 +134,11 @@ impl Real for f64 {
     }
 
     fn tanh(self) -> Self {
-        Self::tanh(self)
+        libm::tanh(self)
     }
 
     fn silu(self) -> Self {
-        self / (1.0 + Self::exp(-self))
+        self / (1.0 + libm::exp(-self))
     }
 }
 
