@@ -47,7 +47,7 @@ AIR_DENSITY = 1.225
 
 @dataclass(frozen=True)
 class Link:
-    """A limb as the air sees it, in the frame of the MuJoCo body that carries it."""
+    """A limb as the aerodynamic models have it, in the frame of the MuJoCo body that carries it."""
 
     body: str
     diameter: float

@@ -147,7 +147,7 @@ class ChannelConfig(Table, frozen=True, kw_only=True):
 
 
 class Greatest(Table, frozen=True, kw_only=True):
-    """Greatest values that are believed; by default those of a simulated flight that has not diverged."""
+    """Greatest values that are accepted; by default those of a simulated flight that has not diverged."""
 
     angular_velocity: Positive = 100.0
     """Angular velocity of the base [rad/s]."""
@@ -170,7 +170,7 @@ class Greatest(Table, frozen=True, kw_only=True):
 
 
 class Jumps(Table, frozen=True, kw_only=True):
-    """Greatest differences to the reckoned value that are believed. Wind, thrusts and feet may jump."""
+    """Greatest differences to the predicted value that are accepted. Wind, thrusts and feet may jump."""
 
     angular_velocity: Positive = 2.0
     """Angular velocity of the base [rad/s]."""
@@ -187,16 +187,16 @@ class Jumps(Table, frozen=True, kw_only=True):
 
 
 class ChannelsConfig(Table, frozen=True, kw_only=True):
-    """What is believed of measurements, and what happens without them."""
+    """Which measurements are accepted, and what happens without them."""
 
     descend_after: NonNegative = 3.0
     """Age of a channel of joints or base from which on the robot levels and descends, and does so to the end [s]."""
     frozen_ticks: Annotated[int, Meta(ge=1)] = 5
     """Number of ticks with the same bits after which a value can be frozen."""
     greatest: Greatest = Greatest()
-    """Greatest values that are believed, of each component."""
+    """Greatest values that are accepted, of each component."""
     jump: Jumps | None = None
-    """Greatest differences to the reckoned value that are believed, of each component; without it all of them, and no
+    """Greatest differences to the predicted value that are accepted, of each component; without it all of them, and no
     value counts as frozen and no time step as wrong.
     """
     velocity_gain: NonNegative = 20.0
@@ -261,7 +261,7 @@ class EnginesConfig(Table, frozen=True, kw_only=True):
 
 
 class EstimatorConfig(Table, frozen=True, kw_only=True):
-    """How old the measurements are, and how much they are trusted."""
+    """How old the measurements are, and how much they count."""
 
     base_angular_velocity: ChannelConfig = ChannelConfig()
     """Gyroscopes."""
@@ -323,7 +323,7 @@ class MomentumGains(Table, frozen=True, kw_only=True):
 
 
 class ObserverConfig(Table, frozen=True, kw_only=True):
-    """How fast the observer follows, and what it believes at most."""
+    """How fast the observer follows, and the greatest wrench that it estimates."""
 
     force_max: NonNegative
     """Greatest observed force along each axis [N]."""
@@ -452,9 +452,9 @@ class ControllerSection(Table, frozen=True, kw_only=True):
     bounds: BoundsConfig
     """Bounds of the momentum QP."""
     channels: ChannelsConfig = ChannelsConfig()
-    """What is believed of measurements, and what happens without them."""
+    """Which measurements are accepted, and what happens without them."""
     contact: ContactConfig | None = None
-    """What it takes to stand on the ground; without it the controller knows no feet."""
+    """What it takes to stand on the ground; without it the controller has no feet."""
     engines: EnginesConfig | None = None
     """When an engine counts as lost; without it, never."""
     estimator: EstimatorConfig | None = None
@@ -468,7 +468,7 @@ class ControllerSection(Table, frozen=True, kw_only=True):
     momentum: MomentumGains
     """Gains of the momentum and attitude tasks."""
     observer: ObserverConfig | None = None
-    """What observes the wrench that no model knows; without it there is none."""
+    """What observes the wrench that is in no model; without it there is none."""
     posture_gain: dict[str, float]
     """Posture gain `K_s` by joint group [1/s]."""
     qp: QpConfig = QpConfig()
@@ -482,7 +482,7 @@ class ControllerSection(Table, frozen=True, kw_only=True):
     weights: MomentumWeights
     """Weights of the momentum QP."""
     wind_observer: WindObserverConfig | None = None
-    """Estimates the wind from the force that acts on the robot; without it the controller is told the wind."""
+    """Estimates the wind from the force that acts on the robot; without it the controller is given the wind."""
 
 
 class ForceFactorsConfig(Table, frozen=True, kw_only=True):
@@ -765,7 +765,7 @@ Engine: TypeAlias = Literal["rust", "jax", "mujoco"]
 
 rust: This crate.
 jax: The batched, differentiable simulation in Python.
-mujoco: MuJoCo, in Python: the one that knows the ground.
+mujoco: MuJoCo, in Python: the one with a ground.
 """
 
 
@@ -800,7 +800,7 @@ class InitialConfig(Table, frozen=True, kw_only=True):
     """Velocity of the base origin, then angular velocity, inertial axes [m/s, rad/s]."""
     free_fall_tick: bool = False
     """Whether the first physics step has neither thrust nor torque, as the delays of the published model make it: the
-    controller first sees a robot that has fallen for one tick.
+    controller first gets a robot that has fallen for one tick.
     """
     joint_position: tuple[float, ...]
     """Joint positions in the robot's order [rad]."""
@@ -817,7 +817,7 @@ explicit_euler: Pose and velocity both advance with the old velocity and acceler
 
 
 ThrustFeedback: TypeAlias = Literal["measured", "estimated"]
-"""Which thrust the flight controller sees.
+"""Which thrust the flight controller gets.
 
 measured: The true thrust, without noise.
 estimated: The estimate of the `ThrustEkf`.
@@ -973,7 +973,7 @@ class ScenarioConfig(Table, frozen=True, kw_only=True):
     engine: Engine = "rust"
     """Which engine flies it. This crate is one of them and reads the files of both."""
     mission: MissionConfig
-    """When the autopilot asks for what."""
+    """What the autopilot demands, and when."""
     robot: Path
     """The robot's TOML file."""
     simulator: SimulatorConfig

@@ -2,8 +2,8 @@
 
     JetsConfig, RobotModel ──jet_dynamics──► JetDynamics;   thrust rate command ──advance──► JetsState
 
-Two dynamics: `ideal` obeys the command exactly, as in every published flight; `second_order` is the identified engine,
-with the throttle loop and the estimator that the real robot needs. All functions serve all jets at once.
+Two dynamics: `ideal` follows the command exactly, as in every published flight; `second_order` is the identified
+engine, with the throttle loop and the estimator that the real robot needs. All functions serve all jets at once.
 `JetDynamics` is a protocol: any pytree with its methods will do.
 
 Equations M31 to M35 of `docs/model.md`.

@@ -53,7 +53,7 @@ class Observed(NamedTuple):
 
 
 class GroundPlant:
-    """The standing robot as MuJoCo sees it.
+    """The standing robot as MuJoCo has it.
 
     Parameters
     ----------

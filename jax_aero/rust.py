@@ -316,7 +316,7 @@ class Tick:
     momentum_rate_estimate
         L̇ [N, N m], (6,).
     unmodelled_wrench
-        ŵ, the observed part of it that no model knows; zero without an observer [N, N m], (6,).
+        ŵ, the observed part of it that is in no model; zero without an observer [N, N m], (6,).
     k_ddot_desired, sigma
         Demand of the attitude law: k̈* in base axes, σ.
     task, task_offset

@@ -136,7 +136,8 @@ def to_dataset(robot: RobotModel, dataset: Dataset, finished: Sequence[Finished]
 def link_axes(robot: RobotModel, dataset: Dataset) -> Floats:
     """Return the axes of symmetry of the links (N, 13, 3), base axes."""
     geometry, number = posture_geometry(robot, dataset.joint_position_deg)
-    return np.asarray(geometry.axes, dtype=np.float64)[number]
+    axes: Floats = np.asarray(geometry.axes, dtype=np.float64)[number]
+    return axes
 
 
 def axisymmetric_areas(coefficients: Any, dataset: Dataset, axes: Floats) -> Floats:

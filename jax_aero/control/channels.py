@@ -1,8 +1,8 @@
 """What a tick takes the measurement to be, channel by channel, where some of it is missing or cannot be right.
 
 Every channel is treated alike. The model moves its last value on to this tick; the measured value is used if it is
-finite, within what is believed of it and near what is reckoned, and if it is not frozen, that is, the same to the bit
-for several ticks while what is reckoned moves away. Else the reckoned value is used, and the channel's age grows.
+finite, within its accepted range and near its predicted value, and if it is not frozen, that is, the same to the bit
+for several ticks while what is predicted moves away. Else the predicted value is used, and the channel's age grows.
 
 All numbers of a measurement stand in one vector of `E` entries: wind, thrusts, joint positions, joint velocities, base
 velocity, position and rotation (row by row); `C` channels own them.
@@ -39,24 +39,24 @@ MODES = {
     "wind_held": 1,
     "wind_lost": 2,
     "thrust_modelled": 4,
-    "joints_reckoned": 8,
-    "position_reckoned": 16,
-    "rotation_reckoned": 32,
-    "velocity_reckoned": 64,
+    "joints_predicted": 8,
+    "position_predicted": 16,
+    "rotation_predicted": 32,
+    "velocity_predicted": 64,
     "feet_held": 128,
-    "clock_reckoned": 256,
+    "clock_predicted": 256,
     "descending": 512,
     "engine_lost": 1024,
 }
 """In which ways a tick differs from one with every measurement: a set, one bit each, as in the Rust crate."""
 
-WITHOUT_MOMENTUM = MODES["joints_reckoned"] | MODES["rotation_reckoned"] | MODES["velocity_reckoned"]
+WITHOUT_MOMENTUM = MODES["joints_predicted"] | MODES["rotation_predicted"] | MODES["velocity_predicted"]
 """Ticks of these modes do not measure the momentum."""
 
 
 @pytree
 class ChannelLimits:
-    """What is believed of measurements, and what happens without them."""
+    """Which measurements are accepted, and what happens without them."""
 
     wind_hold: Float[Array, ""]
     """[s]."""
@@ -71,9 +71,9 @@ class ChannelLimits:
     """[s]."""
     greatest: Float[Array, " E"]
     jump: Float[Array, " E"]
-    """Infinite where everything is believed."""
+    """Infinite where everything is accepted."""
     compares: Static[bool]
-    """Whether values are compared with what is reckoned."""
+    """Whether values are compared with what is predicted."""
 
 
 class ChannelsState(NamedTuple):
@@ -86,10 +86,10 @@ class ChannelsState(NamedTuple):
     is_frozen: Bool[Array, " C"]
     """Whether they are frozen: until their bits change."""
     is_distrusted: Bool[Array, " C"]
-    """Whether they are believed no more."""
+    """Whether they are no longer accepted."""
     last: Float[Array, " E"]
     """The measurement of the last tick."""
-    reckoned: Float[Array, " E"]
+    predicted: Float[Array, " E"]
     """What the model makes of the last values that were measured."""
     acceleration: Float[Array, " N"]
     """Acceleration `ν̇` that the last command causes."""
@@ -110,7 +110,7 @@ class Seen(NamedTuple):
     modes: Int[Array, ""]
     """What of it is not measured."""
     thrust_innovation: Float[Array, " j"]
-    """By how much each thrust is not the reckoned one; zero where it is not measured [N]."""
+    """By how much each thrust is not the predicted one; zero where it is not measured [N]."""
     elapsed: Float[Array, ""]
     """Time since the last tick [s]."""
 
@@ -158,7 +158,7 @@ def start(robot: RobotModel, state: State) -> ChannelsState:
         is_frozen=jnp.zeros(channels, bool),
         is_distrusted=jnp.zeros(channels, bool),
         last=numbers,
-        reckoned=numbers,
+        predicted=numbers,
         acceleration=jnp.zeros(6 + n, like.dtype),
         thrust_rate=none,
         is_begun=jnp.array(False),
@@ -188,9 +188,9 @@ def update(
     is_step = (elapsed > 0.0) & (elapsed < GAP_MAX * time_step)
     dt = jnp.where(is_step, elapsed, time_step)
     wrong_step = memory.is_begun & ~is_step & limits.compares
-    modes = jnp.where(is_known & ~wrong_step, 0, MODES["clock_reckoned"])
+    modes = jnp.where(is_known & ~wrong_step, 0, MODES["clock_predicted"])
 
-    reckoned = jnp.where(memory.is_begun, _reckon(memory, jets, n, dt), memory.reckoned)
+    predicted = jnp.where(memory.is_begun, _predict(memory, jets, n, dt), memory.predicted)
 
     def of_all(entries: Array) -> Array:
         return jnp.all(entries[None, :] | ~owners, axis=1)
@@ -200,29 +200,29 @@ def update(
     is_believed = of_all(jnp.abs(now) <= limits.greatest) & ~memory.is_distrusted
     is_believed = is_believed.at[ROTATION].set(is_believed[ROTATION] & is_rotation(state.base_rotation))
 
-    def judge(reckoned: Array) -> tuple[Array, Array]:
+    def judge(predicted: Array) -> tuple[Array, Array]:
         """Whether each channel is measured, and whether it is frozen."""
         if not limits.compares:
             return is_believed, memory.is_frozen
-        distance = jnp.abs(now - reckoned)
+        distance = jnp.abs(now - predicted)
         is_near = of_all(distance <= (1.0 + limits.widening * memory.age)[owner] * limits.jump)
         leaves = (same >= limits.frozen_ticks) & ~of_all(distance <= FROZEN_SHARE * limits.jump)
         is_frozen = is_same & (memory.is_frozen | leaves)
         return is_believed & is_near & ~is_frozen, is_frozen
 
     # The pose integrates the velocity of this tick, measured or not.
-    velocity = jnp.where(judge(reckoned)[0][VELOCITY], now[-18:-12], reckoned[-18:-12])
-    pose = _integrate(memory.reckoned[-12:], velocity, dt)
-    reckoned = jnp.where(memory.is_begun, reckoned.at[-12:].set(pose), memory.reckoned)
-    is_measured, is_frozen = judge(reckoned)
+    velocity = jnp.where(judge(predicted)[0][VELOCITY], now[-18:-12], predicted[-18:-12])
+    pose = _integrate(memory.predicted[-12:], velocity, dt)
+    predicted = jnp.where(memory.is_begun, predicted.at[-12:].set(pose), memory.predicted)
+    is_measured, is_frozen = judge(predicted)
     age = jnp.where(is_measured, 0.0, memory.age + dt)
     of_entry = is_measured[owner]
     # What is not measured must not enter the computation, not even its derivative.
-    now = jnp.where(of_entry, now, reckoned)
-    innovation = jnp.where(memory.is_begun, (now - reckoned)[3 : 3 + jets], 0.0)
-    # Of joints and base the reckoned value moves on, to be compared with one that may be frozen.
+    now = jnp.where(of_entry, now, predicted)
+    innovation = jnp.where(memory.is_begun, (now - predicted)[3 : 3 + jets], 0.0)
+    # Of joints and base the predicted value moves on, to be compared with one that may be frozen.
     is_vital = np.arange(owners.shape[0]) > jets
-    reckoned = jnp.where((is_measured & ~(is_same & is_vital))[owner], now, reckoned)
+    predicted = jnp.where((is_measured & ~(is_same & is_vital))[owner], now, predicted)
 
     # The differences of a pose that this tick and the last one measured, and anew.
     fresh = memory.is_begun & jnp.all(is_measured[-2:] & ~is_same[-2:] & (memory.age[-2:] == 0.0))
@@ -230,11 +230,11 @@ def update(
     moved = now[-12:-9] - before[-12:-9]
     turned = vee_of_skew_part(multiply(now[-9:].reshape(3, 3), before[-9:].reshape(3, 3).T))
     share = -jnp.expm1(-limits.velocity_gain * dt)
-    lost = reckoned[-18:-12]
+    lost = predicted[-18:-12]
     followed = lost + share * (jnp.concatenate([moved, turned]) / dt - lost)
-    reckoned = reckoned.at[-18:-12].set(jnp.where(fresh & ~is_measured[VELOCITY], followed, lost))
+    predicted = predicted.at[-18:-12].set(jnp.where(fresh & ~is_measured[VELOCITY], followed, lost))
 
-    used = jnp.where(of_entry, now, reckoned)
+    used = jnp.where(of_entry, now, predicted)
     left = 1.0 - (age[0] - limits.wind_hold) / limits.wind_fade
     fading = jnp.where(is_measured[0], 1.0, jnp.clip(left, 0.0, 1.0))
     used = used.at[:3].multiply(fading)
@@ -250,7 +250,7 @@ def update(
         same=same,
         is_frozen=is_frozen,
         last=_flat(state, thrust, wind),
-        reckoned=reckoned,
+        predicted=predicted,
         is_begun=jnp.array(True),
         is_descending=is_descending,
     )
@@ -264,12 +264,12 @@ def update(
     return after, Seen(clock, seen, used[3 : 3 + jets], used[:3], modes.astype(jnp.int32), innovation, dt)
 
 
-def distrust(memory: ChannelsState, is_wrong: Bool[Array, " j"], deviation: Float[Array, " j"]) -> ChannelsState:
+def reject_sensor(memory: ChannelsState, is_wrong: Bool[Array, " j"], deviation: Float[Array, " j"]) -> ChannelsState:
     """Use the measured thrusts of some jets no more, which were measured too large by `deviation` [N]."""
     jets = is_wrong.shape[0]
     return memory._replace(
         is_distrusted=memory.is_distrusted.at[1 : 1 + jets].set(memory.is_distrusted[1 : 1 + jets] | is_wrong),
-        reckoned=memory.reckoned.at[3 : 3 + jets].add(jnp.where(is_wrong, -deviation, 0.0)),
+        predicted=memory.predicted.at[3 : 3 + jets].add(jnp.where(is_wrong, -deviation, 0.0)),
     )
 
 
@@ -285,9 +285,9 @@ def _flat(state: State, thrust: Array, wind: Array) -> Array:
     return jnp.concatenate([wind, thrust, *joints, *base])
 
 
-def _reckon(memory: ChannelsState, jets: int, n: int, dt: Array) -> Array:
+def _predict(memory: ChannelsState, jets: int, n: int, dt: Array) -> Array:
     """Move every value but the pose on by `dt` [s]: M78 for velocities and joints, M31 for thrusts."""
-    last = memory.reckoned
+    last = memory.predicted
     thrust = jnp.maximum(last[3 : 3 + jets] + dt * memory.thrust_rate, 0.0)
     rates = last[3 + jets + n : 3 + jets + 2 * n] + dt * memory.acceleration[6:]
     joints = last[3 + jets : 3 + jets + n] + dt * rates

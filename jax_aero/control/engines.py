@@ -54,7 +54,7 @@ def update(
     a_t: Float[Array, "6 j"],
     residual: Float[Array, "6"],
 ) -> tuple[EngineState, Bool[Array, " j"], Float[Array, " j"]]:
-    """Take in by how much thrusts are not the reckoned ones.
+    """Take in by how much thrusts are not the predicted ones.
 
     Also return which sensors are wrong, and by how much.
 
@@ -68,6 +68,6 @@ def update(
     explained = -(a_t.T @ residual) / jnp.sum(a_t**2, axis=0)
     is_wrong = is_sure & (explained * jnp.sign(deviation) > 0.5 * jnp.abs(deviation))
     is_lost = last.is_lost | (is_sure & ~is_wrong)
-    # A sensor that is believed no more says nothing about its engine.
+    # A sensor that is no longer accepted says nothing about its engine.
     after = EngineState(jnp.where(is_wrong, 0.0, deviation), jnp.where(is_wrong, 0.0, suspected), is_lost)
     return after, is_wrong, deviation

@@ -44,12 +44,12 @@ class Order(NamedTuple):
     thrust_rate: Float[Array, " j"]
     """[N/s]."""
     unmodelled: Float[Array, "6"]
-    """Wrench that no model knows, about the centre of mass [N, N m]."""
+    """Wrench that is in no model, about the centre of mass [N, N m]."""
 
 
 @pytree
 class Estimator:
-    """How old measurements are, and how much they are believed.
+    """How old measurements are, and how much they count.
 
     In this order: base position, rotation, linear and angular velocity, joint positions and velocities, thrusts.
     """
@@ -57,7 +57,7 @@ class Estimator:
     age: Int[Array, "7"]
     """In ticks."""
     share: Float[Array, "7"]
-    """Share of the innovation that is believed."""
+    """Share of the innovation that is accepted."""
     learnt: Float[Array, ""]
     """Share of what the joints do besides that is learnt per tick; zero where nothing is."""
     aero: AeroModel
@@ -172,7 +172,7 @@ def advance(
         + generalised_aero_force(robot, kin, link, link.jacobian_points)
         + jnp.concatenate([jnp.zeros_like(order.unmodelled), order.torque])
     )
-    # What no model knows moves the whole robot: where on it that acts is not known. What moves joints besides is
+    # What is in no model moves the whole robot: where on it that acts is not known. What moves joints besides is
     # internal, and leaves the momentum as it is.
     wrench = order.unmodelled - dyn.momentum_matrix[:, 6:] @ disturbance
     angular = jnp.linalg.solve(dyn.centroidal_inertia, wrench[3:])

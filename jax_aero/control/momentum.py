@@ -43,7 +43,7 @@ class MomentumModel(NamedTuple):
     rate_estimate: Float[Array, "6"]
     """`L̇` [N, N m]."""
     unmodelled_wrench: Float[Array, "6"]
-    """Observed wrench that no model knows, `ŵ`, part of the rate; zero without an observer [N, N m]."""
+    """Observed wrench that is in no model, `ŵ`, part of the rate; zero without an observer [N, N m]."""
 
     def with_unmodelled(self, wrench: Float[Array, "6"]) -> MomentumModel:
         """Return the same with the observed wrench `ŵ` in the momentum rate."""

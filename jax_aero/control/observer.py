@@ -29,7 +29,7 @@ RESIDUAL_TIME = 0.02
 
 @pytree
 class ObserverGains:
-    """How fast the observer follows, and what it believes at most."""
+    """How fast the observer follows, and the greatest wrench that it estimates."""
 
     gain_force: Float[Array, ""]
     """`K_o` of the force [1/s]."""

@@ -53,7 +53,7 @@ from jax_aero.types import Array, Setpoint, State, leaf, leaves, where
 NOMINAL, DEGRADED, MOMENTUM_HELD, TORQUE_HELD, BOTH_HELD = range(5)
 """Codes of `Command.status`: whether a command is what the controller wanted, as in the Rust crate.
 
-Degraded: something of the measurement had to be reckoned, or the robot is on its way down; `Command.degraded_modes`
+Degraded: something of the measurement had to be predicted, or the robot is on its way down; `Command.degraded_modes`
 says what. Momentum held: its QP has no certified answer; rates and velocities are as near to zero as their bounds
 allow, torques brake the joints. Torque held: its QP has none; torques stay.
 """
@@ -238,7 +238,7 @@ def tick(
 
     `time` [s], `thrust` [N], `wind` [m/s, inertial axes]. With `setpoint` the mission is not followed.
 
-    What of the measurement is missing or cannot be right is reckoned from what is known; the command says what.
+    What of the measurement is missing or cannot be right is predicted from what is known; the command says what.
     """
     with jax.default_matmul_precision("highest"):
         known, seen = channels.update(
@@ -283,7 +283,7 @@ def _act(
         turning, is_wrong, deviation = engines.update(
             params.engines, before, elapsed, innovation, momentum.a_t, residual
         )
-        known = channels.distrust(known, is_wrong, deviation)
+        known = channels.reject_sensor(known, is_wrong, deviation)
         newly = turning.is_lost & ~before.is_lost
         descends = known.is_descending | (jnp.any(newly) & (params.engines.descend > 0.0))
         known = known._replace(is_descending=descends)
@@ -313,7 +313,7 @@ def _act(
     )
     shaping = momentum_qp(params.tasks, switches.symmetric_pairs, inputs, params.other_tasks)
     if turning is not None:
-        # An engine that is lost is asked for nothing: the others take its share.
+        # An engine that is lost gets no thrust rate: the others take its share.
         works = jnp.concatenate([~turning.is_lost, jnp.ones_like(state.joint_position, bool)])
         problem = shaping.problem
         problem = problem._replace(

@@ -30,7 +30,7 @@ DIFFERENCE = 0.1
 """Step of the differences that make the Jacobian [m/s]."""
 
 GREATEST = 1e4
-"""Greatest wrench that is believed [N, N m]."""
+"""Greatest wrench that is estimated from [N, N m]."""
 
 
 @pytree

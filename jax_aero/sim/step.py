@@ -140,7 +140,7 @@ class FlightState(NamedTuple):
     estimator: EstimatorState | None
     """`None` where there is no estimator."""
     wind_observer: WindState | None
-    """`None` where the controller is told the wind."""
+    """`None` where the controller is given the wind."""
     outages: tuple[Held, ...]
     """What was measured when each outage began."""
     loss: Int[Array, ""]
@@ -236,7 +236,7 @@ def prepare(
         robot = load_robot(config.robot)
     for key, table in (("ground", config.simulator.ground), ("motors", config.simulator.motors)):
         if table is not None:
-            raise ValueError(f"`simulator.{key}` is given; expected none: this engine knows neither ground nor motors")
+            raise ValueError(f"`simulator.{key}` is given; expected none: this engine has neither ground nor motors")
     wind, replaced = wind_model(config.wind), config.disturbances.controller_wind
     controller_wind = None if replaced is None else wind_model(replaced)
     plant, state = world.start_plant(config.simulator, config.disturbances, robot, aero, jets, read_network)
@@ -464,8 +464,8 @@ def _observe(scenario: Scenario, state: PlantState, command: Command, wind: Arra
     plant, terms = scenario.plant, command.terms
     is_another = scenario.controller_model is not None or scenario.sensors is not None or scenario.estimator is not None
     channels = getattr(scenario.controller, "channels", None)
-    may_be_reckoned = bool(scenario.outages) or (channels is not None and channels.compares)
-    if terms is None or is_another or may_be_reckoned or plant.backend != "tree":
+    may_be_predicted = bool(scenario.outages) or (channels is not None and channels.compares)
+    if terms is None or is_another or may_be_predicted or plant.backend != "tree":
         return world.observe(plant, state, wind)
     return world.observe(plant, state, wind, (terms.kinematics, terms.dynamics))
 

@@ -43,7 +43,7 @@ def _serve(given: Any) -> int:
     config = recordings[0].config if recordings else default_config()
     page = Page(recordings, config, given.host, given.port)
     for reason in page.solid.look.missing:
-        print(f"not drawn, or as the air sees it: {reason}")
+        print(f"not drawn, or as the aerodynamic models have it: {reason}")
     print(f"{page.url} shows {page.solid.title}; Ctrl-C ends it", flush=True)
     try:
         threading.Event().wait()

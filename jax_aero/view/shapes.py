@@ -73,7 +73,7 @@ class Look:
     parents: tuple[int, ...]
     """Parent of each body; −1 for the base."""
     missing: tuple[str, ...] = ()
-    """Why a link's mesh is not drawn, link by link; those with aerodynamics are drawn as the air sees them."""
+    """Why a link's mesh is not drawn, link by link; those with aerodynamics are drawn as their models have them."""
 
 
 Solid = tuple[Kind, tuple[float, float, float], Mesh | None]

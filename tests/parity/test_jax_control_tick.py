@@ -149,7 +149,7 @@ def test_switches(name, overrides, agree):
 
 
 def test_safe_commands(published, ticks):
-    """A number that is not finite: where the crate reckons or holds, so do we, and with the same command."""
+    """A number that is not finite: where the crate predicts or holds, so do we, and with the same command."""
     nan = np.nan
     good = random_samples(published.robot, BATCH, seed=9)
 

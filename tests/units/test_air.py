@@ -1,4 +1,4 @@
-"""The air for other simulators: MuJoCo feels what our own simulator does, with our robots and with declared links."""
+"""The air for other simulators: MuJoCo gets the forces of our simulator, with our robots and with declared links."""
 
 import jax
 import jax.numpy as jnp

@@ -119,28 +119,14 @@ def test_it_is_small_and_asks_for_nothing(visit, built):
     assert {url for url in page.requests if not url.startswith(("data:", "blob:"))} <= here
 
 
-# Rounding differs between the two, as between two processors: sines of another library, sums of two numbers at a time.
-# A native flight whose joints begin 1e-14 rad elsewhere leaves the first one as far as the page does (docs/lab.md).
-BOUNDS = {
-    "TEST1": ((19.0, 1e-9), (50.0, 1e-6)),
-    "TEST2": ((50.0, 1e-9),),
-    "TEST3": ((6.0, 1e-9),),  # which is chaotic from there on
-    "TEST4": ((19.0, 1e-9), (50.0, 1e-5)),
-}
-
-
-@pytest.mark.close_to_tolerance("rounding that the flight magnifies")
 def test_the_papers_flights_are_those_of_the_crate(visit):
     page = visit()
-    for name, bounds in BOUNDS.items():
+    for name in ("TEST1", "TEST2", "TEST3", "TEST4"):
         ours = page.fly(name)
         native = rust.fly(rust.load_config(ROOT / f"configs/experiments/{name.lower()}.toml"))
-        if name != "TEST3":
-            assert (ours.outcome, ours.log["time"].size) == (native.outcome, native.log["time"].size)
-        for until, bound in bounds:
-            ticks = round(until / 0.01)
-            worst = max(np.abs(ours[state][:ticks] - native[state][:ticks]).max() for state in STATES)
-            measured(f"{name} in the page, until {until:.0f} s", worst, bound)
+        assert (ours.outcome, ours.log["time"].size) == (native.outcome, native.log["time"].size)
+        for state in STATES:
+            np.testing.assert_array_equal(ours[state], native[state], f"{name}: {state}")
     speed = page.tab.evaluate("""() => {
         const flight = page.lab.begin(scenarios.configuration(scenarios.DEFAULTS));
         const begin = performance.now();

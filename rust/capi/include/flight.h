@@ -24,7 +24,7 @@ typedef enum FlightStatus {
   FLIGHT_TORQUE_HELD = 4,
   // Neither QP has an answer.
   FLIGHT_BOTH_HELD = 5,
-  // The command of the control law for a measurement of which something had to be reckoned (NaN stands for what is
+  // The command of the control law for a measurement of which something had to be predicted (NaN stands for what is
   // not measured), or on the way down.
   FLIGHT_DEGRADED = 6,
   // No flight has been started, or it cannot begin with this measurement. No command is written.

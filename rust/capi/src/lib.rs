@@ -36,7 +36,7 @@ pub enum FlightStatus {
     FlightTorqueHeld = 4,
     /// Neither QP has an answer.
     FlightBothHeld = 5,
-    /// The command of the control law for a measurement of which something had to be reckoned (NaN stands for what is
+    /// The command of the control law for a measurement of which something had to be predicted (NaN stands for what is
     /// not measured), or on the way down.
     FlightDegraded = 6,
     /// No flight has been started, or it cannot begin with this measurement. No command is written.

@@ -209,7 +209,7 @@ impl Controller {
 
     /// One tick, which follows the mission.
     ///
-    /// What of the measurement is missing or cannot be right is reckoned from what is known ([`channels`]); the command
+    /// What of the measurement is missing or cannot be right is predicted from what is known ([`channels`]); the command
     /// says what. A measurement that is not of this robot moves nothing but the time and the set-point: thrust rates
     /// and joint velocities are zero, torques stay.
     pub fn tick(&mut self, state: &mut ControllerState, measurement: &Measurement) -> &Command {
@@ -318,7 +318,7 @@ impl Controller {
                 ) {
                     Finding::Lost => state.channels.is_descending |= config.descend,
                     Finding::WrongSensor => {
-                        state.channels.distrust(jet, engine.deviation);
+                        state.channels.reject_sensor(jet, engine.deviation);
                         *engine = engines::EngineState::default();
                     }
                     Finding::Nothing => {}
@@ -359,7 +359,7 @@ impl Controller {
             contact,
         };
         momentum_qp.update(&self.model, &inputs);
-        // An engine that is lost is asked for nothing: the others take its share.
+        // An engine that is lost gets no thrust rate: the others take its share.
         for (jet, _) in state.engines.iter().enumerate().filter(|(_, engine)| engine.is_lost) {
             (momentum_qp.problem.lower[jet], momentum_qp.problem.upper[jet]) = (0.0, 0.0);
         }
@@ -446,12 +446,12 @@ impl Controller {
                 *integral = (*integral + self.time_step * error).clamp(-INTEGRAL_LIMIT, INTEGRAL_LIMIT);
             }
         }
-        self.foresee(state, is_factorised);
+        self.predict_acceleration(state, is_factorised);
     }
 
     /// What the command makes of the robot, for the channels of the next tick:
     /// `ν̇ = M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a + J_cᵀ f_c + S τ + ŵ − h)`, the observed wrench `ŵ` on the base.
-    fn foresee(&mut self, state: &mut ControllerState, is_factorised: bool) {
+    fn predict_acceleration(&mut self, state: &mut ControllerState, is_factorised: bool) {
         let Terms { kinematics, momentum, contact, .. } = &self.terms;
         let acceleration = &mut self.acceleration;
         acceleration.fill(0.0);

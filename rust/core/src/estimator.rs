@@ -24,7 +24,7 @@ use serde::{Deserialize, Serialize};
 /// Greatest age of a measurement \[s\]: every tick of it costs an evaluation of the model.
 const MAX_DELAY: f64 = 0.2;
 
-/// How old the measurements are, and how much they are trusted.
+/// How old the measurements are, and how much they count.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
@@ -172,7 +172,7 @@ impl Model {
             return;
         }
         mass_factor.solve_in_place(acceleration);
-        // What no model knows moves the whole robot: where on it that acts is not known. What moves joints besides is
+        // What is in no model moves the whole robot: where on it that acts is not known. What moves joints besides is
         // internal, and leaves the momentum as it is.
         let mut wrench = order.unmodelled;
         for (joint, extra) in disturbance.iter().enumerate() {
@@ -209,7 +209,7 @@ pub struct Estimator {
     time_step: f64,
     /// Age of each channel in ticks, in the order of the configuration.
     ages: [usize; 7],
-    /// Share of each channel's innovation that is believed.
+    /// Share of each channel's innovation that is used.
     shares: [f64; 7],
     /// Share of what the joints do besides that is learnt per tick; zero where nothing is.
     learnt: f64,

@@ -6,7 +6,7 @@
 //! ```
 //!
 //! It stands beside the controller: it reads what a tick computed, and the next tick is given its wind. A robot that
-//! stands upright feels little of a vertical wind, which is therefore held near zero by what is known of winds.
+//! stands upright gets little force from a vertical wind, which is therefore held near zero by what is known of winds.
 //!
 //! Equation M94 of `docs/model.md`.
 
@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 /// that matter.
 const DIFFERENCE: f64 = 0.1;
 
-/// Greatest wrench that is believed \[N, N m\].
+/// Greatest wrench that is estimated from \[N, N m\].
 const GREATEST: f64 = 1e4;
 
 /// How the wind is estimated.

@@ -105,7 +105,7 @@ fn what_is_measured_is_used() {
 
 /// Without any measurement joints and base move by the step of M78, thrusts by M31, each by hand.
 #[test]
-fn what_is_missing_is_reckoned() {
+fn what_is_missing_is_predicted() {
     let mut rig = Rig::new(&ChannelsConfig::default());
     let Sample { state: mut expected, mut thrust, wind, .. } = rig.sample.clone();
     let (acceleration, rate) = (rig.state.acceleration.clone(), rig.state.thrust_rate.clone());
@@ -137,10 +137,10 @@ fn what_is_missing_is_reckoned() {
             [
                 "wind_held",
                 "thrust_modelled",
-                "joints_reckoned",
-                "position_reckoned",
-                "rotation_reckoned",
-                "velocity_reckoned"
+                "joints_predicted",
+                "position_predicted",
+                "rotation_predicted",
+                "velocity_predicted"
             ]
         );
     }
@@ -155,11 +155,11 @@ fn each_channel_is_lost_alone() {
         (|sample| sample.wind.y = 301.0, Modes::WIND_HELD),
         (|sample| sample.thrust[1] = f64::INFINITY, Modes::THRUST_MODELLED),
         (|sample| sample.thrust[1] = -2201.0, Modes::THRUST_MODELLED),
-        (|sample| sample.state.joint_position[4] = 101.0, Modes::JOINTS_RECKONED),
-        (|sample| sample.state.velocity[28] = f64::NAN, Modes::JOINTS_RECKONED),
-        (|sample| sample.state.base.position.z = f64::NAN, Modes::POSITION_RECKONED),
-        (|sample| sample.state.base.rotation *= 1.01, Modes::ROTATION_RECKONED),
-        (|sample| sample.state.velocity[3] = 101.0, Modes::VELOCITY_RECKONED),
+        (|sample| sample.state.joint_position[4] = 101.0, Modes::JOINTS_PREDICTED),
+        (|sample| sample.state.velocity[28] = f64::NAN, Modes::JOINTS_PREDICTED),
+        (|sample| sample.state.base.position.z = f64::NAN, Modes::POSITION_PREDICTED),
+        (|sample| sample.state.base.rotation *= 1.01, Modes::ROTATION_PREDICTED),
+        (|sample| sample.state.velocity[3] = 101.0, Modes::VELOCITY_PREDICTED),
     ];
     for (spoil, mode) in cases {
         let mut rig = Rig::new(&ChannelsConfig::default());
@@ -182,9 +182,9 @@ fn a_lost_wind_is_held_and_fades() {
     }
 }
 
-/// A value is believed up to its jump, and up to twice the jump after a second without any.
+/// A value is accepted up to its jump, and up to twice the jump after a second without any.
 #[test]
-fn a_jump_is_believed_when_the_channel_is_old_enough() {
+fn a_jump_is_accepted_when_the_channel_is_old_enough() {
     let off_by = |jump: f64| move |sample: &mut Sample| sample.state.velocity[1] += jump;
     let mut rig = Rig::new(&with_jumps());
     rig.state.acceleration.fill(0.0);
@@ -194,10 +194,10 @@ fn a_jump_is_believed_when_the_channel_is_old_enough() {
     for tick in 1..=150 {
         // Not the same bits, which would count as frozen.
         let found = rig.tick(off_by(3.0 + 1e-6 * f64::from(tick))).modes;
-        let is_believed = !found.contains(Modes::VELOCITY_RECKONED);
+        let is_accepted = !found.contains(Modes::VELOCITY_PREDICTED);
         // 3 = 2 (1 + age): from the tick on that begins with an age of 0.5 s.
-        assert_eq!(is_believed, tick > 51, "tick {tick}");
-        if is_believed {
+        assert_eq!(is_accepted, tick > 51, "tick {tick}");
+        if is_accepted {
             break;
         }
     }
@@ -215,10 +215,10 @@ fn a_frozen_velocity_is_recognised() {
             sample.state.joint_position[0] += 1e-3 * sample.time;
             sample.state.base.position.x += 1e-3 * sample.time;
         });
-        let is_known = seen.modes.contains(Modes::VELOCITY_RECKONED);
+        let is_known = seen.modes.contains(Modes::VELOCITY_PREDICTED);
         assert_eq!(is_known, tick > 8, "tick {tick}: {:?}", seen.modes.names().collect::<Vec<_>>());
     }
-    assert!(!rig.tick(|sample| sample.state.velocity[0] += 0.1).modes.contains(Modes::VELOCITY_RECKONED));
+    assert!(!rig.tick(|sample| sample.state.velocity[0] += 0.1).modes.contains(Modes::VELOCITY_PREDICTED));
 }
 
 /// A robot that stands still is not frozen, and a wind that does not change is not either.
@@ -262,7 +262,7 @@ fn a_lost_velocity_follows_the_pose() {
 
 /// The clock runs on where the time is none; a step that repeats, runs back or leaps is none either.
 #[test]
-fn a_time_that_is_none_is_reckoned() {
+fn a_time_that_is_none_is_predicted() {
     for (time, is_known) in
         [(f64::NAN, false), (-1.0, false), (2e9, false), (0.02, true), (0.5, true), (0.0, true)]
     {
@@ -270,7 +270,7 @@ fn a_time_that_is_none_is_reckoned() {
         let seen = rig.tick(|sample| sample.time = time);
         assert_eq!(seen.time, if is_known { time } else { STEP });
         let is_step = time == 0.02;
-        assert_eq!(seen.modes.contains(Modes::CLOCK_RECKONED), !is_step, "{time}");
+        assert_eq!(seen.modes.contains(Modes::CLOCK_PREDICTED), !is_step, "{time}");
     }
 }
 

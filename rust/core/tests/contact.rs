@@ -408,7 +408,7 @@ fn clarabel_commands_the_same() {
     }
 }
 
-/// Feet that feel what is no number are those of the last tick; a foot too few stops the controller.
+/// Feet whose wrenches are not finite are those of the last tick; a foot too few stops the controller.
 #[test]
 fn unsound_feet_are_held_and_a_missing_one_is_a_bad_measurement() {
     let mut controller = controller(|_| ());

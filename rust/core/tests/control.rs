@@ -194,7 +194,7 @@ fn a_bad_first_measurement_starts_nothing() {
 
 /// A base rotation that is none, a time before the flight or in a million years, a set-point that is none.
 #[test]
-fn what_is_no_rotation_or_time_is_reckoned() {
+fn what_is_no_rotation_or_time_is_predicted() {
     let config = experiment("test2");
     let good = Sample::start(&config);
     let spoilt: [Spoil; 5] = [
@@ -214,7 +214,7 @@ fn what_is_no_rotation_or_time_is_reckoned() {
         spoil(&mut bad);
         let command = bad.tick(&mut controller);
         assert_eq!(command.status, CommandStatus::Degraded, "{what}");
-        let expected = if bad.time == good.time { Modes::ROTATION_RECKONED } else { Modes::CLOCK_RECKONED };
+        let expected = if bad.time == good.time { Modes::ROTATION_PREDICTED } else { Modes::CLOCK_PREDICTED };
         assert_eq!(command.modes, expected, "{what}");
         let rotation = &controller.terms().kinematics.bodies[0].i_from_b.rotation;
         assert_within!((rotation - good.state.base.rotation).amax(), 0.01, "{what}");

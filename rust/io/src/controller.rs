@@ -17,7 +17,7 @@ pub struct ControllerSection {
     /// Estimates the state from what is measured; without it the controller is given the measurements.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub estimator: Option<EstimatorConfig>,
-    /// Estimates the wind from the force that acts on the robot; without it the controller is told the wind.
+    /// Estimates the wind from the force that acts on the robot; without it the controller is given the wind.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wind_observer: Option<WindObserverConfig>,
     /// The control law; its keys stand beside `aero`.

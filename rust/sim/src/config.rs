@@ -45,7 +45,7 @@ pub struct ScenarioConfig {
     pub simulator: SimulatorConfig,
     /// The controller.
     pub controller: ControllerSection,
-    /// When the autopilot asks for what.
+    /// What the autopilot demands, and when.
     pub mission: MissionConfig,
     /// The wind that blows; the controller is given it too, unless `disturbances` say otherwise.
     pub wind: WindConfig,
@@ -146,7 +146,7 @@ pub enum Engine {
     Rust,
     /// The batched, differentiable simulation in Python.
     Jax,
-    /// MuJoCo, in Python: the one that knows the ground.
+    /// MuJoCo, in Python: the one with a ground.
     Mujoco,
 }
 
@@ -265,7 +265,7 @@ pub struct InitialConfig {
     #[schemars(inner(range(min = 0)))]
     pub thrust: Vec<f64>,
     /// Whether the first physics step has neither thrust nor torque, as the delays of the published
-    /// model make it: the controller first sees a robot that has fallen for one tick.
+    /// model make it: the controller first gets a robot that has fallen for one tick.
     #[serde(default)]
     pub free_fall_tick: bool,
 }

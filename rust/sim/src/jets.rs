@@ -4,7 +4,7 @@
 //! thrust_rate_command ──Jets::advance──► thrust (physics),  thrust_feedback (controller)
 //! ```
 //!
-//! Two dynamics: `ideal` obeys the command exactly, as in every published flight; `second_order` is
+//! Two dynamics: `ideal` follows the command exactly, as in every published flight; `second_order` is
 //! the identified engine, with the throttle loop and the estimator that the real robot needs.
 //!
 //! Thrust is never negative.
@@ -61,7 +61,7 @@ impl Default for SecondOrderConfig {
     }
 }
 
-/// Which thrust the flight controller sees.
+/// Which thrust the flight controller gets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ThrustFeedback {

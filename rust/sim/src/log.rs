@@ -62,7 +62,7 @@ pub struct LogRow<'a> {
     pub terms: &'a Terms,
     /// The controller's command.
     pub command: &'a Command,
-    /// Standard deviation of the wind it was given, along each axis \[m/s\]; zero where it was told the wind.
+    /// Standard deviation of the wind it was given, along each axis \[m/s\]; zero where it was given the wind.
     pub wind_std: Vector3<f64>,
     /// Errors against the set-point.
     pub errors: TrackingErrors,

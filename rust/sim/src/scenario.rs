@@ -164,7 +164,7 @@ impl Scenario {
             ("simulator.motors", config.simulator.motors.is_some()),
         ] {
             if is_there {
-                let expected = "none: this engine knows neither ground nor motors; engine = \"mujoco\" does";
+                let expected = "none: this engine has neither ground nor motors; engine = \"mujoco\" does";
                 return Err(BuildError::bad_value(key, "given", expected));
             }
         }
@@ -194,7 +194,7 @@ impl Scenario {
             ("controller.wind_observer", config.controller.wind_observer.is_some()),
         ] {
             if is_there {
-                let expected = "none: engine = \"mujoco\" tells its controller state and wind as they are";
+                let expected = "none: engine = \"mujoco\" gives its controller state and wind as they are";
                 return Err(BuildError::bad_value(key, "given", expected));
             }
         }

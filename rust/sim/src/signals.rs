@@ -211,7 +211,7 @@ pub static SIGNALS: [Signal; 41] = [
         "unmodelled_wrench",
         SIX,
         MOMENTUM_RATE,
-        "observed part of it that no model of the controller knows",
+        "observed part of it that is in no model of the controller",
         |row, out| out.extend(&row.terms.momentum.unmodelled_wrench),
     ),
     signal("measured_base_position", XYZ, "m", "base position that the controller is given", |row, out| {
@@ -271,7 +271,7 @@ pub static SIGNALS: [Signal; 41] = [
         TIME,
         "1",
         "in which ways the tick is degraded, a sum of bits: 1 wind held, 2 wind lost, 4 thrust modelled, 8 joints, \
-         16 position, 32 rotation, 64 velocity reckoned, 128 feet held, 256 clock reckoned, 512 descending, 1024 engine lost",
+         16 position, 32 rotation, 64 velocity predicted, 128 feet held, 256 clock predicted, 512 descending, 1024 engine lost",
         |row, out| out.push(f64::from(row.command.modes.bits())),
     )),
     Signal {

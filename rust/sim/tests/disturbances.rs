@@ -104,13 +104,13 @@ fn only_the_controller_is_told_wrong() {
 }
 
 #[test]
-fn a_controller_can_believe_in_another_robot() {
+fn a_controller_can_have_the_model_of_another_robot() {
     let real = robot("ironcub_mk1");
     let error = ModelError { mass_scale: 1.1, com_offset: [0.02, 0.0, -0.01] };
-    let believed = error.apply(real.clone());
-    assert_within!((believed.mass() - 1.1 * real.mass()).abs(), 1e-12);
-    assert_eq!(believed.bodies[0].com_b, real.bodies[0].com_b + Vector3::new(0.02, 0.0, -0.01));
-    assert_eq!(believed.bodies[3].com_b, real.bodies[3].com_b);
+    let assumed = error.apply(real.clone());
+    assert_within!((assumed.mass() - 1.1 * real.mass()).abs(), 1e-12);
+    assert_eq!(assumed.bodies[0].com_b, real.bodies[0].com_b + Vector3::new(0.02, 0.0, -0.01));
+    assert_eq!(assumed.bodies[3].com_b, real.bodies[3].com_b);
 
     let mut heavy = experiment("no_wind");
     heavy.simulator.duration = 8.0;

@@ -1,4 +1,4 @@
-//! The state estimator: with the world's own model it is ahead of any delay; each channel is believed by its share.
+//! The state estimator: with the world's own model it is ahead of any delay; each channel is corrected by its share.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
@@ -132,7 +132,7 @@ fn every_channel_is_believed_by_its_share() {
         });
         let share = 1.0 - (-STEP / time_constants[channel]).exp();
         let moved = read(&found[1]) - read(&found[0]);
-        // A rotation that is believed turns what the gyroscopes say, which is next to nothing here.
+        // A rotation that is corrected turns what the gyroscopes say, which is next to nothing here.
         assert_within!((moved - 0.1 * share).abs(), 1e-3 * share, because "the estimate has fallen for a tick: turns and differences of second order", "channel {channel}: {moved}");
         let others = (0..7).filter(|other| *other != channel && !(channel == 1 && *other == 3));
         for other in others {
@@ -142,7 +142,7 @@ fn every_channel_is_believed_by_its_share() {
     }
 }
 
-/// A wrench that no model knows moves the whole robot: its momentum as it says, no joint.
+/// A wrench that is in no model moves the whole robot: its momentum as it says, no joint.
 #[test]
 fn an_unmodelled_wrench_moves_the_whole_robot() {
     let config = flight(EstimatorConfig {

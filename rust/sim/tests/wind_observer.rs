@@ -74,7 +74,7 @@ fn it_says_how_sure_it_is() {
     assert!(sure.z <= settings.vertical_std, "{sure}");
 }
 
-/// A robot that is not told the wind arrives, and knows it to 1.5 m/s when it has risen.
+/// A robot that is not given the wind arrives, and knows it to 1.5 m/s when it has risen.
 #[test]
 fn a_robot_that_is_not_told_the_wind_flies() {
     let mut config = flight(WindObserverConfig::default());

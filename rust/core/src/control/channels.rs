@@ -1,8 +1,8 @@
 //! What a tick takes the measurement to be, channel by channel, where some of it is missing or cannot be right.
 //!
-//! Every channel is treated alike. The model moves its last value on to this tick ([`ChannelsState::reckon`]); the
-//! measured value is used if it is finite, within what is believed of it and near what is reckoned, and if it is not
-//! frozen, that is, the same to the bit for several ticks while what is reckoned moves away. Else the reckoned value is
+//! Every channel is treated alike. The model moves its last value on to this tick ([`ChannelsState::predict`]); the
+//! measured value is used if it is finite, within its accepted range and near its predicted value, and if it is not
+//! frozen, that is, the same to the bit for several ticks while what is predicted moves away. Else the predicted value is
 //! used, and the channel's age grows.
 //!
 //! ```text
@@ -33,7 +33,7 @@ const TIME_MAX: f64 = 1e9;
 /// A frozen value differs from one that stands still by this share of [`Jumps`].
 const FROZEN_SHARE: f64 = 0.02;
 
-/// What is believed of measurements, and what happens without them.
+/// Which measurements are accepted, and what happens without them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -56,15 +56,15 @@ pub struct ChannelsConfig {
     /// Age of a channel of joints or base from which on the robot levels and descends, and does so to the end \[s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub descend_after: f64,
-    /// Greatest values that are believed, of each component.
+    /// Greatest values that are accepted, of each component.
     pub greatest: Greatest,
-    /// Greatest differences to the reckoned value that are believed, of each component; without it all of them, and no
+    /// Greatest differences to the predicted value that are accepted, of each component; without it all of them, and no
     /// value counts as frozen and no time step as wrong.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub jump: Option<Jumps>,
 }
 
-/// Greatest values that are believed; by default those of a simulated flight that has not diverged.
+/// Greatest values that are accepted; by default those of a simulated flight that has not diverged.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -98,7 +98,7 @@ pub struct Greatest {
     pub foot_moment: f64,
 }
 
-/// Greatest differences to the reckoned value that are believed. Wind, thrusts and feet may jump.
+/// Greatest differences to the predicted value that are accepted. Wind, thrusts and feet may jump.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -233,38 +233,38 @@ impl Modes {
     pub const WIND_LOST: Self = Self(1 << 1);
     /// A thrust is that of the jet's model.
     pub const THRUST_MODELLED: Self = Self(1 << 2);
-    /// The joints are reckoned from the model.
-    pub const JOINTS_RECKONED: Self = Self(1 << 3);
+    /// The joints are predicted from the model.
+    pub const JOINTS_PREDICTED: Self = Self(1 << 3);
     /// The base position is.
-    pub const POSITION_RECKONED: Self = Self(1 << 4);
+    pub const POSITION_PREDICTED: Self = Self(1 << 4);
     /// The base rotation is.
-    pub const ROTATION_RECKONED: Self = Self(1 << 5);
+    pub const ROTATION_PREDICTED: Self = Self(1 << 5);
     /// The base velocity is.
-    pub const VELOCITY_RECKONED: Self = Self(1 << 6);
+    pub const VELOCITY_PREDICTED: Self = Self(1 << 6);
     /// The wrenches on the feet are the last ones that were measured.
     pub const FEET_HELD: Self = Self(1 << 7);
     /// The time is the controller's own, or a step of it is none.
-    pub const CLOCK_RECKONED: Self = Self(1 << 8);
+    pub const CLOCK_PREDICTED: Self = Self(1 << 8);
     /// The robot levels and descends instead of following its mission.
     pub const DESCENDING: Self = Self(1 << 9);
-    /// An engine does not do what it is told.
+    /// An engine does not follow its command.
     pub const ENGINE_LOST: Self = Self(1 << 10);
 
     /// Ticks of these modes do not measure the momentum.
     pub(super) const WITHOUT_MOMENTUM: Self =
-        Self(Self::JOINTS_RECKONED.0 | Self::ROTATION_RECKONED.0 | Self::VELOCITY_RECKONED.0);
+        Self(Self::JOINTS_PREDICTED.0 | Self::ROTATION_PREDICTED.0 | Self::VELOCITY_PREDICTED.0);
 
     /// Every mode and its name.
     pub const NAMES: [(Self, &'static str); 11] = [
         (Self::WIND_HELD, "wind_held"),
         (Self::WIND_LOST, "wind_lost"),
         (Self::THRUST_MODELLED, "thrust_modelled"),
-        (Self::JOINTS_RECKONED, "joints_reckoned"),
-        (Self::POSITION_RECKONED, "position_reckoned"),
-        (Self::ROTATION_RECKONED, "rotation_reckoned"),
-        (Self::VELOCITY_RECKONED, "velocity_reckoned"),
+        (Self::JOINTS_PREDICTED, "joints_predicted"),
+        (Self::POSITION_PREDICTED, "position_predicted"),
+        (Self::ROTATION_PREDICTED, "rotation_predicted"),
+        (Self::VELOCITY_PREDICTED, "velocity_predicted"),
         (Self::FEET_HELD, "feet_held"),
-        (Self::CLOCK_RECKONED, "clock_reckoned"),
+        (Self::CLOCK_PREDICTED, "clock_predicted"),
         (Self::DESCENDING, "descending"),
         (Self::ENGINE_LOST, "engine_lost"),
     ];
@@ -313,7 +313,7 @@ struct Channel {
     same: u32,
     /// Whether it is frozen: until its bits change.
     is_frozen: bool,
-    /// Whether it is believed no more.
+    /// Whether it is no longer accepted.
     is_distrusted: bool,
 }
 
@@ -324,7 +324,7 @@ pub struct ChannelsState {
     /// The measurement of the last tick.
     last: Vec<f64>,
     /// What the model makes of the last values that were measured.
-    reckoned: Vec<f64>,
+    predicted: Vec<f64>,
     /// Acceleration `ν̇` that the last command causes.
     pub acceleration: DVector<f64>,
     /// Thrust rates of the last command \[N/s\].
@@ -344,7 +344,7 @@ pub struct Seen {
     pub state: RobotState,
     /// Thrust of every jet \[N\].
     pub thrust: Vec<f64>,
-    /// By how much each thrust is not the reckoned one; zero where it is not measured \[N\].
+    /// By how much each thrust is not the predicted one; zero where it is not measured \[N\].
     pub thrust_innovation: Vec<f64>,
     /// Time since the last tick \[s\].
     pub elapsed: f64,
@@ -455,10 +455,10 @@ impl Channels {
         let thrusts = layout.thrust.clone();
         entries.extend(thrusts.map(|jet| entry(&(jet..jet + 1), Modes::THRUST_MODELLED, false)));
         entries.extend([
-            entry(&layout.joints, Modes::JOINTS_RECKONED, true),
-            entry(&layout.velocity, Modes::VELOCITY_RECKONED, true),
-            entry(&layout.position, Modes::POSITION_RECKONED, true),
-            entry(&layout.rotation, Modes::ROTATION_RECKONED, true),
+            entry(&layout.joints, Modes::JOINTS_PREDICTED, true),
+            entry(&layout.velocity, Modes::VELOCITY_PREDICTED, true),
+            entry(&layout.position, Modes::POSITION_PREDICTED, true),
+            entry(&layout.rotation, Modes::ROTATION_PREDICTED, true),
             entry(&layout.feet, Modes::FEET_HELD, false),
         ]);
         Self {
@@ -511,7 +511,7 @@ impl Channels {
         Some(ChannelsState {
             channels: vec![Channel::default(); self.entries.len()],
             last: self.now.clone(),
-            reckoned: self.now.clone(),
+            predicted: self.now.clone(),
             acceleration: DVector::zeros(6 + self.layout.n_joints()),
             thrust_rate: DVector::zeros(self.seen.thrust.len()),
             is_begun: false,
@@ -529,17 +529,17 @@ impl Channels {
         let is_step = elapsed > 0.0 && elapsed < GAP_MAX * self.time_step;
         let dt = if is_step { elapsed } else { self.time_step };
         if !is_known || (state.is_begun && !is_step && self.config.jump.is_some()) {
-            modes.insert(Modes::CLOCK_RECKONED);
+            modes.insert(Modes::CLOCK_PREDICTED);
         }
         if state.is_begun {
-            state.reckon(&self.layout, dt);
+            state.predict(&self.layout, dt);
         }
         self.seen.elapsed = dt;
-        let reckoned = &state.reckoned[self.layout.thrust.clone()];
-        for ((to, now), reckoned) in
-            self.seen.thrust_innovation.iter_mut().zip(&self.now[self.layout.thrust.clone()]).zip(reckoned)
+        let predicted = &state.predicted[self.layout.thrust.clone()];
+        for ((to, now), predicted) in
+            self.seen.thrust_innovation.iter_mut().zip(&self.now[self.layout.thrust.clone()]).zip(predicted)
         {
-            *to = now - reckoned;
+            *to = now - predicted;
         }
         // Of the pose: whether this tick and the last one measured it, and anew.
         let mut is_fresh = true;
@@ -548,51 +548,54 @@ impl Channels {
             let is_same = state.is_begun && self.now[range.clone()] == state.last[range.clone()];
             channel.same = if is_same { channel.same.saturating_add(1) } else { 0 };
             let gate = 1.0 + self.config.widening * channel.age;
-            let is_near = |now: &[f64], reckoned: &[f64], gate: f64| {
-                let mut entries = now.iter().zip(reckoned).zip(&self.jump[range.clone()]);
-                entries.all(|((now, reckoned), jump)| (now - reckoned).abs() <= gate * jump)
+            let is_near = |now: &[f64], predicted: &[f64], gate: f64| {
+                let mut entries = now.iter().zip(predicted).zip(&self.jump[range.clone()]);
+                entries.all(|((now, predicted), jump)| (now - predicted).abs() <= gate * jump)
             };
-            let (now, reckoned) = (&self.now[range.clone()], &state.reckoned[range.clone()]);
-            let mut believed = now.iter().zip(&self.greatest[range.clone()]);
-            let is_rotation = entry.mode != Modes::ROTATION_RECKONED || is_rotation(&rotation_of(now));
+            let (now, predicted) = (&self.now[range.clone()], &state.predicted[range.clone()]);
+            let mut accepted = now.iter().zip(&self.greatest[range.clone()]);
+            let is_rotation = entry.mode != Modes::ROTATION_PREDICTED || is_rotation(&rotation_of(now));
             let is_sound =
-                believed.all(|(x, most)| x.abs() <= *most) && is_rotation && is_near(now, reckoned, gate);
-            let leaves = channel.same >= self.config.frozen_ticks && !is_near(now, reckoned, FROZEN_SHARE);
+                accepted.all(|(x, most)| x.abs() <= *most) && is_rotation && is_near(now, predicted, gate);
+            let leaves = channel.same >= self.config.frozen_ticks && !is_near(now, predicted, FROZEN_SHARE);
             channel.is_frozen = is_same && (channel.is_frozen || leaves);
 
             let was_measured = channel.age == 0.0;
             if is_sound && !channel.is_frozen && !channel.is_distrusted {
                 channel.age = 0.0;
-                // Of joints and base the reckoned value moves on, to be compared with one that may be frozen.
+                // Of joints and base the predicted value moves on, to be compared with one that may be frozen.
                 if !is_same || !entry.is_vital {
-                    state.reckoned[range.clone()].copy_from_slice(&self.now[range.clone()]);
+                    state.predicted[range.clone()].copy_from_slice(&self.now[range.clone()]);
                 }
             } else {
                 channel.age += dt;
                 modes.insert(entry.mode);
             }
-            if entry.mode == Modes::POSITION_RECKONED || entry.mode == Modes::ROTATION_RECKONED {
+            if entry.mode == Modes::POSITION_PREDICTED || entry.mode == Modes::ROTATION_PREDICTED {
                 is_fresh &= was_measured && channel.age == 0.0 && !is_same && state.is_begun;
             }
-            if entry.mode == Modes::VELOCITY_RECKONED {
+            if entry.mode == Modes::VELOCITY_PREDICTED {
                 // The pose integrates the velocity of this tick, measured or not.
-                let velocity =
-                    if channel.age > 0.0 { &state.reckoned[range.clone()] } else { &self.now[range.clone()] };
+                let velocity = if channel.age > 0.0 {
+                    &state.predicted[range.clone()]
+                } else {
+                    &self.now[range.clone()]
+                };
                 let velocity = Vector6::from_column_slice(velocity);
                 if state.is_begun {
-                    integrate_pose(&mut state.reckoned, &self.layout, &velocity, dt);
+                    integrate_pose(&mut state.predicted, &self.layout, &velocity, dt);
                 }
             }
             state.is_descending |= entry.is_vital && channel.age > self.config.descend_after;
         }
-        if is_fresh && modes.contains(Modes::VELOCITY_RECKONED) {
+        if is_fresh && modes.contains(Modes::VELOCITY_PREDICTED) {
             let share = -libm::expm1(-self.config.velocity_gain * dt);
             let (position, rotation) = (self.layout.position.clone(), self.layout.rotation.clone());
             let moved = vector(&self.now[position.clone()]) - vector(&state.last[position]);
             let turned =
                 rotation_of(&self.now[rotation.clone()]) * rotation_of(&state.last[rotation]).transpose();
             let (moved, turned) = (moved / dt, vee_of_skew_part(&turned) / dt);
-            let velocity = &mut state.reckoned[self.layout.velocity.clone()];
+            let velocity = &mut state.predicted[self.layout.velocity.clone()];
             for (velocity, found) in velocity.iter_mut().zip(moved.iter().chain(&turned)) {
                 *velocity += share * (found - *velocity);
             }
@@ -603,7 +606,7 @@ impl Channels {
             self.entries.iter().zip(&state.channels).filter(|(_, channel)| channel.age > 0.0)
         {
             let range = entry.range.clone();
-            self.now[range.clone()].copy_from_slice(&state.reckoned[range.clone()]);
+            self.now[range.clone()].copy_from_slice(&state.predicted[range.clone()]);
             if entry.mode == Modes::WIND_HELD {
                 let left = 1.0 - (channel.age - self.config.wind_hold) / self.config.wind_fade;
                 self.now[range].iter_mut().for_each(|x| *x *= left.clamp(0.0, 1.0));
@@ -663,38 +666,38 @@ impl Channels {
 
 impl ChannelsState {
     /// Moves every value on by `dt` \[s\]: M78 for joints and base, M31 for thrusts.
-    fn reckon(&mut self, layout: &Layout, dt: f64) {
-        let Self { reckoned, acceleration, thrust_rate, .. } = self;
-        for (thrust, rate) in reckoned[layout.thrust.clone()].iter_mut().zip(thrust_rate.iter()) {
+    fn predict(&mut self, layout: &Layout, dt: f64) {
+        let Self { predicted, acceleration, thrust_rate, .. } = self;
+        for (thrust, rate) in predicted[layout.thrust.clone()].iter_mut().zip(thrust_rate.iter()) {
             *thrust = (*thrust + dt * rate).max(0.0);
         }
         let middle = layout.joints.start + layout.n_joints();
         let (base, joints) = acceleration.as_slice().split_at(6);
         for (joint, acceleration) in joints.iter().enumerate() {
-            reckoned[middle + joint] += dt * acceleration;
-            reckoned[layout.joints.start + joint] += dt * reckoned[middle + joint];
+            predicted[middle + joint] += dt * acceleration;
+            predicted[layout.joints.start + joint] += dt * predicted[middle + joint];
         }
-        for (velocity, acceleration) in reckoned[layout.velocity.clone()].iter_mut().zip(base) {
+        for (velocity, acceleration) in predicted[layout.velocity.clone()].iter_mut().zip(base) {
             *velocity += dt * acceleration;
         }
     }
 
     /// Uses the measured thrust of a jet no more, which was measured too large by `deviation` \[N\].
-    pub(super) fn distrust(&mut self, jet: usize, deviation: f64) {
+    pub(super) fn reject_sensor(&mut self, jet: usize, deviation: f64) {
         let (first_entry, first_channel) = (3, 1); // behind the wind
         self.channels[first_channel + jet].is_distrusted = true;
-        self.reckoned[first_entry + jet] -= deviation;
+        self.predicted[first_entry + jet] -= deviation;
     }
 }
 
 /// Moves the pose on by `dt` \[s\] with a velocity of the base: M78.
-fn integrate_pose(reckoned: &mut [f64], layout: &Layout, velocity: &Vector6<f64>, dt: f64) {
-    for (position, velocity) in reckoned[layout.position.clone()].iter_mut().zip(velocity) {
+fn integrate_pose(predicted: &mut [f64], layout: &Layout, velocity: &Vector6<f64>, dt: f64) {
+    for (position, velocity) in predicted[layout.position.clone()].iter_mut().zip(velocity) {
         *position += dt * velocity;
     }
     let angular: Vector3<f64> = velocity.fixed_rows::<3>(3).into();
-    let rotation = exp_so3(&(angular * dt)) * rotation_of(&reckoned[layout.rotation.clone()]);
-    reckoned[layout.rotation.clone()].copy_from_slice(rotation.as_slice());
+    let rotation = exp_so3(&(angular * dt)) * rotation_of(&predicted[layout.rotation.clone()]);
+    predicted[layout.rotation.clone()].copy_from_slice(rotation.as_slice());
 }
 
 /// The two halves of a range.

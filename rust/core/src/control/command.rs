@@ -34,7 +34,7 @@ pub struct BadStart;
 pub enum CommandStatus {
     /// Both QPs solved and certified.
     Nominal,
-    /// Both QPs solved and certified, for a measurement of which something had to be reckoned, or on the way down:
+    /// Both QPs solved and certified, for a measurement of which something had to be predicted, or on the way down:
     /// [`Command::modes`] says what.
     Degraded,
     /// The measurement is not of this robot: thrust rates and joint velocities are zero, torques stay.

@@ -41,13 +41,13 @@ pub struct ControllerConfig {
     pub bounds: BoundsConfig,
     /// The joint torque controller.
     pub torque: TorqueConfig,
-    /// What it takes to stand on the ground; without it the controller knows no feet.
+    /// What it takes to stand on the ground; without it the controller has no feet.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub contact: Option<ContactConfig>,
-    /// What observes the wrench that no model knows; without it there is none.
+    /// What observes the wrench that is in no model; without it there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub observer: Option<ObserverConfig>,
-    /// What is believed of measurements, and what happens without them.
+    /// Which measurements are accepted, and what happens without them.
     #[serde(default)]
     pub channels: ChannelsConfig,
     /// When an engine counts as lost; without it, never.

@@ -69,7 +69,7 @@ pub enum Finding {
 }
 
 impl EngineState {
-    /// Takes in by how much the thrust of this tick is not the reckoned one, after `dt` \[s\]; `column` is the jet's one
+    /// Takes in by how much the thrust of this tick is not the predicted one, after `dt` \[s\]; `column` is the jet's one
     /// of `A_T`, `residual` is `n`.
     pub fn update(
         &mut self,

@@ -38,7 +38,7 @@ pub struct MomentumModel {
     pub lambda: Matrix6xX<f64>,
     /// Estimated momentum rate `L̇` \[N, N m\].
     pub rate_estimate: Vector6<f64>,
-    /// Observed wrench that no model knows, `ŵ`, part of the rate; zero without an observer \[N, N m\].
+    /// Observed wrench that is in no model, `ŵ`, part of the rate; zero without an observer \[N, N m\].
     pub unmodelled_wrench: Vector6<f64>,
 }
 

@@ -20,7 +20,7 @@ const GAP_MAX: f64 = 10.5;
 /// Time constant of the residual \[s\].
 const RESIDUAL_TIME: f64 = 0.02;
 
-/// How fast the observer follows, and what it believes at most.
+/// How fast the observer follows, and the greatest wrench that it estimates.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]

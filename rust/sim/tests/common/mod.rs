@@ -132,7 +132,7 @@ impl Loop {
         self.controller.tick(&Measurement { time, state, thrust, wind: *wind, foot_wrenches: &[] });
     }
 
-    /// The plant obeys the last command.
+    /// The plant follows the last command.
     pub fn advance(&mut self, wind: &Vector3<f64>) {
         let command = self.controller.command();
         self.plant.advance(command.joint_torque.as_slice(), command.thrust_rate.as_slice(), wind, TIME_STEP);

@@ -85,9 +85,9 @@ fn without_thrust_sensors_it_arrives() {
 #[test]
 fn blind_for_a_second_it_arrives() {
     for (channel, mode) in [
-        (OutageChannel::BasePosition, Modes::POSITION_RECKONED),
-        (OutageChannel::BaseRotation, Modes::ROTATION_RECKONED),
-        (OutageChannel::BaseVelocity, Modes::VELOCITY_RECKONED),
+        (OutageChannel::BasePosition, Modes::POSITION_PREDICTED),
+        (OutageChannel::BaseRotation, Modes::ROTATION_PREDICTED),
+        (OutageChannel::BaseVelocity, Modes::VELOCITY_PREDICTED),
     ] {
         for duration in [0.3, 1.0] {
             for kind in [OutageKind::Missing, OutageKind::Wrong] {
@@ -96,22 +96,22 @@ fn blind_for_a_second_it_arrives() {
             }
         }
     }
-    arrives(outage(OutageChannel::Joints, 0.3, OutageKind::Nan), Modes::JOINTS_RECKONED.bits(), 5.0);
+    arrives(outage(OutageChannel::Joints, 0.3, OutageKind::Nan), Modes::JOINTS_PREDICTED.bits(), 5.0);
 }
 
 /// Everything of the state stands still for 0.3 s: recognised, and survived.
 #[test]
 fn a_frozen_state_is_recognised() {
     let channels = [
-        (OutageChannel::Joints, Modes::JOINTS_RECKONED),
-        (OutageChannel::BasePosition, Modes::POSITION_RECKONED),
-        (OutageChannel::BaseRotation, Modes::ROTATION_RECKONED),
-        (OutageChannel::BaseVelocity, Modes::VELOCITY_RECKONED),
+        (OutageChannel::Joints, Modes::JOINTS_PREDICTED),
+        (OutageChannel::BasePosition, Modes::POSITION_PREDICTED),
+        (OutageChannel::BaseRotation, Modes::ROTATION_PREDICTED),
+        (OutageChannel::BaseVelocity, Modes::VELOCITY_PREDICTED),
     ];
     let frozen = channels.map(|(channel, _)| outage(channel, 0.3, OutageKind::Frozen)).to_vec();
     let flight = fly(frozen, |config| config.simulator.duration = 24.0);
     assert_eq!(flight.outcome, Outcome::Completed, "{:?}", flight.loss);
-    assert!(modes(&flight) & Modes::VELOCITY_RECKONED.bits() != 0, "{}", modes(&flight));
+    assert!(modes(&flight) & Modes::VELOCITY_PREDICTED.bits() != 0, "{}", modes(&flight));
 }
 
 /// Level, and down at the configured speed.
@@ -147,7 +147,7 @@ fn with_a_wrong_thrust_sensor_it_arrives() {
 #[test]
 fn a_second_without_joints_is_too_long() {
     let joints = |duration| outage(OutageChannel::Joints, duration, OutageKind::Missing);
-    arrives(joints(0.5), Modes::JOINTS_RECKONED.bits(), 5.0);
+    arrives(joints(0.5), Modes::JOINTS_PREDICTED.bits(), 5.0);
     let flight = fly(vec![joints(1.0)], |config| config.simulator.duration = 21.0);
     assert_eq!(flight.outcome, Outcome::Fell);
 }

@@ -118,7 +118,7 @@ fn start_up_minimum_is_the_recorded_one() {
     assert_close("no free fall", no_free_fall.summary.min_com_height, 0.7350, 2e-4);
 }
 
-/// The first state the controller sees has fallen for one tick: the pose has not moved, the velocity has.
+/// The first state the controller gets has fallen for one tick: the pose has not moved, the velocity has.
 #[test]
 fn the_first_tick_has_fallen_freely() {
     let [flight] = &fly(&[with(experiment("test1_published"), |c| c.simulator.duration = 0.1)])[..] else {
