@@ -605,11 +605,13 @@ mod tests {
         std::iter::once(Arch::Scalar).chain(more.into_iter().flatten()).collect()
     }
 
-    /// All kernels with all instructions, on matrices shorter and longer than a vector.
+    /// All kernels with all instructions, on matrices shorter and longer than a vector: near nalgebra, and the same
+    /// bits as with the least instructions.
     #[test]
-    fn every_level_agrees_with_nalgebra() {
-        for (level, arch) in levels().into_iter().enumerate() {
-            for n in 1..=29 {
+    fn every_level_agrees_with_nalgebra_and_to_the_bit_with_the_first() {
+        for n in 1..=29 {
+            let mut first: Option<Vec<u64>> = None;
+            for (level, arch) in levels().into_iter().enumerate() {
                 let b = DMatrix::from_fn(n, n + 2, |i, j| ((7 * i + 3 * j + i * j) as f64).sin());
                 let a = &b * b.transpose() + DMatrix::identity(n, n);
                 let x = DVector::from_fn(n, |i, _| (i as f64).cos());
@@ -628,16 +630,22 @@ mod tests {
                 dispatch_to(arch, Fitted(kernel));
                 let error = (&whole * &a - DMatrix::identity(n, n)).amax();
                 assert!(error < tolerance, "level {level}, n = {n}: {error:e}");
+                let mut results =
+                    [l.lower_triangle(), inverse, whole.clone()].map(|m| m.as_slice().to_vec()).concat();
 
                 let mut y = x.clone();
                 let kernel = AddMatVec { y: y.as_mut_slice(), a: a.as_slice(), ld: n, x: x.as_slice() };
                 dispatch_to(arch, Fitted(kernel));
-                assert!((y - (&x + &a * &x)).amax() < tolerance, "level {level}, n = {n}");
+                assert!((&y - (&x + &a * &x)).amax() < tolerance, "level {level}, n = {n}");
 
                 let kernel =
                     TimesTranspose { a: b.as_slice(), n, is_upper: false, product: whole.as_mut_slice() };
                 dispatch_to(arch, Fitted(kernel));
-                assert!((whole - &b * b.transpose()).amax() < tolerance, "level {level}, n = {n}");
+                assert!((&whole - &b * b.transpose()).amax() < tolerance, "level {level}, n = {n}");
+
+                results.extend(y.iter().chain(&whole));
+                let bits: Vec<u64> = results.into_iter().map(f64::to_bits).collect();
+                assert_eq!(first.get_or_insert_with(|| bits.clone()), &bits, "level {level}, n = {n}");
             }
         }
     }
