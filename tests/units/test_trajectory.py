@@ -175,7 +175,12 @@ def test_the_result_names_its_reference_and_its_flights(tmp_path, monkeypatch, c
     dataset = experiment.to_dataset(plan, flight, flight, model.robot, config)
     monkeypatch.setattr(study, "RESULTS", tmp_path)
     findings = study.Findings("Small", dataset, {"a figure": np.inf}, texts={"reference.csv": "time\n"})
-    small = replace(experiment.STUDY, compute=lambda *_: findings)
+
+    def compute(*_):
+        return findings
+
+    compute.__module__ = experiment.__name__  # whose code the manifest names
+    small = replace(experiment.STUDY, compute=compute)
     document = small.run("min_time", {"speed_max": 3.0})
     folder = tmp_path / "trajectory" / "min_time"
     assert sorted(path.name for path in folder.iterdir()) == ["manifest.json", "reference.csv", "run.nc"]
