@@ -91,7 +91,7 @@ def run(
 def existing(folder: Path, digest: str, code: str | None, *, overwrite: bool) -> dict[str, Any] | None:
     """Return the manifest of an equal finished result; refuse to touch anything else that is there.
 
-    A result of other code (`code`, where that is known) is kept too, and its age told.
+    A result of other code (`code`, where that is known) is kept too, and its age printed.
     """
     if not folder.exists():
         return None

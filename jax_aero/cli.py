@@ -19,7 +19,7 @@ import argcomplete
 
 from jax_aero.command import INTERRUPTED as INTERRUPTED
 from jax_aero.command import REFUSED as REFUSED
-from jax_aero.command import told
+from jax_aero.command import one_line
 from jax_aero.places import did_you_mean
 
 CLOSED = 141
@@ -155,7 +155,7 @@ def run(name: str, words: Sequence[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return CLOSED
     except OSError as reason:  # a full disk, a folder that is read-only
-        return _refuse(told(reason))
+        return _refuse(one_line(reason))
 
 
 def _refuse(message: str) -> int:
@@ -195,7 +195,7 @@ Tab completes after: eval "$(register-python-argcomplete jax-aero)"
 
 
 def _words_before_cursor() -> list[str]:
-    """Return the words whose completion the shell asks for, and tell argcomplete to leave out the command's name."""
+    """Return the words whose completion the shell asks for, and make argcomplete leave out the command's name."""
     line = os.environ["COMP_LINE"][: int(os.environ["COMP_POINT"])]
     words = shlex.split(line + "_")[1:]  # the mark keeps an empty last word
     if len(words) < 2:

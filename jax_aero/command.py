@@ -13,17 +13,17 @@ class Refused(ValueError):
     """A request of the user that cannot, or must not, be carried out; the message states what and why."""
 
 
-def told(reason: Exception) -> str:
+def one_line(reason: Exception) -> str:
     """Return what an error is about, in a line; of the system's own, file and reason without number."""
     return f"{reason.filename}: {reason.strerror}" if isinstance(reason, OSError) and reason.filename else str(reason)
 
 
 def exit_status(work: Callable[[], int | None], *, interrupted: str = "nothing was written") -> int:
-    """Run a command; return its status, 2 after a refusal and 130 after Ctrl-C, both of which are told in a line."""
+    """Run a command; return its status, 2 after a refusal and 130 after Ctrl-C, both of which are one line."""
     try:
         return work() or 0
     except (ValueError, OSError) as reason:
-        print(f"error: {told(reason)}", file=sys.stderr)
+        print(f"error: {one_line(reason)}", file=sys.stderr)
         return REFUSED
     except KeyboardInterrupt:
         print(f"interrupted; {interrupted}", file=sys.stderr)

@@ -82,7 +82,7 @@ def locked(target: Path) -> Iterator[None]:
     """Hold the lock of a file or folder: `.NAME.lock` beside it, which names this process and goes with the block.
 
     The system frees a lock when its process ends, however it ends, and the next one takes it over. Only a lock of
-    another machine is left alone: whether that process lives is not seen from here.
+    another machine is left alone: whether that process still runs is not known here.
 
     Raises
     ------

@@ -50,7 +50,7 @@ def aero_force_difference(axes: Axes, run: Run) -> None:
 
 
 def aero_force_key() -> list[Line2D]:
-    """Return legend entries that tell axes by colour and models by dash, in columns of two."""
+    """Return legend entries: axes by colour, models by dash, in columns of two."""
     x, y, z = (Line2D([], [], color=colour, label=axis) for axis, colour in style.AXES_COLOURS.items())
     simulator = Line2D([], [], color=style.GREY, label="simulator")
     controller = Line2D([], [], color=style.GREY, label="controller", linestyle="--")

@@ -20,7 +20,7 @@ COLUMNS = 8
 WIDTH, HEIGHT = 4.0, 3.84
 """Of the test section [m]. Source: paper, Methods."""
 CENTRE = 1.9
-"""Height of the robot's base above the floor in the drawing [m]; the real one is not public."""
+"""Height of the robot's base above the ground in the drawing [m]; the real one is not public."""
 LEAN, TURN = 45.0, 40.0
 """Angle of attack and sideslip that are drawn [deg]."""
 

@@ -211,8 +211,8 @@ def audit() -> int:
         print("not checked: vulnerabilities of Python packages (pip install pip-audit)")
     else:
         command = [sys.executable, "-m", "pip_audit", "--requirement", str(LOCK), "--no-deps", "--disable-pip"]
-        told = subprocess.run([*command, "--format", "json"], capture_output=True, text=True, check=False)
-        found = json.loads(told.stdout)["dependencies"] if told.stdout else []
+        answer = subprocess.run([*command, "--format", "json"], capture_output=True, text=True, check=False)
+        found = json.loads(answer.stdout)["dependencies"] if answer.stdout else []
         if not any("vulns" in each for each in found):
             print("not checked: vulnerabilities of Python packages (the service of advisories cannot be reached)")
         failed += [f"{each['name']} {each['version']}: {bad['id']}" for each in found for bad in each.get("vulns", [])]

@@ -141,7 +141,7 @@ def _pair(results: Results, test: str) -> tuple[str, list[Mapping[str, float]]]:
 
 
 def _mostly(share: Mapping[str, float]) -> bool:
-    """Tell whether a flight and its neighbours complete: 95 % of them, and surely more than 80 %."""
+    """Return whether a flight and its neighbours complete: 95 % of them, and surely more than 80 %."""
     return share["completed"] >= 0.95 * share["flights"] and share["completed_low"] > 0.8
 
 

@@ -100,7 +100,7 @@ def estimator(config: EstimatorConfig, aero: AeroModel, time_step: Float[Array, 
 
 
 def start(settings: Estimator, first: Reading) -> EstimatorState:
-    """Return the state of an estimator that has been told this for as long as it looks back. Outside loops."""
+    """Return the state of an estimator that has measured this for as long as it looks back. Outside loops."""
     length = int(np.max(settings.age)) + 1
 
     def often(x: Array) -> Array:

@@ -161,7 +161,7 @@ def momentum_controller(
     controller, time_step = config.controller, jnp.asarray(config.simulator.time_step, float)
     if controller.contact is not None or not controller.use_jets:
         key, value = ("contact", "given") if controller.contact is not None else ("use_jets", "false")
-        raise ValueError(f"`controller.{key}` is {value}; expected a controller that flies: JAX knows no feet")
+        raise ValueError(f"`controller.{key}` is {value}; expected a controller that flies: JAX has no feet")
     feedback = controller.aero_feedback
     return MomentumController(
         switches=Switches(

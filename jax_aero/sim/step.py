@@ -118,7 +118,7 @@ class Scenario:
     estimator: Estimator | None
     """Between what is measured and the controller, where there is one."""
     wind_observer: WindObserver | None
-    """What tells the controller the wind in place of the wind; `None` where it is told."""
+    """Estimates the wind for the controller; `None` where the controller is given the wind itself."""
     outages: tuple[Outage, ...]
     """Measurements that fail."""
     n_ticks: Int[Array, ""]
@@ -363,8 +363,8 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     now, air = where(is_sound, (state.plant, wind), (at_rest, jnp.zeros_like(wind)))
 
     given = air if scenario.controller_wind is None else wind_velocity(scenario.controller_wind, time)
-    told = given if scenario.wind_estimate is None else _measured_wind(scenario, state, tick)
-    wind_seen, measured, wind_std = state.wind_observer, told, jnp.zeros_like(wind)
+    wind_measured = given if scenario.wind_estimate is None else _measured_wind(scenario, state, tick)
+    wind_seen, measured, wind_std = state.wind_observer, wind_measured, jnp.zeros_like(wind)
     if wind_seen is not None:
         measured, wind_std = wind_seen.wind, jnp.sqrt(jnp.diag(wind_seen.covariance))
     model = plant.robot if scenario.controller_model is None else scenario.controller_model
@@ -412,7 +412,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     after = FlightState(
         plant=where(goes_on, moved, state.plant),
         controller=where(goes_on, memory, state.controller),
-        measured_wind=told,
+        measured_wind=wind_measured,
         sensors=sensors,
         estimator=estimator,
         wind_observer=wind_seen,

@@ -97,7 +97,7 @@ def words(read, config):
 
 
 def test_mistakes_are_refused_in_the_same_words():
-    """Key, value and what was expected; what only the robot can tell is left to the crate and to `prepare`."""
+    """Key, value and what was expected; what depends on the robot is left to the crate and to `prepare`."""
     for mistake, config in random.Random(1).sample(list(mistakes()), 300):
         ours, theirs = words(io.scenario_config, config), words(rust.check_config, config)
         if ours is not None:

@@ -48,7 +48,7 @@ CASES = {
         "disturbances.aero_estimate.links": {"chest": 0.3, "l_upper_leg": 1.6},
         "disturbances.jets": {"thrust_limit_scale": 0.62, "limit_is_known": True},
     },
-    "a jet that dies at once": {
+    "a jet that fails at once": {
         "disturbances.wind_estimate": {"delay": 0.5},
         "disturbances.jets.failure": {"jet": "r_arm_jet", "time": 3.8, "kind": "off"},
     },

@@ -23,7 +23,7 @@ WIND = {"profile": "ramp", "velocity": [3.0, -9.0, 1.0], "ramp_start": 0.0, "ram
 
 
 def test_both_estimate_the_same_state(x64, measured):
-    """Truth and commands are those of a flight of the crate, whose log has what its estimator told the controller."""
+    """Truth and commands are those of a flight of the crate, whose log has what its estimator gave the controller."""
     table = rust.load_config(EXPERIMENT, {"simulator.duration": 0.5})
     table["wind"] = WIND
     flown = rust.fly(table)

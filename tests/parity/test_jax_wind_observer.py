@@ -31,7 +31,7 @@ class Momentum:
 
 
 def test_both_find_the_same_wind(x64, measured):
-    """The truth is that of a flight of the crate, whose log has the wind that its observer told the controller."""
+    """The truth is that of a flight of the crate, whose log has the wind that its observer gave the controller."""
     table = rust.load_config(EXPERIMENT, {"simulator.duration": 1.0, "controller.wind_observer": {"walk": 3.0}})
     table["wind"] = WIND
     flown = rust.fly(table)

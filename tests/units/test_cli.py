@@ -1,4 +1,4 @@
-"""The command `jax-aero`: what it knows, how it refuses, how it ends; and where files lie."""
+"""The command `jax-aero`: its sub-commands, how it refuses, how it ends; and where files lie."""
 
 import importlib
 import os

@@ -47,8 +47,8 @@ def test_noise_of_a_measurement_comes_back_through_the_state(agree):
 
 def test_a_wind_is_judged_by_its_horizontal_components_when_it_has_risen():
     time = np.array([0.0, 7.9, 8.0, 9.0])
-    told = np.array([[9.0, 9.0, 9.0], [9.0, 9.0, 9.0], [3.0, 4.0, 9.0], [0.0, 1.0, 0.0]])
-    log = {"time": time, "wind": np.zeros((4, 3)), "measured_wind": told, "measured_wind_std": np.ones((4, 3))}
+    measured = np.array([[9.0, 9.0, 9.0], [9.0, 9.0, 9.0], [3.0, 4.0, 9.0], [0.0, 1.0, 0.0]])
+    log = {"time": time, "wind": np.zeros((4, 3)), "measured_wind": measured, "measured_wind_std": np.ones((4, 3))}
     errors, inside = wind_observer.judged(log)
     assert errors.tolist() == [5.0, 1.0]
     assert inside.tolist() == [[False, False], [True, True]]

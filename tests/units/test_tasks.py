@@ -95,9 +95,9 @@ def test_a_static_field_is_known_by_its_type_and_by_its_text():
 
 def test_a_heavy_one_is_obeyed(first_tick, measured):
     plain, problem = first_tick()
-    room = np.minimum(problem.upper[4:] - plain.joint_velocity, plain.joint_velocity - problem.lower[4:])
-    joint = int(np.argmax(room))
+    distance = np.minimum(problem.upper[4:] - plain.joint_velocity, plain.joint_velocity - problem.lower[4:])
+    joint = int(np.argmax(distance))
     wanted = float(plain.joint_velocity[joint]) + 0.01
     heavy, _ = first_tick(KeepVelocity(joint, False, jnp.array(wanted), jnp.array(1e8)))
     measured("velocity of the joint", abs(float(heavy.joint_velocity[joint]) - wanted), 1e-6)
-    assert np.abs(np.delete(heavy.joint_velocity - plain.joint_velocity, joint)).max() > 1e-6, "the others make room"
+    assert np.abs(np.delete(heavy.joint_velocity - plain.joint_velocity, joint)).max() > 1e-6, "the others move"

@@ -1,4 +1,4 @@
-"""The flight lab in a real browser: it asks for nothing, flies the same numbers, obeys, exports what can be read."""
+"""The flight lab in a real browser: no requests, the numbers of the crate, controls that act, a readable export."""
 
 from __future__ import annotations
 
