@@ -1,4 +1,4 @@
-//! Claims about the network: it says what JAX says, obeys the laws, and refuses what it cannot trust.
+//! Claims about the network: it says what JAX says, follows the laws, and refuses damaged weights.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on fails")]
 
 #[path = "../../sim/tests/common/network.rs"]
@@ -159,7 +159,7 @@ fn a_symmetric_network_is_symmetric() {
     let reflect = |v: Vector3<f64>| Vector3::new(v.x, -v.y, v.z);
     // Features that come from the links' places see that the robot itself is not quite symmetric.
     let plain = Shape { mirror: true, ..paper(&[40]) };
-    // An axis across the robot, as that of its root link, has two ends: a baseline may tell them apart.
+    // An axis across the robot, as that of its root link, has two ends: a baseline may distinguish them.
     let in_link_axes = Shape { has_baseline: false, ..COMPACT };
     let lopsided = paper(&[40]);
     for (name, shape, tolerance) in [

@@ -53,7 +53,7 @@ fn a_constant_wrench_is_approached_at_the_stated_rate() {
     }
 }
 
-/// A model that knows everything leaves nothing to observe.
+/// A model of every force leaves nothing to observe.
 #[test]
 fn without_an_unknown_wrench_nothing_is_observed() {
     let mut state = ObserverState::new();

@@ -486,7 +486,7 @@ fn the_filter_has_a_triple_pole() {
     assert_within!((20.0 - last - 3.0 * 1.5 / 5.322_335).abs(), 1e-4, "lag {}", 20.0 - last);
     assert_within!((20.0 - last - 0.8455).abs(), 1e-4);
 
-    // T = 0.005 s: one pole at −0.684, so a pulse leaves a tail that alternates and dies as n² (−0.684)ⁿ.
+    // T = 0.005 s: one pole at −0.684, so a pulse leaves a tail that alternates and decays as n² (−0.684)ⁿ.
     let filter = MinimumJerkFilter::new(0.005, TIME_STEP);
     let mut state = FilterState::at_rest(Vector3::zeros());
     filter.update(&mut state, &Vector3::x());

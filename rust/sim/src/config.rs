@@ -81,7 +81,7 @@ impl ScenarioConfig {
         Estimator::new(config, robot, aero, self.simulator.time_step).map(Some)
     }
 
-    /// What tells this flight of `robot` the wind, if it is not told; it has the controller's models.
+    /// What estimates the wind in this flight of `robot`, where it is estimated; it has the controller's models.
     ///
     /// # Errors
     /// [`BuildError`] naming what in the configuration cannot be used.

@@ -126,7 +126,7 @@ pub struct Scenario {
     sensors: Option<Sensors>,
     /// Between what is measured and the controller, where there is one.
     estimator: Option<Estimator>,
-    /// What tells the controller the wind in place of the wind; `None` where it is told.
+    /// Estimates the wind for the controller; `None` where the controller is given the wind itself.
     wind_observer: Option<WindObserver>,
     /// Between everything that is measured and the controller.
     outages: Outages,

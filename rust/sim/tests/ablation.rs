@@ -72,11 +72,11 @@ fn a_configuration_is_written_out_with_every_default_and_without_absent_options(
 
 #[test]
 fn force_and_moment_together_are_the_whole_wrench() {
-    let knows = |part| rate(&with(|config| config.controller.law.aero_feedback.momentum_rate = part));
-    let none = knows(RateFeedback::None);
+    let with_part = |part| rate(&with(|config| config.controller.law.aero_feedback.momentum_rate = part));
+    let none = with_part(RateFeedback::None);
     let whole = rate(&with(|_| {})) - none;
-    let force = knows(RateFeedback::Force) - none;
-    let moment = knows(RateFeedback::Moment) - none;
+    let force = with_part(RateFeedback::Force) - none;
+    let moment = with_part(RateFeedback::Moment) - none;
     assert!(whole.fixed_rows::<3>(0).norm() > 10.0 && whole.fixed_rows::<3>(3).norm() > 0.1);
     assert_within!((force + moment - whole).norm(), 1e-12);
     assert_within!(force.fixed_rows::<3>(3).norm(), 1e-12);

@@ -67,7 +67,7 @@ fn distance(a: &Reading, b: &Reading) -> f64 {
     .fold(0.0, f64::max)
 }
 
-/// The controller flies on the truth; the estimator, which is told late, knows it all the same.
+/// The controller flies on the truth; the estimator, whose measurements are late, finds it all the same.
 #[test]
 fn with_the_worlds_own_model_it_is_ahead_of_every_delay() {
     let (late, settings) = ages();
@@ -88,7 +88,7 @@ fn with_the_worlds_own_model_it_is_ahead_of_every_delay() {
     }
 }
 
-/// Two estimators that are told the same but for one channel at one tick differ there, by its share.
+/// Two estimators with the same measurements but for one channel at one tick differ there, by its share.
 #[test]
 fn every_channel_is_believed_by_its_share() {
     type Change = fn(&mut Reading);

@@ -21,7 +21,7 @@ fn observer(config: &ScenarioConfig) -> WindObserver {
     config.wind_observer(load_robot(&config.robot).unwrap()).unwrap().unwrap()
 }
 
-/// Hovers in a wind that blows from the first tick on, told to the controller; what the observer makes of it.
+/// Hovers in a wind that blows from the first tick on, given to the controller; what the observer makes of it.
 fn estimate(settings: WindObserverConfig, wind: Vector3<f64>, seconds: f64) -> WindObserver {
     let config = flight(settings);
     let (mut world, mut observer) = (Loop::new(&config), observer(&config));
@@ -74,7 +74,7 @@ fn it_says_how_sure_it_is() {
     assert!(sure.z <= settings.vertical_std, "{sure}");
 }
 
-/// A robot that is not given the wind arrives, and knows it to 1.5 m/s when it has risen.
+/// A robot that is not given the wind arrives, and estimates it to 1.5 m/s when it has risen.
 #[test]
 fn a_robot_that_is_not_told_the_wind_flies() {
     let mut config = flight(WindObserverConfig::default());
@@ -82,9 +82,9 @@ fn a_robot_that_is_not_told_the_wind_flies() {
     let result = fly(&[config]).remove(0);
     assert_eq!(result.outcome, Outcome::Completed);
     let row = |name: &str| Vector3::from_column_slice(result.log.series(name).unwrap().row(1400));
-    let (told, wind, std) = (row("measured_wind"), row("wind"), row("measured_wind_std"));
+    let (measured, wind, std) = (row("measured_wind"), row("wind"), row("measured_wind_std"));
     assert!(wind.norm() > 6.0, "{wind}");
-    assert!((told - wind).norm() < 1.5, "{told} of {wind}");
+    assert!((measured - wind).norm() < 1.5, "{measured} of {wind}");
     assert!(std.iter().all(|std| (0.05..2.0).contains(std)), "{std}");
 }
 

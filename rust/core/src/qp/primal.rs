@@ -403,8 +403,8 @@ impl PrimalActiveSet {
         let points = self.target.iter().zip(&self.y).zip(lower.iter().zip(upper));
         for ((t, d), ((target, y), (lower, upper))) in self.meets.iter_mut().zip(&mut self.step).zip(points) {
             *d = target - y;
-            let room = if *d > 0.0 { upper - y } else { lower - y };
-            *t = if *d == 0.0 { f64::INFINITY } else { room / *d };
+            let distance = if *d > 0.0 { upper - y } else { lower - y };
+            *t = if *d == 0.0 { f64::INFINITY } else { distance / *d };
         }
         self.h_step.fill(0.0);
         self.scaled.add_hessian_times(&self.step, &mut self.h_step);

@@ -432,7 +432,7 @@ impl Episode {
         }
     }
 
-    /// The plant obeys; one that physics excludes begins again.
+    /// The plant follows the command; one that physics excludes begins again.
     fn advance(&mut self) {
         let Some((plant, first)) = &mut self.plant else { return };
         let command = self.controller.command();

@@ -53,7 +53,7 @@ fn experiment_mission(name: &str) -> flight_io::MissionConfig {
     flight_io::load(&file).unwrap()
 }
 
-/// The aware controller that knows the wrench holds it without an error.
+/// The aware controller whose model has the wrench holds it without an error.
 #[test]
 fn a_known_wrench_is_held_without_an_error() {
     let config = with(as_published("test2"), |config| config.mission = experiment_mission("hover"));

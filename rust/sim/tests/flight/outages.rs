@@ -128,7 +128,7 @@ fn blind_for_good_it_descends() {
     }
 }
 
-/// A thrust sensor that stands still or is off for good: the momentum tells, and the thrust is modelled from then on.
+/// A thrust sensor that stands still or is off for good: the momentum shows it, and the thrust is modelled from then on.
 #[test]
 fn with_a_wrong_thrust_sensor_it_arrives() {
     for (jet, kind, error) in [

@@ -97,7 +97,7 @@ fn the_log_has_every_signal_of_every_tick() {
 }
 
 /// Signals belong together: velocities are rates, momentum is that of the CoM, attitudes are rotations,
-/// forces of a controller that knows the air are those of the air.
+/// forces of a controller with the air's model are those of the air.
 #[test]
 fn logged_signals_belong_together() {
     let result = run(&with(short(12.0), |config| config.wind = ramp_to([3.0, -9.0, 1.0])));
@@ -295,7 +295,7 @@ fn a_flight_can_be_interrupted() {
     assert_eq!(seen, (0..=7).map(|tick| (tick, 100)).collect::<Vec<_>>());
 }
 
-/// A batch tells how many flights are done, keeps what is done when it is stopped, and says so.
+/// A batch reports how many flights are done, keeps what is done when it is stopped, and says so.
 #[test]
 fn a_batch_can_be_interrupted() {
     let configs = vec![short(0.2); 6];

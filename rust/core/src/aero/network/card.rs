@@ -27,7 +27,7 @@ pub struct Card {
 pub struct Inputs {
     /// Blocks of features, in the order of the input vector.
     pub features: Vec<Feature>,
-    /// Joints that the network knows, in the robot's order.
+    /// Joints that are inputs of the network, in the robot's order.
     pub joints: Vec<String>,
     /// Aerodynamic links, in the robot's order.
     pub links: Vec<String>,
