@@ -1,6 +1,6 @@
 """What follows from the logs of flights: the fuel that is burnt, and how far jets stay from the body.
 
-`python -m experiments along [NAME ...]` reads `results/flight/NAME/`. Fuel is a straight line in the thrust of every
+`python -m experiments along` reads `results/flight/NAME/`. Fuel is a straight line in the thrust of every
 jet, as in `configs/trajectory/min_time.toml`; the clearance is that of `configs/trim/hover_posture.toml`: from the axis
 of an exhaust to the surface of a link, soles included. The result goes to `results/along/flights/`;
 `python -m paper_figs along` draws it.
@@ -8,8 +8,7 @@ of an exhaust to the surface of a link, soles included. The result goes to `resu
 
 from __future__ import annotations
 
-import time
-from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -17,11 +16,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import Refused, manifest, record, study
+from experiments import Refused, record, study
 from experiments.engine_choice import ROBOT, Choice
+from experiments.study import Findings, Study
 from experiments.trajectory import Consumption, fuel_lines
-from jax_aero import cli, tables
-from jax_aero.command import exit_status
+from jax_aero import tables
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.clearance import pairs
 from jax_aero.symbolic.kinematics import Kinematics
@@ -29,51 +28,45 @@ from jax_aero.symbolic.kinematics import Kinematics
 FLIGHTS = ("test2", "test2_published", "test4", "robustness", "test1", "test1_published", "no_wind")
 STEP = 0.1
 """Between the moments that are looked at [s]."""
-KIND, NAME = "along", "flights"
 
 Array = NDArray[np.float64]
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run the command line; return its exit status."""
-    parser = cli.Parser("along", __doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"flights (default {' '.join(FLIGHTS)})")
-    names = parser.parse_args(arguments).names or FLIGHTS
+class Along(tables.Table, frozen=True):
+    """Which flights are read, and which files have the numbers."""
 
-    def work() -> None:
-        for name, found in run(names)["summary"].items():
-            print(f"{name:<28} " + ", ".join(f"{key} {value:.4g}" for key, value in found.items()))
-
-    return exit_status(work)
-
-
-def run(names: Sequence[str]) -> dict[str, Any]:
-    """Read the flights, write the study, return its manifest."""
-    started = time.perf_counter()
-    runs = {name: _read(name) for name in names}
-    plan = tables.read(study.CONFIGS / "trajectory" / "min_time.toml")
-    trim = tables.read(study.CONFIGS / "trim" / "hover_posture.toml")
-    fuel = {jet: tables.convert(points, Consumption, "min_time.toml") for jet, points in plan["fuel"].items()}
-    dataset = of_runs(runs, fuel, float(trim["plume_length"]))
-    config = {
-        "fuel": plan["fuel"],
-        "plume_length": trim["plume_length"],
-        "flights": {n: _hash(r) for n, r in runs.items()},
-    }
-    dataset.attrs |= {"title": "Fuel and clearance along flights", "config_hash": study.digest(config, [ROBOT])}
-    document = manifest.build(
-        NAME,
-        dataset.attrs["title"],
-        config,
-        dataset.attrs["config_hash"],
-        summary=figures(dataset),
-        command=["jax-aero", "along", *names],
-        engine="casadi",
-        code=[__name__],
-        timings_s={"all": time.perf_counter() - started},
+    flights: tuple[str, ...] = (
+        "test2",
+        "test2_published",
+        "test4",
+        "robustness",
+        "test1",
+        "test1_published",
+        "no_wind",
     )
-    record.write_run(study.RESULTS / KIND / NAME, dataset, document, replace=True)
-    return document
+    plan: Path = study.CONFIGS / "trajectory" / "min_time.toml"
+    """Has the consumption of the jets."""
+    trim: Path = study.CONFIGS / "trim" / "hover_posture.toml"
+    """Has the length of a plume."""
+
+
+def compute(_: str, asked: Along) -> Findings:
+    """Read the flights."""
+    runs = {name: _read(name) for name in asked.flights}
+    consumption = tables.read(asked.plan)["fuel"]
+    fuel = {jet: tables.convert(points, Consumption, asked.plan.name) for jet, points in consumption.items()}
+    data = of_runs(runs, fuel, float(tables.read(asked.trim)["plume_length"]))
+    summary = figures(data)
+    report = "\n".join(
+        f"  {name:<26} " + ", ".join(f"{key} {value:.4g}" for key, value in found.items())
+        for name, found in summary.items()
+    )
+    inputs = {"hashes": {name: run.attrs["config_hash"] for name, run in runs.items()}}
+    return Findings("Fuel and clearance along flights", data, summary, inputs=inputs, files=[ROBOT], report=report)
+
+
+STUDY = Study("along", __doc__, Along, compute, ("flights",))
+main = STUDY.main
 
 
 def _read(name: str) -> xr.Dataset:
@@ -82,10 +75,6 @@ def _read(name: str) -> xr.Dataset:
         raise Refused(f"no flight `{name}`; fly it with: python -m experiments {name}")
     with xr.open_dataset(path, engine="h5netcdf") as opened:
         return opened[["joint_position", "thrust"]].load().assign_attrs(opened.attrs)
-
-
-def _hash(run: xr.Dataset) -> str:
-    return str(run.attrs["config_hash"])
 
 
 def of_runs(runs: dict[str, xr.Dataset], fuel: dict[str, Consumption], plume_length: float) -> xr.Dataset:
@@ -125,12 +114,9 @@ def clearance_of(robot: Any, plume_length: float) -> tuple[ca.Function, list[str
     jets = [jet.name for jet in robot.jets]
     least = [ca.mmin(ca.vertcat(*(pair.distance for pair in found if pair.jet == jet))) for jet in jets]
     (here,) = tree.here(ca.vertcat(*least))
-    placed = ca.substitute(here, ca.vertcat(tree.base_position, ca.vec(tree.base_rotation)), _origin())
+    origin = ca.SX(ca.DM([0.0, 0.0, 0.0, *np.eye(3).ravel(order="F")]))
+    placed = ca.substitute(here, ca.vertcat(tree.base_position, ca.vec(tree.base_rotation)), origin)
     return ca.Function("clearance", [tree.joint_position], [placed]), jets
-
-
-def _origin() -> ca.SX:
-    return ca.SX(ca.DM([0.0, 0.0, 0.0, *np.eye(3).ravel(order="F")]))
 
 
 def fuel_burnt(times: Array, thrust: Array, idle: Array, slope: Array) -> Array:

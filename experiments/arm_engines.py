@@ -8,78 +8,57 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from experiments import flight, manifest, record, study
+from experiments import flight
 from experiments.engine_choice import ROBOT
-from jax_aero import cli, rust
-from jax_aero.command import exit_status
+from experiments.study import Findings, Study
+from jax_aero import rust, tables
 from jax_aero.summary import SETTLING_TIME
 
 ENGINES = {"P160": 160.0, "P100": 100.0}
 """Greatest thrust of each arm [N]: of the published flights, and of the published balancing experiments."""
-EXPERIMENTS = ("no_wind", "test1", "test2", "test4", "head_wind", "second_order_jets")
 QUANTITIES = {"arm_thrust_max": "N", "chest_thrust_max": "N", "rotation_error": "deg", "com_error": "m"}
-KIND, NAME = "arm_engines", "paper"
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run the command line; return its exit status."""
-    cli.Parser("arm-engines", __doc__).parse_args(arguments)
+class ArmEngines(tables.Table, frozen=True):
+    """Which missions are flown."""
 
-    def work() -> None:
-        for name, found in run()["summary"].items():
-            values = ", ".join(f"{key} {found[key]:.4g} {unit}" for key, unit in QUANTITIES.items())
-            print(f"{name:<26} {found['outcome']:<10} {values}")
-
-    return exit_status(work)
+    experiments: tuple[str, ...] = ("no_wind", "test1", "test2", "test4", "head_wind", "second_order_jets")
 
 
-def run() -> dict[str, Any]:
-    """Fly, write, return the manifest."""
-    started = time.perf_counter()
+def compute(_: str, asked: ArmEngines) -> Findings:
+    """Fly every mission with every engine."""
+    flights = {name: rust.load_config(flight.find(name)) for name in asked.experiments}
     found: dict[str, dict[str, Any]] = {}
     with tempfile.TemporaryDirectory() as folder:
         shutil.copy(ROBOT.with_suffix(".urdf"), folder)
         for engine, limit in ENGINES.items():
             path = Path(folder) / f"{engine}.toml"
             path.write_text(with_arms(ROBOT.read_text(encoding="utf-8"), engine, limit), encoding="utf-8")
-            for name in EXPERIMENTS:
-                config = {**rust.load_config(flight.find(name)), "robot": str(path)}
-                found[f"{name} {engine}"] = outcome_of(rust.fly(config))
-    rows = [[found[f"{name} {engine}"] for engine in ENGINES] for name in EXPERIMENTS]
-    dataset = xr.Dataset(
-        {
-            "outcome": (("experiment", "engine"), [[cell["outcome"] for cell in row] for row in rows]),
-            **{
-                key: (("experiment", "engine"), [[cell[key] for cell in row] for row in rows], {"units": unit})
-                for key, unit in QUANTITIES.items()
-            },
-        },
-        {"experiment": list(EXPERIMENTS), "engine": list(ENGINES)},
+            for name, config in flights.items():
+                found[f"{name} {engine}"] = outcome_of(rust.fly({**config, "robot": str(path)}))
+    rows = [[found[f"{name} {engine}"] for engine in ENGINES] for name in flights]
+    units = {"outcome": {}, **{key: {"units": unit} for key, unit in QUANTITIES.items()}}
+    data = xr.Dataset(
+        {key: (("experiment", "engine"), [[cell[key] for cell in row] for row in rows], units[key]) for key in units},
+        {"experiment": list(flights), "engine": list(ENGINES)},
     )
-    flights = {name: rust.config_digest(rust.load_config(flight.find(name))) for name in EXPERIMENTS}
-    config = {"engines": ENGINES, "experiments": flights}
-    dataset.attrs |= {"title": "Engines of the arms", "config_hash": study.digest(config, [ROBOT])}
-    document = manifest.build(
-        NAME,
-        dataset.attrs["title"],
-        config,
-        dataset.attrs["config_hash"],
-        summary=found,
-        command=["jax-aero", "arm-engines"],
-        engine="numpy",
-        code=[__name__],
-        timings_s={"all": time.perf_counter() - started},
+    report = "\n".join(
+        f"  {name:<26} {cell['outcome']:<10} "
+        + ", ".join(f"{key} {cell[key]:.4g} {unit}" for key, unit in QUANTITIES.items())
+        for name, cell in found.items()
     )
-    record.write_run(study.RESULTS / KIND / NAME, dataset, document, replace=True)
-    return document
+    inputs = {"engines": ENGINES}
+    return Findings("Engines of the arms", data, found, flights=flights, inputs=inputs, files=[ROBOT], report=report)
+
+
+STUDY = Study("arm_engines", __doc__, ArmEngines, compute, ("paper",), engine="rust")
+main = STUDY.main
 
 
 def with_arms(robot: str, engine: str, limit: float) -> str:

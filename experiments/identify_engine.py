@@ -1,8 +1,8 @@
 """Identify a second-order engine (M32) from a log of a test bench, validate it on another log, tune its estimator.
 
-`python -m experiments identify-engine` makes two logs of an engine of the robot's file (`--engine P220`), as a bench
-would write them: time, throttle and thrust with noise, 100 times a second. `--train FILE --test FILE` reads real ones:
-CSV with the columns `time_s,throttle_percent,thrust_n`.
+`python -m experiments identify-engine P220` makes two logs of an engine of the robot's file, as a bench would write
+them: time, throttle and thrust with noise, 100 times a second. `--set train=FILE --set test=FILE` reads real ones: CSV
+with the columns `time_s,throttle_percent,thrust_n`.
 
 1. Local cubics smooth thrust and its two derivatives; linear least squares give all coefficients but b_uu.
 2. Output error: segments of a second are simulated (M33) from their smoothed start, then segments of 20 s, and
@@ -16,8 +16,7 @@ The result goes to `results/identify_engine/NAME/`; `python -m paper_figs engine
 from __future__ import annotations
 
 import csv
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,14 +26,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import Refused, manifest, record, study
+from experiments import Refused
 from experiments.engine_choice import ROBOT
-from jax_aero import cli, tables
-from jax_aero.command import exit_status
+from experiments.study import Findings, Study
+from jax_aero import tables
 from jax_aero.jets import Engines, EngineState, SecondOrderJets, thrust_acceleration, update_ekf
 from jax_aero.robot import ENGINE_KEYS
 
-KIND = "identify_engine"
 COLUMNS = ("time_s", "throttle_percent", "thrust_n")
 STEP = 0.01
 """Of a log, and of the simulated controller [s]."""
@@ -47,8 +45,6 @@ WINDOW = 10
 SEGMENTS = (100, 2000)
 """Samples of a simulated segment: short ones converge from far away, in long ones the start no longer matters."""
 PUBLISHED_Q, PUBLISHED_R = np.array([[10.0, 1.0], [1.0, 10.0]]), 1.0
-COEFFICIENTS = ENGINE_KEYS[:10]
-"""k_t to c; the throttle's limits are known."""
 
 Array = NDArray[np.float64]
 
@@ -72,68 +68,42 @@ class Smoothed(NamedTuple):
     acceleration: Array
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run the command line; return its exit status."""
-    parser = cli.Parser("identify-engine", __doc__)
-    parser.add_argument(
-        "--engine", default="P220", help="engine of the robot's file that makes the logs (default P220)"
-    )
-    parser.add_argument("--train", type=Path, metavar="FILE", help="log to identify from")
-    parser.add_argument("--test", type=Path, metavar="FILE", help="log to validate on")
-    parser.add_argument("--logs", type=Path, metavar="DIR", help="write the logs that were made there")
-    given = parser.parse_args(arguments)
+class EngineLogs(tables.Table, frozen=True):
+    """Logs to identify an engine from and to validate it on; without them they are made of one of the robot's file."""
 
-    def work() -> None:
-        print(study.listing(run(given.engine, given.train, given.test, given.logs)["summary"]))
+    train: Path | None = None
+    test: Path | None = None
 
-    return exit_status(work)
+    def __post_init__(self) -> None:
+        if (self.train is None) != (self.test is None):
+            raise ValueError("`train` and `test`: expected both, or none")
 
 
-def run(name: str, train: Path | None = None, test: Path | None = None, logs: Path | None = None) -> dict[str, Any]:
-    """Make or read logs, identify, validate, tune, write; return the manifest."""
-    if (train is None) != (test is None):
-        raise Refused("one of --train and --test is given; expected both, or none")
+def compute(name: str, logs: EngineLogs) -> Findings:
+    """Make or read logs, identify, validate, tune."""
     table = tables.read(ROBOT)["engines"]
     if name not in table:
         raise Refused(f"no engine `{name}`; there are {', '.join(table)}")
-    started = time.perf_counter()
     truth = np.array([table[name][key] for key in ENGINE_KEYS], dtype=float)
-    made = train is None or test is None
-    pair = (
-        (bench_log(truth, 1), bench_log(truth, 2))
-        if train is None or test is None
-        else (read_log(train), read_log(test))
-    )
-    if logs is not None:
-        for log, stem in zip(pair, ("train", "test"), strict=True):
-            write_log(log, logs / f"{name}_{stem}.csv")
+    read = [read_log(path) for path in (logs.train, logs.test) if path]
+    train, test = read or [bench_log(truth, seed) for seed in (1, 2)]
     with jax.enable_x64(True):
-        found = identify(pair[0], truth[10:])
-        whole = simulate(found, pair[1].throttle, smooth(pair[1].thrust))
-        of_file = simulate(truth, pair[1].throttle, smooth(pair[1].thrust))
-        q, r = tune(found, pair[0])
+        found = identify(train, truth[10:])
+        whole = simulate(found, test.throttle, smooth(test.thrust))
+        of_file = simulate(truth, test.throttle, smooth(test.thrust))
+        q, r = tune(found, train)
         estimates = {
-            label: estimate(found, pair[1], *numbers)[0]
+            label: estimate(found, test, *numbers)[0]
             for label, numbers in (("tuned", (q, r)), ("published", (PUBLISHED_Q, PUBLISHED_R)))
         }
-    dataset = to_dataset(pair[1], found, truth, whole, of_file, estimates)
-    dataset.attrs |= {"q_thrust": q[0, 0], "q_rate": q[1, 1], "r": r, "made": int(made)}
-    settings = {"engine": name, "made": made, "seeds": [1, 2]}
-    digest = study.digest(settings, [ROBOT] if made else [path for path in (train, test) if path])
-    dataset.attrs |= {"title": f"{name} identified from a log", "config_hash": digest}
-    document = manifest.build(
-        name,
-        dataset.attrs["title"],
-        settings,
-        digest,
-        summary=figures(dataset),
-        command=["jax-aero", "identify-engine", "--engine", name],
-        engine="jax",
-        code=[__name__],
-        timings_s={"all": time.perf_counter() - started},
-    )
-    record.write_run(study.RESULTS / KIND / name, dataset, document, replace=True)
-    return document
+    data = to_dataset(test, found, truth, whole, of_file, estimates)
+    data.attrs |= {"q_thrust": q[0, 0], "q_rate": q[1, 1], "r": r, "made": int(not read)}
+    texts = {} if read else {"train.csv": log_text(train), "test.csv": log_text(test)}
+    return Findings(f"{name} identified from a log", data, figures(data), files=[ROBOT], texts=texts)
+
+
+STUDY = Study("identify_engine", __doc__, EngineLogs, compute, ("P220",), engine="jax")
+main = STUDY.main
 
 
 # --- logs
@@ -215,11 +185,10 @@ def read_log(path: Path) -> Log:
     return Log(*values.T)
 
 
-def write_log(log: Log, path: Path) -> None:
-    """Write a log as `read_log` reads it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+def log_text(log: Log) -> str:
+    """Return a log as `read_log` reads it."""
     rows = "\n".join(f"{t:.2f},{u:.4f},{thrust:.4f}" for t, u, thrust in zip(*log, strict=True))
-    path.write_text(f"{','.join(COLUMNS)}\n{rows}\n", encoding="utf-8")
+    return f"{','.join(COLUMNS)}\n{rows}\n"
 
 
 # --- identification

@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm, logm, solve_discrete_lyapunov
+from scipy.linalg import solve_discrete_lyapunov
+from scipy.spatial.transform import Rotation
 
 from experiments import flight
 from jax_aero import rust
@@ -93,7 +94,7 @@ def linearised(weight: float, time_step: float) -> Loop:
 
     def ticked(x: Matrix, integral: Matrix) -> rust.Tick:
         at = now + x
-        state = rust.State(at[:3], turned @ expm(_skew(x[3:6])), at[6 : 6 + n], at[velocity])
+        state = rust.State(at[:3], turned @ _rotation(x[3:6]), at[6 : 6 + n], at[velocity])
         controller.state = memory.with_posture_control(tick.posture, tick.inertia_0_b, before + integral)
         return controller.tick(state, at[thrust], np.zeros(3), measured.time)
 
@@ -106,7 +107,7 @@ def linearised(weight: float, time_step: float) -> Loop:
     held = answered(zero, none)[: jets + n]
 
     def moved(x: Matrix, extra: Matrix) -> Matrix:
-        rotation = turned @ expm(_skew(x[3:6]))
+        rotation = turned @ _rotation(x[3:6])
         after: Matrix = _stepped(ticked(x, none), now + x, rotation, turned, held + extra, time_step) - now
         return after
 
@@ -198,8 +199,7 @@ def _stepped(tick: rust.Tick, at: Matrix, rotation: Matrix, hovering: Matrix, u:
     mass = tick.mass_matrix
     base = np.linalg.solve(mass[:6, :6], about_base - tick.bias[:6] - mass[:6, 6:] @ joints)
     velocity = velocity + time_step * np.concatenate([base, joints])
-    turned = np.real(logm(hovering.T @ expm(_skew(time_step * velocity[3:6])) @ rotation))
-    moved = np.array([turned[2, 1], turned[0, 2], turned[1, 0]])
+    moved = Rotation.from_matrix(hovering.T @ _rotation(time_step * velocity[3:6]) @ rotation).as_rotvec()
     joint_position = at[6 : 6 + n] + time_step * velocity[6:]
     return np.concatenate(
         [at[:3] + time_step * velocity[:3], moved, joint_position, velocity, thrust + time_step * u[:jets]]
@@ -211,5 +211,6 @@ def _jacobian(function: Callable[[Matrix], Matrix], size: int) -> Matrix:
     return np.array(columns).T
 
 
-def _skew(v: Matrix) -> Matrix:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+def _rotation(vector: Matrix) -> Matrix:
+    matrix: Matrix = Rotation.from_rotvec(vector).as_matrix()
+    return matrix

@@ -129,7 +129,7 @@ def hovering_inertia(config: Mapping[str, Any]) -> NDArray[np.float64]:
 def couple(tick: rust.Tick, moment: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the least link forces that add up to no force and this moment about the centre of mass."""
     arms = tick.link_arm_points - tick.com_position
-    rows = np.vstack([np.hstack([np.eye(3)] * len(arms)), np.hstack([_skew(arm) for arm in arms])])
+    rows = np.vstack([np.hstack([np.eye(3)] * len(arms)), np.concatenate(np.cross(np.eye(3), arms[:, None]), axis=1)])
     found, *_ = np.linalg.lstsq(rows, np.concatenate([np.zeros(3), moment]), rcond=None)
     return np.asarray(found, dtype=np.float64).reshape(-1, 3)
 
@@ -147,10 +147,6 @@ def _rotation_about(axis: int, error: NDArray[np.float64]) -> float:
     """Sine of a rotation about one axis, as the attitude law has it (M59)."""
     before, after = (axis + 1) % 3, (axis + 2) % 3
     return float(error[after, before] - error[before, after]) / 2.0
-
-
-def _skew(v: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
 if __name__ == "__main__":

@@ -7,91 +7,73 @@ them. The flight is `results/flight/test2`.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import manifest, record, study
+from experiments import record, study
 from experiments.engine_choice import ROBOT
-from jax_aero import cli, rust, tables
-from jax_aero.command import exit_status
+from experiments.study import Findings, Study
+from jax_aero import rust, tables
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.kinematics import Kinematics
 from jax_aero.view import recording
 from jax_aero.view.offscreen import Camera, Studio, camera_at
 
-FLIGHT, MOMENT = "test2", 14.0
-"""What Fig. 5 a shows: hovering while the wind blows [s]."""
+POSTURES = study.CONFIGS / "tables" / "postures.toml"
 FLIGHT_SIZE, POSTURE_SIZE = (960, 720), (240, 320)
 """Width and height [pixels]."""
 FACING_X = np.array([0.0, 0.0, 0.0, 1.0])  # w, x, y, z: yaw of 180 degrees, the base's x axis points backwards
-KIND, NAME = "pictures", "paper"
 
 Array = NDArray[np.float64]
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run the command line; return its exit status."""
-    cli.Parser("pictures", __doc__).parse_args(arguments)
+class Pictures(tables.Table, frozen=True):
+    """What Fig. 5 a shows."""
 
-    def work() -> None:
-        run()
-        print(study.RESULTS / KIND / NAME)
-
-    return exit_status(work)
+    flight: Path = study.RESULTS / "flight" / "test2" / record.RUN_FILE
+    moment: tables.NonNegative = 14.0
+    """Hovering while the wind blows [s]."""
 
 
-def run() -> dict[str, Any]:
-    """Draw everything, write, return the manifest."""
-    started = time.perf_counter()
-    flown = recording.read(study.RESULTS / "flight" / FLIGHT)
+def compute(_: str, asked: Pictures) -> Findings:
+    """Draw everything."""
+    flown = recording.read(asked.flight.parent)
     with Studio(flown, *FLIGHT_SIZE) as studio:
-        flight = studio.picture(MOMENT, camera_at(flown, MOMENT, "chase", 2.5), trail=False)
+        flight = studio.picture(asked.moment, camera_at(flown, asked.moment, "chase", 2.5), trail=False)
     robot = rust.Robot(str(ROBOT))
     named = named_postures()
     pictures = [posture_picture(robot, joints) for joints in named.values()]
     starts, ends, diameters = capsules(posture_vector(robot, named["hovering"]))
-    colour = ["red", "green", "blue"]
-    dataset = xr.Dataset(
+    data = xr.Dataset(
         {
-            "flight": (("row", "column", "colour"), flight, {"long_name": f"{flown.title}, {MOMENT:g} s"}),
+            "flight": (("row", "column", "colour"), flight, {"long_name": f"{flown.title}, {asked.moment:g} s"}),
             "posture_picture": (("posture", "posture_row", "posture_column", "colour"), np.stack(pictures)),
             "link_start": (("link", "xyz"), starts, {"units": "m", "long_name": "capsule of the link, base axes"}),
             "link_end": (("link", "xyz"), ends, {"units": "m"}),
             "link_diameter": (("link",), diameters, {"units": "m"}),
         },
-        {"posture": list(named), "colour": colour, "xyz": ["x", "y", "z"], "link": list(robot.aero_link_names)},
+        {
+            "posture": list(named),
+            "colour": ["red", "green", "blue"],
+            "xyz": ["x", "y", "z"],
+            "link": list(robot.aero_link_names),
+        },
     )
-    files = [ROBOT, study.RESULTS / "flight" / FLIGHT / record.RUN_FILE]
-    config = {
-        "flight": FLIGHT,
-        "moment": MOMENT,
-        "postures": {name: list(joints.values()) for name, joints in named.items()},
-    }
-    dataset.attrs |= {"title": "Pictures of the paper", "config_hash": study.digest(config, files)}
-    document = manifest.build(
-        NAME,
-        dataset.attrs["title"],
-        config,
-        dataset.attrs["config_hash"],
-        summary={"postures": len(named)},
-        command=["jax-aero", "pictures"],
-        engine="mujoco",
-        code=[__name__],
-        timings_s={"all": time.perf_counter() - started},
-    )
-    record.write_run(study.RESULTS / KIND / NAME, dataset, document, replace=True)
-    return document
+    return Findings("Pictures of the paper", data, {"postures": len(named)}, files=[ROBOT, POSTURES])
+
+
+STUDY = Study("pictures", __doc__, Pictures, compute, ("paper",), engine="mujoco")
+main = STUDY.main
 
 
 def named_postures() -> dict[str, dict[str, float]]:
     """Return joint angles [deg] of the postures of the public table and of the tunnel, by posture and joint."""
-    known = tables.read(study.CONFIGS / "tables" / "postures.toml")
+    known = tables.read(POSTURES)
     both = {**known["free_stream"], **known["tunnel"]}
     return {name: dict(zip(known["joints"], angles, strict=True)) for name, angles in both.items()}
 

@@ -138,8 +138,8 @@ def settings(config: TrajectoryConfig, base: Mapping[str, Any], robot: Robot) ->
         yaw=float(np.radians(config.yaw_deg)),
         posture=np.array(base["simulator"]["initial"]["joint_position"], dtype=float),
         free_joints=tuple(free),
-        roll=_radians(config.roll_limits_deg),
-        pitch=_radians(config.pitch_limits_deg),
+        roll=config.roll_limits_deg.radians,
+        pitch=config.pitch_limits_deg.radians,
         yaw_slack=float(np.radians(config.yaw_slack_deg)),
         angular_velocity_max=float(np.radians(config.angular_velocity_max_deg)),
         moment_max=config.moment_max,
@@ -158,10 +158,6 @@ def settings(config: TrajectoryConfig, base: Mapping[str, Any], robot: Robot) ->
         effort_weight=config.effort_weight,
         posture_weight=config.posture_weight,
     )
-
-
-def _radians(limits_deg: tables.Interval) -> tuple[float, float]:
-    return float(np.radians(limits_deg.lower)), float(np.radians(limits_deg.upper))
 
 
 def fuel_lines(fuel: Mapping[str, Consumption], robot: Robot) -> tuple[Any, Any]:

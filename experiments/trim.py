@@ -113,8 +113,8 @@ def build(config: TrimConfig) -> Trim:
     settings = TrimSettings(
         posture=posture,
         free_joints=tuple(free),
-        roll=_angles(config.roll_limits_deg),
-        pitch=_angles(config.pitch_limits_deg),
+        roll=config.roll_limits_deg.radians,
+        pitch=config.pitch_limits_deg.radians,
         yaw=float(np.radians(config.yaw_deg)),
         margin_min=config.margin_min,
         torque_max=robot.joint_torque_max,
@@ -265,10 +265,6 @@ def _map_dataset(
         "jet": [jet.name for jet in robot.jets],
     }
     return xr.Dataset(variables, coords)
-
-
-def _angles(limits_deg: tables.Interval) -> tuple[float, float]:
-    return float(np.radians(limits_deg.lower)), float(np.radians(limits_deg.upper))
 
 
 if __name__ == "__main__":

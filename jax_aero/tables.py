@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import math
 import operator
 import re
 import sys
@@ -63,6 +64,11 @@ class Interval(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fiel
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
             raise ValueError("expected two numbers, the lower one first")
+
+    @property
+    def radians(self) -> tuple[float, float]:
+        """Both ends of an interval of angles in degrees [rad]."""
+        return math.radians(self.lower), math.radians(self.upper)
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

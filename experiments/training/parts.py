@@ -19,7 +19,7 @@ from jax_aero.aero.network import Layer, Network
 from jax_aero.aero.posture import total_wrench
 from jax_aero.files import write_json
 from jax_aero.robot import RobotModel
-from jax_aero.train import Samples, baseline_errors, distil_samples, fit, predict_areas, samples_of
+from jax_aero.train import Fitted, Samples, Settings, baseline_errors, distil_samples, fit, predict_areas, samples_of
 
 OnEpoch = Callable[[float, float | None], None]
 
@@ -74,30 +74,42 @@ def run(
     samples = samples_of(model, robot, rows, with_totals=training.training.has_totals)
     unseen = samples_of(model, robot, held_out) if len(held_out) else None
     curves: dict[str, list[list[float | None]]] = {}
-    seconds = []
-    members = []
-    for member in range(training.ensemble.members):
-        seed = training.seed + 1000 * part.seed + member
-        name = f"{part.name}-member-{member}"
-        fitted = fit(
+    first = training.seed + 1000 * part.seed
+
+    def fitted(name: str, samples: Samples, settings: Settings, seed: int) -> Fitted:
+        found = fit(
             training.start(robot, seed),
             samples,
             unseen,
-            training.training,
+            settings,
             seed,
-            checkpoint=work / f"{name}.npz",
+            checkpoint=work / f"{part.name}-{name}.npz",
             on_epoch=lambda _, train, error: on_epoch(train, error),
         )
-        members.append(fitted.network)
-        seconds.append(fitted.seconds_per_epoch)
-        curves[name] = [list(row) for row in fitted.curves]
+        curves[f"{part.name}-{name}"] = [list(row) for row in found.curves]
+        return found
+
+    found = [
+        fitted(f"member-{member}", samples, training.training, first + member)
+        for member in range(training.ensemble.members)
+    ]
+    members = [one.network for one in found]
     network = mean_of(members)
-    if training.distillation is not None:
-        network = _student(part, training, robot, rows, unseen, members, work, on_epoch, curves)
+    if (how := training.distillation) is not None:
+        taught = distil_samples(
+            members,
+            robot,
+            rows,
+            count=how.samples,
+            spread_deg=how.spread_deg,
+            seed=first + len(members),
+            with_totals=how.training.has_totals,
+        )
+        network = fitted("student", taught, how.training, first + len(members)).network
     errors: dict[str, Any] = {
         "train_mse": float(np.mean((predict_areas(network, robot, rows) - rows.force_area_b) ** 2)),
         "seconds": time.perf_counter() - started,
-        "seconds_per_epoch": float(np.median(seconds)),
+        "seconds_per_epoch": float(np.median([one.seconds_per_epoch for one in found])),
         "rows": len(rows),
         "held_out": len(held_out),
     }
@@ -109,43 +121,6 @@ def run(
         errors |= _errors(robot, predicted, held_out) | {"baselines": baseline_errors(robot, rows, held_out)}
         errors["ensemble_mse"] = float(np.mean((teachers - held_out.force_area_b) ** 2))
     return Finished(part, errors, areas, curves), network
-
-
-def _student(
-    part: Part,
-    training: Training,
-    robot: RobotModel,
-    rows: Dataset,
-    unseen: Samples | None,
-    teachers: list[Network],
-    work: Path,
-    on_epoch: OnEpoch,
-    curves: dict[str, list[list[float | None]]],
-) -> Network:
-    assert training.distillation is not None
-    how = training.distillation
-    seed = training.seed + 1000 * part.seed + training.ensemble.members
-    samples = distil_samples(
-        teachers,
-        robot,
-        rows,
-        count=how.samples,
-        spread_deg=how.spread_deg,
-        seed=seed,
-        with_totals=how.training.has_totals,
-    )
-    name = f"{part.name}-student"
-    fitted = fit(
-        training.start(robot, seed),
-        samples,
-        unseen,
-        how.training,
-        seed,
-        checkpoint=work / f"{name}.npz",
-        on_epoch=lambda _, train, error: on_epoch(train, error),
-    )
-    curves[name] = [list(row) for row in fitted.curves]
-    return fitted.network
 
 
 def mean_of(members: list[Network]) -> Network:

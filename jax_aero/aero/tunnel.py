@@ -146,17 +146,13 @@ def centre_of_gravity(force: Floats, moment: Floats) -> tuple[Floats, Floats]:
 
     While the balance turns, the weight's part in its axes changes by ΔF, and its moment by ΔM = r × ΔF.
     """
-    matrix = np.concatenate([-_skew(one) for one in force])
+    matrix = np.cross(force[:, None], np.eye(3)).reshape(-1, 3)
     right = moment.reshape(-1)
     normal = np.linalg.inv(matrix.T @ matrix)
     r = normal @ matrix.T @ right
     left = right - matrix @ r
     variance = float(left @ left) / max(len(right) - 3, 1)
     return r, np.sqrt(variance * np.diag(normal))
-
-
-def _skew(v: Floats) -> Floats:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
 
 
 class Test(NamedTuple):

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from experiments import Refused, arm_engines
+from experiments import Refused, arm_engines, record
 from experiments import identify_engine as bench
 from experiments.engine_choice import ROBOT
 from jax_aero import tables
@@ -25,7 +25,7 @@ def log(truth):
 
 
 def test_a_log_is_read_as_it_was_written(log, tmp_path, agree):
-    bench.write_log(log, tmp_path / "a.csv")
+    (tmp_path / "a.csv").write_text(bench.log_text(log))
     read = bench.read_log(tmp_path / "a.csv")
     agree("thrust", read.thrust, log.thrust, 1e-4)
     agree("throttle", read.throttle, log.throttle, 1e-4)
@@ -50,7 +50,7 @@ def test_what_is_no_log_is_refused(text, words, tmp_path):
 def test_a_log_with_a_gap_is_refused(log, tmp_path):
     times = log.time.copy()
     times[100:] += 1.0
-    bench.write_log(log._replace(time=times), tmp_path / "a.csv")
+    (tmp_path / "a.csv").write_text(bench.log_text(log._replace(time=times)))
     with pytest.raises(Refused, match=r"samples are not 0\.01 s apart"):
         bench.read_log(tmp_path / "a.csv")
 
@@ -103,7 +103,7 @@ def test_a_log_of_a_minute_gives_the_engine(truth, log, measured, tmp_path):
     assert bench.figures(dataset)["noise: measured less smoothed [N]"] < 1.2
     folder = tmp_path / "identify_engine" / "P220"
     folder.mkdir(parents=True)
-    bench.record.write_dataset(dataset, folder / "run.nc")
+    record.write_dataset(dataset, folder / "run.nc")
     figure, hashes = engine_figure.draw(tmp_path / "flight")
     assert len(figure.axes) == 3
     assert hashes == {"P220": "0"}
