@@ -82,7 +82,7 @@ def compute(_name: str, _config: CalibrationConfig) -> Findings:
         {"left-out calibration postures, rms vector error [m2]": tried[settings], **figures(everything, models)},
         inputs=inputs | {"records": len(learned.posture)},
         files=[ROBOT, POSTURES, TUNNEL, CFD],
-        texts={"surrogate.toml": toml(weights, settings)},
+        texts={"surrogate.toml": toml(weights, sources_of(settings))},
     )
 
 
@@ -145,13 +145,10 @@ def figures(table: Records, models: Mapping[str, Floats]) -> dict[str, float]:
     return found
 
 
-def toml(weights: Floats, settings: Settings) -> str:
-    """Return the file that `load_surrogate` reads."""
+def toml(weights: Floats, about: Sequence[str]) -> str:
+    """Return the file that `load_surrogate` reads: coefficients (8, 12) by family, and lines that say what they are."""
     lines = [
-        "# The panel model of jax_aero/aero/surrogate.py. Our fit to published data alone: drag curves of the links,",
-        "# wind tunnel and CFD of configs/tables without flight50 and flight60, by",
-        "# python -m experiments calibrate-surrogate",
-        f"# Penalties by leaving out postures: {', '.join(f'{k} {v:g}' for k, v in settings._asdict().items())}.",
+        *(f"# {line}" for line in ("The panel model of jax_aero/aero/surrogate.py.", *about)),
         "",
         "[panels] # lengths in m",
         *(f"{name} = {value}" for name, value in PANELS.items()),
@@ -166,6 +163,15 @@ def toml(weights: Floats, settings: Settings) -> str:
     for family, row in zip(fit.FAMILIES, weights, strict=True):
         lines.append(f"{family} = [{', '.join(f'{value:.5g}' for value in row)}]")
     return "\n".join(lines) + "\n"
+
+
+def sources_of(settings: Settings) -> list[str]:
+    """Return lines that say what the coefficients were fitted to."""
+    return [
+        "Our fit to published data alone: drag curves of the links, wind tunnel and CFD of configs/tables without",
+        "flight50 and flight60, by python -m experiments calibrate-surrogate",
+        f"Penalties by leaving out postures: {', '.join(f'{k} {v:g}' for k, v in settings._asdict().items())}.",
+    ]
 
 
 def to_dataset(table: Records, models: Mapping[str, Floats]) -> xr.Dataset:

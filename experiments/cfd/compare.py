@@ -1,30 +1,38 @@
-"""Compare our simulations with those of others, and with the tunnel: `jax-aero cfd-compare NAME`.
+"""Compare our simulations with models, those of others, and the tunnel: `jax-aero cfd-compare NAME`.
 
-NAME is a design of `jax-aero cfd`, whose dataset is in `results/cfd/NAME/`. With `--set table=FILE`, a dataset of
-`import-cfd`, rows of equal posture and wind are compared, beside the models of this project; the tunnel's typed points
-are always. Cases and mirror images that are one case are averaged first, in both datasets.
+NAME is a design of `jax-aero cfd`. Models of this project are judged by its rows, and so are, on postures left out, the
+panel model corrected by the rows (`panels.toml` in the result, for `surrogate-dataset --model`) and the network that
+`train NAME` made of them. With `--set table=FILE`, a dataset of `import-cfd`, all are compared in rows of equal posture
+and wind too; beside the tunnel's typed points stands the open solver alone. Cases and mirror images that are one case
+are averaged first, in both datasets.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, tunnel_moments
-from experiments.calibrate_surrogate import table_rows
+from experiments import Refused, study, tunnel_moments
+from experiments.calibrate_surrogate import table_rows, toml
 from experiments.cfd.command import RESULTS
+from experiments.cfd.correct import corrected
 from experiments.study import Findings, Study
-from experiments.tunnel_moments import NEWTON_METRES, ROBOT
+from experiments.tunnel_moments import NEWTON_METRES, PANELS, ROBOT
 from jax_aero import tables
-from jax_aero.aero.dataset import LINKS, Dataset, Floats, load, tunnel_from_base
+from jax_aero.aero.dataset import LINKS, Dataset, Floats, Indices, load, tunnel_from_base
 from jax_aero.aero.posture import total_wrench
+from jax_aero.aero.surrogate import batched_features, load_surrogate
 from jax_aero.robot import RobotModel, load_robot
 
 OPEN = "open solver"
+SHOWN = ("axisymmetric, corrected", tunnel_moments.PANEL_MODEL, "network, shipped")
+"""Of the project's models."""
 NEAR = 1.0
 """How far the angles of a point of the tunnel may be from those of a case [deg]."""
 
@@ -32,33 +40,47 @@ NEAR = 1.0
 class CompareConfig(tables.Table, frozen=True):
     """A comparison."""
 
+    dataset: str = ""
+    """Of the design; without it, `results/cfd/NAME/dataset.nc`."""
     table: str = ""
-    """Dataset of `import-cfd`; without it, the tunnel alone is compared."""
+    """Dataset of `import-cfd` to compare with."""
 
 
 def compute(name: str, config: CompareConfig) -> Findings:
     """Compare."""
-    path = RESULTS / name / "dataset.nc"
+    path = Path(config.dataset) if config.dataset else RESULTS / name / "dataset.nc"
     if not path.is_file():
-        raise Refused(f"no {path.name} of `{name}`; make it with: jax-aero cfd {name}")
+        raise Refused(f"no {path}; make it with: jax-aero cfd {name}")
     ours, robot = symmetrised(load(path)), load_robot(ROBOT)
     summary = {"cases": len(ours), "postures": len(ours.postures), **couples(robot, ours), **beside_tunnel(ours)}
     inputs: dict[str, Any] = {"dataset": ours.sha256}
-    result = xr.Dataset()
+    models = models_at(robot, ours)
+    texts = {}
+    if len(np.unique(ours.family)) > 2:
+        panels = load_surrogate(PANELS, robot)
+        fixed = corrected(panels, batched_features(robot, panels.panels, panels.wake), ours)
+        models[f"{tunnel_moments.PANEL_MODEL}, corrected by postures other than the row's"] = fixed.left_out_b
+        texts["panels.toml"] = toml(
+            fixed.coefficients, [f"Corrected by {path.name}, {len(ours)} cases; λ = {fixed.penalty:g}."]
+        )
+    if (trained := held_out_network(name, ours)) is not None:
+        models["network, trained on postures other than the row's"] = trained
+    summary |= judged(robot, models, ours, f"beside the {OPEN}")
+    result = as_rows(models, ours)
     if config.table:
-        table = symmetrised(load(config.table))
-        here, there = matched(ours, table)
+        table = load(config.table)
+        here, there, rows = matched(ours, symmetrised(table))
         inputs["table"] = table.sha256
-        summary |= {"cases with a counterpart in the table": len(here)}
-        models = {OPEN: here.force_area_b, **models_at(robot, here)}
-        for model, areas in models.items():
-            summary |= {f"{model}: {key}": value for key, value in errors(robot, areas, there).items()}
+        summary["cases with a counterpart in the table"] = len(rows)
+        all_models = {OPEN: ours.force_area_b, **models}
+        at_rows = {model: areas[rows] for model, areas in all_models.items()}
+        summary |= judged(robot, at_rows, there, "beside the table")
         for posture in here.postures:
-            rows = here.posture == posture
-            found = errors(robot, here.force_area_b[rows], there.take(rows))
-            summary |= {f"{posture} ({rows.sum()}): {key}": value for key, value in found.items()}
-        result = as_rows(models, there)
-    return Findings(f"Open CFD `{name}` beside others", result, summary, inputs=inputs)
+            own = here.posture == posture
+            found = errors(robot, here.force_area_b[own], there.take(own))
+            summary |= {f"{posture} ({own.sum()}): {key}": value for key, value in found.items()}
+        result = as_rows(at_rows, there)
+    return Findings(f"Open CFD `{name}` beside others", result, summary, inputs=inputs, texts=texts)
 
 
 STUDY = Study("cfd_compare", __doc__, CompareConfig, compute, ("open",), engine="openfoam")
@@ -75,15 +97,36 @@ def symmetrised(data: Dataset) -> Dataset:
     return replace(data, force_area_b=mean[both.group[: len(data)]])
 
 
-def matched(ours: Dataset, table: Dataset) -> tuple[Dataset, Dataset]:
-    """Return the rows of ours that the table has, directly or as mirror image, and those of the table, in one order."""
+def judged(robot: RobotModel, models: Mapping[str, Floats], truth: Dataset, where: str) -> dict[str, float]:
+    """Return the errors of all models, named by model and by what they are compared with."""
+    return {
+        f"{model}, {where}: {key}": value
+        for model, areas in models.items()
+        for key, value in errors(robot, areas, truth).items()
+    }
+
+
+def held_out_network(name: str, ours: Dataset) -> Floats | None:
+    """Return the force areas (N, 13, 3) that `train NAME` predicted for postures held out, if it was run."""
+    path = study.RESULTS / "training" / name / "run.nc"
+    if not path.is_file():
+        return None
+    run = xr.load_dataset(path, engine="h5netcdf")
+    rows = np.flatnonzero(run["is_mirrored"].values == 0)
+    if not np.array_equal(run["wind"].values[rows], ours.wind_b):
+        raise Refused(f"{path} is of another dataset; train again on this one, or move it away")
+    return np.asarray(run["area_grouped"].values[rows], dtype=np.float64)
+
+
+def matched(ours: Dataset, table: Dataset) -> tuple[Dataset, Dataset, Indices]:
+    """Return the rows of ours that the table has, directly or as mirror image, those of the table, and their places."""
     there = table.mirrored()
     place = {key: row for row, key in reversed(list(enumerate(_keys(there))))}
     pairs = [(row, place[key]) for row, key in enumerate(_keys(ours)) if key in place]
     if not pairs:
         raise Refused("no case of the design has posture and wind of a row of the table")
     rows = np.array(pairs)
-    return ours.take(rows[:, 0]), there.take(rows[:, 1])
+    return ours.take(rows[:, 0]), there.take(rows[:, 1]), rows[:, 0]
 
 
 def _keys(data: Dataset) -> list[tuple[float, ...]]:
@@ -116,7 +159,7 @@ def models_at(robot: RobotModel, data: Dataset) -> dict[str, Floats]:
         }
     )
     found = tunnel_moments.model_areas(robot, points)
-    return {name: found[name] for name in ("axisymmetric, corrected", tunnel_moments.PANEL_MODEL)}
+    return {name: found[name] for name in SHOWN}
 
 
 def couples(robot: RobotModel, data: Dataset) -> dict[str, float]:
@@ -147,13 +190,13 @@ def beside_tunnel(data: Dataset) -> dict[str, float]:
     return found
 
 
-def as_rows(models: dict[str, Floats], there: Dataset) -> xr.Dataset:
-    """Return the force areas of all models and of the table, row by row."""
+def as_rows(models: Mapping[str, Floats], there: Dataset) -> xr.Dataset:
+    """Return the force areas of all models and of what they are compared with, row by row."""
     areas = np.stack([*models.values(), there.force_area_b])
     return xr.Dataset(
         {"force_area_b": (("model", "row", "link", "xyz"), areas, {"units": "m2"})},
         {
-            "model": [*models, "table"],
+            "model": [*models, "compared with"],
             "link": list(LINKS),
             "xyz": ["x", "y", "z"],
             "posture": ("row", there.posture.astype(str)),

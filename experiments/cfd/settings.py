@@ -82,11 +82,13 @@ class Solver(tables.Table, frozen=True):
     upwind_iterations: Natural = 16
     """The first ones, with first-order convection: a start from rest would diverge without."""
     iterations: Count = 100
-    """All of them."""
+    """All of them, without extensions."""
     window: Count = 40
     """The last ones, over which forces are averaged."""
     sampling: Count = 4
     """Iterations between two samples of the forces."""
+    extensions: Natural = 0
+    """How often a solve that is not steady goes on by the length of a window, over which it is then judged anew."""
     ranks: Count = 1
     """Processes of one solve (MPI)."""
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from experiments.cfd import case, foam
 from experiments.cfd.geometry import Surface
-from experiments.cfd.settings import Accept, Mesh, Settings, Solver
+from experiments.cfd.settings import Accept, Mesh, Settings
 from jax_aero.aero.dataset import Floats
 
 
@@ -100,38 +100,45 @@ def solve(
     try:
         if solver.ranks > 1:
             foam.run(["decomposePar"], folder)
-        stages = [(solver.upwind_iterations, True), (solver.iterations, False)]
-        for end, is_upwind in stages[0 if solver.upwind_iterations else 1 :]:
-            case.write_schemes(folder, is_upwind=is_upwind)
-            functions = case.forces_of(surfaces, settings.air, solver.sampling) | dict(reports or {})
+        if solver.upwind_iterations:
+            case.write_schemes(folder, is_upwind=True)
+            case.write_control(folder, end=solver.upwind_iterations, functions={})
+            foam.run(["simpleFoam"], folder, solver.ranks)
+        case.write_schemes(folder, is_upwind=False)
+        for number in range(1 + solver.extensions):
+            end = solver.iterations + number * solver.window
+            functions = case.forces_of(surfaces, settings.air, solver, end) | dict(reports or {})
             case.write_control(folder, end=end, functions=functions)
             said = foam.run(["simpleFoam"], folder, solver.ranks)
+            y_plus_mean, y_plus_max = foam.read_y_plus(folder)
+            quality = {
+                "OpenFOAM": facts.release,
+                "cells": float(facts.cells),
+                "mesh seconds": round(facts.seconds, 1),
+                "solve seconds": round(time.perf_counter() - started, 1),
+                "largest non-orthogonality [deg]": facts.max_non_orthogonality,
+                "largest skewness": facts.max_skewness,
+                "y+ mean": y_plus_mean,
+                "y+ largest": y_plus_max,
+                "residual of p": foam.last_residual(said, "p"),
+                "residual of Ux": foam.last_residual(said, "Ux"),
+                "iterations": float(end),
+                "averaging window": float(solver.window),
+            }
+            result = reduce(foam.read_histories(folder, surfaces), quality, settings)
+            if not result.reason or not result.force_area_b:
+                break
     except foam.Failed as reason:
         return Result(reason=f"the solver diverged: {reason}")
-    histories = foam.read_histories(folder, surfaces)
-    y_plus_mean, y_plus_max = foam.read_y_plus(folder)
-    quality = {
-        "OpenFOAM": facts.release,
-        "cells": float(facts.cells),
-        "mesh seconds": round(facts.seconds, 1),
-        "solve seconds": round(time.perf_counter() - started, 1),
-        "largest non-orthogonality [deg]": facts.max_non_orthogonality,
-        "largest skewness": facts.max_skewness,
-        "y+ mean": y_plus_mean,
-        "y+ largest": y_plus_max,
-        "residual of p": foam.last_residual(said, "p"),
-        "residual of Ux": foam.last_residual(said, "Ux"),
-        "iterations": float(solver.iterations),
-        "averaging window": float(solver.window),
-    }
-    return reduce(histories, quality, settings)
+    return result
 
 
 def reduce(histories: Mapping[str, foam.History], quality: Mapping[str, float], settings: Settings) -> Result:
     """Average the histories of all links over the window, and judge the total."""
     pressure = 0.5 * settings.air.density * settings.air.speed**2
     total = np.sum([history.force for history in histories.values()], axis=0) / pressure
-    late = _window(next(iter(histories.values())).iteration, settings.solver)
+    iteration = next(iter(histories.values())).iteration
+    late = iteration > iteration[-1] - settings.solver.window
     size, drift, oscillation = steadiness(total[late])
     found = {**quality, "drift": drift, "oscillation": oscillation}
     found["pressure share of the force"] = _pressure_share(histories, late)
@@ -160,10 +167,6 @@ def steadiness(total: Floats) -> tuple[float, float, float]:
     drift = np.linalg.norm(total[half:].mean(axis=0) - total[:half].mean(axis=0)) / size
     oscillation = np.sqrt(np.mean(np.sum((total - mean) ** 2, axis=1))) / size
     return size, float(drift), float(oscillation)
-
-
-def _window(iteration: Floats, solver: Solver) -> Any:
-    return iteration > solver.iterations - solver.window
 
 
 def _mean(values: Floats) -> tuple[float, float, float]:
