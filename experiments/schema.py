@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from experiments import manifest, tip_over, trajectory, trim, waypoints
+from experiments import manifest, tip_over, trajectory, trim, tune, waypoints
 from experiments.cfd import design as cfd
 from experiments.sweep.perturbation import Perturbation
 from experiments.sweep.spec import Axis, Spec
@@ -38,6 +38,7 @@ STUDIES: dict[str, Any] = {
     "training_search": SearchConfig,
     "trajectory": trajectory.TrajectoryConfig,
     "trim": trim.TrimConfig,
+    "tune": tune.TuneConfig,
     "waypoints": waypoints.Waypoints,
 }
 """What Python alone reads, by the name of its schema."""

@@ -75,6 +75,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "fit-aero": Command("experiments.fit_aero:main", "fit", "fit coefficients to a data set"),
         "calibrate-surrogate": Command("experiments.calibrate_surrogate:main", "fit", "calibrate the panel model"),
         "surrogate-dataset": Command("experiments.surrogate_dataset:main", "twin", "make data to learn from"),
+        "tune": Command("experiments.tune:main", "twin", "improve a controller's gains and weights by gradients"),
         "train": Command("experiments.training.command:main", "train", "train an aerodynamic network"),
         "train-ensemble": Command("experiments.training.ensemble:main", "train", "train networks with intervals"),
         "train-search": Command("experiments.training.search:main", "train", "search for a network's settings"),

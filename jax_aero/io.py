@@ -21,7 +21,7 @@ from typing import Any
 from msgspec import inspect
 
 from jax_aero import tables
-from jax_aero.config import AeroConfig, ScenarioConfig
+from jax_aero.config import AeroConfig, ControllerSection, ScenarioConfig
 from jax_aero.keys import set_key
 from jax_aero.places import find
 
@@ -35,6 +35,7 @@ MAX_FILES = 256
 
 FLIGHT = inspect.type_info(ScenarioConfig)
 AERO = inspect.type_info(AeroConfig)
+CONTROLLER = inspect.type_info(ControllerSection)
 
 
 def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> Table:

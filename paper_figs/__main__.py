@@ -39,6 +39,7 @@ from paper_figs import (
     training,
     trajectory,
     trim,
+    tune,
     tunnel,
     tunnel_moments,
 )
@@ -74,6 +75,7 @@ FIGURES: dict[str, tuple[Draw, Sequence[str], str]] = {
     "identify": (identify.draw, identify.RUNS, "aerodynamic coefficients identified from one flight's log"),
     "tip_over": (tip_over.draw, tip_over.RUNS, "what wind tips the standing robot over"),
     "observer_limit": (observer_limit.draw, observer_limit.RUNS, "the greatest dM/dθ against the observer's gain"),
+    "tune": (tune.draw, tune.RUNS, "gains and weights tuned by gradient: costs and factors"),
     "tunnel_moments": (tunnel_moments.draw, tunnel_moments.RUNS, "models' moments beside the wind tunnel"),
     "force_rate": (force_rate.draw, force_rate.RUNS, "the aerodynamic force rate that the controller leaves out"),
 }

@@ -263,6 +263,7 @@ BEYOND: Sequence[Item] = (
             ("engine", "an engine identified from a log"),
             ("tip_over", "wind that tips the standing robot over"),
             ("observer_limit", "limit of the observer"),
+            ("tune", "gains and weights tuned by gradient"),
             ("force_rate", "force rate that the controller leaves out"),
             ("ablation_wind_bias", "biased wind"),
             ("ablation_wind_noise", "noisy wind"),

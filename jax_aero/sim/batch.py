@@ -40,7 +40,7 @@ class Group(NamedTuple):
     """Flights of one structure, their leaves on the host."""
 
     structure: Any
-    """Of a `Scenario`."""
+    """Of a `Scenario`: `jax.tree.unflatten` makes one of leaves."""
     is_shared: tuple[bool, ...]
     """For each leaf, whether all flights have this one array."""
     leaves: list[tuple[Any, ...]]
@@ -51,6 +51,20 @@ class Group(NamedTuple):
     """Of each flight, as in `Scenario`."""
     places: list[int]
     """Which flights of the batch these are."""
+
+    @property
+    def axes(self) -> tuple[int | None, ...]:
+        """Return over which axis `vmap` maps each of the stacked leaves."""
+        return tuple(None if shared else 0 for shared in self.is_shared)
+
+    def stacked(self, rows: Sequence[int]) -> tuple[tuple[Any, ...], FlightState]:
+        """Return leaves and first states of some of the flights, with one more axis in front where they differ."""
+        leaves = tuple(
+            of_flights[0] if is_shared else np.stack([of_flights[row] for row in rows])
+            for of_flights, is_shared in zip(zip(*self.leaves, strict=True), self.is_shared, strict=True)
+        )
+        states: FlightState = jax.tree.map(lambda *x: np.stack([x[row] for row in rows]), *self.states)
+        return leaves, states
 
 
 def fly_batch(
@@ -76,7 +90,7 @@ def fly_batch(
         workers = tuple(jax.devices() if devices is None else devices)
         together = most_together or MOST_TOGETHER.get(workers[0].platform, MOST_ELSEWHERE)
         # All configurations are read before the first flight is prepared: mistakes show at once.
-        groups = _groups(_prepared(list(_typed(configs)), dtype))
+        groups = grouped(configs, dtype)
         total = sum(len(group.places) for group in groups)
         flights: dict[int, FlightResult] = {}
         for group in groups:
@@ -92,6 +106,11 @@ def fly_batch(
                 if progress is not None:
                     progress(len(flights), total)
     return [flights[place] for place in range(total)]
+
+
+def grouped(configs: Iterable[ScenarioConfig | Mapping[str, Any]], dtype: Any = np.float64) -> list[Group]:
+    """Prepare flights, and sort them by structure."""
+    return _groups(_prepared(list(_typed(configs)), dtype))
 
 
 def batch_size(flights: int, devices: int, most: int) -> int:
@@ -161,11 +180,7 @@ def _shared(scenario: Scenario) -> Any:
 def _fly_together(group: Group, size: int, full_log: bool, devices: tuple[jax.Device, ...]) -> list[FlightResult]:
     # Always `size` flights: what is missing is the last one again.
     rows = [min(row, len(group.places) - 1) for row in range(size)]
-    stacked = tuple(
-        of_flights[0] if is_shared else np.stack([of_flights[row] for row in rows])
-        for of_flights, is_shared in zip(zip(*group.leaves, strict=True), group.is_shared, strict=True)
-    )
-    state = jax.tree.map(lambda *x: np.stack([x[row] for row in rows]), *group.states)
+    stacked, state = group.stacked(rows)
     posture = np.asarray(state.plant.robot.joint_position)
     # Numbers go to the devices once, not with every chunk.
     mesh = Mesh(np.array(devices), ("flights",))
@@ -175,7 +190,7 @@ def _fly_together(group: Group, size: int, full_log: bool, devices: tuple[jax.De
         for leaf, is_shared in zip(stacked, group.is_shared, strict=True)
     )
     state, postures = jax.device_put((state, posture), split)
-    fly = _compiled(group.structure, group.is_shared, full_log, mesh)
+    fly = _compiled(group.structure, group.axes, full_log, mesh)
     kept: list[dict[str, Any]] = []
     for first in range(0, group.n_ticks + 1, CHUNK):
         state, chunk = fly(leaves, postures, state, jnp.array(first, jnp.int32))
@@ -195,7 +210,7 @@ def _fly_together(group: Group, size: int, full_log: bool, devices: tuple[jax.De
 
 @lru_cache(maxsize=64)
 def _compiled(
-    structure: Any, is_shared: tuple[bool, ...], full_log: bool, mesh: Mesh
+    structure: Any, axes: tuple[int | None, ...], full_log: bool, mesh: Mesh
 ) -> Callable[..., tuple[FlightState, dict[str, Array]]]:
     """Fly a chunk of ticks, for flights of one structure."""
 
@@ -211,13 +226,13 @@ def _compiled(
 
         return jax.lax.scan(one, state, first + jnp.arange(CHUNK, dtype=jnp.int32))
 
-    together = jax.vmap(some, in_axes=(tuple(None if shared else 0 for shared in is_shared), 0, 0, None))
+    together = jax.vmap(some, in_axes=(axes, 0, 0, None))
     if mesh.size > 1:
         split, whole = PartitionSpec("flights"), PartitionSpec()  # type: ignore[no-untyped-call]
         together = jax.shard_map(
             together,
             mesh=mesh,
-            in_specs=(tuple(whole if shared else split for shared in is_shared), split, split, whole),
+            in_specs=(tuple(whole if axis is None else split for axis in axes), split, split, whole),
             out_specs=split,
             check_vma=False,
         )

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import pytest
 
 from jax_aero import rust, sim
@@ -155,7 +154,7 @@ def test_a_network_is_read_once_and_shared(counted, monkeypatch):
         )
     )
     with jax.enable_x64(True):
-        groups = batch._groups(batch._prepared(batch._typed(tables), np.float64))
+        groups = batch.grouped(tables)
     assert len(read) == 1
     (group,) = groups
     scenario = jax.tree.unflatten(group.structure, group.is_shared)

@@ -1,0 +1,194 @@
+"""Improve gains and weights of a controller by gradients through short flights in many worlds.
+
+A file of `configs/tune/` names a controller, the keys whose values are tuned, and a sweep of a sampled design, whose
+cells are the worlds: wind, noise, errors of the controller's model. Every step flies worlds of its own; the answer is
+chosen on worlds that no step sees. The result holds the tuned controller, a file that builds on the original one.
+An interrupted run goes on with the same command. Compiling takes minutes, once if JAX_COMPILATION_CACHE_DIR is set.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import msgspec
+import numpy as np
+import xarray as xr
+
+from experiments import study
+from experiments.sources import code_hash
+from experiments.study import Findings, Study
+from experiments.sweep import spec
+from experiments.sweep.design import Design
+from jax_aero import io, keys, rust, tables
+from jax_aero.command import Refused
+from jax_aero.sim.batch import Group, grouped
+from jax_aero.train.gains import Cost, Sample, Steps, Tuned, gradients, tune
+
+
+class TuneConfig(tables.Table, frozen=True):
+    """One file of `configs/tune/`."""
+
+    title: str
+    controller: Path
+    """Whose values are tuned."""
+    worlds: Path
+    """A sweep of a sampled design: each world is a cell, perturbed by draws of its own."""
+    keys: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
+    """Values of the controller; each is multiplied by a factor, all entries of a list or table by the same."""
+    duration: tables.Positive
+    """Of a flight [s]."""
+    cost: Cost
+    steps: Steps
+    seed: tables.Natural = 1
+    """Of the worlds; those that validate have the next."""
+
+
+def compute(name: str, config: TuneConfig) -> Findings:
+    """Tune, from where an interrupted run stands."""
+    controller = io.resolve(config.controller, io.CONTROLLER)
+    for key in config.keys:
+        if keys.get(controller, key) is None:
+            raise Refused(f"{name}.toml: `{key}` in keys is no value of {config.controller.name}")
+    worlds = spec.load(str(config.worlds))
+    if not worlds.is_sampled:
+        raise Refused(f"{config.worlds.name} is a {worlds.design}; expected a sampled design")
+    digest = study.digest(tables.plain(config), [*tables.files(config)])
+    with jax.enable_x64(True):
+        found = tune(
+            _sample(config, controller, worlds),
+            len(config.keys),
+            config.steps,
+            checkpoint=checkpoint_of(name),
+            digest=f"{digest} {code_hash(__name__)}",
+        )
+    before, after = found.validations[0], min(found.validations, key=lambda one: one.cost)
+    factors = {key: math.exp(value) for key, value in zip(config.keys, after.logarithms, strict=True)}
+    summary: dict[str, Any] = {
+        "cost of unseen worlds, before": math.exp(before.cost),
+        "cost of unseen worlds, tuned": math.exp(after.cost),
+        "steps to the tuned values": after.step,
+        "worlds left out of steps": sum(found.left_out) / (config.steps.count * config.steps.batch),
+        **{f"factor of {key}": factor for key, factor in factors.items()},
+    }
+    folder = study.RESULTS / "tune" / name
+    texts = {f"{name}.toml": tuned_controller(config, controller, factors, folder)}
+    base = rust.load_config(worlds.base)
+    return Findings(config.title, to_dataset(config, found), summary, flights={worlds.base: base}, texts=texts)
+
+
+class Tune(Study[TuneConfig]):
+    """Keeps its progress until the result is there."""
+
+    interrupted = "the same command goes on from the last validation"
+
+    def run(self, name: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Compute, write, print; return the manifest."""
+        document = super().run(name, changes)
+        checkpoint_of(document["name"]).unlink(missing_ok=True)
+        return document
+
+
+STUDY = Tune("tune", __doc__, TuneConfig, compute, ("aero_aware",), engine="jax")
+main = STUDY.main
+
+
+def checkpoint_of(name: str) -> Path:
+    """Return where a run under way keeps its progress."""
+    return study.RESULTS / "tune" / f".{name}.npz"
+
+
+def world(worlds: Design, number: int, controller: Mapping[str, Any], duration: float) -> rust.Config:
+    """Return the configuration of one world."""
+    config = worlds.cell_config(number)
+    worlds.spec.perturbation.apply(config, worlds.spec.seed, number, worlds.links)
+    simulator = {**config["simulator"], "duration": duration}
+    return {**config, "simulator": simulator, "controller": controller}
+
+
+def _sample(config: TuneConfig, controller: Mapping[str, Any], worlds: spec.Spec) -> Sample:
+    steps = config.steps
+
+    def drawn(samples: int, seed: int) -> Design:
+        return Design(msgspec.structs.replace(worlds, samples=samples, seed=seed))
+
+    training = drawn(steps.count * steps.batch, config.seed)
+    unseen = drawn(steps.validation, config.seed + 1)
+
+    def group(step: int) -> Group:
+        design, first = (training, step) if step >= 0 else (unseen, -1 - step)
+        numbers = range(first * steps.batch, (first + 1) * steps.batch)
+        groups = grouped(world(design, number, controller, config.duration) for number in numbers)
+        if len(groups) > 1:
+            raise Refused(f"{config.worlds.name}: its worlds differ in more than numbers; expected one structure")
+        return groups[0]
+
+    return lambda theta, step: gradients(theta, group(step), config.keys, config.cost)
+
+
+def tuned_controller(
+    config: TuneConfig, controller: Mapping[str, Any], factors: Mapping[str, float], folder: Path
+) -> str:
+    """Return the file of the tuned controller, which stands in this folder and builds on the original one."""
+    table: dict[str, Any] = {}
+    for key, factor in factors.items():
+        keys.set_key(table, key, _times(keys.get(controller, key), factor))
+    lines = [
+        f"#:schema {study.schema_of('control', folder)}",
+        f"# {config.controller.name} with values tuned by gradient: `jax-aero tune {folder.name}`. Ours.",
+        f'base = "{os.path.relpath(config.controller, folder.resolve())}"',
+    ]
+    return "\n".join([*lines, *_toml(table, ())]) + "\n"
+
+
+def _times(value: Any, factor: float) -> Any:
+    """Return a value times a factor, of four digits."""
+    if isinstance(value, Mapping):
+        return {name: _times(entry, factor) for name, entry in value.items()}
+    if isinstance(value, Sequence):
+        return [_times(entry, factor) for entry in value]
+    return float(f"{value * factor:.4g}")
+
+
+def _toml(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
+    own = [f"{key} = {value}" for key, value in table.items() if not isinstance(value, Mapping)]
+    lines = ["", f"[{'.'.join(path)}]", *own] if path and own else own
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            lines += _toml(value, (*path, key))
+    return lines
+
+
+def to_dataset(config: TuneConfig, found: Tuned) -> xr.Dataset:
+    """Label costs and factors along the run."""
+    looks = found.validations
+    return xr.Dataset(
+        {
+            "cost": ("step", np.exp(found.costs), {"units": "1", "long_name": "geometric mean of a step's worlds"}),
+            "left_out": ("step", list(found.left_out), {"units": "1", "long_name": "worlds left out of a step"}),
+            "unseen_cost": (
+                "validation",
+                np.exp([look.cost for look in looks]),
+                {"units": "1", "long_name": "geometric mean of worlds that no step sees"},
+            ),
+            "factor": (
+                ("validation", "key"),
+                np.exp([look.logarithms for look in looks]),
+                {"units": "1", "long_name": "factor on the original value"},
+            ),
+        },
+        {
+            "step": np.arange(len(found.costs)),
+            "validation": ("validation", [look.step for look in looks], {"units": "1", "long_name": "steps done"}),
+            "key": list(config.keys),
+        },
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

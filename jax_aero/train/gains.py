@@ -1,0 +1,207 @@
+"""Gains and weights of a flight controller, improved by gradients through short flights in many worlds.
+
+```text
+θ     logarithms of the factors on the tuned values
+c     1/n Σ ( |e|²/e₀² + φ²/φ₀² + mean(Ṫ²)/Ṫ₀² )     of a flight of n ticks; `lost` for every tick after a loss
+J     mean of log c over the worlds of a batch
+```
+
+The logarithm gives every world the same weight, however hard it is. A flight that is about to be lost, or whose QPs sit
+on their bounds for long, has a gradient that is larger by orders of magnitude and says nothing of the others': worlds
+whose gradient is longer than `gradient_max`, or not finite, are left out of a step, and counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache, reduce
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jax_aero import tables
+from jax_aero.places import did_you_mean
+from jax_aero.sim.batch import Group
+from jax_aero.sim.rollout import rollout
+from jax_aero.sim.step import FlightRow, FlightState, Scenario
+from jax_aero.train.adam import AdamState, adam_start, adam_step
+from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from jax_aero.types import Array, changed, pytree
+
+PLACES = {
+    "momentum": "momentum",
+    "observer": "observer",
+    "posture_gain": "tasks.posture_gain",
+    "torque": "torque",
+    "weights": "tasks",
+}
+"""Where the numbers of a table of the controller's configuration stand in `MomentumController`."""
+
+
+class Cost(tables.Table, frozen=True):
+    """Errors and efforts that cost one each."""
+
+    position: tables.Positive
+    """Of the centre of mass [m]."""
+    rotation_deg: tables.Positive
+    """[deg]."""
+    thrust_rate: tables.Positive
+    """Root mean square over the jets [N/s]."""
+    lost: tables.Positive
+    """Cost of a tick after the robot is lost."""
+
+
+class Steps(tables.Table, frozen=True):
+    """How gains are improved."""
+
+    count: tables.Count
+    """Steps of Adam."""
+    batch: tables.Count
+    """Worlds of a step; none is seen twice."""
+    learning_rate: tables.Positive
+    """Of the logarithms."""
+    gradient_max: tables.Positive
+    """Worlds with a longer gradient are left out of a step."""
+    validation: tables.Count
+    """Worlds by which the answer is chosen, none of which is trained on: a multiple of `batch`."""
+    validate_every: tables.Count
+    """Steps."""
+
+    def __post_init__(self) -> None:
+        if self.validation % self.batch:
+            raise ValueError(f"`validation` is {self.validation}; expected a multiple of `batch`, {self.batch}")
+
+
+Sample: TypeAlias = Callable[[Array, int], tuple[Array, Array]]
+"""Costs (B,) and their gradients (B, k) of the worlds of a step, or, counted from −1 down, of a part of those that
+validate."""
+
+
+class Validated(NamedTuple):
+    """A look at the worlds that are not trained on."""
+
+    step: int
+    cost: float
+    """Mean of log c."""
+    logarithms: tuple[float, ...]
+    """θ at that step."""
+
+
+class Tuned(NamedTuple):
+    """What a run has found."""
+
+    logarithms: Float[Array, " k"]
+    """θ of the least validation cost."""
+    costs: tuple[float, ...]
+    """Mean of log c of every step's worlds."""
+    left_out: tuple[int, ...]
+    """Worlds of every step that were left out."""
+    validations: tuple[Validated, ...]
+
+
+@pytree
+class _State:
+    logarithms: Float[Array, " k"]
+    adam: AdamState
+
+
+def tune(sample: Sample, size: int, steps: Steps, *, checkpoint: Path, digest: str) -> Tuned:
+    """Improve `size` numbers from zero, or from where the checkpoint stands.
+
+    Raises
+    ------
+    ValueError
+        If the checkpoint belongs to another run, which its digest tells.
+    """
+    theta = jnp.zeros(size)
+    state, step = _State(theta, adam_start(theta)), 0
+    costs: list[float] = []
+    left_out: list[int] = []
+    seen: list[Validated] = []
+
+    def look() -> None:
+        parts = [sample(state.logarithms, -1 - part)[0] for part in range(steps.validation // steps.batch)]
+        seen.append(Validated(step, float(np.mean(parts)), tuple(np.asarray(state.logarithms).tolist())))
+        facts = {"costs": costs, "left_out": left_out, "validations": seen}
+        save_checkpoint(checkpoint, Checkpoint(digest, step, state, facts))
+
+    if found := load_checkpoint(checkpoint, state, digest):
+        state, step = found.state, found.epoch
+        costs, left_out = found.facts["costs"], found.facts["left_out"]
+        seen = [Validated(at, cost, tuple(values)) for at, cost, values in found.facts["validations"]]
+    else:
+        look()
+    while step < steps.count:
+        values, gradients = sample(state.logarithms, step)
+        is_sound = jnp.linalg.norm(gradients, axis=1) <= steps.gradient_max  # not of NaN
+        mean = jnp.sum(jnp.where(is_sound[:, None], gradients, 0.0), axis=0) / jnp.maximum(jnp.sum(is_sound), 1)
+        adam, theta = adam_step(state.adam, state.logarithms, mean, jnp.asarray(steps.learning_rate))
+        state, step = _State(theta, adam), step + 1
+        costs.append(float(jnp.mean(values)))
+        left_out.append(int(jnp.sum(~is_sound)))
+        if step % steps.validate_every == 0 or step == steps.count:
+            look()
+    best = min(seen, key=lambda one: one.cost)
+    return Tuned(jnp.asarray(best.logarithms), tuple(costs), tuple(left_out), tuple(seen))
+
+
+def gradients(
+    theta: Float[Array, " k"], group: Group, keys: tuple[str, ...], cost: Cost
+) -> tuple[Float[Array, " B"], Float[Array, "B k"]]:
+    """Return log c of each flight of a group, and its gradients; flights of one structure share one compilation."""
+    compiled = _compiled(group.structure, group.axes, keys, cost, group.n_ticks)
+    return compiled(theta, *group.stacked(range(len(group.places))))
+
+
+@lru_cache(maxsize=8)
+def _compiled(
+    structure: Any, axes: tuple[int | None, ...], keys: tuple[str, ...], cost: Cost, n_ticks: int
+) -> Callable[..., tuple[Array, Array]]:
+    def one(theta: Array, leaves: tuple[Array, ...], state: FlightState) -> Array:
+        return log_cost(scaled(jax.tree.unflatten(structure, leaves), keys, theta), state, cost, n_ticks)
+
+    compiled: Callable[..., Any] = jax.jit(jax.vmap(jax.value_and_grad(one), in_axes=(None, axes, 0)))
+    return compiled
+
+
+def log_cost(scenario: Scenario, state: FlightState, cost: Cost, n_ticks: int) -> Float[Array, ""]:
+    """Return log c of one flight."""
+
+    def errors(row: FlightRow) -> tuple[Array, Array, Array]:
+        return row.com_position - row.com_setpoint, row.rotation_error, row.thrust_rate
+
+    after, (position, rotation, rate) = rollout(scenario, state, n_ticks, errors)
+    squares = (
+        jnp.sum(position**2, axis=1) / cost.position**2
+        + rotation**2 / np.deg2rad(cost.rotation_deg) ** 2
+        + jnp.mean(rate**2, axis=1) / cost.thrust_rate**2
+    )
+    flies = (after.loss_tick < 0) | (jnp.arange(n_ticks) < after.loss_tick)
+    return jnp.log(jnp.mean(jnp.where(flies, squares, cost.lost)))
+
+
+def scaled(scenario: Scenario, keys: Sequence[str], logarithms: Float[Array, " k"]) -> Scenario:
+    """Return the scenario with the controller's values of these keys times the exponentials.
+
+    Raises
+    ------
+    ValueError
+        Naming a key of which the controller has no number.
+    """
+    values = {}
+    for place, logarithm in zip(map(_place, keys), logarithms, strict=True):
+        before: Any = reduce(getattr, place.split("."), cast(Any, scenario))
+        values[place] = before * jnp.exp(logarithm)
+    return changed(scenario, values)
+
+
+def _place(key: str) -> str:
+    """Return where the value of a key of the controller's configuration stands in a scenario."""
+    first, _, rest = key.partition(".")
+    if first not in PLACES:
+        raise ValueError(f"`{key}` cannot be tuned{did_you_mean(first, PLACES)}")
+    return ".".join(part for part in ("controller", PLACES[first], rest) if part)

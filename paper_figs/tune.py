@@ -1,0 +1,33 @@
+"""How tuning by gradient went: costs of the worlds of each step and of unseen ones, and the factors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+
+from paper_figs import style
+from paper_figs.studies import load
+
+RUNS = ("aero_aware",)
+
+
+def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+    """Draw costs on the left, factors on the right."""
+    study = load(results, "tune", names[0])
+    figure, (costs, factors) = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 2.9), layout="constrained")
+    costs.plot(study["step"], study["cost"], color=style.BLUE, alpha=0.5, linewidth=0.8, label="worlds of the step")
+    costs.plot(study["validation"], study["unseen_cost"], "o-", color=style.BLACK, markersize=3, label="unseen worlds")
+    costs.set_ylabel("cost, geometric mean")
+    costs.legend()
+    for key in study["key"].values:
+        factors.plot(study["validation"], study["factor"].sel(key=key), label=str(key))
+    factors.set_ylabel("factor on the original value")
+    factors.legend(fontsize=5, ncols=2)
+    for axes, mark in ((costs, "a"), (factors, "b")):
+        axes.set_yscale("log")
+        axes.set_xlabel("step")
+        style.letter(axes, mark)
+    return figure, {names[0]: str(study.attrs["config_hash"])}
