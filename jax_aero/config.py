@@ -209,6 +209,23 @@ class ChannelsConfig(Table, frozen=True, kw_only=True):
     """How long the last wind is held [s]."""
 
 
+class LoadTransfer(Table, frozen=True, kw_only=True):
+    """How load passes between feet and jets. A robot whose feet carry takes off towards a set-point above its centre
+    of mass: the feet are relieved. Otherwise it stands: the jets are relieved.
+    """
+
+    gain: Positive
+    """Gain with which the load of feet or jets falls [1/s]."""
+    height: Positive
+    """Height of the set-point above the centre of mass beyond which the robot takes off; a robot that stands has its
+    set-point at most as far below [m].
+    """
+    hold_time: NonNegative
+    """Time for which feet of a robot that stands may lose contact and still count as carrying [s]."""
+    measured_gain: NonNegative
+    """Gain with which `f_c*` of a robot that stands follows the measured wrenches [1/s]."""
+
+
 class WrenchLimits(Table, frozen=True, kw_only=True):
     """What the wrench of every foot may be, in sole axes about the sole's origin; where its centre of pressure may be
     stands with the robot's foot.
@@ -231,6 +248,8 @@ class ContactConfig(Table, frozen=True, kw_only=True):
     """Rates below this are not integrated [N/s, N m/s]."""
     force_rate_max: Positive
     """Greatest rate of every component of `f_c*` [N/s, N m/s]."""
+    load_transfer: LoadTransfer | None = None
+    """How the robot takes off and lands; without it, it stays where it is."""
     start_with_moment: bool
     """Whether `f_c*` starts with the measured moment about y besides the vertical force."""
     vertical_force_min: Positive

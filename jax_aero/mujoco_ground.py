@@ -1,10 +1,10 @@
-"""A robot that stands: MuJoCo's contact under our robot, the Rust controller in the loop.
+"""A robot on the ground: MuJoCo's contact under our robot, the Rust controller in the loop.
 
 ```text
-observe   state and foot wrenches of MuJoCo at x_k; aerodynamic forces of the wind that blows
-control   torques from the controller's measurement: state, foot wrenches, and a measured wind that may differ
+observe   state and foot wrenches of MuJoCo at x_k; aerodynamic forces of the wind that blows, thrusts
+control   thrust rates and torques from the controller's measurement: state, thrusts, foot wrenches, measured wind
 record    and stop if the robot has tipped over
-advance   sub-steps of MuJoCo to x_{k+1} under held torques and forces
+advance   sub-steps of MuJoCo to x_{k+1} under held torques and forces; thrusts follow their commanded rates
 ```
 
 The crate simulates no ground; this is the engine that does. A foot touches with the corners of its sole, small spheres
@@ -80,6 +80,11 @@ class GroundPlant:
         feet = [foot["name"] for foot in self._table["feet"]]
         self.named = [feet.index(name) for name in config["controller"]["contact"]["feet"]]
         """The feet that the controller stands on, in its order."""
+        self.thrust: Array = np.array(simulator["initial"]["thrust"], dtype=np.float64)
+        """Of every jet [N]."""
+        jets = self._table.get("jets", [])
+        self._jets = [self.model.site(f"jet_{jet['name']}").id for jet in jets]
+        self._axes = [np.asarray(jet["axis"]) for jet in jets]
         self._links = [self.model.site(f"aero_{link['name']}").id for link in self._table["aero_links"]]
         self._stand(simulator["initial"], simulator["ground"]["settling"])
 
@@ -120,10 +125,12 @@ class GroundPlant:
         """Whether every number of the state is finite."""
         return bool(np.isfinite(self.data.qpos).all() and np.isfinite(self.data.qvel).all())
 
-    def advance(self, torque: Float[np.ndarray, " n"]) -> None:
-        """Advance one tick under held torques [N m]."""
+    def advance(self, torque: Float[np.ndarray, " n"], thrust_rate: Float[np.ndarray, " jets"]) -> None:
+        """Advance one tick under held torques [N m]; thrusts, never negative, follow their rates [N/s] (M31)."""
         self.data.ctrl[:] = torque
         mujoco.mj_step(self.model, self.data, self._substeps)
+        tick = self._substeps * self.model.opt.timestep
+        self.thrust = np.maximum(self.thrust + tick * np.asarray(thrust_rate), 0.0)
 
     def _foot_wrenches(self) -> Array:
         data = self.data
@@ -149,12 +156,14 @@ class GroundPlant:
         return force
 
     def _blow(self, state: rust.State, wind: Array) -> Array:
-        """Compute the link forces in a wind and apply them until the next tick."""
+        """Compute the link forces in a wind, and apply them and the thrusts until the next tick."""
         model, data = self.model, self.data
         forces = rust.link_forces(self.robot, self._aero, state, wind)
         data.qfrc_applied[:] = 0.0
         nothing = np.zeros(3)
-        for site, force in zip(self._links, forces, strict=True):
+        pushes = zip(self._jets, data.site_xmat[self._jets].reshape(-1, 3, 3), self._axes, self.thrust, strict=True)
+        thrusts = [(site, thrust * (rotation @ axis)) for site, rotation, axis, thrust in pushes]
+        for site, force in [*thrusts, *zip(self._links, forces, strict=True)]:
             body = model.site_bodyid[site]
             mujoco.mj_applyFT(model, data, force, nothing, data.site_xpos[site], body, data.qfrc_applied)
         return forces
@@ -241,11 +250,12 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
     for key in ("aero", "jets", "outages", "wind_estimate"):
         if getattr(scenario_config(config).disturbances, key) != getattr(Disturbances(), key):
             raise ValueError(f"this engine does not support `disturbances.{key}`")
+    if simulator["jets"]["dynamics"] != "ideal":
+        raise ValueError(f"`simulator.jets.dynamics` is \"{simulator['jets']['dynamics']}\"; expected \"ideal\" here")
     plant, controller = GroundPlant(config), rust.Controller(config)
     times = _times(simulator)
     blowing = rust.wind_velocity(config["wind"], times)
     measured = rust.wind_velocity(disturbances.get("controller_wind", config["wind"]), times)
-    thrust = np.asarray(simulator["initial"]["thrust"], dtype=np.float64)
     rows: list[dict[str, Any]] = []
     loss: tuple[Outcome, str] | None = None
     posture = None
@@ -253,7 +263,7 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
         if not plant.is_sound:
             loss = "diverged", "state not finite"
             break
-        seen = plant.observe(blowing[k])
+        seen, thrust = plant.observe(blowing[k]), plant.thrust
         tick = controller.tick(seen.state, thrust, measured[k], time, foot_wrenches=seen.foot_wrenches[plant.named])
         posture = tick.posture
         row = _row(plant, seen, tick, time, thrust, blowing[k], measured[k])
@@ -261,7 +271,7 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
         loss = _divergence(row, simulator["divergence"], plant.robot) or _fall(row, simulator["fall"])
         if loss is not None:
             break
-        plant.advance(tick.joint_torque)
+        plant.advance(tick.joint_torque, tick.thrust_rate)
         if progress is not None:
             progress(k, len(blowing) - 1)
     log = {name: np.array([row[name] for row in rows], dtype=np.float64) for name in rows[0]}
@@ -347,7 +357,7 @@ def _row(
 
 
 def _divergence(row: Mapping[str, Any], limits: Mapping[str, float], robot: rust.Robot) -> tuple[Outcome, str] | None:
-    """Judge as the crate does; thrusts are held here."""
+    """Judge as the crate does; thrusts are bounded by the controller here."""
     lower, upper = np.reshape(robot.joint_stops, (-1, 2)).T
     joints, base = row["joint_position"], row["base_velocity"]
     speed = max(np.linalg.norm(base[:3]), np.linalg.norm(row["wind"]))
@@ -380,7 +390,11 @@ def _fall(row: Mapping[str, Any], limits: Mapping[str, float]) -> tuple[Outcome,
 def _summary(log: Mapping[str, Array], joint_setpoint: Array) -> dict[str, float]:
     airborne = np.count_nonzero(log["feet_carry"] == 0)
     tick = float(log["time"][1]) if len(log["time"]) > 1 else 0.0
-    return figures(condense(log, joint_setpoint)) | {"time_off_the_ground": tick * airborne}
+    load = log["foot_wrench"][:, :, 2].sum(axis=1)
+    touches = np.flatnonzero((load[:-1] == 0.0) & (load[1:] > 0.0))
+    speed = np.max(-log["com_velocity"][touches, 2], initial=0.0)
+    of_ground = {"time_off_the_ground": tick * airborne, "touchdown_speed": float(speed)}
+    return figures(condense(log, joint_setpoint)) | of_ground
 
 
 def _angle(rotation: Array) -> float:

@@ -273,7 +273,7 @@ impl Controller {
     /// Everything that depends on the measurement alone.
     fn observe(&mut self, state: &mut ControllerState) {
         let measurement = &self.channels.seen;
-        let Terms { kinematics, dynamics, link_forces, momentum, contact, .. } = &mut self.terms;
+        let Terms { kinematics, dynamics, link_forces, momentum, contact, setpoint, .. } = &mut self.terms;
         let conventions = LinkConventions {
             lever_arm: self.config.lever_arm,
             jacobian_offset: self.config.jacobian_offset,
@@ -290,10 +290,22 @@ impl Controller {
         for (known, measured) in contact.measured.iter_mut().zip(&measurement.foot_wrenches) {
             *known = *measured;
         }
-        contact.update(&mut state.contact, &self.model, kinematics, dynamics, self.time_step);
+        let climb = setpoint.com_position.z - kinematics.com.z;
+        contact.update(
+            &mut state.contact,
+            &self.model,
+            kinematics,
+            dynamics,
+            climb,
+            -momentum.rate_estimate[2],
+            self.time_step,
+        );
         contact.add_measured(&kinematics.com, &mut rate);
         if contact.is_active {
             momentum.add_contact(&self.model, kinematics, dynamics, contact);
+            if let Some(height) = contact.stand_height() {
+                state.setpoint.keep_above(kinematics.com.z - height);
+            }
         }
         if let Some(config) = &self.config.observer {
             let sample = Sample { time: measurement.time, momentum: dynamics.momentum, rate };

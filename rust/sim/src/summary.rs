@@ -68,8 +68,12 @@ figures! {
 /// Every figure of merit: those of [`Summary`], and those of engines with ground.
 #[must_use]
 pub fn figures() -> Vec<Figure> {
-    let on_feet = figure("time_off_the_ground", "s", "time in which the feet do not carry");
-    OF_FLIGHTS.iter().copied().chain([Figure { is_of_ground: true, ..on_feet }]).collect()
+    let of_ground = [
+        figure("time_off_the_ground", "s", "time in which the feet do not carry"),
+        figure("touchdown_speed", "m/s", "greatest speed downwards with which feet that carried nothing touch the ground"),
+    ];
+    let of_ground = of_ground.map(|figure| Figure { is_of_ground: true, ..figure });
+    OF_FLIGHTS.iter().copied().chain(of_ground).collect()
 }
 
 /// Rotation error beyond which a robot that still flies counts as leaning.

@@ -311,6 +311,10 @@ impl ControllerConfig {
         self.qp.check()?;
         if let Some(contact) = &self.contact {
             contact.check(robot)?;
+            if contact.load_transfer.is_some() && !self.use_jets {
+                let expected = "true: a robot takes off with its jets (controller.contact.load_transfer)";
+                return Err(BuildError::bad_value("controller.use_jets", false, expected));
+            }
         }
 
         per_name("posture_gain", &self.posture_gain, robot.groups.iter().map(|group| group.name.as_str()))?;

@@ -8,7 +8,7 @@
 //!
 //! `f_c*` is the integral of the momentum QP's own answer, not a measurement: it is the estimate in the
 //! momentum rate and the reference of the torque QP alike. Wrenches are about the sole's origin, force
-//! first, inertial axes. Equations M54, M74, M75 and M82 of `docs/model.md`.
+//! first, inertial axes. Equations M54, M74, M75, M82, M110 and M111 of `docs/model.md`.
 
 use crate::dynamics::Dynamics;
 use crate::error::{BuildError, check};
@@ -59,6 +59,30 @@ pub struct ContactConfig {
     pub weight_force: f64,
     /// What the wrench of a foot may be.
     pub wrench: WrenchLimits,
+    /// How the robot takes off and lands; without it, it stays where it is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub load_transfer: Option<LoadTransfer>,
+}
+
+/// How load passes between feet and jets. A robot whose feet carry takes off towards a set-point above its centre of
+/// mass: the feet are relieved. Otherwise it stands: the jets are relieved.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct LoadTransfer {
+    /// Gain with which the load of feet or jets falls \[1/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub gain: f64,
+    /// Gain with which `f_c*` of a robot that stands follows the measured wrenches \[1/s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub measured_gain: f64,
+    /// Height of the set-point above the centre of mass beyond which the robot takes off; a robot that stands has its
+    /// set-point at most as far below \[m\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub height: f64,
+    /// Time for which feet of a robot that stands may lose contact and still count as carrying \[s\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub hold_time: f64,
 }
 
 /// What the wrench of every foot may be, in sole axes about the sole's origin; where its centre of pressure
@@ -104,6 +128,12 @@ impl ContactConfig {
         non_negative("weight_foot_velocity", self.weight_foot_velocity)?;
         non_negative("weight_foot_acceleration", self.weight_foot_acceleration)?;
         non_negative("weight_force", self.weight_force)?;
+        if let Some(transfer) = &self.load_transfer {
+            positive("load_transfer.gain", transfer.gain)?;
+            non_negative("load_transfer.measured_gain", transfer.measured_gain)?;
+            positive("load_transfer.height", transfer.height)?;
+            non_negative("load_transfer.hold_time", transfer.hold_time)?;
+        }
         let limits = &self.wrench;
         positive("wrench.friction", limits.friction)?;
         non_negative("wrench.torsional_friction", limits.torsional_friction)?;
@@ -147,6 +177,8 @@ pub struct ContactState {
     pub(super) force: DVector<f64>,
     /// `ḟ_c*` of the last tick, integrated when the next one begins.
     pub(super) force_rate: DVector<f64>,
+    /// Since when one of the feet does not carry \[s\].
+    unloaded_time: f64,
 }
 
 impl ContactState {
@@ -154,7 +186,7 @@ impl ContactState {
     #[must_use]
     pub fn new(feet: usize) -> Self {
         let nothing = DVector::zeros(WRENCH * feet);
-        Self { is_active: false, force: nothing.clone(), force_rate: nothing }
+        Self { is_active: false, force: nothing.clone(), force_rate: nothing, unloaded_time: 0.0 }
     }
 }
 
@@ -163,6 +195,8 @@ impl ContactState {
 pub struct Contact {
     /// Whether all feet carry.
     pub is_active: bool,
+    /// Whether they are to be relieved.
+    pub takes_off: bool,
     /// Measured wrench of each foot.
     pub measured: Vec<Vector6<f64>>,
     /// `f_c*`, foot after foot; zero while the feet do not carry.
@@ -188,6 +222,7 @@ impl Contact {
         let nothing = DVector::zeros(WRENCH * feet);
         Self {
             is_active: false,
+            takes_off: false,
             measured: vec![Vector6::zeros(); feet],
             force: nothing.clone(),
             force_rate: nothing.clone(),
@@ -200,25 +235,36 @@ impl Contact {
     }
 
     /// Advances `f_c*` of `state` by the last tick's rate, decides from the measured wrenches whether the feet carry
-    /// (when that changes, `f_c*` starts anew), and recomputes what depends on the state.
+    /// (when that changes, `f_c*` starts anew), and recomputes what depends on the state. The set-point is `climb` \[m\]
+    /// above the centre of mass; jets and air leave the vertical force `left` \[N\] to the feet.
+    #[allow(clippy::too_many_arguments)] // each is computed elsewhere in the tick
     pub fn update(
         &mut self,
         state: &mut ContactState,
         robot: &RobotModel,
         kinematics: &Kinematics,
         dynamics: &Dynamics,
+        climb: f64,
+        left: f64,
         time_step: f64,
     ) {
         // Forward Euler: a rate is used in its own tick and integrated into the next.
         state.force.axpy(time_step, &state.force_rate, 1.0);
         state.force_rate.fill(0.0);
         let threshold = self.config.vertical_force_min;
-        let carries = !self.measured.is_empty() && self.measured.iter().all(|wrench| wrench[2] > threshold);
+        let mut carries =
+            !self.measured.is_empty() && self.measured.iter().all(|wrench| wrench[2] > threshold);
+        if let Some(transfer) = &self.config.load_transfer {
+            self.takes_off = climb > transfer.height;
+            state.unloaded_time = if carries { 0.0 } else { state.unloaded_time + time_step };
+            carries |= state.is_active && !self.takes_off && state.unloaded_time <= transfer.hold_time;
+        }
         if carries != state.is_active {
             state.is_active = carries;
-            self.restart(state);
+            self.restart(state, left);
         }
         self.is_active = state.is_active;
+        self.follow_measured(state, time_step);
         self.force.copy_from(&state.force);
         self.force_rate.fill(0.0);
         for (sole, foot) in self.soles.iter_mut().zip(&robot.feet) {
@@ -244,6 +290,12 @@ impl Contact {
         }
     }
 
+    /// How far below the centre of mass the set-point of a robot that stands may be \[m\].
+    #[must_use]
+    pub fn stand_height(&self) -> Option<f64> {
+        self.config.load_transfer.as_ref().map(|transfer| transfer.height)
+    }
+
     /// Adds `A_c f_c` of the measured wrenches to a momentum rate.
     pub fn add_measured(&self, com: &Vector3<f64>, rate: &mut Vector6<f64>) {
         for (sole, wrench) in self.soles.iter().zip(&self.measured) {
@@ -253,11 +305,30 @@ impl Contact {
         }
     }
 
-    /// Vertical force and, where configured, moment about y, of each foot as measured; all else zero.
-    fn restart(&mut self, state: &mut ContactState) {
+    /// `f_c*` of a robot that takes off is what is measured; while it stands, what is measured draws it.
+    fn follow_measured(&self, state: &mut ContactState, time_step: f64) {
+        let Some(transfer) = self.config.load_transfer.as_ref().filter(|_| self.is_active) else { return };
+        let part = if self.takes_off { 1.0 } else { (transfer.measured_gain * time_step).min(1.0) };
+        let wrenches = state.force.as_mut_slice().chunks_exact_mut(WRENCH);
+        for (force, measured) in
+            wrenches.zip(&self.measured).flat_map(|(force, measured)| force.iter_mut().zip(measured))
+        {
+            *force += part * (measured - *force);
+        }
+    }
+
+    /// Without load transfer vertical force and, where configured, moment about y, of each foot as measured; with it
+    /// equal parts of the vertical force that jets and air leave, for a measurement would be that of the impact.
+    fn restart(&mut self, state: &mut ContactState, left: f64) {
         state.force.fill(0.0);
         self.force_of_torques.fill(0.0);
         if !state.is_active {
+            return;
+        }
+        if self.config.load_transfer.is_some() {
+            for wrench in state.force.as_mut_slice().chunks_exact_mut(WRENCH) {
+                wrench[2] = left.max(0.0) / self.measured.len() as f64;
+            }
             return;
         }
         for (foot, wrench) in self.measured.iter().enumerate() {

@@ -171,6 +171,11 @@ impl SetpointState {
     pub fn raw(&self) -> &RawSetpoint {
         &self.raw
     }
+
+    /// Raises the raw position to a height \[m\] if it is below: the ground is in the way.
+    pub(super) fn keep_above(&mut self, height: f64) {
+        self.raw.position.z = self.raw.position.z.max(height);
+    }
 }
 
 /// Turns the commands of a mission into a [`Setpoint`] every tick; its state is a [`SetpointState`].

@@ -8,11 +8,12 @@
 //! feet               J_c,s ṡ + J_c,b ν_B = 0                                      feet that carry stay
 //! symmetric jets     Ṫ_a − Ṫ_b = 0                                                for each pair
 //! posture            ṡ + K_s (s − s_d) = 0
-//! and Ṫ, ḟ_c, ṡ and all unknowns towards zero
+//! rates              Ṫ + κ_T T = 0,   ḟ_c + κ_f f_c* = 0      κ > 0 for the side that is relieved of its load
+//! and ṡ and all unknowns towards zero
 //! ```
 //!
 //! with `K = K_P + K_D + K_O⁻¹`. The linear task is `e⃛ + 8.75 ë + 22.8 ė + 15 e = 0` in the position
-//! error at the published gains. Equations M57, M58, M61 to M64 and M73 of `docs/model.md`.
+//! error at the published gains. Equations M57, M58, M61 to M64, M73 and M110 of `docs/model.md`.
 
 use super::config::{ControllerConfig, MomentumGains};
 use super::contact::ContactConfig;
@@ -37,6 +38,8 @@ pub fn standard_tasks(
 ) -> Result<Vec<Arc<dyn Task>>, BuildError> {
     let Unknowns { thrust_rate, force_rate, joint_velocity } = unknowns;
     let weights = &config.weights;
+    let transfer = config.contact.as_ref().and_then(|contact| contact.load_transfer.as_ref());
+    let transfer_gain = transfer.map_or(0.0, |transfer| transfer.gain);
     let mut tasks: Vec<Arc<dyn Task>> = vec![
         Arc::new(LinearMomentum { gains: config.momentum.clone(), weight: weights.momentum }),
         Arc::new(Attitude { weight: weights.momentum }),
@@ -50,15 +53,21 @@ pub fn standard_tasks(
     if !thrust_rate.is_empty() {
         let pairs = config.symmetric_pairs(robot)?;
         tasks.push(Arc::new(SymmetricJets { pairs, weight: weights.symmetry }));
-        tasks.push(Arc::new(TowardsZero {
-            name: "thrust rate",
+        tasks.push(Arc::new(LoadRate {
+            side: Side::Jets,
             first: thrust_rate.start,
             weights: config.per_jet(&weights.thrust_rate, robot),
+            gain: transfer_gain,
         }));
     }
     if let Some(ContactConfig { weight_force_rate, weight_foot_velocity, .. }) = config.contact {
         tasks.push(Arc::new(Feet { rows: force_rate.len(), weight: weight_foot_velocity }));
-        tasks.push(towards_zero("force rate", force_rate, weight_force_rate));
+        tasks.push(Arc::new(LoadRate {
+            side: Side::Feet,
+            first: force_rate.start,
+            weights: vec![weight_force_rate; force_rate.len()],
+            gain: transfer_gain,
+        }));
     }
     tasks.push(towards_zero("joint velocity", joint_velocity, weights.joint_velocity));
     tasks.push(towards_zero("regularisation", &(0..unknowns.len()), weights.regularisation));
@@ -242,6 +251,48 @@ impl Task for Posture {
         let positions = inputs.state.joint_position.iter().zip(inputs.posture);
         for ((offset, gain), (s, s_d)) in equations.offset.iter_mut().zip(&self.gain).zip(positions) {
             *offset = gain * (s - s_d);
+        }
+    }
+}
+
+/// What carries the robot.
+#[derive(Debug, Clone, Copy)]
+enum Side {
+    Jets,
+    Feet,
+}
+
+/// Thrusts or foot wrenches change slowly; those of the side that is relieved of its load fall to zero (M110).
+#[derive(Debug, Clone)]
+struct LoadRate {
+    side: Side,
+    first: usize,
+    weights: Vec<f64>,
+    /// `κ` \[1/s\].
+    gain: f64,
+}
+
+impl Task for LoadRate {
+    fn name(&self) -> &'static str {
+        match self.side {
+            Side::Jets => "thrust rate",
+            Side::Feet => "force rate",
+        }
+    }
+
+    fn layout(&self) -> Layout {
+        Layout::Diagonal { first: self.first, weights: self.weights.clone() }
+    }
+
+    fn update(&self, inputs: &TaskInputs, equations: &mut Equations) {
+        let contact = inputs.contact;
+        let (load, is_relieved) = match self.side {
+            Side::Jets => (inputs.thrust, contact.is_active && !contact.takes_off),
+            Side::Feet => (contact.force.as_slice(), contact.is_active && contact.takes_off),
+        };
+        let gain = if is_relieved { self.gain } else { 0.0 };
+        for (offset, load) in equations.offset.iter_mut().zip(load) {
+            *offset = gain * load;
         }
     }
 }
