@@ -261,6 +261,7 @@ BEYOND: Sequence[Item] = (
             ("trajectory", "planned trajectories"),
             ("identify", "coefficients from a flight's log"),
             ("engine", "an engine identified from a log"),
+            ("take_off", "take-off and landing"),
             ("tip_over", "wind that tips the standing robot over"),
             ("observer_limit", "limit of the observer"),
             ("tune", "gains and weights tuned by gradient"),

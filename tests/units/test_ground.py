@@ -57,17 +57,21 @@ def test_the_feet_carry_the_robot(measured):
 
 
 def test_state_and_dynamics_are_those_of_the_crate():
-    """The same torques and forces accelerate MuJoCo's robot, its feet off the ground, as they do ours."""
+    """The same torques, thrusts and forces accelerate MuJoCo's robot, its feet off the ground, as they do ours."""
     in_the_air = {"simulator.initial.base_position": [0.0, 0.0, 1.5], "simulator.ground.settling": 0.0}
-    config = standing(**in_the_air | FREE_JOINTS)
+    config = rust.load_config(ROOT / "configs/experiments/take_off.toml", in_the_air | FREE_JOINTS)
     plant = GroundPlant(config)
     rng = np.random.default_rng(1)
     plant.data.qvel[:] = rng.uniform(-0.5, 0.5, plant.model.nv)
     plant.data.ctrl[:] = rng.uniform(-5.0, 5.0, 23)
+    plant.thrust = rng.uniform(20.0, 150.0, 4)
     seen = plant.observe(np.array([8.0, -5.0, 0.0]))
     assert not seen.foot_wrenches.any()
     mujoco.mj_forward(plant.model, plant.data)  # now with the wind
     force = np.concatenate([np.zeros(6), seen.joint_torque])
+    axes = rust.Controller(config).tick(seen.state, plant.thrust, np.zeros(3), 0.0).jet_axes
+    for jet, axis, thrust in zip(plant._table["jets"], axes, plant.thrust, strict=True):
+        force += thrust * rust.frame_jacobian(plant.robot, jet["frame"], seen.state).linear.T @ axis
     for index, point in enumerate(plant._links):
         body = plant.data.body(plant.model.site_bodyid[point])
         arm = plant.data.site_xpos[point] - body.xpos
@@ -90,6 +94,42 @@ def test_a_robot_with_free_joints_stands_still_for_a_minute():
     assert np.linalg.norm(log["sole_position"][-1] - log["sole_position"][0], axis=1).max() < 1e-4
     assert not log["qp_status"].any()
     assert log["feet_carry"].all()
+
+
+@pytest.mark.close_to_tolerance("the tolerances are what the flight is meant to keep")
+def test_the_robot_takes_off_and_lands(measured, tmp_path):
+    """From standing to standing in 5 m/s of wind."""
+    times = {"mission.up": [(0.5, 1.5)], "mission.down": [(3.0, 9.0)], "simulator.duration": 9.0}
+    config = rust.load_config(ROOT / "configs/experiments/take_off.toml", times)
+    result = fly(config)
+    log, summary = result.log, result.summary
+    assert result.outcome == "completed"
+    carried = log["feet_carry"] == 1.0
+    assert carried[:50].all()
+    assert carried[-200:].all()
+    assert 1.0 < summary["time_off_the_ground"] < 6.0
+    assert log["sole_position"][~carried, :, 2].max() > 0.05
+    measured("touchdown speed [m/s]", summary["touchdown_speed"], 0.3)
+    measured("rotation error [deg]", np.degrees(summary["max_rotation_error"]), 10.0)
+    assert log["thrust"][-1].sum() < 0.5 * log["thrust"][~carried].sum(axis=1).max()
+    assert summary["ticks_without_solution"] == 0
+    dataset = record.to_dataset(result, rust.Robot(config["robot"]), title="t", config_digest="d")
+    record.write_run(tmp_path / "flight" / "take_off", dataset, {"name": "take_off", "config_digest": "d"})
+    out = tmp_path / "out"
+    assert draw(["take_off", "--results", str(tmp_path / "flight"), "--out", str(out)]) == 0
+    assert (out / "take_off.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_second_order_engines_are_refused():
+    config = standing(**{"simulator.jets": {"dynamics": "second_order"}})
+    with pytest.raises(ValueError, match=r"simulator\.jets\.dynamics"):
+        fly(config)
+
+
+def test_a_robot_without_jets_cannot_take_off():
+    transfer = {"gain": 1.0, "measured_gain": 1.0, "height": 0.01, "hold_time": 0.2}
+    with pytest.raises(ValueError, match=r"controller\.use_jets"):
+        rust.check_config(standing(**{"controller.contact.load_transfer": transfer}))
 
 
 @pytest.mark.close_to_tolerance("the robot still moves: mass times an acceleration of 2 mm/s²")
@@ -135,7 +175,7 @@ def test_the_standing_qp_agrees_with_daqp(agree):
     for k, wind in enumerate(winds):
         seen = plant.observe(np.zeros(3))
         tick = controller.tick(seen.state, np.zeros(4), wind, 0.01 * k, foot_wrenches=seen.foot_wrenches)
-        plant.advance(tick.joint_torque)
+        plant.advance(tick.joint_torque, tick.thrust_rate)
         qp = tick.torque_qp
         if np.abs(tick.com_position - tick.setpoint.com_position).max() > 0.3:
             break

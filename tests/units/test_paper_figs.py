@@ -8,7 +8,7 @@ from paper_figs.panels import readable
 
 # These show studies, not flights; the tests of each study draw its figure from a study of their own.
 STUDIES = {"fig4_fit", "fig4_network", "training", "surrogate", "trim", "trajectory", "force_rate", "identify"}
-STUDIES |= {"engine", "fig2_setup", "fig5a", "postures", "along", "fig6", "tip_over", "observer_limit"}
+STUDIES |= {"engine", "fig2_setup", "fig5a", "postures", "along", "fig6", "take_off", "tip_over", "observer_limit"}
 STUDIES |= {"tunnel_moments", "cfd_flow", "tune"}
 
 

@@ -8,6 +8,7 @@ use flight_core::control::CommandStatus;
 use flight_core::control::channels::Modes;
 use flight_core::control::config::{ControllerConfig, Solver};
 use flight_core::control::contact::{Contact, ContactConfig, ContactState, WRENCH_ROWS};
+use flight_core::control::setpoint::Setpoint;
 use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::robot::Foot;
@@ -115,6 +116,81 @@ fn what_corners_can_do_is_allowed() {
         for (k, (row, bound)) in rows.iter().enumerate() {
             assert!(k == 12 || k == 13 || row.dot(&wrench) <= bound + 1e-9, "row {k}: {wrench}");
         }
+    }
+}
+
+/// A controller that can take off, behind its first tick on the ground with thrusts that carry a quarter of the weight.
+fn able_to_take_off() -> (Running, RobotState) {
+    let config = crate::common::experiment("take_off");
+    let controller = Running::new(config.controller(load_robot(&config.robot).unwrap()).unwrap());
+    (controller, config.simulator.initial.state())
+}
+
+const QUARTER: [f64; 4] = [26.0; 4];
+
+/// A tick on the ground towards a set-point `climb` above the centre of mass.
+fn tick_with_load(running: &mut Running, state: &RobotState, time: f64, climb: f64, feet: &[Vector6<f64>; 2]) {
+    let mut kinematics = Kinematics::new(running.model());
+    kinematics.update(running.model(), state);
+    let com = kinematics.com + Vector3::new(0.0, 0.0, climb);
+    let setpoint = Setpoint::hold(com, state.base.rotation);
+    let measurement =
+        Measurement { time, state, thrust: &QUARTER, wind: Vector3::zeros(), foot_wrenches: feet };
+    running.tick_towards(&measurement, &setpoint);
+}
+
+/// M110: offsets of the two rate tasks, entry by entry, and which side is relieved.
+#[test]
+fn the_side_that_is_relieved_loses_its_load_at_the_gain() {
+    let (mut controller, state) = able_to_take_off();
+    let gain = 1.0; // of configs/control/take_off.toml
+    for (k, (climb, takes_off)) in [(0.0, false), (0.5, true), (0.009, false), (-0.5, false)].into_iter().enumerate() {
+        tick_with_load(&mut controller, &state, 0.01 * k as f64, climb, &weight_on_both());
+        let terms = controller.terms();
+        assert!(terms.contact.is_active);
+        assert_eq!(terms.contact.takes_off, takes_off, "{climb} m");
+        let (_, thrust_rates, _) = terms.momentum_qp.task("thrust rate").unwrap();
+        let (_, force_rates, _) = terms.momentum_qp.task("force rate").unwrap();
+        let (of_jets, of_feet) = if takes_off { (0.0, gain) } else { (gain, 0.0) };
+        assert_eq!(thrust_rates, DVector::from_element(4, of_jets * 26.0));
+        assert_eq!(force_rates, &terms.contact.force * of_feet);
+        assert!(terms.contact.force.norm() > 100.0);
+    }
+}
+
+/// M111: what `f_c*` starts with, follows slowly while the robot stands, and is while it takes off.
+#[test]
+fn the_desired_wrench_is_the_measured_one_at_take_off_and_follows_it_else() {
+    let (mut controller, state) = able_to_take_off();
+    tick_with_load(&mut controller, &state, 0.0, 0.0, &weight_on_both());
+    let terms = controller.terms();
+    let left = terms.kinematics.mass() * 9.81 - terms.momentum.a_t.row(2).sum() * 26.0;
+    let measured: Vec<f64> = weight_on_both().iter().flatten().copied().collect();
+    // κ_m Δt of configs/control/take_off.toml.
+    let part = 1.0 * TIME_STEP;
+    for (index, force) in terms.contact.force.iter().enumerate() {
+        let start = if index % 6 == 2 { left / 2.0 } else { 0.0 };
+        let expected = start + part * (measured[index] - start);
+        assert_within!((force - expected).abs(), 1e-12 * 400.0, "component {index}: rounding of a sum of thrusts");
+    }
+    tick_with_load(&mut controller, &state, 0.01, 0.5, &weight_on_both());
+    assert_eq!(controller.terms().contact.force.as_slice(), measured);
+}
+
+/// Feet of a robot that stands carry through a short loss of contact; those of one that takes off do not.
+#[test]
+fn feet_carry_through_a_short_loss_of_contact_unless_the_robot_takes_off() {
+    let in_the_air = [Vector6::zeros(); 2];
+    for (climb, carrying) in [(0.0, 20), (0.5, 0)] {
+        let (mut controller, state) = able_to_take_off();
+        tick_with_load(&mut controller, &state, 0.0, climb, &weight_on_both());
+        let mut ticks = 0;
+        for k in 1..40 {
+            tick_with_load(&mut controller, &state, 0.01 * f64::from(k), climb, &in_the_air);
+            ticks += i32::from(controller.terms().contact.is_active);
+        }
+        // 0.2 s; the sum of twenty steps may round to either side of it.
+        assert!((ticks - carrying).abs() <= i32::from(carrying > 0), "{ticks} ticks, climb of {climb} m");
     }
 }
 
