@@ -251,7 +251,7 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
         if getattr(scenario_config(config).disturbances, key) != getattr(Disturbances(), key):
             raise ValueError(f"this engine does not support `disturbances.{key}`")
     if simulator["jets"]["dynamics"] != "ideal":
-        raise ValueError(f"`simulator.jets.dynamics` is \"{simulator['jets']['dynamics']}\"; expected \"ideal\" here")
+        raise ValueError(f'`simulator.jets.dynamics` is "{simulator["jets"]["dynamics"]}"; expected "ideal" here')
     plant, controller = GroundPlant(config), rust.Controller(config)
     times = _times(simulator)
     blowing = rust.wind_velocity(config["wind"], times)

@@ -37,7 +37,9 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
     attitude.set_ylim(bottom=0.0)
     attitude.set_xlabel("time [s]")
     for axes in grid:
-        axes.fill_between(time, 0.0, 1.0, where=airborne, transform=axes.get_xaxis_transform(), color=style.GREY, alpha=0.12)
+        axes.fill_between(
+            time, 0.0, 1.0, where=airborne, transform=axes.get_xaxis_transform(), color=style.GREY, alpha=0.12
+        )
         if run.lost_time is not None:
             style.mark_fall(axes, run.lost_time, run.ending)
     for axes in (height, load_, thrust):

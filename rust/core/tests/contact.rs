@@ -129,7 +129,13 @@ fn able_to_take_off() -> (Running, RobotState) {
 const QUARTER: [f64; 4] = [26.0; 4];
 
 /// A tick on the ground towards a set-point `climb` above the centre of mass.
-fn tick_with_load(running: &mut Running, state: &RobotState, time: f64, climb: f64, feet: &[Vector6<f64>; 2]) {
+fn tick_with_load(
+    running: &mut Running,
+    state: &RobotState,
+    time: f64,
+    climb: f64,
+    feet: &[Vector6<f64>; 2],
+) {
     let mut kinematics = Kinematics::new(running.model());
     kinematics.update(running.model(), state);
     let com = kinematics.com + Vector3::new(0.0, 0.0, climb);
@@ -144,7 +150,9 @@ fn tick_with_load(running: &mut Running, state: &RobotState, time: f64, climb: f
 fn the_side_that_is_relieved_loses_its_load_at_the_gain() {
     let (mut controller, state) = able_to_take_off();
     let gain = 1.0; // of configs/control/take_off.toml
-    for (k, (climb, takes_off)) in [(0.0, false), (0.5, true), (0.009, false), (-0.5, false)].into_iter().enumerate() {
+    for (k, (climb, takes_off)) in
+        [(0.0, false), (0.5, true), (0.009, false), (-0.5, false)].into_iter().enumerate()
+    {
         tick_with_load(&mut controller, &state, 0.01 * k as f64, climb, &weight_on_both());
         let terms = controller.terms();
         assert!(terms.contact.is_active);
@@ -171,7 +179,11 @@ fn the_desired_wrench_is_the_measured_one_at_take_off_and_follows_it_else() {
     for (index, force) in terms.contact.force.iter().enumerate() {
         let start = if index % 6 == 2 { left / 2.0 } else { 0.0 };
         let expected = start + part * (measured[index] - start);
-        assert_within!((force - expected).abs(), 1e-12 * 400.0, "component {index}: rounding of a sum of thrusts");
+        assert_within!(
+            (force - expected).abs(),
+            1e-12 * 400.0,
+            "component {index}: rounding of a sum of thrusts"
+        );
     }
     tick_with_load(&mut controller, &state, 0.01, 0.5, &weight_on_both());
     assert_eq!(controller.terms().contact.force.as_slice(), measured);

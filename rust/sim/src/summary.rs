@@ -70,7 +70,11 @@ figures! {
 pub fn figures() -> Vec<Figure> {
     let of_ground = [
         figure("time_off_the_ground", "s", "time in which the feet do not carry"),
-        figure("touchdown_speed", "m/s", "greatest speed downwards with which feet that carried nothing touch the ground"),
+        figure(
+            "touchdown_speed",
+            "m/s",
+            "greatest speed downwards with which feet that carried nothing touch the ground",
+        ),
     ];
     let of_ground = of_ground.map(|figure| Figure { is_of_ground: true, ..figure });
     OF_FLIGHTS.iter().copied().chain(of_ground).collect()
