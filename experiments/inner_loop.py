@@ -9,7 +9,6 @@ ticks of 2 ms; how fast the open loop grows; and what noise makes of the command
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -20,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments import flight
 from jax_aero import rust
+from jax_aero.cli import Parser
 
 Matrix = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ class Loop(NamedTuple):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
-    argparse.ArgumentParser(prog="python -m experiments inner-loop", description=__doc__).parse_args(arguments)
+    Parser("inner-loop", __doc__).parse_args(arguments)
     for weight in WEIGHTS:
         fine, flown = linearised(weight, 0.002), linearised(weight, 0.01)
         print(f"weight of joint velocities {weight:g}")

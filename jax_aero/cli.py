@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import itertools
 import os
 import shlex
 import sys
@@ -101,11 +102,16 @@ class Parser(argparse.ArgumentParser):
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Return the arguments; anything that is not understood ends the program with status 2."""
         argcomplete.autocomplete(self)
-        given, unknown = self.parse_known_args(args, namespace)
+        words = sys.argv[1:] if args is None else list(args)
+        options = [option for option in self._option_string_actions if option.startswith("--")]
+        # Before anything else: a required option that is mistyped is not missing.
+        for word in itertools.takewhile(lambda word: word != "--", words):
+            name = word.partition("=")[0]
+            if name.startswith("--") and not any(option.startswith(name) for option in options):
+                self.error(f"`{name}` is not understood{did_you_mean(name, options)}")
+        given, unknown = self.parse_known_args(words, namespace)
         if unknown:
-            options = [option for option in self._option_string_actions if option.startswith("--")]
-            hint = did_you_mean(unknown[0].split("=")[0], options) if unknown[0].startswith("-") else ""
-            self.error(f"`{unknown[0]}` is not understood{hint}")
+            self.error(f"`{unknown[0]}` is not understood")
         return given
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:

@@ -49,6 +49,8 @@ def test_help_names_every_command(capsys):
         (["figures", "fig6b"], "did you mean fig6"),
         (["sweep", "baseline_edges"], "baseline_edge"),
         (["view", "--prot", "1"], "did you mean --port"),
+        (["train", "compact", "--datset", "x"], "did you mean --dataset"),
+        (["inner-loop", "--hepl"], "did you mean --help"),
         (["fly", "test1", "--out", ""], "the path is empty"),
     ],
 )
