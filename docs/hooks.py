@@ -13,7 +13,11 @@ from latex2mathml.converter import convert
 
 NOTEBOOK = re.compile(r"<!-- notebook: (?P<path>\S+) -->")
 EQUATION = re.compile(r"^```math\n(?P<latex>.*?)^```$", re.MULTILINE | re.DOTALL)
-INLINE = re.compile(r"\$(?P<latex>[^$\n]+)\$")
+INLINE = re.compile(
+    r"""^```.*?^```$ | `[^`\n]+`            # code, in which a dollar is one
+    | \$(?P<latex>(?:[^$\n]|\n(?!\s*\n))+)\$  # within a paragraph""",
+    re.MULTILINE | re.DOTALL | re.VERBOSE,
+)
 NUMBER = re.compile(r"\\tag\{(?P<number>M\d+)\}")
 CODE = re.compile(r"^Code: (?P<places>.*)$", re.MULTILINE)
 MODEL = "model.md"
@@ -28,13 +32,17 @@ def on_page_markdown(markdown: str, *, page: Any, config: Any, **_: Any) -> str:
     docs = Path(config["docs_dir"])
     if page.file.src_path in WIDE:
         page.meta["hide"] = ["navigation", "toc"]
-    if EQUATION.search(markdown):
-        markdown = EQUATION.sub(lambda match: numbered_equation(match["latex"]), markdown)
-        markdown = INLINE.sub(lambda match: f"<span>{mathml(match['latex'], 'inline')}</span>", markdown)
-        markdown = CODE.sub(r'<div class="places" markdown>\g<places></div>', markdown)
+    markdown = EQUATION.sub(lambda match: numbered_equation(match["latex"]), markdown)
+    markdown = INLINE.sub(inline_formula, markdown)
+    markdown = CODE.sub(r'<div class="places" markdown>\g<places></div>', markdown)
     links = [f"[{number}]: /{MODEL}#{number.lower()}" for number in NUMBER.findall((docs / MODEL).read_text())]
     markdown = NOTEBOOK.sub(lambda match: notebook(docs / match["path"]), markdown)
     return "\n".join([markdown, "", *links])
+
+
+def inline_formula(found: re.Match[str]) -> str:
+    """Return a formula in a line as HTML, and code as it is."""
+    return found[0] if found["latex"] is None else f"<span>{mathml(found['latex'], 'inline')}</span>"
 
 
 def numbered_equation(latex: str) -> str:

@@ -174,6 +174,22 @@ def test_a_notebook_runs(path, monkeypatch):
     NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(path.parent)}}).execute()
 
 
+def test_formulas_are_typeset_wherever_they_stand():
+    hooks = importlib.import_module("docs.hooks")
+
+    def shown(markdown):
+        return hooks.INLINE.sub(hooks.inline_formula, markdown)
+
+    text = "a `$HOME` of\n```sh\necho $A $B\n```\n"
+    assert shown(text) == text
+    assert shown("$3 and\n\n$4") == "$3 and\n\n$4"
+    for formula in ("$x + 1$", "$(x +\n1)$"):
+        assert re.fullmatch(r"at <span><math.*</math></span>, say", shown(f"at {formula}, say"), re.DOTALL)
+    for page in sorted((ROOT / "docs").rglob("*.md")):
+        left = hooks.INLINE.sub("", hooks.EQUATION.sub("", page.read_text(encoding="utf-8")))
+        assert "$" not in left, f"{page.name}: a formula is not closed within its paragraph"
+
+
 def test_the_site_builds_without_a_warning(tmp_path):
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path / "site")]
     answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=300)

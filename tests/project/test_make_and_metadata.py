@@ -81,6 +81,23 @@ def test_there_is_one_version():
     assert metadata.version("jax-aero") == cargo
 
 
+def test_the_recipe_for_conda_has_the_version_and_the_packages_of_the_project():
+    recipe = yaml.safe_load((ROOT / ".ci/conda/recipe.yaml").read_text(encoding="utf-8"))
+    table = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    project = table["project"]
+    assert recipe["context"]["version"] == jax_aero.__version__
+
+    def named(requirements):
+        return {re.sub(r"^([\w-]+)(?=[<>=])", r"\1 ", one) for one in requirements}
+
+    runs_with = named([*project["dependencies"], f"python{project['requires-python']}"])
+    assert set(recipe["requirements"]["run"]) == runs_with
+    assert named(table["build-system"]["requires"]) <= set(recipe["requirements"]["host"])
+    assert recipe["about"]["license"] == project["license"]
+    assert recipe["about"]["license_file"] == project["license-files"]
+    assert recipe["about"]["summary"] == project["description"]
+
+
 def test_every_requirement_is_pinned_by_version_alone():
     lock = (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
     assert [line for line in lock if not re.fullmatch(r"[\w.-]+==[\w.!+]+", line)] == []
