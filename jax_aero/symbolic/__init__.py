@@ -3,7 +3,7 @@
 Nothing here is translated from Rust or JAX. The three share numbers (TOML, URDF) and never an expression,
 so that a sign that is wrong has to be wrong three times to pass `tests/parity`.
 
-    robot (numbers) ► spatial ► kinematics (tree) ► dynamics (energy) ► aero ► momentum ► trim, trajectory
+    robot (numbers) ► spatial ► kinematics (tree) ► dynamics (energy) ► aero ► momentum ► contact, trim, trajectory
 
 Expressions are `casadi.SX`; results are NumPy arrays.
 """

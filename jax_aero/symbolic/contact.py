@@ -1,0 +1,75 @@
+"""What feet that carry add to the momentum balance: their wrenches held constant, and the motion of their soles.
+
+A wrench (f, m) about the origin p of a sole enters the momentum rate with (f ; (p − p_G) × f + m). Differentiating that
+gives A_c by the wrench and Λ_c by the coordinates; differentiating the soles' velocities (ṗ, ω) gives J_c by ν, and
+J̇_c ν along the motion.
+
+Equations M54 and M73 of `docs/model.md`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jax_aero.symbolic.dynamics import Dynamics
+from jax_aero.symbolic.kinematics import Kinematics
+from jax_aero.symbolic.robot import Array, Robot
+
+
+class ContactTerms(NamedTuple):
+    """Terms of one state; inertial axes, six rows or columns a foot: force or linear velocity first."""
+
+    a_c: Array
+    """(6, 6 feet) momentum rate per wrench."""
+    lambda_c: Array
+    """(6, n) Λ_c."""
+    jacobian: Array
+    """(6 feet, n) J_c."""
+    velocity_product: Array
+    """(6 feet,) J̇_c ν."""
+    sole_rotation: Array
+    """(3 feet, 3) inertial from sole axes, foot under foot."""
+
+
+class ContactModel:
+    """Expressions of the feet of one robot, by the names of their sole frames, in the order given."""
+
+    def __init__(self, robot: Robot, soles: Sequence[str]) -> None:
+        tree = Kinematics(robot)
+        dynamics = Dynamics(tree)
+        poses = [tree.poses[sole] for sole in soles]
+        wrenches = ca.SX.sym("f_c", 6, len(soles))
+        total = ca.SX.zeros(6)
+        motion = ca.SX(0, 1)
+        for pose, wrench in zip(poses, ca.horzsplit(wrenches), strict=True):
+            force, moment = wrench[:3], wrench[3:]
+            total += ca.vertcat(force, ca.cross(pose.position - dynamics.com, force) + moment)
+            turning = ca.mtimes(ca.reshape(tree.rate(ca.vec(pose.rotation)), 3, 3), pose.rotation.T)
+            motion = ca.vertcat(motion, tree.rate(pose.position), ca.inv_skew(turning))
+        outputs = [
+            ca.jacobian(total, ca.vec(wrenches)),
+            ca.jacobian(total, tree.q),
+            ca.jacobian(motion, tree.velocity),
+            tree.rate(motion),
+            ca.vertcat(*(pose.rotation for pose in poses)),
+        ]
+        inputs = [tree.base_position, tree.base_rotation, tree.joint_position, tree.velocity, wrenches]
+        self._function = ca.Function("contact", inputs, tree.here(*outputs))
+
+    def terms(
+        self,
+        base_position: ArrayLike,
+        base_rotation: ArrayLike,
+        joint_position: ArrayLike,
+        velocity: ArrayLike,
+        wrenches: ArrayLike,
+    ) -> ContactTerms:
+        """Evaluate every term at one state; `wrenches` (feet, 6) [N, N m]."""
+        state = (base_position, base_rotation, joint_position, velocity)
+        a_c, lambda_c, jacobian, product, rotations = self._function(*state, np.asarray(wrenches).T)
+        return ContactTerms(a_c.full(), lambda_c.full(), jacobian.full(), product.full()[:, 0], rotations.full())
