@@ -70,6 +70,6 @@ class ContactModel:
         wrenches: ArrayLike,
     ) -> ContactTerms:
         """Evaluate every term at one state; `wrenches` (feet, 6) [N, N m]."""
-        state = (base_position, base_rotation, joint_position, velocity)
-        a_c, lambda_c, jacobian, product, rotations = self._function(*state, np.asarray(wrenches).T)
+        state = (base_position, base_rotation, joint_position, velocity, np.transpose(wrenches))
+        a_c, lambda_c, jacobian, product, rotations = self._function.call([ca.DM(x) for x in state])
         return ContactTerms(a_c.full(), lambda_c.full(), jacobian.full(), product.full()[:, 0], rotations.full())

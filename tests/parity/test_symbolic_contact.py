@@ -39,7 +39,7 @@ def ticks(count):
             given = [state, rng.uniform(20.0, 120.0, 4), rng.normal(size=3) * 5.0, feet]
             com = rust.dynamics(rust.Robot(config["robot"]), state).com_position
             setpoint = rust.Setpoint(
-                com_position=com + [0.02, -0.01, 0.05 if index % 2 else -0.005],
+                com_position=np.add(com, [0.02, -0.01, 0.05 if index % 2 else -0.005]),
                 rotation=rust.rotation_from_wxyz(turn + rng.normal(size=4) * 0.02),
                 **{
                     name: rng.normal(size=3)
