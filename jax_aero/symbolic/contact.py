@@ -10,7 +10,7 @@ Equations M54 and M73 of `docs/model.md`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -59,7 +59,7 @@ class ContactModel:
             ca.vertcat(*(pose.rotation for pose in poses)),
         ]
         inputs = [tree.base_position, tree.base_rotation, tree.joint_position, tree.velocity, wrenches]
-        self._function = ca.Function("contact", inputs, tree.here(*outputs))
+        self._function: Any = ca.Function("contact", inputs, tree.here(*outputs))
 
     def terms(
         self,
@@ -70,6 +70,6 @@ class ContactModel:
         wrenches: ArrayLike,
     ) -> ContactTerms:
         """Evaluate every term at one state; `wrenches` (feet, 6) [N, N m]."""
-        state = (base_position, base_rotation, joint_position, velocity, np.transpose(wrenches))
-        a_c, lambda_c, jacobian, product, rotations = self._function.call([ca.DM(x) for x in state])
+        state = (base_position, base_rotation, joint_position, velocity)
+        a_c, lambda_c, jacobian, product, rotations = self._function(*state, np.transpose(wrenches))
         return ContactTerms(a_c.full(), lambda_c.full(), jacobian.full(), product.full()[:, 0], rotations.full())
