@@ -153,11 +153,12 @@ $(BIN)/python:
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed; name one with PYTHON=..."; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-# Packages are those of requirements.lock, by their hashes; what flying and drawing need stands first.
+# Packages are those of requirements.lock, by their hashes; what flying and drawing need stands first. Python compiles a
+# module when it is first imported: to compile all of them here would be 90 MB more.
 $(VENV)/.first: requirements.hashed | $(BIN)/python
 	@echo "set-up 1 of 2: build tool, and what flying and drawing need (a minute)"
 	sed '/^# ---/q' $< > $@.txt
-	$(BIN)/python -m pip install --quiet --require-hashes -r $@.txt
+	$(BIN)/python -m pip install --quiet --no-compile --require-hashes -r $@.txt
 	@mv $@.txt $@
 
 $(MODULE): $(VENV)/.first pyproject.toml $(RUST_SOURCES)

@@ -6,14 +6,17 @@ c     1/n Σ ( |e|²/e₀² + φ²/φ₀² + mean(Ṫ²)/Ṫ₀² )     of a fli
 J     mean of log c over the worlds of a batch
 ```
 
-The logarithm gives every world the same weight, however hard it is. A flight that is about to be lost, or whose QPs sit
-on their bounds for long, has a gradient that is larger by orders of magnitude and says nothing of the others': worlds
-whose gradient is longer than `gradient_max`, or not finite, are left out of a step, and counted.
+The logarithm gives every world the same weight, however hard it is. A flight that is about to be lost has a gradient
+that is larger by orders of magnitude and says nothing of the others': worlds whose gradient is longer than
+`gradient_max`, or not finite, are left out of a step, and counted. Nothing then holds the values back where flights
+begin to be lost, so unseen worlds do: a validation that is not better than the best so far takes the values back there,
+and halves the rate.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import lru_cache, reduce
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, cast
@@ -63,7 +66,7 @@ class Steps(tables.Table, frozen=True):
     batch: tables.Count
     """Worlds of a step; none is seen twice."""
     learning_rate: tables.Positive
-    """Of the logarithms."""
+    """Of the logarithms, at first."""
     gradient_max: tables.Positive
     """Worlds with a longer gradient are left out of a step."""
     validation: tables.Count
@@ -107,6 +110,8 @@ class Tuned(NamedTuple):
 class _State:
     logarithms: Float[Array, " k"]
     adam: AdamState
+    best: Float[Array, " k"]
+    rate: Float[Array, ""]
 
 
 def tune(sample: Sample, size: int, steps: Steps, *, checkpoint: Path, digest: str) -> Tuned:
@@ -118,35 +123,40 @@ def tune(sample: Sample, size: int, steps: Steps, *, checkpoint: Path, digest: s
         If the checkpoint belongs to another run, which its digest tells.
     """
     theta = jnp.zeros(size)
-    state, step = _State(theta, adam_start(theta)), 0
+    state, step = _State(theta, adam_start(theta), theta, jnp.asarray(steps.learning_rate)), 0
     costs: list[float] = []
     left_out: list[int] = []
     seen: list[Validated] = []
 
-    def look() -> None:
+    def look(state: _State) -> _State:
         parts = [sample(state.logarithms, -1 - part)[0] for part in range(steps.validation // steps.batch)]
-        seen.append(Validated(step, float(np.mean(parts)), tuple(np.asarray(state.logarithms).tolist())))
+        cost, tried = float(np.mean(parts)), tuple(np.asarray(state.logarithms).tolist())
+        if all(cost < before.cost for before in seen):
+            state = replace(state, best=state.logarithms)
+        else:
+            state = _State(state.best, adam_start(state.best), state.best, 0.5 * state.rate)
+        seen.append(Validated(step, cost, tried))
         facts = {"costs": costs, "left_out": left_out, "validations": seen}
         save_checkpoint(checkpoint, Checkpoint(digest, step, state, facts))
+        return state
 
     if found := load_checkpoint(checkpoint, state, digest):
         state, step = found.state, found.epoch
         costs, left_out = found.facts["costs"], found.facts["left_out"]
         seen = [Validated(at, cost, tuple(values)) for at, cost, values in found.facts["validations"]]
     else:
-        look()
+        state = look(state)
     while step < steps.count:
         values, gradients = sample(state.logarithms, step)
         is_sound = jnp.linalg.norm(gradients, axis=1) <= steps.gradient_max  # not of NaN
         mean = jnp.sum(jnp.where(is_sound[:, None], gradients, 0.0), axis=0) / jnp.maximum(jnp.sum(is_sound), 1)
-        adam, theta = adam_step(state.adam, state.logarithms, mean, jnp.asarray(steps.learning_rate))
-        state, step = _State(theta, adam), step + 1
+        adam, theta = adam_step(state.adam, state.logarithms, mean, state.rate)
+        state, step = replace(state, logarithms=theta, adam=adam), step + 1
         costs.append(float(jnp.mean(values)))
         left_out.append(int(jnp.sum(~is_sound)))
         if step % steps.validate_every == 0 or step == steps.count:
-            look()
-    best = min(seen, key=lambda one: one.cost)
-    return Tuned(jnp.asarray(best.logarithms), tuple(costs), tuple(left_out), tuple(seen))
+            state = look(state)
+    return Tuned(state.best, tuple(costs), tuple(left_out), tuple(seen))
 
 
 def gradients(

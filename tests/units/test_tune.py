@@ -124,15 +124,18 @@ def test_steps_lower_the_cost_and_leave_out_worlds_without_a_gradient(tmp_path):
         gains.tune(bowl, 2, STEPS, checkpoint=tmp_path / "c.npz", digest="b")
 
 
-def test_the_answer_is_the_best_of_the_validations(tmp_path):
-    """And not the last: here the way down leads up in the unseen worlds."""
+def test_a_validation_that_is_worse_takes_the_values_back_and_halves_the_rate(tmp_path):
+    """Where the way down leads up in unseen worlds: steps of 0.2, 0.2, 0.2 (back), 0.1 (back), 0.05, 0.05 (back)."""
 
     def away(theta, step):
-        return theta[None, 0] if step >= 0 else (theta[None, 0] + 0.45) ** 2, jnp.ones((1, 1))
+        return theta[None, 0] if step >= 0 else (theta[None, 0] + 0.43) ** 2, jnp.ones((1, 1))
 
     steps = gains.Steps(count=6, batch=1, learning_rate=0.2, gradient_max=10.0, validation=1, validate_every=1)
     found = gains.tune(away, 1, steps, checkpoint=tmp_path / "c.npz", digest="a")
-    assert found.logarithms == pytest.approx(-0.4, abs=1e-6)  # Adam's steps have the length of its rate, within ε
+    tried = [look.logarithms[0] for look in found.validations]
+    # Adam's steps have the length of its rate, within ε.
+    np.testing.assert_allclose(tried, [0.0, -0.2, -0.4, -0.6, -0.5, -0.45, -0.5], atol=1e-6)
+    np.testing.assert_allclose(found.logarithms, -0.45, atol=1e-6)
 
 
 def slopes(theta, group, keys, cost):
