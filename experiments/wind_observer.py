@@ -25,8 +25,6 @@ DURATION, KNOWN = 20.0, 8.0
 """Of a flight, and from when on it is judged [s]."""
 TURBULENCE = 0.1
 """Standard deviation of the wind over its speed."""
-GAIN = 10.0
-"""Of the observed force [1/s]; docs/sensors.md has what it does."""
 QUANTILE = 1.645
 """Of the normal distribution, for 90 %."""
 WORLDS = {
@@ -89,7 +87,7 @@ main = STUDY.main
 def configurations(world: str, speed: float, flights: int, seed: int) -> Iterator[dict[str, Any]]:
     """Yield perturbed flights in turbulent winds of this speed, from directions all around."""
     name, model = WORLDS[world]
-    settings = {"simulator.duration": DURATION, "controller.wind_observer": {"gain": GAIN}}
+    settings = {"simulator.duration": DURATION, "controller.wind_observer": {}}
     table = rust.load_config(flight.find(name), settings)
     if model is not None:
         table["controller"]["aero"] = copy.deepcopy(keys.get(table, model))

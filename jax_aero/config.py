@@ -266,15 +266,41 @@ class ContactConfig(Table, frozen=True, kw_only=True):
     """What the wrench of a foot may be."""
 
 
+class MomentumGains(Table, frozen=True, kw_only=True):
+    """Gains of the momentum task (M57 of `docs/model.md`) and the attitude task (M60)."""
+
+    c0: NonNegative
+    """`c₀` of the attitude task [N m]."""
+    c1: NonNegative
+    """`c₁` of the attitude task [N m s]."""
+    kd_linear: tuple[NonNegative, NonNegative, NonNegative]
+    """`K_D` on the linear momentum error, per axis [1/s]."""
+    ko: Positive
+    """`K_O`; its inverse is added to `K_P + K_D` [s]."""
+    kp_linear: tuple[NonNegative, NonNegative, NonNegative]
+    """`K_P` on the integral of the linear momentum error, per axis [1/s²]."""
+
+
+class DescentConfig(Table, frozen=True, kw_only=True):
+    """The law of a robot that has lost an engine: the attitude first, no place to hold, and fast joints."""
+
+    joint_velocity_max_deg: Positive
+    """Greatest joint velocity, of joints whose own is less [deg/s]."""
+    momentum: MomentumGains
+    """Gains in place of `controller.momentum`."""
+    torque_rate_max: Positive
+    """Greatest rate of a joint torque, of joints whose own is less [N m/s]."""
+
+
 class EnginesConfig(Table, frozen=True, kw_only=True):
-    """When an engine counts as lost."""
+    """When an engine does not reach its thrust, and when it counts as lost."""
 
     confirmation: NonNegative
     """How long it has to be exceeded [s]."""
-    descend: bool
-    """Whether the robot levels and descends when an engine is lost."""
+    descent: DescentConfig | None = None
+    """How the robot levels and descends when an engine is lost; without it the mission goes on."""
     deviation_max: Positive
-    """Greatest deviation of a thrust from the commanded one [N]."""
+    """Greatest deviation of a thrust from the commanded one, and least range of an engine that is not lost [N]."""
     time_constant: Positive
     """Time constant with which deviations of the thrust are forgotten [s]."""
 
@@ -290,9 +316,9 @@ class EstimatorConfig(Table, frozen=True, kw_only=True):
     """Position of the base origin."""
     base_rotation: ChannelConfig = ChannelConfig()
     """Rotation of the base."""
-    joint_disturbance: Positive | None = None
-    """Time in which accelerations of the joints are learnt that the model does not explain, such as those by thrusts
-    that are not what they seem [s]; without it none are.
+    joint_observer: Positive | None = None
+    """Time constant of an observer that finds velocities of the joints, and accelerations that the model does not
+    explain, from their positions alone [s], in place of `joint_velocity` and the time constant of `joint_position`.
     """
     joint_position: ChannelConfig = ChannelConfig()
     """Joint positions."""
@@ -324,21 +350,6 @@ LinkVelocity: TypeAlias = Literal["at_centre", "shifted_twice"]
 at_centre: The aerodynamic centre.
 shifted_twice: The point of `JacobianOffset` shifted once more by the unrotated offset (published).
 """
-
-
-class MomentumGains(Table, frozen=True, kw_only=True):
-    """Gains of the momentum task (M57 of `docs/model.md`) and the attitude task (M60)."""
-
-    c0: NonNegative
-    """`c₀` of the attitude task [N m]."""
-    c1: NonNegative
-    """`c₁` of the attitude task [N m s]."""
-    kd_linear: tuple[NonNegative, NonNegative, NonNegative]
-    """`K_D` on the linear momentum error, per axis [1/s]."""
-    ko: Positive
-    """`K_O`; its inverse is added to `K_P + K_D` [s]."""
-    kp_linear: tuple[NonNegative, NonNegative, NonNegative]
-    """`K_P` on the integral of the linear momentum error, per axis [1/s²]."""
 
 
 class ObserverConfig(Table, frozen=True, kw_only=True):
@@ -447,17 +458,23 @@ class MomentumWeights(Table, frozen=True, kw_only=True):
 class WindObserverConfig(Table, frozen=True, kw_only=True):
     """How the wind is estimated."""
 
-    force_std: tuple[NonNegative, NonNegative, NonNegative] = (1.0, 1.0, 4.0)
-    """Standard deviation of the observed force, by axis: of mass, thrusts and attitude [N]."""
-    gain: Positive = 3.0
+    force_noise: tuple[NonNegative, NonNegative, NonNegative] = (0.3, 0.3, 4.0)
+    """Standard deviation of the noise of the observed force, by axis [N]."""
+    force_std: NonNegative = 0.1
+    """Standard deviation of errors of the force that last: of mass, thrusts and attitude [N]."""
+    gain: Positive = 10.0
     """How fast the acting force is observed, `K_o` [1/s]."""
-    relative_std: NonNegative = 0.12
-    """Standard deviation of the model's force, as a fraction of the observed one."""
+    moment_arm: Positive = 0.25
+    """Lever arm of the model's errors: over it the moment that the model does not explain is a force that it does not
+    explain either [m].
+    """
+    relative_std: NonNegative = 0.045
+    """The same of the model's force, as a fraction of the observed one."""
     vertical_std: Positive = 1.0
     """Standard deviation of vertical winds [m/s]."""
     vertical_time: Positive = 2.0
     """Time over which vertical winds are like themselves [s]."""
-    walk: Positive = 2.0
+    walk: Positive = 0.6
     """How fast a horizontal wind changes: standard deviation after one second [m/s]."""
 
 

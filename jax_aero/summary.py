@@ -22,7 +22,16 @@ LEANING = np.pi / 4
 
 def condense(log: Mapping[str, Any], joint_setpoint: Any) -> dict[str, Any]:
     """Return what `figures` needs of a log, or of one tick of it. Arrays of NumPy or of JAX."""
-    same = ("time", "com_position", "rotation_error", "thrust", "qp_status", "qp_kkt", "qp_iterations")
+    same = (
+        "time",
+        "com_position",
+        "rotation_error",
+        "thrust",
+        "qp_status",
+        "qp_kkt",
+        "qp_iterations",
+        "degraded_modes",
+    )
     return {name: log[name] for name in same} | {
         "com_error": log["com_position"] - log["com_setpoint"],
         "largest_torque": abs(log["joint_torque"]).max(-1, initial=0.0),
@@ -61,6 +70,7 @@ def figures(signals: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
         "max_aero_force_difference": _greatest(np.linalg.norm(simulated - estimated, axis=1)),
         "max_kkt": _greatest(kkt),
         "max_qp_iterations": _greatest(signals["qp_iterations"]),
+        "degraded_time": tick * np.count_nonzero(signals["degraded_modes"] > 0.0),
     }
     return {name: float(value) for name, value in found.items()}
 

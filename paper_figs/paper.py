@@ -240,7 +240,7 @@ SUPPLEMENT: Sequence[Item] = (
 )
 
 _OF_FIGURES = {
-    "observer_tests": ("observer_corrected", "observer_published"),
+    "observer_tests": ("observer_corrected", "observer_published", "false_alarms"),
     "observer_wind": ("observer_26", "observer_40"),
     "observer_errors": ("observer_errors",),
     "sensors_tests": ("sensors",),

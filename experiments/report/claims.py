@@ -87,7 +87,7 @@ def _fact(key: str, where: str, claim: str, judge: Callable[[], tuple[str, str]]
 
 def _ours(key: str, claim: str, judge: Judge, *, sweep: str = "", study: str = "") -> _Claim:
     """Return a claim of which the paper says nothing, of the recommended controller."""
-    return _Claim(key, "ours", claim, judge, sweep=sweep, figure=sweep, study=study)
+    return _Claim(key, "ours", claim, judge, sweep=sweep, figure=sweep.partition(" ")[0], study=study)
 
 
 def _stated(claim: _Claim, results: Results) -> Claim:
@@ -650,6 +650,12 @@ CLAIMS = (
         "With realistic sensors observer and estimator fly within 12°",
         observer.sensors,
         sweep="sensors_tests",
+    ),
+    _ours(
+        "false_alarms",
+        "Where nothing fails, no channel and no engine is found to fail",
+        observer.false_alarms,
+        sweep="observer_tests sensors_tests",
     ),
     _ours(
         "outages_lasting",

@@ -10,6 +10,7 @@ from typing import Any
 
 from experiments.report.results import Cell, NotFlownError, Results, count
 from experiments.report.verdicts import AGREES, differs
+from experiments.sweep.table import wilson
 
 OUTAGE_SPEED = 10.0
 """Wind of the claims on outages, the paper's [m/s]."""
@@ -104,6 +105,17 @@ def sensors(results: Results) -> tuple[str, str]:
         (flight, sweep.cell(controller="observer and estimator", flight=flight)) for flight in sweep.levels("flight")
     ]
     return _listed(cells), _judged(_beyond(cells, "worst", 12.0))
+
+
+def false_alarms(results: Results) -> tuple[str, str]:
+    """Judge how often a channel is predicted or an engine limited in flights in which nothing fails."""
+    cells = results.sweep("observer_tests").cells + results.sweep("sensors_tests").select(
+        controller="observer and estimator"
+    )
+    flights, alarmed = (sum(cell[name] for cell in cells) for name in ("flights", "degraded"))
+    low, high = wilson(alarmed, flights)
+    text = f"{alarmed} of {flights} flights, {1000.0 * low:.1f} to {1000.0 * high:.1f} of 1000 (95 %)"
+    return text, _judged([f"{alarmed} false alarms"] if alarmed else [])
 
 
 def _outages(results: Results, what: Mapping[str, tuple[float, ...]]) -> tuple[str, str]:

@@ -102,7 +102,7 @@ def cells(design: Design, table: pa.Table) -> pa.Table:
         mine = table.slice(cell * repeats, repeats)
         records.append(record | _cell({name: mine[name].to_numpy(zero_copy_only=False) for name in mine.column_names}))
     axis_columns = dict(_axis_columns(design))
-    whole = ("cell", "flights", "errors", "on_course", *typing.get_args(Outcome))
+    whole = ("cell", "flights", "errors", "on_course", "degraded", *typing.get_args(Outcome))
     fields = [(name, axis_columns.get(name, pa.int64() if name in whole else pa.float64())) for name in records[0]]
     return pa.Table.from_pylist(records, pa.schema(fields))
 
@@ -114,7 +114,8 @@ def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
     near = (flights["max_rotation_error"] <= ON_COURSE_ROTATION) & (flights["max_com_error"] <= ON_COURSE_COM)
     trials = len(completed) - errors
     record: dict[str, Any] = {"flights": trials, "errors": errors}
-    for name, which in (("completed", completed), ("on_course", completed & near)):
+    degraded = flights["degraded_time"] > 0.0
+    for name, which in (("completed", completed), ("on_course", completed & near), ("degraded", degraded)):
         low, high = wilson(int(which.sum()), trials)
         record |= {name: int(which.sum()), f"{name}_low": low, f"{name}_high": high}
     for outcome in typing.get_args(Outcome):

@@ -46,7 +46,7 @@ MODES = {
     "feet_held": 128,
     "clock_predicted": 256,
     "descending": 512,
-    "engine_lost": 1024,
+    "engine_limited": 1024,
 }
 """In which ways a tick differs from one with every measurement: a set, one bit each, as in the Rust crate."""
 

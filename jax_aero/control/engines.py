@@ -3,7 +3,7 @@
     d ← e^{−Δt/τ} d + (T_k − T̂_k)          how far a thrust has left the commanded one
     n ← n + (1 − e^{−Δt/τ_n}) (w − ŵ − n)   what the momentum says beside the observed wrench
 
-Equations M105 and M106 of `docs/model.md`.
+The thrust that an engine stops at bounds what is commanded from then on. Equations M105 and M106 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -11,14 +11,29 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Bool, Float
 
-from jax_aero.types import Array, pytree
+from jax_aero.config import EnginesConfig
+from jax_aero.control.attitude import TaskGains
+from jax_aero.types import Array, leaf, leaves, pytree
+
+
+@pytree
+class Descent:
+    """The law of a robot that has lost an engine."""
+
+    momentum: TaskGains
+    """Gains in place of the controller's."""
+    joint_velocity_max: Float[Array, ""]
+    """Greatest joint velocity, of joints whose own is less [rad/s]."""
+    torque_rate_max: Float[Array, ""]
+    """Greatest rate of a joint torque, of joints whose own is less [N m/s]."""
 
 
 @pytree
 class EngineLimits:
-    """When an engine counts as lost."""
+    """When an engine does not reach its thrust, and when it counts as lost."""
 
     time_constant: Float[Array, ""]
     """[s]."""
@@ -26,8 +41,8 @@ class EngineLimits:
     """[N]."""
     confirmation: Float[Array, ""]
     """[s]."""
-    descend: Float[Array, ""]
-    """1 where the robot descends then, 0 where it flies on."""
+    descent: Descent | None
+    """How the robot descends where one is lost; `None` where it flies on."""
 
 
 class EngineState(NamedTuple):
@@ -37,37 +52,72 @@ class EngineState(NamedTuple):
     """`d` [N]."""
     suspected: Float[Array, " j"]
     """How long it has been too large [s]."""
-    is_lost: Bool[Array, " j"]
-    """Whether they are lost; for good."""
+    least: Float[Array, " j"]
+    """Least thrust that they reach, as far as that was found [N]."""
+    greatest: Float[Array, " j"]
+    """Greatest thrust that they reach, likewise [N]."""
+
+    @property
+    def is_limited(self) -> Bool[Array, " j"]:
+        """Return which do not reach every thrust."""
+        return (self.least > 0.0) | (self.greatest < jnp.inf)
+
+    def is_lost(self, limits: EngineLimits) -> Bool[Array, " j"]:
+        """Return which keep their thrust, or have none."""
+        return self.greatest - self.least < limits.deviation_max
+
+
+def engine_limits(config: EnginesConfig) -> EngineLimits:
+    """Collect the numbers of a configuration."""
+    descent = config.descent
+    return EngineLimits(
+        time_constant=leaf(config.time_constant),
+        deviation_max=leaf(config.deviation_max),
+        confirmation=leaf(config.confirmation),
+        descent=None
+        if descent is None
+        else Descent(
+            momentum=leaves(TaskGains, descent.momentum),
+            joint_velocity_max=leaf(np.deg2rad(descent.joint_velocity_max_deg)),
+            torque_rate_max=leaf(descent.torque_rate_max),
+        ),
+    )
 
 
 def start(like: Float[Array, " j"]) -> EngineState:
     """Return what is known of engines with thrusts like these at first."""
-    return EngineState(jnp.zeros_like(like), jnp.zeros_like(like), jnp.zeros(like.shape, bool))
+    none = jnp.zeros_like(like)
+    return EngineState(none, none, none, jnp.full_like(like, jnp.inf))
 
 
 def update(
     limits: EngineLimits,
     last: EngineState,
     dt: Float[Array, ""],
+    thrust: Float[Array, " j"],
     innovation: Float[Array, " j"],
     a_t: Float[Array, "6 j"],
     residual: Float[Array, "6"],
 ) -> tuple[EngineState, Bool[Array, " j"], Float[Array, " j"]]:
-    """Take in by how much thrusts are not the predicted ones.
+    """Take in thrusts [N] and by how much they are not the predicted ones.
 
     Also return which sensors are wrong, and by how much.
 
     `a_t` takes thrusts to the momentum's rate, `residual` is the `n` above [N, N m].
     """
     deviation = jnp.exp(-dt / limits.time_constant) * last.deviation + innovation
-    exceeds = ~last.is_lost & (jnp.abs(deviation) > limits.deviation_max)
+    exceeds = jnp.abs(deviation) > limits.deviation_max
     suspected = jnp.where(exceeds, last.suspected + dt, 0.0)
     # Half a tick is for rounding.
     is_sure = exceeds & (suspected >= limits.confirmation + 0.5 * dt)
     explained = -(a_t.T @ residual) / jnp.sum(a_t**2, axis=0)
-    is_wrong = is_sure & (explained * jnp.sign(deviation) > 0.5 * jnp.abs(deviation))
-    is_lost = last.is_lost | (is_sure & ~is_wrong)
-    # A sensor that is no longer accepted says nothing about its engine.
-    after = EngineState(jnp.where(is_wrong, 0.0, deviation), jnp.where(is_wrong, 0.0, suspected), is_lost)
+    is_wrong = is_sure & ~last.is_limited & (explained * jnp.sign(deviation) > 0.5 * jnp.abs(deviation))
+    is_short, is_stuck = (is_sure & ~is_wrong & (sign * deviation > 0.0) for sign in (-1.0, 1.0))
+    after = EngineState(
+        # A sensor that is no longer accepted says nothing about its engine.
+        jnp.where(is_wrong, 0.0, deviation),
+        jnp.where(is_wrong, 0.0, suspected),
+        jnp.where(is_stuck, thrust, jnp.where(is_short, jnp.minimum(last.least, thrust), last.least)),
+        jnp.where(is_short, thrust, jnp.where(is_stuck, jnp.maximum(last.greatest, thrust), last.greatest)),
+    )
     return after, is_wrong, deviation

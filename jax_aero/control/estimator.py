@@ -58,8 +58,8 @@ class Estimator:
     """In ticks."""
     share: Float[Array, "7"]
     """Share of the innovation that is accepted."""
-    learnt: Float[Array, ""]
-    """Share of what the joints do besides that is learnt per tick; zero where nothing is."""
+    by_position: Float[Array, "2"]
+    """Shares of the joint positions' innovation that correct velocities, per tick, and accelerations, per tick²."""
     aero: AeroModel
     time_step: Float[Array, ""]
     """[s]."""
@@ -94,9 +94,15 @@ def estimator(config: EstimatorConfig, aero: AeroModel, time_step: Float[Array, 
     step = float(time_step)
     age = [int(np.floor(channel.delay / step + 0.5)) for channel in channels]  # half a tick rounds up
     share = [-np.expm1(-step / channel.time_constant) if channel.time_constant > 0.0 else 1.0 for channel in channels]
-    time = config.joint_disturbance
-    learnt = 0.0 if time is None else -np.expm1(-step / time)
-    return Estimator(jnp.asarray(age, jnp.int32), leaf(share), leaf(learnt), aero, time_step)
+    by_position = [0.0, 0.0]
+    if config.joint_observer is not None:
+        # Three poles at e^(-Δt/T).
+        left = -np.expm1(-step / config.joint_observer)
+        pole = 1.0 - left
+        age[5], share[4], share[5] = 0, 1.0 - pole**3, 0.0
+        by_position = [left * left * (1.0 + 2.0 * pole), left**3]
+    ages = jnp.asarray(age, jnp.int32)
+    return Estimator(ages, leaf(share), leaf(by_position), aero, time_step)
 
 
 def start(settings: Estimator, first: Reading) -> EstimatorState:
@@ -128,10 +134,12 @@ def update(
     # Measurements that came early wait for the others.
     waiting = oldest - settings.age
     aligned = [jax.tree.map(lambda x, ticks=waiting[channel]: x[ticks], line) for channel in range(7)]
-    # The velocity that a correction adds is an acceleration that the tick before lacked.
-    added = aligned[5].state.velocity[6:] - then.state.velocity[6:]
-    learnt = before.disturbance + settings.learnt * settings.share[5] * added / settings.time_step
+    step, (of_velocity, of_acceleration) = settings.time_step, settings.by_position
+    innovation = aligned[4].state.joint_position - then.state.joint_position
+    learnt = before.disturbance + of_acceleration / step**2 * innovation
     corrected = _correct(settings.share, then, aligned)
+    velocity = corrected.state.velocity.at[6:].add(of_velocity / step * innovation)
+    corrected = corrected._replace(state=corrected.state._replace(velocity=velocity))
     is_finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(aligned)]))
     then = where(is_finite, corrected, then)
     disturbance = jnp.where(is_finite, learnt, before.disturbance)

@@ -244,6 +244,13 @@ def descend(params: SetpointParams, state: SetpointState) -> tuple[SetpointState
     return _smooth(params, state, down, rpy, jnp.zeros_like(state.turbo_ticks))
 
 
+def sink(params: SetpointParams, setpoint: Setpoint, com: Float[Array, "3"]) -> Setpoint:
+    """Return the set-point of a robot that cannot hold its place, with its centre of mass [m]: it sinks (M107)."""
+    still = jnp.zeros_like(com)
+    down = still.at[2].set(-params.descent_speed)
+    return setpoint._replace(com_position=com, com_velocity=down, com_acceleration=still, com_jerk=still)
+
+
 def _smooth(
     params: SetpointParams, state: SetpointState, raw_position: Array, raw_rpy: Array, turbo_ticks: Array
 ) -> tuple[SetpointState, Setpoint]:

@@ -34,6 +34,7 @@ from jax_aero.config import MissionConfig, RateFeedback, ScenarioConfig
 from jax_aero.control import channels, engines, observer, qp
 from jax_aero.control import setpoint as generator
 from jax_aero.control.attitude import TaskGains, attitude_demand
+from jax_aero.control.bounds import rate_bounds
 from jax_aero.control.channels import ChannelLimits, ChannelsState, Seen, channel_limits
 from jax_aero.control.engines import EngineLimits, EngineState
 from jax_aero.control.momentum import momentum_model
@@ -186,7 +187,7 @@ def momentum_controller(
         setpoint=generator.setpoint_params(controller.setpoint, robot.forward_axis, time_step),
         channels=channel_limits(controller.channels, robot),
         observer=None if controller.observer is None else leaves(ObserverGains, controller.observer),
-        engines=None if controller.engines is None else leaves(EngineLimits, controller.engines),
+        engines=None if controller.engines is None else engines.engine_limits(controller.engines),
         mission=_mission(config.mission),
         time_step=time_step,
     )
@@ -276,22 +277,29 @@ def _act(
         compared = observer.update(params.observer, params.time_step, observed, time, dyn.momentum, rate)
         observed = where((modes & channels.WITHOUT_MOMENTUM) == 0, compared, observer.hold(observed))
         momentum = momentum.with_unmodelled(observed.wrench)
+    gains, tasks, torque_rate_max = params.momentum, params.tasks, params.torque_rate_max
     before = memory.engines
     turning = before
     if params.engines is not None and before is not None:
         residual = jnp.zeros_like(dyn.momentum) if observed is None else observed.residual
         turning, is_wrong, deviation = engines.update(
-            params.engines, before, elapsed, innovation, momentum.a_t, residual
+            params.engines, before, elapsed, thrust, innovation, momentum.a_t, residual
         )
         known = channels.reject_sensor(known, is_wrong, deviation)
-        newly = turning.is_lost & ~before.is_lost
-        descends = known.is_descending | (jnp.any(newly) & (params.engines.descend > 0.0))
-        known = known._replace(is_descending=descends)
-        modes = modes | jnp.where(jnp.any(turning.is_lost), channels.MODES["engine_lost"], 0)
+        descent = params.engines.descent
+        if descent is not None:
+            is_lost = jnp.any(turning.is_lost(params.engines))
+            known = known._replace(is_descending=known.is_descending | is_lost)
+            fast = tasks._replace(joint_velocity_max=jnp.maximum(tasks.joint_velocity_max, descent.joint_velocity_max))
+            gains = where(is_lost, descent.momentum, gains)
+            tasks = where(is_lost, fast, tasks)
+            torque_rate_max = jnp.maximum(torque_rate_max, jnp.where(is_lost, descent.torque_rate_max, 0.0))
+            setpoint = where(is_lost, generator.sink(params.setpoint, setpoint, kin.com), setpoint)
+        modes = modes | jnp.where(jnp.any(turning.is_limited), channels.MODES["engine_limited"], 0)
 
     # Thrust rates and joint velocities that shape momentum and attitude.
     attitude = attitude_demand(
-        params.momentum,
+        gains,
         setpoint,
         state.base_rotation,
         state.velocity[3:6],
@@ -299,7 +307,7 @@ def _act(
         memory.inertia_0,
     )
     inputs = TaskInputs(
-        params.momentum,
+        gains,
         robot,
         state,
         thrust,
@@ -311,14 +319,14 @@ def _act(
         memory.inertia_0,
         memory.posture,
     )
-    shaping = momentum_qp(params.tasks, switches.symmetric_pairs, inputs, params.other_tasks)
+    shaping = momentum_qp(tasks, switches.symmetric_pairs, inputs, params.other_tasks)
     if turning is not None:
-        # An engine that is lost gets no thrust rate: the others take its share.
-        works = jnp.concatenate([~turning.is_lost, jnp.ones_like(state.joint_position, bool)])
-        problem = shaping.problem
-        problem = problem._replace(
-            lower=jnp.where(works, problem.lower, 0.0), upper=jnp.where(works, problem.upper, 0.0)
-        )
+        # The others take the share of an engine that does not reach its thrust.
+        greatest = jnp.minimum(turning.greatest, robot.jets.thrust_max)
+        least, problem = jnp.minimum(turning.least, greatest), shaping.problem
+        lower, upper = rate_bounds(thrust, least, greatest, tasks.thrust_rate_max, tasks.thrust_steepness)
+        jets = thrust.shape[0]
+        problem = problem._replace(lower=problem.lower.at[:jets].set(lower), upper=problem.upper.at[:jets].set(upper))
         shaping = shaping._replace(problem=problem)
     wanted = qp.solve(shaping.problem, memory.momentum_start)
     momentum_solved = wanted.status == qp.SOLVED
@@ -339,7 +347,7 @@ def _act(
     torque_solved = pushed.status == qp.SOLVED
     # The published rate limiter starts from its first input.
     last = jnp.where(memory.torque_is_known, memory.joint_torque, pushed.x)
-    limited = limit_rate(last, pushed.x, params.torque_rate_max * params.time_step)
+    limited = limit_rate(last, pushed.x, torque_rate_max * params.time_step)
     joint_torque = jnp.where(torque_solved, limited, memory.joint_torque)
 
     held = jnp.array([[BOTH_HELD, TORQUE_HELD], [MOMENTUM_HELD, NOMINAL]], jnp.int32)

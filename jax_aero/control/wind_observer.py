@@ -1,13 +1,13 @@
 """The wind, from the wrench that acts on the robot: what an aerodynamic model says a wind would do, inverted.
 
 ```text
-dẑ/dt = K_o (L̇ − A_T T + m g e₃ − ẑ)           the wrench of everything but jets and weight
-ẑ = Σ f_j(v_w) + error,  dv_w = random walk     an extended Kalman filter
+dẑ/dt = K_o (L̇ − A_T T + m g e₃ − ẑ)                   the wrench of everything but jets and weight
+ẑ_f = Σ f_j(v_w) + noise + e,  dv_w = random walk       an extended Kalman filter, e constant
 ```
 
 It stands beside the controller: it reads what a tick computed, and the next tick is given its wind.
 
-Equation M94 of `docs/model.md`.
+Equations M94 and M110 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -18,16 +18,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from jax_aero.aero import AeroModel, LinkConventions, link_forces
+from jax_aero.aero import AeroModel, LinkConventions, link_forces, wrench_about
 from jax_aero.config import WindObserverConfig
 from jax_aero.control import observer
 from jax_aero.control.observer import ObserverGains, ObserverState
 from jax_aero.control.protocol import Terms
 from jax_aero.robot import RobotModel
-from jax_aero.types import Array, leaf, pytree
+from jax_aero.types import Array, leaf, pytree, where
 
 DIFFERENCE = 0.1
 """Step of the differences that make the Jacobian [m/s]."""
+
+MEMORY = 2.0
+"""Time over which the unexplained moment is averaged [s]."""
 
 GREATEST = 1e4
 """Greatest wrench that is estimated from [N, N m]."""
@@ -46,10 +49,14 @@ class WindObserver:
     """Of vertical winds [m/s]."""
     vertical_time: Float[Array, ""]
     """Over which they are like themselves [s]."""
-    force_std: Float[Array, "3"]
-    """Of the observed force [N]."""
+    force_noise: Float[Array, "3"]
+    """Standard deviation of the noise of the observed force [N]."""
+    force_std: Float[Array, ""]
+    """Of errors of the force that last [N]."""
     relative_std: Float[Array, ""]
-    """Of the model's force, as a fraction of the observed one."""
+    """The same of the model's force, as a fraction of the observed one."""
+    moment_arm: Float[Array, ""]
+    """Over which the unexplained moment is a force that is not explained either [m]."""
     time_step: Float[Array, ""]
     """[s]."""
 
@@ -61,6 +68,19 @@ class WindState(NamedTuple):
     wind: Float[Array, "3"]
     """[m/s, inertial axes]."""
     covariance: Float[Array, "3 3"]
+    """Of the estimate, without errors that last."""
+    sensitivity: Float[Array, "3 3"]
+    """What a newton of force that lasts does to the estimate [m/s/N]."""
+    lasting: Float[Array, ""]
+    """Variance of the errors that last [N²]."""
+    unexplained: Float[Array, ""]
+    """Mean square of the moment that the model does not explain [N² m²]."""
+
+    @property
+    def std(self) -> Float[Array, "3"]:
+        """Return the standard deviation of the wind along each axis [m/s]."""
+        considered = self.covariance + self.lasting * self.sensitivity @ self.sensitivity.T
+        return jnp.sqrt(jnp.diagonal(considered))
 
 
 def wind_observer(config: WindObserverConfig, aero: AeroModel, time_step: Float[Array, ""]) -> WindObserver:
@@ -71,8 +91,10 @@ def wind_observer(config: WindObserverConfig, aero: AeroModel, time_step: Float[
         walk=leaf(config.walk),
         vertical_std=leaf(config.vertical_std),
         vertical_time=leaf(config.vertical_time),
+        force_noise=leaf(config.force_noise),
         force_std=leaf(config.force_std),
         relative_std=leaf(config.relative_std),
+        moment_arm=leaf(config.moment_arm),
         time_step=time_step,
     )
 
@@ -80,7 +102,9 @@ def wind_observer(config: WindObserverConfig, aero: AeroModel, time_step: Float[
 def start(settings: WindObserver) -> WindState:
     """Return the state before the first tick: no wind, give or take a second of its walk."""
     std = jnp.stack([jnp.asarray(x) for x in (settings.walk, settings.walk, settings.vertical_std)])
-    return WindState(observer.start(std), jnp.zeros_like(std), jnp.diag(std * std))
+    zero = jnp.zeros_like(std[0])
+    none = jnp.zeros((3, 3), std.dtype)
+    return WindState(observer.start(std), jnp.zeros_like(std), jnp.diag(std * std), none, zero, zero)
 
 
 def update(
@@ -106,21 +130,30 @@ def update(
     wandering = jnp.diag(jnp.stack([walk, walk, settings.vertical_std**2 * (1.0 - kept * kept)]))
     wind, covariance = keep * before.wind, keep[:, None] * before.covariance * keep + wandering
 
-    def force_in(wind: Array) -> Array:
-        return link_forces(settings.aero, robot, terms.kinematics, LinkConventions(), wind).forces.sum(0)
+    def wrench_in(wind: Array) -> Array:
+        link = link_forces(settings.aero, robot, terms.kinematics, LinkConventions(), wind)
+        return wrench_about(link, terms.kinematics.com)
 
-    modelled = force_in(wind)
-    shifted = jax.vmap(force_in)(wind + DIFFERENCE * jnp.eye(3, dtype=wind.dtype))
-    jacobian = ((shifted - modelled) / DIFFERENCE).T
-    # Errors of the model last; so many measurements as a time constant of the observer are one.
+    modelled = wrench_in(wind)
+    shifted = jax.vmap(wrench_in)(wind + DIFFERENCE * jnp.eye(3, dtype=wind.dtype))
+    jacobian = ((shifted - modelled)[:, :3] / DIFFERENCE).T
+    share = -jnp.expm1(-step / MEMORY)
+    moment = jnp.sum((wrench.wrench - modelled)[3:] ** 2)
+    unexplained = before.unexplained + share * (moment - before.unexplained)
+    lasting = (
+        settings.force_std**2 + settings.relative_std**2 * jnp.sum(force * force) + unexplained / settings.moment_arm**2
+    )
+    # So many measurements as a time constant of the observer are one.
     together = jnp.maximum(1.0 / (settings.gain * step), 1.0)
-    of_model = settings.relative_std**2 * jnp.sum(force * force)
-    error = jnp.diag(together * (settings.force_std**2 + of_model))
+    error = jnp.diag(together * settings.force_noise**2)
     innovation = jacobian @ covariance @ jacobian.T + error
     gain = jnp.linalg.solve(innovation, jacobian @ covariance).T
-    moved = wind + gain @ (force - modelled)
+    moved = wind + gain @ (force - modelled[:3])
     left = jnp.eye(3, dtype=wind.dtype) - gain @ jacobian
     # Joseph's form: symmetric and positive whatever rounding does.
     less = left @ covariance @ left.T + gain @ error @ gain.T
-    is_finite = jnp.all(jnp.isfinite(moved)) & jnp.all(jnp.isfinite(less))
-    return WindState(wrench, jnp.where(is_finite, moved, wind), jnp.where(is_finite, less, covariance))
+    sensitivity = keep[:, None] * before.sensitivity
+    after = WindState(wrench, moved, less, left @ sensitivity + gain, lasting, unexplained)
+    before = WindState(wrench, wind, covariance, sensitivity, before.lasting, before.unexplained)
+    is_finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in after[1:]]))
+    return where(is_finite, after, before)

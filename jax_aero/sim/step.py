@@ -366,7 +366,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     wind_measured = given if scenario.wind_estimate is None else _measured_wind(scenario, state, tick)
     wind_seen, measured, wind_std = state.wind_observer, wind_measured, jnp.zeros_like(wind)
     if wind_seen is not None:
-        measured, wind_std = wind_seen.wind, jnp.sqrt(jnp.diag(wind_seen.covariance))
+        measured, wind_std = wind_seen.wind, wind_seen.std
     model = plant.robot if scenario.controller_model is None else scenario.controller_model
     said, sensors = Reading(now.robot, plant.jets.feedback(now.jets)), state.sensors
     if scenario.sensors is not None and sensors is not None:

@@ -21,7 +21,16 @@ JUMP = {
     "velocity": 1.0,
     "angular_velocity": 2.0,
 }
-ENGINES = {"time_constant": 0.5, "deviation_max": 15.0, "confirmation": 0.05, "descend": True}
+ENGINES = {
+    "time_constant": 0.5,
+    "deviation_max": 15.0,
+    "confirmation": 0.05,
+    "descent": {
+        "momentum": {"kp_linear": [0.0, 0.0, 0.1], "kd_linear": [0.3, 0.3, 0.6], "ko": 10.0, "c0": 50.0, "c1": 125.0},
+        "joint_velocity_max_deg": 90.0,
+        "torque_rate_max": 3000.0,
+    },
+}
 OUTAGES = [
     {"channel": "wind", "start": 0.4, "kind": "missing"},
     {"channel": "thrust", "jet": "l_arm_jet", "start": 0.5, "kind": "nan"},

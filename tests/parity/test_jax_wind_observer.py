@@ -7,6 +7,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from jax_aero import rust
 from jax_aero.aero import aero_model
@@ -30,8 +31,9 @@ class Momentum:
         self.a_t = a_t
 
 
-def test_both_find_the_same_wind(x64, measured):
-    """The truth is that of a flight of the crate, whose log has the wind that its observer gave the controller."""
+@pytest.fixture
+def replayed(x64):
+    """A flight of the crate, and what the observer in JAX makes of it with a constant force besides the thrusts."""
     table = rust.load_config(EXPERIMENT, {"simulator.duration": 1.0, "controller.wind_observer": {"walk": 3.0}})
     table["wind"] = WIND
     flown = rust.fly(table)
@@ -42,23 +44,48 @@ def test_both_find_the_same_wind(x64, measured):
         jnp.asarray(config.simulator.time_step),
     )
     velocity = np.hstack([flown["base_velocity"], flown["joint_velocity"]])
-
-    def tick(state, row):
-        position, wxyz, joints, rates, thrust, time = row
-        now = State(position, rotation_from_wxyz(wxyz), joints, rates)
-        kin = kinematics(robot, now)
-        rotations, points = frame_poses(kin, robot.jets.bodies, robot.jets.rotations, robot.jets.positions)
-        axes = rotate(rotations, robot.jets.axes)
-        a_t = jnp.concatenate([axes, cross(points - kin.com, axes)], axis=1).T
-        nothing = dict.fromkeys(Terms._fields)
-        terms = Terms(**nothing | {"kinematics": kin, "dynamics": dynamics(robot, now, kin), "momentum": Momentum(a_t)})
-        after = wind_observer.update(settings, robot, state, terms, thrust, time)
-        return after, (state.wind, jnp.sqrt(jnp.diag(state.covariance)))
-
     rows = (flown["base_position"], flown["base_quaternion"], flown["joint_position"], velocity)
     rows = jax.tree.map(jnp.asarray, (*rows, flown["thrust"], flown["time"]))
-    _, (wind, std) = jax.lax.scan(tick, wind_observer.start(settings), rows)
+
+    @jax.jit
+    def replay(force):
+        def tick(state, row):
+            position, wxyz, joints, rates, thrust, time = row
+            now = State(position, rotation_from_wxyz(wxyz), joints, rates)
+            kin = kinematics(robot, now)
+            rotations, points = frame_poses(kin, robot.jets.bodies, robot.jets.rotations, robot.jets.positions)
+            axes = rotate(rotations, robot.jets.axes)
+            a_t = jnp.concatenate([axes, cross(points - kin.com, axes)], axis=1).T
+            # The force is that of three more jets, through the centre of mass.
+            momentum = Momentum(jnp.hstack([a_t, -jnp.eye(6, 3)]))
+            nothing = dict.fromkeys(Terms._fields)
+            of_tick = {"kinematics": kin, "dynamics": dynamics(robot, now, kin), "momentum": momentum}
+            terms = Terms(**nothing | of_tick)
+            after = wind_observer.update(settings, robot, state, terms, jnp.concatenate([thrust, force]), time)
+            return after, state
+
+        return jax.lax.scan(tick, wind_observer.start(settings), rows)[1]
+
+    return flown, replay
+
+
+def test_both_find_the_same_wind(replayed, measured):
+    """The truth is that of a flight of the crate, whose log has the wind that its observer gave the controller."""
+    flown, replay = replayed
+    states = replay(jnp.zeros(3))
     because = "a hundred ticks of sums of order one hundred; momentum differences over 10 ms"
-    measured("wind", np.max(np.abs(wind - flown["measured_wind"])), 1e-9, because=because)
+    measured("wind", np.max(np.abs(states.wind - flown["measured_wind"])), 1e-9, because=because)
+    std = jax.vmap(lambda state: state.std)(states)
     measured("std", np.max(np.abs(std - flown["measured_wind_std"])), 1e-9, because=because)
     assert np.linalg.norm(flown["measured_wind"][-1]) > 1.0
+
+
+def test_sensitivity_is_what_a_lasting_force_does(replayed, measured):
+    """`C` of M110 beside horizontal winds that are estimated with 0.1 N more and less along each horizontal axis."""
+    _, replay = replayed
+    size = 0.1
+    sensitivity = np.asarray(replay(jnp.zeros(3)).sensitivity[-1, :2, :2])
+    moved = [replay(size * axis).wind[-1, :2] - replay(-size * axis).wind[-1, :2] for axis in jnp.eye(3)[:2]]
+    found = np.stack(moved, axis=1) / (2.0 * size)
+    because = "H is that of a wind that begins at zero, where it changes most: 3 % found"
+    measured("sensitivity", np.abs(found - sensitivity).max() / np.abs(sensitivity).max(), 0.1, because=because)

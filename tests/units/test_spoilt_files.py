@@ -78,7 +78,7 @@ def test_a_robot(folder, name, of_toml, edits):
 
 
 @spoiling
-@given(name=st.sampled_from(["aero_aware", "observer_failsafe", "estimator", "balancing"]), edits=EDITS)
+@given(name=st.sampled_from(["aero_aware", "observer", "estimator", "balancing"]), edits=EDITS)
 def test_a_configuration(folder, name, edits):
     text = (CONFIGS / f"control/{name}.toml").read_text()
     text = (

@@ -45,7 +45,7 @@ use attitude::{AttitudeDemand, attitude_demand};
 use channels::{Channels, Modes, time_is_plausible};
 use config::ControllerConfig;
 use contact::Contact;
-use engines::Finding;
+use engines::{DescentConfig, EngineState, Finding};
 use mission::Mission;
 use momentum::MomentumModel;
 use momentum_qp::{MomentumQp, Task, TaskInputs};
@@ -265,8 +265,12 @@ impl Controller {
         }
         self.command.modes = self.channels.seen.modes;
         self.observe(state);
-        self.solve_momentum_qp(state);
-        self.solve_torque_qp(state);
+        let descent = self.config.engines.as_ref().and_then(|config| {
+            let is_lost = state.engines.iter().any(|engine| engine.is_lost(config));
+            config.descent.filter(|_| is_lost)
+        });
+        self.solve_momentum_qp(state, descent.as_ref());
+        self.solve_torque_qp(state, descent.as_ref());
         &self.command
     }
 
@@ -320,37 +324,38 @@ impl Controller {
         if let Some(config) = &self.config.engines {
             for (jet, engine) in state.engines.iter_mut().enumerate().take(self.model.jets.len()) {
                 let column: Vector6<f64> = momentum.a_t.column(jet).into();
-                let innovation = measurement.thrust_innovation[jet];
-                match engine.update(
-                    config,
-                    measurement.elapsed,
-                    innovation,
-                    &column,
-                    &state.observer.residual,
-                ) {
-                    Finding::Lost => state.channels.is_descending |= config.descend,
+                let measured = (measurement.thrust[jet], measurement.thrust_innovation[jet]);
+                match engine.update(config, measurement.elapsed, measured, &column, &state.observer.residual)
+                {
+                    Finding::OutOfReach => {
+                        state.channels.is_descending |= config.descent.is_some() && engine.is_lost(config);
+                    }
                     Finding::WrongSensor => {
                         state.channels.reject_sensor(jet, engine.deviation);
-                        *engine = engines::EngineState::default();
+                        *engine = EngineState::default();
                     }
                     Finding::Nothing => {}
                 }
             }
-            if state.engines.iter().any(|engine| engine.is_lost) {
-                self.command.modes.insert(Modes::ENGINE_LOST);
+            if state.engines.iter().any(EngineState::is_limited) {
+                self.command.modes.insert(Modes::ENGINE_LIMITED);
             }
         }
     }
 
     /// Thrust rates and joint velocities that shape momentum and attitude.
-    fn solve_momentum_qp(&mut self, state: &mut ControllerState) {
+    fn solve_momentum_qp(&mut self, state: &mut ControllerState, descent: Option<&DescentConfig>) {
         let measurement = &self.channels.seen;
         let Terms { kinematics, dynamics, momentum, setpoint, attitude, momentum_qp, contact, .. } =
             &mut self.terms;
         let moment_estimate: Vector3<f64> = momentum.rate_estimate.fixed_rows::<3>(3).into();
         let inertia_0_b = &state.inertia_0_b;
+        let gains = descent.map_or(&self.config.momentum, |descent| &descent.momentum);
+        if descent.is_some() {
+            *setpoint = self.setpoint_generator.sink(setpoint, &kinematics.com);
+        }
         *attitude = attitude_demand(
-            &self.config.momentum,
+            gains,
             setpoint,
             &measurement.state.base.rotation,
             &measurement.state.base_angular_velocity(),
@@ -369,11 +374,21 @@ impl Controller {
             inertia_0_b,
             posture: &state.posture,
             contact,
+            gains,
         };
         momentum_qp.update(&self.model, &inputs);
-        // An engine that is lost gets no thrust rate: the others take its share.
-        for (jet, _) in state.engines.iter().enumerate().filter(|(_, engine)| engine.is_lost) {
-            (momentum_qp.problem.lower[jet], momentum_qp.problem.upper[jet]) = (0.0, 0.0);
+        if let Some(descent) = descent {
+            let velocity_max = descent.joint_velocity_max_deg.to_radians();
+            momentum_qp.bound_joints(&self.model, &measurement.state, velocity_max);
+        }
+        // The others take the share of an engine that does not reach its thrust.
+        for (index, (jet, engine)) in self.model.jets.iter().zip(&state.engines).enumerate() {
+            let greatest = engine.range.1.min(jet.thrust_max);
+            momentum_qp.bound_thrust(
+                index,
+                measurement.thrust[index],
+                (engine.range.0.min(greatest), greatest),
+            );
         }
 
         self.momentum_solver.set_start(&state.momentum_start);
@@ -394,7 +409,7 @@ impl Controller {
     }
 
     /// Torques that let the joints follow the commanded velocities.
-    fn solve_torque_qp(&mut self, state: &mut ControllerState) {
+    fn solve_torque_qp(&mut self, state: &mut ControllerState, descent: Option<&DescentConfig>) {
         let measurement = &self.channels.seen;
         let Terms {
             kinematics, dynamics, link_forces, momentum, torque_qp, contact, unlimited_torque, ..
@@ -441,7 +456,8 @@ impl Controller {
                 state.joint_torque.copy_from(unlimited_torque);
                 state.torque_is_known = true;
             }
-            let rate_max = self.model.joints.iter().map(|joint| joint.torque_rate_max);
+            let least = descent.map_or(0.0, |descent| descent.torque_rate_max);
+            let rate_max = self.model.joints.iter().map(|joint| joint.torque_rate_max.max(least));
             limit_rate(&mut state.joint_torque, unlimited_torque.as_slice(), rate_max, self.time_step);
             self.command.joint_torque.copy_from(&state.joint_torque);
         } else {

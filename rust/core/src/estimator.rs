@@ -43,11 +43,11 @@ pub struct EstimatorConfig {
     pub joint_velocity: ChannelConfig,
     /// Thrusts.
     pub thrust: ChannelConfig,
-    /// Time in which accelerations of the joints are learnt that the model does not explain, such as those by thrusts
-    /// that are not what they seem \[s\]; without it none are.
+    /// Time constant of an observer that finds velocities of the joints, and accelerations that the model does not explain,
+    /// from their positions alone \[s\], in place of `joint_velocity` and the time constant of `joint_position`.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub joint_disturbance: Option<f64>,
+    pub joint_observer: Option<f64>,
 }
 
 /// One kind of measurement.
@@ -87,13 +87,8 @@ impl EstimatorConfig {
             let item = format!("controller.estimator.{key}.time_constant");
             check(&item, channel.time_constant, |x| x >= 0.0, "seconds ≥ 0")?;
         }
-        if let Some(time) = self.joint_disturbance {
-            check(
-                "controller.estimator.joint_disturbance",
-                time,
-                |x| x > 0.0,
-                "a positive number of seconds",
-            )?;
+        if let Some(time) = self.joint_observer {
+            check("controller.estimator.joint_observer", time, |x| x > 0.0, "a positive number of seconds")?;
         }
         Ok(())
     }
@@ -211,8 +206,8 @@ pub struct Estimator {
     ages: [usize; 7],
     /// Share of each channel's innovation that is used.
     shares: [f64; 7],
-    /// Share of what the joints do besides that is learnt per tick; zero where nothing is.
-    learnt: f64,
+    /// Shares of the joint positions' innovation that correct velocities, per tick, and accelerations, per tick squared.
+    by_position: [f64; 2],
     /// The last measurements, a ring as long as the greatest age and one.
     line: Vec<Reading>,
     /// The last commands, in the same places.
@@ -239,10 +234,17 @@ impl Estimator {
         config.check()?;
         let channels = config.channels().map(|(_, channel)| *channel);
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 0.2 s
-        let ages = channels.map(|channel| (channel.delay / time_step).round() as usize);
+        let mut ages = channels.map(|channel| (channel.delay / time_step).round() as usize);
         let share = |time_constant: f64| -libm::expm1(-time_step / time_constant);
-        let shares = channels
+        let mut shares = channels
             .map(|channel| if channel.time_constant > 0.0 { share(channel.time_constant) } else { 1.0 });
+        let mut by_position = [0.0; 2];
+        if let Some(time) = config.joint_observer {
+            // Three poles at e^(-Δt/T).
+            let (left, pole) = (share(time), 1.0 - share(time));
+            (ages[5], shares[4], shares[5]) = (0, 1.0 - pole * pole * pole, 0.0);
+            by_position = [left * left * (1.0 + 2.0 * pole), left * left * left];
+        }
         let length = 1 + ages.into_iter().max().unwrap_or(0);
         let (joints, jets) = (robot.joints.len(), robot.jets.len());
         let nothing = Reading::zero(joints, jets);
@@ -263,7 +265,7 @@ impl Estimator {
             time_step,
             ages,
             shares,
-            learnt: config.joint_disturbance.map_or(0.0, share),
+            by_position,
             line: vec![nothing.clone(); length],
             orders: vec![order; length],
             ticks: 0,
@@ -277,7 +279,7 @@ impl Estimator {
     /// The first one begins the flight: it is taken for what had been before it. One that is not finite corrects
     /// nothing.
     pub fn update(&mut self, state: &RobotState, thrust: &[f64], wind_i: &Vector3<f64>) -> &Reading {
-        let Self { model, ages, line, orders, ticks, then, now, .. } = self;
+        let Self { model, ages, line, orders, ticks, then, now, by_position, .. } = self;
         let length = line.len();
         let (oldest, step) = (length - 1, self.time_step);
         if *ticks == 0 {
@@ -293,10 +295,11 @@ impl Estimator {
         // Measurements that came early wait for the others.
         let aligned = ages.map(|age| &line[(*ticks + length - (oldest - age)) % length]);
         if aligned.iter().all(|reading| reading.is_finite()) {
-            // The velocity that a correction adds is an acceleration that the tick before lacked.
-            let added = aligned[5].state.joint_velocity().iter().zip(then.state.joint_velocity());
-            for (disturbance, (measured, found)) in model.disturbance.iter_mut().zip(added) {
-                *disturbance += self.learnt * self.shares[5] * (measured - found) / step;
+            let [of_velocity, of_acceleration] = *by_position;
+            for joint in 0..model.disturbance.len() {
+                let innovation = aligned[4].state.joint_position[joint] - then.state.joint_position[joint];
+                then.state.velocity[6 + joint] += of_velocity / step * innovation;
+                model.disturbance[joint] += of_acceleration / (step * step) * innovation;
             }
             correct(then, aligned, &self.shares);
         }

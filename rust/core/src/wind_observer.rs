@@ -1,14 +1,18 @@
 //! The wind, from the wrench that acts on the robot: what an aerodynamic model says a wind would do, inverted.
 //!
 //! ```text
-//! dẑ/dt = K_o (L̇ − A_T T + m g e₃ − ẑ)           the wrench of everything but jets and weight
-//! ẑ = Σ f_j(v_w) + error,  dv_w = random walk     an extended Kalman filter
+//! dẑ/dt = K_o (L̇ − A_T T + m g e₃ − ẑ)                   the wrench of everything but jets and weight
+//! ẑ_f = Σ f_j(v_w) + noise + e,  dv_w = random walk       an extended Kalman filter, e constant
 //! ```
+//!
+//! Errors `e` that last do not average out: they are no unknowns of the filter, but considered in what it says of its
+//! uncertainty, as far as the estimate depends on them (Schmidt's filter). How large those of the model are is seen in
+//! the moment, which no wind of the estimate explains.
 //!
 //! It stands beside the controller: it reads what a tick computed, and the next tick is given its wind. A robot that
 //! stands upright gets little force from a vertical wind, which is therefore held near zero by what is known of winds.
 //!
-//! Equation M94 of `docs/model.md`.
+//! Equations M94 and M110 of `docs/model.md`.
 
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::Terms;
@@ -21,6 +25,9 @@ use serde::{Deserialize, Serialize};
 /// Step of the differences that make the Jacobian \[m/s\]: large against the rounding of a network, small against winds
 /// that matter.
 const DIFFERENCE: f64 = 0.1;
+
+/// Time over which the unexplained moment is averaged \[s\].
+const MEMORY: f64 = 2.0;
 
 /// Greatest wrench that is estimated from \[N, N m\].
 const GREATEST: f64 = 1e4;
@@ -42,23 +49,32 @@ pub struct WindObserverConfig {
     /// Time over which vertical winds are like themselves \[s\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub vertical_time: f64,
-    /// Standard deviation of the observed force, by axis: of mass, thrusts and attitude \[N\].
+    /// Standard deviation of the noise of the observed force, by axis \[N\].
     #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
-    pub force_std: [f64; 3],
-    /// Standard deviation of the model's force, as a fraction of the observed one.
+    pub force_noise: [f64; 3],
+    /// Standard deviation of errors of the force that last: of mass, thrusts and attitude \[N\].
+    #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
+    pub force_std: f64,
+    /// The same of the model's force, as a fraction of the observed one.
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub relative_std: f64,
+    /// Lever arm of the model's errors: over it the moment that the model does not explain is a force that it does not
+    /// explain either \[m\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub moment_arm: f64,
 }
 
 impl Default for WindObserverConfig {
     fn default() -> Self {
         Self {
-            gain: 3.0,
-            walk: 2.0,
+            gain: 10.0,
+            walk: 0.6,
             vertical_std: 1.0,
             vertical_time: 2.0,
-            force_std: [1.0, 1.0, 4.0],
-            relative_std: 0.12,
+            force_noise: [0.3, 0.3, 4.0],
+            force_std: 0.1,
+            relative_std: 0.045,
+            moment_arm: 0.25,
         }
     }
 }
@@ -80,8 +96,11 @@ impl WindObserverConfig {
         positive("walk", self.walk)?;
         positive("vertical_std", self.vertical_std)?;
         positive("vertical_time", self.vertical_time)?;
-        self.force_std.into_iter().try_for_each(|std| positive("force_std", std))?;
-        check("controller.wind_observer.relative_std", self.relative_std, |x| x >= 0.0, "a number ≥ 0")?;
+        positive("moment_arm", self.moment_arm)?;
+        self.force_noise.into_iter().try_for_each(|std| positive("force_noise", std))?;
+        for (key, std) in [("force_std", self.force_std), ("relative_std", self.relative_std)] {
+            check(&format!("controller.wind_observer.{key}"), std, |x| x >= 0.0, "a number ≥ 0")?;
+        }
         Ok(())
     }
 }
@@ -96,7 +115,14 @@ pub struct WindObserver {
     link_forces: LinkForces,
     wrench: ObserverState,
     wind: Vector3<f64>,
+    /// Of the estimate, without errors that last.
     covariance: Matrix3<f64>,
+    /// What a newton of force that lasts does to the estimate \[m/s/N\].
+    sensitivity: Matrix3<f64>,
+    /// Variance of the errors that last \[N²\].
+    lasting: f64,
+    /// Mean square of the moment that the model does not explain \[N² m²\].
+    unexplained: f64,
 }
 
 impl WindObserver {
@@ -122,6 +148,9 @@ impl WindObserver {
             wrench: ObserverState::new(),
             wind: Vector3::zeros(),
             covariance: Matrix3::from_diagonal(&std.component_mul(&std)),
+            sensitivity: Matrix3::zeros(),
+            lasting: 0.0,
+            unexplained: 0.0,
         })
     }
 
@@ -134,7 +163,8 @@ impl WindObserver {
     /// Its standard deviation along each axis \[m/s\].
     #[must_use]
     pub fn std(&self) -> Vector3<f64> {
-        self.covariance.diagonal().map(f64::sqrt)
+        let considered = self.covariance + self.lasting * self.sensitivity * self.sensitivity.transpose();
+        considered.diagonal().map(f64::sqrt)
     }
 
     /// Takes in what a tick of the controller computed, and the thrusts \[N\] and the time \[s\] it was given.
@@ -149,9 +179,8 @@ impl WindObserver {
             ObserverConfig { gain_force: gain, gain_moment: gain, force_max: GREATEST, moment_max: GREATEST };
         let sample = Sample { time, momentum: terms.dynamics.momentum, rate };
         let observed = self.wrench.update(&gains, self.time_step, sample);
-        let force: Vector3<f64> = observed.fixed_rows::<3>(0).into();
         self.predict();
-        self.correct(terms, &force);
+        self.correct(terms, &observed);
     }
 
     /// Horizontal winds wander, vertical ones return.
@@ -163,40 +192,50 @@ impl WindObserver {
         let walk = config.walk * config.walk * step;
         let noise = Vector3::new(walk, walk, config.vertical_std * config.vertical_std * (1.0 - kept * kept));
         self.covariance = keep * self.covariance * keep + Matrix3::from_diagonal(&noise);
+        self.sensitivity = keep * self.sensitivity;
     }
 
-    fn correct(&mut self, terms: &Terms, force: &Vector3<f64>) {
-        let modelled = self.force_in(terms, &self.wind.clone());
+    fn correct(&mut self, terms: &Terms, observed: &Vector6<f64>) {
+        let observed = (observed.fixed_rows::<3>(0).into_owned(), observed.fixed_rows::<3>(3).into_owned());
+        let modelled = self.wrench_in(terms, &self.wind.clone());
         let mut jacobian = Matrix3::zeros();
         for axis in 0..3 {
             let mut shifted = self.wind;
             shifted[axis] += DIFFERENCE;
-            jacobian.set_column(axis, &((self.force_in(terms, &shifted) - modelled) / DIFFERENCE));
+            jacobian.set_column(axis, &((self.wrench_in(terms, &shifted).0 - modelled.0) / DIFFERENCE));
         }
-        // Errors of the model last; so many measurements as a time constant of the observer are one.
-        let together = (1.0 / (self.config.gain * self.time_step)).max(1.0);
-        let std = Vector3::from(self.config.force_std);
-        let of_model = self.config.relative_std * force.norm();
-        let error = std.map(|std| together * (std * std + of_model * of_model));
+        let config = &self.config;
+        let share = -libm::expm1(-self.time_step / MEMORY);
+        let unexplained =
+            self.unexplained + share * ((observed.1 - modelled.1).norm_squared() - self.unexplained);
+        let lasting = config.force_std * config.force_std
+            + config.relative_std * config.relative_std * observed.0.norm_squared()
+            + unexplained / (config.moment_arm * config.moment_arm);
+        // So many measurements as a time constant of the observer are one.
+        let together = (1.0 / (config.gain * self.time_step)).max(1.0);
+        let error = Vector3::from(config.force_noise).map(|std| together * std * std);
         let innovation = jacobian * self.covariance * jacobian.transpose() + Matrix3::from_diagonal(&error);
         let Some(inverse) = innovation.try_inverse() else {
             return;
         };
         let gain = self.covariance * jacobian.transpose() * inverse;
-        let wind = self.wind + gain * (force - modelled);
+        let wind = self.wind + gain * (observed.0 - modelled.0);
         let kept = Matrix3::identity() - gain * jacobian;
         // Joseph's form: symmetric and positive whatever rounding does.
         let covariance = kept * self.covariance * kept.transpose()
             + gain * Matrix3::from_diagonal(&error) * gain.transpose();
-        if wind.iter().chain(covariance.iter()).all(|x| x.is_finite()) {
-            (self.wind, self.covariance) = (wind, covariance);
+        let sensitivity = kept * self.sensitivity + gain;
+        let numbers = wind.iter().chain(covariance.iter()).chain(sensitivity.iter());
+        if numbers.chain([&lasting, &unexplained]).all(|x| x.is_finite()) {
+            (self.wind, self.covariance, self.sensitivity) = (wind, covariance, sensitivity);
+            (self.lasting, self.unexplained) = (lasting, unexplained);
         }
     }
 
-    /// Force of the air in a wind.
-    fn force_in(&mut self, terms: &Terms, wind_i: &Vector3<f64>) -> Vector3<f64> {
+    /// Force and moment about the centre of mass of the air in a wind.
+    fn wrench_in(&mut self, terms: &Terms, wind_i: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
         let Self { robot, aero, link_forces, .. } = self;
         link_forces.update(robot, &terms.kinematics, LinkConventions::default(), aero, wind_i);
-        link_forces.forces_i.iter().sum()
+        link_forces.wrench_about(&terms.kinematics.com)
     }
 }

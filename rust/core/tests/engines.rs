@@ -6,7 +6,7 @@ use nalgebra::Vector6;
 
 const STEP: f64 = 0.01;
 const CONFIG: EnginesConfig =
-    EnginesConfig { time_constant: 0.5, deviation_max: 15.0, confirmation: 0.05, descend: true };
+    EnginesConfig { time_constant: 0.5, deviation_max: 15.0, confirmation: 0.05, descent: None };
 
 fn column() -> Vector6<f64> {
     Vector6::new(0.1, -0.2, 0.97, 0.05, 0.3, -0.1)
@@ -17,41 +17,68 @@ fn column() -> Vector6<f64> {
 fn deviations_are_summed_and_forgotten() {
     let mut engine = EngineState::default();
     for tick in 1..=40 {
-        let _ = engine.update(&CONFIG, STEP, 0.3, &column(), &Vector6::zeros());
+        let _ = engine.update(&CONFIG, STEP, (100.0, 0.3), &column(), &Vector6::zeros());
         let expected = 0.3 * (-f64::from(tick) * STEP / 0.5).exp_m1() / (-STEP / 0.5).exp_m1();
         assert_within!((engine.deviation - expected).abs(), 1e-12, "tick {tick}");
     }
 }
 
-/// 20 N at once are suspect for five ticks and are then a loss, of either sign; 14 N never are.
+/// 20 N at once are suspect for five ticks and then bound the thrust on their side; 14 N never do.
 #[test]
-fn an_engine_is_lost_after_its_confirmation() {
-    for (size, found) in [(20.0, Some(6)), (-20.0, Some(6)), (14.0, None), (-14.0, None)] {
+fn a_thrust_that_is_not_reached_bounds_the_engine_after_its_confirmation() {
+    let everything = (0.0, f64::INFINITY);
+    for (size, found, range) in [
+        (20.0, Some(6), (100.0, f64::INFINITY)),
+        (-20.0, Some(6), (0.0, 100.0)),
+        (14.0, None, everything),
+        (-14.0, None, everything),
+    ] {
         let mut engine = EngineState::default();
-        let mut lost = None;
-        for tick in 1..=20 {
-            let innovation = if tick == 1 { size } else { 0.0 };
-            if engine.update(&CONFIG, STEP, innovation, &column(), &Vector6::zeros()) == Finding::Lost {
-                lost = Some(tick);
-            }
-        }
-        assert_eq!(lost, found, "{size} N");
-        assert_eq!(engine.is_lost, found.is_some());
+        let findings: Vec<_> = (1..=20)
+            .map(|tick| {
+                let innovation = if tick == 1 { size } else { 0.0 };
+                engine.update(&CONFIG, STEP, (100.0, innovation), &column(), &Vector6::zeros())
+            })
+            .collect();
+        let first = findings.iter().position(|finding| *finding == Finding::OutOfReach);
+        assert_eq!(first.map(|tick| tick + 1), found, "{size} N");
+        assert_eq!(engine.range, range, "{size} N");
+        assert!(!engine.is_lost(&CONFIG));
     }
+}
+
+/// An engine that is asked for more than 80 N without giving it, then for less, keeps its thrust: it is lost. So is one
+/// that fades away.
+#[test]
+fn an_engine_whose_bounds_meet_is_lost() {
+    let none = Vector6::zeros();
+    let mut stuck = EngineState::default();
+    for tick in 0..100 {
+        let _ = stuck.update(&CONFIG, STEP, (80.0, if tick < 50 { -1.0 } else { 1.0 }), &column(), &none);
+        assert_eq!(stuck.is_lost(&CONFIG), stuck.range == (80.0, 80.0), "tick {tick}");
+    }
+    assert_eq!(stuck.range, (80.0, 80.0));
+    let (mut fading, mut thrust) = (EngineState::default(), 100.0);
+    for _ in 0..50 {
+        thrust -= 2.0;
+        let _ = fading.update(&CONFIG, STEP, (thrust, -2.0), &column(), &none);
+    }
+    assert_eq!(fading.range, (0.0, thrust));
+    assert!(fading.is_lost(&CONFIG));
 }
 
 /// A sensor that says too much by `d` puts `−a d` into the momentum: from half of that on it is the sensor.
 #[test]
 fn the_momentum_tells_a_wrong_sensor() {
     for deviation in [30.0, -30.0] {
-        for (share, expected) in [(0.45, Finding::Lost), (0.55, Finding::WrongSensor), (-0.9, Finding::Lost)]
-        {
+        let out = Finding::OutOfReach;
+        for (share, expected) in [(0.45, out), (0.55, Finding::WrongSensor), (-0.9, out)] {
             let mut engine = EngineState::default();
             let mut found = Finding::Nothing;
             for tick in 1..=6 {
                 let innovation = if tick == 1 { deviation } else { 0.0 };
                 let residual = column() * (-share * deviation * (-f64::from(tick - 1) * STEP / 0.5).exp());
-                found = engine.update(&CONFIG, STEP, innovation, &column(), &residual);
+                found = engine.update(&CONFIG, STEP, (100.0, innovation), &column(), &residual);
             }
             assert_eq!(found, expected, "{deviation} N, {share}");
         }

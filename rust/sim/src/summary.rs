@@ -63,6 +63,7 @@ figures! {
     max_aero_force_difference ["N"] "greatest difference of the total aerodynamic force to the controller's";
     max_kkt ["1"] "greatest finite KKT residual of an answer";
     max_qp_iterations ["1"] "most iterations of a QP in one tick";
+    degraded_time ["s"] "time in which a channel is not measured, an engine is limited or the robot descends";
 }
 
 /// Every figure of merit: those of [`Summary`], and those of engines with ground.
@@ -105,6 +106,8 @@ impl Summary {
             .collect();
         let distances = || com_errors.iter().map(Vector3::norm);
         let along = |axis: usize| greatest(com_errors.iter().map(|error| error[axis].abs()));
+        let tick = time.get(1).copied().unwrap_or_default();
+        let degraded = data("degraded_modes").iter().filter(|modes| **modes > 0.0).count();
         let above = rotation.iter().filter(|angle| **angle > LEANING).count();
         let joints = log.joint_setpoint.len().max(1);
         let joint_errors = data("joint_position").chunks_exact(joints).map(|positions| {
@@ -129,7 +132,7 @@ impl Summary {
                 as f64,
             rms_com_error: root_mean_square(distances()),
             rms_rotation_error: root_mean_square(rotation.iter().skip(settling).copied()),
-            time_above_45_deg: above as f64 * time.get(1).copied().unwrap_or(0.0),
+            time_above_45_deg: above as f64 * tick,
             max_joint_error: greatest(joint_errors),
             max_aero_force: greatest(simulated.iter().map(Vector3::norm)),
             max_aero_force_difference: greatest(
@@ -137,6 +140,7 @@ impl Summary {
             ),
             max_kkt: greatest(data("qp_kkt").iter().copied().filter(|kkt| kkt.is_finite())),
             max_qp_iterations: greatest(data("qp_iterations").iter().copied()),
+            degraded_time: degraded as f64 * tick,
         }
     }
 }

@@ -19,9 +19,11 @@ use flight_core::Measurement;
 use flight_core::aero::Precision;
 use flight_core::control::CommandStatus;
 use flight_core::control::config::{Fallback, Solver};
+use flight_core::wind_observer::WindObserverConfig;
 use flight_io::{AeroConfig, NetworkConfig, load_robot};
-use flight_sim::ScenarioConfig;
 use flight_sim::config::AeroKinematics;
+use flight_sim::disturbances::{FailureKind, JetFailure, Outage, OutageChannel, OutageKind};
+use flight_sim::{Scenario, ScenarioConfig};
 use nalgebra::{Vector3, Vector6};
 use proptest::prelude::*;
 use std::hint::black_box;
@@ -157,6 +159,48 @@ fn a_tick_that_holds_does_not_allocate() {
     let bad = Vector3::new(0.0, f64::NAN, 0.0);
     let (_, nominal) = assert_no_allocations("bad measurements", &config, 0.1, bad);
     assert!(!nominal);
+}
+
+/// A whole tick of a flight: sensors, estimator, wind observer, channels that are predicted, an engine
+/// that is lost, and the log.
+#[test]
+fn a_tick_of_a_flight_does_not_allocate() {
+    let lost = |channel| Outage {
+        channel,
+        jet: None,
+        start: 0.02,
+        duration: Some(0.1),
+        kind: OutageKind::Missing,
+        error: 0.0,
+    };
+    let channels =
+        [OutageChannel::Wind, OutageChannel::Thrust, OutageChannel::Joints, OutageChannel::BasePosition];
+    let channels = channels.into_iter().chain([OutageChannel::BaseRotation, OutageChannel::BaseVelocity]);
+    let predicted = with("test2_observer", |config| {
+        config.disturbances.outages = channels.map(lost).collect();
+        config.disturbances.jets.failure =
+            Some(JetFailure { jet: "chest_l_jet".into(), time: 0.3, kind: FailureKind::Off, decay: 0.1 });
+    });
+    let seen = with("test2_sensors", |config| {
+        config.controller.wind_observer = Some(WindObserverConfig::default());
+        config.simulator.duration = 1.0;
+    });
+    for (what, config, modes) in [("channels", predicted, 0b110_0111_1101), ("sensors", seen, 0)] {
+        let mut flight = Scenario::new(&config).unwrap().begin();
+        let mut counted = 0;
+        for tick in 0..tick_at(1.0) {
+            let of_this_tick = allocations(|| {
+                flight.step();
+            });
+            // The first tick makes the controller's state, the third what the outages hold.
+            counted += if tick > 2 { of_this_tick } else { 0 };
+        }
+        assert_eq!(counted, 0, "{what}");
+        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)]
+        let found =
+            flight.log().series("degraded_modes").unwrap().data.iter().fold(0, |all, x| all | *x as u32);
+        assert_eq!(found, modes, "{what}");
+    }
 }
 
 /// Clarabel does allocate, as its documentation says; the counter would see it in a tick.

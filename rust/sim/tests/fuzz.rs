@@ -198,7 +198,7 @@ fn a_spoilt_robot() {
 #[test]
 fn a_spoilt_configuration() {
     let robot = flight_io::load_robot(&configs("robot/ironcub_mk1.toml")).unwrap();
-    let names = ["aero_aware", "observer", "observer_failsafe", "estimator", "balancing"];
+    let names = ["aero_aware", "observer", "estimator", "balancing"];
     let texts = names.map(|name| file(&format!("control/{name}.toml")));
     let scenario = experiment("test2");
     let (folder, schema) = (configs("control"), Schema::of::<ControllerSection>());

@@ -46,8 +46,7 @@ fn the_estimate_goes_to_the_wind() {
         walk: 10.0,
         vertical_std: 10.0,
         vertical_time: 1e6,
-        force_std: [0.01; 3],
-        relative_std: 0.0,
+        force_noise: [0.01; 3],
         ..WindObserverConfig::default()
     };
     for wind in [Vector3::new(6.0, -8.0, 1.0), Vector3::new(-9.0, 3.0, -0.5)] {
@@ -91,7 +90,7 @@ fn a_robot_that_is_not_told_the_wind_flies() {
 #[test]
 fn bad_wind_observers_are_refused_by_name() {
     type Change = fn(&mut ScenarioConfig);
-    let refusals: [(&str, Change); 6] = [
+    let refusals: [(&str, Change); 7] = [
         ("controller.wind_observer.gain is 0", |c| c.controller.wind_observer.as_mut().unwrap().gain = 0.0),
         ("controller.wind_observer.gain is 101", |c| {
             c.controller.wind_observer.as_mut().unwrap().gain = 101.0;
@@ -99,8 +98,11 @@ fn bad_wind_observers_are_refused_by_name() {
         ("controller.wind_observer.walk is NaN", |c| {
             c.controller.wind_observer.as_mut().unwrap().walk = f64::NAN;
         }),
-        ("controller.wind_observer.force_std is -1", |c| {
-            c.controller.wind_observer.as_mut().unwrap().force_std[1] = -1.0;
+        ("controller.wind_observer.force_noise is -1", |c| {
+            c.controller.wind_observer.as_mut().unwrap().force_noise[1] = -1.0;
+        }),
+        ("controller.wind_observer.moment_arm is 0", |c| {
+            c.controller.wind_observer.as_mut().unwrap().moment_arm = 0.0;
         }),
         ("controller.wind_observer.relative_std is -1", |c| {
             c.controller.wind_observer.as_mut().unwrap().relative_std = -1.0;

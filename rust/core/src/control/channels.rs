@@ -247,8 +247,8 @@ impl Modes {
     pub const CLOCK_PREDICTED: Self = Self(1 << 8);
     /// The robot levels and descends instead of following its mission.
     pub const DESCENDING: Self = Self(1 << 9);
-    /// An engine does not follow its command.
-    pub const ENGINE_LOST: Self = Self(1 << 10);
+    /// An engine does not reach the thrust it is commanded.
+    pub const ENGINE_LIMITED: Self = Self(1 << 10);
 
     /// Ticks of these modes do not measure the momentum.
     pub(super) const WITHOUT_MOMENTUM: Self =
@@ -266,7 +266,7 @@ impl Modes {
         (Self::FEET_HELD, "feet_held"),
         (Self::CLOCK_PREDICTED, "clock_predicted"),
         (Self::DESCENDING, "descending"),
-        (Self::ENGINE_LOST, "engine_lost"),
+        (Self::ENGINE_LIMITED, "engine_limited"),
     ];
 
     /// The set as a number, as in logs.

@@ -103,7 +103,7 @@ fn yes() -> bool {
 }
 
 /// Gains of the momentum task (M57 of `docs/model.md`) and the attitude task (M60).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct MomentumGains {
@@ -122,6 +122,24 @@ pub struct MomentumGains {
     /// `c₁` of the attitude task \[N m s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub c1: f64,
+}
+
+impl MomentumGains {
+    /// Refuses numbers that mean nothing; `table` is where they stand.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub(super) fn check(&self, table: &str) -> Result<(), BuildError> {
+        let non_negative =
+            |key: &str, value: f64| at(&format!("{table}.{key}"), value, |x| x >= 0.0, "a number ≥ 0");
+        for axis in 0..3 {
+            non_negative("kp_linear", self.kp_linear[axis])?;
+            non_negative("kd_linear", self.kd_linear[axis])?;
+        }
+        at(&format!("{table}.ko"), self.ko, |x| x > 0.0, "a positive number")?;
+        non_negative("c0", self.c0)?;
+        non_negative("c1", self.c1)
+    }
 }
 
 /// Weights of the tasks in the momentum QP.
@@ -280,14 +298,7 @@ impl ControllerConfig {
         let non_negative = |name: &str, value: f64| at(name, value, |x| x >= 0.0, "a number ≥ 0");
         let positive = |name: &str, value: f64| at(name, value, |x| x > 0.0, "a positive number");
 
-        for axis in 0..3 {
-            non_negative("momentum.kp_linear", self.momentum.kp_linear[axis])?;
-            non_negative("momentum.kd_linear", self.momentum.kd_linear[axis])?;
-        }
-        positive("momentum.ko", self.momentum.ko)?;
-        non_negative("momentum.c0", self.momentum.c0)?;
-        non_negative("momentum.c1", self.momentum.c1)?;
-
+        self.momentum.check("momentum")?;
         non_negative("weights.momentum", self.weights.momentum)?;
         non_negative("weights.angular_momentum", self.weights.angular_momentum)?;
         non_negative("weights.posture", self.weights.posture)?;
@@ -343,8 +354,10 @@ impl ControllerConfig {
                 stable("bounds.thrust_steepness", *rate_max, self.bounds.thrust_steepness)?;
             }
         }
+        let descent = self.engines.as_ref().and_then(|engines| engines.descent);
+        let fast = descent.map_or(0.0, |descent| descent.joint_velocity_max_deg.to_radians());
         for joint in &robot.joints {
-            stable("bounds.joint_steepness", joint.velocity_max, self.bounds.joint_steepness)?;
+            stable("bounds.joint_steepness", joint.velocity_max.max(fast), self.bounds.joint_steepness)?;
         }
         Ok(())
     }

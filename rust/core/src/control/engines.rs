@@ -5,15 +5,17 @@
 //! n ← n + (1 − e^{−Δt/τ_n}) (w − ŵ − n)  what the momentum says beside the observed wrench
 //! ```
 //!
-//! Where `|d|` stays above its limit for a while, either the engine is lost or its sensor is wrong. A wrong sensor puts
-//! a wrench of `−d` times the jet's column of `A_T` into the momentum that no thrust explains; an engine that is lost
-//! puts none. Equations M105 and M106 of `docs/model.md`.
+//! Where `|d|` stays above its limit for a while, either the engine does not reach the thrust it is commanded or its
+//! sensor is wrong. A wrong sensor puts a wrench of `−d` times the jet's column of `A_T` into the momentum that no thrust
+//! explains; an engine puts none. The thrust that an engine stops at bounds what is commanded from then on, and an engine
+//! whose bounds meet is lost. Equations M105 and M106 of `docs/model.md`.
 
+use super::config::MomentumGains;
 use crate::error::{BuildError, check};
 use nalgebra::Vector6;
 use serde::{Deserialize, Serialize};
 
-/// When an engine counts as lost.
+/// When an engine does not reach its thrust, and when it counts as lost.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -21,14 +23,30 @@ pub struct EnginesConfig {
     /// Time constant with which deviations of the thrust are forgotten \[s\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub time_constant: f64,
-    /// Greatest deviation of a thrust from the commanded one \[N\].
+    /// Greatest deviation of a thrust from the commanded one, and least range of an engine that is not lost \[N\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub deviation_max: f64,
     /// How long it has to be exceeded \[s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub confirmation: f64,
-    /// Whether the robot levels and descends when an engine is lost.
-    pub descend: bool,
+    /// How the robot levels and descends when an engine is lost; without it the mission goes on.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub descent: Option<DescentConfig>,
+}
+
+/// The law of a robot that has lost an engine: the attitude first, no place to hold, and fast joints.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct DescentConfig {
+    /// Gains in place of `controller.momentum`.
+    pub momentum: MomentumGains,
+    /// Greatest joint velocity, of joints whose own is less \[deg/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub joint_velocity_max_deg: f64,
+    /// Greatest rate of a joint torque, of joints whose own is less \[N m/s\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub torque_rate_max: f64,
 }
 
 impl EnginesConfig {
@@ -42,19 +60,30 @@ impl EnginesConfig {
         };
         at("time_constant", self.time_constant, |x| x > 0.0, "a positive number")?;
         at("deviation_max", self.deviation_max, |x| x > 0.0, "a positive number")?;
-        at("confirmation", self.confirmation, |x| x >= 0.0, "a number ≥ 0")
+        at("confirmation", self.confirmation, |x| x >= 0.0, "a number ≥ 0")?;
+        let Some(descent) = &self.descent else { return Ok(()) };
+        descent.momentum.check("engines.descent.momentum")?;
+        let velocity = descent.joint_velocity_max_deg;
+        at("descent.joint_velocity_max_deg", velocity, |x| x > 0.0, "a positive number")?;
+        at("descent.torque_rate_max", descent.torque_rate_max, |x| x > 0.0, "a positive number")
     }
 }
 
 /// What is known of an engine.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EngineState {
     /// `d` \[N\].
     pub deviation: f64,
     /// How long it has been too large \[s\].
     suspected: f64,
-    /// Whether the engine is lost; for good.
-    pub is_lost: bool,
+    /// Least and greatest thrust that it reaches, as far as that was found \[N\].
+    pub range: (f64, f64),
+}
+
+impl Default for EngineState {
+    fn default() -> Self {
+        Self { deviation: 0.0, suspected: 0.0, range: (0.0, f64::INFINITY) }
+    }
 }
 
 /// What a tick finds out about an engine.
@@ -62,25 +91,37 @@ pub struct EngineState {
 pub enum Finding {
     /// Nothing new.
     Nothing,
-    /// It is lost.
-    Lost,
+    /// It does not reach the thrust it is commanded.
+    OutOfReach,
     /// Its sensor is wrong.
     WrongSensor,
 }
 
 impl EngineState {
-    /// Takes in by how much the thrust of this tick is not the predicted one, after `dt` \[s\]; `column` is the jet's one
-    /// of `A_T`, `residual` is `n`.
+    /// Whether it does not reach every thrust.
+    #[must_use]
+    pub fn is_limited(&self) -> bool {
+        self.range != Self::default().range
+    }
+
+    /// Whether it keeps its thrust, or has none.
+    #[must_use]
+    pub fn is_lost(&self, config: &EnginesConfig) -> bool {
+        self.range.1 - self.range.0 < config.deviation_max
+    }
+
+    /// Takes in the thrust of this tick \[N\] and by how much it is not the predicted one, after `dt` \[s\]; `column` is
+    /// the jet's one of `A_T`, `residual` is `n`.
     pub fn update(
         &mut self,
         config: &EnginesConfig,
         dt: f64,
-        innovation: f64,
+        (thrust, innovation): (f64, f64),
         column: &Vector6<f64>,
         residual: &Vector6<f64>,
     ) -> Finding {
         self.deviation = libm::exp(-dt / config.time_constant) * self.deviation + innovation;
-        if self.is_lost || self.deviation.abs() <= config.deviation_max {
+        if self.deviation.abs() <= config.deviation_max {
             self.suspected = 0.0;
             return Finding::Nothing;
         }
@@ -90,10 +131,12 @@ impl EngineState {
             return Finding::Nothing;
         }
         let explained = -column.dot(residual) / column.norm_squared();
-        if explained / self.deviation > 0.5 {
+        if !self.is_limited() && explained / self.deviation > 0.5 {
             return Finding::WrongSensor;
         }
-        self.is_lost = true;
-        Finding::Lost
+        let (least, greatest) = self.range;
+        self.range =
+            if self.deviation < 0.0 { (least.min(thrust), thrust) } else { (thrust, greatest.max(thrust)) };
+        Finding::OutOfReach
     }
 }

@@ -37,7 +37,7 @@
 
 use super::attitude::AttitudeDemand;
 use super::bounds::rate_bounds;
-use super::config::{BoundsConfig, ControllerConfig};
+use super::config::{BoundsConfig, ControllerConfig, MomentumGains};
 use super::contact::{Contact, WRENCH};
 use super::momentum::MomentumModel;
 use super::setpoint::Setpoint;
@@ -110,6 +110,8 @@ pub struct TaskInputs<'a> {
     pub posture: &'a DVector<f64>,
     /// The feet.
     pub contact: &'a Contact,
+    /// Gains of momentum and attitude.
+    pub gains: &'a MomentumGains,
 }
 
 /// Shape and weights of a task; they do not change from tick to tick.
@@ -305,16 +307,27 @@ impl MomentumQp {
     }
 
     fn update_bounds(&mut self, robot: &RobotModel, state: &RobotState, thrust: &[f64]) {
-        let QpProblem { lower, upper, .. } = &mut self.problem;
         for (index, jet) in robot.jets.iter().enumerate() {
-            let (limits, rate_max) = ((0.0, jet.thrust_max), self.thrust_rate_max[index]);
-            (lower[index], upper[index]) =
-                rate_bounds(thrust[index], limits, rate_max, self.bounds.thrust_steepness);
+            self.bound_thrust(index, thrust[index], (0.0, jet.thrust_max));
         }
+        self.bound_joints(robot, state, 0.0);
+    }
+
+    /// Bounds the joint velocities so that joints stay within their limits: by their own greatest velocities, or by this
+    /// one \[rad/s\] where it is greater.
+    pub(super) fn bound_joints(&mut self, robot: &RobotModel, state: &RobotState, velocity_max: f64) {
+        let QpProblem { lower, upper, .. } = &mut self.problem;
         for (joint, unknown) in robot.joints.iter().zip(self.unknowns.joint_velocity.clone()) {
             let position = state.joint_position[unknown - self.unknowns.joint_velocity.start];
+            let velocity_max = joint.velocity_max.max(velocity_max);
             (lower[unknown], upper[unknown]) =
-                rate_bounds(position, joint.limits, joint.velocity_max, self.bounds.joint_steepness);
+                rate_bounds(position, joint.limits, velocity_max, self.bounds.joint_steepness);
         }
+    }
+
+    /// Bounds the rate of a thrust \[N\] that stays within `limits` \[N\].
+    pub(super) fn bound_thrust(&mut self, jet: usize, thrust: f64, limits: (f64, f64)) {
+        let rates = rate_bounds(thrust, limits, self.thrust_rate_max[jet], self.bounds.thrust_steepness);
+        (self.problem.lower[jet], self.problem.upper[jet]) = rates;
     }
 }

@@ -286,6 +286,20 @@ impl SetpointGenerator {
         self.smooth(state)
     }
 
+    /// The set-point of a robot that cannot hold its place, with its centre of mass \[m\]: it sinks wherever it is
+    /// (M107 of `docs/model.md`).
+    #[must_use]
+    pub fn sink(&self, setpoint: &Setpoint, com: &Vector3<f64>) -> Setpoint {
+        let zero = Vector3::zeros();
+        Setpoint {
+            com_position: *com,
+            com_velocity: Vector3::new(0.0, 0.0, -self.config.descent_speed),
+            com_acceleration: zero,
+            com_jerk: zero,
+            ..*setpoint
+        }
+    }
+
     /// Roll, pitch and yaw of the heading frame of a base rotation \[rad\].
     fn heading_rpy(&self, rotation: &Matrix3<f64>) -> Vector3<f64> {
         rpy_from_rotation(&(rotation * self.base_from_heading))

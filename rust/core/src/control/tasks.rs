@@ -15,7 +15,7 @@
 //! with `K = K_P + K_D + K_O⁻¹`. The linear task is `e⃛ + 8.75 ë + 22.8 ė + 15 e = 0` in the position
 //! error at the published gains. Equations M57, M58, M61 to M64, M73 and M110 of `docs/model.md`.
 
-use super::config::{ControllerConfig, MomentumGains};
+use super::config::ControllerConfig;
 use super::contact::ContactConfig;
 use super::momentum_qp::{Equations, Layout, Task, TaskInputs, Unknowns};
 use crate::error::BuildError;
@@ -41,7 +41,7 @@ pub fn standard_tasks(
     let transfer = config.contact.as_ref().and_then(|contact| contact.load_transfer.as_ref());
     let transfer_gain = transfer.map_or(0.0, |transfer| transfer.gain);
     let mut tasks: Vec<Arc<dyn Task>> = vec![
-        Arc::new(LinearMomentum { gains: config.momentum.clone(), weight: weights.momentum }),
+        Arc::new(LinearMomentum { weight: weights.momentum }),
         Arc::new(Attitude { weight: weights.momentum }),
         Arc::new(AngularMomentum { weight: weights.angular_momentum }),
         Arc::new(Posture {
@@ -81,7 +81,6 @@ fn towards_zero(name: &'static str, unknowns: &Range<usize>, weight: f64) -> Arc
 /// The linear momentum follows the set-point (M57).
 #[derive(Debug, Clone)]
 struct LinearMomentum {
-    gains: MomentumGains,
     weight: f64,
 }
 
@@ -95,12 +94,12 @@ impl Task for LinearMomentum {
     }
 
     fn update(&self, inputs: &TaskInputs, equations: &mut Equations) {
-        let TaskInputs { kinematics, dynamics, momentum, setpoint, .. } = inputs;
+        let TaskInputs { kinematics, dynamics, momentum, setpoint, gains, .. } = inputs;
         let Equations { matrix, offset, unknowns } = equations;
         let mass = kinematics.mass();
         for axis in 0..3 {
-            let (kp, kd) = (self.gains.kp_linear[axis], self.gains.kd_linear[axis]);
-            let k = kp + 1.0 / self.gains.ko + kd;
+            let (kp, kd) = (gains.kp_linear[axis], gains.kd_linear[axis]);
+            let k = kp + 1.0 / gains.ko + kd;
             let motion = |column: usize| {
                 momentum.lambda[(axis, column)] + k * dynamics.momentum_matrix[(axis, column)]
             };

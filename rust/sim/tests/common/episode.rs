@@ -11,7 +11,7 @@ use flight_core::control::{CommandStatus, ControllerState};
 use flight_core::qp::{KKT_TOLERANCE, QpProblem, kkt_residual};
 use flight_core::robot::RobotModel;
 use flight_core::{BuildError, Controller, Estimator, Measurement, WindObserver};
-use flight_io::{ControllerSection, load, load_robot};
+use flight_io::load_robot;
 use flight_sim::disturbances::{FailureKind, JetFailure, Outage, OutageChannel, OutageKind, Outages, Sample};
 use flight_sim::{Plant, ScenarioConfig, scenario_from_value};
 use nalgebra::{Unit, Vector3, Vector6};
@@ -73,8 +73,6 @@ impl Episodes {
         ]
         .map(experiment)
         .to_vec();
-        let section: ControllerSection = load(&configs("control/observer_failsafe.toml")).unwrap();
-        scenarios.push(ScenarioConfig { controller: section, ..experiment("test2") });
         scenarios.extend(["sparrow", "slider"].map(hover_of));
         let flights = scenarios.into_iter().map(|scenario| {
             let robot = load_robot(&scenario.robot).unwrap();
