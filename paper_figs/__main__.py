@@ -110,6 +110,7 @@ SWEEPS: Sequence[str] = (
     "observer_turbulence",
     "observer_missions",
     "observer_errors",
+    "tuned",
     "model_pairs",
     "outages_observer",
     "outages_published",

@@ -265,6 +265,7 @@ BEYOND: Sequence[Item] = (
             ("tip_over", "wind that tips the standing robot over"),
             ("observer_limit", "limit of the observer"),
             ("tune", "gains and weights tuned by gradient"),
+            ("tuned", "tuned gains beside published ones, in turbulence"),
             ("force_rate", "force rate that the controller leaves out"),
             ("ablation_wind_bias", "biased wind"),
             ("ablation_wind_noise", "noisy wind"),
