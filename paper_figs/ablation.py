@@ -18,7 +18,14 @@ from matplotlib.figure import Figure
 from paper_figs import style
 from paper_figs.sweeps import Sweep, axis_label
 
-SERIES = ((style.BLUE, "o", "-"), (style.VERMILION, "s", "--"), (style.GREEN, "^", "-."), (style.ORANGE, "D", ":"))
+SERIES = (
+    (style.BLUE, "o", "-"),
+    (style.VERMILION, "s", "--"),
+    (style.GREEN, "^", "-."),
+    (style.ORANGE, "D", ":"),
+    (style.PURPLE, "v", "-"),
+    (style.BLACK, "P", "--"),
+)
 COLUMNS: Sequence[tuple[str, str]] = (
     ("completed", "flights completed [%]"),
     ("rotation_error_deg", "max rotation error [deg]"),
@@ -64,7 +71,7 @@ def _levels(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataF
     figure, row = plt.subplots(1, 3, figsize=(style.FULL_WIDTH, height), layout="constrained", sharey=True)
     offsets = (np.arange(len(groups)) - (len(groups) - 1) / 2.0) * (0.66 / max(len(groups), 1))
     for axes, (quantity, title) in zip(row, COLUMNS, strict=True):
-        for (label, cells), offset, (colour, marker, _) in zip(groups, offsets, SERIES, strict=False):
+        for (label, cells), offset, (colour, marker, _) in zip(groups, offsets, SERIES[: len(groups)], strict=True):
             centre, low, high = spread(cells, quantity)
             place = np.array([labels.index(name) for name in cells[axis["name"]]]) + offset
             axes.hlines(place, low, high, color=colour, linewidth=1.4)
@@ -86,7 +93,7 @@ def _curves(sweep: Sweep, axis: dict[str, Any], groups: list[tuple[str, pd.DataF
     values = sweep.cells[axis["name"]]
     steps = _is_geometric(values)
     for axes, (quantity, title) in zip(row, COLUMNS, strict=True):
-        for (label, cells), (colour, marker, dash) in zip(groups, SERIES, strict=False):
+        for (label, cells), (colour, marker, dash) in zip(groups, SERIES[: len(groups)], strict=True):
             centre, low, high = spread(cells, quantity)
             axes.fill_between(cells[axis["name"]], low, high, color=colour, alpha=0.16, linewidth=0)
             axes.plot(cells[axis["name"]], centre, dash, marker=marker, color=colour, markersize=3.5, label=label)
