@@ -189,7 +189,7 @@ fn the_attitude_law_is_each_of_its_terms() {
         let (k, gains) = (inertia * w, experiment("test2").controller.law.momentum);
         let demand = |c0, c1, setpoint: &Setpoint, rotation: &Matrix3<f64>, k_dot: &Vector3<f64>| {
             let (velocity, moment) = (rotation * w, rotation * (k_dot + w.cross(&k)));
-            let gains = MomentumGains { c0, c1, ..gains.clone() };
+            let gains = MomentumGains { c0, c1, ..gains };
             attitude_demand(&gains, setpoint, rotation, &velocity, &moment, &inertia, &inverse)
         };
         let still = Setpoint {
