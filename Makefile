@@ -154,7 +154,7 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 # Packages are those of requirements.lock, by their hashes; what flying and drawing need stands first. Python compiles a
-# module when it is first imported: to compile all of them here would be 90 MB more.
+# module when it is first imported: to compile all of them here would be 60 MB more.
 $(VENV)/.first: requirements.hashed | $(BIN)/python
 	@echo "set-up 1 of 2: build tool, and what flying and drawing need (a minute)"
 	sed '/^# ---/q' $< > $@.txt
