@@ -103,7 +103,25 @@ figures: $(PACKAGES) ## draw every figure whose results are there; flies the dem
 	$(BIN)/python -m experiments $(DEMO)
 	-$(BIN)/python -m paper_figs all
 
+# Force models are fitted to and trained on our own simulations, or the authors' table: make reproduce PUBLIC_TABLE=FILE.
+ifdef PUBLIC_TABLE
+DATA := freestream
+DATASET := results/datasets/$(DATA).nc
+TRAINING := compact
+else
+DATA := open
+DATASET := configs/aero/datasets/$(DATA).nc
+TRAINING := $(DATA)
+endif
+CARD := $(abspath results/training/$(TRAINING)/$(TRAINING).json)
+
 reproduce: $(PACKAGES) ## fly everything, draw everything, write results/report.md and .html (20 minutes on 2 cores)
+	$(if $(PUBLIC_TABLE),$(BIN)/python -m experiments import-cfd --table $(PUBLIC_TABLE) --out $(DATASET))
+	$(BIN)/python -m experiments fit-aero $(DATA) --set dataset=$(DATASET)
+	$(BIN)/python -m experiments train $(TRAINING) --dataset $(DATASET)
+	$(BIN)/python -m experiments test3 --out results/trained --overwrite --set simulator.aero.card=$(CARD)
+	$(BIN)/python -m experiments test4 --out results/trained --overwrite --set simulator.aero.card=$(CARD) \
+		--set controller.aero.card=$(CARD)
 	$(BIN)/python -m experiments --all
 	$(BIN)/python -m experiments sweep --all
 	$(BIN)/python -m experiments engine-choice
@@ -117,6 +135,8 @@ reproduce: $(PACKAGES) ## fly everything, draw everything, write results/report.
 	$(BIN)/python -m experiments trim free_joints --map
 	$(BIN)/python -m experiments trajectory
 	-$(BIN)/python -m paper_figs all
+	$(BIN)/python -m paper_figs fig4_fit --runs $(DATA)
+	$(BIN)/python -m paper_figs fig4_network --runs $(TRAINING)
 	$(BIN)/python -m experiments report
 
 verify: $(PACKAGES) ## compare the crate with independent implementations and stored states

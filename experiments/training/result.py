@@ -26,6 +26,12 @@ SURROGATE_NOTE = (
     "Trained on the project's own surrogate of interfering panels, which was calibrated on published data alone; no "
     "free-stream table entered."
 )
+OPEN_NOTE = (
+    "Trained on the project's own simulations by an open solver (docs/cfd.md). Of the public free-stream table are the "
+    "normal-force coefficients of the signed axisymmetric model, where the network corrects that."
+)
+NOTES = {"surrogate": SURROGATE_NOTE, "openfoam": OPEN_NOTE}
+"""What a card says of its data, by a word of their provenance; others are of the public free-stream table."""
 
 
 def summarise(finished: Sequence[Finished], chosen_on: Sequence[str] = ()) -> dict[str, Any]:
@@ -162,7 +168,7 @@ def card_facts(
         split: {key: value for key, value in found.items() if key not in ("baselines", "by_link")}
         for split, found in errors.items()
     }
-    is_surrogate = "surrogate" in " ".join([*dataset.provenance, *dataset.provenance.values()]).lower()
+    source_text = " ".join([*dataset.provenance, *dataset.provenance.values()]).lower()
     return {
         "dataset": source,
         "dataset_sha256": dataset.sha256,
@@ -173,7 +179,7 @@ def card_facts(
         "errors": plain,
         "error_unit": "m^4, mean over 13 x 3 components of held-out rows",
         "baselines": baselines,
-        "note": SURROGATE_NOTE if is_surrogate else FREESTREAM_NOTE,
+        "note": next((note for word, note in NOTES.items() if word in source_text), FREESTREAM_NOTE),
     }
 
 

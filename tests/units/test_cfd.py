@@ -321,6 +321,20 @@ def test_rows_are_matched_directly_or_as_mirror_images_and_averaged_with_them(sm
     np.testing.assert_array_equal(here.force_area_b, there.force_area_b)
 
 
+def test_the_shipped_dataset_has_accepted_cases_of_its_design_alone():
+    """Cases of other settings, or ones that its tests refuse, would go unnoticed into every network."""
+    data, made = ds.load("configs/aero/datasets/open.nc"), design.Design.read("open", {})
+    designed = {(case.posture, case.pitch_deg, case.yaw_deg) for case in made}
+    found = set(zip(data.posture.tolist(), data.pitch_deg.tolist(), data.yaw_deg.tolist(), strict=True))
+    assert found <= designed
+    assert len(found) == len(data)
+    accept = made.spec.settings.accept
+    assert data.quality["drift"].max() <= accept.drift
+    assert data.quality["oscillation"].max() <= accept.oscillation
+    told = tables.convert(json.loads(data.provenance["settings"]), settings.Settings, "settings")
+    assert told == made.spec.settings
+
+
 def test_a_solver_that_somebody_ended_has_not_diverged(tmp_path, monkeypatch):
     monkeypatch.setattr(foam, "environment", lambda: None)
     with pytest.raises(Refused, match="sh was ended by a signal; the same command goes on"):
