@@ -411,19 +411,14 @@ impl Controller {
     /// Torques that let the joints follow the commanded velocities.
     fn solve_torque_qp(&mut self, state: &mut ControllerState, descent: Option<&DescentConfig>) {
         let measurement = &self.channels.seen;
-        let Terms {
-            kinematics, dynamics, link_forces, momentum, torque_qp, contact, unlimited_torque, ..
-        } = &mut self.terms;
+        let Terms { kinematics, dynamics, momentum, torque_qp, contact, unlimited_torque, .. } =
+            &mut self.terms;
         // Σ Jᵀ T a + J_aᵀ f_a − h
         self.force.copy_from(&dynamics.bias);
         self.force.neg_mut();
-        for (index, jet) in self.model.jets.iter().enumerate() {
-            let thrust_force = momentum.jet_axes_i[index] * measurement.thrust[index];
-            let point = &momentum.jet_points_i[index];
-            kinematics.add_generalised_force(jet.frame.body, point, &thrust_force, &mut self.force);
-        }
+        momentum.thrusts.add_generalised_force(kinematics, &mut self.force);
         if self.config.aero_feedback.torque {
-            link_forces.add_generalised_force(&self.model, kinematics, &mut self.force);
+            momentum.aero.add_generalised_force(kinematics, &mut self.force);
         }
         for (joint, velocity) in measurement.state.joint_velocity().iter().enumerate() {
             self.velocity_error[joint] = velocity - self.command.joint_velocity[joint];

@@ -82,13 +82,6 @@ impl Dynamics {
         self.update_bias(robot, state, kinematics);
     }
 
-    /// Linear Jacobian of the centre of mass, one column: `J_G = A_G,lin / m`.
-    #[must_use]
-    pub fn com_jacobian_column(&self, column: usize) -> Vector3<f64> {
-        let m = self.composites[0].mass;
-        self.momentum_matrix.fixed_view::<3, 1>(0, column) / m
-    }
-
     /// `J̇ ν` of the point of `body` that is at `point_i` now: its linear and angular acceleration with
     /// ν̇ = 0 \[m/s², rad/s²\]. Belongs to the last [`Dynamics::update`].
     #[must_use]
@@ -133,7 +126,6 @@ impl Dynamics {
     /// `l = m v_o + ω × s`, `k = I ω + s × v_o` (s: first moment). Then `M_ij = ω_i·k_j + v_o,i·l_j` for
     /// every joint i between j and the base.
     fn update_mass_and_momentum_matrix(&mut self, kinematics: &Kinematics) {
-        let origin = kinematics.bodies[0].i_from_b.position;
         let whole = self.composites[0];
         let com = whole.first_moment / whole.mass;
         let m = &mut self.mass_matrix;
@@ -156,7 +148,7 @@ impl Dynamics {
         for joint in 0..kinematics.bodies.len() - 1 {
             let subtree = &self.composites[joint + 1];
             let axis = kinematics.bodies[joint + 1].joint_angular_i;
-            let v_o = kinematics.bodies[joint + 1].joint_velocity_at(&origin);
+            let v_o = kinematics.bodies[joint + 1].joint_linear_at_base_i;
             let l = v_o * subtree.mass + axis.cross(&subtree.first_moment);
             let k = subtree.inertia * axis + subtree.first_moment.cross(&v_o);
 
@@ -169,7 +161,7 @@ impl Dynamics {
             }
             for &other in kinematics.chain(joint + 1) {
                 let motion = &kinematics.bodies[other + 1];
-                let entry = motion.joint_angular_i.dot(&k) + motion.joint_velocity_at(&origin).dot(&l);
+                let entry = motion.joint_angular_i.dot(&k) + motion.joint_linear_at_base_i.dot(&l);
                 m[(6 + other, column)] = entry;
                 m[(column, 6 + other)] = entry;
             }

@@ -92,6 +92,8 @@ pub struct BodyMotion {
     /// Angular velocity that a unit rate of the body's joint gives, inertial axes: the axis of a revolute
     /// joint, zero for a prismatic one and for the base.
     pub joint_angular_i: Vector3<f64>,
+    /// Velocity that a unit rate of the body's joint gives the body's point at the origin of the base, inertial axes.
+    pub joint_linear_at_base_i: Vector3<f64>,
 }
 
 impl BodyMotion {
@@ -115,6 +117,7 @@ const AT_REST: BodyMotion = BodyMotion {
     angular_velocity: ZERO,
     joint_linear_i: ZERO,
     joint_angular_i: ZERO,
+    joint_linear_at_base_i: ZERO,
 };
 const ZERO: Vector3<f64> = Vector3::new(0.0, 0.0, 0.0);
 const ROTATION: Matrix3<f64> = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0);
@@ -167,27 +170,32 @@ impl Kinematics {
         let joint_velocity = state.joint_velocity();
         self.joint_position.copy_from_slice(state.joint_position.as_slice());
         for (index, joint) in robot.joints.iter().enumerate() {
-            let parent = self.bodies[robot.bodies[index + 1].parent.unwrap_or(0)];
+            let (before, after) = self.bodies.split_at_mut(index + 1);
+            let parent = &before[robot.bodies[index + 1].parent.unwrap_or(0)];
             let axis_b = joint.axis_b.into_inner();
             let mut i_from_b = parent.i_from_b * joint.parent_from_child;
             // The axis is the same vector in the child and in the joint frame.
             let axis_i = i_from_b.rotation * axis_b;
             let position = state.joint_position[index];
-            let mut motion = match joint.kind {
+            let (joint_linear_i, joint_angular_i) = match joint.kind {
                 JointKind::Revolute => {
                     i_from_b.rotation *= axis_angle(&axis_b, position);
-                    BodyMotion { i_from_b, joint_angular_i: axis_i, ..AT_REST }
+                    (ZERO, axis_i)
                 }
                 JointKind::Prismatic => {
                     i_from_b.position += axis_i * position;
-                    BodyMotion { i_from_b, joint_linear_i: axis_i, ..AT_REST }
+                    (axis_i, ZERO)
                 }
             };
-            let rate = joint_velocity[index];
-            motion.linear_velocity =
-                parent.velocity_at(&motion.i_from_b.position) + motion.joint_linear_i * rate;
-            motion.angular_velocity = parent.angular_velocity + motion.joint_angular_i * rate;
-            self.bodies[index + 1] = motion;
+            let (rate, to_base) = (joint_velocity[index], state.base.position - i_from_b.position);
+            after[0] = BodyMotion {
+                i_from_b,
+                linear_velocity: parent.velocity_at(&i_from_b.position) + joint_linear_i * rate,
+                angular_velocity: parent.angular_velocity + joint_angular_i * rate,
+                joint_linear_i,
+                joint_angular_i,
+                joint_linear_at_base_i: joint_linear_i + joint_angular_i.cross(&to_base),
+            };
         }
         let first_moment: Vector3<f64> = (robot.bodies.iter().zip(&self.bodies))
             .map(|(body, motion)| motion.i_from_b.transform_point(&body.com_b) * body.mass)

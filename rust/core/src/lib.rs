@@ -19,12 +19,14 @@ pub mod control;
 pub mod dynamics;
 pub mod error;
 pub mod estimator;
+mod exponential;
 pub mod jets;
 pub mod kinematics;
 pub mod linalg;
 pub mod qp;
 pub mod robot;
 pub mod spatial;
+pub mod subtree;
 pub mod wind_observer;
 
 pub use nalgebra;

@@ -10,7 +10,8 @@ use flight_core::dynamics::{Dynamics, MassFactor};
 use flight_core::kinematics::{Kinematics, RobotState};
 use flight_core::robot::{Frame, RobotModel};
 use flight_core::spatial::{Pose, exp_so3, project_to_so3, skew, vee_of_skew_part};
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix3xX, Vector3};
+use flight_core::subtree::SubtreeLoads;
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use rand::RngExt;
 
 const STATES: usize = 200;
@@ -219,9 +220,7 @@ fn centroidal_inertia_is_that_of_the_bodies() {
 #[test]
 fn com_jacobian_is_the_difference_of_the_com() {
     on_random_states(8, |robot, sample| {
-        let n = sample.kinematics.n_velocities();
-        let columns: Vec<_> = (0..n).map(|column| sample.dynamics.com_jacobian_column(column)).collect();
-        let found = Matrix3xX::from_columns(&columns) * &sample.state.velocity;
+        let found = sample.dynamics.momentum_matrix.rows(0, 3) * &sample.state.velocity / robot.mass();
         let difference = rate(robot, &sample.state, |s| s.kinematics.com);
         assert_small("com velocity", (difference - found).amax(), 10.0, 1e-9);
     });
@@ -255,7 +254,7 @@ fn bias_at_rest_is_the_weight() {
         let sample = Sample::new(robot, sample.state);
         let weight = robot.mass() * robot.gravity;
         for column in 0..sample.dynamics.bias.len() {
-            let expected = weight * sample.dynamics.com_jacobian_column(column).z;
+            let expected = robot.gravity * sample.dynamics.momentum_matrix[(2, column)];
             assert_small("bias", (sample.dynamics.bias[column] - expected).abs(), weight, 1e-13);
         }
     });
@@ -370,6 +369,36 @@ fn generalised_force_does_the_work_of_the_force() {
             sample.kinematics.add_generalised_force(body, &point, &(-force), &mut generalised);
             assert_small("sum", generalised.amax(), 100.0, 1e-14);
         }
+    });
+}
+
+/// Forces on all bodies, summed over subtrees, act as through the Jacobians of their points.
+#[test]
+fn loads_of_subtrees_act_through_jacobians() {
+    let mut draw = rng(16);
+    on_random_states(16, |robot, sample| {
+        let forces: Vec<_> = (0..robot.bodies.len())
+            .map(|body| (body, random_vector(&mut draw, 2.0), random_vector(&mut draw, 100.0)))
+            .collect();
+        let mut loads = SubtreeLoads::new(robot);
+        loads.update(robot, &sample.kinematics, forces.iter().copied());
+        let mut found = DVector::zeros(sample.state.velocity.len());
+        loads.add_generalised_force(&sample.kinematics, &mut found);
+        let (mut expected, mut moved) = (found.clone() * 0.0, vec![Vector3::zeros(); found.len()]);
+        for (body, point, force) in &forces {
+            let (linear, _) = sample.kinematics.jacobian(*body, point);
+            expected += linear.tr_mul(force);
+            for (moved, column) in moved.iter_mut().zip(linear.column_iter()) {
+                *moved += force.cross(&column);
+            }
+        }
+        // Sums of some 30 forces at arms of some 2 m, in another order.
+        let scale = 100.0 * 2.0 * forces.len() as f64;
+        assert_small("Jᵀ f", (found - expected).amax(), scale, 1e-15);
+        loads.visit(&sample.kinematics, |column, load, v_o, omega| {
+            let found = load.force.cross(&v_o) + omega * load.dyad.trace() - load.dyad * omega;
+            assert_small("f × v", (found - moved[column]).amax(), scale, 1e-15);
+        });
     });
 }
 

@@ -12,7 +12,6 @@
 //! Equations M23, M24 and M26 of `docs/model.md`.
 
 mod card;
-mod exponential;
 mod mirror;
 mod mlp;
 mod tensors;
@@ -22,10 +21,10 @@ pub use tensors::{Tensor, Tensors};
 
 use super::{LinksInAir, axisymmetric_force};
 use crate::error::BuildError;
+use crate::exponential::exp_f64;
 use crate::kinematics::Kinematics;
 use crate::linalg::dispatch_plain;
 use crate::robot::{AxisymmetricCoefficients, RobotModel};
-use exponential::exp_f64;
 use mirror::{Mirror, reflect};
 use mlp::{Evaluator, Pair};
 use nalgebra::{Matrix3, Vector3};

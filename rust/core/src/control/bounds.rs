@@ -1,5 +1,7 @@
 //! Bounds of the momentum QP that keep thrusts and joints inside their own limits.
 
+use crate::exponential::tanh_f64;
+
 /// Bounds on the rate of a value that has limits itself.
 ///
 /// ```text
@@ -14,5 +16,5 @@
 #[must_use]
 pub fn rate_bounds(value: f64, limits: (f64, f64), rate_max: f64, steepness: f64) -> (f64, f64) {
     let (lower, upper) = limits;
-    (-rate_max * libm::tanh(steepness * (value - lower)), rate_max * libm::tanh(steepness * (upper - value)))
+    (-rate_max * tanh_f64(steepness * (value - lower)), rate_max * tanh_f64(steepness * (upper - value)))
 }

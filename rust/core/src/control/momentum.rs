@@ -17,6 +17,7 @@ use crate::dynamics::Dynamics;
 use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
 use crate::spatial::skew;
+use crate::subtree::SubtreeLoads;
 use nalgebra::{Matrix6xX, Vector3, Vector6};
 
 /// Terms of the momentum rate and of its derivative; preallocated.
@@ -40,6 +41,10 @@ pub struct MomentumModel {
     pub rate_estimate: Vector6<f64>,
     /// Observed wrench that is in no model, `ŵ`, part of the rate; zero without an observer \[N, N m\].
     pub unmodelled_wrench: Vector6<f64>,
+    /// Thrusts, by the subtrees that they push.
+    pub thrusts: SubtreeLoads,
+    /// Forces on the links at the points of their Jacobians, by subtrees.
+    pub aero: SubtreeLoads,
 }
 
 impl MomentumModel {
@@ -58,6 +63,8 @@ impl MomentumModel {
             lambda: Matrix6xX::zeros(n),
             rate_estimate: Vector6::zeros(),
             unmodelled_wrench: Vector6::zeros(),
+            thrusts: SubtreeLoads::new(robot),
+            aero: SubtreeLoads::new(robot),
         }
     }
 
@@ -74,13 +81,15 @@ impl MomentumModel {
         self.a_c.fill(0.0);
         self.place_jets(robot, kinematics);
         self.update_lambda_t(robot, kinematics, dynamics, thrust);
+        let forces = link_forces.jacobian_points_i.iter().zip(&link_forces.forces_i).zip(&robot.aero_links);
+        let forces = forces.map(|((point, force), link)| (link.frame.body, *point, *force));
+        self.aero.update(robot, kinematics, forces);
         if feedback.lambda {
-            self.update_lambda_a(robot, kinematics, dynamics, link_forces);
+            self.update_lambda_a(kinematics, dynamics);
         } else {
             self.lambda_a.fill(0.0);
         }
-        self.lambda.copy_from(&self.lambda_t);
-        self.lambda += &self.lambda_a;
+        self.lambda_t.add_to(&self.lambda_a, &mut self.lambda);
 
         self.rate_estimate.fill(0.0);
         for (column, thrust) in self.a_t.column_iter().zip(thrust) {
@@ -134,7 +143,7 @@ impl MomentumModel {
                 subtract(lambda, column, &stack(&Vector3::zeros(), &force.cross(&j_v)));
             });
         }
-        add_com_motion(&mut self.lambda, dynamics, &total);
+        add_com_motion(&mut self.lambda, dynamics, &(total / kinematics.mass()));
     }
 
     fn place_jets(&mut self, robot: &RobotModel, kinematics: &Kinematics) {
@@ -158,55 +167,38 @@ impl MomentumModel {
         dynamics: &Dynamics,
         thrust: &[f64],
     ) {
-        self.lambda_t.fill(0.0);
-        let mut total = Vector3::zeros();
-        for (index, (jet, thrust)) in robot.jets.iter().zip(thrust).enumerate() {
-            let force = self.jet_axes_i[index] * *thrust;
-            let point = self.jet_points_i[index];
-            let arm = point - kinematics.com;
-            total += force;
-            let lambda = &mut self.lambda_t;
-            kinematics.visit_jacobian_columns(jet.frame.body, &point, |column, j_v, j_w| {
-                let turned = force.cross(&j_w);
-                let moment = force.cross(&j_v) + arm.cross(&turned);
-                subtract(lambda, column, &stack(&turned, &moment));
-            });
-        }
-        add_com_motion(&mut self.lambda_t, dynamics, &total);
+        let Self { jet_axes_i, jet_points_i, thrusts, lambda_t, .. } = self;
+        let forces = robot.jets.iter().zip(thrust).enumerate();
+        let forces = forces
+            .map(|(index, (jet, thrust))| (jet.frame.body, jet_points_i[index], jet_axes_i[index] * *thrust));
+        thrusts.update(robot, kinematics, forces);
+        let com = kinematics.com - kinematics.bodies[0].i_from_b.position;
+        thrusts.visit(kinematics, |column, load, v_o, omega| {
+            let turned = load.force.cross(&omega);
+            let moment = load.force.cross(&v_o) + load.moment().cross(&omega) - com.cross(&turned);
+            lambda_t.set_column(column, &-stack(&turned, &moment));
+        });
+        add_com_motion(lambda_t, dynamics, &(thrusts.total().force / kinematics.mass()));
     }
 
     /// ```text
     /// Λ_a = (0 ; −Σ_j S(f_j) (J_j − J_G))
     /// ```
-    fn update_lambda_a(
-        &mut self,
-        robot: &RobotModel,
-        kinematics: &Kinematics,
-        dynamics: &Dynamics,
-        link_forces: &LinkForces,
-    ) {
-        self.lambda_a.fill(0.0);
-        let mut total = Vector3::zeros();
-        for (index, link) in robot.aero_links.iter().enumerate() {
-            let force = link_forces.forces_i[index];
-            let point = link_forces.jacobian_points_i[index];
-            total += force;
-            let lambda = &mut self.lambda_a;
-            kinematics.visit_jacobian_columns(link.frame.body, &point, |column, j_v, _| {
-                subtract(lambda, column, &stack(&Vector3::zeros(), &force.cross(&j_v)));
-            });
-        }
-        add_com_motion(&mut self.lambda_a, dynamics, &total);
+    fn update_lambda_a(&mut self, kinematics: &Kinematics, dynamics: &Dynamics) {
+        let Self { aero, lambda_a, .. } = self;
+        aero.visit(kinematics, |column, load, v_o, omega| {
+            let moment = load.force.cross(&v_o) + omega * load.dyad.trace() - load.dyad * omega;
+            lambda_a.set_column(column, &-stack(&Vector3::zeros(), &moment));
+        });
+        add_com_motion(lambda_a, dynamics, &(aero.total().force / kinematics.mass()));
     }
 }
 
 /// The part `+ Σ S(f) J_G` that all forces share: arms shorten when the centre of mass follows.
-fn add_com_motion(lambda: &mut Matrix6xX<f64>, dynamics: &Dynamics, total_force: &Vector3<f64>) {
-    for column in 0..lambda.ncols() {
-        let moment = total_force.cross(&dynamics.com_jacobian_column(column));
-        for row in 0..3 {
-            lambda[(3 + row, column)] += moment[row];
-        }
+fn add_com_motion(lambda: &mut Matrix6xX<f64>, dynamics: &Dynamics, force_per_mass: &Vector3<f64>) {
+    for (mut lambda, momentum) in lambda.column_iter_mut().zip(dynamics.momentum_matrix.column_iter()) {
+        let mut moment = lambda.fixed_rows_mut::<3>(3);
+        moment += force_per_mass.cross(&momentum.fixed_rows::<3>(0));
     }
 }
 

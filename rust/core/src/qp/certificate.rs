@@ -142,17 +142,27 @@ pub fn kkt_residual(qp: &QpProblem, x: &[f64], multipliers: &[f64]) -> f64 {
                 linalg::add_scaled(&mut gradient[..count], *multiplier, &normals[k * n + first..]);
             }
         }
-        for (i, gradient) in (first..first + count).zip(gradient) {
-            let (lower, upper) = (qp.lower[i], qp.upper[i]);
-            let root = h[i + i * n].sqrt();
-            let inverse = root.recip();
-            let (y, q) = (root * x[i], gradient * inverse);
-            let projected = (y - q).max(root * lower).min(root * upper);
-            residual = residual.max((y - projected).abs());
-            size = size.max((g[i] * inverse).abs()).max(y.abs());
-            // `max` and `min` drop NaN, so it is looked for separately.
-            finite &= q.is_finite() && y.is_finite() && !lower.is_nan() && !upper.is_nan();
+        // Entries first, their maxima afterwards, and no branch, so that the loop vectorises.
+        let (mut roots, mut distances, mut scaled_g, mut y) =
+            ([0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK], [0.0; BLOCK]);
+        for (root, i) in roots.iter_mut().zip(first..first + count) {
+            *root = h[i + i * n];
         }
+        let (g, x) = (&g[first..][..count], &x[first..][..count]);
+        let (lower, upper) = (&qp.lower.as_slice()[first..][..count], &qp.upper.as_slice()[first..][..count]);
+        #[allow(clippy::needless_bitwise_bool, clippy::needless_range_loop, reason = "so that it vectorises")]
+        for i in 0..count {
+            let root = roots[i].sqrt();
+            let inverse = root.recip();
+            let q = gradient[i] * inverse;
+            y[i] = root * x[i];
+            scaled_g[i] = g[i] * inverse;
+            distances[i] = y[i] - (y[i] - q).max(root * lower[i]).min(root * upper[i]);
+            // `max` and `min` drop NaN, so it is looked for separately.
+            finite &= q.is_finite() & y[i].is_finite() & !lower[i].is_nan() & !upper[i].is_nan();
+        }
+        residual = residual.max(linalg::max_abs(&distances));
+        size = size.max(linalg::max_abs(&scaled_g)).max(linalg::max_abs(&y));
     }
     for (k, (multiplier, limit)) in multipliers.iter().zip(&qp.limit).enumerate() {
         let normal = &normals[k * n..][..n];

@@ -331,8 +331,13 @@ impl PrimalActiveSet {
         let m = self.free.len();
         for (place, &j) in self.free.iter().enumerate() {
             let (from, to) = (&h[j * n..][..n], &mut self.factor[place * ld..][..=m]);
-            for (to, &i) in to[place..].iter_mut().zip(&self.free[place..]) {
-                *to = from[i];
+            if m - place == n - j {
+                // None is held from here on.
+                to[place..m].copy_from_slice(&from[j..]);
+            } else {
+                for (to, &i) in to[place..].iter_mut().zip(&self.free[place..]) {
+                    *to = from[i];
+                }
             }
             to[m] = -self.gradient[j];
         }

@@ -6,9 +6,9 @@
 //! the same bits.
 
 use super::card::{Activation, Architecture};
-use super::exponential::exp_f32;
 use super::tensors::Tensors;
 use crate::error::BuildError;
+use crate::exponential::exp_f32;
 use crate::linalg::{dispatch, dispatch_plain};
 use pulp::{Simd, WithSimd};
 use std::fmt::Debug;

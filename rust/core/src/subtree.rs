@@ -1,0 +1,111 @@
+//! Forces at points of bodies, summed over the subtree that each joint moves.
+//!
+//! One pass from the tips to the base gives what would otherwise take a Jacobian for each point. With `r` from the
+//! origin of the base, `F = Σ f` and `E = Σ r fᵀ` over a subtree, and `M = Σ r × f` from the antisymmetric part of `E`,
+//! a unit rate of its joint, which moves it with `ω` and, at the origin of the base, with `v_o`, gives
+//!
+//! ```text
+//! Σ f · v              = F · v_o + M · ω                      Jᵀ f
+//! Σ f × v              = F × v_o + tr(E) ω − E ω              a force that keeps its direction moves
+//! Σ f × v + r × (f × ω) = F × v_o + M × ω                      a force that turns with its body moves
+//! ```
+//!
+//! Equations M27, M51 and M52 of `docs/model.md`.
+
+use crate::kinematics::Kinematics;
+use crate::robot::RobotModel;
+use crate::spatial::vee_of_skew_part;
+use nalgebra::{DVector, Matrix3, Vector3};
+
+/// Forces on one subtree.
+#[derive(Debug, Clone, Copy)]
+pub struct Load {
+    /// `F = Σ f` \[N\].
+    pub force: Vector3<f64>,
+    /// `E = Σ r fᵀ` about the origin of the base \[N m\].
+    pub dyad: Matrix3<f64>,
+}
+
+impl Load {
+    const NONE: Self = Self {
+        force: Vector3::new(0.0, 0.0, 0.0),
+        dyad: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    };
+
+    /// `M = Σ r × f` about the origin of the base \[N m\].
+    #[must_use]
+    pub fn moment(&self) -> Vector3<f64> {
+        -2.0 * vee_of_skew_part(&self.dyad)
+    }
+}
+
+/// The loads of all subtrees; preallocated, refilled by [`SubtreeLoads::update`].
+#[derive(Debug, Clone)]
+pub struct SubtreeLoads {
+    /// By the body that a subtree begins with.
+    loads: Vec<Load>,
+}
+
+impl SubtreeLoads {
+    /// Space for the subtrees of `robot`.
+    #[must_use]
+    pub fn new(robot: &RobotModel) -> Self {
+        Self { loads: vec![Load::NONE; robot.bodies.len()] }
+    }
+
+    /// Sums forces, each on a body at a point: `(body, point_i, force_i)` \[m, N, inertial axes\].
+    pub fn update(
+        &mut self,
+        robot: &RobotModel,
+        kinematics: &Kinematics,
+        forces: impl Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)>,
+    ) {
+        let origin = kinematics.bodies[0].i_from_b.position;
+        self.loads.fill(Load::NONE);
+        for (body, point, force) in forces {
+            let load = &mut self.loads[body];
+            load.force += force;
+            load.dyad += (point - origin) * force.transpose();
+        }
+        for index in (1..self.loads.len()).rev() {
+            let load = self.loads[index];
+            let parent = &mut self.loads[robot.bodies[index].parent.unwrap_or(0)];
+            parent.force += load.force;
+            parent.dyad += load.dyad;
+        }
+    }
+
+    /// Load of the whole robot.
+    #[must_use]
+    pub fn total(&self) -> &Load {
+        &self.loads[0]
+    }
+
+    /// Visits every entry of ν with what it moves: `visit(column, load, v_o, ω)`.
+    #[inline]
+    pub fn visit(
+        &self,
+        kinematics: &Kinematics,
+        mut visit: impl FnMut(usize, &Load, Vector3<f64>, Vector3<f64>),
+    ) {
+        let (zero, identity) = (Vector3::zeros(), Matrix3::identity());
+        for column in 0..kinematics.n_velocities() {
+            let (body, v_o, omega) = match column {
+                0..3 => (0, identity.column(column).into(), zero),
+                3..6 => (0, zero, identity.column(column - 3).into()),
+                _ => {
+                    let motion = &kinematics.bodies[column - 5];
+                    (column - 5, motion.joint_linear_at_base_i, motion.joint_angular_i)
+                }
+            };
+            visit(column, &self.loads[body], v_o, omega);
+        }
+    }
+
+    /// Adds `Σ Jᵀ f`.
+    pub fn add_generalised_force(&self, kinematics: &Kinematics, generalised: &mut DVector<f64>) {
+        self.visit(kinematics, |column, load, v_o, omega| {
+            generalised[column] += load.force.dot(&v_o) + load.moment().dot(&omega);
+        });
+    }
+}
