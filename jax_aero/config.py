@@ -913,6 +913,8 @@ class MotorsConfig(Table, frozen=True, kw_only=True):
     """Dry friction of joints that have another, by name [N m]."""
     inertia: NonNegative
     """Rotor inertia seen at every joint [kg m²]."""
+    stiffness: NonNegative = 0.0
+    """Stiffness with which every drive holds the posture that the robot starts in [N m/rad]."""
 
 
 class SensorConfig(Table, frozen=True, kw_only=True):

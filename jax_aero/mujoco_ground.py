@@ -87,6 +87,8 @@ class GroundPlant:
         self._axes = [np.asarray(jet["axis"]) for jet in jets]
         self._links = [self.model.site(f"aero_{link['name']}").id for link in self._table["aero_links"]]
         self._stand(simulator["initial"], simulator["ground"]["settling"])
+        self.model.jnt_stiffness[1:] = simulator.get("motors", {}).get("stiffness", 0.0)
+        self.model.qpos_spring[:] = self.data.qpos
 
     def _stand(self, initial: Mapping[str, Any], settling: float) -> None:
         """Put the robot down with stiff joints; what is left is at rest but for rounding."""

@@ -361,7 +361,7 @@ def _onset(results: Results) -> tuple[str, str]:
     runs = _stood(results)
     text = "; ".join(f"{run.name}: CoM has moved 1 mm after {run.onset:.1f} s" for run in runs)
     near = all(abs(run.onset - 2.0) < 1.0 for run in runs)
-    return text, _judged(near, "later than on the real robot: our dry friction is chosen, not measured")
+    return text, _judged(near, "not when the real robot does: our drives are chosen, not measured")
 
 
 def _along(results: Results) -> Mapping[str, Mapping[str, float]]:

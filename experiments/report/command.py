@@ -22,7 +22,7 @@ FIGURES = {
     "fig5a": "Fig. 5 a of the paper: TEST2 hovering in the wind, rendered.",
     "fig5": "Fig. 5 b–i of the paper: TEST2 above, TEST1 below, corrected arms.",
     "fig5_robustness": "Fig. 5 b–i as the paper fills it: TEST4 above, the robustness test below; corrected arms.",
-    "fig6": "Fig. 6 of the paper: MuJoCo in place of the real robot, its dry friction chosen by us.",
+    "fig6": "Fig. 6 of the paper: MuJoCo in place of the real robot, its drives chosen by us.",
     "tip_over": "Beyond the paper: the greatest wind the standing robot withstands, by direction.",
     "along": "Discussion, Note 6: fuel, and how far exhausts stay from the body.",
     "suppl7": "Supplementary Fig. 7: TEST1, TEST2, TEST3 and the robustness test, corrected lever arms.",

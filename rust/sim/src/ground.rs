@@ -34,6 +34,10 @@ pub struct MotorsConfig {
     /// Viscous friction of every joint \[N m s\].
     #[schemars(range(min = 0))]
     pub damping: f64,
+    /// Stiffness with which every drive holds the posture that the robot starts in \[N m/rad\].
+    #[serde(default)]
+    #[schemars(range(min = 0))]
+    pub stiffness: f64,
     /// Rotor inertia seen at every joint \[kg m²\].
     #[schemars(range(min = 0))]
     pub inertia: f64,
@@ -58,9 +62,12 @@ impl MotorsConfig {
     /// # Errors
     /// [`BuildError`] naming the key.
     pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
-        for (name, value) in
-            [("friction", self.friction), ("damping", self.damping), ("inertia", self.inertia)]
-        {
+        for (name, value) in [
+            ("friction", self.friction),
+            ("damping", self.damping),
+            ("stiffness", self.stiffness),
+            ("inertia", self.inertia),
+        ] {
             check(&format!("simulator.motors.{name}"), value, |x| x >= 0.0, "a number ≥ 0")?;
         }
         for (joint, friction) in &self.friction_of {
