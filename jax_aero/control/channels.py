@@ -190,7 +190,7 @@ def update(
     wrong_step = memory.is_begun & ~is_step & limits.compares
     modes = jnp.where(is_known & ~wrong_step, 0, MODES["clock_predicted"])
 
-    predicted = jnp.where(memory.is_begun, _predict(memory, jets, n, dt), memory.predicted)
+    predicted = jnp.where(memory.is_begun, _predict(limits, memory, jets, n, dt), memory.predicted)
 
     def of_all(entries: Array) -> Array:
         return jnp.all(entries[None, :] | ~owners, axis=1)
@@ -213,6 +213,7 @@ def update(
     # The pose integrates the velocity of this tick, measured or not.
     velocity = jnp.where(judge(predicted)[0][VELOCITY], now[-18:-12], predicted[-18:-12])
     pose = _integrate(memory.predicted[-12:], velocity, dt)
+    pose = pose.at[:3].set(jnp.clip(pose[:3], -limits.greatest[-12:-9], limits.greatest[-12:-9]))
     predicted = jnp.where(memory.is_begun, predicted.at[-12:].set(pose), memory.predicted)
     is_measured, is_frozen = judge(predicted)
     age = jnp.where(is_measured, 0.0, memory.age + dt)
@@ -285,14 +286,18 @@ def _flat(state: State, thrust: Array, wind: Array) -> Array:
     return jnp.concatenate([wind, thrust, *joints, *base])
 
 
-def _predict(memory: ChannelsState, jets: int, n: int, dt: Array) -> Array:
-    """Move every value but the pose on by `dt` [s]: M78 for velocities and joints, M31 for thrusts."""
+def _predict(limits: ChannelLimits, memory: ChannelsState, jets: int, n: int, dt: Array) -> Array:
+    """Move every value but the pose on by `dt` [s]: M78 for velocities and joints, M31 for thrusts.
+
+    None leaves what is accepted of a measurement.
+    """
     last = memory.predicted
     thrust = jnp.maximum(last[3 : 3 + jets] + dt * memory.thrust_rate, 0.0)
     rates = last[3 + jets + n : 3 + jets + 2 * n] + dt * memory.acceleration[6:]
     joints = last[3 + jets : 3 + jets + n] + dt * rates
     velocity = last[-18:-12] + dt * memory.acceleration[:6]
-    return jnp.concatenate([last[:3], thrust, joints, rates, velocity, last[-12:]])
+    moved = jnp.concatenate([last[:3], thrust, joints, rates, velocity, last[-12:]])
+    return jnp.clip(moved, -limits.greatest, limits.greatest)
 
 
 def _integrate(pose: Array, velocity: Array, dt: Array) -> Array:

@@ -54,7 +54,7 @@ def ticks(count):
 
 
 def momentum_cost(law, state, thrust, setpoint, tick, terms, contact, takes_off):
-    """H and g of M57, M61 to M64, M73 and M110: Σ Aᵀ W A and Σ Aᵀ W b over the tasks."""
+    """H and g of M57, M61 to M64, M73 and M111: Σ Aᵀ W A and Σ Aᵀ W b over the tasks."""
     nu, rotation = state.velocity, state.base_rotation
     mass = terms.mass_matrix[0, 0]
     n = 4 + 12 + 23

@@ -295,3 +295,23 @@ fn a_robot_that_is_blind_for_long_descends_for_good() {
         assert_eq!(rig.tick(|_| ()).modes.contains(Modes::DESCENDING), descends);
     }
 }
+
+/// However long nothing is measured, predictions stay within what is accepted: numbers from which a flight can go on.
+#[test]
+fn predictions_stay_within_what_is_accepted() {
+    let greatest = ChannelsConfig::default().greatest;
+    let mut rig = Rig::new(&ChannelsConfig::default());
+    rig.state.acceleration.fill(1e6);
+    rig.state.thrust_rate.fill(1e6);
+    for _ in 0..20_000 {
+        rig.tick(lose_everything);
+    }
+    let Seen { state, thrust, .. } = rig.tick(lose_everything).clone();
+    let bounds = [greatest.velocity; 3].into_iter().chain([greatest.angular_velocity; 3]);
+    assert!(state.velocity.iter().zip(bounds).all(|(velocity, most)| *velocity == most));
+    assert!(state.velocity.rows(6, 23).iter().all(|velocity| *velocity == greatest.joint_velocity));
+    assert!(state.joint_position.iter().all(|position| *position == greatest.joint_position));
+    assert!(state.base.position.iter().all(|position| *position > 1e4 && *position <= greatest.position));
+    assert!(thrust.iter().all(|thrust| thrust.is_finite() && *thrust > 1000.0));
+    assert!(rig.tick(|_| ()).modes.contains(Modes::DESCENDING));
+}

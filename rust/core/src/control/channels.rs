@@ -532,7 +532,7 @@ impl Channels {
             modes.insert(Modes::CLOCK_PREDICTED);
         }
         if state.is_begun {
-            state.predict(&self.layout, dt);
+            state.predict(&self.layout, &self.greatest, dt);
         }
         self.seen.elapsed = dt;
         let predicted = &state.predicted[self.layout.thrust.clone()];
@@ -584,6 +584,8 @@ impl Channels {
                 let velocity = Vector6::from_column_slice(velocity);
                 if state.is_begun {
                     integrate_pose(&mut state.predicted, &self.layout, &velocity, dt);
+                    let position = self.layout.position.clone();
+                    bound(&mut state.predicted[position.clone()], &self.greatest[position]);
                 }
             }
             state.is_descending |= entry.is_vital && channel.age > self.config.descend_after;
@@ -665,8 +667,9 @@ impl Channels {
 }
 
 impl ChannelsState {
-    /// Moves every value on by `dt` \[s\]: M78 for joints and base, M31 for thrusts.
-    fn predict(&mut self, layout: &Layout, dt: f64) {
+    /// Moves every value but the pose on by `dt` \[s\]: M78 for joints and base, M31 for thrusts. None leaves what is
+    /// accepted of a measurement, or a robot without one for long would be predicted to move ever faster.
+    fn predict(&mut self, layout: &Layout, greatest: &[f64], dt: f64) {
         let Self { predicted, acceleration, thrust_rate, .. } = self;
         for (thrust, rate) in predicted[layout.thrust.clone()].iter_mut().zip(thrust_rate.iter()) {
             *thrust = (*thrust + dt * rate).max(0.0);
@@ -680,6 +683,7 @@ impl ChannelsState {
         for (velocity, acceleration) in predicted[layout.velocity.clone()].iter_mut().zip(base) {
             *velocity += dt * acceleration;
         }
+        bound(predicted, greatest);
     }
 
     /// Uses the measured thrust of a jet no more, which was measured too large by `deviation` \[N\].
@@ -687,6 +691,13 @@ impl ChannelsState {
         let (first_entry, first_channel) = (3, 1); // behind the wind
         self.channels[first_channel + jet].is_distrusted = true;
         self.predicted[first_entry + jet] -= deviation;
+    }
+}
+
+/// Brings numbers into `[−greatest, greatest]`.
+fn bound(numbers: &mut [f64], greatest: &[f64]) {
+    for (number, most) in numbers.iter_mut().zip(greatest) {
+        *number = number.max(-most).min(*most);
     }
 }
 

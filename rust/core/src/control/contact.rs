@@ -8,7 +8,7 @@
 //!
 //! `f_c*` is the integral of the momentum QP's own answer, not a measurement: it is the estimate in the
 //! momentum rate and the reference of the torque QP alike. Wrenches are about the sole's origin, force
-//! first, inertial axes. Equations M54, M74, M75, M82, M110 and M111 of `docs/model.md`.
+//! first, inertial axes. Equations M54, M74, M75, M82, M111 and M112 of `docs/model.md`.
 
 use crate::dynamics::Dynamics;
 use crate::error::{BuildError, check};

@@ -13,7 +13,7 @@
 //! ```
 //!
 //! with `K = K_P + K_D + K_O⁻¹`. The linear task is `e⃛ + 8.75 ë + 22.8 ė + 15 e = 0` in the position
-//! error at the published gains. Equations M57, M58, M61 to M64, M73 and M110 of `docs/model.md`.
+//! error at the published gains. Equations M57, M58, M61 to M64, M73 and M111 of `docs/model.md`.
 
 use super::config::ControllerConfig;
 use super::contact::ContactConfig;
@@ -261,7 +261,7 @@ enum Side {
     Feet,
 }
 
-/// Thrusts or foot wrenches change slowly; those of the side that is relieved of its load fall to zero (M110).
+/// Thrusts or foot wrenches change slowly; those of the side that is relieved of its load fall to zero (M111).
 #[derive(Debug, Clone)]
 struct LoadRate {
     side: Side,
