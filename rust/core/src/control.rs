@@ -44,7 +44,7 @@ use crate::robot::RobotModel;
 use attitude::{AttitudeDemand, attitude_demand};
 use channels::{Channels, Modes, time_is_plausible};
 use config::ControllerConfig;
-use contact::Contact;
+use contact::{Contact, WRENCH};
 use engines::{DescentConfig, EngineState, Finding};
 use mission::Mission;
 use momentum::MomentumModel;
@@ -486,9 +486,12 @@ impl Controller {
             acceleration.fixed_rows_mut::<3>(0).copy_from(&force);
             acceleration.fixed_rows_mut::<3>(3).copy_from(&(moment + arm.cross(&force)));
             acceleration.rows_mut(6, self.command.joint_torque.len()).copy_from(&self.command.joint_torque);
-            for ((foot, sole), wrench) in self.model.feet.iter().zip(&contact.soles).zip(&contact.measured) {
-                let (force, moment): (Vector3<f64>, Vector3<f64>) =
-                    (wrench.fixed_rows::<3>(0).into(), wrench.fixed_rows::<3>(3).into());
+            // The wrenches with which the feet stay: those of an impact do not last for a tick.
+            let wrenches = contact.force_of_torques.as_slice().chunks_exact(WRENCH);
+            let feet = self.model.feet.iter().zip(&contact.soles).zip(wrenches);
+            for ((foot, sole), wrench) in feet.filter(|_| contact.is_active) {
+                let (force, moment) =
+                    (Vector3::from_column_slice(&wrench[..3]), Vector3::from_column_slice(&wrench[3..]));
                 kinematics.visit_jacobian_columns(foot.frame.body, &sole.position, |column, v, w| {
                     acceleration[column] += v.dot(&force) + w.dot(&moment);
                 });

@@ -193,6 +193,17 @@ fn the_desired_wrench_is_the_measured_one_at_take_off_and_follows_it_else() {
     }
 }
 
+/// M101 on the ground: an impact of twenty times the weight is not predicted to last, so that what is measured after it
+/// is accepted.
+#[test]
+fn an_impact_is_not_predicted_to_last() {
+    let (mut running, state) = able_to_take_off();
+    let feet = weight_on_both().map(|wrench| 20.0 * wrench);
+    tick_with_load(&mut running, &state, 0.0, 0.0, &feet);
+    tick_with_load(&mut running, &state, 0.01, 0.0, &weight_on_both());
+    assert!(running.controller.command().modes.is_empty());
+}
+
 /// Feet of a robot that stands carry through a short loss of contact; those of one that takes off do not.
 #[test]
 fn feet_carry_through_a_short_loss_of_contact_unless_the_robot_takes_off() {
