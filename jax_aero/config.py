@@ -814,6 +814,15 @@ class FallConfig(Table, frozen=True, kw_only=True):
     """Greatest rotation between base and reference [deg]."""
 
 
+class LegOdometryConfig(Table, frozen=True, kw_only=True):
+    """The state of a standing robot as its legs measure it: the pose of the base from the first of the controller's
+    feet, its velocity from all of them, as if they stayed where they are.
+    """
+
+    velocity_time_constant: NonNegative
+    """Time constant of the first-order low pass of the joint velocities that the controller gets [s]."""
+
+
 class GroundConfig(Table, frozen=True, kw_only=True):
     """The plane z = 0 under the robot's feet. Only engines that simulate contact fly a world that has it."""
 
@@ -821,6 +830,8 @@ class GroundConfig(Table, frozen=True, kw_only=True):
     """Time in which a touching corner comes to rest [s]: softer with a longer one."""
     friction: Positive
     """Coulomb friction of soles on the ground."""
+    leg_odometry: LegOdometryConfig | None = None
+    """How the robot measures its own state while it stands; without it the state is measured as it is."""
     settling: NonNegative
     """How long stiff joints hold the initial posture before the controller takes over at time zero [s]."""
 

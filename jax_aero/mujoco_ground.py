@@ -27,6 +27,7 @@ from jax_aero import mujoco_model, rust
 from jax_aero.config import Disturbances
 from jax_aero.control.channels import MODES
 from jax_aero.io import scenario_config
+from jax_aero.leg_odometry import LegOdometry
 from jax_aero.result import Outcome
 from jax_aero.summary import condense, figures
 
@@ -42,6 +43,8 @@ class Observed(NamedTuple):
     """State of the simulation at a tick."""
 
     state: rust.State
+    measured: rust.State
+    """What the robot measures of it."""
     foot_wrenches: Float[np.ndarray, "feet 6"]
     """[N, N m] about the origin of each sole, force first, inertial axes."""
     joint_torque: Float[np.ndarray, " n"]
@@ -89,6 +92,20 @@ class GroundPlant:
         self._stand(simulator["initial"], simulator["ground"]["settling"])
         self.model.jnt_stiffness[1:] = simulator.get("motors", {}).get("stiffness", 0.0)
         self.model.qpos_spring[:] = self.data.qpos
+        self._odometry: LegOdometry | None = None
+        if settings := simulator["ground"].get("leg_odometry"):
+            soles = [self._soles[foot] for foot in self.named]
+            time_constant = settings["velocity_time_constant"]
+            share = -np.expm1(-simulator["time_step"] / time_constant) if time_constant > 0.0 else 1.0
+            self._odometry = LegOdometry(self.model, self._order, soles, self._state(), share)
+
+    def _state(self) -> rust.State:
+        """Return what the plant's arrays say, after `mj_forward`."""
+        data, order = self.data, self._order
+        rotation = data.xmat[order.bodies[0]].reshape(3, 3).copy()
+        nu = data.qvel[order.dofs]
+        nu[3:6] = rotation @ nu[3:6]  # the angular part is in body axes there
+        return rust.State(data.qpos[:3].copy(), rotation, data.qpos[order.joints], nu)
 
     def _stand(self, initial: Mapping[str, Any], settling: float) -> None:
         """Put the robot down with stiff joints; what is left is at rest but for rounding."""
@@ -111,15 +128,17 @@ class GroundPlant:
 
     def observe(self, wind: Float[np.ndarray, "3"]) -> Observed:
         """Return what is there at this tick, in a wind [m/s, inertial axes], and hold its forces."""
-        model, data, order = self.model, self.data, self._order
-        mujoco.mj_forward(model, data)
-        rotation = data.xmat[order.bodies[0]].reshape(3, 3).copy()
-        nu = data.qvel[order.dofs]
-        nu[3:6] = rotation @ nu[3:6]  # the angular part is in body axes there
-        state = rust.State(data.qpos[:3].copy(), rotation, data.qpos[order.joints], nu)
-        torque = (data.qfrc_actuator + data.qfrc_passive + self._dry_friction())[order.dofs[6:]]
+        data = self.data
+        mujoco.mj_forward(self.model, data)
+        state = self._state()
+        torque = (data.qfrc_actuator + data.qfrc_passive + self._dry_friction())[self._order.dofs[6:]]
         return Observed(
-            state, self._foot_wrenches(), torque, self._blow(state, wind), data.site_xpos[self._soles].copy()
+            state=state,
+            measured=state if self._odometry is None else self._odometry.measure(state),
+            foot_wrenches=self._foot_wrenches(),
+            joint_torque=torque,
+            aero_force=self._blow(state, wind),
+            soles=data.site_xpos[self._soles].copy(),
         )
 
     @property
@@ -266,7 +285,7 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
             loss = "diverged", "state not finite"
             break
         seen, thrust = plant.observe(blowing[k]), plant.thrust
-        tick = controller.tick(seen.state, thrust, measured[k], time, foot_wrenches=seen.foot_wrenches[plant.named])
+        tick = controller.tick(seen.measured, thrust, measured[k], time, foot_wrenches=seen.foot_wrenches[plant.named])
         posture = tick.posture
         row = _row(plant, seen, tick, time, thrust, blowing[k], measured[k])
         rows.append(row)
@@ -303,8 +322,7 @@ def _row(
     truth = rust.dynamics(plant.robot, seen.state)
     position, rotation, joints, nu = (np.asarray(part) for part in seen.state)
     desired = np.asarray(tick.setpoint.rotation)
-    wxyz = np.zeros(4)
-    mujoco.mju_mat2Quat(wxyz, rotation.ravel())
+    measured_position, measured_rotation, _, measured_nu = (np.asarray(part) for part in seen.measured)
     contact = tick.contact
     if contact is None:
         raise ValueError("`controller.contact` is absent; expected a table: without feet the controller cannot stand")
@@ -317,7 +335,7 @@ def _row(
     return {
         "time": time,
         "base_position": position,
-        "base_quaternion": wxyz if wxyz[0] >= 0.0 else -wxyz,
+        "base_quaternion": _wxyz(rotation),
         "base_velocity": nu[:6],
         "base_rpy_setpoint": _rpy(desired),
         "joint_position": joints,
@@ -337,10 +355,10 @@ def _row(
         "momentum_setpoint": np.append(plant.robot.mass * np.asarray(tick.setpoint.com_velocity), np.zeros(3)),
         "momentum_rate_estimate": tick.momentum_rate_estimate,
         "unmodelled_wrench": tick.unmodelled_wrench,
-        "measured_base_position": position,
-        "measured_base_quaternion": wxyz if wxyz[0] >= 0.0 else -wxyz,
-        "measured_base_velocity": nu[:6],
-        "measured_joint_velocity": nu[6:],
+        "measured_base_position": measured_position,
+        "measured_base_quaternion": _wxyz(measured_rotation),
+        "measured_base_velocity": measured_nu[:6],
+        "measured_joint_velocity": measured_nu[6:],
         "measured_thrust": thrust,
         "measured_wind": measured,
         "measured_wind_std": np.zeros(3),
@@ -356,6 +374,12 @@ def _row(
         "contact_force_rate": of_all_feet(contact.force_rate),
         "contact_force_torque": of_all_feet(contact.force_of_torques),
     }
+
+
+def _wxyz(rotation: Array) -> Array:
+    wxyz = np.zeros(4)
+    mujoco.mju_mat2Quat(wxyz, rotation.ravel())
+    return wxyz if wxyz[0] >= 0.0 else -wxyz
 
 
 def _divergence(row: Mapping[str, Any], limits: Mapping[str, float], robot: rust.Robot) -> tuple[Outcome, str] | None:

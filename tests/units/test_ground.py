@@ -87,6 +87,45 @@ def test_state_and_dynamics_are_those_of_the_crate():
     np.testing.assert_allclose(theirs, ours, rtol=1e-6, atol=1e-6 * np.abs(ours).max())
 
 
+def odometry(time_constant):
+    return standing(**{"simulator.ground.leg_odometry": {"velocity_time_constant": time_constant}})
+
+
+def test_legs_measure_the_base_over_soles_that_stay(measured):
+    plant = GroundPlant(odometry(0.0))
+    first = plant.observe(np.zeros(3))
+    soles = plant.data.site_xmat[plant._soles[0]].copy(), plant.data.site_xpos[plant._soles[0]].copy()
+    rng = np.random.default_rng(4)
+    joints = first.state.joint_position + rng.uniform(-0.2, 0.2, 23)
+    posed = plant._odometry.measure(first.state._replace(joint_position=joints))
+    plant.data.qpos[:3] = posed.base_position
+    mujoco.mju_mat2Quat(plant.data.qpos[3:7], posed.base_rotation.ravel())
+    plant.data.qpos[plant._order.joints] = joints
+    mujoco.mj_forward(plant.model, plant.data)
+    found = plant.data.site_xmat[plant._soles[0]], plant.data.site_xpos[plant._soles[0]]
+    for name, left, right in zip(("rotation", "position"), soles, found, strict=True):
+        measured(f"{name} of the first sole", np.abs(left - right).max(), 1e-12)
+    # Joint velocities under a moving base over soles at rest, by the crate's Jacobians.
+    jacobian = np.vstack(
+        [part for foot in ("l_sole", "r_sole") for part in rust.frame_jacobian(plant.robot, foot, posed)]
+    )
+    base = rng.normal(size=6)
+    rates = np.linalg.lstsq(jacobian[:, 6:], -jacobian[:, :6] @ base, rcond=None)[0]
+    moved = plant._odometry.measure(posed._replace(velocity=np.concatenate([np.zeros(6), rates])))
+    measured("velocity of the base", np.abs(moved.velocity[:6] - base).max(), 1e-5, because="1e-7 of damping over 0.1")
+    np.testing.assert_allclose(moved.velocity[6:], rates)
+
+
+def test_joint_velocities_pass_a_first_order_low_pass():
+    plant = GroundPlant(odometry(0.05))
+    state = plant.observe(np.zeros(3)).measured
+    step = state._replace(velocity=np.append(np.zeros(6), np.ones(23)))
+    found = [plant._odometry.measure(step).velocity[6:] for _ in range(3)]
+    start = state.velocity[6:]
+    expected = [1.0 + (start - 1.0) * np.exp(-0.2 * k) for k in (1, 2, 3)]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
 def test_a_robot_with_free_joints_stands_still_for_a_minute():
     """No friction holds it: within 1 mm once the start of f_c*, which has no moment about x, has settled."""
     log = fly(standing(**{"simulator.duration": 60.0, "disturbances.controller_wind": STILL} | FREE_JOINTS)).log

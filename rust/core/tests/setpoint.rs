@@ -560,3 +560,32 @@ fn the_smoothed_yaw_follows_a_whole_circle() {
     }
     assert_within!((unwrapped - PI - (4.0 * 89.7_f64).to_radians()).abs(), 1e-3);
 }
+
+/// M107: the place is where the centre of mass is, the velocity is that of the descent, the attitude stays.
+#[test]
+fn a_robot_that_sinks_has_no_place_to_hold() {
+    let config = config();
+    let mission = Mission::Commands(commands("hover"));
+    let generator = SetpointGenerator::new(&config, mission, &BACKWARDS, TIME_STEP).unwrap();
+    let mut rng = rng(8);
+    let mut draw = || random_vector(&mut rng, 2.0);
+    let before = Setpoint {
+        com_position: draw(),
+        com_velocity: draw(),
+        com_acceleration: draw(),
+        com_jerk: draw(),
+        rotation: exp_so3(&draw()),
+        angular_velocity_b: draw(),
+        angular_acceleration_b: draw(),
+        angular_jerk_b: draw(),
+    };
+    let com = draw();
+    let after = generator.sink(&before, &com);
+    assert_eq!(after.com_position, com);
+    assert_eq!(after.com_velocity, Vector3::new(0.0, 0.0, -config.descent_speed));
+    assert_eq!((after.com_acceleration, after.com_jerk), (Vector3::zeros(), Vector3::zeros()));
+    assert_eq!(after.rotation, before.rotation);
+    assert_eq!(after.angular_velocity_b, before.angular_velocity_b);
+    assert_eq!(after.angular_acceleration_b, before.angular_acceleration_b);
+    assert_eq!(after.angular_jerk_b, before.angular_jerk_b);
+}

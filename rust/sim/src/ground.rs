@@ -19,6 +19,19 @@ pub struct GroundConfig {
     /// How long stiff joints hold the initial posture before the controller takes over at time zero \[s\].
     #[schemars(range(min = 0))]
     pub settling: f64,
+    /// How the robot measures its own state while it stands; without it the state is measured as it is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub leg_odometry: Option<LegOdometryConfig>,
+}
+
+/// The state of a standing robot as its legs measure it: the pose of the base from the first of the controller's feet,
+/// its velocity from all of them, as if they stayed where they are.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LegOdometryConfig {
+    /// Time constant of the first-order low pass of the joint velocities that the controller gets \[s\].
+    #[schemars(range(min = 0))]
+    pub velocity_time_constant: f64,
 }
 
 /// What stands between a motor's torque and its joint.
@@ -52,6 +65,9 @@ impl GroundConfig {
         check("simulator.ground.friction", self.friction, |x| x > 0.0, "a positive number")?;
         check("simulator.ground.contact_time", self.contact_time, |x| x > 0.0, "a positive time in s")?;
         check("simulator.ground.settling", self.settling, |x| x >= 0.0, "a time ≥ 0 in s")?;
+        let Some(odometry) = &self.leg_odometry else { return Ok(()) };
+        let item = "simulator.ground.leg_odometry.velocity_time_constant";
+        check(item, odometry.velocity_time_constant, |x| x >= 0.0, "a time ≥ 0 in s")?;
         Ok(())
     }
 }

@@ -1,0 +1,78 @@
+"""State of a standing robot from its joints and its soles, which stay where they are: M113 of `docs/model.md`.
+
+This is how the robot of the paper measures itself on the ground: the pose of the base from one sole, its velocity from
+all soles, and joint velocities behind a low pass.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco  # type: ignore[import-untyped]
+import numpy as np
+from jaxtyping import Float
+
+from jax_aero import rust
+from jax_aero.mujoco_model import Order
+
+DAMPING = 1e-7
+"""Of the pseudo-inverse, as published."""
+
+
+class LegOdometry:
+    """What the legs of one robot measure.
+
+    Parameters
+    ----------
+    model, order
+        MuJoCo's model of the robot, and where its joints stand there.
+    soles
+        Sites of the soles that stay where they are, that of the base's pose first.
+    first
+        State in which it starts; it is measured as it is.
+    share
+        Share of the way that the low pass of the joint velocities goes per tick, `1 − exp(−Δt/τ)`.
+    """
+
+    def __init__(self, model: Any, order: Order, soles: list[int], first: rust.State, share: float) -> None:
+        self._model, self._order, self._soles, self._share = model, order, soles, share
+        self._data = mujoco.MjData(model)
+        position, rotation, joints, velocity = (np.asarray(part) for part in first)
+        self._velocity = velocity[6:].copy()
+        self._look(joints)
+        sole_rotation_b, sole_position_b = self._sole()
+        self._rotation = rotation @ sole_rotation_b
+        self._position = position + rotation @ sole_position_b
+
+    def measure(self, truth: rust.State) -> rust.State:
+        """Return the state that joints and soles give, once per tick; of `truth` it reads the joints alone."""
+        joints, rates = np.asarray(truth.joint_position), np.asarray(truth.velocity)[6:]
+        self._look(joints)
+        sole_rotation_b, sole_position_b = self._sole()
+        rotation = self._rotation @ sole_rotation_b.T
+        jacobian = np.vstack([self._jacobian(sole) for sole in self._soles])
+        of_base, of_joints = jacobian[:, :6], jacobian[:, 6:]
+        normal = of_base.T @ of_base + DAMPING * np.eye(6)
+        velocity_b = -np.linalg.solve(normal, of_base.T @ (of_joints @ rates))
+        self._velocity += self._share * (rates - self._velocity)
+        velocity = np.concatenate([rotation @ velocity_b[:3], rotation @ velocity_b[3:], self._velocity])
+        return rust.State(self._position - rotation @ sole_position_b, rotation, joints, velocity)
+
+    def _look(self, joint_position: Float[np.ndarray, " n"]) -> None:
+        """Put the base at the origin."""
+        self._data.qpos[:] = 0.0
+        self._data.qpos[3] = 1.0
+        self._data.qpos[self._order.joints] = joint_position
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)  # for Jacobians
+
+    def _sole(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+        """Rotation and position of the first sole in the base."""
+        site = self._soles[0]
+        return self._data.site_xmat[site].reshape(3, 3).copy(), self._data.site_xpos[site].copy()
+
+    def _jacobian(self, sole: int) -> Float[np.ndarray, "6 N"]:
+        """Velocity of a sole from (ν_B, ṡ), all in base axes."""
+        rows = np.zeros((6, self._model.nv))
+        mujoco.mj_jacSite(self._model, self._data, rows[:3], rows[3:], sole)
+        return rows[:, self._order.dofs]
