@@ -112,6 +112,8 @@ SWEEPS: Sequence[str] = (
     "observer_errors",
     "tuned",
     "model_pairs",
+    "air_ensemble",
+    "air_percentages",
     "outages_observer",
     "outages_published",
     "engine_loss",

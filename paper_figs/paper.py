@@ -274,6 +274,8 @@ BEYOND: Sequence[Item] = (
             ("ablation_wind_lowpass", "low-passed wind"),
             ("ablation_wind_mean", "mean wind"),
             ("model_pairs", "pairs of models in simulator and controller"),
+            ("air_ensemble", "air drawn from an ensemble of networks"),
+            ("air_percentages", "air drawn by percentages on coefficients"),
             ("baseline_edge", "where the baseline fails"),
             ("map_wind", "wind from everywhere"),
             ("map_mass_com", "wrong mass and CoM"),

@@ -58,7 +58,7 @@ class Sweep:
         n = self.document["repeats"]
         perturbed = any(self.document["perturbation"].values())
         each = "one flight each" if n == 1 else f"{n} flights each"
-        kind = "start, wind and coefficients perturbed" if perturbed else "unperturbed"
+        kind = "start, wind and aerodynamics perturbed" if perturbed else "unperturbed"
         return f"{each}, {kind}" if n > 1 or perturbed else each
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from experiments import Refused, flight, manifest
 from experiments.sources import file_hash
 from experiments.sweep import keys, table
+from experiments.sweep.perturbation import members
 from experiments.sweep.spec import Level, Spec
 from jax_aero import io, rust, tables
 
@@ -93,12 +94,14 @@ class Design:
         """Return a hash of all that decides the result, but for the code: every cell, and every file it names."""
         configs = [self.cell_config(cell) for cell in range(len(self.cells))]
         paths = {table[key] for config in configs for table, key in io.paths(config)}
+        if ensemble := self.spec.perturbation.ensemble:
+            paths |= {str(card) for card in members(ensemble)}
         what = {
             "axes": [axis.name for axis in self.spec.axis],
             "labels": [[level.label for level in levels] for levels in self.cells],
             "cells": manifest.portable(configs),
             "files": sorted([manifest.portable(path), file_hash(Path(path))] for path in paths),
-            "perturbation": tables.plain(self.spec.perturbation),
+            "perturbation": manifest.portable(tables.plain(self.spec.perturbation)),
             "numbers": [self.spec.seed, self.spec.repeats, self.spec.chunk, self.spec.engine],
         }
         return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
@@ -107,7 +110,7 @@ class Design:
         """Refuse a sweep with a cell that cannot fly, before the first flight."""
         for cell, levels in enumerate(self.cells):
             try:
-                rust.check_config(self.cell_config(cell))
+                rust.check_config(self.row_config(cell * self.spec.repeats))
             except ValueError as reason:
                 labels = ", ".join(f"{axis.name} = {x.label}" for axis, x in zip(self.spec.axis, levels, strict=True))
                 raise Refused(f"sweep {self.spec.name}: cell {cell} ({labels}): {reason}") from None

@@ -5,8 +5,11 @@ Repeat number r is perturbed the same way in every cell, so cells are compared o
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,9 +32,24 @@ CHANCE = {
 }
 """Keys that mark a table of random numbers."""
 
+STREAMS = (
+    "joint_position",
+    "base_rpy_deg",
+    "base_velocity",
+    "thrust",
+    "wind_speed",
+    "wind_direction_deg",
+    "drag",
+    "normal",
+    "link",
+    "seeds",
+    "ensemble",
+)
+"""Each kind of draw has a random stream, numbered by its place here; a new kind goes to the end."""
+
 
 class Perturbation(tables.Table, frozen=True):
-    """Half widths of uniform distributions; nothing is perturbed by default."""
+    """Half widths of uniform distributions, and an ensemble to draw from; nothing is perturbed by default."""
 
     joint_position: tables.NonNegative = 0.0
     """Of every initial joint position [rad]."""
@@ -51,13 +69,14 @@ class Perturbation(tables.Table, frozen=True):
     """Of the normal force of all links in the simulator, relative."""
     link: tables.NonNegative = 0.0
     """Of the force of each link in the simulator, relative."""
+    ensemble: Path | None = None
+    """`ensemble.json` of train-ensemble: the network of `simulator.aero` is one of its members, all equally often."""
 
     def apply(self, config: dict[str, Any], seed: int, repeat: int, links: Sequence[str]) -> None:
         """Perturb a configuration in place."""
         # Every number is drawn whether it is used or not, and each kind from a stream of its own: a perturbation that
         # is switched on leaves the others as they were.
-        streams = [np.random.default_rng([seed, repeat, kind]) for kind in range(len(self.__struct_fields__) + 1)]
-        draws = dict(zip(self.__struct_fields__, streams, strict=False))
+        draws = {kind: np.random.default_rng([seed, repeat, number]) for number, kind in enumerate(STREAMS)}
 
         def around(name: str, values: Sequence[float]) -> list[float]:
             offsets = draws[name].uniform(-1.0, 1.0, len(values)) * getattr(self, name)
@@ -71,7 +90,9 @@ class Perturbation(tables.Table, frozen=True):
             initial["thrust"] = [max(0.0, thrust) for thrust in initial["thrust"]]
         self._blow(config["wind"], around)
         self._reshape(config, around, links)
-        _seed(config, streams[-1])
+        if self.ensemble:
+            _draw(config["simulator"]["aero"], members(self.ensemble), seed, repeat)
+        _seed(config, draws["seeds"])
 
     def _blow(self, wind: dict[str, Any], around: Any) -> None:
         if "velocity" not in wind or not (self.wind_speed or self.wind_direction_deg):
@@ -92,6 +113,29 @@ class Perturbation(tables.Table, frozen=True):
             given: Mapping[str, float] = factors.get("links", {})
             drawn = around("link", [1.0] * len(links))
             factors["links"] = {link: given.get(link, 1.0) * x for link, x in zip(links, drawn, strict=True)}
+
+
+@cache
+def members(ensemble: Path) -> tuple[Path, ...]:
+    """Return the cards of an ensemble's networks."""
+    try:
+        cards = tuple(ensemble.with_name(name) for name in json.loads(ensemble.read_bytes())["members"])
+    except (ValueError, KeyError, TypeError):
+        cards = ()
+    if not cards or not all(card.is_file() for card in cards):
+        wanted = "ensemble.json of train-ensemble, with its networks beside it"
+        raise tables.ConfigError(f"`perturbation.ensemble` is {ensemble}; expected the {wanted}")
+    return cards
+
+
+def _draw(aero: dict[str, Any], cards: Sequence[Path], seed: int, repeat: int) -> None:
+    """Draw the simulator's network: members take turns in random order, a new order for every turn."""
+    if aero["model"] != "network":
+        wanted = 'expected "network", as `perturbation.ensemble` draws its card'
+        raise tables.ConfigError(f'`simulator.aero.model` is "{aero["model"]}"; {wanted}')
+    turn, place = divmod(repeat, len(cards))
+    order = np.random.default_rng([seed, turn, STREAMS.index("ensemble")]).permutation(len(cards))
+    aero["card"] = str(cards[order[place]])
 
 
 def _seed(config: dict[str, Any], stream: np.random.Generator) -> None:

@@ -148,7 +148,7 @@ def _document(design: Design) -> dict[str, Any]:
         ],
         "base": spec.base,
         "set": manifest.portable(dict(spec.set)),
-        "perturbation": tables.plain(spec.perturbation),
+        "perturbation": manifest.portable(tables.plain(spec.perturbation)),
         "seed": spec.seed,
         "repeats": spec.repeats,
         "rows": design.n_rows,

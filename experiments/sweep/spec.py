@@ -17,8 +17,8 @@ CONFIGS = manifest.REPOSITORY / "configs" / "sweeps"
 MAX_FILES = 128
 """How many files one sweep may consist of; files that name one another are as deep in calls."""
 
-PATHS = ("card", "file", "path", "robot")
-"""Last parts of the keys of a flight that are paths."""
+PATHS = ("card", "ensemble", "file", "path", "robot")
+"""Last parts of the keys that are paths."""
 
 
 class Level(tables.Table, frozen=True):

@@ -10,6 +10,7 @@ import json
 import math
 import typing
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,6 +34,8 @@ ON_COURSE_COM = 0.25
 
 
 PLACE = [("row", pa.int64()), ("cell", pa.int64()), ("repeat", pa.int64())]
+DRAWN = ("member", pa.string())
+"""Column of the network that a sweep drew from an ensemble."""
 FLIGHT = [
     ("config_hash", pa.string()),
     ("outcome", pa.string()),
@@ -59,7 +62,8 @@ QUANTILES = {"low": 0.1, "median": 0.5, "high": 0.9, "worst": 1.0}
 
 def schema(design: Design) -> pa.Schema:
     """Return the columns of a sweep's flights."""
-    return pa.schema([*PLACE, *_axis_columns(design), *FLIGHT])
+    drawn = [DRAWN] if design.spec.perturbation.ensemble else []
+    return pa.schema([*PLACE, *_axis_columns(design), *drawn, *FLIGHT])
 
 
 def _axis_columns(design: Design) -> Iterator[tuple[str, pa.DataType]]:
@@ -81,6 +85,8 @@ def rows(
         labels = [level.label for level in design.cells[cell]]
         record: dict[str, Any] = {"row": index, "cell": cell, "repeat": repeat}
         record |= {axis.name: label for axis, label in zip(design.spec.axis, labels, strict=True)}
+        if design.spec.perturbation.ensemble:
+            record["member"] = Path(config["simulator"]["aero"]["card"]).stem
         record["config_hash"] = config_hash(dict(config))
         if isinstance(flown, Failure):
             record |= {"outcome": "error", "error": flown.reason}
@@ -148,5 +154,5 @@ def config_hash(config: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-COLUMNS = {name for name, _ in (*PLACE, *FLIGHT)} | set(_cell({name: np.zeros(0) for name, _ in FLIGHT}))
+COLUMNS = {name for name, _ in (*PLACE, DRAWN, *FLIGHT)} | set(_cell({name: np.zeros(0) for name, _ in FLIGHT}))
 """Names that no axis may have."""

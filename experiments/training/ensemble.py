@@ -26,7 +26,7 @@ from jax_aero import tables
 from jax_aero.aero.dataset import Dataset, Floats, Indices, load
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import save_network
-from jax_aero.aero.posture import total_wrench
+from jax_aero.aero.posture import link_arms, total_wrench
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.files import complete_file, write_json
@@ -93,7 +93,11 @@ def run(path: Path, epochs: int, folder: Path, write: Path | None) -> dict[str, 
         name: intervals(np.stack([getattr(one, key) for one in totals]), getattr(truth, key), dataset.family)
         for name, key in (("force", "force_area"), ("moment", "moment_volume"))
     }
+    arms = link_arms(robot, dataset.joint_position_deg)
     summary = summarise(predicted, dataset, found)
+    summary["links: half width of factors that widen the draws"] = link_half_width(
+        found["moment"], np.cross(arms, dataset.force_area_b)
+    )
     if write is not None:
         write_members(write, trainings, dataset, found, summary, path.name)
     data = to_dataset(dataset, totals, truth, digest)
@@ -169,6 +173,23 @@ def intervals(predicted: Floats, truth: Floats, family: Indices) -> dict[str, An
         "half_width": float(np.mean(factor * np.sqrt(spread**2 + floor**2))),
         "correlation": float(np.corrcoef(error, spread)[0, 1]),
     }
+
+
+def link_half_width(moment: Mapping[str, float], of_links: Floats) -> float:
+    """Return h, so that draws of a network and of factors 1 ± h on its links' forces err as the networks do.
+
+    Uniform, independent factors add a variance of h²/3 Σ_l |m_l|² to the total moment; rms² − s₀² is missing, with the
+    error and the spread of the networks on unseen postures.
+
+    Parameters
+    ----------
+    moment
+        Error `rms` and spread `floor` of the total moment [m³], of `intervals`.
+    of_links
+        (N, L, 3) moment volumes of the links about the centre of mass [m³].
+    """
+    missing = moment["rms"] ** 2 - moment["floor"] ** 2
+    return float(np.sqrt(3.0 * max(missing, 0.0) / np.mean(np.sum(of_links**2, axis=(1, 2)))))
 
 
 def summarise(predicted: Any, dataset: Dataset, found: Mapping[str, Mapping[str, float]]) -> dict[str, float]:

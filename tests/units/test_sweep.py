@@ -14,15 +14,16 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from experiments import Refused
+from experiments import Refused, engines
 from experiments.__main__ import main
 from experiments.sweep import keys, run, spec, table
 from experiments.sweep.design import Design
-from experiments.sweep.perturbation import Perturbation
+from experiments.sweep.perturbation import Perturbation, members
 from experiments.sweep.progress import Progress
 from jax_aero import rust
 
 ROOT = Path(__file__).resolve().parents[2]
+ENSEMBLE = ROOT / "configs" / "aero" / "networks" / "ensemble" / "ensemble.json"
 
 QUICK = """
 title = "quick"
@@ -223,6 +224,46 @@ def test_chance_gets_a_seed_of_its_own_in_every_repeat():
     seeds = [made.row_config(row)["disturbances"]["wind_estimate"]["seed"] for row in range(2)]
     assert seeds[0] != seeds[1]
     assert "seed" not in made.row_config(0)["wind"]
+
+
+# --- air from an ensemble
+
+
+def drawing(**changes) -> Design:
+    return design(base="test4", repeats=16, perturbation={"ensemble": str(ENSEMBLE)}, **changes)
+
+
+def test_every_network_of_an_ensemble_flies_equally_often_in_an_order_of_the_seed():
+    def cards(made: Design, first: int) -> list[Path]:
+        return [Path(made.row_config(first + row)["simulator"]["aero"]["card"]) for row in range(16)]
+
+    drawn = cards(drawing(), 0)
+    assert sorted(drawn[:8]) == sorted(drawn[8:]) == sorted(members(ENSEMBLE))
+    assert drawn[:8] != drawn[8:]
+    assert cards(drawing(), 16) == drawn
+    assert cards(drawing(seed=2), 0) != drawn
+
+
+def test_a_drawn_flight_is_that_of_its_network_to_the_bit():
+    made = drawing(chunk=2, set={"simulator.duration": 0.02})
+    rows = run.fly_chunk(made, 0, engines.engine("rust"), threads=1).to_pylist()
+    for row in rows:
+        named = made.cell_config(0)
+        named["simulator"]["aero"]["card"] = str(ENSEMBLE.with_name(f"{row['member']}.json"))
+        assert row["config_hash"] == table.config_hash(named)
+        assert row["max_rotation_error"] == rust.fly_batch([named], 1)[0].summary["max_rotation_error"]
+    assert rows[0]["member"] != rows[1]["member"]
+
+
+def test_an_ensemble_that_cannot_be_drawn_is_refused(tmp_path):
+    other = tmp_path / "ensemble.json"
+    with pytest.raises(Refused, match=r"`perturbation.ensemble` is .*; expected the path of a file that exists"):
+        design(perturbation={"ensemble": str(other)})
+    other.write_text('{"members": ["member_0.json"]}')
+    with pytest.raises(Refused, match=r"`perturbation.ensemble` is .*; expected the ensemble.json of train-ensemble"):
+        _ = design(base="test4", perturbation={"ensemble": str(other)}).digest
+    with pytest.raises(Refused, match=r'cell 0 .*`simulator.aero.model` is "axisymmetric"; expected "network"'):
+        design(perturbation={"ensemble": str(ENSEMBLE)}).check()
 
 
 # --- counting

@@ -90,6 +90,16 @@ def test_intervals_cover_what_they_say_where_the_error_follows_the_spread():
     assert found["coverage_min"] < found["coverage"] < found["coverage_max"]
 
 
+def test_factors_on_links_add_what_the_spread_of_the_networks_lacks(measured):
+    rng = np.random.default_rng(4)
+    of_links = rng.normal(size=(50, 13, 3))
+    half = ensemble.link_half_width({"rms": 1.3, "floor": 0.5}, of_links)
+    factors = rng.uniform(-half, half, size=(4000, 1, 13, 1))
+    added = np.mean(np.sum(np.sum(factors * of_links, axis=2) ** 2, axis=-1))
+    # A mean over 4000 draws of a sum of squares whose standard deviation is at most √2 of its mean; four of them.
+    measured("variance that is added", abs(added / (1.3**2 - 0.5**2) - 1.0), 4 * np.sqrt(2.0 / 4000))
+
+
 def test_members_of_an_ensemble_differ_and_miss_one_posture():
     trainings = [ensemble.member_training(changes, 3) for changes in ensemble.MEMBERS]
     assert len({repr(one.network) for one in trainings}) == len(trainings) == 8
