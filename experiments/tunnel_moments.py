@@ -3,8 +3,10 @@
 Each model is evaluated at the measured points of iRonCub-Mk1, with the forces at the links' centres and where the
 published code has them, and compared with the measured moment about the centre of mass, for both sides on which the
 balance centre may be. Intervals draw postures with replacement, and the balance centre within its tolerance once for
-each campaign and mount. The result goes to `results/tunnel_moments/mk1/`;
-`jax-aero figures tunnel_moments` draws it. Needs `results/datasets/tunnel_mk1.nc` of `import-tunnel`.
+each campaign and mount. Two models are also corrected by the points of the robot alone
+(`experiments.tunnel_correction`) and judged on postures, and on a mount, that the correction did not have. The result
+goes to `results/tunnel_moments/mk1/`; `jax-aero figures tunnel_moments` draws it. Needs
+`results/datasets/tunnel_mk1.nc` of `import-tunnel`.
 """
 
 from __future__ import annotations
@@ -22,11 +24,12 @@ import xarray as xr
 from experiments import Refused
 from experiments.import_cfd import OUT
 from experiments.study import CONFIGS, Findings, Study
+from experiments.tunnel_correction import Points, columns, held_out, rms_by_posture
 from jax_aero import tables
 from jax_aero.aero import tunnel
 from jax_aero.aero.dataset import JOINTS, Floats, tunnel_from_base, wind_direction
 from jax_aero.aero.model import aero_model
-from jax_aero.aero.posture import centres_of_mass, link_frames
+from jax_aero.aero.posture import centres_of_mass, link_frames, total_wrench
 from jax_aero.aero.protocol import LinksInAir
 from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogate
 from jax_aero.io import aero_config
@@ -47,6 +50,8 @@ MODELS = {
     "network, shipped": "network",
 }
 PANEL_MODEL, NOTHING = "panels", "no moment"
+CORRECTED = ("axisymmetric, corrected", "network, shipped")
+"""Models that the tunnel corrects."""
 ARMS, SIDES = ("corrected arms", "published arms"), ("below", "above")
 GROUPS = ("hovering", "flight", "all")
 NEWTON_METRES = 0.5 * 1.225 * 10.0**2
@@ -65,11 +70,14 @@ class MomentsConfig(tables.Table, frozen=True):
 
 def compute(_: str, config: MomentsConfig) -> Findings:
     """Evaluate and compare."""
-    result = compared(read(Path(config.dataset)))
+    data, robot = read(Path(config.dataset)), load_robot(ROBOT)
+    areas = model_areas(robot, data)
+    result = compared(robot, data, areas)
+    figures = summary(result) | corrections(robot, data, areas)
     networks = [AERO / "networks" / "default.json"]
     files = [ROBOT, PANELS, *(AERO / f"{name}.toml" for name in MODELS.values()), *networks]
     inputs = {"draws": DRAWS, "seed": SEED, "points": result.sizes["point"]}
-    return Findings("Models' moments beside the wind tunnel", result, summary(result), inputs=inputs, files=files)
+    return Findings("Models' moments beside the wind tunnel", result, figures, inputs=inputs, files=files)
 
 
 STUDY = Study("tunnel_moments", __doc__, MomentsConfig, compute, ("mk1",), engine="jax")
@@ -83,10 +91,9 @@ def read(path: Path) -> xr.Dataset:
     return xr.load_dataset(path, engine="h5netcdf")
 
 
-def compared(data: xr.Dataset) -> xr.Dataset:
+def compared(robot: RobotModel, data: xr.Dataset, areas: Mapping[str, Floats]) -> xr.Dataset:
     """Return the moments of all models beside the measured ones, and their errors."""
-    robot = load_robot(ROBOT)
-    predicted = {name: moments(robot, data, areas) for name, areas in model_areas(robot, data).items()}
+    predicted = {name: moments(robot, data, of_links) for name, of_links in areas.items()}
     names = [NOTHING, *predicted]
     volumes = np.stack([np.zeros((2, data.sizes["point"], 3)), *predicted.values()])
     measured = np.stack([moment_about_com(data, side) for side in SIDES])
@@ -268,6 +275,45 @@ def summary(result: xr.Dataset) -> dict[str, float]:
                     value = float(chosen["predicted"].sel(model=name, arms=arms, axis=axis).mean()) * NEWTON_METRES
                     found[f"hovering at 90 deg, {campaign}, {axis}, {name}, {arms} [N m]"] = value
     return found
+
+
+def corrections(robot: RobotModel, data: xr.Dataset, areas: Mapping[str, Floats]) -> dict[str, float]:
+    """Return errors of models, and of models corrected by the tunnel where the correction had no part of it."""
+    alone = data["robot_only"].values == 1
+    data = data.isel(point=alone)
+    posture, kind = data["posture"].values, data["kind"].values
+    joints, wind = data["joint_position"].values, wind_direction(data["pitch"].values, data["yaw"].values)
+    found: dict[str, float] = {}
+    for name in CORRECTED:
+        of_links = areas[name][alone]
+        modelled = np.concatenate(total_wrench(robot, joints, of_links), axis=1)
+        steps = columns(robot, joints, wind, of_links)
+        for side in SIDES:
+            measured = np.concatenate([data["force_area"].values, moment_about_com(data, side)], axis=1)
+            points = Points(steps, measured - modelled, posture)
+            errors = {
+                "as it is": points.missing,
+                "corrected by other postures": held_out(points, posture),
+                "corrected by the other mount": held_out(points, kind),
+            }
+            for group in GROUPS:
+                rows = np.ones(len(kind), dtype=bool) if group == "all" else kind == group
+                for quantity, part, unit in (("force", slice(0, 3), "N"), ("moment", slice(3, 6), "N m")):
+                    chosen = [error[rows, part] * NEWTON_METRES for error in errors.values()]
+                    drawn = rms_by_posture(chosen, posture[rows], DRAWS, SEED)
+                    added = drawn - drawn[:, :1]
+                    for way, error, values, more in zip(errors, chosen, drawn.T, added.T, strict=True):
+                        key = f"{group}, centre {side}, {name}, {way}: {quantity}"
+                        found[f"{key}, rms [{unit}]"] = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+                        found |= {f"{key}, {text}": x for text, x in _ends(values)}
+                        if way != "as it is":
+                            found |= {f"{key}, added, {text}": x for text, x in _ends(more)}
+    return found
+
+
+def _ends(values: Floats) -> list[tuple[str, float]]:
+    low, high = np.quantile(values, ENDS)
+    return [("2.5 %", float(low)), ("97.5 %", float(high))]
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments import import_tunnel, tunnel_moments
+from experiments import import_tunnel, tunnel_correction, tunnel_moments
 from experiments.training import ensemble
 from jax_aero.aero import dataset, tunnel
 from jax_aero.aero.fit import predicted_areas
@@ -64,6 +64,42 @@ def test_models_are_evaluated_in_the_wind_of_the_tunnel(robot, points):
     found = tunnel_moments.evaluated(robot, settings, joints, 12.0 * wind)
     expected = predicted_areas(np.asarray(robot.aero_links.coefficients["corrected"]), link_axes(robot, joints), wind)
     np.testing.assert_allclose(found, expected, atol=1e-14)
+
+
+def test_a_correction_adds_what_changed_links_add(robot, points, measured):
+    data = points["below"]
+    joints, wind = data["joint_position"].values, dataset.wind_direction(data["pitch"].values, data["yaw"].values)
+    areas = np.random.default_rng(1).normal(size=(3, 13, 3))
+    steps = tunnel_correction.columns(robot, joints, wind, areas).reshape(3, 6, -1, 3)
+    place = [dataset.LINKS.index(name) for name in tunnel_correction.FAMILIES["lower legs"]]
+    family = list(tunnel_correction.FAMILIES).index("lower legs")
+    drag = np.einsum("nlx,nx,ny->nly", areas, wind, wind)
+    changed = np.array([areas, areas, areas])
+    changed[0][:, place] += 0.2 * drag[:, place]
+    changed[1][:, place] += 0.2 * (areas - drag)[:, place]
+    for kind in range(2):
+        whole = [np.concatenate(total_wrench(robot, joints, one), axis=1) for one in (changed[kind], areas)]
+        # Sums of 13 links of order 1: rounding of 1e-15 each.
+        measured("factor", np.max(np.abs(whole[0] - whole[1] - steps[:, :, family, kind])), 5e-14)
+    moved = 0.05 * np.cross(link_axes(robot, joints)[:, place], areas[:, place]).sum(axis=1)
+    measured("offset", np.max(np.abs(steps[:, :, family, 2] - np.concatenate([0.0 * moved, moved], axis=1))), 5e-14)
+
+
+@pytest.mark.close_to_tolerance("the tolerance is the shrinkage itself, with the least eigenvalue instead of all")
+def test_a_known_correction_is_found_and_holds_for_postures_left_out(measured):
+    rng = np.random.default_rng(2)
+    steps, posture = rng.normal(size=(60, 6, 21)), np.repeat([f"p{i}" for i in range(10)], 6)
+    truth = rng.normal(size=21)
+    known = tunnel_correction.Points(steps, steps @ truth, posture)
+    # The least ridge, 1e-3, over the least eigenvalue of 360 random rows of 21, at least 6 (1 - (21/360)^½)² = 3.4,
+    # with errors normalised by their root mean square, about |truth|: each shrinks by less than 1e-3 |truth|² / 3.4.
+    shrunk = 1e-3 * float(truth @ truth) / 3.4
+    found = tunnel_correction.numbers(known)
+    measured("numbers", np.linalg.norm(found - truth) / np.linalg.norm(truth), shrunk)
+    error = tunnel_correction.held_out(known, posture)
+    measured("left-out postures", np.sqrt(np.mean(error**2) / np.mean(known.missing**2)), 2.0 * shrunk)
+    noise = tunnel_correction.Points(steps, rng.normal(size=(60, 6)), posture)
+    assert np.sum(tunnel_correction.held_out(noise, posture) ** 2) < 1.1 * np.sum(noise.missing**2)
 
 
 def test_a_model_that_is_the_measurement_has_no_error(points):

@@ -1,0 +1,118 @@
+"""Correct a model's links by total forces and moments that the wind tunnel measured.
+
+Left and right links share three numbers: factors on drag and on normal force, and an offset of the centre of force
+along the link's axis. Totals are linear in them, to first order, so ridge regression finds them; its strength is the
+one that predicts postures left out best. What is reported is the error on postures that neither had.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jax_aero.aero.dataset import LINKS, Floats
+from jax_aero.aero.posture import link_arms, link_axes
+from jax_aero.robot import RobotModel
+
+FAMILIES: dict[str, tuple[str, ...]] = {
+    "head": ("head",),
+    "trunk": ("chest", "root_link"),
+    "chest turbines": ("chest_l_jet_turbine", "chest_r_jet_turbine"),
+    "upper arms": ("l_upper_arm", "r_upper_arm"),
+    "arm turbines": ("l_arm_jet_turbine", "r_arm_jet_turbine"),
+    "upper legs": ("l_upper_leg", "r_upper_leg"),
+    "lower legs": ("l_lower_leg", "r_lower_leg"),
+}
+KINDS = ("drag", "normal", "offset")
+SIZES = np.array([0.2, 0.2, 0.05])
+"""What ridge regression takes as equally large: factors [1], offset [m]."""
+STRENGTHS = np.logspace(-3.0, 3.0, 13)
+"""Of the ridge, over the mean square of a point's normalised error."""
+
+
+class Points(NamedTuple):
+    """What a correction is found from; six components are total force area [m²] and moment volume [m³]."""
+
+    columns: Floats
+    """(N, 6, K) what each number adds to the totals, times its size."""
+    missing: Floats
+    """(N, 6) measured less modelled."""
+    posture: Any
+    """(N,) names."""
+
+    def take(self, rows: Any) -> Points:
+        """Return some of the points."""
+        return Points(self.columns[rows], self.missing[rows], self.posture[rows])
+
+
+def columns(robot: RobotModel, joint_position_deg: Floats, wind_b: Floats, areas: Floats) -> Floats:
+    """Return what each family's numbers add to the totals (N, 6, 3 F).
+
+    Parameters
+    ----------
+    joint_position_deg
+        (N, 19), order of `JOINTS`.
+    wind_b
+        (N, 3) unit vectors along which the air moves, base axes.
+    areas
+        (N, 13, 3) the model's force areas, base axes [m²].
+    """
+    arms, axes = link_arms(robot, joint_position_deg), link_axes(robot, joint_position_deg)
+    drag = np.einsum("nlx,nx,ny->nly", areas, wind_b, wind_b)
+    force = np.stack([drag, areas - drag, np.zeros_like(areas)], axis=2)
+    moment = np.cross(arms[:, :, None], force)
+    moment[:, :, 2] = np.cross(axes, areas)
+    of_links = np.concatenate([force, moment], axis=-1) * SIZES[:, None]
+    member = np.array([[link in family for link in LINKS] for family in FAMILIES.values()], dtype=float)
+    found: Floats = np.einsum("fl,nlkc->ncfk", member, of_links).reshape(len(areas), 6, -1)
+    return found
+
+
+def numbers(points: Points) -> Floats:
+    """Return the correction (K,), over `SIZES`, with the strength that predicts left-out postures best."""
+    size = _size(points)
+    rows, right = points.columns / size[:, None], points.missing / size
+    error = np.zeros(len(STRENGTHS))
+    for posture in np.unique(points.posture):
+        out = points.posture == posture
+        found = _ridge(rows[~out], right[~out])
+        error += np.sum((right[out] - np.einsum("nck,sk->snc", rows[out], found)) ** 2, axis=(1, 2))
+    best: Floats = _ridge(rows, right)[np.argmin(error)]
+    return best
+
+
+def held_out(points: Points, group: Any) -> Floats:
+    """Return the errors (N, 6) of the corrected model, each group's with the numbers that the others give."""
+    error = points.missing.copy()
+    for name in np.unique(group):
+        out = group == name
+        error[out] -= points.columns[out] @ numbers(points.take(~out))
+    return error
+
+
+def _size(points: Points) -> Floats:
+    """Return the root mean square of what is missing (6,), of force and of moment: what normalises errors."""
+    square = np.mean(points.missing**2, axis=0).reshape(2, 3).mean(axis=1)
+    return np.repeat(np.sqrt(square), 3)
+
+
+def _ridge(rows: Floats, right: Floats) -> Floats:
+    """Return the minimisers (S, K) of |right − rows θ|²/N + λ |θ|² for all `STRENGTHS` λ."""
+    matrix = np.einsum("nck,ncj->kj", rows, rows) / len(rows)
+    value, vector = np.linalg.eigh(matrix)
+    turned = vector.T @ np.einsum("nck,nc->k", rows, right) / len(rows)
+    found: Floats = (turned / (np.maximum(value, 0.0) + STRENGTHS[:, None])) @ vector.T
+    return found
+
+
+def rms_by_posture(errors: Sequence[Floats], posture: Any, draws: int, seed: int) -> Floats:
+    """Return rms vectors' lengths of errors (M, N, 3) when postures are drawn with replacement, (draws, M)."""
+    names, number = np.unique(posture, return_inverse=True)
+    square = np.sum(np.stack(list(errors)) ** 2, axis=-1)
+    sums = np.stack([np.bincount(number, one) for one in square])
+    count = np.bincount(number)
+    drawn = np.random.default_rng(seed).integers(len(names), size=(draws, len(names)))
+    found: Floats = np.sqrt(sums[:, drawn].sum(axis=-1) / count[drawn].sum(axis=-1)).T
+    return found
