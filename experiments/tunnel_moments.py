@@ -295,6 +295,7 @@ def corrections(robot: RobotModel, data: xr.Dataset, areas: Mapping[str, Floats]
                 "as it is": points.missing,
                 "corrected by other postures": held_out(points, posture),
                 "corrected by the other mount": held_out(points, kind),
+                "balance centre moved instead": held_out(points._replace(columns=lever_columns(data)), posture),
             }
             for group in GROUPS:
                 rows = np.ones(len(kind), dtype=bool) if group == "all" else kind == group
@@ -308,6 +309,17 @@ def corrections(robot: RobotModel, data: xr.Dataset, areas: Mapping[str, Floats]
                         found |= {f"{key}, {text}": x for text, x in _ends(values)}
                         if way != "as it is":
                             found |= {f"{key}, added, {text}": x for text, x in _ends(more)}
+    return found
+
+
+def lever_columns(data: xr.Dataset) -> Floats:
+    """Return what a standard deviation of the balance centre, by mount and axis, takes off the errors (N, 6, 6)."""
+    kinds, force = data["kind"].values, data["force_area"].values
+    found = np.zeros((len(kinds), 6, 6))
+    for place, kind in enumerate(("hovering", "flight")):
+        rows = kinds == kind
+        moved = (tunnel.base_from_balance("mk1", kind) * tunnel.LEVERS[kind, "below"].deviation).T
+        found[rows, 3:, 3 * place : 3 * place + 3] = -np.cross(moved, force[rows, None]).swapaxes(1, 2)
     return found
 
 

@@ -42,6 +42,17 @@ def test_the_measured_moment_has_the_offset_of_its_side(points):
     np.testing.assert_allclose(moved - points["below"]["moment_com"].values, expected, atol=1e-15)
 
 
+@pytest.mark.parametrize("kind", ["hovering", "flight"])
+@pytest.mark.parametrize("axis", range(3))
+def test_a_moved_balance_centre_changes_the_measured_moment(points, kind, axis):
+    data, size = points["below"], tunnel.LEVERS[kind, "below"].deviation[axis]
+    offset = {kind: size * np.eye(3)[axis]}
+    moved = tunnel_moments.moment_about_com(data, "below", lambda _, mount: offset.get(mount, np.zeros(3)))
+    column = axis + 3 * (kind == "flight")
+    taken = tunnel_moments.lever_columns(data)[:, 3:, column]
+    np.testing.assert_allclose(data["moment_com"].values - moved, taken, atol=1e-15)
+
+
 def test_corrected_arms_are_the_links_centres_and_published_ones_are_not_turned(robot, points):
     data = points["below"]
     areas = np.random.default_rng(1).normal(size=(3, 13, 3))
