@@ -50,7 +50,7 @@ class Mesh(tables.Table, frozen=True):
     @property
     def cells_across(self) -> int:
         """Return the number of cells of level 0 along an edge of the cube."""
-        return math.ceil(2.0 * self.half_width / self.base)
+        return math.ceil(2.0 * self.half_width / self.base - 1e-9)  # a base that divides the cube is kept
 
     def edge(self, level: int) -> float:
         """Return the edge of a cell of a level [m]."""

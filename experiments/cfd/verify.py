@@ -1,12 +1,13 @@
 """Verify the open solver on bodies with a known drag, and on the robot: `jax-aero cfd-verify NAME`.
 
 NAME is `sphere`, `cylinder` (free ends, five diameters long, across the wind), both at a Reynolds number of 1e5, or a
-posture, in head wind at the pitch that it flies at. Three meshes, each `ratio` times finer than the one before, then
-the coarsest with twice the iterations and in a larger cube. The observed order of accuracy is that of Richardson,
+posture, in head wind at the pitch that it flies at. Three meshes, each about `ratio` times finer than the one before
+(a cube has a whole number of cells), then the coarsest with twice the iterations and in a larger cube of the same
+cells. With cells of the edges h at the surface, order p and limit C_∞ are those of Richardson,
 
-    p = ln((C₁ − C₂)/(C₂ − C₃)) / ln(ratio),      C_∞ = C₃ + (C₃ − C₂)/(ratio^p − 1)
+    C = C_∞ + K h^p,      (C₁ − C₂)/(C₂ − C₃) = (h₁^p − h₂^p)/(h₂^p − h₃^p)
 
-and is given only where the three go one way and come closer. Needs OpenFOAM.
+and are given only where there is a p > 0. Needs OpenFOAM.
 """
 
 from __future__ import annotations
@@ -21,11 +22,12 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 import xarray as xr
+from scipy.optimize import brentq
 
 from experiments import Refused
 from experiments.cfd import foam
 from experiments.cfd.geometry import Surface, robot_surfaces, triangles_of
-from experiments.cfd.settings import Mesh, Settings, Shell, Solver
+from experiments.cfd.settings import Mesh, Settings, Shell
 from experiments.cfd.simulate import Result, simulate
 from experiments.import_cfd import known_postures
 from experiments.study import CONFIGS, Findings, Study
@@ -49,15 +51,14 @@ class Subject(NamedTuple):
     literature: float | None
     source: str
     mesh: Mesh
+    """The coarsest."""
 
 
 class VerifyConfig(tables.Table, frozen=True):
     """A verification."""
 
     ratio: tables.Positive = 4.0 / 3.0
-    """Between the edges of cells of two meshes."""
-    finest: tables.Natural = 1
-    """How many of the three meshes are finer than that of the recipe."""
+    """Between the edges of cells of two meshes, about."""
     iterations: tables.Count = 160
     """Of every solve."""
 
@@ -66,7 +67,7 @@ def subject_of(name: str) -> Subject:
     """Return what a name stands for."""
     around = Mesh(
         half_width=2.0,
-        base=0.32,
+        base=0.42,
         surface_level=6,
         shells=tuple(Shell(distance=d, level=n) for d, n in ((0.012, 6), (0.03, 5), (0.08, 4), (0.2, 3), (0.6, 2))),
     )
@@ -83,65 +84,80 @@ def subject_of(name: str) -> Subject:
     if name not in known:
         raise Refused(f"no `{name}`; there are sphere, cylinder, {', '.join(known)}")
     surfaces = robot_surfaces(rust.Robot(ROBOT), known[name])
-    return Subject(surfaces, wind_direction(FLIES_AT.get(name, 90.0), 0.0), 1.0, None, "", Mesh())
+    return Subject(surfaces, wind_direction(FLIES_AT.get(name, 90.0), 0.0), 1.0, None, "", Mesh(base=0.9))
 
 
 def compute(name: str, config: VerifyConfig) -> Findings:
     """Simulate and extrapolate."""
     foam.environment()
     subject = subject_of(name)
-    steps = [config.ratio ** (2 - config.finest - number) for number in range(3)]
-    coarsest = steps[0] * subject.mesh.base
-    width = 2.0 * coarsest * math.ceil(0.75 * subject.mesh.half_width / coarsest + 1e-9)
+    coarsest = subject.mesh
+    meshes = [msgspec.structs.replace(coarsest, base=coarsest.base / config.ratio**number) for number in range(3)]
+    edge = coarsest.edge(0)
+    across = coarsest.cells_across + 2 * math.ceil(0.3 * coarsest.cells_across)
+    wider = msgspec.structs.replace(coarsest, base=edge, half_width=0.5 * across * edge)
     solver = msgspec.structs.replace(Settings().solver, iterations=config.iterations)
     longer = msgspec.structs.replace(solver, iterations=2 * config.iterations)
-    plans: dict[str, tuple[float, float | None, Solver]]
-    plans = {f"base {step * subject.mesh.base:.3f} m": (step, None, solver) for step in steps}
-    plans |= {
-        "coarsest, twice the iterations": (steps[0], None, longer),
-        "coarsest, larger cube": (steps[0], width, solver),
-    }
+    plans = {f"cells of {1e3 * mesh.finest:.2f} mm": (mesh, solver) for mesh in meshes}
+    plans |= {"coarsest, twice the iterations": (coarsest, longer), "coarsest, larger cube": (wider, solver)}
     found: dict[str, Result] = {}
-    for label, (step, half_width, chosen) in plans.items():
-        mesh = msgspec.structs.replace(
-            subject.mesh, base=step * subject.mesh.base, half_width=half_width or subject.mesh.half_width
-        )
+    for label, (mesh, chosen) in plans.items():
         with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
             settings = Settings(mesh=mesh, solver=chosen)
             (found[label],) = simulate(subject.surfaces, [subject.wind_b], settings, Path(scratch))
         print(f"{name}, {label}: {found[label].reason or coefficient(found[label], subject)}", flush=True)
     values = np.array([coefficient(result, subject) for result in found.values()])
     summary: dict[str, Any] = {label: float(value) for label, value in zip(plans, values, strict=True)}
+    areas = np.array([link_areas(result, subject) for result in found.values()])
+    off = areas - areas[2]
+    for label, links in zip(plans, off, strict=True):
+        summary[f"{label}: total force from that of the finest mesh [m2]"] = float(np.linalg.norm(links.sum(axis=0)))
+        summary[f"{label}: links from those of the finest mesh, mean square [m4]"] = float(np.mean(links**2))
     summary |= {f"{label}: cells": result.quality.get("cells") for label, result in found.items()}
+    summary |= {f"{label}: y+ mean": result.quality.get("y+ mean") for label, result in found.items()}
     summary |= {f"{label}: refused": result.reason for label, result in found.items() if result.reason}
     is_refused = any(result.reason for result in [*found.values()][:3])
     none = {"observed order": "none: a mesh has no steady solution"}
-    summary |= none if is_refused else extrapolated(values[:3], config.ratio)
+    summary |= none if is_refused else extrapolated(values[:3], np.array([mesh.finest for mesh in meshes]))
     summary["twice the iterations change it by"] = float(values[3] / values[0] - 1.0)
     summary["the larger cube changes it by"] = float(values[4] / values[0] - 1.0)
     if subject.literature is not None:
         summary |= {"literature": subject.literature, "source": subject.source}
         summary["finest over literature"] = float(values[2] / subject.literature)
     data = xr.Dataset(
-        {"drag": ("run", values, {"long_name": "coefficient; of a posture the area in m2"})}, {"run": [*plans]}
+        {
+            "drag": ("run", values, {"long_name": "coefficient; of a posture the area in m2"}),
+            "force_area_b": (("run", "link", "xyz"), areas, {"units": "m2"}),
+        },
+        {"run": [*plans], "link": [*subject.surfaces], "xyz": ["x", "y", "z"]},
     )
     return Findings(f"Open CFD verified: {name}", data, summary)
 
 
 def coefficient(result: Result, subject: Subject) -> float:
     """Return the drag over the reference area; nan where there is none."""
-    total = np.sum([*result.force_area_b.values()], axis=0) if result.force_area_b else np.full(3, np.nan)
-    return float(total @ subject.wind_b / subject.area)
+    return float(link_areas(result, subject).sum(axis=0) @ subject.wind_b / subject.area)
 
 
-def extrapolated(values: Floats, ratio: float) -> dict[str, float | str]:
-    """Return observed order and extrapolated value of three meshes, coarse to fine, or that there is none."""
+def link_areas(result: Result, subject: Subject) -> Floats:
+    """Return the force areas (L, 3) [m²], base axes; nan where there are none."""
+    return np.array([result.force_area_b.get(name, (np.nan,) * 3) for name in subject.surfaces])
+
+
+def extrapolated(values: Floats, edges: Floats) -> dict[str, float | str]:
+    """Return observed order and limit of the values (3,) of meshes of these edges, or that there is none."""
     first, second = values[0] - values[1], values[1] - values[2]
+    coarse, fine = np.log(edges[[0, 2]] / edges[1])
+    ratio = first / second if second else np.nan
     spread = {"finest and middle mesh differ by": float(abs(second / values[2]))}
-    if not first * second > 0.0 or abs(second) >= abs(first):
+    if not ratio > -coarse / fine:  # the limit of p = 0
         return {**spread, "observed order": "none: the three values do not converge"}
-    order = math.log(first / second) / math.log(ratio)
-    return {**spread, "observed order": order, "extrapolated": float(values[2] - second / (ratio**order - 1.0))}
+
+    def lack(p: float) -> float:
+        return float(np.expm1(p * coarse) / -np.expm1(p * fine) - ratio)
+
+    order = brentq(lack, 1e-6, math.log1p(ratio) / coarse)
+    return {**spread, "observed order": order, "extrapolated": float(values[2] - second / np.expm1(-order * fine))}
 
 
 STUDY = Study("cfd_verify", __doc__, VerifyConfig, compute, ("sphere", "cylinder", "hovering"), engine="openfoam")
