@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -17,6 +18,17 @@ from experiments import record
 from jax_aero.result import FlightResult
 
 pytest_plugins = ["tests.measurements"]
+
+
+# --- memory -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_programs() -> Iterator[None]:
+    """Drop what XLA has compiled with the tests of a module, or a process holds some gigabytes of it at the end."""
+    yield
+    if "jax" in sys.modules:
+        sys.modules["jax"].clear_caches()
 
 
 # --- processes ----------------------------------------------------------------------------------------------------
