@@ -116,8 +116,8 @@ def test_shown_commands_name_targets_and_modules_that_exist():
             elif program == "jax-aero":
                 assert words[0] in cli.COMMANDS, line
             elif program == "python":
-                assert words[0] == "-m", line
-                assert words[1] == "pip" or (ROOT / words[1].replace(".", "/")).exists(), line
+                file = words[0] if words[0] != "-m" else words[1].replace(".", "/")
+                assert file == "pip" or (ROOT / file).exists(), line
             else:
                 assert program in {"cargo", "cc", "target/loop"}, line
                 assert all((ROOT / word).exists() for word in words if word.startswith(("rust/", "configs/"))), line

@@ -1,5 +1,11 @@
 """The environments: Gymnasium's checks, the controller's own flight, and that both environments set one task."""
 
+import ast
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +18,8 @@ from jax_aero.env import FlightEnv
 from jax_aero.env_gym import HoverEnv
 from jax_aero.env_task import Task, added_torque, steering
 from tests.measurements import measured
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "docs/howto/residual.py"
 
 WIND = [3.0, -9.0, 0.0]
 
@@ -90,3 +98,23 @@ def test_the_added_torque_is_what_the_torque_law_would_add(x64):
 def test_a_task_names_what_it_does_not_know():
     with pytest.raises(ValueError, match="did you mean test1"):
         FlightEnv(Task(experiment="tset1"))
+
+
+def test_the_example_imports_names_that_exist():
+    nodes = ast.walk(ast.parse(EXAMPLE.read_text(encoding="utf-8")))
+    ours = [node for node in nodes if isinstance(node, ast.ImportFrom) and str(node.module).startswith("jax_aero")]
+    assert ours
+    for node in ours:
+        module = importlib.import_module(str(node.module))
+        assert all(hasattr(module, alias.name) for alias in node.names)
+
+
+def test_the_example_trains_and_compares():
+    """Where the extra `learn` is installed; a process of its own, as it forks before JAX starts threads."""
+    pytest.importorskip("skrl")
+    short = ["--ticks", "2000", "--environments", "2", "--winds", "2"]
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLE), *short], capture_output=True, text=True, check=False, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    assert "mean reward in 2 unseen winds" in done.stdout
