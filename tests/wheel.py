@@ -1,6 +1,7 @@
-"""The wheel alone: install it in an empty environment outside the checkout, fly with it, compare with the checkout.
+"""A package alone: install it in an empty environment outside the checkout, fly with it, compare with the checkout.
 
 python tests/wheel.py dist/*.whl
+python tests/wheel.py dist/*.tar.gz   the source package, which compiles first: minutes
 """
 
 import json
@@ -32,15 +33,25 @@ def run(folder: Path, *command: str) -> str:
     return answer.stdout
 
 
-def main(wheel: str) -> None:
-    """Check one wheel."""
+def main(package: str) -> None:
+    """Check a wheel or a source package."""
     started = time.perf_counter()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         venv.create(folder / "env", with_pip=True)
         python, jax_aero = str(folder / "env/bin/python"), str(folder / "env/bin/jax-aero")
-        pip = (python, "-m", "pip", "install", "--quiet", "--no-compile", "--disable-pip-version-check")
-        run(folder, *pip, str(Path(wheel).resolve()))
+        # Without the cache: pip keeps there what it built of a source package, by the name of the file.
+        pip = (
+            python,
+            "-m",
+            "pip",
+            "install",
+            "--quiet",
+            "--no-compile",
+            "--no-cache-dir",
+            "--disable-pip-version-check",
+        )
+        run(folder, *pip, str(Path(package).resolve()))
         there, here = json.loads(run(folder, python, "-c", FLY)), json.loads(run(ROOT, sys.executable, "-c", FLY))
         assert there[0].startswith(name), there[0]
         assert here[0].startswith(str(ROOT)), here[0]
@@ -56,7 +67,7 @@ def main(wheel: str) -> None:
         assert "results/flight/test2--simulator.duration=1/run.nc" in flown, flown
         drawn = run(folder, jax_aero, "figures", "fig2", "supp_mesh")
         assert f"{folder.resolve()}/results/figures/fig2.pdf" in drawn, drawn
-    print(f"the wheel flies test2 as the checkout does ({there[2]}); {time.perf_counter() - started:.0f} s")
+    print(f"{Path(package).name} flies test2 as the checkout does ({there[2]}); {time.perf_counter() - started:.0f} s")
 
 
 if __name__ == "__main__":
