@@ -1,5 +1,7 @@
 //! Engines that fail and sensors that are wrong, each law by itself.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
 use crate::common::{assert_within, experiment};
 use flight_core::control::engines::{DescentConfig, EngineState, EnginesConfig, Finding};
 use nalgebra::Vector6;
@@ -97,7 +99,7 @@ fn numbers_that_mean_nothing_are_refused_by_key() {
         ("controller.engines.descent.momentum.ko", |_, descent| descent.momentum.ko = 0.0),
         ("controller.engines.descent.momentum.c0", |_, descent| descent.momentum.c0 = -1.0),
         ("controller.engines.descent.joint_velocity_max_deg", |_, descent| {
-            descent.joint_velocity_max_deg = 0.0
+            descent.joint_velocity_max_deg = 0.0;
         }),
         ("controller.engines.descent.torque_rate_max", |_, descent| descent.torque_rate_max = f64::INFINITY),
     ];
