@@ -41,16 +41,8 @@ def main(package: str) -> None:
         venv.create(folder / "env", with_pip=True)
         python, jax_aero = str(folder / "env/bin/python"), str(folder / "env/bin/jax-aero")
         # Without the cache: pip keeps there what it built of a source package, by the name of the file.
-        pip = (
-            python,
-            "-m",
-            "pip",
-            "install",
-            "--quiet",
-            "--no-compile",
-            "--no-cache-dir",
-            "--disable-pip-version-check",
-        )
+        options = ("--quiet", "--no-compile", "--no-cache-dir", "--disable-pip-version-check")
+        pip = (python, "-m", "pip", "install", *options)
         run(folder, *pip, str(Path(package).resolve()))
         there, here = json.loads(run(folder, python, "-c", FLY)), json.loads(run(ROOT, sys.executable, "-c", FLY))
         assert there[0].startswith(name), there[0]
