@@ -7,10 +7,11 @@ of it needs the compiled crate.
 from jax_aero.control import Command, Controller, Measurement
 from jax_aero.result import FlightResult
 from jax_aero.sim.batch import fly_batch
-from jax_aero.sim.rollout import everything, fly, rollout, run
+from jax_aero.sim.rollout import COMPILER_OPTIONS, everything, fly, rollout, run
 from jax_aero.sim.step import FlightRow, FlightState, Scenario, begin, in_precision, prepare, step
 
 __all__ = [
+    "COMPILER_OPTIONS",
     "Command",
     "Controller",
     "FlightResult",

@@ -23,7 +23,7 @@ from jax_aero.config import ScenarioConfig
 from jax_aero.io import scenario_config
 from jax_aero.result import FlightResult, Progress
 from jax_aero.robot import RobotModel, load_robot
-from jax_aero.sim.rollout import CHUNK, Ending, finished
+from jax_aero.sim.rollout import CHUNK, COMPILER_OPTIONS, Ending, finished
 from jax_aero.sim.step import FLYING, FlightState, Scenario, prepare, step
 from jax_aero.summary import condense
 from jax_aero.types import Array
@@ -236,5 +236,5 @@ def _compiled(
             out_specs=split,
             check_vma=False,
         )
-    compiled: Callable[..., Any] = jax.jit(together)
+    compiled: Callable[..., Any] = jax.jit(together, compiler_options=COMPILER_OPTIONS)
     return compiled

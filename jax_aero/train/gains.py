@@ -29,7 +29,7 @@ from jaxtyping import Float
 from jax_aero import tables
 from jax_aero.places import did_you_mean
 from jax_aero.sim.batch import Group
-from jax_aero.sim.rollout import rollout
+from jax_aero.sim.rollout import COMPILER_OPTIONS, rollout
 from jax_aero.sim.step import FlightRow, FlightState, Scenario
 from jax_aero.train.adam import AdamState, adam_start, adam_step
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
@@ -174,7 +174,8 @@ def _compiled(
     def one(theta: Array, leaves: tuple[Array, ...], state: FlightState) -> Array:
         return log_cost(scaled(jax.tree.unflatten(structure, leaves), keys, theta), state, cost, n_ticks)
 
-    compiled: Callable[..., Any] = jax.jit(jax.vmap(jax.value_and_grad(one), in_axes=(None, axes, 0)))
+    gradients = jax.vmap(jax.value_and_grad(one), in_axes=(None, axes, 0))
+    compiled: Callable[..., Any] = jax.jit(gradients, compiler_options=COMPILER_OPTIONS)
     return compiled
 
 
