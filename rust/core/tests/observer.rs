@@ -129,6 +129,22 @@ fn missing_measurements_are_bridged_or_held() {
     }
 }
 
+/// Where the estimate stays, the residual is `w (1 − exp(−t / 0.02 s))`; without a measurement it is forgotten.
+#[test]
+fn the_residual_follows_what_is_found_beside_the_estimate() {
+    let config = ObserverConfig { gain_force: 0.0, gain_moment: 0.0, ..WIDE };
+    let mut state = ObserverState::new();
+    for tick in 0..20 {
+        let time = f64::from(tick) * TIME_STEP;
+        state.update(&config, TIME_STEP, at(time));
+        let error = state.residual + WRENCH * (-time / 0.02).exp_m1();
+        // As for the estimate: momenta of 100 N s over a step.
+        assert_within!(error.amax(), 1e-11, "tick {tick}");
+    }
+    state.hold();
+    assert_eq!(state.residual, Vector6::zeros());
+}
+
 /// Numbers that overflow leave the estimate as it is.
 #[test]
 fn an_overflow_is_not_observed() {

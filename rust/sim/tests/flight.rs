@@ -7,6 +7,8 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
+#[path = "flight/estimators.rs"]
+mod estimators;
 #[path = "flight/laws.rs"]
 mod laws;
 #[path = "flight/network.rs"]

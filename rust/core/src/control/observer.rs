@@ -75,7 +75,7 @@ pub struct ObserverState {
     /// `ŵ` \[N, N m\].
     pub(super) wrench: Vector6<f64>,
     /// What was found beside it in the last hundredths of a second, `n` of M106 \[N, N m\].
-    pub(super) residual: Vector6<f64>,
+    pub residual: Vector6<f64>,
     /// The last measurement that was accepted.
     pub(super) last: Option<Sample>,
 }

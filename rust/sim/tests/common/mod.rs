@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
 pub mod counting;
+pub mod engines;
 pub mod measured;
 
 #[allow(unused_imports, reason = "no test binary needs everything")]

@@ -2,12 +2,12 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
-use crate::common::{Loop, assert_within, experiment, fly, robot};
+use crate::common::{Loop, assert_within, experiment, robot};
 use flight_core::estimator::{ChannelConfig, EstimatorConfig, Reading};
 use flight_core::{BuildError, Estimator};
 use flight_io::load_robot;
 use flight_sim::sensors::{EncoderConfig, SensorConfig, ThrustSensorConfig};
-use flight_sim::{Outcome, ScenarioConfig, Sensors, SensorsConfig};
+use flight_sim::{ScenarioConfig, Sensors, SensorsConfig};
 use nalgebra::{Vector3, Vector6};
 
 const STEP: f64 = 0.01;
@@ -238,39 +238,6 @@ fn a_measurement_that_is_no_number_corrects_nothing() {
     assert!(distance(&coasting, &Reading { state: state.clone(), thrust: thrust.to_vec() }) > 1e-6);
     let back = estimator.update(state, thrust, &WIND).clone();
     assert_within!((back.state.base.position - state.base.position).amax(), 1e-15, because "taken as it comes");
-}
-
-/// Twenty milliseconds on every signal: without the estimator the robot falls, with it it flies as if they were not there.
-#[test]
-fn a_late_robot_flies_with_an_estimator() {
-    let sensor = || SensorConfig { delay: 0.02, ..SensorConfig::default() };
-    let channels = || late(0.02);
-    let mut falling = experiment("test2_observer");
-    falling.simulator.duration = 6.0;
-    falling.simulator.sensors = Some(SensorsConfig {
-        base_position: sensor(),
-        base_rotation: sensor(),
-        base_linear_velocity: sensor(),
-        base_angular_velocity: sensor(),
-        joints: EncoderConfig { delay: 0.02, ..EncoderConfig::default() },
-        thrust: ThrustSensorConfig { delay: 0.02, ..ThrustSensorConfig::default() },
-        seed: 0,
-    });
-    let mut flying = falling.clone();
-    flying.controller.estimator = Some(EstimatorConfig {
-        base_position: channels(),
-        base_rotation: channels(),
-        base_linear_velocity: channels(),
-        base_angular_velocity: channels(),
-        joint_position: channels(),
-        joint_velocity: channels(),
-        thrust: channels(),
-        joint_observer: None,
-    });
-    let [falling, flying] = fly(&[falling, flying]).try_into().unwrap();
-    assert_eq!(falling.outcome, Outcome::Fell);
-    assert_eq!(flying.outcome, Outcome::Completed);
-    assert!(flying.summary.max_rotation_error.to_degrees() < 3.0, "{}", flying.summary.max_rotation_error);
 }
 
 #[test]

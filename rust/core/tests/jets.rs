@@ -1,0 +1,243 @@
+//! The engine's equations, the throttle loop, the thrust estimator.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on fails")]
+#![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
+
+use crate::common::engines::{ENGINES, coefficients, model, models};
+use crate::common::{assert_within, relative};
+use flight_core::jets::{
+    EkfConfig, EngineDynamics, EngineModel, ThrustEkf, ThrustRateController, thrust_force, thrust_wrench,
+};
+use flight_core::robot::EngineCoefficients;
+use nalgebra::{Vector3, Vector6};
+
+const DT: f64 = 0.01;
+
+/// P160 at T = 100 N, Ṫ = 10 N/s, u = 50 %, term by term on paper:
+/// f = 30.653 − 248.67 − 9.73422 + 5.5786 + 22.618 − 0.958953, g = 0.68871 + 3.8025 − 0.89879,
+/// v = 50 − 3.4825.
+#[test]
+fn engine_equations_equal_a_calculation_by_hand() {
+    let model = model("P160");
+    assert_within!(relative(model.drift(100.0, 10.0), -200.513_573), 1e-12);
+    assert_within!(relative(model.input_gain(100.0, 10.0), 3.592_42), 1e-12);
+    assert_within!(relative(model.input(50.0), 46.5175), 1e-12);
+    let acceleration = -200.513_573 + 3.592_42 * 46.5175;
+    assert_within!(relative(model.thrust_acceleration(100.0, 10.0, 50.0), acceleration), 1e-12);
+    let mut engine = EngineDynamics::new(model, 100.0, 10.0);
+    engine.step(50.0, DT);
+    assert_within!(relative(engine.thrust, 100.1 + 0.5e-4 * acceleration), 1e-14);
+    assert_within!(relative(engine.thrust_rate, 10.0 + 0.01 * acceleration), 1e-14);
+}
+
+#[test]
+fn throttle_is_limited() {
+    for (name, model) in models() {
+        let after = |throttle| {
+            let mut engine = EngineDynamics::new(model, 90.0, 0.0);
+            engine.step(throttle, DT);
+            engine
+        };
+        assert_eq!(after(-30.0), after(0.0), "{name}");
+        assert_eq!(after(500.0), after(120.0), "{name}");
+    }
+}
+
+#[test]
+fn throttle_inverts_input_for_every_engine() {
+    for (name, model) in models() {
+        for i in 0..=240 {
+            let throttle = 0.5 * f64::from(i);
+            let again = model.throttle_from_input(model.input(throttle));
+            assert_within!((again - throttle).abs(), 1e-10, "{name} at {throttle} %");
+        }
+    }
+}
+
+/// The published formula divides by `2 B_UU`; ours has the same value and the right limit.
+#[test]
+fn input_inverse_is_continuous_at_zero_curvature_and_beyond_the_top() {
+    let with =
+        |b_uu| EngineModel::new("test", EngineCoefficients { b_uu, ..coefficients(ENGINES[1].1) }).unwrap();
+    for b_uu in [0.0, 1e-300, 1e-14, -1e-14] {
+        assert_within!(relative(with(b_uu).throttle_from_input(80.0), 80.0), 1e-11);
+    }
+    let b_uu: f64 = -0.001_393;
+    let published = |v: f64| (-1.0 + (1.0 + 4.0 * b_uu * v).max(0.0).sqrt()) / (2.0 * b_uu);
+    for v in [0.0, 10.0, 99.9, 170.0, 179.4, 179.6, 400.0] {
+        assert_within!(relative(with(b_uu).throttle_from_input(v), published(v)), 1e-9);
+    }
+}
+
+/// The throttle that holds a thrust holds it: exactly as an equilibrium, and in time from nearby.
+#[test]
+fn steady_throttle_reproduces_the_thrust() {
+    for (name, thrust) in [("P100", 90.0), ("P160", 98.0), ("P220", 113.0), ("P220", 190.0)] {
+        let model = model(name);
+        let throttle = model.steady_throttle(thrust);
+        assert!((1.0..119.0).contains(&throttle), "{name} at {throttle} %");
+        assert_within!(model.thrust_acceleration(thrust, 0.0, throttle).abs(), 1e-9, "{name}");
+        let mut engine = EngineDynamics::new(model, thrust - 5.0, 0.0);
+        for _ in 0..2000 {
+            engine.step(throttle, DT);
+        }
+        assert_within!((engine.thrust - thrust).abs(), 1e-6, "{name}: {}", engine.thrust);
+    }
+}
+
+/// What no throttle can hold is held as nearly as the limits allow.
+#[test]
+fn steady_throttle_saturates() {
+    for (_, model) in models() {
+        assert_within!(relative(model.steady_throttle(1e4), 120.0), 1e-14);
+    }
+}
+
+/// Inside the limits the loop makes `T̈ = −k_p (Ṫ − Ṫ*)`, whatever the engine.
+#[test]
+fn throttle_loop_linearises_the_engine() {
+    for name in ["P100", "P160", "P220"] {
+        let model = model(name);
+        let mut controller = ThrustRateController::new(150.0, 0.0, 50.0).unwrap();
+        let throttle = controller.update(&model, 90.0, 0.3, 0.2, DT);
+        assert!((0.1..119.9).contains(&throttle), "{name}");
+        let acceleration = model.thrust_acceleration(90.0, 0.3, throttle);
+        assert_within!(relative(acceleration, -150.0 * 0.1), 1e-9);
+        assert_eq!(controller.throttle(), throttle);
+    }
+}
+
+#[test]
+fn integral_term_accumulates_the_error() {
+    let model = model("P220");
+    let mut controller = ThrustRateController::new(10.0, 4.0, 50.0).unwrap();
+    controller.update(&model, 100.0, 1.0, 0.0, DT);
+    let throttle = controller.update(&model, 100.0, 1.0, 0.0, DT);
+    // The second call sees the integral of the first: 1 N/s over 0.01 s.
+    let expected = -(10.0 + 4.0 * 0.01);
+    assert_within!(relative(model.thrust_acceleration(100.0, 1.0, throttle), expected), 1e-9);
+}
+
+#[test]
+fn throttle_holds_where_it_cannot_steer() {
+    let model = model("P160");
+    let mut controller = ThrustRateController::new(150.0, 0.0, 61.0).unwrap();
+    // g = 0 on the line Ṫ = (B_U + B_T T)/|B_D|.
+    let thrust_rate = 0.688_710 / 0.089_879;
+    assert_within!(model.input_gain(0.0, thrust_rate).abs(), 1e-12);
+    assert_eq!(controller.update(&model, 0.0, thrust_rate, 0.0, DT), 61.0);
+    assert_eq!(controller.update(&model, 90.0, 0.0, f64::NAN, DT), 61.0);
+    assert_eq!(controller.update(&model, f64::INFINITY, 0.0, 0.0, DT), 61.0);
+    assert_ne!(controller.update(&model, 90.0, 0.0, 0.0, DT), 61.0);
+}
+
+#[test]
+fn estimator_jacobian_equals_finite_differences() {
+    for (name, model) in models() {
+        let (thrust, rate, throttle) = (87.0, -13.0, 64.0);
+        let config = EkfConfig { init_state: Some([thrust, rate]), ..EkfConfig::default() };
+        let a = ThrustEkf::new(&config, model, 0.0).unwrap().jacobian(throttle);
+        let h = 1e-4;
+        let acceleration = |t, r| model.thrust_acceleration(t, r, throttle);
+        let by_thrust = (acceleration(thrust + h, rate) - acceleration(thrust - h, rate)) / (2.0 * h);
+        let by_rate = (acceleration(thrust, rate + h) - acceleration(thrust, rate - h)) / (2.0 * h);
+        assert_eq!((a.m11, a.m12), (0.0, 1.0));
+        assert_within!((a.m21 - by_thrust).abs(), 1e-6, "{name}: {} {by_thrust}", a.m21);
+        assert_within!((a.m22 - by_rate).abs(), 1e-6, "{name}: {} {by_rate}", a.m22);
+    }
+}
+
+/// One step by hand: P220 from x̂ = (100, 0) with y = 106 at the throttle that holds 100 N, R = 2.
+#[test]
+fn estimator_step_equals_its_equations() {
+    let model = model("P220");
+    let throttle = model.steady_throttle(100.0);
+    let config = EkfConfig { r: 2.0, ..EkfConfig::default() };
+    let mut ekf = ThrustEkf::new(&config, model, 100.0).unwrap();
+    ekf.update(106.0, throttle, DT);
+    // Gain P Cᵀ/(P₁₁ + R/dt) = (1, 0.1)/201; innovation 6 N.
+    let (thrust, rate) = (100.0 + 6.0 / 201.0, 0.6 / 201.0);
+    let acceleration = model.thrust_acceleration(thrust, rate, throttle);
+    assert_within!(relative(ekf.thrust(), thrust + DT * rate), 1e-14);
+    assert_within!(relative(ekf.thrust_rate(), rate + DT * acceleration), 1e-12);
+    // P − K C P, then Φ P Φᵀ + dt Q with Φ = ((1, dt), (dt a₂₁, 1 + dt a₂₂)) at the new estimate.
+    let (p11, p12, p22) = (1.0 - 1.0 / 201.0, 0.1 - 0.1 / 201.0, 1.0 - 0.01 / 201.0);
+    let (a21, a22) = model.acceleration_slopes(thrust, rate, throttle);
+    let (f21, f22) = (DT * a21, 1.0 + DT * a22);
+    let p = ekf.covariance();
+    assert_within!(relative(p.m11, p11 + 2.0 * DT * p12 + DT * DT * p22 + DT * 10.0), 1e-14);
+    let off_diagonal = f21 * (p11 + DT * p12) + f22 * (p12 + DT * p22) + DT;
+    assert_within!(relative(p.m12, off_diagonal), 1e-12);
+    assert_within!(relative(p.m21, off_diagonal), 1e-12);
+    let last = f21 * f21 * p11 + 2.0 * f21 * f22 * p12 + f22 * f22 * p22 + DT * 10.0;
+    assert_within!(relative(p.m22, last), 1e-12);
+}
+
+/// However well the thrust is measured, the covariance stays one and the estimate stays at the thrust.
+#[test]
+fn estimators_are_stable_for_every_measurement_noise() {
+    for r in [1e-12, 4e-3, 1.0, 1e6] {
+        let model = model("P220");
+        let throttle = model.steady_throttle(100.0);
+        let config = EkfConfig { r, init_state: Some([90.0, 0.0]), ..EkfConfig::default() };
+        let mut ekf = ThrustEkf::new(&config, model, 100.0).unwrap();
+        for tick in 0..1000 {
+            ekf.update(100.0, throttle, DT);
+            let p = ekf.covariance();
+            assert!(p.m11 >= 0.0 && p.m22 >= 0.0 && p.m11 < 1e3, "R = {r}, tick {tick}: {p}");
+            assert!((ekf.thrust() - 100.0).abs() < 11.0, "R = {r}, tick {tick}: {}", ekf.thrust());
+        }
+    }
+}
+
+/// Started wrong, the estimate finds thrust and thrust rate of an engine that follows a throttle.
+#[test]
+fn estimate_converges_to_the_truth() {
+    for (name, thrust) in [("P100", 60.0), ("P160", 80.0), ("P220", 113.0)] {
+        let model = model(name);
+        let throttle = model.steady_throttle(thrust);
+        let mut engine = EngineDynamics::new(model, thrust, 0.0);
+        let config = EkfConfig { init_state: Some([thrust - 20.0, 10.0]), ..EkfConfig::default() };
+        let mut ekf = ThrustEkf::new(&config, model, thrust).unwrap();
+        for tick in 0..1500 {
+            let throttle = throttle + 5.0 * (0.01 * f64::from(tick)).sin();
+            ekf.update(engine.thrust, throttle, DT);
+            engine.step(throttle, DT);
+            let p = ekf.covariance();
+            assert!(p.m11 > 0.0 && p.determinant() > 0.0, "{name}, tick {tick}");
+            if tick > 500 {
+                assert_within!((ekf.thrust() - engine.thrust).abs(), 0.1, because "what an estimate still misses after that time", "{name}, tick {tick}");
+                assert_within!((ekf.thrust_rate() - engine.thrust_rate).abs(), 0.3, "{name}, tick {tick}");
+            }
+        }
+    }
+}
+
+#[test]
+fn wrench_is_force_and_moment_of_force() {
+    let (axis_i, arm_i) = (Vector3::new(0.0, 0.6, 0.8), Vector3::new(0.2, 0.0, -0.1));
+    assert_eq!(thrust_force(&axis_i, 50.0), Vector3::new(0.0, 30.0, 40.0));
+    let expected = Vector6::new(0.0, 30.0, 40.0, 3.0, -8.0, 6.0);
+    assert_within!(relative(thrust_wrench(&axis_i, &arm_i, 50.0), expected), 1e-14);
+}
+
+/// An engine without thrust does not pull, and its thrust rate is not negative.
+#[test]
+fn the_thrust_of_an_engine_is_never_negative() {
+    let mut engine = EngineDynamics::new(model("P220"), 0.1, -200.0);
+    engine.step(0.0, DT);
+    assert_eq!((engine.thrust, engine.thrust_rate), (0.0, 0.0));
+}
+
+#[test]
+fn engine_coefficients_must_be_invertible() {
+    let assert_says = |change: fn(&mut EngineCoefficients), parts: &[&str]| {
+        let mut k = coefficients(ENGINES[0].1);
+        change(&mut k);
+        let message = EngineModel::new("P100", k).unwrap_err().to_string();
+        assert!(parts.iter().all(|part| message.contains(part)), "{message}");
+    };
+    assert_says(|k| k.k_td = f64::NAN, &["k_td of engine `P100`", "NaN"]);
+    assert_says(|k| k.throttle_max = 0.0, &["throttle_max of engine `P100` is 0"]);
+    assert_says(|k| k.b_uu = -0.005, &["b_uu of engine `P100` is -0.005", "increases"]);
+}

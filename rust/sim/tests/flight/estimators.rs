@@ -1,0 +1,56 @@
+//! What the state estimator and the wind observer make of a whole flight.
+
+use crate::common::{experiment, fly};
+use flight_core::estimator::{ChannelConfig, EstimatorConfig};
+use flight_core::wind_observer::WindObserverConfig;
+use flight_sim::sensors::{EncoderConfig, SensorConfig, ThrustSensorConfig};
+use flight_sim::{Outcome, SensorsConfig};
+use nalgebra::Vector3;
+
+/// Twenty milliseconds on every signal: without the estimator the robot falls, with it it flies as if they were not there.
+#[test]
+fn a_late_robot_flies_with_an_estimator() {
+    let sensor = || SensorConfig { delay: 0.02, ..SensorConfig::default() };
+    let channels = || ChannelConfig { delay: 0.02, ..ChannelConfig::default() };
+    let mut falling = experiment("test2_observer");
+    falling.simulator.duration = 6.0;
+    falling.simulator.sensors = Some(SensorsConfig {
+        base_position: sensor(),
+        base_rotation: sensor(),
+        base_linear_velocity: sensor(),
+        base_angular_velocity: sensor(),
+        joints: EncoderConfig { delay: 0.02, ..EncoderConfig::default() },
+        thrust: ThrustSensorConfig { delay: 0.02, ..ThrustSensorConfig::default() },
+        seed: 0,
+    });
+    let mut flying = falling.clone();
+    flying.controller.estimator = Some(EstimatorConfig {
+        base_position: channels(),
+        base_rotation: channels(),
+        base_linear_velocity: channels(),
+        base_angular_velocity: channels(),
+        joint_position: channels(),
+        joint_velocity: channels(),
+        thrust: channels(),
+        joint_observer: None,
+    });
+    let [falling, flying] = fly(&[falling, flying]).try_into().unwrap();
+    assert_eq!(falling.outcome, Outcome::Fell);
+    assert_eq!(flying.outcome, Outcome::Completed);
+    assert!(flying.summary.max_rotation_error.to_degrees() < 3.0, "{}", flying.summary.max_rotation_error);
+}
+
+/// A robot that is not given the wind arrives, and estimates it to 1.5 m/s when it has risen.
+#[test]
+fn a_robot_that_is_not_told_the_wind_flies() {
+    let mut config = experiment("test2_observer");
+    config.controller.wind_observer = Some(WindObserverConfig::default());
+    config.simulator.duration = 14.0;
+    let result = fly(&[config]).remove(0);
+    assert_eq!(result.outcome, Outcome::Completed);
+    let row = |name: &str| Vector3::from_column_slice(result.log.series(name).unwrap().row(1400));
+    let (measured, wind, std) = (row("measured_wind"), row("wind"), row("measured_wind_std"));
+    assert!(wind.norm() > 6.0, "{wind}");
+    assert!((measured - wind).norm() < 1.5, "{measured} of {wind}");
+    assert!(std.iter().all(|std| (0.05..2.0).contains(std)), "{std}");
+}
