@@ -5,7 +5,8 @@
 Each mutant is drawn from the seed and its number, so a run goes on where another ended (`--first`). Its module is
 compiled from the changed syntax tree while it is imported: no file is written, and other programs see nothing of it.
 The tests of a module are the files of `tests/` that import it; where none does, those that import what imports it.
-A mutant that survives has no test that fails: `mutants.md` beside this file says of each known one why it may.
+A mutant that survives the first few is tried again with `--first NUMBER --count 1 --files 99`. One that survives all of
+them has no test that fails: `mutants.md` beside this file says of each known one why it may.
 """
 
 from __future__ import annotations
@@ -25,9 +26,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-FOLDERS = ("units", "parity", "gradients")
-MOST_FILES = 3
-"""Test files that are run for one mutant."""
+FOLDERS = ("units", "parity", "gradients", "train", "view")
 
 SWAPPED: dict[type, type] = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.Pow: ast.Mult,
@@ -129,14 +128,14 @@ def imported(path: Path) -> set[str]:
     return found
 
 
-def tests_of(module: str, sources: Sequence[Path]) -> list[Path]:
+def tests_of(module: str, sources: Sequence[Path], most: int) -> list[Path]:
     """Return the test files that import a module, or else those that import what imports it: its namesake first."""
     tests = {path: imported(path) for folder in FOLDERS for path in (ROOT / "tests" / folder).glob("test_*.py")}
     sought, known = {module}, {module_of(path): imported(path) for path in sources}
     while True:
         if found := [path for path, names in tests.items() if names & sought]:
             name = module.rsplit(".", 1)[-1]
-            return sorted(found, key=lambda path: (name not in path.stem, path.stat().st_size))[:MOST_FILES]
+            return sorted(found, key=lambda path: (name not in path.stem, path.stat().st_size))[:most]
         wider = sought | {name for name, names in known.items() if names & sought}
         if wider == sought:
             return []
@@ -210,6 +209,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="number of the first mutant")
     parser.add_argument("--seconds", type=float, default=1e9, help="time after which no other mutant is begun")
+    parser.add_argument("--files", type=int, default=3, help="most test files that are run for a mutant")
     parser.add_argument("--limit", type=float, default=300.0, help="longest time of one mutant's tests [s]")
     given = parser.parse_args()
     os.chdir(ROOT)
@@ -227,7 +227,7 @@ def main() -> int:
     for number, path, place, what in draw(sources, given.seed, given.first):
         if number >= given.first + given.count or time.monotonic() - begun > given.seconds:
             break
-        tests = tests_of(module_of(path), everything)
+        tests = tests_of(module_of(path), everything, given.files)
         verdict = run(path, place, tests, given.limit) if tests else "untested"
         verdicts[verdict] += 1
         print(f"{number} {verdict}: {path.relative_to(ROOT)} {what}", flush=True)

@@ -8,9 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.interpolate import PchipInterpolator
 
 from jax_aero import rust
 from jax_aero.aero import LinkConventions, LinksInAir, aero_model, link_forces, wrench_about
+from jax_aero.aero.pchip import interpolate, pchip
 from jax_aero.io import aero_config, scenario_config
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import load_robot
@@ -32,6 +34,22 @@ SPEEDS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0, 10.0, 40.0, 300.0)
 def models():
     robustness = rust.load_config(EXPERIMENTS / "robustness_axisymmetric_vs_sphere_cylinder.toml")
     return {**MODELS, "sphere_cylinder": robustness["controller"]["aero"]}
+
+
+@pytest.mark.parametrize(
+    ("x", "y"),
+    [
+        ([0.0, 1.0, 3.0, 4.0, 6.0], [0.0, 2.0, 1.0, 1.5, 5.0]),
+        ([0.0, 1.0, 3.0], [0.0, 0.1, 5.0]),
+        ([0, 1, 1.5], [0, 1, -7]),
+    ],
+    ids=["an extremum", "an end kept to its side", "an end kept within three secants"],
+)
+def test_interpolation_is_scipys(x, y, measured):
+    """On points that are not even, where the weights of the slopes differ; values of order 10, a dozen roundings."""
+    at = np.linspace(x[0], x[-1], 50)
+    ours = interpolate(pchip(jnp.asarray(x, float), jnp.asarray(y, float)), jnp.asarray(at))
+    measured("value", np.abs(ours - PchipInterpolator(x, y)(at)).max(), 3e-14)
 
 
 @pytest.mark.parametrize("name", ["axisymmetric", "sphere_cylinder", "off"])
