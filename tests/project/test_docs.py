@@ -187,10 +187,48 @@ def test_formulas_are_typeset_wherever_they_stand():
         assert "$" not in left, f"{page.name}: a formula is not closed within its paragraph"
 
 
-def test_the_site_builds_without_a_warning(tmp_path):
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path / "site")]
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Every page, built without a warning."""
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
     answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=300)
     assert answer.returncode == 0, answer.stdout + answer.stderr
+    return folder
+
+
+def test_pages_load_nothing_from_elsewhere(site):
     fetched = re.compile(r"""<(?:script|link|img)[^>]+(?:src|href)=["']?(?:https?:)?//""")
-    for page in (tmp_path / "site").rglob("*.html"):
+    for page in site.rglob("*.html"):
         assert not fetched.search(page.read_text(encoding="utf-8")), f"{page.name} loads something from elsewhere"
+
+
+# Parts of a page that reach beyond its right side and cannot be scrolled into sight, and pictures that are not there.
+OUT_OF_SIGHT = """() => {
+    const width = document.documentElement.clientWidth
+    const scrolls = e => e && e != document.body &&
+        (["auto", "scroll", "hidden"].includes(getComputedStyle(e).overflowX) || scrolls(e.parentElement))
+    const beyond = [...document.querySelectorAll("article *")].filter(e => {
+        const box = e.getBoundingClientRect()
+        return box.width > 0 && box.right > width + 1 && !scrolls(e)
+    })
+    const missing = [...document.images].filter(image => image.complete && image.naturalWidth == 0)
+    return [...beyond, ...missing].map(e => e.outerHTML.slice(0, 80))
+}"""
+
+
+def test_pages_fit_the_screen(site):
+    """Of a desk, of a small computer and of a telephone."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
+    if chromium is None:
+        pytest.skip("Chromium is not installed")
+    with sync_api.sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        tab = browser.new_page()
+        for page in sorted(site.rglob("index.html")):
+            tab.goto(page.as_uri(), timeout=60_000)
+            for width in (1440, 1024, 390):
+                tab.set_viewport_size({"width": width, "height": 900})
+                assert tab.evaluate(OUT_OF_SIGHT) == [], f"{page.relative_to(site)} at {width} px"
+        browser.close()
