@@ -67,7 +67,6 @@ class Points:
     marks: Sequence[tuple[str, ...]]
     """What speaks against a point, from the table of tests."""
     robot: str
-    balance_pitch_deg: Floats
     pitch_deg: Floats
     """Robot's vertical axis above the horizontal [deg]."""
     yaw_deg: Floats
@@ -185,7 +184,6 @@ def points_of(test: str, about: Test, gvp: Gvp) -> Points:
         posture=[about.posture] * len(rows),
         marks=[_marks(about, number, alpha) for number, alpha in zip(numbers, pitch, strict=True)],
         robot=about.robot,
-        balance_pitch_deg=rows[:, 3],
         pitch_deg=pitch,
         yaw_deg=rows[:, 4],
         speed=rows[:, 8],
@@ -239,7 +237,6 @@ def read_reduced(text: str, tests: Mapping[tuple[str, str], Test], source: str) 
         return np.array([[_number(row[n], source, i, 0) for n in names] for i, row in enumerate(rows, start=2)])
 
     speed, q, rho, temperature, pitch, yaw = numbers(plain).T
-    mount = np.array([90.0 + MOUNT[one.robot, one.kind] if one.robot == "mk1" else 0.0 for one in about])
     return Points(
         campaign=[one.campaign for one in about],
         test=[row["test"] for row in rows],
@@ -248,7 +245,6 @@ def read_reduced(text: str, tests: Mapping[tuple[str, str], Test], source: str) 
         posture=[one.posture for one in about],
         marks=[_marks(one, int(row["point"]), a) for one, row, a in zip(about, rows, pitch, strict=True)],
         robot=about[0].robot,
-        balance_pitch_deg=pitch - mount,
         pitch_deg=pitch,
         yaw_deg=yaw,
         speed=speed,

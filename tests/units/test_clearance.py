@@ -70,3 +70,29 @@ def test_the_paper_chose_its_posture_to_keep_jets_from_the_body(measured):
     assert (nearest.jet.startswith("chest"), nearest.link) == (True, "root_link")
     # The exhaust of a turbine leaves downwards: every jet passes its own leg at a distance, none points at the head.
     assert values[[pair.link == "head" for pair in found]].min() > 0.25
+
+
+def test_a_sole_is_the_capsule_along_its_rectangle(measured):
+    """Standing in another place and turned, beside the distance from a cloud of points along its spine."""
+    robot = load_robot(ROOT / "configs/robot/ironcub_mk1.toml")
+    tree = Kinematics(robot)
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    place = (np.array([1.0, 2.0, 3.0]), turn, np.linspace(-0.3, 0.3, robot.n_joints))
+    found = [pair for pair in pairs(tree, 1.5) if pair.link in robot.soles]
+    assert len(found) == 4 * 2
+    for pair in found:
+        jet = next(jet for jet in robot.jets if jet.name == pair.jet)
+        exhaust, sole = tree.poses[jet.frame], tree.poses[pair.link]
+        corners = robot.soles[pair.link]
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        along, across = np.argsort(high - low)[[-1, -2]]
+        ends = [0.5 * (low + high) for _ in range(2)]
+        ends[0][along], ends[1][along] = low[along], high[along]
+        wanted = ca.vertcat(pair.distance, exhaust.position, -1.5 * exhaust.direction(jet.axis), *map(sole.point, ends))
+        (here,) = tree.here(wanted)
+        at = ca.Function("at", [tree.base_position, tree.base_rotation, tree.joint_position], [here])
+        distance, *points = np.split(at(*place).full()[:, 0], [1, 4, 7, 10])
+        expected = brute_force(points[0], points[1], points[2], points[3] - points[2])
+        expected -= 0.5 * (high - low)[across]
+        # The cloud is 1 mm apart: second order in it at a distance of decimetres; the distance is smoothed by 1e-6 m.
+        measured(f"{pair.jet} to {pair.link}", abs(distance[0] - expected), 5e-6)
