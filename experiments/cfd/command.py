@@ -23,7 +23,7 @@ from tqdm import tqdm
 from experiments import Refused, manifest, overrides, study
 from experiments.cfd import foam
 from experiments.cfd.design import KIND, Case, Design
-from experiments.cfd.geometry import Surface, robot_surfaces
+from experiments.cfd.geometry import Surface
 from experiments.cfd.settings import Settings
 from experiments.cfd.simulate import Result, simulate
 from jax_aero import places, tables
@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def compute(design: Design, folder: Path, simulator: Simulate = simulate) -> None:
     """Compute the cases of a design that are not there yet."""
-    postures = {name: robot_surfaces(design.robot, joints) for name, joints in design.joints.items()}
+    surfaces = design.surfaces
     with locked(folder), tqdm(desc=design.name, unit="case", file=sys.stderr, disable=None) as bar:
         _begin(design, folder)
         bar.reset(total=sum(1 for _ in design))
@@ -70,7 +70,7 @@ def compute(design: Design, folder: Path, simulator: Simulate = simulate) -> Non
             bar.update(len(cases) - len(missing))
             with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
                 winds = [case.wind_b for case in missing]
-                results = simulator(postures[name], winds, design.spec.settings, Path(scratch)) if missing else ()
+                results = simulator(surfaces[name], winds, design.spec.settings, Path(scratch)) if missing else ()
                 for case, result in zip(missing, results, strict=True):
                     write_json(_path(folder, case), tables.plain(result))
                     bar.update()
@@ -138,7 +138,7 @@ def to_dataset(design: Design, accepted: Mapping[Case, Result]) -> Dataset:
         air_density=np.full(n, air.density),
         quality={name: np.array([result.quality[name] for result in results]) for name in results[0].quality},
         provenance={
-            "source": "OpenFOAM (simpleFoam, k-omega SST) around primitives of the robot's URDF; jax-aero cfd",
+            "source": f"OpenFOAM (simpleFoam, k-omega SST) around {design.spec.geometry} of the URDF; jax-aero cfd",
             "design": design.name,
             "settings": json.dumps(tables.plain(design.spec.settings), sort_keys=True),
             "robot_sha256": design.digest,

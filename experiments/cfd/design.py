@@ -15,11 +15,13 @@ import msgspec
 import numpy as np
 
 from experiments import Refused, study
+from experiments.cfd.geometry import Surface, robot_surfaces
 from experiments.cfd.settings import Settings
 from experiments.import_cfd import POSTURES, known_postures
 from experiments.sweep.design import unit_points
 from jax_aero import rust, tables
-from jax_aero.aero.dataset import Floats, wind_direction
+from jax_aero.aero.dataset import Floats, read_postures, wind_direction
+from jax_aero.view.shapes import look_of
 
 KIND = "cfd"
 
@@ -83,9 +85,13 @@ class Spec(tables.Table, frozen=True):
 
     title: str
     postures: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
-    """Names of `configs/tables/postures.toml`."""
+    """Names of `configs/tables/postures.toml`, or of `joints`."""
     winds: Winds
     robot: Path
+    geometry: Literal["primitives", "meshes"] = "primitives"
+    """What stands for the robot: primitives of its URDF, or its meshes too, which are looked for from the URDF."""
+    joints: Path | None = None
+    """Joint angles by posture, in the CSV that `import-cfd --joints` reads."""
     settings: Settings = Settings()
 
 
@@ -126,9 +132,14 @@ class Design:
         return rust.Robot(self.spec.robot)
 
     @cached_property
+    def known(self) -> dict[str, Floats]:
+        """Return the joint angles (19,) [deg] of all postures there are."""
+        return read_postures(self.spec.joints) if self.spec.joints else known_postures()
+
+    @cached_property
     def joints(self) -> dict[str, Floats]:
         """Return joint angles (19,) [deg] by posture."""
-        known = known_postures()
+        known = self.known
         if unknown := sorted(set(self.spec.postures) - set(known)):
             raise Refused(f"no posture {', '.join(unknown)}; there are {', '.join(known)}")
         return {name: known[name] for name in self.spec.postures}
@@ -136,8 +147,18 @@ class Design:
     @cached_property
     def cases(self) -> dict[str, list[Case]]:
         """Return the cases of every posture."""
-        winds, places = self.spec.winds, list(known_postures())
+        winds, places = self.spec.winds, list(self.known)
         return {name: [Case(name, *pair) for pair in winds.of(places.index(name))] for name in self.joints}
+
+    @property
+    def meshes_of(self) -> Path | None:
+        """Return the robot's file if its meshes are wanted."""
+        return self.spec.robot if self.spec.geometry == "meshes" else None
+
+    @cached_property
+    def surfaces(self) -> dict[str, dict[str, Surface]]:
+        """Return the surfaces of the links by posture."""
+        return {name: robot_surfaces(self.robot, joints, self.meshes_of) for name, joints in self.joints.items()}
 
     def __iter__(self) -> Iterator[Case]:
         return itertools.chain.from_iterable(self.cases.values())
@@ -148,4 +169,9 @@ class Design:
         settings = tables.plain(self.spec.settings)
         settings["solver"].pop("ranks")
         text = json.dumps(settings, sort_keys=True) + self.robot.urdf_text + self.robot.toml_text
-        return hashlib.sha256(text.encode() + POSTURES.read_bytes()).hexdigest()
+        found = hashlib.sha256(text.encode() + (self.spec.joints or POSTURES).read_bytes())
+        if self.meshes_of:
+            for shape in look_of(self.robot, self.meshes_of).shapes:
+                for part in shape.mesh or ():
+                    found.update(part.tobytes())
+        return found.hexdigest()

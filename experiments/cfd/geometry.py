@@ -1,4 +1,4 @@
-"""The surface of the robot in a posture, in base axes: closed triangulated primitives, grouped by aerodynamic link."""
+"""The surface of the robot in a posture, in base axes: closed bodies of triangles, grouped by aerodynamic link."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import numpy as np
 
 from experiments import Refused
 from jax_aero import rust
-from jax_aero.aero.dataset import JOINTS, Floats
+from jax_aero.aero.dataset import JOINTS, LINKS, Floats
 from jax_aero.files import write_text
+from jax_aero.mesh import Mesh
 from jax_aero.urdf import Pose
 from jax_aero.view.shapes import Kind, Look, Shape, look_of
 
@@ -60,13 +61,15 @@ def _box(edges: Floats) -> Floats:
 
 
 def is_closed(triangles: Floats) -> bool:
-    """Return whether every edge is shared by two triangles that run along it in opposite directions."""
+    """Return whether triangles run along every edge equally often in both directions, so that there is no hole.
+
+    Usually one each way; where two parts of a body touch in an edge, two.
+    """
     _, corner = np.unique(np.round(triangles.reshape(-1, 3), 9), axis=0, return_inverse=True)
     faces = corner.reshape(-1, 3)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    one_way, counts = np.unique(edges, axis=0, return_counts=True)
-    other_way = np.unique(edges[:, ::-1], axis=0)
-    return bool(np.all(counts == 1)) and np.array_equal(one_way, other_way)
+    one_way, other_way = (np.unique(way, axis=0, return_counts=True) for way in (edges, edges[:, ::-1]))
+    return all(np.array_equal(*pair) for pair in zip(one_way, other_way, strict=True))
 
 
 def volume(triangles: Floats) -> float:
@@ -90,29 +93,46 @@ class Surface(NamedTuple):
     """(3,) point about which the couple is counted [m]."""
 
 
-def robot_surfaces(robot: rust.Robot, joint_position_deg: Floats) -> dict[str, Surface]:
-    """Return the surface of every aerodynamic link in base axes, at joint angles (19,) [deg], order of `JOINTS`.
+def robot_surfaces(robot: rust.Robot, joint_position_deg: Floats, meshes_of: Path | None = None) -> dict[str, Surface]:
+    """Return the surface of every link of `LINKS` in base axes, at joint angles (19,) [deg], order of `JOINTS`.
 
-    The centre of a link is its centre of mass, as in every aerodynamic table.
+    Parts of other links count to one of these. The centre of a link is that of its aerodynamics.
+
+    Parameters
+    ----------
+    meshes_of
+        The robot's TOML file, from which the meshes of its URDF are found. Without it, links of meshes alone are the
+        spheres and cylinders of their aerodynamics.
 
     Raises
     ------
     Refused
-        If a joint is beyond its stops, or if a body does not close.
+        If a joint is beyond its stops, if a mesh is missing, if a body does not close, or if a link has none.
     """
     poses = body_poses(robot, joint_position_deg)
-    look = look_of(robot)
-    parts: dict[str, list[Floats]] = {link.name: [] for link in look.links}
+    look = look_of(robot, meshes_of)
+    if meshes_of and look.missing:
+        raise Refused("; ".join(look.missing))
+    links = {link.name: link for link in look.links if link.name in LINKS}
+    parts: dict[str, list[Floats]] = {name: [] for name in links}
     for shape in look.shapes:
-        triangles = triangles_of(shape.kind, shape.size)
+        triangles = _triangles_of_mesh(shape.mesh, shape.size) if shape.mesh else triangles_of(shape.kind, shape.size)
         check_closed(shape.name, triangles)
         parts[_link_of(shape, look, robot)].append(placed(triangles, poses[shape.body] @ shape.body_from_shape))
+    if missing := [name for name in LINKS if not parts.get(name)]:
+        raise Refused(f"the robot has no aerodynamic link with a body named {', '.join(missing)}")
     return {
-        link.name: Surface(
-            np.concatenate(parts[link.name]), poses[link.body].rotation @ link.position + poses[link.body].position
+        name: Surface(
+            np.concatenate(parts[name]), poses[link.body].rotation @ link.position + poses[link.body].position
         )
-        for link in look.links
+        for name, link in links.items()
     }
+
+
+def _triangles_of_mesh(mesh: Mesh, factors: tuple[float, float, float]) -> Floats:
+    """Return the triangles (T, 3, 3) [m] of a mesh with factors on its vertices, one of which may mirror it."""
+    triangles: Floats = mesh.vertices[mesh.faces] * np.array(factors)
+    return triangles if np.prod(factors) > 0.0 else triangles[:, ::-1]
 
 
 def check_closed(name: str, triangles: Floats) -> None:
@@ -142,7 +162,7 @@ def _link_of(shape: Shape, look: Look, robot: rust.Robot) -> str:
     It is the link of the shape's own name, or else that of its body; bodies without a link count to the next one
     outwards along the tree (torso to chest, shoulder to upper arm), at its ends inwards (foot to lower leg).
     """
-    links = {link.name: link.body for link in look.links}
+    links = {link.name: link.body for link in look.links if link.name in LINKS}
     if shape.name in links:
         return shape.name
     carried = {body: name for name, body in reversed(links.items())}
@@ -163,7 +183,8 @@ def write_stl(surfaces: Mapping[str, Surface], path: Path) -> None:
     for name, surface in surfaces.items():
         a, b, c = np.moveaxis(surface.triangles, 1, 0)
         normals = np.cross(b - a, c - a)
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals /= np.where(lengths > 0.0, lengths, 1.0)  # a mesh may have triangles without area
         lines.append(f"solid {name}")
         for normal, corners in zip(normals, surface.triangles, strict=True):
             lines += [f"facet normal {_numbers(normal)}", "outer loop"]

@@ -11,7 +11,7 @@ import pytest
 
 from experiments import import_cfd
 from experiments.cfd import case, command, compare, correct, design, flow, foam, geometry, settings, simulate, verify
-from jax_aero import rust, tables
+from jax_aero import mesh, rust, tables
 from jax_aero.aero import dataset as ds
 from jax_aero.aero import surrogate, surrogate_fit
 from jax_aero.aero.dataset import LINKS
@@ -68,6 +68,92 @@ def test_feet_belong_to_the_lower_legs_and_shoulders_to_the_arms(hovering):
     assert min(lowest, key=lowest.__getitem__) in ("l_lower_leg", "r_lower_leg")
     inmost = np.abs(hovering["l_upper_arm"].triangles[..., 1]).min()
     assert inmost < np.abs(hovering["l_arm_jet_turbine"].triangles[..., 1]).min()
+
+
+BOX = (0.1, 0.15, 0.2)
+
+
+def write_box(path, size, *, is_open=False):
+    """Write a box as an STL, or one that lacks a triangle."""
+    box = pytest.importorskip("trimesh").creation.box(size)
+    box.update_faces(np.arange(len(box.faces)) >= is_open)
+    box.export(path)
+
+
+@pytest.fixture
+def headed(robot, tmp_path):
+    """Return a function that makes a robot whose head looks as the given geometry of a URDF, and its file."""
+
+    def make(geometry_text):
+        sphere = '<sphere radius="0.09645"/>'
+        assert robot.urdf_text.count(sphere) == 1
+        (tmp_path / "ironcub_mk1.urdf").write_text(robot.urdf_text.replace(sphere, geometry_text), encoding="utf-8")
+        path = tmp_path / "robot.toml"
+        path.write_text(robot.toml_text, encoding="utf-8")
+        return rust.Robot(path), path
+
+    return make
+
+
+@pytest.mark.parametrize("factors", ["0.001 0.001 0.001", "-0.001 0.001 0.001"])
+def test_a_mesh_stands_where_a_primitive_of_its_size_would(headed, tmp_path, factors, agree):
+    """A box in millimetres, and its mirror image, whose triangles would face inwards."""
+    joints = import_cfd.known_postures()["Config5"]
+    expected = geometry.robot_surfaces(headed(f'<box size="{BOX[0]} {BOX[1]} {BOX[2]}"/>')[0], joints)
+    write_box(tmp_path / "skull.stl", 1e3 * np.array(BOX))
+    chosen, path = headed(f'<mesh filename="package://somewhere/skull.stl" scale="{factors}"/>')
+    found = geometry.robot_surfaces(chosen, joints, path)
+    assert tuple(found) == LINKS
+
+    def corners(surface):
+        points = np.unique(np.round(surface.triangles.reshape(-1, 3), 6), axis=0)
+        return points[np.lexsort(points.T)]
+
+    # An STL has single precision: 0.1 m to 6e-9 m.
+    agree("corners [m]", corners(found["head"]), corners(expected["head"]), 1.1e-6)
+    agree("volume [m3]", geometry.volume(found["head"].triangles), np.prod(BOX), 1e-8)
+    # A body that has a mesh has no struts, and the head is fixed to the chest's.
+    for name in set(LINKS) - {"head", "chest"}:
+        np.testing.assert_array_equal(found[name].triangles, expected[name].triangles)
+    # Without its meshes the robot's head is that of its aerodynamics.
+    sphere = geometry.robot_surfaces(chosen, joints)["head"]
+    assert geometry.volume(sphere.triangles) == pytest.approx(np.pi / 6.0 * 0.1929**3, rel=0.01)
+
+
+def test_a_mesh_that_is_missing_or_open_is_refused_by_name(headed, tmp_path):
+    joints = import_cfd.known_postures()["hovering"]
+    chosen, path = headed('<mesh filename="package://somewhere/skull.stl"/>')
+    with pytest.raises(Refused, match=r"head: mesh package://somewhere/skull\.stl: 0 files of that name"):
+        geometry.robot_surfaces(chosen, joints, path)
+    write_box(tmp_path / "skull.stl", BOX, is_open=True)
+    with pytest.raises(Refused, match="the surface of `head` does not close"):
+        geometry.robot_surfaces(chosen, joints, path)
+
+
+def test_a_body_whose_parts_touch_in_an_edge_closes():
+    box = geometry.triangles_of("box", (1.0, 1.0, 1.0))
+    beside = box + np.array([1.0, 1.0, 0.0])
+    assert geometry.is_closed(np.concatenate([box, beside]))
+    assert not geometry.is_closed(np.concatenate([box, beside[1:]]))
+
+
+def test_a_design_with_meshes_has_its_own_postures_and_another_digest(headed, tmp_path):
+    """Cases of another mesh of the same name would be taken for those of this one."""
+    _, path = headed('<mesh filename="package://somewhere/skull.stl" scale="1 1 1"/>')
+    angles = import_cfd.known_postures()["hovering"]
+    rows = [["name", *(f"{joint}_deg" for joint in ds.JOINTS)], ["stands", *map(str, angles)]]
+    (tmp_path / "own.csv").write_text("\n".join(",".join(row) for row in rows), encoding="utf-8")
+    winds = design.Winds(design="grid", pitch_deg=(90.0,), yaw_deg=(0.0,))
+    spec = design.Spec("x", ("stands",), winds, path, "meshes", tmp_path / "own.csv")
+    digests = set()
+    for size in (1.0, 2.0):
+        write_box(tmp_path / "skull.stl", (size, 1.0, 1.0))
+        mesh.read_mesh.cache_clear()
+        made = design.Design("own", spec)
+        digests.add(made.digest)
+        assert [case.posture for case in made] == ["stands"]
+        assert np.ptp(made.surfaces["stands"]["head"].triangles[..., 1]) > 0.9
+    assert len(digests) == 2
 
 
 def test_a_posture_beyond_the_stops_is_refused_in_degrees(robot):
