@@ -8,7 +8,7 @@
 use crate::common::{assert_within, both_robots, random_state, random_vector, rng};
 use flight_core::dynamics::{Dynamics, MassFactor};
 use flight_core::kinematics::{Kinematics, RobotState};
-use flight_core::robot::{Frame, RobotModel};
+use flight_core::robot::{Frame, JointKind, RobotModel};
 use flight_core::spatial::{Pose, exp_so3, project_to_so3, skew, vee_of_skew_part};
 use flight_core::subtree::SubtreeLoads;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
@@ -49,9 +49,14 @@ impl Sample {
     }
 }
 
-/// Both robots, every state of a seeded sequence.
+/// Both robots and one of which every third joint slides, every state of a seeded sequence.
 fn on_random_states(seed: u64, mut law: impl FnMut(&RobotModel, Sample)) {
-    for robot in both_robots() {
+    let [first, second] = both_robots();
+    let mut sliding = first.clone();
+    for joint in sliding.joints.iter_mut().step_by(3) {
+        joint.kind = JointKind::Prismatic;
+    }
+    for robot in [first, second, sliding] {
         let mut rng = rng(seed);
         for _ in 0..STATES {
             let state = random_state(&mut rng, &robot);

@@ -91,7 +91,7 @@ fn the_momentum_tells_a_wrong_sensor() {
 #[test]
 fn numbers_that_mean_nothing_are_refused_by_key() {
     type Change = fn(&mut EnginesConfig, &mut DescentConfig);
-    let cases: [(&str, Change); 8] = [
+    let cases: [(&str, Change); 9] = [
         ("controller.engines.time_constant", |engines, _| engines.time_constant = 0.0),
         ("controller.engines.deviation_max", |engines, _| engines.deviation_max = f64::NAN),
         ("controller.engines.confirmation", |engines, _| engines.confirmation = -0.1),
@@ -102,6 +102,7 @@ fn numbers_that_mean_nothing_are_refused_by_key() {
             descent.joint_velocity_max_deg = 0.0;
         }),
         ("controller.engines.descent.torque_rate_max", |_, descent| descent.torque_rate_max = f64::INFINITY),
+        ("controller.engines.descent.torque_rate_max", |_, descent| descent.torque_rate_max = 0.0),
     ];
     let shipped = experiment("test2_observer").controller.law.engines.unwrap();
     shipped.check().unwrap();

@@ -19,6 +19,7 @@ mod observer;
 mod qp;
 mod qp_rows;
 mod recorded;
+mod robot;
 mod setpoint;
 mod spatial;
 mod tasks;

@@ -5,7 +5,7 @@
 
 use crate::common::{assert_within, random_vector, rng};
 use flight_core::spatial::{
-    Pose, axis_angle, exp_so3, log_so3, orthonormality_error, project_to_so3, rotation_angle,
+    Pose, axis_angle, exp_so3, is_rotation, log_so3, orthonormality_error, project_to_so3, rotation_angle,
     rotation_from_rpy, rotation_from_wxyz, rpy_from_rotation, skew, unit_vector, vee_of_skew_part,
     wxyz_from_rotation,
 };
@@ -213,5 +213,19 @@ fn unit_vectors_are_normalised_or_refused() {
         Vector3::new(f64::INFINITY, 0.0, 0.0),
     ] {
         assert!(unit_vector(refused).is_none(), "{refused}");
+    }
+}
+
+/// A rotation to six digits is one; a reflection, a stretched one and one that holds a NaN are none.
+#[test]
+fn rotations_are_distinguished_from_other_matrices() {
+    let rotation = exp_so3(&Vector3::new(0.3, -1.2, 2.0));
+    for accepted in [rotation, rotation * (1.0 + 4e-7), rotation * (1.0 - 4e-7)] {
+        assert!(is_rotation(&accepted), "{accepted}");
+    }
+    let mut unknown = rotation;
+    unknown.m12 = f64::NAN;
+    for refused in [-rotation, rotation * (1.0 + 6e-7), rotation * (1.0 - 6e-7), unknown] {
+        assert!(!is_rotation(&refused), "{refused}");
     }
 }
