@@ -99,6 +99,28 @@ fn precisions_agree() {
 
 // --- laws --------------------------------------------------------------------------------------------------------
 
+/// Outputs in tunnel axes are those of base axes, turned: x along the wind, z normal to it without a side, y right-handed.
+#[test]
+fn tunnel_axes_turn_with_the_wind() {
+    let (robot, mut rng, folder) = (robot("ironcub_mk1"), rng(3), tempdir().unwrap());
+    let [mut in_base, mut in_tunnel] = ["base", "wind"].map(|frame| {
+        let shape = Shape { frame, ..paper(&[20]) };
+        load_aero(&random_network(folder.path(), &robot, &shape, frame, Precision::F64), &robot).unwrap()
+    });
+    let mut state = RobotState::zero(robot.joints.len()); // base axes are the world's
+    for _ in 0..10 {
+        state.joint_position = random_state(&mut rng, &robot).joint_position;
+        let wind = random_vector(&mut rng, 10.0);
+        let x = wind.normalize();
+        let z = Vector3::new(-x.z, 0.0, x.x).normalize();
+        let axes = nalgebra::Matrix3::from_columns(&[x, z.cross(&x), z]);
+        let expected: Vec<_> =
+            forces(&robot, &mut in_base, &state, wind).forces_i.iter().map(|force| axes * force).collect();
+        let found = forces(&robot, &mut in_tunnel, &state, wind).forces_i;
+        assert_within!(distance(&expected, &found), 1e-13, because "a dozen roundings");
+    }
+}
+
 /// Forces grow with the square of the speed, turn with the world, and vanish in still air.
 #[test]
 fn forces_follow_wind_and_world() {
