@@ -277,14 +277,14 @@ def _control_cases(scenario: Any, hover: Any, wind: Any) -> Iterator[Case]:
         return control.tick(params, robot, memory, now, state, thrust, wind)
 
     shared = (scenario.controller, scenario.plant.robot, wind, time_now)
-    sample = (hover.memory, hover.plant.robot, hover.plant.jets.thrust)
+    sample = (hover.controller, hover.plant.robot, hover.plant.jets.thrust)
     _, _, terms = jax.jit(tick)(shared, sample)
 
     def solve(start: Any, problem: Any) -> Any:
         return qp.solve(problem, start)
 
-    yield Case("momentum QP, warm", solve, hover.memory.momentum_start, terms.momentum_qp.problem)
-    yield Case("torque QP, warm", solve, hover.memory.torque_start, terms.torque_qp.problem)
+    yield Case("momentum QP, warm", solve, hover.controller.momentum_start, terms.momentum_qp.problem)
+    yield Case("torque QP, warm", solve, hover.controller.torque_start, terms.torque_qp.problem)
     yield Case("controller tick", lambda shared, sample: tick(shared, sample)[:2], shared, sample)
 
 

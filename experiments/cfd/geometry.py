@@ -14,7 +14,7 @@ from jax_aero.aero.dataset import JOINTS, LINKS, Floats
 from jax_aero.files import write_text
 from jax_aero.mesh import Mesh
 from jax_aero.urdf import Pose
-from jax_aero.view.shapes import Kind, Look, Shape, look_of
+from jax_aero.view.shapes import Kind, Look, Mount, Shape, look_of
 
 SEGMENTS = 48
 """Of a circle; its polygon is 0.3 % smaller in area than the circle, so it is drawn at the radius of equal area."""
@@ -118,7 +118,7 @@ def robot_surfaces(robot: rust.Robot, joint_position_deg: Floats, meshes_of: Pat
     for shape in look.shapes:
         triangles = _triangles_of_mesh(shape.mesh, shape.size) if shape.mesh else triangles_of(shape.kind, shape.size)
         check_closed(shape.name, triangles)
-        parts[_link_of(shape, look, robot)].append(placed(triangles, poses[shape.body] @ shape.body_from_shape))
+        parts[_link_of(shape, links, look, robot)].append(placed(triangles, poses[shape.body] @ shape.body_from_shape))
     if missing := [name for name in LINKS if not parts.get(name)]:
         raise Refused(f"the robot has no aerodynamic link with a body named {', '.join(missing)}")
     return {
@@ -156,16 +156,15 @@ def body_poses(robot: rust.Robot, joint_position_deg: Floats) -> list[Pose]:
     return [Pose(turn, place) for turn, place in zip(at.body_rotations, at.body_positions, strict=True)]
 
 
-def _link_of(shape: Shape, look: Look, robot: rust.Robot) -> str:
+def _link_of(shape: Shape, links: dict[str, Mount], look: Look, robot: rust.Robot) -> str:
     """Return the aerodynamic link that a shape counts to.
 
     It is the link of the shape's own name, or else that of its body; bodies without a link count to the next one
     outwards along the tree (torso to chest, shoulder to upper arm), at its ends inwards (foot to lower leg).
     """
-    links = {link.name: link.body for link in look.links if link.name in LINKS}
     if shape.name in links:
         return shape.name
-    carried = {body: name for name, body in reversed(links.items())}
+    carried = {link.body: name for name, link in reversed(links.items())}
     carried |= {robot.body_names.index(name): name for name in links if name in robot.body_names}
     inward = _inward(shape.body, look.parents)
     outward = [body for body in range(len(look.parents)) if shape.body in _inward(body, look.parents)]

@@ -47,10 +47,9 @@ CHECKPOINT_EVERY = 50
 CHUNK = 250
 """Ticks that `fly` flies between two looks at the fall and at the keyboard."""
 
-
 COMPILER_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
 """For `jax.jit(..., compiler_options=COMPILER_OPTIONS)` of flights: on a CPU, XLA's older generator of code for fused
-operations compiles them in 0.6 to 0.8 of the time, and batches run a tenth faster. Other devices ignore it."""
+operations compiles them faster, and they run no slower (`docs/benchmarks.md`)."""
 
 
 def everything(row: FlightRow) -> FlightRow:

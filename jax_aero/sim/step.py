@@ -383,11 +383,11 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
         )
     if estimator is not None:
         terms = command.terms
-        unmodelled = jnp.zeros(6) if terms is None else terms.momentum.unmodelled_wrench
+        unmodelled = jnp.zeros_like(now.robot.velocity[:6]) if terms is None else terms.momentum.unmodelled_wrench
         estimator = estimating.command(estimator, Order(command.joint_torque, command.thrust_rate, unmodelled))
     seen = _observe(scenario, now, command, air)
 
-    rotation_error, com_error = jnp.zeros(()), jnp.zeros(())
+    rotation_error = com_error = jnp.zeros_like(now.robot.base_position[0])
     if command.setpoint is not None:
         rotation_error = rotation_angle(multiply(command.setpoint.rotation.T, now.robot.base_rotation))
         com_error = safe_norm(seen.kinematics.com - command.setpoint.com_position)
@@ -478,7 +478,7 @@ def _divergence(scenario: Scenario, state: PlantState, wind: Array) -> tuple[Arr
     speed = jnp.maximum(jnp.linalg.norm(now.velocity[:3]), jnp.linalg.norm(wind))
     excess = jnp.max(jnp.maximum(lower - joints, joints - upper), initial=-jnp.inf)
     criteria = {
-        NOT_FINITE: (~_all_in_range((state, wind)), jnp.zeros(())),
+        NOT_FINITE: (~_all_in_range((state, wind)), jnp.zeros_like(speed)),
         BY_SPEED: (speed > limits.speed, limits.speed),
         BY_ANGULAR_VELOCITY: (jnp.linalg.norm(now.velocity[3:6]) > limits.angular_velocity, limits.angular_velocity),
         BY_JOINT_VELOCITY: (

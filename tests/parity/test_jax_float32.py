@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jax_aero import rust, sim
 from jax_aero.aero import Axisymmetric, LinkConventions, link_forces
 from jax_aero.dynamics import dynamics, forward_dynamics
+from jax_aero.io import scenario_config
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import load_robot
 from jax_aero.types import State, with_dtype
@@ -51,3 +53,16 @@ def test_the_budget_of_single_precision(agree):
     for name, tolerance in BUDGET.items():
         assert single[name].dtype == jnp.float32
         agree(name, single[name], double[name], tolerance)
+
+
+@pytest.mark.parametrize("name", ["test2", "test2_observer", "test2_sensors"])
+def test_a_flight_in_single_precision_has_no_number_in_double_precision(name):
+    config = scenario_config(rust.load_config(ROOT / "configs" / "experiments" / f"{name}.toml"))
+    scenario, start = sim.in_precision(*sim.prepare(config), np.float32)
+    flown = jax.eval_shape(lambda scenario, start: sim.rollout(scenario, start, 2, sim.everything), scenario, start)
+    doubled = [
+        jax.tree_util.keystr(path)
+        for path, leaf in jax.tree_util.tree_leaves_with_path(flown)
+        if leaf.dtype == jnp.float64
+    ]
+    assert doubled == []

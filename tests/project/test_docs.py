@@ -17,6 +17,7 @@ from experiments import waypoints
 from experiments.sweep import spec
 from experiments.sweep.design import Design
 from jax_aero import cli, rust, tables
+from tests.browser import CHROMIUM, SLOWEST, SWITCHES
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -217,17 +218,15 @@ OUT_OF_SIGHT = """() => {
 }"""
 
 
+@pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
 def test_pages_fit_the_screen(site):
     """Of a desk, of a small computer and of a telephone."""
     sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
-    if chromium is None:
-        pytest.skip("Chromium is not installed")
     with sync_api.sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=list(SWITCHES))
         tab = browser.new_page()
         for page in sorted(site.rglob("index.html")):
-            tab.goto(page.as_uri(), timeout=60_000)
+            tab.goto(page.as_uri(), timeout=SLOWEST)
             for width in (1440, 1024, 390):
                 tab.set_viewport_size({"width": width, "height": 900})
                 assert tab.evaluate(OUT_OF_SIGHT) == [], f"{page.relative_to(site)} at {width} px"

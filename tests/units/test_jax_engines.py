@@ -20,8 +20,8 @@ def updated(state, innovation, thrust=THRUST, sensor_share=(0.0, 0.0)):
     """After a tick; `sensor_share` of the deviations, engine by engine, is seen in the momentum as well."""
     deviation = np.exp(-STEP / 0.5) * np.asarray(state.deviation) + np.asarray(innovation)
     # The residual whose projections on the columns of A_T are those shares.
-    share = np.linalg.pinv(A_T.T) @ (-np.asarray(sensor_share) * deviation * np.sum(np.asarray(A_T) ** 2, axis=0))
-    return engines.update(LIMITS, state, jnp.array(STEP), thrust, jnp.asarray(innovation), A_T, jnp.asarray(share))
+    residual = np.linalg.pinv(A_T.T) @ (-np.asarray(sensor_share) * deviation * np.sum(np.asarray(A_T) ** 2, axis=0))
+    return engines.update(LIMITS, state, jnp.array(STEP), thrust, jnp.asarray(innovation), A_T, jnp.asarray(residual))
 
 
 def test_deviations_are_summed_and_forgotten(measured):

@@ -22,8 +22,8 @@ from jax_aero.view import recording
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
 
+from tests.browser import CHROMIUM, SLOWEST, SWITCHES  # noqa: E402 - after the skip
 from tests.measurements import measured  # noqa: E402
-from tests.view.test_page import CHROMIUM, SLOWEST, SWITCHES  # noqa: E402 - after the skip
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "rust/lab/page"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-import shutil
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,18 +18,7 @@ from jax_aero.view.settings import default_config
 pytest.importorskip("viser", reason="viser is not installed")
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
 
-CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)
-SWITCHES = (
-    "--no-sandbox",
-    "--use-angle=swiftshader",  # WebGL in software
-    "--enable-unsafe-swiftshader",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-)
-SLOWEST = 60_000  # ms, on a busy machine
+from tests.browser import CHROMIUM, SLOWEST, SWITCHES  # noqa: E402 - after the skip
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
 

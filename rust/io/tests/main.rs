@@ -3,4 +3,5 @@
 #[path = "../../sim/tests/common/mod.rs"]
 mod common;
 
+mod mission;
 mod robot;

@@ -1,0 +1,44 @@
+//! Missions and recorded references: what cannot be flown is refused.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+use flight_core::control::mission::Commands;
+use flight_io::MissionConfig;
+use flight_io::mission::{COLUMNS, load_recording, parse_recording};
+use std::path::Path;
+
+#[test]
+fn what_cannot_be_flown_is_refused_by_line() {
+    let header = COLUMNS[..7].join(",");
+    let cases = [
+        (String::new(), "the first 7, 10, 13 or 16 names"),
+        ("time,x,y,z\n".to_owned(), "line 1 of reference file r.csv is time,x,y,z"),
+        (format!("{header},vx\n"), "the first 7, 10, 13 or 16 names"),
+        (format!("# source\n{header}\n0,0,0,1,0,0,0\n1,0,0,1,0,0\n"), "line 4"),
+        (format!("{header}\n0,0,0,1,0,0,0\n1,0,0,1,0,0,0,0\n"), "7 numbers"),
+        (format!("{header}\n0,0,0,1,0,0,0\n1,0,0,one,0,0,0\n"), "7 numbers"),
+        (format!("{header}\n0,0,0,1,0,0,0\n1,0,0,NaN,0,0,0\n"), "finite numbers"),
+    ];
+    for (text, expected) in cases {
+        let message = parse_recording(&text, "r.csv").unwrap_err().to_string();
+        assert!(message.contains(expected), "{message} does not say {expected}");
+    }
+    assert!(load_recording(Path::new("nowhere.csv")).unwrap_err().to_string().contains("nowhere.csv"));
+}
+
+#[test]
+fn commands_beside_a_file_are_refused() {
+    let mission = MissionConfig {
+        commands: Commands { up: vec![(1.0, 2.0)], ..Commands::default() },
+        file: Some("r.csv".into()),
+    };
+    let message = mission.check().unwrap_err().to_string();
+    assert!(message.contains("mission.up") && message.contains("r.csv"), "{message}");
+    assert!(MissionConfig { file: Some("r.csv".into()), ..MissionConfig::default() }.check().is_ok());
+}
+
+#[test]
+fn a_mission_without_a_file_is_written_without_the_key() {
+    let text = serde_json::to_string(&MissionConfig::default()).unwrap();
+    assert!(!text.contains("file"), "{text}");
+}
