@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from experiments import import_cfd
+from experiments import calibrate_surrogate, import_cfd
 from experiments.cfd import case, command, compare, correct, design, flow, foam, geometry, settings, simulate, verify
 from jax_aero import mesh, rust, tables
 from jax_aero.aero import dataset as ds
@@ -407,6 +407,18 @@ def test_rows_are_matched_directly_or_as_mirror_images_and_averaged_with_them(sm
     here, there, rows = compare.matched(ours, table)
     np.testing.assert_array_equal(rows, np.arange(len(ours)))
     np.testing.assert_array_equal(here.force_area_b, there.force_area_b)
+
+
+def test_beside_the_tunnel_stand_cases_of_the_same_posture_and_wind_alone(small, tmp_path, monkeypatch, agree):
+    """The drag of a head wind is 13 links of 0.01 m²; the others have another wind or another posture."""
+    command.compute(small, tmp_path, Fake())
+    command.collect(small, tmp_path)
+    data = ds.load(tmp_path / "dataset.nc")
+    row = calibrate_surrogate.Row("tunnel", "hovering", 90.0, 0.9, cda=0.1, csa=0.02, cla=0.03)
+    monkeypatch.setattr(compare, "table_rows", lambda: iter([row, row._replace(yaw_deg=1.1)]))
+    found = compare.beside_tunnel(data)
+    assert [name.split(":")[0] for name in found] == ["hovering 90/1"] * 4
+    agree("areas", list(found.values()), [0.13, 1.3, -0.03, -0.02], 1e-12)
 
 
 def test_the_shipped_dataset_has_accepted_cases_of_its_design_alone():

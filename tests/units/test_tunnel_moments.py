@@ -1,17 +1,15 @@
-"""Models beside the tunnel's moments, networks with intervals, and the matrix of pairs: what they compute."""
+"""Models beside the tunnel's moments, and the matrix of pairs: what they compute."""
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from experiments import import_tunnel, tunnel_correction, tunnel_moments
-from experiments.training import ensemble
 from jax_aero.aero import dataset, tunnel
 from jax_aero.aero.fit import predicted_areas
 from jax_aero.aero.posture import link_axes, total_wrench
 from jax_aero.robot import load_robot
 from paper_figs import model_pairs
-from tests.units.test_import_cfd import read, table
 from tests.units.test_tunnel import clone, gvp
 
 
@@ -123,38 +121,6 @@ def test_a_model_that_is_the_measurement_has_no_error(points):
     assert np.all(intervals[..., 0] <= intervals[..., 1])
     assert added.shape == (2, 2, 3, 3)
     assert added[1, 0, 2, 2] > 0.9
-
-
-def test_intervals_cover_what_they_say_where_the_error_follows_the_spread():
-    rng = np.random.default_rng(3)
-    family = np.repeat(np.arange(10), 400)
-    size = rng.uniform(0.5, 2.0, size=(4000, 1))
-    truth = np.zeros((4000, 3))
-    predicted = size * rng.normal(size=(8, 4000, 3))
-    found = ensemble.intervals(predicted, truth, family)
-    # 4000 draws: a standard deviation of 0.5 per cent about 90.
-    assert 0.88 < found["coverage"] < 0.92
-    assert found["coverage_min"] < found["coverage"] < found["coverage_max"]
-
-
-def test_factors_on_links_add_what_the_spread_of_the_networks_lacks(measured):
-    rng = np.random.default_rng(4)
-    of_links = rng.normal(size=(50, 13, 3))
-    half = ensemble.link_half_width({"rms": 1.3, "floor": 0.5}, of_links)
-    factors = rng.uniform(-half, half, size=(4000, 1, 13, 1))
-    added = np.mean(np.sum(np.sum(factors * of_links, axis=2) ** 2, axis=-1))
-    # A mean over 4000 draws of a sum of squares whose standard deviation is at most √2 of its mean; four of them.
-    measured("variance that is added", abs(added / (1.3**2 - 0.5**2) - 1.0), 4 * np.sqrt(2.0 / 4000))
-
-
-def test_members_of_an_ensemble_differ_and_miss_one_posture():
-    trainings = [ensemble.member_training(changes, 3) for changes in ensemble.MEMBERS]
-    assert len({repr(one.network) for one in trainings}) == len(trainings) == 8
-    data = read(table())
-    everything = np.arange(len(data))
-    kept = ensemble.without_one(data, everything, 0)
-    assert 0 < len(kept) < len(data)
-    assert len(set(data.family[kept])) == len(set(data.family)) - 1
 
 
 def test_a_cell_of_the_matrix_counts_balanced_arrivals():

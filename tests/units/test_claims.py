@@ -1,0 +1,294 @@
+"""Verdicts on the paper's claims and on ours: made-up figures on both sides of what each of them asks for."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from experiments.report import claims
+from experiments.report.ground import Ground
+from experiments.report.metrics import Metrics
+from experiments.report.results import Sweep
+from experiments.sweep.table import wilson
+
+JUDGES = {claim.key: claim.judge for claim in claims.CLAIMS}
+
+
+def flight(**figures):
+    made_up = {
+        "name": "f", "title": "", "completed": True, "ending": "completed", "com_error": 0.01, "rotation_error": 3.0,
+        "joint_errors": {}, "joint_error_at_end": 1.0, "joint_error_max": 10.0, "thrust": (60.0, 180.0),
+        "asymmetry": (9.0, 8.0), "force": 50.0, "force_difference": 5.0, "difference_time": 40.0,
+        "force_angle": (5.0, 30.0),
+    }  # fmt: skip
+    return Metrics(**(made_up | figures))
+
+
+def stood(axis, **figures):
+    shift, force = np.zeros(3), np.zeros(3)
+    shift[axis], force[axis] = 5e-3, -20.0
+    legs = {"hip_pitch": 0.2, "hip_roll": 0.3, "ankle_pitch": -0.5, "ankle_roll": 0.1}
+    legs = legs if axis == 0 else {"hip_pitch": 0.1, "hip_roll": 0.4, "ankle_pitch": 0.2, "ankle_roll": -0.3}
+    made_up = {
+        "name": "s", "completed": True, "ending": "stands to the end", "always_carried": True, "shift": shift,
+        "force": force, "left_leg": legs, "rate_peak": 10.0, "rate_end": 1.0, "onset": 2.5, "identity": 1e-12,
+        "vertical": (-3.0, 0.1),
+    }  # fmt: skip
+    return Ground(**(made_up | figures))
+
+
+def cell(completed=100, flights=100, on_course=None, worst=4.0, median=2.0, degraded=0, **labels):
+    low, high = wilson(completed, flights)
+    errors = {"median": median, "high": median, "worst": worst}
+    return labels | {
+        "flights": flights, "completed": completed, "completed_low": low, "completed_high": high,
+        "on_course": completed if on_course is None else on_course, "degraded": degraded,
+        **{f"rotation_error_deg_{name}": value for name, value in errors.items()},
+    }  # fmt: skip
+
+
+def judged(key, *, flights=None, standing=None, sweeps=None, studies=None):
+    """Return what was measured and the verdict, from figures in place of a results folder."""
+    made_up = {name: [cell(**one) for one in cells] for name, cells in (sweeps or {}).items()}
+    return JUDGES[key](
+        SimpleNamespace(
+            flights=flights,
+            standing=standing,
+            sweep=lambda name: Sweep({}, made_up[name]),
+            study=lambda kind, _: (studies or {}).get(kind),
+        )
+    )
+
+
+ROBUST = ("robustness", "robustness_published")
+STOOD = {"balancing_front": 0, "balancing_lateral": 1}
+
+
+@pytest.mark.parametrize(
+    ("key", "names", "holds", "fails"),
+    [
+        ("aligned", ["test2"], {"force_angle": (14.9, 60.0)}, {"force_angle": (15.1, 60.0)}),
+        ("joint_errors", ["test2"], {"joint_error_at_end": 1.9}, {"joint_error_at_end": 2.1}),
+        ("joint_errors", ["test1_published"], {"joint_error_at_end": 5.1}, {"joint_error_at_end": 4.9}),
+        ("asymmetry", ["test2"], {"asymmetry": (1.0, 15.1)}, {"asymmetry": (1.0, 14.9)}),
+        ("asymmetry", ["no_wind"], {"asymmetry": (5.9, 1.0)}, {"asymmetry": (6.1, 1.0)}),
+        ("thrusts_alike", ["test4"], {"thrust": (50.1, 189.9)}, {"thrust": (60.0, 190.1)}),
+        ("thrusts_alike", ["test4"], {"thrust": (69.9, 180.0)}, {"thrust": (49.9, 180.0)}),
+        ("transitions", ROBUST, {"difference_time": 20.0}, {"difference_time": 19.9}),
+    ],
+)
+def test_a_claim_on_flights_holds_up_to_its_limit(key, names, holds, fails):
+    base = {
+        "test1_published": flight(joint_error_at_end=6.0), "test2": flight(), "test4": flight(),
+        "no_wind": flight(asymmetry=(2.0, 1.0)), "robustness": flight(), "robustness_published": flight(),
+    }  # fmt: skip
+    if names == ["test2"] and key == "asymmetry":
+        base["no_wind"] = flight(asymmetry=(10.0, 1.0))
+    for figures, verdict in ((holds, claims.AGREES), (fails, "differs")):
+        changed = base | {name: flight(**figures) for name in names}
+        assert judged(key, flights=changed)[1].startswith(verdict), figures
+
+
+def test_the_difference_of_the_models_may_be_late_with_one_kind_of_arms_alone():
+    flights = {"robustness": flight(difference_time=34.9), "robustness_published": flight(difference_time=35.0)}
+    assert judged("transitions", flights=flights)[1] == (
+        'agrees on transitions; "from 35 s on" agrees with published lever arms, differs with corrected ones: '
+        "it does not hold there"
+    )
+    assert judged("transitions", flights=dict.fromkeys(ROBUST, flight(difference_time=35.0)))[1] == "agrees"
+
+
+@pytest.mark.parametrize(
+    ("key", "name", "figures"),
+    [
+        ("stands", "balancing_lateral", {"completed": False}),
+        ("stands", "balancing_front", {"always_carried": False}),
+        ("against", "balancing_front", {"force": np.array([1.0, -9.0, 0.0])}),
+        ("against", "balancing_front", {"shift": np.array([1.9e-3, 0.0, 0.0])}),
+        ("against", "balancing_lateral", {"shift": np.array([1.1e-3, 5e-3, 0.0])}),
+        ("ankle_pitch", "balancing_front", {"left_leg": {"ankle_pitch": 0.2, "hip_pitch": -0.3}}),
+        ("rolls", "balancing_lateral", {"left_leg": {"hip_pitch": -0.35, "hip_roll": 0.4, "ankle_roll": 0.3}}),
+        ("identities", "balancing_front", {"identity": 1e-8}),
+        ("identities", "balancing_lateral", {"vertical": (0.0, -0.6)}),
+        ("onset", "balancing_front", {"onset": 0.9}),
+        ("onset", "balancing_lateral", {"onset": 3.1}),
+    ],
+)
+def test_a_claim_on_standing_needs_both_experiments(key, name, figures):
+    base = {name: stood(axis) for name, axis in STOOD.items()}
+    assert judged(key, standing=base)[1] == claims.AGREES
+    assert judged(key, standing=base | {name: stood(STOOD[name], **figures)})[1].startswith("differs")
+
+
+@pytest.mark.parametrize(
+    ("figures", "word"),
+    [({"rate_end": 4.9}, "it falls,"), ({"rate_end": 5.1}, "not fall"), ({"rate_peak": 0.9}, "not fall")],
+)
+def test_the_momentum_rate_falls_to_a_quarter_of_the_force(figures, word):
+    standing = {"balancing_front": stood(0), "balancing_lateral": stood(1, **figures)}
+    assert word in judged("momentum_rate", standing=standing)[1]
+
+
+def paper_tests(name, corrected, published):
+    return {
+        "paper_tests": [
+            {"test": f"{name}, corrected arms", "completed": corrected},
+            {"test": f"{name}, published arms", "completed": published},
+        ]
+    }
+
+
+@pytest.mark.parametrize(
+    ("corrected", "published", "verdict"),
+    [
+        (95, 95, "agrees"),
+        (94, 95, "agrees with published lever arms"),
+        (95, 94, "agrees with corrected lever arms"),
+        (94, 94, "differs: it does not hold"),
+    ],
+)
+def test_a_test_is_flown_if_95_of_100_neighbours_complete(corrected, published, verdict):
+    sweeps, flights = paper_tests("TEST2", corrected, published), {"test2": flight(), "test2_published": flight()}
+    assert judged("test2", flights=flights, sweeps=sweeps)[1].startswith(verdict)
+
+
+def test_a_test_fails_if_surely_less_than_half_of_its_neighbours_complete():
+    """The interval of 40 of 100 ends at 0.498, that of 41 at 0.508."""
+    flights = {"test1": flight(), "test1_published": flight()}
+    assert judged("test1", flights=flights, sweeps=paper_tests("TEST1", 40, 40))[1] == "agrees"
+    assert judged("test1", flights=flights, sweeps=paper_tests("TEST1", 41, 41))[1].startswith("differs")
+
+
+def test_leaning_is_said_of_the_flight_that_leans_most():
+    flights = {"robustness": flight(rotation_error=46.0), "robustness_published": flight(rotation_error=44.0)}
+    sweeps = paper_tests("robustness", 100, 100)
+    text, verdict = judged("robustness", flights=flights, sweeps=sweeps)
+    assert verdict == "agrees, but the robot leans by up to 46°"
+    assert "corrected arms: completed, rotation error 46.0°, CoM error 1 cm, perturbed 100 of 100" in text
+    flights["robustness"] = flight(rotation_error=45.0)
+    assert judged("robustness", flights=flights, sweeps=sweeps)[1] == "agrees"
+
+
+def test_other_models_are_those_of_other_worlds():
+    def sweep(others):
+        return {
+            "model_pairs": [
+                {"arms": arms, "world": world, "model": model, "flights": 1, "completed": int(n)}
+                for arms in ("a", "b")
+                for world in ("x", "y")
+                for model, n in (("x", world == "x" or others), ("y", world == "y" or others), ("none", 0))
+            ]
+        }
+
+    text, verdict = judged("model_pairs", sweeps=sweep(True))
+    assert "another model 2 of 2, no model 0 of 2, no model, observer 0 of 0" in text
+    assert verdict == "agrees"
+    text, verdict = judged("model_pairs", sweeps=sweep(False))
+    assert "the simulator's model 2 of 2, another model 0 of 2" in text
+    assert verdict.startswith("differs")
+
+
+@pytest.mark.parametrize(("without", "verdict"), [(2.9, "agrees"), (3.1, "differs: not in every world")])
+def test_the_term_of_the_changing_force_must_not_matter_in_any_world(without, verdict):
+    terms = [
+        {"world": world, "feedback": feedback, "median": median}
+        for world, other in ((claims.RIGHT, 2.0), (claims.HEAD, without), (claims.PUBLISHED, 2.0))
+        for feedback, median in (("everything", 2.0), ("without Λ_a", other))
+    ]
+    assert judged("lambda", sweeps={"ablation_terms": terms})[1] == verdict
+
+
+@pytest.mark.parametrize(("mass", "verdict"), [(4.85, "agrees"), (4.37, "agrees"), (4.87, "differs: +0.26 kg")])
+def test_the_fuel_of_a_flight_is_that_of_the_paper_within_a_quarter_of_a_kilogram(mass, verdict):
+    found = {"no_wind": {"five_minutes_kg": mass, "fuel_l": 0.8}}
+    assert judged("fuel_flown", studies={"along": found})[1].startswith(verdict)
+
+
+@pytest.mark.parametrize(
+    ("baseline", "aware", "verdict"),
+    [
+        (0.1, 0.1, "agrees"),
+        (0.0, 0.1, "agrees with an aware controller; differs: an exhaust meets the body in test1"),
+        (9.0, 0.0, "differs: an exhaust meets the body in test4"),
+    ],
+)
+def test_an_exhaust_that_touches_is_named(baseline, aware, verdict):
+    clear = {"test1": baseline, "test2": 5.0, "test2_published": 5.0, "test4": aware}
+    found = {name: {"clearance_mm": distance} for name, distance in clear.items()}
+    assert judged("clearance", studies={"along": found})[1] == verdict
+
+
+def test_engines_are_exchangeable_if_every_flight_ends_alike():
+    cells = {
+        name: {"outcome": "completed", "arm_thrust_max": 99.0, "rotation_error": 3.0} for name in ("t P100", "t P160")
+    }
+    assert judged("arm_engines", studies={"arm_engines": cells})[1] == "agrees"
+    cells["t P100"] = cells["t P100"] | {"outcome": "fell"}
+    assert judged("arm_engines", studies={"arm_engines": cells})[1].startswith("differs")
+
+
+# --- claims of our own
+
+OBSERVED = [{"test": f"TEST{n}, {arms} arms"} for n in (1, 3) for arms in ("corrected", "published")]
+WINDS = [
+    {"controller": "observer", "speed": speed, "direction": direction, "median": 2.0}
+    for speed in (26.0, 40.0)
+    for direction in (0.0, 90.0)
+]
+ERRORS = [
+    {"controller": "observer and model", "model_error": name} for name in ("mass +10 %", "mass -10 %", "CoM 4 cm")
+]
+SENSED = [{"controller": "observer and estimator", "flight": name} for name in ("TEST1", "TEST2")]
+OUTAGES = [
+    {"channel": channel, "duration": duration, "speed": speed}
+    for channel in ("wind", "all thrusts", "rotation", "velocity", "position")
+    for duration in (0.3, 1.0, 60.0)
+    for speed in (10.0, 20.0)
+]
+FAILURES = [
+    {"engines": "found, descends", "failure": name} for name in ("fades at 18 s", "stops at 18 s", "fades at 9 s")
+]
+
+
+@pytest.mark.parametrize(
+    ("key", "sweep", "cells", "place", "holds", "fails"),
+    [
+        ("observer_corrected", "observer_tests", OBSERVED, 2, {"worst": 5.0}, {"worst": 5.1}),
+        ("observer_published", "observer_tests", OBSERVED, 1, {"worst": 7.0}, {"completed": 99}),
+        ("observer_26", "observer_wind", WINDS, 1, {"median": 12.0}, {"median": 12.1}),
+        ("observer_40", "observer_wind", WINDS, 3, {"median": 80.0}, {"completed": 99}),
+        ("observer_errors", "observer_errors", ERRORS, 2, {"median": 10.0}, {"median": 10.1}),
+        ("sensors", "sensors_tests", SENSED, 1, {"worst": 12.0}, {"worst": 12.1}),
+        ("outages_lasting", "outages_observer", OUTAGES, 10, {"worst": 90.0}, {"worst": 90.1}),
+        ("outages_short", "outages_observer", OUTAGES, 20, {"worst": 90.0}, {"completed": 99}),
+        ("engines_lost", "engine_loss", FAILURES, 1, {"worst": 90.0}, {"worst": 90.1}),
+    ],
+)
+def test_a_claim_of_ours_fails_with_one_of_its_cells(key, sweep, cells, place, holds, fails):
+    for figures, verdict in ((holds, claims.AGREES), (fails, "differs")):
+        changed = [one | figures if at == place else one for at, one in enumerate(cells)]
+        assert judged(key, sweeps={sweep: changed})[1].startswith(verdict), figures
+
+
+def test_one_alarm_in_either_sweep_is_a_false_alarm():
+    sweeps = {"observer_tests": OBSERVED, "sensors_tests": [*SENSED, {"controller": "other", "degraded": 7}]}
+    assert judged("false_alarms", sweeps=sweeps) == ("0 of 600 flights, 0.0 to 6.4 of 1000 (95 %)", "agrees")
+    sweeps["sensors_tests"] = [{**SENSED[0], "degraded": 2}]
+    assert judged("false_alarms", sweeps=sweeps)[1] == "differs: 2 false alarms"
+
+
+@pytest.mark.parametrize(
+    ("figures", "verdict"),
+    [
+        ({"rms": 1.5, "inside": 0.95}, "agrees"),
+        ({"rms": 1.5, "inside": 0.85}, "agrees"),
+        ({"rms": 1.6, "inside": 0.9}, "differs: air: up to 1.6 m/s"),
+        ({"rms": 1.0, "inside": 0.96}, "differs: air: interval too wide"),
+        ({"rms": 1.0, "inside": 0.84}, "differs: air: interval too narrow"),
+    ],
+)
+def test_an_estimated_wind_is_judged_by_error_and_interval(figures, verdict):
+    found = {"air, 6 m/s": {"rms": 0.5, "inside": 0.9}, "air, 10 m/s": figures}
+    text, answer = judged("wind_estimate", studies={"wind_observer": found})
+    assert answer == verdict
+    assert text.startswith("6 to 10 m/s; air: 0.50 to ")
