@@ -169,6 +169,7 @@ def module_of(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+@functools.cache
 def imported(path: Path) -> set[str]:
     """Return the modules that a file names in its imports."""
     found = set()
@@ -365,7 +366,17 @@ def main() -> int:
     os.chdir(ROOT)
     sys.path.insert(0, str(ROOT))
     # Their children need not import them again.
-    for name in ("casadi", "h5netcdf", "jax", "matplotlib.pyplot", "mujoco", "optuna", "scipy.optimize", "xarray"):
+    for name in (
+        "casadi",
+        "h5netcdf",
+        "jax",
+        "matplotlib.pyplot",
+        "mujoco",
+        "optuna",
+        "pandas",
+        "scipy.optimize",
+        "xarray",
+    ):
         importlib.import_module(name)
 
     everything = sorted(path for name in ("jax_aero", "experiments") for path in (ROOT / name).rglob("*.py"))

@@ -187,7 +187,7 @@ def blockage() -> tuple[str, str]:
         f"at most {100.0 * share:.1f} %: the links' largest projections, {area:.2f} m² in all, over {section:.1f} m²; "
         "without support"
     )
-    return text, AGREES if share <= 0.03 else differs(f"{100.0 * share:.1f} %")
+    return text, within(100.0 * share, 0.0, 3.0, "%")
 
 
 def reynolds() -> tuple[str, str]:

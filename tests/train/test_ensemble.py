@@ -8,7 +8,7 @@ import xarray as xr
 from experiments.__main__ import main
 from experiments.training import config, ensemble
 from jax_aero.aero.dataset import save
-from jax_aero.aero.network_card import load_network
+from jax_aero.aero.network_card import load_network, read_card
 
 
 def test_intervals_are_conformal_across_families(agree):
@@ -65,6 +65,15 @@ def test_members_of_an_ensemble_differ_and_miss_one_posture(made_up_dataset):
     kept = ensemble.without_one(made_up_dataset, np.arange(len(family)), 0)
     assert len(set(family[kept])) == len(set(family)) - 1
     assert len(kept) == np.sum(np.isin(family, family[kept]))
+
+
+def test_the_shipped_ensemble_has_the_listed_networks():
+    folder = config.ROBOT.parents[1] / "aero" / "networks" / "ensemble"
+    for number, changes in enumerate(ensemble.MEMBERS):
+        shipped, listed = read_card(folder / f"member_{number}.json"), ensemble.member_training(changes, 1).network
+        assert shipped["inputs"]["features"] == list(listed.features)
+        assert shipped["architecture"]["hidden"] == list(listed.hidden)
+        assert shipped["architecture"]["activation"] == listed.activation
 
 
 def test_networks_predict_postures_that_they_have_not_seen(made_up_dataset, tmp_path, monkeypatch, agree):

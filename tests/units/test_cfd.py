@@ -396,6 +396,33 @@ def test_the_order_of_three_meshes_is_observed_only_where_they_converge(agree):
     assert "none" in verify.extrapolated(np.array([0.5, 0.6, 0.55]), edges)["observed order"]
 
 
+def test_a_verification_extrapolates_three_meshes_and_varies_the_rest(monkeypatch, agree):
+    """A sphere whose drag coefficient is 0.4 + (h / 10 mm)², 1 % more after more iterations, 2 % in a larger cube."""
+
+    def simulated(surfaces, winds, chosen, _):
+        drag = 0.4 + (100.0 * chosen.mesh.finest) ** 2
+        drag *= 1.01 if chosen.solver.iterations > 160 else 1.0
+        drag *= 1.02 if chosen.mesh.half_width > 2.1 else 1.0
+        areas = {name: tuple(drag * subject.area * winds[0]) for name in surfaces}
+        return [simulate.Result("", areas, areas, {"cells": 5.0, "y+ mean": 40.0})]
+
+    monkeypatch.setattr(foam, "environment", lambda: None)
+    monkeypatch.setattr(verify, "simulate", simulated)
+    subject = verify.subject_of("sphere")
+    found = verify.compute("sphere", verify.VerifyConfig()).summary
+    agree("order", found["observed order"], 2.0, 1e-9)
+    agree("limit", found["extrapolated"], 0.4, 1e-9)
+    agree("iterations", found["twice the iterations change it by"], 0.01, 1e-12)
+    agree("cube", found["the larger cube changes it by"], 0.02, 1e-12)
+    sizes = [float(label.split()[2]) for label in found if label.startswith("cells of") and label.endswith("mm")]
+    # Whole cells fit into the cube: edges of 0.42 m become 0.4 m, finer ones hardly change.
+    assert np.allclose(np.divide(sizes[:-1], sizes[1:]), 4.0 / 3.0, rtol=0.06)
+    finest = found[f"cells of {sizes[-1]:.2f} mm"]
+    agree("over literature", found["finest over literature"], finest / 0.47, 1e-12)
+    off = found[f"cells of {sizes[0]:.2f} mm: total force from that of the finest mesh [m2]"]
+    agree("difference", off, (found[f"cells of {sizes[0]:.2f} mm"] - finest) * np.pi * 0.0432**2, 1e-9)
+
+
 def test_rows_are_matched_directly_or_as_mirror_images_and_averaged_with_them(small, tmp_path):
     command.compute(small, tmp_path, Fake())
     command.collect(small, tmp_path)

@@ -2,6 +2,7 @@
 
 import struct
 import tomllib
+import xml.etree.ElementTree as ET
 from itertools import product
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from experiments import Refused
-from experiments.import_robot import command, skeleton
+from experiments.import_robot import command, shapes, skeleton
 from jax_aero import mesh
 
 ROBOTS = Path(__file__).resolve().parents[2] / "configs" / "robot"
@@ -72,6 +73,57 @@ def test_the_sparrows_urdf_becomes_a_robot_that_flies(tmp_path, capsys):
     # The files are the user's: nothing is written over them.
     assert command.main(words) == 2
     assert "not empty" in capsys.readouterr().err
+
+
+def box_of(*parts):
+    """Return the box of a link with some `<visual>` parts."""
+    text = "".join(f"<visual>{part}</visual>" for part in parts)
+    return shapes.boxes(ET.fromstring(f'<robot name="r"><link name="l">{text}</link></robot>'), ROBOTS)["l"]
+
+
+@pytest.mark.parametrize(
+    ("shape", "size"),
+    [
+        ('<sphere radius="0.1"/>', (0.2, 0.2, 0.2)),
+        ('<cylinder radius="0.1" length="0.5"/>', (0.2, 0.2, 0.5)),
+        ('<capsule radius="0.1" length="0.5"/>', (0.2, 0.2, 0.5)),
+        ('<box size="0.1 0.2 0.3"/>', (0.1, 0.2, 0.3)),
+    ],
+)
+def test_a_link_is_as_large_as_its_geometry(shape, size):
+    part = f'<origin xyz="1 2 3"/><geometry>{shape}</geometry>'
+    found = box_of(part)
+    np.testing.assert_allclose(found.size, size)
+    assert found.is_sphere == shape.startswith("<sphere")
+    # With a second part, 1 m further along x, the box is around both.
+    both = box_of(part, part.replace('"1 2', '"2 2'))
+    np.testing.assert_allclose(both.size, np.add(size, (1.0, 0.0, 0.0)))
+    np.testing.assert_allclose(both.pose.position, (1.5, 2.0, 3.0))
+
+
+@pytest.mark.parametrize(("shape", "words"), [("", "geometry. of the URDF is empty"), ("<cone/>", "<cone> is unknown")])
+def test_a_geometry_without_a_size_is_refused(shape, words):
+    with pytest.raises(Refused, match=words):
+        box_of(f"<geometry>{shape}</geometry>")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.ply", "v 0 0 0", "expected an STL or OBJ file"),
+        ("a.obj", "f 1 2 3", "has no vertices"),
+        ("a.obj", "v 0 0 nan", "has no vertices, or some that are not finite"),
+    ],
+)
+def test_a_mesh_without_vertices_is_refused(tmp_path, name, text, words):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(Refused, match=words):
+        shapes.mesh_points(tmp_path / name)
+
+
+def test_an_obj_has_its_vertices(tmp_path):
+    (tmp_path / "a.OBJ").write_text("# two\nv 1 2 3 0.5\nvn 9 9 9\nv 4 5 6\nf 1 2 1\n")
+    assert shapes.mesh_points(tmp_path / "a.OBJ").tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
 
 
 def test_what_is_not_there_is_refused_by_name(tmp_path):

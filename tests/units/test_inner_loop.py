@@ -37,6 +37,8 @@ def test_the_greatest_delay_of_an_integrator_is_a_quarter_of_a_turn():
     expected = np.pi / 2.0 / gain - 0.5 * STEP
     found = inner_loop.greatest_delay(integrator(gain), "x")
     assert found <= expected < found + STEP
+    # A loop that grows slowly is not stable at any delay.
+    assert inner_loop.greatest_delay(integrator(-0.5), "x") == 0.0
 
 
 def test_noise_of_a_measurement_comes_back_through_the_state(agree):
@@ -45,6 +47,37 @@ def test_noise_of_a_measurement_comes_back_through_the_state(agree):
     a = gain * STEP
     variance = a * a / (1.0 - ((1.0 - 1e-5) * (1.0 - a)) ** 2) + 1.0
     agree("rate", inner_loop.joint_rates(integrator(gain), "x", std), 3.0 * std * np.sqrt(variance), 1e-9)
+
+
+def test_the_loop_is_linearised_where_the_robot_hovers(monkeypatch, capsys, agree):
+    """Positions move with velocities, thrusts with their rates, and joints are driven back to where they were."""
+    monkeypatch.setattr(inner_loop, "SETTLING", 0.05)
+    loop = inner_loop.linearised(30.0, 0.01)
+    n = (len(loop.world) - 16) // 2
+    assert loop.integral.shape == (n, len(loop.world))
+    base, velocity, thrust = slice(0, 3), slice(6 + n, 9 + n), slice(12 + 2 * n, None)
+    # Differences over 2e-6 of positions about 1 m, 1e-10, and of thrusts about 100 N, 7e-9.
+    agree("position by position", loop.world[base, base], np.eye(3), 1e-9)
+    agree("thrust by its rate", loop.acting[thrust, :4], 0.01 * np.eye(4), 1e-5)
+    # ∂x⁺/∂v of a semi-implicit step is ∂v⁺/∂v times its length.
+    agree("position by velocity", loop.world[base, velocity], 0.01 * loop.world[velocity, velocity], 1e-7)
+    found = loop.channels
+    assert found["joint positions"] == list(range(6, 6 + n))
+    assert sorted(found["joints"]) == sorted([*found["joint positions"], *found["joint velocities"]])
+    single = [*found["base position"], *found["base rotation"], *found["joint positions"], *found["base velocity"]]
+    single += [*found["gyroscopes"], *found["joint velocities"], *found["thrust"]]
+    assert single == list(range(len(loop.world)))
+    torque = loop.answer[4:, found["joint positions"]]
+    assert np.all(np.diag(torque) < 0.0)
+    assert inner_loop.growth(loop.world, 0.01) > 0.0
+    monkeypatch.setattr(inner_loop, "linearised", lambda *_: loop)
+    monkeypatch.setattr(inner_loop, "greatest_delay", lambda _, name: 0.004 if name == "thrust" else inner_loop.LONGEST)
+    monkeypatch.setattr(inner_loop, "joint_rates", lambda _loop, _name, std: np.radians(std))
+    assert inner_loop.main([]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("late: up to 4 ms") == 2
+    assert printed.count("late: no limit found") == 2 * len(found)
+    assert printed.count("noise 0.5: 0.5 deg/s of commanded joint rates") == 2
 
 
 def test_a_wind_is_judged_by_its_horizontal_components_when_it_has_risen():

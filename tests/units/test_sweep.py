@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -16,7 +17,7 @@ import pytest
 
 from experiments import Refused, engines
 from experiments.__main__ import main
-from experiments.sweep import keys, run, spec, table
+from experiments.sweep import cluster, keys, run, spec, table
 from experiments.sweep.design import Design
 from experiments.sweep.perturbation import Perturbation, members
 from experiments.sweep.progress import Progress
@@ -287,6 +288,7 @@ def test_nothing_is_known_without_trials():
 
 def test_progress_says_how_long_it_will_take():
     line = Progress("sweep", total=100, done=40)
+    assert line.line(0.0).strip() == "sweep: 40 of 100 flights, 0 per minute"
     line.chunk_done(20)
     assert line.line(30.0).strip() == "sweep: 60 of 100 flights, 40 per minute, 1:00 left"
 
@@ -324,6 +326,11 @@ def test_a_sweep_leaves_a_table_of_flights_one_of_cells_and_says_what_was_flown(
 def test_threads_do_not_change_a_byte(flown, tmp_path):
     assert main(["sweep", str(quick(tmp_path)), "--out", str(tmp_path), "--workers", "3"]) == 0
     assert read(tmp_path / "quick") == read(flown)
+
+
+def test_a_node_of_other_code_flies_nothing():
+    with pytest.raises(cluster.OtherBuild, match=r"a node has other code .*, here another"):
+        cluster._fly_remotely(pickle.dumps((design().spec, design().bases)), 0, "another")
 
 
 def test_a_finished_sweep_is_kept_and_another_of_its_name_protected(flown, tmp_path, capsys):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import casadi as ca
 import matplotlib.pyplot as plt
@@ -157,6 +158,13 @@ def test_a_configuration_that_cannot_be_meant_is_refused(tmp_path, old, new, com
     path.write_text(text.replace('"../', f'"{ROOT}/configs/').replace(old, new))
     with pytest.raises(Refused, match=complaint):
         experiment.STUDY.run(str(path))
+
+
+def test_without_a_trajectory_nothing_is_flown(monkeypatch):
+    unsolved = SimpleNamespace(success=False, message="Infeasible_Problem_Detected")
+    monkeypatch.setattr(experiment, "TrajectoryProblem", lambda *_: SimpleNamespace(solve=lambda _: unsolved))
+    with pytest.raises(Refused, match="min_time: no trajectory found: Infeasible"):
+        experiment.STUDY.run("min_time")
 
 
 def test_the_result_names_its_reference_and_its_flights(tmp_path, monkeypatch, climb, plan):

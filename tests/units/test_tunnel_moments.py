@@ -111,6 +111,15 @@ def test_a_known_correction_is_found_and_holds_for_postures_left_out(measured):
     assert np.sum(tunnel_correction.held_out(noise, posture) ** 2) < 1.1 * np.sum(noise.missing**2)
 
 
+def test_postures_are_drawn_with_all_of_their_rows():
+    """Errors 1 and 2 of one posture, 3 of another: draws have both postures, or one of them twice."""
+    errors = np.zeros((1, 3, 3))
+    errors[0, :, 1] = 1.0, 2.0, 3.0
+    drawn = tunnel_correction.rms_by_posture(errors, np.array(["a", "a", "b"]), 100, 1)
+    assert drawn.shape == (100, 1)
+    np.testing.assert_allclose(np.unique(drawn.round(9)), np.sqrt([10.0 / 4.0, 14.0 / 3.0, 9.0]), atol=1e-9)
+
+
 def test_a_model_that_is_the_measurement_has_no_error(points):
     data = points["below"]
     below = tunnel_moments.moment_about_com(data, "below")
@@ -119,6 +128,9 @@ def test_a_model_that_is_the_measurement_has_no_error(points):
     np.testing.assert_allclose(errors[1, 0, 0], 0.0, atol=1e-12)
     np.testing.assert_allclose(errors[1, 1, 0], 0.02 * np.sqrt(3.0) * tunnel_moments.NEWTON_METRES, atol=1e-12)
     assert np.all(intervals[..., 0] <= intervals[..., 1])
+    # Errors of the offset, of some 0.01 m, change a moment by some per cent of an area of 1 m².
+    assert np.all(intervals[1, 1, 0, :, 0] < 2.0 * errors[1, 1, 0])
+    assert np.all(intervals[1, 1, 0, :, 1] > 0.5 * errors[1, 1, 0])
     assert added.shape == (2, 2, 3, 3)
     assert added[1, 0, 2, 2] > 0.9
 

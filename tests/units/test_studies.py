@@ -1,0 +1,147 @@
+"""Studies of flights, with flights that are made up in place of the crate's; a flight of the lab as a result."""
+
+import base64
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from experiments import arm_engines, identify_aero, import_lab, manifest, wind_observer
+from jax_aero import rust
+
+
+@pytest.mark.parametrize("made_up", [{"lost_time": None}, {"lost_time": 21.5}])
+def test_engines_of_the_arms_are_flown_on_every_mission(monkeypatch, make_flight, made_up, agree):
+    robots = []
+
+    def fly(config):
+        robots.append(tomllib.loads(Path(config["robot"]).read_text())["jets"])
+        return make_flight(**made_up)
+
+    monkeypatch.setattr(rust, "fly", fly)
+    found = arm_engines.compute("paper", arm_engines.ArmEngines(experiments=("test1", "test2")))
+    assert [jets[0]["engine"] for jets in robots] == ["P160"] * 2 + ["P100"] * 2
+    log = make_flight(**made_up).log
+    assert found.summary.keys() == {f"{name} {engine}" for name in ("test1", "test2") for engine in ("P100", "P160")}
+    cell = found.summary["test2 P100"]
+    assert cell["outcome"] == ("fell" if made_up["lost_time"] else "completed")
+    distance = np.linalg.norm(log["com_position"] - log["com_setpoint"], axis=1)
+    agree("CoM error", cell["com_error"], distance[log["time"] >= 3.0].max(), 1e-12)
+    agree("rotation error", cell["rotation_error"], np.degrees(log["rotation_error"].max()), 1e-12)
+    thrust = [log["thrust"][:, jets].max() for jets in (slice(0, 2), slice(2, 4))]
+    agree("thrusts", [cell["arm_thrust_max"], cell["chest_thrust_max"]], thrust, 1e-12)
+    assert found.dataset["com_error"].dims == ("experiment", "engine")
+    assert found.report.startswith("  test1 P160 ")
+
+
+def test_estimated_winds_are_judged_over_all_flights_of_a_speed(monkeypatch, make_flight, agree):
+    """The error is 0.6 m/s and 0.8 m/s across, in half of the flights inside of their interval."""
+    flown = []
+
+    def fly_batch(configs, *, full_log):
+        assert full_log
+        flown.append(configs)
+        results = [make_flight() for _ in configs]
+        for index, flight in enumerate(results):
+            flight.log["measured_wind"] = flight.log["wind"] + np.array([0.6, -0.8, 9.0])
+            flight.log["measured_wind_std"] = np.full((len(flight.log["time"]), 3), 0.1 if index % 2 else 0.8)
+        return results
+
+    monkeypatch.setattr(rust, "fly_batch", fly_batch)
+    asked = wind_observer.WindEstimate(speeds=(6.0, 10.0), flights=2)
+    found = wind_observer.compute("turbulence", asked)
+    worlds = len(wind_observer.WORLDS)
+    assert len(found.summary) == len(flown) == 2 * worlds
+    assert found.dataset["rms"].shape == (worlds, 2)
+    agree("rms", found.dataset["rms"].values, np.ones((worlds, 2)), 1e-12)
+    agree("inside", found.dataset["inside"].values, np.full((worlds, 2), 0.5), 1e-12)
+    assert found.report.splitlines()[0].endswith("rms 1.00 m/s, 50 % inside, 2 of 2 completed")
+    for configs, speed in zip(flown[:2], asked.speeds, strict=True):
+        winds = [config["wind"] for config in configs]
+        # Two flights: from ahead and from behind of the y axis, with turbulence in proportion to the wind.
+        across = np.array([wind["velocity"] for wind in winds]) / np.abs(winds[0]["velocity"][1])
+        np.testing.assert_allclose(across, [[0, 1, 0], [0, -1, 0]], atol=0.5)
+        assert [wind["std"][2] / wind["std"][0] for wind in winds] == pytest.approx([0.3, 0.3])
+        np.testing.assert_allclose(winds[0]["std"][0] / speed, wind_observer.TURBULENCE, rtol=0.5)
+
+
+def test_identified_areas_are_judged_by_the_forces_of_another_flight(agree):
+    """Forces of 3, 2 and 1 N, moments ten times as large; two families of three links, one without a coefficient."""
+    families = np.array([[1.0, 0, 0, 0, 0, 0], [0, 2.0, 0, 0, 0, 4.0]])
+    truth, theta = np.full((2, 6), 0.5), np.full((2, 6), 0.25)
+    six = np.repeat([1.0, 10.0], 3)
+    forces = {name: np.tile(size * six, (4, 1)) for name, size in (("file", 3.0), ("identified", 2.0), ("true", 1.0))}
+    data = identify_aero.to_dataset(
+        families, truth, theta, np.array([9.0, 5.0, 4.0]), np.arange(4.0), forces, ["a", "b", "c"], np.array([0, 1, 0])
+    )
+    assert data["family"].values.tolist() == ["a c", "b"]
+    agree("true areas", data["areas_true"].values, 1.5 * families, 1e-15)
+    agree("identified areas", data["areas_identified"].values, 1.25 * families, 1e-15)
+    found = identify_aero.figures(data.assign_attrs(loss_true=3.5))
+    expected = np.sqrt(3.0) * np.array([2.0, 1.0, 20.0, 10.0, 1.0])
+    agree("errors", list(found.values())[:5], expected, 1e-12)
+    assert list(found.values())[5:] == [9.0, 4.0, 3.5]
+
+
+def test_noise_is_added_to_the_velocities_alone():
+    log = {"base_velocity": np.zeros((4000, 6)), "joint_velocity": np.zeros((4000, 2)), "thrust": np.zeros(4000)}
+    noisy = identify_aero.with_noise(log, np.random.default_rng(1))
+    # The standard deviation of 8000 draws is known to 1/√16000; four of them.
+    for name, key in (("base_velocity", "base"), ("joint_velocity", "joints")):
+        assert abs(np.std(noisy[name]) / identify_aero.NOISE[key] - 1.0) < 4.0 / np.sqrt(16000)
+    assert noisy["thrust"] is log["thrust"]
+
+
+@pytest.fixture
+def lab_run(tmp_path, make_flight):
+    """A `run.json` as the page of the lab writes it."""
+    flight, config = make_flight(lost_time=21.5), rust.load_config("test2")
+    log = {
+        name: {"shape": np.shape(value), "data": base64.b64encode(np.asarray(value, "<f8").tobytes()).decode()}
+        for name, value in flight.log.items()
+    }
+    document = {
+        "format": "flight-lab-run", "version": 1, "title": "Mine", "link": "https://x/#1", "has_ended": True,
+        "config": manifest.portable(config), "log": log, "joint_setpoint": flight.joint_setpoint.tolist(),
+        "outcome": flight.outcome, "lost_time": flight.lost_time, "lost_reason": flight.lost_reason,
+        "summary": {**flight.summary, "max_com_error": None},
+    }  # fmt: skip
+    path = tmp_path / "run.json"
+    path.write_text(json.dumps(document))
+    return path
+
+
+def test_a_flight_of_the_lab_becomes_a_result(lab_run, tmp_path, make_flight, capsys):
+    words = [str(lab_run), "--name", "mine", "--out", str(tmp_path)]
+    assert import_lab.main(words) == 0
+    assert "Mine: fell at 21.50 s" in capsys.readouterr().out
+    document = json.loads((tmp_path / "mine" / "manifest.json").read_text())
+    assert document["config_digest"] == rust.config_digest(rust.load_config("test2"))
+    assert document["name"] == "mine"
+    assert not {"log", "has_ended", "format"} & document.keys()
+    with xr.open_dataset(tmp_path / "mine" / "run.nc", engine="h5netcdf") as run:
+        np.testing.assert_array_equal(run["thrust"].values, make_flight(lost_time=21.5).log["thrust"])
+    # What is there already is the same flight; another one needs --overwrite.
+    assert import_lab.main(words) == 0
+    changed = json.loads(lab_run.read_text())
+    changed["config"]["simulator"]["duration"] = 7.0
+    lab_run.write_text(json.dumps(changed))
+    assert import_lab.main(words) == 2
+    assert import_lab.main([*words, "--overwrite"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"version": 2}, "expected ('flight-lab-run', 1)"),
+        ({"log": {"time": {"shape": [2], "data": "AAAA"}}}, "buffer size"),
+        ({"log": {"time": {"shape": [2], "data": "AAAAAAAAAAA="}}}, "`time` has 1 numbers; expected shape [2]"),
+    ],
+)
+def test_what_is_no_flight_of_the_lab_is_refused(lab_run, tmp_path, change, words, capsys):
+    lab_run.write_text(json.dumps(json.loads(lab_run.read_text()) | change))
+    assert import_lab.main([str(lab_run), "--out", str(tmp_path)]) == 2
+    assert words in capsys.readouterr().err
