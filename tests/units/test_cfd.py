@@ -8,14 +8,17 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+import xarray as xr
 
-from experiments import calibrate_surrogate, import_cfd
+from experiments import calibrate_surrogate, import_cfd, record, study
 from experiments.cfd import case, command, compare, correct, design, flow, foam, geometry, settings, simulate, verify
 from jax_aero import mesh, rust, tables
 from jax_aero.aero import dataset as ds
 from jax_aero.aero import surrogate, surrogate_fit
 from jax_aero.aero.dataset import LINKS
+from jax_aero.aero.posture import total_wrench
 from jax_aero.command import REFUSED, Refused
+from jax_aero.robot import load_robot
 from paper_figs import cfd_flow
 
 ROBOT = "configs/robot/ironcub_mk1.toml"
@@ -423,10 +426,8 @@ def test_a_verification_extrapolates_three_meshes_and_varies_the_rest(monkeypatc
     agree("difference", off, (found[f"cells of {sizes[0]:.2f} mm"] - finest) * np.pi * 0.0432**2, 1e-9)
 
 
-def test_rows_are_matched_directly_or_as_mirror_images_and_averaged_with_them(small, tmp_path):
-    command.compute(small, tmp_path, Fake())
-    command.collect(small, tmp_path)
-    ours = compare.symmetrised(ds.load(tmp_path / "dataset.nc"))
+def test_rows_are_matched_directly_or_as_mirror_images_and_averaged_with_them(collected):
+    ours = compare.symmetrised(collected)
     # Hovering in head wind is its own mirror image: the average has no side force.
     assert np.abs(ours.force_area_b.sum(axis=1)[ours.posture == "hovering", 1]).max() == 0.0
     images = ours.mirrored().take(slice(len(ours), None))
@@ -436,14 +437,94 @@ def test_rows_are_matched_directly_or_as_mirror_images_and_averaged_with_them(sm
     np.testing.assert_array_equal(here.force_area_b, there.force_area_b)
 
 
-def test_beside_the_tunnel_stand_cases_of_the_same_posture_and_wind_alone(small, tmp_path, monkeypatch, agree):
-    """The drag of a head wind is 13 links of 0.01 m²; the others have another wind or another posture."""
+@pytest.fixture
+def collected(small, tmp_path):
+    """Results of the small design: its accepted cases."""
     command.compute(small, tmp_path, Fake())
     command.collect(small, tmp_path)
-    data = ds.load(tmp_path / "dataset.nc")
+    return ds.load(tmp_path / "dataset.nc")
+
+
+def test_errors_are_those_of_a_model_that_is_a_tenth_off(collected, agree):
+    """A tenth more in every other row, a tenth less in the rest: no error in the mean."""
+    described = load_robot(ROBOT)
+    sign = np.resize([1.0, -1.0], len(collected))[:, None, None]
+    found = compare.errors(described, (1.0 + 0.1 * sign) * collected.force_area_b, collected)
+    wrench = total_wrench(described, collected.joint_position_deg, collected.force_area_b)
+    rms = [np.sqrt(np.mean(np.sum(part**2, axis=1))) for part in (wrench.force_area, wrench.moment_volume)]
+    expected = [0.0, 0.1, 0.1 * rms[0], 0.01 * np.mean(collected.force_area_b**2), 0.1 * 61.25 * rms[1]]
+    agree("errors", list(found.values()), expected, 1e-12)
+
+
+def test_cases_are_compared_with_models_and_with_rows_of_a_table(collected, tmp_path, monkeypatch, agree):
+    """The table has half the forces, in one posture; the model none."""
+    none = np.zeros_like(collected.force_area_b)
+    monkeypatch.setattr(compare, "models_at", lambda *_: {"none": none})
+    hovering = collected.take(collected.posture == "hovering")
+    ds.save(dataclasses.replace(hovering, force_area_b=0.5 * hovering.force_area_b), tmp_path / "table.nc")
+    ours = {"dataset": str(tmp_path / "dataset.nc")}
+    found = compare.compute("small", compare.CompareConfig(**ours, table=str(tmp_path / "table.nc")))
+    assert found.summary["cases with a counterpart in the table"] == len(hovering)
+    agree("ours", found.summary[f"hovering ({len(hovering)}): drag, relative error, mean"], 1.0, 1e-12)
+    agree("model", found.summary["none, beside the table: drag, relative error, mean"], -1.0, 1e-12)
+    assert found.dataset["model"].values.tolist() == [compare.OPEN, "none", "compared with"]
+    assert found.dataset.sizes["row"] == len(hovering)
+    alone = compare.compute("small", compare.CompareConfig(**ours))
+    assert alone.dataset["model"].values.tolist() == ["none", "compared with"]
+    assert alone.summary["cases"] == len(collected)
+    assert alone.summary["moment about the centre of mass, couples on links, rms [N m at 10 m/s]"] > 0.0
+    with pytest.raises(Refused, match="make it with: jax-aero cfd nowhere"):
+        compare.compute("nowhere", compare.CompareConfig())
+
+
+def test_a_network_is_judged_on_the_rows_it_was_trained_beside(collected, tmp_path, monkeypatch):
+    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    assert compare.held_out_network("small", collected) is None
+    both = collected.mirrored()
+    run = xr.Dataset(
+        {
+            "is_mirrored": ("row", both.is_mirrored.astype(int)),
+            "wind": (("row", "xyz"), both.wind_b),
+            "area_grouped": (("row", "link", "xyz"), 2.0 * both.force_area_b),
+        }
+    )
+    record.write_dataset(run, tmp_path / "training" / "small" / "run.nc")
+    found = compare.held_out_network("small", collected)
+    np.testing.assert_allclose(found, 2.0 * collected.force_area_b)
+    with pytest.raises(Refused, match="is of another dataset"):
+        compare.held_out_network("small", collected.take(slice(1, None)))
+
+
+def test_the_flow_is_kept_near_the_robot_and_its_wake_is_where_air_is_slow(monkeypatch, agree):
+    """Four points of the plane, one too far; two in the wake, where the turbulent viscosity is 30 and 50 fold."""
+    speed, viscosity = settings.Air().speed, settings.Air().viscosity
+    place = np.array([[0.0, 0, 0], [1.0, 0, 1.0], [-1.0, 0, 0.5], [1.6, 0, 0]])
+    velocity = speed * np.array([[0.1, 0, 0], [0, 0, 0.4], [0.9, 0, 0], [1, 0, 0]])
+    ratio = np.array([30.0, 50.0, 70.0, 900.0])
+    wall = np.zeros((5, 4))
+    rows = [np.column_stack([place, part]) for part in (np.ones(4), velocity, viscosity * ratio)]
+    result = simulate.Result("", dict.fromkeys(LINKS, (0.01, 0.0, -0.01)), {}, {"pressure share of the force": 0.9})
+    monkeypatch.setattr(foam, "environment", lambda: None)
+    monkeypatch.setattr(flow, "make_mesh", lambda *_: FACTS)
+    monkeypatch.setattr(flow, "solve", lambda *_: result)
+    monkeypatch.setattr(flow, "read_sampled", lambda _: [wall, *rows])
+    found = flow.compute("flight30", flow.FlowConfig())
+    agree("drag", found.summary["drag [m2]"], 0.13 * np.sqrt(2.0), 1e-12)
+    agree("largest", found.summary["turbulent over molecular viscosity, largest in the plane"], 70.0, 1e-12)
+    agree("wake", found.summary["turbulent over molecular viscosity, median in the wake"], 40.0, 1e-12)
+    assert found.dataset.sizes["cell"] == 3
+    with pytest.raises(Refused, match="no posture `flying`; there are"):
+        flow.compute("flying", flow.FlowConfig())
+    monkeypatch.setattr(flow, "solve", lambda *_: simulate.Result(reason="the force drifts"))
+    with pytest.raises(Refused, match="the force drifts"):
+        flow.compute("flight30", flow.FlowConfig())
+
+
+def test_beside_the_tunnel_stand_cases_of_the_same_posture_and_wind_alone(collected, monkeypatch, agree):
+    """The drag of a head wind is 13 links of 0.01 m²; the others have another wind or another posture."""
     row = calibrate_surrogate.Row("tunnel", "hovering", 90.0, 0.9, cda=0.1, csa=0.02, cla=0.03)
     monkeypatch.setattr(compare, "table_rows", lambda: iter([row, row._replace(yaw_deg=1.1)]))
-    found = compare.beside_tunnel(data)
+    found = compare.beside_tunnel(collected)
     assert [name.split(":")[0] for name in found] == ["hovering 90/1"] * 4
     agree("areas", list(found.values()), [0.13, 1.3, -0.03, -0.02], 1e-12)
 

@@ -110,6 +110,43 @@ def test_a_log_of_a_minute_gives_the_engine(truth, log, measured, tmp_path):
     assert hashes == {"P220": "0"}
 
 
+def test_figures_are_root_mean_squares_on_the_held_out_log(truth, agree):
+    """A ramp of 20 N/s from 10 N, simulated 3 N and 4 N off, estimated 1 N and 2 N/s off."""
+    t = bench.STEP * np.arange(2500)
+    thrust = 10.0 + 20.0 * t
+    log = bench.Log(t, 50.0 + 0.0 * t, thrust)
+    off = np.column_stack([thrust, 20.0 + 0.0 * t]) + np.array([1.0, -2.0])
+    data = bench.to_dataset(log, truth, truth, thrust + 3.0, thrust - 4.0, {"tuned": off, "published": off})
+    data.attrs |= {"made": 0, "r": 0.5}
+    found = bench.figures(data)
+    span = np.ptp(bench.smooth(thrust).thrust)
+    # Cubics and differences of 500 N have 1e-11 of it.
+    expected = [0.0, 3.0, 100.0 * 3.0 / span, 4.0, 100.0 * 4.0 / span, 1.0, 2.0, 1.0, 2.0, 0.5]
+    agree("figures", list(found.values()), expected, 1e-8)
+
+
+def test_an_engine_is_identified_from_the_logs_that_are_named(truth, log, tmp_path, monkeypatch):
+    for name in ("train", "test"):
+        (tmp_path / f"{name}.csv").write_text(bench.log_text(log))
+    seen = []
+    monkeypatch.setattr(bench, "identify", lambda train, throttle: seen.append((train, throttle)) or truth)
+    monkeypatch.setattr(bench, "tune", lambda *_: (np.diag([2.0, 3.0]), 0.25))
+    logs = bench.EngineLogs(train=tmp_path / "train.csv", test=tmp_path / "test.csv")
+    read = bench.compute("P220", logs)
+    assert (read.dataset.attrs["made"], read.texts) == (0, {})
+    made = bench.compute("P220", bench.EngineLogs())
+    assert made.dataset.attrs["made"] == 1
+    assert sorted(made.texts) == ["test.csv", "train.csv"]
+    assert made.texts["train.csv"] != made.texts["test.csv"]
+    assert [made.summary[f"tuned {key}"] for key in ("q_thrust", "q_rate", "r")] == [2.0, 3.0, 0.25]
+    # The coefficients of the throttle are taken from the file.
+    np.testing.assert_array_equal(seen[0][1], truth[10:])
+    with pytest.raises(Refused, match=r"no engine `V2`; there are .*P220"):
+        bench.compute("V2", bench.EngineLogs())
+    with pytest.raises(ValueError, match="`train` and `test`: expected both, or none"):
+        bench.EngineLogs(train=tmp_path / "train.csv")
+
+
 def test_only_the_arms_change():
     text = ROBOT.read_text(encoding="utf-8")
     jets = tomllib.loads(arm_engines.with_arms(text, "P100", 100.0))["jets"]

@@ -135,6 +135,36 @@ def test_a_model_that_is_the_measurement_has_no_error(points):
     assert added[1, 0, 2, 2] > 0.9
 
 
+def test_figures_of_the_comparison_are_those_of_its_points(robot, points, monkeypatch, agree):
+    monkeypatch.setattr(tunnel_moments, "DRAWS", 20)
+    data = points["below"]
+    areas = {name: np.full((3, 13, 3), 1e-3 * (k + 1)) for k, name in enumerate(tunnel_moments.CORRECTED)}
+    result = tunnel_moments.compared(robot, data, areas)
+    found = tunnel_moments.summary(result)
+    own = np.sqrt(np.mean(np.sum(data["u_total"].values ** 2, axis=1)))
+    agree("own", found["all: the measurement's own standard deviation [N m]"], 61.25 * own, 1e-12)
+    measured = tunnel_moments.moment_about_com(data, "above")
+    alone = data["kind"].values == "hovering"
+    without = np.sqrt(np.mean(np.sum(measured[alone] ** 2, axis=1)))
+    agree("no model", found["hovering, centre above, no moment, corrected arms: rms [N m]"], 61.25 * without, 1e-12)
+    name = tunnel_moments.CORRECTED[0]
+    more = [found[f"all, centre below, {name}: published arms add, {text}"] for text in tunnel_moments.ADDED]
+    assert more[0] <= more[1]
+    assert 0.0 <= more[2] <= 1.0
+
+    monkeypatch.setattr(tunnel_moments, "held_out", lambda points, _: 0.5 * points.missing)
+    fixed = tunnel_moments.corrections(robot, data, areas)
+    wrench = total_wrench(robot, data["joint_position"].values, areas[name])
+    force = np.sqrt(np.mean(np.sum((data["force_area"].values - wrench.force_area) ** 2, axis=1)))
+    agree("force", fixed[f"all, centre below, {name}, as it is: force, rms [N]"], 61.25 * force, 1e-12)
+    moment = tunnel_moments.moment_about_com(data, "below") - wrench.moment_volume
+    moment = np.sqrt(np.mean(np.sum(moment[~alone] ** 2, axis=1)))
+    agree("moment", fixed[f"flight, centre below, {name}, as it is: moment, rms [N m]"], 61.25 * moment, 1e-12)
+    key = f"all, centre below, {name}, corrected by other postures: force"
+    agree("force, corrected", fixed[f"{key}, rms [N]"], 0.5 * 61.25 * force, 1e-12)
+    assert fixed[f"{key}, added, 2.5 %"] <= fixed[f"{key}, added, 97.5 %"] < 0.0
+
+
 def test_a_cell_of_the_matrix_counts_balanced_arrivals():
     flights = pd.DataFrame(
         {
