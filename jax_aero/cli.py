@@ -69,6 +69,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "cfd-verify": Command("experiments.cfd.verify:main", "twin", "verify OpenFOAM on bodies of known drag"),
         "cfd-flow": Command("experiments.cfd.flow:main", "twin", "keep a flow by OpenFOAM for pictures"),
         "cfd-compare": Command("experiments.cfd.compare:main", "twin", "compare our CFD with tables and the tunnel"),
+        "cfd-tunnel": Command("experiments.cfd.tunnel:main", "twin", "compare our CFD with wind-tunnel points"),
         "import-cfd": Command("experiments.import_cfd:main", "twin", "read CFD tables into a data set"),
         "import-tunnel": Command("experiments.import_tunnel:main", "twin", "read wind-tunnel balance files"),
         "identify-aero": Command("experiments.identify_aero:main", "twin", "find coefficients in a flight's log"),

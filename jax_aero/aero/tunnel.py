@@ -33,6 +33,10 @@ BASE_FROM_BALANCE = {"mk1": np.diag([-1.0, -1.0, 1.0]), "mk3": np.array([[0.0, 0
 MOUNT = {("mk1", "hovering"): 0.0, ("mk1", "flight"): -45.0, ("mk3", "hovering"): 0.0, ("mk3", "flight"): 0.0}
 """Pitch of the robot on the balance [deg]; of Mk1 the robot's pitch is 90° + mount + the balance's."""
 
+YAW = {"mk1": 1.0, "mk3": -1.0}
+"""Sign of the files' yaw. That of Mk3 turns the other way: in all 316 points of its public files that have more than 5
+degrees of it, the force across the robot is along the wind across with this sign, and against it with the other."""
+
 
 class Lever(NamedTuple):
     """Where the balance centre is from the hip-pitch axis."""
@@ -185,7 +189,7 @@ def points_of(test: str, about: Test, gvp: Gvp) -> Points:
         marks=[_marks(about, number, alpha) for number, alpha in zip(numbers, pitch, strict=True)],
         robot=about.robot,
         pitch_deg=pitch,
-        yaw_deg=rows[:, 4],
+        yaw_deg=YAW[about.robot] * rows[:, 4],
         speed=rows[:, 8],
         dynamic_pressure=rows[:, 9],
         air_density=rows[:, 10],
@@ -246,7 +250,7 @@ def read_reduced(text: str, tests: Mapping[tuple[str, str], Test], source: str) 
         marks=[_marks(one, int(row["point"]), a) for one, row, a in zip(about, rows, pitch, strict=True)],
         robot=about[0].robot,
         pitch_deg=pitch,
-        yaw_deg=yaw,
+        yaw_deg=YAW[about[0].robot] * yaw,
         speed=speed,
         dynamic_pressure=q,
         air_density=rho,

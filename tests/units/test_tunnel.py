@@ -76,12 +76,12 @@ def test_a_flight_posture_is_mounted_at_45_degrees(tmp_path, pitch, yaw):
 
 
 def test_mk3_has_other_balance_axes_and_no_reduction_about_the_hip(tmp_path):
-    row = (1, 90.0, 0.0, 12.0, 50.0, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+    row = (1, 90.0, 10.0, 12.0, 50.0, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
     data = read(tmp_path, "TID_0001.GVP", gvp([row]), campaign="wind-tunnel/exp_2023_12_11")
     np.testing.assert_allclose(data["force_area"].values, [[0.06, -0.02, -0.04]], atol=1e-12)
     np.testing.assert_allclose(data["moment_balance"].values, [[0.12, -0.08, -0.1]], atol=1e-12)
     assert np.isnan(data["moment_com"]).all()
-    assert data["pitch"].item() == 90.0
+    assert (data["pitch"].item(), data["yaw"].item()) == (90.0, -10.0)  # its yaw turns the other way
 
 
 def test_the_budget_has_lever_zero_return_and_repeatability(tmp_path):

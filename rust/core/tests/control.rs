@@ -732,8 +732,10 @@ fn parts_of_a_state_that_do_not_fit_are_refused() {
             assert!(message.contains(word), "{message}");
         }
     }
-    let good = state.with_posture_control(DVector::from_element(23, 0.5), one, zeros(23)).unwrap();
-    assert_eq!(good.posture()[22], 0.5);
+    let (posture, integral) = (DVector::from_element(23, 0.5), DVector::from_element(23, 0.1));
+    let good = state.with_posture_control(posture.clone(), 3.0 * one, integral.clone()).unwrap();
+    assert_eq!((good.posture(), good.inertia_0_b()), (&posture, &(3.0 * one)));
+    assert_eq!(good.velocity_error_integral(), &integral);
 }
 
 type Refusal = (&'static str, fn(&mut ScenarioConfig), &'static str);

@@ -7,8 +7,8 @@
 use crate::common::{assert_within, rng};
 use flight_core::control::contact::WrenchLimits;
 use flight_core::qp::{
-    ClarabelSolver, DualActiveSet, KKT_TOLERANCE, PrimalActiveSet, QpProblem, QpSolver, QpStatus,
-    kkt_residual,
+    ClarabelSolver, DualActiveSet, KKT_TOLERANCE, Method, PrimalActiveSet, QpChain, QpProblem, QpSolver,
+    QpStatus, kkt_residual,
 };
 use flight_core::robot::{Foot, Frame};
 use flight_core::spatial::Pose;
@@ -252,6 +252,22 @@ fn the_certificate_sees_small_errors_of_every_kind() {
     }
     assert!(kkt_residual(&qp, &x[1..], &u).is_nan());
     assert!(kkt_residual(&qp, &x, &u[1..]).is_nan());
+}
+
+/// Point and multipliers of a chain are those of the method that answered: together they give its residual.
+#[test]
+fn a_chain_has_point_and_multipliers_of_the_method_that_answered() {
+    let qp = random_problem(&mut rng(11), 5, 8);
+    let dual = || Method::Dual(DualActiveSet::new(5, 8));
+    let clarabel = || Method::Clarabel(ClarabelSolver::new(5, 8));
+    let primal = || Method::Primal(PrimalActiveSet::new(5)); // refuses rows
+    for methods in [vec![dual()], vec![clarabel()], vec![primal(), dual()], vec![primal(), clarabel()]] {
+        let mut chain = QpChain::new(methods);
+        let answer = chain.solve(&qp);
+        assert_eq!(answer.status, QpStatus::Solved);
+        assert!(chain.multipliers().iter().any(|u| *u > 1e-3), "no row presses");
+        assert_eq!(answer.kkt, kkt_residual(&qp, chain.x(), chain.multipliers()));
+    }
 }
 
 /// What cannot be solved is said, `x` stays, and the solver goes on to solve the next problem.

@@ -1,0 +1,184 @@
+"""Compare our simulations with the wind tunnel, point by point: `jax-aero cfd-tunnel NAME --set tunnel=FILE`.
+
+NAME is a design of `jax-aero cfd`, FILE a dataset of `import-tunnel`. Beside each case stand the points of its posture,
+speed and wind; where the posture is its own mirror image, those of the mirrored wind too, mirrored back. Points with a
+mark against them are left out, except where the support stands in the wind: these are named apart, as no run of the
+support alone exists.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from experiments import Refused, tunnel_moments
+from experiments.cfd.command import RESULTS
+from experiments.study import Findings, Study
+from experiments.tunnel_moments import NEWTON_METRES
+from jax_aero import tables
+from jax_aero.aero.dataset import (
+    MIRROR_AXES,
+    Dataset,
+    Floats,
+    load,
+    mirrored_joints,
+    wind_direction,
+)
+from jax_aero.aero.posture import total_wrench
+from jax_aero.robot import RobotModel, load_robot
+
+NEAR = 1.0
+"""How far the wind of a point may be from that of a case [deg]."""
+SPEED = 1.0
+"""How far its speed may be [m/s]."""
+SUPPORT = "support"
+
+
+class TunnelConfig(tables.Table, frozen=True):
+    """A comparison."""
+
+    tunnel: Path
+    """Dataset of `import-tunnel`."""
+    robot: Path = tunnel_moments.ROBOT
+    """Robot of the design, for its forward axis and its centre of mass."""
+    dataset: str = ""
+    """Of the design; without it, `results/cfd/NAME/dataset.nc`."""
+
+
+class Row(NamedTuple):
+    """A case and the points beside it, base axes."""
+
+    case: int
+    """Row of the dataset."""
+    is_alone: bool
+    """Whether the support is out of the wind."""
+    force_area: Floats
+    """(P, 3) of the points [m²]."""
+    moment_com: Floats
+    """(P, 3) about the centre of mass [m³]; nan where the robot's place on the balance is not known."""
+    moment_std: Floats
+    """(P, 3) standard deviation of it, by the budget of `import-tunnel`, base axes [m³]."""
+
+
+def compute(name: str, config: TunnelConfig) -> Findings:
+    """Compare."""
+    path = Path(config.dataset) if config.dataset else RESULTS / name / "dataset.nc"
+    if not path.is_file():
+        raise Refused(f"no {path}; make it with: jax-aero cfd {name}")
+    ours, robot = load(path), load_robot(config.robot)
+    rows = list(beside(ours, xr.load_dataset(config.tunnel, engine="h5netcdf"), axes_of(robot)))
+    if not rows:
+        raise Refused(f"{config.tunnel} has no point of posture, wind and speed of a case of {path}")
+    result = compared(robot, ours, rows)
+    return Findings(f"Open CFD `{name}` beside the wind tunnel", result, summary(result), inputs={"cases": ours.sha256})
+
+
+STUDY = Study("cfd_tunnel", __doc__, TunnelConfig, compute, ("open",), engine="openfoam")
+main = STUDY.main
+
+
+def axes_of(robot: RobotModel) -> Floats:
+    """Return the rotation (3, 3) to base axes from x backward, y right, z up."""
+    forward, up = np.asarray(robot.forward_axis), np.array([0.0, 0.0, 1.0])
+    return np.stack([-forward, np.cross(forward, up), up], axis=1)
+
+
+def beside(ours: Dataset, points: xr.Dataset, axes: Floats) -> Iterator[Row]:
+    """Yield every case that was measured, with its points."""
+    marks = points["marks"].values.astype(str)
+    alone = marks == ""
+    winds = wind_direction(points["pitch"].values, points["yaw"].values) @ axes.T
+    forces, moments = (points[key].values @ axes.T for key in ("force_area", "moment_com"))
+    deviations = points["u_total"].values @ np.abs(axes).T  # of axes that differ by quarter turns
+    images = mirrored_joints(ours.joint_position_deg)
+    for case in range(len(ours)):
+        same = (points["posture"].values == ours.posture[case]) & (alone | (marks == SUPPORT))
+        same &= np.abs(points["speed"].values - ours.speed[case]) < SPEED
+        near = same & _is_near(winds, ours.wind_b[case])
+        found = [(forces[near], moments[near], deviations[near])]
+        if np.allclose(images[case], ours.joint_position_deg[case]):
+            twin = same & ~near & _is_near(winds, ours.wind_b[case] * MIRROR_AXES)
+            # Of an axial vector the mirror turns the other components round.
+            found.append((forces[twin] * MIRROR_AXES, -moments[twin] * MIRROR_AXES, deviations[twin]))
+            near = near | twin
+        if near.any():
+            yield Row(case, bool(alone[near].all()), *(np.concatenate(values) for values in zip(*found, strict=True)))
+
+
+def _is_near(winds: Floats, wind: Floats) -> Floats:
+    return np.asarray(winds @ wind > np.cos(np.radians(NEAR)))
+
+
+def compared(robot: RobotModel, ours: Dataset, rows: list[Row]) -> xr.Dataset:
+    """Return force and moment of every case, and mean, least and greatest of its points."""
+    data = ours.take(np.array([row.case for row in rows]))
+    volume = np.full((len(rows), 3), np.nan)
+    measured = np.stack([row.moment_com.mean(axis=0) for row in rows])
+    if np.isfinite(measured).all():
+        volume = total_wrench(robot, data.joint_position_deg, data.force_area_b).moment_volume
+        if data.couple_volume_b is not None:
+            volume = volume + data.couple_volume_b.sum(axis=1)
+    drags = [row.force_area @ wind for row, wind in zip(rows, data.wind_b, strict=True)]
+    vector, area = ("case", "xyz"), {"units": "m2"}
+    return xr.Dataset(
+        {
+            "force_area": (vector, data.force_area_b.sum(axis=1), area),
+            "force_area_tunnel": (vector, np.stack([row.force_area.mean(axis=0) for row in rows]), area),
+            "moment_com": (vector, volume, {"units": "m3"}),
+            "moment_com_tunnel": (vector, measured, {"units": "m3"}),
+            "moment_std_tunnel": (vector, np.stack([row.moment_std.mean(axis=0) for row in rows]), {"units": "m3"}),
+            "wind": (vector, data.wind_b),
+            "drag_tunnel_least": ("case", [values.min() for values in drags], area),
+            "drag_tunnel_greatest": ("case", [values.max() for values in drags], area),
+            "points": ("case", [len(values) for values in drags]),
+        },
+        {
+            "posture": ("case", data.posture.astype(str)),
+            "pitch": ("case", data.pitch_deg, {"units": "degree"}),
+            "yaw": ("case", data.yaw_deg, {"units": "degree"}),
+            "is_alone": ("case", np.array([row.is_alone for row in rows]).astype("i1")),
+            "xyz": ["x", "y", "z"],
+        },
+    )
+
+
+def summary(data: xr.Dataset) -> dict[str, float]:
+    """Return the errors of every case, and their root mean squares with the support out of the wind and in it."""
+    drag, measured = ((data[key] * data["wind"]).sum("xyz").values for key in ("force_area", "force_area_tunnel"))
+    off = np.linalg.norm((data["force_area"] - data["force_area_tunnel"]).values, axis=1)
+    turned = NEWTON_METRES * np.linalg.norm((data["moment_com"] - data["moment_com_tunnel"]).values, axis=1)
+    unsure = NEWTON_METRES * np.linalg.norm(data["moment_std_tunnel"].values, axis=1)
+    alone = data["is_alone"].values == 1
+    found: dict[str, float] = {}
+    for place, posture in enumerate(data["posture"].values):
+        name = f"{posture} {data['pitch'].values[place]:.0f}/{data['yaw'].values[place]:.0f}"
+        name += "" if alone[place] else ", support in the wind"
+        found |= {f"{name}: drag [m2]": drag[place], f"{name}: drag in the tunnel [m2]": measured[place]}
+        for end in ("least", "greatest"):
+            found[f"{name}: drag in the tunnel, {end} [m2]"] = float(data[f"drag_tunnel_{end}"].values[place])
+        found |= {
+            f"{name}: drag, relative error": drag[place] / measured[place] - 1.0,
+            f"{name}: total force, distance [m2]": off[place],
+            f"{name}: moment, distance [N m at 10 m/s]": turned[place],
+            f"{name}: moment, standard deviation of the tunnel's [N m at 10 m/s]": unsure[place],
+        }
+    for label, rows in (("robot alone", alone), ("support in the wind", ~alone)):
+        if rows.any():
+            found[f"{label}: cases"] = int(rows.sum())
+            found[f"{label}: drag, relative error, rms"] = _rms(drag[rows] / measured[rows] - 1.0)
+            found[f"{label}: total force, rms [m2]"] = _rms(off[rows])
+            found[f"{label}: moment, rms [N m at 10 m/s]"] = _rms(turned[rows])
+    return {key: float(value) for key, value in found.items() if np.isfinite(value)}
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

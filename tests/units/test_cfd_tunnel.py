@@ -1,0 +1,114 @@
+"""Open CFD beside the wind tunnel: which points belong to a case, in which axes, and the errors of their mean."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from experiments.cfd import tunnel
+from experiments.import_cfd import known_postures
+from jax_aero.aero import dataset as ds
+from jax_aero.aero.posture import total_wrench
+from jax_aero.robot import load_robot
+
+ROBOT = "configs/robot/ironcub_mk1.toml"
+
+
+def points_of(rows, **changes):
+    """Made-up points of a wind tunnel: posture, pitch, yaw, force area in axes x backward, y right, z up, marks."""
+    posture, pitch, yaw, areas, marks = zip(*rows, strict=True)
+    count = len(rows)
+    moments = changes.get("moments", np.full((count, 3), np.nan))
+    return xr.Dataset(
+        {
+            "pitch": ("point", np.array(pitch)),
+            "yaw": ("point", np.array(yaw)),
+            "speed": ("point", np.array(changes.get("speed", [17.0] * count))),
+            "force_area": (("point", "axis"), np.array(areas)),
+            "moment_com": (("point", "axis"), np.array(moments)),
+            "u_total": (("point", "axis"), np.tile([0.003, 0.004, 0.0], (count, 1))),
+        },
+        {"posture": ("point", list(posture)), "marks": ("point", list(marks))},
+    )
+
+
+@pytest.fixture
+def cases():
+    """A posture that is its own mirror image, and one that is not, in head wind: 0.01 m² along it on every link."""
+    names = ["hovering", "Config5"]
+    wind = np.tile([1.0, 0.0, 0.0], (2, 1))
+    load = np.tile(0.01 * wind[:, None], (1, len(ds.LINKS), 1))
+    return ds.Dataset(
+        posture=np.array(names),
+        is_mirrored=np.zeros(2, dtype=bool),
+        joint_position_deg=np.stack([known_postures()[name] for name in names]),
+        wind_b=wind,
+        pitch_deg=np.full(2, 90.0),
+        yaw_deg=np.zeros(2),
+        force_area_b=load,
+        couple_volume_b=load,
+        speed=np.full(2, 17.0),
+        air_density=np.full(2, 1.2),
+    )
+
+
+def test_points_beside_a_case_have_its_posture_wind_and_speed_and_no_mark(cases):
+    ahead = ("hovering", 90.0, 0.5, (0.1, 0.0, 0.0), "")
+    others = [
+        ("Config5", 60.0, 0.0, (9.0, 0.0, 0.0), ""),
+        ("hovering", 90.0, 1.1, (9.0, 0.0, 0.0), ""),
+        ("hovering", 90.0, 0.0, (9.0, 0.0, 0.0), "outlier"),
+        ("hovering", 90.0, 0.0, (9.0, 0.0, 0.0), "outlier, support"),
+    ]
+    assert [row.force_area.tolist() for row in tunnel.beside(cases, points_of([ahead, *others]), np.eye(3))] == [
+        [[0.1, 0.0, 0.0]]
+    ]
+    fast = points_of([ahead], speed=[19.0])
+    assert list(tunnel.beside(cases, fast, np.eye(3))) == []
+    (row,) = tunnel.beside(cases, points_of([(*ahead[:4], "support")]), np.eye(3))
+    assert not row.is_alone
+
+
+def test_points_of_the_mirrored_wind_are_mirrored_back_where_the_posture_is_its_own_image(cases):
+    """Side force changes its sign, and of the moment what turns about x and z."""
+    wind = dataclasses.replace(cases, wind_b=ds.wind_direction([90.0, 90.0], [20.0, 20.0]))
+    twin = points_of([("hovering", 90.0, -20.0, (0.1, 0.2, 0.3), "")], moments=[(1.0, 2.0, 3.0)])
+    (row,) = tunnel.beside(wind, twin, np.eye(3))
+    np.testing.assert_allclose(row.force_area, [[0.1, -0.2, 0.3]])
+    np.testing.assert_allclose(row.moment_com, [[-1.0, 2.0, -3.0]])
+    lopsided = points_of([("Config5", 90.0, -20.0, (0.1, 0.2, 0.3), "")])
+    assert list(tunnel.beside(wind, lopsided, np.eye(3))) == []
+
+
+def test_points_are_turned_into_the_axes_of_the_robot(cases):
+    """The base of iRonCub-Mk3 has x forward and y left, that of Mk1 x backward and y right, as the points."""
+    mk1 = load_robot(ROBOT)
+    np.testing.assert_array_equal(tunnel.axes_of(mk1), np.eye(3))
+    turned = tunnel.axes_of(dataclasses.replace(mk1, forward_axis=np.array([1.0, 0.0, 0.0])))
+    np.testing.assert_array_equal(turned, np.diag([-1.0, -1.0, 1.0]))
+    behind = dataclasses.replace(cases, wind_b=cases.wind_b @ turned.T)
+    (row,) = tunnel.beside(behind, points_of([("hovering", 90.0, 0.0, (0.1, 0.2, 0.3), "")]), turned)
+    np.testing.assert_allclose(row.force_area, [[-0.1, -0.2, 0.3]])
+
+
+def test_errors_beside_the_tunnel_are_of_the_mean_of_its_points(cases, tmp_path, agree):
+    """Links push with 0.13 m² in all; the points with 0.10 m², and 0.02 across on one of two."""
+    points = points_of(
+        [("hovering", 90.0, 0.0, (0.1, 0.04, 0.0), ""), ("hovering", 90.0, 0.2, (0.1, 0.0, 0.0), "")],
+        moments=np.zeros((2, 3)),
+    )
+    points.to_netcdf(tmp_path / "points.nc", engine="h5netcdf")
+    ds.save(cases, tmp_path / "dataset.nc")
+    config = tunnel.TunnelConfig(tunnel=tmp_path / "points.nc", dataset=str(tmp_path / "dataset.nc"))
+    found = tunnel.compute("small", config).summary
+    assert found["robot alone: cases"] == 1
+    assert "support in the wind: cases" not in found
+    agree("drag", found["robot alone: drag, relative error, rms"], 0.3, 1e-12)
+    agree("force", found["robot alone: total force, rms [m2]"], np.hypot(0.03, 0.02), 1e-12)
+    # The links' forces at their centres, and their couples of 0.01 m³ each.
+    load = total_wrench(load_robot(ROBOT), cases.joint_position_deg[:1], cases.force_area_b[:1])
+    volume = load.moment_volume[0] + cases.couple_volume_b[0].sum(axis=0)
+    agree("moment", found["robot alone: moment, rms [N m at 10 m/s]"], 61.25 * np.linalg.norm(volume), 1e-12)
+    deviation = found["hovering 90/0: moment, standard deviation of the tunnel's [N m at 10 m/s]"]
+    agree("deviation", deviation, 61.25 * 0.005, 1e-12)
