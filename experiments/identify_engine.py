@@ -292,7 +292,7 @@ def simulate(engine: Array, throttle: Array, smoothed: Smoothed) -> Array:
 
 
 def estimate(engine: Array, log: Log, q: Array, r: float) -> tuple[Array, float]:
-    """Return estimated thrust and rate (n, 2) of M35, and the log likelihood of its innovations."""
+    """Return estimated thrust and rate (n, 2) of M35, and the log likelihood of its innovations, up to a constant."""
     model = SecondOrderJets(
         engines=Engines(*(jnp.array([value]) for value in engine)),
         rate_gain_p=jnp.array(0.0),
@@ -310,7 +310,7 @@ def estimate(engine: Array, log: Log, q: Array, r: float) -> tuple[Array, float]
         variance = state.covariance[0, 0, 0] + model.r / STEP
         error = seen - state.estimate[0, 0]
         found, covariance = update_ekf(model, state, seen * one, throttle * one, STEP)
-        likelihood = -0.5 * (jnp.log(2.0 * jnp.pi * variance) + error * error / variance)
+        likelihood = -0.5 * (jnp.log(variance) + error * error / variance)
         return state._replace(estimate=found, covariance=covariance), (state.estimate[0], likelihood)
 
     start = EngineState(one, 0.0 * one, jnp.array([[smooth(log.thrust).thrust[0], 0.0]]), 10.0 * jnp.eye(2)[None])

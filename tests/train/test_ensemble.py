@@ -13,22 +13,21 @@ from jax_aero.aero.network_card import load_network, read_card
 
 def test_intervals_are_conformal_across_families(agree):
     """Errors e of two networks e ± s/√2 along x, whose spread is s; quantiles are linear between ranks."""
-    error, spread = np.array([1.0, 2.0, 3.0, 10.0]), np.array([1.0, 1.0, 1.0, 3.0])
+    error, spread = np.array([1.0, 2.0, 3.0, 10.0]), np.array([1.0, 1.0, 1.0, 5.0])
     predicted = np.zeros((2, 4, 3))
     predicted[:, :, 0] = error + np.array([[1.0], [-1.0]]) * spread / np.sqrt(2.0)
     found = ensemble.intervals(predicted, np.zeros((4, 3)), np.array([5, 5, 5, 8]))
-    # The mean of s² is 3: scores are errors over 2, 2, 2 and √12.
-    scores = np.array([0.5, 1.0, 1.5, 10.0 / np.sqrt(12.0)])
-    factor = scores[2] + 0.7 * (scores[3] - scores[2])
+    # The mean of s² is 7: scores are errors over √8, √8, √8 and √32.
+    factor = 4.4 / np.sqrt(8.0)  # between 3 and 5, at 2.7 of 3 steps
     expected = {
         "factor": factor,
-        "floor": np.sqrt(3.0),
+        "floor": np.sqrt(7.0),
         "rms": np.sqrt(114.0 / 4.0),
         # The three rows of one family are covered by the score of the other, and not the other way round.
         "coverage": 0.75,
         "coverage_min": 0.0,
         "coverage_max": 1.0,
-        "half_width": factor * (6.0 + np.sqrt(12.0)) / 4.0,
+        "half_width": 5.5,
         "correlation": np.corrcoef(error, spread)[0, 1],
     }
     assert found.keys() == expected.keys()

@@ -119,6 +119,7 @@ def test_what_was_measured_on_the_ground_is_said():
         ("stands", "balancing_lateral", {"completed": False}),
         ("stands", "balancing_front", {"always_carried": False}),
         ("against", "balancing_front", {"force": np.array([1.0, -9.0, 0.0])}),
+        ("against", "balancing_front", {"force": np.array([0.0, -9.0, 0.0])}),
         ("against", "balancing_front", {"shift": np.array([1.9e-3, 0.0, 0.0])}),
         ("against", "balancing_lateral", {"shift": np.array([1.1e-3, 5e-3, 0.0])}),
         ("ankle_pitch", "balancing_front", {"left_leg": {"ankle_pitch": 0.2, "hip_pitch": -0.3}}),

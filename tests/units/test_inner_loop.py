@@ -39,6 +39,8 @@ def test_the_greatest_delay_of_an_integrator_is_a_quarter_of_a_turn():
     assert found <= expected < found + STEP
     # A loop that grows slowly is not stable at any delay.
     assert inner_loop.greatest_delay(integrator(-0.5), "x") == 0.0
+    # One that is slow enough is stable at every delay that is tried.
+    assert inner_loop.greatest_delay(integrator(1.0), "x") == inner_loop.LONGEST
 
 
 def test_noise_of_a_measurement_comes_back_through_the_state(agree):

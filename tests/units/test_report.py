@@ -179,7 +179,8 @@ def test_the_report_is_written_from_what_there_is(results, capsys):
         "paper_tests",
         "TEST3",
         "26.31",
-        "300",
+        "| all | 20 |  | 4 | 300 |",
+        "a thousand flights take 3.3 min",
     ):
         assert word in text
     assert str(results.folder) not in text
