@@ -35,7 +35,7 @@ def link_frames(robot: RobotModel, joint_position_deg: Float[np.ndarray, "k s"])
     ValueError
         If the robot's links or joints are not those of the tables.
     """
-    if robot.aero_links.names != LINKS or not set(JOINTS) <= set(robot.joint_names):
+    if robot.aero_links.names != LINKS or not set(JOINTS).issubset(robot.joint_names):
         raise ValueError(f"{robot.name} has not the links and joints of the tables: {', '.join(LINKS)}")
     with jax.enable_x64(True):
         rotations, positions = _frames(robot, np.radians(joint_position_deg))

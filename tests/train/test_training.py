@@ -116,6 +116,33 @@ def test_training_learns_and_is_deterministic(task):
     assert not same_bits(first.network, other.network)
 
 
+def test_totals_add_their_mean_squares_over_axes(task, agree):
+    """The loss of the first step is that of the first weights, with answers that are not scaled."""
+    network, training, _ = task
+    rows = training.take(slice(0, 64))
+    totals = np.random.default_rng(1).normal(size=(64, 6, rows.y.shape[1])).astype(np.float32)
+    settings = Settings(epochs=1, learning_rate=1e-9, scale_output=False)
+
+    def loss(**weights):
+        changed = structs.replace(settings, **weights)
+        return fit(network, rows._replace(totals=totals), None, changed, seed=1).curves[0][1]
+
+    answered = batch_output(network.layers, network.activation, jnp.asarray(rows.x), jax.random.key(0), 0.0)
+    wrong = np.einsum("bij,mbj->mbi", totals, np.asarray(answered, np.float64) - rows.y)
+    force, moment = (np.mean(wrong[..., part] ** 2) for part in (slice(0, 3), slice(3, 6)))
+    expected = loss() + 2.0 * force + 5.0 * moment
+    # Single precision: sums of 39 products, 6e-8 each.
+    agree("loss", loss(total_force=2.0, total_moment=5.0), expected, 3e-5)
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, 5, 7])
+def test_the_rate_rises_and_then_falls_along_half_a_cosine(count, agree):
+    """Two epochs of four steps; the rate has risen after two of them."""
+    settings = Settings(epochs=2, learning_rate=0.1, schedule="cosine", warm_up=2)
+    expected = 0.05 * (1.0 + np.cos(np.pi * (count + 1) / 8)) * min(1.0, (count + 1) / 2)
+    agree("rate", float(loop._rate(settings, jnp.asarray(count), 4)), expected, 1e-6)
+
+
 def test_a_run_that_was_stopped_ends_with_the_same_bits(task, tmp_path):
     network, training, validation = task
     path = tmp_path / "run.npz"

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from jax_aero import rust
+from jax_aero.aero.model import aero_model
 from jax_aero.config import AxisymmetricAeroConfig
 from jax_aero.control.recorded import read_reference
 from jax_aero.control.tick import momentum_controller
@@ -75,6 +76,13 @@ def test_a_missing_key_and_an_unknown_kind_are_refused(table):
         scenario_config(table | {"wind": {"profile": "storm"}})
 
 
+def test_a_set_of_coefficients_that_the_robot_lacks_is_refused(table):
+    table["simulator"]["aero"]["coefficients"] = "guessed"
+    typed = scenario_config(table)
+    with pytest.raises(ValueError, match=r"coefficients is `guessed`; .* has .*corrected"):
+        aero_model(typed.simulator.aero, load_robot(typed.robot))
+
+
 def test_a_pytree_splits_its_fields():
     @pytree
     class Mixed:
@@ -125,6 +133,7 @@ SPOILT_ROBOTS = [
         '<axis xyz="0 0.8 -0.6"/><mimic joint="l_shoulder"/>',
         ["joint `r_shoulder`", "mimic", "`l_shoulder`"],
     ),
+    ('<child link="head"/>', "", ["child"]),
     ('<child link="head"/>', '<child link="skull"/>', ["child of joint `neck`", "`skull`"]),
     ('<child link="head"/>', '<child link="torso"/>', ["torso"]),
     ('<child link="pack"/>', '<child link="pelvis"/>', ["pelvis"]),

@@ -112,9 +112,18 @@ def test_arrows_are_as_long_as_the_legend_says(seen):
     assert drawing.wind_arrow(seen.at(0.0), scales) is None
 
 
-@pytest.mark.parametrize("make", [drawing.cylinder, drawing.sphere, drawing.box, drawing.cone])
-def test_meshes_are_closed_and_face_outwards(make):
+@pytest.mark.parametrize(
+    ("make", "low", "high"),
+    [
+        (drawing.cylinder, (-1.0, -1.0, -0.5), (1.0, 1.0, 0.5)),
+        (drawing.sphere, (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
+        (drawing.box, (-0.5, -0.5, -0.5), (0.5, 0.5, 0.5)),
+        (drawing.cone, (-1.0, -1.0, 0.0), (1.0, 1.0, 1.0)),
+    ],
+)
+def test_meshes_have_their_size_are_closed_and_face_outwards(make, low, high):
     vertices, faces = make()
+    np.testing.assert_allclose([vertices.min(axis=0), vertices.max(axis=0)], [low, high], atol=0.02)  # of a polygon
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     normals = np.cross(b - a, c - a)
     assert np.linalg.norm(normals.sum(axis=0)) < 1e-9

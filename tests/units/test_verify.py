@@ -1,0 +1,131 @@
+"""The comparison of crate and JAX: its worst differences, its samples, its table, and its command without a flight."""
+
+import json
+
+import numpy as np
+import pytest
+
+from jax_aero import rust, verify
+from jax_aero.verify import command
+
+
+def test_the_worst_sample_counts_against_the_greatest_answer():
+    comparison = verify.Comparison()
+    comparison.add("dynamics", "bias", [1.0, 2.1], [1.0, 2.0], 0.02)
+    comparison.add("dynamics", "bias", [-4.0, 8.05], [-4.0, 8.0], 0.02)
+    comparison.add("flight", "wind", [0.0, 1e-6], [0.0, 0.0], 1e-6, relative=False)
+    relative, absolute = comparison.rows
+    assert (relative.absolute, relative.scale) == (pytest.approx(0.1), 8.0)
+    assert relative.agrees
+    assert absolute.agrees
+    assert absolute.relative == absolute.absolute == 1e-6  # there is nothing to be relative to
+    comparison.add("flight", "wind", [0.0, -3e-6], [0.0, 0.0], 1e-6, relative=False)
+    assert not absolute.agrees
+    comparison.add("dynamics", "bias", [np.nan], [1.0], 0.02)
+    comparison.add("dynamics", "bias", [1.0], [1.0], 0.02)
+    assert not relative.agrees
+
+
+def test_rotations_are_compared_on_the_crates_branch(agree):
+    quaternions = np.array([[1.0, 0, 0, 0], [0.6, 0.8, 0, 0]])
+    same = verify._same_branch("base_quaternion", quaternions * np.array([[1.0], [-1.0]]), quaternions)
+    np.testing.assert_array_equal(same, quaternions)
+    angles = np.array([[0.1, 0.0, np.pi - 0.01]])
+    turned = verify._same_branch("base_rpy_setpoint", angles + np.array([[0.0, 0.0, -2.0 * np.pi]]), angles)
+    agree("angles", turned, angles, 1e-15)
+    assert verify._same_branch("wind", angles, 0.0 * angles) is angles
+
+
+def test_samples_of_a_flight_are_spread_from_its_first_to_its_last_tick(agree):
+    config = rust.load_config("test2", {"simulator.duration": 0.02, "simulator.time_step": 0.01})
+    flight = rust.fly(config)
+    first, last = verify.recorded_samples(config, flight, 2)
+    for sample, tick in ((first, 0), (last, -1)):
+        velocity = np.concatenate([flight["base_velocity"][tick], flight["joint_velocity"][tick]])
+        np.testing.assert_array_equal(sample.state.velocity, velocity)
+        np.testing.assert_array_equal(sample.thrust, flight["thrust"][tick])
+        np.testing.assert_array_equal(sample.setpoint.com_position, flight["com_setpoint"][tick])
+    assert np.any(first.state.velocity != last.state.velocity)
+    tick = rust.Controller(config).tick(first.state, first.thrust, first.wind, 0.0)
+    agree("first inertia", first.memory[1], tick.inertia_0_b, 1e-12)
+
+
+def test_random_states_have_joints_between_their_limits():
+    limits = np.array([[-1.0, 3.0], [5.0, 6.0]])
+    states = list(verify.random_states(np.random.default_rng(1), limits, 50))
+    share = (np.array([state.joint_position for state in states]) - limits[:, 0]) / np.ptp(limits, axis=1)
+    assert np.all((share >= 0.0) & (share <= 1.0))
+    # Of 50 the chance that none is in an outer fifth is 1e-5.
+    assert np.all(share.min(axis=0) < 0.2)
+    assert np.all(share.max(axis=0) > 0.8)
+
+
+def test_networks_are_compared_in_double_precision():
+    found = verify.in_double_precision(rust.load_config("robustness"))
+    assert found["simulator"]["aero"]["precision"] == "f64"
+    assert "precision" not in found["controller"]["aero"]
+
+
+@pytest.fixture
+def compared(monkeypatch):
+    """Put made-up differences in place of comparisons: of the robot 0.1 of its tolerance, of others as given."""
+    calls, size = [], {"tick": 0.1}
+
+    def robot(path, states, comparison, backend, seed):
+        calls.append((path, states, backend, seed))
+        comparison.add("dynamics", "bias", [1.0 + 1e-11], [1.0], 1e-10)
+
+    def ticks(config, samples, group, comparison):
+        calls.append((group, samples))
+        comparison.add(group, "task", [1.0 + size["tick"] * 1e-10], [1.0], 1e-10)
+
+    def flight(config, comparison, backend):
+        comparison.add("flight", "wind", [0.0], [0.0], 1e-6, relative=False)
+        return "the crate's", "ours"
+
+    for name, made_up in (("verify_robot", robot), ("verify_ticks", ticks), ("verify_flight", flight)):
+        monkeypatch.setattr(command, name, made_up)
+    monkeypatch.setattr(command, "random_samples", lambda _, states, seed: ("random", states, seed))
+    monkeypatch.setattr(command, "recorded_samples", lambda _, flight, states: (flight, states))
+    return calls, size
+
+
+def test_the_command_compares_robot_ticks_and_flight(compared, tmp_path, capsys):
+    calls, size = compared
+    words = ["--config", "test1", "--states", "7", "--seed", "3", "--out", str(tmp_path)]
+    assert command.main(words) == 0
+    assert [call[1:] for call in calls] == [(7, "tree", 3), (("random", 7, 3),), (("the crate's", 7),)]
+    printed = capsys.readouterr().out
+    assert "| dynamics | bias                       |  1.0e-11 |  1.0e-11 | 1e-10 rel     | agrees    |" in printed
+    assert "| flight   | wind                       |  0.0e+00 |  0.0e+00 | 1e-06 abs     | agrees    |" in printed
+    assert "4 of 4 quantities agree" in printed
+    document = json.loads((tmp_path / "verify.json").read_text())
+    assert [row["agrees"] for row in document["rows"]] == [True] * 4
+    assert document["config"] == rust.config_digest(rust.load_config("test1"))[:12]
+    assert (tmp_path / "verify.png").stat().st_size > 0
+    assert "config: " in (tmp_path / "verify.md").read_text()
+
+    size["tick"] = 10.0
+    assert command.main(words) == 1
+    printed = capsys.readouterr().out
+    assert "DISAGREES" in printed
+    assert "2 of 4 quantities agree" in printed
+
+
+def test_a_robot_alone_is_compared_without_a_flight(compared, tmp_path):
+    path = str(rust.load_config("test1")["robot"])
+    assert command.main(["--robot", path, "--backend", "mjx", "--out", str(tmp_path)]) == 0
+    assert compared[0] == [(path, 50, "mjx", 0)]
+    assert json.loads((tmp_path / "verify.json").read_text())["backend"] == "mjx"
+
+
+def test_another_controller_takes_the_place_of_the_flights(tmp_path, capsys):
+    controller = rust.load_config("test1")
+    observer = command.places.HOME / "configs" / "control" / "observer.toml"
+    options = command._parse(["--config", "test1", "--controller", str(observer), "--set", "simulator.duration=1"])
+    found = command._config(options)
+    assert found["controller"] != controller["controller"]
+    assert found["controller"]["observer"]
+    assert found["simulator"]["duration"] == 1
+    assert command.main(["--config", "nowhere", "--out", str(tmp_path)]) == 2
+    assert "verify: " in capsys.readouterr().out
