@@ -36,6 +36,13 @@ def card(ironcub, tmp_path):
     return path
 
 
+def test_a_card_has_no_number_that_is_none(card, ironcub):
+    """JSON has no NaN; a card that had one could not be read by others."""
+    network = load_network(card, ironcub)
+    with pytest.raises(ValueError, match="JSON compliant"):
+        save_network(card, network, ironcub, description="made up", training={"mse": float("nan")})
+
+
 def test_what_is_written_is_read_back(card, ironcub):
     network = load_network(card, ironcub)
     again = card.with_name("again.json")

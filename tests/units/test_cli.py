@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import signal
 import subprocess
 import sys
 import tomllib
@@ -115,3 +116,8 @@ def test_rotations_of_quaternions_are_those_of_scipy():
     error = np.abs(rust.rotation_from_wxyz(wxyz) - expected).max()
     measured("rotation of a quaternion", error, 5e-15, because="a dozen roundings of numbers below 2")
     assert rust.rotation_from_wxyz(wxyz[0]).shape == (3, 3)
+
+
+def test_a_closed_pipe_ends_a_command_as_its_signal_would():
+    """A shell reports 128 and the number of the signal."""
+    assert cli.CLOSED == 128 + signal.SIGPIPE
