@@ -152,10 +152,10 @@ def make_flight() -> Callable[..., FlightResult]:
     return made_up_flight
 
 
-@pytest.fixture
-def made_up_results(tmp_path: Path, robot: MadeUpRobot) -> Path:
-    """A results folder with the flights the figures show; one of them falls."""
-    results = tmp_path / "flight"
+@pytest.fixture(scope="session")
+def made_up_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A results folder with the flights the figures show; one of them falls. A test that changes it copies it."""
+    results, robot = tmp_path_factory.mktemp("made_up") / "flight", MadeUpRobot()
     falls = {"test1": None, "test2": None, "test1_published": 21.5, "test2_published": None}
     falls |= dict.fromkeys(["test1_observer", "test1_published_observer"])
     falls |= dict.fromkeys(["test3", "test4", "robustness", "test4_published", "robustness_published"])

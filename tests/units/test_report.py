@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 from xml.etree import ElementTree
 
 import numpy as np
@@ -64,7 +65,7 @@ def write_sweep(results, name, cells, axes, **document):
 
 @pytest.fixture
 def results(tmp_path, made_up_results) -> Results:
-    for path in made_up_results.glob("*/manifest.json"):
+    for path in shutil.copytree(made_up_results, tmp_path / "flight").glob("*/manifest.json"):
         document = json.loads(path.read_text())
         with xr.open_dataset(path.with_name("run.nc"), engine="h5netcdf") as run:
             fell = run.attrs["outcome"] == "fell"
