@@ -323,6 +323,51 @@ fn a_refused_tick_is_bridged_and_a_state_is_restored() {
     assert_eq!(wrench_after(&mut flying, &sample), found);
 }
 
+/// What is observed counts in the prediction of a lost velocity, as a wrench at the centre of mass: beside a controller
+/// that observes nothing, `Δν̇ = M⁻¹ (S Δτ + [f; m + (p_com − p_base) × f])`.
+#[test]
+fn the_prediction_of_a_velocity_has_the_observed_wrench() {
+    let mut config = experiment("test2_observer");
+    (config.controller.law.channels.jump, config.controller.law.engines) = (None, None);
+    *observer_of(&mut config) = Some(WIDE);
+    let mut observing = controller(&config);
+    *observer_of(&mut config) = None;
+    let mut blind = controller(&config);
+    let mut sample = Prescribed::new(&config);
+    for _ in 0..3 {
+        observing.tick(&sample.measurement());
+        blind.tick(&sample.measurement());
+        // What is measured twice alike may be frozen.
+        sample.set_velocity(&blind.terms().dynamics.momentum_matrix);
+        sample.advance(&RATE);
+    }
+    let terms = observing.terms();
+    let wrench = terms.momentum.unmodelled_wrench;
+    let (f, m): (Vector3<f64>, Vector3<f64>) =
+        (wrench.fixed_rows::<3>(0).into(), wrench.fixed_rows::<3>(3).into());
+    let arm = terms.kinematics.com - terms.kinematics.bodies[0].i_from_b.position;
+    assert!(arm.cross(&f).norm() > 0.01, "the arm does not count: {arm}, {f}");
+    let mut force = DVector::zeros(terms.dynamics.bias.len());
+    force.fixed_rows_mut::<3>(0).copy_from(&f);
+    force.fixed_rows_mut::<3>(3).copy_from(&(m + arm.cross(&f)));
+    let torques = &observing.command().joint_torque - &blind.command().joint_torque;
+    force.rows_mut(6, torques.len()).copy_from(&torques);
+    let expected = terms.dynamics.mass_matrix.clone().cholesky().unwrap().solve(&force);
+
+    // A lost velocity follows the pose, if there is one.
+    sample.state.velocity.fill(f64::NAN);
+    sample.state.base.position.fill(f64::NAN);
+    sample.state.base.rotation.fill(f64::NAN);
+    let predicted = [&mut observing, &mut blind].map(|controller| {
+        controller.tick(&sample.measurement());
+        let base = &controller.terms().kinematics.bodies[0];
+        DVector::from_iterator(6, base.linear_velocity.iter().chain(&base.angular_velocity).copied())
+    });
+    let found = (&predicted[0] - &predicted[1]) / TIME_STEP;
+    // Velocities near 1 m/s round by 1e-16, a hundredth of a second makes of it 1e-14; M has a condition of 1e4.
+    assert_within!((found - expected.rows(0, 6)).amax(), 1e-9);
+}
+
 /// On the ground the measured wrenches of the feet are known, whether they carry or hardly touch: what is observed is
 /// what else would have to act on a robot that stands still.
 #[test]

@@ -265,9 +265,21 @@ fn a_chain_has_point_and_multipliers_of_the_method_that_answered() {
         let mut chain = QpChain::new(methods);
         let answer = chain.solve(&qp);
         assert_eq!(answer.status, QpStatus::Solved);
+        assert!(answer.iterations > 0);
         assert!(chain.multipliers().iter().any(|u| *u > 1e-3), "no row presses");
         assert_eq!(answer.kkt, kkt_residual(&qp, chain.x(), chain.multipliers()));
     }
+}
+
+/// Of a box problem whose answer presses on its bounds, too, steps are counted.
+#[test]
+fn the_primal_method_counts_its_steps() {
+    let qp = random_problem(&mut rng(12), 5, 0);
+    let mut solver = PrimalActiveSet::new(5);
+    let answer = solver.solve(&qp);
+    let presses = |i: usize| solver.x()[i] == qp.lower[i] || solver.x()[i] == qp.upper[i];
+    assert!((0..5).any(presses));
+    assert!(answer.iterations > 0);
 }
 
 /// What cannot be solved is said, `x` stays, and the solver goes on to solve the next problem.
