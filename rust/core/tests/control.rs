@@ -5,7 +5,8 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{
-    Loop, Running, assert_within, configs, experiment, random_state, random_vector, rng, robot, tick_at,
+    Loop, Running, TIME_STEP, assert_within, configs, experiment, random_state, random_vector, rng, robot,
+    tick_at,
 };
 use flight_core::control::bounds::rate_bounds;
 use flight_core::control::channels::Modes;
@@ -227,6 +228,20 @@ fn what_is_no_rotation_or_time_is_predicted() {
     let command = controller.tick_towards(state.as_mut().unwrap(), &good.measurement(), &setpoint);
     assert_eq!(command.status, CommandStatus::BadSetpoint);
     assert_eq!(command.thrust_rate.amax(), 0.0);
+}
+
+/// A measurement of another robot moves the time on by its own, or by a tick where that is no time.
+#[test]
+fn time_goes_on_without_a_measurement() {
+    let config = experiment("test2");
+    let good = Sample::start(&config);
+    let mut controller = controller(&config);
+    good.tick(&mut controller);
+    for (time, expected) in [(0.5, 0.5), (f64::NAN, 0.5 + TIME_STEP)] {
+        let bad = Measurement { time, thrust: &[], ..good.measurement() };
+        assert_eq!(controller.tick(&bad).status, CommandStatus::BadMeasurement);
+        assert_eq!(controller.state().time(), expected);
+    }
 }
 
 /// A state that was recorded, restored after other ticks: every number of the ticks that follow is the same.
