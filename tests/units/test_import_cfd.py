@@ -93,7 +93,7 @@ def test_joint_angles_can_come_from_a_file(tmp_path, capsys):
     assert "line 2, column `r_shoulder_pitch_deg`: 'seven'; expected a finite number" in capsys.readouterr().err
 
 
-def test_a_clone_is_read_through_git(tmp_path, capsys):
+def test_a_clone_is_read_through_git(tmp_path, capsys, monkeypatch):
     clone, out = tmp_path / "clone", tmp_path / "out.nc"
     path = clone / import_cfd.TABLE_PATH
     path.parent.mkdir(parents=True)
@@ -107,6 +107,10 @@ def test_a_clone_is_read_through_git(tmp_path, capsys):
     git("add", ".")
     git("commit", "-m", "table")
     path.unlink()  # history is enough
+    with monkeypatch.context() as without_git:
+        without_git.setenv("PATH", "")
+        assert import_cfd.main(["--clone", str(clone), "--out", str(out)]) == 2
+    assert "git is not installed; give the table as a file" in capsys.readouterr().err
     assert import_cfd.main(["--clone", str(clone), "--commit", "HEAD", "--out", str(out)]) == 0
     assert dataset.load(out).sha256 == read(table()).sha256
     assert import_cfd.main(["--clone", str(clone), "--out", str(out)]) == 2

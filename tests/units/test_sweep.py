@@ -3,6 +3,7 @@
 import json
 import os
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -336,7 +337,9 @@ def test_a_node_of_other_code_flies_nothing():
 def test_a_finished_sweep_is_kept_and_another_of_its_name_protected(flown, tmp_path, capsys):
     path = quick(tmp_path)
     assert main(["sweep", str(path), "--out", str(flown.parent)]) == 0
-    assert "is finished already" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "is finished already" in printed
+    assert re.search(r"quick: \d+ flights in \d+ cells, ", printed)
     path.write_text(path.read_text().replace("seed = 5", "seed = 6"))
     assert main(["sweep", str(path), "--out", str(flown.parent)]) == 2
     assert "holds another sweep of this name" in capsys.readouterr().err
