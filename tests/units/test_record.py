@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments import record
+from experiments import Refused, record
 from jax_aero import rust
 
 
@@ -103,3 +103,12 @@ def test_a_folder_that_appears_meanwhile_is_not_replaced(tmp_path):
         (tmp_path / "run").mkdir()
         (tmp_path / "run" / "run.nc").write_text("theirs")
     assert (tmp_path / "run" / "run.nc").read_text() == "theirs"
+
+
+def test_a_result_replaces_a_result_and_nothing_else(dataset, tmp_path):
+    for _ in range(2):
+        record.write_run(tmp_path / "run", dataset, {"name": "run"}, replace=True)
+    (tmp_path / "run" / "notes.txt").write_text("mine")
+    with pytest.raises(Refused, match=r"run holds more than a result \(notes\.txt\)"):
+        record.write_run(tmp_path / "run", dataset, {"name": "run"}, replace=True)
+    assert (tmp_path / "run" / "notes.txt").read_text() == "mine"
