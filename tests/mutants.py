@@ -207,6 +207,7 @@ class Recorder:
 
     def __init__(self) -> None:
         self.tests: dict[str, Any] = {}
+        self.failed: set[str] = set()
         self.fixtures: dict[Any, tuple[set[tuple[str, int]], float]] = {}
         self.seen: set[tuple[str, int]] = set()
         self.in_fixtures = 0.0
@@ -236,12 +237,14 @@ class Recorder:
         files: dict[str, list[int]] = {}
         for file, line in sorted(lines):
             files.setdefault(file, []).append(line)
-        self.tests[item.nodeid] = {"seconds": round(seconds, 3), "lines": files}
+        # A test that fails without any change notices nothing.
+        if item.nodeid not in self.failed:
+            self.tests[item.nodeid] = {"seconds": round(seconds, 3), "lines": files}
         return True
 
     def pytest_runtest_logreport(self, report: Any) -> None:
         if report.failed:
-            print(f"fails without any change: {report.nodeid}", file=sys.__stdout__)
+            self.failed.add(report.nodeid)
 
 
 class Chosen:
@@ -326,14 +329,14 @@ def tests_of(
 
 
 def run(path: Path, place: int, tests: Sequence[str], limit: float) -> str:
-    """Run tests of a mutant; say `killed`, `timeout` or `survived`."""
+    """Run tests of a mutant; say `killed`, `timeout`, `survived` or, if they are no longer there, `untested`."""
 
     def work() -> int:
         sys.meta_path.insert(0, Importer([path], lambda _file: Mutation(place)))
         return run_tests(list(dict.fromkeys(test.split("::")[0] for test in tests)), Chosen(tests), "-x")
 
     answer = in_child(work, limit)
-    return "timeout" if answer is None else "killed" if answer else "survived"
+    return {None: "timeout", 0: "survived", int(pytest.ExitCode.NO_TESTS_COLLECTED): "untested"}.get(answer, "killed")
 
 
 def draw(sources: Sequence[Path], seed: int, first: int) -> Iterator[tuple[int, Path, int, int | None, str]]:

@@ -531,6 +531,15 @@ def test_the_flow_is_kept_near_the_robot_and_its_wake_is_where_air_is_slow(monke
         flow.compute("flight30", flow.FlowConfig())
 
 
+def test_links_that_the_plane_of_symmetry_cuts_are_drawn_whole():
+    box = geometry.triangles_of("box", (0.1, 0.1, 0.1))
+    moved = {
+        name: geometry.Surface(box + offset, np.zeros(3))
+        for name, offset in (("beside", [0, 1, 0]), ("cut", [1, 0, 1]))
+    }
+    np.testing.assert_array_equal(flow.in_plane(moved), moved["cut"].triangles)
+
+
 def test_beside_the_tunnel_stand_cases_of_the_same_posture_and_wind_alone(collected, monkeypatch, agree):
     """The drag of a head wind is 13 links of 0.01 m²; rows of another wind or posture have three times as much."""
     scale = np.where((collected.posture == "hovering") & (collected.pitch_deg == 90.0), 1.0, 3.0)
