@@ -283,6 +283,34 @@ def test_the_interval_is_wilsons(successes, trials, low, high, measured):
     measured("mirrored interval", np.max(np.abs(np.subtract(mirrored, (1 - high, 1 - low)))), 6e-5)
 
 
+def test_a_cell_has_counts_and_quantiles_of_its_flights(agree):
+    """Eleven flights whose figures are 0 to 10; the last two fell, one of them before errors of position count."""
+    ramp = np.arange(11.0)
+    columns = {column for column, _ in table.QUANTITIES.values()} | {"degraded_time"}
+    flights = dict.fromkeys(columns, ramp) | {"outcome": np.array(["completed"] * 9 + ["fell"] * 2)}
+    flights["lost_time"] = np.array([np.nan] * 9 + [2.9, 8.0])
+    flights["max_com_error"], flights["max_rotation_error"] = 0.1 * ramp, np.radians(10.0 * ramp)
+    found = table._cell(flights)
+    assert (found["flights"], found["errors"], found["completed"], found["fell"], found["degraded"]) == (
+        11,
+        0,
+        9,
+        2,
+        10,
+    )
+    assert found["on_course"] == np.sum(
+        (0.1 * ramp[:9] <= table.ON_COURSE_COM) & (np.radians(10.0 * ramp[:9]) <= table.ON_COURSE_ROTATION)
+    )
+    agree("interval", (found["completed_low"], found["completed_high"]), table.wilson(9, 11), 1e-15)
+    shares = {"low": 1.0, "median": 5.0, "high": 9.0, "worst": 10.0}
+    for name in ("thrust_max", "thrust_min", "time_above_45_deg"):
+        assert {end: found[f"{name}_{end}"] for end in shares} == pytest.approx(shares)
+    agree("rotation", [found[f"rotation_error_deg_{end}"] for end in shares], 10.0 * np.array([1, 5, 9, 10]), 1e-12)
+    agree("joints", found["joint_error_deg_median"], np.degrees(5.0), 1e-12)
+    agree("position", [found[f"com_error_{end}"] for end in ("median", "worst")], [0.45, 1.0], 1e-12)
+    agree("end", [found[f"lost_time_{end}"] for end in ("median", "worst")], [5.45, 8.0], 1e-12)
+
+
 def test_nothing_is_known_without_trials():
     assert table.wilson(0, 0) == (0.0, 1.0)
 
