@@ -35,6 +35,8 @@ from jax_aero.train import fit, predict_areas, samples_of
 BASE = study.CONFIGS / "training" / "compact.toml"
 FOLDS = 5
 COVERAGE = 0.9
+SEED = 100
+"""Of the first network."""
 LINK_BLOCKS = ["link_wind", "link_position", "link_shadow"]
 JOINT_NOISE = {"wind": 0.05, "joints": 0.02, "link_shadow": 0.03}
 
@@ -131,7 +133,7 @@ def member_training(changes: Mapping[str, Any], epochs: int) -> config.Training:
 
 def train_member(number: int, training: config.Training, rows: Dataset) -> Network:
     """Train one network from a start of its own."""
-    seed = 100 + number
+    seed = SEED + number
     start = training.start(config.robot(), seed)
     return fit(start, samples_of(start, config.robot(), rows), None, training.training, seed).network
 
@@ -234,7 +236,7 @@ def write_members(
             rows,
             {},
             epochs=training.training.epochs,
-            seed=100 + number,
+            seed=SEED + number,
             source=source,
             held_out=f"one of an ensemble, not shown {', '.join(left_out)}; errors: ensemble.json",
         )

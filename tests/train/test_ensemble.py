@@ -82,7 +82,7 @@ def test_networks_predict_postures_that_they_have_not_seen(made_up_dataset, tmp_
 
     def untrained(number, training, rows):
         seen.append(set(rows.postures))
-        return training.start(config.robot(), 100 + number)
+        return training.start(config.robot(), ensemble.SEED + number)
 
     monkeypatch.setattr(ensemble, "train_member", untrained)
     monkeypatch.setattr(ensemble, "MEMBERS", ({"hidden": [4]}, {"hidden": [5], "baseline": "none"}))
