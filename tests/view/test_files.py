@@ -128,6 +128,8 @@ def test_a_ghost_flies_in_the_same_picture(seen):
         ghosts = studio.model.geom_rgba[:, 3] < 1.0
         assert int(ghosts.sum()) == len(seen.look.shapes)
     assert colours(picture) > 300
+    blue = picture[..., 2].astype(int) - picture[..., 0]
+    assert blue[:6].mean() > 2.0 * blue[-6:].mean(), "the sky is above, and the floor is grey"
 
 
 @pytest.mark.usefixtures("_can_draw")
