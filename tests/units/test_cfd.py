@@ -422,6 +422,7 @@ def test_a_verification_extrapolates_three_meshes_and_varies_the_rest(monkeypatc
 
     monkeypatch.setattr(foam, "environment", lambda: None)
     monkeypatch.setattr(verify, "simulate", simulated)
+    assert {f"flight{pitch:g}": pitch for pitch in verify.FLIES_AT.values()} == verify.FLIES_AT
     subject = verify.subject_of("sphere")
     found = verify.compute("sphere", verify.VerifyConfig()).summary
     agree("order", found["observed order"], 2.0, 1e-9)

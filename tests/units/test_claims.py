@@ -100,12 +100,13 @@ def test_the_difference_of_the_models_may_be_late_with_one_kind_of_arms_alone():
 
 def test_what_was_measured_on_the_ground_is_said():
     standing = {name: stood(axis) for name, axis in STOOD.items()}
+    standing["balancing_lateral"] = stood(1, shift=np.array([4e-4, 5e-3, 9e-3]))
     assert judged("identities", standing=standing)[0].startswith(
         "s: rate less its terms at most 1e-12 N; vertical f_c* less the weight -3.00 N, with the assumed lift +0.10 N; "
     )
     assert judged("against", standing=standing)[0] == (
         "s: CoM +5.0 mm along x, force -20.0 N, off the axis +0.0 mm; "
-        "s: CoM +5.0 mm along y, force -20.0 N, off the axis +0.0 mm"
+        "s: CoM +5.0 mm along y, force -20.0 N, off the axis +0.4 mm"
     )
     assert judged("onset", standing=standing)[0].startswith("s: CoM has moved 1 mm after 2.5 s; ")
     assert judged("momentum_rate", standing=standing)[0].startswith(

@@ -125,6 +125,18 @@ def test_figures_are_root_mean_squares_on_the_held_out_log(truth, agree):
     agree("figures", list(found.values()), expected, 1e-8)
 
 
+def test_the_noise_of_a_log_is_that_about_its_smoothed_thrust(truth, monkeypatch, measured):
+    """A cubic with noise of 2 N, and edges of ten steps; of the filters' Q the one that is said to be likeliest."""
+    t = bench.STEP * np.arange(20_000)
+    thrust = 50.0 + 0.01 * t**2 + 2.0 * np.random.default_rng(1).normal(size=t.size) + 20.0 * np.floor(t / 20.0)
+    monkeypatch.setattr(bench, "estimate", lambda _engine, _log, q, _r: (None, q[0, 0] - abs(q[1, 1] - 1.0)))
+    q, r = bench.tune(truth, bench.Log(t, 0.0 * t, thrust))
+    np.testing.assert_array_equal(q, np.diag([10.0, 1.0]))
+    # A median of n magnitudes is known to 1.17/√n; two of them for the variance, neighbours are alike, four of these.
+    limit = 4.0 * 2.0 * 1.17 / np.sqrt(t.size) + 0.02
+    measured("variance", abs(r / bench.STEP / 4.0 - 1.0), limit, because="one seed of noise")
+
+
 def test_an_engine_is_identified_from_the_logs_that_are_named(truth, log, tmp_path, monkeypatch):
     for name in ("train", "test"):
         (tmp_path / f"{name}.csv").write_text(bench.log_text(log))
