@@ -14,7 +14,7 @@ from jax_aero.view import Refused, command, offscreen, recording, video
 
 av = pytest.importorskip("av", reason="PyAV is not installed")
 Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
-pytest.importorskip("mujoco", reason="MuJoCo is not installed")
+mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed")
 
 
 @pytest.fixture(scope="module")
@@ -144,6 +144,8 @@ def test_the_robot_drawn_is_the_robot_that_flew(seen):
             np.testing.assert_allclose(body.xpos, position, atol=1e-6)
             np.testing.assert_allclose(body.xmat.reshape(3, 3), rotation, atol=1e-6)
         drawn = int((studio.model.geom_bodyid > 0).sum())
+        kinds = [geom.objtype for geom in studio._scene.geoms[: studio._scene.ngeom]]
+        assert int(mujoco.mjtObj.mjOBJ_SITE) not in kinds  # the model's sites are no part of the robot
     assert drawn > seen.robot.urdf_text.count("<visual>")
 
 
