@@ -193,5 +193,5 @@ $(MODULE): $(VENV)/.first pyproject.toml $(RUST_SOURCES)
 
 $(PACKAGES): requirements.hashed | $(MODULE)
 	@echo "set-up of everything else: JAX, viewer, tests, documents (2.5 GB, some minutes)"
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.hashed
+	$(BIN)/python -m pip install --quiet --no-compile --require-hashes -r requirements.hashed
 	@touch $@

@@ -20,6 +20,11 @@ from jax_aero.result import FlightResult
 pytest_plugins = ["tests.measurements"]
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put tests in a browser first: at the end one process would wait for them alone."""
+    items.sort(key=lambda item: "view" not in item.path.parts)
+
+
 # --- memory -------------------------------------------------------------------------------------------------------
 
 
