@@ -4,6 +4,7 @@ A design (configs/cfd/NAME.toml) names postures, winds and settings. A posture i
 every case is kept in `results/cfd/NAME/cases/` as soon as it is computed, so an interrupted run goes on with the same
 command. At the end `dataset.nc` holds what was accepted, in the format of `import-cfd`, and `manifest.json` what was
 refused and why. Needs OpenFOAM: apt-get install openfoam.
+`--cluster ray` computes several postures at a time; of each, the cases are kept when all of its winds are there.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -26,6 +28,7 @@ from experiments.cfd.design import KIND, Case, Design
 from experiments.cfd.geometry import Surface
 from experiments.cfd.settings import Settings
 from experiments.cfd.simulate import Result, simulate
+from experiments.cluster import Ray, add_options
 from jax_aero import places, tables
 from jax_aero.aero.cfd_import import checks
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, save
@@ -44,6 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     completes(named, lambda: places.names(KIND))
     study.add_set(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/cfd)")
+    add_options(parser, "postures", "processes of a local cluster")
     parser.add_argument("--finish", action="store_true", help="compute nothing; collect the cases that are there")
     given = parser.parse_args(arguments)
 
@@ -52,28 +56,54 @@ def main(arguments: Sequence[str] | None = None) -> int:
             design = Design.read(name, overrides.parse(given.set))
             folder = (given.out or RESULTS) / design.name
             if not given.finish:
-                foam.environment()
-                compute(design, folder)
+                cluster = Ray.of(given)
+                if cluster is None:
+                    foam.environment()
+                compute(design, folder, cluster=cluster)
             print(collect(design, folder))
 
     return exit_status(work, interrupted="the same command goes on with the next case")
 
 
-def compute(design: Design, folder: Path, simulator: Simulate = simulate) -> None:
-    """Compute the cases of a design that are not there yet."""
-    surfaces = design.surfaces
+def compute(design: Design, folder: Path, simulator: Simulate = simulate, cluster: Ray | None = None) -> None:
+    """Compute the cases of a design that are not there yet: here, or over a cluster, where a posture is a task."""
+    settings, surfaces = design.spec.settings, design.surfaces
     with locked(folder), tqdm(desc=design.name, unit="case", file=sys.stderr, disable=None) as bar:
         _begin(design, folder)
         bar.reset(total=sum(1 for _ in design))
-        for name, cases in design.cases.items():
-            missing = [case for case in cases if not _path(folder, case).is_file()]
-            bar.update(len(cases) - len(missing))
-            with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
-                winds = [case.wind_b for case in missing]
-                results = simulator(surfaces[name], winds, design.spec.settings, Path(scratch)) if missing else ()
-                for case, result in zip(missing, results, strict=True):
-                    write_json(_path(folder, case), tables.plain(result))
-                    bar.update()
+        left = {
+            name: [case for case in cases if not _path(folder, case).is_file()] for name, cases in design.cases.items()
+        }
+        missing = {name: cases for name, cases in left.items() if cases}
+        bar.update(bar.total - sum(map(len, missing.values())))
+        jobs = {name: Job(surfaces[name], [case.wind_b for case in cases]) for name, cases in missing.items()}
+        shared = simulator, settings
+        spread = cluster.spread(_remotely, shared, jobs, (__name__,), settings.solver.ranks) if cluster else None
+        for name, results in spread or _here(*shared, jobs):
+            for case, result in zip(missing[name], results, strict=True):
+                write_json(_path(folder, case), tables.plain(result))
+                bar.update()
+
+
+class Job(NamedTuple):
+    """A posture in several winds."""
+
+    surfaces: Mapping[str, Surface]
+    winds: list[Floats]
+    """Unit vectors along which the air moves, base axes."""
+
+
+def _here(simulator: Simulate, settings: Settings, jobs: Mapping[str, Job]) -> Iterator[tuple[str, Iterable[Result]]]:
+    """Yield the results of every posture, one by one as they are computed."""
+    for name, job in jobs.items():
+        with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
+            yield name, simulator(*job, settings, Path(scratch))
+
+
+def _remotely(shared: tuple[Simulate, Settings], job: Job) -> list[Result]:
+    simulator, settings = shared
+    with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
+        return list(simulator(*job, settings, Path(scratch)))
 
 
 def _begin(design: Design, folder: Path) -> None:

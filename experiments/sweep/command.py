@@ -10,8 +10,8 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from experiments import cluster
 from experiments.sweep import run, spec
-from experiments.sweep.cluster import Ray
 from experiments.sweep.design import Design
 from jax_aero import places
 from jax_aero.cli import Parser, completes
@@ -26,7 +26,8 @@ def main(arguments: Sequence[str]) -> int:
         for name, title in spec.available().items():
             print(f"  {name:<28}  {title}")
         return 0 if given.list else 2
-    workers: run.Workers = Ray(given.address, given.workers) if given.cluster else run.Local(given.workers)
+    ray = cluster.Ray.of(given)
+    workers: run.Workers = run.Spread(ray) if ray else run.Local(given.workers)
 
     def work() -> None:
         for design in [Design(spec.load(name)) for name in names]:
@@ -44,10 +45,6 @@ def _parser() -> Parser:
     parser.add_argument("--all", action="store_true", help="every sweep of configs/sweeps")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/sweeps)")
     parser.add_argument("--overwrite", action="store_true", help="start from the beginning, and replace a result")
-    parser.add_argument(
-        "--workers", type=int, metavar="N", help="threads, or processes of a local cluster (default: one per core)"
-    )
-    parser.add_argument("--cluster", choices=["ray"], help="spread chunks over a cluster instead of threads")
-    parser.add_argument("--address", metavar="ADDRESS", help="of the cluster (default: RAY_ADDRESS, or a local one)")
+    cluster.add_options(parser, "chunks", "threads, or processes of a local cluster")
     parser.add_argument("--list", action="store_true", help="list the sweeps and stop")
     return parser

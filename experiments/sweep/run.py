@@ -25,10 +25,12 @@ from typing import Any, Protocol
 import pyarrow as pa
 
 from experiments import Refused, engines, manifest, sources
+from experiments.cluster import Ray
 from experiments.sweep import table
 from experiments.sweep.chunks import Chunks, parquet
 from experiments.sweep.design import Design
 from experiments.sweep.progress import Progress
+from experiments.sweep.spec import Spec
 from jax_aero import rust, tables
 from jax_aero.files import checksums, damaged, locked, write_bytes, write_json
 from jax_aero.result import Outcome
@@ -57,6 +59,30 @@ class Local:
         engine = engines.engine(design.spec.engine)
         for chunk in chunks:
             yield chunk, fly_chunk(design, chunk, engine, self.threads, progress.within_chunk)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Over a cluster, with a chunk per processor."""
+
+    cluster: Ray
+
+    def fly(
+        self,
+        design: Design,
+        chunks: list[int],
+        progress: Progress,  # noqa: ARG002 - a cluster reports whole chunks only
+    ) -> Iterator[tuple[int, Any]]:
+        """Yield chunks as the cluster ends them."""
+        # Read and resolved: nodes read nothing but the robot's files.
+        yield from self.cluster.spread(_fly, (design.spec, design.bases), {n: n for n in chunks}, modules_of(design))
+
+
+def _fly(shared: tuple[Spec, Any], chunk: int) -> Any:
+    spec, bases = shared
+    design = Design(spec)
+    vars(design)["bases"] = bases
+    return fly_chunk(design, chunk, engines.engine(spec.engine), threads=1)
 
 
 def fly_chunk(
@@ -163,7 +189,12 @@ def _document(design: Design) -> dict[str, Any]:
 
 def code_hash(design: Design) -> str:
     """Return a hash of the code that flies a sweep: rows flown by two do not belong into one table."""
-    return sources.code_hash(__name__, engines.MODULES[design.spec.engine])
+    return sources.code_hash(*modules_of(design))
+
+
+def modules_of(design: Design) -> tuple[str, ...]:
+    """Return the modules that make the rows of a sweep."""
+    return __name__, engines.MODULES[design.spec.engine]
 
 
 def _found(folder: Path, document: dict[str, Any]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import pickle
 import shutil
 from pathlib import Path
 
@@ -436,6 +437,35 @@ def test_a_verification_extrapolates_three_meshes_and_varies_the_rest(monkeypatc
     agree("over literature", found["finest over literature"], finest / 0.47, 1e-12)
     off = found[f"cells of {sizes[0]:.2f} mm: total force from that of the finest mesh [m2]"]
     agree("difference", off, 1.25 * (found[f"cells of {sizes[0]:.2f} mm"] - finest) * np.pi * 0.0432**2, 1e-9)
+
+
+class Pickling:
+    """A cluster whose node is this process: what a task is given and returns travels as bytes."""
+
+    def __init__(self):
+        self.asked = []
+
+    def spread(self, task, shared, jobs, modules, cpus):
+        self.asked.append((list(jobs), modules, cpus))
+        for name, job in reversed(jobs.items()):
+            answer = task(*pickle.loads(pickle.dumps((shared, job))))
+            yield name, pickle.loads(pickle.dumps(answer))
+
+
+def test_a_cluster_computes_the_same_cases_a_posture_at_a_time(small, tmp_path):
+    here, there, cluster = tmp_path / "here", tmp_path / "there", Pickling()
+    command.compute(small, here, Fake())
+    command.compute(small, there, Fake(), cluster)
+    command.compute(small, there, Fake(), cluster)
+    files = sorted(path.name for path in (here / "cases").iterdir())
+    assert len(files) == 6
+    assert [(there / "cases" / name).read_bytes() for name in files] == [
+        (here / "cases" / name).read_bytes() for name in files
+    ]
+    assert cluster.asked == [
+        (["hovering", "Config5"], ("experiments.cfd.command",), 1),
+        ([], ("experiments.cfd.command",), 1),
+    ]
 
 
 def test_rows_are_matched_directly_or_as_mirror_images_and_averaged_with_them(collected):

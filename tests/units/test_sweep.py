@@ -16,9 +16,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from experiments import Refused, engines
+from experiments import Refused, cluster, engines
 from experiments.__main__ import main
-from experiments.sweep import cluster, keys, run, spec, table
+from experiments.sweep import keys, run, spec, table
 from experiments.sweep.design import Design
 from experiments.sweep.perturbation import Perturbation, members
 from experiments.sweep.progress import Progress
@@ -358,8 +358,9 @@ def test_threads_do_not_change_a_byte(flown, tmp_path):
 
 
 def test_a_node_of_other_code_flies_nothing():
-    with pytest.raises(cluster.OtherBuild, match=r"a node has other code .*, here another"):
-        cluster._fly_remotely(pickle.dumps((design().spec, design().bases)), 0, "another")
+    common = pickle.dumps((run._fly, (design().spec, design().bases), run.modules_of(design()), "another"))
+    with pytest.raises(Refused, match=r"a node has other code .*, here another"):
+        cluster._remotely(common, 0)
 
 
 def test_a_finished_sweep_is_kept_and_another_of_its_name_protected(flown, tmp_path, capsys):
@@ -452,7 +453,7 @@ def kill_one_worker(mark: str, killed: list[int]) -> None:
     while not killed:
         for folder in Path("/proc").glob("[0-9]*"):
             with suppress(OSError):
-                flies = b"ray::_fly_remotely" in (folder / "cmdline").read_bytes()
+                flies = b"ray::_remotely" in (folder / "cmdline").read_bytes()
                 if flies and mark.encode() in (folder / "environ").read_bytes():
                     os.kill(int(folder.name), signal.SIGKILL)
                     killed.append(int(folder.name))
