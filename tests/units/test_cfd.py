@@ -344,8 +344,8 @@ def test_winds_that_cannot_be_are_refused(winds, words):
         tables.convert({"title": "x", "robot": ROBOT, "postures": ["hovering"], "winds": winds}, design.Spec, "x.toml")
 
 
-@pytest.fixture
-def small(tmp_path):
+@pytest.fixture(scope="module")
+def small():
     winds = design.Winds(design="list", pitch_deg=(90.0, 60.0, 30.0), yaw_deg=(0.0, 20.0, 0.0))
     spec = design.Spec(title="made up", postures=("hovering", "Config5"), winds=winds, robot=Path(ROBOT))
     return design.Design("small", spec)
@@ -479,12 +479,13 @@ def test_rows_are_matched_directly_or_as_mirror_images_and_averaged_with_them(co
     np.testing.assert_array_equal(here.force_area_b, there.force_area_b)
 
 
-@pytest.fixture
-def collected(small, tmp_path):
+@pytest.fixture(scope="module")
+def collected(small, tmp_path_factory):
     """Results of the small design: its accepted cases."""
-    command.compute(small, tmp_path, Fake())
-    command.collect(small, tmp_path)
-    return ds.load(tmp_path / "dataset.nc")
+    folder = tmp_path_factory.mktemp("collected")
+    command.compute(small, folder, Fake())
+    command.collect(small, folder)
+    return ds.load(folder / "dataset.nc")
 
 
 def test_errors_are_those_of_a_model_that_is_a_tenth_off(collected, agree):
@@ -504,6 +505,7 @@ def test_cases_are_compared_with_models_and_with_rows_of_a_table(collected, tmp_
     monkeypatch.setattr(compare, "models_at", lambda *_: {"none": none})
     hovering = collected.take(collected.posture == "hovering")
     ds.save(dataclasses.replace(hovering, force_area_b=0.5 * hovering.force_area_b), tmp_path / "table.nc")
+    ds.save(collected, tmp_path / "dataset.nc")
     ours = {"dataset": str(tmp_path / "dataset.nc")}
     found = compare.compute("small", compare.CompareConfig(**ours, table=str(tmp_path / "table.nc")))
     assert found.summary["cases with a counterpart in the table"] == len(hovering)
