@@ -195,6 +195,12 @@ def test_a_file_of_something_else_is_refused(tmp_path):
     xr.Dataset({"time": ("time", [0.0, 1.0])}).to_netcdf(tmp_path / "run.nc", engine="h5netcdf")
     with pytest.raises(Refused, match=r"run\.nc` has no `base_position`"):
         recording.read(tmp_path)
+    (tmp_path / "manifest.json").write_text("{")
+    with pytest.raises(Refused, match=r"manifest\.json` is not JSON"):
+        recording.read(tmp_path)
+    (tmp_path / "manifest.json").write_text("[]")
+    with pytest.raises(Refused, match=r"manifest\.json` holds no table"):
+        recording.read(tmp_path)
 
 
 def test_a_result_without_its_robot_asks_for_it(made_up_results):
