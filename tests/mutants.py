@@ -392,6 +392,8 @@ def main() -> int:
         )
     if not given.packages:
         return 0
+    if not RECORD.is_file():
+        parser.error(f"there is no {RECORD}; make it with --record units train")
     known = json.loads(RECORD.read_text())
     chosen = [ROOT / name for name in given.packages]
     sources = [path for path in everything if any(path == one or one in path.parents for one in chosen)]
