@@ -78,8 +78,10 @@ def compute(design: Design, folder: Path, simulator: Simulate = simulate, cluste
         bar.update(bar.total - sum(map(len, missing.values())))
         jobs = {name: Job(surfaces[name], [case.wind_b for case in cases]) for name, cases in missing.items()}
         shared = simulator, settings
-        spread = cluster.spread(_remotely, shared, jobs, (__name__,), settings.solver.ranks) if cluster else None
-        for name, results in spread or _here(*shared, jobs):
+        solved: Iterable[tuple[str, Iterable[Result]]] = ((name, _solved(*shared, job)) for name, job in jobs.items())
+        if cluster:
+            solved = cluster.spread(_remotely, shared, jobs, (__name__,), settings.solver.ranks)
+        for name, results in solved:
             for case, result in zip(missing[name], results, strict=True):
                 write_json(_path(folder, case), tables.plain(result))
                 bar.update()
@@ -93,17 +95,14 @@ class Job(NamedTuple):
     """Unit vectors along which the air moves, base axes."""
 
 
-def _here(simulator: Simulate, settings: Settings, jobs: Mapping[str, Job]) -> Iterator[tuple[str, Iterable[Result]]]:
-    """Yield the results of every posture, one by one as they are computed."""
-    for name, job in jobs.items():
-        with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
-            yield name, simulator(*job, settings, Path(scratch))
+def _solved(simulator: Simulate, settings: Settings, job: Job) -> Iterator[Result]:
+    """Yield the results of a posture, one by one as they are computed."""
+    with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
+        yield from simulator(*job, settings, Path(scratch))
 
 
 def _remotely(shared: tuple[Simulate, Settings], job: Job) -> list[Result]:
-    simulator, settings = shared
-    with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
-        return list(simulator(*job, settings, Path(scratch)))
+    return list(_solved(*shared, job))
 
 
 def _begin(design: Design, folder: Path) -> None:

@@ -21,14 +21,7 @@ from experiments.cfd.command import RESULTS
 from experiments.study import Findings, Study
 from experiments.tunnel_moments import NEWTON_METRES
 from jax_aero import tables
-from jax_aero.aero.dataset import (
-    MIRROR_AXES,
-    Dataset,
-    Floats,
-    load,
-    mirrored_joints,
-    wind_direction,
-)
+from jax_aero.aero.dataset import MIRROR_AXES, Dataset, Floats, load, mirrored_joints, wind_direction
 from jax_aero.aero.posture import total_wrench
 from jax_aero.robot import RobotModel, load_robot
 

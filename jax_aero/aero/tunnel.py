@@ -69,7 +69,7 @@ class Points:
     """`hovering` or `flight`."""
     posture: Sequence[str]
     marks: Sequence[tuple[str, ...]]
-    """What speaks against a point, from the table of tests."""
+    """Why a point is doubtful, from the table of tests."""
     robot: str
     pitch_deg: Floats
     """Robot's vertical axis above the horizontal [deg]."""

@@ -197,18 +197,18 @@ def update(
 
     is_same = memory.is_begun & of_all(now == memory.last)
     same = jnp.where(is_same, memory.same + 1, 0)
-    is_believed = of_all(jnp.abs(now) <= limits.greatest) & ~memory.is_distrusted
-    is_believed = is_believed.at[ROTATION].set(is_believed[ROTATION] & is_rotation(state.base_rotation))
+    is_plausible = of_all(jnp.abs(now) <= limits.greatest) & ~memory.is_distrusted
+    is_plausible = is_plausible.at[ROTATION].set(is_plausible[ROTATION] & is_rotation(state.base_rotation))
 
     def judge(predicted: Array) -> tuple[Array, Array]:
         """Whether each channel is measured, and whether it is frozen."""
         if not limits.compares:
-            return is_believed, memory.is_frozen
+            return is_plausible, memory.is_frozen
         distance = jnp.abs(now - predicted)
         is_near = of_all(distance <= (1.0 + limits.widening * memory.age)[owner] * limits.jump)
         leaves = (same >= limits.frozen_ticks) & ~of_all(distance <= FROZEN_SHARE * limits.jump)
         is_frozen = is_same & (memory.is_frozen | leaves)
-        return is_believed & is_near & ~is_frozen, is_frozen
+        return is_plausible & is_near & ~is_frozen, is_frozen
 
     # The pose integrates the velocity of this tick, measured or not.
     velocity = jnp.where(judge(predicted)[0][VELOCITY], now[-18:-12], predicted[-18:-12])

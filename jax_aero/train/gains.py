@@ -120,7 +120,7 @@ def tune(sample: Sample, size: int, steps: Steps, *, checkpoint: Path, digest: s
     Raises
     ------
     ValueError
-        If the checkpoint belongs to another run, which its digest tells.
+        If the checkpoint belongs to another run, by its digest.
     """
     theta = jnp.zeros(size)
     state, step = _State(theta, adam_start(theta), theta, jnp.asarray(steps.learning_rate)), 0

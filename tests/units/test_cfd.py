@@ -594,8 +594,8 @@ def test_the_shipped_dataset_has_accepted_cases_of_its_design_alone():
     accept = made.spec.settings.accept
     assert data.quality["drift"].max() <= accept.drift
     assert data.quality["oscillation"].max() <= accept.oscillation
-    told = tables.convert(json.loads(data.provenance["settings"]), settings.Settings, "settings")
-    assert told == made.spec.settings
+    written = tables.convert(json.loads(data.provenance["settings"]), settings.Settings, "settings")
+    assert written == made.spec.settings
 
 
 def test_a_program_runs_on_one_or_several_processors_and_says_how_it_ended(tmp_path, monkeypatch):

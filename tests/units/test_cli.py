@@ -65,7 +65,7 @@ def test_a_wrong_word_is_answered_with_what_was_meant(words, meant, capsys):
 
 
 @pytest.mark.parametrize("word", ["swep", "tset1"])
-def test_the_old_entrance_knows_both_commands_and_flights(word, capsys):
+def test_the_old_entry_point_takes_both_commands_and_flights(word, capsys):
     assert experiments.main([word]) == cli.REFUSED
     assert f"did you mean {'sweep' if word == 'swep' else 'test1'}" in capsys.readouterr().err
 

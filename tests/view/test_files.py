@@ -129,7 +129,7 @@ def test_a_ghost_flies_in_the_same_picture(seen):
         assert int(ghosts.sum()) == len(seen.look.shapes)
     assert colours(picture) > 300
     blue = picture[..., 2].astype(int) - picture[..., 0]
-    assert blue[:6].mean() > 2.0 * blue[-6:].mean(), "the sky is above, and the floor is grey"
+    assert blue[:6].mean() > 2.0 * blue[-6:].mean(), "the sky is above, and the ground is grey"
 
 
 @pytest.mark.usefixtures("_can_draw")

@@ -90,7 +90,7 @@ fn with_the_worlds_own_model_it_is_ahead_of_every_delay() {
 
 /// Two estimators with the same measurements but for one channel at one tick differ there, by its share.
 #[test]
-fn every_channel_is_believed_by_its_share() {
+fn every_channel_is_corrected_by_its_share() {
     type Change = fn(&mut Reading);
     type Read = fn(&Reading) -> f64;
     let gyro = |r: &Reading| (r.state.base.rotation.transpose() * r.state.base_angular_velocity()).y;

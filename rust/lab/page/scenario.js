@@ -95,8 +95,8 @@ export const TESTS = {
 
 /** Whether a choice has an effect. */
 export function matters(key, settings) {
-  const knowsAir = settings.controller === "aware" || settings.controller === "both";
-  if (["model", "scale", "delay"].includes(key)) return knowsAir;
+  const hasAirModel = settings.controller === "aware" || settings.controller === "both";
+  if (["model", "scale", "delay"].includes(key)) return hasAirModel;
   if (key === "ko") return settings.controller === "observer" || settings.controller === "both";
   return true;
 }

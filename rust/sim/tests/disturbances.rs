@@ -88,7 +88,7 @@ fn bias_mean_and_noise_are_what_they_say() {
 }
 
 #[test]
-fn only_the_controller_is_told_wrong() {
+fn only_the_controller_gets_wrong_values() {
     let mut biased = experiment("test2");
     biased.simulator.duration = 12.0;
     biased.disturbances.wind_estimate =

@@ -42,7 +42,7 @@ fn a_late_robot_flies_with_an_estimator() {
 
 /// A robot that is not given the wind arrives, and estimates it to 1.5 m/s when it has risen.
 #[test]
-fn a_robot_that_is_not_told_the_wind_flies() {
+fn a_robot_without_a_measured_wind_flies() {
     let mut config = experiment("test2_observer");
     config.controller.wind_observer = Some(WindObserverConfig::default());
     config.simulator.duration = 14.0;
