@@ -226,7 +226,7 @@ def throttle_input(e: Engines, throttle: Float[Array, " j"]) -> Float[Array, " j
 
 
 def throttle_from_input(e: Engines, v: Float[Array, " j"]) -> Float[Array, " j"]:
-    """Throttle [%] with `v(u) = v`, on the branch through zero: `u = 2 v/(1 + √max(0, 1 + 4 b_uu v))`.
+    """Throttle [%] with `v(u) = v`, on the branch through zero: `u = 2 v/(1 + √(1 + 4 b_uu v))`.
 
     The published `(−1 + √…)/(2 b_uu)` with the root moved below: also right at `b_uu = 0`. Where no throttle reaches
     `v`, the one at the parabola's top, so that the answer stays continuous.

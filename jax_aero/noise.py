@@ -1,4 +1,7 @@
-"""Repeatable noise, the same numbers as the Rust crate's to the last bit: drawn before a flight, by NumPy alone.
+"""Repeatable noise, drawn before a flight by NumPy alone.
+
+Words and uniform numbers are those of the Rust crate; normal ones agree to two units in the last place, as the crate
+takes logarithm, sine and cosine from `libm` and this module from the platform.
 
 PCG-XSH-RR with 64 bits of state; source: M. E. O'Neill, "PCG: A Family of Simple Fast Space-Efficient Statistically
 Good Algorithms for Random Number Generation", 2014.
@@ -43,7 +46,7 @@ def uniforms(seed: int, stream: int, count: int) -> NDArray[np.float64]:
 def normals(seed: int, stream: int, count: int) -> NDArray[np.float64]:
     """Draw `count` numbers with mean 0 and standard deviation 1 (Box and Muller)."""
     pairs = uniforms(seed, stream, count + count % 2).reshape(-1, 2)
-    # The platform's own logarithm, sine and cosine, as the crate's: NumPy's differ in the last bit.
+    # One by one: the last bit of NumPy's functions may depend on how many numbers it takes at once.
     drawn = [
         part
         for first, second in pairs.tolist()

@@ -37,9 +37,9 @@ ACTIVATIONS: dict[str, Any] = {"relu": jax.nn.relu, "tanh": jnp.tanh, "silu": ja
 ODD_JOINTS = ("torso_roll", "torso_yaw")
 """Joints whose angle changes sign in the mirror; those of the limbs only change sides."""
 SHADOW_LENGTH = 0.05
-"""Distance over which a link passes from before another to behind it [m]."""
+"""`ℓ`: distance over which a link passes from before another to behind it [m]."""
 SHADOW_RADIUS = 0.10
-"""Width of a link's shadow, a standard deviation [m]."""
+"""`w`: width of a link's shadow, a standard deviation [m]."""
 POLE = 1e-12
 """Wind this close to the lateral axis has no pitch: it is taken as zero."""
 
@@ -168,7 +168,7 @@ def features(
 def link_shadow(wind_b: Float[Array, "3"], centres: Float[Array, "L 3"]) -> Float[Array, " L"]:
     """How far each link stands in the wake of the others.
 
-        S_l = Σ_k≠l sigmoid(d·w / h) exp(−r² / 2σ²),   d = x_l − x_k,   r² = |d|² − (d·w)²
+        S_j = Σ_k≠j exp(−r² / 2w²) / (1 + exp(−d·û / ℓ)),   d = x_j − x_k,   r² = |d|² − (d·û)²
 
     A feature, not a model: 15 postures alone do not show a network which of its inputs matter.
     """

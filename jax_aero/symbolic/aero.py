@@ -1,6 +1,6 @@
 """Aerodynamic force on a link from the velocity it has relative to the air, after the paper.
 
-Equations M19 and M20 of `docs/model.md`.
+Equations M19 to M22 of `docs/model.md`.
 """
 
 from __future__ import annotations

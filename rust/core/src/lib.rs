@@ -6,9 +6,8 @@
 //! ```
 //!
 //! Each arrow is one plain struct, filled once per tick and passed on. Modules, each using only those
-//! before it: [`error`] · [`spatial`] · [`linalg`] · [`robot`] · [`kinematics`] · [`dynamics`] ·
-//! [`aero`] · [`jets`] · [`control`] · [`estimator`] ·
-//! [`wind_observer`].
+//! before it: [`error`] · [`spatial`] · [`linalg`] · [`robot`] · [`kinematics`] · [`subtree`] ·
+//! [`dynamics`] · [`aero`] · [`jets`] · [`qp`] · [`control`] · [`estimator`] · [`wind_observer`].
 //!
 //! SI units and radians; vectors and Jacobians in inertial axes unless a suffix says otherwise.
 

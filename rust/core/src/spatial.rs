@@ -63,8 +63,8 @@ pub fn rotation_angle(r: &Matrix3<f64>) -> f64 {
     libm::atan2(vee_of_skew_part(r).norm(), 0.5 * (r.trace() - 1.0))
 }
 
-/// Rotation vector \[rad\] of a rotation by less than half a turn: inverse of [`exp_so3`]. Exact near no
-/// rotation, where an `acos` leaves half of the digits.
+/// Rotation vector \[rad\] of a rotation by less than half a turn: inverse of [`exp_so3`]. Exact near the
+/// identity, where an `acos` leaves half of the digits.
 #[must_use]
 pub fn log_so3(r: &Matrix3<f64>) -> Vector3<f64> {
     let along = vee_of_skew_part(r);

@@ -16,7 +16,7 @@ use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Stream of the noise; wind and thrust estimators have others.
+/// Stream of the noise: that of turbulence too. Measured wind and thrust estimators have others.
 const STREAM: u64 = 2;
 
 /// Longest delay \[s\]: the delay line is kept in memory.

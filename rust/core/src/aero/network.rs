@@ -30,7 +30,7 @@ use mlp::{Evaluator, Pair};
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// `h` \[m\]: over this distance a link passes from before another to behind it.
+/// `ℓ` \[m\]: over this distance a link passes from before another to behind it.
 const SHADOW_LENGTH: f64 = 0.05;
 /// `w` \[m\]: standard deviation of a link's shadow.
 const SHADOW_RADIUS: f64 = 0.10;
@@ -276,10 +276,10 @@ fn write(block: &mut [Pair], sample: usize, index: usize, v: &Vector3<f64>) {
 /// How far every link stands in the wake of the others.
 ///
 /// ```text
-/// S_l = Σ_k≠l σ(d·û / h) exp(−r² / 2w²),   d = x_l − x_k,   r² = |d|² − (d·û)²,   σ(u) = 1/(1 + e⁻ᵘ)
+/// S_j = Σ_k≠j exp(−r² / 2w²) / (1 + exp(−d·û / ℓ)),   d = x_j − x_k,   r² = |d|² − (d·û)²
 /// ```
 ///
-/// `pairs` receives `exp(−d·û / h)` and `exp(−r² / 2w²)` of link l and those before it.
+/// `pairs` receives `exp(−d·û / ℓ)` and `exp(−r² / 2w²)` of link j and those before it.
 fn shade(links: &mut [PlacedLink], wind_b: &Vector3<f64>, pairs: &mut [[f64; 2]]) {
     let mut exponents = pairs.iter_mut();
     for (index, link) in links.iter().enumerate() {

@@ -175,8 +175,8 @@ impl SphereCylinder {
     ///
     /// φ and χ are the finite-length and axial tables over their maxima. Source: the published
     /// controller, its alternative to the axisymmetric model; tables after Wieselsberger (1922),
-    /// Kritzinger (2004) and Achenbach (1972). Beyond a table its end value holds; no
-    /// link of this robot gets there. Zero at rest.
+    /// Kritzinger (2004) and Achenbach (1972). Beyond a table its end value holds.
+    /// Zero at rest.
     #[must_use]
     pub fn link_force(&self, link: usize, axis_i: &Vector3<f64>, v_air_i: &Vector3<f64>) -> Vector3<f64> {
         let Some(link) = self.links.get(link) else {

@@ -81,12 +81,11 @@ impl EngineModel {
     /// Throttle \[%\] with `v(u) = input`, on the branch through `u = v = 0`; not limited.
     ///
     /// ```text
-    /// u = 2 v / (1 + √max(0, 1 + 4 B_UU v))
+    /// u = 2 v / (1 + √(1 + 4 B_UU v)),   −1/(2 B_UU) where the root is not real
     /// ```
     ///
     /// The published `(−1 + √…)/(2 B_UU)` with the root moved below: also right at `B_UU = 0`. Where
-    /// no throttle reaches `input`, the one at the parabola's top (`−1/(2 B_UU)` for the published
-    /// formula), so that the answer stays continuous.
+    /// no throttle reaches `input`, the one at the parabola's top, so that the answer stays continuous.
     #[must_use]
     pub fn throttle_from_input(&self, input: f64) -> f64 {
         let b_uu = self.coefficients.b_uu;
