@@ -8,7 +8,6 @@ the coefficients as `surrogate.toml` in it, copied to `configs/aero/panels/`; `p
 
 from __future__ import annotations
 
-import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -184,7 +183,3 @@ def to_dataset(table: Records, models: Mapping[str, Floats]) -> xr.Dataset:
     }
     coords = {"component": ["drag", "side", "lift"], "model": list(models), "posture": ("record", list(table.posture))}
     return xr.Dataset(variables, coords, {"held_out": " ".join(JUDGES)})
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,7 +7,6 @@ result goes to `results/fit_aero/NAME/`, with the new coefficients as TOML; `pyt
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -204,7 +203,3 @@ def to_dataset(
         "drag_term": [f"w{index}" for index in range(5)],
     }
     return xr.Dataset(variables, coords)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

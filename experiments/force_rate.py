@@ -8,7 +8,6 @@ wind changes). The result goes to `results/force_rate/NAME/`.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -120,7 +119,3 @@ def _sum(data: xr.Dataset, names: Sequence[str]) -> xr.DataArray:
     for other in others:
         first = first + other
     return first
-
-
-if __name__ == "__main__":
-    sys.exit(main())

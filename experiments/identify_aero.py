@@ -13,7 +13,6 @@ The result goes to `results/identify_aero/aero/`; `python -m paper_figs identify
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -151,7 +150,3 @@ def figures(dataset: xr.Dataset) -> dict[str, float]:
         "loss at the end": float(dataset["loss"][-1]),
         "loss with the true areas": float(dataset.attrs["loss_true"]),
     }
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import subprocess
-import sys
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -110,7 +109,3 @@ def summary(dataset: Dataset) -> str:
     lines = [f"{len(dataset)} rows of {len(dataset.postures)} postures: {', '.join(dataset.postures[:20])}"]
     lines += [f"  {name:<62} {value:.4g}" for name, value in dataset.checks.items()]
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -167,7 +167,3 @@ def summary(data: xr.Dataset) -> str:
             size = np.sqrt(np.mean(data[name].values[chosen] ** 2, axis=0))
             lines.append(f"  {name} of these, rms by axis [m3]: " + ", ".join(f"{value:.4f}" for value in size))
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,7 +8,6 @@ plant and controller. The result goes to `results/observer_limit/hover/`.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
@@ -147,7 +146,3 @@ def _rotation_about(axis: int, error: NDArray[np.float64]) -> float:
     """Sine of a rotation about one axis, as the attitude law has it (M59)."""
     before, after = (axis + 1) % 3, (axis + 2) % 3
     return float(error[after, before] - error[before, after]) / 2.0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

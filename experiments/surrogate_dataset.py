@@ -106,7 +106,3 @@ def compute(names: Sequence[str], model: Path, parts: Path) -> Dataset:
         },
     ).mirrored()
     return replace(dataset, checks=checks(dataset))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

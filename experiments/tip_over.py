@@ -210,7 +210,3 @@ def figures(dataset: xr.Dataset) -> dict[str, float]:
         f"{feedback}, friction {friction:g}, from {direction:g} deg [m/s]": float(value)
         for (feedback, friction, direction), value in zip(limits["cell"].values, limits.values, strict=True)
     }
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,7 +8,6 @@ the flown flight and the paper's; `reference.csv` the reference, of which `confi
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -308,7 +307,3 @@ def figures(label: str, dataset: xr.Dataset, name: str) -> dict[str, float | str
         rotation = dataset[f"rotation_error_{name}"].values[t >= 0.0].max()
         found[f"{label}: peak rotation error [deg]"] = float(np.degrees(rotation))
     return found
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -265,7 +265,3 @@ def _map_dataset(
         "jet": [jet.name for jet in robot.jets],
     }
     return xr.Dataset(variables, coords)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import os
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -188,7 +187,3 @@ def to_dataset(config: TuneConfig, found: Tuned) -> xr.Dataset:
             "key": list(config.keys),
         },
     )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

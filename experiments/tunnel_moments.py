@@ -11,7 +11,6 @@ goes to `results/tunnel_moments/mk1/`; `jax-aero figures tunnel_moments` draws i
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -326,7 +325,3 @@ def lever_columns(data: xr.Dataset) -> Floats:
 def _ends(values: Floats) -> list[tuple[str, float]]:
     low, high = np.quantile(values, ENDS)
     return [("2.5 %", float(low)), ("97.5 %", float(high))]
-
-
-if __name__ == "__main__":
-    sys.exit(main())

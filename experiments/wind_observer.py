@@ -117,7 +117,3 @@ def judged(log: Mapping[str, NDArray[np.float64]]) -> tuple[NDArray[np.float64],
     known = log["time"] >= KNOWN
     error = (log["measured_wind"] - log["wind"])[known, :2]
     return np.linalg.norm(error, axis=1), np.abs(error) < QUANTILE * log["measured_wind_std"][known, :2]
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -182,7 +182,3 @@ def _path(folder: Path, case: Case) -> Path:
 
 def _read(file: Path) -> Result:
     return msgspec.json.decode(file.read_bytes(), type=Result)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

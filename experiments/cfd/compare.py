@@ -9,7 +9,6 @@ are averaged first, in both datasets.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -204,7 +203,3 @@ def as_rows(models: Mapping[str, Floats], there: Dataset) -> xr.Dataset:
             "yaw": ("row", there.yaw_deg, {"units": "degree"}),
         },
     )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

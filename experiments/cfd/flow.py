@@ -6,7 +6,6 @@ Fig. 3 c to f; `jax-aero figures cfd_flow` draws them. Needs OpenFOAM.
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -128,6 +127,3 @@ def as_dataset(
 
 STUDY = Study("cfd_flow", __doc__, FlowConfig, compute, ("flight30",), engine="openfoam")
 main = STUDY.main
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,7 +8,6 @@ support alone exists.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -171,7 +170,3 @@ def summary(data: xr.Dataset) -> dict[str, float]:
 
 def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -13,7 +13,6 @@ and are given only where there is a p > 0. Needs OpenFOAM.
 from __future__ import annotations
 
 import math
-import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -162,6 +161,3 @@ def extrapolated(values: Floats, edges: Floats) -> dict[str, float | str]:
 
 STUDY = Study("cfd_verify", __doc__, VerifyConfig, compute, ("sphere", "cylinder", "hovering"), engine="openfoam")
 main = STUDY.main
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -10,7 +10,6 @@ and, with --mission, the paper's flight in 10 m/s of lateral wind. All files sta
 from __future__ import annotations
 
 import argparse
-import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -205,7 +204,3 @@ def report(result: Imported) -> str:
             f"attitude within {np.degrees(flight.summary['max_rotation_error']):.2f} deg"
         )
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -194,7 +194,3 @@ def table(errors: dict[str, Any]) -> str:
         cells = [f"{errors[split]['baselines'][name]:.3e}".rjust(12) for split in splits]
         lines.append(name.ljust(44) + "".join(cells))
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

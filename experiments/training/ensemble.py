@@ -276,7 +276,3 @@ def to_dataset(dataset: Dataset, totals: Sequence[Any], truth: Any, digest: str)
     coords = {"posture": ("row", dataset.posture.astype(str)), "xyz": ["x", "y", "z"]}
     title = "An ensemble of networks on postures that it has not seen"
     return xr.Dataset(variables, coords, {"title": title, "config_hash": digest})
-
-
-if __name__ == "__main__":
-    sys.exit(main())

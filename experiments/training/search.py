@@ -176,7 +176,3 @@ def _write(out: Path, search: optuna.Study, base: Mapping[str, Any], digest: str
         timings_s={"all trials": sum(t.duration.total_seconds() for t in search.trials if t.duration)},
     )
     write_json(out / "manifest.json", document)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
