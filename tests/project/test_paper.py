@@ -4,6 +4,7 @@ import dataclasses
 import importlib
 import json
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -81,6 +82,17 @@ def test_commands_name_what_exists():
                 assert all((ROOT / f"configs/sweeps/{name}.toml").is_file() for name in rest)
             else:
                 assert first in COMMANDS or {first, *rest} <= experiments, command
+
+
+def git(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.skipif(git("rev-parse", "--is-shallow-repository").stdout != "false\n", reason="no history of commits")
+def test_a_claim_names_a_commit_that_a_clone_has():
+    for commit in {claim["commit"] for claim in RECORD["claims"].values()}:
+        assert commit is not None
+        assert git("merge-base", "--is-ancestor", commit, "HEAD").returncode == 0, commit
 
 
 def test_facts_and_tables_are_those_of_the_files(tmp_path):
