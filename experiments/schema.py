@@ -79,7 +79,7 @@ def _json(schema: Node) -> str:
 
 
 def _plain(node: Any) -> Any:
-    """Return a schema without what editors do not know: formats of numbers, brackets escaped for rustdoc."""
+    """Return a schema without what editors do not support: formats of numbers, brackets escaped for rustdoc."""
     if isinstance(node, dict):
         kept = {key: _plain(value) for key, value in node.items() if key != "format" or value == "path"}
         if isinstance(kept.get("description"), str):

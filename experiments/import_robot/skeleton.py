@@ -24,7 +24,7 @@ AXES = {
 SMALLEST_LINK = 0.1
 """Links whose longest edge is below this are left out of the aerodynamics [m]."""
 PLACEHOLDER = 1e4
-"""Efforts and velocities from here on are no motor's: exporters write them where they know none."""
+"""Efforts and velocities from here on are no motor's: exporters write them where they have none."""
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ k̈* = I₀ ω̈_d − ė − (1 + c₀ I₀⁻¹)(k̇ − I₀ ω̇_d) − c₀
 σ  = R ( w × (w × k) + 2 w × k̇ + (I₀⁻¹ k̇) × k )
 ```
 
-The task is `Rᵀ (L̈_ang − σ) = k̈*`. There is no integral action: a constant moment `d` that the controller does not
-know of settles at `e = (1 + I₀/c₀) d`. Equations M59 to M61 of `docs/model.md`.
+The task is `Rᵀ (L̈_ang − σ) = k̈*`. There is no integral action: a constant moment `d` that is not in the controller's
+model settles at `e = (1 + I₀/c₀) d`. Equations M59 to M61 of `docs/model.md`.
 """
 
 from __future__ import annotations

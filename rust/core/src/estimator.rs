@@ -5,9 +5,9 @@
 //! x̂(t − D) ──► D ticks of the model under the commands that were given ──► x̂(t), for the controller
 //! ```
 //!
-//! The controller's law is proven for measurements that are neither late nor noisy; this gives it such ones. What
-//! the model does not know of the forces is the controller's observed wrench. With no age and no time constants
-//! what comes out is what went in.
+//! The controller's law assumes measurements that are neither late nor noisy; this gives it such ones. Forces that are
+//! not in the model enter as the controller's observed wrench. With no age and no time constants what comes out is
+//! what went in.
 //!
 //! Equations M91 to M93 of `docs/model.md`.
 

@@ -4,7 +4,7 @@
 //! `ω_B` the angular velocity of the base, both in inertial axes. A Jacobian has one column for each
 //! entry of `ν`.
 //!
-//! The quirks of the published code (`docs/deviations.md`) put a force at a wrong point in space.
+//! The lever-arm errors of the published code (`docs/deviations.md`) put a force at a wrong point in space.
 //! That is why Jacobians are asked for as "the point `p` moving with body `b`": right and published
 //! lever arms differ in nothing but the point.
 //!

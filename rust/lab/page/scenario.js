@@ -24,7 +24,7 @@ export const LISTS = {
     values: {
       axisymmetric: ["axisymmetric links", "Drag and normal force of links with fitted areas: the air of TEST1 and TEST2."],
       spheres: ["spheres and cylinders", "Drag of spheres and finite cylinders from the literature, with the Reynolds number."],
-      network: ["neural network", "A network that public CFD data taught the force on every link: the air of TEST3 and TEST4."],
+      network: ["neural network", "A network trained on public CFD data gives the force on every link: the air of TEST3 and TEST4."],
       off: ["none", "No aerodynamic force at all: what the baseline assumes."],
     },
   },

@@ -9,8 +9,8 @@
 //! σ  = R ( w × (w × k) + 2 w × k̇ + (I₀⁻¹ k̇) × k )
 //! ```
 //!
-//! The task asks `Rᵀ (L̈_ang − σ) = k̈*`. There is no integral action: a constant moment `d` that the
-//! controller does not know of settles at `e = (1 + I₀/c₀) d`.
+//! The task asks `Rᵀ (L̈_ang − σ) = k̈*`. There is no integral action: a constant moment `d` that is not
+//! in the controller's model settles at `e = (1 + I₀/c₀) d`.
 //!
 //! Equations M59 to M61 and, for the last sentence, M67 of `docs/model.md`.
 

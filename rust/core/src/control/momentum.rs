@@ -68,7 +68,7 @@ impl MomentumModel {
         }
     }
 
-    /// Recomputes all terms; `feedback` says which of them know the link forces.
+    /// Recomputes all terms; `feedback` says which of them contain the link forces.
     pub fn update(
         &mut self,
         robot: &RobotModel,

@@ -1,7 +1,7 @@
-//! Observer of the wrench that the controller's model does not know, from the centroidal momentum alone.
+//! Observer of the wrench that is not in the controller's model, from the centroidal momentum alone.
 //!
 //! ```text
-//! w    = L̇ − r,   r = A_T T + A_a f_a + A_c f_c − m g e₃           what the model does not know
+//! w    = L̇ − r,   r = A_T T + A_a f_a + A_c f_c − m g e₃           what is not in the model
 //! dŵ/dt = K_o (w − ŵ)                                               what is observed
 //! ŵ   += (1 − exp(−K_o Δt)) ((L_k − L_{k−1})/Δt − r_{k−1} − ŵ)      per measurement, then clamped
 //! ```
