@@ -4,6 +4,7 @@ Seen by a robot that flies along +x, the direction is 0 from ahead (+x), 90 from
 """
 
 import math
+from collections.abc import Sequence
 
 
 def wind_from(speed: float, direction_deg: float) -> list[float]:
@@ -13,7 +14,7 @@ def wind_from(speed: float, direction_deg: float) -> list[float]:
     return [round(-speed * part, 12) + 0.0 for part in (math.cos(angle), math.sin(angle), 0.0)]
 
 
-def speed_and_direction(velocity: list[float]) -> tuple[float, float]:
+def speed_and_direction(velocity: Sequence[float]) -> tuple[float, float]:
     """Return horizontal speed [m/s] and direction [deg, -180 to 180] of a velocity: the inverse of `wind_from`."""
     x, y, _ = velocity
     return math.hypot(x, y), math.degrees(math.atan2(-y, -x))

@@ -6,7 +6,8 @@ import copy
 import hashlib
 import itertools
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -77,17 +78,20 @@ class Design:
         levels = self.cells[cell]
         base = next((level.base for level in levels if level.base), self.spec.base)
         config = copy.deepcopy(self.bases[base])
-        keys.set_all(config, self.spec.set)
-        for level in levels:
-            keys.set_all(config, level.set)
+        with self._naming(cell):
+            for settings in (self.spec.set, *(level.set for level in levels)):
+                keys.set_all(config, settings)
         return config
 
     def row_config(self, row: int) -> rust.Config:
         """Return the configuration of a row: its cell's, perturbed by its repeat's draws."""
         cell, repeat = divmod(row, self.spec.repeats)
         config = self.cell_config(cell)
-        self.spec.perturbation.apply(config, self.spec.seed, repeat, self.links)
+        self._perturb(config, repeat)
         return config
+
+    def _perturb(self, config: rust.Config, repeat: int) -> None:
+        self.spec.perturbation.apply(config, self.spec.seed, repeat, self.links)
 
     @cached_property
     def digest(self) -> str:
@@ -108,12 +112,22 @@ class Design:
 
     def check(self) -> None:
         """Refuse a sweep with a cell that cannot fly, before the first flight."""
-        for cell, levels in enumerate(self.cells):
-            try:
-                rust.check_config(self.row_config(cell * self.spec.repeats))
-            except ValueError as reason:
-                labels = ", ".join(f"{axis.name} = {x.label}" for axis, x in zip(self.spec.axis, levels, strict=True))
-                raise Refused(f"sweep {self.spec.name}: cell {cell} ({labels}): {reason}") from None
+        for cell in range(len(self.cells)):
+            config = self.cell_config(cell)
+            with self._naming(cell):
+                rust.check_config(config)  # first as it is written: only then can it be perturbed
+                self._perturb(config, 0)
+                rust.check_config(config)
+
+    @contextmanager
+    def _naming(self, cell: int) -> Iterator[None]:
+        """Name the sweep and the cell in a refusal."""
+        try:
+            yield
+        except ValueError as reason:
+            pairs = zip(self.spec.axis, self.cells[cell], strict=True)
+            labels = ", ".join(f"{axis.name} = {level.label}" for axis, level in pairs)
+            raise Refused(f"sweep {self.spec.name}: cell {cell} ({labels}): {reason}") from None
 
 
 def unit_points(design: str, dimensions: int, samples: int, seed: int) -> Sequence[Sequence[float]]:

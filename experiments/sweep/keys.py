@@ -5,18 +5,28 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from jax_aero.keys import set_key
+from jax_aero import tables
+from jax_aero.keys import get, set_key
 from jax_aero.wind_direction import speed_and_direction, wind_from
 
 POLAR = ("wind.speed", "wind.direction_deg")
 
 
 def set_all(config: dict[str, Any], settings: Mapping[str, Any]) -> None:
-    """Set every key in place; a number as a part of a key is an index into a list."""
-    settings = dict(settings)
-    polar = {key: float(settings.pop(key)) for key in POLAR if key in settings}
+    """Set every key in place; a number as a part of a key is an index into a list.
+
+    Raises
+    ------
+    ValueError
+        Naming a key that cannot be set, or what it was to change, with its value and what was expected.
+    """
     for key, value in settings.items():
-        set_key(config, key, value)
+        if key not in POLAR:
+            set_key(config, key, value)
+    polar = {key: settings[key] for key in POLAR if key in settings}
     if polar:
-        speed, direction = speed_and_direction(config["wind"]["velocity"])
-        config["wind"]["velocity"] = wind_from(polar.get(POLAR[0], speed), polar.get(POLAR[1], direction))
+        given = tables.convert(polar, dict[str, float], "settings")
+        wind = {"wind.velocity": get(config, "wind.velocity")}
+        velocity = tables.convert(wind, dict[str, tuple[float, float, float]], f"to set {' and '.join(polar)}")
+        speed, direction = speed_and_direction(velocity["wind.velocity"])
+        config["wind"]["velocity"] = wind_from(given.get(POLAR[0], speed), given.get(POLAR[1], direction))

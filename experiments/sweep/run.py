@@ -142,6 +142,8 @@ def _finish(folder: Path, design: Design, document: dict[str, Any], chunks: Chun
     for name, content in (("table.parquet", whole), ("cells.parquet", table.cells(design, whole))):
         write_bytes(folder / name, parquet(content))
     outcomes = whole["outcome"].to_pylist()
+    if errors := whole["error"].drop_null().to_pylist():
+        print(f"{design.spec.name}: {len(errors)} flights could not be flown, first: {errors[0]}", file=sys.stderr)
     document["finished"] = {
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "flights": flown,

@@ -59,8 +59,14 @@ class Axis(tables.Table, frozen=True):
     """Instead of keys and values."""
 
     def __post_init__(self) -> None:
-        if not self.level and not self.written:
-            raise ValueError("there is no key; expected `key`, `keys` or `level`")
+        if sum(map(bool, (self.key, self.keys, self.level))) != 1:
+            raise ValueError("expected one of `key`, `keys` and `level`")
+        if sum((bool(self.values), self.range is not None, self.low is not None, bool(self.level))) > 1:
+            raise ValueError("expected one of `values`, `range`, `low` with `high`, and `level`")
+        if len({type(level.label) for level in self.level}) > 1:
+            raise ValueError(
+                f"`level` has labels {[level.label for level in self.level]}; expected numbers or texts alone"
+            )
         if (self.low is None) != (self.high is None) or (self.is_sampled and not self.ends[0] < self.ends[1]):
             raise ValueError(f"`low` is {self.low}, `high` is {self.high}; expected low < high")
 
@@ -104,8 +110,8 @@ class Spec(tables.Table, frozen=True):
     base: str
     """Name of the experiment that is varied."""
     axis: Annotated[tuple[Axis, ...], msgspec.Meta(min_length=1)]
-    name: str = ""
-    """Of the result; without it, that of the file."""
+    name: Annotated[str, msgspec.Meta(pattern=r"^\w[^/]*$")] = ""
+    """Of the result's folder; without it, that of the file."""
     design: Literal["grid", "list", "latin_hypercube", "sobol"] = "grid"
     """Which cells are flown: all combinations, the axes walked together, or a quasi-random sample."""
     samples: tables.Natural = 0
@@ -131,8 +137,9 @@ class Spec(tables.Table, frozen=True):
             if self.is_sampled is not axis.is_sampled or (not axis.is_sampled and not axis.levels):
                 wanted = "low and high" if self.is_sampled else "values, a range or levels"
                 raise ValueError(f"axis {axis.name} of a {self.design} needs {wanted}")
-        if self.is_sampled and self.samples < 1:
-            raise ValueError(f"`samples` is {self.samples}; expected at least 1")
+        if self.is_sampled is not (self.samples > 0):
+            wanted = "at least 1" if self.is_sampled else "none"
+            raise ValueError(f"`samples` is {self.samples}; expected {wanted} for a {self.design}")
         if self.panels and self.panels not in names:
             raise ValueError(f"`panels` is {self.panels!r}; expected the name of an axis: {', '.join(names)}")
         if self.design == "list" and len({len(axis.levels) for axis in self.axis}) > 1:

@@ -131,7 +131,15 @@ def test_wind_is_given_by_where_it_comes_from(speed, direction, velocity, agree)
             {"axis": [{"name": "x", "key": "wind.speed", "values": ["fast"]}]},
             r'`axis\[0\]\.values\[0\]` is "fast"; expected a number',
         ),
-        ({"axis": [{"name": "x", "values": [1]}]}, "there is no key"),
+        ({"axis": [{"name": "x", "values": [1]}]}, r"`axis\[0\]` is .*; expected one of `key`, `keys` and `level`"),
+        ({"axis": [{"name": "x", "key": "wind.speed", "keys": ["a.b"], "values": [1]}]}, "expected one of `key`"),
+        (
+            {"axis": [{"name": "x", "key": "wind.speed", "values": [1], "range": {"start": 0, "stop": 1, "num": 2}}]},
+            r"`axis\[0\]` is .*; expected one of `values`, `range`",
+        ),
+        ({"axis": [{"name": "x", "level": [{"label": 1}, {"label": "a"}]}]}, "expected numbers or texts alone"),
+        ({"samples": 8}, "`samples` is 8; expected none for a grid"),
+        ({"name": "../up"}, '`name` is "../up"; expected a text'),
         ({"axis": [{"name": "x", "key": "wind.speed", "low": 1, "high": 2}]}, "needs values"),
         (
             {"axis": [{"name": "thrust_max_low", "key": "wind.speed", "values": [1]}]},
@@ -152,6 +160,23 @@ def test_a_cell_that_cannot_fly_is_refused_before_the_first_flight(tmp_path):
     with pytest.raises(Refused, match=r"cell 1 \(mass = 0.0\): .*`disturbances.model_error.mass_scale` is 0"):
         run.run(design(axis=[axis]), run.Local(1), out=tmp_path)
     assert not (tmp_path / "made_up" / "chunks").exists()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"simulator": {"duration": 1.0}}, "`simulator.time_step` is missing"),
+        ({"simulator.initial.thrust": 5.0}, "`simulator.initial.thrust` is 5.0; expected a list"),
+        ({"wind.velocity": 5.0}, "`wind.velocity` is 5.0; expected a list of 3"),
+        ({"wind.velocity": 5.0, "wind.speed": 3.0}, "to set wind.speed: `wind.velocity` is 5.0; expected a list of 3"),
+        ({"wind.speed": "fast"}, '`wind.speed` is "fast"; expected a number'),
+        ({"wind.velocity.7": 1.0}, "`7` is no index into a list of 3"),
+    ],
+)
+def test_what_cannot_be_set_or_perturbed_is_refused_by_sweep_cell_and_key(tmp_path, settings, message):
+    changed = design(set=settings, perturbation={"thrust": 1.0, "wind_speed": 0.1})
+    with pytest.raises(Refused, match=rf"sweep made_up: cell 0 \(scale = 0.0\): .*{message}"):
+        run.run(changed, run.Local(1), out=tmp_path)
 
 
 @pytest.mark.parametrize("name", spec.available())
@@ -415,7 +440,7 @@ def test_chunks_of_other_code_are_not_mixed_in(tmp_path, monkeypatch):
     run.run(made, run.Local(1), out=tmp_path, overwrite=True)
 
 
-def test_a_flight_that_fails_is_recorded_and_the_others_go_on(tmp_path, monkeypatch):
+def test_a_flight_that_fails_is_recorded_and_said_and_the_others_go_on(tmp_path, monkeypatch, capsys):
     made = Design(spec.load(str(quick(tmp_path))))
     row_config = Design.row_config
 
@@ -427,6 +452,7 @@ def test_a_flight_that_fails_is_recorded_and_the_others_go_on(tmp_path, monkeypa
 
     monkeypatch.setattr(Design, "row_config", broken)
     folder = run.run(made, run.Local(1), out=tmp_path)
+    assert "quick: 1 flights could not be flown, first: " in capsys.readouterr().err
     flights = pq.read_table(folder / "table.parquet").to_pylist()
     assert flights[5]["outcome"] == "error"
     assert "`simulator.initial.thrust[0]` is -1" in flights[5]["error"]
