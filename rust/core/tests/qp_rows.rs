@@ -282,6 +282,25 @@ fn the_primal_method_counts_its_steps() {
     assert!(answer.iterations > 0);
 }
 
+/// An answer that fails says after how many steps: rows that exclude one another, and a step that overflows.
+#[test]
+fn a_failure_counts_the_steps_before_it() {
+    let mut excluding = QpProblem::new(1, 2);
+    excluding.h[(0, 0)] = 1.0;
+    excluding.normals.copy_from_slice(&[1.0, -1.0]);
+    excluding.limit.fill(-1.0);
+    let answer = DualActiveSet::new(1, 2).solve(&excluding);
+    assert_eq!(answer.status, QpStatus::InfeasibleBounds);
+    assert!(answer.iterations > 0);
+
+    let mut steep = QpProblem::new(2, 0);
+    steep.h.copy_from_slice(&[1.0, -0.999_999, -0.999_999, 1.0]);
+    steep.g.fill(1e307);
+    let answer = PrimalActiveSet::new(2).solve(&steep);
+    assert_eq!(answer.status, QpStatus::NonFinite);
+    assert!(answer.iterations > 0);
+}
+
 /// What cannot be solved is said, `x` stays, and the solver goes on to solve the next problem.
 #[test]
 fn bad_problems_are_reported_and_leave_the_solvers_usable() {
