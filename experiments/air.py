@@ -116,6 +116,8 @@ def angles(option: str, text: str) -> Floats:
         numbers = [float(part) for part in text.split(":")]
     except ValueError:
         numbers = []
+    if not np.isfinite(numbers).all():
+        numbers = []
     if len(numbers) == 1:
         return np.array(numbers)
     if len(numbers) != 3 or not numbers[2] > 0.0 or numbers[1] < numbers[0]:

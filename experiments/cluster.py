@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from experiments import Refused, manifest, sources
+from jax_aero.cli import count
 
 Key = TypeVar("Key")
 Shared = TypeVar("Shared")
@@ -26,7 +27,7 @@ QUEUED_PER_CPU = 2
 
 def add_options(parser: argparse.ArgumentParser, jobs: str, workers: str) -> None:
     """Add `--workers`, `--cluster` and `--address`; `jobs` names what is spread, `workers` what is counted."""
-    parser.add_argument("--workers", type=int, metavar="N", help=f"{workers} (default: one per core)")
+    parser.add_argument("--workers", type=count, metavar="N", help=f"{workers} (default: one per core)")
     parser.add_argument("--cluster", choices=["ray"], help=f"spread {jobs} over a cluster")
     parser.add_argument("--address", metavar="ADDRESS", help="of the cluster (default: RAY_ADDRESS, or a local one)")
 
@@ -41,6 +42,8 @@ class Ray:
     @classmethod
     def of(cls, given: argparse.Namespace) -> Ray | None:
         """Return the cluster that the options of `add_options` ask for."""
+        if given.address and not given.cluster:
+            raise Refused(f"--address is {given.address}; expected --cluster ray beside it")
         return cls(given.address, given.workers) if given.cluster else None
 
     def spread(

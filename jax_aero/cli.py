@@ -9,6 +9,7 @@ import argparse
 import importlib
 import itertools
 import os
+import re
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -99,6 +100,8 @@ class Parser(argparse.ArgumentParser):
             **more,
         )
         self.register("type", Path, _path)
+        # No option begins with a digit: what does after its sign is a value, such as `-90:90:10`.
+        self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Return the arguments; anything that is not understood ends the program with status 2."""
@@ -125,6 +128,13 @@ def _path(text: str) -> Path:
     if not text:
         raise argparse.ArgumentTypeError("the path is empty; expected a file or folder")
     return Path(text)
+
+
+def count(text: str) -> int:
+    """Return the number of things of an argument of `type=count`: at least one."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"`{text}`; expected an integer ≥ 1")
+    return int(text)
 
 
 def completes(action: argparse.Action, words: Callable[[], Iterable[str]]) -> None:

@@ -11,6 +11,7 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 from jax_aero import cli
+from jax_aero.command import Refused
 from jax_aero.places import did_you_mean
 from paper_figs import (
     ablation,
@@ -149,7 +150,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 2
         try:
             figure, hashes = _draw(name, given)
-        except runs.MissingRun as reason:
+        except (runs.MissingRun, Refused) as reason:
             print(f"error: {name}: {reason}", file=sys.stderr)
             missing += 1
             continue
@@ -157,7 +158,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(path)
         plt.close(figure)
     if missing:
-        print(f"{missing} of {len(names)} figures have no results to be drawn from", file=sys.stderr)
+        print(f"{missing} of {len(names)} figures were not drawn", file=sys.stderr)
     return 1 if missing else 0
 
 

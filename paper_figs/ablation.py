@@ -35,11 +35,12 @@ COLUMNS: Sequence[tuple[str, str]] = (
 
 def draw(sweep: Sweep) -> Figure:
     """Draw a sweep with one axis beside its panels."""
+    sweep.require(bool(sweep.axes), "an axis beside the panels")
     axis = sweep.axes[-1]
     split = [sweep.panel_axis, *sweep.axes[:-1]]
     groups = _groups(sweep.cells, [part for part in split if part is not None])
-    numeric = pd.api.types.is_float_dtype(sweep.cells[axis["name"]])
-    figure = _curves(sweep, axis, groups) if numeric else _levels(sweep, axis, groups)
+    sweep.require(len(groups) <= len(SERIES), f"at most {len(SERIES)} combinations of all axes but the last")
+    figure = _curves(sweep, axis, groups) if sweep.is_numeric(axis) else _levels(sweep, axis, groups)
     said = "completed: share and its Wilson 95 % interval; errors: median and 10 to 90 % of the flights"
     figure.supxlabel(f"{sweep.footnote()}; {said}", fontsize=6.5, color=style.GREY, x=0.99, ha="right")
     return figure

@@ -22,6 +22,8 @@ ROWS = (
 
 def draw(sweep: Sweep) -> Figure:
     """Draw a sweep with two axes beside its panels."""
+    suits = len(sweep.axes) == 2 and all(map(sweep.is_numeric, sweep.axes))
+    sweep.require(suits, "two axes of numbers beside the panels")
     down, across = sweep.axes
     panel = sweep.panel_axis
     levels = [None] if panel is None else list(dict.fromkeys(sweep.cells[panel["name"]]))

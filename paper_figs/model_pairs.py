@@ -17,6 +17,8 @@ BALANCED = 45.0
 def draw(sweep: Sweep) -> Figure:
     """Draw a matrix for each lever arm: share of winds flown in balance, and the median rotation error."""
     levels = {axis["name"]: axis["levels"] for axis in sweep.document["axes"]}
+    suits = {"model", "world"} < levels.keys() and len(levels.get("arms", ())) == 2
+    sweep.require(suits, "axes `arms`, of two levels, `model` and `world`")
     flights = sweep.flights
     figure, pair = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 3.6), layout="constrained", sharey=True)
     for axes, arms, mark in zip(pair, levels["arms"], "ab", strict=True):

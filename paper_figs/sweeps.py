@@ -10,6 +10,7 @@ from typing import Any
 
 import pandas as pd
 
+from jax_aero.command import Refused
 from jax_aero.places import RESULTS
 from paper_figs.runs import MissingRun
 
@@ -52,6 +53,20 @@ class Sweep:
         """Return the axis whose levels are panels or lines, if there is one."""
         panels = self.document["panels"]
         return next((axis for axis in self.document["axes"] if axis["name"] == panels), None)
+
+    def is_numeric(self, axis: dict[str, Any]) -> bool:
+        """Return whether the levels of an axis are numbers."""
+        return bool(pd.api.types.is_float_dtype(self.cells[axis["name"]]))
+
+    def require(self, suits: bool, expected: str) -> None:
+        """Refuse to draw a sweep whose axes do not suit its drawing."""
+        if not suits:
+            names = ", ".join(axis["name"] for axis in self.document["axes"])
+            panels = f" and panels {self.document['panels']}" if self.document["panels"] else ""
+            raise Refused(
+                f'`drawing` is "{self.document["drawing"]}" of the axes {names}{panels}; expected {expected}. '
+                "Change the sweep's file and repeat the sweep: it flies nothing again"
+            )
 
     def footnote(self) -> str:
         """Return how many flights stand behind a point, and how they differ."""

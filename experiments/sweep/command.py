@@ -26,10 +26,10 @@ def main(arguments: Sequence[str]) -> int:
         for name, title in spec.available().items():
             print(f"  {name:<28}  {title}")
         return 0 if given.list else 2
-    ray = cluster.Ray.of(given)
-    workers: run.Workers = run.Spread(ray) if ray else run.Local(given.workers)
 
     def work() -> None:
+        ray = cluster.Ray.of(given)
+        workers: run.Workers = run.Spread(ray) if ray else run.Local(given.workers)
         for design in [Design(spec.load(name)) for name in names]:
             folder = run.run(design, workers, out=given.out, overwrite=given.overwrite)
             flown = f"{design.n_rows} flights in {len(design.cells)} cells"

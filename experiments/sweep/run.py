@@ -37,6 +37,9 @@ from jax_aero.result import Outcome
 
 RESULTS = manifest.RESULTS / "sweeps"
 
+PRESENTATION = ("title", "description", "drawing", "panels", "axes")
+"""What `SWEEP_FILE` holds of a sweep for its figure alone: a finished one takes it from its file, too."""
+
 SWEEP_FILE, TABLES = "sweep.json", ("table.parquet", "cells.parquet")
 
 
@@ -116,6 +119,8 @@ def _run(design: Design, workers: Workers, folder: Path) -> None:
         draft.unlink()
     if "finished" in found:
         chunks.clear()  # which that process may have had no time for
+        if found != (shown_anew := found | {key: document[key] for key in PRESENTATION}):
+            write_json(folder / SWEEP_FILE, shown_anew)
         other = "" if found["code_hash"] == document["code_hash"] else ", flown by other code"
         print(f"{shown} is finished already{other}; --overwrite flies it again")
         return

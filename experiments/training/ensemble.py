@@ -27,7 +27,7 @@ from jax_aero.aero.dataset import Dataset, Floats, Indices, load
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import save_network
 from jax_aero.aero.posture import link_arms, total_wrench
-from jax_aero.cli import Parser
+from jax_aero.cli import Parser, count
 from jax_aero.command import exit_status
 from jax_aero.files import complete_file, write_json
 from jax_aero.train import fit, predict_areas, samples_of
@@ -57,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     parser = Parser("train-ensemble", __doc__)
     parser.add_argument("--dataset", type=Path, required=True, metavar="FILE", help="from import-cfd")
-    parser.add_argument("--epochs", type=int, default=60, metavar="N", help="of every network (default 60)")
+    parser.add_argument("--epochs", type=count, default=60, metavar="N", help="of every network (default 60)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="result folder (default results/training/ensemble)")
     parser.add_argument("--write", type=Path, metavar="DIR", help="write weights, cards and ensemble.json there")
     given = parser.parse_args(arguments)

@@ -24,7 +24,7 @@ from experiments.sources import code_hash
 from experiments.training import config
 from jax_aero import tables
 from jax_aero.aero.dataset import Dataset, load
-from jax_aero.cli import Parser
+from jax_aero.cli import Parser, count
 from jax_aero.command import exit_status
 from jax_aero.files import write_json
 from jax_aero.keys import set_key
@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("name", help="a file stem in configs/training_search, or a path")
     parser.add_argument("--dataset", type=Path, required=True, metavar="FILE", help="what to train on")
     parser.add_argument(
-        "--trials", type=int, metavar="N", help="stop when there are so many (default: what the file says)"
+        "--trials", type=count, metavar="N", help="stop when there are so many (default: what the file says)"
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="result folder (default results/training_search/NAME)")
     given = parser.parse_args(arguments)

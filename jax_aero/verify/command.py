@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from jax_aero import places, rust
-from jax_aero.cli import Parser, completes
+from jax_aero.cli import Parser, completes, count
 from jax_aero.keys import parse_assignments
 from jax_aero.verify import (
     Comparison,
@@ -75,7 +75,7 @@ def _parse(arguments: Sequence[str]) -> Any:
     parser.add_argument("--controller", type=Path, help="controller file that replaces the flight's")
     parser.add_argument("--robot", help="robot file: compare only its kinematics and dynamics")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change the configuration")
-    parser.add_argument("--states", type=int, default=50, help="number of random and of recorded states")
+    parser.add_argument("--states", type=count, default=50, help="number of random and of recorded states")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--backend", choices=["tree", "mjx"], default="tree", help="implementation of the dynamics")
     parser.add_argument("--out", type=Path, help="folder for table and figure; default results/verify/NAME")

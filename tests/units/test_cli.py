@@ -53,6 +53,9 @@ def test_help_names_every_command(capsys):
         (["train", "compact", "--datset", "x"], "did you mean --dataset"),
         (["inner-loop", "--hepl"], "did you mean --help"),
         (["fly", "test1", "--out", ""], "the path is empty"),
+        (["sweep", "tuned", "--workers", "0"], "--workers: `0`; expected an integer ≥ 1"),
+        (["sweep", "tuned", "--address", "somewhere"], "--address is somewhere; expected --cluster ray beside it"),
+        (["air", "--beta", "-90:nan:10"], "--beta is -90:nan:10; expected an angle, or FROM:TO:STEP"),
     ],
 )
 def test_a_wrong_word_is_answered_with_what_was_meant(words, meant, capsys):

@@ -399,6 +399,14 @@ def test_a_finished_sweep_is_kept_and_another_of_its_name_protected(flown, tmp_p
     assert "holds another sweep of this name" in capsys.readouterr().err
 
 
+def test_a_finished_sweep_takes_over_how_it_is_drawn(tmp_path):
+    folder = run.run(design(repeats=1, set={"simulator.duration": 0.02}), run.Local(1), out=tmp_path)
+    before = json.loads((folder / "sweep.json").read_text())
+    drawn = {"title": "new", "drawing": "levels", "panels": "scale"}
+    run.run(design(repeats=1, set={"simulator.duration": 0.02}, **drawn), run.Local(1), out=tmp_path)
+    assert json.loads((folder / "sweep.json").read_text()) == before | drawn
+
+
 def test_a_killed_sweep_goes_on_and_ends_with_the_same_bytes(tmp_path, start):
     path = quick(tmp_path, repeats=60, duration=1.0)
 

@@ -73,6 +73,26 @@ def test_every_drawing_gives_pdf_and_png_with_the_hash_of_its_sweep(drawing, axe
         assert picture.info["Description"] == f"sweep made_up config {'ab' * 32}"
 
 
+@pytest.mark.parametrize(
+    ("drawing", "axes", "panels", "expected"),
+    [
+        ("map", ["world", "scale"], "", "expected two axes of numbers beside the panels"),
+        ("map", ["world", "terms", "scale", "speed"], "world", "expected two axes of numbers"),
+        ("scatter", ["world", "scale"], "", "expected axes of numbers"),
+        ("matrix", ["world", "scale"], "", "expected axes `arms`, of two levels, `model` and `world`"),
+        ("curve", ["world"], "world", "expected an axis beside the panels"),
+        ("curve", ["world", "terms", "speed", "scale"], "", "expected at most 6 combinations"),
+    ],
+)
+def test_a_drawing_that_does_not_suit_the_axes_is_one_line(drawing, axes, panels, expected, tmp_path, capsys):
+    write(tmp_path / "sweeps", "made_up", drawing, axes, panels)
+    assert main(["made_up", "--sweeps", str(tmp_path / "sweeps"), "--out", str(tmp_path)]) == 1
+    assert f'error: made_up: `drawing` is "{drawing}" of the axes {", ".join(axes)}' in (
+        said := capsys.readouterr().err
+    )
+    assert expected in said
+
+
 def test_a_map_keeps_the_row_of_a_level_without_any_number(tmp_path):
     write(tmp_path, "made_up", "map", ["world", "scale", "speed"])
     cells = pd.read_parquet(tmp_path / "made_up/cells.parquet")
@@ -111,7 +131,7 @@ def test_all_draws_what_there_is_and_names_what_is_missing(tmp_path, capsys):
     assert f"{SWEEPS[0]}.png" in said.out
     for name in SWEEPS[1:]:
         assert f"python -m experiments sweep {name}" in said.err
-    assert "have no results to be drawn from" in said.err
+    assert "figures were not drawn" in said.err
 
 
 @pytest.mark.parametrize(
