@@ -22,6 +22,7 @@ import mujoco  # type: ignore[import-untyped]
 import numpy as np
 from jaxtyping import Float
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from jax_aero import mujoco_model, rust
 from jax_aero.config import Disturbances
@@ -337,13 +338,13 @@ def _row(
         "base_position": position,
         "base_quaternion": _wxyz(rotation),
         "base_velocity": nu[:6],
-        "base_rpy_setpoint": _rpy(desired),
+        "base_rpy_setpoint": Rotation.from_matrix(desired).as_euler("xyz"),
         "joint_position": joints,
         "joint_velocity": nu[6:],
         "com_position": truth.com_position,
         "com_velocity": truth.momentum[:3] / plant.robot.mass,
         "com_setpoint": np.asarray(tick.setpoint.com_position),
-        "rotation_error": _angle(desired.T @ rotation),
+        "rotation_error": Rotation.from_matrix(desired.T @ rotation).magnitude(),
         "thrust": thrust,
         "thrust_rate": tick.thrust_rate,
         "joint_velocity_command": tick.joint_velocity_command,
@@ -421,16 +422,3 @@ def _summary(log: Mapping[str, Array], joint_setpoint: Array) -> dict[str, float
     speed = np.max(-log["com_velocity"][touches, 2], initial=0.0)
     of_ground = {"time_off_the_ground": tick * airborne, "touchdown_speed": float(speed)}
     return figures(condense(log, joint_setpoint)) | of_ground
-
-
-def _angle(rotation: Array) -> float:
-    vee = 0.5 * np.array(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-    )
-    return float(np.arctan2(np.linalg.norm(vee), 0.5 * (np.trace(rotation) - 1.0)))
-
-
-def _rpy(rotation: Array) -> Array:
-    """Roll, pitch, yaw; the reference never comes near gimbal lock."""
-    pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
-    return np.array([np.arctan2(rotation[2, 1], rotation[2, 2]), pitch, np.arctan2(rotation[1, 0], rotation[0, 0])])

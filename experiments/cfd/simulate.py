@@ -136,14 +136,13 @@ def solve(
 def reduce(histories: Mapping[str, foam.History], quality: Mapping[str, float], settings: Settings) -> Result:
     """Average the histories of all links over the window, and judge the total."""
     pressure = 0.5 * settings.air.density * settings.air.speed**2
-    total = np.sum([history.force for history in histories.values()], axis=0) / pressure
+    total = np.sum([history.force for history in histories.values()], axis=0)
     iteration = next(iter(histories.values())).iteration
     late = iteration > iteration[-1] - settings.solver.window
     size, drift, oscillation = steadiness(total[late])
     found = {**quality, "drift": drift, "oscillation": oscillation}
     found["pressure share of the force"] = _pressure_share(histories, late)
     accept = settings.accept
-    # A body cannot be pushed by more than a few times the dynamic pressure on all of its surface.
     if not math.isfinite(size) or not math.isfinite(drift):
         return Result(reason="the solver diverged: the force is not finite")
     reason = ""

@@ -91,7 +91,11 @@ def test_ctrl_c_and_a_missing_package_are_one_line(monkeypatch, capsys):
 
 @pytest.mark.parametrize(
     ("line", "expected"),
-    [("jax-aero obs", {"observer-limit"}), ("jax-aero fly test1_p", {"test1_published", "test1_published_observer"})],
+    [
+        ("jax-aero obs", {"observer-limit"}),
+        ("jax-aero fly test1_p", {"test1_published", "test1_published_observer"}),
+        ("jax-aero waypoints b", {"box"}),
+    ],
 )
 def test_tab_completes_commands_and_names(line, expected, tmp_path):
     answer = tmp_path / "words"
