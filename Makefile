@@ -192,6 +192,6 @@ $(MODULE): $(VENV)/.first pyproject.toml $(RUST_SOURCES)
 	@touch $@
 
 $(PACKAGES): requirements.hashed | $(MODULE)
-	@echo "set-up of everything else: JAX, viewer, tests, documents (2.5 GB, some minutes)"
+	@echo "set-up of everything else: JAX, viewer, tests, documents (3.1 GB, some minutes)"
 	$(BIN)/python -m pip install --quiet --no-compile --require-hashes -r requirements.hashed
 	@touch $@

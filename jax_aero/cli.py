@@ -68,7 +68,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "import-robot": Command("experiments.import_robot.command:main", "twin", "make a robot that flies of a URDF"),
         "cfd": Command("experiments.cfd.command:main", "twin", "compute forces of the air with OpenFOAM"),
         "cfd-verify": Command("experiments.cfd.verify:main", "twin", "verify OpenFOAM on bodies of known drag"),
-        "cfd-flow": Command("experiments.cfd.flow:main", "twin", "keep a flow by OpenFOAM for pictures"),
+        "cfd-flow": Command("experiments.cfd.flow:main", "flow", "keep a flow by OpenFOAM for pictures"),
         "cfd-compare": Command("experiments.cfd.compare:main", "twin", "compare our CFD with tables and the tunnel"),
         "cfd-tunnel": Command("experiments.cfd.tunnel:main", "twin", "compare our CFD with wind-tunnel points"),
         "import-cfd": Command("experiments.import_cfd:main", "twin", "read CFD tables into a data set"),

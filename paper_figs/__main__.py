@@ -52,7 +52,11 @@ FIGURES: dict[str, tuple[Draw, Sequence[str], str]] = {
     "fig2": (tunnel.fig2, (), "Fig. 2 d, e: the wind tunnel's drag by speed and by posture; needs no run"),
     "fig2_setup": (pictures.setup, pictures.RUNS, "Fig. 2 a-c as a drawing: robot, pylon, balance, axes"),
     "fig3": (tunnel.fig3, (), "Fig. 3 a, b: CFD beside the wind tunnel; needs no run"),
-    "cfd_flow": (cfd_flow.draw, cfd_flow.RUNS, "Fig. 3 c-f of our own flow: surface pressure, plane of symmetry"),
+    "cfd_flow": (
+        cfd_flow.draw,
+        cfd_flow.RUNS,
+        "Fig. 3 c-f of our own flow: surface pressure, streamlines, plane of symmetry",
+    ),
     "supp_mesh": (tunnel.mesh, (), "Suppl. Fig. 5: mesh study; needs no run"),
     "fig4_fit": (fig4_fit.draw, fig4_fit.RUNS, "Fig. 4 d, e: the axisymmetric model over the CFD"),
     "fig4_network": (fig4_network.draw, fig4_network.RUNS, "Fig. 4 a-c: the network's drag of the head, two splits"),

@@ -1,47 +1,51 @@
-"""The flow around the robot by the open solver: pressure on the surface, and three fields in the plane of symmetry."""
+"""The flow around the robot by the open solver: pressure on the surface, streamlines, and fields in a plane."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from ctypes.util import find_library
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from paper_figs import style
+from paper_figs.runs import MissingRun
 from paper_figs.studies import load
 
 RUNS = ("flight30",)
 VIEW = 0.9
 """Half the height of the pictures of the plane [m]."""
-FACE_POINTS = 2.4
-"""Edge of the mark of a face [points]: faces of a centimetre on a picture of the robot."""
+SCALES = {"pressure": (-1.0, 1.0, "RdBu_r"), "speed": (0.0, 1.3, "viridis"), "viscosity": (0.0, 1000.0, "magma")}
+"""Lowest and highest value, and colours."""
+PIXELS = (2160, 900)
+TUBE = 0.0025
+"""Radius of a streamline [m]."""
 
 
 def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
     """Draw one case, the wind from the left."""
     study = load(results, "cfd_flow", names[0])
+    figure = plt.figure(figsize=(style.FULL_WIDTH, 6.0), layout="constrained")
+    grid = figure.subplot_mosaic("AAA;bcd", height_ratios=(1.2, 1.0))
+    grid["A"].imshow(picture(study))
+    grid["A"].set_axis_off()
+    grid["A"].set_title("surface in the colours of b, streamlines in those of c")
+    style.letter(grid["A"], "a")
     turn = _upright(study.attrs["wind"])
-    figure, grid = plt.subplots(2, 2, figsize=(style.FULL_WIDTH, 6.0), layout="constrained")
-    _wall(figure, grid[0, 0], study, turn)
-    speed = np.linalg.norm(study["plane_velocity"].values, axis=1)
-    _plane(
-        figure, grid[0, 1], study, turn, study["plane_pressure"].values, "pressure coefficient", (-1.0, 1.0, "RdBu_r")
-    )
-    _plane(figure, grid[1, 0], study, turn, speed, "speed over the wind's", (0.0, 1.3, "viridis"))
-    viscosity = study["plane_viscosity"].values
-    _plane(figure, grid[1, 1], study, turn, viscosity, r"$\nu_t/\nu$", (0.0, float(viscosity.max()), "magma"))
-    for axes, mark in zip(grid.flat, "abcd", strict=True):
-        style.letter(axes, mark)
-        axes.set_aspect("equal")
-        axes.grid(visible=False)
-        axes.set_xlabel("along the wind [m]")
+    for mark, field in zip("bcd", SCALES, strict=True):
+        shown = _plane(grid[mark], study, turn, field)
+        label = study[f"plane_{field}"].attrs["long_name"]
+        figure.colorbar(shown, ax=grid[mark], location="bottom", label=label, extend="both")
+        style.letter(grid[mark], mark)
+    grid["b"].set_ylabel("across the wind [m]")
     return figure, {names[0]: str(study.attrs["config_hash"])}
 
 
@@ -51,35 +55,56 @@ def _upright(wind: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.array([along, [-along[1], along[0]]])
 
 
-def _wall(figure: Figure, axes: Axes, study: xr.Dataset, turn: NDArray[np.float64]) -> None:
-    """Pressure on the faces of the surface, seen from the robot's left, the near ones over the far ones."""
-    position = study["wall_position"].values
-    order = np.argsort(-position[:, 1])
-    flat = position[order][:, [0, 2]] @ turn.T
-    pressure = study["wall_pressure"].values[order]
-    x, y = flat.T
-    shown = axes.scatter(x, y, c=pressure, s=FACE_POINTS**2, marker="s", cmap="RdBu_r", vmin=-1.0, vmax=1.0, lw=0)
-    shown.set_rasterized(True)
-    figure.colorbar(shown, ax=axes, label="pressure coefficient", shrink=0.8)
-    axes.set_title("on the surface")
+def _plane(axes: Axes, study: xr.Dataset, turn: NDArray[np.float64], field: str) -> ScalarMappable:
+    """One field in the plane of symmetry; the robot's parts that it cuts are grey."""
+    x, y = turn @ study["plane_position"].values[:, [0, 2]].T
+    low, high, colours = SCALES[field]
+    triangles = Triangulation(x, y, study["plane_triangle"].values)
+    values = study[f"plane_{field}"].values
+    shown = axes.tripcolor(triangles, values, shading="gouraud", cmap=colours, vmin=low, vmax=high, rasterized=True)
+    axes.set(facecolor=style.GREY, aspect="equal", xlim=(-0.8 * VIEW, 1.2 * VIEW), ylim=(-VIEW, VIEW))
+    axes.set_xlabel("along the wind [m]")
+    axes.grid(visible=False)
+    return shown
 
 
-def _plane(
-    figure: Figure,
-    axes: Axes,
-    study: xr.Dataset,
-    turn: NDArray[np.float64],
-    values: NDArray[np.float64],
-    label: str,
-    scale: tuple[float, float, str],
-) -> None:
-    """One field in the plane of symmetry, the robot's parts in it over it."""
-    flat = study["plane_position"].values[:, [0, 2]] @ turn.T
-    low, high, colours = scale
-    levels = np.linspace(low, high, 41)
-    shown = axes.tricontourf(Triangulation(flat[:, 0], flat[:, 1]), values, levels, cmap=colours, extend="both")
-    cut = study["triangles"].values[:, :, [0, 2]] @ turn.T
-    axes.add_collection(PolyCollection(list(cut), facecolor=style.GREY, edgecolor=style.GREY, linewidth=0.5))
-    axes.set_xlim(-0.8 * VIEW, 1.2 * VIEW)
-    axes.set_ylim(-VIEW, VIEW)
-    figure.colorbar(shown, ax=axes, label=label, shrink=0.8)
+def picture(study: xr.Dataset) -> NDArray[np.uint8]:
+    """Render the surface, coloured by pressure, and streamlines, coloured by speed, from the robot's left in front."""
+    view = plotter()
+    import pyvista
+
+    wall = pyvista.PolyData.from_regular_faces(study["wall_position"].values, study["wall_triangle"].values)
+    lines = pyvista.PolyData(study["line_position"].values)
+    lines.lines = pyvista.CellArray.from_arrays(study["line_offset"].values, study["line_order"].values)
+    wall["pressure"], lines["speed"] = study["wall_pressure"].values, study["line_speed"].values
+    wind, left = study.attrs["wind"], np.array([0.0, -1.0, 0.0])
+    up = np.cross(left, wind)
+    for part, field, edges in ((wall, "pressure", True), (lines.tube(radius=TUBE), "speed", False)):
+        low, high, colours = SCALES[field]
+        look = {"smooth_shading": True, "split_sharp_edges": edges, "show_scalar_bar": False, "ambient": 0.25}
+        view.add_mesh(part, scalars=field, clim=(low, high), cmap=colours, **look)
+    view.enable_anti_aliasing("ssaa")
+    middle = 0.2 * wind - 0.03 * up
+    view.camera_position = [middle + 3.0 * (left - 0.35 * wind + 0.2 * up), middle, up]
+    view.camera.view_angle = 18.0
+    with pyvista.vtk_verbosity("error"):
+        shown: NDArray[np.uint8] = view.screenshot(return_img=True)
+    view.close()
+    return shown
+
+
+def plotter() -> Any:
+    """Return what renders off screen, or say what is missing."""
+    try:
+        import pyvista
+    except ModuleNotFoundError as missing:
+        raise MissingRun(f"it needs the package `{missing.name}`: pip install 'jax-aero[flow]'") from None
+    with pyvista.vtk_verbosity("error"):  # it warns of each kind of window that is not to be had
+        found = pyvista.Plotter(off_screen=True, window_size=PIXELS, lighting="three lights")
+    # The window that VTK tries last: without its library it would end the process.
+    if found.render_window.GetClassName() == "vtkOSOpenGLRenderWindow" and find_library("OSMesa") is None:
+        raise MissingRun(
+            "there is no off-screen OpenGL; install EGL or OSMesa, e.g. the Debian packages `libegl1 libgl1-mesa-dri` "
+            "or `libosmesa6`"
+        )
+    return found

@@ -70,11 +70,11 @@ FIGURE_ITEMS: Sequence[Item] = (
     Item("Fig. 3 a, b", "CFD beside the tunnel", "fig3", tunnel=_tunnel(tunnel.turbulence_claims, with_cfd=True)),
     Item(
         "Fig. 3 c–f",
-        "surface pressure and contours of the flow",
+        "surface pressure, streamlines and contours of the flow",
         "cfd_flow",
         ("cfd.md",),
         verdict="differs: by an open solver around primitives the pressure's share of the drag is 98 %, not 95 %; "
-        "the viscosity ratio is up to 1000, and above 100 in 47 % of the cells of the wake",
+        "the viscosity ratio is up to 1190, and above 100 in 93 % of the wake's area in the plane of symmetry",
         command="python -m experiments cfd-flow flight30; python -m paper_figs cfd_flow",
     ),
     Item("Fig. 3 g, h", "lattice Boltzmann simulation, drag within 1 %", verdict=_NO_MESH),

@@ -15,7 +15,7 @@ Series = xr.DataArray
 
 
 class MissingRun(Exception):
-    """A figure needs a flight that has not been flown; the message says which, and the command that flies it."""
+    """A figure lacks a flight, or a package, that it is drawn with; the message says which, and how to get it."""
 
 
 @dataclass(frozen=True)

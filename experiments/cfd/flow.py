@@ -1,33 +1,38 @@
 """Keep the flow of one case for pictures: `jax-aero cfd-flow NAME`, NAME a posture.
 
-Pressure on the robot, and velocity, pressure and turbulent viscosity in its plane of symmetry, as in the paper's
-Fig. 3 c to f; `jax-aero figures cfd_flow` draws them. Needs OpenFOAM.
+Pressure on the robot, streamlines around it, and speed, pressure and turbulent viscosity in its plane of symmetry, as
+in the paper's Fig. 3 c to f; `jax-aero figures cfd_flow` draws them. Needs OpenFOAM; PyVista reads its case.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyvista
 import xarray as xr
 
 from experiments import Refused
 from experiments.cfd import foam
-from experiments.cfd.geometry import Surface, robot_surfaces
-from experiments.cfd.settings import Settings
+from experiments.cfd.case import FAR
+from experiments.cfd.geometry import robot_surfaces
+from experiments.cfd.settings import Air, Settings
 from experiments.cfd.simulate import Unfit, make_mesh, solve
 from experiments.import_cfd import known_postures
 from experiments.study import CONFIGS, Findings, Study
 from jax_aero import rust, tables
-from jax_aero.aero.dataset import Floats, wind_direction
+from jax_aero.aero.dataset import wind_direction
 
 ROBOT = CONFIGS / "robot" / "ironcub_mk1.toml"
-SAMPLED, FIELDS = "sampled", ("p", "U", "nut")
-REACH = 1.5
-"""How far from the robot the plane is kept [m]."""
+FIELDS = {
+    "pressure": "pressure coefficient",
+    "speed": "speed over the wind's",
+    "viscosity": "turbulent over molecular viscosity",
+}
+BESIDE, EVERY, LENGTH = 0.02, 80, 1.2
+"""Every so many points of the surface a streamline passes so far from it [m], this long before and behind [m]."""
 
 
 class FlowConfig(tables.Table, frozen=True):
@@ -47,82 +52,77 @@ def compute(name: str, config: FlowConfig) -> Findings:
         raise Refused(f"no posture `{name}`; there are {', '.join(known)}")
     surfaces = robot_surfaces(rust.Robot(ROBOT), known[name])
     wind = wind_direction(config.pitch_deg, config.yaw_deg)
+    settings = config.settings
     with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
         folder = Path(scratch)
         try:
-            facts = make_mesh(surfaces, config.settings, folder)
+            facts = make_mesh(surfaces, settings, folder)
         except (foam.Failed, Unfit) as reason:
             raise Refused(str(reason)) from None
-        result = solve(surfaces, wind, config.settings, folder, facts, {SAMPLED: sampled(surfaces)})
+        result = solve(surfaces, wind, settings, folder, facts)
         if result.reason:
             raise Refused(result.reason)
-        wall, *fields = read_sampled(folder)
-    air = config.settings.air
-    near = np.abs(fields[0][:, :3]).max(axis=1) < REACH
-    pressure, velocity, viscosity = (field[near, 3:] for field in fields)
-    ratio = viscosity[:, 0] / air.viscosity
-    drag = float(np.sum([*result.force_area_b.values()], axis=0) @ wind)
-    wake = np.linalg.norm(velocity, axis=1) < 0.5 * air.speed
-    data = as_dataset(fields[0][near, :3], pressure[:, 0], velocity, ratio, wall, in_plane(surfaces), air.speed)
+        cells, wall = read_case(folder, settings.solver.ranks, settings.air)
+    plane = cells.slice("y", generate_triangles=True)
+    data = as_dataset(wall.triangulate(), plane, streamlines(cells, wall))
+    area, ratio = plane.compute_cell_sizes()["Area"], plane.cell_data["viscosity"]
+    wake = plane.cell_data["speed"] < 0.5
     summary: dict[str, Any] = {
-        "drag [m2]": drag,
+        "drag [m2]": float(np.sum([*result.force_area_b.values()], axis=0) @ wind),
         "pressure share of the force": result.quality["pressure share of the force"],
         "turbulent over molecular viscosity, largest in the plane": float(ratio.max()),
-        "turbulent over molecular viscosity, median in the wake": float(np.median(ratio[wake])),
+        "part of the wake in the plane where that is above 100": area[wake & (ratio > 100.0)].sum() / area[wake].sum(),
         "cells": facts.cells,
     }
     return Findings(f"Flow around {name} at {config.pitch_deg:g} degrees", data.assign_attrs(wind=wind), summary)
 
 
-def sampled(links: Iterable[str]) -> dict[str, Any]:
-    """Return what reports pressure on the links, and the fields in the plane of symmetry, at the end."""
-    place = {"point": (0, 0, 0), "normal": (0, 1, 0)}
-    plane = {"type": "cuttingPlane", "planeType": "pointAndNormal", "pointAndNormalDict": place, "interpolate": "false"}
-    return {
-        "type": "surfaces",
-        "libs": ["sampling"],
-        "fields": [*FIELDS],
-        "surfaceFormat": "raw",
-        "executeControl": "onEnd",
-        "writeControl": "onEnd",
-        "surfaces": {"plane": plane, "wall": {"type": "patch", "patches": [*links], "interpolate": "false"}},
-    }
+def read_case(folder: Path, ranks: int, air: Air) -> tuple[pyvista.UnstructuredGrid, pyvista.PolyData]:
+    """Return the air's cells and the surface of the links at the last iteration, with `FIELDS` in cells and points."""
+    path = folder / "case.foam"
+    path.touch()
+    reader = pyvista.POpenFOAMReader(path)
+    reader.case_type = "decomposed" if ranks > 1 else "reconstructed"
+    reader.cell_to_point_creation = False
+    reader.set_active_time_value(reader.time_values[-1])
+    reader.disable_patch_array(f"patch/{FAR}")
+    blocks = reader.read()
+    cells, wall = blocks["internalMesh"], pyvista.merge([*blocks["boundary"]])
+    for data in (cells.cell_data, wall.cell_data):
+        data["pressure"] = data["p"] / (0.5 * air.speed**2)  # the solver's pressure is over density
+        data["speed"] = np.linalg.norm(data["U"], axis=1) / air.speed
+        data["viscosity"] = data["nut"] / air.viscosity
+    return cells.cell_data_to_point_data(pass_cell_data=True), wall.cell_data_to_point_data(pass_cell_data=True)
 
 
-def read_sampled(folder: Path) -> list[Floats]:
-    """Return rows of position and value: pressure on the wall, then pressure, velocity and viscosity in the plane."""
-    at = foam.last_report(folder, SAMPLED)
-    return [foam.read_raw(at / name) for name in ("p_wall.raw", *(f"{field}_plane.raw" for field in FIELDS))]
-
-
-def in_plane(surfaces: Mapping[str, Surface]) -> Floats:
-    """Return the triangles (T, 3, 3) [m] of the links that the plane of symmetry cuts."""
-    triangles = [surface.triangles for surface in surfaces.values()]
-    return np.concatenate([part for part in triangles if part[..., 1].min() < 0.0 < part[..., 1].max()])
-
-
-def as_dataset(
-    points: Floats, pressure: Floats, velocity: Floats, ratio: Floats, wall: Floats, triangles: Floats, speed: float
-) -> xr.Dataset:
-    """Return plane and wall with units; pressures as coefficients `p / (½ ρ V²)`."""
-    single = "f4"  # pictures need no more
-    q = 0.5 * speed**2  # the solver's pressure is over density
-    return xr.Dataset(
-        {
-            "plane_position": (("cell", "xyz"), points.astype(single), {"units": "m"}),
-            "plane_pressure": ("cell", (pressure / q).astype(single), {"long_name": "pressure coefficient"}),
-            "plane_velocity": (
-                ("cell", "xyz"),
-                (velocity / speed).astype(single),
-                {"long_name": "over the wind's speed"},
-            ),
-            "plane_viscosity": ("cell", ratio.astype(single), {"long_name": "turbulent over molecular viscosity"}),
-            "wall_position": (("face", "xyz"), wall[:, :3].astype(single), {"units": "m"}),
-            "wall_pressure": ("face", (wall[:, 3] / q).astype(single), {"long_name": "pressure coefficient"}),
-            "triangles": (("triangle", "corner", "xyz"), triangles.astype(single), {"units": "m"}),
-        },
-        {"xyz": ["x", "y", "z"]},
+def streamlines(cells: pyvista.UnstructuredGrid, wall: pyvista.PolyData) -> pyvista.PolyData:
+    """Return lines along the air's velocity that pass close to the surface."""
+    outwards = wall.compute_normals(consistent_normals=False, flip_normals=True).point_data["Normals"]
+    seeds = pyvista.PolyData((wall.points + BESIDE * outwards)[::EVERY])
+    # By its nearest points, VTK's default, velocity would be found within the bodies too.
+    found: pyvista.PolyData = cells.streamlines_from_source(
+        seeds, vectors="U", max_length=LENGTH, interpolator_type="cell"
     )
+    return found
+
+
+def as_dataset(wall: pyvista.PolyData, plane: pyvista.PolyData, lines: pyvista.PolyData) -> xr.Dataset:
+    """Return the points of triangles and lines with what is drawn of `FIELDS` there; base axes."""
+    found: dict[str, Any] = {}
+    for name, part, fields in (("wall", wall, ["pressure"]), ("plane", plane, [*FIELDS]), ("line", lines, ["speed"])):
+        point, single = f"{name}_point", "f4"  # pictures need no more
+        found[f"{name}_position"] = (point, "xyz"), part.points.astype(single), {"units": "m"}
+        for field in fields:
+            about = {"units": "1", "long_name": FIELDS[field]}
+            found[f"{name}_{field}"] = point, part.point_data[field].astype(single), about
+    for name, part in (("wall", wall), ("plane", plane)):
+        about = {"long_name": "points at the corners"}
+        found[f"{name}_triangle"] = (f"{name}_face", "corner"), part.regular_faces.astype("i4"), about
+    order = {"long_name": "points of all streamlines, one after the other"}
+    offset = {"long_name": "of every streamline in them, and the end of the last"}
+    found["line_order"] = "order", lines.line_connectivity.astype("i4"), order
+    found["line_offset"] = "offset", lines.line_offsets.astype("i4"), offset
+    return xr.Dataset(found, {"xyz": ["x", "y", "z"]})
 
 
 STUDY = Study("cfd_flow", __doc__, FlowConfig, compute, ("flight30",), engine="openfoam")

@@ -143,20 +143,11 @@ def _numbers(path: Path) -> Floats:
 
 def read_y_plus(folder: Path) -> tuple[float, float]:
     """Return mean over the links, and largest y+ of the wall's cells."""
-    path = last_report(folder, "yPlus") / "yPlus.dat"
+    reports = (folder / "postProcessing" / "yPlus").iterdir()
+    path = max(reports, key=lambda path: float(path.name)) / "yPlus.dat"
     rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
     values = np.array([row[2:5] for row in rows if len(row) >= 5], dtype=np.float64)
     return float(values[:, 2].mean()), float(values[:, 1].max())
-
-
-def last_report(folder: Path, name: str) -> Path:
-    """Return the folder of the last report of a function object."""
-    return max((folder / "postProcessing" / name).iterdir(), key=lambda path: float(path.name))
-
-
-def read_raw(path: Path) -> Floats:
-    """Return the rows of a sampled surface: x, y, z, then the components of a field."""
-    return _numbers(path)
 
 
 def last_residual(solver: str, field: str) -> float:

@@ -90,9 +90,8 @@ def solve(
     settings: Settings,
     folder: Path,
     facts: foam.MeshFacts,
-    reports: Mapping[str, case.Entry] | None = None,
 ) -> Result:
-    """Solve one wind on a mesh that is there, and judge it; `reports` are function objects beside those of forces."""
+    """Solve one wind on a mesh that is there, and judge it."""
     for path in (*folder.glob("[0-9]*"), *folder.glob("processor*"), folder / "postProcessing"):
         shutil.rmtree(path, ignore_errors=True)
     case.write_wind_case(folder, wind_b, settings)
@@ -107,7 +106,7 @@ def solve(
         case.write_schemes(folder, is_upwind=False)
         for number in range(1 + solver.extensions):
             end = solver.iterations + number * solver.window
-            functions = case.forces_of(surfaces, settings.air, solver, end) | dict(reports or {})
+            functions = case.forces_of(surfaces, settings.air, solver, end)
             case.write_control(folder, end=end, functions=functions)
             said = foam.run(["simpleFoam"], folder, solver.ranks)
             y_plus_mean, y_plus_max = foam.read_y_plus(folder)

@@ -5,11 +5,13 @@ import json
 import os
 import pickle
 import shutil
+import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+import pyvista
 import xarray as xr
 
 from experiments import calibrate_surrogate, import_cfd, record, study
@@ -22,6 +24,8 @@ from jax_aero.aero.posture import total_wrench
 from jax_aero.command import REFUSED, Refused
 from jax_aero.robot import load_robot
 from paper_figs import cfd_flow
+from paper_figs.__main__ import main as figures
+from paper_figs.runs import MissingRun
 
 ROBOT = "configs/robot/ironcub_mk1.toml"
 
@@ -539,38 +543,31 @@ def test_a_network_is_judged_on_the_rows_it_was_trained_beside(collected, tmp_pa
         compare.held_out_network("small", collected.take(slice(1, None)))
 
 
-def test_the_flow_is_kept_near_the_robot_and_its_wake_is_where_air_is_slow(monkeypatch, agree):
-    """Four points of the plane, one too far; two in the wake, where the turbulent viscosity is 30 and 50 fold."""
-    speed, viscosity = settings.Air().speed, settings.Air().viscosity
-    place = np.array([[0.0, 0, 0], [1.0, 0, 1.0], [-1.0, 0, 0.5], [1.6, 0, 0]])
-    velocity = speed * np.array([[0.1, 0, 0], [0, 0, 0.4], [0.9, 0, 0], [1, 0, 0]])
-    ratio = np.array([30.0, 50.0, 70.0, 900.0])
-    wall = np.zeros((5, 4))
-    rows = [np.column_stack([place, part]) for part in (np.ones(4), velocity, viscosity * ratio)]
+def test_the_wake_is_where_air_is_slow_and_counts_by_area(monkeypatch, agree):
+    """Three cells in a row, 1, 3 and 1 m long; the air is slow in two of them."""
+    cells = pyvista.RectilinearGrid([-2.0, -1.0, 2.0, 3.0], [-1.0, 1.0], [-1.0, 1.0]).cast_to_unstructured_grid()
+    wall = pyvista.Sphere(radius=0.3)
+    cells.cell_data.update({"speed": [0.1, 0.4, 0.9], "viscosity": [30.0, 200.0, 900.0], "pressure": np.zeros(3)})
+    cells.cell_data["U"] = [[17.0, 0.0, 0.0]] * 3
+    wall["pressure"] = wall.points[:, 0]
     result = simulate.Result("", dict.fromkeys(LINKS, (0.01, 0.0, -0.01)), {}, {"pressure share of the force": 0.9})
     monkeypatch.setattr(foam, "environment", lambda: None)
     monkeypatch.setattr(flow, "make_mesh", lambda *_: FACTS)
     monkeypatch.setattr(flow, "solve", lambda *_: result)
-    monkeypatch.setattr(flow, "read_sampled", lambda _: [wall, *rows])
+    monkeypatch.setattr(flow, "read_case", lambda *_: (cells.cell_data_to_point_data(pass_cell_data=True), wall))
     found = flow.compute("flight30", flow.FlowConfig())
     agree("drag", found.summary["drag [m2]"], 0.13 * np.sqrt(2.0), 1e-12)
-    agree("largest", found.summary["turbulent over molecular viscosity, largest in the plane"], 70.0, 1e-12)
-    agree("wake", found.summary["turbulent over molecular viscosity, median in the wake"], 40.0, 1e-12)
-    assert found.dataset.sizes["cell"] == 3
+    agree("largest", found.summary["turbulent over molecular viscosity, largest in the plane"], 900.0, 1e-12)
+    # Single precision: areas of triangles, each within a few roundings of 6e-8.
+    agree("wake", found.summary["part of the wake in the plane where that is above 100"], 0.75, 1e-6)
+    assert np.ptp(found.dataset["plane_position"].values, axis=0).tolist() == [5.0, 0.0, 2.0]
+    assert found.dataset["line_speed"].values.min() >= 0.1 - 1e-6
+    assert found.dataset["wall_pressure"].attrs == {"units": "1", "long_name": "pressure coefficient"}
     with pytest.raises(Refused, match="no posture `flying`; there are"):
         flow.compute("flying", flow.FlowConfig())
     monkeypatch.setattr(flow, "solve", lambda *_: simulate.Result(reason="the force drifts"))
     with pytest.raises(Refused, match="the force drifts"):
         flow.compute("flight30", flow.FlowConfig())
-
-
-def test_links_that_the_plane_of_symmetry_cuts_are_drawn_whole():
-    box = geometry.triangles_of("box", (0.1, 0.1, 0.1))
-    moved = {
-        name: geometry.Surface(box + offset, np.zeros(3))
-        for name, offset in (("beside", [0, 1, 0]), ("cut", [1, 0, 1]))
-    }
-    np.testing.assert_array_equal(flow.in_plane(moved), moved["cut"].triangles)
 
 
 def test_beside_the_tunnel_stand_cases_of_the_same_posture_and_wind_alone(collected, monkeypatch, agree):
@@ -629,31 +626,61 @@ def test_a_sphere_is_dragged_along_the_wind(tmp_path):
     )
     wind = np.array([0.6, 0.0, 0.8])
     facts = simulate.make_mesh({"head": sphere}, chosen, tmp_path)
-    result = simulate.solve({"head": sphere}, wind, chosen, tmp_path, facts, {flow.SAMPLED: flow.sampled(["head"])})
+    result = simulate.solve({"head": sphere}, wind, chosen, tmp_path, facts)
     assert result.reason == ""
     area = np.array(result.force_area_b["head"])
     # 0.1 to 0.5 is every drag coefficient that was measured on a sphere from 1e5 to 1e6 (Achenbach 1972).
     assert 0.1 < area @ wind / (np.pi * 0.09) < 0.6
     # Where the air stands the pressure coefficient is 1; the limited scheme overshoots by a little.
-    wall, pressure, velocity, _ = flow.read_sampled(tmp_path)
-    assert 0.8 < wall[:, 3].max() / (0.5 * 17.0**2) < 1.2
-    assert len(pressure) == len(velocity)
-    assert np.abs(velocity[:, 1]).max() < 0.5
+    cells, wall = flow.read_case(tmp_path, chosen.solver.ranks, chosen.air)
+    assert cells.n_cells == facts.cells
+    assert 0.8 < wall["pressure"].max() < 1.2
+    assert np.abs(np.linalg.norm(wall.points, axis=1) - 0.3).max() < chosen.mesh.finest
+    # The air moves along the lines, none of which goes through the sphere. Time is negative along those against it.
+    lines = flow.streamlines(cells, wall)
+    start, end = (lines.line_connectivity[at] for at in (lines.line_offsets[:-1], lines.line_offsets[1:] - 1))
+    ways = (lines.points[end] - lines.points[start]) @ wind
+    assert np.mean(ways * lines["IntegrationTime"][end] > 0.0) > 0.9
+    assert np.linalg.norm(lines.points, axis=1).min() > 0.3 - chosen.mesh.finest
     # On ten cells a diameter the steady wake leans to one side.
     assert np.linalg.norm(area - (area @ wind) * wind) < 0.3 * (area @ wind)
 
 
-def test_the_picture_of_a_flow_is_drawn(tmp_path):
-    rng = np.random.default_rng(2)
-    points = rng.uniform(-1.0, 1.0, (200, 3)) * np.array([1.0, 0.0, 1.0])
-    velocity = np.ones((200, 3))
-    wall = np.column_stack([0.1 * points, 0.5 * 17.0**2 * points[:, 0]])
-    box = geometry.triangles_of("box", (0.1, 0.1, 0.1))
-    data = flow.as_dataset(points, points[:, 0], velocity, points[:, 2] ** 2, wall, box, 17.0)
-    assert data["wall_pressure"].values == pytest.approx(points[:, 0], abs=1e-6)
+@pytest.fixture
+def made_up_flow(tmp_path):
+    """A result of `cfd-flow`: a ball, the plane through it, a line before it."""
+    ball, plane = pyvista.Sphere(radius=0.1), pyvista.Plane(direction=(0.0, 1.0, 0.0)).triangulate()
+    line = pyvista.MultipleLines([[-0.5, 0.0, 0.2], [0.0, 0.0, 0.2], [0.5, 0.0, 0.3]])
+    for part in (ball, plane, line):
+        part.point_data.update(dict.fromkeys(flow.FIELDS, part.points[:, 0]))
     folder = tmp_path / "cfd_flow" / "flight30"
     folder.mkdir(parents=True)
-    data.assign_attrs(wind=[0.6, 0.0, 0.8], config_hash="abc").to_netcdf(folder / "run.nc", engine="h5netcdf")
-    figure, hashes = cfd_flow.draw(tmp_path / "flight")
+    data = flow.as_dataset(ball, plane, line).assign_attrs(wind=[0.6, 0.0, 0.8], config_hash="abc")
+    data.to_netcdf(folder / "run.nc", engine="h5netcdf")
+    return tmp_path / "flight"
+
+
+def test_the_picture_of_a_flow_is_drawn(made_up_flow):
+    try:
+        cfd_flow.plotter().close()
+    except MissingRun as missing:
+        pytest.skip(str(missing))
+    figure, hashes = cfd_flow.draw(made_up_flow)
     assert hashes == {"flight30": "abc"}
+    rendered = figure.axes[0].images[0].get_array()
+    # Behind is white; before it are the ball, in colours from blue to red, and the line.
+    assert (rendered[0, 0] == 255).all()
+    seen = (rendered.min(axis=-1) < 250).mean()
+    assert 0.005 < seen < 0.5
     plt.close(figure)
+
+
+def test_what_a_picture_of_a_flow_lacks_is_named(made_up_flow, monkeypatch, capsys):
+    arguments = ["cfd_flow", "--results", str(made_up_flow), "--out", str(made_up_flow)]
+    monkeypatch.setattr(cfd_flow, "find_library", lambda _: None)
+    monkeypatch.setenv("VTK_DEFAULT_OPENGL_WINDOW", "vtkOSOpenGLRenderWindow")
+    assert figures(arguments) == 1
+    assert "no off-screen OpenGL; install EGL or OSMesa" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    assert figures(arguments) == 1
+    assert "pip install 'jax-aero[flow]'" in capsys.readouterr().err
