@@ -23,7 +23,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from jax_aero import air, places
@@ -223,7 +222,6 @@ def _draw(
     """Draw force areas of the robot by model, its moments, and the drag of each link of the first model."""
     angle = "alpha_deg" if ":" in given.alpha else "beta_deg"
     figure = Figure(figsize=(10.0, 6.0), layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.subplots(2, 3)
 
     def series(model: str, link: str, column: str) -> tuple[list[float], list[float]]:

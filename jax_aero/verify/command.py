@@ -113,12 +113,10 @@ def _verdict(row: Row) -> str:
 def draw(rows: Sequence[Row], path: Path) -> bool:
     """Draw every difference beside its tolerance; `False` without matplotlib."""
     try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError:
         return False
     figure = Figure(figsize=(7.0, 0.8 + 0.16 * len(rows)), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots()
     places = np.arange(len(rows))
     shown = [max(row.relative if row.is_relative else row.absolute, 1e-17) for row in rows]

@@ -105,6 +105,15 @@ def test_a_folder_that_appears_meanwhile_is_not_replaced(tmp_path):
     assert (tmp_path / "run" / "run.nc").read_text() == "theirs"
 
 
+def test_a_manifest_counts_beside_the_results_of_a_run(tmp_path):
+    (tmp_path / record.MANIFEST_FILE).write_text('{"title": "made up"}')
+    assert record.read_manifest(tmp_path) is None
+    (tmp_path / record.RUN_FILE).touch()
+    assert record.read_manifest(tmp_path) == {"title": "made up"}
+    (tmp_path / record.MANIFEST_FILE).write_text("[]")
+    assert record.read_manifest(tmp_path) is None
+
+
 def test_a_result_replaces_a_result_and_nothing_else(dataset, tmp_path):
     for _ in range(2):
         record.write_run(tmp_path / "run", dataset, {"name": "run"}, replace=True)

@@ -11,6 +11,7 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -345,6 +346,13 @@ def test_progress_says_how_long_it_will_take():
     assert line.line(0.0).strip() == "sweep: 40 of 100 flights, 0 per minute"
     line.chunk_done(20)
     assert line.line(30.0).strip() == "sweep: 60 of 100 flights, 40 per minute, 1:00 left"
+
+
+def test_progress_counts_the_time_since_its_begin(monkeypatch, capsys):
+    clock = iter([100.0, 160.0])
+    monkeypatch.setattr("experiments.sweep.progress.time", SimpleNamespace(monotonic=lambda: next(clock)))
+    Progress("sweep", total=4, done=0).chunk_done(2)
+    assert "sweep: 2 of 4 flights, 2 per minute" in capsys.readouterr().err
 
 
 # --- flying
