@@ -60,6 +60,14 @@ def test_the_architecture_page_names_every_module_of_the_core_crate():
     assert named == {path.stem for path in (ROOT / "rust/core/src").glob("*.rs")} - {"lib"}
 
 
+def test_the_architecture_page_names_every_dependency_of_the_core_crate():
+    page = (DOCS / "architecture.md").read_text(encoding="utf-8").lower()
+    manifest = tomllib.loads((ROOT / "rust/core/Cargo.toml").read_text(encoding="utf-8"))
+    named = re.search(r"it depends on ([\w\s,]+)\.", page)
+    assert named is not None
+    assert manifest["dependencies"].keys() <= set(re.findall(r"\w+", named[1]))
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_every_block_says_how_it_is_tried(page):
     text = page.read_text(encoding="utf-8")

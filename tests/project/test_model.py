@@ -58,6 +58,17 @@ def test_files_and_names_of_an_equation_exist_and_cite_it(number):
             assert number in cited(text), f"{path.relative_to(ROOT)} does not cite M{number}"
 
 
+def test_the_architecture_page_cites_the_equations_of_every_module_of_the_core_crate():
+    core = ROOT / "rust/core/src"
+    page = (ROOT / "docs/architecture.md").read_text(encoding="utf-8").replace("[", "").replace("]", "")
+    rows = dict(re.findall(r"^\| `(\w+)` \|.*\| ([^|]*) \|$", page, re.M))
+    for number, text in equations().items():
+        for path, _ in places(text):
+            if path.is_relative_to(core):
+                module = Path(path.relative_to(core).parts[0]).stem
+                assert number in cited(rows[module]), f"{module}: M{number}"
+
+
 def test_every_number_that_is_cited_exists():
     known = set(equations())
     pages = sorted((ROOT / "docs").rglob("*.md"))
