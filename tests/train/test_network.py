@@ -156,6 +156,17 @@ def test_outputs_turn_to_base_axes_and_back_and_keep_their_length(ironcub, frame
     np.testing.assert_allclose(N.to_base_axes(frame, layout, y, wind, rotations), areas, atol=1e-12)
 
 
+@pytest.mark.parametrize(("start", "bound", "bias"), [("published", 1.0, 1.0), ("unit", np.sqrt(3.0), 0.0)])
+def test_first_weights_have_the_bounds_of_their_start(ironcub, start, bound, bias):
+    layers = init_network(jax.random.key(0), ironcub, hidden=(400, 300), start=start).layers
+    for layer in layers:
+        small = layer.weight.shape[-1] ** -0.5
+        # Of 8800 or more even draws the largest is within 1 % of its bound.
+        assert 0.99 < float(jnp.abs(layer.weight).max()) / (bound * small) <= 1.0
+        assert (float(jnp.abs(layer.bias).max()) > 0.8 * bias * small) == (bias > 0.0)
+        assert float(jnp.abs(layer.bias).max()) <= bias * small
+
+
 def test_a_component_is_drag_lift_side_as_x_z_y():
     y = jnp.arange(39.0)
     areas = N.to_base_axes("base", "component", y, jnp.array([1.0, 0.0, 0.0]), jnp.zeros((13, 3, 3)))

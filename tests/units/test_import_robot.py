@@ -70,6 +70,7 @@ def test_the_sparrows_urdf_becomes_a_robot_that_flies(tmp_path, capsys):
     assert sorted(names) == ["l_hip", "l_shoulder", "r_hip", "r_shoulder", "waist"]
     assert names.index("waist") < names.index("l_shoulder")
     assert [foot["name"] for foot in table["feet"]] == ["l_sole", "r_sole"]
+    assert {vertex[2] for foot in table["feet"] for vertex in foot["vertices"]} == {0.0}
     # The files are the user's: nothing is written over them.
     assert command.main(words) == 2
     assert "not empty" in capsys.readouterr().err
