@@ -146,7 +146,7 @@ def read_y_plus(folder: Path) -> tuple[float, float]:
     reports = (folder / "postProcessing" / "yPlus").iterdir()
     path = max(reports, key=lambda path: float(path.name)) / "yPlus.dat"
     rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
-    values = np.array([row[2:5] for row in rows if len(row) >= 5], dtype=np.float64)
+    values = np.array([row[2:] for row in rows if len(row) >= 5], dtype=np.float64)
     return float(values[:, 2].mean()), float(values[:, 1].max())
 
 

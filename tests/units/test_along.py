@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments import along, pictures, record
+from experiments import Refused, along, pictures, record
 from experiments.engine_choice import ROBOT
 from experiments.trajectory import Consumption
 from jax_aero import rust, tables
@@ -26,6 +26,11 @@ def test_fuel_is_the_integral_of_idle_and_thrust(agree):
     burnt = along.fuel_burnt(times, thrust, np.array([0.5, 0.25]), np.array([0.1, 0.2]))
     # 1.75 l/s over the first second; then up to 9.75 l/s over two, by a trapezoid.
     agree("fuel", burnt, [0.0, 1.75, 1.75 + 0.5 * (1.75 + 9.75) * 2.0], 1e-14)
+
+
+def test_a_flight_that_is_not_there_is_named():
+    with pytest.raises(Refused, match="no flight `nowhere`; fly it with: python -m experiments nowhere"):
+        along._read("nowhere")
 
 
 @pytest.fixture

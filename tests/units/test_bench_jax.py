@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import pytest
@@ -27,3 +28,27 @@ def test_the_cases_of_ours_can_be_traced():
             traced.append(case.name)
     assert {"kinematics, M, h, A_G (mjx)", "momentum QP, warm", "controller tick"} < set(traced)
     assert any("closed-loop" in name and "float32" in name for name in traced)
+
+
+def test_what_is_asked_for_is_measured(monkeypatch, capsys):
+    settings = {}
+    config = SimpleNamespace(update=settings.__setitem__)
+    monkeypatch.setattr(bench_jax, "untyped", SimpleNamespace(config=config))
+    monkeypatch.setattr(bench_jax, "_hovering", lambda: (None, None))
+    named = [SimpleNamespace(name="kinematics", is_slow=False), SimpleNamespace(name="a gradient", is_slow=True)]
+    monkeypatch.setattr(bench_jax, "cases", lambda *_: named)
+    monkeypatch.setattr(bench_jax, "_row", lambda case, sizes, _: f"{case.name} {sizes}")
+    monkeypatch.setattr(bench_jax, "_throughput", lambda *_, quick: [f"throughput {quick}"])
+
+    def rows(*words):
+        assert bench_jax.main(words) == 0
+        return [
+            line
+            for line in capsys.readouterr().out.splitlines()
+            if line and not line.startswith(("|", "Device", "The"))
+        ]
+
+    assert rows("--only", "kin") == ["kinematics [1, 64, 1024]"]
+    assert rows("--quick") == ["kinematics [1, 64]", "throughput True"]
+    assert rows("--batch", "3") == ["kinematics [3]", "a gradient [3]", "throughput False"]
+    assert settings["jax_enable_x64"] is True

@@ -456,6 +456,14 @@ class Pickling:
             yield name, pickle.loads(pickle.dumps(answer))
 
 
+def test_the_cylinder_is_five_diameters_long(measured):
+    subject = verify.subject_of("cylinder")
+    diameter, _, length = np.ptp(subject.surfaces["cylinder"].triangles.reshape(-1, 3), axis=0)
+    polygon = "a polygon stands for the circle"
+    measured("length over five diameters", abs(length / (5.0 * diameter) - 1.0), 0.02, because=polygon)
+    measured("area over the frontal one", abs(subject.area / (diameter * length) - 1.0), 0.02, because=polygon)
+
+
 def test_a_cluster_computes_the_same_cases_a_posture_at_a_time(small, tmp_path):
     here, there, cluster = tmp_path / "here", tmp_path / "there", Pickling()
     command.compute(small, here, Fake())

@@ -12,6 +12,7 @@ import pytest
 from experiments import Refused
 from experiments.import_robot import command, shapes, skeleton
 from jax_aero import mesh
+from jax_aero.symbolic import load_robot
 
 ROBOTS = Path(__file__).resolve().parents[2] / "configs" / "robot"
 
@@ -133,6 +134,8 @@ def test_what_is_not_there_is_refused_by_name(tmp_path):
         command.import_robot(urdf, folder, jets=[skeleton.Thruster("tail", "z", 100.0)])
     with pytest.raises(Refused, match="`nack` is no joint"):
         command.import_robot(urdf, folder, jets=[], held=["nack"])
+    with pytest.raises(Refused, match=r"`tial` is no joint of iRonCub-Mk1: .*l_knee"):
+        command._trim(load_robot(ROBOTS / "ironcub_mk1.toml"), {"tial": 1.0}, "x")
     with pytest.raises(Refused, match=r"package://nowhere/a.stl: 0 files"):
         mesh.mesh_file("package://nowhere/a.stl", tmp_path)
     assert not folder.exists()

@@ -179,6 +179,7 @@ def test_the_report_is_written_from_what_there_is(results, capsys):
         "## Runs of our own",
         "### ablation_terms: made up",
         "10 flights: 9 completed, 1 fell.",
+        "| `ablation_terms` | 10 | rust | 2 | 300 |",
         "TEST3",
         "26.31",
         "| all | 20 |  | 4 | 300 |",
@@ -223,6 +224,12 @@ def test_a_verdict_says_by_how_much():
     assert within(2.0, 1.0, 3.0, "m") == AGREES
     assert within(0.5, 1.0, 3.0, "m") == "differs: -0.5 m"
     assert within(3.25, 1.0, 3.0, "") == "differs: +0.25"
+
+
+def test_facts_of_the_tunnel_come_from_what_is_printed():
+    # 8.17 1/s over 0.0236 / 2.89 1/s; the silhouette over 4 m times 3.84 m.
+    assert "1000 times less than the printed ω" in facts.boundary()[0]
+    assert "over 15.4 m²" in facts.blockage()[0]
 
 
 def test_an_engine_rests_where_its_thrust_does_not_accelerate(measured):
