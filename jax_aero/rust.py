@@ -303,8 +303,7 @@ class Tick:
     com_position, mass_matrix, bias, momentum_matrix, momentum, centroidal_inertia
         As in `Dynamics`.
     link_axes, link_v_air
-        Symmetry axis of each aerodynamic link and velocity of the air relative to it (for a network, to the base
-        origin) [m/s], (links, 3).
+        Symmetry axis of each aerodynamic link and velocity of the air relative to it [m/s], (links, 3).
     link_arm_points, link_jacobian_points
         Where moments are formed and whose Jacobians carry the forces [m], (links, 3).
     aero_force
@@ -547,7 +546,7 @@ def figures() -> Mapping[str, Figure]:
 
 
 def config_digest(config: Mapping[str, Any]) -> str:
-    """SHA-256 over the configuration and the robot's files, the same on every machine."""
+    """SHA-256 over the configuration and the files that it names, the same on every machine."""
     return _core.config_digest(_to_json(config))
 
 

@@ -117,8 +117,7 @@ class LinkForces(NamedTuple):
     axes: Float[Array, "L 3"]
     """Unit axes of symmetry."""
     v_air: Float[Array, "L 3"]
-    """Velocity of the air that each force was computed with [m/s]: relative to the link, or, for a network, to
-    the base origin."""
+    """Velocity of the air relative to each link [m/s]; a network computes with that relative to the base origin."""
     arm_points: Float[Array, "L 3"]
     """Points at which moments are formed [m]."""
     jacobian_points: Float[Array, "L 3"]

@@ -52,7 +52,7 @@ class Command(NamedTuple):
     joint_torque: Float[Array, " n"]
     """[N m]."""
     setpoint: Setpoint | None = None
-    """What the controller follows. Without it a flight is lost only by a state that is not finite."""
+    """What the controller follows. Without it a flight is lost only by numbers that physics excludes."""
     joint_velocity: Float[Array, " n"] | None = None
     """`ṡ*` [rad/s]."""
     momentum_qp: QpAnswer | None = None

@@ -52,7 +52,7 @@ from jax_aero.spatial import cross, multiply
 from jax_aero.types import Array, Setpoint, State, leaf, leaves, where
 
 NOMINAL, DEGRADED, MOMENTUM_HELD, TORQUE_HELD, BOTH_HELD = range(5)
-"""Codes of `Command.status`: whether a command is what the controller wanted, as in the Rust crate.
+"""Codes of `Command.status`: whether a command is that of the control law, as in the Rust crate.
 
 Degraded: something of the measurement had to be predicted, or the robot is on its way down; `Command.degraded_modes`
 says what. Momentum held: its QP has no certified answer; rates and velocities are as near to zero as their bounds
