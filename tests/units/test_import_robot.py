@@ -13,6 +13,7 @@ from experiments import Refused
 from experiments.import_robot import command, shapes, skeleton
 from jax_aero import mesh
 from jax_aero.symbolic import load_robot
+from jax_aero.urdf import IDENTITY
 
 ROBOTS = Path(__file__).resolve().parents[2] / "configs" / "robot"
 
@@ -139,3 +140,12 @@ def test_what_is_not_there_is_refused_by_name(tmp_path):
     with pytest.raises(Refused, match=r"package://nowhere/a.stl: 0 files"):
         mesh.mesh_file("package://nowhere/a.stl", tmp_path)
     assert not folder.exists()
+
+
+def test_force_areas_are_those_of_cylinders_and_spheres():
+    """Drag coefficients of 0.8 along the axis and of 1 across it, a third of the side for the normal force; 0.5."""
+    disc = 0.25 * np.pi * 0.1**2
+    rod, ball = (skeleton._areas("a", shapes.Box(IDENTITY, np.array([0.1, 0.1, z]))) for z in (0.6, 0.1))
+    along, across = 0.8 * disc, 0.1 * 0.6
+    assert rod == f"a = {{ cda = [{along:.4g}, 0.0, {across - along:.4g}, 0.0, 0.0], cna = {across / 3.0:.4g} }}"
+    assert ball == f"a = {{ cda = [{0.5 * disc:.4g}, 0.0, 0.0, 0.0, 0.0], cna = 0.0 }}"
