@@ -10,7 +10,6 @@ recorded reference, which every engine follows, and an experiment that flies it.
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import places, rust, tables
-from jax_aero.cli import REFUSED, Parser, completes
+from jax_aero.cli import Parser, completes
+from jax_aero.command import exit_status
 from jax_aero.files import write_text
 from jax_aero.tables import Positive, Table
 
@@ -50,6 +50,16 @@ class Step(Table, frozen=True, kw_only=True):
     """Stay [s]."""
     speed: Positive | None = None
     """Greatest speed of this motion [m/s, or deg/s for a turn]; that of the file if missing."""
+
+    def __post_init__(self) -> None:
+        if len(self.motions) != 1:
+            raise ValueError("expected one motion")
+
+    @property
+    def motions(self) -> dict[str, float]:
+        """Return the motions that are given, by their key."""
+        given = msgspec.structs.asdict(self)
+        return {name: value for name, value in given.items() if name != "speed" and value is not None}
 
 
 class Waypoints(Table, frozen=True, kw_only=True):
@@ -85,15 +95,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     completes(named, lambda: places.names("waypoints"))
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the result (default results/waypoints)")
     given = parser.parse_args(arguments)
-    try:
+
+    def work() -> None:
         path = places.find("waypoints", given.name)
-        written = write(path, tables.load(path, Waypoints), (given.out or places.RESULTS / "waypoints") / path.stem)
-    except (OSError, ValueError) as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return REFUSED
-    for file in written:
-        print(os.path.relpath(file))
-    return 0
+        folder = (given.out or places.RESULTS / "waypoints") / path.stem
+        for file in write(path, tables.load(path, Waypoints), folder):
+            print(os.path.relpath(file))
+
+    return exit_status(work)
 
 
 def write(path: Path, points: Waypoints, folder: Path) -> list[Path]:
@@ -101,6 +110,8 @@ def write(path: Path, points: Waypoints, folder: Path) -> list[Path]:
     config = rust.load_config(points.experiment)
     com, rpy, forward = start_of(config)
     found = reference(points, com, forward)
+    duration = float(found.times[-1]) + points.settling
+    rust.check_config({**config, "simulator": {**config["simulator"], "duration": duration}})  # before a file as long
     rows = np.column_stack(
         [
             found.times,
@@ -119,7 +130,6 @@ def write(path: Path, points: Waypoints, folder: Path) -> list[Path]:
         f", {name} = []" for name, value in config["mission"].items() if isinstance(value, list) and value
     )
     base = os.path.relpath(points.experiment, folder.resolve())
-    duration = float(found.times[-1]) + points.settling
     write_text(
         flight,
         f"# Source: ours, jax-aero waypoints {path.stem}\nbase = {_quoted(base)}\ntitle = {_quoted(points.title)}\n"
@@ -139,18 +149,14 @@ def start_of(config: rust.Config) -> tuple[Array, Array, Array]:
 
 
 def reference(points: Waypoints, com: Array, forward: Array) -> Reference:
-    """Return the motion from a start, step by step.
-
-    Raises
-    ------
-    ValueError
-        Naming the step that has none or several motions.
-    """
+    """Return the motion from a start, step by step; what moves by nothing takes no time."""
     times, com_rows, headings = [np.array([points.start])], [_still(com)], [np.zeros(1)]
     place, heading, now = np.array(com, dtype=np.float64), 0.0, points.start
-    for number, step in enumerate(points.steps, start=1):
-        shift, turn, duration = _motion(points, number, step, place, heading, com, forward)
-        count = max(int(np.ceil(duration / SAMPLE)), 1)
+    for step in points.steps:
+        shift, turn, duration = _motion(points, step, place, heading, com, forward)
+        count = int(np.ceil(duration / SAMPLE))
+        if count == 0:
+            continue
         s = np.arange(1, count + 1) / count
         blend = _blend(s, duration)
         rows = blend[:, :, None] * shift
@@ -163,14 +169,10 @@ def reference(points: Waypoints, com: Array, forward: Array) -> Reference:
 
 
 def _motion(
-    points: Waypoints, number: int, step: Step, place: Array, heading: float, com: Array, forward: Array
+    points: Waypoints, step: Step, place: Array, heading: float, com: Array, forward: Array
 ) -> tuple[Array, float, float]:
     """Return shift [m], turn [rad] and duration [s] of one step."""
-    given = msgspec.structs.asdict(step)
-    motions = {name: value for name, value in given.items() if name != "speed" and value is not None}
-    if len(motions) != 1:
-        raise ValueError(f"step {number} has {', '.join(motions) or 'no motion'}; expected one motion")
-    ((kind, value),) = motions.items()
+    ((kind, value),) = step.motions.items()
     if kind == "hold":
         return np.zeros(3), 0.0, value
     if kind == "turn_deg":

@@ -93,18 +93,18 @@ def read_tree(urdf_text: str, base_link: str, order: Sequence[str], locked: Mapp
     ValueError
         Naming the link or joint that cannot be.
     """
-    root = _root_of(urdf_text)
-    links = {_attribute(element, "name"): element for element in root.iter("link")}
+    root = root_of(urdf_text)
+    links = {attribute(element, "name"): element for element in root.iter("link")}
     joints = list(root.findall("joint"))
-    joint_names = [_attribute(joint, "name") for joint in joints]
-    for item, listed in (("link", [_attribute(link, "name") for link in root.iter("link")]), ("joint", joint_names)):
+    joint_names = [attribute(joint, "name") for joint in joints]
+    for item, listed in (("link", [attribute(link, "name") for link in root.iter("link")]), ("joint", joint_names)):
         if repeated := {name for name in listed if listed.count(name) > 1}:
             raise ValueError(f"{item} `{min(repeated)}` stands in the URDF more than once")
     _refuse_unknown("joint order", order, joint_names)
     _refuse_unknown("list of locked joints", locked, joint_names)
     children: dict[str, list[ElementTree.Element]] = {name: [] for name in links}
     for joint in joints:
-        parent = _attribute(_child(joint, "parent"), "link")
+        parent = attribute(_child(joint, "parent"), "link")
         _refuse_unknown(f"parent of joint `{joint.attrib['name']}`", [parent], list(links))
         children[parent].append(joint)
     _refuse_unknown("base_link", [base_link], list(links))
@@ -122,7 +122,7 @@ def read_tree(urdf_text: str, base_link: str, order: Sequence[str], locked: Mapp
         parts[body] += _parts(links[link], body_from_link)
         places[link] = (body, body_from_link)
         for joint in children[link]:
-            name, child = joint.attrib["name"], _attribute(_child(joint, "child"), "link")
+            name, child = joint.attrib["name"], attribute(_child(joint, "child"), "link")
             body_from_joint = body_from_link @ origin_of(joint)
             _refuse_unknown(f"child of joint `{name}`", [child], list(links))
             motion = motions[name]
@@ -153,7 +153,8 @@ def read_tree(urdf_text: str, base_link: str, order: Sequence[str], locked: Mapp
     return BodyTree(bodies, [moving[place] for place in range(len(order))], places)
 
 
-def _root_of(urdf_text: str) -> ElementTree.Element:
+def root_of(urdf_text: str) -> ElementTree.Element:
+    """Return the root of a URDF's tags; what is no XML, or nests more than `MAX_DEPTH` deep, is a `ValueError`."""
     depth, root = 0, ElementTree.Element("")
     try:
         for event, element in ElementTree.iterparse(io.StringIO(urdf_text), ("start", "end")):
@@ -199,30 +200,31 @@ def _child(element: ElementTree.Element, tag: str) -> ElementTree.Element:
     return found
 
 
-def _attribute(element: ElementTree.Element, key: str) -> str:
+def attribute(element: ElementTree.Element, key: str) -> str:
+    """Return an attribute of a tag; a `ValueError` names both where it is missing."""
     found = element.attrib.get(key)
     if found is None:
         raise ValueError(f"a <{element.tag}> has no `{key}`")
     return found
 
 
-def _numbers(element: ElementTree.Element, key: str, count: int, default: str | None = None) -> Vector:
-    """Read so many numbers of an attribute, none beyond `GREATEST`."""
-    text = _attribute(element, key) if default is None else element.attrib.get(key, default)
+def numbers(element: ElementTree.Element, key: str, count: int, default: str | None = None) -> Vector:
+    """Read so many numbers of an attribute, none beyond `GREATEST`; a `ValueError` names tag, key and text."""
+    text = attribute(element, key) if default is None else element.attrib.get(key, default)
     try:
-        numbers = np.array([float(word) for word in text.split()])
+        found = np.array([float(word) for word in text.split()])
     except ValueError:
-        numbers = np.array([])
-    if numbers.size != count or not (np.abs(numbers) <= GREATEST).all():
+        found = np.array([])
+    if found.size != count or not (np.abs(found) <= GREATEST).all():
         raise ValueError(
             f"`{key}` of a <{element.tag}> is `{text}`; expected {'a number' if count == 1 else f'{count} numbers'} "
             f"up to {GREATEST:g}"
         )
-    return numbers
+    return found
 
 
 def _number(element: ElementTree.Element, key: str, default: str | None = None) -> float:
-    return float(_numbers(element, key, 1, default)[0])
+    return float(numbers(element, key, 1, default)[0])
 
 
 def origin_of(element: ElementTree.Element) -> Pose:
@@ -230,14 +232,14 @@ def origin_of(element: ElementTree.Element) -> Pose:
     origin = element.find("origin")
     if origin is None:
         return IDENTITY
-    roll, pitch, yaw = _numbers(origin, "rpy", 3, "0 0 0")
+    roll, pitch, yaw = numbers(origin, "rpy", 3, "0 0 0")
     about = [_rotation_about(axis, angle) for axis, angle in zip(np.eye(3), (roll, pitch, yaw), strict=True)]
-    return Pose(about[2] @ about[1] @ about[0], _numbers(origin, "xyz", 3, "0 0 0"))
+    return Pose(about[2] @ about[1] @ about[0], numbers(origin, "xyz", 3, "0 0 0"))
 
 
 def _axis(joint: ElementTree.Element) -> Vector:
     element = joint.find("axis")
-    axis = _numbers(element, "xyz", 3) if element is not None else np.array([1.0, 0.0, 0.0])
+    axis = numbers(element, "xyz", 3) if element is not None else np.array([1.0, 0.0, 0.0])
     length = np.linalg.norm(axis)
     if abs(length - 1.0) > 1e-6:
         raise ValueError(f"axis of joint `{joint.attrib['name']}` is {axis}; expected a vector of length 1")

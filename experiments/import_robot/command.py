@@ -10,7 +10,7 @@ and, with --mission, the paper's flight in 10 m/s of lateral wind. All files sta
 from __future__ import annotations
 
 import argparse
-import xml.etree.ElementTree as ET
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,11 +22,13 @@ from experiments.import_robot import scenario, shapes, skeleton
 from jax_aero import rust
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
+from jax_aero.files import complete_folder, read_text
 from jax_aero.robot import load_robot as load_twin
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.aero import load_aero
 from jax_aero.symbolic.robot import Robot, rotation_of
 from jax_aero.symbolic.trim import Trim, TrimResult, TrimSettings
+from jax_aero.urdf import root_of
 
 HOVER, MISSION = "hover", "in_line"
 
@@ -68,7 +70,7 @@ def _parser() -> Parser:
     add = parser.add_argument
     add("urdf", type=Path)
     add("--out", type=Path, help="folder for the files (default: results/robot/URDF)")
-    add("--jet", action="append", default=[], type=thruster, metavar="FRAME[:AXIS]:MAX", help="greatest thrust [N]")
+    add("--jet", action="append", required=True, type=thruster, metavar="FRAME[:AXIS]:MAX", help="greatest thrust [N]")
     add("--foot", action="append", default=[], metavar="FRAME", help="sole frame, z up")
     add("--hold", action="append", default=[], metavar="JOINT", help="a joint that stays at zero")
     add("--posture", action="append", default=[], type=angle, metavar="JOINT=DEG", help="where the trim starts")
@@ -79,17 +81,20 @@ def _parser() -> Parser:
 
 def thruster(text: str) -> skeleton.Thruster:
     """Read FRAME[:AXIS]:MAX; the axis is the direction of the force on the robot, -z if it is not given."""
-    frame, *axis, greatest = text.split(":")
-    direction = axis[0] if axis else "-z"
-    if len(axis) > 1 or direction not in skeleton.AXES or not 0.0 < float(greatest) < np.inf:
-        raise argparse.ArgumentTypeError(f"`{text}`: expected FRAME[:AXIS]:MAX with an axis of {list(skeleton.AXES)}")
-    return skeleton.Thruster(frame, direction, float(greatest))
+    parts = re.fullmatch(r"([^:]+)(?::(-?[xyz]))?:(\d+\.?\d*)", text)
+    if parts is None:
+        expected = f"FRAME[:AXIS]:MAX with an axis of {', '.join(skeleton.AXES)} and a thrust in N"
+        raise argparse.ArgumentTypeError(f"`{text}`; expected {expected}")
+    return skeleton.Thruster(parts[1], parts[2] or "-z", float(parts[3]))
 
 
 def angle(text: str) -> tuple[str, float]:
     """Read JOINT=DEG; of a prismatic joint JOINT=M."""
     joint, _, value = text.partition("=")
-    return joint, float(value)
+    try:
+        return joint, float(value)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"`{text}`; expected JOINT=DEG, e.g. l_elbow=30") from None
 
 
 def import_robot(
@@ -103,38 +108,38 @@ def import_robot(
     forward: str = "x",
     fly_mission: bool = False,
 ) -> Imported:
-    """Write a robot's files into `folder`, which must be new or empty, and fly it."""
+    """Write a robot's files into `folder`, which must be new or empty, and fly it; a refusal leaves no file there."""
     if folder.exists() and any(folder.iterdir()):
         raise Refused(f"{folder} is not empty; choose another --out")
-    element = ET.fromstring(urdf.read_text(encoding="utf-8"))
-    tree = skeleton.Tree(element)
-    text = skeleton.write(
-        tree,
-        shapes.boxes(element, urdf.parent),
-        name=element.attrib.get("name", urdf.stem),
-        urdf=urdf,
-        folder=folder,
-        jets=jets,
-        feet=feet,
-        held=held,
-        forward=forward,
-    )
-    folder.mkdir(parents=True, exist_ok=True)
-    path = _write(folder / "robot.toml", "robot", text)
-    rust.Robot(path)  # both loaders check it
-    load_twin(path)
-    robot = load_robot(path)
-    trim = _trim(robot, posture_deg or {}, forward)
-    if not trim.feasible:
-        return Imported(folder, trim, None, None)
-    groups = [skeleton.group_name(chain) for chain in tree.chains(held)]
-    text = scenario.controller_text(robot, groups, _inertia(path, trim), folder)
-    _write(folder / "controller.toml", "control", text)
-    hover = _fly(folder, robot, trim, "hover", mission=HOVER, wind="still", duration=10.0)
-    mission = None
-    if fly_mission:
-        mission = _fly(folder, robot, trim, "mission", mission=MISSION, wind="lateral_ramp", duration=50.0)
-    return Imported(folder, trim, hover, mission)
+    with complete_folder(folder) as draft:
+        element = root_of(read_text(urdf))
+        tree = skeleton.Tree(element)
+        text = skeleton.write(
+            tree,
+            shapes.boxes(element, urdf.parent),
+            name=element.attrib.get("name", urdf.stem),
+            urdf=urdf,
+            folder=draft,
+            jets=jets,
+            feet=feet,
+            held=held,
+            forward=forward,
+        )
+        path = _write(draft / "robot.toml", "robot", text)
+        rust.Robot(path)  # both loaders check it
+        load_twin(path)
+        robot = load_robot(path)
+        trim = _trim(robot, posture_deg or {}, forward)
+        if not trim.feasible:
+            return Imported(folder, trim, None, None)
+        groups = [skeleton.group_name(chain) for chain in tree.chains(held)]
+        text = scenario.controller_text(robot, groups, _inertia(path, trim), draft)
+        _write(draft / "controller.toml", "control", text)
+        hover = _fly(draft, robot, trim, "hover", mission=HOVER, wind="still", duration=10.0)
+        mission = None
+        if fly_mission:
+            mission = _fly(draft, robot, trim, "mission", mission=MISSION, wind="lateral_ramp", duration=50.0)
+        return Imported(folder, trim, hover, mission)
 
 
 def _trim(robot: Robot, posture_deg: dict[str, float], forward: str) -> TrimResult:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from experiments import Refused
 from jax_aero.mesh import mesh_file
-from jax_aero.urdf import Pose, origin_of
+from jax_aero.urdf import Pose, attribute, numbers, origin_of
 
 Array = NDArray[np.float64]
 
@@ -39,7 +38,7 @@ def boxes(urdf: ET.Element, folder: Path) -> dict[str, Box]:
         elements = link.findall("visual") or link.findall("collision")
         parts = [_box(element, folder) for element in elements if element.find("geometry") is not None]
         if parts:
-            found[link.attrib["name"]] = parts[0] if len(parts) == 1 else _around(parts)
+            found[attribute(link, "name")] = parts[0] if len(parts) == 1 else _around(parts)
     return found
 
 
@@ -55,17 +54,15 @@ def _box(element: ET.Element, folder: Path) -> Box:
     shape = None if geometry is None else next(iter(geometry), None)
     if shape is None:
         raise Refused("a <geometry> of the URDF is empty")
-    values: Mapping[str, str] = shape.attrib
     if shape.tag == "sphere":
-        return Box(origin, np.full(3, 2.0 * float(values["radius"])), is_sphere=True)
+        return Box(origin, np.full(3, 2.0 * numbers(shape, "radius", 1)), is_sphere=True)
     if shape.tag in ("cylinder", "capsule"):
-        diameter = 2.0 * float(values["radius"])
-        return Box(origin, np.array([diameter, diameter, float(values["length"])]))
+        diameter = 2.0 * numbers(shape, "radius", 1)
+        return Box(origin, np.concatenate([diameter, diameter, numbers(shape, "length", 1)]))
     if shape.tag == "box":
-        return Box(origin, np.array([float(word) for word in values["size"].split()]))
+        return Box(origin, numbers(shape, "size", 3))
     if shape.tag == "mesh":
-        scale = np.array([float(word) for word in values.get("scale", "1 1 1").split()])
-        points = mesh_points(mesh_file(values["filename"], folder)) * scale
+        points = mesh_points(mesh_file(attribute(shape, "filename"), folder)) * numbers(shape, "scale", 3, "1 1 1")
         low, high = points.min(axis=0), points.max(axis=0)
         return Box(origin @ Pose(np.eye(3), (low + high) / 2), high - low)
     raise Refused(f"geometry <{shape.tag}> is unknown; expected sphere, cylinder, capsule, box or mesh")

@@ -12,7 +12,7 @@ import numpy as np
 
 from experiments import Refused
 from experiments.import_robot.shapes import Array, Box
-from jax_aero.urdf import IDENTITY, Pose, origin_of
+from jax_aero.urdf import IDENTITY, Pose, attribute, numbers, origin_of
 
 AXES = {
     f"{sign}{name}": (-1.0 if sign else 1.0) * row
@@ -46,7 +46,10 @@ class Joint:
     parent: str
     child: str
     origin: Pose
-    limit: dict[str, str]
+    effort: float
+    """Greatest force or torque [N, N m]; 0 where the URDF has none."""
+    velocity: float
+    """Greatest velocity [m/s, rad/s]; 0 where the URDF has none."""
 
     @property
     def moves(self) -> bool:
@@ -58,13 +61,15 @@ class Tree:
     """Links and joints of a URDF, walked from the root."""
 
     def __init__(self, urdf: ET.Element) -> None:
-        self.links = [link.attrib["name"] for link in urdf.findall("link")]
+        self.links = [attribute(link, "name") for link in urdf.findall("link")]
         self.joints = [_joint(element) for element in urdf.findall("joint")]
         carried = {joint.child for joint in self.joints}
         roots = [link for link in self.links if link not in carried]
         if len(roots) != 1:
             raise Refused(f"the URDF has {len(roots)} links that no joint carries; expected one, the base")
         self.base = roots[0]
+        if len(carried) < len(self.joints):
+            raise Refused("a link of the URDF is the child of more than one joint")
 
     def below(self, link: str) -> list[Joint]:
         """Joints that hang from a link."""
@@ -116,13 +121,17 @@ def _joint(element: ET.Element) -> Joint:
     ends = [element.find(tag) for tag in ("parent", "child")]
     parent, child = ("" if end is None else end.get("link", "") for end in ends)
     limit = element.find("limit")
+    effort, velocity = (
+        0.0 if limit is None else float(numbers(limit, key, 1, "0")[0]) for key in ("effort", "velocity")
+    )
     return Joint(
         element.get("name", ""),
         element.get("type", ""),
         parent,
         child,
         origin_of(element),
-        {} if limit is None else dict(limit.attrib),
+        effort,
+        velocity,
     )
 
 
@@ -192,13 +201,12 @@ def _groups(chains: Sequence[Sequence[Joint]]) -> list[str]:
 
 def _joint_entry(joint: Joint) -> list[str]:
     entry = [f'name = "{joint.name}"']
-    effort, velocity = (float(joint.limit.get(key, "0")) for key in ("effort", "velocity"))
     turns = joint.kind != "prismatic"
     if joint.kind == "continuous":
         entry.append("limits_deg = [-180.0, 180.0]")
-    if not 0.0 < effort < PLACEHOLDER:
+    if not 0.0 < joint.effort < PLACEHOLDER:
         entry.append("torque_max = 100.0")
-    if not 0.0 < velocity < PLACEHOLDER:
+    if not 0.0 < joint.velocity < PLACEHOLDER:
         entry.append("velocity_max_deg = 180.0" if turns else "velocity_max = 1.0")
     return entry
 

@@ -129,6 +129,48 @@ def test_an_obj_has_its_vertices(tmp_path):
     assert shapes.mesh_points(tmp_path / "a.OBJ").tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
 
 
+@pytest.mark.parametrize(
+    ("written", "spoilt", "words"),
+    [
+        ("</robot>", "", "the URDF is no XML: "),
+        ('<link name="torso">', "<link>", "a <link> has no `name`"),
+        ('effort="', 'effort="x', "`effort` of a <limit> is `x"),
+        ('size="', 'size="x', "`size` of a <box> is `x"),
+        (
+            "</robot>",
+            '<joint><parent link="torso"/><child link="torso"/></joint></robot>',
+            "child of more than one joint",
+        ),
+    ],
+)
+def test_a_spoilt_urdf_is_refused_by_name_and_leaves_no_file(tmp_path, written, spoilt, words):
+    text = (ROBOTS / "sparrow.urdf").read_text()
+    assert written in text
+    (tmp_path / "spoilt.urdf").write_text(text.replace(written, spoilt, 1))
+    jets = [command.thruster("back_nozzle:60")]
+    with pytest.raises(ValueError, match=words):
+        command.import_robot(tmp_path / "spoilt.urdf", tmp_path / "out", jets=jets)
+    with pytest.raises(ValueError, match="listed more than once"):
+        command.import_robot(ROBOTS / "sparrow.urdf", tmp_path / "out", jets=2 * jets)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "required: --jet"),
+        (["--jet", "nozzle"], "--jet: `nozzle`; expected FRAME"),
+        (["--jet", "nozzle:-z"], "--jet: `nozzle:-z`; expected FRAME"),
+        (["--jet", "nozzle:up:3"], "--jet: `nozzle:up:3`; expected FRAME"),
+        (["--jet", "nozzle:3", "--posture", "knee"], "--posture: `knee`; expected JOINT=DEG"),
+    ],
+)
+def test_what_an_option_expects_is_said(words, message, capsys):
+    with pytest.raises(SystemExit):
+        command.main(["robot.urdf", *words])
+    assert message in capsys.readouterr().err
+
+
 def test_what_is_not_there_is_refused_by_name(tmp_path):
     urdf, folder = ROBOTS / "sparrow.urdf", tmp_path / "out"
     with pytest.raises(Refused, match="`tail` is no link"):

@@ -1,5 +1,7 @@
 """Missions of waypoints: smooth, in the directions they name, refused where they are not clear, and flown."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -42,13 +44,24 @@ def test_derivatives_are_those_of_the_positions():
         measured(f"derivative {order + 1}", np.abs(slope - found.com[order + 1, 2:-1]).max(), tolerance, why)
 
 
-@pytest.mark.parametrize(
-    ("step", "message"),
-    [(Step(), "step 1 has no motion"), (Step(forward=1.0, climb=1.0), "forward, climb; expected one")],
-)
-def test_an_unclear_step_is_refused(step, message):
-    with pytest.raises(ValueError, match=message):
-        reference(points(step), np.zeros(3), EAST)
+@pytest.mark.parametrize("step", [{}, {"forward": 1.0, "climb": 1.0}])
+def test_an_unclear_step_is_refused(step):
+    table = {"experiment": places.find("experiments", "test2"), "title": "", "steps": [{"hold": 1.0}, step]}
+    with pytest.raises(ValueError, match=r"a.toml: `steps\[1\]` is .*; expected one motion"):
+        tables.convert(table, Waypoints, "a.toml")
+
+
+def test_a_motion_by_nothing_takes_no_time():
+    steps = (Step(forward=0.0), Step(climb_to=1.0), Step(climb_to=1.0), Step(turn_deg=0.0))
+    found, without = (reference(points(*some), np.zeros(3), EAST) for some in (steps, steps[1:2]))
+    assert np.array_equal(found.times, without.times)
+    assert np.array_equal(found.com, without.com)
+
+
+def test_a_mission_beyond_the_longest_flight_writes_nothing(tmp_path):
+    with pytest.raises(ValueError, match="expected at most ten million ticks"):
+        waypoints.write(Path("far.toml"), points(Step(forward=1e6)), tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_shipped_box_is_written_and_can_be_flown(tmp_path, capsys):
