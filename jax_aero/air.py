@@ -97,7 +97,15 @@ class Air:
 
         `cvel` holds the angular velocity and, of the point of the body at the centre of mass of its whole tree, the
         linear one; here velocities are those of the bodies' origins.
+
+        Raises
+        ------
+        ValueError
+            If `wind` is not of three components.
         """
+        wind = jnp.asarray(wind)
+        if wind.shape != (3,):
+            raise ValueError(f"`wind` has shape {wind.shape}; expected (3,), the velocity of the air in world axes")
         bodies, roots = np.array(self.bodies, dtype=int), np.array(self.roots, dtype=int)
         positions, velocities = jnp.asarray(data.xpos)[bodies], jnp.asarray(data.cvel)[bodies]
         angular = velocities[:, :3]

@@ -5,9 +5,10 @@ Functions are given `numpy` or `jax.numpy`, so that the environment of JAX and t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 Steering = Literal["residual", "rates"]
 """What an action is: added to the controller's answer, or in its place."""
@@ -30,6 +31,12 @@ class Task:
     """Of an action of 1 [N/s]."""
     joint_velocity: float = 0.5
     """Of an action of 1 [rad/s]."""
+
+    def __post_init__(self) -> None:
+        if self.steering not in (known := get_args(Steering)):
+            raise ValueError(f"`steering` is {self.steering!r}; expected one of {', '.join(known)}")
+        if not 0.0 <= self.wind_max < math.inf:
+            raise ValueError(f"`wind_max` is {self.wind_max}; expected a number ≥ 0")
 
     def episode(self, config: Mapping[str, Any]) -> dict[str, Any]:
         """Return the configuration of an episode in still air, from that of the experiment."""

@@ -117,6 +117,17 @@ def test_bad_links_are_refused(links, message):
         air.of_links(mujoco.MjModel.from_xml_string(PENDULUM), links)
 
 
+def test_wind_may_be_a_list_of_three_and_nothing_else():
+    model = mujoco.MjModel.from_xml_string(PENDULUM)
+    around, data = air.of_links(model, [air.Link("arm", 0.1)]), mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    force = np.asarray(around.xfrc(data, [8.0, 0.0, 0.0]))
+    assert np.array_equal(force, around.xfrc(data, np.array([8.0, 0.0, 0.0])))
+    for wind in (8.0, [8.0, 0.0]):
+        with pytest.raises(ValueError, match=r"`wind` has shape \((2,)?\); expected \(3,\)"):
+            around.callback(wind)(model, data)
+
+
 def test_a_robot_that_is_not_there_is_refused():
     with pytest.raises(ValueError, match="the model has no body `root_link`"):
         air.of_robot(mujoco.MjModel.from_xml_string(PENDULUM))

@@ -98,6 +98,10 @@ def test_the_added_torque_is_what_the_torque_law_would_add(x64):
 def test_a_task_names_what_it_does_not_know():
     with pytest.raises(ValueError, match="did you mean test1"):
         FlightEnv(Task(experiment="tset1"))
+    with pytest.raises(ValueError, match="`steering` is 'rate'; expected one of residual, rates"):
+        Task(steering="rate")
+    with pytest.raises(ValueError, match="`wind_max` is -3; expected a number ≥ 0"):
+        Task(wind_max=-3)
 
 
 def test_the_example_imports_names_that_exist():
