@@ -13,6 +13,7 @@ kinds, the types say; no key is judged before all files are merged.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Mapping
 from os import PathLike
 from pathlib import Path
@@ -53,11 +54,15 @@ def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None =
 
 
 def override(table: Table, key: str, value: Any) -> None:
-    """Set a dotted key. There is no file at which a path could start, so it starts at the current folder."""
+    """Set a dotted key. There is no file at which its paths could start, so they start at the current folder."""
+    *parents, last = key.split(".")
     place: inspect.Type | None = FLIGHT
-    for part in key.split("."):
+    for part in parents:
         place = _below(place, part)
-    set_key(table, key, str(Path(value).resolve()) if _is_path(place) and isinstance(value, str) else value)
+    entry = {last: copy.deepcopy(value)}
+    for inner, name in paths(entry, place):
+        inner[name] = str(Path(inner[name]).resolve())
+    set_key(table, key, entry[last])
 
 
 def scenario_config(table: Mapping[str, Any]) -> ScenarioConfig:

@@ -27,6 +27,7 @@ import copy
 import difflib
 import functools
 import json
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from os import PathLike
@@ -674,13 +675,15 @@ def _with_overrides(config: Config, overrides: Mapping[str, Any]) -> Config:
 
 
 def _refuse_unknown(config: Config, key: str, value: Any) -> None:
-    """Raise for a key that is not in `config` and that the crate does not accept on its own either."""
+    """Raise if the crate does not know a key that is not in `config`."""
     alone = copy.deepcopy(config)
     override(alone, key, value)
     try:
         check_config(alone)
     except ValueError as reason:
-        raise ValueError(f"unknown key `{key}`{_suggestion(config, key)} ({reason})") from None
+        named = re.search("unknown key `(.*?)`", str(reason))
+        if named is not None and f"{key}.".startswith(f"{named[1]}."):
+            raise ValueError(f"unknown key `{key}`{_suggestion(config, key)} ({reason})") from None
 
 
 def _suggestion(config: Config, key: str) -> str:

@@ -256,6 +256,12 @@ def test_a_path_on_the_command_line_starts_at_the_current_folder(key, tmp_path, 
     table = {part: {"aero": {}} for part in ("simulator", "controller")} | {"wind": {}, "mission": {}}
     io.override(table, key, "here.txt")
     assert get(table, key) == str(tmp_path / "here.txt")
+    table_key, _, last = key.rpartition(".")
+    if table_key:
+        given = {last: "here.txt"}
+        io.override(table, table_key, given)
+        assert get(table, key) == str(tmp_path / "here.txt")
+        assert given == {last: "here.txt"}
     io.override(table, "title", "here.txt")
     assert table["title"] == "here.txt"
 

@@ -33,6 +33,14 @@ def test_overrides_are_judged_together():
         rust.load_config(TEST2, {"wind.ramp_start": 12.0})
 
 
+def test_a_wrong_value_of_a_known_key_does_not_make_the_key_unknown():
+    failure = {"jet": "l_arm", "time": 1.0, "kind": "off"}
+    with pytest.raises(ValueError, match=r"^cannot set `disturbances\.jets\.failure` = .* names `l_arm`"):
+        rust.load_config(TEST2, {"disturbances.jets.failure": failure})
+    with pytest.raises(ValueError, match=r"^unknown key `disturbances\.jets\.failur`; did you mean"):
+        rust.load_config(TEST2, {"disturbances.jets.failur": failure})
+
+
 @pytest.mark.parametrize("value", [np.float64, {1, 2}, float("nan")])
 def test_a_value_no_file_could_hold_is_refused(value):
     with pytest.raises(ValueError, match="no number, text, list or table"):
