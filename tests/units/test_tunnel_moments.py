@@ -149,6 +149,9 @@ def test_figures_of_the_comparison_are_those_of_its_points(robot, points, monkey
     without = np.sqrt(np.mean(np.sum(measured[alone] ** 2, axis=1)))
     agree("no model", found["hovering, centre above, no moment, corrected arms: rms [N m]"], 61.25 * without, 1e-12)
     name = tunnel_moments.CORRECTED[0]
+    # Arms matter to a model that has forces.
+    arms = [f"hovering, centre above, {model}, published arms: rms [N m]" in found for model in (name, "no moment")]
+    assert arms == [True, False]
     more = [found[f"all, centre below, {name}: published arms add, {text}"] for text in tunnel_moments.ADDED]
     assert more[0] <= more[1]
     assert 0.0 <= more[2] <= 1.0

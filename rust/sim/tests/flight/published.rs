@@ -32,18 +32,17 @@ fn with_last_bits(config: &ScenarioConfig) -> Vec<FlightResult> {
     fly(&[0, 1, 2, 3].map(nudged))
 }
 
-/// Whether flights that differ in last bits all fall or all complete; if not, the outcome is no claim.
-fn outcome_is_certain(flights: &[FlightResult]) -> bool {
-    flights.iter().all(|flight| flight.loss.is_some() == flights[0].loss.is_some())
+/// Flights that differ in last bits all fall or all complete: else the outcome would be no claim.
+#[track_caller]
+fn assert_outcome_is_certain(flights: &[FlightResult]) {
+    let lost: Vec<bool> = flights.iter().map(|flight| flight.loss.is_some()).collect();
+    assert!(lost.iter().all(|one| *one == lost[0]), "last bits decide who is lost: {lost:?}");
 }
 
-/// The robot is lost by turning over, in a window of time widened by what last bits change of it; nothing is
-/// claimed where they decide whether it is lost.
+/// The robot is lost by turning over, in a window of time widened by what last bits change of it.
 #[track_caller]
 fn assert_turned_over(flights: &[FlightResult], from: f64, to: f64) {
-    if !outcome_is_certain(flights) {
-        return;
-    }
+    assert_outcome_is_certain(flights);
     let times: Vec<f64> = flights.iter().map(|flight| flight.loss.unwrap().time).collect();
     let (first, last) = times.iter().fold((f64::MAX, f64::MIN), |(a, b), t| (a.min(*t), b.max(*t)));
     let spread = last - first;
@@ -216,9 +215,7 @@ fn test2_overshoots_where_the_fast_leg_ends() {
 fn test1_with_right_arms_is_degraded() {
     let config = as_published("test1");
     let flights = with_last_bits(&config);
-    if !outcome_is_certain(&flights) {
-        return;
-    }
+    assert_outcome_is_certain(&flights);
     let flight = &flights[0];
     assert_completed(flight, &config);
     assert_sound(flight);
@@ -324,9 +321,7 @@ fn the_baseline_degrades_with_the_wind() {
     let side = |speed: f64| with(as_published("test1"), |config| config.wind = ramp_to([0.0, -speed, 0.0]));
     for (speed, tabled) in speeds.into_iter().zip(tabled) {
         let flights = with_last_bits(&side(speed));
-        if !outcome_is_certain(&flights) {
-            continue;
-        }
+        assert_outcome_is_certain(&flights);
         let flight = &flights[0];
         assert!(flight.loss.is_none(), "{speed} m/s: {:?}", flight.loss);
         let error = flight.summary.max_rotation_error.to_degrees();
