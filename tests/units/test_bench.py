@@ -60,6 +60,7 @@ def test_the_tables_name_every_contender_and_what_is_missing(capsys):
     text = capsys.readouterr().out
     assert "| dynamics, without Jacobians | 3.00 µs | 10.00 µs | 0.30 | Pinocchio, a |" in text
     assert "| torque QP, saturated, cold | 5.00 µs | 5.00 µs | 1.00 | DAQP, a |" in text
+    assert "| flight of 50 s, one core | 0.250 s | | | |" in text
     assert text.count("Clarabel") == 2 * len(bench.QPS)
     assert text.endswith("DAQP is absent\n")
     bench._print_machine(native=False)
