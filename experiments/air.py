@@ -7,14 +7,14 @@ centre of mass, in base axes. One angle may be a range, FROM:TO:STEP.
     jax-aero air --posture hovering --alpha 0:180:5 --beta 0
     jax-aero air --posture hovering --alpha 90 --beta -90:90:10 --model network sphere_cylinder --beside wind_tunnel
 
-Writes a CSV file with every number and a figure, to results/air/.
+Writes a CSV file with every number and a figure, to results/air/, whose names state robot, models, posture and wind.
 """
 
 from __future__ import annotations
 
+import argparse
 import csv
 import os
-import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -28,7 +28,8 @@ from matplotlib.figure import Figure
 from jax_aero import air, places
 from jax_aero.aero import AeroModel, LinkConventions, aero_model, link_forces
 from jax_aero.aero.dataset import JOINTS, Floats, tunnel_from_base
-from jax_aero.cli import REFUSED, Parser, completes
+from jax_aero.cli import Parser, completes
+from jax_aero.command import exit_status
 from jax_aero.files import complete_file
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import RobotModel, load_robot
@@ -56,26 +57,28 @@ class Loads(NamedTuple):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print, write and draw; return the exit status."""
     given = _parser().parse_args(arguments)
-    try:
-        alphas, betas = angles("--alpha", given.alpha), angles("--beta", given.beta)
-        if min(len(alphas), len(betas)) > 1:
-            raise ValueError("--alpha and --beta are both ranges; expected one range")  # noqa: TRY301
-        if not given.speed > 0.0:
-            raise ValueError(f"--speed is {given.speed}; expected a positive number")  # noqa: TRY301
-        robot = load_robot(places.find("robot", given.robot))
-        joints = posture(robot, given.posture)
-        tables = [(name, points(name, given.posture, alphas, betas)) for name in given.beside]
-        with jax.enable_x64(True):
-            found = {
-                name: loads(robot, aero_model(air.settings(name), robot), joints, alphas, betas, given.speed)
-                for name in given.model
-            }
-    except ValueError as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return REFUSED
+    return exit_status(lambda: _compute(given))
+
+
+def _compute(given: argparse.Namespace) -> None:
+    alphas, betas = angles("--alpha", given.alpha), angles("--beta", given.beta)
+    if min(len(alphas), len(betas)) > 1:
+        raise ValueError("--alpha and --beta are both ranges; expected one range")
+    if not given.speed > 0.0:
+        raise ValueError(f"--speed is {given.speed}; expected a positive number")
+    robot = load_robot(places.find("robot", given.robot))
+    joints = posture(robot, given.posture)
+    tables = [(name, points(name, given.posture, alphas, betas)) for name in given.beside]
+    with jax.enable_x64(True):
+        found = {
+            name: loads(robot, aero_model(air.settings(name), robot), joints, alphas, betas, given.speed)
+            for name in given.model
+        }
     rows = list(_rows(robot, found, alphas, betas, given.speed))
     print(_listing(rows))
-    name = f"{given.posture}--alpha={given.alpha}--beta={given.beta}".replace(":", "_")
+    models = "_".join(Path(name).stem for name in given.model)
+    wind = f"alpha={given.alpha}--beta={given.beta}--speed={given.speed:g}".replace(":", "_")
+    name = f"{robot.name}--{models}--{given.posture}--{wind}"
     out = given.out or places.RESULTS / "air"
     with complete_file(out / f"{name}.csv") as draft, draft.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, ["model", "link", "alpha_deg", "beta_deg", *COLUMNS])
@@ -85,7 +88,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _draw(rows, tables, robot, given).savefig(draft, dpi=150)
     for suffix in (".csv", ".png"):
         print(os.path.relpath(out / f"{name}{suffix}"))
-    return 0
 
 
 def _parser() -> Parser:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, study
+from experiments import study
 from experiments.study import CONFIGS, Findings, Study
 from jax_aero import tables
 from jax_aero.aero import fit
@@ -37,8 +37,6 @@ class FitConfig(tables.Table, frozen=True):
 def compute(name: str, config: FitConfig) -> Findings:
     """Fit and compare."""
     path = Path(config.dataset) if config.dataset else study.RESULTS / "datasets" / f"{name}.nc"
-    if not path.is_file():
-        raise Refused(f"no dataset {path}; write it with: python -m experiments import-cfd")
     computed = load(path)
     computed = computed.take(~computed.is_mirrored)
     dataset = computed.mirrored()

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import copy
 import json
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from experiments import Refused, flight, manifest, record
 from jax_aero import cli, places, result, rust
+from jax_aero.command import exit_status
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -25,25 +25,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=flight.RESULTS, help="folder of the result folder")
     parser.add_argument("--overwrite", action="store_true", help="replace a result of that name")
     given = parser.parse_args(arguments)
-    try:
+
+    def work() -> None:
         document = read(given.run, given.out / given.name, overwrite=given.overwrite)
-    except Refused as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return cli.REFUSED
-    when = "" if document["lost_time"] is None else f" at {document['lost_time']:.2f} s"
-    print(f"{given.out / given.name}: {document['title']}: {document['outcome']}{when}")
-    return 0
+        when = "" if document["lost_time"] is None else f" at {document['lost_time']:.2f} s"
+        print(f"{given.out / given.name}: {document['title']}: {document['outcome']}{when}")
+
+    return exit_status(work)
 
 
 def read(path: Path, folder: Path, *, overwrite: bool = False) -> dict[str, Any]:
     """Write the result folder of a `run.json`; return its manifest."""
+    text = path.read_text(encoding="utf-8")
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(text)
         flown = result.from_lab(document)
         config = here(document["config"])
         digest = rust.config_digest(config)
-    except (OSError, ValueError, KeyError, TypeError) as reason:
-        raise Refused(f"{path} is no run of the lab: {reason!r}") from None
+    except KeyError as missing:
+        raise Refused(f"{path} is no run of the lab: {missing} is missing") from None
+    except (ValueError, TypeError) as reason:
+        raise Refused(f"{path} is no run of the lab: {reason}") from None
     if flight.existing(folder, digest, None, overwrite=overwrite) is None:
         written = {
             **{key: value for key, value in document.items() if key not in ("format", "version", "log", "has_ended")},

@@ -9,7 +9,6 @@ about the balance centre, the hip-pitch axis and the centre of mass, with an unc
 
 from __future__ import annotations
 
-import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -25,6 +24,7 @@ from jax_aero.aero.dataset import Floats
 from jax_aero.aero.posture import centres_of_mass
 from jax_aero.aero.tunnel import Points, Test
 from jax_aero.cli import Parser
+from jax_aero.command import exit_status
 from jax_aero.robot import load_robot
 
 TESTS = manifest.REPOSITORY / "configs" / "tables" / "tunnel_tests.toml"
@@ -46,7 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for tunnel_ROBOT.nc (default results/datasets)")
     given = parser.parse_args(arguments)
     out: Path = given.out or OUT
-    try:
+
+    def work() -> None:
         found = list(from_clone(given.clone) if given.clone else [from_table(given.table)])
         for points in found:
             data = reduced(points, given.side)
@@ -55,10 +56,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(summary(data), path, sep="\n")
         if given.clone:
             print(sweeps_text(gravity_sweeps(given.clone)))
-    except (Refused, OSError, ValueError) as reason:
-        print(f"error: {reason}", file=sys.stderr)
-        return 2
-    return 0
+
+    return exit_status(work)
 
 
 def known_tests(path: Path = TESTS) -> dict[tuple[str, str], Test]:

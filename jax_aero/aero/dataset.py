@@ -317,12 +317,12 @@ def load(path: str | PathLike[str]) -> Dataset:
     Raises
     ------
     ValueError
-        If it is no such file, or if its numbers are not those that were written.
+        If it is not there or no such file, or if its numbers are not those that were written.
     """
+    if not Path(path).is_file():
+        raise ValueError(f"there is no dataset {path}; write it with: python -m experiments import-cfd")
     try:
         table = xr.load_dataset(path, engine="h5netcdf")
-    except FileNotFoundError:
-        raise
     except Exception as reason:  # whatever the reader says about a file that is no NetCDF
         raise ValueError(f"{path} is not a dataset of this project: {reason}") from reason
     if table.attrs.get("format") != FORMAT:

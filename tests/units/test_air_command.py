@@ -15,7 +15,7 @@ from tests.measurements import measured
 def test_the_files_hold_every_link_and_their_sum(tmp_path, capsys):
     arguments = ["air", "--alpha", "30:90:30", "--speed", "8", "--beside", "cfd_tunnel", "--posture", "flight30"]
     assert cli.main([*arguments, "--out", str(tmp_path)]) == 0
-    written = tmp_path / "flight30--alpha=30_90_30--beta=0.csv"
+    written = tmp_path / "iRonCub-Mk1--axisymmetric_corrected--flight30--alpha=30_90_30--beta=0--speed=8.csv"
     with written.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert {path.suffix for path in tmp_path.iterdir()} == {".csv", ".png"}

@@ -139,6 +139,13 @@ def test_a_file_gives_back_what_was_written(data, tmp_path):
     assert [entry.name for entry in path.parent.iterdir()] == ["data.nc"]
 
 
+def test_a_dataset_that_is_not_there_is_named_with_the_command_that_writes_it(tmp_path):
+    with pytest.raises(
+        ValueError, match=r"there is no dataset .*nope\.nc; write it with: python -m experiments import-cfd"
+    ):
+        ds.load(tmp_path / "nope.nc")
+
+
 def test_a_file_whose_numbers_were_changed_is_refused(data, tmp_path):
     path = tmp_path / "data.nc"
     ds.save(data, path)

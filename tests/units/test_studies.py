@@ -136,7 +136,7 @@ def test_a_flight_of_the_lab_becomes_a_result(lab_run, tmp_path, make_flight, ca
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"version": 2}, "expected ('flight-lab-run', 1)"),
+        ({"version": 2}, "run.json is no run of the lab: `format` and `version` are ('flight-lab-run', 2); expected"),
         ({"log": {"time": {"shape": [2], "data": "AAAA"}}}, "buffer size"),
         ({"log": {"time": {"shape": [2], "data": "AAAAAAAAAAA="}}}, "`time` has 1 numbers; expected shape [2]"),
     ],
