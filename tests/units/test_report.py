@@ -57,7 +57,7 @@ def write_sweep(results, name, cells, axes, **document):
             "flights": 10,
             "seconds": 2.0,
             "flights_per_minute": 300.0,
-            "outcomes": {"completed": 9, "fell": 1, "error": 0},
+            "outcomes": {"completed": 9, "fell": 0, "off_course": 1, "diverged": 0, "error": 0},
         },
     }
     (folder / "sweep.json").write_text(json.dumps(base | document))
@@ -178,7 +178,7 @@ def test_the_report_is_written_from_what_there_is(results, capsys):
         "## The paper's runs",
         "## Runs of our own",
         "### ablation_terms: made up",
-        "10 flights: 9 completed, 1 fell.",
+        "10 flights: 9 completed, 0 fell, 1 off course.",
         "| `ablation_terms` | 10 | rust | 2 | 300 |",
         "TEST3",
         "26.31",
