@@ -57,13 +57,14 @@ def test_corrected_arms_are_the_links_centres_and_published_ones_are_not_turned(
     right, published = tunnel_moments.moments(robot, data, areas)
     joints = data["joint_position"].values
     np.testing.assert_allclose(right, total_wrench(robot, joints, areas).moment_volume, atol=1e-14)
-    # Upright, inertial axes are the base's: the arms differ by the offset, turned and not.
-    frames = tunnel_moments.link_frames(robot, joints[:1])
+    # The arms differ by the offset: turned with the link, or left in inertial axes.
     offsets = np.asarray(robot.aero_links.centres)
-    turned = np.einsum("lij,lj->li", frames.rotations[0], offsets)
-    upright = dataset.tunnel_from_base(data["pitch"].values[0], 0.0)
-    more = np.cross(offsets @ upright - turned, areas[0]).sum(axis=0)
-    np.testing.assert_allclose(published[0] - right[0], more, atol=1e-14)
+    for point, pitch in enumerate(data["pitch"].values):
+        frames = tunnel_moments.link_frames(robot, joints[point : point + 1])
+        turned = np.einsum("lij,lj->li", frames.rotations[0], offsets)
+        inertial = offsets @ dataset.tunnel_from_base(pitch, 0.0)
+        more = np.cross(inertial - turned, areas[point]).sum(axis=0)
+        np.testing.assert_allclose(published[point] - right[point], more, atol=1e-14)
 
 
 def test_models_are_evaluated_in_the_wind_of_the_tunnel(robot, points):
