@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments import flight, manifest, overrides
+from experiments import flight, manifest, overrides, study
 from experiments.engines import ENGINES
 from experiments.table import outcome_table
 from jax_aero import cli, places
@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def fly(words: Sequence[str]) -> int:
     """Fly experiments; return the exit status."""
     given = _parser().parse_args(words)
-    names = [name for name, _ in flight.available()] if given.all else given.names
+    names = places.names("experiments") if given.all else given.names
     if given.list or not names:
         _print_list()
         return 0 if given.list else 2
@@ -73,10 +73,10 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _print_list() -> None:
-    entries = list(flight.available())
-    width = max((len(name) for name, _ in entries), default=0)
+    entries = study.titles("experiments")
+    width = max(map(len, entries), default=0)
     print("experiments (jax-aero fly NAME):")
-    for name, title in entries:
+    for name, title in entries.items():
         print(f"  {name:<{width}}  {title}")
 
 

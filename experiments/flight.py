@@ -6,8 +6,7 @@ import os
 import shlex
 import sys
 import time
-import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +17,7 @@ from experiments.sources import code_hash
 from jax_aero import rust
 from jax_aero.files import damaged
 
-CONFIGS = manifest.REPOSITORY / "configs" / "experiments"
 RESULTS = manifest.RESULTS / "flight"
-
-
-def available(configs: Path = CONFIGS) -> Iterator[tuple[str, str]]:
-    """Yield name and title of every experiment."""
-    for path in sorted(configs.glob("*.toml")):
-        with path.open("rb") as file:
-            yield path.stem, str(tomllib.load(file).get("title", ""))
 
 
 def find(name: str) -> Path:

@@ -160,6 +160,17 @@ def find(kind: str, name: str) -> Path:
     return path
 
 
+def titles(kind: str) -> dict[str, str]:
+    """Return name and title of every file of `configs/KIND`; of one that cannot be read, why."""
+    found = {}
+    for name in places.names(kind):
+        try:
+            found[name] = str(tables.read(places.find(kind, name)).get("title", ""))
+        except Refused as reason:
+            found[name] = f"({reason})"
+    return found
+
+
 def schema_of(kind: str, folder: Path) -> str:
     """Return the path of the schema of a kind of file, from a folder."""
     return os.path.relpath(CONFIGS / "schema" / f"{kind}.schema.json", folder.resolve())

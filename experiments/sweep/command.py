@@ -10,7 +10,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments import cluster
+from experiments import cluster, study
 from experiments.sweep import run, spec
 from experiments.sweep.design import Design
 from jax_aero import places
@@ -21,9 +21,9 @@ from jax_aero.command import exit_status
 def main(arguments: Sequence[str]) -> int:
     """Run the command line; return its exit status."""
     given = _parser().parse_args(arguments)
-    names = list(spec.available()) if given.all else given.names
+    names = places.names("sweeps") if given.all else given.names
     if given.list or not names:
-        for name, title in spec.available().items():
+        for name, title in study.titles("sweeps").items():
             print(f"  {name:<28}  {title}")
         return 0 if given.list else 2
 

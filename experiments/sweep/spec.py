@@ -8,11 +8,9 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from experiments import manifest, study
+from experiments import study
 from experiments.sweep.perturbation import Perturbation
 from jax_aero import tables
-
-CONFIGS = manifest.REPOSITORY / "configs" / "sweeps"
 
 MAX_FILES = 128
 """How many files one sweep may consist of; files that name one another are as deep in calls."""
@@ -149,14 +147,6 @@ class Spec(tables.Table, frozen=True):
     def is_sampled(self) -> bool:
         """Return whether a quasi-random design chooses the cells."""
         return self.design in ("latin_hypercube", "sobol")
-
-
-def available() -> dict[str, str]:
-    """Return name and title of every sweep."""
-    titles = {}
-    for path in sorted(CONFIGS.glob("*.toml")):
-        titles[path.stem] = str(tables.read(path).get("title", ""))
-    return titles
 
 
 def load(name: str) -> Spec:

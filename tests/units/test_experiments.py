@@ -10,7 +10,7 @@ from experiments import flight as runner
 from experiments import manifest
 from experiments.__main__ import main
 from experiments.table import outcome_table
-from jax_aero import rust
+from jax_aero import places, rust
 
 
 @pytest.fixture
@@ -121,7 +121,7 @@ def test_a_mistake_is_named_on_one_line_of_stderr(flown, arguments, message, cap
 
 
 def test_a_path_works_as_well_as_a_name(flown, tmp_path):
-    path = runner.CONFIGS / "test2.toml"
+    path = places.CONFIGS / "experiments" / "test2.toml"
     assert main([str(path), "--out", str(tmp_path)]) == 0
     assert "python -m experiments configs/experiments/test2.toml" in (tmp_path / "test2" / "manifest.json").read_text()
     assert len(flown) == 1
@@ -138,8 +138,20 @@ def test_the_command_of_a_manifest_can_be_typed_again(flown, tmp_path):
 def test_the_list_names_every_experiment(capsys):
     assert main(["--list"]) == 0
     listed = capsys.readouterr().out
-    for path in runner.CONFIGS.glob("*.toml"):
-        assert f"  {path.stem} " in listed
+    for name in places.names("experiments"):
+        assert f"  {name} " in listed
+
+
+@pytest.mark.parametrize(("kind", "words"), [("experiments", ["--list"]), ("sweeps", ["sweep", "--list"])])
+def test_a_list_names_a_file_that_cannot_be_read(kind, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(places, "CONFIGS", tmp_path)
+    (tmp_path / kind).mkdir()
+    (tmp_path / kind / "good.toml").write_text('title = "Good"')
+    (tmp_path / kind / "broken.toml").write_text("title")
+    assert main(words) == 0
+    listed = capsys.readouterr().out
+    assert re.search(r"  broken +\(broken\.toml: Expected '='", listed)
+    assert re.search(r"  good +Good", listed)
 
 
 def test_the_table_says_when_and_why_a_flight_fell():

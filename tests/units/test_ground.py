@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments import Refused, engines, flight, record, tip_over
+from experiments import Refused, engines, record, study, tip_over
 from experiments.report import ground
 from jax_aero import rust
 from jax_aero.mujoco_ground import GroundPlant, fly
@@ -322,7 +322,7 @@ def test_jax_refuses_feet_by_name():
 
 
 def test_the_commands_have_a_title():
-    assert dict(flight.available())["balancing_front"].startswith("Ground experiment")
+    assert study.titles("experiments")["balancing_front"].startswith("Ground experiment")
 
 
 # --- what tips it over ---------------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from experiments.sweep import keys, run, spec, table
 from experiments.sweep.design import Design
 from experiments.sweep.perturbation import Perturbation, members
 from experiments.sweep.progress import Progress
-from jax_aero import rust
+from jax_aero import places, rust
 
 ROOT = Path(__file__).resolve().parents[2]
 ENSEMBLE = ROOT / "configs" / "aero" / "networks" / "ensemble" / "ensemble.json"
@@ -180,7 +180,7 @@ def test_what_cannot_be_set_or_perturbed_is_refused_by_sweep_cell_and_key(tmp_pa
         run.run(changed, run.Local(1), out=tmp_path)
 
 
-@pytest.mark.parametrize("name", spec.available())
+@pytest.mark.parametrize("name", places.names("sweeps"))
 def test_every_sweep_of_the_repository_can_fly(name):
     loaded = Design(spec.load(name))
     step = max(1, len(loaded.cells) // 7)
@@ -487,7 +487,7 @@ def test_a_folder_with_something_else_in_it_is_not_overwritten(tmp_path, capsys)
 def test_the_list_names_every_sweep(capsys):
     assert main(["sweep", "--list"]) == 0
     listed = capsys.readouterr().out
-    assert all(name in listed for name in spec.available())
+    assert all(name in listed for name in places.names("sweeps"))
 
 
 def kill_one_worker(mark: str, killed: list[int]) -> None:
