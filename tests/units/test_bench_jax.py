@@ -52,3 +52,13 @@ def test_what_is_asked_for_is_measured(monkeypatch, capsys):
     assert rows("--quick") == ["kinematics [1, 64]", "throughput True"]
     assert rows("--batch", "3") == ["kinematics [3]", "a gradient [3]", "throughput False"]
     assert settings["jax_enable_x64"] is True
+
+
+def test_a_row_has_times_per_item_and_of_compiling_with_and_without_the_cache(monkeypatch):
+    compiled = iter([0.25, 0.75, 0.5])  # at two sizes, then again from the cache
+    untyped = SimpleNamespace(block_until_ready=lambda _: None, clear_caches=lambda: None)
+    monkeypatch.setattr(bench_jax, "untyped", untyped)
+    monkeypatch.setattr(bench_jax, "_compile", lambda *_: (lambda *_: None, next(compiled)))
+    monkeypatch.setattr(bench_jax, "_median", lambda call, _: call() or 8e-6)
+    case = SimpleNamespace(name="made up", sample=0.0, shared=None, divide_by=2)
+    assert bench_jax._row(case, [1, 4], 0.0) == "| made up | 4.0 µs | 1.0 µs | 0.8 s | 0.5 s |"
