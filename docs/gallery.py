@@ -1,6 +1,6 @@
 """Copy the figures that `docs/gallery.md` shows from `results/figures/` to `docs/img/gallery/`, small enough to keep.
 
-Run after `make reproduce`; a figure that has not been drawn is named, and its old copy stays.
+Run after `make reproduce SWEEPS=--all`; a figure that has not been drawn is named, and its old copy stays.
 """
 
 from __future__ import annotations

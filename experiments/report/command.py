@@ -93,7 +93,8 @@ def build(results: Results, stated: Sequence[claims.Claim]) -> Page:
     page = Page("What flies, and why")
     page.add(
         Text(
-            "Every figure below is measured with this repository; `make reproduce` makes all of it from nothing. "
+            "Every figure below is measured with this repository; `make reproduce SWEEPS=--all` makes all of it "
+            "from nothing. "
             "A count such as 39 of 40 (87 to 100 %) carries its Wilson 95 % interval: the flights behind it differ in "
             "start, wind and coefficients (`configs/perturbation/flight.toml`). *Right arms* place forces where "
             "physics has them, "
