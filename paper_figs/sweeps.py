@@ -11,6 +11,7 @@ from typing import Any
 import pandas as pd
 
 from jax_aero.command import Refused
+from jax_aero.files import damaged
 from jax_aero.places import RESULTS
 from paper_figs.runs import MissingRun
 
@@ -82,7 +83,10 @@ def load(results: Path, name: str) -> Sweep:
     folder = results / name
     if not (folder / "cells.parquet").is_file():
         raise MissingRun(f"no finished sweep `{name}`; fly it with: python -m experiments sweep {name}")
-    return Sweep(name, json.loads((folder / "sweep.json").read_text(encoding="utf-8")), folder)
+    document = json.loads((folder / "sweep.json").read_text(encoding="utf-8"))
+    if file := damaged(folder, document.get("finished", {}).get("files", {})):
+        raise MissingRun(f"{folder / file} is not what was written there; --overwrite flies it again")
+    return Sweep(name, document, folder)
 
 
 def default_sweeps() -> Path:

@@ -14,6 +14,7 @@ from experiments.report.page import Heading, Page, Picture, Table, Text
 from experiments.report.results import Results, Sweep, count
 from experiments.report.verdicts import NOT_FLOWN
 from jax_aero.cli import Parser
+from jax_aero.command import exit_status
 from jax_aero.files import write_text
 
 PAPER_RUNS = ("test1", "test2", "test3", "test4", "robustness")
@@ -53,19 +54,22 @@ def main(arguments: Sequence[str]) -> int:
         help="where the claims go for `docs/paper.md` (default claims.json beside the report)",
     )
     given = parser.parse_args(arguments)
-    results = Results(given.results)
-    stated = claims.all_claims(results)
-    kept: Path = given.claims or results.folder / "claims.json"
-    page = build(results, stated)
-    results.folder.mkdir(parents=True, exist_ok=True)
-    for path, text in (
-        (results.folder / "report.md", page.markdown()),
-        (results.folder / "report.html", page.html()),
-        (kept, claims_json(stated, kept)),
-    ):
-        write_text(path, text)
-        print(path)
-    return 0
+
+    def work() -> None:
+        results = Results(given.results)
+        stated = claims.all_claims(results)
+        kept: Path = given.claims or results.folder / "claims.json"
+        page = build(results, stated)
+        results.folder.mkdir(parents=True, exist_ok=True)
+        for path, text in (
+            (results.folder / "report.md", page.markdown()),
+            (results.folder / "report.html", page.html()),
+            (kept, claims_json(stated, kept)),
+        ):
+            write_text(path, text)
+            print(path)
+
+    return exit_status(work)
 
 
 def claims_json(stated: Sequence[claims.Claim], kept: Path) -> str:

@@ -11,9 +11,10 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
-from experiments import engine_choice
+from experiments import Refused, engine_choice, record
 from experiments.report import ground, metrics
 from jax_aero import rust
+from jax_aero.files import damaged
 
 Cell = Mapping[str, Any]
 
@@ -50,18 +51,25 @@ class Results:
     folder: Path
 
     @cached_property
+    def folders(self) -> list[Path]:
+        """Return the folders of plain flights; those with --set are somebody's own business."""
+        found = sorted(path.parent for path in (self.folder / "flight").glob("*/manifest.json"))
+        plain = [folder for folder in found if "--" not in folder.name]
+        for folder in plain:
+            _require_whole(folder, record.read_manifest(folder) or {})
+        return plain
+
+    @cached_property
     def flights(self) -> dict[str, metrics.Metrics]:
-        """Return every plain flight, by name; those with --set are somebody's own business."""
-        folders = sorted((self.folder / "flight").glob("*/manifest.json"))
-        read = ((path.parent.name, metrics.read(path.parent)) for path in folders if "--" not in path.parent.name)
+        """Return every plain flight, by name."""
+        read = ((folder.name, metrics.read(folder)) for folder in self.folders)
         return {name: found for name, found in read if found is not None}
 
     @cached_property
     def standing(self) -> dict[str, ground.Ground]:
         """Return every plain ground experiment, by name."""
         mass = rust.Robot(str(engine_choice.ROBOT)).mass
-        folders = sorted((self.folder / "flight").glob("*/manifest.json"))
-        read = ((path.parent.name, ground.read(path.parent, mass)) for path in folders if "--" not in path.parent.name)
+        read = ((folder.name, ground.read(folder, mass)) for folder in self.folders)
         return {name: found for name, found in read if found is not None}
 
     @cached_property
@@ -70,6 +78,7 @@ class Results:
         found = {}
         for path in sorted((self.folder / "sweeps").glob("*/cells.parquet")):
             document = json.loads((path.parent / "sweep.json").read_text(encoding="utf-8"))
+            _require_whole(path.parent, document.get("finished", {}))
             found[path.parent.name] = Sweep(document, pq.read_table(path).to_pylist())
         return found
 
@@ -87,6 +96,11 @@ class Results:
     def figure(self, name: str) -> str | None:
         """Return the path of a figure beside the report, if it was drawn."""
         return f"figures/{name}.png" if (self.folder / "figures" / f"{name}.png").is_file() else None
+
+
+def _require_whole(folder: Path, document: Mapping[str, Any]) -> None:
+    if name := damaged(folder, document.get("files") or {}):
+        raise Refused(f"{folder / name} is not what was written there; --overwrite flies it again")
 
 
 def count(cell: Cell, what: str = "completed") -> str:

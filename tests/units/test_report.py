@@ -201,6 +201,18 @@ def test_spans_of_sound_values(values, known, text):
 # --- facts from committed files
 
 
+@pytest.mark.parametrize("place", ["flight/test1/run.nc", "sweeps/paper_tests/cells.parquet"])
+def test_a_damaged_result_is_named(results, place, capsys):
+    path = results.folder / place
+    is_sweep = path.suffix == ".parquet"
+    described = path.with_name("sweep.json" if is_sweep else "manifest.json")
+    document = json.loads(described.read_text())
+    (document["finished"] if is_sweep else document)["files"] = {path.name: "the checksum of another"}
+    described.write_text(json.dumps(document))
+    assert main(["report", "--results", str(results.folder)]) == 2
+    assert f"error: {path} is not what was written there; --overwrite flies it again" in capsys.readouterr().err
+
+
 def test_what_is_not_flown_here_stays_as_it_was_kept(tmp_path):
     base = claims.Claim("k", "w", "c", "12 m", "agrees", "fly it", "")
     kept = tmp_path / "claims.json"
