@@ -11,7 +11,6 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 from jax_aero import cli
-from jax_aero.command import Refused
 from jax_aero.places import did_you_mean
 from paper_figs import (
     ablation,
@@ -154,7 +153,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 2
         try:
             figure, hashes = _draw(name, given)
-        except (runs.MissingRun, Refused) as reason:
+        except runs.NotDrawn as reason:
             print(f"error: {name}: {reason}", file=sys.stderr)
             missing += 1
             continue

@@ -14,7 +14,11 @@ from jax_aero.places import RESULTS
 Series = xr.DataArray
 
 
-class MissingRun(Exception):
+class NotDrawn(Exception):
+    """A figure cannot be drawn; the message says why, and what to do."""
+
+
+class MissingRun(NotDrawn):
     """A figure lacks a flight, or a package, that it is drawn with; the message says which, and how to get it."""
 
 

@@ -10,10 +10,8 @@ from typing import Any
 
 import pandas as pd
 
-from jax_aero.command import Refused
-from jax_aero.files import damaged
 from jax_aero.places import RESULTS
-from paper_figs.runs import MissingRun
+from paper_figs.runs import MissingRun, NotDrawn
 
 
 @dataclass(frozen=True)
@@ -27,12 +25,12 @@ class Sweep:
     @cached_property
     def cells(self) -> pd.DataFrame:
         """Return one row per cell."""
-        return pd.read_parquet(self.folder / "cells.parquet")
+        return _read(self.folder / "cells.parquet")
 
     @cached_property
     def flights(self) -> pd.DataFrame:
         """Return one row per flight."""
-        return pd.read_parquet(self.folder / "table.parquet")
+        return _read(self.folder / "table.parquet")
 
     @property
     def title(self) -> str:
@@ -64,7 +62,7 @@ class Sweep:
         if not suits:
             names = ", ".join(axis["name"] for axis in self.document["axes"])
             panels = f" and panels {self.document['panels']}" if self.document["panels"] else ""
-            raise Refused(
+            raise NotDrawn(
                 f'`drawing` is "{self.document["drawing"]}" of the axes {names}{panels}; expected {expected}. '
                 "Change the sweep's file and repeat the sweep: it flies nothing again"
             )
@@ -83,10 +81,14 @@ def load(results: Path, name: str) -> Sweep:
     folder = results / name
     if not (folder / "cells.parquet").is_file():
         raise MissingRun(f"no finished sweep `{name}`; fly it with: python -m experiments sweep {name}")
-    document = json.loads((folder / "sweep.json").read_text(encoding="utf-8"))
-    if file := damaged(folder, document.get("finished", {}).get("files", {})):
-        raise MissingRun(f"{folder / file} is not what was written there; --overwrite flies it again")
-    return Sweep(name, document, folder)
+    return Sweep(name, json.loads((folder / "sweep.json").read_text(encoding="utf-8")), folder)
+
+
+def _read(path: Path) -> pd.DataFrame:
+    try:
+        return pd.read_parquet(path)
+    except Exception as reason:  # whatever the reader says about a damaged file
+        raise MissingRun(f"{path} is damaged ({reason}); --overwrite flies it again") from reason
 
 
 def default_sweeps() -> Path:

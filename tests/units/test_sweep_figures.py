@@ -95,11 +95,10 @@ def test_a_drawing_that_does_not_suit_the_axes_is_one_line(drawing, axes, panels
 
 def test_a_damaged_sweep_is_one_line(tmp_path, capsys):
     write(tmp_path / "sweeps", "made_up", "curve", ["scale"], "")
-    path = tmp_path / "sweeps" / "made_up" / "sweep.json"
-    finished = {"finished": {"files": {"cells.parquet": "the checksum of another"}}}
-    path.write_text(json.dumps(json.loads(path.read_text()) | finished))
+    path = tmp_path / "sweeps" / "made_up" / "cells.parquet"
+    path.write_bytes(path.read_bytes()[:-9])
     assert main(["made_up", "--sweeps", str(tmp_path / "sweeps"), "--out", str(tmp_path)]) == 1
-    assert "cells.parquet is not what was written there" in capsys.readouterr().err
+    assert "cells.parquet is damaged (" in capsys.readouterr().err
 
 
 def test_a_map_keeps_the_row_of_a_level_without_any_number(tmp_path):
