@@ -94,7 +94,6 @@ def run(given: argparse.Namespace) -> None:
     search = optuna.create_study(
         study_name=f"{digest[:16]} {code_hash(__name__)}",
         storage=f"sqlite:///{(out / 'trials.db').resolve()}",
-        sampler=optuna.samplers.TPESampler(seed=settings.seed),
         direction="minimize",
         load_if_exists=True,
     )
@@ -103,14 +102,18 @@ def run(given: argparse.Namespace) -> None:
     def objective(trial: optuna.Trial) -> float:
         return error_of(changed(path, base, suggestions(trial, settings.space)), dataset, settings)
 
-    while (done := _complete(search)) < wanted:
-        search.optimize(objective, n_trials=1)
-        newest = search.trials[-1]
+    def say(_: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
+        seconds = trial.duration.total_seconds() if trial.duration else 0.0
         print(
-            f"trial {done + 1} of {wanted}: {newest.value:.3e} m4 (best {search.best_value:.3e}) "
-            f"in {newest.duration.total_seconds() if newest.duration else 0.0:.0f} s: {newest.params}",
+            f"trial {_complete(search)} of {wanted}: {trial.value:.3e} m4 (best {search.best_value:.3e}) "
+            f"in {seconds:.0f} s: {trial.params}",
             flush=True,
         )
+
+    while _complete(search) < wanted:
+        # By the number of trials: a search that goes on draws what it would have drawn, and two processes draw others.
+        search.sampler = optuna.samplers.TPESampler(seed=settings.seed + len(search.trials))
+        search.optimize(objective, n_trials=1, callbacks=[say])
     _write(out, search, base, digest)
     print(f"best of {_complete(search)}: {search.best_value:.3e} m4 with {search.best_params}")
 
@@ -142,7 +145,7 @@ def changed(path: Path, base: Mapping[str, Any], changes: Mapping[str, Any]) -> 
 
 
 def error_of(training: config.Training, dataset: Dataset, settings: SearchConfig) -> float:
-    """Return the mean error over the inner folds [m⁴]."""
+    """Return the mean error over the inner folds [m⁴]; infinite where a network diverges."""
     rows = dataset.mirrored() if training.mirrored else dataset
     robot = config.robot()
     errors = []
@@ -150,8 +153,9 @@ def error_of(training: config.Training, dataset: Dataset, settings: SearchConfig
         start = training.start(robot, training.seed)
         samples, unseen = (samples_of(start, robot, rows.take(part)) for part in (train, held_out))
         fitted = fit(start, samples, unseen, training.training, training.seed)
-        errors.append(fitted.curves[-1][2])
-    return float(np.mean([np.inf if error is None else error for error in errors]))
+        error = fitted.curves[-1][2]
+        errors.append(error if error is not None and np.isfinite(error) else np.inf)
+    return float(np.mean(errors))
 
 
 def _write(out: Path, search: optuna.Study, base: Mapping[str, Any], digest: str) -> None:

@@ -164,3 +164,30 @@ def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):
         rows = list(csv.DictReader(stream))
     assert [row["state"] for row in rows] == ["COMPLETE", "COMPLETE"]
     assert json.loads((out / "manifest.json").read_text())["summary"]["trials"] == 2
+    # One that is not interrupted draws the same, and not twice.
+    assert main([*arguments[:-1], str(tmp_path / "whole")]) == 0
+    with (tmp_path / "whole" / "trials.csv").open() as stream:
+        whole = list(csv.DictReader(stream))
+    drawn, again = ([row["training.learning_rate"] for row in found] for found in (rows, whole))
+    assert drawn == again
+    assert drawn[0] != drawn[1]
+
+
+def test_a_trial_that_another_process_runs_stops_no_search(data, tmp_path, monkeypatch, capsys):
+    search = tmp_path / "small.toml"
+    search.write_text(
+        f'base = "{command.study.CONFIGS}/training/plain.toml"\ntrials = 1\nseed = 1\nfold_seed = 0\nfolds = 3\n'
+        'folds_run = 1\n[space]\n"training.learning_rate" = { low = 1e-3, high = 1e-2 }\n'
+    )
+    arguments = ["train-search", str(search), "--dataset", str(data), "--out", str(tmp_path / "out")]
+
+    def beside(*_):
+        """A trial that another process begins meanwhile; a network that diverges."""
+        database = f"sqlite:///{tmp_path / 'out' / 'trials.db'}"
+        optuna.load_study(study_name=None, storage=database).ask()
+        return float("inf")
+
+    optuna = pytest.importorskip("optuna")
+    monkeypatch.setattr("experiments.training.search.error_of", beside)
+    assert main(arguments) == 0
+    assert "trial 1 of 1: inf m4" in capsys.readouterr().out
