@@ -45,6 +45,11 @@ def frontal():
     return fly(early_wind([-12.0, 0.0, 0.0]))
 
 
+def test_the_plant_of_the_crate_refuses_a_ground():
+    with pytest.raises(ValueError, match=r"simulator\.ground.*mujoco"):
+        rust.Plant(standing())
+
+
 @pytest.mark.close_to_tolerance("the robot still moves: mass times an acceleration of 1 mm/s²")
 def test_the_feet_carry_the_robot(measured):
     plant = GroundPlant(standing())

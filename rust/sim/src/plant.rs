@@ -8,7 +8,7 @@
 //!
 //! Equations M78, M79 and M87 of `docs/model.md`; what a step adds to the momentum is M85.
 
-use crate::config::{AeroKinematics, Integrator, SimulatorConfig};
+use crate::config::{AeroKinematics, DynamicsBackend, Integrator, SimulatorConfig};
 use crate::disturbances::Disturbances;
 use crate::jets::Jets;
 use flight_core::aero::{AeroModel, LinkConventions, LinkForces};
@@ -62,6 +62,18 @@ impl Plant {
         disturbances: &Disturbances,
     ) -> Result<Self, BuildError> {
         config.check(&robot)?;
+        for (key, is_there) in
+            [("simulator.ground", config.ground.is_some()), ("simulator.motors", config.motors.is_some())]
+        {
+            if is_there {
+                let expected = "none: this engine has neither ground nor motors; engine = \"mujoco\" does";
+                return Err(BuildError::bad_value(key, "given", expected));
+            }
+        }
+        if config.dynamics != DynamicsBackend::Tree {
+            let expected = "tree; engine = \"jax\" has mjx too";
+            return Err(BuildError::bad_value("simulator.dynamics", "mjx", expected));
+        }
         let n = 6 + robot.joints.len();
         let mut plant = Self {
             aero: load_aero(&config.aero, &robot)?.weighted(

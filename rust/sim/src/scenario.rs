@@ -159,57 +159,6 @@ impl Scenario {
     /// # Errors
     /// [`BuildError`] naming what in the configuration cannot be used.
     pub fn with_robot(config: &ScenarioConfig, robot: RobotModel) -> Result<Self, BuildError> {
-        for (key, is_there) in [
-            ("simulator.ground", config.simulator.ground.is_some()),
-            ("simulator.motors", config.simulator.motors.is_some()),
-        ] {
-            if is_there {
-                let expected = "none: this engine has neither ground nor motors; engine = \"mujoco\" does";
-                return Err(BuildError::bad_value(key, "given", expected));
-            }
-        }
-        if config.simulator.dynamics != DynamicsBackend::Tree {
-            let expected = "tree; engine = \"jax\" has mjx too";
-            return Err(BuildError::bad_value("simulator.dynamics", "mjx", expected));
-        }
-        Self::build(config, robot)
-    }
-
-    /// Refuses a configuration that its own engine cannot fly; reads the robot's files.
-    ///
-    /// # Errors
-    /// [`BuildError`] naming what cannot be used.
-    pub fn check(config: &ScenarioConfig) -> Result<(), BuildError> {
-        if config.engine == Engine::Jax {
-            let mut config = config.clone();
-            config.simulator.dynamics = DynamicsBackend::Tree; // it flies either
-            return Self::new(&config).map(|_| ());
-        }
-        if config.engine == Engine::Rust {
-            return Self::new(config).map(|_| ());
-        }
-        for (key, is_there) in [
-            ("simulator.sensors", config.simulator.sensors.is_some()),
-            ("controller.estimator", config.controller.estimator.is_some()),
-            ("controller.wind_observer", config.controller.wind_observer.is_some()),
-        ] {
-            if is_there {
-                let expected = "none: engine = \"mujoco\" gives its controller state and wind as they are";
-                return Err(BuildError::bad_value(key, "given", expected));
-            }
-        }
-        if config.simulator.ground.is_none() {
-            let expected = "a table: engine = \"mujoco\" flies nothing that has no ground under it";
-            return Err(BuildError::bad_value("simulator.ground", "absent", expected));
-        }
-        if config.controller.law.contact.is_none() {
-            let expected = "a table: without feet the controller cannot stand on simulator.ground";
-            return Err(BuildError::bad_value("controller.contact", "absent", expected));
-        }
-        Self::build(config, load_robot(&config.robot)?).map(|_| ())
-    }
-
-    fn build(config: &ScenarioConfig, robot: RobotModel) -> Result<Self, BuildError> {
         let time_step = config.simulator.time_step;
         let disturbances = &config.disturbances;
         let plant = Plant::new(robot.clone(), &config.simulator, disturbances)?;
@@ -247,6 +196,44 @@ impl Scenario {
             divergence: config.simulator.divergence.clone(),
             course_error: config.simulator.course_error,
         })
+    }
+
+    /// Refuses a configuration that its own engine cannot fly; reads the robot's files.
+    ///
+    /// # Errors
+    /// [`BuildError`] naming what cannot be used.
+    pub fn check(config: &ScenarioConfig) -> Result<(), BuildError> {
+        if config.engine == Engine::Jax {
+            let mut config = config.clone();
+            config.simulator.dynamics = DynamicsBackend::Tree; // it flies either
+            return Self::new(&config).map(|_| ());
+        }
+        if config.engine == Engine::Rust {
+            return Self::new(config).map(|_| ());
+        }
+        for (key, is_there) in [
+            ("simulator.sensors", config.simulator.sensors.is_some()),
+            ("controller.estimator", config.controller.estimator.is_some()),
+            ("controller.wind_observer", config.controller.wind_observer.is_some()),
+        ] {
+            if is_there {
+                let expected = "none: engine = \"mujoco\" gives its controller state and wind as they are";
+                return Err(BuildError::bad_value(key, "given", expected));
+            }
+        }
+        if config.simulator.ground.is_none() {
+            let expected = "a table: engine = \"mujoco\" flies nothing that has no ground under it";
+            return Err(BuildError::bad_value("simulator.ground", "absent", expected));
+        }
+        if config.controller.law.contact.is_none() {
+            let expected = "a table: without feet the controller cannot stand on simulator.ground";
+            return Err(BuildError::bad_value("controller.contact", "absent", expected));
+        }
+        let robot = load_robot(&config.robot)?;
+        config.simulator.check(&robot)?;
+        let mut config = config.clone();
+        (config.simulator.ground, config.simulator.motors) = (None, None); // MuJoCo has what the plant lacks
+        Self::with_robot(&config, robot).map(|_| ())
     }
 
     /// Number of ticks after the one at time zero.
