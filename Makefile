@@ -122,7 +122,7 @@ CARD := $(abspath results/training/$(TRAINING)/$(TRAINING).json)
 # What the paper's claims are judged by. SWEEPS=--all flies those of ours, too: 33,000 flights.
 SWEEPS := paper_tests ablation_terms model_pairs
 
-reproduce: $(PACKAGES) ## fly, train, draw and judge what the paper has, write results/report.md and .html (20 minutes on 2 cores)
+reproduce: $(PACKAGES) ## fly, train, draw and judge what the paper has, write results/report.md and .html (38 minutes of processor time)
 	$(if $(PUBLIC_TABLE),$(BIN)/python -m experiments import-cfd --table $(PUBLIC_TABLE) --out $(DATASET))
 	$(BIN)/python -m experiments fit-aero $(DATA) --set dataset=$(DATASET)
 	$(BIN)/python -m experiments train $(TRAINING) --dataset $(DATASET)
@@ -130,6 +130,8 @@ reproduce: $(PACKAGES) ## fly, train, draw and judge what the paper has, write r
 	$(BIN)/python -m experiments test4 --out results/trained --overwrite --set simulator.aero.card=$(CARD) \
 		--set controller.aero.card=$(CARD)
 	$(BIN)/python -m experiments --all
+	-$(BIN)/python -m experiments pictures
+	$(BIN)/python -m experiments along
 	$(BIN)/python -m experiments sweep $(SWEEPS)
 	$(BIN)/python -m experiments engine-choice
 	$(BIN)/python -m experiments force-rate
