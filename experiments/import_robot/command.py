@@ -82,8 +82,8 @@ def _parser() -> Parser:
 def thruster(text: str) -> skeleton.Thruster:
     """Read FRAME[:AXIS]:MAX; the axis is the direction of the force on the robot, -z if it is not given."""
     parts = re.fullmatch(r"([^:]+)(?::(-?[xyz]))?:(\d+\.?\d*)", text)
-    if parts is None:
-        expected = f"FRAME[:AXIS]:MAX with an axis of {', '.join(skeleton.AXES)} and a thrust in N"
+    if parts is None or float(parts[3]) == 0.0:
+        expected = f"FRAME[:AXIS]:MAX with an axis of {', '.join(skeleton.AXES)} and a thrust > 0 in N"
         raise argparse.ArgumentTypeError(f"`{text}`; expected {expected}")
     return skeleton.Thruster(parts[1], parts[2] or "-z", float(parts[3]))
 

@@ -100,7 +100,7 @@ def build(results: Results, stated: Sequence[claims.Claim]) -> Page:
             "Every figure below is measured with this repository; `make reproduce SWEEPS=--all` makes all of it "
             "from nothing. "
             "A count such as 39 of 40 (87 to 100 %) carries its Wilson 95 % interval: the flights behind it differ in "
-            "start, wind and coefficients (`configs/perturbation/flight.toml`). *Right arms* place forces where "
+            "start, wind and coefficients (`configs/perturbation/flight.toml`). *Corrected arms* place forces where "
             "physics has them, "
             "*published arms* where the published code has them (`docs/deviations.md`)."
         ),
