@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 from experiments import manifest, tip_over, trajectory, trim, tune, waypoints
 from experiments.cfd import design as cfd
+from experiments.cfd.settings import FlowConfig
 from experiments.sweep.perturbation import Perturbation
 from experiments.sweep.spec import Axis, Spec
 from experiments.training.config import Training
@@ -30,6 +31,7 @@ Node = dict[str, Any]
 
 STUDIES: dict[str, Any] = {
     "cfd": cfd.Spec,
+    "cfd_flow": FlowConfig,
     "perturbation": Perturbation,
     "sweep_axes": Axis,
     "sweeps": Spec,

@@ -56,6 +56,7 @@ FIGURES: dict[str, tuple[Draw, Sequence[str], str]] = {
         cfd_flow.RUNS,
         "Fig. 3 c-f of our own flow: surface pressure, streamlines, plane of symmetry",
     ),
+    "cfd_meshes": (cfd_flow.meshes, cfd_flow.MESHES, "Suppl. Fig. 5: speed around the robot on three meshes of ours"),
     "supp_mesh": (tunnel.mesh, (), "Suppl. Fig. 5: mesh study; needs no run"),
     "fig4_fit": (fig4_fit.draw, fig4_fit.RUNS, "Fig. 4 d, e: the axisymmetric model over the CFD"),
     "fig4_network": (fig4_network.draw, fig4_network.RUNS, "Fig. 4 a-c: the network's drag of the head, two splits"),

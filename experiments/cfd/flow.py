@@ -1,4 +1,4 @@
-"""Keep the flow of one case for pictures: `jax-aero cfd-flow NAME`, NAME a posture.
+"""Keep the flow of one case for pictures: `jax-aero cfd-flow NAME`, NAME a file of `configs/cfd_flow/`.
 
 Pressure on the robot, streamlines around it, and speed, pressure and turbulent viscosity in its plane of symmetry, as
 in the paper's Fig. 3 c to f; `jax-aero figures cfd_flow` draws them. Needs OpenFOAM; PyVista reads its case.
@@ -18,11 +18,11 @@ from experiments import Refused
 from experiments.cfd import foam
 from experiments.cfd.case import FAR
 from experiments.cfd.geometry import robot_surfaces
-from experiments.cfd.settings import Air, Settings
+from experiments.cfd.settings import Air, FlowConfig
 from experiments.cfd.simulate import Unfit, make_mesh, solve
 from experiments.import_cfd import known_postures
 from experiments.study import CONFIGS, Findings, Study
-from jax_aero import rust, tables
+from jax_aero import rust
 from jax_aero.aero.dataset import wind_direction
 
 ROBOT = CONFIGS / "robot" / "ironcub_mk1.toml"
@@ -35,22 +35,13 @@ BESIDE, EVERY, LENGTH = 0.02, 80, 1.2
 """Every so many points of the surface a streamline passes so far from it [m], this long before and behind [m]."""
 
 
-class FlowConfig(tables.Table, frozen=True):
-    """A picture; the settings are those of the recipe."""
-
-    pitch_deg: float = 45.0
-    """Of the robot's vertical axis above the horizontal wind; the paper's picture has 45."""
-    yaw_deg: float = 0.0
-    settings: Settings = Settings()
-
-
-def compute(name: str, config: FlowConfig) -> Findings:
+def compute(_name: str, config: FlowConfig) -> Findings:
     """Simulate and sample."""
     foam.environment()
     known = known_postures()
-    if name not in known:
-        raise Refused(f"no posture `{name}`; there are {', '.join(known)}")
-    surfaces = robot_surfaces(rust.Robot(ROBOT), known[name])
+    if config.posture not in known:
+        raise Refused(f"`posture` is `{config.posture}`; expected one of {', '.join(known)}")
+    surfaces = robot_surfaces(rust.Robot(ROBOT), known[config.posture])
     wind = wind_direction(config.pitch_deg, config.yaw_deg)
     settings = config.settings
     with tempfile.TemporaryDirectory(prefix="jax-aero-cfd-") as scratch:
@@ -74,7 +65,8 @@ def compute(name: str, config: FlowConfig) -> Findings:
         "part of the wake in the plane where that is above 100": area[wake & (ratio > 100.0)].sum() / area[wake].sum(),
         "cells": facts.cells,
     }
-    return Findings(f"Flow around {name} at {config.pitch_deg:g} degrees", data.assign_attrs(wind=wind), summary)
+    data = data.assign_attrs(wind=wind, cells=facts.cells, edge=settings.mesh.finest)
+    return Findings(config.title, data, summary)
 
 
 def read_case(folder: Path, ranks: int, air: Air) -> tuple[pyvista.UnstructuredGrid, pyvista.PolyData]:

@@ -120,3 +120,15 @@ class Settings(tables.Table, frozen=True):
     air: Air = Air()
     solver: Solver = Solver()
     accept: Accept = Accept()
+
+
+class FlowConfig(tables.Table, frozen=True):
+    """A flow that is kept for pictures."""
+
+    title: str
+    posture: str
+    """A name of `configs/tables/postures.toml`."""
+    pitch_deg: float
+    """Of the robot's vertical axis above the horizontal wind."""
+    yaw_deg: float = 0.0
+    settings: Settings = Settings()

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+import msgspec
 import numpy as np
 import pytest
 import pyvista
@@ -563,7 +564,8 @@ def test_the_wake_is_where_air_is_slow_and_counts_by_area(monkeypatch, agree):
     monkeypatch.setattr(flow, "make_mesh", lambda *_: FACTS)
     monkeypatch.setattr(flow, "solve", lambda *_: result)
     monkeypatch.setattr(flow, "read_case", lambda *_: (cells.cell_data_to_point_data(pass_cell_data=True), wall))
-    found = flow.compute("flight30", flow.FlowConfig())
+    config = flow.FlowConfig(title="a flow", posture="flight30", pitch_deg=45.0)
+    found = flow.compute("", config)
     agree("drag", found.summary["drag [m2]"], 0.13 * np.sqrt(2.0), 1e-12)
     agree("largest", found.summary["turbulent over molecular viscosity, largest in the plane"], 900.0, 1e-12)
     # Single precision: areas of triangles, each within a few roundings of 6e-8.
@@ -571,11 +573,11 @@ def test_the_wake_is_where_air_is_slow_and_counts_by_area(monkeypatch, agree):
     assert np.ptp(found.dataset["plane_position"].values, axis=0).tolist() == [5.0, 0.0, 2.0]
     assert found.dataset["line_speed"].values.min() >= 0.1 - 1e-6
     assert found.dataset["wall_pressure"].attrs == {"units": "1", "long_name": "pressure coefficient"}
-    with pytest.raises(Refused, match="no posture `flying`; there are"):
-        flow.compute("flying", flow.FlowConfig())
+    with pytest.raises(Refused, match="`posture` is `flying`; expected one of"):
+        flow.compute("", msgspec.structs.replace(config, posture="flying"))
     monkeypatch.setattr(flow, "solve", lambda *_: simulate.Result(reason="the force drifts"))
     with pytest.raises(Refused, match="the force drifts"):
-        flow.compute("flight30", flow.FlowConfig())
+        flow.compute("", config)
 
 
 def test_beside_the_tunnel_stand_cases_of_the_same_posture_and_wind_alone(collected, monkeypatch, agree):
@@ -656,15 +658,16 @@ def test_a_sphere_is_dragged_along_the_wind(tmp_path):
 
 @pytest.fixture
 def made_up_flow(tmp_path):
-    """A result of `cfd-flow`: a ball, the plane through it, a line before it."""
+    """Results of `cfd-flow`: a ball, the plane through it, a line before it."""
     ball, plane = pyvista.Sphere(radius=0.1), pyvista.Plane(direction=(0.0, 1.0, 0.0)).triangulate()
     line = pyvista.MultipleLines([[-0.5, 0.0, 0.2], [0.0, 0.0, 0.2], [0.5, 0.0, 0.3]])
     for part in (ball, plane, line):
         part.point_data.update(dict.fromkeys(flow.FIELDS, part.points[:, 0]))
-    folder = tmp_path / "cfd_flow" / "flight30"
-    folder.mkdir(parents=True)
     data = flow.as_dataset(ball, plane, line).assign_attrs(wind=[0.6, 0.0, 0.8], config_hash="abc")
-    data.to_netcdf(folder / "run.nc", engine="h5netcdf")
+    for cells, name in enumerate(cfd_flow.MESHES, 1):
+        folder = tmp_path / "cfd_flow" / name
+        folder.mkdir(parents=True)
+        data.assign_attrs(cells=1000 * cells, edge=0.01 / cells).to_netcdf(folder / "run.nc", engine="h5netcdf")
     return tmp_path / "flight"
 
 
@@ -680,6 +683,14 @@ def test_the_picture_of_a_flow_is_drawn(made_up_flow):
     assert (rendered[0, 0] == 255).all()
     seen = (rendered.min(axis=-1) < 250).mean()
     assert 0.005 < seen < 0.5
+    plt.close(figure)
+
+
+def test_meshes_are_drawn_side_by_side_with_their_sizes(made_up_flow):
+    figure, hashes = cfd_flow.meshes(made_up_flow)
+    assert [*hashes] == [*cfd_flow.MESHES]
+    titles = [axes.get_title() for axes in figure.axes[:3]]
+    assert titles == ["10.0 mm, 1 thousand cells", "5.0 mm, 2 thousand cells", "3.3 mm, 3 thousand cells"]
     plt.close(figure)
 
 

@@ -9,7 +9,7 @@ from paper_figs.panels import readable
 # These show studies, not flights; the tests of each study draw its figure from a study of their own.
 STUDIES = {"fig4_fit", "fig4_network", "training", "surrogate", "trim", "trajectory", "force_rate", "identify"}
 STUDIES |= {"engine", "fig2_setup", "fig5a", "postures", "along", "fig6", "take_off", "tip_over", "observer_limit"}
-STUDIES |= {"tunnel_moments", "cfd_flow", "tune"}
+STUDIES |= {"tunnel_moments", "cfd_flow", "cfd_meshes", "tune"}
 
 
 @pytest.mark.parametrize("name", [name for name in FIGURES if name not in STUDIES])
