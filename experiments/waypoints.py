@@ -13,7 +13,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -109,9 +109,10 @@ def write(path: Path, points: Waypoints, folder: Path) -> list[Path]:
     """Write `mission.csv` and the experiment; return both."""
     config = rust.load_config(points.experiment)
     com, rpy, forward = start_of(config)
+    duration = points.start + sum(motion.duration for motion in motions(points, com, forward)) + points.settling
+    # Before samples of that time take memory.
+    rust.check_config({**config, "simulator": {**config["simulator"], "duration": duration}})
     found = reference(points, com, forward)
-    duration = float(found.times[-1]) + points.settling
-    rust.check_config({**config, "simulator": {**config["simulator"], "duration": duration}})  # before a file as long
     rows = np.column_stack(
         [
             found.times,
@@ -148,12 +149,36 @@ def start_of(config: rust.Config) -> tuple[Array, Array, Array]:
     return flight["com_setpoint"][0], flight["base_rpy_setpoint"][0], forward / np.linalg.norm(forward)
 
 
-def reference(points: Waypoints, com: Array, forward: Array) -> Reference:
-    """Return the motion from a start, step by step; what moves by nothing takes no time."""
-    times, com_rows, headings = [np.array([points.start])], [_still(com)], [np.zeros(1)]
-    place, heading, now = np.array(com, dtype=np.float64), 0.0, points.start
+class Motion(NamedTuple):
+    """A step at its place."""
+
+    place: Array
+    """Where it begins (3,) [m]."""
+    heading: float
+    """With which it begins [rad]."""
+    shift: Array
+    """(3,) [m]"""
+    turn: float
+    """[rad]"""
+    duration: float
+    """[s]"""
+
+
+def motions(points: Waypoints, com: Array, forward: Array) -> list[Motion]:
+    """Return the steps from a start; one that moves by nothing takes no time."""
+    found: list[Motion] = []
+    place, heading = np.array(com, dtype=np.float64), 0.0
     for step in points.steps:
-        shift, turn, duration = _motion(points, step, place, heading, com, forward)
+        found.append(Motion(place, heading, *_motion(points, step, place, heading, com, forward)))
+        place, heading = place + found[-1].shift, heading + found[-1].turn
+    return found
+
+
+def reference(points: Waypoints, com: Array, forward: Array) -> Reference:
+    """Return the samples of the steps from a start."""
+    times, com_rows, headings = [np.array([points.start])], [_still(com)], [np.zeros(1)]
+    now = points.start
+    for place, heading, shift, turn, duration in motions(points, com, forward):
         count = int(np.ceil(duration / SAMPLE))
         if count == 0:
             continue
@@ -164,7 +189,7 @@ def reference(points: Waypoints, com: Array, forward: Array) -> Reference:
         times.append(now + duration * s)
         com_rows.append(rows)
         headings.append(heading + blend[0] * turn)
-        place, heading, now = place + shift, heading + turn, now + duration
+        now += duration
     return Reference(np.concatenate(times), np.concatenate(com_rows, axis=1), np.concatenate(headings))
 
 

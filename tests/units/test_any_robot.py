@@ -169,3 +169,12 @@ def test_joints_that_cannot_be_are_refused_in_both_languages(tmp_path, old, new,
         with pytest.raises(ValueError) as refusal:  # noqa: PT011 - the words follow
             load(tmp_path / "slider.toml")
         assert all(word in str(refusal.value) for word in words), refusal.value
+
+
+def test_an_axis_that_is_nearly_of_length_one_is_made_so(tmp_path):
+    text = (CONFIGS / "robot/platform.toml").read_text()
+    (tmp_path / "platform.toml").write_text(text.replace("axis = [0.0, 0.0, 1.0]", "axis = [0.0, 0.0, 1.0000005]"))
+    (tmp_path / "platform.urdf").write_text((CONFIGS / "robot/platform.urdf").read_text())
+    robot = load_robot(tmp_path / "platform.toml")
+    for axes in (robot.jets.axes, robot.aero_links.axes):
+        np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1.0, rtol=1e-15)

@@ -58,7 +58,8 @@ def test_a_motion_by_nothing_takes_no_time():
     assert np.array_equal(found.com, without.com)
 
 
-def test_a_mission_beyond_the_longest_flight_writes_nothing(tmp_path):
+def test_a_mission_beyond_the_longest_flight_is_refused_before_it_is_sampled(tmp_path, monkeypatch):
+    monkeypatch.setattr(waypoints, "reference", lambda *_: pytest.fail("sampled"))
     with pytest.raises(ValueError, match="expected at most ten million ticks"):
         waypoints.write(Path("far.toml"), points(Step(forward=1e6)), tmp_path)
     assert not list(tmp_path.iterdir())
