@@ -66,6 +66,7 @@ def test_a_robot_without_jets_falls_as_gravity_has_it(without_jets):
         assert flight.outcome == "completed"
         assert np.abs(flight.log["com_position"][:, 2] - expected).max() < 1e-12
         assert (flight.log["qp_status"] == 0).all()
+        assert [flight.summary[f"thrust_{end}"] for end in ("min", "max")] == [0.0, 0.0]
 
 
 def slider():

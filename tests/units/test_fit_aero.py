@@ -19,6 +19,13 @@ from tests.cfd_table import modelled_rows, solver_table
 from tests.measurements import measured
 
 
+def test_the_spread_of_a_mean_is_the_standard_error_of_the_postures():
+    """Of the mean of n numbers the jackknife gives what theory does, σ / √n with n − 1 degrees of freedom."""
+    target = np.array([3.0, -1.0, 4.0, 1.5, -5.0])
+    found = fit.spread(np.ones((5, 1)), target, np.arange(5))
+    measured("spread", abs(found[0] - target.std(ddof=1) / np.sqrt(5)), 1e-14)
+
+
 @pytest.fixture(scope="module")
 def robot():
     return load_robot(fit_aero.ROBOT)
