@@ -1,5 +1,7 @@
 """ONNX in the published layout: there and back, and beside an independent runtime."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import onnx
@@ -61,6 +63,20 @@ def test_a_graph_that_does_more_is_refused_and_not_misread(ironcub, tmp_path):
     onnx.save(model, path)
     with pytest.raises(ValueError, match="the file is off by"):
         import_onnx(path, ironcub)
+
+
+def test_a_layer_without_biases_has_none(ironcub, tmp_path, inputs):
+    path = tmp_path / "network.onnx"
+    network = init_network(jax.random.key(1), ironcub, hidden=(4,))
+    *layers, last = network.layers
+    biased = dataclasses.replace(network, layers=(*layers, dataclasses.replace(last, bias=last.bias + 1.0)))
+    export_onnx(path, biased)
+    model = onnx.load(path)
+    model.graph.node.pop()
+    model.graph.node[-1].output[0] = "areas"
+    onnx.save(model, path)
+    expected = answers(biased, *inputs) - biased.layers[-1].bias[0][:, None]
+    np.testing.assert_allclose(answers(import_onnx(path, ironcub), *inputs), expected, rtol=0.0, atol=1e-6)
 
 
 def test_other_ports_are_refused(ironcub, tmp_path):

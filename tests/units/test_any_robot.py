@@ -173,9 +173,13 @@ def test_joints_that_cannot_be_are_refused_in_both_languages(tmp_path, old, new,
 
 
 def test_an_axis_that_is_nearly_of_length_one_is_made_so(tmp_path):
-    text = (CONFIGS / "robot/platform.toml").read_text()
-    (tmp_path / "platform.toml").write_text(text.replace("axis = [0.0, 0.0, 1.0]", "axis = [0.0, 0.0, 1.0000005]"))
-    (tmp_path / "platform.urdf").write_text((CONFIGS / "robot/platform.urdf").read_text())
-    robot = load_robot(tmp_path / "platform.toml")
-    for axes in (robot.jets.axes, robot.aero_links.axes):
+    for suffix, old, new in (
+        (".toml", "axis = [0.0, 0.0, 1.0]", "axis = [0.0, 0.0, 1.0000005]"),
+        (".urdf", '"1 0 0"', '"1.0000005 0 0"'),
+    ):
+        text = (CONFIGS / f"robot/slider{suffix}").read_text()
+        assert old in text
+        (tmp_path / f"slider{suffix}").write_text(text.replace(old, new))
+    robot = load_robot(tmp_path / "slider.toml")
+    for axes in (robot.joint_axes, robot.jets.axes, robot.aero_links.axes):
         np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1.0, rtol=1e-15)
