@@ -96,6 +96,17 @@ def test_the_law_on_every_axis():
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-11)
 
 
+def test_what_is_found_beside_the_estimate_is_followed(agree):
+    """`w (1 − exp(−t / 20 ms))` beside an estimate that stays zero, as the crate's own test has it."""
+    config = ObserverGains(*(np.float64(value) for value in (0.0, 0.0, 600.0, 100.0)))
+    wrench = jnp.array([30.0, -50.0, 70.0, 3.0, -5.0, 7.0])
+    state = observer.start(wrench)
+    for time in 0.01 * np.arange(20):
+        state = observer.update(config, jnp.array(0.01), state, jnp.array(time), wrench * time, jnp.zeros(6))
+        agree("residual", state.residual, -wrench * np.expm1(-time / 0.02), 1e-11)
+    assert not observer.hold(state).residual.any()
+
+
 def test_gradients_of_a_refused_comparison_are_finite():
     """Two measurements at one time: nothing is compared, and nothing is divided by zero."""
     config = ObserverGains(*(np.float64(value) for value in (2.0, 5.0, 600.0, 100.0)))

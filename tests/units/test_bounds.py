@@ -37,6 +37,16 @@ def test_a_urdf_whose_tags_nest_deeply_is_refused(robot, load):
             load(robot)
 
 
+@pytest.mark.parametrize("number", ["1e300", "nan", "0.0 0.0"])
+def test_a_place_that_is_none_is_refused_as_it_is_read(robot, number):
+    urdf = robot.with_suffix(".urdf")
+    spoilt, count = re.subn(r'<origin xyz="\S+', f'<origin xyz="{number}', urdf.read_text(), count=1)
+    assert count == 1
+    urdf.write_text(spoilt)
+    with pytest.raises(ValueError, match=f"`xyz` of a <origin> is `{number} .*; expected 3 numbers up to 1e.100"):
+        load_robot(robot)
+
+
 @pytest.mark.parametrize("load", [rust.Robot, load_robot])
 def test_a_device_and_a_huge_file_are_not_read(robot, load):
     """The file is sparse: it takes no space, but would take the memory."""
