@@ -83,6 +83,19 @@ def test_a_pendulum_leans_by_the_ratio_of_drag_and_weight():
     measured("angle of the pendulum [rad]", abs(data.qpos[0] - expected), 1e-6)
 
 
+def test_an_axis_of_a_link_is_a_direction_whatever_its_length():
+    model, found = mujoco.MjModel.from_xml_string(PENDULUM), []
+    for axis in ((0.0, 0.6, 0.8), (0.0, 3.0, 4.0)):
+        wind, data = air.of_links(model, [air.Link("arm", diameter=0.1, length=0.3, axis=axis)]), mujoco.MjData(model)
+        mujoco.set_mjcb_control(wind.callback(WIND))
+        try:
+            mujoco.mj_forward(model, data)
+        finally:
+            mujoco.set_mjcb_control(None)
+        found.append(data.xfrc_applied.copy())
+    np.testing.assert_allclose(found[1], found[0], rtol=0.0, atol=1e-12 * np.abs(found[0]).max())
+
+
 def test_mjx_gets_the_forces_of_mujoco_as_a_pure_function():
     model = mujoco.MjModel.from_xml_string(PENDULUM)
     data = mujoco.MjData(model)

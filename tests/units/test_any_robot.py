@@ -13,8 +13,11 @@ CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
 
 def both(config):
-    """Fly a configuration in the crate and in JAX."""
-    return rust.fly(config), engines.engine("jax").fly(config, None)
+    """Fly a configuration in the crate and in JAX; both log the same signals."""
+    ours, twin = rust.fly(config), engines.engine("jax").fly(config, None)
+    shapes = [{name: values.shape for name, values in flight.log.items()} for flight in (ours, twin)]
+    assert shapes[0] == shapes[1]
+    return ours, twin
 
 
 def hover_of(robot, jets, duration):

@@ -48,6 +48,18 @@ def test_a_place_that_is_none_is_refused_as_it_is_read(robot, number):
 
 
 @pytest.mark.parametrize("load", [rust.Robot, load_robot])
+@pytest.mark.parametrize("item", ["link", "joint"])
+def test_a_urdf_with_a_name_twice_is_refused(robot, load, item):
+    urdf = robot.with_suffix(".urdf")
+    text = urdf.read_text()
+    first = re.search(rf"<{item} .*?</{item}>", text, re.DOTALL)
+    assert first is not None
+    urdf.write_text(text.replace("</robot>", f"{first[0]}</robot>"))
+    with pytest.raises(ValueError, match=rf"{item} `\w+`.* more than once"):
+        load(robot)
+
+
+@pytest.mark.parametrize("load", [rust.Robot, load_robot])
 def test_a_device_and_a_huge_file_are_not_read(robot, load):
     """The file is sparse: it takes no space, but would take the memory."""
     urdf = robot.with_suffix(".urdf")

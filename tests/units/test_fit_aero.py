@@ -26,6 +26,17 @@ def test_the_spread_of_a_mean_is_the_standard_error_of_the_postures():
     measured("spread", abs(found[0] - target.std(ddof=1) / np.sqrt(5)), 1e-14)
 
 
+def test_penalties_are_shares_of_the_largest_useful_one():
+    """The unit of the target does not matter; under the largest one the constant stands alone."""
+    rng = np.random.default_rng(3)
+    matrix = np.column_stack([np.ones(40), rng.normal(size=(40, 3))])
+    target = matrix @ [1.0, 2.0, 0.1, 0.0]
+    found, scaled = (fit.lasso_supports(matrix, unit * target) for unit in (1.0, 1e3))
+    assert found.keys() == scaled.keys()
+    np.testing.assert_allclose(list(scaled.values()), list(found.values()), rtol=1e-9)
+    assert max(found, key=found.__getitem__) == (0,)
+
+
 @pytest.fixture(scope="module")
 def robot():
     return load_robot(fit_aero.ROBOT)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from jax_aero import __main__ as commands
 from jax_aero import places, rust
@@ -58,6 +59,13 @@ def test_between_two_samples_lies_their_blend(seen):
     np.testing.assert_allclose(now.com, 0.5 * (first.com + second.com), atol=1e-12)
     np.testing.assert_allclose(now.body_rotations, 0.5 * (first.body_rotations + second.body_rotations), atol=1e-4)
     np.testing.assert_allclose(now.body_rotations[0] @ now.body_rotations[0].T, np.eye(3), atol=1e-12)
+
+
+def test_a_result_without_a_sample_is_refused(fallen, tmp_path):
+    with xr.open_dataset(fallen / "run.nc", engine="h5netcdf") as flight:
+        flight.isel(time=slice(0)).to_netcdf(tmp_path / "run.nc", engine="h5netcdf")
+    with pytest.raises(Refused, match="holds no sample"):
+        recording.read(tmp_path)
 
 
 def test_outside_the_flight_is_its_end(seen):
