@@ -155,15 +155,14 @@ class Dataset:
     def group(self) -> Int[np.ndarray, " B"]:
         """Number shared by rows of one body shape in one wind: poles of the angle grid, own mirror images."""
         key = np.column_stack([self.joint_position_deg, self.wind_b])
-        # Adding zero makes -0 equal to 0.
-        _, numbers = np.unique(np.round(key, 6) + 0.0, axis=0, return_inverse=True)
+        _, numbers = np.unique(np.round(key, 6), axis=0, return_inverse=True)
         return np.asarray(numbers, dtype=np.int64).reshape(-1)
 
     @cached_property
     def family(self) -> Int[np.ndarray, " B"]:
         """Number shared by a posture and its mirror image, whatever they are called."""
-        angles = np.round(self.joint_position_deg, 6) + 0.0
-        images = np.round(mirrored_joints(self.joint_position_deg), 6) + 0.0
+        angles = np.round(self.joint_position_deg, 6)
+        images = np.round(mirrored_joints(self.joint_position_deg), 6)
         swap = np.array(
             [tuple(b) < tuple(a) for a, b in zip(angles.tolist(), images.tolist(), strict=True)], dtype=bool
         )

@@ -703,3 +703,14 @@ def test_what_a_picture_of_a_flow_lacks_is_named(made_up_flow, monkeypatch, caps
     monkeypatch.setitem(sys.modules, "pyvista", None)
     assert figures(arguments) == 1
     assert "pip install 'jax-aero[flow]'" in capsys.readouterr().err
+
+
+def test_a_mesh_without_triangles_or_with_a_corner_nowhere_is_refused(tmp_path):
+    corner = "v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n"
+    for name, text, words in (
+        ("flat.obj", corner, "not finite"),
+        ("none.obj", "v 0 0 0\n", "cannot be read|no triangle"),
+    ):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(Refused, match=words):
+            mesh.read_mesh(tmp_path / name)

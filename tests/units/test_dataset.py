@@ -37,6 +37,13 @@ def data():
     return made_up()
 
 
+def test_a_negative_zero_is_a_zero():
+    joints, winds = np.zeros((2, len(JOINTS))), np.array([[0.0, 0.0, 1.0], [-0.0, 0.0, 1.0]])
+    joints[1] = -0.0
+    data = dataclasses.replace(made_up(postures=1, winds=2), joint_position_deg=joints, wind_b=winds)
+    assert set(data.group) == set(data.family) == {0}
+
+
 @pytest.mark.parametrize(
     ("pitch", "yaw", "direction"),
     [

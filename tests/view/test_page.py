@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import time
+import unicodedata
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -122,6 +123,16 @@ def falls_and_completes(outcomes: list[str]) -> bool:
 def changed(first: np.ndarray, second: np.ndarray) -> float:
     """Share of pixels that are clearly different."""
     return float((np.abs(first - second).max(axis=-1) > 24).mean())
+
+
+def test_speeds_are_what_their_buttons_say_and_the_second_result_is_the_ghost(fallen):
+    from jax_aero.view.page import SPEEDS, Page
+
+    assert list(SPEEDS.values()) == [unicodedata.numeric(label[0]) for label in SPEEDS]
+    results = [recording.read(fallen) for _ in range(3)]
+    page = Page(results, results[0].config, port=0)
+    page.close()
+    assert [page.solid, page.ghost, *page.others] == [results[0], results[1], *results[1:]]
 
 
 def test_a_result_is_drawn_and_scrubbed(visit, fallen):

@@ -114,6 +114,7 @@ def test_arrows_are_as_long_as_the_legend_says(seen):
     np.testing.assert_allclose(lengths, 0.2 * np.linalg.norm(now.aero_force, axis=1), atol=1e-12)
     assert lengths.max() > 0.1
     assert drawing.Scales(force=0.15).reference_force == 2.0
+    assert 0.3 < 160.0 * drawing.Scales().thrust < 1.0  # the jet of the strongest thrust, beside a robot of 1 m
     arrow = drawing.wind_arrow(now, scales)
     assert arrow is not None
     np.testing.assert_allclose(arrow[1] - arrow[0], [0.0, -0.8, 0.0], atol=1e-12)
@@ -146,6 +147,12 @@ def test_meshes_have_their_size_are_closed_and_face_outwards(make, low, high):
 def test_the_settings_of_a_flight_are_that_flight(name):
     config = rust.load_config(ROOT / f"configs/experiments/{name}.toml")
     assert apply(config, settings_of(config)) == config
+
+
+def test_a_wind_from_ahead_has_no_negative_direction():
+    config = default_config()
+    config["wind"]["velocity"] = [-5.0, 0.0, 0.0]
+    assert str(settings_of(config).wind_direction_deg) == "0.0"
 
 
 def test_published_arms_are_the_published_flights():
