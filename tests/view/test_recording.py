@@ -10,7 +10,7 @@ import xarray as xr
 
 from jax_aero import __main__ as commands
 from jax_aero import places, rust
-from jax_aero.view import Refused, drawing, recording
+from jax_aero.view import Refused, drawing, labels, recording
 from jax_aero.view.settings import AS_GIVEN, MODELS, Settings, apply, default_config, settings_of
 from jax_aero.view.shapes import look_of
 
@@ -138,6 +138,38 @@ def test_meshes_have_their_size_are_closed_and_face_outwards(make, low, high):
     assert np.linalg.norm(normals.sum(axis=0)) < 1e-9
     middle = vertices.mean(axis=0)
     assert np.all(np.einsum("fi,fi->f", normals, (a + b + c) / 3.0 - middle) > 0.0)
+
+
+class Drawn:
+    """What is drawn and written on a picture, in place of the picture."""
+
+    def __init__(self):
+        self.lines, self.words = [], []
+
+    def line(self, points, **_):
+        self.lines.append(points)
+
+    def text(self, _, words, anchor="la", **__):
+        self.words.append((words, anchor))
+
+    def ellipse(self, *_, **__):
+        pass
+
+
+def test_a_profile_has_both_axes_and_their_numbers(seen):
+    drawn = Drawn()
+    labels.profile(drawn, (50, 20, 450, 220), seen, [1.0, 2.0], 12)
+    assert {(50, 220, 450, 220), (50, 220, 50, 20)} <= {tuple(points) for points in drawn.lines if len(points) == 4}
+    for anchor in ("ma", "rm"):  # below the axis, and left of it
+        assert sum(at == anchor and words.endswith(" m") for words, at in drawn.words) >= 2
+
+
+def test_a_frame_says_what_flies_and_whose_ghost(seen, monkeypatch):
+    words = []
+    monkeypatch.setattr(labels, "text", lambda _, __, text, *___, **____: words.append(text))
+    ghost = replace(seen, title="another")
+    labels.letter_video(np.zeros((340, 600, 3), np.uint8), seen, 18.0, drawing.Scales(), 100.0, ghost, ended=[])
+    assert words[:3] == [seen.title, "ghost: another", "18.0 s"]
 
 
 # --- settings ---------------------------------------------------------------------------------------------------
