@@ -122,7 +122,7 @@ CARD := $(abspath results/training/$(TRAINING)/$(TRAINING).json)
 # What the paper's claims are judged by. SWEEPS=--all flies those of ours, too: 33,000 flights.
 SWEEPS := paper_tests ablation_terms model_pairs
 
-reproduce: $(PACKAGES) ## fly, train, draw and judge what the paper has, write results/report.md and .html (38 minutes of processor time)
+reproduce: $(PACKAGES) ## fly, train, draw and judge what the paper has, write results/report.md and .html (36 minutes of processor time)
 	$(if $(PUBLIC_TABLE),$(BIN)/python -m experiments import-cfd --table $(PUBLIC_TABLE) --out $(DATASET))
 	$(BIN)/python -m experiments fit-aero $(DATA) --set dataset=$(DATASET)
 	$(BIN)/python -m experiments train $(TRAINING) --dataset $(DATASET)
