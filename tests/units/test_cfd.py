@@ -689,7 +689,7 @@ def test_the_picture_of_a_flow_is_drawn(made_up_flow):
 def test_meshes_are_drawn_side_by_side_with_their_sizes(made_up_flow):
     figure, hashes = cfd_flow.meshes(made_up_flow)
     assert [*hashes] == [*cfd_flow.MESHES]
-    titles = [axes.get_title() for axes in figure.axes[:3]]
+    titles = [axes.get_title("left") + axes.get_title() for axes in figure.axes[:3]]  # where depends on the style
     assert titles == ["10.0 mm, 1 thousand cells", "5.0 mm, 2 thousand cells", "3.3 mm, 3 thousand cells"]
     plt.close(figure)
 
