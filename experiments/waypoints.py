@@ -169,7 +169,7 @@ def motions(points: Waypoints, com: Array, forward: Array) -> list[Motion]:
     found: list[Motion] = []
     place, heading = np.array(com, dtype=np.float64), 0.0
     for step in points.steps:
-        found.append(Motion(place, heading, *_motion(points, step, place, heading, com, forward)))
+        found.append(_motion(points, step, place, heading, com, forward))
         place, heading = place + found[-1].shift, heading + found[-1].turn
     return found
 
@@ -195,13 +195,14 @@ def reference(points: Waypoints, com: Array, forward: Array) -> Reference:
 
 def _motion(
     points: Waypoints, step: Step, place: Array, heading: float, com: Array, forward: Array
-) -> tuple[Array, float, float]:
-    """Return shift [m], turn [rad] and duration [s] of one step."""
+) -> Motion:
+    """Return one step at its place."""
     ((kind, value),) = step.motions.items()
     if kind == "hold":
-        return np.zeros(3), 0.0, value
+        return Motion(place, heading, np.zeros(3), 0.0, value)
     if kind == "turn_deg":
-        return np.zeros(3), float(np.radians(value)), PEAK * abs(value) / (step.speed or points.turn_speed_deg)
+        duration = PEAK * abs(value) / (step.speed or points.turn_speed_deg)
+        return Motion(place, heading, np.zeros(3), float(np.radians(value)), duration)
     cos, sin = np.cos(heading), np.sin(heading)
     ahead = np.array([cos * forward[0] - sin * forward[1], sin * forward[0] + cos * forward[1], 0.0])
     left, up = np.array([-ahead[1], ahead[0], 0.0]), np.array([0.0, 0.0, 1.0])
@@ -211,7 +212,8 @@ def _motion(
         "climb": value * up,
         "climb_to": (com[2] + value - place[2]) * up,
     }[kind]
-    return shift, 0.0, PEAK * float(np.linalg.norm(shift)) / (step.speed or points.speed)
+    duration = PEAK * float(np.linalg.norm(shift)) / (step.speed or points.speed)
+    return Motion(place, heading, shift, 0.0, duration)
 
 
 def _blend(s: Array, duration: float) -> Array:

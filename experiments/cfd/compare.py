@@ -78,6 +78,8 @@ def compute(name: str, config: CompareConfig) -> Findings:
             own = here.posture == posture
             found = errors(robot, here.force_area_b[own], there.take(own))
             summary |= {f"{posture} ({own.sum()}): {key}": value for key, value in found.items()}
+        off = np.sqrt(np.mean(np.sum((here.force_area_b - there.force_area_b) ** 2, axis=2), axis=0))
+        summary |= {f"{link}: force, rms [m2]": float(value) for link, value in zip(LINKS, off, strict=True)}
         result = as_rows(at_rows, there)
     return Findings(f"Open CFD `{name}` beside others", result, summary, inputs=inputs, texts=texts)
 
@@ -129,8 +131,7 @@ def matched(ours: Dataset, table: Dataset) -> tuple[Dataset, Dataset, Indices]:
 
 
 def _keys(data: Dataset) -> list[tuple[float, ...]]:
-    # Adding zero makes -0 equal to 0.
-    return [tuple(row) for row in np.round(np.column_stack([data.joint_position_deg, data.wind_b]), 5) + 0.0]
+    return [tuple(row) for row in np.round(np.column_stack([data.joint_position_deg, data.wind_b]), 5)]
 
 
 def errors(robot: RobotModel, areas: Floats, there: Dataset) -> dict[str, float]:

@@ -1,7 +1,7 @@
 """Keep the flow of one case for pictures: `jax-aero cfd-flow NAME`, NAME a file of `configs/cfd_flow/`.
 
 Pressure on the robot, streamlines around it, and speed, pressure and turbulent viscosity in its plane of symmetry, as
-in the paper's Fig. 3 c to f; `jax-aero figures cfd_flow` draws them. Needs OpenFOAM; PyVista reads its case.
+in the paper's Fig. 3 c to f; `jax-aero figures cfd_flow cfd_meshes` draws them. Needs OpenFOAM; PyVista reads its case.
 """
 
 from __future__ import annotations
@@ -62,6 +62,7 @@ def compute(_name: str, config: FlowConfig) -> Findings:
         "drag [m2]": float(np.sum([*result.force_area_b.values()], axis=0) @ wind),
         "pressure share of the force": result.quality["pressure share of the force"],
         "turbulent over molecular viscosity, largest in the plane": float(ratio.max()),
+        "wake in the plane, slower than half the wind [m2]": float(area[wake].sum()),
         "part of the wake in the plane where that is above 100": area[wake & (ratio > 100.0)].sum() / area[wake].sum(),
         "cells": facts.cells,
     }

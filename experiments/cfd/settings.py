@@ -123,7 +123,7 @@ class Settings(tables.Table, frozen=True):
 
 
 class FlowConfig(tables.Table, frozen=True):
-    """A flow that is kept for pictures."""
+    """A flow that is kept for pictures; here, as the schema of files must not need the packages of `flow.py`."""
 
     title: str
     posture: str

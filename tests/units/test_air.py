@@ -1,5 +1,7 @@
 """The air for other simulators: MuJoCo gets the forces of our simulator, with our robots and with declared links."""
 
+import contextlib
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -33,6 +35,16 @@ def _generalised_force(aero, robot, state):
     return generalised_aero_force(robot, kin, found, found.arm_points)
 
 
+@contextlib.contextmanager
+def controlled_by(callback):
+    """MuJoCo has one callback for all models."""
+    mujoco.set_mjcb_control(callback)
+    try:
+        yield
+    finally:
+        mujoco.set_mjcb_control(None)
+
+
 @pytest.mark.parametrize(
     ("name", "aero"),
     [("ironcub_mk1", "axisymmetric_corrected"), ("ironcub_mk1", "network"), ("sparrow", "sphere_cylinder")],
@@ -51,11 +63,8 @@ def test_mujoco_feels_the_air_of_our_simulator(name, aero):
     mujoco.mj_forward(model, data)
     calm = data.qfrc_smooth.copy()
     wind = air.of_robot(model, name, aero)
-    mujoco.set_mjcb_control(wind.callback(lambda _: WIND))
-    try:
+    with controlled_by(wind.callback(lambda _: WIND)):
         mujoco.mj_forward(model, data)
-    finally:
-        mujoco.set_mjcb_control(None)
     felt = (data.qfrc_smooth - calm)[order_of(robot.source, robot.joint_names).dofs]
     felt[3:6] = rotation @ felt[3:6]  # MuJoCo turns in body axes
 
@@ -73,11 +82,8 @@ def test_mujoco_feels_the_air_of_our_simulator(name, aero):
 def test_a_pendulum_leans_by_the_ratio_of_drag_and_weight():
     model = mujoco.MjModel.from_xml_string(PENDULUM)
     data = mujoco.MjData(model)
-    mujoco.set_mjcb_control(air.of_links(model, [BALL]).callback([6.0, 0.0, 0.0]))
-    try:
+    with controlled_by(air.of_links(model, [BALL]).callback([6.0, 0.0, 0.0])):
         mujoco.mj_step(model, data, nstep=1500)
-    finally:
-        mujoco.set_mjcb_control(None)
     drag = 0.5 * air.AIR_DENSITY * 0.02 * 6.0**2
     expected = -np.arctan(drag / (0.4 * 9.81))  # the hinge turns +z towards +x, and so -z towards -x
     measured("angle of the pendulum [rad]", abs(data.qpos[0] - expected), 1e-6)
@@ -87,11 +93,8 @@ def test_an_axis_of_a_link_is_a_direction_whatever_its_length():
     model, found = mujoco.MjModel.from_xml_string(PENDULUM), []
     for axis in ((0.0, 0.6, 0.8), (0.0, 3.0, 4.0)):
         wind, data = air.of_links(model, [air.Link("arm", diameter=0.1, length=0.3, axis=axis)]), mujoco.MjData(model)
-        mujoco.set_mjcb_control(wind.callback(WIND))
-        try:
+        with controlled_by(wind.callback(WIND)):
             mujoco.mj_forward(model, data)
-        finally:
-            mujoco.set_mjcb_control(None)
         found.append(data.xfrc_applied.copy())
     np.testing.assert_allclose(found[1], found[0], rtol=0.0, atol=1e-12 * np.abs(found[0]).max())
 
@@ -103,11 +106,8 @@ def test_mjx_gets_the_forces_of_mujoco_as_a_pure_function():
     wind = air.of_links(
         model, [air.Link("arm", diameter=0.1, length=0.3, axis=(0.0, 1.0, 1.0), centre=(0.0, 0.0, -0.4))]
     )
-    mujoco.set_mjcb_control(wind.callback(WIND))
-    try:
+    with controlled_by(wind.callback(WIND)):
         mujoco.mj_forward(model, data)
-    finally:
-        mujoco.set_mjcb_control(None)
     ours = mjx.put_model(model)
     start = mjx.make_data(ours).replace(qpos=jnp.array([0.4]), qvel=jnp.array([-2.0]))
     blown = jax.jit(lambda state: wind.blow(ours, state, jnp.asarray(WIND)).xfrc_applied)(start)
