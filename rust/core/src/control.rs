@@ -36,7 +36,7 @@ pub use command::{BadStart, Command, CommandStatus, Measurement};
 pub use state::ControllerState;
 
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
-use crate::dynamics::{Dynamics, MassFactor};
+use crate::dynamics::{Dynamics, InverseMass};
 use crate::error::{BuildError, check};
 use crate::kinematics::Kinematics;
 use crate::qp::{QpAnswer, QpChain, QpProblem, QpSolver, QpStatus};
@@ -65,6 +65,8 @@ pub struct Terms {
     pub kinematics: Kinematics,
     /// Mass matrix, bias, centroidal momentum.
     pub dynamics: Dynamics,
+    /// Inverse mass matrix.
+    pub inverse_mass: InverseMass,
     /// Estimated aerodynamic forces.
     pub link_forces: LinkForces,
     /// `A_T`, `Λ`, `L̇`.
@@ -98,7 +100,6 @@ pub struct Controller {
     setpoint_generator: SetpointGenerator,
     terms: Terms,
     command: Command,
-    mass_factor: MassFactor,
     force: DVector<f64>,
     acceleration: DVector<f64>,
     velocity_error: DVector<f64>,
@@ -153,6 +154,7 @@ impl Controller {
             terms: Terms {
                 kinematics: Kinematics::new(&model),
                 dynamics: Dynamics::new(&model),
+                inverse_mass: InverseMass::new(joints),
                 link_forces: LinkForces::new(&model),
                 momentum: MomentumModel::new(&model),
                 setpoint: Setpoint::hold(zero, Matrix3::identity()),
@@ -172,7 +174,6 @@ impl Controller {
                 modes: Modes::default(),
             },
             acceleration: DVector::zeros(n),
-            mass_factor: MassFactor::new(n),
             force: DVector::zeros(n),
             velocity_error: DVector::zeros(joints),
             model,
@@ -376,20 +377,14 @@ impl Controller {
             contact,
             gains,
         };
-        momentum_qp.update(&self.model, &inputs);
-        if let Some(descent) = descent {
-            let velocity_max = descent.joint_velocity_max_deg.to_radians();
-            momentum_qp.bound_joints(&self.model, &measurement.state, velocity_max);
-        }
+        momentum_qp.update(&inputs);
         // The others take the share of an engine that does not reach its thrust.
-        for (index, (jet, engine)) in self.model.jets.iter().zip(&state.engines).enumerate() {
+        let thrust_ranges = self.model.jets.iter().zip(&state.engines).map(|(jet, engine)| {
             let greatest = engine.range.1.min(jet.thrust_max);
-            momentum_qp.bound_thrust(
-                index,
-                measurement.thrust[index],
-                (engine.range.0.min(greatest), greatest),
-            );
-        }
+            (engine.range.0.min(greatest), greatest)
+        });
+        let velocity_max = descent.map_or(0.0, |descent| descent.joint_velocity_max_deg.to_radians());
+        momentum_qp.update_bounds(&self.model, &inputs, thrust_ranges, velocity_max);
 
         self.momentum_solver.set_start(&state.momentum_start);
         let answer = self.momentum_solver.solve(&momentum_qp.problem);
@@ -411,7 +406,7 @@ impl Controller {
     /// Torques that let the joints follow the commanded velocities.
     fn solve_torque_qp(&mut self, state: &mut ControllerState, descent: Option<&DescentConfig>) {
         let measurement = &self.channels.seen;
-        let Terms { kinematics, dynamics, momentum, torque_qp, contact, unlimited_torque, .. } =
+        let Terms { kinematics, dynamics, inverse_mass, momentum, torque_qp, contact, unlimited_torque, .. } =
             &mut self.terms;
         // Σ Jᵀ T a + J_aᵀ f_a − h
         self.force.copy_from(&dynamics.bias);
@@ -424,12 +419,12 @@ impl Controller {
             self.velocity_error[joint] = velocity - self.command.joint_velocity[joint];
         }
 
-        let is_factorised = self.mass_factor.factorise(&dynamics.mass_matrix);
-        let answer = if is_factorised {
+        let is_inverted = inverse_mass.update(&dynamics.mass_matrix);
+        let answer = if is_inverted {
             torque_qp.update(
                 &self.config.torque,
                 contact,
-                &self.mass_factor,
+                inverse_mass,
                 &mut self.force,
                 &self.velocity_error,
                 &state.velocity_error_integral,
@@ -469,16 +464,16 @@ impl Controller {
                 *integral = (*integral + self.time_step * error).clamp(-INTEGRAL_LIMIT, INTEGRAL_LIMIT);
             }
         }
-        self.predict_acceleration(state, is_factorised);
+        self.predict_acceleration(state, is_inverted);
     }
 
     /// What the command makes of the robot, for the channels of the next tick:
     /// `ν̇ = M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a + J_cᵀ f_c + S τ + ŵ − h)`, the observed wrench `ŵ` on the base.
-    fn predict_acceleration(&mut self, state: &mut ControllerState, is_factorised: bool) {
-        let Terms { kinematics, momentum, contact, .. } = &self.terms;
+    fn predict_acceleration(&mut self, state: &mut ControllerState, is_inverted: bool) {
+        let Terms { kinematics, inverse_mass, momentum, contact, .. } = &mut self.terms;
         let acceleration = &mut self.acceleration;
         acceleration.fill(0.0);
-        if is_factorised {
+        if is_inverted {
             let wrench = &momentum.unmodelled_wrench;
             let arm = kinematics.com - kinematics.bodies[0].i_from_b.position;
             let (force, moment): (Vector3<f64>, Vector3<f64>) =
@@ -496,7 +491,7 @@ impl Controller {
                     acceleration[column] += v.dot(&force) + w.dot(&moment);
                 });
             }
-            self.mass_factor.solve_in_place(acceleration);
+            inverse_mass.multiply_in_place(acceleration);
             // The torque QP left the free acceleration here.
             *acceleration += &self.force;
         }

@@ -251,17 +251,73 @@ impl MassFactor {
         linalg::cholesky_in_place(self.factor.as_mut_slice(), n, n, n)
     }
 
-    /// Joint block of the factor, starting at its first entry, in columns of the whole factor's height;
-    /// empty for a robot without joints.
-    #[must_use]
-    pub fn joint_block(&self) -> &[f64] {
-        self.factor.as_slice().get(6 * self.factor.nrows() + 6..).unwrap_or_default()
-    }
-
     /// Solves `M x = b` in place: with `b = Σ generalised forces − h`, x is the forward dynamics ν̇.
     pub fn solve_in_place(&self, b: &mut DVector<f64>) {
         let n = self.factor.nrows();
         linalg::solve_lower_in_place(self.factor.as_slice(), n, n, b.as_mut_slice());
         linalg::solve_lower_transposed_in_place(self.factor.as_slice(), n, n, b.as_mut_slice());
+    }
+}
+
+/// The inverse of a mass matrix where its joint block `G` is wanted as a matrix; preallocated.
+///
+/// ```text
+/// M = K Kᵀ,   K = [K_b 0; C K_s],   (M⁻¹)_ss = G = K_s⁻ᵀ K_s⁻¹
+/// ```
+#[derive(Debug, Clone)]
+pub struct InverseMass {
+    /// `K`.
+    pub factor: MassFactor,
+    /// `K_s⁻ᵀ`.
+    pub joint_factor: DMatrix<f64>,
+    /// `G`, joint acceleration per unit of torque \[1/(kg m²)\].
+    pub joint_gain: DMatrix<f64>,
+    forces: DVector<f64>,
+}
+
+impl InverseMass {
+    /// Space for a robot with so many joints.
+    #[must_use]
+    pub fn new(joints: usize) -> Self {
+        Self {
+            factor: MassFactor::new(6 + joints),
+            joint_factor: DMatrix::zeros(joints, joints),
+            joint_gain: DMatrix::zeros(joints, joints),
+            forces: DVector::zeros(joints),
+        }
+    }
+
+    /// Inverts `mass_matrix`; `false` as for [`MassFactor::factorise`].
+    #[must_use]
+    pub fn update(&mut self, mass_matrix: &DMatrix<f64>) -> bool {
+        if !self.factor.factorise(mass_matrix) {
+            return false;
+        }
+        let (n, joints) = (mass_matrix.nrows(), self.forces.len());
+        let joint_block = self.factor.factor.as_slice().get(6 * n + 6..).unwrap_or_default();
+        let (inverse, gain) = (self.joint_factor.as_mut_slice(), self.joint_gain.as_mut_slice());
+        linalg::invert_symmetric(joint_block, joints, n, inverse, gain);
+        true
+    }
+
+    /// [`MassFactor::solve_in_place`] without long substitutions, whose every entry waits for the one before:
+    ///
+    /// ```text
+    /// y = K_b⁻¹ b_b,   x_s = G (b_s − C y),   x_b = K_b⁻ᵀ (y − Cᵀ x_s)
+    /// ```
+    pub fn multiply_in_place(&mut self, b: &mut DVector<f64>) {
+        let (n, k) = (b.len(), self.factor.factor.as_slice());
+        let (base, joints) = b.as_mut_slice().split_at_mut(6);
+        linalg::solve_lower_in_place(k, 6, n, base);
+        self.forces.copy_from_slice(joints);
+        for (column, y) in k.chunks_exact(n).zip(&*base) {
+            linalg::add_scaled(self.forces.as_mut_slice(), -y, &column[6..]);
+        }
+        joints.fill(0.0);
+        linalg::add_mat_vec(joints, self.joint_gain.as_slice(), joints.len(), self.forces.as_slice());
+        for (column, y) in k.chunks_exact(n).zip(&mut *base) {
+            *y -= linalg::dot(&column[6..], joints);
+        }
+        linalg::solve_lower_transposed_in_place(k, 6, n, base);
     }
 }

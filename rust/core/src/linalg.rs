@@ -553,7 +553,7 @@ pub fn times_transpose(a: &[f64], n: usize, product: &mut [f64]) {
 
 /// [`times_transpose`].
 ///
-/// Every entry and its mirror image sum the same products in the same order, but for zeros.
+/// The lower triangle; the upper one is its copy.
 struct TimesTranspose<'a> {
     a: &'a [f64],
     n: usize,
@@ -580,12 +580,18 @@ impl TimesTranspose<'_> {
     #[inline(always)]
     fn panel<S: Simd, const C: usize>(&mut self, simd: S, j: usize) -> bool {
         let (a, n) = (self.a, self.n);
-        for top in tops(simd, 0, n) {
+        for top in tops(simd, j, n) {
             let from = if self.is_upper { top.max(j) } else { 0 };
             let sums = outer_sums::<S, C>(simd, (a, n, top), (a, n, j), (from, a.len() / n));
             for c in 0..C {
                 store(simd, &mut self.product[(j + c) * n..], top, sums[c]);
             }
+        }
+        // The upper triangle.
+        let (left, right) = self.product.split_at_mut((j + C) * n);
+        let columns: [&[f64]; C] = std::array::from_fn(|c| &left[(j + c) * n..][..n]);
+        for (row, to) in (j + C..n).zip(right.chunks_exact_mut(n)) {
+            to[j..j + C].copy_from_slice(&columns.map(|column| column[row]));
         }
         true
     }

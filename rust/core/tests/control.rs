@@ -8,7 +8,7 @@ use crate::common::{
     Loop, Running, TIME_STEP, assert_within, configs, experiment, random_state, random_vector, rng, robot,
     tick_at,
 };
-use flight_core::control::bounds::rate_bounds;
+use flight_core::control::bounds::LimitedValues;
 use flight_core::control::channels::Modes;
 use flight_core::control::config::{Fallback, RateFeedback, Solver};
 use flight_core::control::torque::limit_rate;
@@ -555,6 +555,20 @@ fn each_part_of_the_feedback_can_be_left_out() {
     }
 }
 
+/// Bounds on the rate of one value.
+fn rate_bounds(value: f64, limits: (f64, f64), rate_max: f64, steepness: f64) -> (f64, f64) {
+    let values = LimitedValues {
+        value: vec![value],
+        least: vec![limits.0],
+        greatest: vec![limits.1],
+        rate_max: vec![rate_max],
+        steepness: vec![steepness],
+    };
+    let (mut lower, mut upper) = ([f64::NAN], [f64::NAN]);
+    values.write_bounds(&mut lower, &mut upper);
+    (lower[0], upper[0])
+}
+
 /// A rate fades out where its value meets a limit, is zero on it and points back beyond it; lower and
 /// upper bound never cross.
 #[test]
@@ -593,15 +607,19 @@ fn commands_obey_their_bounds_at_the_limits() {
         sample.state.velocity = DVector::from_fn(29, |_, _| rng.random_range(-1.0..1.0));
         let command = sample.tick(&mut controller).clone();
         assert_eq!(command.status, CommandStatus::Nominal);
+        let problem = &controller.terms().momentum_qp.problem;
+        let bounds_of_tick = |unknown: usize| (problem.lower[unknown], problem.upper[unknown]);
         for (jet, rate) in command.thrust_rate.iter().enumerate() {
             let full = if jet < 2 { 160.0 } else { 220.0 };
             let (lower, upper) = rate_bounds(thrusts[jet], (0.0, full), 100.0, 2.0);
+            assert_eq!(bounds_of_tick(jet), (lower, upper));
             assert!((lower..=upper).contains(rate), "jet {jet}: {rate} outside [{lower}, {upper}]");
         }
         let robot = controller.model();
         for (joint, velocity) in command.joint_velocity.iter().enumerate() {
             let s = sample.state.joint_position[joint];
             let (lower, upper) = rate_bounds(s, robot.joints[joint].limits, 45_f64.to_radians(), 5.0);
+            assert_eq!(bounds_of_tick(4 + joint), (lower, upper));
             assert!((lower..=upper).contains(velocity), "{}", robot.joints[joint].name);
         }
         assert!(command.joint_velocity[17] > 0.0, "below its limit it comes back");

@@ -6,7 +6,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
 use crate::common::{assert_within, both_robots, random_state, random_vector, rng};
-use flight_core::dynamics::{Dynamics, MassFactor};
+use flight_core::dynamics::{Dynamics, InverseMass, MassFactor};
 use flight_core::kinematics::{Kinematics, RobotState};
 use flight_core::robot::{Frame, JointKind, RobotModel};
 use flight_core::spatial::{Pose, exp_so3, project_to_so3, skew, vee_of_skew_part};
@@ -319,8 +319,13 @@ fn forward_dynamics_invert_inverse_dynamics() {
         let mut factor = MassFactor::new(n);
         assert!(factor.factorise(&sample.dynamics.mass_matrix), "{}", robot.name);
         let mut solved = forces - &sample.dynamics.bias;
+        let mut multiplied = solved.clone();
         factor.solve_in_place(&mut solved);
-        assert_small("acceleration", (solved - acceleration).amax(), 10.0, 1e-10);
+        assert_small("acceleration", (solved - &acceleration).amax(), 10.0, 1e-10);
+        let mut inverse = InverseMass::new(n - 6);
+        assert!(inverse.update(&sample.dynamics.mass_matrix), "{}", robot.name);
+        inverse.multiply_in_place(&mut multiplied);
+        assert_small("acceleration by the inverse", (multiplied - acceleration).amax(), 10.0, 1e-10);
     });
 }
 
@@ -343,6 +348,12 @@ fn trailing_block_of_the_mass_factor_belongs_to_the_joints() {
         let joint_block = inverse.view((6, 6), (joints, joints));
         let product = (&k_s * k_s.transpose()) * joint_block;
         assert_small("K_s K_sᵀ (M⁻¹)_ss", (product - DMatrix::identity(joints, joints)).amax(), 1.0, 1e-9);
+        let mut found = InverseMass::new(joints);
+        assert!(found.update(m));
+        let product = (&k_s * k_s.transpose()) * &found.joint_gain;
+        assert_small("K_s K_sᵀ G", (product - DMatrix::identity(joints, joints)).amax(), 1.0, 1e-9);
+        let product = k_s.transpose() * &found.joint_factor;
+        assert_small("K_sᵀ K_s⁻ᵀ", (product - DMatrix::identity(joints, joints)).amax(), 1.0, 1e-9);
     });
 }
 
@@ -354,6 +365,9 @@ fn mass_factor_refuses_what_is_not_positive_definite() {
     assert!(!factor.factorise(&DMatrix::from_row_slice(2, 2, &[1.0, 2.0, 2.0, 1.0])));
     assert!(!factor.factorise(&DMatrix::from_row_slice(2, 2, &[1.0, 1.0, 1.0, 1.0])));
     assert!(!factor.factorise(&DMatrix::from_row_slice(2, 2, &[f64::NAN, 0.0, 0.0, 1.0])));
+    let mut indefinite = DMatrix::identity(8, 8);
+    indefinite[(7, 7)] = -1.0;
+    assert!(!InverseMass::new(2).update(&indefinite));
 }
 
 /// `νᵀ Jᵀ f = fᵀ v`: a generalised force does the work of the force at its point.

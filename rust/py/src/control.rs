@@ -224,7 +224,7 @@ impl Controller {
         )?;
         let free = &terms.torque_qp.acceleration_free.as_slice()[terms.torque_qp.joint_torque.clone()];
         out.set_item("joint_acceleration_free", vector(py, free)?)?;
-        out.set_item("torque_gain", matrix(py, &terms.torque_qp.gain)?)?;
+        out.set_item("torque_gain", matrix(py, &terms.inverse_mass.joint_gain)?)?;
         out.set_item("torque_h", matrix(py, &terms.torque_qp.problem.h)?)?;
         out.set_item("torque_g", vector(py, terms.torque_qp.problem.g.as_slice())?)?;
         out.set_item("torque_lower", vector(py, terms.torque_qp.problem.lower.as_slice())?)?;

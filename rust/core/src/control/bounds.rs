@@ -1,8 +1,10 @@
 //! Bounds of the momentum QP that keep thrusts and joints inside their own limits.
 
 use crate::exponential::tanh_f64;
+use crate::linalg::dispatch_plain;
 
-/// Bounds on the rate of a value that has limits itself.
+/// Values that have limits themselves, by their place among the unknowns: lists, so that all bounds are computed side
+/// by side.
 ///
 /// ```text
 /// −r tanh(ε (x − x_min)) ≤ ẋ ≤ r tanh(ε (x_max − x))
@@ -13,8 +15,53 @@ use crate::exponential::tanh_f64;
 /// `tanh a + tanh b` has the sign of `a + b = ε (x_max − x_min) ≥ 0`.
 ///
 /// Equation M65 of `docs/model.md` (paper: "bounds on the input and its integral").
-#[must_use]
-pub fn rate_bounds(value: f64, limits: (f64, f64), rate_max: f64, steepness: f64) -> (f64, f64) {
-    let (lower, upper) = limits;
-    (-rate_max * tanh_f64(steepness * (value - lower)), rate_max * tanh_f64(steepness * (upper - value)))
+#[derive(Debug, Clone)]
+pub struct LimitedValues {
+    /// `x`.
+    pub value: Vec<f64>,
+    /// `x_min`.
+    pub least: Vec<f64>,
+    /// `x_max`.
+    pub greatest: Vec<f64>,
+    /// `r`.
+    pub rate_max: Vec<f64>,
+    /// `ε`.
+    pub steepness: Vec<f64>,
+}
+
+impl LimitedValues {
+    /// So many values without limits, whose rates have none either.
+    #[must_use]
+    pub fn new(count: usize) -> Self {
+        Self {
+            value: vec![0.0; count],
+            least: vec![f64::NEG_INFINITY; count],
+            greatest: vec![f64::INFINITY; count],
+            rate_max: vec![f64::INFINITY; count],
+            steepness: vec![1.0; count],
+        }
+    }
+
+    /// Writes the bounds on the rates.
+    pub fn write_bounds(&self, lower: &mut [f64], upper: &mut [f64]) {
+        let limits = self.least.iter().zip(&self.greatest).zip(self.value.iter().zip(&self.steepness));
+        for ((lower, upper), ((least, greatest), (value, steepness))) in
+            lower.iter_mut().zip(&mut *upper).zip(limits)
+        {
+            (*lower, *upper) = (steepness * (value - least), steepness * (greatest - value));
+        }
+        for bound in [&mut *lower, &mut *upper] {
+            dispatch_plain(
+                #[inline(always)]
+                || {
+                    for x in bound {
+                        *x = tanh_f64(*x);
+                    }
+                },
+            );
+        }
+        for ((lower, upper), rate_max) in lower.iter_mut().zip(upper).zip(&self.rate_max) {
+            (*lower, *upper) = (-rate_max * *lower, rate_max * *upper);
+        }
+    }
 }

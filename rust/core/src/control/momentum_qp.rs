@@ -36,8 +36,8 @@
 //! Equations M64 and M65 of `docs/model.md`.
 
 use super::attitude::AttitudeDemand;
-use super::bounds::rate_bounds;
-use super::config::{BoundsConfig, ControllerConfig, MomentumGains};
+use super::bounds::LimitedValues;
+use super::config::{ControllerConfig, MomentumGains};
 use super::contact::{Contact, WRENCH};
 use super::momentum::MomentumModel;
 use super::setpoint::Setpoint;
@@ -180,8 +180,7 @@ pub struct MomentumQp {
     weighted: DMatrix<f64>,
     /// The diagonal part of `H`.
     diagonal: DVector<f64>,
-    bounds: BoundsConfig,
-    thrust_rate_max: Vec<f64>,
+    limited: LimitedValues,
 }
 
 impl MomentumQp {
@@ -201,13 +200,19 @@ impl MomentumQp {
             roots: DVector::zeros(0),
             weighted: DMatrix::zeros(n, 0),
             diagonal: DVector::zeros(n),
-            thrust_rate_max: config.per_jet(&config.bounds.thrust_rate_max, robot),
-            bounds: config.bounds.clone(),
+            limited: LimitedValues::new(n),
             unknowns,
         };
         let force_rate_max = config.contact.as_ref().map_or(0.0, |contact| contact.force_rate_max);
-        for unknown in qp.unknowns.force_rate.clone() {
-            (qp.problem.lower[unknown], qp.problem.upper[unknown]) = (-force_rate_max, force_rate_max);
+        let Unknowns { thrust_rate, force_rate, joint_velocity } = qp.unknowns.clone();
+        let limited = &mut qp.limited;
+        limited.rate_max[thrust_rate.clone()]
+            .copy_from_slice(&config.per_jet(&config.bounds.thrust_rate_max, robot));
+        limited.steepness[thrust_rate].fill(config.bounds.thrust_steepness);
+        limited.rate_max[force_rate].fill(force_rate_max);
+        limited.steepness[joint_velocity.clone()].fill(config.bounds.joint_steepness);
+        for (joint, unknown) in robot.joints.iter().zip(joint_velocity) {
+            (limited.least[unknown], limited.greatest[unknown]) = joint.limits;
         }
         for task in standard_tasks(config, robot, &qp.unknowns)? {
             qp.add(task)?;
@@ -269,8 +274,8 @@ impl MomentumQp {
         Some((matrix, self.offset.rows(first, count).into(), self.weights.rows(first, count).into()))
     }
 
-    /// Builds tasks, cost and bounds of one tick.
-    pub fn update(&mut self, robot: &RobotModel, inputs: &TaskInputs) {
+    /// Builds tasks and cost of one tick.
+    pub fn update(&mut self, inputs: &TaskInputs) {
         for Entry { task, rows, offsets, .. } in &self.stack {
             let mut equations = Equations {
                 matrix: self.matrix.columns_mut(rows.start, rows.len()),
@@ -280,7 +285,6 @@ impl MomentumQp {
             task.update(inputs, &mut equations);
         }
         self.update_cost();
-        self.update_bounds(robot, inputs.state, inputs.thrust);
     }
 
     /// `H = Σ Aᵀ W A`, `g = Σ Aᵀ W b`.
@@ -306,28 +310,25 @@ impl MomentumQp {
         }
     }
 
-    fn update_bounds(&mut self, robot: &RobotModel, state: &RobotState, thrust: &[f64]) {
-        for (index, jet) in robot.jets.iter().enumerate() {
-            self.bound_thrust(index, thrust[index], (0.0, jet.thrust_max));
+    /// Builds the bounds of one tick: thrusts stay within these ranges \[N\], joints within their limits, by their own
+    /// greatest velocities, or by this one \[rad/s\] where it is greater.
+    pub fn update_bounds(
+        &mut self,
+        robot: &RobotModel,
+        inputs: &TaskInputs,
+        thrust_ranges: impl IntoIterator<Item = (f64, f64)>,
+        velocity_max: f64,
+    ) {
+        let Unknowns { thrust_rate, joint_velocity, .. } = &self.unknowns;
+        let limited = &mut self.limited;
+        limited.value[thrust_rate.clone()].copy_from_slice(inputs.thrust);
+        for (unknown, range) in thrust_rate.clone().zip(thrust_ranges) {
+            (limited.least[unknown], limited.greatest[unknown]) = range;
         }
-        self.bound_joints(robot, state, 0.0);
-    }
-
-    /// Bounds the joint velocities so that joints stay within their limits: by their own greatest velocities, or by this
-    /// one \[rad/s\] where it is greater.
-    pub(super) fn bound_joints(&mut self, robot: &RobotModel, state: &RobotState, velocity_max: f64) {
-        let QpProblem { lower, upper, .. } = &mut self.problem;
-        for (joint, unknown) in robot.joints.iter().zip(self.unknowns.joint_velocity.clone()) {
-            let position = state.joint_position[unknown - self.unknowns.joint_velocity.start];
-            let velocity_max = joint.velocity_max.max(velocity_max);
-            (lower[unknown], upper[unknown]) =
-                rate_bounds(position, joint.limits, velocity_max, self.bounds.joint_steepness);
+        limited.value[joint_velocity.clone()].copy_from_slice(inputs.state.joint_position.as_slice());
+        for (unknown, joint) in joint_velocity.clone().zip(&robot.joints) {
+            limited.rate_max[unknown] = joint.velocity_max.max(velocity_max);
         }
-    }
-
-    /// Bounds the rate of a thrust \[N\] that stays within `limits` \[N\].
-    pub(super) fn bound_thrust(&mut self, jet: usize, thrust: f64, limits: (f64, f64)) {
-        let rates = rate_bounds(thrust, limits, self.thrust_rate_max[jet], self.bounds.thrust_steepness);
-        (self.problem.lower[jet], self.problem.upper[jet]) = rates;
+        limited.write_bounds(self.problem.lower.as_mut_slice(), self.problem.upper.as_mut_slice());
     }
 }

@@ -11,12 +11,12 @@
 //!
 //! followed by a rate limiter. One matrix gives both accelerations, because what is measured (feet, joints) is what
 //! is pushed. In flight `f_c` is empty. The robot floats: the joint block of `P` is `G`, the joint block of the inverse
-//! mass matrix, not the inverse of the joint block. Equations M68 to M72, M75 and M76 of `docs/model.md` (the paper
+//! mass matrix ([`InverseMass`]), not the inverse of the joint block. Equations M68 to M72, M75 and M76 of `docs/model.md` (the paper
 //! prints `τ = b̄ − M̄⁻¹ s̈**`, which contradicts its own `M̄ s̈ + b̄ = τ`; see `docs/deviations.md`).
 
 use super::config::TorqueConfig;
 use super::contact::{Contact, ContactConfig, WRENCH, WRENCH_ROWS};
-use crate::dynamics::MassFactor;
+use crate::dynamics::InverseMass;
 use crate::linalg;
 use crate::qp::QpProblem;
 use crate::robot::RobotModel;
@@ -34,12 +34,8 @@ pub struct TorqueQp {
     pub acceleration_desired: DVector<f64>,
     /// `c_free`: accelerations of feet and joints without `u` \[m/s², rad/s²\].
     pub acceleration_free: DVector<f64>,
-    /// `G`, joint acceleration per unit of torque \[1/(kg m²)\].
-    pub gain: DMatrix<f64>,
     /// The QP handed to the solver.
     pub problem: QpProblem,
-    /// `L⁻ᵀ`, `L` the joint block of `K`, `M = K Kᵀ`.
-    inverse_factor: DMatrix<f64>,
     /// `K⁻¹ J_cᵀ`.
     feet: DMatrix<f64>,
     /// `P W^½`.
@@ -70,9 +66,7 @@ impl TorqueQp {
             joint_torque: forces..n,
             acceleration_desired: DVector::zeros(joints),
             acceleration_free: DVector::zeros(n),
-            gain: DMatrix::zeros(joints, joints),
             problem,
-            inverse_factor: DMatrix::zeros(joints, joints),
             feet: DMatrix::zeros(6 + joints, forces),
             weighted: DMatrix::zeros(n, n),
             roots: per_block(contact.weight_foot_acceleration.sqrt(), config.weight_acceleration.sqrt()),
@@ -89,7 +83,7 @@ impl TorqueQp {
         &mut self,
         config: &TorqueConfig,
         contact: &Contact,
-        mass_factor: &MassFactor,
+        inverse_mass: &mut InverseMass,
         force: &mut DVector<f64>,
         velocity_error: &DVector<f64>,
         velocity_error_integral: &DVector<f64>,
@@ -98,7 +92,7 @@ impl TorqueQp {
         self.acceleration_desired.copy_from(velocity_error);
         self.acceleration_desired.axpy(-config.kp, velocity_error_integral, -config.kd);
 
-        mass_factor.solve_in_place(force);
+        inverse_mass.multiply_in_place(force);
         let (mut free_feet, mut free_joints) =
             self.acceleration_free.rows_range_pair_mut(0..forces, forces..);
         free_feet.copy_from(&contact.velocity_product);
@@ -110,30 +104,29 @@ impl TorqueQp {
         of_joints -= &self.acceleration_desired;
         self.weighted_error.component_mul_assign(&self.roots);
 
-        self.update_gain(contact, mass_factor);
+        self.update_gain(contact, inverse_mass);
         self.update_cost(contact);
         self.update_rows(contact);
     }
 
-    /// `P W^½`. The base comes first in `M = K Kᵀ`, so `(M⁻¹)_ss = L⁻ᵀ L⁻¹` and `(M⁻¹ J_cᵀ)_s = L⁻ᵀ (K⁻¹ J_cᵀ)_s`.
-    fn update_gain(&mut self, contact: &Contact, mass_factor: &MassFactor) {
+    /// `P W^½`, with `(M⁻¹ J_cᵀ)_s = K_s⁻ᵀ (K⁻¹ J_cᵀ)_s`.
+    fn update_gain(&mut self, contact: &Contact, inverse_mass: &InverseMass) {
         let (forces, joints) = (self.foot_force.len(), self.joint_torque.len());
-        let (n, inverse) = (6 + joints, self.inverse_factor.as_mut_slice());
-        linalg::invert_symmetric(mass_factor.joint_block(), joints, n, inverse, self.gain.as_mut_slice());
-        for (joint, column) in self.gain.column_iter().enumerate() {
+        for (joint, column) in inverse_mass.joint_gain.column_iter().enumerate() {
             let root = self.roots[forces + joint];
             let mut to = self.weighted.column_mut(forces + joint);
             to.rows_mut(forces, joints).zip_apply(&column, |to, from| *to = root * from);
         }
         self.feet.copy_from(&contact.jacobian_transposed);
-        linalg::solve_lower_in_place(mass_factor.factor.as_slice(), n, n, self.feet.as_mut_slice());
+        let (n, factor) = (6 + joints, inverse_mass.factor.factor.as_slice());
+        linalg::solve_lower_in_place(factor, n, n, self.feet.as_mut_slice());
         for row in 0..forces {
             let of_row = self.feet.column(row);
             for other in 0..forces {
                 self.weighted[(other, row)] = self.roots[row] * self.feet.column(other).dot(&of_row);
             }
             let mut of_joints = self.weighted.view_mut((forces, row), (joints, 1));
-            of_joints.gemm(1.0, &self.inverse_factor, &of_row.rows(6, joints), 0.0);
+            of_joints.gemm(1.0, &inverse_mass.joint_factor, &of_row.rows(6, joints), 0.0);
             for joint in self.joint_torque.clone() {
                 let gain = self.weighted[(joint, row)];
                 self.weighted[(row, joint)] = self.roots[joint] * gain;

@@ -126,7 +126,7 @@ impl DualActiveSet {
             rows,
             x: zeros(),
             multipliers: vec![0.0; rows],
-            scaled: Scaled::new(n),
+            scaled: Scaled::new(n, n),
             normals: vec![0.0; n * rows],
             lengths: vec![0.0; rows],
             limits: vec![0.0; rows],

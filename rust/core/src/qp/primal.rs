@@ -105,11 +105,9 @@ pub struct PrimalActiveSet {
     h_step: Vec<f64>,
     /// Multiple of `step` at which a variable meets its bound; infinite where it does not.
     meets: Vec<f64>,
-    /// The free variables.
-    free: Vec<usize>,
-    /// Cholesky factor of their part of H, and below it the right-hand side as one more row; leading dimension n + 1.
+    /// Cholesky factor of H, where variables are held of the identity, and below it the right-hand side as one more
+    /// row; leading dimension n + 1.
     factor: Vec<f64>,
-    /// An entry for each free variable.
     work: Vec<f64>,
 }
 
@@ -158,7 +156,7 @@ impl PrimalActiveSet {
             iteration_limit: PASSES_PER_VARIABLE.saturating_mul(u32::try_from(n.max(1)).unwrap_or(u32::MAX)),
             x: zeros(),
             side: vec![Side::Free; n],
-            scaled: Scaled::new(n),
+            scaled: Scaled::new(n, n + 1),
             y: zeros(),
             candidate: zeros(),
             kkt: f64::NAN,
@@ -167,7 +165,6 @@ impl PrimalActiveSet {
             step: zeros(),
             h_step: zeros(),
             meets: zeros(),
-            free: Vec::with_capacity(n),
             factor: vec![0.0; n * (n + 1)],
             work: zeros(),
         }
@@ -250,9 +247,11 @@ impl PrimalActiveSet {
                 Followed::Part => continue,
                 Followed::NotFinite => return QpStatus::NonFinite,
             }
-            self.update_gradient();
-            if self.release() {
-                continue;
+            if self.side.iter().any(|side| *side != Side::Free) {
+                self.update_gradient();
+                if self.release() {
+                    continue;
+                }
             }
             if self.is_well_conditioned() {
                 self.certify(qp);
@@ -262,6 +261,7 @@ impl PrimalActiveSet {
             // that is certified to 2 ε goes without: where H is ill-conditioned x would be wrong by 1e-7 of its
             // bounds. On an ill-conditioned face the step can reach a bound, which then has to be held like any
             // other.
+            self.update_gradient();
             self.correct();
             if corrections == CORRECTION_LIMIT {
                 self.take_target();
@@ -316,63 +316,60 @@ impl PrimalActiveSet {
     /// ```text
     /// H_FF y_F = −(g_F + H_FB y_B),   given the gradient   H_FF (y_F − y_F,now) = −gradient_F
     /// ```
+    ///
+    /// The others keep their places in the factor, with rows and columns of the identity and a step of zero: to move
+    /// the free ones together would take longer than what it saves, but where most are held.
     fn aim(&mut self, is_first: bool) -> bool {
         let (n, ld) = (self.n, self.n + 1);
-        let h = &self.scaled.h;
-        self.free.clear();
-        self.free.extend((0..n).filter(|&j| self.side[j] == Side::Free));
-        self.target.copy_from_slice(&self.y);
+        let held = || (0..n).filter(|&i| self.side[i] != Side::Free);
         if is_first {
             self.gradient.copy_from_slice(&self.scaled.g);
-            for j in (0..n).filter(|&j| self.side[j] != Side::Free) {
-                linalg::add_scaled(&mut self.gradient, self.y[j], &h[j * n..][..n]);
+            for i in held() {
+                linalg::add_scaled(&mut self.gradient, self.y[i], &self.scaled.h[i * ld..][..n]);
             }
         }
-        let m = self.free.len();
-        for (place, &j) in self.free.iter().enumerate() {
-            let (from, to) = (&h[j * n..][..n], &mut self.factor[place * ld..][..=m]);
-            if m - place == n - j {
-                // None is held from here on.
-                to[place..m].copy_from_slice(&from[j..]);
-            } else {
-                for (to, &i) in to[place..].iter_mut().zip(&self.free[place..]) {
-                    *to = from[i];
-                }
-            }
-            to[m] = -self.gradient[j];
+        self.factor.copy_from_slice(&self.scaled.h);
+        for (column, q) in self.factor.chunks_exact_mut(ld).zip(&self.gradient) {
+            column[n] = -q;
         }
-        if !linalg::cholesky_in_place(&mut self.factor, m, m + 1, ld) {
+        for i in held() {
+            for column in self.factor.chunks_exact_mut(ld).take(i) {
+                column[i] = 0.0;
+            }
+            let column = &mut self.factor[i * ld..][i..ld];
+            column.fill(0.0);
+            column[0] = 1.0;
+        }
+        if !linalg::cholesky_in_place(&mut self.factor, n, ld, ld) {
             return false;
         }
-        let steps = &mut self.work[..m];
-        for (step, column) in steps.iter_mut().zip(self.factor.chunks_exact(ld)) {
-            *step = column[m];
+        for (step, column) in self.work.iter_mut().zip(self.factor.chunks_exact(ld)) {
+            *step = column[n];
         }
-        linalg::solve_lower_transposed_in_place(&self.factor, m, ld, steps);
-        for (&j, step) in self.free.iter().zip(steps) {
-            self.target[j] = if is_first { *step } else { self.y[j] + *step };
+        linalg::solve_lower_transposed_in_place(&self.factor, n, ld, &mut self.work);
+        let steps = self.work.iter().zip(&self.y).zip(&self.side);
+        for (target, ((step, y), side)) in self.target.iter_mut().zip(steps) {
+            *target = if is_first && *side == Side::Free { *step } else { y + step };
         }
         true
     }
 
     /// Whether no pivot of the factor, out of a diagonal between 1 and 4, is below [`PIVOT_MIN`].
     fn is_well_conditioned(&self) -> bool {
-        let mut reciprocals = self.factor.iter().step_by(self.n + 2).take(self.free.len());
+        let mut reciprocals = self.factor.iter().step_by(self.n + 2);
         reciprocals.all(|reciprocal| reciprocal * reciprocal <= 1.0 / PIVOT_MIN)
     }
 
     /// Sets the target to `y − H_FF⁻¹ gradient_F`, with the factor at hand.
     fn correct(&mut self) {
-        let (m, ld) = (self.free.len(), self.n + 1);
-        let steps = &mut self.work[..m];
-        for (step, &j) in steps.iter_mut().zip(&self.free) {
-            *step = -self.gradient[j];
+        let (n, ld) = (self.n, self.n + 1);
+        for (step, (q, side)) in self.work.iter_mut().zip(self.gradient.iter().zip(&self.side)) {
+            *step = if *side == Side::Free { -q } else { 0.0 };
         }
-        linalg::solve_lower_in_place(&self.factor, m, ld, steps);
-        linalg::solve_lower_transposed_in_place(&self.factor, m, ld, steps);
-        self.target.copy_from_slice(&self.y);
-        for (step, &j) in steps.iter().zip(&self.free) {
-            self.target[j] += step;
+        linalg::solve_lower_in_place(&self.factor, n, ld, &mut self.work);
+        linalg::solve_lower_transposed_in_place(&self.factor, n, ld, &mut self.work);
+        for (target, (y, step)) in self.target.iter_mut().zip(self.y.iter().zip(&self.work)) {
+            *target = y + step;
         }
     }
 
@@ -442,7 +439,7 @@ impl PrimalActiveSet {
                 if d > 0.0 { (Side::Upper, upper[i]) } else { (Side::Lower, lower[i]) };
             self.step[i] = 0.0;
             self.meets[i] = f64::INFINITY;
-            linalg::add_scaled(&mut self.h_step, -d, &h[i * self.n..][..self.n]);
+            linalg::add_scaled(&mut self.h_step, -d, &h[i * (self.n + 1)..][..self.n]);
         }
         if met_any { Followed::Part } else { Followed::Whole }
     }

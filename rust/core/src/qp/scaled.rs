@@ -9,20 +9,23 @@ use crate::linalg;
 pub(super) struct Scaled {
     pub s: Vec<f64>,
     pub inverse_s: Vec<f64>,
+    /// Columns of `ld` entries.
     pub h: Vec<f64>,
+    ld: usize,
     pub g: Vec<f64>,
     pub lower: Vec<f64>,
     pub upper: Vec<f64>,
 }
 
 impl Scaled {
-    /// Space for `n` variables.
-    pub fn new(n: usize) -> Self {
+    /// Space for `n` variables, whose Hessian has leading dimension `ld`.
+    pub fn new(n: usize, ld: usize) -> Self {
         let zeros = || vec![0.0; n];
         Self {
             s: zeros(),
             inverse_s: zeros(),
-            h: vec![0.0; n * n],
+            h: vec![0.0; n * ld],
+            ld,
             g: zeros(),
             lower: zeros(),
             upper: zeros(),
@@ -48,13 +51,13 @@ impl Scaled {
             self.lower[j] = qp.lower[j] * self.inverse_s[j];
             self.upper[j] = qp.upper[j] * self.inverse_s[j];
         }
-        linalg::scale_symmetric(h, n, &self.s, &mut self.h, n);
+        linalg::scale_symmetric(h, n, &self.s, &mut self.h, self.ld);
         Ok(())
     }
 
     /// Adds the scaled Hessian times `y` to `product`.
     pub fn add_hessian_times(&self, y: &[f64], product: &mut [f64]) {
-        linalg::add_mat_vec(product, &self.h, self.s.len(), y);
+        linalg::add_mat_vec(product, &self.h, self.ld, y);
     }
 
     /// From `y` to `x` in the units of the problem, inside its bounds.
