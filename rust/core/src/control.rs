@@ -406,8 +406,9 @@ impl Controller {
     /// Torques that let the joints follow the commanded velocities.
     fn solve_torque_qp(&mut self, state: &mut ControllerState, descent: Option<&DescentConfig>) {
         let measurement = &self.channels.seen;
-        let Terms { kinematics, dynamics, inverse_mass, momentum, torque_qp, contact, unlimited_torque, .. } =
-            &mut self.terms;
+        let Terms {
+            kinematics, dynamics, inverse_mass, momentum, torque_qp, contact, unlimited_torque, ..
+        } = &mut self.terms;
         // Σ Jᵀ T a + J_aᵀ f_a − h
         self.force.copy_from(&dynamics.bias);
         self.force.neg_mut();

@@ -246,7 +246,7 @@ impl MassFactor {
     /// of a checked robot).
     #[must_use]
     pub fn factorise(&mut self, mass_matrix: &DMatrix<f64>) -> bool {
-        self.factor.copy_from(mass_matrix);
+        self.factor.as_mut_slice().copy_from_slice(mass_matrix.as_slice());
         let n = self.factor.nrows();
         linalg::cholesky_in_place(self.factor.as_mut_slice(), n, n, n)
     }

@@ -100,8 +100,10 @@ impl QpAnswer {
         } else {
             QpStatus::NonFinite
         };
-        let bounds = qp.lower.iter().zip(&qp.upper);
-        let on_bounds = x.iter().zip(bounds).map(|(x, (lower, upper))| u32::from(x <= lower || x >= upper));
+        let bounds = qp.lower.as_slice().iter().zip(qp.upper.as_slice());
+        #[allow(clippy::needless_bitwise_bool, reason = "`||` branches")]
+        let on_bounds =
+            x.iter().zip(bounds).map(|(x, (lower, upper))| u32::from((x <= lower) | (x >= upper)));
         let pressing = multipliers.iter().map(|multiplier| u32::from(*multiplier > 0.0));
         Self { status, iterations, kkt, active: on_bounds.chain(pressing).sum() }
     }

@@ -105,9 +105,11 @@ pub struct PrimalActiveSet {
     h_step: Vec<f64>,
     /// Multiple of `step` at which a variable meets its bound; infinite where it does not.
     meets: Vec<f64>,
-    /// Cholesky factor of H, where variables are held of the identity, and below it the right-hand side as one more
-    /// row; leading dimension n + 1.
+    /// The free variables.
+    free: Vec<usize>,
+    /// Cholesky factor of their part of H, and below it the right-hand side as one more row; leading dimension n + 1.
     factor: Vec<f64>,
+    /// An entry for each free variable.
     work: Vec<f64>,
 }
 
@@ -165,6 +167,7 @@ impl PrimalActiveSet {
             step: zeros(),
             h_step: zeros(),
             meets: zeros(),
+            free: Vec::with_capacity(n),
             factor: vec![0.0; n * (n + 1)],
             work: zeros(),
         }
@@ -247,7 +250,7 @@ impl PrimalActiveSet {
                 Followed::Part => continue,
                 Followed::NotFinite => return QpStatus::NonFinite,
             }
-            if self.side.iter().any(|side| *side != Side::Free) {
+            if self.free.len() < self.n {
                 self.update_gradient();
                 if self.release() {
                     continue;
@@ -316,60 +319,66 @@ impl PrimalActiveSet {
     /// ```text
     /// H_FF y_F = −(g_F + H_FB y_B),   given the gradient   H_FF (y_F − y_F,now) = −gradient_F
     /// ```
-    ///
-    /// The others keep their places in the factor, with rows and columns of the identity and a step of zero: to move
-    /// the free ones together would take longer than what it saves, but where most are held.
     fn aim(&mut self, is_first: bool) -> bool {
         let (n, ld) = (self.n, self.n + 1);
-        let held = || (0..n).filter(|&i| self.side[i] != Side::Free);
+        let h = &self.scaled.h;
+        self.free.clear();
+        self.free.extend((0..n).filter(|&j| self.side[j] == Side::Free));
+        self.target.copy_from_slice(&self.y);
         if is_first {
             self.gradient.copy_from_slice(&self.scaled.g);
-            for i in held() {
-                linalg::add_scaled(&mut self.gradient, self.y[i], &self.scaled.h[i * ld..][..n]);
+            for j in (0..n).filter(|&j| self.side[j] != Side::Free) {
+                linalg::add_scaled(&mut self.gradient, self.y[j], &h[j * ld..][..n]);
             }
         }
-        self.factor.copy_from_slice(&self.scaled.h);
-        for (column, q) in self.factor.chunks_exact_mut(ld).zip(&self.gradient) {
-            column[n] = -q;
-        }
-        for i in held() {
-            for column in self.factor.chunks_exact_mut(ld).take(i) {
-                column[i] = 0.0;
+        // From the last variable that is held on, the matrix moves up as one piece, which H and its factor allow as
+        // their columns have the same length.
+        let m = self.free.len();
+        let rest = self.side.iter().rposition(|side| *side != Side::Free).map_or(0, |held| held + 1);
+        let first = m - (n - rest);
+        for (place, &j) in self.free[..first].iter().enumerate() {
+            let (from, to) = (&h[j * ld..][..n], &mut self.factor[place * ld..][..m]);
+            for (to, &i) in to[place..].iter_mut().zip(&self.free[place..]) {
+                *to = from[i];
             }
-            let column = &mut self.factor[i * ld..][i..ld];
-            column.fill(0.0);
-            column[0] = 1.0;
         }
-        if !linalg::cholesky_in_place(&mut self.factor, n, ld, ld) {
+        let piece = h.get(rest * (ld + 1)..).unwrap_or_default();
+        self.factor[first * (ld + 1)..][..piece.len()].copy_from_slice(piece);
+        for (column, &j) in self.factor.chunks_exact_mut(ld).zip(&self.free) {
+            column[m] = -self.gradient[j];
+        }
+        if !linalg::cholesky_in_place(&mut self.factor, m, m + 1, ld) {
             return false;
         }
-        for (step, column) in self.work.iter_mut().zip(self.factor.chunks_exact(ld)) {
-            *step = column[n];
+        let steps = &mut self.work[..m];
+        for (step, column) in steps.iter_mut().zip(self.factor.chunks_exact(ld)) {
+            *step = column[m];
         }
-        linalg::solve_lower_transposed_in_place(&self.factor, n, ld, &mut self.work);
-        let steps = self.work.iter().zip(&self.y).zip(&self.side);
-        for (target, ((step, y), side)) in self.target.iter_mut().zip(steps) {
-            *target = if is_first && *side == Side::Free { *step } else { y + step };
+        linalg::solve_lower_transposed_in_place(&self.factor, m, ld, steps);
+        for (&j, step) in self.free.iter().zip(steps) {
+            self.target[j] = if is_first { *step } else { self.y[j] + *step };
         }
         true
     }
 
     /// Whether no pivot of the factor, out of a diagonal between 1 and 4, is below [`PIVOT_MIN`].
     fn is_well_conditioned(&self) -> bool {
-        let mut reciprocals = self.factor.iter().step_by(self.n + 2);
+        let mut reciprocals = self.factor.iter().step_by(self.n + 2).take(self.free.len());
         reciprocals.all(|reciprocal| reciprocal * reciprocal <= 1.0 / PIVOT_MIN)
     }
 
     /// Sets the target to `y − H_FF⁻¹ gradient_F`, with the factor at hand.
     fn correct(&mut self) {
-        let (n, ld) = (self.n, self.n + 1);
-        for (step, (q, side)) in self.work.iter_mut().zip(self.gradient.iter().zip(&self.side)) {
-            *step = if *side == Side::Free { -q } else { 0.0 };
+        let (m, ld) = (self.free.len(), self.n + 1);
+        let steps = &mut self.work[..m];
+        for (step, &j) in steps.iter_mut().zip(&self.free) {
+            *step = -self.gradient[j];
         }
-        linalg::solve_lower_in_place(&self.factor, n, ld, &mut self.work);
-        linalg::solve_lower_transposed_in_place(&self.factor, n, ld, &mut self.work);
-        for (target, (y, step)) in self.target.iter_mut().zip(self.y.iter().zip(&self.work)) {
-            *target = y + step;
+        linalg::solve_lower_in_place(&self.factor, m, ld, steps);
+        linalg::solve_lower_transposed_in_place(&self.factor, m, ld, steps);
+        self.target.copy_from_slice(&self.y);
+        for (step, &j) in steps.iter().zip(&self.free) {
+            self.target[j] += step;
         }
     }
 

@@ -71,8 +71,10 @@ impl QpProblem {
 
     /// Brings `x` inside the bounds; a NaN stays one.
     pub(super) fn clamp(&self, x: &mut [f64]) {
-        for ((x, lower), upper) in x.iter_mut().zip(&self.lower).zip(&self.upper) {
-            *x = x.clamp(*lower, *upper);
+        let bounds = self.lower.as_slice().iter().zip(self.upper.as_slice());
+        for (x, (lower, upper)) in x.iter_mut().zip(bounds) {
+            let above = if *x < *lower { *lower } else { *x };
+            *x = if above > *upper { *upper } else { above };
         }
     }
 
@@ -83,9 +85,10 @@ impl QpProblem {
             return Err(QpStatus::SizeMismatch);
         }
         let (mut infeasible, mut nan) = (false, false);
-        for (&lower, &upper) in self.lower.iter().zip(&self.upper) {
-            nan |= lower.is_nan() || upper.is_nan();
-            infeasible |= lower > upper || lower == f64::INFINITY || upper == f64::NEG_INFINITY;
+        for (&lower, &upper) in self.lower.as_slice().iter().zip(self.upper.as_slice()) {
+            // No branch, so that it vectorises.
+            nan |= lower.is_nan() | upper.is_nan();
+            infeasible |= (lower > upper) | (lower == f64::INFINITY) | (upper == f64::NEG_INFINITY);
         }
         for &limit in &self.limit {
             nan |= limit.is_nan();
