@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments import Refused
-from experiments.bench_native import FOLDER, QPS, URDF, Times, build, cargo, run, take_turns
+from experiments.bench_native import FOLDER, QPS, URDF, Times, build, run, take_turns, tick_times
 from experiments.manifest import REPOSITORY
 from jax_aero import rust
 from jax_aero.rust import QpProblem, State
@@ -44,11 +44,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         _print_machine(native=given.native)
         programs = build(native=given.native)
-        ours, others = take_turns(programs, given.turns)
+        ours, others, tick = take_turns(programs, given.turns)
         pinocchio = {what: t for what, t in others.items() if what.startswith("dynamics")}
         _print_native(ours, pinocchio, {what: t for what, t in others.items() if "QP" in what}, programs.missing)
         _print_python(_from_python())
-        tick = run([*cargo(native=given.native), "--bench", "tick"])
         print("\n## Whole tick\n")
         print(tick.strip())
         _print_targets(ours, pinocchio, others, tick)
@@ -267,8 +266,7 @@ def _print_targets(ours: Times, pinocchio: Times, daqp: Times, tick: str) -> Non
         else:
             print(f"| {what} | {own / other:.2f} | {target} | {_met(own / other <= target)} |")
     others = [_best(pinocchio, DYNAMICS[1]), *(_best(daqp, f"{q} QP, calm, warm") for q in ("momentum", "torque"))]
-    cells = next(line.split("|") for line in tick.splitlines() if "tick, TEST2 " in line)
-    p50, p999, own_p999 = (float(cells[column].split()[0]) for column in (3, 5, 7))
+    p50, p999, own_p999 = tick_times(tick)
     if None not in others:
         ratio = 1e3 * p50 / sum(ns for ns in others if ns is not None)
         print(f"| whole tick, p50 / (Pinocchio + DAQP + DAQP) | {ratio:.2f} | 0.8 | {_met(ratio <= 0.8)} |")

@@ -193,9 +193,7 @@ def reference(points: Waypoints, com: Array, forward: Array) -> Reference:
     return Reference(np.concatenate(times), np.concatenate(com_rows, axis=1), np.concatenate(headings))
 
 
-def _motion(
-    points: Waypoints, step: Step, place: Array, heading: float, com: Array, forward: Array
-) -> Motion:
+def _motion(points: Waypoints, step: Step, place: Array, heading: float, com: Array, forward: Array) -> Motion:
     """Return one step at its place."""
     ((kind, value),) = step.motions.items()
     if kind == "hold":

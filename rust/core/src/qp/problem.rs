@@ -86,9 +86,10 @@ impl QpProblem {
         }
         let (mut infeasible, mut nan) = (false, false);
         for (&lower, &upper) in self.lower.as_slice().iter().zip(self.upper.as_slice()) {
-            // No branch, so that it vectorises.
             nan |= lower.is_nan() | upper.is_nan();
-            infeasible |= (lower > upper) | (lower == f64::INFINITY) | (upper == f64::NEG_INFINITY);
+            #[allow(clippy::needless_bitwise_bool, reason = "`||` branches")]
+            let is_empty = (lower > upper) | (lower == f64::INFINITY) | (upper == f64::NEG_INFINITY);
+            infeasible |= is_empty;
         }
         for &limit in &self.limit {
             nan |= limit.is_nan();
