@@ -104,6 +104,9 @@ def ticks(published):
     return jax.jit(jax.vmap(published.tick))
 
 
+@pytest.mark.close_to_tolerance(
+    "the Hessian has the condition of G squared, 2e5 in hover, which multiplies the rounding"
+)
 def test_every_value_of_ticks_far_from_any_flight(published, ticks, agree):
     """With published arms and velocities; the corrected ones are compared below, where they differ."""
     samples = random_samples(published.robot, BATCH)

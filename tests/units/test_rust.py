@@ -156,6 +156,7 @@ def test_a_controller_of_ones_own_over_the_plant():
     assert abs(rust.dynamics(robot, now.state).com_position[2] - com) < 0.02
 
 
+@pytest.mark.close_to_tolerance("of the second order in the step, and the step is as it is")
 def test_forces_of_ones_own_over_the_plant(agree):
     """1 N on each of 13 links for one tick from rest adds their impulse, to the second order in the step."""
     changes = {"simulator.substeps": 3, "simulator.initial.free_fall_tick": False}

@@ -172,7 +172,8 @@ fn the_attitude_task_is_the_law_of_the_angular_momentum() {
         let law = state.base.rotation.transpose() * (angular - terms.attitude.sigma_i)
             - terms.attitude.k_ddot_desired_b;
         let found = equations(&controller, "attitude", &u);
-        assert_within!((found - law).norm(), 1e-6 * (1e3 + law.norm()), "{name}");
+        let tolerance = 1e-6 * (1e3 + law.norm());
+        assert_within!((found - law).norm(), tolerance, because "the error of a quotient of differences", "{name}");
     }
 }
 
@@ -274,12 +275,10 @@ fn the_feet_task_is_the_velocity_of_the_soles() {
                 turn[(0, 2)] - turn[(2, 0)],
                 turn[(1, 0)] - turn[(0, 1)],
             ) / 2.0;
-            assert_within!((found.fixed_rows::<3>(6 * foot) - linear).norm(), 1e-8, "{name}: foot {foot}");
-            assert_within!(
-                (found.fixed_rows::<3>(6 * foot + 3) - angular).norm(),
-                1e-8,
-                "{name}: foot {foot}"
-            );
+            for (row, rate) in [(6 * foot, linear), (6 * foot + 3, angular)] {
+                let error = (found.fixed_rows::<3>(row) - rate).norm();
+                assert_within!(error, 1e-8, because "the error of a quotient of differences", "{name}: foot {foot}");
+            }
         }
     }
 }

@@ -250,6 +250,7 @@ impl PrimalActiveSet {
                 Followed::Part => continue,
                 Followed::NotFinite => return QpStatus::NonFinite,
             }
+            // Where nothing is held there is nothing to let go of.
             if self.free.len() < self.n {
                 self.update_gradient();
                 if self.release() {
