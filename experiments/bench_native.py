@@ -24,7 +24,7 @@ Times = dict[str, float]
 """What was measured to nanoseconds: the median over rounds, in the fastest turn.
 
 A virtual machine may run at two paces, one half as fast again as the other. Of a few turns each, two medians may be of
-different paces; the fastest turns are of the same."""
+different paces; the fastest turns are most likely of one."""
 
 FOLDER = REPOSITORY / "target" / "side_by_side"
 SOURCES = REPOSITORY / "rust" / "sim" / "benches" / "native"

@@ -79,7 +79,8 @@ def compute(name: str, config: CompareConfig) -> Findings:
             found = errors(robot, here.force_area_b[own], there.take(own))
             summary |= {f"{posture} ({own.sum()}): {key}": value for key, value in found.items()}
         off = np.sqrt(np.mean(np.sum((here.force_area_b - there.force_area_b) ** 2, axis=2), axis=0))
-        summary |= {f"{link}: force, rms [m2]": float(value) for link, value in zip(LINKS, off, strict=True)}
+        names = [f"{OPEN}, beside the table: {link}, rms [m2]" for link in LINKS]
+        summary |= dict(zip(names, off.tolist(), strict=True))
         result = as_rows(at_rows, there)
     return Findings(f"Open CFD `{name}` beside others", result, summary, inputs=inputs, texts=texts)
 

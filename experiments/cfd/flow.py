@@ -58,12 +58,13 @@ def compute(_name: str, config: FlowConfig) -> Findings:
     data = as_dataset(wall.triangulate(), plane, streamlines(cells, wall))
     area, ratio = plane.compute_cell_sizes()["Area"], plane.cell_data["viscosity"]
     wake = plane.cell_data["speed"] < 0.5
+    wake_area = float(area[wake].sum())
     summary: dict[str, Any] = {
         "drag [m2]": float(np.sum([*result.force_area_b.values()], axis=0) @ wind),
         "pressure share of the force": result.quality["pressure share of the force"],
         "turbulent over molecular viscosity, largest in the plane": float(ratio.max()),
-        "wake in the plane, slower than half the wind [m2]": float(area[wake].sum()),
-        "part of the wake in the plane where that is above 100": area[wake & (ratio > 100.0)].sum() / area[wake].sum(),
+        "wake in the plane, slower than half the wind [m2]": wake_area,
+        "part of the wake in the plane where that is above 100": float(area[wake & (ratio > 100.0)].sum()) / wake_area,
         "cells": facts.cells,
     }
     data = data.assign_attrs(wind=wind, cells=facts.cells, edge=settings.mesh.finest)

@@ -6,7 +6,7 @@ A claim whose measurement is not there says which command makes it. `docs/claims
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -33,6 +33,9 @@ LEAST_FIRST = (
     "without J_aᵀ f_a",
 )
 """Levels of the ablation of terms, from no feedback to all of it."""
+
+MOSTLY = 0.95
+"""Share of a flight's perturbed neighbours that arrive, from which on the flight counts as flown."""
 
 LEANING = 45.0
 """Rotation error beyond which a flight that arrives does not count as balanced [deg]."""
@@ -141,8 +144,15 @@ def _pair(results: Results, test: str) -> tuple[str, list[Mapping[str, float]]]:
 
 
 def _mostly(share: Mapping[str, float]) -> bool:
-    """Return whether a flight and its neighbours complete: 95 % of them, and surely more than 80 %."""
-    return share["completed"] >= 0.95 * share["flights"] and share["completed_low"] > 0.8
+    """Return whether a flight and its neighbours complete: `MOSTLY` of them, and surely more than 80 %."""
+    return share["completed"] >= MOSTLY * share["flights"] and share["completed_low"] > 0.8
+
+
+def _undecided(shares: Sequence[Mapping[str, float]]) -> str:
+    """Return where more flights could turn a verdict on what is claimed to complete; empty if nowhere."""
+    pairs = zip(("corrected", "published"), shares, strict=True)
+    arms = [arms for arms, share in pairs if share["completed_low"] < MOSTLY < share["completed_high"]]
+    return f"; with {' and '.join(arms)} lever arms not decided: 95 % is within the interval" if arms else ""
 
 
 def _fails(test: str) -> Judge:
@@ -155,8 +165,8 @@ def _fails(test: str) -> Judge:
 
 def _flies(test: str) -> Judge:
     def judge(results: Results) -> tuple[str, str]:
-        text, (right, published) = _pair(results, test)
-        return text, _agreement(_mostly(right), _mostly(published))
+        text, shares = _pair(results, test)
+        return text, _agreement(*map(_mostly, shares)) + _undecided(shares)
 
     return judge
 
@@ -194,7 +204,7 @@ def _robustness(results: Results) -> tuple[str, str]:
     leaning = max(_flight(results, name).rotation_error for name in ("robustness", "robustness_published"))
     if verdict.startswith(AGREES) and leaning > LEANING:
         verdict += f", but the robot leans by up to {leaning:.0f}°"
-    return text, verdict
+    return text, verdict + _undecided(shares)
 
 
 def _model_pairs(results: Results) -> tuple[str, str]:

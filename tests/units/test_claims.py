@@ -169,6 +169,14 @@ def test_a_test_is_flown_if_95_of_100_neighbours_complete(corrected, published, 
     assert judged("test2", flights=flights, sweeps=sweeps)[1].startswith(verdict)
 
 
+@pytest.mark.parametrize(("count", "said"), [(90, False), (91, True), (99, True), (100, False)])
+def test_a_share_whose_interval_holds_95_percent_is_said_to_be_undecided(count, said):
+    """The interval of 90 of 100 ends at 0.945, of 91 at 0.952; that of 99 begins at 0.946, of 100 at 0.963."""
+    sweeps, flights = paper_tests("TEST2", 100, count), {"test2": flight(), "test2_published": flight()}
+    verdict = judged("test2", flights=flights, sweeps=sweeps)[1]
+    assert ("; with published lever arms not decided: 95 % is within the interval" in verdict) == said
+
+
 def test_a_test_fails_if_surely_less_than_half_of_its_neighbours_complete():
     """The interval of 40 of 100 ends at 0.498, that of 41 at 0.508."""
     flights = {"test1": flight(), "test1_published": flight()}

@@ -580,6 +580,8 @@ fn rate_bounds_fade_out_at_the_limits() {
     assert_eq!(bounds(160.0), (-100.0, 0.0));
     let (lower, upper) = bounds(0.5);
     assert!((lower + 100.0 * 1_f64.tanh()).abs() < 1e-12 && upper == 100.0);
+    let (lower, upper) = bounds(159.5);
+    assert!(lower == -100.0 && (upper - 100.0 * 1_f64.tanh()).abs() < 1e-12);
     assert!(bounds(-0.1).0 > 0.0 && bounds(160.1).1 < 0.0, "the way back");
     let mut rng = rng(1);
     for _ in 0..10_000 {

@@ -398,7 +398,7 @@ impl DualActiveSet {
                 *step = -g;
             }
             for (column, y) in self.y.iter().enumerate() {
-                linalg::add_scaled(&mut self.step, -y, &self.scaled.h[column * n..][..n]);
+                linalg::add_scaled(&mut self.step, -y, self.scaled.column(column));
             }
             for k in 0..q {
                 let pressure = self.pressure[k];

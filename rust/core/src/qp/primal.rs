@@ -322,14 +322,13 @@ impl PrimalActiveSet {
     /// ```
     fn aim(&mut self, is_first: bool) -> bool {
         let (n, ld) = (self.n, self.n + 1);
-        let h = &self.scaled.h;
         self.free.clear();
         self.free.extend((0..n).filter(|&j| self.side[j] == Side::Free));
         self.target.copy_from_slice(&self.y);
         if is_first {
             self.gradient.copy_from_slice(&self.scaled.g);
             for j in (0..n).filter(|&j| self.side[j] != Side::Free) {
-                linalg::add_scaled(&mut self.gradient, self.y[j], &h[j * ld..][..n]);
+                linalg::add_scaled(&mut self.gradient, self.y[j], self.scaled.column(j));
             }
         }
         // From the last variable that is held on, the matrix moves up as one piece, which H and its factor allow as
@@ -338,12 +337,12 @@ impl PrimalActiveSet {
         let rest = self.side.iter().rposition(|side| *side != Side::Free).map_or(0, |held| held + 1);
         let first = m - (n - rest);
         for (place, &j) in self.free[..first].iter().enumerate() {
-            let (from, to) = (&h[j * ld..][..n], &mut self.factor[place * ld..][..m]);
+            let (from, to) = (self.scaled.column(j), &mut self.factor[place * ld..][..m]);
             for (to, &i) in to[place..].iter_mut().zip(&self.free[place..]) {
                 *to = from[i];
             }
         }
-        let piece = h.get(rest * (ld + 1)..).unwrap_or_default();
+        let piece = self.scaled.h.get(rest * (ld + 1)..).unwrap_or_default();
         self.factor[first * (ld + 1)..][..piece.len()].copy_from_slice(piece);
         for (column, &j) in self.factor.chunks_exact_mut(ld).zip(&self.free) {
             column[m] = -self.gradient[j];
@@ -411,7 +410,7 @@ impl PrimalActiveSet {
         if !self.gradient.iter().chain(&self.target).all(|value| value.is_finite()) {
             return Followed::NotFinite;
         }
-        let Scaled { h, lower, upper, .. } = &self.scaled;
+        let Scaled { lower, upper, .. } = &self.scaled;
         let points = self.target.iter().zip(&self.y).zip(lower.iter().zip(upper));
         for ((t, d), ((target, y), (lower, upper))) in self.meets.iter_mut().zip(&mut self.step).zip(points) {
             *d = target - y;
@@ -449,7 +448,7 @@ impl PrimalActiveSet {
                 if d > 0.0 { (Side::Upper, upper[i]) } else { (Side::Lower, lower[i]) };
             self.step[i] = 0.0;
             self.meets[i] = f64::INFINITY;
-            linalg::add_scaled(&mut self.h_step, -d, &h[i * (self.n + 1)..][..self.n]);
+            linalg::add_scaled(&mut self.h_step, -d, self.scaled.column(i));
         }
         if met_any { Followed::Part } else { Followed::Whole }
     }

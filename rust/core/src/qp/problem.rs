@@ -69,12 +69,12 @@ impl QpProblem {
         0.5 * x.dot(&(&self.h * &x)) + self.g.dot(&x)
     }
 
-    /// Brings `x` inside the bounds; a NaN stays one.
+    /// Brings `x` inside the bounds; a NaN stays one. With comparisons, as `f64::max` would turn a NaN into a bound.
     pub(super) fn clamp(&self, x: &mut [f64]) {
         let bounds = self.lower.as_slice().iter().zip(self.upper.as_slice());
         for (x, (lower, upper)) in x.iter_mut().zip(bounds) {
-            let above = if *x < *lower { *lower } else { *x };
-            *x = if above > *upper { *upper } else { above };
+            let raised = if *x < *lower { *lower } else { *x };
+            *x = if raised > *upper { *upper } else { raised };
         }
     }
 

@@ -55,6 +55,11 @@ impl Scaled {
         Ok(())
     }
 
+    /// Column `j` of the Hessian.
+    pub fn column(&self, j: usize) -> &[f64] {
+        &self.h[j * self.ld..][..self.g.len()]
+    }
+
     /// Adds the scaled Hessian times `y` to `product`.
     pub fn add_hessian_times(&self, y: &[f64], product: &mut [f64]) {
         linalg::add_mat_vec(product, &self.h, self.ld, y);
