@@ -45,7 +45,7 @@ LAB_WASM := target/wasm32-unknown-unknown/release/flight_lab.wasm
 export PYO3_PYTHON := $(abspath $(BIN)/python)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo view test fuzz audit lint bench figures reproduce verify docs lab clean portability wheel
+.PHONY: help setup demo view test fuzz audit lint lint-rust lint-python bench figures reproduce verify docs lab clean portability wheel
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -89,9 +89,13 @@ fuzz: $(PACKAGES) ## try other random files, flights and faults than the tests d
 		$(BIN)/python -m pytest -q --hypothesis-seed=$$round tests/units/test_spoilt_files.py || exit 1; \
 	done
 
-lint: $(PACKAGES) ## check formats, lints, types and import contracts
+lint: lint-rust lint-python ## check formats, lints, types and import contracts
+
+lint-rust: $(PACKAGES)
 	cargo fmt --all --check
 	cargo clippy --locked --workspace --all-targets -- -D warnings
+
+lint-python: $(PACKAGES)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

@@ -22,6 +22,7 @@ from typing import NamedTuple, Protocol, assert_never
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
 
 from jax_aero.config import ControllerSection
 from jax_aero.control.attitude import AttitudeDemand, TaskGains
@@ -71,12 +72,24 @@ class MomentumQp(NamedTuple):
     problem: BoxQp
 
 
-def task_params(config: ControllerSection, robot: RobotModel) -> TaskParams:
-    """Bring weights and bounds into the order of the robot's jets and joints."""
+def task_params(config: ControllerSection, robot: RobotModel, time_step: float) -> TaskParams:
+    """Bring weights and bounds into the order of the robot's jets and joints.
+
+    Raises
+    ------
+    ValueError
+        For a name that the robot does not have, and for bounds that make thrusts or joints oscillate.
+    """
     weights, bounds = config.weights, config.bounds
     gains = _by_name("posture_gain", config.posture_gain, [name for name, _ in robot.joint_groups], robot)
     counts = [len(joints) for _, joints in robot.joint_groups]
-    velocity_max = bounds.joint_velocity_max_deg
+    common = bounds.joint_velocity_max_deg
+    velocity_max = in_place_of(robot.joint_velocity_max, None if common is None else np.deg2rad(common), robot)
+    thrust_rate_max = _by_name("bounds.thrust_rate_max", bounds.thrust_rate_max, robot.jets.names, robot)
+    descent = None if config.engines is None else config.engines.descent
+    fast = 0.0 if descent is None else np.deg2rad(descent.joint_velocity_max_deg)
+    _check_steepness("thrust_steepness", bounds.thrust_steepness, thrust_rate_max, time_step)
+    _check_steepness("joint_steepness", bounds.joint_steepness, np.maximum(velocity_max, fast), time_step)
     return TaskParams(
         momentum=leaf(weights.momentum),
         angular_momentum=leaf(weights.angular_momentum),
@@ -86,13 +99,25 @@ def task_params(config: ControllerSection, robot: RobotModel) -> TaskParams:
         symmetry=leaf(weights.symmetry),
         regularisation=leaf(weights.regularisation),
         posture_gain=leaf(np.repeat(gains, counts)),
-        thrust_rate_max=leaf(_by_name("bounds.thrust_rate_max", bounds.thrust_rate_max, robot.jets.names, robot)),
+        thrust_rate_max=leaf(thrust_rate_max),
         thrust_steepness=leaf(bounds.thrust_steepness),
-        joint_velocity_max=in_place_of(
-            robot.joint_velocity_max, None if velocity_max is None else np.deg2rad(velocity_max), robot
-        ),
+        joint_velocity_max=velocity_max,
         joint_steepness=leaf(bounds.joint_steepness),
     )
+
+
+def _check_steepness(key: str, steepness: float, rate_max: ArrayLike, time_step: float) -> None:
+    """Refuse a bound whose values oscillate from tick to tick.
+
+    At a limit the bound of the rate is `r ε` per unit of distance, so the distance is multiplied by `1 − h r ε` each
+    tick.
+    """
+    step = np.asarray(rate_max).max(initial=0.0) * time_step
+    if steepness * step > 2.0 * (1.0 + 1e-9):  # the published numbers lie on the edge: 1 − 0.01 · 100 · 2 = −1
+        raise ValueError(
+            f"`controller.bounds.{key}` is {steepness:g}; "
+            f"expected at most {2.0 / step:g}, 2 / (greatest rate · time step of {time_step:g} s)"
+        )
 
 
 def _by_name(table: str, values: Mapping[str, float], names: Sequence[str], robot: RobotModel) -> list[float]:

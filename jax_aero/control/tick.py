@@ -179,7 +179,7 @@ def momentum_controller(
         ),
         rate_feedback=_components(feedback.momentum_rate),
         momentum=leaves(TaskGains, controller.momentum),
-        tasks=task_params(controller, robot),
+        tasks=task_params(controller, robot, config.simulator.time_step),
         other_tasks=tasks,
         torque=leaves(TorqueParams, controller.torque),
         torque_max=in_place_of(robot.joint_torque_max, controller.torque.torque_max, robot),

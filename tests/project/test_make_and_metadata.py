@@ -58,7 +58,7 @@ def test_ci_runs_lint_portability_and_the_command_of_the_readme():
     text = ci.read_text(encoding="utf-8")
     assert "set -euo pipefail" in text
     commands = re.findall(r"^(?:exec )?make --no-print-directory (.*?)(?: #.*)?$", text, re.MULTILINE)
-    assert commands == ["setup", "lint", "wheel", "portability QUICK=1", "test"]
+    assert commands == ["setup", "--jobs=2 --output-sync=target lint wheel", "portability QUICK=1", "test"]
 
 
 def test_lint_runs_every_check():

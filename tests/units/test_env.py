@@ -28,6 +28,15 @@ def test_gymnasium_finds_no_fault():
     check_env(HoverEnv(Task(duration=0.2)), skip_render_check=True)
 
 
+def test_the_environment_of_gymnasium_needs_no_jax():
+    """Nor anything else that the extra `rl` does not install."""
+    program = (
+        "import sys; sys.modules |= dict.fromkeys(['jax', 'jaxtyping', 'matplotlib', 'mujoco', 'pandas', 'xarray']); "
+        "from jax_aero.env_gym import HoverEnv; HoverEnv().reset()"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
 def test_without_a_residual_the_controller_flies_as_it_does():
     hover = HoverEnv(Task(duration=0.5))
     first, _ = hover.reset(options={"wind": WIND})

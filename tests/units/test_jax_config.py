@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import subprocess
 import sys
@@ -17,7 +18,9 @@ from jax_aero.config import AxisymmetricAeroConfig
 from jax_aero.control.recorded import read_reference
 from jax_aero.control.tick import momentum_controller
 from jax_aero.io import scenario_config
+from jax_aero.keys import set_key
 from jax_aero.robot import ancestors_of, levels_of, load_robot
+from jax_aero.sim import prepare
 from jax_aero.sim.plant import n_ticks
 from jax_aero.types import Static, pytree, with_dtype
 from jax_aero.urdf import read_tree
@@ -81,6 +84,21 @@ def test_a_set_of_coefficients_that_the_robot_lacks_is_refused(table):
     typed = scenario_config(table)
     with pytest.raises(ValueError, match=r"coefficients is `guessed`; .* has .*corrected"):
         aero_model(typed.simulator.aero, load_robot(typed.robot))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("simulator.time_step", 0.0101, "thrust_steepness`? is 2; expected at most 1.98"),
+        ("controller.bounds.joint_steepness", 255.0, "joint_steepness`? is 255; expected at most 254.6"),
+    ],
+)
+def test_bounds_that_oscillate_from_tick_to_tick_are_refused_as_by_the_crate(table, key, value, words):
+    changed = copy.deepcopy(table)
+    set_key(changed, key, value)
+    for build in (lambda: prepare(changed, dtype=np.float32), lambda: rust.fly(changed)):
+        with pytest.raises(ValueError, match=words):
+            build()
 
 
 def test_a_pytree_splits_its_fields():
