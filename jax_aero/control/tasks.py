@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol, assert_never
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
@@ -89,7 +90,7 @@ def task_params(config: ControllerSection, robot: RobotModel, time_step: float) 
     descent = None if config.engines is None else config.engines.descent
     fast = 0.0 if descent is None else np.deg2rad(descent.joint_velocity_max_deg)
     _check_steepness("thrust_steepness", bounds.thrust_steepness, thrust_rate_max, time_step)
-    _check_steepness("joint_steepness", bounds.joint_steepness, np.maximum(velocity_max, fast), time_step)
+    _check_steepness("joint_steepness", bounds.joint_steepness, jnp.maximum(velocity_max, fast), time_step)
     return TaskParams(
         momentum=leaf(weights.momentum),
         angular_momentum=leaf(weights.angular_momentum),
@@ -110,10 +111,13 @@ def _check_steepness(key: str, steepness: float, rate_max: ArrayLike, time_step:
     """Refuse a bound whose values oscillate from tick to tick.
 
     At a limit the bound of the rate is `r ε` per unit of distance, so the distance is multiplied by `1 − h r ε` each
-    tick.
+    tick. Rates that are traced are not known here.
     """
-    step = np.asarray(rate_max).max(initial=0.0) * time_step
-    if steepness * step > 2.0 * (1.0 + 1e-9):  # the published numbers lie on the edge: 1 − 0.01 · 100 · 2 = −1
+    if isinstance(rate_max, jax.core.Tracer):
+        return
+    step = np.asarray(rate_max, np.float64).max(initial=0.0) * time_step
+    # The published numbers lie on the edge: 1 − 0.01 · 100 · 2 = −1. Rates may have been rounded to single precision.
+    if steepness * step > 2.0 * (1.0 + 1e-6):
         raise ValueError(
             f"`controller.bounds.{key}` is {steepness:g}; "
             f"expected at most {2.0 / step:g}, 2 / (greatest rate · time step of {time_step:g} s)"

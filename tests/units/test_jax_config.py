@@ -80,8 +80,9 @@ def test_a_missing_key_and_an_unknown_kind_are_refused(table):
 
 
 def test_a_set_of_coefficients_that_the_robot_lacks_is_refused(table):
-    table["simulator"]["aero"]["coefficients"] = "guessed"
-    typed = scenario_config(table)
+    spoilt = copy.deepcopy(table)
+    set_key(spoilt, "simulator.aero.coefficients", "guessed")
+    typed = scenario_config(spoilt)
     with pytest.raises(ValueError, match=r"coefficients is `guessed`; .* has .*corrected"):
         aero_model(typed.simulator.aero, load_robot(typed.robot))
 
