@@ -152,7 +152,8 @@ def _undecided(shares: Sequence[Mapping[str, float]]) -> str:
     """Return where more flights could turn a verdict on what is claimed to complete; empty if nowhere."""
     pairs = zip(("corrected", "published"), shares, strict=True)
     arms = [arms for arms, share in pairs if share["completed_low"] < MOSTLY < share["completed_high"]]
-    return f"; with {' and '.join(arms)} lever arms not decided: 95 % is within the interval" if arms else ""
+    inside = f"{100 * MOSTLY:.0f} % is within the interval"
+    return f"; with {' and '.join(arms)} lever arms not decided: {inside}" if arms else ""
 
 
 def _fails(test: str) -> Judge:

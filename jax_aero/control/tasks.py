@@ -17,7 +17,7 @@ M61 to M64 of `docs/model.md`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, Protocol, assert_never
+from typing import Any, NamedTuple, Protocol, assert_never, cast
 
 import jax
 import jax.numpy as jnp
@@ -90,7 +90,7 @@ def task_params(config: ControllerSection, robot: RobotModel, time_step: float) 
     descent = None if config.engines is None else config.engines.descent
     fast = 0.0 if descent is None else np.deg2rad(descent.joint_velocity_max_deg)
     _check_steepness("thrust_steepness", bounds.thrust_steepness, thrust_rate_max, time_step)
-    _check_steepness("joint_steepness", bounds.joint_steepness, jnp.maximum(velocity_max, fast), time_step)
+    _check_steepness("joint_steepness", bounds.joint_steepness, velocity_max, time_step, fast)
     return TaskParams(
         momentum=leaf(weights.momentum),
         angular_momentum=leaf(weights.angular_momentum),
@@ -107,17 +107,16 @@ def task_params(config: ControllerSection, robot: RobotModel, time_step: float) 
     )
 
 
-def _check_steepness(key: str, steepness: float, rate_max: ArrayLike, time_step: float) -> None:
+def _check_steepness(key: str, steepness: float, rate_max: ArrayLike, time_step: float, fast: float = 0.0) -> None:
     """Refuse a bound whose values oscillate from tick to tick.
 
     At a limit the bound of the rate is `r ε` per unit of distance, so the distance is multiplied by `1 − h r ε` each
-    tick. Rates that are traced are not known here.
+    tick. `fast` is a rate besides `rate_max`. Of a robot that is traced the rates are not known here.
     """
     if isinstance(rate_max, jax.core.Tracer):
         return
-    step = np.asarray(rate_max, np.float64).max(initial=0.0) * time_step
-    # The published numbers lie on the edge: 1 − 0.01 · 100 · 2 = −1. Rates may have been rounded to single precision.
-    if steepness * step > 2.0 * (1.0 + 1e-6):
+    step = np.asarray(rate_max).max(initial=fast) * time_step
+    if steepness * step > 2.0 * (1.0 + 1e-9):  # the published numbers lie on the edge: 1 − 0.01 · 100 · 2 = −1
         raise ValueError(
             f"`controller.bounds.{key}` is {steepness:g}; "
             f"expected at most {2.0 / step:g}, 2 / (greatest rate · time step of {time_step:g} s)"
@@ -139,8 +138,9 @@ def in_place_of(
 ) -> Float[Array, " n"]:
     """Limits of the joints: the robot's own, or for revolute joints the common one where it is given."""
     if common is None:
-        return jnp.asarray(own)
-    return jnp.where(np.array(robot.joint_is_prismatic, dtype=bool), own, common)
+        return leaf(own)
+    where = jnp.where if isinstance(cast(Any, own), jax.Array) else np.where
+    return leaf(where(np.array(robot.joint_is_prismatic, dtype=bool), own, common))
 
 
 def symmetric_pairs(config: ControllerSection, robot: RobotModel) -> tuple[tuple[int, int], ...]:
