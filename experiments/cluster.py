@@ -90,8 +90,13 @@ def _connect(ray: Any, address: str | None, workers: int | None) -> None:
     quiet = {"log_to_driver": False, "logging_level": "error", "runtime_env": environment}
     if address:
         ray.init(address=address, **quiet)
-    else:
-        ray.init(num_cpus=workers or os.cpu_count() or 1, include_dashboard=False, **quiet)
+        return
+    local = {"num_cpus": workers or os.cpu_count() or 1, "include_dashboard": False, **quiet}
+    try:
+        ray.init(**local)
+    except Exception:  # Ray gives its processes 30 s to start, which a busy machine may need the first time
+        ray.shutdown()
+        ray.init(**local)
 
 
 def _spread(ray: Any, common: Any, jobs: Mapping[Key, Any], cpus: int) -> Iterator[tuple[Key, Any]]:

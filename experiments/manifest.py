@@ -99,9 +99,9 @@ def git_state() -> dict[str, Any]:
 
 def _git(*arguments: str) -> str | None:
     try:
-        answer = subprocess.run(
-            ["git", *arguments], cwd=REPOSITORY, capture_output=True, text=True, check=True, timeout=10
-        )
+        # Without a lock: an ended process would leave it behind, and a commit under way must not fail of this one.
+        command = ["git", "--no-optional-locks", *arguments]
+        answer = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=True, timeout=10)
     except (OSError, subprocess.SubprocessError):
         return None
     return answer.stdout.strip()

@@ -1,6 +1,9 @@
 """The browser that tests look at pages with."""
 
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
 CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)
 SWITCHES = (
@@ -14,3 +17,14 @@ SWITCHES = (
     "--disable-sync",
 )
 SLOWEST = 60_000  # ms, on a busy machine
+
+
+@contextmanager
+def open_chromium() -> Iterator[Any]:
+    """Playwright's browser, without a window. Contexts and pages need `SLOWEST` as their default timeout."""
+    from playwright import sync_api
+
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(SWITCHES), timeout=SLOWEST)
+        yield browser
+        browser.close()

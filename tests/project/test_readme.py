@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from jax_aero import rust
+from tests.shown import in_a_folder_of_its_own
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -26,7 +27,7 @@ def run(command: list[str], **variables: str) -> str:
     environment = {key: value for key, value in os.environ.items() if not key.startswith("MAKE")}
     environment |= {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}", **variables}
     answer = subprocess.run(
-        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False, timeout=120
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False, timeout=600
     )
     assert answer.returncode == 0, answer.stdout + answer.stderr
     return answer.stdout
@@ -42,7 +43,8 @@ def test_every_code_block_is_tried_somehow():
 
 @pytest.mark.parametrize("code", blocks("run", "sh"))
 def test_commands_run(code, tmp_path):
-    run(["bash", "-euo", "pipefail", "-c", code], OUT=str(tmp_path))
+    run(["bash", "-euo", "pipefail", "-c", in_a_folder_of_its_own(code)], OUT=str(tmp_path))
+    assert list(tmp_path.glob("*/manifest.json"))
 
 
 @pytest.mark.parametrize("code", blocks("run", "python"))

@@ -22,7 +22,7 @@ from jax_aero.view import recording
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
 
-from tests.browser import CHROMIUM, SLOWEST, SWITCHES  # noqa: E402 - after the skip
+from tests.browser import CHROMIUM, SLOWEST, open_chromium  # noqa: E402 - after the skip
 from tests.measurements import measured  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -36,7 +36,7 @@ STATES += ("com_velocity", "momentum", "thrust")
 
 
 @pytest.fixture(scope="session")
-def built() -> Path:
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page, built by `make lab`; skips where a tool for that is missing."""
     if shutil.which("npm") is None or shutil.which("node") is None:
         pytest.skip("the flight lab is not built: node and npm are not installed")
@@ -45,15 +45,15 @@ def built() -> Path:
     ).stdout.strip()
     if not folder or not Path(folder).is_dir():
         pytest.skip("the flight lab is not built: rustup target add wasm32-unknown-unknown")
-    packages = subprocess.run(["make", "rust/lab/page/node_modules"], cwd=ROOT, capture_output=True, text=True)
-    if packages.returncode:
-        pytest.skip("the flight lab is not built: npm ci cannot fetch its packages")
     with (ROOT / "target/lab.lock").open("w") as lock:  # test processes build one after the other
         fcntl.flock(lock, fcntl.LOCK_EX)
+        packages = subprocess.run(["make", "rust/lab/page/node_modules"], cwd=ROOT, capture_output=True, text=True)
+        if packages.returncode:
+            pytest.skip("the flight lab is not built: npm ci cannot fetch its packages")
         # The compiled module is the one that this test has imported.
         done = subprocess.run(["make", "-o", ".venv/.module", "lab"], cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return LAB
+        assert done.returncode == 0, done.stdout + done.stderr
+        return shutil.copytree(LAB, tmp_path_factory.mktemp("lab") / "lab")  # which no other process builds anew
 
 
 class Visit:
@@ -66,11 +66,11 @@ class Visit:
         tab.on("console", lambda message: self.complaints.append(message.text) if message.type == "error" else None)
         tab.on("pageerror", lambda error: self.complaints.append(str(error)))
         tab.on("request", lambda request: self.requests.append(request.url))
-        tab.goto(f"{(folder / 'index.html').as_uri()}{link}", timeout=SLOWEST)
+        tab.goto(f"{(folder / 'index.html').as_uri()}{link}")
         self.wait("window.page && page.solid && page.solid.rows > 1")
 
     def wait(self, condition: str) -> None:
-        self.tab.wait_for_function(condition, timeout=SLOWEST)
+        self.tab.wait_for_function(condition)
 
     def seek(self, time: float) -> None:
         """Show a moment, and stay there."""
@@ -89,10 +89,8 @@ class Visit:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with sync_api.sync_playwright() as playwright:
-        opened = playwright.chromium.launch(executable_path=CHROMIUM, headless=True, args=list(SWITCHES))
+    with open_chromium() as opened:
         yield opened
-        opened.close()
 
 
 @pytest.fixture
@@ -101,6 +99,7 @@ def visit(browser: Any, built: Path) -> Iterator[Callable[..., Visit]]:
 
     def open_page(link: str = "", **options: Any) -> Visit:
         contexts.append(browser.new_context(**{"viewport": {"width": 420, "height": 300}, **options}))
+        contexts[-1].set_default_timeout(SLOWEST)
         return Visit(contexts[-1].new_page(), built, link)
 
     yield open_page
@@ -244,17 +243,18 @@ def test_an_exported_flight_plays_as_one_file(browser, built, fallen, tmp_path):
     out = tmp_path / "fall.html"
     assert commands.main(["export", str(fallen), "--ghost", str(fallen), "--out", str(out)]) == 0
     tab = browser.new_context(viewport={"width": 800, "height": 500}).new_page()
+    tab.set_default_timeout(SLOWEST)
     complaints, requests = [], []
     tab.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
     tab.on("pageerror", lambda error: complaints.append(str(error)))
     tab.on("request", lambda request: requests.append(request.url))
-    tab.goto(out.as_uri(), timeout=SLOWEST)
-    tab.wait_for_function("page.now > 0.2", timeout=SLOWEST)  # it plays by itself
+    tab.goto(out.as_uri())
+    tab.wait_for_function("page.now > 0.2")  # it plays by itself
     tab.keyboard.press("Space")
-    tab.wait_for_function("!page.isPlaying", timeout=SLOWEST)
+    tab.wait_for_function("!page.isPlaying")
     tab.locator("figcaption select").last.select_option("joint_position")
     tab.evaluate("page.seek(21)")
-    tab.wait_for_function("document.querySelector('#status').textContent.includes('attitude error')", timeout=SLOWEST)
+    tab.wait_for_function("document.querySelector('#status').textContent.includes('attitude error')")
     seen = recording.read(fallen)
     shown = tab.evaluate("[...page.solid.pose(page.rowAt(page.solid, 21))]")
     now = seen.at(21.0)

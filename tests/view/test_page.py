@@ -36,7 +36,7 @@ class Visit:
 
         size = self.tab.viewport_size
         clip = {"x": 0, "y": 0, "width": size["width"] - 400, "height": size["height"]}
-        with Image.open(io.BytesIO(self.tab.screenshot(clip=clip, timeout=SLOWEST))) as image:
+        with Image.open(io.BytesIO(self.tab.screenshot(clip=clip))) as image:
             return np.asarray(image.convert("RGB")).astype(np.int16)
 
     def _box(self, label: str) -> Any:
@@ -79,7 +79,9 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
             headless=True,
             args=list(SWITCHES),
             viewport={"width": 900, "height": 480},
+            timeout=SLOWEST,
         )
+        opened.set_default_timeout(SLOWEST)
         yield opened
         opened.close()
 
@@ -97,8 +99,8 @@ def visit(browser: Any) -> Iterator[Callable[..., Visit]]:
         tab, complaints = browser.new_page(), []
         tab.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
         tab.on("pageerror", lambda error: complaints.append(str(error)))
-        tab.goto(page.url, timeout=SLOWEST)
-        tab.locator(".outcome").first.wait_for(timeout=SLOWEST)
+        tab.goto(page.url)
+        tab.locator(".outcome").first.wait_for()
         return Visit(page, tab, complaints)
 
     yield open_page
@@ -149,12 +151,12 @@ def test_a_result_is_drawn_and_scrubbed(visit, fallen):
     page.set_number("time [s]", "18")
     page.wait_for(lambda: page.served.now == 18.0, "the requested moment")
     page.wait_for(lambda: changed(start, page.picture()) > 0.02, "another picture")
-    assert re.search("attitude error [67]", page.tab.content())
+    page.wait_for(lambda: re.search("attitude error [67]", page.tab.content()) is not None, "its numbers")
     # Playing goes on from there, to the fall.
     page.tab.get_by_role("button", name="5×").click()
     page.tab.get_by_role("button", name="Play").click()
     page.wait_for(lambda: page.served.now == page.served.solid.duration, "the end of the flight")
-    page.tab.get_by_role("button", name="Play").wait_for(timeout=SLOWEST)
+    page.tab.get_by_role("button", name="Play").wait_for()
     assert page.complaints == []
 
 

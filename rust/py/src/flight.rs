@@ -150,7 +150,8 @@ pub fn fly_batch(
     if threads == Some(0) {
         return Err(PyValueError::new_err("threads is 0; expected at least 1, or None for one per core"));
     }
-    let configs = config_jsons.iter().map(|text| parse(text)).collect::<PyResult<Vec<_>>>()?;
+    let parse_one = |text: &String| py.check_signals().and_then(|()| parse(text));
+    let configs = config_jsons.iter().map(parse_one).collect::<PyResult<Vec<_>>>()?;
     let mut reporter = Reporter::new(progress);
     let keep = |mut result: FlightResult| {
         if !full_log {
