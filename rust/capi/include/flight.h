@@ -56,7 +56,8 @@ typedef struct FlightMeasurement {
   const double *joint_velocity;
   // Thrusts [N], one per jet.
   const double *thrust;
-  // Velocity of the air [m/s, inertial axes]; zero where it is not known.
+  // Velocity of the air [m/s, inertial axes]; NaN where it is not measured. Zero is still air, and is
+  // believed: without a wind sensor use a controller without aerodynamic model, or `wind_observer`.
   double wind[3];
   // Wrench on each foot about the origin of its sole, force first [N, N m, inertial axes], six per
   // foot. Null where no foot is measured.
