@@ -73,9 +73,7 @@ FIGURE_ITEMS: Sequence[Item] = (
         "surface pressure, streamlines and contours of the flow",
         "cfd_flow",
         ("cfd.md",),
-        verdict="differs: by an open solver around primitives the pressure's share of the drag is 98 %, not 95 %; "
-        "the viscosity ratio is up to 1190, and above 100 in 93 % of the wake's area in the plane of symmetry",
-        command="python -m experiments cfd-flow flight30; python -m paper_figs cfd_flow",
+        ("wake_viscosity",),
     ),
     Item("Fig. 3 g, h", "lattice Boltzmann simulation, drag within 1 %", verdict=_NO_MESH),
     Item(
@@ -175,10 +173,11 @@ NUMBERS: Sequence[Item] = (
     Item(
         "Wind tunnel facility",
         "balance RUAG 192-6L, error below 0.2 %; 124 pressure taps",
-        verdict="out of reach: raw records of the balance and the scanners are not public",
+        verdict="out of reach: records of the pressure scanners are not public; those of the balance are, and are read",
     ),
     Item("CFD", "dataset, boundary", links=("configs/tables/postures.toml",), claims=("boundary", "postures")),
-    Item("CFD", "104 runs with support; pressure is 95 % of the drag", verdict=_NO_MESH),
+    Item("CFD", "104 runs with support", verdict=_NO_MESH),
+    Item("CFD", "drag from pressure and from friction", "cfd_flow", ("cfd.md",), ("pressure_share",)),
     Item("Mesh sensitivity", "cells", "supp_mesh", claims=("cells",)),
     Item("TEST3", "baseline in the network's air", "suppl7_published", claims=("test3",)),
 )
@@ -193,10 +192,7 @@ SUPPLEMENT: Sequence[Item] = (
         "velocity contours of two meshes",
         "cfd_meshes",
         ("cfd.md",),
-        verdict="differs: the authors' meshes are not public; on ours of 32, 47 and 167 thousand cells the wake is in "
-        "the same place, but the area of air slower than half the wind is 0.30, 0.25 and 0.48 m2",
-        command="python -m experiments cfd-flow flight30_coarse flight30 flight30_fine; "
-        "python -m paper_figs cfd_meshes",
+        ("wake_meshes",),
     ),
     Item(
         "Suppl. Fig. 6", "the robot as spheres and cylinders", links=("#the-robot", "img/frames.png"), verdict="agrees"

@@ -14,7 +14,7 @@ from experiments.report import facts, observer
 from experiments.report.ground import Ground
 from experiments.report.metrics import FINAL, Metrics
 from experiments.report.results import NotFlownError, Results, count
-from experiments.report.verdicts import AGREES, NOT_FLOWN, differs, out_of_reach
+from experiments.report.verdicts import AGREES, NOT_FLOWN, differs, out_of_reach, within
 
 RIGHT, HEAD, PUBLISHED = (
     "corrected arms, 10 m/s from the side",
@@ -375,15 +375,8 @@ def _onset(results: Results) -> tuple[str, str]:
     return text, _judged(near, "not when the real robot does: our drives are chosen, not measured")
 
 
-def _along(results: Results) -> Mapping[str, Mapping[str, float]]:
-    found = results.study("along", "flights")
-    if found is None:
-        raise NotFlownError("`python -m experiments along` has not been run")
-    return found
-
-
 def _fuel_flown(results: Results) -> tuple[str, str]:
-    flown = _along(results)["no_wind"]
+    flown = results.study("along", "flights")["no_wind"]
     mass = flown["five_minutes_kg"]
     text = f"{mass:.2f} kg at the mean rate of the mission without wind ({flown['fuel_l']:.2f} l in 50 s)"
     return text, _judged(abs(mass - 4.61) < 0.25, f"{mass - 4.61:+.2f} kg; the engines burn more, and idle counts")
@@ -391,8 +384,6 @@ def _fuel_flown(results: Results) -> tuple[str, str]:
 
 def _arm_engines(results: Results) -> tuple[str, str]:
     found = results.study("arm_engines", "paper")
-    if found is None:
-        raise NotFlownError("`python -m experiments arm-engines` has not been run")
     weak = {name.removesuffix(" P100"): cell for name, cell in found.items() if name.endswith("P100")}
     text = "with P100 in the arms: " + "; ".join(
         f"{name} {cell['outcome'].replace('_', ' ')}, arms up to {cell['arm_thrust_max']:.0f} N, "
@@ -404,7 +395,7 @@ def _arm_engines(results: Results) -> tuple[str, str]:
 
 
 def _clearance(results: Results) -> tuple[str, str]:
-    found = {name: figures["clearance_mm"] for name, figures in _along(results).items()}
+    found = {name: figures["clearance_mm"] for name, figures in results.study("along", "flights").items()}
     text = "exhaust's axis to the nearest link, at least: " + ", ".join(f"{n} {mm:.0f} mm" for n, mm in found.items())
     aware = {name: found[name] for name in ("test2", "test2_published", "test4")}
     if min(found.values()) > 0.0:
@@ -412,6 +403,34 @@ def _clearance(results: Results) -> tuple[str, str]:
     hit = ", ".join(name for name, distance in found.items() if distance <= 0.0)
     kept = f"{AGREES} with an aware controller; " if min(aware.values()) > 0.0 else ""
     return text, kept + differs(f"an exhaust meets the body in {hit}")
+
+
+def _pressure_share(results: Results) -> tuple[str, str]:
+    share = 100.0 * results.study("cfd_flow", "flight30")["pressure share of the force"]
+    return f"{share:.1f} % of the force, by an open solver around primitives", within(share, 94.0, 96.0, "points")
+
+
+def _wake_viscosity(results: Results) -> tuple[str, str]:
+    found = results.study("cfd_flow", "flight30")
+    greatest = found["turbulent over molecular viscosity, largest in the plane"]
+    part = 100.0 * found["part of the wake in the plane where that is above 100"]
+    text = (
+        f"at most {greatest:.0f} in the plane of symmetry, above 100 in {part:.0f} % of the area there in which the "
+        "air is slower than half the wind"
+    )
+    return text, _judged(part > 99.0, f"not in {100.0 - part:.0f} % of it")
+
+
+def _wake_meshes(results: Results) -> tuple[str, str]:
+    meshes = [results.study("cfd_flow", name) for name in ("flight30_coarse", "flight30", "flight30_fine")]
+    cells = ", ".join(f"{1e-3 * mesh['cells']:.0f}" for mesh in meshes)
+    areas = [mesh["wake in the plane, slower than half the wind [m2]"] for mesh in meshes]
+    text = (
+        f"meshes of ours, of {cells} thousand cells: in the plane of symmetry the air is slower than half the wind in "
+        f"{', '.join(f'{area:.2f}' for area in areas)} m²"
+    )
+    change = areas[1] / areas[2] - 1.0
+    return text, _judged(abs(change) < 0.1, f"{100.0 * change:+.0f} % from the finest to that of the recipe")
 
 
 _TESTS = "paper_tests"
@@ -459,6 +478,30 @@ CLAIMS = (
     _fact("reynolds", "Suppl. Note 1", "The Reynolds number is high", facts.reynolds),
     _fact("mach", "Suppl. Note 1", "The Mach number is negligible", facts.mach),
     _fact("boundary", "CFD", "k = 2.89e-6 m²/s², ε = 0.0236e-6 m²/s³, ω = 8.17 1/s at the boundary", facts.boundary),
+    _Claim(
+        "pressure_share",
+        "CFD",
+        "About 95 % of the drag is pressure",
+        _pressure_share,
+        figure="cfd_flow",
+        study="cfd-flow flight30",
+    ),
+    _Claim(
+        "wake_viscosity",
+        "Fig. 3 e, f",
+        "In the whole wake the turbulent viscosity is more than 100 times the molecular one",
+        _wake_viscosity,
+        figure="cfd_flow",
+        study="cfd-flow flight30",
+    ),
+    _Claim(
+        "wake_meshes",
+        "Suppl. Fig. 5",
+        "The wake on the chosen mesh is that on the finest",
+        _wake_meshes,
+        figure="cfd_meshes",
+        study="cfd-flow flight30_coarse flight30 flight30_fine",
+    ),
     _fact("postures", "CFD", "About 8500 free-stream simulations", facts.postures),
     _fact("cells", "Mesh sensitivity", "About 97 % fewer cells than the finest mesh", facts.cells, "supp_mesh"),
     _fact("network_size", "Network", "9 inner layers of 1048 neurons, 22 inputs, 39 outputs", facts.network_size),

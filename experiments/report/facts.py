@@ -176,7 +176,7 @@ def campaign() -> tuple[str, str]:
     text = (
         f"{points} measurements of {len(tests)} tests are in `configs/tables/wind_tunnel.toml`: those of Fig. 2 and 3"
     )
-    return text, out_of_reach("the whole campaign is public, but not ours to ship")
+    return text, out_of_reach("the whole campaign is public (BSD-3-Clause) and not shipped here")
 
 
 def blockage() -> tuple[str, str]:

@@ -88,10 +88,12 @@ class Results:
             raise NotFlownError(f"`python -m experiments sweep {name}` has not been run")
         return self.sweeps[name]
 
-    def study(self, kind: str, name: str) -> dict[str, Any] | None:
-        """Return the figures of a study, if it was made."""
+    def study(self, kind: str, name: str) -> dict[str, Any]:
+        """Return the figures of a study."""
         path = self.folder / kind / name / "manifest.json"
-        return dict(json.loads(path.read_text(encoding="utf-8"))["summary"]) if path.is_file() else None
+        if not path.is_file():
+            raise NotFlownError(f"`python -m experiments {kind.replace('_', '-')} {name}` has not been run")
+        return dict(json.loads(path.read_text(encoding="utf-8"))["summary"])
 
     def figure(self, name: str) -> str | None:
         """Return the path of a figure beside the report, if it was drawn."""

@@ -55,7 +55,7 @@ def judged(key, *, flights=None, standing=None, sweeps=None, studies=None):
             flights=flights,
             standing=standing,
             sweep=lambda name: Sweep({}, made_up[name]),
-            study=lambda kind, _: (studies or {}).get(kind),
+            study=lambda kind, name: (studies or {}).get(name, (studies or {}).get(kind)),
         )
     )
 
@@ -250,6 +250,36 @@ def test_engines_are_exchangeable_if_every_flight_ends_alike():
     assert judged("arm_engines", studies={"arm_engines": cells})[1] == "agrees"
     cells["t P100"] = cells["t P100"] | {"outcome": "fell"}
     assert judged("arm_engines", studies={"arm_engines": cells})[1].startswith("differs")
+
+
+@pytest.mark.parametrize(
+    ("share", "verdict"),
+    [(0.941, "agrees"), (0.959, "agrees"), (0.98, "differs: +2 points"), (0.9, "differs: -4 points")],
+)
+def test_the_share_of_the_pressure_is_that_of_the_paper_within_a_point(share, verdict):
+    found = {"pressure share of the force": share}
+    assert judged("pressure_share", studies={"cfd_flow": found}) == (
+        f"{100 * share:.1f} % of the force, by an open solver around primitives",
+        verdict,
+    )
+
+
+@pytest.mark.parametrize(("part", "verdict"), [(0.995, "agrees"), (0.93, "differs: not in 7 % of it")])
+def test_the_wake_is_turbulent_where_all_of_it_is(part, verdict):
+    found = {
+        "turbulent over molecular viscosity, largest in the plane": 1190.0,
+        "part of the wake in the plane where that is above 100": part,
+    }
+    assert judged("wake_viscosity", studies={"cfd_flow": found})[1] == verdict
+
+
+@pytest.mark.parametrize(("area", "verdict"), [(0.46, "agrees"), (0.24, "differs: -52 % from the finest")])
+def test_the_wake_is_that_of_the_finest_mesh_within_a_tenth(area, verdict):
+    areas = {"flight30_coarse": 9.0, "flight30": area, "flight30_fine": 0.5}
+    found = {
+        name: {"cells": 1000, "wake in the plane, slower than half the wind [m2]": size} for name, size in areas.items()
+    }
+    assert judged("wake_meshes", studies=found)[1].startswith(verdict)
 
 
 # --- claims of our own
