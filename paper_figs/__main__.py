@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -31,6 +32,7 @@ from paper_figs import (
     pictures,
     runs,
     scatter,
+    studies,
     style,
     suppl7,
     surrogate,
@@ -45,48 +47,117 @@ from paper_figs import (
     tunnel_moments,
 )
 
-Draw = Callable[[Path, Sequence[str]], tuple[Figure, dict[str, str]]]
 
-FIGURES: dict[str, tuple[Draw, Sequence[str], str]] = {
-    "fig2": (tunnel.fig2, (), "Fig. 2 d, e: the wind tunnel's drag by speed and by posture; needs no run"),
-    "fig2_setup": (pictures.setup, pictures.RUNS, "Fig. 2 a-c as a drawing: robot, pylon, balance, axes"),
-    "fig3": (tunnel.fig3, (), "Fig. 3 a, b: CFD beside the wind tunnel; needs no run"),
-    "cfd_flow": (
+@dataclass(frozen=True)
+class Entry:
+    """A figure: what draws it, what it shows, and of which results."""
+
+    draw: Callable[..., Figure]
+    """Takes the results one after another: a `Run` each of flights, a dataset each of studies; or else the tables."""
+    shows: str
+    kind: str = ""
+    """Of the results: "flight", or a kind of study; empty without."""
+    runs: tuple[str, ...] = ()
+    """Names of the results that are shown unless others are asked for."""
+    tables: tuple[str, ...] = ()
+    """Files of `configs/tables` that are shown where there are no results."""
+
+    def drawn(self, results: Path, names: Sequence[str] = ()) -> tuple[Figure, dict[str, str]]:
+        """Return the figure, and the hash of every result or table it shows."""
+        names = names or self.runs
+        if self.tables:
+            return self.draw(*map(tunnel.read, self.tables)), tunnel.hashes(*self.tables)
+        if self.kind == "flight":
+            flights = [runs.load(results, name) for name in names]
+            return self.draw(*flights), {run.name: run.config_hash for run in flights}
+        loaded = [studies.load(results, self.kind, name) for name in names]
+        return self.draw(*loaded), {study.attrs["name"]: str(study.attrs["config_hash"]) for study in loaded}
+
+
+TESTS = ("test1", "test2", "test3", "robustness")
+PICTURES = ("paper",)
+
+FIGURES: Mapping[str, Entry] = {
+    "fig2": Entry(
+        tunnel.fig2,
+        "Fig. 2 d, e: the wind tunnel's drag by speed and by posture; needs no run",
+        tables=(tunnel.TUNNEL,),
+    ),
+    "fig2_setup": Entry(pictures.setup, "Fig. 2 a-c as a drawing: robot, pylon, balance, axes", "pictures", PICTURES),
+    "fig3": Entry(
+        tunnel.fig3, "Fig. 3 a, b: CFD beside the wind tunnel; needs no run", tables=(tunnel.TUNNEL, tunnel.CFD)
+    ),
+    "cfd_flow": Entry(
         cfd_flow.draw,
-        cfd_flow.RUNS,
         "Fig. 3 c-f of our own flow: surface pressure, streamlines, plane of symmetry",
+        "cfd_flow",
+        ("flight30",),
     ),
-    "cfd_meshes": (cfd_flow.meshes, cfd_flow.MESHES, "Suppl. Fig. 5: speed around the robot on three meshes of ours"),
-    "supp_mesh": (tunnel.mesh, (), "Suppl. Fig. 5: mesh study; needs no run"),
-    "fig4_fit": (fig4_fit.draw, fig4_fit.RUNS, "Fig. 4 d, e: the axisymmetric model over the CFD"),
-    "fig4_network": (fig4_network.draw, fig4_network.RUNS, "Fig. 4 a-c: the network's drag of the head, two splits"),
-    "training": (training.draw, training.RUNS, "loss curves of a training run"),
-    "fig5a": (pictures.flight, pictures.RUNS, "Fig. 5 a: the flight, rendered"),
-    "fig5": (fig5_flight.draw, fig5_flight.RUNS, "Fig. 5 b-i: one mission flown twice"),
-    "fig5_robustness": (
-        fig5_flight.draw,
-        fig5_flight.ROBUSTNESS,
-        "Fig. 5 b-i as the paper fills it: TEST4, robustness",
+    "cfd_meshes": Entry(
+        cfd_flow.meshes,
+        "Suppl. Fig. 5: speed around the robot on three meshes of ours",
+        "cfd_flow",
+        ("flight30_coarse", "flight30", "flight30_fine"),
     ),
-    "fig6": (fig6_balancing.draw, fig6_balancing.RUNS, "Fig. 6 a-l: ground experiments in frontal and lateral wind"),
-    "postures": (pictures.postures, pictures.RUNS, "Suppl. Fig. 8, 9: the postures, rendered"),
-    "take_off": (take_off.draw, take_off.RUNS, "take-off and landing: height, load of jets and feet, attitude"),
-    "along": (along.draw, along.RUNS, "fuel burnt and clearance of the jets along flights"),
-    "engine": (engine.draw, engine.RUNS, "an engine identified from a log, on another log"),
-    "suppl7": (suppl7.draw, suppl7.RUNS, "Suppl. Fig. 7: TEST1, TEST2, TEST3, robustness; corrected arms"),
-    "suppl7_published": (suppl7.draw, suppl7.PUBLISHED, "Suppl. Fig. 7; published arms"),
-    "demo": (demo.draw, demo.RUNS, "three controllers, corrected and published lever arms"),
-    "surrogate": (surrogate.draw, surrogate.RUNS, "the panel model beside the wind tunnel"),
-    "trim": (trim.draw, trim.RUNS, "winds that can be trimmed, and the thrust that is left"),
-    "trajectory": (trajectory.draw, trajectory.RUNS, "planned trajectories, flown beside the paper's mission"),
-    "identify": (identify.draw, identify.RUNS, "aerodynamic coefficients identified from one flight's log"),
-    "tip_over": (tip_over.draw, tip_over.RUNS, "what wind tips the standing robot over"),
-    "observer_limit": (observer_limit.draw, observer_limit.RUNS, "the greatest dM/dθ against the observer's gain"),
-    "tune": (tune.draw, tune.RUNS, "gains and weights tuned by gradient: costs and factors"),
-    "tunnel_moments": (tunnel_moments.draw, tunnel_moments.RUNS, "models' moments beside the wind tunnel"),
-    "force_rate": (force_rate.draw, force_rate.RUNS, "the aerodynamic force rate that the controller leaves out"),
+    "supp_mesh": Entry(tunnel.mesh, "Suppl. Fig. 5: mesh study; needs no run", tables=(tunnel.TUNNEL, tunnel.CFD)),
+    "fig4_fit": Entry(fig4_fit.draw, "Fig. 4 d, e: the axisymmetric model over the CFD", "fit_aero", ("freestream",)),
+    "fig4_network": Entry(
+        fig4_network.draw, "Fig. 4 a-c: the network's drag of the head, two splits", "training", ("compact",)
+    ),
+    "training": Entry(training.draw, "loss curves of a training run", "training", ("compact",)),
+    "fig5a": Entry(pictures.flight, "Fig. 5 a: the flight, rendered", "pictures", PICTURES),
+    "fig5": Entry(fig5_flight.draw, "Fig. 5 b-i: one mission flown twice", "flight", ("test2", "test1")),
+    "fig5_robustness": Entry(
+        fig5_flight.draw, "Fig. 5 b-i as the paper fills it: TEST4, robustness", "flight", ("test4", "robustness")
+    ),
+    "fig6": Entry(
+        fig6_balancing.draw,
+        "Fig. 6 a-l: ground experiments in frontal and lateral wind",
+        "flight",
+        ("balancing_front", "balancing_lateral"),
+    ),
+    "postures": Entry(pictures.postures, "Suppl. Fig. 8, 9: the postures, rendered", "pictures", PICTURES),
+    "take_off": Entry(
+        take_off.draw, "take-off and landing: height, load of jets and feet, attitude", "flight", ("take_off",)
+    ),
+    "along": Entry(along.draw, "fuel burnt and clearance of the jets along flights", "along", ("flights",)),
+    "engine": Entry(engine.draw, "an engine identified from a log, on another log", "identify_engine", ("P220",)),
+    "suppl7": Entry(suppl7.draw, "Suppl. Fig. 7: TEST1, TEST2, TEST3, robustness; corrected arms", "flight", TESTS),
+    "suppl7_published": Entry(
+        suppl7.draw, "Suppl. Fig. 7; published arms", "flight", tuple(f"{name}_published" for name in TESTS)
+    ),
+    "demo": Entry(
+        demo.draw,
+        "three controllers, corrected and published lever arms",
+        "flight",
+        ("test1", "test2", "test1_observer", "test1_published", "test2_published", "test1_published_observer"),
+    ),
+    "surrogate": Entry(
+        surrogate.draw, "the panel model beside the wind tunnel", "calibrate_surrogate", ("calibration",)
+    ),
+    "trim": Entry(
+        trim.draw, "winds that can be trimmed, and the thrust that is left", "trim", ("hover_posture", "free_joints")
+    ),
+    "trajectory": Entry(
+        trajectory.draw,
+        "planned trajectories, flown beside the paper's mission",
+        "trajectory",
+        ("min_time", "min_fuel"),
+    ),
+    "identify": Entry(
+        identify.draw, "aerodynamic coefficients identified from one flight's log", "identify_aero", ("aero",)
+    ),
+    "tip_over": Entry(tip_over.draw, "what wind tips the standing robot over", "tip_over", ("ground",)),
+    "observer_limit": Entry(
+        observer_limit.draw, "the greatest dM/dθ against the observer's gain", "observer_limit", ("hover",)
+    ),
+    "tune": Entry(tune.draw, "gains and weights tuned by gradient: costs and factors", "tune", ("aero_aware",)),
+    "tunnel_moments": Entry(tunnel_moments.draw, "models' moments beside the wind tunnel", "tunnel_moments", ("mk1",)),
+    "force_rate": Entry(
+        force_rate.draw, "the aerodynamic force rate that the controller leaves out", "force_rate", ("test2",)
+    ),
 }
-"""Figures of single flights."""
+"""Figures of single flights, studies and tables."""
 
 SWEEPS: Sequence[str] = (
     "paper_tests",
@@ -148,8 +219,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     style.use()
     missing = 0
     for name in names:
-        if given.runs and (name not in FIGURES or len(given.runs) != len(FIGURES[name][1])):
-            expected = len(FIGURES[name][1]) if name in FIGURES else 0
+        expected = len(FIGURES[name].runs) if name in FIGURES else 0
+        if given.runs and len(given.runs) != expected:
             print(f"error: {name} shows {expected} runs, not {len(given.runs)}", file=sys.stderr)
             return 2
         try:
@@ -168,8 +239,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _draw(name: str, given: argparse.Namespace) -> tuple[Figure, dict[str, str]]:
     if name in FIGURES:
-        draw, default_runs, _ = FIGURES[name]
-        return draw(given.results, given.runs or default_runs)
+        return FIGURES[name].drawn(given.results, given.runs or ())
     sweep = sweeps.load(given.sweeps, name)
     return DRAWINGS[sweep.document["drawing"]](sweep), sweep.hashes
 
@@ -182,7 +252,7 @@ def _sweep_names(folder: Path) -> Iterator[str]:
 
 def _parser() -> argparse.ArgumentParser:
     listed = "figures, and the runs that fill them:\n" + "\n".join(
-        f"  {name:<18}{about}; {' '.join(shown) or 'none'}" for name, (_, shown, about) in FIGURES.items()
+        f"  {name:<18}{entry.shows}; {' '.join(entry.runs) or 'none'}" for name, entry in FIGURES.items()
     )
     parser = cli.Parser("figures", __doc__, epilog=listed)
     named = parser.add_argument("names", nargs="*", metavar="FIGURE", help="figures or sweeps (default: all there are)")

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import matplotlib.pyplot as plt
+import xarray as xr
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.studies import load
 
-RUNS = ("flights",)
 COLOURS = (style.BLUE, style.SKY, style.GREEN, style.PURPLE, style.VERMILION, style.ORANGE, style.BLACK)
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(study: xr.Dataset) -> Figure:
     """Draw fuel on the left and the least clearance of the four jets on the right."""
-    study = load(results, "along", names[0])
     figure, (left, right) = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 3.1), layout="constrained", sharex=True)
     for index, flight in enumerate(study["flight"].values.tolist()):
         one = study.sel(flight=flight)
@@ -37,4 +32,4 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
         axes.set_xlabel("time [s]")
         style.letter(axes, mark)
     left.legend()
-    return figure, {names[0]: str(study.attrs["config_hash"])}
+    return figure

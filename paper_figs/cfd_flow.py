@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from ctypes.util import find_library
-from pathlib import Path
 from string import ascii_lowercase
 from typing import Any
 
@@ -19,10 +17,7 @@ from numpy.typing import NDArray
 
 from paper_figs import style
 from paper_figs.runs import MissingRun
-from paper_figs.studies import load
 
-RUNS = ("flight30",)
-MESHES = ("flight30_coarse", "flight30", "flight30_fine")
 VIEW = 0.9
 """Half the height of the pictures of the plane [m]."""
 SCALES = {"pressure": (-1.0, 1.0, "RdBu_r"), "speed": (0.0, 1.3, "viridis"), "viscosity": (0.0, 1000.0, "magma")}
@@ -32,9 +27,8 @@ TUBE = 0.0025
 """Radius of a streamline [m]."""
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(study: xr.Dataset) -> Figure:
     """Draw one case, the wind from the left."""
-    study = load(results, "cfd_flow", names[0])
     figure = plt.figure(figsize=(style.FULL_WIDTH, 6.0), layout="constrained")
     grid = figure.subplot_mosaic("AAA;bcd", height_ratios=(1.2, 1.0))
     grid["A"].imshow(picture(study))
@@ -48,22 +42,21 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
         figure.colorbar(shown, ax=grid[mark], location="bottom", label=label, extend="both")
         style.letter(grid[mark], mark)
     grid["b"].set_ylabel("across the wind [m]")
-    return figure, {names[0]: str(study.attrs["config_hash"])}
+    return figure
 
 
-def meshes(results: Path, names: Sequence[str] = MESHES) -> tuple[Figure, dict[str, str]]:
+def meshes(*studies: xr.Dataset) -> Figure:
     """Draw the speed in the plane of symmetry on several meshes, the wind from the left."""
-    studies = {name: load(results, "cfd_flow", name) for name in names}
     size = style.FULL_WIDTH, 3.4
-    figure, (row,) = plt.subplots(1, len(names), figsize=size, layout="constrained", sharey=True, squeeze=False)
-    for mark, axes, study in zip(ascii_lowercase, row, studies.values(), strict=False):
+    figure, (row,) = plt.subplots(1, len(studies), figsize=size, layout="constrained", sharey=True, squeeze=False)
+    for mark, axes, study in zip(ascii_lowercase, row, studies, strict=False):
         shown = _plane(axes, study, _upright(study.attrs["wind"]), "speed")
         axes.set_title(f"{1e3 * study.attrs['edge']:.1f} mm, {1e-3 * study.attrs['cells']:.0f} thousand cells")
         style.letter(axes, mark)
     row[0].set_ylabel("across the wind [m]")
-    label = studies[names[0]]["plane_speed"].attrs["long_name"]
+    label = studies[0]["plane_speed"].attrs["long_name"]
     figure.colorbar(shown, ax=row, location="bottom", label=label, extend="both", shrink=0.5)
-    return figure, {name: str(study.attrs["config_hash"]) for name, study in studies.items()}
+    return figure
 
 
 def _upright(wind: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -11,12 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paper_figs import panels, style
-from paper_figs.runs import Run, load
+from paper_figs.runs import Run
 
-RUNS = (
-    *("test1", "test2", "test1_observer"),
-    *("test1_published", "test2_published", "test1_published_observer"),
-)
 COLUMNS = ("corrected lever arms", "published lever arms")
 CONTROLLERS = (
     ("baseline", style.VERMILION, "-"),
@@ -25,9 +20,8 @@ CONTROLLERS = (
 )
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(*runs: Run) -> Figure:
     """Draw six runs: baseline, aware and observer with corrected arms, then the same with published arms."""
-    runs = [load(results, name) for name in names]
     figure, grid = plt.subplots(
         6,
         2,
@@ -65,7 +59,7 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
     for axes in grid[:2, 0]:
         axes.set_ylim(bottom=0.0)  # last, and shared along the row: it ends autoscaling
     grid[0, 0].set_xlim(0.0, max(float(run.data["time"][-1]) for run in runs))
-    return figure, {run.name: run.config_hash for run in runs}
+    return figure
 
 
 def _rotation_error(axes: Axes, runs: Sequence[Run]) -> None:

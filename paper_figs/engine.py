@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import matplotlib.pyplot as plt
+import xarray as xr
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.studies import load
-
-RUNS = ("P220",)
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(study: xr.Dataset) -> Figure:
     """Draw throttle, thrust, and the errors of the simulated and of the estimated thrust."""
-    study = load(results, "identify_engine", names[0])
     time = study["time"]
     figure, (throttle, thrust, error) = plt.subplots(
         3, 1, figsize=(style.FULL_WIDTH, 5.2), layout="constrained", sharex=True, height_ratios=(0.7, 1.2, 1.0)
@@ -40,4 +34,4 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
     error.legend(ncols=3)
     for axes, mark in ((throttle, "a"), (thrust, "b"), (error, "c")):
         style.letter(axes, mark)
-    return figure, {names[0]: str(study.attrs["config_hash"])}
+    return figure

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
@@ -12,17 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.studies import load
-
-RUNS = ("freestream",)
 
 DRAG = r"$C_D A$ [m$^2$]"
 NORMAL = r"$C_N A$ [m$^2$]"
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(study: xr.Dataset) -> Figure:
     """Draw the lower leg as the paper does; below it the head's misprint and the chest's sign."""
-    study = load(results, "fit_aero", names[0])
     figure, grid = plt.subplots(2, 2, figsize=(style.FULL_WIDTH, 5.6), layout="constrained")
     drag_of_leg, normal_of_leg, drag_of_head, normal_of_chest = grid.ravel()
     _drag(drag_of_leg, study, ["l_lower_leg", "r_lower_leg"], {"published": style.VERMILION, "refit": style.BLUE})
@@ -42,7 +35,7 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
         axes.set_xlabel(r"angle of attack $\alpha_l$ [deg]")
         style.legend_above(axes, columns=3)
         style.letter(axes, mark)
-    return figure, {names[0]: str(study.attrs["config_hash"])}
+    return figure
 
 
 def _drag(axes: Axes, study: xr.Dataset, links: list[str], variants: dict[str, str]) -> None:

@@ -5,9 +5,6 @@ Above, rows drawn at random are predicted, as in the paper; below, whole posture
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
@@ -16,9 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.studies import load
 
-RUNS = ("compact",)
 LINK = "head"
 SPLITS = (("random", "random rows held out"), ("grouped", "whole postures held out"))
 LIMIT = 0.01
@@ -27,9 +22,8 @@ LIMIT = 0.01
 Values = npt.NDArray[np.float64]
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(study: xr.Dataset) -> Figure:
     """Draw data, predictions and errors, both splits below each other."""
-    study = load(results, "training", names[0])
     here = study.sel(link=LINK)
     figure, grid = plt.subplots(2, 3, figsize=(style.FULL_WIDTH, 4.4), layout="constrained", sharex=True)
     data, model = _drag(here, "area"), _drag(here, "area_axisymmetric")
@@ -60,7 +54,7 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
     for axes, mark in zip(grid.ravel(), "abcdef", strict=True):
         style.letter(axes, mark)
     grid[0, 0].set_xlim(0.0, 180.0)
-    return figure, {names[0]: str(study.attrs["config_hash"])}
+    return figure
 
 
 def _drag(study: xr.Dataset, name: str) -> Values:

@@ -8,23 +8,15 @@ Panel a of the paper is a snapshot of a viewer; it is not drawn here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure, FigureBase
 
 from paper_figs import panels, style
-from paper_figs.runs import Run, load
-
-RUNS = ("test2", "test1")
-ROBUSTNESS = ("test4", "robustness")
-"""As in the paper: TEST4 and the robustness test."""
+from paper_figs.runs import Run
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(first: Run, second: Run) -> Figure:
     """Draw the figure from two runs: the first fills d to f, the second g to i."""
-    first, second = (load(results, name) for name in names)
     figure = plt.figure(figsize=(style.FULL_WIDTH, 7.4), layout="constrained")
     top, upper, lower = figure.subfigures(3, 1, height_ratios=(1.0, 1.15, 1.22), squeeze=False)[:, 0]
 
@@ -41,7 +33,7 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
     end = max(float(run.data["time"][-1]) for run in (first, second))
     for axes in figure.axes:
         axes.set_xlim(0.0, end)
-    return figure, {run.name: run.config_hash for run in (first, second)}
+    return figure
 
 
 def _row(figure: FigureBase, run: Run, letters: str, *, control: bool) -> None:

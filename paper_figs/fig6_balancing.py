@@ -6,18 +6,14 @@ d, j  joints of the left leg    e, k  their torques as commanded    f, l  as the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 
 from paper_figs import style
-from paper_figs.runs import Run, Series, load
+from paper_figs.runs import Run, Series
 
-RUNS = ("balancing_front", "balancing_lateral")
 LEG = (
     ("hip_pitch", style.VERMILION, "-"),
     ("hip_roll", style.GREEN, "-"),
@@ -29,14 +25,13 @@ LEG = (
 """Joints of a leg, how they are drawn."""
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(*runs: Run) -> Figure:
     """Draw the figure from two runs: the first fills a to f, the second g to l."""
-    runs = [load(results, name) for name in names]
     figure = plt.figure(figsize=(style.FULL_WIDTH, 8.6), layout="constrained")
     parts = figure.subfigures(2, 1, squeeze=False)[:, 0]
     for part, run, letters in zip(parts, runs, ("abcdef", "ghijkl"), strict=True):
         _experiment(part, run, letters)
-    return figure, {run.name: run.config_hash for run in runs}
+    return figure
 
 
 def _experiment(figure: FigureBase, run: Run, letters: str) -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
@@ -12,9 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.studies import load
 
-RUNS = ("test2",)
 NEGLECTED = (
     ("attitude", "links turn", style.ORANGE),
     ("acceleration", "links accelerate", style.SKY),
@@ -22,9 +17,8 @@ NEGLECTED = (
 )
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(study: xr.Dataset) -> Figure:
     """Draw sizes of known and neglected parts above, the neglected ones by cause below."""
-    study = load(results, "force_rate", names[0])
     data = study.sel(time=slice(study.attrs["settling_time"], None))
     figure, grid = plt.subplots(2, 2, figsize=(style.FULL_WIDTH, 4.6), layout="constrained", sharex=True)
     for column, (rows, title, unit) in enumerate(
@@ -49,7 +43,7 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
     for axes, mark in zip(grid.ravel(), "abcd", strict=True):
         style.letter(axes, mark)
     grid[0, 0].set_xlim(0.0, float(data["time"][-1]))
-    return figure, {names[0]: str(study.attrs["config_hash"])}
+    return figure
 
 
 def _size(axes: Axes, signal: xr.DataArray, rows: slice, label: str, colour: str) -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
@@ -12,15 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.studies import load
 
-RUNS = ("aero",)
 MODELS = (("file", "of the file", style.VERMILION), ("identified", "identified", style.BLUE))
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(study: xr.Dataset) -> Figure:
     """Draw the descent, the drag areas at 90° before and after, and the error in a flight that was not used."""
-    study = load(results, "identify_aero", names[0])
     figure, grid = plt.subplots(2, 2, figsize=(style.FULL_WIDTH, 4.6), layout="constrained")
     _descent(grid[0, 0], study)
     _areas(grid[0, 1], study)
@@ -37,7 +31,7 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
         axes.legend()
     for axes, mark in zip(grid.ravel(), "abcd", strict=True):
         style.letter(axes, mark)
-    return figure, {names[0]: str(study.attrs["config_hash"])}
+    return figure
 
 
 def _descent(axes: Axes, study: xr.Dataset) -> None:

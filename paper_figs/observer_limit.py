@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import matplotlib.pyplot as plt
+import xarray as xr
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.studies import load
 
-RUNS = ("hover",)
 COLOURS = {"roll": style.VERMILION, "yaw": style.BLUE}
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(study: xr.Dataset) -> Figure:
     """Draw a line for the linearised loop and dots for flights, by axis."""
-    study = load(results, "observer_limit", names[0])
     figure, axes = plt.subplots(figsize=(0.6 * style.FULL_WIDTH, 2.8), layout="constrained")
     for axis in study["axis"].values:
         colour = COLOURS[str(axis)]
@@ -28,4 +23,4 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
     axes.set_xlabel("gain of the observer [1/s]")
     axes.set_ylabel("greatest dM/dθ [N m/rad]")
     axes.legend()
-    return figure, {names[0]: str(study.attrs["config_hash"])}
+    return figure

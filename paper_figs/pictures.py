@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle, FancyArrow, Polygon, Rectangle
 
 from paper_figs import style
-from paper_figs.studies import load
 
-RUNS = ("paper",)
 COLUMNS = 8
 WIDTH, HEIGHT = 4.0, 3.84
 """Of the test section [m]. Source: paper, Methods."""
@@ -27,20 +23,18 @@ LEAN, TURN = 45.0, 40.0
 Array = npt.NDArray[np.float64]
 
 
-def flight(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def flight(study: xr.Dataset) -> Figure:
     """Show the flight: forces and wind as arrows, exhausts as cones, the set-point of the CoM as a cross."""
-    study = load(results, "pictures", names[0])
     picture = study["flight"].values
     figure, axes = plt.subplots(figsize=(4.8, 4.8 * picture.shape[0] / picture.shape[1]), layout="constrained")
     axes.imshow(picture)
     axes.set_axis_off()
     axes.set_title(str(study["flight"].attrs["long_name"]))
-    return figure, _hashes(names, study.attrs["config_hash"])
+    return figure
 
 
-def postures(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def postures(study: xr.Dataset) -> Figure:
     """Show every posture by its name."""
-    study = load(results, "pictures", names[0])
     labels = study["posture"].values.tolist()
     rows = -(-len(labels) // COLUMNS)
     figure, grid = plt.subplots(rows, COLUMNS, figsize=(style.FULL_WIDTH, 1.45 * rows), layout="constrained")
@@ -49,12 +43,11 @@ def postures(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[s
     for axes, label in zip(grid.ravel(), labels, strict=False):
         axes.imshow(study["posture_picture"].sel(posture=label).values)
         axes.set_title(label, fontsize=7, loc="center")
-    return figure, _hashes(names, study.attrs["config_hash"])
+    return figure
 
 
-def setup(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def setup(study: xr.Dataset) -> Figure:
     """Draw the robot on pylon and balance in the test section: from its left with α, from above with β."""
-    study = load(results, "pictures", names[0])
     spans = np.stack([study["link_start"].values, study["link_end"].values], axis=1)
     widths = study["link_diameter"].values
     figure, (side, top) = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 3.7), layout="constrained")
@@ -73,7 +66,7 @@ def setup(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str,
     _section(top, (-2.2, -0.5 * WIDTH), WIDTH, f"{WIDTH:g} m wide", ("x", "y"), "from above")
     for axes, mark in ((side, "a"), (top, "b")):
         style.letter(axes, mark)
-    return figure, _hashes(names, study.attrs["config_hash"])
+    return figure
 
 
 def _turned(spans: Array, lean_deg: float, turn_deg: float) -> Array:
@@ -128,7 +121,3 @@ def _section(
         axes.text(origin[0] + 1.4 * way[0], origin[1] + 1.35 * way[1], name, fontsize=7.5, ha="center", va="center")
     axes.set(xlim=(left - 0.1, left + 4.7), ylim=(low - 0.1, low + across + 0.1), aspect="equal", title=title)
     axes.set_axis_off()
-
-
-def _hashes(names: Sequence[str], digest: object) -> dict[str, str]:
-    return {names[0]: str(digest)}

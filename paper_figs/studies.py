@@ -10,10 +10,10 @@ from paper_figs.runs import MissingRun, read
 
 
 def load(results: Path, kind: str, name: str) -> xr.Dataset:
-    """Read the study of a kind and name; `results` is the folder of flights, beside which studies lie."""
+    """Read the study of a kind, with its name as an attribute; `results` is the folder of flights beside it."""
     path = results.parent / kind / name / "run.nc"
     if not path.is_file():
         words = f"train {name} --dataset FILE" if kind == "training" else f"{kind.replace('_', '-')} {name}"
         option = " --map" if kind == "trim" else ""
         raise MissingRun(f"no study `{name}` in {path.parents[1]}; make it with: python -m experiments {words}{option}")
-    return read(path)
+    return read(path).assign_attrs(name=name)

@@ -5,23 +5,16 @@ a–c TEST1    d–f TEST2    g–i TEST3    j robustness: simulator's minus con
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 
 from paper_figs import panels, style
-from paper_figs.runs import Run, load
-
-RUNS = ("test1", "test2", "test3", "robustness")
-PUBLISHED = tuple(f"{name}_published" for name in RUNS)
+from paper_figs.runs import Run
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(*runs: Run) -> Figure:
     """Draw the figure from four runs: the first fills a to c, the second d to f, the third g to i, the fourth j."""
-    runs = [load(results, name) for name in names]
     figure = plt.figure(figsize=(style.FULL_WIDTH, 9.6), layout="constrained")
     *tests, lower = figure.subfigures(4, 1, squeeze=False)[:, 0]
     for part, run, letters in zip(tests, runs[:3], ("abc", "def", "ghi"), strict=True):
@@ -37,7 +30,7 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
     end = max(float(run.data["time"][-1]) for run in runs)
     for axes in figure.axes:
         axes.set_xlim(0.0, end)
-    return figure, {run.name: run.config_hash for run in runs}
+    return figure
 
 
 def _robustness(figure: FigureBase, run: Run) -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
@@ -13,17 +10,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from paper_figs import style
-from paper_figs.studies import load
-
-RUNS = ("calibration",)
 
 MODELS = {"surrogate": (style.BLUE, "panel model"), "corrected": (style.VERMILION, "axisymmetric, corrected")}
 POSTURES = {"flight50": ("o", "-"), "flight60": ("s", "--")}
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(study: xr.Dataset) -> Figure:
     """Draw curves above, errors by posture below."""
-    study = load(results, "calibrate_surrogate", names[0])
     figure, grid = plt.subplot_mosaic("ab;cc", figsize=(style.FULL_WIDTH, 5.2), layout="constrained")
     for mark, component in (("a", "drag"), ("b", "lift")):
         _curves(grid[mark], study, component)
@@ -46,7 +39,7 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
     style.legend_above(grid["b"], columns=2, handles=models)
     for mark, axes in grid.items():
         style.letter(axes, str(mark))
-    return figure, {names[0]: str(study.attrs["config_hash"])}
+    return figure
 
 
 def _curves(axes: Axes, study: xr.Dataset, component: str) -> None:

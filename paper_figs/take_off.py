@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
 from paper_figs import panels, style
-from paper_figs.runs import load
-
-RUNS = ("take_off",)
+from paper_figs.runs import Run
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(run: Run) -> Figure:
     """Draw one flight that starts and ends on the ground."""
-    run = load(results, names[0])
     flown = run.flown
     time, airborne = flown["time"], flown["feet_carry"].values == 0.0
     figure, grid = plt.subplots(4, 1, figsize=(style.FULL_WIDTH, 6.4), layout="constrained", sharex=True)
@@ -45,4 +39,4 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
     for axes in (height, load_, thrust):
         axes.legend(loc="upper right", ncols=4)
     height.set_xlim(0.0, float(run.data["time"][-1]))
-    return figure, {run.name: run.config_hash}
+    return figure

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
+import xarray as xr
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.studies import load
 
-RUNS = ("ground",)
 LOOKS = ((style.BLUE, "o"), (style.VERMILION, "s"))
 DASHES = ("-", "--", ":")
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(study: xr.Dataset) -> Figure:
     """Draw speeds on the left and horizontal forces on the right."""
-    study = load(results, "tip_over", names[0])
     figure, (speeds, forces) = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 2.9), layout="constrained", sharex=True)
     direction = study["direction"]
     for feedback, (colour, marker) in zip(study["feedback"].values.tolist(), LOOKS, strict=False):
@@ -41,4 +36,4 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
         axes.set_xticks(direction)
         axes.set_ylim(bottom=0.0)
     style.legend_above(speeds, columns=1)
-    return figure, {names[0]: str(study.attrs["config_hash"])}
+    return figure

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
+import xarray as xr
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.studies import load
 
-RUNS = ("compact",)
 KINDS = (
     ("grouped", "whole postures held out", style.BLUE),
     ("random", "random rows held out", style.ORANGE),
@@ -20,9 +16,8 @@ KINDS = (
 )
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(study: xr.Dataset) -> Figure:
     """Draw members on the left, students on the right where there are any."""
-    study = load(results, "training", names[0])
     curves = [str(name) for name in study["curve"].values]
     panels = [("member", "networks trained on data")]
     if any("student" in name for name in curves):
@@ -54,4 +49,4 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
     grid[0, 0].legend(fontsize=6)
     for axes, mark in zip(grid[0], "ab", strict=False):
         style.letter(axes, mark)
-    return figure, {names[0]: str(study.attrs["config_hash"])}
+    return figure

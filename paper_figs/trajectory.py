@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
@@ -13,18 +10,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from paper_figs import panels, style
-from paper_figs.studies import load
 
-RUNS = ("min_time", "min_fuel")
 COLOURS = {"min_time": style.VERMILION, "min_fuel": style.BLUE}
 PAPER = style.GREY
 DASHES = {"minimum fuel": "--"}
 OFFSETS = {"paper's mission": (-70, -2), "minimum time": (6, -12), "minimum fuel": (6, -2)}
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(*studies: xr.Dataset) -> Figure:
     """Draw way, height, speed, pitch, error and fuel of all flights, and the thrusts of the optimal ones."""
-    studies = {name: load(results, "trajectory", name) for name in names}
     figure, grid = plt.subplots(4, 2, figsize=(style.FULL_WIDTH, 8.0), layout="constrained")
     for axes, draw_panel, label in (
         (grid[0, 0], _distance, "way flown x [m]"),
@@ -34,10 +28,10 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
         (grid[2, 0], _error, "CoM error [m]"),
         (grid[2, 1], _fuel, "fuel burnt [l]"),
     ):
-        paper = next(iter(studies.values()))
-        draw_panel(axes, paper, "paper", PAPER, "paper's mission")
-        for name, study in studies.items():
-            draw_panel(axes, study, "flown", COLOURS.get(name, style.BLACK), str(study.attrs["title"]).lower())
+        draw_panel(axes, studies[0], "paper", PAPER, "paper's mission")
+        for study in studies:
+            colour = COLOURS.get(study.attrs["name"], style.BLACK)
+            draw_panel(axes, study, "flown", colour, str(study.attrs["title"]).lower())
         axes.set_ylabel(label)
         axes.set_xlim(0.0, 40.0)
         axes.set_xlabel("time since the motion began [s]")
@@ -45,8 +39,8 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
     grid[1, 0].set_xlim(-2.0, 80.0)
     grid[0, 0].legend(loc="lower right")
     grid[2, 1].set_ylim(bottom=0.0)
-    last = max(float(study["time_flown"][-1]) for study in studies.values())
-    for axes, study in zip(grid[3], studies.values(), strict=False):
+    last = max(float(study["time_flown"][-1]) for study in studies)
+    for axes, study in zip(grid[3], studies, strict=False):
         _thrusts(axes, study)
         axes.set_xlim(-1.0, last)
         axes.set_xlabel("time since the motion began [s]")
@@ -55,7 +49,7 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
     style.legend_above(grid[3, 0], 5, [*grid[3, 0].get_legend_handles_labels()[0], planned])
     for axes, mark in zip(grid.ravel(), "abcdefgh", strict=True):
         style.letter(axes, mark)
-    return figure, {name: str(study.attrs["config_hash"]) for name, study in studies.items()}
+    return figure
 
 
 def _moving(study: xr.Dataset, of: str) -> tuple[xr.Dataset, str]:

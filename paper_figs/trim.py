@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -17,19 +15,16 @@ from matplotlib.patches import Arc, Wedge
 from numpy.typing import NDArray
 
 from paper_figs import style
-from paper_figs.studies import load
 
 Array = NDArray[np.float64]
 
-RUNS = ("hover_posture", "free_joints")
 TITLES = ("posture held", "joints free")
 MEASURED = 24.0
 """The fastest air of the wind tunnel [m/s]: beyond it the model of the air is extrapolated."""
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(*studies: xr.Dataset) -> Figure:
     """Draw two maps of two studies: the greatest margin of all thrusts, and the least total thrust."""
-    studies = [load(results, "trim", name) for name in names]
     figure, grid = plt.subplots(1, 4, figsize=(style.FULL_WIDTH, 3.9), layout="constrained")
     margins = [100 * study["margin"].sel(objective="max_margin") for study in studies]
     thrusts = [study["total_thrust"].sel(objective="min_thrust") / study["weight"] for study in studies]
@@ -53,7 +48,7 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
         f"dashed: {MEASURED:.0f} m/s, the fastest air of the wind tunnel, beyond which the model is extrapolated",
         fontsize=7,
     )
-    return figure, {name: str(study.attrs["config_hash"]) for name, study in zip(names, studies, strict=True)}
+    return figure
 
 
 def _half_disc(axes: Axes, data: xr.DataArray, norm: Normalize, colours: str) -> QuadMesh:

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import matplotlib.pyplot as plt
+import xarray as xr
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.studies import load
-
-RUNS = ("aero_aware",)
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(study: xr.Dataset) -> Figure:
     """Draw costs on the left, factors on the right."""
-    study = load(results, "tune", names[0])
     figure, (costs, factors) = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 2.9), layout="constrained")
     costs.plot(study["step"], study["cost"], color=style.BLUE, alpha=0.5, linewidth=0.8, label="worlds of the step")
     costs.plot(study["validation"], study["unseen_cost"], "o-", color=style.BLACK, markersize=3, label="unseen worlds")
@@ -30,4 +24,4 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
         axes.set_yscale("log")
         axes.set_xlabel("step")
         style.letter(axes, mark)
-    return figure, {names[0]: str(study.attrs["config_hash"])}
+    return figure

@@ -9,7 +9,6 @@ import hashlib
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -72,9 +71,8 @@ def hashes(*names: str) -> dict[str, str]:
     return {f"tables/{name}": hashlib.sha256((TABLES / name).read_bytes()).hexdigest() for name in names}
 
 
-def fig2(_results: Path, _names: Sequence[str]) -> tuple[Figure, dict[str, str]]:
+def fig2(tables: Table) -> Figure:
     """Draw the drag area against sideslip at three speeds, and against the angle of attack for eight postures."""
-    tables = read(TUNNEL)
     figure, (left, right) = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 3.2), layout="constrained")
     for (speed, curve), colour, marker in zip(hovering(tables).items(), COLOURS, MARKERS, strict=False):
         left.plot(
@@ -94,12 +92,12 @@ def fig2(_results: Path, _names: Sequence[str]) -> tuple[Figure, dict[str, str]]
         axes.legend()
         style.letter(axes, mark)
     print_claims("figure 2", speed_claims(tables) + posture_claims(tables))
-    return figure, hashes(TUNNEL)
+    return figure
 
 
-def fig3(_results: Path, _names: Sequence[str]) -> tuple[Figure, dict[str, str]]:
+def fig3(tables: Table, simulations: Table) -> Figure:
     """Draw drag and lift area of flight30 from tunnel and from CFD with two turbulence models."""
-    tables, runs = read(TUNNEL), read(CFD)["run"]
+    runs = simulations["run"]
     figure, pair = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 2.9), layout="constrained")
     for axes, key, mark in zip(pair, ("cda", "cla"), "ab", strict=True):
         record = flight(tables, "flight30")
@@ -113,12 +111,12 @@ def fig3(_results: Path, _names: Sequence[str]) -> tuple[Figure, dict[str, str]]
         axes.legend()
         style.letter(axes, mark)
     print_claims("figure 3, flight30 at β = 0", turbulence_claims(tables, runs))
-    return figure, hashes(TUNNEL, CFD)
+    return figure
 
 
-def mesh(_results: Path, _names: Sequence[str]) -> tuple[Figure, dict[str, str]]:
+def mesh(tables: Table, simulations: Table) -> Figure:
     """Draw the drag of five meshes beside the tunnel, and their error against their size."""
-    tables, runs = read(TUNNEL), read(CFD)["run"]
+    runs = simulations["run"]
     record = flight(tables, "flight30")
     figure, grid = plt.subplots(1, 3, figsize=(style.FULL_WIDTH, 2.8), layout="constrained")
     for axes, key, mark in zip(grid, ("cda", "cla"), "ab", strict=False):
@@ -133,7 +131,7 @@ def mesh(_results: Path, _names: Sequence[str]) -> tuple[Figure, dict[str, str]]
     _mesh_errors(grid[2], record, runs)
     style.letter(grid[2], "c")
     print_claims("mesh study, flight30 at β = 0", mesh_claims(tables, runs))
-    return figure, hashes(TUNNEL, CFD)
+    return figure
 
 
 def _mesh_errors(axes: Axes, record: Table, runs: Sequence[Table]) -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
@@ -12,9 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paper_figs import style
-from paper_figs.studies import load
 
-RUNS = ("mk1",)
 NEWTON_METRES = 61.25
 """Of one cubic metre at 10 m/s [N m]."""
 SHOWN = {
@@ -31,9 +26,8 @@ EXPOSED = 20.5
 """Sideslip beyond which the support stands in the wind [deg]."""
 
 
-def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, str]]:
+def draw(study: xr.Dataset) -> Figure:
     """Draw pitch against the angle of attack, roll against sideslip, and rms errors with their intervals."""
-    study = load(results, "tunnel_moments", names[0])
     figure, grid = plt.subplots(2, 2, figsize=(style.FULL_WIDTH, 5.4), layout="constrained")
     _angles(grid[0, 0], study)
     _sideslip(grid[0, 1], study, "x", "roll")
@@ -43,7 +37,7 @@ def draw(results: Path, names: Sequence[str] = RUNS) -> tuple[Figure, dict[str, 
         style.letter(axes, mark)
     handles, labels = grid[0, 1].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=6)
-    return figure, {names[0]: str(study.attrs["config_hash"])}
+    return figure
 
 
 def _angles(axes: Axes, study: xr.Dataset) -> None:

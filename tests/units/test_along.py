@@ -9,8 +9,8 @@ from experiments.engine_choice import ROBOT
 from experiments.trajectory import Consumption
 from jax_aero import rust, tables
 from jax_aero.symbolic import load_robot
-from paper_figs import along as along_figure
 from paper_figs import pictures as pictures_figure
+from paper_figs.__main__ import FIGURES
 
 POSTURE = [0.1, *[0.0] * 2, *[-0.17, 0.44, 0.7, 0.26] * 2, *[0.0] * 12]
 
@@ -66,7 +66,7 @@ def test_the_figure_shows_flights(study, tmp_path):
     folder = tmp_path / "along" / "flights"
     folder.mkdir(parents=True)
     record.write_dataset(study, folder / "run.nc")
-    figure, hashes = along_figure.draw(tmp_path / "flight")
+    figure, hashes = FIGURES["along"].drawn(tmp_path / "flight")
     assert [len(axes.lines) for axes in figure.axes] == [3, 4]
     assert hashes == {"flights": "0"}
 
@@ -102,10 +102,10 @@ def made_up_pictures(tmp_path):
     return names
 
 
-@pytest.mark.parametrize("name", ["flight", "postures", "setup"])
+@pytest.mark.parametrize("name", ["fig5a", "postures", "fig2_setup"])
 def test_pictures_are_shown(name, tmp_path):
     names = made_up_pictures(tmp_path)
-    figure, hashes = getattr(pictures_figure, name)(tmp_path / "flight")
+    figure, hashes = FIGURES[name].drawn(tmp_path / "flight")
     assert hashes == {"paper": "0"}
     titles = [axes.get_title(loc="center") for axes in figure.axes]
     assert name != "postures" or titles[: len(names)] == names

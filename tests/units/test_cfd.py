@@ -25,6 +25,7 @@ from jax_aero.aero.posture import total_wrench
 from jax_aero.command import REFUSED, Refused
 from jax_aero.robot import load_robot
 from paper_figs import cfd_flow
+from paper_figs.__main__ import FIGURES
 from paper_figs.__main__ import main as figures
 from paper_figs.runs import MissingRun
 
@@ -667,7 +668,7 @@ def made_up_flow(tmp_path):
     for part in (ball, plane, line):
         part.point_data.update(dict.fromkeys(flow.FIELDS, part.points[:, 0]))
     data = flow.as_dataset(ball, plane, line).assign_attrs(wind=[0.6, 0.0, 0.8], config_hash="abc")
-    for cells, name in enumerate(cfd_flow.MESHES, 1):
+    for cells, name in enumerate(FIGURES["cfd_meshes"].runs, 1):
         folder = tmp_path / "cfd_flow" / name
         folder.mkdir(parents=True)
         data.assign_attrs(cells=1000 * cells, edge=0.01 / cells).to_netcdf(folder / "run.nc", engine="h5netcdf")
@@ -679,7 +680,7 @@ def test_the_picture_of_a_flow_is_drawn(made_up_flow):
         cfd_flow.plotter().close()
     except MissingRun as missing:
         pytest.skip(str(missing))
-    figure, hashes = cfd_flow.draw(made_up_flow)
+    figure, hashes = FIGURES["cfd_flow"].drawn(made_up_flow)
     assert hashes == {"flight30": "abc"}
     rendered = figure.axes[0].images[0].get_array()
     # Behind is white; before it are the ball, in colours from blue to red, and the line.
@@ -690,8 +691,8 @@ def test_the_picture_of_a_flow_is_drawn(made_up_flow):
 
 
 def test_meshes_are_drawn_side_by_side_with_their_sizes(made_up_flow):
-    figure, hashes = cfd_flow.meshes(made_up_flow)
-    assert [*hashes] == [*cfd_flow.MESHES]
+    figure, hashes = FIGURES["cfd_meshes"].drawn(made_up_flow)
+    assert [*hashes] == [*FIGURES["cfd_meshes"].runs]
     titles = [axes.get_title("left") + axes.get_title() for axes in figure.axes[:3]]  # where depends on the style
     assert titles == ["10.0 mm, 1 thousand cells", "5.0 mm, 2 thousand cells", "3.3 mm, 3 thousand cells"]
     plt.close(figure)

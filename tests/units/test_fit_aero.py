@@ -14,7 +14,7 @@ from jax_aero.aero import fit
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
 from jax_aero.aero.posture import link_axes, link_frames
 from jax_aero.robot import load_robot
-from paper_figs import fig4_fit
+from paper_figs.__main__ import FIGURES
 from tests.cfd_table import modelled_rows, solver_table
 from tests.measurements import measured
 
@@ -185,7 +185,7 @@ def test_the_command_writes_results_a_manifest_and_toml(result):
 
 
 def test_the_figure_is_drawn(result):
-    figure, hashes = fig4_fit.draw(result[0] / "flight")
+    figure, hashes = FIGURES["fig4_fit"].drawn(result[0] / "flight")
     assert len(figure.axes) == 4
     assert set(hashes) == {"freestream"}
     plt.close(figure)

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from experiments import force_rate, study
-from paper_figs import force_rate as force_rate_figure
+from paper_figs.__main__ import FIGURES
 from paper_figs.runs import MissingRun
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -49,8 +49,8 @@ def test_the_manifest_and_the_figure(result):
     stored = json.loads((folder / "force_rate/test2/manifest.json").read_text())
     assert stored["engine"] == "casadi"
     assert stored["versions"]["casadi"]
-    figure, hashes = force_rate_figure.draw(folder / "flight")
+    figure, hashes = FIGURES["force_rate"].drawn(folder / "flight")
     assert hashes == {"test2": document["config_digest"]}
     plt.close(figure)
     with pytest.raises(MissingRun, match=r"make it with: python -m experiments force-rate test9"):
-        force_rate_figure.draw(folder / "flight", ("test9",))
+        FIGURES["force_rate"].drawn(folder / "flight", ("test9",))

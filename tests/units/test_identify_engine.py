@@ -10,7 +10,7 @@ from experiments import Refused, arm_engines, record
 from experiments import identify_engine as bench
 from experiments.engine_choice import ROBOT
 from jax_aero import tables
-from paper_figs import engine as engine_figure
+from paper_figs.__main__ import FIGURES
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +105,7 @@ def test_a_log_of_a_minute_gives_the_engine(truth, log, measured, tmp_path):
     folder = tmp_path / "identify_engine" / "P220"
     folder.mkdir(parents=True)
     record.write_dataset(dataset, folder / "run.nc")
-    figure, hashes = engine_figure.draw(tmp_path / "flight")
+    figure, hashes = FIGURES["engine"].drawn(tmp_path / "flight")
     assert len(figure.axes) == 3
     assert hashes == {"P220": "0"}
 

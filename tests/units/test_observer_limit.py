@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from experiments import observer_limit, study
-from paper_figs import observer_limit as figure_of_limit
+from paper_figs.__main__ import FIGURES
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +49,6 @@ def test_the_result_and_the_figure(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "RESULTS", tmp_path)
     document = observer_limit.STUDY.run("hover", {"gains": [3.0], "axes": ["yaw"], "duration": 0.05})
     assert set(document["summary"]) == {f"yaw, K_o 3: {key} [N m/rad]" for key in ("predicted", "flown")}
-    figure, hashes = figure_of_limit.draw(tmp_path / "flight")
+    figure, hashes = FIGURES["observer_limit"].drawn(tmp_path / "flight")
     assert hashes == {"hover": document["config_digest"]}
     plt.close(figure)

@@ -14,7 +14,7 @@ from jax_aero.aero.dataset import LINKS
 from jax_aero.aero.posture import _frames, link_frames
 from jax_aero.command import INTERRUPTED
 from jax_aero.robot import load_robot
-from paper_figs import surrogate as surrogate_figure
+from paper_figs.__main__ import FIGURES
 from tests.measurements import measured
 
 
@@ -169,7 +169,7 @@ def test_postures_it_has_not_seen_come_out_twice_as_well_as_with_the_axisymmetri
 
 
 def test_the_figure_is_drawn(calibrated):
-    figure, hashes = surrogate_figure.draw(calibrated[0] / "flight")
+    figure, hashes = FIGURES["surrogate"].drawn(calibrated[0] / "flight")
     assert set(hashes) == {"calibration"}
     plt.close(figure)
     manifest = json.loads((calibrated[0] / "calibrate_surrogate" / "calibration" / "manifest.json").read_text())

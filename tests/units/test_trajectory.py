@@ -16,7 +16,7 @@ from experiments import trajectory as experiment
 from jax_aero import rust, tables
 from jax_aero.symbolic import MomentumModel, load_robot, trajectory
 from jax_aero.symbolic.trajectory import TrajectoryProblem, _lagrange, _lagrange_derivatives, _radau_weights
-from paper_figs import trajectory as trajectory_figure
+from paper_figs.__main__ import FIGURES
 
 ROOT = Path(__file__).resolve().parents[2]
 PATH = ROOT / "configs/trajectory/min_time.toml"
@@ -203,7 +203,7 @@ def test_the_result_names_its_reference_and_its_flights(tmp_path, monkeypatch, c
     (folder / "notes.txt").write_text("mine")
     with pytest.raises(Refused, match=r"holds more than a result \(notes\.txt\)"):
         small.run("min_time")
-    figure, hashes = trajectory_figure.draw(tmp_path / "flight", ("min_time",))
+    figure, hashes = FIGURES["trajectory"].drawn(tmp_path / "flight", ("min_time",))
     assert set(hashes) == {"min_time"}
     plt.close(figure)
     found = experiment.figures("flown", dataset, "flown")

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from experiments import Refused, study
 from experiments import trim as experiment
 from jax_aero import rust
-from paper_figs import trim as trim_figure
+from paper_figs.__main__ import FIGURES
 from tests.measurements import measured
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -167,7 +167,7 @@ def test_a_map_is_a_result_with_a_manifest(tmp_path, monkeypatch):
     assert (
         str(data["violated"].sel(objective="max_margin", direction=90.0, speed=20.0).values) == "force balance along y"
     )
-    figure, hashes = trim_figure.draw(tmp_path / "flight", ("small", "small"))
+    figure, hashes = FIGURES["trim"].drawn(tmp_path / "flight", ("small", "small"))
     assert hashes == {"small": document["config_digest"]}
     plt.close(figure)
     assert np.isnan(data["margin"].sel(objective="max_margin", direction=90.0, speed=20.0))

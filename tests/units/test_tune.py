@@ -15,7 +15,7 @@ from jax_aero.command import Refused
 from jax_aero.places import CONFIGS
 from jax_aero.sim import FlightRow
 from jax_aero.train import gains
-from paper_figs import tune as figure_of_tuning
+from paper_figs.__main__ import FIGURES
 
 pytestmark = pytest.mark.usefixtures("x64")
 
@@ -178,7 +178,7 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bytes(files, monkeypatch):
     factor = document["summary"]["factor of momentum.c0"]
     assert tuned["controller"]["momentum"]["c0"] == float(f"{before['controller']['momentum']['c0'] * factor:.4g}")
     assert rust.fly(rust.load_config(flown, {"simulator.duration": 0.1})).outcome == "completed"
-    figure, hashes = figure_of_tuning.draw(study.RESULTS / "flight", ["toy"])
+    figure, hashes = FIGURES["tune"].drawn(study.RESULTS / "flight", ["toy"])
     assert hashes == {"toy": document["config_digest"]}
     plt.close(figure)
 
