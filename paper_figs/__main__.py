@@ -11,8 +11,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from jax_aero import cli
-from jax_aero.places import did_you_mean
+from jax_aero import cli, places
 from paper_figs import (
     ablation,
     along,
@@ -159,41 +158,7 @@ FIGURES: Mapping[str, Entry] = {
 }
 """Figures of single flights, studies and tables."""
 
-SWEEPS: Sequence[str] = (
-    "paper_tests",
-    "ablation_terms",
-    "ablation_scale",
-    "ablation_links",
-    "ablation_models",
-    "ablation_models_network",
-    "ablation_wind_bias",
-    "ablation_wind_noise",
-    "ablation_wind_noise_filtered",
-    "ablation_wind_delay",
-    "ablation_wind_lowpass",
-    "ablation_wind_mean",
-    "baseline_edge",
-    "map_wind",
-    "map_mass_com",
-    "map_thrust",
-    "jet_failure",
-    "jet_dynamics",
-    "ekf_noise",
-    "sensitivity",
-    "observer_tests",
-    "observer_wind",
-    "observer_hover",
-    "observer_turbulence",
-    "observer_missions",
-    "observer_errors",
-    "tuned",
-    "model_pairs",
-    "air_ensemble",
-    "air_percentages",
-    "outages_observer",
-    "outages_published",
-    "engine_loss",
-)
+SWEEPS: Sequence[str] = places.names("sweeps")
 """Sweeps that `all` expects; others are drawn too where their results are."""
 
 DRAWINGS: Mapping[str, Callable[[sweeps.Sweep], Figure]] = {
@@ -214,7 +179,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     known = [*FIGURES, *_sweep_names(given.sweeps)]
     names = known if not given.names or given.names == ["all"] else given.names
     if unknown := [name for name in names if name not in known]:
-        print(f"error: no figure `{unknown[0]}`{did_you_mean(unknown[0], known)}", file=sys.stderr)
+        print(f"error: no figure `{unknown[0]}`{places.did_you_mean(unknown[0], known)}", file=sys.stderr)
         return cli.REFUSED
     style.use()
     missing = 0

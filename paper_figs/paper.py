@@ -1,21 +1,23 @@
 """Everything the paper shows, item by item: `python -m paper_figs --index` prints the page `docs/paper.md`.
 
-`ITEMS` is the one table of what there is. What we measured, and the verdict, come from the typed tables of tunnel and
-CFD and from `docs/claims.json`, which `python -m experiments report --claims docs/claims.json` writes from results.
+`SECTIONS` is the one table of what there is, but for sweeps of ours, which their files name. What we measured, and the
+verdict, come from the typed tables of tunnel and CFD and from `docs/claims.json`, which
+`python -m experiments report --claims docs/claims.json` writes from results.
 """
 
 from __future__ import annotations
 
 import json
+import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from jax_aero.places import HOME
+from jax_aero import places
 from paper_figs import tunnel
 
-DOCS = HOME / "docs"
+DOCS = places.HOME / "docs"
 CLAIMS = DOCS / "claims.json"
 GALLERY = "img/gallery"
 HEADINGS = ("item", "ours", "command", "paper", "measured", "verdict")
@@ -244,65 +246,25 @@ SUPPLEMENT: Sequence[Item] = (
     ),
 )
 
-_OF_FIGURES = {
-    "observer_tests": ("observer_corrected", "observer_published", "false_alarms"),
-    "observer_wind": ("observer_26", "observer_40"),
-    "observer_errors": ("observer_errors",),
-    "sensors_tests": ("sensors",),
-    "outages_observer": ("outages_lasting", "outages_short"),
-    "engine_loss": ("engines_lost",),
-}
-"""Claims of ours, by the figure that shows them."""
-
 BEYOND: Sequence[Item] = (
-    *(
-        Item("beyond", shows, figure, claims=_OF_FIGURES.get(figure, ()))
-        for figure, shows in (
-            ("training", "loss curves"),
-            ("paper_tests", "neighbours of the paper's tests"),
-            ("demo", "three controllers, corrected and published arms"),
-            ("surrogate", "a panel model beside the tunnel"),
-            ("trim", "winds that can be trimmed"),
-            ("trajectory", "planned trajectories"),
-            ("identify", "coefficients from a flight's log"),
-            ("engine", "an engine identified from a log"),
-            ("take_off", "take-off and landing"),
-            ("tip_over", "wind that tips the standing robot over"),
-            ("observer_limit", "limit of the observer"),
-            ("tune", "gains and weights tuned by gradient"),
-            ("tuned", "tuned gains beside published ones, in turbulence"),
-            ("force_rate", "force rate that the controller leaves out"),
-            ("ablation_wind_bias", "biased wind"),
-            ("ablation_wind_noise", "noisy wind"),
-            ("ablation_wind_noise_filtered", "noisy wind behind a low pass"),
-            ("ablation_wind_delay", "late wind"),
-            ("ablation_wind_lowpass", "low-passed wind"),
-            ("ablation_wind_mean", "mean wind"),
-            ("model_pairs", "pairs of models in simulator and controller"),
-            ("air_ensemble", "air drawn from an ensemble of networks"),
-            ("air_percentages", "air drawn by percentages on coefficients"),
-            ("baseline_edge", "where the baseline fails"),
-            ("map_wind", "wind from everywhere"),
-            ("map_mass_com", "wrong mass and CoM"),
-            ("map_thrust", "weak and slow engines"),
-            ("jet_failure", "one engine out"),
-            ("jet_dynamics", "engines instead of ideal thrust"),
-            ("ekf_noise", "noise of thrust sensors"),
-            ("sensitivity", "what the aware controller is sensitive to"),
-            ("observer_tests", "the paper's tests with the observer"),
-            ("observer_wind", "wind from everywhere, with the observer"),
-            ("observer_hover", "hovering, with the observer"),
-            ("observer_turbulence", "turbulence, with the observer"),
-            ("observer_missions", "fast missions and a gust, with the observer"),
-            ("observer_errors", "a robot that is not the model's, with the observer"),
-            ("outages_observer", "channels that fail, with the observer"),
-            ("outages_published", "channels that fail, published controller"),
-            ("engine_loss", "engines that fail, with the observer"),
-            ("sensors_tests", "realistic sensors"),
-        )
-    ),
+    Item("beyond", "loss curves", "training"),
+    Item("beyond", "three controllers, corrected and published arms", "demo"),
+    Item("beyond", "a panel model beside the tunnel", "surrogate"),
+    Item("beyond", "winds that can be trimmed", "trim"),
+    Item("beyond", "planned trajectories", "trajectory"),
+    Item("beyond", "coefficients from a flight's log", "identify"),
+    Item("beyond", "an engine identified from a log", "engine"),
+    Item("beyond", "take-off and landing", "take_off"),
+    Item("beyond", "wind that tips the standing robot over", "tip_over"),
+    Item("beyond", "limit of the observer", "observer_limit"),
+    Item("beyond", "gains and weights tuned by gradient", "tune"),
+    Item("beyond", "force rate that the controller leaves out", "force_rate"),
     Item(
-        "beyond", "the wind from the wrench", links=("sensors.md#the-wind-from-the-wrench",), claims=("wind_estimate",)
+        "beyond",
+        "the wind from the wrench",
+        "wind_from_wrench",
+        ("sensors.md#the-wind-from-the-wrench",),
+        ("wind_estimate",),
     ),
 )
 
@@ -313,7 +275,7 @@ SECTIONS: Mapping[str, Sequence[Item]] = {
     "Supplement": SUPPLEMENT,
     "Beyond the paper": BEYOND,
 }
-ITEMS: Sequence[Item] = tuple(item for items in SECTIONS.values() for item in items)
+"""What is typed here; `sections` has the rest."""
 
 TABLES = {
     "The robot": ("robot", "Links that meet the air, for Fig. 1 and Suppl. Fig. 6: `configs/robot/ironcub_mk1.toml`."),
@@ -321,6 +283,18 @@ TABLES = {
     "Suppl. Table 2": ("coefficients", "Force areas [m²] as published, and refitted to the public table."),
     "Suppl. Table 3": ("meshes", "Meshes of flight30 in the public records; sizing parameters are not public."),
 }
+
+
+def sections(claims: Mapping[str, Any]) -> dict[str, Sequence[Item]]:
+    """Return all items by section: to those typed here come sweeps, by their own titles, and our claims of them."""
+    shown = {item.figure for items in SECTIONS.values() for item in items}
+    swept = []
+    for name in places.names("sweeps"):
+        if name not in shown:
+            title = tomllib.loads(places.find("sweeps", name).read_text(encoding="utf-8"))["title"]
+            ours = (key for key, claim in claims.items() if claim["where"] == "ours" and claim["figure"] == name)
+            swept.append(Item("beyond", title, name, claims=tuple(ours)))
+    return {**SECTIONS, "Beyond the paper": (*BEYOND, *swept)}
 
 
 def page(claims: Path = CLAIMS) -> str:
@@ -332,7 +306,7 @@ def page(claims: Path = CLAIMS) -> str:
         "alone is computed again by the tests. [Deviations](deviations.md) explains what differs."
     )
     parts = ["# The paper, item by item", about]
-    for title, items in SECTIONS.items():
+    for title, items in sections(record["claims"]).items():
         rows = [HEADINGS, ("---",) * len(HEADINGS)]
         rows += [row for item in items for row in _rows(item, record["claims"])]
         parts += [f"## {title}", _table(rows)]

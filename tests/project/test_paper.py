@@ -18,6 +18,8 @@ from paper_figs.__main__ import FIGURES, SWEEPS, main
 
 ROOT = Path(__file__).resolve().parents[2]
 RECORD = json.loads(paper.CLAIMS.read_text(encoding="utf-8"))
+SECTIONS = paper.sections(RECORD["claims"])
+ITEMS = [item for items in SECTIONS.values() for item in items]
 WORDS = ("agrees", "differs: ", "out of reach: ", paper.NOT_FLOWN)
 MODEL = (ROOT / "docs/model.md").read_text(encoding="utf-8")
 
@@ -34,20 +36,20 @@ def test_the_page_is_what_the_command_prints(capsys):
 
 
 def test_every_figure_and_sweep_has_an_item():
-    shown = {item.figure for item in paper.ITEMS} - {""}
+    shown = {item.figure for item in ITEMS} - {""}
     assert set(FIGURES) | set(SWEEPS) <= shown
     assert shown <= {*FIGURES, *(path.stem for path in (ROOT / "configs/sweeps").glob("*.toml"))}
 
 
 def test_every_claim_is_shown_and_has_a_verdict():
-    used = {key for item in paper.ITEMS for key in item.claims}
+    used = {key for item in ITEMS for key in item.claims}
     assert used == set(RECORD["claims"]) == {claim.key for claim in claims.CLAIMS}
     for claim in RECORD["claims"].values():
         assert claim["verdict"].startswith(WORDS), claim
 
 
 def test_every_item_of_the_paper_has_a_verdict():
-    for title, items in paper.SECTIONS.items():
+    for title, items in SECTIONS.items():
         for item in items:
             judged = bool(item.claims or item.tunnel) + bool(item.verdict)
             assert judged == 1 or (title == "Beyond the paper" and not item.verdict), item.name
@@ -55,7 +57,7 @@ def test_every_item_of_the_paper_has_a_verdict():
             assert item.figure or item.links or item.claims or item.verdict.startswith("out of reach"), item.name
 
 
-@pytest.mark.parametrize("link", sorted({link for item in paper.ITEMS for link in item.links}))
+@pytest.mark.parametrize("link", sorted({link for item in ITEMS for link in item.links}))
 def test_links_lead_somewhere(link):
     path, _, anchor = link.partition("#")
     if path.startswith("configs/"):
@@ -70,7 +72,7 @@ def test_links_lead_somewhere(link):
 
 def test_commands_name_what_exists():
     experiments = {path.stem for path in (ROOT / "configs/experiments").glob("*.toml")}
-    for item in paper.ITEMS:
+    for item in ITEMS:
         for command in paper.command_of(item, RECORD["claims"]).split("; "):
             if not command:
                 continue

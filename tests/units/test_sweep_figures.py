@@ -2,6 +2,8 @@
 
 import itertools
 import json
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,10 +11,12 @@ import pytest
 from PIL import Image
 
 from paper_figs import maps
-from paper_figs.__main__ import SWEEPS, main
+from paper_figs.__main__ import DRAWINGS, SWEEPS, main
 from paper_figs.ablation import _is_geometric
 from paper_figs.scatter import correlations
 from paper_figs.sweeps import Sweep, axis_label, load
+
+SPECIFIED = Path(__file__).parents[2] / "configs/sweeps"
 
 AXES = {
     "world": {"name": "world", "label": "world", "unit": "", "levels": ["side", "ahead"]},
@@ -140,6 +144,12 @@ def test_all_draws_what_there_is_and_names_what_is_missing(tmp_path, capsys):
     for name in SWEEPS[1:]:
         assert f"python -m experiments sweep {name}" in said.err
     assert "figures were not drawn" in said.err
+
+
+@pytest.mark.parametrize("path", sorted(SPECIFIED.glob("*.toml")), ids=lambda path: path.stem)
+def test_every_sweep_of_the_repository_is_a_figure(path):
+    assert path.stem in SWEEPS
+    assert tomllib.loads(path.read_text(encoding="utf-8")).get("drawing", "curve") in DRAWINGS
 
 
 @pytest.mark.parametrize(
