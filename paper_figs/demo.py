@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import matplotlib.pyplot as plt
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from paper_figs import panels, style
-from paper_figs.runs import Run
+from paper_figs.runs import Run, Series
 
 COLUMNS = ("corrected lever arms", "published lever arms")
 CONTROLLERS = (
@@ -43,8 +42,10 @@ def draw(*runs: Run) -> Figure:
             size=9,
             weight="bold",
         )
-        _rotation_error(grid[0, column], same_arms)
-        _com_error(grid[1, column], same_arms)
+        _error(grid[0, column], same_arms, Run.rotation_error_deg, says_ending=True)
+        grid[0, column].set(title="base rotation error", ylabel="error [deg]")
+        _error(grid[1, column], same_arms, Run.com_error, says_ending=False)
+        grid[1, column].set(title="distance of the CoM from its reference", ylabel="error [m]")
         for row, (run, (controller, _, _)) in enumerate(zip(same_arms, CONTROLLERS, strict=True), start=2):
             panels.thrusts(grid[row, column], run)
             grid[row, column].set_title(f"thrusts, {controller}")
@@ -62,21 +63,9 @@ def draw(*runs: Run) -> Figure:
     return figure
 
 
-def _rotation_error(axes: Axes, runs: Sequence[Run]) -> None:
+def _error(axes: Axes, runs: Sequence[Run], of: Callable[[Run], Series], *, says_ending: bool) -> None:
     for run, (controller, colour, dash) in zip(runs, CONTROLLERS, strict=True):
-        error = np.degrees(run.flown["rotation_error"])
+        error = of(run)
         axes.plot(error["time"], error, dash, color=colour, label=controller)
         if run.lost_time is not None:
-            style.mark_fall(axes, run.lost_time, run.ending)
-    axes.set_title("base rotation error")
-    axes.set_ylabel("error [deg]")
-
-
-def _com_error(axes: Axes, runs: Sequence[Run]) -> None:
-    for run, (controller, colour, dash) in zip(runs, CONTROLLERS, strict=True):
-        error = run.com_error()
-        axes.plot(error["time"], error, dash, color=colour, label=controller)
-        if run.lost_time is not None:
-            style.mark_fall(axes, run.lost_time)
-    axes.set_title("distance of the CoM from its reference")
-    axes.set_ylabel("error [m]")
+            style.mark_fall(axes, run.lost_time, run.ending if says_ending else None)

@@ -32,6 +32,5 @@ def draw(study: xr.Dataset) -> Figure:
     error.set_ylabel("thrust error [N]")
     error.set_xlabel("time [s]")
     error.legend(ncols=3)
-    for axes, mark in ((throttle, "a"), (thrust, "b"), (error, "c")):
-        style.letter(axes, mark)
+    style.letters((throttle, thrust, error))
     return figure

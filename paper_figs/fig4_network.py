@@ -51,8 +51,7 @@ def draw(study: xr.Dataset) -> Figure:
         axes.set_title(title, pad=16)
     for axes in grid[1]:
         axes.set_xlabel("angle of attack of the head [deg]")
-    for axes, mark in zip(grid.ravel(), "abcdef", strict=True):
-        style.letter(axes, mark)
+    style.letters(grid.ravel())
     grid[0, 0].set_xlim(0.0, 180.0)
     return figure
 

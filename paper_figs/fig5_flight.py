@@ -9,7 +9,7 @@ Panel a of the paper is a snapshot of a viewer; it is not drawn here.
 from __future__ import annotations
 
 import matplotlib.pyplot as plt
-from matplotlib.figure import Figure, FigureBase
+from matplotlib.figure import Figure
 
 from paper_figs import panels, style
 from paper_figs.runs import Run
@@ -23,29 +23,14 @@ def draw(first: Run, second: Run) -> Figure:
     b, c = top.subplots(1, 2)
     panels.com_setpoint(b, first)
     panels.wind(c, first)
-    for axes, mark in ((b, "b"), (c, "c")):
-        style.letter(axes, mark)
+    style.letters((b, c), "bc")
+    for axes in (b, c):
         axes.set_xlabel("time [s]")
         style.legend_above(axes, columns=3)
 
-    _row(upper, first, "def", control=False)
-    _row(lower, second, "ghi", control=True)
+    panels.row(upper, first, "def")
+    panels.row(lower, second, "ghi", control=True)
     end = max(float(run.data["time"][-1]) for run in (first, second))
     for axes in figure.axes:
         axes.set_xlim(0.0, end)
     return figure
-
-
-def _row(figure: FigureBase, run: Run, letters: str, *, control: bool) -> None:
-    figure.suptitle(run.title, fontsize=8.5, fontweight="bold", x=0.01, ha="left")
-    errors, force, thrust = figure.subplots(1, 3)
-    panels.joint_errors(errors, run)
-    panels.aero_force(force, run, control=control)
-    panels.thrusts(thrust, run)
-    for axes, mark in zip((errors, force, thrust), letters, strict=True):
-        style.letter(axes, mark)
-        axes.set_xlabel("time [s]")
-        if run.lost_time is not None:
-            style.mark_fall(axes, run.lost_time, run.ending if axes is errors else None)
-        handles = panels.aero_force_key() if control and axes is force else None
-        style.legend_above(axes, columns=2 if axes is thrust else 3, handles=handles)

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 
-from paper_figs import style
+from paper_figs import panels, style
 from paper_figs.runs import Run, Series
 
 LEG = (
@@ -35,17 +35,16 @@ def draw(*runs: Run) -> Figure:
 
 
 def _experiment(figure: FigureBase, run: Run, letters: str) -> None:
-    figure.suptitle(run.title, fontsize=8.5, fontweight="bold", x=0.01, ha="left")
+    panels.title(figure, run)
     grid = figure.subplots(2, 3, sharex=True)
     flown = run.flown
-    _vector(grid[0, 0], flown["measured_wind"], "measured wind [m/s]")
-    _vector(grid[0, 1], flown["aero_force_control"].sum("link"), "aerodynamic force [N]")
-    _vector(grid[0, 2], 1e3 * (flown["com_position"] - flown["com_setpoint"]), "CoM error [mm]")
+    panels.components(grid[0, 0], flown["measured_wind"], "measured wind [m/s]")
+    panels.components(grid[0, 1], flown["aero_force_control"].sum("link"), "aerodynamic force [N]")
+    panels.components(grid[0, 2], 1e3 * (flown["com_position"] - flown["com_setpoint"]), "CoM error [mm]")
     _leg(grid[1, 0], flown["joint_position"] * (180.0 / np.pi), "left leg joints [deg]")
     _leg(grid[1, 1], flown["joint_torque"], "torques, desired [N m]")
     _leg(grid[1, 2], flown["joint_torque_measured"], "torques, at the joints [N m]")
-    for axes, mark in zip(grid.ravel(), letters, strict=True):
-        style.letter(axes, mark)
+    style.letters(grid.ravel(), letters)
     for axes in grid[0]:
         style.legend_above(axes, columns=3)
     for axes in grid[1]:
@@ -55,13 +54,6 @@ def _experiment(figure: FigureBase, run: Run, letters: str) -> None:
     if run.lost_time is not None:
         for axes in grid.ravel():
             style.mark_fall(axes, run.lost_time)
-
-
-def _vector(axes: Axes, vectors: Series, label: str) -> None:
-    for axis, colour in style.AXES_COLOURS.items():
-        component = vectors.sel(xyz=axis)
-        axes.plot(component["time"], component, color=colour, label=axis)
-    axes.set_ylabel(label)
 
 
 def _leg(axes: Axes, joints: Series, label: str) -> None:

@@ -40,8 +40,7 @@ def draw(study: xr.Dataset) -> Figure:
         below.set_ylim(bottom=0.0)
         below.set_xlabel("time [s]")
     style.legend_above(grid[1, 0], columns=3)
-    for axes, mark in zip(grid.ravel(), "abcd", strict=True):
-        style.letter(axes, mark)
+    style.letters(grid.ravel())
     grid[0, 0].set_xlim(0.0, float(data["time"][-1]))
     return figure
 

@@ -29,8 +29,7 @@ def draw(study: xr.Dataset) -> Figure:
         axes.set_xlabel(f"time [s], {str(study.attrs['validation']).replace('_', ' ')}")
         axes.set_ylim(bottom=0.0)
         axes.legend()
-    for axes, mark in zip(grid.ravel(), "abcd", strict=True):
-        style.letter(axes, mark)
+    style.letters(grid.ravel())
     return figure
 
 

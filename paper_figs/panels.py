@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from matplotlib.axes import Axes
+from matplotlib.figure import FigureBase
 from matplotlib.lines import Line2D
 
 from paper_figs import style
@@ -12,16 +15,22 @@ SIDES = {"l": "left", "r": "right"}
 SILENT = ("jet", "turbine")  # words a legend of jets need not repeat
 
 
+Panel = Callable[[Axes, Run], None]
+
+
+def title(figure: FigureBase, run: Run) -> None:
+    """Put the title of a run above its part of a figure."""
+    figure.suptitle(run.title, fontsize=8.5, fontweight="bold", x=0.01, ha="left")
+
+
 def com_setpoint(axes: Axes, run: Run) -> None:
     """Draw the smoothed reference of the centre of mass."""
-    _components(axes, run.data["com_setpoint"])
-    axes.set_ylabel("CoM reference [m]")
+    components(axes, run.data["com_setpoint"], "CoM reference [m]")
 
 
 def wind(axes: Axes, run: Run) -> None:
     """Draw the wind velocity."""
-    _components(axes, run.data["wind"])
-    axes.set_ylabel("wind [m/s]")
+    components(axes, run.data["wind"], "wind [m/s]")
 
 
 def joint_errors(axes: Axes, run: Run) -> None:
@@ -36,17 +45,17 @@ def joint_errors(axes: Axes, run: Run) -> None:
 
 def aero_force(axes: Axes, run: Run, *, control: bool) -> None:
     """Draw the sum of aerodynamic forces over the links; with `control`, also what the controller assumes."""
-    _components(axes, run.flown["aero_force_sim"].sum("link"))
+    label = "aerodynamic force [N]"
+    components(axes, run.flown["aero_force_sim"].sum("link"), label)
     if control:
-        _components(axes, run.flown["aero_force_control"].sum("link"), dash="--", labelled=False)
-    axes.set_ylabel("aerodynamic force [N]")
+        components(axes, run.flown["aero_force_control"].sum("link"), label, dash="--", labelled=False)
 
 
 def aero_force_difference(axes: Axes, run: Run) -> None:
     """Draw the simulator's total aerodynamic force minus the controller's."""
     flown = run.flown
-    _components(axes, flown["aero_force_sim"].sum("link") - flown["aero_force_control"].sum("link"))
-    axes.set_ylabel("force difference [N]")
+    difference = flown["aero_force_sim"].sum("link") - flown["aero_force_control"].sum("link")
+    components(axes, difference, "force difference [N]")
 
 
 def aero_force_key() -> list[Line2D]:
@@ -66,13 +75,32 @@ def thrusts(axes: Axes, run: Run) -> None:
     axes.set_ylabel("thrust [N]")
 
 
+def row(figure: FigureBase, run: Run, letters: str, *, control: bool = False, last: Panel = thrusts) -> None:
+    """Draw joint errors, total force and a last panel beside each other; the last ones have the letters."""
+    title(figure, run)
+    errors, force, third = panels = figure.subplots(1, 3)
+    joint_errors(errors, run)
+    aero_force(force, run, control=control)
+    last(third, run)
+    style.letters(panels[-len(letters) :], letters)
+    for axes in panels:
+        axes.set_xlabel("time [s]")
+        if run.lost_time is not None:
+            style.mark_fall(axes, run.lost_time, run.ending if axes is errors else None)
+    style.legend_above(errors, columns=3)
+    style.legend_above(force, columns=3, handles=aero_force_key() if control else None)
+    style.legend_above(third, columns=2 if last is thrusts else 3)
+
+
 def readable(name: str) -> str:
     """Return the name of a jet or of a group of joints in words: `l_arm_jet` is the "left arm"."""
     words = [SIDES.get(word, word) for word in name.split("_") if word not in SILENT]
     return " ".join(sorted(words, key=lambda word: word not in SIDES.values()))
 
 
-def _components(axes: Axes, vectors: Series, *, dash: str = "-", labelled: bool = True) -> None:
+def components(axes: Axes, vectors: Series, label: str, *, dash: str = "-", labelled: bool = True) -> None:
+    """Draw the components of vectors over time, by colour."""
     for axis, colour in style.AXES_COLOURS.items():
         component = vectors.sel(xyz=axis)
         axes.plot(component["time"], component, dash, color=colour, label=axis if labelled else "_nolegend_")
+    axes.set_ylabel(label)

@@ -64,8 +64,7 @@ def setup(study: xr.Dataset) -> Figure:
     top.text(0.0, 0.95, "turntable", ha="center", fontsize=7)
     _section(side, (-2.2, 0.0), HEIGHT, f"{HEIGHT:g} m high", ("x", "z"), "from its left")
     _section(top, (-2.2, -0.5 * WIDTH), WIDTH, f"{WIDTH:g} m wide", ("x", "y"), "from above")
-    for axes, mark in ((side, "a"), (top, "b")):
-        style.letter(axes, mark)
+    style.letters((side, top))
     return figure
 
 

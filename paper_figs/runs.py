@@ -63,6 +63,10 @@ class Run:
         sums = [error.isel(joint=np.flatnonzero(group_of == group)).sum("joint") for group in groups]
         return Series(np.stack(sums, axis=1), {"time": error["time"], "group": groups}, ("time", "group"))
 
+    def rotation_error_deg(self) -> Series:
+        """Return the angle between the base's rotation and its reference [deg]."""
+        return self.flown["rotation_error"] * (180.0 / np.pi)
+
     def com_error(self) -> Series:
         """Return the distance of the centre of mass from its reference [m]."""
         offset = self.flown["com_position"] - self.flown["com_setpoint"]

@@ -6,8 +6,9 @@ repeat the distinction where lines cross or the page is printed grey.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from string import ascii_lowercase
 from typing import Any
 
 import matplotlib as mpl
@@ -67,6 +68,12 @@ def use() -> None:
 def letter(axes: Axes, text: str) -> None:
     """Put a bold panel letter above the left corner of the axes."""
     axes.text(-0.08, 1.04, text, transform=axes.transAxes, fontweight="bold", fontsize=10, ha="right", va="bottom")
+
+
+def letters(panels: Iterable[Axes], marks: str = ascii_lowercase) -> None:
+    """Put panel letters above panels, one after another."""
+    for axes, mark in zip(panels, marks, strict=False):
+        letter(axes, mark)
 
 
 def legend_above(axes: Axes, columns: int, handles: Sequence[Artist] | None = None) -> None:

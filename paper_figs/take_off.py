@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import matplotlib.pyplot as plt
-import numpy as np
 from matplotlib.figure import Figure
 
 from paper_figs import panels, style
@@ -26,7 +25,7 @@ def draw(run: Run) -> Figure:
     load_.set_ylabel("load [N]")
     load_.set_ylim(0.0, 1.3 * float(jets.max()))  # the impact of the landing is a spike of a tick
     panels.thrusts(thrust, run)
-    attitude.plot(time, np.degrees(flown["rotation_error"]), color=style.BLUE)
+    attitude.plot(time, run.rotation_error_deg(), color=style.BLUE)
     attitude.set_ylabel("rotation error [deg]")
     attitude.set_ylim(bottom=0.0)
     attitude.set_xlabel("time [s]")

@@ -47,6 +47,5 @@ def draw(study: xr.Dataset) -> Figure:
         axes.set_title(title)
     grid[0, 0].set_ylabel("mean squared error [m$^4$]")
     grid[0, 0].legend(fontsize=6)
-    for axes, mark in zip(grid[0], "ab", strict=False):
-        style.letter(axes, mark)
+    style.letters(grid[0])
     return figure

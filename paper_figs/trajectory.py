@@ -47,8 +47,7 @@ def draw(*studies: xr.Dataset) -> Figure:
         axes.set_ylabel(f"thrust, {str(study.attrs['title']).lower()} [N]")
     planned = Line2D([], [], linestyle=":", color=style.BLACK, label="planned")
     style.legend_above(grid[3, 0], 5, [*grid[3, 0].get_legend_handles_labels()[0], planned])
-    for axes, mark in zip(grid.ravel(), "abcdefgh", strict=True):
-        style.letter(axes, mark)
+    style.letters(grid.ravel())
     return figure
 
 

@@ -33,8 +33,7 @@ def draw(study: xr.Dataset) -> Figure:
     _sideslip(grid[0, 1], study, "x", "roll")
     _sideslip(grid[1, 0], study, "z", "yaw")
     _errors(grid[1, 1], study)
-    for axes, mark in zip(grid.flat, "abcd", strict=True):
-        style.letter(axes, mark)
+    style.letters(grid.flat)
     handles, labels = grid[0, 1].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=6)
     return figure

@@ -1,3 +1,4 @@
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from PIL import Image
@@ -65,6 +66,12 @@ def test_nothing_behind_a_fall_is_shown(made_up_results):
     assert run.lost_time == 21.5
     assert run.flown["time"].values[-1] <= 21.5
     assert runs.load(made_up_results, "test1").lost_time is None
+
+
+def test_how_a_flight_was_lost_stands_once_in_its_row(made_up_results):
+    figure, _ = FIGURES["suppl7"].drawn(made_up_results, ("test1", "test2", "test3", "test1_published"))
+    assert [text.get_text() for axes in figure.axes for text in axes.texts].count("fell at 21.5 s") == 1
+    plt.close(figure)
 
 
 @pytest.mark.parametrize(
