@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
@@ -13,6 +15,14 @@ from paper_figs import panels, style
 
 COLOURS = {"min_time": style.VERMILION, "min_fuel": style.BLUE}
 PAPER = style.GREY
+LABELS = (
+    "way flown x [m]",
+    "speed [m/s]",
+    "height z [m]",
+    "pitch reference [deg]",
+    "CoM error [m]",
+    "fuel burnt [l]",
+)
 DASHES = {"minimum fuel": "--"}
 OFFSETS = {"paper's mission": (-70, -2), "minimum time": (6, -12), "minimum fuel": (6, -2)}
 
@@ -20,18 +30,18 @@ OFFSETS = {"paper's mission": (-70, -2), "minimum time": (6, -12), "minimum fuel
 def draw(*studies: xr.Dataset) -> Figure:
     """Draw way, height, speed, pitch, error and fuel of all flights, and the thrusts of the optimal ones."""
     figure, grid = plt.subplots(4, 2, figsize=(style.FULL_WIDTH, 8.0), layout="constrained")
-    for axes, draw_panel, label in (
-        (grid[0, 0], _distance, "way flown x [m]"),
-        (grid[0, 1], _speed, "speed [m/s]"),
-        (grid[1, 0], _height, "height z [m]"),
-        (grid[1, 1], _pitch, "pitch reference [deg]"),
-        (grid[2, 0], _error, "CoM error [m]"),
-        (grid[2, 1], _fuel, "fuel burnt [l]"),
-    ):
-        draw_panel(axes, studies[0], "paper", PAPER, "paper's mission")
-        for study in studies:
-            colour = COLOURS.get(study.attrs["name"], style.BLACK)
-            draw_panel(axes, study, "flown", colour, str(study.attrs["title"]).lower())
+    flights = [(studies[0], "paper", PAPER, "paper's mission")]
+    for study in studies:
+        colour = COLOURS.get(study.attrs["name"], style.BLACK)
+        flights.append((study, "flown", colour, str(study.attrs["title"]).lower()))
+    for study, of, colour, label in flights:
+        look = {"color": colour, "label": label, "linestyle": DASHES.get(label, "-")}
+        curves = _curves(study, of)
+        for axes, (x, y) in zip(grid.flat, curves, strict=False):
+            axes.plot(x, y, **look)
+        _, fuel = curves[-1]
+        _arrival(grid[2, 1], float(study.attrs[f"arrival_{of}"]), float(fuel[-1]), colour, label)
+    for axes, label in zip(grid.flat, LABELS, strict=False):
         axes.set_ylabel(label)
         axes.set_xlim(0.0, 40.0)
         axes.set_xlabel("time since the motion began [s]")
@@ -51,55 +61,30 @@ def draw(*studies: xr.Dataset) -> Figure:
     return figure
 
 
-def _moving(study: xr.Dataset, of: str) -> tuple[xr.Dataset, str]:
-    time = f"time_{of}"
-    return study.sel({time: slice(0.0, None)}), time
-
-
-def _distance(axes: Axes, study: xr.Dataset, of: str, colour: str, label: str) -> None:
-    data, time = _moving(study, of)
-    axes.plot(
-        data[time], data[f"com_position_{of}"].sel(xyz="x"), color=colour, label=label, linestyle=DASHES.get(label, "-")
+def _curves(study: xr.Dataset, of: str) -> Sequence[tuple[xr.DataArray, xr.DataArray]]:
+    """Return x and y of one flight since the motion began, in the order of `LABELS`."""
+    data = study.sel({f"time_{of}": slice(0.0, None)})
+    time = data[f"time_{of}"]
+    way, height = (data[f"com_position_{of}"].sel(xyz=axis) for axis in "xz")
+    speed = (data[f"com_velocity_{of}"] ** 2).sum("xyz") ** 0.5
+    pitch = data[f"base_rpy_{of}"].sel(rpy="pitch") * (180.0 / np.pi)
+    fuel = data[f"fuel_{of}"].sel({f"time_{of}": slice(None, study.attrs[f"arrival_{of}"])})
+    return (
+        (time, way),
+        (time, speed),
+        (way, height),
+        (time, pitch),
+        (time, data[f"com_error_{of}"]),
+        (fuel[time.name], fuel),
     )
 
 
-def _height(axes: Axes, study: xr.Dataset, of: str, colour: str, label: str) -> None:
-    data, _ = _moving(study, of)
-    position = data[f"com_position_{of}"]
-    axes.plot(position.sel(xyz="x"), position.sel(xyz="z"), color=colour, label=label, linestyle=DASHES.get(label, "-"))
-
-
-def _speed(axes: Axes, study: xr.Dataset, of: str, colour: str, label: str) -> None:
-    data, time = _moving(study, of)
-    speed = np.sqrt((data[f"com_velocity_{of}"] ** 2).sum("xyz"))
-    axes.plot(data[time], speed, color=colour, label=label, linestyle=DASHES.get(label, "-"))
-
-
-def _pitch(axes: Axes, study: xr.Dataset, of: str, colour: str, label: str) -> None:
-    data, time = _moving(study, of)
-    axes.plot(
-        data[time],
-        np.degrees(data[f"base_rpy_{of}"].sel(rpy="pitch")),
-        color=colour,
-        label=label,
-        linestyle=DASHES.get(label, "-"),
-    )
-
-
-def _error(axes: Axes, study: xr.Dataset, of: str, colour: str, label: str) -> None:
-    data, time = _moving(study, of)
-    axes.plot(data[time], data[f"com_error_{of}"], color=colour, label=label, linestyle=DASHES.get(label, "-"))
-
-
-def _fuel(axes: Axes, study: xr.Dataset, of: str, colour: str, label: str) -> None:
-    data, time = _moving(study, of)
-    arrival = float(study.attrs[f"arrival_{of}"])
-    fuel = data[f"fuel_{of}"].sel({time: slice(0.0, arrival)})
-    axes.plot(fuel[time], fuel, color=colour, label=label, linestyle=DASHES.get(label, "-"))
-    axes.plot(arrival, fuel[-1], "o", color=colour, markersize=4)
+def _arrival(axes: Axes, time: float, fuel: float, colour: str, label: str) -> None:
+    """Mark the fuel burnt until the arrival."""
+    axes.plot(time, fuel, "o", color=colour, markersize=4)
     axes.annotate(
-        f"{float(fuel[-1]):.3f} l in {arrival:.1f} s",
-        (arrival, float(fuel[-1])),
+        f"{fuel:.3f} l in {time:.1f} s",
+        (time, fuel),
         xytext=OFFSETS.get(label, (6, -12)),
         textcoords="offset points",
         color=colour,
