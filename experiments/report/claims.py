@@ -40,6 +40,9 @@ MOSTLY = 0.95
 LEANING = 45.0
 """Rotation error beyond which a flight that arrives does not count as balanced [deg]."""
 
+STANDING = ("balancing_front", "balancing_lateral")
+"""The ground experiments of Fig. 6."""
+
 
 @dataclass(frozen=True)
 class Claim:
@@ -74,6 +77,7 @@ class _Claim:
     flights: tuple[str, ...] = ()
     sweep: str = ""
     figure: str = ""
+    """Of `paper_figs`; if empty, that of the first sweep."""
     study: str = ""
 
     @property
@@ -88,9 +92,13 @@ def _fact(key: str, where: str, claim: str, judge: Callable[[], tuple[str, str]]
     return _Claim(key, where, claim, lambda _: judge(), figure=figure)
 
 
+def _ground(key: str, where: str, claim: str, judge: Judge) -> _Claim:
+    return _Claim(key, where, claim, judge, STANDING, figure="fig6")
+
+
 def _ours(key: str, claim: str, judge: Judge, *, sweep: str = "", study: str = "") -> _Claim:
     """Return a claim of which the paper says nothing, of the recommended controller."""
-    return _Claim(key, "ours", claim, judge, sweep=sweep, figure=sweep.partition(" ")[0], study=study)
+    return _Claim(key, "ours", claim, judge, sweep=sweep, study=study)
 
 
 def _stated(claim: _Claim, results: Results) -> Claim:
@@ -98,7 +106,8 @@ def _stated(claim: _Claim, results: Results) -> Claim:
         measured, verdict = claim.judge(results)
     except NotFlownError as reason:
         measured, verdict = str(reason), NOT_FLOWN
-    return Claim(claim.key, claim.where, claim.claim, measured, verdict, claim.command, claim.figure)
+    figure = claim.figure or claim.sweep.partition(" ")[0]
+    return Claim(claim.key, claim.where, claim.claim, measured, verdict, claim.command, figure)
 
 
 def _flight(results: Results, name: str) -> Metrics:
@@ -108,10 +117,11 @@ def _flight(results: Results, name: str) -> Metrics:
 
 
 def _stood(results: Results) -> tuple[Ground, Ground]:
-    for name in ("balancing_front", "balancing_lateral"):
+    for name in STANDING:
         if name not in results.standing:
             raise NotFlownError(f"`python -m experiments {name}` has not been run")
-    return results.standing["balancing_front"], results.standing["balancing_lateral"]
+    front, lateral = (results.standing[name] for name in STANDING)
+    return front, lateral
 
 
 def _agreement(corrected: bool, published: bool) -> str:
@@ -434,7 +444,6 @@ def _wake_meshes(results: Results) -> tuple[str, str]:
 
 
 _TESTS = "paper_tests"
-_STANDING = ("balancing_front", "balancing_lateral")
 _ROBUSTNESS = ("robustness", "robustness_published")
 
 CLAIMS = (
@@ -590,7 +599,6 @@ CLAIMS = (
         "The aware controller is robust to a model other than the simulator's (winds from everywhere)",
         _model_pairs,
         sweep="model_pairs",
-        figure="model_pairs",
     ),
     _Claim(
         "robustness",
@@ -615,64 +623,27 @@ CLAIMS = (
         "The change of aerodynamic forces with posture and speed is negligible in control",
         _lambda,
         sweep="ablation_terms",
-        figure="ablation_terms",
     ),
-    _Claim(
-        "stands",
-        "Fig. 6",
-        "The standing robot keeps its balance when the measured wind does not blow",
-        _stands,
-        _STANDING,
-        figure="fig6",
+    _ground("stands", "Fig. 6", "The standing robot keeps its balance when the measured wind does not blow", _stands),
+    _ground("against", "Fig. 6 c, i", "The CoM moves against the aerodynamic force", _against),
+    _ground("ankle_pitch", "Fig. 6 d", "In frontal wind it moves mainly by the ankle pitch joints", _ankle_pitch),
+    _ground("rolls", "Fig. 6 j", "In lateral wind it moves by the hip and ankle roll joints", _rolls),
+    _ground(
+        "momentum_rate", "Ground experiments", "The motion minimises the estimated linear momentum rate", _momentum_rate
     ),
-    _Claim("against", "Fig. 6 c, i", "The CoM moves against the aerodynamic force", _against, _STANDING, figure="fig6"),
-    _Claim(
-        "ankle_pitch",
-        "Fig. 6 d",
-        "In frontal wind it moves mainly by the ankle pitch joints",
-        _ankle_pitch,
-        _STANDING,
-        figure="fig6",
-    ),
-    _Claim(
-        "rolls",
-        "Fig. 6 j",
-        "In lateral wind it moves by the hip and ankle roll joints",
-        _rolls,
-        _STANDING,
-        figure="fig6",
-    ),
-    _Claim(
-        "momentum_rate",
-        "Ground experiments",
-        "The motion minimises the estimated linear momentum rate",
-        _momentum_rate,
-        _STANDING,
-        figure="fig6",
-    ),
-    _Claim(
+    _ground(
         "identities",
         "Ground experiments",
         "The momentum rate is the sum of foot forces, aerodynamic forces and weight; the feet carry the weight",
         _identities,
-        _STANDING,
-        figure="fig6",
     ),
-    _Claim(
-        "onset",
-        "Fig. 6 c, i",
-        "The motion becomes visible about 2 s after the wind starts to rise",
-        _onset,
-        _STANDING,
-        figure="fig6",
-    ),
+    _ground("onset", "Fig. 6 c, i", "The motion becomes visible about 2 s after the wind starts to rise", _onset),
     _Claim(
         "minimum",
         "Suppl. Fig. 17, Note 7",
         "There is a minimum of aerodynamic information with which the mission is still flown",
         _minimum,
         sweep="ablation_terms",
-        figure="ablation_terms",
     ),
     _ours(
         "observer_corrected",
