@@ -105,7 +105,7 @@ def _require_whole(folder: Path, document: Mapping[str, Any]) -> None:
         raise Refused(f"{folder / name} is not what was written there; --overwrite flies it again")
 
 
-def count(cell: Cell, what: str = "completed") -> str:
-    """Return "39 of 40 (87 to 100 %)": a count and its 95 % interval."""
-    low, high = (100.0 * cell[f"{what}_{end}"] for end in ("low", "high"))
-    return f"{cell[what]} of {cell['flights']} ({low:.0f} to {high:.0f} %)"
+def count(cell: Cell) -> str:
+    """Return "39 of 40 (87 to 100 %)": how many complete, and its 95 % interval."""
+    low, high = (100.0 * cell[f"completed_{end}"] for end in ("low", "high"))
+    return f"{cell['completed']} of {cell['flights']} ({low:.0f} to {high:.0f} %)"
