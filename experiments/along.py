@@ -25,7 +25,6 @@ from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.clearance import pairs
 from jax_aero.symbolic.kinematics import Kinematics
 
-FLIGHTS = ("test2", "test2_published", "test4", "robustness", "test1", "test1_published", "no_wind")
 STEP = 0.1
 """Between the moments that are looked at [s]."""
 
