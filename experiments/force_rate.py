@@ -8,7 +8,9 @@ wind changes). The result goes to `results/force_rate/NAME/`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from functools import reduce
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -102,8 +104,8 @@ def to_dataset(t: Any, parts: ForceRate) -> xr.Dataset:
 def figures(dataset: xr.Dataset) -> dict[str, float]:
     """Return the sizes of known and neglected parts over the settled flight."""
     data = dataset.sel(time=slice(SETTLING_TIME, None))
-    neglected = _sum(data, NEGLECTED)
-    whole = neglected + _sum(data, KNOWN)
+    neglected = reduce(add, (data[name] for name in NEGLECTED))
+    whole = neglected + reduce(add, (data[name] for name in KNOWN))
     found = {}
     for kind, unit, rows in (("force", "N/s", slice(0, 3)), ("moment", "N m/s", slice(3, 6))):
         sums = [("all of it", whole), ("neglected", neglected)]
@@ -112,10 +114,3 @@ def figures(dataset: xr.Dataset) -> dict[str, float]:
             found[f"{kind}, {name}, largest [{unit}]"] = float(size.max())
             found[f"{kind}, {name}, rms [{unit}]"] = float(np.sqrt((size**2).mean()))
     return found
-
-
-def _sum(data: xr.Dataset, names: Sequence[str]) -> xr.DataArray:
-    first, *others = (data[name] for name in names)
-    for other in others:
-        first = first + other
-    return first
