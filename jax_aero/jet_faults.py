@@ -29,7 +29,6 @@ class JetFaults(NamedTuple):
 
     lag: Float[Array, ""]
     """Time constant of the response [s]."""
-    """Least thrust [N]."""
     upper: Float[Array, " j"]
     """Greatest thrust [N]."""
     fails: Bool[Array, " j"]

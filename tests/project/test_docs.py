@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import itertools
 import re
 import shutil
 import subprocess
@@ -68,6 +69,18 @@ def test_the_architecture_page_names_every_dependency_of_the_core_crate():
     named = re.search(r"it depends on ([\w\s,]+)\.", page)
     assert named is not None
     assert manifest["dependencies"].keys() <= set(re.findall(r"\w+", named[1]))
+
+
+def test_no_text_about_a_field_follows_another():
+    """A field that is removed takes its text with it."""
+
+    def is_text(node: ast.AST) -> bool:
+        return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+
+    for path in (path for package in ("jax_aero", "experiments") for path in (ROOT / package).rglob("*.py")):
+        for kind in (node for node in ast.parse(path.read_text("utf-8")).body if isinstance(node, ast.ClassDef)):
+            for first, second in itertools.pairwise(kind.body):
+                assert not (is_text(first) and is_text(second)), f"{path}:{second.lineno}"
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
