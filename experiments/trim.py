@@ -82,8 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     def work() -> int:
         changes = overrides.parse(given.set)
         if given.map:
-            MAP.run(given.name, changes)
-            return 0
+            return 0 if MAP.run(given.name, changes)["summary"]["trims found"] else 1
         trim = build(MAP.read(given.name, changes)[1])
         trim.lost = _jet(trim, given.without)
         result = trim.solve(given.wind, given.velocity, given.objective)
@@ -179,17 +178,18 @@ def compute(name: str, config: TrimConfig) -> Findings:
                 found[objective, d, s] = min(tried, key=lambda result: (not result.feasible, result.cost))
                 bar.update()
     dataset = _map_dataset(trim, found, speeds, directions)
-    results = list(found.values())
-    solved = [result.solve_time for result in results if result.feasible]
+    trims = [result for result in found.values() if result.feasible]
+    # A map without a trim is an answer too; it has no residual and no time.
     summary = {
-        "trims requested": len(results),
-        "trims found": sum(result.feasible for result in results),
-        "largest residual of a trim [N, N m]": max(np.abs(r.residual).max() for r in results if r.feasible),
-        "median solve time of a trim [s]": float(np.median(solved)),
+        "trims requested": len(found),
+        "trims found": len(trims),
+        "largest residual of a trim [N, N m]": max((np.abs(r.residual).max() for r in trims), default=None),
+        "median solve time of a trim [s]": float(np.median([r.solve_time for r in trims])) if trims else None,
         "strongest wind with a trim from every direction [m/s]": _everywhere(dataset),
     }
     urdf = config.robot.parent / tables.read(config.robot)["urdf"]
-    return Findings(config.title, dataset, summary, files=[urdf], timings={"build": trim.build_time})
+    text = "" if trims else f"NO TRIM in any of these winds\n{study.listing(summary)}"
+    return Findings(config.title, dataset, summary, files=[urdf], timings={"build": trim.build_time}, report=text)
 
 
 MAP = Study("trim", __doc__, TrimConfig, compute, ("free_joints",))

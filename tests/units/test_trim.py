@@ -1,5 +1,6 @@
 """Trims are equilibria of the Rust plant, within limits, and say what is in the way where there is none."""
 
+import json
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -171,6 +172,20 @@ def test_a_map_is_a_result_with_a_manifest(tmp_path, monkeypatch):
     assert hashes == {"small": document["config_digest"]}
     plt.close(figure)
     assert np.isnan(data["margin"].sel(objective="max_margin", direction=90.0, speed=20.0))
+
+
+def test_a_map_without_any_trim_is_written_and_says_so(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    text = (ROOT / "configs/trim/hover_posture.toml").read_text().replace('"../', f'"{ROOT}/configs/')
+    path = tmp_path / "storm.toml"
+    path.write_text(text[: text.index("[map]")] + "[map]\nspeeds = [20.0]\ndirections_deg = [90.0]\n")
+    assert experiment.main([str(path), "--map"]) == 1
+    assert "NO TRIM in any of these winds" in capsys.readouterr().out
+    summary = json.loads((tmp_path / "trim/storm/manifest.json").read_text())["summary"]
+    assert (summary["trims requested"], summary["trims found"]) == (2, 0)
+    assert summary["largest residual of a trim [N, N m]"] is None
+    data = xr.load_dataset(tmp_path / "trim/storm/run.nc", engine="h5netcdf")
+    assert not data["feasible"].any()
 
 
 @pytest.mark.parametrize(
