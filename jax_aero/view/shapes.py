@@ -13,7 +13,7 @@ import numpy as np
 from jax_aero import rust
 from jax_aero.command import Refused
 from jax_aero.mesh import Mesh, mesh_file, read_mesh
-from jax_aero.urdf import IDENTITY, BodyTree, Pose, Vector, origin_of, read_tree
+from jax_aero.urdf import IDENTITY, BodyTree, Pose, Vector, attribute, numbers, origin_of, read_tree
 
 STRUT_RADIUS = 0.022  # m
 
@@ -107,6 +107,8 @@ def look_of(robot: rust.Robot, path: Path | None = None) -> Look:
                     drawn.append((solid, origin_of(visual)))
             except Refused as reason:
                 reasons.append(f"{name}: {reason}")
+            except ValueError as reason:
+                raise ValueError(f"visual of link `{name}`: {reason}") from None
         if reasons and not drawn and name in in_air:
             drawn = [_seen_by_air(in_air[name])]
         missing += reasons
@@ -134,24 +136,24 @@ def _seen_by_air(entry: dict[str, Any]) -> tuple[Solid, Pose]:
 
 def _solid(visual: ElementTree.Element, folder: Path | None) -> Solid | None:
     for element in visual.iterfind("geometry/*"):
-        if element.tag == "cylinder":
-            radius = float(element.attrib["radius"])
-            return "cylinder", (radius, radius, float(element.attrib["length"])), None
-        if element.tag == "sphere":
-            radius = float(element.attrib["radius"])
-            return "sphere", (radius, radius, radius), None
+        if element.tag in ("cylinder", "sphere"):
+            (radius,) = numbers(element, "radius", 1).tolist()
+            if element.tag == "sphere":
+                return "sphere", (radius, radius, radius), None
+            (length,) = numbers(element, "length", 1).tolist()
+            return "cylinder", (radius, radius, length), None
         if element.tag == "box":
-            return "box", _three(element.attrib["size"]), None
+            return "box", _three(element, "size"), None
         if element.tag == "mesh":
+            filename = attribute(element, "filename")
             if folder is None:
-                raise Refused(f"mesh {element.attrib['filename']}: not looked for")
-            mesh = read_mesh(mesh_file(element.attrib["filename"], folder))
-            return "mesh", _three(element.attrib.get("scale", "1 1 1")), mesh
+                raise Refused(f"mesh {filename}: not looked for")
+            return "mesh", _three(element, "scale", "1 1 1"), read_mesh(mesh_file(filename, folder))
     return None
 
 
-def _three(words: str) -> tuple[float, float, float]:
-    x, y, z = (float(word) for word in words.split())
+def _three(element: ElementTree.Element, key: str, default: str | None = None) -> tuple[float, float, float]:
+    x, y, z = numbers(element, key, 3, default).tolist()
     return x, y, z
 
 

@@ -17,18 +17,34 @@ from jax_aero.view.shapes import look_of
 SPARROW = places.find("robot", "sparrow")
 
 
-def meshed(filenames: list[str]) -> SimpleNamespace:
-    """Return the sparrow with a mesh in place of every primitive, from these files in turn."""
+def drawn_with(geometries: list[str]) -> SimpleNamespace:
+    """Return the sparrow with other geometry in place of every primitive, each in turn."""
     robot = rust.Robot(SPARROW)
-    files = itertools.cycle(filenames)
-
-    def mesh(_: re.Match[str]) -> str:
-        return f'<geometry><mesh filename="{next(files)}" scale="0.1 0.1 0.2"/></geometry>'
-
-    text = re.sub(r"<geometry>.*?</geometry>", mesh, robot.urdf_text, flags=re.S)
+    others = itertools.cycle(geometries)
+    text = re.sub(r"<geometry>.*?</geometry>", lambda _: f"<geometry>{next(others)}</geometry>", robot.urdf_text)
     return SimpleNamespace(
         toml_text=robot.toml_text, urdf_text=text, joint_names=robot.joint_names, body_names=robot.body_names
     )
+
+
+def meshed(filenames: list[str]) -> SimpleNamespace:
+    """Return the sparrow with a mesh in place of every primitive, from these files in turn."""
+    return drawn_with([f'<mesh filename="{name}" scale="0.1 0.1 0.2"/>' for name in filenames])
+
+
+@pytest.mark.parametrize(
+    ("geometry", "message"),
+    [
+        ('<cylinder length="0.3"/>', "visual of link `pelvis`: a <cylinder> has no `radius`"),
+        ('<cylinder radius="0.1"/>', "a <cylinder> has no `length`"),
+        ('<sphere radius="wide"/>', "`radius` of a <sphere> is `wide`; expected a number"),
+        ('<box size="1 2"/>', "`size` of a <box> is `1 2`; expected 3 numbers"),
+        ("<mesh/>", "a <mesh> has no `filename`"),
+    ],
+)
+def test_a_primitive_without_its_size_is_refused(geometry, message):
+    with pytest.raises(ValueError, match=message):
+        look_of(drawn_with([geometry]), SPARROW)
 
 
 def test_links_whose_mesh_is_missing_are_drawn_as_the_air_sees_them():
