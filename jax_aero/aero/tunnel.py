@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from jax_aero.aero.dataset import JOINTS, Floats
+from jax_aero.aero.dataset import JOINTS, Floats, number
 
 GVP_COLUMNS = 86
 COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -110,11 +110,11 @@ def read_gvp(text: str, source: str) -> Gvp:
         raise ValueError(f"{source}: no balance file; expected a line KEY=VALUE;…, one of columns ID(0),…, and rows")
     header = dict(part.strip().split("=", 1) for part in lines[0].split(";") if "=" in part)
     rows = []
-    for number, line in enumerate(lines[2:], start=3):
+    for place, line in enumerate(lines[2:], start=3):
         cells = line.split("\t")
         if len(cells) != GVP_COLUMNS:
-            raise ValueError(f"{source}, line {number}: {len(cells)} columns; expected {GVP_COLUMNS}")
-        rows.append([_number(cell, source, number, column) for column, cell in enumerate(cells)])
+            raise ValueError(f"{source}, line {place}: {len(cells)} columns; expected {GVP_COLUMNS}")
+        rows.append([_number(cell, source, place, column) for column, cell in enumerate(cells)])
     found = np.array(rows)
     needed = np.r_[1:5, 8:11, 12, 14:20, 74:80]
     bad = np.argwhere(~np.isfinite(found[:, needed]))
@@ -137,8 +137,8 @@ def read_sweep(text: str, source: str) -> tuple[Floats, Floats]:
     if not lines or not lines[0].startswith("a_nom"):
         raise ValueError(f"{source}: no gravity sweep; expected a line of columns a_nom[deg], …")
     rows = [
-        [_number(cell, source, number, column) for column, cell in enumerate(line.split("\t")[:10])]
-        for number, line in enumerate(lines[1:], start=2)
+        [_number(cell, source, place, column) for column, cell in enumerate(line.split("\t")[:10])]
+        for place, line in enumerate(lines[1:], start=2)
     ]
     found = np.array(rows)
     return found[:, 4:7], found[:, 7:10]
@@ -186,7 +186,7 @@ def points_of(test: str, about: Test, gvp: Gvp) -> Points:
         point=numbers,
         kind=[about.kind] * len(rows),
         posture=[about.posture] * len(rows),
-        marks=[_marks(about, number, alpha) for number, alpha in zip(numbers, pitch, strict=True)],
+        marks=[_marks(about, point, alpha) for point, alpha in zip(numbers, pitch, strict=True)],
         robot=about.robot,
         pitch_deg=pitch,
         yaw_deg=YAW[about.robot] * rows[:, 4],
@@ -200,11 +200,11 @@ def points_of(test: str, about: Test, gvp: Gvp) -> Points:
     )
 
 
-def _marks(about: Test, number: int, pitch: float) -> tuple[str, ...]:
+def _marks(about: Test, point: int, pitch: float) -> tuple[str, ...]:
     extrapolated = about.tare_above_deg is not None and pitch > about.tare_above_deg + 1.0
     return (
         *about.marks,
-        *about.point_marks.get(number, ()),
+        *about.point_marks.get(point, ()),
         *(("tare extrapolated",) if extrapolated else ()),
     )
 
@@ -229,25 +229,29 @@ def read_reduced(text: str, tests: Mapping[tuple[str, str], Test], source: str) 
     ]
     if missing := [name for name in wanted if name not in rows[0]]:
         raise ValueError(f"{source}: no column {', '.join(missing)}")
-    about = []
-    for number, row in enumerate(rows, start=2):
-        key = (row["campaign"], row["test"])
+    about, points = [], []
+    for line, row in enumerate(rows, start=2):
+        key, place = (row["campaign"], row["test"]), f"{source}, line {line}"
         if key not in tests:
-            raise ValueError(f"{source}, line {number}: test {key[1]} of {key[0]} is not in the table of tests")
+            raise ValueError(f"{place}: test {key[1]} of {key[0]} is not in the table of tests")
         about.append(tests[key])
+        point = number(row["point"], place, "point")
+        if not point.is_integer():
+            raise ValueError(f"{place}, column `point`: {row['point']!r}; expected an integer")
+        points.append(int(point))
 
     def numbers(names: Iterable[str]) -> Floats:
         names = list(names)
-        return np.array([[_number(row[n], source, i, 0) for n in names] for i, row in enumerate(rows, start=2)])
+        return np.array([[_cell(row, n, f"{source}, line {i}") for n in names] for i, row in enumerate(rows, start=2)])
 
     speed, q, rho, temperature, pitch, yaw = numbers(plain).T
     return Points(
         campaign=[one.campaign for one in about],
         test=[row["test"] for row in rows],
-        point=[int(row["point"]) for row in rows],
+        point=points,
         kind=[one.kind for one in about],
         posture=[one.posture for one in about],
-        marks=[_marks(one, int(row["point"]), a) for one, row, a in zip(about, rows, pitch, strict=True)],
+        marks=[_marks(one, point, a) for one, point, a in zip(about, points, pitch, strict=True)],
         robot=about[0].robot,
         pitch_deg=pitch,
         yaw_deg=YAW[about[0].robot] * yaw,
@@ -259,6 +263,12 @@ def read_reduced(text: str, tests: Mapping[tuple[str, str], Test], source: str) 
         deviation=numbers(f"sd{name}" for name in COMPONENTS),
         zero_return=numbers(f"zr{name}" for name in COMPONENTS),
     )
+
+
+def _cell(row: Mapping[str, str | None], column: str, place: str) -> float:
+    text = row[column]
+    # A test may lack its last reading without wind; everything else was measured.
+    return np.nan if column.startswith("zr") and (text or "").lower() == "nan" else number(text, place, column)
 
 
 def join(parts: Sequence[Points]) -> Points:

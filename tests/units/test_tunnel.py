@@ -138,18 +138,47 @@ def test_a_file_that_is_none_is_refused_with_its_place(text, message):
         tunnel.read_gvp(text, "TID_0001.GVP")
 
 
+def reduced_table(load) -> dict[str, str]:
+    """A row of a table of reduced points, by column."""
+    names = ["campaign", "test", "point", "V", "q", "rho", "T_K", "alpha", "beta"]
+    row = dict(
+        zip(names, ["exp_2022_11_03", "TID_0001", "1", "12.0", "85.0", "1.2", "293.0", "90.08", "-0.01"], strict=True)
+    )
+    for prefix, tail, values in (("", True, load), ("sd", False, [0.1] * 6), ("zr", False, [0.0] * 6)):
+        for name, value in zip(tunnel.COMPONENTS, values, strict=True):
+            row[f"{name}_bal_{'N' if name[0] == 'F' else 'Nm'}" if tail else prefix + name] = str(value)
+    return row
+
+
+@pytest.mark.parametrize(
+    ("column", "text", "message"),
+    [
+        ("q", "8;5", "t.csv, line 2, column `q`: '8;5'; expected a finite number"),
+        ("sdMx", "nan", "t.csv, line 2, column `sdMx`: 'nan'; expected a finite number"),
+        ("point", "1.5", "t.csv, line 2, column `point`: '1.5'; expected an integer"),
+        ("zrMz", None, "t.csv, line 2, column `zrMz`: the line ends before it"),
+    ],
+)
+def test_a_table_of_points_is_refused_with_line_and_column(column, text, message):
+    row = reduced_table((1.0,) * 6) | {column: text}
+    cells = ",".join(cell for cell in row.values() if cell is not None)
+    with pytest.raises(ValueError, match=message):
+        tunnel.read_reduced(",".join(row) + "\n" + cells, import_tunnel.known_tests(), "t.csv")
+
+
+def test_a_table_may_lack_the_last_reading_without_wind():
+    row = reduced_table((1.0,) * 6) | {f"zr{name}": "nan" for name in tunnel.COMPONENTS}
+    points = tunnel.read_reduced(",".join(row) + "\n" + ",".join(row.values()), import_tunnel.known_tests(), "t.csv")
+    assert np.isnan(points.zero_return).all()
+
+
 def test_the_command_writes_what_it_reads_from_files_and_tables(tmp_path, capsys):
     row = (1, 0.08, -0.01, 12.0, 85.0, (-20.0, -0.5, 0.4, -0.4, -1.6, -0.1))
     files = clone(tmp_path / "clone", {"TID_0001.GVP": gvp([row])})
     assert import_tunnel.main(["--clone", str(files), "--out", str(tmp_path / "a")]) == 0
     assert "mk1: 1 points of 1 tests" in capsys.readouterr().out
-    names = ["campaign", "test", "point", "V", "q", "rho", "T_K", "alpha", "beta"]
-    cells = ["exp_2022_11_03", "TID_0001", "1", "12.0", "85.0", "1.2", "293.0", "90.08", "-0.01"]
-    for prefix, tail, values in (("", True, row[5]), ("sd", False, [0.1] * 6), ("zr", False, [0.0] * 6)):
-        for name, value in zip(tunnel.COMPONENTS, values, strict=True):
-            names.append(f"{name}_bal_{'N' if name[0] == 'F' else 'Nm'}" if tail else prefix + name)
-            cells.append(str(value))
-    (tmp_path / "table.csv").write_text(",".join(names) + "\n" + ",".join(cells) + "\n")
+    table = reduced_table(row[5])
+    (tmp_path / "table.csv").write_text(",".join(table) + "\n" + ",".join(table.values()) + "\n")
     assert import_tunnel.main(["--table", str(tmp_path / "table.csv"), "--out", str(tmp_path / "b")]) == 0
     one, other = (xr.load_dataset(tmp_path / folder / "tunnel_mk1.nc", engine="h5netcdf") for folder in "ab")
     xr.testing.assert_allclose(one, other, atol=1e-12)
