@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -24,6 +25,8 @@ import numpy as np
 
 from jax_aero import places, rust
 from jax_aero.cli import Parser, completes, count
+from jax_aero.command import exit_status
+from jax_aero.files import complete_file, write_json, write_text
 from jax_aero.keys import parse_assignments
 from jax_aero.verify import (
     Comparison,
@@ -40,15 +43,15 @@ from jax_aero.verify import (
 def main(arguments: Sequence[str]) -> int:
     """Compare, print and write; 0 if everything agrees, 1 if not, 2 for a mistake in the arguments."""
     options = _parse(arguments)
+    return exit_status(lambda: _compare(options))
+
+
+def _compare(options: argparse.Namespace) -> int:
     import jax
 
     comparison = Comparison()
     facts: dict[str, Any] = {"crate": rust.__version__, "jax": jax.__version__, "backend": options.backend}
-    try:
-        config = None if options.robot else in_double_precision(_config(options))
-    except (OSError, ValueError) as reason:
-        print(f"verify: {reason}")
-        return 2
+    config = None if options.robot else in_double_precision(_config(options))
     with jax.enable_x64(True):
         if config is None:
             facts["robot"] = Path(options.robot).name
@@ -126,16 +129,22 @@ def draw(rows: Sequence[Row], path: Path) -> bool:
     axes.set(xscale="log", xlim=(1e-17, 10.0), xlabel="worst difference; tick: tolerance")
     axes.set_yticks(places, [f"{row.group}: {row.quantity}" for row in rows], fontsize=6)
     axes.set_ylim(len(rows) - 0.3, -0.7)
-    figure.savefig(path, dpi=150)
+    with complete_file(path) as draft:
+        figure.savefig(draft, dpi=150)
     return True
 
 
 def write(rows: Sequence[Row], folder: Path, facts: Mapping[str, Any]) -> list[Path]:
     """Write table, numbers and figure; return what was written."""
-    folder.mkdir(parents=True, exist_ok=True)
     text, numbers, figure = folder / "verify.md", folder / "verify.json", folder / "verify.png"
     heading = "\n".join(f"{name}: {value}" for name, value in facts.items())
-    text.write_text(f"# Rust against JAX\n\n{heading}\n\n{table(rows)}\n", encoding="utf-8")
-    document = dict(facts) | {"rows": [asdict(row) | {"relative": row.relative, "agrees": row.agrees} for row in rows]}
-    numbers.write_text(json.dumps(document, indent=1), encoding="utf-8")
+    write_text(text, f"# Rust against JAX\n\n{heading}\n\n{table(rows)}\n")
+    entries = [asdict(row) | {"relative": row.relative, "agrees": row.agrees} for row in rows]
+    # JSON has no NaN, which a difference may be.
+    rows_of_numbers = [{key: _finite(value) for key, value in entry.items()} for entry in entries]
+    write_json(numbers, dict(facts) | {"rows": rows_of_numbers})
     return [text, numbers, *([figure] if draw(rows, figure) else [])]
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value

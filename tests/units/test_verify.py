@@ -128,4 +128,29 @@ def test_another_controller_takes_the_place_of_the_flights(tmp_path, capsys):
     assert found["controller"]["observer"]
     assert found["simulator"]["duration"] == 1
     assert command.main(["--config", "nowhere", "--out", str(tmp_path)]) == 2
-    assert "verify: " in capsys.readouterr().out
+    assert capsys.readouterr().err.startswith("error: there is no `nowhere`")
+
+
+def test_a_robot_that_is_not_there_is_refused(tmp_path, capsys):
+    assert command.main(["--robot", str(tmp_path / "none.toml"), "--out", str(tmp_path / "out")]) == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err.startswith("error: ")
+    assert "none.toml" in shown.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_every_file_is_replaced_whole(tmp_path):
+    comparison = verify.Comparison()
+    comparison.add("dynamics", "bias", [np.nan], [1.0], 0.02)
+    written = command.write(comparison.rows, tmp_path, {"crate": "first"})
+    assert json.loads(written[1].read_text())["rows"][0]["absolute"] is None
+    kept = [tmp_path / f"kept{path.suffix}" for path in written]
+    for path, old in zip(written, kept, strict=True):
+        old.hardlink_to(path)
+    before = [old.read_bytes() for old in kept]
+    command.write(comparison.rows, tmp_path, {"crate": "second"})
+    # Who had the old file open still has all of it.
+    assert [old.read_bytes() for old in kept] == before
+    assert json.loads(written[1].read_text())["crate"] == "second"
+    assert not any(path.samefile(old) for path, old in zip(written, kept, strict=True))
