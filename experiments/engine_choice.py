@@ -14,16 +14,18 @@ Source: paper, Methods, "Actuators Selection".
 
 from __future__ import annotations
 
-import json
 import math
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from experiments import manifest
+from experiments import Refused, manifest
+from jax_aero import tables
 from jax_aero.cli import Parser
+from jax_aero.command import exit_status
+from jax_aero.files import write_json
+from jax_aero.tables import Positive
 
 ROBOT = manifest.REPOSITORY / "configs" / "robot" / "ironcub_mk1.toml"
 RESULTS = manifest.RESULTS
@@ -32,24 +34,23 @@ PAPER_BATTERY, PAPER_FUEL = 26.31, 4.61
 """What the paper prints [kg]."""
 
 
-@dataclass(frozen=True)
-class Choice:
+class Choice(tables.Table, frozen=True):
     """The paper's numbers."""
 
-    robot_mass: float = 40.0
+    robot_mass: Positive = 40.0
     """[kg]"""
-    minutes: float = 5.0
-    fan_thrust: float = 15.0
+    minutes: Positive = 5.0
+    fan_thrust: Positive = 15.0
     """Of the electric fan [kg]."""
-    fan_power: float = 13.0
+    fan_power: Positive = 13.0
     """[kW]"""
-    specific_energy: float = 210.0
+    specific_energy: Positive = 210.0
     """Of LiPo batteries [Wh/kg]."""
-    jet_thrust: float = 22.0
+    jet_thrust: Positive = 22.0
     """Of the jet engine [kg]."""
-    jet_consumption: float = 0.6
+    jet_consumption: Positive = 0.6
     """[l/min]"""
-    fuel_density: float = 0.8
+    fuel_density: Positive = 0.8
     """[kg/l]"""
 
     def battery(self, power_per_thrust: float | None = None) -> float:
@@ -71,13 +72,13 @@ class Choice:
     def fuel_carried(self) -> float:
         """Return the fuel if none of its mass were ever lost [kg]."""
         share = self.jet_consumption * self.fuel_density / self.jet_thrust * self.minutes
-        return self.robot_mass * share / (1.0 - share)
+        return self.robot_mass * share / (1.0 - share) if share < 1.0 else math.inf
 
 
 def results(choice: Choice) -> dict[str, Any]:
     """Return every figure of the comparison."""
     return {
-        "inputs": vars(choice),
+        "inputs": tables.plain(choice),
         "battery_kg": choice.battery(),
         "battery_at_1_kW_per_kg_kg": choice.battery(1.0),
         "power_per_thrust_behind_the_printed_battery_kW_per_kg": choice.power_per_thrust_for(PAPER_BATTERY),
@@ -104,12 +105,27 @@ def engines(path: Path = ROBOT) -> list[dict[str, Any]]:
 def main(arguments: Sequence[str]) -> int:
     """Print the comparison and the engines; write both beside the other results."""
     parser = Parser("engine-choice", __doc__.split("\n", 1)[0])
-    for name, value in vars(Choice()).items():
+    for name, value in tables.plain(Choice()).items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=float, default=value, metavar="X")
     parser.add_argument("--out", type=Path, default=RESULTS, metavar="DIR", help="folder of engine_choice.json")
     given = vars(parser.parse_args(arguments))
     out: Path = given.pop("out")
-    choice = Choice(**given)
+    return exit_status(lambda: _compare(tables.convert(given, Choice, "engine-choice"), out))
+
+
+def _compare(choice: Choice, out: Path) -> None:
+    least = 1e3 * max(choice.fan_power / choice.fan_thrust, 1.0) * choice.minutes / 60.0
+    if choice.specific_energy <= least:
+        raise Refused(
+            f"engine-choice: `specific_energy` is {choice.specific_energy:g}; expected more than {least:g} Wh/kg, "
+            f"with which a battery lifts itself alone for {choice.minutes:g} min"
+        )
+    most = choice.jet_thrust / (choice.fuel_density * choice.minutes)
+    if choice.jet_consumption >= most:
+        raise Refused(
+            f"engine-choice: `jet_consumption` is {choice.jet_consumption:g}; expected less than {most:g} l/min, "
+            f"with which an engine lifts its fuel alone for {choice.minutes:g} min"
+        )
     found = results(choice)
     print(f"{choice.robot_mass:g} kg robot, {choice.minutes:g} min of hovering")
     print(
@@ -122,8 +138,4 @@ def main(arguments: Sequence[str]) -> int:
     print("engines of the robot")
     for jet in engines():
         print(f"  {jet['jet']:<12} {jet['engine']:<5} up to {jet['thrust_max_N']:.0f} N")
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "engine_choice.json").write_text(
-        json.dumps({**found, "engines": engines()}, indent=2) + "\n", encoding="utf-8"
-    )
-    return 0
+    write_json(out / "engine_choice.json", {**found, "engines": engines()})
