@@ -28,10 +28,10 @@ CLOSED = 141
 
 
 class Command(NamedTuple):
-    """A sub-command: where its function is, the extra of the package that it needs, and what it does."""
+    """A sub-command: where its function is, the extras of the package that it needs, and what it does."""
 
     function: str
-    extra: str
+    extras: str
     about: str
 
 
@@ -44,7 +44,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "report": Command("experiments.report.command:main", "sweeps", "write all results on one page"),
         "along": Command("experiments.along:main", "symbolic", "find fuel and clearance along flights"),
         "arm-engines": Command("experiments.arm_engines:main", "figs", "fly with other engines in the arms"),
-        "pictures": Command("experiments.pictures:main", "view", "draw the robot for figures of the paper"),
+        "pictures": Command("experiments.pictures:main", "view,symbolic", "draw the robot for figures of the paper"),
         "view": Command("jax_aero.view.command:view", "view", "watch a flight in the browser, and fly it again"),
         "video": Command("jax_aero.view.command:video", "view", "film a flight, or two in one scene"),
         "import-lab": Command("experiments.import_lab:main", "figs", "make a result of what the flight lab exported"),
@@ -56,8 +56,8 @@ GROUPS: dict[str, dict[str, Command]] = {
         "verify": Command("jax_aero.verify.command:main", "twin", "compare the Rust crate with JAX"),
         "trim": Command("experiments.trim:main", "symbolic", "find hovering trims by wind"),
         "trajectory": Command("experiments.trajectory:main", "symbolic", "plan optimal trajectories"),
-        "force-rate": Command("experiments.force_rate:main", "twin", "measure the aerodynamic force's rate"),
-        "observer-limit": Command("experiments.observer_limit:main", "twin", "bound the observer's gain"),
+        "force-rate": Command("experiments.force_rate:main", "twin,symbolic", "measure the aerodynamic force's rate"),
+        "observer-limit": Command("experiments.observer_limit:main", "twin,symbolic", "bound the observer's gain"),
         "inner-loop": Command("experiments.inner_loop:main", "twin", "find how late measurements may be"),
         "wind-observer": Command("experiments.wind_observer:main", "twin", "measure how well the wind is known"),
         "tip-over": Command("experiments.tip_over:main", "twin", "find the wind that tips the standing robot over"),
@@ -65,7 +65,9 @@ GROUPS: dict[str, dict[str, Command]] = {
         "engine-choice": Command("experiments.engine_choice:main", "symbolic", "compare battery and fuel"),
     },
     "build models": {
-        "import-robot": Command("experiments.import_robot.command:main", "twin", "make a robot that flies of a URDF"),
+        "import-robot": Command(
+            "experiments.import_robot.command:main", "twin,symbolic", "make a robot that flies of a URDF"
+        ),
         "cfd": Command("experiments.cfd.command:main", "twin", "compute forces of the air with OpenFOAM"),
         "cfd-verify": Command("experiments.cfd.verify:main", "twin", "verify OpenFOAM on bodies of known drag"),
         "cfd-flow": Command("experiments.cfd.flow:main", "flow", "keep a flow by OpenFOAM for pictures"),
@@ -82,7 +84,9 @@ GROUPS: dict[str, dict[str, Command]] = {
         "train": Command("experiments.training.command:main", "train", "train an aerodynamic network"),
         "train-ensemble": Command("experiments.training.ensemble:main", "train", "train networks with intervals"),
         "train-search": Command("experiments.training.search:main", "train", "search for a network's settings"),
-        "schema": Command("experiments.schema:main", "symbolic", "write what follows from the configuration's types"),
+        "schema": Command(
+            "experiments.schema:main", "train,symbolic", "write what follows from the configuration's types"
+        ),
     },
 }
 
@@ -165,7 +169,7 @@ def run(name: str, words: Sequence[str]) -> int:
         package = (missing.name or "").split(".")[0]
         if package in ("", "jax_aero", "experiments", "paper_figs"):
             raise
-        return _refuse(f"`{name}` needs the package `{package}`: pip install 'jax-aero[{COMMANDS[name].extra}]'")
+        return _refuse(f"`{name}` needs the package `{package}`: pip install 'jax-aero[{COMMANDS[name].extras}]'")
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED

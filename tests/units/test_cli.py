@@ -1,7 +1,10 @@
 """The command `jax-aero`: its sub-commands, how it refuses, how it ends; and where files lie."""
 
+import ast
+import functools
 import importlib
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -25,7 +28,59 @@ def test_every_command_exists_and_names_an_extra(name):
     command = cli.COMMANDS[name]
     module, function = command.function.split(":")
     assert callable(getattr(importlib.import_module(module), function))
-    assert command.extra in PROJECT["optional-dependencies"]
+    assert set(command.extras.split(",")) <= set(PROJECT["optional-dependencies"])
+
+
+@functools.cache
+def imported_first(path: Path) -> frozenset[str]:
+    """Modules that a file imports before any of its functions is called."""
+    found, nodes = set(), [ast.parse(path.read_bytes())]
+    while nodes:
+        match nodes.pop():
+            case ast.Import(names):
+                found |= {alias.name for alias in names}
+            case ast.ImportFrom(str(module), names):
+                found |= {module, *(f"{module}.{alias.name}" for alias in names)}
+            case ast.If(ast.Name("TYPE_CHECKING"), _, otherwise):
+                nodes += otherwise
+            case ast.Module() | ast.ClassDef() | ast.If() | ast.Try() | ast.With() as node:
+                nodes += ast.iter_child_nodes(node)
+    return frozenset(found)
+
+
+def packages_of(module: str) -> set[str]:
+    """Packages that have to be there before a module of ours can be used, by the name of their import."""
+    packages, waiting, seen = set(), {module}, set()
+    while waiting:
+        seen.add(name := waiting.pop())
+        top, *below = name.split(".")
+        if top not in {"jax_aero", "experiments", "paper_figs"}:
+            packages |= {top} - sys.stdlib_module_names
+            continue
+        path = ROOT.joinpath(top, *below)
+        files = [path.joinpath("__init__.py"), path.with_suffix(".py")]
+        parents = {name.rpartition(".")[0]} - {""}
+        waiting |= parents.union(*(imported_first(file) for file in files if file.is_file())) - seen
+    return packages
+
+
+def packages_in(extras: str) -> set[str]:
+    """Packages that these extras bring, by the name of their import."""
+    brought = {"PIL": "pillow", "sklearn": "scikit-learn"}
+    packages, waiting = set(), [*PROJECT["dependencies"], f"jax-aero[{extras}]"]
+    while waiting:
+        name, below = re.match(r"([\w-]+)(?:\[([\w,-]+)\])?", waiting.pop()).groups()
+        packages.add(next((imported for imported, package in brought.items() if package == name), name))
+        if name == "jax-aero":
+            waiting += [entry for extra in below.split(",") for entry in PROJECT["optional-dependencies"][extra]]
+    return packages
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_the_extras_of_a_command_bring_what_it_imports(name):
+    """Otherwise the hint after a missing package would not help."""
+    command = cli.COMMANDS[name]
+    assert packages_of(command.function.split(":")[0]) <= packages_in(command.extras)
 
 
 def test_the_package_installs_the_command():
