@@ -12,7 +12,7 @@ import json
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import jax
 import numpy as np
@@ -20,30 +20,97 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as parse_tensors
 from safetensors.numpy import save as dump_tensors
 
+from jax_aero import tables
 from jax_aero.aero.network import (
-    ACTIVATIONS,
     BLOCKS,
+    Activation,
+    Block,
+    Frame,
     Layer,
+    Layout,
     Network,
     check_output,
     mirror_of,
     network_joints,
 )
-from jax_aero.files import read_bytes, read_text
+from jax_aero.files import read_bytes, read_text, write_bytes, write_text
 from jax_aero.robot import RobotModel
 from jax_aero.types import Array
 
 FORMAT = "flight-aero-network"
 VERSION = 1
 
-_KEYS: Mapping[str, set[str]] = {
-    "": {"format", "version", "name", "description", "weights", "inputs", "output", "architecture", "training"},
-    "weights": {"file", "sha256"},
-    "inputs": {"features", "joints", "links"},
-    "output": {"frame", "layout", "unit"},
-    "architecture": {"hidden", "activation", "members", "mirror", "baseline"},
-}
-_BASELINE_KEYS = {"kind", "links"}
+
+class Weights(tables.Table, frozen=True):
+    """The file of the weights."""
+
+    file: str
+    sha256: str
+
+    def __post_init__(self) -> None:
+        if Path(self.file).name != self.file:
+            raise ValueError(f"`file` is {self.file!r}; expected a file's name, beside the card")
+
+
+class Inputs(tables.Table, frozen=True):
+    """What goes in."""
+
+    features: tuple[Block, ...]
+    joints: tuple[str, ...]
+    links: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        if not self.features or len(set(self.features)) < len(self.features):
+            raise ValueError(f"`features` is {list(self.features)}; expected some of {', '.join(BLOCKS)}, each once")
+
+
+class Output(tables.Table, frozen=True):
+    """What comes out, and in which axes."""
+
+    frame: Frame
+    layout: Layout
+    unit: Literal["m^2"]
+
+    def __post_init__(self) -> None:
+        check_output(self.frame, self.layout)
+
+
+class Coefficients(tables.Table, frozen=True):
+    """The axisymmetric model of a link [m²]."""
+
+    cda: tuple[float, float, float, float, float]
+    cna: float
+
+
+class Baseline(tables.Table, frozen=True):
+    """The model that the network corrects."""
+
+    kind: Literal["axisymmetric"]
+    links: dict[str, Coefficients]
+
+
+class Architecture(tables.Table, frozen=True):
+    """How the network is built."""
+
+    hidden: tuple[tables.Count, ...]
+    activation: Activation
+    members: tables.Count
+    mirror: bool
+    baseline: Baseline | None = None
+
+
+class Card(tables.Table, frozen=True):
+    """Everything about a network but its weights."""
+
+    format: Literal["flight-aero-network"]
+    version: Literal[1]
+    name: str
+    description: str
+    weights: Weights
+    inputs: Inputs
+    output: Output
+    architecture: Architecture
+    training: dict[str, Any]
 
 
 def save_network(
@@ -80,10 +147,10 @@ def save_network(
         },
         "training": dict(training),
     }
-    target.parent.mkdir(parents=True, exist_ok=True)
-    # Weights first: a card never names weights that are not there yet.
-    target.with_suffix(".safetensors").write_bytes(tensors)
-    target.write_text(json.dumps(card, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+    text = json.dumps(card, indent=2, ensure_ascii=False, allow_nan=False)
+    # Weights first: a card never names weights that are not there yet, and an old card refuses new ones by their hash.
+    write_bytes(target.with_suffix(".safetensors"), tensors)
+    write_text(target, f"{text}\n")
     return card
 
 
@@ -98,72 +165,40 @@ def load_network(path: str | PathLike[str], robot: RobotModel) -> Network:
     """
     card = read_card(path)
     joints = network_joints(robot)
-    _expect("inputs.joints", card["inputs"]["joints"], [robot.joint_names[joint] for joint in joints])
-    _expect("inputs.links", card["inputs"]["links"], list(robot.aero_links.names))
-    blocks, output, shape = card["inputs"]["features"], card["output"], card["architecture"]
-    reflection = mirror_of(robot, blocks, output["layout"], output["frame"])
-    tensors = _read_tensors(Path(path).parent / card["weights"]["file"], card["weights"]["sha256"])
-    sizes = [reflection.features.shape[0], *shape["hidden"], reflection.output.shape[0]]
-    layers, scale, offset = _layers(tensors, sizes, shape["members"])
+    _expect("inputs.joints", list(card.inputs.joints), [robot.joint_names[joint] for joint in joints])
+    _expect("inputs.links", list(card.inputs.links), list(robot.aero_links.names))
+    blocks, output, shape = card.inputs.features, card.output, card.architecture
+    reflection = mirror_of(robot, blocks, output.layout, output.frame)
+    tensors = _read_tensors(Path(path).parent / card.weights.file, card.weights.sha256)
+    sizes = [reflection.features.shape[0], *shape.hidden, reflection.output.shape[0]]
+    layers, scale, offset = _layers(tensors, sizes, shape.members)
     return Network(
-        blocks=tuple(blocks),
-        frame=output["frame"],
-        layout=output["layout"],
-        activation=shape["activation"],
+        blocks=blocks,
+        frame=output.frame,
+        layout=output.layout,
+        activation=shape.activation,
         joints=joints,
         layers=layers,
         scale=scale,
         offset=offset,
-        mirror=reflection if shape["mirror"] else None,
-        baseline=_baseline_rows(shape["baseline"], robot.aero_links.names),
+        mirror=reflection if shape.mirror else None,
+        baseline=_baseline_rows(shape.baseline, robot.aero_links.names),
     )
 
 
-def read_card(path: str | PathLike[str]) -> dict[str, Any]:
+def read_card(path: str | PathLike[str]) -> Card:
     """Read a card and check everything that needs neither a robot nor the weights."""
+    origin = f"card {Path(path).name}"
     try:
-        card = json.loads(read_text(Path(path)))
-    except ValueError as reason:
-        raise ValueError(f"card {Path(path).name}: no JSON: {reason}") from None
-    for section, keys in _KEYS.items():
-        table = card if not section else card[section]
-        where = section or "the card"
-        if not isinstance(table, dict):
-            raise ValueError(f"`{where}` is {table!r}; expected a table")
-        if unknown := set(table) - keys:
-            raise ValueError(f"unknown keys {sorted(unknown)} in {where}")
-        if missing := keys - set(table):
-            raise ValueError(f"keys {sorted(missing)} are missing in {where}")
-    _expect("format", card["format"], FORMAT)
-    _expect("version", card["version"], VERSION)
-    _expect("output.unit", card["output"]["unit"], "m^2")
-    features = card["inputs"]["features"]
-    if not features or len(set(features)) < len(features) or set(features) - set(BLOCKS):
-        raise ValueError(f"`inputs.features` is {features!r}; expected some of {', '.join(BLOCKS)}, each once")
-    check_output(card["output"]["frame"], card["output"]["layout"])
-    _check_architecture(card["architecture"])
-    file = card["weights"]["file"]
-    if not isinstance(file, str) or Path(file).name != file:
-        raise ValueError(f"`weights.file` is {file!r}; expected a file's name, beside the card")
-    return cast(dict[str, Any], card)
+        # A key that is null has no value, as one that is left out.
+        card = json.loads(read_text(Path(path)), object_pairs_hook=_with_values)
+    except (ValueError, RecursionError) as reason:
+        raise ValueError(f"{origin}: no JSON: {reason}") from None
+    return tables.convert(card, Card, origin)
 
 
-def _check_architecture(shape: Mapping[str, Any]) -> None:
-    hidden, members = shape["hidden"], shape["members"]
-    if not isinstance(hidden, list) or not all(_is_count(width) for width in hidden):
-        raise ValueError(f"`architecture.hidden` is {hidden!r}; expected positive widths")
-    if shape["activation"] not in ACTIVATIONS:
-        raise ValueError(
-            f"`architecture.activation` is {shape['activation']!r}; expected one of {', '.join(ACTIVATIONS)}"
-        )
-    if not _is_count(members):
-        raise ValueError(f"`architecture.members` is {members!r}; expected a positive number")
-    if not isinstance(shape["mirror"], bool):
-        raise ValueError(f"`architecture.mirror` is {shape['mirror']!r}; expected true or false")
-
-
-def _is_count(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and value > 0
+def _with_values(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    return {key: value for key, value in pairs if value is not None}
 
 
 def _expect(key: str, value: Any, expected: Any) -> None:
@@ -236,19 +271,9 @@ def _baseline_table(rows: Array | None, names: Sequence[str]) -> dict[str, Any] 
     return {"kind": "axisymmetric", "links": links}
 
 
-def _baseline_rows(table: Mapping[str, Any] | None, names: Sequence[str]) -> Array | None:
-    if table is None:
+def _baseline_rows(baseline: Baseline | None, names: Sequence[str]) -> Array | None:
+    if baseline is None:
         return None
-    if not isinstance(table, dict) or set(table) != _BASELINE_KEYS or table["kind"] != "axisymmetric":
-        raise ValueError(f"`architecture.baseline` is {table!r}; expected null, or kind axisymmetric with links")
-    if set(table["links"]) != set(names):
-        raise ValueError(f"links of `architecture.baseline` are {sorted(table['links'])}; expected {sorted(names)}")
-    rows = []
-    for name in names:
-        row = table["links"][name]
-        if set(row) != {"cda", "cna"} or len(row["cda"]) != 5:
-            raise ValueError(f"`architecture.baseline` of link `{name}` is {row!r}; expected five cda, and cna")
-        rows.append([*row["cda"], row["cna"]])
-        if not np.isfinite(rows[-1]).all():
-            raise ValueError(f"`architecture.baseline` of link `{name}` is {row!r}; expected finite numbers")
-    return cast(Array, np.array(rows, dtype=np.float64))
+    _expect("architecture.baseline.links", sorted(baseline.links), sorted(names))
+    rows = [baseline.links[name] for name in names]
+    return cast(Array, np.array([[*row.cda, row.cna] for row in rows]))

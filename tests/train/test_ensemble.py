@@ -70,9 +70,9 @@ def test_the_shipped_ensemble_has_the_listed_networks():
     folder = config.ROBOT.parents[1] / "aero" / "networks" / "ensemble"
     for number, changes in enumerate(ensemble.MEMBERS):
         shipped, listed = read_card(folder / f"member_{number}.json"), ensemble.member_training(changes, 1).network
-        assert shipped["inputs"]["features"] == list(listed.features)
-        assert shipped["architecture"]["hidden"] == list(listed.hidden)
-        assert shipped["architecture"]["activation"] == listed.activation
+        assert shipped.inputs.features == tuple(listed.features)
+        assert shipped.architecture.hidden == tuple(listed.hidden)
+        assert shipped.architecture.activation == listed.activation
 
 
 def test_networks_predict_postures_that_they_have_not_seen(made_up_dataset, tmp_path, monkeypatch, agree):

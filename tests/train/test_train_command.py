@@ -83,9 +83,9 @@ def test_a_result_holds_errors_of_both_splits_beside_baselines(result, made_up_d
 def test_the_weights_are_written_where_flights_find_them(result, ironcub, made_up_dataset):
     written, kept = result / "networks" / "small.json", result / "training" / "compact" / "compact.json"
     card = read_card(written)
-    assert card["training"]["dataset_sha256"] == made_up_dataset.mirrored().sha256
-    assert card["training"]["errors"]["grouped"]["mse"] > 0.0
-    assert card["weights"]["sha256"] == read_card(kept)["weights"]["sha256"]
+    assert card.training["dataset_sha256"] == made_up_dataset.mirrored().sha256
+    assert card.training["errors"]["grouped"]["mse"] > 0.0
+    assert card.weights.sha256 == read_card(kept).weights.sha256
     network = load_network(written, ironcub)
     error = predict_areas(network, ironcub, made_up_dataset) - made_up_dataset.force_area_b
     assert np.mean(error**2) < np.mean(made_up_dataset.force_area_b**2)

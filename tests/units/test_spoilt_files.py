@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from experiments import record
 from jax_aero import io
+from jax_aero.aero.network_card import read_card
 from jax_aero.places import HOME
 from jax_aero.robot import load_robot
 from jax_aero.view import Refused, recording
@@ -93,6 +94,19 @@ def test_a_configuration(folder, name, edits):
         io.scenario_config(io.resolve(folder / "flight.toml"))
     except ValueError:
         return
+
+
+@spoiling
+@given(edits=EDITS)
+def test_a_card_of_a_network(folder, edits):
+    text = sorted((CONFIGS / "aero/networks").glob("*.json"))[0].read_text()
+    text, _, training = text.partition('"training": ')
+    (folder / "card.json").write_text(spoilt(text, edits) + '"training": ' + training)
+    try:
+        card = read_card(folder / "card.json")
+    except ValueError:
+        return
+    assert set(card.architecture.hidden) <= set(range(1, 10**6 + 1))
 
 
 @pytest.fixture(scope="module")
