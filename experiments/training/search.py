@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import copy
 import csv
+import io
 import json
 import sys
 from collections.abc import Mapping, Sequence
@@ -26,7 +27,7 @@ from jax_aero import tables
 from jax_aero.aero.dataset import Dataset, load
 from jax_aero.cli import Parser, count
 from jax_aero.command import exit_status
-from jax_aero.files import write_json
+from jax_aero.files import write_json, write_text
 from jax_aero.keys import set_key
 from jax_aero.train import fit, samples_of
 
@@ -160,14 +161,15 @@ def error_of(training: config.Training, dataset: Dataset, settings: SearchConfig
 
 def _write(out: Path, search: optuna.Study, base: Mapping[str, Any], digest: str) -> None:
     keys = sorted({key for trial in search.trials for key in trial.params})
-    with (out / "trials.csv").open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["trial", "state", "error_m4", "seconds", *keys])
-        for trial in search.trials:
-            seconds = trial.duration.total_seconds() if trial.duration else ""
-            writer.writerow(
-                [trial.number, trial.state.name, trial.value, seconds, *(trial.params.get(key) for key in keys)]
-            )
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(["trial", "state", "error_m4", "seconds", *keys])
+    for trial in search.trials:
+        seconds = trial.duration.total_seconds() if trial.duration else ""
+        writer.writerow(
+            [trial.number, trial.state.name, trial.value, seconds, *(trial.params.get(key) for key in keys)]
+        )
+    write_text(out / "trials.csv", text.getvalue())
     document = manifest.build(
         out.name,
         "Search for training settings",

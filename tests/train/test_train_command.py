@@ -158,7 +158,10 @@ def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):
     out = tmp_path / "out"
     arguments = ["train-search", str(search), "--dataset", str(data), "--out", str(out)]
     assert main([*arguments, "--trials", "1"]) == 0
+    (tmp_path / "first.csv").hardlink_to(out / "trials.csv")
+    before = (tmp_path / "first.csv").read_bytes()
     assert main(arguments) == 0
+    assert (tmp_path / "first.csv").read_bytes() == before  # replaced as a whole, not written over
     assert "trial 2 of 2" in capsys.readouterr().out
     with (out / "trials.csv").open() as stream:
         rows = list(csv.DictReader(stream))
