@@ -12,10 +12,10 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import xarray as xr
 
@@ -58,9 +58,6 @@ class Findings:
 class Study(Generic[C]):
     """One kind of study."""
 
-    interrupted: ClassVar[str] = "nothing was written"
-    """Printed after Ctrl-C."""
-
     kind: str
     """Folder of configurations and of results."""
     about: str | None
@@ -71,6 +68,10 @@ class Study(Generic[C]):
     """Studies that are made where none is named."""
     engine: str = "casadi"
     """Package that does the work."""
+    interrupted: str = "nothing was written"
+    """Printed after Ctrl-C."""
+    progress: Callable[[str], Path] | None = None
+    """File of a study under way, by its name; it goes when the result is there."""
 
     @property
     def command(self) -> str:
@@ -129,6 +130,8 @@ class Study(Generic[C]):
         dataset = findings.dataset.assign_attrs(title=findings.title, config_hash=digested)
         folder = RESULTS / self.kind / name
         record.write_run(folder, dataset, document, replace=True, texts=findings.texts)
+        if self.progress is not None:
+            self.progress(name).unlink(missing_ok=True)
         print(f"{findings.title}\n{findings.report or listing(findings.summary)}")
         print(f"{manifest.portable(folder)}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
         return document

@@ -84,19 +84,16 @@ def trials_of(name: str) -> Path:
     return study.RESULTS / "tip_over" / f".{name}.trials.json"
 
 
-class TipOver(Study[TipOverConfig]):
-    """Keeps trials until the result is there."""
-
-    interrupted = "the trials made so far are kept, the same command goes on"
-
-    def run(self, name: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Compute, write, print; return the manifest."""
-        document = super().run(name, changes)
-        trials_of(document["name"]).unlink(missing_ok=True)
-        return document
-
-
-STUDY = TipOver("tip_over", __doc__, TipOverConfig, compute, ("ground",), engine="mujoco")
+STUDY = Study(
+    "tip_over",
+    __doc__,
+    TipOverConfig,
+    compute,
+    ("ground",),
+    engine="mujoco",
+    interrupted="the trials made so far are kept, the same command goes on",
+    progress=trials_of,
+)
 main = STUDY.main
 
 

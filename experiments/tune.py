@@ -81,25 +81,22 @@ def compute(name: str, config: TuneConfig) -> Findings:
     return Findings(config.title, to_dataset(config, found), summary, flights={worlds.base: base}, texts=texts)
 
 
-class Tune(Study[TuneConfig]):
-    """Keeps its progress until the result is there."""
-
-    interrupted = "the same command goes on from the last validation"
-
-    def run(self, name: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Compute, write, print; return the manifest."""
-        document = super().run(name, changes)
-        checkpoint_of(document["name"]).unlink(missing_ok=True)
-        return document
-
-
-STUDY = Tune("tune", __doc__, TuneConfig, compute, ("aero_aware",), engine="jax")
-main = STUDY.main
-
-
 def checkpoint_of(name: str) -> Path:
     """Return where a run under way keeps its progress."""
     return study.RESULTS / "tune" / f".{name}.npz"
+
+
+STUDY = Study(
+    "tune",
+    __doc__,
+    TuneConfig,
+    compute,
+    ("aero_aware",),
+    engine="jax",
+    interrupted="the same command goes on from the last validation",
+    progress=checkpoint_of,
+)
+main = STUDY.main
 
 
 def world(worlds: Design, number: int, controller: Mapping[str, Any], duration: float) -> rust.Config:
