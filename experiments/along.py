@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from experiments import Refused, record, study
 from experiments.engine_choice import ROBOT, Choice
 from experiments.study import Findings, Study
-from experiments.trajectory import Consumption, fuel_lines
+from experiments.trajectory import Consumption, fuel_burnt, fuel_lines
 from jax_aero import tables
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.clearance import pairs
@@ -34,15 +34,7 @@ Array = NDArray[np.float64]
 class Along(tables.Table, frozen=True):
     """Which flights are read, and which files have the numbers."""
 
-    flights: tuple[str, ...] = (
-        "test2",
-        "test2_published",
-        "test4",
-        "robustness",
-        "test1",
-        "test1_published",
-        "no_wind",
-    )
+    flights: tuple[str, ...] = FLIGHTS
     plan: Path = study.CONFIGS / "trajectory" / "min_time.toml"
     """Has the consumption of the jets."""
     trim: Path = study.CONFIGS / "trim" / "hover_posture.toml"
@@ -116,12 +108,6 @@ def clearance_of(robot: Any, plume_length: float) -> tuple[ca.Function, list[str
     origin = ca.SX(ca.DM([0.0, 0.0, 0.0, *np.eye(3).ravel(order="F")]))
     placed = ca.substitute(here, ca.vertcat(tree.base_position, ca.vec(tree.base_rotation)), origin)
     return ca.Function("clearance", [tree.joint_position], [placed]), jets
-
-
-def fuel_burnt(times: Array, thrust: Array, idle: Array, slope: Array) -> Array:
-    """Return the fuel burnt until each time [l]: the integral of idle + slope T over jets, by trapezoids."""
-    rate = idle.sum() + thrust @ slope
-    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(times))])
 
 
 def figures(dataset: xr.Dataset) -> dict[str, dict[str, float]]:

@@ -15,9 +15,11 @@ from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
+from scipy.integrate import cumulative_trapezoid
 
 from experiments import Refused
 from experiments.study import Findings, Study
+from experiments.waypoints import reference_text
 from jax_aero import rust, tables
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.robot import Robot
@@ -87,9 +89,6 @@ class TrajectoryConfig(tables.Table, frozen=True):
     fuel: dict[str, Consumption]
     """By jet."""
 
-
-COLUMNS = "time,x,y,z,roll,pitch,yaw,vx,vy,vz,ax,ay,az,jx,jy,jz"
-"""Header of a recorded reference, as the crate's `control/recorded.rs` reads it."""
 
 ARRIVED = 0.05
 """A flight has arrived when it stays this near to its end [m]. Ours."""
@@ -173,12 +172,16 @@ def fuel_lines(fuel: Mapping[str, Consumption], robot: Robot) -> tuple[Any, Any]
     return np.array(starts), np.array(slopes)
 
 
+def fuel_burnt(times: Any, thrust: Any, idle: Any, slope: Any) -> Any:
+    """Return the fuel burnt until each time [l]: the integral of idle + slope T over jets, by trapezoids."""
+    return cumulative_trapezoid(idle.sum() + thrust @ slope, times, initial=0)
+
+
 def csv_of(plan: Trajectory, start_time: float, about: str) -> str:
     """Return the reference as CSV: derivatives of the centre of mass included, angles in rad."""
     com = plan.com
     rows = np.hstack([start_time + plan.time[:, None], com[:, 0], plan.base_rpy, com[:, 1], com[:, 2], com[:, 3]])
-    lines = [f"# Source: ours, {about}", COLUMNS, *(",".join(f"{value:.7g}" for value in row) for row in rows)]
-    return "\n".join(lines) + "\n"
+    return reference_text(rows, about, 7)
 
 
 def fly(base: Mapping[str, Any], text: str, duration: float) -> rust.FlightResult:
@@ -241,9 +244,10 @@ def to_dataset(
         ):
             if key in group:
                 variables[f"{key}_{name}"] = (time_name, group[key], {"units": units, "long_name": f"{name}: {text}"})
+        burnt = fuel_burnt(group["time"], group["thrust"], *fuel_lines(config.fuel, robot))
         variables[f"fuel_{name}"] = (
             time_name,
-            _burnt(group["time"], group["thrust"], config.fuel, robot),
+            burnt - np.interp(0.0, group["time"], burnt),
             {"units": "l", "long_name": f"{name}: fuel burnt since it began to move"},
         )
     for key, value, units in (
@@ -277,14 +281,6 @@ def _arrival(dataset: xr.Dataset, name: str) -> float:
     away = np.linalg.norm(dataset[f"com_position_{name}"].values - dataset.attrs["end"], axis=1) > ARRIVED
     late = int(np.flatnonzero(away)[-1]) + 1 if away.any() else 0
     return float(t[min(late, t.size - 1)])
-
-
-def _burnt(t: Any, thrust: Any, fuel: Mapping[str, Consumption], robot: Robot) -> Any:
-    """Return the fuel burnt from time zero on [l], by the trapezoidal rule."""
-    idle, slope = fuel_lines(fuel, robot)
-    rate = idle.sum() + thrust @ slope
-    total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t))])
-    return total - np.interp(0.0, t, total)
 
 
 def figures(label: str, dataset: xr.Dataset, name: str) -> dict[str, float | str]:

@@ -32,6 +32,9 @@ SAMPLE = 0.05
 PEAK = 35.0 / 16.0
 """Greatest speed of a motion over its mean speed."""
 
+COLUMNS = "time,x,y,z,roll,pitch,yaw,vx,vy,vz,ax,ay,az,jx,jy,jz"
+"""Header of a recorded reference, as the crate's `control/recorded.rs` reads it."""
+
 
 class Step(Table, frozen=True, kw_only=True):
     """One motion; exactly one of its keys is given, besides `speed`."""
@@ -122,10 +125,8 @@ def write(path: Path, points: Waypoints, folder: Path) -> list[Path]:
             *found.com[1:],
         ]
     )
-    header = "time,x,y,z,roll,pitch,yaw,vx,vy,vz,ax,ay,az,jx,jy,jz"
-    text = "\n".join(",".join(f"{value:.10g}" for value in row) for row in rows)
     mission, flight = folder / "mission.csv", folder / f"{path.stem}.toml"
-    write_text(mission, f"# Source: ours, jax-aero waypoints {path.stem}\n{header}\n{text}\n")
+    write_text(mission, reference_text(rows, f"jax-aero waypoints {path.stem}", 10))
     # Tables of a base stay where nothing replaces them: its commands would be beside the reference.
     without = "".join(
         f", {name} = []" for name, value in config["mission"].items() if isinstance(value, list) and value
@@ -137,6 +138,12 @@ def write(path: Path, points: Waypoints, folder: Path) -> list[Path]:
         f'mission = {{ file = "mission.csv"{without} }}\nsimulator = {{ duration = {duration:g} }}\n',
     )
     return [mission, flight]
+
+
+def reference_text(rows: Array, about: str, digits: int) -> str:
+    """Return a recorded reference as CSV, for `mission.file`; `rows` are as `COLUMNS`."""
+    lines = [f"# Source: ours, {about}", COLUMNS, *(",".join(f"{value:.{digits}g}" for value in row) for row in rows)]
+    return "\n".join(lines) + "\n"
 
 
 def start_of(config: rust.Config) -> tuple[Array, Array, Array]:

@@ -11,7 +11,7 @@ import pytest
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-from experiments import Refused, study
+from experiments import Refused, study, waypoints
 from experiments import trajectory as experiment
 from jax_aero import rust, tables
 from jax_aero.symbolic import MomentumModel, load_robot, trajectory
@@ -107,7 +107,7 @@ def test_the_acceleration_is_what_the_crate_says(climb, plan, base):
 def test_the_exported_reference_flies_in_closed_loop(climb, plan, base):
     config, _, _ = climb
     text = experiment.csv_of(plan, 10.0, "a test")
-    assert text.splitlines()[1] == experiment.COLUMNS
+    assert text.splitlines()[1] == waypoints.COLUMNS
     flight = experiment.fly(base, text, 10.0 + plan.duration + 3.0)
     assert flight.outcome == "completed"
     error = np.linalg.norm(flight.log["com_position"] - flight.log["com_setpoint"], axis=1)
