@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments import flight, manifest, overrides, study
-from experiments.engines import ENGINES
+from experiments.engines import MODULES
 from experiments.table import outcome_table
 from jax_aero import cli, places
 from jax_aero.command import exit_status
@@ -65,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
         help="change one key of the configuration; the value as in TOML, e.g. wind.velocity=[0,-12,0]",
     )
     parser.add_argument("--all", action="store_true", help="every experiment of configs/experiments")
-    parser.add_argument("--engine", choices=sorted(ENGINES), help="engine (default: that of the configuration)")
+    parser.add_argument("--engine", choices=sorted(MODULES), help="engine (default: that of the configuration)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/flight)")
     parser.add_argument("--overwrite", action="store_true", help="fly again and replace a result that is there")
     parser.add_argument("--list", action="store_true", help="list the experiments and stop")

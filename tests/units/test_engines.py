@@ -41,7 +41,7 @@ def test_the_jax_engine_plugs_in_with_two_functions(monkeypatch, make_flight):
     jax = engines.engine("jax")
     flights = jax.fly_batch([{"engine": "jax", "title": "a"}, {"title": "b"}])
     assert [flight.outcome for flight in flights] == ["completed", "completed"]
-    assert asked == [[{"title": "a"}, {"title": "b"}]]
+    assert asked == [[{"engine": "jax", "title": "a"}, {"title": "b"}]]
     refused, flown = jax.fly_batch([{"title": "refused"}, {"title": "b"}])
     assert refused == engines.Failure("no such jet")
     assert flown.outcome == "completed"
