@@ -7,15 +7,16 @@ from dataclasses import replace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
 from experiments.training.parts import Finished
-from jax_aero.aero.dataset import JOINTS, LINKS, Dataset, Floats
-from jax_aero.aero.network import Network, baseline_areas, with_precision
+from jax_aero.aero import fit
+from jax_aero.aero.dataset import JOINTS, LINKS, Dataset
+from jax_aero.aero.network import Network, with_precision
+from jax_aero.aero.posture import link_axes
 from jax_aero.robot import RobotModel
-from jax_aero.train.samples import posture_geometry, predict_areas
+from jax_aero.train.samples import predict_areas
 
 FREESTREAM_NOTE = (
     "Trained on free-stream simulations that the authors of the paper made public in the history of the repository "
@@ -85,20 +86,20 @@ def summarise(finished: Sequence[Finished], chosen_on: Sequence[str] = ()) -> di
 def to_dataset(robot: RobotModel, dataset: Dataset, finished: Sequence[Finished], title: str) -> xr.Dataset:
     """Label predictions of the first seed of each split, those of the axisymmetric model, and all loss curves."""
     areas = dataset.force_area_b.astype(np.float32)
-    axes = link_axes(robot, dataset)
-    corrected = robot.aero_links.coefficients["corrected"]
+    axes = link_axes(robot, dataset.joint_position_deg)
+    corrected = np.asarray(robot.aero_links.coefficients["corrected"])
     variables: dict[str, Any] = {
         "area": (("row", "link", "xyz"), areas, _unit("force area, as given")),
         "wind": (("row", "xyz"), dataset.wind_b, {"units": "1", "long_name": "unit wind, base axes"}),
         "joint_position": (("row", "joint"), dataset.joint_position_deg, {"units": "degree"}),
         "attack": (
             ("row", "link"),
-            np.degrees(np.arccos(np.clip(-np.einsum("nli,ni->nl", axes, dataset.wind_b), -1.0, 1.0))),
+            np.degrees(np.arccos(fit.angles(axes, dataset.wind_b).cos)),
             {"units": "degree", "long_name": "angle between the link's axis and where the wind comes from"},
         ),
         "area_axisymmetric": (
             ("row", "link", "xyz"),
-            axisymmetric_areas(corrected, dataset, axes).astype(np.float32),
+            fit.predicted_areas(corrected, axes, dataset.wind_b).astype(np.float32),
             _unit("force area of the published axisymmetric model, head corrected"),
         ),
     }
@@ -137,22 +138,6 @@ def to_dataset(robot: RobotModel, dataset: Dataset, finished: Sequence[Finished]
         "curve": list(curves),
     }
     return xr.Dataset(variables, coords, {"title": title})
-
-
-def link_axes(robot: RobotModel, dataset: Dataset) -> Floats:
-    """Return the axes of symmetry of the links (N, 13, 3), base axes."""
-    geometry, number = posture_geometry(robot, dataset.joint_position_deg)
-    axes: Floats = np.asarray(geometry.axes, dtype=np.float64)[number]
-    return axes
-
-
-def axisymmetric_areas(coefficients: Any, dataset: Dataset, axes: Floats) -> Floats:
-    """Return the force areas (N, 13, 3) of an axisymmetric model, base axes."""
-    with jax.enable_x64(True):
-        areas = jax.vmap(lambda wind, k: baseline_areas(jnp.asarray(coefficients), wind, k))(
-            jnp.asarray(dataset.wind_b), jnp.asarray(axes)
-        )
-    return np.asarray(areas, dtype=np.float64)
 
 
 def _unit(text: str) -> dict[str, str]:
