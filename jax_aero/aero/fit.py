@@ -74,14 +74,6 @@ class FamilyFit:
     """`w5` of the signed normal force [m²]."""
     cna_of_magnitude: float
     """`w5` of the magnitude of the normal force [m²], as the paper seems to have fitted it."""
-    penalty: float
-    """Smallest Lasso penalty, relative to the one that drops everything, that keeps just these terms."""
-    held_out_mse: float
-    """Of the drag area on held-out postures [m⁴]."""
-    mse: float
-    """Of the drag area on all rows [m⁴]."""
-    best_mse: float
-    """Of the drag area with all five terms [m⁴]."""
 
 
 def angles(axes: Float[np.ndarray, "B L 3"], wind_b: Float[np.ndarray, "B 3"]) -> Angles:
@@ -148,10 +140,6 @@ def fit_family(
         cda=weights,
         cna=float(np.sum(direction * force.across) / np.sum(direction**2)),
         cna_of_magnitude=float(np.sum(np.abs(shape) * size) / np.sum(shape**2)),
-        penalty=supports[chosen],
-        held_out_mse=errors[chosen],
-        mse=_mse(matrix[:, list(chosen)], force.drag),
-        best_mse=_mse(matrix, force.drag),
     )
 
 
@@ -280,7 +268,3 @@ def _held_out_error(matrix: Floats, target: Floats, posture: Indices) -> float:
         weights = np.linalg.lstsq(gram - own.T @ own, moment - own.T @ target[rows], rcond=None)[0]
         squares += float(np.sum((own @ weights - target[rows]) ** 2))
     return squares / len(target)
-
-
-def _mse(matrix: Floats, target: Floats) -> float:
-    return float(np.mean((matrix @ least_squares(matrix, target) - target) ** 2))
