@@ -9,22 +9,19 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import importlib.metadata
 import os
 import platform
 import statistics
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments import Refused
+from experiments import Refused, manifest
 from experiments.bench_native import FOLDER, QPS, URDF, Times, build, run, take_turns, tick_times
-from experiments.manifest import REPOSITORY
 from jax_aero import rust
 from jax_aero.rust import QpProblem, State
 
@@ -69,7 +66,7 @@ def _from_python() -> Rows:
         problems = _read_problems(name)
         for rows in (_our_rows, _daqp_rows, _clarabel_rows):
             yield from ((name, by, ns) for by, ns in rows(len(problems[0].g), problems))
-    config = rust.load_config(REPOSITORY / "configs" / "experiments" / "test2.toml")
+    config = rust.load_config(manifest.REPOSITORY / "configs" / "experiments" / "test2.toml")
     yield "flight of 50 s", "ours, `rust.fly`, full log", _per_item(rust.fly, [config])
 
 
@@ -178,31 +175,16 @@ def _read_problems(name: str) -> list[QpProblem]:
 
 
 def _print_machine(*, native: bool) -> None:
-    cpu = next(
-        (line.split(":")[1].strip() for line in _read_text("/proc/cpuinfo").splitlines() if "model name" in line),
-        platform.processor() or platform.machine(),
-    )
+    machine = manifest.device()
     load = os.getloadavg()[0]
-    packages = ", ".join(f"{name} {_version_of(name)}" for name in ("pin", "daqp", "clarabel", "numpy"))
+    packages = ", ".join(
+        f"{name} {manifest.version_of(name).get(name, 'absent')}" for name in ("pin", "daqp", "clarabel", "numpy")
+    )
     target = "this processor" if native else "any x86-64 (the default)"
-    print(f"Machine: {cpu}, {os.cpu_count()} cores, {platform.system()} {platform.machine()}. Built for {target}.")
+    print(f"Machine: {machine['cpu']}, {machine['cores']} cores, {machine['system']}. Built for {target}.")
     print(f"Compilers: {_first_line(['rustc', '--version'])}; {_first_line(['g++', '--version'])}.")
     print(f"Python {platform.python_version()}: {packages}. Load at the start: {load:.1f}", end="")
     print(" (BUSY: trust ratios, not times)." if load > 0.7 else ".", flush=True)
-
-
-def _version_of(package: str) -> str:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return "absent"
-
-
-def _read_text(path: str) -> str:
-    try:
-        return Path(path).read_text(encoding="utf-8")
-    except OSError:
-        return ""
 
 
 def _first_line(command: Sequence[str]) -> str:

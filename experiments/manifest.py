@@ -48,7 +48,7 @@ def build(
         **more,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "git": git_state(),
-        "versions": versions() | _version_of(engine),
+        "versions": versions() | version_of(engine),
         "device": device(),
     }
 
@@ -57,7 +57,8 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _version_of(package: str) -> dict[str, str]:
+def version_of(package: str) -> dict[str, str]:
+    """Return the version of a package by its name; nothing of one that is not here."""
     try:
         return {package: importlib.metadata.version(package)}
     except importlib.metadata.PackageNotFoundError:
@@ -111,7 +112,7 @@ def versions() -> dict[str, str]:
     """Return the versions a number in the result could depend on."""
     found = {"python": platform.python_version(), "flight-core": rust.__version__}
     for package in ("jax-aero", "numpy", "scipy", "xarray", "h5netcdf", "pyarrow"):
-        found |= _version_of(package) or {package: "not installed as a package"}
+        found |= version_of(package) or {package: "not installed as a package"}
     return found
 
 
