@@ -25,9 +25,10 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.import_cfd import known_postures
 from jax_aero import air, places
 from jax_aero.aero import AeroModel, LinkConventions, aero_model, link_forces
-from jax_aero.aero.dataset import JOINTS, Floats, tunnel_from_base
+from jax_aero.aero.dataset import JOINTS, Floats, in_robot_order, tunnel_from_base
 from jax_aero.cli import Parser, completes
 from jax_aero.command import exit_status
 from jax_aero.files import complete_file
@@ -132,15 +133,12 @@ def posture(robot: RobotModel, name: str) -> Floats:
     """Return the joint positions (n,) [rad] of a named posture; joints that tables do not name are straight."""
     if name == "zero":
         return np.zeros(robot.n_joints)
-    table = tomllib.loads((places.CONFIGS / "tables" / "postures.toml").read_text(encoding="utf-8"))
-    known = {name: row for section in table.values() if isinstance(section, dict) for name, row in section.items()}
+    known = known_postures()
     if name not in known:
         raise ValueError(f"--posture is `{name}`{places.did_you_mean(name, ['zero', *known])}")
     if not set(JOINTS) <= set(robot.joint_names):
         raise ValueError(f"{robot.name} has not the joints of the named postures; expected --posture zero")
-    joints = np.zeros(robot.n_joints)
-    joints[[robot.joint_names.index(joint) for joint in JOINTS]] = np.radians(known[name])
-    return joints
+    return in_robot_order(robot.joint_names, known[name])
 
 
 def loads(robot: RobotModel, aero: AeroModel, joints: Floats, alphas: Floats, betas: Floats, speed: float) -> Loads:

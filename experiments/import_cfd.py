@@ -71,17 +71,17 @@ def _read(given: argparse.Namespace) -> Dataset:
     return read_solver_table(text, postures, source=source)
 
 
-def known_postures(path: Path = POSTURES, sections: Sequence[str] | None = None) -> dict[str, Floats]:
-    """Return the joint angles (19,) [deg] of the named postures."""
-    table = tomllib.loads(path.read_text(encoding="utf-8"))
+def known_postures(sections: Sequence[str] | None = None) -> dict[str, Floats]:
+    """Return the joint angles (19,) [deg] of the named postures, of all sections or of some."""
+    table = tomllib.loads(POSTURES.read_text(encoding="utf-8"))
     if (order := tuple(table.pop("joints"))) != JOINTS:
-        raise Refused(f"joints of {path} are {list(order)}; expected {list(JOINTS)}")
+        raise Refused(f"joints of {POSTURES} are {list(order)}; expected {list(JOINTS)}")
     chosen = table if sections is None else {name: table[name] for name in sections}
     postures = {}
     for section in chosen.values():
         for name, angles in section.items():
             if len(angles) != len(JOINTS):
-                raise Refused(f"posture `{name}` of {path} has {len(angles)} angles; expected {len(JOINTS)}")
+                raise Refused(f"posture `{name}` of {POSTURES} has {len(angles)} angles; expected {len(JOINTS)}")
             postures[name] = np.array(angles, dtype=np.float64)
     return postures
 

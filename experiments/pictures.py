@@ -7,7 +7,6 @@ them. The flight is `results/flight/test2`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import casadi as ca
@@ -17,14 +16,15 @@ from numpy.typing import NDArray
 
 from experiments import record, study
 from experiments.engine_choice import ROBOT
+from experiments.import_cfd import POSTURES, known_postures
 from experiments.study import Findings, Study
 from jax_aero import rust, tables
+from jax_aero.aero.dataset import in_robot_order
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.kinematics import Kinematics
 from jax_aero.view import recording
 from jax_aero.view.offscreen import Camera, Studio, camera_at
 
-POSTURES = study.CONFIGS / "tables" / "postures.toml"
 FLIGHT_SIZE, POSTURE_SIZE = (960, 720), (240, 320)
 """Width and height [pixels]."""
 FACING_X = np.array([0.0, 0.0, 0.0, 1.0])  # w, x, y, z: yaw of 180 degrees, the base's x axis points backwards
@@ -46,9 +46,10 @@ def compute(_: str, asked: Pictures) -> Findings:
     with Studio(flown, *FLIGHT_SIZE) as studio:
         flight = studio.picture(asked.moment, camera_at(flown, asked.moment, "chase", 2.5), trail=False)
     robot = rust.Robot(str(ROBOT))
-    named = named_postures()
+    # The postures of the public table and of the tunnel.
+    named = known_postures(["free_stream", "tunnel"])
     pictures = [posture_picture(robot, joints) for joints in named.values()]
-    starts, ends, diameters = capsules(posture_vector(robot, named["hovering"]))
+    starts, ends, diameters = capsules(in_robot_order(robot.joint_names, named["hovering"]))
     data = xr.Dataset(
         {
             "flight": (("row", "column", "colour"), flight, {"long_name": f"{flown.title}, {asked.moment:g} s"}),
@@ -71,19 +72,7 @@ STUDY = Study("pictures", __doc__, Pictures, compute, ("paper",), engine="mujoco
 main = STUDY.main
 
 
-def named_postures() -> dict[str, dict[str, float]]:
-    """Return joint angles [deg] of the postures of the public table and of the tunnel, by posture and joint."""
-    known = tables.read(POSTURES)
-    both = {**known["free_stream"], **known["tunnel"]}
-    return {name: dict(zip(known["joints"], angles, strict=True)) for name, angles in both.items()}
-
-
-def posture_vector(robot: rust.Robot, joints_deg: Mapping[str, float]) -> Array:
-    """Return joint angles [rad] in the robot's order; joints that are not named stay at zero."""
-    return np.radians([float(joints_deg.get(name, 0.0)) for name in robot.joint_names])
-
-
-def posture_picture(robot: rust.Robot, joints_deg: Mapping[str, float]) -> NDArray[np.uint8]:
+def posture_picture(robot: rust.Robot, joints_deg: Array) -> NDArray[np.uint8]:
     """Draw the robot in a posture, without wind and jets, from its left in front."""
     jets, links = len(robot.jet_names), len(robot.aero_link_names)
     far = np.array([[0.0, 0.0, -50.0]])  # the cross of the set-point is out of sight
@@ -95,7 +84,7 @@ def posture_picture(robot: rust.Robot, joints_deg: Mapping[str, float]) -> NDArr
             "base_position": height,
             "base_quaternion": FACING_X[None],
             "base_rpy_setpoint": np.zeros((1, 3)),
-            "joint_position": posture_vector(robot, joints_deg)[None],
+            "joint_position": in_robot_order(robot.joint_names, joints_deg)[None],
             "com_position": height,
             "com_velocity": np.zeros((1, 3)),
             "com_setpoint": far,

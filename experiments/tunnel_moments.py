@@ -26,16 +26,14 @@ from experiments.study import CONFIGS, Findings, Study
 from experiments.tunnel_correction import Points, columns, held_out, rms_by_posture
 from jax_aero import tables
 from jax_aero.aero import tunnel
-from jax_aero.aero.dataset import JOINTS, Floats, tunnel_from_base, wind_direction
+from jax_aero.aero.dataset import Floats, in_robot_order, tunnel_from_base, wind_direction
 from jax_aero.aero.model import aero_model
-from jax_aero.aero.posture import centres_of_mass, link_frames, total_wrench
+from jax_aero.aero.posture import centres_of_mass, link_frames, standing, total_wrench
 from jax_aero.aero.protocol import LinksInAir
 from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogate
 from jax_aero.io import aero_config
-from jax_aero.kinematics import kinematics
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.spatial import rotate
-from jax_aero.types import State
 
 ROBOT = CONFIGS / "robot" / "ironcub_mk1.toml"
 AERO = CONFIGS / "aero"
@@ -140,17 +138,16 @@ def evaluated(robot: RobotModel, table: Mapping[str, Any], joints: Floats, air: 
     """Return the force areas (N, 13, 3) of a model at rest in air that moves with (N, 3) [m/s], base axes."""
     with jax.enable_x64(True):
         model = aero_model(aero_config(table), robot)
-        places, links = np.array([robot.joint_names.index(name) for name in JOINTS]), robot.aero_links
+        links = robot.aero_links
 
-        def one(angles: Any, wind: Any) -> Any:
-            position = jnp.zeros(robot.n_joints).at[places].set(angles)
-            kin = kinematics(robot, State(jnp.zeros(3), jnp.eye(3), position, jnp.zeros(6 + robot.n_joints)))
+        def one(position: Any, wind: Any) -> Any:
+            kin = standing(robot, position)
             rotations = kin.body_rotations[np.array(links.bodies)] @ links.rotations
             axes = rotate(rotations, links.axes)
             forces = model.forces(LinksInAir(axes, jnp.broadcast_to(wind, axes.shape), wind, robot, kin))
             return forces / (0.5 * float(table["air_density"]) * jnp.sum(wind**2))
 
-        areas = jax.jit(jax.vmap(one))(jnp.asarray(np.radians(joints)), jnp.asarray(air))
+        areas = jax.jit(jax.vmap(one))(in_robot_order(robot.joint_names, joints), air)
         return np.asarray(areas, dtype=np.float64)
 
 

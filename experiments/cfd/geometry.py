@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments import Refused
 from jax_aero import rust
-from jax_aero.aero.dataset import JOINTS, LINKS, Floats
+from jax_aero.aero.dataset import JOINTS, LINKS, Floats, in_robot_order
 from jax_aero.files import write_text
 from jax_aero.mesh import Mesh
 from jax_aero.urdf import Pose
@@ -143,15 +143,14 @@ def check_closed(name: str, triangles: Floats) -> None:
 
 def body_poses(robot: rust.Robot, joint_position_deg: Floats) -> list[Pose]:
     """Return the poses of the bodies from the base at joint angles (19,) [deg]; other joints are at zero."""
-    joints = np.zeros(len(robot.joint_names))
-    for name, angle in zip(JOINTS, np.radians(joint_position_deg), strict=True):
+    joints = in_robot_order(robot.joint_names, joint_position_deg)
+    for name in JOINTS:
         place = robot.joint_names.index(name)
-        low, high = robot.joint_stops[place]
+        angle, (low, high) = joints[place], robot.joint_stops[place]
         if not low - MARGIN <= angle <= high + MARGIN:
             raise Refused(
                 f"`{name}` is {np.degrees(angle):.1f} degrees; expected {np.degrees(low):.1f} to {np.degrees(high):.1f}"
             )
-        joints[place] = angle
     at = rust.dynamics(robot, rust.State.at_rest(robot, joints))
     return [Pose(turn, place) for turn, place in zip(at.body_rotations, at.body_positions, strict=True)]
 

@@ -85,6 +85,15 @@ def mirrored_couples(couple_volume_b: Float[np.ndarray, "*batch L 3"]) -> Float[
     return -mirrored_areas(couple_volume_b)
 
 
+def in_robot_order(
+    joint_names: Sequence[str], joint_position_deg: Float[np.ndarray, "*batch s"]
+) -> Float[np.ndarray, "*batch n"]:
+    """Return joint positions [rad] of a robot from angles [deg] of a table; others are straight."""
+    positions = np.zeros((*np.shape(joint_position_deg)[:-1], len(joint_names)))
+    positions[..., [joint_names.index(name) for name in JOINTS]] = np.radians(joint_position_deg)
+    return positions
+
+
 def wind_direction(pitch_deg: npt.ArrayLike, yaw_deg: npt.ArrayLike) -> Float[np.ndarray, "*batch 3"]:
     """Direction in which the air moves, base axes: `(cos p cos y, −sin y, sin p cos y)`, p = pitch − 90°."""
     return tunnel_from_base(pitch_deg, yaw_deg)[..., 0, :]

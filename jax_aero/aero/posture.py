@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jax_aero.aero.dataset import JOINTS, LINKS, Floats
+from jax_aero.aero.dataset import JOINTS, LINKS, Floats, in_robot_order
 from jax_aero.kinematics import frame_poses, kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import rotate
@@ -38,21 +38,19 @@ def link_frames(robot: RobotModel, joint_position_deg: Float[np.ndarray, "k s"])
     if robot.aero_links.names != LINKS or not set(JOINTS).issubset(robot.joint_names):
         raise ValueError(f"{robot.name} has not the links and joints of the tables: {', '.join(LINKS)}")
     with jax.enable_x64(True):
-        rotations, positions = _frames(robot, np.radians(joint_position_deg))
+        rotations, positions = _frames(robot, in_robot_order(robot.joint_names, joint_position_deg))
     return LinkFrames(np.asarray(rotations), np.asarray(positions))
 
 
 @jax.jit
 @partial(jax.vmap, in_axes=(None, 0))
-def _frames(robot: RobotModel, angles: Array) -> tuple[Array, Array]:
+def _frames(robot: RobotModel, joints: Array) -> tuple[Array, Array]:
     links = robot.aero_links
-    return frame_poses(_standing(robot, angles), links.bodies, links.rotations, links.positions)
+    return frame_poses(standing(robot, joints), links.bodies, links.rotations, links.positions)
 
 
-def _standing(robot: RobotModel, angles: Array) -> Kinematics:
-    """Kinematics at rest, the base at the origin with its axes along the inertial ones."""
-    places = np.array([robot.joint_names.index(name) for name in JOINTS])
-    joints = jnp.zeros(robot.n_joints).at[places].set(angles)
+def standing(robot: RobotModel, joints: Array) -> Kinematics:
+    """Return the kinematics at rest, the base at the origin with its axes along the inertial ones."""
     return kinematics(robot, State(jnp.zeros(3), jnp.eye(3), joints, jnp.zeros(6 + robot.n_joints)))
 
 
@@ -79,18 +77,18 @@ def link_arms(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -
 
 
 def _by_posture(of: Callable[[RobotModel, Array], Array], robot: RobotModel, joint_position_deg: Floats) -> Floats:
-    """Evaluate a function of postures (M, 19) [rad] once for each that occurs among the rows (N, 19) [deg]."""
+    """Evaluate a function of joint positions (M, n) [rad] once for each posture among the rows (N, 19) [deg]."""
     shapes, shape_of = np.unique(joint_position_deg, axis=0, return_inverse=True)
     with jax.enable_x64(True):
-        values = np.asarray(of(robot, jnp.radians(shapes)))
+        values = np.asarray(of(robot, jnp.asarray(in_robot_order(robot.joint_names, shapes))))
     found: Floats = values[shape_of.reshape(-1)]
     return found
 
 
 @jax.jit
 @partial(jax.vmap, in_axes=(None, 0))
-def _arms(robot: RobotModel, angles: Array) -> Array:
-    kin, links = _standing(robot, angles), robot.aero_links
+def _arms(robot: RobotModel, joints: Array) -> Array:
+    kin, links = standing(robot, joints), robot.aero_links
     rotations, positions = frame_poses(kin, links.bodies, links.rotations, links.positions)
     return positions + rotate(rotations, links.centres) - kin.com
 
@@ -102,8 +100,8 @@ def centres_of_mass(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B 
 
 @jax.jit
 @partial(jax.vmap, in_axes=(None, 0))
-def _coms(robot: RobotModel, angles: Array) -> Array:
-    return _standing(robot, angles).com
+def _coms(robot: RobotModel, joints: Array) -> Array:
+    return standing(robot, joints).com
 
 
 def link_axes(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> Float[np.ndarray, "B L 3"]:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jax_aero.aero.dataset import JOINTS, Dataset, Floats
+from jax_aero.aero.dataset import Dataset, Floats, in_robot_order
 from jax_aero.aero.network import (
     LinkGeometry,
     Network,
@@ -130,13 +130,12 @@ def posture_geometry(
 ) -> tuple[LinkGeometry, Int[np.ndarray, " B"]]:
     """Return the geometry of the different postures among rows [deg], and each row's place among them."""
     postures, number = np.unique(joint_position_deg, axis=0, return_inverse=True)
-    seen = np.array([robot.joint_names.index(name) for name in JOINTS])
     parts = []
     with jax.enable_x64(True):
         for start in range(0, len(postures), POSTURES):
             angles = np.zeros((POSTURES, robot.n_joints))
             here = postures[start : start + POSTURES]
-            angles[: len(here), seen] = np.radians(here)
+            angles[: len(here)] = in_robot_order(robot.joint_names, here)
             parts.append(jax.tree.map(np.asarray, _geometries(robot, angles)))
     whole: LinkGeometry = jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
     return whole, np.asarray(number, dtype=np.int64).reshape(-1)

@@ -6,8 +6,10 @@ import xarray as xr
 
 from experiments import Refused, along, pictures, record
 from experiments.engine_choice import ROBOT
+from experiments.import_cfd import known_postures
 from experiments.trajectory import Consumption
 from jax_aero import rust, tables
+from jax_aero.aero.dataset import in_robot_order
 from jax_aero.symbolic import load_robot
 from paper_figs import pictures as pictures_figure
 from paper_figs.__main__ import FIGURES
@@ -73,7 +75,7 @@ def test_the_figure_shows_flights(study, tmp_path):
 
 def test_capsules_are_where_the_robots_file_has_them(agree):
     robot = rust.Robot(str(ROBOT))
-    joints = pictures.posture_vector(robot, pictures.named_postures()["Config1"])
+    joints = in_robot_order(robot.joint_names, known_postures()["Config1"])
     starts, ends, diameters = pictures.capsules(joints)
     links = tables.read(ROBOT)["aero_links"]
     agree("lengths", np.linalg.norm(ends - starts, axis=1)[1:], [link["length"] for link in links[1:]], 1e-12)
@@ -83,7 +85,7 @@ def test_capsules_are_where_the_robots_file_has_them(agree):
 
 
 def made_up_pictures(tmp_path):
-    names = list(pictures.named_postures())
+    names = list(known_postures(["free_stream", "tunnel"]))
     starts = np.array([[0.0, 0.1, -0.2], [0.0, 0.0, 0.4]])
     study = xr.Dataset(
         {
