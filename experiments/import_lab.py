@@ -6,14 +6,13 @@ folder for what it is.
 
 from __future__ import annotations
 
-import copy
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from experiments import Refused, flight, manifest, record
-from jax_aero import cli, places, result, rust
+from jax_aero import cli, io, result, rust
 from jax_aero.command import exit_status
 
 
@@ -40,7 +39,7 @@ def read(path: Path, folder: Path, *, overwrite: bool = False) -> dict[str, Any]
     try:
         document = json.loads(text)
         flown = result.from_lab(document)
-        config = here(document["config"])
+        config = io.at_home(document["config"])
         digest = rust.config_digest(config)
     except KeyError as missing:
         raise Refused(f"{path} is no run of the lab: {missing} is missing") from None
@@ -61,20 +60,3 @@ def read(path: Path, folder: Path, *, overwrite: bool = False) -> dict[str, Any]
     manifest_of_folder = record.read_manifest(folder)
     assert manifest_of_folder is not None  # it was written, or was there
     return manifest_of_folder
-
-
-def here(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a configuration of the lab with its paths in this repository."""
-
-    def moved(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: moved(item) for key, item in value.items()}
-        if isinstance(value, list):
-            return [moved(item) for item in value]
-        if isinstance(value, str) and value.startswith("configs/"):
-            return str(places.HOME / value)
-        return value
-
-    table = moved(copy.deepcopy(dict(config)))
-    assert isinstance(table, dict)
-    return table

@@ -24,7 +24,7 @@ from msgspec import inspect
 from jax_aero import tables
 from jax_aero.config import AeroConfig, ControllerSection, ScenarioConfig
 from jax_aero.keys import set_key
-from jax_aero.places import find
+from jax_aero.places import HOME, find
 
 Table = dict[str, Any]
 
@@ -90,6 +90,15 @@ def paths(table: Table, place: inspect.Type | None = FLIGHT) -> Iterator[tuple[T
             yield from paths(value, below)
         elif isinstance(value, str) and _is_path(below):
             yield table, key
+
+
+def at_home(config: Mapping[str, Any]) -> Table:
+    """Return a configuration whose paths start at the repository, as in a manifest, with absolute ones."""
+    placed = copy.deepcopy(dict(config))
+    for table, key in paths(placed):
+        if (HOME / table[key]).is_file():
+            table[key] = str(HOME / table[key])
+    return placed
 
 
 def resolve(path: str | PathLike[str], kind: inspect.Type | None = FLIGHT) -> Table:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import itertools
 import json
 from collections.abc import Mapping
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from jax_aero import io, rust
 from jax_aero.files import damaged
-from jax_aero.places import HOME, RESULTS
+from jax_aero.places import RESULTS
 from jax_aero.result import labels_of
 from jax_aero.summary import SETTLING_TIME
 from jax_aero.view import Refused, require
@@ -255,7 +254,7 @@ def _read(path: Path, robot: str | Path | None) -> Recording:
     if damaged(path.parent, {name: sha256 for name, sha256 in manifest.get("files", {}).items() if name == path.name}):
         raise Refused(f"`{path}` is not what was written there, by the checksum in {MANIFEST_FILE}; {EXPECTED}")
     signals, facts = _read_signals(path)
-    config = _here(manifest["config"]) if isinstance(manifest.get("config"), dict) else None
+    config = io.at_home(manifest["config"]) if isinstance(manifest.get("config"), dict) else None
     robot_path = _robot_path(path, config, robot)
     try:
         loaded = rust.Robot(robot_path)
@@ -331,15 +330,6 @@ def _read_manifest(path: Path) -> dict[str, Any]:
     if not isinstance(manifest, dict):
         raise Refused(f"`{path}` holds no table; {EXPECTED}")
     return manifest
-
-
-def _here(config: rust.Config) -> rust.Config:
-    """Paths of a manifest start at the repository; make them absolute."""
-    placed = copy.deepcopy(config)
-    for table, key in io.paths(placed):
-        if (HOME / table[key]).is_file():
-            table[key] = str(HOME / table[key])
-    return placed
 
 
 def _robot_path(path: Path, config: rust.Config | None, given: str | Path | None) -> Path:

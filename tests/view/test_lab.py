@@ -17,7 +17,7 @@ import pytest
 
 from experiments import import_lab, record
 from jax_aero import __main__ as commands
-from jax_aero import result, rust
+from jax_aero import io, result, rust
 from jax_aero.view import recording
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
@@ -208,7 +208,7 @@ def test_what_is_exported_reads_back_as_a_result(visit, tmp_path):
     assert manifest["config"]["robot"] == "configs/robot/ironcub_mk1.toml"
     read = recording.read(tmp_path / "mine")
     # Its configuration flies the same flight here.
-    config = import_lab.here(json.loads((tmp_path / "run.json").read_text(encoding="utf-8"))["config"])
+    config = io.at_home(json.loads((tmp_path / "run.json").read_text(encoding="utf-8"))["config"])
     again = rust.fly(config)
     np.testing.assert_allclose(read.signals["com_position"], again["com_position"], rtol=0, atol=1e-9)
 
