@@ -24,14 +24,13 @@ from experiments import Refused
 from experiments.import_cfd import OUT
 from experiments.study import CONFIGS, Findings, Study
 from experiments.tunnel_correction import Points, columns, held_out, rms_by_posture
-from jax_aero import tables
+from jax_aero import io, tables
 from jax_aero.aero import tunnel
 from jax_aero.aero.dataset import Floats, in_robot_order, tunnel_from_base, wind_direction
 from jax_aero.aero.model import aero_model
 from jax_aero.aero.posture import centres_of_mass, link_frames, standing, total_wrench
 from jax_aero.aero.protocol import LinksInAir
 from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogate
-from jax_aero.io import aero_config
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.spatial import rotate
 
@@ -124,9 +123,7 @@ def model_areas(robot: RobotModel, data: xr.Dataset) -> dict[str, Floats]:
     joints, wind = data["joint_position"].values, wind_direction(data["pitch"].values, data["yaw"].values)
     found = {}
     for name, file in MODELS.items():
-        table = tables.read(AERO / f"{file}.toml")
-        if "card" in table:
-            table["card"] = str(AERO / table["card"])
+        table = io.resolve(AERO / f"{file}.toml", io.AERO)
         found[name] = evaluated(robot, table, joints, wind * data["speed"].values[:, None])
     panels = load_surrogate(PANELS, robot)
     features = batched_features(robot, panels.panels, panels.wake)
@@ -137,7 +134,7 @@ def model_areas(robot: RobotModel, data: xr.Dataset) -> dict[str, Floats]:
 def evaluated(robot: RobotModel, table: Mapping[str, Any], joints: Floats, air: Floats) -> Floats:
     """Return the force areas (N, 13, 3) of a model at rest in air that moves with (N, 3) [m/s], base axes."""
     with jax.enable_x64(True):
-        model = aero_model(aero_config(table), robot)
+        model = aero_model(io.aero_config(table), robot)
         links = robot.aero_links
 
         def one(position: Any, wind: Any) -> Any:

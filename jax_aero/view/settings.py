@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import copy
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from jax_aero import rust
+from jax_aero import io, rust
 from jax_aero.places import CONFIGS
 from jax_aero.wind_direction import speed_and_direction, wind_from
 
@@ -146,10 +145,6 @@ def apply(base: rust.Config, settings: Settings) -> rust.Config:
 def aero_table(model: str) -> dict[str, Any]:
     """Read the table of a model, with the files it builds on: a key of `MODELS`, or the path of a network's card."""
     file = MODELS.get(model, Path(model))
-    return _read(AERO / "network.toml") | {"card": str(file)} if file.suffix == ".json" else _read(file)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    table = tomllib.loads(path.read_text(encoding="utf-8"))
-    base = table.pop("base", None)
-    return table if base is None else _read(path.parent / base) | table
+    if file.suffix == ".json":
+        return io.resolve(AERO / "network.toml", io.AERO) | {"card": str(file)}
+    return io.resolve(file, io.AERO)
