@@ -15,9 +15,9 @@ import numpy as np
 import xarray as xr
 
 from experiments import flight
-from experiments.engine_choice import ROBOT
 from experiments.study import Findings, Study
 from jax_aero import rust, tables
+from jax_aero.places import ROBOT
 from jax_aero.summary import SETTLING_TIME
 
 ENGINES = {"P160": 160.0, "P100": 100.0}

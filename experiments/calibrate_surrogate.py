@@ -23,9 +23,9 @@ from jax_aero.aero.dataset import Floats, tunnel_from_base
 from jax_aero.aero.posture import link_axes
 from jax_aero.aero.surrogate import TERMS, Wake, batched_features, build_panels, force_areas
 from jax_aero.aero.surrogate_fit import Records, Settings
+from jax_aero.places import ROBOT
 from jax_aero.robot import RobotModel, load_robot
 
-ROBOT = CONFIGS / "robot" / "ironcub_mk1.toml"
 TUNNEL, CFD = (CONFIGS / "tables" / name for name in ("wind_tunnel.toml", "cfd_tunnel.toml"))
 
 JUDGES = ("flight50", "flight60")

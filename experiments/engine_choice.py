@@ -25,9 +25,9 @@ from jax_aero import tables
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.files import write_json
+from jax_aero.places import ROBOT as ROBOT
 from jax_aero.tables import Positive
 
-ROBOT = manifest.REPOSITORY / "configs" / "robot" / "ironcub_mk1.toml"
 RESULTS = manifest.RESULTS
 
 PAPER_BATTERY, PAPER_FUEL = 26.31, 4.61

@@ -15,14 +15,14 @@ import numpy as np
 import xarray as xr
 
 from experiments import study
-from experiments.study import CONFIGS, Findings, Study
+from experiments.study import Findings, Study
 from jax_aero import tables
 from jax_aero.aero import fit
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, load
 from jax_aero.aero.posture import link_axes
+from jax_aero.places import ROBOT
 from jax_aero.robot import RobotModel, load_robot
 
-ROBOT = CONFIGS / "robot" / "ironcub_mk1.toml"
 PRINTED, RIGHT = "published", "corrected"
 """Sets of the robot with the coefficients as printed, and with the head's."""
 

@@ -27,10 +27,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from experiments import Refused
-from experiments.engine_choice import ROBOT
 from experiments.study import Findings, Study
 from jax_aero import tables
 from jax_aero.jets import Engines, EngineState, SecondOrderJets, thrust_acceleration, update_ekf
+from jax_aero.places import ROBOT
 from jax_aero.robot import ENGINE_KEYS
 
 COLUMNS = ("time_s", "throttle_percent", "thrust_n")

@@ -25,10 +25,10 @@ from jax_aero.aero.posture import centres_of_mass
 from jax_aero.aero.tunnel import Points, Test
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
+from jax_aero.places import ROBOT
 from jax_aero.robot import load_robot
 
 TESTS = manifest.REPOSITORY / "configs" / "tables" / "tunnel_tests.toml"
-ROBOT = manifest.REPOSITORY / "configs" / "robot" / "ironcub_mk1.toml"
 ROOTS = ("wind-tunnel", "wind-tunnel-data")
 """Folders of the campaigns in a clone, at different commits."""
 SIDES = ("below", "above")

@@ -15,11 +15,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from experiments import record, study
-from experiments.engine_choice import ROBOT
 from experiments.import_cfd import POSTURES, known_postures
 from experiments.study import Findings, Study
 from jax_aero import rust, tables
 from jax_aero.aero.dataset import in_robot_order
+from jax_aero.places import ROBOT
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.kinematics import Kinematics
 from jax_aero.view import recording

@@ -25,9 +25,9 @@ from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogat
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.files import complete_file
+from jax_aero.places import ROBOT
 from jax_aero.robot import load_robot
 
-ROBOT = manifest.REPOSITORY / "configs" / "robot" / "ironcub_mk1.toml"
 SURROGATE = manifest.REPOSITORY / "configs" / "aero" / "panels" / "surrogate.toml"
 
 PITCHES = np.arange(0.0, 181.0, 10.0)

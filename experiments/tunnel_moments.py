@@ -31,10 +31,10 @@ from jax_aero.aero.model import aero_model
 from jax_aero.aero.posture import centres_of_mass, link_frames, standing, total_wrench
 from jax_aero.aero.protocol import LinksInAir
 from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogate
+from jax_aero.places import ROBOT
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.spatial import rotate
 
-ROBOT = CONFIGS / "robot" / "ironcub_mk1.toml"
 AERO = CONFIGS / "aero"
 PANELS = AERO / "panels" / "surrogate.toml"
 MODELS = {

@@ -12,6 +12,9 @@ from jax_aero.command import Refused
 CONFIGS = (Path(__file__).parent / "configs").resolve()
 """`configs/` of a checkout, to which a link in the package leads, or the package's own copy."""
 
+ROBOT = CONFIGS / "robot" / "ironcub_mk1.toml"
+"""The paper's robot."""
+
 HOME = CONFIGS.parent
 """Folder at which the paths in manifests start."""
 

@@ -22,11 +22,12 @@ from experiments.calibrate_surrogate import table_rows, toml
 from experiments.cfd.command import RESULTS
 from experiments.cfd.correct import corrected
 from experiments.study import Findings, Study
-from experiments.tunnel_moments import NEWTON_METRES, PANELS, ROBOT
+from experiments.tunnel_moments import NEWTON_METRES, PANELS
 from jax_aero import tables
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, Indices, load, tunnel_from_base
 from jax_aero.aero.posture import total_wrench
 from jax_aero.aero.surrogate import batched_features, load_surrogate
+from jax_aero.places import ROBOT
 from jax_aero.robot import RobotModel, load_robot
 
 OPEN = "open solver"

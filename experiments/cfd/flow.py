@@ -21,11 +21,11 @@ from experiments.cfd.geometry import robot_surfaces
 from experiments.cfd.settings import Air, FlowConfig
 from experiments.cfd.simulate import Unfit, make_mesh, solve
 from experiments.import_cfd import known_postures
-from experiments.study import CONFIGS, Findings, Study
+from experiments.study import Findings, Study
 from jax_aero import rust
 from jax_aero.aero.dataset import wind_direction
+from jax_aero.places import ROBOT
 
-ROBOT = CONFIGS / "robot" / "ironcub_mk1.toml"
 FIELDS = {
     "pressure": "pressure coefficient",
     "speed": "speed over the wind's",

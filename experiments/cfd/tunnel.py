@@ -15,13 +15,14 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, tunnel_moments
+from experiments import Refused
 from experiments.cfd.command import RESULTS
 from experiments.study import Findings, Study
 from experiments.tunnel_moments import NEWTON_METRES
 from jax_aero import tables
 from jax_aero.aero.dataset import MIRROR_AXES, Dataset, Floats, load, mirrored_joints, wind_direction
 from jax_aero.aero.posture import total_wrench
+from jax_aero.places import ROBOT
 from jax_aero.robot import RobotModel, load_robot
 
 NEAR = 1.0
@@ -36,7 +37,7 @@ class TunnelConfig(tables.Table, frozen=True):
 
     tunnel: Path
     """Dataset of `import-tunnel`."""
-    robot: Path = tunnel_moments.ROBOT
+    robot: Path = ROBOT
     """Robot of the design, for its forward axis and its centre of mass."""
     dataset: str = ""
     """Of the design; without it, `results/cfd/NAME/dataset.nc`."""

@@ -29,11 +29,11 @@ from experiments.cfd.geometry import Surface, robot_surfaces, triangles_of
 from experiments.cfd.settings import Mesh, Settings, Shell
 from experiments.cfd.simulate import Result, simulate
 from experiments.import_cfd import known_postures
-from experiments.study import CONFIGS, Findings, Study
+from experiments.study import Findings, Study
 from jax_aero import rust, tables
 from jax_aero.aero.dataset import Floats, wind_direction
+from jax_aero.places import ROBOT
 
-ROBOT = CONFIGS / "robot" / "ironcub_mk1.toml"
 DIAMETER = 0.0864
 """Of sphere and cylinder [m]: a Reynolds number of 1e5 at 17 m/s; about that of an arm."""
 FLIES_AT = {"flight30": 30.0, "flight50": 50.0, "flight60": 60.0}

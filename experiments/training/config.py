@@ -10,14 +10,12 @@ from typing import Annotated, Any, Literal
 import jax
 from msgspec import Meta
 
-from experiments import manifest
 from jax_aero import tables
 from jax_aero.aero.network import Activation, Block, Frame, Layout, Network, check_output, init_network
 from jax_aero.keys import set_key
+from jax_aero.places import ROBOT as ROBOT
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.train import Settings
-
-ROBOT = manifest.REPOSITORY / "configs" / "robot" / "ironcub_mk1.toml"
 
 
 class NetworkConfig(tables.Table, frozen=True):

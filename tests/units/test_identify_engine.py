@@ -8,8 +8,8 @@ import pytest
 
 from experiments import Refused, arm_engines, record
 from experiments import identify_engine as bench
-from experiments.engine_choice import ROBOT
 from jax_aero import tables
+from jax_aero.places import ROBOT
 from paper_figs.__main__ import FIGURES
 
 
