@@ -144,6 +144,12 @@ class ControllerState(NamedTuple):
     """Where the torque QP begins."""
 
 
+def controller_aero(config: ScenarioConfig, robot: RobotModel, read_network: ReadNetwork) -> AeroModel:
+    """Return the controller's aerodynamic model, as wrong as `disturbances.aero_estimate` makes it."""
+    aero = aero_model(config.controller.aero, robot, read_network)
+    return weighted(aero, config.disturbances.aero_estimate, robot, "disturbances.aero_estimate")
+
+
 def momentum_controller(
     config: ScenarioConfig,
     robot: RobotModel,
@@ -171,12 +177,7 @@ def momentum_controller(
             torque=feedback.torque,
             symmetric_pairs=symmetric_pairs(controller, robot),
         ),
-        aero=weighted(
-            aero_model(controller.aero, robot, read_network),
-            config.disturbances.aero_estimate,
-            robot,
-            "disturbances.aero_estimate",
-        ),
+        aero=controller_aero(config, robot, read_network),
         rate_feedback=_components(feedback.momentum_rate),
         momentum=leaves(TaskGains, controller.momentum),
         tasks=task_params(controller, robot, config.simulator.time_step),

@@ -23,14 +23,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jax_aero.aero import AeroModel, ReadNetwork, aero_model, weighted
+from jax_aero.aero import AeroModel, ReadNetwork
 from jax_aero.aero.network_card import load_network
 from jax_aero.config import ModelError, ScenarioConfig
 from jax_aero.control import estimator as estimating
 from jax_aero.control import wind_observer as wind_observing
 from jax_aero.control.estimator import Estimator, EstimatorState, Order, Reading
 from jax_aero.control.protocol import Command, Controller, Measurement
-from jax_aero.control.tick import momentum_controller
+from jax_aero.control.tick import controller_aero, momentum_controller
 from jax_aero.control.wind_estimate import WindEstimate, measured_wind, wind_estimate
 from jax_aero.control.wind_observer import WindObserver, WindState
 from jax_aero.io import scenario_config
@@ -278,19 +278,14 @@ def _estimator(config: ScenarioConfig, plant: Plant, read_network: ReadNetwork) 
     settings = config.controller.estimator
     if settings is None:
         return None
-    return estimating.estimator(settings, _controller_aero(config, plant.robot, read_network), plant.time_step)
+    return estimating.estimator(settings, controller_aero(config, plant.robot, read_network), plant.time_step)
 
 
 def _wind_observer(config: ScenarioConfig, plant: Plant, read_network: ReadNetwork) -> WindObserver | None:
     settings = config.controller.wind_observer
     if settings is None:
         return None
-    return wind_observing.wind_observer(settings, _controller_aero(config, plant.robot, read_network), plant.time_step)
-
-
-def _controller_aero(config: ScenarioConfig, robot: RobotModel, read_network: ReadNetwork) -> AeroModel:
-    aero = aero_model(config.controller.aero, robot, read_network)
-    return weighted(aero, config.disturbances.aero_estimate, robot, "disturbances.aero_estimate")
+    return wind_observing.wind_observer(settings, controller_aero(config, plant.robot, read_network), plant.time_step)
 
 
 def _winds(wind: Wind, ticks: int, time_step: Array) -> Array:
