@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Key
+from scipy.linalg import block_diag
 
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
 from jax_aero.kinematics import frame_poses, kinematics
@@ -208,7 +209,7 @@ def mirror_of(robot: RobotModel, blocks: Sequence[str], layout: str, frame: str)
                 output[component * count + other, component * count + link] = sign
     else:
         output = links_by_turn if frame == "link" else links_by_s
-    return Mirror(cast(Array, _on_diagonal([parts[block] for block in blocks])), cast(Array, output))
+    return Mirror(cast(Array, block_diag(*(parts[block] for block in blocks))), cast(Array, output))
 
 
 def _opposite(names: Sequence[str]) -> list[int]:
@@ -227,15 +228,6 @@ def _blocks(opposite: Sequence[int], blocks: Sequence[Any]) -> Any:
     matrix = np.zeros((3 * len(opposite), 3 * len(opposite)))
     for link, (other, block) in enumerate(zip(opposite, blocks, strict=True)):
         matrix[3 * other : 3 * other + 3, 3 * link : 3 * link + 3] = block
-    return matrix
-
-
-def _on_diagonal(blocks: Sequence[Any]) -> Any:
-    matrix = np.zeros((sum(len(block) for block in blocks),) * 2)
-    start = 0
-    for block in blocks:
-        matrix[start : start + len(block), start : start + len(block)] = block
-        start += len(block)
     return matrix
 
 
