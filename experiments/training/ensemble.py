@@ -37,7 +37,6 @@ FOLDS = 5
 COVERAGE = 0.9
 SEED = 100
 """Of the first network."""
-LINK_BLOCKS = ["link_wind", "link_position", "link_shadow"]
 JOINT_NOISE = {"wind": 0.05, "joints": 0.02, "link_shadow": 0.03}
 
 MEMBERS: tuple[Mapping[str, Any], ...] = (

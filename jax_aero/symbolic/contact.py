@@ -32,8 +32,6 @@ class ContactTerms(NamedTuple):
     """(6 feet, n) J_c."""
     velocity_product: Array
     """(6 feet,) J̇_c ν."""
-    sole_rotation: Array
-    """(3 feet, 3) inertial from sole axes, foot under foot."""
 
 
 class ContactModel:
@@ -56,7 +54,6 @@ class ContactModel:
             ca.jacobian(total, tree.q),
             ca.jacobian(motion, tree.velocity),
             tree.rate(motion),
-            ca.vertcat(*(pose.rotation for pose in poses)),
         ]
         inputs = [tree.base_position, tree.base_rotation, tree.joint_position, tree.velocity, wrenches]
         self._function: Any = ca.Function("contact", inputs, tree.here(*outputs))
@@ -71,5 +68,5 @@ class ContactModel:
     ) -> ContactTerms:
         """Evaluate every term at one state; `wrenches` (feet, 6) [N, N m]."""
         state = (base_position, base_rotation, joint_position, velocity)
-        a_c, lambda_c, jacobian, product, rotations = self._function(*state, np.transpose(wrenches))
-        return ContactTerms(a_c.full(), lambda_c.full(), jacobian.full(), product.full()[:, 0], rotations.full())
+        a_c, lambda_c, jacobian, product = self._function(*state, np.transpose(wrenches))
+        return ContactTerms(a_c.full(), lambda_c.full(), jacobian.full(), product.full()[:, 0])
