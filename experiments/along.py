@@ -35,7 +35,15 @@ Array = NDArray[np.float64]
 class Along(tables.Table, frozen=True):
     """Which flights are read, and which files have the numbers."""
 
-    flights: tuple[str, ...] = FLIGHTS
+    flights: tuple[str, ...] = (
+        "test2",
+        "test2_published",
+        "test4",
+        "robustness",
+        "test1",
+        "test1_published",
+        "no_wind",
+    )
     plan: Path = study.CONFIGS / "trajectory" / "min_time.toml"
     """Has the consumption of the jets."""
     trim: Path = study.CONFIGS / "trim" / "hover_posture.toml"
