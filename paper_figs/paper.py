@@ -16,6 +16,7 @@ from typing import Any
 
 from jax_aero import places
 from paper_figs import tunnel
+from paper_figs.figures import FIGURES, SWEEPS
 
 DOCS = places.HOME / "docs"
 CLAIMS = DOCS / "claims.json"
@@ -55,7 +56,8 @@ def _tunnel(claims: Callable[..., list[tunnel.Claim]], *, with_cfd: bool) -> Cal
 _NO_MESH = "out of reach: needs the authors' CFD meshes and solutions, which are not public"
 _NO_LEVELS = "out of reach: the levels of the paper are not public to us"
 _NO_CAD = "out of reach: photographs and CAD of the prototype"
-_TRAINING = "python -m experiments train compact --dataset results/datasets/freestream.nc"
+_DATA = "python -m experiments import-cfd --clone DIR --out results/datasets/freestream.nc"
+_TRAINING = f"{_DATA}; python -m experiments train compact --dataset results/datasets/freestream.nc"
 
 FIGURE_ITEMS: Sequence[Item] = (
     Item("Fig. 1 a, b", "the robot: mass, sizes", links=("#the-robot",), claims=("mass", "added_mass")),
@@ -85,7 +87,13 @@ FIGURE_ITEMS: Sequence[Item] = (
         claims=("network_size", "network_error"),
         command=f"{_TRAINING}; python -m paper_figs fig4_network",
     ),
-    Item("Fig. 4 d, e", "the axisymmetric model over the CFD", "fig4_fit", claims=("order",)),
+    Item(
+        "Fig. 4 d, e",
+        "the axisymmetric model over the CFD",
+        "fig4_fit",
+        claims=("order",),
+        command=f"{_DATA}; python -m experiments fit-aero freestream; python -m paper_figs fig4_fit",
+    ),
     Item(
         "Fig. 5 a",
         "the flight, rendered with forces, exhausts and wind",
@@ -247,7 +255,7 @@ SUPPLEMENT: Sequence[Item] = (
 )
 
 BEYOND: Sequence[Item] = (
-    Item("beyond", "loss curves", "training"),
+    Item("beyond", "loss curves", "training", command=f"{_TRAINING}; python -m paper_figs training"),
     Item("beyond", "three controllers, corrected and published arms", "demo"),
     Item("beyond", "a panel model beside the tunnel", "surrogate"),
     Item("beyond", "winds that can be trimmed", "trim"),
@@ -289,7 +297,7 @@ def sections(claims: Mapping[str, Any]) -> dict[str, Sequence[Item]]:
     """Return all items by section: to those typed here come sweeps, by their own titles, and our claims of them."""
     shown = {item.figure for items in SECTIONS.values() for item in items}
     swept = []
-    for name in places.names("sweeps"):
+    for name in SWEEPS:
         if name not in shown:
             title = tomllib.loads(places.find("sweeps", name).read_text(encoding="utf-8"))["title"]
             ours = (key for key, claim in claims.items() if claim["where"] == "ours" and claim["figure"] == name)
@@ -317,13 +325,16 @@ def page(claims: Path = CLAIMS) -> str:
 
 
 def command_of(item: Item, claims: Mapping[str, Any]) -> str:
-    """Return what makes an item: flights first, then the figure."""
+    """Return what makes an item: its results first, then the figure."""
     if item.command:
         return item.command
-    flown = dict.fromkeys(
-        word for key in item.claims if claims[key]["command"] for word in claims[key]["command"].split("; ")
-    )
-    return "; ".join([*flown, *([f"python -m paper_figs {item.figure}"] if item.figure else [])])
+    made = [word for key in item.claims for word in claims[key]["command"].split("; ")]
+    if item.figure in FIGURES and not any(made):
+        made.append(FIGURES[item.figure].command)
+    if item.figure in SWEEPS:
+        made.append(f"python -m experiments sweep {item.figure}")
+    drawn = [f"python -m paper_figs {item.figure}"] if item.figure else []
+    return "; ".join(filter(None, dict.fromkeys([*made, *drawn])))
 
 
 def _rows(item: Item, claims: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:

@@ -14,7 +14,8 @@ from experiments.report import claims, facts
 from experiments.report.results import Results
 from jax_aero.cli import COMMANDS
 from paper_figs import paper
-from paper_figs.__main__ import FIGURES, SWEEPS, main
+from paper_figs.__main__ import main
+from paper_figs.figures import FIGURES, SWEEPS
 
 ROOT = Path(__file__).resolve().parents[2]
 RECORD = json.loads(paper.CLAIMS.read_text(encoding="utf-8"))

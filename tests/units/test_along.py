@@ -12,7 +12,7 @@ from jax_aero.aero.dataset import in_robot_order
 from jax_aero.places import ROBOT
 from jax_aero.symbolic import load_robot
 from paper_figs import pictures as pictures_figure
-from paper_figs.__main__ import FIGURES
+from paper_figs.figures import FIGURES
 
 POSTURE = [0.1, *[0.0] * 2, *[-0.17, 0.44, 0.7, 0.26] * 2, *[0.0] * 12]
 

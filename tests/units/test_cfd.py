@@ -25,8 +25,8 @@ from jax_aero.aero.posture import total_wrench
 from jax_aero.command import REFUSED, Refused
 from jax_aero.robot import load_robot
 from paper_figs import cfd_flow
-from paper_figs.__main__ import FIGURES
 from paper_figs.__main__ import main as figures
+from paper_figs.figures import FIGURES
 from paper_figs.runs import MissingRun
 
 ROBOT = "configs/robot/ironcub_mk1.toml"

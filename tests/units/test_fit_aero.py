@@ -14,7 +14,7 @@ from jax_aero.aero import fit
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
 from jax_aero.aero.posture import link_axes, link_frames
 from jax_aero.robot import load_robot
-from paper_figs.__main__ import FIGURES
+from paper_figs.figures import FIGURES
 from tests.cfd_table import modelled_rows, solver_table
 from tests.measurements import measured
 

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from experiments import force_rate, study
-from paper_figs.__main__ import FIGURES
+from paper_figs.figures import FIGURES
 from paper_figs.runs import MissingRun
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -10,7 +10,7 @@ from experiments import Refused, arm_engines, record
 from experiments import identify_engine as bench
 from jax_aero import tables
 from jax_aero.places import ROBOT
-from paper_figs.__main__ import FIGURES
+from paper_figs.figures import FIGURES
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from experiments import observer_limit, study
-from paper_figs.__main__ import FIGURES
+from paper_figs.figures import FIGURES
 
 
 @pytest.fixture(scope="module")

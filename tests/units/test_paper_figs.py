@@ -4,7 +4,8 @@ import pytest
 from PIL import Image
 
 from paper_figs import runs
-from paper_figs.__main__ import FIGURES, main
+from paper_figs.__main__ import main
+from paper_figs.figures import FIGURES
 from paper_figs.panels import readable
 
 # The tests of each study draw its figure from a study of their own, those of the ground figures of flights from it.

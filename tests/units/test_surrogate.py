@@ -14,7 +14,7 @@ from jax_aero.aero.dataset import LINKS
 from jax_aero.aero.posture import _frames, link_frames
 from jax_aero.command import INTERRUPTED
 from jax_aero.robot import load_robot
-from paper_figs.__main__ import FIGURES
+from paper_figs.figures import FIGURES
 from tests.measurements import measured
 
 

@@ -16,7 +16,7 @@ from experiments import trajectory as experiment
 from jax_aero import rust, tables
 from jax_aero.symbolic import MomentumModel, load_robot, trajectory
 from jax_aero.symbolic.trajectory import TrajectoryProblem, _lagrange, _lagrange_derivatives, _radau_weights
-from paper_figs.__main__ import FIGURES
+from paper_figs.figures import FIGURES
 
 ROOT = Path(__file__).resolve().parents[2]
 PATH = ROOT / "configs/trajectory/min_time.toml"

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from experiments import Refused, study
 from experiments import trim as experiment
 from jax_aero import rust
-from paper_figs.__main__ import FIGURES
+from paper_figs.figures import FIGURES
 from tests.measurements import measured
 
 ROOT = Path(__file__).resolve().parents[2]

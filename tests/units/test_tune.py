@@ -15,7 +15,7 @@ from jax_aero.command import Refused
 from jax_aero.places import CONFIGS
 from jax_aero.sim import FlightRow
 from jax_aero.train import gains
-from paper_figs.__main__ import FIGURES
+from paper_figs.figures import FIGURES
 
 pytestmark = pytest.mark.usefixtures("x64")
 
