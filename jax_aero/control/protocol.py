@@ -42,6 +42,8 @@ class Terms(NamedTuple):
     torque_qp: TorqueQp
     unlimited_torque: Float[Array, " n"]
     """Torques before the rate limiter [N m]."""
+    thrust: Float[Array, " j"]
+    """Thrusts that the tick used [N]: measured, or predicted where they are not."""
 
 
 class Command(NamedTuple):

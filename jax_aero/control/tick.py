@@ -383,5 +383,5 @@ def _act(
         momentum_start=wanted.warm_start,
         torque_start=pushed.warm_start,
     )
-    terms = Terms(kin, dyn, link, momentum, setpoint, attitude, shaping, following, pushed.x)
+    terms = Terms(kin, dyn, link, momentum, setpoint, attitude, shaping, following, pushed.x, thrust)
     return after, command, terms

@@ -112,11 +112,10 @@ def update(
     robot: RobotModel,
     before: WindState,
     terms: Terms,
-    thrust: Float[Array, " j"],
     time: Float[Array, ""],
 ) -> WindState:
-    """Take in what a tick of the controller computed, and the thrusts [N] and the time [s] it was given."""
-    rate = jnp.sum(terms.momentum.a_t * thrust, axis=1).at[2].add(-robot.mass * robot.gravity)
+    """Take in what a tick of the controller computed, and the time [s] it was given."""
+    rate = jnp.sum(terms.momentum.a_t * terms.thrust, axis=1).at[2].add(-robot.mass * robot.gravity)
     greatest = jnp.full_like(settings.gain, GREATEST)
     gains = ObserverGains(settings.gain, settings.gain, greatest, greatest)
     wrench = observer.update(gains, settings.time_step, before.wrench, time, terms.dynamics.momentum, rate)

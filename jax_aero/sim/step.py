@@ -373,9 +373,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     measurement = Measurement(time, *sample)
     memory, command = scenario.controller.step(model, state.controller, measurement)
     if scenario.wind_observer is not None and wind_seen is not None and command.terms is not None:
-        wind_seen = wind_observing.update(
-            scenario.wind_observer, model, wind_seen, command.terms, measurement.thrust, measurement.time
-        )
+        wind_seen = wind_observing.update(scenario.wind_observer, model, wind_seen, command.terms, measurement.time)
     if estimator is not None:
         terms = command.terms
         unmodelled = jnp.zeros_like(now.robot.velocity[:6]) if terms is None else terms.momentum.unmodelled_wrench

@@ -60,8 +60,8 @@ def replayed(x64):
             momentum = Momentum(jnp.hstack([a_t, -jnp.eye(6, 3)]))
             nothing = dict.fromkeys(Terms._fields)
             of_tick = {"kinematics": kin, "dynamics": dynamics(robot, now, kin), "momentum": momentum}
-            terms = Terms(**nothing | of_tick)
-            after = wind_observer.update(settings, robot, state, terms, jnp.concatenate([thrust, force]), time)
+            terms = Terms(**nothing | of_tick | {"thrust": jnp.concatenate([thrust, force])})
+            after = wind_observer.update(settings, robot, state, terms, time)
             return after, state
 
         return jax.lax.scan(tick, wind_observer.start(settings), rows)[1]

@@ -16,7 +16,7 @@ typedef enum FlightStatus {
   FLIGHT_NOMINAL = 0,
   // The measurement is not of this robot: thrust rates and joint velocities are zero, torques stay.
   FLIGHT_BAD_MEASUREMENT = 1,
-  // The set-point is not finite or its rotation is none: as for a bad measurement.
+  // The set-point is not finite or its rotation is none: the command holds place and attitude of the last one.
   FLIGHT_BAD_SETPOINT = 2,
   // The momentum QP has no answer: thrust rates and joint velocities are as near to zero as their bounds allow.
   FLIGHT_MOMENTUM_HELD = 3,
@@ -60,7 +60,7 @@ typedef struct FlightMeasurement {
   // believed: without a wind sensor use a controller without aerodynamic model, or `wind_observer`.
   double wind[3];
   // Wrench on each foot about the origin of its sole, force first [N, N m, inertial axes], six per
-  // foot. Null where no foot is measured.
+  // foot, in the order of `controller.contact.feet`. Null is no load on any foot.
   const double *foot_wrenches;
 } FlightMeasurement;
 
@@ -125,7 +125,7 @@ size_t flight_joint_count(const struct FlightController *controller);
 // As for `flight_joint_count`.
 size_t flight_jet_count(const struct FlightController *controller);
 
-// Number of feet; zero for null.
+// Number of feet that the controller stands on, `controller.contact.feet`; zero for null.
 //
 // # Safety
 // As for `flight_joint_count`.

@@ -28,7 +28,7 @@ pub enum FlightStatus {
     FlightNominal = 0,
     /// The measurement is not of this robot: thrust rates and joint velocities are zero, torques stay.
     FlightBadMeasurement = 1,
-    /// The set-point is not finite or its rotation is none: as for a bad measurement.
+    /// The set-point is not finite or its rotation is none: the command holds place and attitude of the last one.
     FlightBadSetpoint = 2,
     /// The momentum QP has no answer: thrust rates and joint velocities are as near to zero as their bounds allow.
     FlightMomentumHeld = 3,
@@ -71,7 +71,7 @@ pub struct FlightMeasurement {
     /// believed: without a wind sensor use a controller without aerodynamic model, or `wind_observer`.
     pub wind: [f64; 3],
     /// Wrench on each foot about the origin of its sole, force first [N, N m, inertial axes], six per
-    /// foot. Null where no foot is measured.
+    /// foot, in the order of `controller.contact.feet`. Null is no load on any foot.
     pub foot_wrenches: *const f64,
 }
 
@@ -135,8 +135,8 @@ impl FlightController {
         };
         let joint_names = robot.joints.iter().map(|joint| c_name(&joint.name)).collect::<Result<_, _>>()?;
         let jet_names = robot.jets.iter().map(|jet| c_name(&jet.name)).collect::<Result<_, _>>()?;
-        let (joints, feet) = (robot.joints.len(), robot.feet.len());
-        let controller = scenario.controller(robot)?;
+        let controller = scenario.controller_alone(robot)?;
+        let (joints, feet) = (controller.model().n_joints(), controller.model().feet.len());
         Ok(Self {
             flight: None,
             time_step: scenario.simulator.time_step,
@@ -325,7 +325,7 @@ pub unsafe extern "C" fn flight_jet_count(controller: *const FlightController) -
     unsafe { controller.as_ref() }.map_or(0, |controller| controller.jet_names.len())
 }
 
-/// Number of feet; zero for null.
+/// Number of feet that the controller stands on, `controller.contact.feet`; zero for null.
 ///
 /// # Safety
 /// As for `flight_joint_count`.

@@ -175,6 +175,13 @@ fn a_flight_through_c_is_that_of_the_crate() {
     assert!(plant.state().base.rotation != Matrix3::identity(), "the rotation was never looked at");
 }
 
+/// An estimator that nothing here runs is refused, not left out.
+#[test]
+fn a_configuration_with_an_estimator_is_refused() {
+    let said = create(&config("test2_sensors")).map(|_| ()).unwrap_err();
+    assert!(said.contains("controller.estimator") && said.contains("as they are"), "{said}");
+}
+
 #[test]
 fn names_and_counts_are_those_of_the_robot() {
     let scenario = load_scenario(&config("test2")).unwrap();
@@ -184,7 +191,8 @@ fn names_and_counts_are_those_of_the_robot() {
     unsafe {
         assert_eq!(flight_joint_count(c.0), robot.joints.len());
         assert_eq!(flight_jet_count(c.0), robot.jets.len());
-        assert_eq!(flight_foot_count(c.0), robot.feet.len());
+        assert_eq!(flight_foot_count(c.0), 0, "this controller stands on no foot");
+        assert_eq!(flight_foot_count(create(&config("balancing_front")).unwrap().0), robot.feet.len());
         assert!((flight_time_step(c.0) - scenario.simulator.time_step).abs() == 0.0);
         for (index, joint) in robot.joints.iter().enumerate() {
             assert_eq!(name(flight_joint_name(c.0, index)), joint.name);

@@ -123,8 +123,6 @@ impl Controller {
         config.check(&robot)?;
         check("controller time step", time_step, |dt| dt > 0.0, "a positive number of seconds")?;
         let n_jets = robot.jets.len();
-        config.channels.check()?;
-        config.engines.as_ref().map_or(Ok(()), engines::EnginesConfig::check)?;
         let mut model = config.restrict(robot);
         config.check_rate_bounds(&model, time_step)?;
         config.observer.as_ref().map_or(Ok(()), |observer| observer.check(time_step))?;
@@ -201,6 +199,7 @@ impl Controller {
         Ok(ControllerState::new(
             measurement,
             &self.setpoint_generator.start(com, rotation),
+            &Setpoint::hold(com, *rotation),
             inertia_0_b,
             channels,
             (contact.measured.len(), self.n_jets),
@@ -218,15 +217,16 @@ impl Controller {
             return self.hold_command(CommandStatus::BadState);
         }
         let is_seen = self.see(state, measurement);
-        self.terms.setpoint = if state.channels.is_descending {
+        let setpoint = if state.channels.is_descending {
             self.setpoint_generator.descend(&mut state.setpoint)
         } else {
             self.setpoint_generator.update(&mut state.setpoint, state.time)
         };
-        self.act(state, is_seen)
+        self.act(state, is_seen, &setpoint)
     }
 
-    /// One tick that follows a given set-point instead of the mission.
+    /// One tick that follows a given set-point instead of the mission. One that is not valid has the status
+    /// [`CommandStatus::BadSetpoint`]: the robot holds place and attitude of the last one that was.
     pub fn tick_towards(
         &mut self,
         state: &mut ControllerState,
@@ -236,13 +236,16 @@ impl Controller {
         if !self.fits(state) {
             return self.hold_command(CommandStatus::BadState);
         }
-        if !setpoint.is_valid() {
-            self.command.joint_torque.copy_from(&state.joint_torque);
-            return self.hold_command(CommandStatus::BadSetpoint);
-        }
         let is_seen = self.see(state, measurement);
-        self.terms.setpoint = *setpoint;
-        self.act(state, is_seen)
+        if setpoint.is_valid() {
+            return self.act(state, is_seen, setpoint);
+        }
+        let held = state.held_setpoint;
+        self.act(state, is_seen, &held);
+        if matches!(self.command.status, CommandStatus::Nominal | CommandStatus::Degraded) {
+            self.command.status = CommandStatus::BadSetpoint;
+        }
+        &self.command
     }
 
     /// Takes a measurement in and moves the time on; whether it is one of this robot.
@@ -259,7 +262,9 @@ impl Controller {
     }
 
     /// Observes, then solves the momentum QP and the torque QP.
-    fn act(&mut self, state: &mut ControllerState, is_seen: bool) -> &Command {
+    fn act(&mut self, state: &mut ControllerState, is_seen: bool, setpoint: &Setpoint) -> &Command {
+        self.terms.setpoint = *setpoint;
+        state.held_setpoint = Setpoint::hold(setpoint.com_position, setpoint.rotation);
         self.command.joint_torque.copy_from(&state.joint_torque);
         if !is_seen {
             return self.hold_command(CommandStatus::BadMeasurement);
@@ -438,6 +443,7 @@ impl Controller {
             QpAnswer::refused(QpStatus::NotPositiveDefinite)
         };
         self.command.torque_qp = answer;
+        contact.force_of_torques.copy_from(&contact.force);
         if answer.status == QpStatus::Solved {
             let (forces, torques) = self.torque_solver.x().split_at(torque_qp.foot_force.end);
             contact.force_of_torques.copy_from_slice(forces);
@@ -543,6 +549,12 @@ impl Controller {
     #[must_use]
     pub fn command(&self) -> &Command {
         &self.command
+    }
+
+    /// Thrusts that the last tick used \[N\]: measured, or predicted where they are not.
+    #[must_use]
+    pub fn used_thrust(&self) -> &[f64] {
+        &self.channels.seen.thrust
     }
 
     /// Intermediate values of the last tick.

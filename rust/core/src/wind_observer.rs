@@ -167,7 +167,7 @@ impl WindObserver {
         considered.diagonal().map(f64::sqrt)
     }
 
-    /// Takes in what a tick of the controller computed, and the thrusts \[N\] and the time \[s\] it was given.
+    /// Takes in what a tick of the controller computed, the thrusts \[N\] that it used, and the time \[s\] it was given.
     pub fn update(&mut self, terms: &Terms, thrust: &[f64], time: f64) {
         let mut rate = Vector6::zeros();
         for (column, thrust) in terms.momentum.a_t.column_iter().zip(thrust) {

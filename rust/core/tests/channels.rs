@@ -37,6 +37,21 @@ impl Sample {
 }
 
 /// What makes a measurement unusable.
+/// After ticks that were left out the difference of two poses is not the velocity times one tick.
+#[test]
+fn a_lost_velocity_does_not_follow_a_pose_over_a_gap() {
+    let mut rig = Rig::new(&ChannelsConfig::default());
+    rig.state.acceleration.fill(0.0);
+    let before = rig.sample.state.velocity.clone();
+    let place = rig.sample.state.base.position;
+    let seen = rig.tick(|sample| {
+        sample.time += 12.0 * STEP;
+        sample.state.base.position = place + Vector3::repeat(13.0 * STEP);
+        sample.state.velocity.rows_mut(0, 6).fill(f64::NAN);
+    });
+    assert_eq!(seen.state.velocity.rows(0, 6), before.rows(0, 6));
+}
+
 type Spoil = fn(&mut Sample);
 
 /// Channels after their first tick.

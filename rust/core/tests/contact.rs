@@ -204,6 +204,19 @@ fn an_impact_is_not_predicted_to_last() {
     assert!(running.controller.command().modes.is_empty());
 }
 
+/// A tick without an answer of the torque QP predicts with its own wrenches of the feet, not with those of the last
+/// answer: a state that is restored in another controller goes on alike.
+#[test]
+fn without_an_answer_the_wrenches_of_the_momentum_qp_are_predicted_to_act() {
+    let mut running = controller(|config| config.torque.weight_acceleration = 1e306);
+    let (state, feet) = (at_rest(), weight_on_both());
+    let command = running.tick(&measurement(&state, Vector3::zeros(), &feet));
+    assert_eq!(command.status, CommandStatus::TorqueHeld);
+    let contact = &running.controller.terms().contact;
+    assert!(contact.force.amax() > 100.0);
+    assert_eq!(contact.force_of_torques, contact.force);
+}
+
 /// Feet of a robot that stands carry through a short loss of contact; those of one that takes off do not.
 #[test]
 fn feet_carry_through_a_short_loss_of_contact_unless_the_robot_takes_off() {

@@ -11,6 +11,7 @@ use crate::common::{
 use flight_core::control::bounds::LimitedValues;
 use flight_core::control::channels::Modes;
 use flight_core::control::config::{Fallback, RateFeedback, Solver};
+use flight_core::control::setpoint::Setpoint;
 use flight_core::control::torque::limit_rate;
 use flight_core::control::{BadStart, CommandStatus, ControllerState};
 use flight_core::qp::QpStatus;
@@ -181,7 +182,7 @@ fn the_setpoint_moves_on_while_measurements_are_bad() {
 fn a_bad_first_measurement_starts_nothing() {
     let config = experiment("test2");
     let good = Sample::start(&config);
-    for (what, spoil) in SPOILT {
+    for (what, spoil) in SPOILT.into_iter().filter(|(what, _)| *what != "wind") {
         let mut controller = controller(&config);
         let mut bad = good.clone();
         spoil(&mut bad);
@@ -191,6 +192,24 @@ fn a_bad_first_measurement_starts_nothing() {
     let mut controller = controller(&config);
     good.tick(&mut controller);
     assert_eq!(controller.state().posture(), &good.state.joint_position);
+}
+
+/// A flight can begin without a measured wind: in still air until there is one, and degraded.
+#[test]
+fn a_flight_begins_without_a_wind() {
+    let config = experiment("test2");
+    let good = Sample::start(&config);
+    let tick = |wind: Vector3<f64>| {
+        let mut controller = controller(&config);
+        let command = Sample { wind, ..good.clone() }.tick(&mut controller).clone();
+        (controller, command)
+    };
+    let (mut controller, unknown) = tick(Vector3::repeat(f64::NAN));
+    let (_, still) = tick(Vector3::zeros());
+    assert_eq!((unknown.status, unknown.modes), (CommandStatus::Degraded, Modes::WIND_HELD));
+    assert_eq!(numbers(&unknown), numbers(&still));
+    let second = Sample { time: 0.01, ..good.clone() };
+    assert_eq!(second.tick(&mut controller).status, CommandStatus::Nominal);
 }
 
 /// A base rotation that is none, a time before the flight or in a million years, a set-point that is none.
@@ -227,7 +246,37 @@ fn what_is_no_rotation_or_time_is_predicted() {
     let Running { controller, state } = &mut controller;
     let command = controller.tick_towards(state.as_mut().unwrap(), &good.measurement(), &setpoint);
     assert_eq!(command.status, CommandStatus::BadSetpoint);
-    assert_eq!(command.thrust_rate.amax(), 0.0);
+}
+
+/// Without a set-point that is one the robot holds place and attitude of the last one, and what is measured is used.
+#[test]
+fn without_a_set_point_the_last_one_is_held() {
+    let config = experiment("test2");
+    let good = Sample::start(&config);
+    let fly = |second: &dyn Fn(&Setpoint) -> Setpoint| {
+        let mut running = controller(&config);
+        good.tick(&mut running);
+        let Running { controller, state } = &mut running;
+        let mut given = controller.terms().setpoint;
+        (given.com_position.x, given.com_velocity) =
+            (given.com_position.x + 0.1, Vector3::new(1.0, 0.0, 0.0));
+        let mut commands = vec![];
+        for (time, setpoint) in [(0.01, given), (0.02, second(&given)), (0.03, second(&given))] {
+            let sample = Sample { time, ..good.clone() };
+            commands.push(
+                controller.tick_towards(state.as_mut().unwrap(), &sample.measurement(), &setpoint).clone(),
+            );
+        }
+        (commands, running.state().time())
+    };
+    let (expected, _) = fly(&|given| Setpoint::hold(given.com_position, given.rotation));
+    let (held, time) = fly(&|given| Setpoint { com_jerk: Vector3::repeat(f64::NAN), ..*given });
+    assert_eq!(time, 0.03);
+    let statuses: Vec<_> = held.iter().map(|command| command.status).collect();
+    assert_eq!(statuses, [CommandStatus::Nominal, CommandStatus::BadSetpoint, CommandStatus::BadSetpoint]);
+    for (held, expected) in held.iter().zip(&expected) {
+        assert_eq!(numbers(held), numbers(expected));
+    }
 }
 
 /// A measurement of another robot moves the time on by its own, or by a tick where that is no time.
@@ -780,7 +829,9 @@ type Refusal = (&'static str, fn(&mut ScenarioConfig), &'static str);
 #[rustfmt::skip]
 fn bad_numbers_are_refused_by_key() {
     const NAN: f64 = f64::NAN;
-    let refusals: [Refusal; 58] = [
+    let refusals: [Refusal; 60] = [
+        ("controller.weights.symmetric_jets", |c| c.controller.law.weights.symmetric_jets[0][1] = c.controller.law.weights.symmetric_jets[0][0].clone(), "two jets"),
+        ("controller.engines", |c| c.controller.law.engines = experiment("test2_observer").controller.law.engines, "controller.observer"),
         ("disturbances.aero_estimate.scale", |c| c.disturbances.aero_estimate.scale = NAN, "NaN"),
         ("disturbances.aero_estimate.scale", |c| c.disturbances.aero_estimate.scale = f64::INFINITY, "inf"),
         ("controller.momentum.kp_linear", |c| c.controller.law.momentum.kp_linear[1] = -1.0, "-1"),

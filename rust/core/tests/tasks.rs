@@ -426,3 +426,42 @@ fn tasks_that_mean_nothing_are_refused() {
     assert_eq!(refusal(3, 1.0, false), "");
     assert!(refusal(3, 1.0, false).contains("keep velocity"), "twice");
 }
+
+/// Two weights of which the second is none.
+#[derive(Debug)]
+struct HalfWrong;
+
+impl Task for HalfWrong {
+    fn name(&self) -> &'static str {
+        "half wrong"
+    }
+
+    fn layout(&self) -> Layout {
+        Layout::Diagonal { first: 4, weights: vec![1.0, -1.0] }
+    }
+
+    fn update(&self, _: &TaskInputs, _: &mut Equations) {}
+}
+
+#[test]
+fn a_task_that_is_refused_leaves_nothing() {
+    let config = experiment("test2");
+    let start = config.simulator.initial.state();
+    let thrust = &config.simulator.initial.thrust;
+    let tick = |is_tried: bool| {
+        let mut controller = config.controller(load_robot(&config.robot).unwrap()).unwrap();
+        if is_tried {
+            controller.add_task(Arc::new(HalfWrong)).unwrap_err();
+        }
+        let mut controller = Running::new(controller);
+        controller.tick(&Measurement {
+            time: 0.0,
+            state: &start,
+            thrust,
+            wind: Vector3::zeros(),
+            foot_wrenches: &[],
+        });
+        controller.terms().momentum_qp.problem.h.clone()
+    };
+    assert_eq!(tick(true), tick(false));
+}

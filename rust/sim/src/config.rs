@@ -69,6 +69,32 @@ impl ScenarioConfig {
         Controller::new(robot, aero, load_mission(&self.mission)?, law.clone(), self.simulator.time_step)
     }
 
+    /// The controller of this flight for a program that gives it state and wind as they are.
+    ///
+    /// # Errors
+    /// As [`Self::controller`]; [`BuildError::BadValue`] for estimators, which would silently be left out.
+    pub fn controller_alone(&self, robot: RobotModel) -> Result<Controller, BuildError> {
+        self.refuse_estimators("a controller alone is given state and wind as they are")?;
+        self.controller(robot)
+    }
+
+    /// Refuses estimators where nothing runs them.
+    pub(crate) fn refuse_estimators(&self, why: &str) -> Result<(), BuildError> {
+        let section = &self.controller;
+        for (key, is_there) in
+            [("estimator", section.estimator.is_some()), ("wind_observer", section.wind_observer.is_some())]
+        {
+            if is_there {
+                return Err(BuildError::bad_value(
+                    format!("controller.{key}"),
+                    "given",
+                    format!("none: {why}"),
+                ));
+            }
+        }
+        Ok(())
+    }
+
     /// The state estimator of this flight of `robot`, if there is one; it has the controller's models.
     ///
     /// # Errors

@@ -211,15 +211,10 @@ impl Scenario {
         if config.engine == Engine::Rust {
             return Self::new(config).map(|_| ());
         }
-        for (key, is_there) in [
-            ("simulator.sensors", config.simulator.sensors.is_some()),
-            ("controller.estimator", config.controller.estimator.is_some()),
-            ("controller.wind_observer", config.controller.wind_observer.is_some()),
-        ] {
-            if is_there {
-                let expected = "none: engine = \"mujoco\" gives its controller state and wind as they are";
-                return Err(BuildError::bad_value(key, "given", expected));
-            }
+        let as_they_are = "engine = \"mujoco\" gives its controller state and wind as they are";
+        config.refuse_estimators(as_they_are)?;
+        if config.simulator.sensors.is_some() {
+            return Err(BuildError::bad_value("simulator.sensors", "given", format!("none: {as_they_are}")));
         }
         if config.simulator.ground.is_none() {
             let expected = "a table: engine = \"mujoco\" flies nothing that has no ground under it";
@@ -382,7 +377,7 @@ impl Flight {
         };
         controller.tick(state, &measurement);
         if let Some(observer) = wind_observer {
-            observer.update(controller.terms(), measurement.thrust, time);
+            observer.update(controller.terms(), controller.used_thrust(), time);
         }
         let (terms, command) = (controller.terms(), controller.command());
         let errors = TrackingErrors::new(plant, &terms.setpoint);

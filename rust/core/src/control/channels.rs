@@ -505,6 +505,10 @@ impl Channels {
             return None;
         }
         self.read(measurement);
+        let wind = &mut self.now[self.layout.wind.clone()];
+        if !wind.iter().all(|x| x.is_finite()) {
+            wind.fill(0.0); // not measured: still air, until it is
+        }
         if !self.now.iter().all(|x| x.is_finite()) || !is_rotation(&measurement.state.base.rotation) {
             return None;
         }
@@ -542,7 +546,7 @@ impl Channels {
             *to = now - predicted;
         }
         // Of the pose: whether this tick and the last one measured it, and anew.
-        let mut is_fresh = true;
+        let mut is_fresh = is_step;
         for (entry, channel) in self.entries.iter().zip(&mut state.channels) {
             let range = entry.range.clone();
             let is_same = state.is_begun && self.now[range.clone()] == state.last[range.clone()];

@@ -320,6 +320,15 @@ impl ControllerConfig {
             limit.map_or(Ok(()), |limit| positive(name, limit))?;
         }
         self.qp.check()?;
+        self.channels.check()?;
+        if let Some(engines) = &self.engines {
+            engines.check()?;
+            if self.observer.is_none() {
+                let expected =
+                    "none without controller.observer: the momentum tells an engine from its sensor";
+                return Err(BuildError::bad_value("controller.engines", "given", expected));
+            }
+        }
         if let Some(contact) = &self.contact {
             contact.check(robot)?;
             if contact.load_transfer.is_some() && !self.use_jets {
@@ -331,8 +340,13 @@ impl ControllerConfig {
         per_name("posture_gain", &self.posture_gain, robot.groups.iter().map(|group| group.name.as_str()))?;
         per_name("weights.thrust_rate", &self.weights.thrust_rate, jet_names(robot))?;
         per_name("bounds.thrust_rate_max", &self.bounds.thrust_rate_max, jet_names(robot))?;
-        for jet in self.weights.symmetric_jets.iter().flatten() {
-            jet_index(robot, jet)?;
+        for [one, other] in &self.weights.symmetric_jets {
+            jet_index(robot, one)?;
+            jet_index(robot, other)?;
+            if one == other {
+                let key = "controller.weights.symmetric_jets";
+                return Err(BuildError::bad_value(key, format!("a pair of `{one}` and itself"), "two jets"));
+            }
         }
         Ok(())
     }

@@ -241,10 +241,12 @@ impl MomentumQp {
                 format!("at most {n} unknowns"),
             ));
         }
-        for (index, &weight) in weights.iter().enumerate() {
+        for &weight in &weights {
             check(&format!("weight of {item}"), weight, |w| w >= 0.0, "a number ≥ 0")?;
-            if rows == 0 {
-                self.diagonal[first + index] += weight;
+        }
+        if rows == 0 {
+            for (entry, weight) in self.diagonal.rows_mut(first, weights.len()).iter_mut().zip(&weights) {
+                *entry += weight;
             }
         }
         let (old_rows, old) = (self.matrix.ncols(), self.offset.len());

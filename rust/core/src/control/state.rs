@@ -5,7 +5,7 @@ use super::command::Measurement;
 use super::contact::ContactState;
 use super::engines::EngineState;
 use super::observer::ObserverState;
-use super::setpoint::SetpointState;
+use super::setpoint::{Setpoint, SetpointState};
 use crate::error::{BuildError, check};
 use crate::qp::WarmStart;
 use nalgebra::{DVector, Matrix3};
@@ -21,6 +21,8 @@ pub struct ControllerState {
     pub(super) channels: ChannelsState,
     /// State of the set-point generator.
     pub(super) setpoint: SetpointState,
+    /// The last set-point, at rest: what is followed where one that is given is not valid.
+    pub(super) held_setpoint: Setpoint,
     /// Posture to return to, `s_d`: the joint positions of the first tick \[rad\].
     pub(super) posture: DVector<f64>,
     /// Centroidal inertia in body axes at the first tick \[kg m²\].
@@ -48,6 +50,7 @@ impl ControllerState {
     pub(super) fn new(
         measurement: &Measurement,
         setpoint: &SetpointState,
+        held_setpoint: &Setpoint,
         inertia_0_b: Matrix3<f64>,
         channels: ChannelsState,
         (feet, jets): (usize, usize),
@@ -59,6 +62,7 @@ impl ControllerState {
             time: measurement.time,
             channels,
             setpoint: *setpoint,
+            held_setpoint: *held_setpoint,
             posture,
             inertia_0_b,
             velocity_error_integral: DVector::zeros(joints),

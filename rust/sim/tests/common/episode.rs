@@ -332,7 +332,7 @@ impl Episode {
             };
             duration = begin.elapsed();
             if let Some(observer) = wind_observer {
-                observer.update(controller.terms(), &sample.thrust, time);
+                observer.update(controller.terms(), controller.used_thrust(), time);
             }
             if let Some(estimator) = estimator {
                 estimator.command(controller.command(), &controller.terms().momentum.unmodelled_wrench);

@@ -1,8 +1,9 @@
 //! What the state estimator and the wind observer make of a whole flight.
 
-use crate::common::{experiment, fly};
+use crate::common::{assert_within, experiment, fly};
 use flight_core::estimator::{ChannelConfig, EstimatorConfig};
 use flight_core::wind_observer::WindObserverConfig;
+use flight_sim::disturbances::{Outage, OutageChannel, OutageKind};
 use flight_sim::sensors::{EncoderConfig, SensorConfig, ThrustSensorConfig};
 use flight_sim::{Outcome, SensorsConfig};
 use nalgebra::Vector3;
@@ -38,6 +39,27 @@ fn a_late_robot_flies_with_an_estimator() {
     assert_eq!(falling.outcome, Outcome::Fell);
     assert_eq!(flying.outcome, Outcome::Completed);
     assert!(flying.summary.max_rotation_error.to_degrees() < 3.0, "{}", flying.summary.max_rotation_error);
+}
+
+/// The wind is estimated from the thrusts that the controller uses: a sensor that is lost for good changes little.
+#[test]
+fn a_lost_thrust_sensor_is_no_wind() {
+    let mut config = experiment("test2_observer");
+    config.controller.wind_observer = Some(WindObserverConfig::default());
+    config.simulator.duration = 14.0;
+    let lost = Outage {
+        channel: OutageChannel::Thrust,
+        jet: Some("chest_l_jet".into()),
+        start: 8.0,
+        duration: None,
+        kind: OutageKind::Missing,
+        error: 1.0,
+    };
+    config.disturbances.outages = vec![lost];
+    let result = fly(&[config]).remove(0);
+    let row = |name: &str| Vector3::from_column_slice(result.log.series(name).unwrap().row(1400));
+    let error = (row("measured_wind") - row("wind")).norm();
+    assert_within!(error, 1.5, because "as without the outage: what is promised of the estimate");
 }
 
 /// A robot that is not given the wind arrives, and estimates it to 1.5 m/s when it has risen.
