@@ -49,7 +49,7 @@ def _frames(robot: RobotModel, joints: Array) -> tuple[Array, Array]:
     return frame_poses(standing(robot, joints), links.bodies, links.rotations, links.positions)
 
 
-def standing(robot: RobotModel, joints: Array) -> Kinematics:
+def standing(robot: RobotModel, joints: Float[Array, " n"]) -> Kinematics:
     """Return the kinematics at rest, the base at the origin with its axes along the inertial ones."""
     return kinematics(robot, State(jnp.zeros(3), jnp.eye(3), joints, jnp.zeros(6 + robot.n_joints)))
 

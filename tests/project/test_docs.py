@@ -12,7 +12,6 @@ from pathlib import Path
 
 import nbformat
 import pytest
-from jupyter_client.manager import AsyncKernelManager
 from nbclient import NotebookClient
 
 from experiments import waypoints
@@ -198,10 +197,7 @@ def test_a_notebook_runs(path):
     notebook = nbformat.read(path, as_version=4)
     assert any("image/png" in output.get("data", {}) for output in outputs())
     stored = printed()
-    # Ports of TCP would be chosen long before they are bound, and another process may take them in between.
-    kernel = AsyncKernelManager(kernel_name="python3", transport="ipc")
-    resources = {"metadata": {"path": str(path.parent)}}
-    NotebookClient(notebook, km=kernel, timeout=600, resources=resources).execute()
+    NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(path.parent)}}).execute()
     if path.stem == "first_flight":  # of the crate alone, which computes the same bits everywhere
         assert printed() == stored
 
