@@ -271,7 +271,7 @@ class Plant:
         return self.measure()
 
     def measure(self) -> Measurement:
-        """Return what a controller is given now."""
+        """Return the true state, thrusts and wind: without the configuration's sensors, outages and wind estimate."""
         raw = self._core.measure()
         state = State(raw["base_position"], raw["base_rotation"], raw["joint_position"], raw["velocity"])
         return Measurement(raw["time"], state, raw["thrust"], raw["wind"])

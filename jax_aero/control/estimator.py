@@ -27,6 +27,9 @@ from jax_aero.robot import RobotModel
 from jax_aero.spatial import cross, exp_so3, log_so3, multiply, project_to_so3, rotate
 from jax_aero.types import Array, State, leaf, pytree, where
 
+GREATEST = 1e6
+"""Beyond this no number of a robot is a measurement [m, m/s, rad/s, N]."""
+
 
 class Reading(NamedTuple):
     """What is known of a robot's state, measured or estimated."""
@@ -123,26 +126,27 @@ def update(
 ) -> tuple[EstimatorState, Reading]:
     """Take a measurement in, in the measured wind [m/s]; the state of the next tick, and the estimate of now.
 
-    One that is not finite corrects nothing.
+    Numbers that cannot be (`GREATEST`) correct nothing, and are NaN in the estimate, so that the controller knows. An
+    estimate that is not finite begins anew with what is measured.
     """
     line = jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), before.line, measured)
     oldest = before.orders.torque.shape[0] - 1
     last: Order = jax.tree.map(lambda x: x[-1], before.orders)
     moved = advance(settings, robot, before.then, last, before.disturbance, wind)
     then = where(before.ticks > oldest, moved, before.then)
+    is_sound = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(then)]))
+    then = where(is_sound, then, measured)
+    unexplained = jnp.where(is_sound, before.disturbance, 0.0)
 
     # Measurements that came early wait for the others.
     waiting = oldest - settings.age
-    aligned = [jax.tree.map(lambda x, ticks=waiting[channel]: x[ticks], line) for channel in range(7)]
+    aligned = [_known(jax.tree.map(lambda x, ticks=waiting[channel]: x[ticks], line), then) for channel in range(7)]
     step, (of_velocity, of_acceleration) = settings.time_step, settings.by_position
     innovation = aligned[4].state.joint_position - then.state.joint_position
-    learnt = before.disturbance + of_acceleration / step**2 * innovation
+    disturbance = unexplained + of_acceleration / step**2 * innovation
     corrected = _correct(settings.share, then, aligned)
     velocity = corrected.state.velocity.at[6:].add(of_velocity / step * innovation)
-    corrected = corrected._replace(state=corrected.state._replace(velocity=velocity))
-    is_finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(aligned)]))
-    then = where(is_finite, corrected, then)
-    disturbance = jnp.where(is_finite, learnt, before.disturbance)
+    then = corrected._replace(state=corrected.state._replace(velocity=velocity))
 
     def ahead(now: Reading, given: tuple[Order, Array]) -> tuple[Reading, None]:
         order, age = given
@@ -150,6 +154,7 @@ def update(
 
     orders = jax.tree.map(lambda x: x[:oldest][::-1], before.orders)
     now, _ = jax.lax.scan(ahead, then, (orders, jnp.arange(oldest)[::-1]))
+    now = jax.tree.map(lambda found, said: jnp.where(_can_be(said), found, jnp.nan), now, measured)
     return EstimatorState(line, before.orders, then, disturbance, before.ticks + 1), now
 
 
@@ -194,6 +199,16 @@ def advance(
         velocity=velocity,
     )
     return Reading(moved, jnp.maximum(reading.thrust + step * order.thrust_rate, 0.0))
+
+
+def _can_be(measured: Array) -> Array:
+    return jnp.abs(measured) <= GREATEST
+
+
+def _known(measured: Reading, estimate: Reading) -> Reading:
+    """Return what is measured, or the estimate where that cannot be."""
+    known: Reading = jax.tree.map(lambda said, found: jnp.where(_can_be(said), said, found), measured, estimate)
+    return known
 
 
 def _correct(share: Array, estimate: Reading, measured: list[Reading]) -> Reading:

@@ -7,6 +7,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from jax_aero import rust
 from jax_aero.aero import aero_model
@@ -59,3 +60,23 @@ def test_both_estimate_the_same_state(x64, measured):
         measured(name, np.max(np.abs(ours - flown[name])), 1e-9, because=because)
     turned = found.state.base_rotation - jax.vmap(rotation_from_wxyz)(jnp.asarray(flown["measured_base_quaternion"]))
     measured("measured_base_quaternion", np.max(np.abs(turned)), 1e-9, because=because)
+
+
+@pytest.mark.parametrize("absurd", [np.nan, np.inf, 1e300])
+def test_a_lost_number_corrects_nothing_and_the_others_do(absurd, x64, measured):
+    table = rust.load_config(EXPERIMENT)
+    config, robot = scenario_config(table), load_robot(table["robot"])
+    air = aero_model(config.controller.aero, robot)
+    settings = estimator.estimator(config.controller.estimator, air, jnp.asarray(config.simulator.time_step))
+    state = State(jnp.array([0.1, 0.2, 0.8]), jnp.eye(3), jnp.full(robot.n_joints, 0.1), jnp.zeros(6 + robot.n_joints))
+    first = Reading(state, jnp.full(4, 100.0))
+    begun = estimator.start(settings, first)
+    said = Reading(state._replace(base_position=state.base_position + 0.01), first.thrust)
+    lost = said._replace(thrust=said.thrust.at[2].set(absurd))
+    run = jax.jit(lambda reading: estimator.update(settings, robot, begun, reading, jnp.zeros(3))[1])
+    expected, found = run(said), run(lost)
+    assert np.isnan(found.thrust[2])
+    assert np.all(np.isfinite(expected.thrust))
+    for name in State._fields:
+        difference = np.max(np.abs(getattr(found.state, name) - getattr(expected.state, name)))
+        measured(name, difference, 1e-12, because="the same operations")

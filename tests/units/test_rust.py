@@ -185,3 +185,16 @@ def test_a_step_that_cannot_be_taken_is_refused(name, value):
     command = {"thrust_rate": np.zeros(4), "joint_torque": np.zeros(23)} | {name: value}
     with pytest.raises(ValueError, match=f"`{name}`"):
         plant.step(**command)
+
+
+def test_a_rotation_that_is_none_is_predicted_not_refused():
+    config = rust.load_config(TEST2)
+    plant, controller = rust.Plant(config), rust.Controller(config)
+    now = plant.reset()
+    assert controller.tick(now.state, now.thrust, now.wind, now.time).degraded_modes == []
+    now = plant.measure()
+    stretched = now.state._replace(base_rotation=1.01 * now.state.base_rotation)
+    tick = controller.tick(stretched, now.thrust, now.wind, now.time + 0.01)
+    assert tick.degraded_modes == ["rotation_predicted"]
+    with pytest.raises(ValueError, match="deviates from a rotation"):
+        rust.dynamics(rust.Robot(config["robot"]), stretched)

@@ -119,6 +119,29 @@ impl Reading {
     fn is_finite(&self) -> bool {
         self.state.is_finite() && self.thrust.iter().all(|thrust| thrust.is_finite())
     }
+
+    /// Numbers that cannot be in what is measured become NaN here.
+    fn mark_missing(&mut self, state: &RobotState, thrust: &[f64]) {
+        let Self { state: to, thrust: to_thrust } = self;
+        mark(to.base.position.as_mut_slice(), state.base.position.as_slice());
+        mark(to.base.rotation.as_mut_slice(), state.base.rotation.as_slice());
+        mark(to.joint_position.as_mut_slice(), state.joint_position.as_slice());
+        mark(to.velocity.as_mut_slice(), state.velocity.as_slice());
+        mark(to_thrust, thrust);
+    }
+}
+
+/// Beyond this no number of a robot is a measurement \[m, m/s, rad/s, N\].
+const GREATEST: f64 = 1e6;
+
+fn can_be(measured: f64) -> bool {
+    measured.abs() <= GREATEST
+}
+
+fn mark(to: &mut [f64], measured: &[f64]) {
+    for (to, _) in to.iter_mut().zip(measured).filter(|(_, measured)| !can_be(**measured)) {
+        *to = f64::NAN;
+    }
 }
 
 /// What acts on the robot from one tick to the next.
@@ -276,8 +299,9 @@ impl Estimator {
 
     /// Takes a measurement in, in the measured wind \[m/s\], and returns the estimate of now. No allocation.
     ///
-    /// The first one begins the flight: it is taken for what had been before it. One that is not finite corrects
-    /// nothing.
+    /// The first one begins the flight: it is taken for what had been before it. Numbers that cannot be correct
+    /// nothing, and are NaN in what is returned, so that the controller knows. An estimate that is not finite begins
+    /// anew with what is measured.
     pub fn update(&mut self, state: &RobotState, thrust: &[f64], wind_i: &Vector3<f64>) -> &Reading {
         let Self { model, ages, line, orders, ticks, then, now, by_position, .. } = self;
         let length = line.len();
@@ -292,21 +316,25 @@ impl Estimator {
         if *ticks > oldest {
             model.advance(then, &orders[*ticks % length], wind_i, step);
         }
+        if !then.is_finite() {
+            then.copy(state, thrust);
+            model.disturbance.fill(0.0);
+        }
         // Measurements that came early wait for the others.
         let aligned = ages.map(|age| &line[(*ticks + length - (oldest - age)) % length]);
-        if aligned.iter().all(|reading| reading.is_finite()) {
-            let [of_velocity, of_acceleration] = *by_position;
-            for joint in 0..model.disturbance.len() {
-                let innovation = aligned[4].state.joint_position[joint] - then.state.joint_position[joint];
-                then.state.velocity[6 + joint] += of_velocity / step * innovation;
-                model.disturbance[joint] += of_acceleration / (step * step) * innovation;
-            }
-            correct(then, aligned, &self.shares);
+        let [of_velocity, of_acceleration] = *by_position;
+        for joint in 0..model.disturbance.len() {
+            let found = then.state.joint_position[joint];
+            let innovation = known(aligned[4].state.joint_position[joint], found) - found;
+            then.state.velocity[6 + joint] += of_velocity / step * innovation;
+            model.disturbance[joint] += of_acceleration / (step * step) * innovation;
         }
+        correct(then, aligned, &self.shares);
         now.copy(&then.state, &then.thrust);
         for tick in ticks.saturating_sub(oldest)..*ticks {
             model.advance(now, &orders[tick % length], wind_i, step);
         }
+        now.mark_missing(state, thrust);
         *ticks += 1;
         &self.now
     }
@@ -321,29 +349,39 @@ impl Estimator {
     }
 }
 
+/// What is measured, or the estimate where that cannot be.
+fn known(measured: f64, estimate: f64) -> f64 {
+    if can_be(measured) { measured } else { estimate }
+}
+
 /// Moves an estimate towards measurements of its time, each by its share.
 fn correct(estimate: &mut Reading, measured: [&Reading; 7], shares: &[f64; 7]) {
     let [position, rotation, linear, angular, joints, joint_velocities, thrusts] = measured;
     let Reading { state, thrust } = estimate;
-    let gyro = |state: &RobotState| state.base.rotation.transpose() * state.base_angular_velocity();
-    let gyro_now = gyro(state);
-    let gyro_now = gyro_now + shares[3] * (gyro(&angular.state) - gyro_now);
-    let turn = log_so3(&(state.base.rotation.transpose() * rotation.state.base.rotation));
-    state.base.position += shares[0] * (position.state.base.position - state.base.position);
+    let (rotation_now, turning) = (state.base.rotation, state.base_angular_velocity());
+    let gyro_now = rotation_now.transpose() * turning;
+    let rotation_measured = angular.state.base.rotation.zip_map(&rotation_now, known);
+    let turning_measured = angular.state.base_angular_velocity().zip_map(&turning, known);
+    let gyro_now = gyro_now + shares[3] * (rotation_measured.transpose() * turning_measured - gyro_now);
+    let turn =
+        log_so3(&(rotation_now.transpose() * rotation.state.base.rotation.zip_map(&rotation_now, known)));
+    let place = state.base.position;
+    state.base.position += shares[0] * (position.state.base.position.zip_map(&place, known) - place);
     state.base.rotation = project_to_so3(&(state.base.rotation * exp_so3(&(shares[1] * turn))));
     let linear_now = state.base_linear_velocity();
-    let linear_now = linear_now + shares[2] * (linear.state.base_linear_velocity() - linear_now);
+    let linear_measured = linear.state.base_linear_velocity().zip_map(&linear_now, known);
+    let linear_now = linear_now + shares[2] * (linear_measured - linear_now);
     let angular_now = state.base.rotation * gyro_now;
     let velocities = state.velocity.as_mut_slice();
     velocities[..3].copy_from_slice(linear_now.as_slice());
     velocities[3..6].copy_from_slice(angular_now.as_slice());
     for (found, measured) in state.joint_position.iter_mut().zip(&joints.state.joint_position) {
-        *found += shares[4] * (measured - *found);
+        *found += shares[4] * (known(*measured, *found) - *found);
     }
     for (found, measured) in velocities[6..].iter_mut().zip(joint_velocities.state.joint_velocity()) {
-        *found += shares[5] * (measured - *found);
+        *found += shares[5] * (known(*measured, *found) - *found);
     }
     for (found, measured) in thrust.iter_mut().zip(&thrusts.thrust) {
-        *found = (*found + shares[6] * (measured - *found)).max(0.0);
+        *found = (*found + shares[6] * (known(*measured, *found) - *found)).max(0.0);
     }
 }

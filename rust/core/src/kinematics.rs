@@ -221,12 +221,6 @@ impl Kinematics {
         self.bodies[frame.body].i_from_b * frame.body_from_frame
     }
 
-    /// Rotation of a frame, `i_from_frame`.
-    #[must_use]
-    pub fn frame_rotation(&self, frame: &Frame) -> Matrix3<f64> {
-        self.bodies[frame.body].i_from_b.rotation * frame.body_from_frame.rotation
-    }
-
     /// Joints between a body and the base, base side first. Only their columns and the six of the
     /// base are non-zero in a Jacobian of that body.
     #[must_use]

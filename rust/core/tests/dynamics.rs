@@ -120,7 +120,7 @@ fn frame_jacobians_are_differences_of_poses() {
             let pose = sample.kinematics.frame_pose(frame);
             let (linear, angular) = sample.kinematics.jacobian(frame.body, &pose.position);
             let position = rate(robot, &sample.state, |s| s.kinematics.frame_pose(frame).position);
-            let rotation = rate(robot, &sample.state, |s| s.kinematics.frame_rotation(frame));
+            let rotation = rate(robot, &sample.state, |s| s.kinematics.frame_pose(frame).rotation);
             let omega = vee_of_skew_part(&(rotation * pose.rotation.transpose()));
             let found = &linear * &sample.state.velocity;
             assert_small(&frame.name, (position - found).amax(), 10.0, 1e-8);

@@ -233,11 +233,65 @@ fn a_measurement_that_is_no_number_corrects_nothing() {
     let mut wrong = state.clone();
     wrong.velocity[7] = f64::NAN;
     let coasting = estimator.update(&wrong, thrust, &WIND).clone();
-    assert!(coasting.state.is_finite());
-    // No command yet: free of torques it has fallen for a tick.
-    assert!(distance(&coasting, &Reading { state: state.clone(), thrust: thrust.to_vec() }) > 1e-6);
+    // The controller is told, and everything else is taken as it comes.
+    assert!(coasting.state.velocity[7].is_nan());
+    let (mut told, mut given) = (coasting.state.velocity.clone(), state.velocity.clone());
+    (told[7], given[7]) = (0.0, 0.0);
+    assert_within!((told - given).amax(), 1e-15, because "taken as it comes");
     let back = estimator.update(state, thrust, &WIND).clone();
-    assert_within!((back.state.base.position - state.base.position).amax(), 1e-15, because "taken as it comes");
+    assert!(distance(&back, &Reading { state: state.clone(), thrust: thrust.to_vec() }) < 1e-14);
+}
+
+/// One thrust sensor that is lost for good is modelled; every other channel is corrected as if nothing had happened.
+#[test]
+fn a_lost_channel_leaves_the_others_corrected() {
+    let slow = || ChannelConfig { delay: 0.02, time_constant: 0.05 };
+    let config = flight(EstimatorConfig {
+        joint_position: slow(),
+        base_position: slow(),
+        ..EstimatorConfig::default()
+    });
+    let mut world = Loop::new(&config);
+    let [mut whole, mut half] = [estimator(&config), estimator(&config)];
+    for tick in 0..60 {
+        world.observe(&WIND);
+        let (state, thrust) = (world.plant.state().clone(), world.plant.jets().thrust().to_vec());
+        let mut measured = thrust.clone();
+        if tick >= 10 {
+            measured[2] = f64::NAN;
+        }
+        let expected = whole.update(&state, &thrust, &WIND).clone();
+        let mut found = half.update(&state, &measured, &WIND).clone();
+        assert_eq!(found.thrust[2].is_nan(), tick >= 10);
+        found.thrust[2] = expected.thrust[2];
+        // Jets are ideal here: they do what is commanded, as the model has it.
+        assert_within!(distance(&found, &expected), 1e-6, because "rounding, in a flight that magnifies it");
+        for estimator in [&mut whole, &mut half] {
+            estimator.command(world.controller.command(), &Vector6::zeros());
+        }
+        world.advance(&WIND);
+    }
+}
+
+/// An absurd number spoils nothing for good, also where it is the first.
+#[test]
+fn absurd_numbers_pass() {
+    let config = flight(EstimatorConfig::default());
+    let world = Loop::new(&config);
+    let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
+    for absurd in [1e5, 1e300, f64::INFINITY, f64::NAN] {
+        let mut estimator = estimator(&config);
+        let mut wrong = state.clone();
+        wrong.velocity[7] = absurd;
+        for said in [&wrong, state, &wrong, state, state] {
+            estimator.update(said, thrust, &WIND);
+        }
+        let back = estimator.update(state, thrust, &WIND).clone();
+        assert!(
+            distance(&back, &Reading { state: state.clone(), thrust: thrust.to_vec() }) < 1e-14,
+            "{absurd}"
+        );
+    }
 }
 
 #[test]

@@ -5,11 +5,8 @@
 
 use crate::common::engines::{ENGINES, coefficients, model, models};
 use crate::common::{assert_within, relative};
-use flight_core::jets::{
-    EkfConfig, EngineDynamics, EngineModel, ThrustEkf, ThrustRateController, thrust_force, thrust_wrench,
-};
+use flight_core::jets::{EkfConfig, EngineDynamics, EngineModel, ThrustEkf, ThrustRateController};
 use flight_core::robot::EngineCoefficients;
-use nalgebra::{Vector3, Vector6};
 
 const DT: f64 = 0.01;
 
@@ -211,14 +208,6 @@ fn estimate_converges_to_the_truth() {
             }
         }
     }
-}
-
-#[test]
-fn wrench_is_force_and_moment_of_force() {
-    let (axis_i, arm_i) = (Vector3::new(0.0, 0.6, 0.8), Vector3::new(0.2, 0.0, -0.1));
-    assert_eq!(thrust_force(&axis_i, 50.0), Vector3::new(0.0, 30.0, 40.0));
-    let expected = Vector6::new(0.0, 30.0, 40.0, 3.0, -8.0, 6.0);
-    assert_within!(relative(thrust_wrench(&axis_i, &arm_i, 50.0), expected), 1e-14);
 }
 
 /// An engine without thrust does not pull, and its thrust rate is not negative.

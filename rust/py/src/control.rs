@@ -3,7 +3,7 @@
 use crate::arrays::{Input, array, entries, matrix, matrix3, value_error, vector, vector3, vectors};
 use crate::flight::parse;
 use crate::qp::answer;
-use crate::robot::state;
+use crate::robot::measured_state;
 use flight_core::control::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::tasks::MOMENTUM_ROWS;
 use flight_core::control::{BadStart, ControllerState as State, Terms};
@@ -163,7 +163,7 @@ impl Controller {
     ) -> PyResult<Measured> {
         Ok(Measured {
             time,
-            state: state(self.controller.model().n_joints(), position, rotation, joints, velocity)?,
+            state: measured_state(self.controller.model().n_joints(), position, rotation, joints, velocity)?,
             thrust: entries("thrust", thrust, &[self.controller.n_jets()])?,
             wind: vector3("wind", wind)?,
             foot_wrenches: self.foot_wrenches(foot_wrenches)?,

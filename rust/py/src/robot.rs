@@ -22,7 +22,8 @@ pub struct Robot {
     model: RobotModel,
 }
 
-/// State of a robot from arrays: base position (3), rotation (3, 3), joints (n), mixed velocity (6 + n).
+/// State of a robot from arrays: base position (3), rotation (3, 3), joints (n), mixed velocity (6 + n). A rotation that
+/// is none is refused.
 pub fn state(
     joints: usize,
     base_position: &Input<'_>,
@@ -30,14 +31,27 @@ pub fn state(
     joint_position: &Input<'_>,
     velocity: &Input<'_>,
 ) -> PyResult<RobotState> {
-    let rotation = matrix3("base_rotation", base_rotation)?;
-    let deviation = orthonormality_error(&rotation);
+    let state = measured_state(joints, base_position, base_rotation, joint_position, velocity)?;
+    let rotation = &state.base.rotation;
+    let deviation = orthonormality_error(rotation);
     if deviation > 1e-6 || rotation.determinant() < 0.0 {
         return Err(PyValueError::new_err(format!(
             "`base_rotation` deviates from a rotation by {deviation:e} (determinant {}); expected one to 1e-6",
             rotation.determinant()
         )));
     }
+    Ok(state)
+}
+
+/// The same as it is measured: a controller judges it.
+pub fn measured_state(
+    joints: usize,
+    base_position: &Input<'_>,
+    base_rotation: &Input<'_>,
+    joint_position: &Input<'_>,
+    velocity: &Input<'_>,
+) -> PyResult<RobotState> {
+    let rotation = matrix3("base_rotation", base_rotation)?;
     Ok(RobotState {
         base: Pose { rotation, position: vector3("base_position", base_position)? },
         joint_position: DVector::from_vec(entries("joint_position", joint_position, &[joints])?),

@@ -139,12 +139,6 @@ impl Outages {
         Ok(Self { outages: outages.iter().enumerate().map(place).collect::<Result<_, _>>()? })
     }
 
-    /// Whether there are none.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.outages.is_empty()
-    }
-
     /// Spoils what is measured at `time` \[s\].
     pub fn spoil(&mut self, time: f64, sample: &mut Sample) {
         for (outage, jets, held) in &mut self.outages {
