@@ -95,6 +95,10 @@ class ChannelsState(NamedTuple):
     """Acceleration `ν̇` that the last command causes."""
     thrust_rate: Float[Array, " j"]
     """Thrust rates of the last command [N/s]."""
+    time: Float[Array, ""]
+    """Time of the last tick, M108 [s]."""
+    clock_offset: Float[Array, ""]
+    """By how much the clock of the measurements is ahead of it [s]."""
     is_begun: Bool[Array, ""]
     """Whether there was a tick."""
     is_descending: Bool[Array, ""]
@@ -104,6 +108,7 @@ class Seen(NamedTuple):
     """A measurement that a tick can use."""
 
     time: Float[Array, ""]
+    """Time of the controller: that of the measurement, but for jumps of its clock [s]."""
     state: State
     thrust: Float[Array, " j"]
     wind: Float[Array, "3"]
@@ -113,6 +118,8 @@ class Seen(NamedTuple):
     """By how much each thrust is not the predicted one; zero where it is not measured [N]."""
     elapsed: Float[Array, ""]
     """Time since the last tick [s]."""
+    has_momentum: Bool[Array, ""]
+    """Whether the momentum is that of measurements, and its rate that of the time since the last tick."""
 
 
 def channel_limits(config: ChannelsConfig, robot: RobotModel) -> ChannelLimits:
@@ -161,6 +168,8 @@ def start(robot: RobotModel, state: State) -> ChannelsState:
         predicted=numbers,
         acceleration=jnp.zeros(6 + n, like.dtype),
         thrust_rate=none,
+        time=jnp.zeros((), like.dtype),
+        clock_offset=jnp.zeros((), like.dtype),
         is_begun=jnp.array(False),
         is_descending=jnp.array(False),
     )
@@ -170,25 +179,27 @@ def update(
     limits: ChannelLimits,
     memory: ChannelsState,
     time_step: Float[Array, ""],
-    last_time: Float[Array, ""],
     time: Float[Array, ""],
     state: State,
     thrust: Float[Array, " j"],
     wind: Float[Array, "3"],
 ) -> tuple[ChannelsState, Seen]:
-    """Take a measurement in; `last_time` is that of the tick before [s]."""
+    """Take in a measurement at `time` [s] by its clock."""
     jets, n = thrust.shape[0], state.joint_position.shape[0]
     owners = _owners(jets, n)
     owner = owners.argmax(axis=0)
     now = _flat(state, thrust, wind)
 
     is_known = (time >= 0.0) & (time <= TIME_MAX)
-    clock = jnp.where(is_known, time, last_time + time_step)
-    elapsed = clock - last_time
+    following = memory.time + time_step
+    measured = jnp.where(is_known, time - memory.clock_offset, following)
+    elapsed = measured - memory.time
     is_step = (elapsed > 0.0) & (elapsed < GAP_MAX * time_step)
     dt = jnp.where(is_step, elapsed, time_step)
-    wrong_step = memory.is_begun & ~is_step & limits.compares
-    modes = jnp.where(is_known & ~wrong_step, 0, MODES["clock_predicted"])
+    has_jumped = memory.is_begun & ~is_step & limits.compares
+    now_time = jnp.where(has_jumped, following, measured)
+    clock_offset = jnp.where(has_jumped, time - following, memory.clock_offset)
+    modes = jnp.where(is_known & ~has_jumped, 0, MODES["clock_predicted"])
 
     predicted = jnp.where(memory.is_begun, _predict(limits, memory, jets, n, dt), memory.predicted)
 
@@ -246,7 +257,10 @@ def update(
     modes += jnp.where(~is_measured[0] & (left <= 0.0), MODES["wind_lost"], 0)
     modes += jnp.where(is_descending, MODES["descending"], 0)
 
+    has_momentum = (is_step | ~memory.is_begun) & ((modes & WITHOUT_MOMENTUM) == 0)
     after = memory._replace(
+        time=now_time,
+        clock_offset=clock_offset,
         age=age,
         same=same,
         is_frozen=is_frozen,
@@ -262,7 +276,8 @@ def update(
         joint_position=joints[:n],
         velocity=jnp.concatenate([used[-18:-12], joints[n:]]),
     )
-    return after, Seen(clock, seen, used[3 : 3 + jets], used[:3], modes.astype(jnp.int32), innovation, dt)
+    thrusts, modes = used[3 : 3 + jets], modes.astype(jnp.int32)
+    return after, Seen(now_time, seen, thrusts, used[:3], modes, innovation, dt, has_momentum)
 
 
 def reject_sensor(memory: ChannelsState, is_wrong: Bool[Array, " j"], deviation: Float[Array, " j"]) -> ChannelsState:

@@ -16,6 +16,8 @@ from jaxtyping import Bool, Float
 
 from jax_aero.config import EnginesConfig
 from jax_aero.control.attitude import TaskGains
+from jax_aero.control.tasks import in_place_of
+from jax_aero.robot import RobotModel
 from jax_aero.types import Array, leaf, leaves, pytree
 
 
@@ -25,10 +27,10 @@ class Descent:
 
     momentum: TaskGains
     """Gains in place of the controller's."""
-    joint_velocity_max: Float[Array, ""]
-    """Greatest joint velocity, of joints whose own is less [rad/s]."""
-    torque_rate_max: Float[Array, ""]
-    """Greatest rate of a joint torque, of joints whose own is less [N m/s]."""
+    joint_velocity_max: Float[Array, " n"]
+    """Greatest velocity, of revolute joints whose own is less; zero for others [rad/s]."""
+    torque_rate_max: Float[Array, " n"]
+    """Greatest rate of a torque, likewise [N m/s]."""
 
 
 @pytree
@@ -67,8 +69,9 @@ class EngineState(NamedTuple):
         return self.greatest - self.least < limits.deviation_max
 
 
-def engine_limits(config: EnginesConfig) -> EngineLimits:
+def engine_limits(config: EnginesConfig, robot: RobotModel) -> EngineLimits:
     """Collect the numbers of a configuration."""
+    none = np.zeros(robot.n_joints)
     descent = config.descent
     return EngineLimits(
         time_constant=leaf(config.time_constant),
@@ -78,8 +81,8 @@ def engine_limits(config: EnginesConfig) -> EngineLimits:
         if descent is None
         else Descent(
             momentum=leaves(TaskGains, descent.momentum),
-            joint_velocity_max=leaf(np.deg2rad(descent.joint_velocity_max_deg)),
-            torque_rate_max=leaf(descent.torque_rate_max),
+            joint_velocity_max=in_place_of(none, np.deg2rad(descent.joint_velocity_max_deg), robot),
+            torque_rate_max=in_place_of(none, descent.torque_rate_max, robot),
         ),
     )
 
@@ -98,15 +101,17 @@ def update(
     innovation: Float[Array, " j"],
     a_t: Float[Array, "6 j"],
     residual: Float[Array, "6"],
+    has_momentum: Bool[Array, ""],
 ) -> tuple[EngineState, Bool[Array, " j"], Float[Array, " j"]]:
     """Take in thrusts [N] and by how much they are not the predicted ones.
 
     Also return which sensors are wrong, and by how much.
 
-    `a_t` takes thrusts to the momentum's rate, `residual` is the `n` above [N, N m].
+    `a_t` takes thrusts to the momentum's rate, `residual` is the `n` above [N, N m]. Where the momentum is not measured
+    nothing is judged: the confirmation begins anew.
     """
     deviation = jnp.exp(-dt / limits.time_constant) * last.deviation + innovation
-    exceeds = jnp.abs(deviation) > limits.deviation_max
+    exceeds = has_momentum & (jnp.abs(deviation) > limits.deviation_max)
     suspected = jnp.where(exceeds, last.suspected + dt, 0.0)
     # Half a tick is for rounding.
     is_sure = exceeds & (suspected >= limits.confirmation + 0.5 * dt)

@@ -48,6 +48,8 @@ class Order(NamedTuple):
     """[N/s]."""
     unmodelled: Float[Array, "6"]
     """Wrench that is in no model, about the centre of mass [N, N m]."""
+    wind: Float[Array, "3"]
+    """That the controller uses, finite whatever is measured [m/s]."""
 
 
 @pytree
@@ -116,15 +118,15 @@ def start(settings: Estimator, first: Reading) -> EstimatorState:
         return jnp.stack([jnp.asarray(x)] * length)
 
     rest = jnp.zeros_like(first.state.velocity)
-    order = Order(rest[6:], jnp.zeros_like(first.thrust), rest[:6])
+    order = Order(rest[6:], jnp.zeros_like(first.thrust), rest[:6], rest[:3])
     line, orders = jax.tree.map(often, (first, order))
     return EstimatorState(line, orders, first, rest[6:], jnp.array(0, jnp.int32))
 
 
 def update(
-    settings: Estimator, robot: RobotModel, before: EstimatorState, measured: Reading, wind: Float[Array, "3"]
+    settings: Estimator, robot: RobotModel, before: EstimatorState, measured: Reading
 ) -> tuple[EstimatorState, Reading]:
-    """Take a measurement in, in the measured wind [m/s]; the state of the next tick, and the estimate of now.
+    """Take a measurement in; the state of the next tick, and the estimate of now.
 
     Numbers that cannot be (`GREATEST`) correct nothing, and are NaN in the estimate, so that the controller knows. An
     estimate that is not finite begins anew with what is measured.
@@ -132,7 +134,7 @@ def update(
     line = jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), before.line, measured)
     oldest = before.orders.torque.shape[0] - 1
     last: Order = jax.tree.map(lambda x: x[-1], before.orders)
-    moved = advance(settings, robot, before.then, last, before.disturbance, wind)
+    moved = advance(settings, robot, before.then, last, before.disturbance)
     then = where(before.ticks > oldest, moved, before.then)
     is_sound = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(then)]))
     then = where(is_sound, then, measured)
@@ -150,7 +152,7 @@ def update(
 
     def ahead(now: Reading, given: tuple[Order, Array]) -> tuple[Reading, None]:
         order, age = given
-        return where(before.ticks > age, advance(settings, robot, now, order, disturbance, wind), now), None
+        return where(before.ticks > age, advance(settings, robot, now, order, disturbance), now), None
 
     orders = jax.tree.map(lambda x: x[:oldest][::-1], before.orders)
     now, _ = jax.lax.scan(ahead, then, (orders, jnp.arange(oldest)[::-1]))
@@ -171,13 +173,12 @@ def advance(
     reading: Reading,
     order: Order,
     disturbance: Float[Array, " n"],
-    wind: Float[Array, "3"],
 ) -> Reading:
     """One tick of the model under an order and unexplained accelerations of the joints, semi-implicit."""
     state, step = reading.state, settings.time_step
     kin = kinematics(robot, state)
     dyn = dynamics(robot, state, kin)
-    link = link_forces(settings.aero, robot, kin, LinkConventions(), wind)
+    link = link_forces(settings.aero, robot, kin, LinkConventions(), order.wind)
     rotations, points = frame_poses(kin, robot.jets.bodies, robot.jets.rotations, robot.jets.positions)
     thrusts = reading.thrust[:, None] * rotate(rotations, robot.jets.axes)
     force = (

@@ -20,9 +20,6 @@ from jaxtyping import Bool, Float
 
 from jax_aero.types import Array, pytree
 
-GAP_MAX = 10.5
-"""Longest time between two measurements that are compared, in ticks. Half a tick is for rounding."""
-
 RESIDUAL_TIME = 0.02
 """Time constant of the residual [s]."""
 
@@ -50,8 +47,6 @@ class ObserverState(NamedTuple):
     """What was found beside it in the last hundredths of a second, `n` of M106 [N, N m]."""
     is_known: Bool[Array, ""]
     """Whether there is a last measurement: that of the rest."""
-    time: Float[Array, ""]
-    """[s]."""
     momentum: Float[Array, "6"]
     """Centroidal momentum `L` [kg m/s, kg m²/s]."""
     rate: Float[Array, "6"]
@@ -61,37 +56,33 @@ class ObserverState(NamedTuple):
 def start(like: Float[Array, "..."]) -> ObserverState:
     """Return the state of an observer that has observed nothing, in the precision of `like`."""
     nothing = jnp.zeros(6, like.dtype)
-    return ObserverState(nothing, nothing, jnp.array(False), jnp.zeros((), like.dtype), nothing, nothing)
+    return ObserverState(nothing, nothing, jnp.array(False), nothing, nothing)
 
 
 def update(
     gains: ObserverGains,
-    time_step: Float[Array, ""],
+    elapsed: Float[Array, ""],
     last: ObserverState,
-    time: Float[Array, ""],
     momentum: Float[Array, "6"],
     rate: Float[Array, "6"],
 ) -> ObserverState:
-    """Take a measurement in.
+    """Take in a measurement `elapsed` [s] after the last one.
 
-    Without a measurement shortly before it there is nothing to compare: `ŵ` stays, as it does where numbers overflow.
+    Without a last one there is nothing to compare: `ŵ` stays, as it does where numbers overflow.
     """
-    elapsed = time - last.time
-    is_near = last.is_known & (elapsed > 0.0) & (elapsed < GAP_MAX * time_step)
-    elapsed = jnp.where(is_near, elapsed, time_step)
     shares = -jnp.expm1(-elapsed * _sixfold(gains.gain_force, gains.gain_moment))
     innovation = (momentum - last.momentum) / elapsed - last.rate - last.wrench
     moved = last.wrench + shares * innovation
     limits = _sixfold(gains.force_max, gains.moment_max)
-    is_used = is_near & jnp.all(jnp.isfinite(moved))
+    is_used = last.is_known & jnp.all(jnp.isfinite(moved))
     wrench = jnp.where(is_used, jnp.clip(moved, -limits, limits), last.wrench)
     newer = last.residual - jnp.expm1(-elapsed / RESIDUAL_TIME) * (innovation - last.residual)
     residual = jnp.where(is_used, newer, last.residual)
-    return ObserverState(wrench, residual, jnp.array(True), jnp.asarray(time, wrench.dtype), momentum, rate)
+    return ObserverState(wrench, residual, jnp.array(True), momentum, rate)
 
 
 def hold(last: ObserverState) -> ObserverState:
-    """Return the observer after a tick whose momentum is not measured: `ŵ` stays, there is nothing to compare."""
+    """Return the observer after a tick whose momentum is not measured, or long after the last one: `ŵ` stays."""
     return last._replace(residual=jnp.zeros_like(last.residual), is_known=jnp.array(False))
 
 

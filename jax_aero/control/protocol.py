@@ -7,6 +7,7 @@ from typing import NamedTuple, Protocol, TypeVar
 from jaxtyping import Float, Int
 
 from jax_aero.control.attitude import AttitudeDemand
+from jax_aero.control.channels import Seen
 from jax_aero.control.momentum import MomentumModel
 from jax_aero.control.qp import QpAnswer
 from jax_aero.control.tasks import MomentumQp
@@ -32,6 +33,8 @@ class Measurement(NamedTuple):
 class Terms(NamedTuple):
     """All intermediate values of a tick of the momentum controller."""
 
+    seen: Seen
+    """The measurement as it was used: predicted where it is not measured."""
     kinematics: Kinematics
     dynamics: Dynamics
     link_forces: LinkForces
@@ -42,8 +45,6 @@ class Terms(NamedTuple):
     torque_qp: TorqueQp
     unlimited_torque: Float[Array, " n"]
     """Torques before the rate limiter [N m]."""
-    thrust: Float[Array, " j"]
-    """Thrusts that the tick used [N]: measured, or predicted where they are not."""
 
 
 class Command(NamedTuple):

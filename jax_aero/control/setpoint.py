@@ -18,7 +18,7 @@ from jax import lax
 from jaxtyping import Bool, Float, Int
 
 from jax_aero.config import MissionConfig, SetpointConfig
-from jax_aero.control.recorded import Recording, motion_at
+from jax_aero.control.recorded import RecordedMotion, Recording, motion_at
 from jax_aero.spatial import (
     cross,
     multiply,
@@ -231,8 +231,28 @@ def update(
     back onto SO(3) every tick removes the drift of that step.
     """
     if isinstance(mission, Recording):
-        return _follow(params, mission, state, time)
+        return _recorded(params, mission, state, time)
     return _smooth(params, state, *_advance_raw(params, state, autopilot_command(mission, time)))
+
+
+def motion_of(setpoint: Setpoint) -> RecordedMotion:
+    """Return the motion of a set-point, as far as a recording has it."""
+    com = (setpoint.com_position, setpoint.com_velocity, setpoint.com_acceleration, setpoint.com_jerk)
+    return RecordedMotion(jnp.stack([jnp.asarray(x) for x in com]), setpoint.rotation, setpoint.angular_velocity)
+
+
+def follow(params: SetpointParams, state: SetpointState, motion: RecordedMotion) -> SetpointState:
+    """Move the state along with a motion that is given: where a descent would begin."""
+    com = motion.com
+    return SetpointState(
+        raw_position=com[0],
+        raw_rpy=_heading_rpy(params, motion.rotation),
+        turbo_ticks=jnp.zeros_like(state.turbo_ticks),
+        position=FilterState(com[:3], com[0]),
+        acceleration=FilterState(jnp.stack([com[2], com[3], jnp.zeros_like(com[3])]), com[2]),
+        angular_velocity=filter_update(params.angular_velocity_filter, state.angular_velocity, motion.angular_velocity),
+        rotation=motion.rotation,
+    )
 
 
 def descend(params: SetpointParams, state: SetpointState) -> tuple[SetpointState, Setpoint]:
@@ -278,25 +298,14 @@ def _smooth(
     return SetpointState(raw_position, raw_rpy, turbo_ticks, position, acceleration, angular, turned), setpoint
 
 
-def _follow(
+def _recorded(
     params: SetpointParams, recording: Recording, state: SetpointState, time: Array
 ) -> tuple[SetpointState, Setpoint]:
     """Follow a recording as it is; only its angular velocity is filtered, for the derivatives that it does not have."""
     motion = motion_at(recording, time)
-    angular = filter_update(params.angular_velocity_filter, state.angular_velocity, motion.angular_velocity)
-    com, rates = motion.com, angular.derivatives
-    setpoint = Setpoint(com[0], com[1], com[2], com[3], motion.rotation, rates[0], rates[1], rates[2])
-    rpy = _heading_rpy(params, motion.rotation)
-    after = state._replace(
-        raw_position=com[0],
-        raw_rpy=rpy,
-        # Where a descent would begin.
-        position=FilterState(jnp.stack([com[0], com[1], com[2]]), com[0]),
-        acceleration=FilterState(jnp.stack([com[2], com[3], jnp.zeros_like(com[3])]), com[2]),
-        angular_velocity=angular,
-        rotation=motion.rotation,
-    )
-    return after, setpoint
+    after = follow(params, state, motion)
+    com, rates = motion.com, after.angular_velocity.derivatives
+    return after, Setpoint(com[0], com[1], com[2], com[3], motion.rotation, rates[0], rates[1], rates[2])
 
 
 def _advance_raw(params: SetpointParams, state: SetpointState, command: AutopilotCommand) -> tuple[Array, Array, Array]:

@@ -88,9 +88,10 @@ def task_params(config: ControllerSection, robot: RobotModel, time_step: float) 
     velocity_max = in_place_of(robot.joint_velocity_max, None if common is None else np.deg2rad(common), robot)
     thrust_rate_max = _by_name("bounds.thrust_rate_max", bounds.thrust_rate_max, robot.jets.names, robot)
     descent = None if config.engines is None else config.engines.descent
-    fast = 0.0 if descent is None else np.deg2rad(descent.joint_velocity_max_deg)
+    none = np.zeros(robot.n_joints)
+    fast = none if descent is None else in_place_of(none, np.deg2rad(descent.joint_velocity_max_deg), robot)
     _check_steepness("thrust_steepness", bounds.thrust_steepness, thrust_rate_max, time_step)
-    _check_steepness("joint_steepness", bounds.joint_steepness, velocity_max, time_step, fast)
+    _check_steepness("joint_steepness", bounds.joint_steepness, jnp.maximum(velocity_max, fast), time_step)
     return TaskParams(
         momentum=leaf(weights.momentum),
         angular_momentum=leaf(weights.angular_momentum),
@@ -107,15 +108,15 @@ def task_params(config: ControllerSection, robot: RobotModel, time_step: float) 
     )
 
 
-def _check_steepness(key: str, steepness: float, rate_max: ArrayLike, time_step: float, fast: float = 0.0) -> None:
+def _check_steepness(key: str, steepness: float, rate_max: ArrayLike, time_step: float) -> None:
     """Refuse a bound whose values oscillate from tick to tick.
 
     At a limit the bound of the rate is `r ε` per unit of distance, so the distance is multiplied by `1 − h r ε` each
-    tick. `fast` is a rate besides `rate_max`. Of a robot that is traced the rates are not known here.
+    tick. Of a robot that is traced the rates are not known here.
     """
     if isinstance(rate_max, jax.core.Tracer):
         return
-    step = np.asarray(rate_max).max(initial=fast) * time_step
+    step = np.asarray(rate_max).max(initial=0.0) * time_step
     if steepness * step > 2.0 * (1.0 + 1e-9):  # the published numbers lie on the edge: 1 − 0.01 · 100 · 2 = −1
         raise ValueError(
             f"`controller.bounds.{key}` is {steepness:g}; "

@@ -119,8 +119,6 @@ class MomentumController:
 class ControllerState(NamedTuple):
     """Everything that the controller carries from one tick to the next."""
 
-    time: Float[Array, ""]
-    """Of the last tick [s]."""
     setpoint: SetpointState
     channels: ChannelsState
     """What is known of the channels of the measurement."""
@@ -188,7 +186,7 @@ def momentum_controller(
         setpoint=generator.setpoint_params(controller.setpoint, robot.forward_axis, time_step),
         channels=channel_limits(controller.channels, robot),
         observer=None if controller.observer is None else leaves(ObserverGains, controller.observer),
-        engines=None if controller.engines is None else engines.engine_limits(controller.engines),
+        engines=None if controller.engines is None else engines.engine_limits(controller.engines, robot),
         mission=_mission(config.mission),
         time_step=time_step,
     )
@@ -211,7 +209,6 @@ def init(params: MomentumController, robot: RobotModel, state: State) -> Control
     rotation, n = state.base_rotation, robot.n_joints
     zeros = jnp.zeros_like(state.joint_position)
     return ControllerState(
-        time=jnp.zeros((), state.joint_position.dtype),
         setpoint=generator.start(params.setpoint, kin.com, rotation),
         channels=channels.start(robot, state),
         posture=jnp.asarray(state.joint_position),
@@ -238,21 +235,21 @@ def tick(
 ) -> tuple[ControllerState, Command, Terms]:
     """One tick: the memory of the next, the command, and every intermediate value.
 
-    `time` [s], `thrust` [N], `wind` [m/s, inertial axes]. With `setpoint` the mission is not followed.
+    `time` [s], `thrust` [N], `wind` [m/s, inertial axes]. With `setpoint` the mission is not followed; on the way down
+    neither is.
 
     What of the measurement is missing or cannot be right is predicted from what is known; the command says what.
     """
     with jax.default_matmul_precision("highest"):
-        known, seen = channels.update(
-            params.channels, memory.channels, params.time_step, memory.time, time, state, thrust, wind
-        )
-        memory = memory._replace(time=seen.time, channels=known)
+        known, seen = channels.update(params.channels, memory.channels, params.time_step, time, state, thrust, wind)
+        memory = memory._replace(channels=known)
         if setpoint is None:
             along = generator.update(params.setpoint, params.mission, memory.setpoint, seen.time)
-            down = generator.descend(params.setpoint, memory.setpoint)
-            moved, setpoint = where(known.is_descending, down, along)
-            memory = memory._replace(setpoint=moved)
-        return _act(params, robot, memory, seen, setpoint)
+        else:
+            along = generator.follow(params.setpoint, memory.setpoint, generator.motion_of(setpoint)), setpoint
+        down = generator.descend(params.setpoint, memory.setpoint)
+        moved, followed = where(known.is_descending, down, along)
+        return _act(params, robot, memory._replace(setpoint=moved), seen, followed)
 
 
 def _act(
@@ -264,7 +261,7 @@ def _act(
 ) -> tuple[ControllerState, Command, Terms]:
     """Tick on a measurement that can be used."""
     switches = params.switches
-    time, state, thrust, wind, modes, innovation, elapsed = seen
+    _, state, thrust, wind, modes, innovation, elapsed, has_momentum = seen
     known = memory.channels
     kin = kinematics(robot, state)
     dyn = dynamics(robot, state, kin)
@@ -275,8 +272,8 @@ def _act(
     observed = memory.observer
     if params.observer is not None and observed is not None:
         rate = momentum.rate_estimate
-        compared = observer.update(params.observer, params.time_step, observed, time, dyn.momentum, rate)
-        observed = where((modes & channels.WITHOUT_MOMENTUM) == 0, compared, observer.hold(observed))
+        compared = observer.update(params.observer, elapsed, observed, dyn.momentum, rate)
+        observed = where(has_momentum, compared, observer.hold(observed))
         momentum = momentum.with_unmodelled(observed.wrench)
     gains, tasks, torque_rate_max = params.momentum, params.tasks, params.torque_rate_max
     before = memory.engines
@@ -284,7 +281,7 @@ def _act(
     if params.engines is not None and before is not None:
         residual = jnp.zeros_like(dyn.momentum) if observed is None else observed.residual
         turning, is_wrong, deviation = engines.update(
-            params.engines, before, elapsed, thrust, innovation, momentum.a_t, residual
+            params.engines, before, elapsed, thrust, innovation, momentum.a_t, residual, has_momentum
         )
         known = channels.reject_sensor(known, is_wrong, deviation)
         descent = params.engines.descent
@@ -383,5 +380,5 @@ def _act(
         momentum_start=wanted.warm_start,
         torque_start=pushed.warm_start,
     )
-    terms = Terms(kin, dyn, link, momentum, setpoint, attitude, shaping, following, pushed.x, thrust)
+    terms = Terms(seen, kin, dyn, link, momentum, setpoint, attitude, shaping, following, pushed.x)
     return after, command, terms

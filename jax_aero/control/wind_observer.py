@@ -57,8 +57,6 @@ class WindObserver:
     """The same of the model's force, as a fraction of the observed one."""
     moment_arm: Float[Array, ""]
     """Over which the unexplained moment is a force that is not explained either [m]."""
-    time_step: Float[Array, ""]
-    """[s]."""
 
 
 class WindState(NamedTuple):
@@ -83,7 +81,7 @@ class WindState(NamedTuple):
         return jnp.sqrt(jnp.diagonal(considered))
 
 
-def wind_observer(config: WindObserverConfig, aero: AeroModel, time_step: Float[Array, ""]) -> WindObserver:
+def wind_observer(config: WindObserverConfig, aero: AeroModel) -> WindObserver:
     """Collect the numbers of an estimate with this model of the air."""
     return WindObserver(
         aero=aero,
@@ -95,7 +93,6 @@ def wind_observer(config: WindObserverConfig, aero: AeroModel, time_step: Float[
         force_std=leaf(config.force_std),
         relative_std=leaf(config.relative_std),
         moment_arm=leaf(config.moment_arm),
-        time_step=time_step,
     )
 
 
@@ -112,17 +109,17 @@ def update(
     robot: RobotModel,
     before: WindState,
     terms: Terms,
-    time: Float[Array, ""],
 ) -> WindState:
-    """Take in what a tick of the controller computed, and the time [s] it was given."""
-    rate = jnp.sum(terms.momentum.a_t * terms.thrust, axis=1).at[2].add(-robot.mass * robot.gravity)
+    """Take in what a tick of the controller computed. Where the momentum was not measured nothing is corrected."""
+    step, has_momentum = terms.seen.elapsed, terms.seen.has_momentum
+    rate = jnp.sum(terms.momentum.a_t * terms.seen.thrust, axis=1).at[2].add(-robot.mass * robot.gravity)
     greatest = jnp.full_like(settings.gain, GREATEST)
     gains = ObserverGains(settings.gain, settings.gain, greatest, greatest)
-    wrench = observer.update(gains, settings.time_step, before.wrench, time, terms.dynamics.momentum, rate)
+    wrench = observer.update(gains, step, before.wrench, terms.dynamics.momentum, rate)
+    wrench = where(has_momentum, wrench, observer.hold(before.wrench))
     force = wrench.wrench[:3]
 
     # Horizontal winds wander, vertical ones return.
-    step = settings.time_step
     kept = jnp.exp(-step / settings.vertical_time)
     keep = jnp.stack([jnp.ones_like(kept), jnp.ones_like(kept), kept])
     walk = settings.walk**2 * step
@@ -155,4 +152,4 @@ def update(
     after = WindState(wrench, moved, less, left @ sensitivity + gain, lasting, unexplained)
     before = WindState(wrench, wind, covariance, sensitivity, before.lasting, before.unexplained)
     is_finite = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in after[1:]]))
-    return where(is_finite, after, before)
+    return where(is_finite & has_momentum, after, before)

@@ -285,7 +285,7 @@ def _wind_observer(config: ScenarioConfig, plant: Plant, read_network: ReadNetwo
     settings = config.controller.wind_observer
     if settings is None:
         return None
-    return wind_observing.wind_observer(settings, controller_aero(config, plant.robot, read_network), plant.time_step)
+    return wind_observing.wind_observer(settings, controller_aero(config, plant.robot, read_network))
 
 
 def _winds(wind: Wind, ticks: int, time_step: Array) -> Array:
@@ -367,17 +367,20 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     if scenario.sensors is not None and sensors is not None:
         sensors, said = sensing.read(scenario.sensors, sensors, said, tick)
     estimator = state.estimator
-    if scenario.estimator is not None and estimator is not None:
-        estimator, said = estimating.update(scenario.estimator, model, estimator, said, measured)
     held, sample = spoil(scenario.outages, state.outages, time, Sample(said.state, said.thrust, measured))
-    measurement = Measurement(time, *sample)
+    said = Reading(sample.state, sample.thrust)
+    if scenario.estimator is not None and estimator is not None:
+        estimator, said = estimating.update(scenario.estimator, model, estimator, said)
+    measurement = Measurement(time, *said, sample.wind)
     memory, command = scenario.controller.step(model, state.controller, measurement)
     if scenario.wind_observer is not None and wind_seen is not None and command.terms is not None:
-        wind_seen = wind_observing.update(scenario.wind_observer, model, wind_seen, command.terms, measurement.time)
+        wind_seen = wind_observing.update(scenario.wind_observer, model, wind_seen, command.terms)
     if estimator is not None:
         terms = command.terms
         unmodelled = jnp.zeros_like(now.robot.velocity[:6]) if terms is None else terms.momentum.unmodelled_wrench
-        estimator = estimating.command(estimator, Order(command.joint_torque, command.thrust_rate, unmodelled))
+        wind_used = sample.wind if terms is None else terms.seen.wind
+        order = Order(command.joint_torque, command.thrust_rate, unmodelled, wind_used)
+        estimator = estimating.command(estimator, order)
     seen = _observe(scenario, now, command, air)
 
     rotation_error = com_error = jnp.zeros_like(now.robot.base_position[0])

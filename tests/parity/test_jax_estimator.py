@@ -36,14 +36,14 @@ def test_both_estimate_the_same_state(x64, measured):
     rotations = jax.vmap(rotation_from_wxyz)(jnp.asarray(flown["base_quaternion"]))
     velocity = np.hstack([flown["base_velocity"], flown["joint_velocity"]])
     truth = Reading(State(flown["base_position"], rotations, flown["joint_position"], velocity), flown["thrust"])
-    orders = Order(flown["joint_torque"], flown["thrust_rate"], flown["unmodelled_wrench"])
-    rows = jax.tree.map(jnp.asarray, (truth, orders, flown["measured_wind"], np.arange(ticks)))
+    orders = Order(*(flown[name] for name in ("joint_torque", "thrust_rate", "unmodelled_wrench", "measured_wind")))
+    rows = jax.tree.map(jnp.asarray, (truth, orders, np.arange(ticks)))
 
     def tick(state, row):
         seeing, estimating = state
-        now, order, wind, count = row
+        now, order, count = row
         seeing, said = sensors.read(errors, seeing, now, count)
-        estimating, found = estimator.update(settings, robot, estimating, said, wind)
+        estimating, found = estimator.update(settings, robot, estimating, said)
         return (seeing, estimator.command(estimating, order)), found
 
     first = jax.tree.map(lambda x: x[0], rows[0])
@@ -73,7 +73,7 @@ def test_a_lost_number_corrects_nothing_and_the_others_do(absurd, x64, measured)
     begun = estimator.start(settings, first)
     said = Reading(state._replace(base_position=state.base_position + 0.01), first.thrust)
     lost = said._replace(thrust=said.thrust.at[2].set(absurd))
-    run = jax.jit(lambda reading: estimator.update(settings, robot, begun, reading, jnp.zeros(3))[1])
+    run = jax.jit(lambda reading: estimator.update(settings, robot, begun, reading)[1])
     expected, found = run(said), run(lost)
     assert np.isnan(found.thrust[2])
     assert np.all(np.isfinite(expected.thrust))

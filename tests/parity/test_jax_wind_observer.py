@@ -12,6 +12,7 @@ import pytest
 from jax_aero import rust
 from jax_aero.aero import aero_model
 from jax_aero.control import wind_observer
+from jax_aero.control.channels import Seen
 from jax_aero.control.protocol import Terms
 from jax_aero.dynamics import dynamics
 from jax_aero.io import scenario_config
@@ -41,16 +42,16 @@ def replayed(x64):
     settings = wind_observer.wind_observer(
         config.controller.wind_observer,
         aero_model(config.controller.aero, robot),
-        jnp.asarray(config.simulator.time_step),
     )
+    step = jnp.asarray(config.simulator.time_step)
     velocity = np.hstack([flown["base_velocity"], flown["joint_velocity"]])
     rows = (flown["base_position"], flown["base_quaternion"], flown["joint_position"], velocity)
-    rows = jax.tree.map(jnp.asarray, (*rows, flown["thrust"], flown["time"]))
+    rows = jax.tree.map(jnp.asarray, (*rows, flown["thrust"]))
 
     @jax.jit
     def replay(force):
         def tick(state, row):
-            position, wxyz, joints, rates, thrust, time = row
+            position, wxyz, joints, rates, thrust = row
             now = State(position, rotation_from_wxyz(wxyz), joints, rates)
             kin = kinematics(robot, now)
             rotations, points = frame_poses(kin, robot.jets.bodies, robot.jets.rotations, robot.jets.positions)
@@ -60,8 +61,10 @@ def replayed(x64):
             momentum = Momentum(jnp.hstack([a_t, -jnp.eye(6, 3)]))
             nothing = dict.fromkeys(Terms._fields)
             of_tick = {"kinematics": kin, "dynamics": dynamics(robot, now, kin), "momentum": momentum}
-            terms = Terms(**nothing | of_tick | {"thrust": jnp.concatenate([thrust, force])})
-            after = wind_observer.update(settings, robot, state, terms, time)
+            seen = Seen(**dict.fromkeys(Seen._fields))._replace(
+                thrust=jnp.concatenate([thrust, force]), elapsed=step, has_momentum=jnp.array(True)
+            )
+            after = wind_observer.update(settings, robot, state, Terms(**nothing | of_tick | {"seen": seen}))
             return after, state
 
         return jax.lax.scan(tick, wind_observer.start(settings), rows)[1]

@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jax_aero.control import engines
+from jax_aero.io import load_config, scenario_config
+from jax_aero.robot import load_robot
 
 pytestmark = pytest.mark.usefixtures("x64")
 
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 STEP = 0.01
 LIMITS = engines.EngineLimits(jnp.array(0.5), jnp.array(15.0), jnp.array(0.05), None)
 A_T = jnp.asarray(np.random.default_rng(1).normal(size=(6, 2)))
 THRUST = jnp.array([100.0, 80.0])
 
 
-def updated(state, innovation, thrust=THRUST, sensor_share=(0.0, 0.0)):
+def updated(state, innovation, thrust=THRUST, sensor_share=(0.0, 0.0), *, has_momentum=True):
     """After a tick; `sensor_share` of the deviations, engine by engine, is seen in the momentum as well."""
     deviation = np.exp(-STEP / 0.5) * np.asarray(state.deviation) + np.asarray(innovation)
     # The residual whose projections on the columns of A_T are those shares.
     residual = np.linalg.pinv(A_T.T) @ (-np.asarray(sensor_share) * deviation * np.sum(np.asarray(A_T) ** 2, axis=0))
-    return engines.update(LIMITS, state, jnp.array(STEP), thrust, jnp.asarray(innovation), A_T, jnp.asarray(residual))
+    known = jnp.asarray(innovation), A_T, jnp.asarray(residual), jnp.array(has_momentum)
+    return engines.update(LIMITS, state, jnp.array(STEP), thrust, *known)
 
 
 def test_deviations_are_summed_and_forgotten(measured):
@@ -76,3 +82,26 @@ def test_an_engine_that_is_limited_has_no_wrong_sensor():
     assert bool(state.is_limited[0])
     state, is_wrong, _ = updated(state, [0.0, 0.0], THRUST, (1.0, 0.0))
     assert not is_wrong.any()
+
+
+def test_nothing_is_judged_without_a_momentum():
+    """The confirmation begins anew when it is back."""
+    state = engines.start(THRUST)
+    for tick in range(10):
+        state, is_wrong, _ = updated(state, [-30.0 if tick == 0 else 0.0, 0.0], has_momentum=False)
+        assert not state.is_limited.any() and not is_wrong.any()
+    for tick in range(1, 7):
+        state, _, _ = updated(state, [0.0, 0.0])
+        np.testing.assert_array_equal(state.is_limited, [tick == 6, False])
+
+
+def test_the_limits_of_a_descent_are_those_of_revolute_joints():
+    """Degrees and newton metres are not those of sliding joints."""
+    config = scenario_config(load_config(CONFIGS / "experiments" / "test2_observer.toml")).controller.engines
+    robot = load_robot(CONFIGS / "robot" / "slider.toml")
+    descent = engines.engine_limits(config, robot).descent
+    slides = np.array(robot.joint_is_prismatic)
+    assert slides.any() and not slides.all()
+    speed = np.deg2rad(config.descent.joint_velocity_max_deg)
+    np.testing.assert_array_equal(descent.joint_velocity_max, np.where(slides, 0.0, speed))
+    np.testing.assert_array_equal(descent.torque_rate_max, np.where(slides, 0.0, config.descent.torque_rate_max))

@@ -42,7 +42,7 @@ use crate::kinematics::Kinematics;
 use crate::qp::{QpAnswer, QpChain, QpProblem, QpSolver, QpStatus};
 use crate::robot::RobotModel;
 use attitude::{AttitudeDemand, attitude_demand};
-use channels::{Channels, Modes, time_is_plausible};
+use channels::{Channels, Modes, Seen};
 use config::ControllerConfig;
 use contact::{Contact, WRENCH};
 use engines::{DescentConfig, EngineState, Finding};
@@ -61,6 +61,8 @@ const INTEGRAL_LIMIT: f64 = 20.0;
 /// All intermediate values of the last tick.
 #[derive(Debug, Clone)]
 pub struct Terms {
+    /// The measurement as it was used: predicted where it is not measured.
+    pub seen: Seen,
     /// Poses, velocities, centre of mass.
     pub kinematics: Kinematics,
     /// Mass matrix, bias, centroidal momentum.
@@ -127,6 +129,7 @@ impl Controller {
         config.check_rate_bounds(&model, time_step)?;
         config.observer.as_ref().map_or(Ok(()), |observer| observer.check(time_step))?;
         let channels = Channels::new(&config.channels, &model, time_step);
+        let seen = Seen::new(&model, time_step);
         if !config.use_jets {
             model.jets.clear();
         }
@@ -150,6 +153,7 @@ impl Controller {
             )?,
             channels,
             terms: Terms {
+                seen,
                 kinematics: Kinematics::new(&model),
                 dynamics: Dynamics::new(&model),
                 inverse_mass: InverseMass::new(joints),
@@ -199,7 +203,6 @@ impl Controller {
         Ok(ControllerState::new(
             measurement,
             &self.setpoint_generator.start(com, rotation),
-            &Setpoint::hold(com, *rotation),
             inertia_0_b,
             channels,
             (contact.measured.len(), self.n_jets),
@@ -220,13 +223,14 @@ impl Controller {
         let setpoint = if state.channels.is_descending {
             self.setpoint_generator.descend(&mut state.setpoint)
         } else {
-            self.setpoint_generator.update(&mut state.setpoint, state.time)
+            self.setpoint_generator.update(&mut state.setpoint, self.terms.seen.time)
         };
         self.act(state, is_seen, &setpoint)
     }
 
     /// One tick that follows a given set-point instead of the mission. One that is not valid has the status
-    /// [`CommandStatus::BadSetpoint`]: the robot holds place and attitude of the last one that was.
+    /// [`CommandStatus::BadSetpoint`]: the robot comes to rest at place and attitude of the last one that was. On the
+    /// way down none is followed.
     pub fn tick_towards(
         &mut self,
         state: &mut ControllerState,
@@ -237,12 +241,17 @@ impl Controller {
             return self.hold_command(CommandStatus::BadState);
         }
         let is_seen = self.see(state, measurement);
-        if setpoint.is_valid() {
-            return self.act(state, is_seen, setpoint);
-        }
-        let held = state.held_setpoint;
-        self.act(state, is_seen, &held);
-        if matches!(self.command.status, CommandStatus::Nominal | CommandStatus::Degraded) {
+        let is_valid = setpoint.is_valid();
+        let followed = if state.channels.is_descending {
+            self.setpoint_generator.descend(&mut state.setpoint)
+        } else if is_valid {
+            self.setpoint_generator.follow(&mut state.setpoint, &setpoint.motion());
+            *setpoint
+        } else {
+            self.setpoint_generator.hold(&mut state.setpoint)
+        };
+        self.act(state, is_seen, &followed);
+        if !is_valid && matches!(self.command.status, CommandStatus::Nominal | CommandStatus::Degraded) {
             self.command.status = CommandStatus::BadSetpoint;
         }
         &self.command
@@ -251,12 +260,12 @@ impl Controller {
     /// Takes a measurement in and moves the time on; whether it is one of this robot.
     fn see(&mut self, state: &mut ControllerState, measurement: &Measurement) -> bool {
         let is_seen = self.channels.fit(measurement);
+        let seen = &mut self.terms.seen;
         if is_seen {
-            self.channels.update(&mut state.channels, measurement, state.time);
-            state.time = self.channels.seen.time;
+            self.channels.update(&mut state.channels, measurement, seen);
         } else {
-            let is_known = time_is_plausible(measurement.time);
-            state.time = if is_known { measurement.time } else { state.time + self.time_step };
+            self.channels.update_clock(&mut state.channels, measurement.time, seen);
+            state.observer.hold();
         }
         is_seen
     }
@@ -264,12 +273,11 @@ impl Controller {
     /// Observes, then solves the momentum QP and the torque QP.
     fn act(&mut self, state: &mut ControllerState, is_seen: bool, setpoint: &Setpoint) -> &Command {
         self.terms.setpoint = *setpoint;
-        state.held_setpoint = Setpoint::hold(setpoint.com_position, setpoint.rotation);
         self.command.joint_torque.copy_from(&state.joint_torque);
         if !is_seen {
             return self.hold_command(CommandStatus::BadMeasurement);
         }
-        self.command.modes = self.channels.seen.modes;
+        self.command.modes = self.terms.seen.modes;
         self.observe(state);
         let descent = self.config.engines.as_ref().and_then(|config| {
             let is_lost = state.engines.iter().any(|engine| engine.is_lost(config));
@@ -282,8 +290,9 @@ impl Controller {
 
     /// Everything that depends on the measurement alone.
     fn observe(&mut self, state: &mut ControllerState) {
-        let measurement = &self.channels.seen;
-        let Terms { kinematics, dynamics, link_forces, momentum, contact, setpoint, .. } = &mut self.terms;
+        let Terms {
+            seen: measurement, kinematics, dynamics, link_forces, momentum, contact, setpoint, ..
+        } = &mut self.terms;
         let conventions = LinkConventions {
             lever_arm: self.config.lever_arm,
             jacobian_offset: self.config.jacobian_offset,
@@ -318,21 +327,19 @@ impl Controller {
             }
         }
         if let Some(config) = &self.config.observer {
-            let sample = Sample { time: measurement.time, momentum: dynamics.momentum, rate };
-            let is_measured = !measurement.modes.intersects(Modes::WITHOUT_MOMENTUM);
-            let observer = &mut state.observer;
-            momentum.add_unmodelled(if is_measured {
-                observer.update(config, self.time_step, sample)
+            let sample = Sample { momentum: dynamics.momentum, rate };
+            momentum.add_unmodelled(if measurement.has_momentum {
+                state.observer.update(config, measurement.elapsed, sample)
             } else {
-                observer.hold()
+                state.observer.hold()
             });
         }
         if let Some(config) = &self.config.engines {
             for (jet, engine) in state.engines.iter_mut().enumerate().take(self.model.jets.len()) {
                 let column: Vector6<f64> = momentum.a_t.column(jet).into();
                 let measured = (measurement.thrust[jet], measurement.thrust_innovation[jet]);
-                match engine.update(config, measurement.elapsed, measured, &column, &state.observer.residual)
-                {
+                let residual = measurement.has_momentum.then_some(&state.observer.residual);
+                match engine.update(config, measurement.elapsed, measured, &column, residual) {
                     Finding::OutOfReach => {
                         state.channels.is_descending |= config.descent.is_some() && engine.is_lost(config);
                     }
@@ -351,9 +358,17 @@ impl Controller {
 
     /// Thrust rates and joint velocities that shape momentum and attitude.
     fn solve_momentum_qp(&mut self, state: &mut ControllerState, descent: Option<&DescentConfig>) {
-        let measurement = &self.channels.seen;
-        let Terms { kinematics, dynamics, momentum, setpoint, attitude, momentum_qp, contact, .. } =
-            &mut self.terms;
+        let Terms {
+            seen: measurement,
+            kinematics,
+            dynamics,
+            momentum,
+            setpoint,
+            attitude,
+            momentum_qp,
+            contact,
+            ..
+        } = &mut self.terms;
         let moment_estimate: Vector3<f64> = momentum.rate_estimate.fixed_rows::<3>(3).into();
         let inertia_0_b = &state.inertia_0_b;
         let gains = descent.map_or(&self.config.momentum, |descent| &descent.momentum);
@@ -388,8 +403,10 @@ impl Controller {
             let greatest = engine.range.1.min(jet.thrust_max);
             (engine.range.0.min(greatest), greatest)
         });
-        let velocity_max = descent.map_or(0.0, |descent| descent.joint_velocity_max_deg.to_radians());
-        momentum_qp.update_bounds(&self.model, &inputs, thrust_ranges, velocity_max);
+        let velocity_max = self.model.joints.iter();
+        let velocity_max = velocity_max
+            .map(|joint| descent.map_or(joint.velocity_max, |descent| descent.velocity_max(joint)));
+        momentum_qp.update_bounds(&inputs, thrust_ranges, velocity_max);
 
         self.momentum_solver.set_start(&state.momentum_start);
         let answer = self.momentum_solver.solve(&momentum_qp.problem);
@@ -410,9 +427,16 @@ impl Controller {
 
     /// Torques that let the joints follow the commanded velocities.
     fn solve_torque_qp(&mut self, state: &mut ControllerState, descent: Option<&DescentConfig>) {
-        let measurement = &self.channels.seen;
         let Terms {
-            kinematics, dynamics, inverse_mass, momentum, torque_qp, contact, unlimited_torque, ..
+            seen: measurement,
+            kinematics,
+            dynamics,
+            inverse_mass,
+            momentum,
+            torque_qp,
+            contact,
+            unlimited_torque,
+            ..
         } = &mut self.terms;
         // Σ Jᵀ T a + J_aᵀ f_a − h
         self.force.copy_from(&dynamics.bias);
@@ -453,8 +477,10 @@ impl Controller {
                 state.joint_torque.copy_from(unlimited_torque);
                 state.torque_is_known = true;
             }
-            let least = descent.map_or(0.0, |descent| descent.torque_rate_max);
-            let rate_max = self.model.joints.iter().map(|joint| joint.torque_rate_max.max(least));
+            let rate_max =
+                self.model.joints.iter().map(|joint| {
+                    descent.map_or(joint.torque_rate_max, |descent| descent.torque_rate_max(joint))
+                });
             limit_rate(&mut state.joint_torque, unlimited_torque.as_slice(), rate_max, self.time_step);
             self.command.joint_torque.copy_from(&state.joint_torque);
         } else {
@@ -530,6 +556,7 @@ impl Controller {
         self.command.torque_qp = QpAnswer::refused(QpStatus::NonFinite);
         self.command.status = status;
         self.command.modes = Modes::default();
+        self.terms.seen.has_momentum = false;
         &self.command
     }
 
@@ -549,12 +576,6 @@ impl Controller {
     #[must_use]
     pub fn command(&self) -> &Command {
         &self.command
-    }
-
-    /// Thrusts that the last tick used \[N\]: measured, or predicted where they are not.
-    #[must_use]
-    pub fn used_thrust(&self) -> &[f64] {
-        &self.channels.seen.thrust
     }
 
     /// Intermediate values of the last tick.

@@ -150,6 +150,7 @@ struct Order {
     torque: Vec<f64>,
     thrust_rate: Vec<f64>,
     unmodelled: Vector6<f64>,
+    wind_i: Vector3<f64>,
 }
 
 /// The robot's model and the space it works in.
@@ -168,13 +169,13 @@ struct Model {
 
 impl Model {
     /// One tick on under an order, semi-implicit.
-    fn advance(&mut self, reading: &mut Reading, order: &Order, wind_i: &Vector3<f64>, time_step: f64) {
+    fn advance(&mut self, reading: &mut Reading, order: &Order, time_step: f64) {
         let Self { robot, aero, kinematics, dynamics, link_forces, mass_factor, acceleration, disturbance } =
             self;
         let Reading { state, thrust } = reading;
         kinematics.update(robot, state);
         dynamics.update(robot, state, kinematics);
-        link_forces.update(robot, kinematics, LinkConventions::default(), aero, wind_i);
+        link_forces.update(robot, kinematics, LinkConventions::default(), aero, &order.wind_i);
         acceleration.copy_from(&dynamics.bias);
         acceleration.neg_mut();
         for (joint, torque) in order.torque.iter().enumerate() {
@@ -271,8 +272,12 @@ impl Estimator {
         let length = 1 + ages.into_iter().max().unwrap_or(0);
         let (joints, jets) = (robot.joints.len(), robot.jets.len());
         let nothing = Reading::zero(joints, jets);
-        let order =
-            Order { torque: vec![0.0; joints], thrust_rate: vec![0.0; jets], unmodelled: Vector6::zeros() };
+        let order = Order {
+            torque: vec![0.0; joints],
+            thrust_rate: vec![0.0; jets],
+            unmodelled: Vector6::zeros(),
+            wind_i: Vector3::zeros(),
+        };
         let model = Model {
             kinematics: Kinematics::new(&robot),
             dynamics: Dynamics::new(&robot),
@@ -297,12 +302,12 @@ impl Estimator {
         })
     }
 
-    /// Takes a measurement in, in the measured wind \[m/s\], and returns the estimate of now. No allocation.
+    /// Takes a measurement in and returns the estimate of now. No allocation.
     ///
     /// The first one begins the flight: it is taken for what had been before it. Numbers that cannot be correct
     /// nothing, and are NaN in what is returned, so that the controller knows. An estimate that is not finite begins
     /// anew with what is measured.
-    pub fn update(&mut self, state: &RobotState, thrust: &[f64], wind_i: &Vector3<f64>) -> &Reading {
+    pub fn update(&mut self, state: &RobotState, thrust: &[f64]) -> &Reading {
         let Self { model, ages, line, orders, ticks, then, now, by_position, .. } = self;
         let length = line.len();
         let (oldest, step) = (length - 1, self.time_step);
@@ -314,7 +319,7 @@ impl Estimator {
         }
         line[*ticks % length].copy(state, thrust);
         if *ticks > oldest {
-            model.advance(then, &orders[*ticks % length], wind_i, step);
+            model.advance(then, &orders[*ticks % length], step);
         }
         if !then.is_finite() {
             then.copy(state, thrust);
@@ -332,20 +337,22 @@ impl Estimator {
         correct(then, aligned, &self.shares);
         now.copy(&then.state, &then.thrust);
         for tick in ticks.saturating_sub(oldest)..*ticks {
-            model.advance(now, &orders[tick % length], wind_i, step);
+            model.advance(now, &orders[tick % length], step);
         }
         now.mark_missing(state, thrust);
         *ticks += 1;
         &self.now
     }
 
-    /// What acts from this tick to the next: the command, and the wrench that the controller observes.
-    pub fn command(&mut self, command: &Command, unmodelled: &Vector6<f64>) {
+    /// What acts from this tick to the next: the command, the wrench that the controller observes, and the wind that
+    /// it uses \[m/s\], which is finite whatever is measured.
+    pub fn command(&mut self, command: &Command, unmodelled: &Vector6<f64>, wind_i: &Vector3<f64>) {
         let length = self.orders.len();
         let order = &mut self.orders[(self.ticks + length - 1) % length];
         order.torque.copy_from_slice(command.joint_torque.as_slice());
         order.thrust_rate.copy_from_slice(command.thrust_rate.as_slice());
         order.unmodelled = *unmodelled;
+        order.wind_i = *wind_i;
     }
 }
 

@@ -109,7 +109,6 @@ impl WindObserverConfig {
 #[derive(Debug, Clone)]
 pub struct WindObserver {
     config: WindObserverConfig,
-    time_step: f64,
     robot: RobotModel,
     aero: AeroModel,
     link_forces: LinkForces,
@@ -126,7 +125,7 @@ pub struct WindObserver {
 }
 
 impl WindObserver {
-    /// An estimator with a model of the robot and of the air, updated every `time_step` \[s\]. At first there is no
+    /// An estimator with a model of the robot and of the air, updated about every `time_step` \[s\]. At first there is no
     /// wind, give or take what a second of the random walk and the vertical winds make of it.
     ///
     /// # Errors
@@ -141,7 +140,6 @@ impl WindObserver {
         let std = Vector3::new(config.walk, config.walk, config.vertical_std);
         Ok(Self {
             config: *config,
-            time_step,
             link_forces: LinkForces::new(&robot),
             robot,
             aero,
@@ -167,25 +165,30 @@ impl WindObserver {
         considered.diagonal().map(f64::sqrt)
     }
 
-    /// Takes in what a tick of the controller computed, the thrusts \[N\] that it used, and the time \[s\] it was given.
-    pub fn update(&mut self, terms: &Terms, thrust: &[f64], time: f64) {
+    /// Takes in what a tick of the controller computed. Where the momentum was not measured nothing is corrected.
+    pub fn update(&mut self, terms: &Terms) {
+        let step = terms.seen.elapsed;
+        self.predict(step);
+        if !terms.seen.has_momentum {
+            self.wrench.hold();
+            return;
+        }
         let mut rate = Vector6::zeros();
-        for (column, thrust) in terms.momentum.a_t.column_iter().zip(thrust) {
+        for (column, thrust) in terms.momentum.a_t.column_iter().zip(&terms.seen.thrust) {
             rate += column * *thrust;
         }
         rate[2] -= terms.kinematics.mass() * self.robot.gravity;
         let gain = self.config.gain;
         let gains =
             ObserverConfig { gain_force: gain, gain_moment: gain, force_max: GREATEST, moment_max: GREATEST };
-        let sample = Sample { time, momentum: terms.dynamics.momentum, rate };
-        let observed = self.wrench.update(&gains, self.time_step, sample);
-        self.predict();
-        self.correct(terms, &observed);
+        let sample = Sample { momentum: terms.dynamics.momentum, rate };
+        let observed = self.wrench.update(&gains, step, sample);
+        self.correct(terms, &observed, step);
     }
 
     /// Horizontal winds wander, vertical ones return.
-    fn predict(&mut self) {
-        let (config, step) = (&self.config, self.time_step);
+    fn predict(&mut self, step: f64) {
+        let config = &self.config;
         let kept = libm::exp(-step / config.vertical_time);
         self.wind.z *= kept;
         let keep = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, kept));
@@ -195,7 +198,7 @@ impl WindObserver {
         self.sensitivity = keep * self.sensitivity;
     }
 
-    fn correct(&mut self, terms: &Terms, observed: &Vector6<f64>) {
+    fn correct(&mut self, terms: &Terms, observed: &Vector6<f64>, step: f64) {
         let observed = (observed.fixed_rows::<3>(0).into_owned(), observed.fixed_rows::<3>(3).into_owned());
         let modelled = self.wrench_in(terms, &self.wind.clone());
         let mut jacobian = Matrix3::zeros();
@@ -205,14 +208,14 @@ impl WindObserver {
             jacobian.set_column(axis, &((self.wrench_in(terms, &shifted).0 - modelled.0) / DIFFERENCE));
         }
         let config = &self.config;
-        let share = -libm::expm1(-self.time_step / MEMORY);
+        let share = -libm::expm1(-step / MEMORY);
         let unexplained =
             self.unexplained + share * ((observed.1 - modelled.1).norm_squared() - self.unexplained);
         let lasting = config.force_std * config.force_std
             + config.relative_std * config.relative_std * observed.0.norm_squared()
             + unexplained / (config.moment_arm * config.moment_arm);
         // So many measurements as a time constant of the observer are one.
-        let together = (1.0 / (config.gain * self.time_step)).max(1.0);
+        let together = (1.0 / (config.gain * step)).max(1.0);
         let error = Vector3::from(config.force_noise).map(|std| together * std * std);
         let innovation = jacobian * self.covariance * jacobian.transpose() + Matrix3::from_diagonal(&error);
         let Some(inverse) = innovation.try_inverse() else {

@@ -36,7 +36,6 @@ impl Sample {
     }
 }
 
-/// What makes a measurement unusable.
 /// After ticks that were left out the difference of two poses is not the velocity times one tick.
 #[test]
 fn a_lost_velocity_does_not_follow_a_pose_over_a_gap() {
@@ -52,14 +51,15 @@ fn a_lost_velocity_does_not_follow_a_pose_over_a_gap() {
     assert_eq!(seen.state.velocity.rows(0, 6), before.rows(0, 6));
 }
 
+/// What makes a measurement unusable.
 type Spoil = fn(&mut Sample);
 
 /// Channels after their first tick.
 struct Rig {
     channels: Channels,
     state: ChannelsState,
-    time: f64,
     sample: Sample,
+    seen: Seen,
 }
 
 impl Rig {
@@ -78,8 +78,9 @@ impl Rig {
         let mut state = channels.start(&sample.measurement()).unwrap();
         state.acceleration = DVector::from_fn(29, |_, _| rng.random_range(-2.0..2.0));
         state.thrust_rate = DVector::from_vec(vec![30.0, -40.0, -600.0, 10.0]);
-        channels.update(&mut state, &sample.measurement(), 0.0);
-        Self { channels, state, time: 0.0, sample }
+        let mut seen = Seen::new(&robot, STEP);
+        channels.update(&mut state, &sample.measurement(), &mut seen);
+        Self { channels, state, sample, seen }
     }
 
     /// A tick later, with something changed.
@@ -87,9 +88,8 @@ impl Rig {
         self.sample = self.sample.next();
         let mut sample = self.sample.clone();
         change(&mut sample);
-        self.channels.update(&mut self.state, &sample.measurement(), self.time);
-        self.time = self.channels.seen.time;
-        &self.channels.seen
+        self.channels.update(&mut self.state, &sample.measurement(), &mut self.seen);
+        &self.seen
     }
 }
 
@@ -178,7 +178,10 @@ fn each_channel_is_lost_alone() {
     ];
     for (spoil, mode) in cases {
         let mut rig = Rig::new(&ChannelsConfig::default());
-        assert_eq!(rig.tick(spoil).modes, mode);
+        let seen = rig.tick(spoil);
+        assert_eq!(seen.modes, mode);
+        let moves = [Modes::JOINTS_PREDICTED, Modes::ROTATION_PREDICTED, Modes::VELOCITY_PREDICTED];
+        assert_eq!(seen.has_momentum, !moves.contains(&mode), "{:?}", mode.names().next());
         assert!(rig.tick(|_| ()).modes.is_empty(), "and comes back");
     }
 }
@@ -275,17 +278,40 @@ fn a_lost_velocity_follows_the_pose() {
     }
 }
 
-/// The clock runs on where the time is none; a step that repeats, runs back or leaps is none either.
+/// The clock runs on where the time is none; a step that repeats, runs back or leaps is none either, and from then on
+/// the clock counts from there. Momentum is measured where the time that passed is known.
 #[test]
 fn a_time_that_is_none_is_predicted() {
-    for (time, is_known) in
-        [(f64::NAN, false), (-1.0, false), (2e9, false), (0.02, true), (0.5, true), (0.0, true)]
-    {
+    for (measured, time, has_momentum) in [
+        (f64::NAN, STEP, true),
+        (-1.0, STEP, true),
+        (2e9, STEP, true),
+        (0.02, 0.02, true),
+        (0.5, STEP, false),
+        (0.0, STEP, false),
+    ] {
         let mut rig = Rig::new(&with_jumps());
+        assert!(rig.seen.has_momentum, "the first tick");
+        let seen = rig.tick(|sample| sample.time = measured);
+        assert_eq!((seen.time, seen.has_momentum), (time, has_momentum), "{measured}");
+        assert_eq!(seen.modes.contains(Modes::CLOCK_PREDICTED), measured != 0.02, "{measured}");
+        // Half a tick later by the same clock, or by the one of before where it was none.
+        let (later, elapsed) = if has_momentum { (0.025, 0.025 - time) } else { (measured + 0.005, 0.005) };
+        let seen = rig.tick(|sample| sample.time = later);
+        assert_within!((seen.elapsed - elapsed).abs(), 1e-15, "{measured}");
+        assert_within!((seen.time - time - elapsed).abs(), 1e-15, "{measured}");
+        assert!(seen.has_momentum && seen.modes.is_empty(), "{measured}");
+    }
+}
+
+/// Without jumps in the configuration every time is followed, as published.
+#[test]
+fn without_jumps_every_time_is_followed() {
+    for time in [0.5, 0.0] {
+        let mut rig = Rig::new(&ChannelsConfig::default());
         let seen = rig.tick(|sample| sample.time = time);
-        assert_eq!(seen.time, if is_known { time } else { STEP });
-        let is_step = time == 0.02;
-        assert_eq!(seen.modes.contains(Modes::CLOCK_PREDICTED), !is_step, "{time}");
+        assert_eq!((seen.time, seen.elapsed, seen.has_momentum), (time, STEP, false));
+        assert!(seen.modes.is_empty());
     }
 }
 

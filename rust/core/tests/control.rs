@@ -248,35 +248,67 @@ fn what_is_no_rotation_or_time_is_predicted() {
     assert_eq!(command.status, CommandStatus::BadSetpoint);
 }
 
-/// Without a set-point that is one the robot holds place and attitude of the last one, and what is measured is used.
+/// Without a set-point that is one the robot comes to rest at the last one, and what is measured is used.
 #[test]
-fn without_a_set_point_the_last_one_is_held() {
+fn without_a_set_point_the_last_one_comes_to_rest() {
     let config = experiment("test2");
     let good = Sample::start(&config);
-    let fly = |second: &dyn Fn(&Setpoint) -> Setpoint| {
-        let mut running = controller(&config);
-        good.tick(&mut running);
-        let Running { controller, state } = &mut running;
-        let mut given = controller.terms().setpoint;
-        (given.com_position.x, given.com_velocity) =
-            (given.com_position.x + 0.1, Vector3::new(1.0, 0.0, 0.0));
-        let mut commands = vec![];
-        for (time, setpoint) in [(0.01, given), (0.02, second(&given)), (0.03, second(&given))] {
-            let sample = Sample { time, ..good.clone() };
-            commands.push(
-                controller.tick_towards(state.as_mut().unwrap(), &sample.measurement(), &setpoint).clone(),
-            );
-        }
-        (commands, running.state().time())
+    let mut running = controller(&config);
+    good.tick(&mut running);
+    let Running { controller, state } = &mut running;
+    let state = state.as_mut().unwrap();
+    let mut given = controller.terms().setpoint;
+    (given.com_position.x, given.com_velocity) = (given.com_position.x + 0.1, Vector3::new(0.2, 0.0, 0.0));
+    let none = Setpoint { com_jerk: Vector3::repeat(f64::NAN), ..given };
+    let mut time = 0.0;
+    let mut towards = |setpoint: &Setpoint| {
+        time += TIME_STEP;
+        let sample = Sample { time, ..good.clone() };
+        let status = controller.tick_towards(state, &sample.measurement(), setpoint).status;
+        assert_within!((state.time() - time).abs(), 1e-15);
+        (status, controller.terms().setpoint)
     };
-    let (expected, _) = fly(&|given| Setpoint::hold(given.com_position, given.rotation));
-    let (held, time) = fly(&|given| Setpoint { com_jerk: Vector3::repeat(f64::NAN), ..*given });
-    assert_eq!(time, 0.03);
-    let statuses: Vec<_> = held.iter().map(|command| command.status).collect();
-    assert_eq!(statuses, [CommandStatus::Nominal, CommandStatus::BadSetpoint, CommandStatus::BadSetpoint]);
-    for (held, expected) in held.iter().zip(&expected) {
-        assert_eq!(numbers(held), numbers(expected));
+    assert_eq!(towards(&given), (CommandStatus::Nominal, given));
+    let (status, first) = towards(&none);
+    assert_eq!(status, CommandStatus::BadSetpoint);
+    let moved = (first.com_position - given.com_position - given.com_velocity * TIME_STEP).amax();
+    assert_within!(moved, 1e-4, because "it goes on as it was, but for what a tick of the filter brakes");
+    assert_eq!(first.rotation, given.rotation);
+    let mut last = first;
+    for _ in 0..2000 {
+        last = towards(&none).1;
     }
+    assert_within!((last.com_position - given.com_position).amax(), 1e-6, because "20 s are many smoothing times");
+    assert_within!(last.com_velocity.amax(), 1e-6);
+}
+
+/// A robot that has to go down follows no given set-point: it descends from the last one.
+#[test]
+fn on_the_way_down_no_set_point_is_followed() {
+    let config = experiment("test2");
+    let good = Sample::start(&config);
+    let mut running = controller(&config);
+    good.tick(&mut running);
+    let Running { controller, state } = &mut running;
+    let state = state.as_mut().unwrap();
+    let given = Setpoint::hold(controller.terms().setpoint.com_position, good.state.base.rotation);
+    let after = config.controller.law.channels.descend_after;
+    let mut lost = good.clone();
+    lost.state.base.position.fill(f64::NAN);
+    let mut heights = vec![];
+    for _ in 0..1000 {
+        lost.time += TIME_STEP;
+        controller.tick_towards(state, &lost.measurement(), &given);
+        let is_descending = controller.command().modes.contains(Modes::DESCENDING);
+        assert_eq!(is_descending, lost.time > after + 0.5 * TIME_STEP, "{}", lost.time);
+        if is_descending {
+            heights.push(controller.terms().setpoint.com_position.z);
+        } else {
+            assert_eq!(controller.terms().setpoint, given);
+        }
+    }
+    let speed = (heights[heights.len() - 2] - heights[heights.len() - 1]) / TIME_STEP;
+    assert_within!((speed - config.controller.law.setpoint.descent_speed).abs(), 1e-3);
 }
 
 /// A measurement of another robot moves the time on by its own, or by a tick where that is no time.

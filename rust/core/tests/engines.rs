@@ -1,9 +1,12 @@
 //! Engines that fail and sensors that are wrong, each law by itself.
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+#![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{assert_within, experiment};
 use flight_core::control::engines::{DescentConfig, EngineState, EnginesConfig, Finding};
+use flight_core::robot::JointKind;
+use flight_io::load_robot;
 use nalgebra::Vector6;
 
 const STEP: f64 = 0.01;
@@ -19,7 +22,7 @@ fn column() -> Vector6<f64> {
 fn deviations_are_summed_and_forgotten() {
     let mut engine = EngineState::default();
     for tick in 1..=40 {
-        let _ = engine.update(&CONFIG, STEP, (100.0, 0.3), &column(), &Vector6::zeros());
+        let _ = engine.update(&CONFIG, STEP, (100.0, 0.3), &column(), Some(&Vector6::zeros()));
         let expected = 0.3 * (-f64::from(tick) * STEP / 0.5).exp_m1() / (-STEP / 0.5).exp_m1();
         assert_within!((engine.deviation - expected).abs(), 1e-12, "tick {tick}");
     }
@@ -39,7 +42,7 @@ fn a_thrust_that_is_not_reached_bounds_the_engine_after_its_confirmation() {
         let findings: Vec<_> = (1..=20)
             .map(|tick| {
                 let innovation = if tick == 1 { size } else { 0.0 };
-                engine.update(&CONFIG, STEP, (100.0, innovation), &column(), &Vector6::zeros())
+                engine.update(&CONFIG, STEP, (100.0, innovation), &column(), Some(&Vector6::zeros()))
             })
             .collect();
         let first = findings.iter().position(|finding| *finding == Finding::OutOfReach);
@@ -56,14 +59,15 @@ fn an_engine_whose_bounds_meet_is_lost() {
     let none = Vector6::zeros();
     let mut stuck = EngineState::default();
     for tick in 0..100 {
-        let _ = stuck.update(&CONFIG, STEP, (80.0, if tick < 50 { -1.0 } else { 1.0 }), &column(), &none);
+        let _ =
+            stuck.update(&CONFIG, STEP, (80.0, if tick < 50 { -1.0 } else { 1.0 }), &column(), Some(&none));
         assert_eq!(stuck.is_lost(&CONFIG), stuck.range == (80.0, 80.0), "tick {tick}");
     }
     assert_eq!(stuck.range, (80.0, 80.0));
     let (mut fading, mut thrust) = (EngineState::default(), 100.0);
     for _ in 0..50 {
         thrust -= 2.0;
-        let _ = fading.update(&CONFIG, STEP, (thrust, -2.0), &column(), &none);
+        let _ = fading.update(&CONFIG, STEP, (thrust, -2.0), &column(), Some(&none));
     }
     assert_eq!(fading.range, (0.0, thrust));
     assert!(fading.is_lost(&CONFIG));
@@ -80,10 +84,46 @@ fn the_momentum_tells_a_wrong_sensor() {
             for tick in 1..=6 {
                 let innovation = if tick == 1 { deviation } else { 0.0 };
                 let residual = column() * (-share * deviation * (-f64::from(tick - 1) * STEP / 0.5).exp());
-                found = engine.update(&CONFIG, STEP, (100.0, innovation), &column(), &residual);
+                found = engine.update(&CONFIG, STEP, (100.0, innovation), &column(), Some(&residual));
             }
             assert_eq!(found, expected, "{deviation} N, {share}");
         }
+    }
+}
+
+/// Without a momentum that is measured nothing is judged, and the confirmation begins anew when it is back.
+#[test]
+fn nothing_is_judged_without_a_momentum() {
+    let mut engine = EngineState::default();
+    let mut update = |innovation: f64, residual: Option<&Vector6<f64>>| {
+        engine.update(&CONFIG, STEP, (100.0, innovation), &column(), residual)
+    };
+    assert_eq!(update(-30.0, None), Finding::Nothing);
+    for _ in 0..10 {
+        assert_eq!(update(0.0, None), Finding::Nothing);
+    }
+    let none = Vector6::zeros();
+    let findings: Vec<_> = (0..6).map(|_| update(0.0, Some(&none))).collect();
+    assert_eq!(findings[..5], [Finding::Nothing; 5]);
+    assert_eq!(findings[5], Finding::OutOfReach);
+}
+
+/// On the way down revolute joints are as fast as the descent says where their own limits are less; sliding ones are not:
+/// degrees and newton metres are not theirs.
+#[test]
+fn the_limits_of_a_descent_are_those_of_revolute_joints() {
+    let descent = experiment("test2_observer").controller.law.engines.unwrap().descent.unwrap();
+    let mut joint = load_robot(&experiment("test2").robot).unwrap().joints[0].clone();
+    let (fast, strong) = (descent.joint_velocity_max_deg.to_radians(), descent.torque_rate_max);
+    for (kind, own, expected) in [
+        (JointKind::Revolute, 0.5, 1.0),
+        (JointKind::Revolute, 2.0, 2.0),
+        (JointKind::Prismatic, 0.5, 0.5),
+        (JointKind::Prismatic, 2.0, 2.0),
+    ] {
+        (joint.kind, joint.velocity_max, joint.torque_rate_max) = (kind, own * fast, own * strong);
+        assert_eq!(descent.velocity_max(&joint), expected * fast);
+        assert_eq!(descent.torque_rate_max(&joint), expected * strong);
     }
 }
 

@@ -81,9 +81,9 @@ fn with_the_worlds_own_model_it_is_ahead_of_every_delay() {
         let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
         let truth = Reading { state: state.clone(), thrust: thrust.to_vec() };
         let said = sensors.read(state, thrust);
-        let found = estimator.update(&said.state, &said.thrust, &WIND);
+        let found = estimator.update(&said.state, &said.thrust);
         assert_within!(distance(found, &truth), 1e-9, because "measured exactly, predicted over five ticks by the same equations in another order", "tick {tick}");
-        estimator.command(world.controller.command(), &Vector6::zeros());
+        estimator.command(world.controller.command(), &Vector6::zeros(), &WIND);
         world.advance(&WIND);
     }
 }
@@ -123,12 +123,12 @@ fn every_channel_is_corrected_by_its_share() {
     for (channel, change, read) in cases {
         let found = [false, true].map(|is_changed| {
             let mut estimator = estimator(&config);
-            estimator.update(&still.state, &still.thrust, &WIND);
+            estimator.update(&still.state, &still.thrust);
             let mut said = still.clone();
             if is_changed {
                 change(&mut said);
             }
-            estimator.update(&said.state, &said.thrust, &WIND).clone()
+            estimator.update(&said.state, &said.thrust).clone()
         });
         let share = 1.0 - (-STEP / time_constants[channel]).exp();
         let moved = read(&found[1]) - read(&found[0]);
@@ -174,9 +174,9 @@ fn an_unmodelled_wrench_moves_the_whole_robot() {
     let found = [Vector6::zeros(), wrench].map(|unmodelled| {
         let mut estimator = estimator(&config);
         let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
-        estimator.update(state, thrust, &WIND);
-        estimator.command(world.controller.command(), &unmodelled);
-        estimator.update(state, thrust, &WIND).clone()
+        estimator.update(state, thrust);
+        estimator.command(world.controller.command(), &unmodelled, &WIND);
+        estimator.update(state, thrust).clone()
     });
     // The momentum matrix of the state before the step, with which the step was taken.
     kinematics.update(&model, world.plant.state());
@@ -206,13 +206,13 @@ fn what_the_model_does_not_explain_of_the_joints_is_learnt() {
             if joint_observer.is_some() {
                 said.velocity.rows_mut(6, 23).fill(0.0);
             }
-            let found = estimator.update(&said, &seeming, &WIND);
+            let found = estimator.update(&said, &seeming);
             if tick >= 100 {
                 let difference = &found.state.velocity - &state.velocity;
                 error = error.max(difference.rows(6, 23).amax());
                 momentum_error = momentum_error.max(difference.rows(0, 6).amax());
             }
-            estimator.command(world.controller.command(), &Vector6::zeros());
+            estimator.command(world.controller.command(), &Vector6::zeros(), &WIND);
             world.advance(&WIND);
         }
         (error, momentum_error)
@@ -229,16 +229,16 @@ fn a_measurement_that_is_no_number_corrects_nothing() {
     let world = Loop::new(&config);
     let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
     let mut estimator = estimator(&config);
-    estimator.update(state, thrust, &WIND);
+    estimator.update(state, thrust);
     let mut wrong = state.clone();
     wrong.velocity[7] = f64::NAN;
-    let coasting = estimator.update(&wrong, thrust, &WIND).clone();
+    let coasting = estimator.update(&wrong, thrust).clone();
     // The controller is told, and everything else is taken as it comes.
     assert!(coasting.state.velocity[7].is_nan());
     let (mut told, mut given) = (coasting.state.velocity.clone(), state.velocity.clone());
     (told[7], given[7]) = (0.0, 0.0);
     assert_within!((told - given).amax(), 1e-15, because "taken as it comes");
-    let back = estimator.update(state, thrust, &WIND).clone();
+    let back = estimator.update(state, thrust).clone();
     assert!(distance(&back, &Reading { state: state.clone(), thrust: thrust.to_vec() }) < 1e-14);
 }
 
@@ -260,14 +260,14 @@ fn a_lost_channel_leaves_the_others_corrected() {
         if tick >= 10 {
             measured[2] = f64::NAN;
         }
-        let expected = whole.update(&state, &thrust, &WIND).clone();
-        let mut found = half.update(&state, &measured, &WIND).clone();
+        let expected = whole.update(&state, &thrust).clone();
+        let mut found = half.update(&state, &measured).clone();
         assert_eq!(found.thrust[2].is_nan(), tick >= 10);
         found.thrust[2] = expected.thrust[2];
         // Jets are ideal here: they do what is commanded, as the model has it.
         assert_within!(distance(&found, &expected), 1e-6, because "rounding, in a flight that magnifies it");
         for estimator in [&mut whole, &mut half] {
-            estimator.command(world.controller.command(), &Vector6::zeros());
+            estimator.command(world.controller.command(), &Vector6::zeros(), &WIND);
         }
         world.advance(&WIND);
     }
@@ -284,9 +284,9 @@ fn absurd_numbers_pass() {
         let mut wrong = state.clone();
         wrong.velocity[7] = absurd;
         for said in [&wrong, state, &wrong, state, state] {
-            estimator.update(said, thrust, &WIND);
+            estimator.update(said, thrust);
         }
-        let back = estimator.update(state, thrust, &WIND).clone();
+        let back = estimator.update(state, thrust).clone();
         assert!(
             distance(&back, &Reading { state: state.clone(), thrust: thrust.to_vec() }) < 1e-14,
             "{absurd}"

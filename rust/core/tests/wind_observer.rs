@@ -30,8 +30,7 @@ fn estimate(settings: WindObserverConfig, wind: Vector3<f64>, seconds: f64) -> W
     let (mut world, mut observer) = (Loop::new(&config), observer(&config));
     for _ in 0..flight_ticks(seconds) {
         world.observe(&wind);
-        let time = world.tick as f64 * STEP;
-        observer.update(world.controller.terms(), world.plant.jets().thrust(), time);
+        observer.update(world.controller.terms());
         world.advance(&wind);
     }
     observer
@@ -110,13 +109,12 @@ fn each_tick_is_the_equations_of_the_filter() {
     for tick in 0..5 {
         world.observe(&blowing);
         let (terms, thrust) = (world.controller.terms(), world.plant.jets().thrust());
-        let time = f64::from(tick) * STEP;
-        observer.update(terms, thrust, time);
+        observer.update(terms);
 
         let mut rate = &terms.momentum.a_t * DVector::from_column_slice(thrust);
         rate[2] -= terms.kinematics.mass() * robot.gravity;
         let rate = rate.fixed_rows::<6>(0).into_owned();
-        let observed = acting.update(&wide, STEP, Sample { time, momentum: terms.dynamics.momentum, rate });
+        let observed = acting.update(&wide, STEP, Sample { momentum: terms.dynamics.momentum, rate });
         wind = a * wind;
         let (force, moment) = wrench_in(&terms.kinematics, wind);
         let h = Matrix3::from_columns(&[0, 1, 2].map(|axis| {

@@ -355,15 +355,15 @@ impl Flight {
             let reading = sensors.read(truth.0, truth.1);
             (&reading.state, &reading.thrust)
         });
-        let (seen, thrust) = estimator.as_mut().map_or((seen, thrust), |estimator| {
-            let estimated = estimator.update(seen, thrust, &estimate);
-            (&estimated.state, &estimated.thrust)
-        });
         sample.state.copy_from(seen);
         sample.thrust.copy_from_slice(thrust);
         sample.wind = estimate;
         outages.spoil(time, sample);
         let Sample { state: seen, thrust, wind: given } = &*sample;
+        let (seen, thrust) = estimator.as_mut().map_or((seen, thrust), |estimator| {
+            let estimated = estimator.update(seen, thrust);
+            (&estimated.state, &estimated.thrust)
+        });
         let measurement = Measurement { time, state: seen, thrust, wind: *given, foot_wrenches: &[] };
         if self.state.is_none() {
             self.state = controller.start(&measurement).ok();
@@ -377,7 +377,7 @@ impl Flight {
         };
         controller.tick(state, &measurement);
         if let Some(observer) = wind_observer {
-            observer.update(controller.terms(), controller.used_thrust(), time);
+            observer.update(controller.terms());
         }
         let (terms, command) = (controller.terms(), controller.command());
         let errors = TrackingErrors::new(plant, &terms.setpoint);
@@ -398,7 +398,8 @@ impl Flight {
         let Scenario { plant, controller, estimator, time_step, .. } = &mut self.scenario;
         let command = controller.command();
         if let Some(estimator) = estimator {
-            estimator.command(command, &controller.terms().momentum.unmodelled_wrench);
+            let terms = controller.terms();
+            estimator.command(command, &terms.momentum.unmodelled_wrench, &terms.seen.wind);
         }
         let (torque, thrust_rate) = (&command.joint_torque, &command.thrust_rate);
         plant.advance(torque.as_slice(), thrust_rate.as_slice(), &wind, *time_step);

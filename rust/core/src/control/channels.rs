@@ -251,7 +251,7 @@ impl Modes {
     pub const ENGINE_LIMITED: Self = Self(1 << 10);
 
     /// Ticks of these modes do not measure the momentum.
-    pub(super) const WITHOUT_MOMENTUM: Self =
+    const WITHOUT_MOMENTUM: Self =
         Self(Self::JOINTS_PREDICTED.0 | Self::ROTATION_PREDICTED.0 | Self::VELOCITY_PREDICTED.0);
 
     /// Every mode and its name.
@@ -329,6 +329,10 @@ pub struct ChannelsState {
     pub acceleration: DVector<f64>,
     /// Thrust rates of the last command \[N/s\].
     pub thrust_rate: DVector<f64>,
+    /// Time of the last tick, M108 \[s\].
+    pub time: f64,
+    /// By how much the clock of the measurements is ahead of it \[s\].
+    clock_offset: f64,
     /// Whether there was a tick.
     is_begun: bool,
     /// Whether the robot descends.
@@ -338,7 +342,7 @@ pub struct ChannelsState {
 /// A measurement that a tick can use.
 #[derive(Debug, Clone)]
 pub struct Seen {
-    /// Time \[s\].
+    /// Time of the controller, M108: that of the measurement, but for jumps of its clock \[s\].
     pub time: f64,
     /// Pose and velocity of the robot.
     pub state: RobotState,
@@ -348,12 +352,33 @@ pub struct Seen {
     pub thrust_innovation: Vec<f64>,
     /// Time since the last tick \[s\].
     pub elapsed: f64,
+    /// Whether the momentum is that of measurements, and its rate that of the time since the last tick.
+    pub has_momentum: bool,
     /// Velocity of the air \[m/s, inertial axes\].
     pub wind: Vector3<f64>,
     /// Wrench on each foot \[N, N m, inertial axes\].
     pub foot_wrenches: Vec<Vector6<f64>>,
     /// What of it is not measured.
     pub modes: Modes,
+}
+
+impl Seen {
+    /// Zeros, for a robot that ticks every `time_step` \[s\].
+    #[must_use]
+    pub fn new(robot: &RobotModel, time_step: f64) -> Self {
+        let jets = robot.jets.len();
+        Self {
+            time: 0.0,
+            state: RobotState::zero(robot.joints.len()),
+            thrust: vec![0.0; jets],
+            thrust_innovation: vec![0.0; jets],
+            elapsed: time_step,
+            has_momentum: false,
+            wind: Vector3::zeros(),
+            foot_wrenches: vec![Vector6::zeros(); robot.feet.len()],
+            modes: Modes::default(),
+        }
+    }
 }
 
 /// Where the numbers of a channel are, in one vector of all numbers of a measurement.
@@ -415,8 +440,6 @@ pub struct Channels {
     greatest: Vec<f64>,
     jump: Vec<f64>,
     now: Vec<f64>,
-    /// What the tick uses.
-    pub seen: Seen,
 }
 
 impl Channels {
@@ -468,16 +491,6 @@ impl Channels {
             entries,
             greatest,
             jump,
-            seen: Seen {
-                time: 0.0,
-                state: RobotState::zero(joints),
-                thrust: vec![0.0; jets],
-                thrust_innovation: vec![0.0; jets],
-                elapsed: time_step,
-                wind: Vector3::zeros(),
-                foot_wrenches: vec![Vector6::zeros(); feet],
-                modes: Modes::default(),
-            },
             layout,
         }
     }
@@ -485,10 +498,10 @@ impl Channels {
     /// Whether a measurement is of this robot.
     #[must_use]
     pub fn fit(&self, measurement: &Measurement) -> bool {
-        let (joints, feet) = (self.layout.n_joints(), self.seen.foot_wrenches.len());
+        let (joints, feet) = (self.layout.n_joints(), self.layout.feet.len() / 6);
         measurement.state.n_joints() == joints
             && measurement.state.velocity.len() == 6 + joints
-            && measurement.thrust.len() == self.seen.thrust.len()
+            && measurement.thrust.len() == self.layout.thrust.len()
             && (feet == 0 || measurement.foot_wrenches.len() == feet)
     }
 
@@ -517,31 +530,47 @@ impl Channels {
             last: self.now.clone(),
             predicted: self.now.clone(),
             acceleration: DVector::zeros(6 + self.layout.n_joints()),
-            thrust_rate: DVector::zeros(self.seen.thrust.len()),
+            thrust_rate: DVector::zeros(self.layout.thrust.len()),
+            time: measurement.time,
+            clock_offset: 0.0,
             is_begun: false,
             is_descending: false,
         })
     }
 
-    /// Takes in a measurement that fits and makes [`Self::seen`] of it. `last_time` is that of the tick before \[s\].
-    pub fn update(&mut self, state: &mut ChannelsState, measurement: &Measurement, last_time: f64) {
-        self.read(measurement);
-        let mut modes = Modes::default();
-        let is_known = time_is_plausible(measurement.time);
-        self.seen.time = if is_known { measurement.time } else { last_time + self.time_step };
-        let elapsed = self.seen.time - last_time;
+    /// Moves the time on with that of a measurement \[s\]: M108. Whether the time since the last tick is known.
+    pub fn update_clock(&self, state: &mut ChannelsState, measured: f64, seen: &mut Seen) -> bool {
+        let next = state.time + self.time_step;
+        let is_known = time_is_plausible(measured);
+        let time = if is_known { measured - state.clock_offset } else { next };
+        let elapsed = time - state.time;
         let is_step = elapsed > 0.0 && elapsed < GAP_MAX * self.time_step;
-        let dt = if is_step { elapsed } else { self.time_step };
-        if !is_known || (state.is_begun && !is_step && self.config.jump.is_some()) {
-            modes.insert(Modes::CLOCK_PREDICTED);
+        let has_jumped = state.is_begun && !is_step && self.config.jump.is_some();
+        if has_jumped {
+            state.clock_offset = measured - next;
         }
+        state.time = if has_jumped { next } else { time };
+        seen.time = state.time;
+        seen.elapsed = if is_step { elapsed } else { self.time_step };
+        seen.modes = Modes::default();
+        if !is_known || has_jumped {
+            seen.modes.insert(Modes::CLOCK_PREDICTED);
+        }
+        is_step
+    }
+
+    /// Takes in a measurement that fits and makes `seen` of it.
+    pub fn update(&mut self, state: &mut ChannelsState, measurement: &Measurement, seen: &mut Seen) {
+        let is_step = self.update_clock(state, measurement.time, seen);
+        self.read(measurement);
+        let mut modes = seen.modes;
+        let dt = seen.elapsed;
         if state.is_begun {
             state.predict(&self.layout, &self.greatest, dt);
         }
-        self.seen.elapsed = dt;
         let predicted = &state.predicted[self.layout.thrust.clone()];
         for ((to, now), predicted) in
-            self.seen.thrust_innovation.iter_mut().zip(&self.now[self.layout.thrust.clone()]).zip(predicted)
+            seen.thrust_innovation.iter_mut().zip(&self.now[self.layout.thrust.clone()]).zip(predicted)
         {
             *to = now - predicted;
         }
@@ -621,7 +650,7 @@ impl Channels {
                 }
             }
         }
-        for (innovation, channel) in self.seen.thrust_innovation.iter_mut().zip(&state.channels[1..]) {
+        for (innovation, channel) in seen.thrust_innovation.iter_mut().zip(&state.channels[1..]) {
             if channel.age > 0.0 {
                 *innovation = 0.0;
             }
@@ -629,9 +658,10 @@ impl Channels {
         if state.is_descending {
             modes.insert(Modes::DESCENDING);
         }
+        seen.has_momentum = (is_step || !state.is_begun) && !modes.intersects(Modes::WITHOUT_MOMENTUM);
         state.is_begun = true;
-        self.seen.modes = modes;
-        self.write();
+        seen.modes = modes;
+        self.write(seen);
     }
 
     /// The numbers of a measurement that fits.
@@ -652,8 +682,8 @@ impl Channels {
     }
 
     /// The other way round.
-    fn write(&mut self) {
-        let (layout, now, seen) = (&self.layout, &self.now, &mut self.seen);
+    fn write(&self, seen: &mut Seen) {
+        let (layout, now) = (&self.layout, &self.now);
         let middle = layout.joints.start + layout.n_joints();
         seen.wind = vector(&now[layout.wind.clone()]);
         seen.thrust.copy_from_slice(&now[layout.thrust.clone()]);
@@ -738,6 +768,6 @@ fn rotation_of(numbers: &[f64]) -> Matrix3<f64> {
 }
 
 /// Whether a time is that of a flight.
-pub(super) fn time_is_plausible(time: f64) -> bool {
+fn time_is_plausible(time: f64) -> bool {
     (0.0..=TIME_MAX).contains(&time)
 }

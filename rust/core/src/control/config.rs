@@ -369,9 +369,9 @@ impl ControllerConfig {
             }
         }
         let descent = self.engines.as_ref().and_then(|engines| engines.descent);
-        let fast = descent.map_or(0.0, |descent| descent.joint_velocity_max_deg.to_radians());
         for joint in &robot.joints {
-            stable("bounds.joint_steepness", joint.velocity_max.max(fast), self.bounds.joint_steepness)?;
+            let rate_max = descent.map_or(joint.velocity_max, |descent| descent.velocity_max(joint));
+            stable("bounds.joint_steepness", rate_max, self.bounds.joint_steepness)?;
         }
         Ok(())
     }

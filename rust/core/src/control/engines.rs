@@ -12,6 +12,7 @@
 
 use super::config::MomentumGains;
 use crate::error::{BuildError, check};
+use crate::robot::{Joint, JointKind};
 use nalgebra::Vector6;
 use serde::{Deserialize, Serialize};
 
@@ -41,12 +42,32 @@ pub struct EnginesConfig {
 pub struct DescentConfig {
     /// Gains in place of `controller.momentum`.
     pub momentum: MomentumGains,
-    /// Greatest joint velocity, of joints whose own is less \[deg/s\].
+    /// Greatest joint velocity, of revolute joints whose own is less \[deg/s\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub joint_velocity_max_deg: f64,
-    /// Greatest rate of a joint torque, of joints whose own is less \[N m/s\].
+    /// Greatest rate of a joint torque, of revolute joints whose own is less \[N m/s\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub torque_rate_max: f64,
+}
+
+impl DescentConfig {
+    /// Greatest velocity of a joint on the way down \[rad/s, m/s\].
+    #[must_use]
+    pub fn velocity_max(&self, joint: &Joint) -> f64 {
+        match joint.kind {
+            JointKind::Revolute => joint.velocity_max.max(self.joint_velocity_max_deg.to_radians()),
+            JointKind::Prismatic => joint.velocity_max,
+        }
+    }
+
+    /// Greatest rate of its torque \[N m/s, N/s\].
+    #[must_use]
+    pub fn torque_rate_max(&self, joint: &Joint) -> f64 {
+        match joint.kind {
+            JointKind::Revolute => joint.torque_rate_max.max(self.torque_rate_max),
+            JointKind::Prismatic => joint.torque_rate_max,
+        }
+    }
 }
 
 impl EnginesConfig {
@@ -111,20 +132,20 @@ impl EngineState {
     }
 
     /// Takes in the thrust of this tick \[N\] and by how much it is not the predicted one, after `dt` \[s\]; `column` is
-    /// the jet's one of `A_T`, `residual` is `n`.
+    /// the jet's one of `A_T`, `residual` is `n`. Without it nothing is judged: the confirmation begins anew.
     pub fn update(
         &mut self,
         config: &EnginesConfig,
         dt: f64,
         (thrust, innovation): (f64, f64),
         column: &Vector6<f64>,
-        residual: &Vector6<f64>,
+        residual: Option<&Vector6<f64>>,
     ) -> Finding {
         self.deviation = libm::exp(-dt / config.time_constant) * self.deviation + innovation;
-        if self.deviation.abs() <= config.deviation_max {
+        let Some(residual) = residual.filter(|_| self.deviation.abs() > config.deviation_max) else {
             self.suspected = 0.0;
             return Finding::Nothing;
-        }
+        };
         self.suspected += dt;
         // Half a tick is for rounding.
         if self.suspected < config.confirmation + 0.5 * dt {

@@ -312,14 +312,13 @@ impl MomentumQp {
         }
     }
 
-    /// Builds the bounds of one tick: thrusts stay within these ranges \[N\], joints within their limits, by their own
-    /// greatest velocities, or by this one \[rad/s\] where it is greater.
+    /// Builds the bounds of one tick: thrusts stay within these ranges \[N\], joints within their limits by these
+    /// greatest velocities \[rad/s, m/s\].
     pub fn update_bounds(
         &mut self,
-        robot: &RobotModel,
         inputs: &TaskInputs,
         thrust_ranges: impl IntoIterator<Item = (f64, f64)>,
-        velocity_max: f64,
+        velocity_max: impl IntoIterator<Item = f64>,
     ) {
         let Unknowns { thrust_rate, joint_velocity, .. } = &self.unknowns;
         let limited = &mut self.limited;
@@ -328,8 +327,8 @@ impl MomentumQp {
             (limited.least[unknown], limited.greatest[unknown]) = range;
         }
         limited.value[joint_velocity.clone()].copy_from_slice(inputs.state.joint_position.as_slice());
-        for (unknown, joint) in joint_velocity.clone().zip(&robot.joints) {
-            limited.rate_max[unknown] = joint.velocity_max.max(velocity_max);
+        for (unknown, velocity_max) in joint_velocity.clone().zip(velocity_max) {
+            limited.rate_max[unknown] = velocity_max;
         }
         limited.write_bounds(self.problem.lower.as_mut_slice(), self.problem.upper.as_mut_slice());
     }

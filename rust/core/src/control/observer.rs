@@ -14,9 +14,6 @@ use crate::error::{BuildError, check};
 use nalgebra::Vector6;
 use serde::{Deserialize, Serialize};
 
-/// Longest time between two measurements that are compared, in ticks. Half a tick is for rounding.
-const GAP_MAX: f64 = 10.5;
-
 /// Time constant of the residual \[s\].
 const RESIDUAL_TIME: f64 = 0.02;
 
@@ -61,8 +58,6 @@ impl ObserverConfig {
 /// What is measured, and what the model makes of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
-    /// Time of the measurement \[s\].
-    pub time: f64,
     /// Centroidal momentum `L` \[kg m/s, kg m²/s\].
     pub momentum: Vector6<f64>,
     /// Its rate as modelled, `r` \[N, N m\].
@@ -87,19 +82,16 @@ impl ObserverState {
         Self { wrench: Vector6::zeros(), residual: Vector6::zeros(), last: None }
     }
 
-    /// Takes a measurement in and returns `ŵ`.
+    /// Takes in a measurement `elapsed` \[s\] after the last one, and returns `ŵ`.
     ///
-    /// Without a measurement shortly before it there is nothing to compare: `ŵ` stays, as it does where numbers
-    /// overflow.
-    pub fn update(&mut self, config: &ObserverConfig, time_step: f64, sample: Sample) -> Vector6<f64> {
+    /// Without a last one there is nothing to compare: `ŵ` stays, as it does where numbers overflow.
+    pub fn update(&mut self, config: &ObserverConfig, elapsed: f64, sample: Sample) -> Vector6<f64> {
         if let Some(last) = self.last.replace(sample) {
-            let elapsed = sample.time - last.time;
             let (force, moment) = (share(config.gain_force, elapsed), share(config.gain_moment, elapsed));
             let shares = Vector6::new(force, force, force, moment, moment, moment);
             let innovation = (sample.momentum - last.momentum) / elapsed - last.rate - self.wrench;
             let moved = self.wrench + shares.component_mul(&innovation);
-            let is_near = elapsed > 0.0 && elapsed < GAP_MAX * time_step;
-            if is_near && moved.iter().all(|x| x.is_finite()) {
+            if moved.iter().all(|x| x.is_finite()) {
                 let (force, moment) = (config.force_max, config.moment_max);
                 let limits = Vector6::new(force, force, force, moment, moment, moment);
                 self.residual += (innovation - self.residual) * share(1.0 / RESIDUAL_TIME, elapsed);
@@ -108,10 +100,8 @@ impl ObserverState {
         }
         self.wrench
     }
-}
 
-impl ObserverState {
-    /// A tick whose momentum is not measured: `ŵ` stays, and there is nothing to compare the next one with.
+    /// A tick whose momentum is not measured, or long after the last one: `ŵ` stays, and there is nothing to compare the next one with.
     pub fn hold(&mut self) -> Vector6<f64> {
         self.last = None;
         self.residual.fill(0.0);

@@ -9,6 +9,7 @@
 
 use super::minimum_jerk::{FilterState, MinimumJerkFilter};
 use super::mission::{AutopilotCommand, Mission};
+use super::recorded::RecordedMotion;
 use crate::error::{BuildError, check};
 use crate::spatial::{
     axis_angle, is_rotation, project_to_so3, rotation_from_rpy, rpy_from_rotation, skew, vee_of_skew_part,
@@ -140,6 +141,16 @@ impl Setpoint {
         ];
         vectors.iter().all(|vector| vector.iter().all(|x| x.is_finite())) && is_rotation(&self.rotation)
     }
+
+    /// Its motion, as far as a recording has it.
+    #[must_use]
+    pub fn motion(&self) -> RecordedMotion {
+        RecordedMotion {
+            com: [self.com_position, self.com_velocity, self.com_acceleration, self.com_jerk],
+            rotation: self.rotation,
+            angular_velocity_b: self.angular_velocity_b,
+        }
+    }
 }
 
 /// Raw set-point: moves at constant speeds, before any smoothing.
@@ -251,14 +262,8 @@ impl SetpointGenerator {
             }
             Mission::Recorded(recording) => {
                 let motion = recording.at(time);
+                self.follow(state, &motion);
                 let [com_position, com_velocity, com_acceleration, com_jerk] = motion.com;
-                self.angular_velocity_filter.update(&mut state.angular_velocity, &motion.angular_velocity_b);
-                state.raw.position = com_position;
-                state.raw.rpy = self.heading_rpy(&motion.rotation);
-                state.rotation = motion.rotation;
-                // Where a descent would begin.
-                state.position = FilterState::moving(com_position, com_velocity, com_acceleration);
-                state.acceleration = FilterState::moving(com_acceleration, com_jerk, Vector3::zeros());
                 Setpoint {
                     com_position,
                     com_velocity,
@@ -271,6 +276,22 @@ impl SetpointGenerator {
                 }
             }
         }
+    }
+
+    /// Moves the state along with a motion that is given: where coming to rest or a descent would begin.
+    pub fn follow(&self, state: &mut SetpointState, motion: &RecordedMotion) {
+        let [position, velocity, acceleration, jerk] = motion.com;
+        self.angular_velocity_filter.update(&mut state.angular_velocity, &motion.angular_velocity_b);
+        state.raw = RawSetpoint { position, rpy: self.heading_rpy(&motion.rotation), turbo_ticks: 0 };
+        state.rotation = motion.rotation;
+        state.position = FilterState::moving(position, velocity, acceleration);
+        state.acceleration = FilterState::moving(acceleration, jerk, Vector3::zeros());
+    }
+
+    /// Set-point of a tick without any: the last one comes to rest.
+    #[must_use]
+    pub fn hold(&self, state: &mut SetpointState) -> Setpoint {
+        self.smooth(state)
     }
 
     /// Set-point of a tick of the way down instead of the mission: level, straight down, without boost.

@@ -5,7 +5,7 @@ use super::command::Measurement;
 use super::contact::ContactState;
 use super::engines::EngineState;
 use super::observer::ObserverState;
-use super::setpoint::{Setpoint, SetpointState};
+use super::setpoint::SetpointState;
 use crate::error::{BuildError, check};
 use crate::qp::WarmStart;
 use nalgebra::{DVector, Matrix3};
@@ -15,14 +15,10 @@ use nalgebra::{DVector, Matrix3};
 /// Nothing else that a tick reads changes: a clone, restored at any later time, continues to the same bits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ControllerState {
-    /// Time of the last tick \[s\].
-    pub(super) time: f64,
     /// What is known of the channels of the measurement.
     pub(super) channels: ChannelsState,
     /// State of the set-point generator.
     pub(super) setpoint: SetpointState,
-    /// The last set-point, at rest: what is followed where one that is given is not valid.
-    pub(super) held_setpoint: Setpoint,
     /// Posture to return to, `s_d`: the joint positions of the first tick \[rad\].
     pub(super) posture: DVector<f64>,
     /// Centroidal inertia in body axes at the first tick \[kg m²\].
@@ -50,7 +46,6 @@ impl ControllerState {
     pub(super) fn new(
         measurement: &Measurement,
         setpoint: &SetpointState,
-        held_setpoint: &Setpoint,
         inertia_0_b: Matrix3<f64>,
         channels: ChannelsState,
         (feet, jets): (usize, usize),
@@ -59,10 +54,8 @@ impl ControllerState {
         let posture = measurement.state.joint_position.clone();
         let joints = posture.len();
         Self {
-            time: measurement.time,
             channels,
             setpoint: *setpoint,
-            held_setpoint: *held_setpoint,
             posture,
             inertia_0_b,
             velocity_error_integral: DVector::zeros(joints),
@@ -79,7 +72,7 @@ impl ControllerState {
     /// Time of the last tick \[s\].
     #[must_use]
     pub fn time(&self) -> f64 {
-        self.time
+        self.channels.time
     }
 
     /// State of the set-point generator.

@@ -318,7 +318,7 @@ impl Episode {
         let allocated = allocations(|| {
             let (seen, thrust) = match estimator {
                 Some(estimator) => {
-                    let reading = estimator.update(&sample.state, &sample.thrust, &sample.wind);
+                    let reading = estimator.update(&sample.state, &sample.thrust);
                     (&reading.state, reading.thrust.as_slice())
                 }
                 None => (&sample.state, thrust),
@@ -332,10 +332,11 @@ impl Episode {
             };
             duration = begin.elapsed();
             if let Some(observer) = wind_observer {
-                observer.update(controller.terms(), controller.used_thrust(), time);
+                observer.update(controller.terms());
             }
             if let Some(estimator) = estimator {
-                estimator.command(controller.command(), &controller.terms().momentum.unmodelled_wrench);
+                let terms = controller.terms();
+                estimator.command(controller.command(), &terms.momentum.unmodelled_wrench, &terms.seen.wind);
             }
         });
         let command = self.controller.command();

@@ -1,6 +1,7 @@
 //! What the state estimator and the wind observer make of a whole flight.
 
 use crate::common::{assert_within, experiment, fly};
+use flight_core::control::channels::Modes;
 use flight_core::estimator::{ChannelConfig, EstimatorConfig};
 use flight_core::wind_observer::WindObserverConfig;
 use flight_sim::disturbances::{Outage, OutageChannel, OutageKind};
@@ -75,4 +76,31 @@ fn a_robot_without_a_measured_wind_flies() {
     assert!(wind.norm() > 6.0, "{wind}");
     assert!((measured - wind).norm() < 1.5, "{measured} of {wind}");
     assert!(std.iter().all(|std| (0.05..2.0).contains(std)), "{std}");
+}
+
+/// Outages are those of sensors: with an estimator between them and the controller a lost channel is the controller's to
+/// predict, and no other one is lost with it.
+#[test]
+fn an_estimator_loses_nothing_else_with_a_channel() {
+    let mut whole = experiment("test2_observer");
+    whole.simulator.duration = 4.0;
+    whole.controller.estimator = Some(EstimatorConfig::default());
+    for (channel, mode) in [
+        (OutageChannel::Wind, Modes::WIND_HELD),
+        (OutageChannel::Thrust, Modes::THRUST_MODELLED),
+        (OutageChannel::BasePosition, Modes::POSITION_PREDICTED),
+        (OutageChannel::BaseVelocity, Modes::VELOCITY_PREDICTED),
+    ] {
+        let mut config = whole.clone();
+        let (start, duration) = (1.0, Some(0.5));
+        let lost = Outage { channel, jet: None, start, duration, kind: OutageKind::Missing, error: 1.0 };
+        config.disturbances.outages = vec![lost];
+        let result = fly(&[config]).remove(0);
+        assert_eq!(result.outcome, Outcome::Completed, "{channel:?}");
+        let modes = &result.log.series("degraded_modes").unwrap().data;
+        for (tick, modes) in modes.iter().enumerate() {
+            let expected = if (100..150).contains(&tick) { f64::from(mode.bits()) } else { 0.0 };
+            assert_within!((modes - expected).abs(), 0.0, "{channel:?}, tick {tick}");
+        }
+    }
 }
