@@ -46,6 +46,16 @@ pub enum AeroModel {
 }
 
 impl AeroModel {
+    /// Whether it has no force at all.
+    #[must_use]
+    pub fn is_off(&self) -> bool {
+        match self {
+            Self::Off => true,
+            Self::Weighted(model, _) => model.is_off(),
+            Self::Axisymmetric(_) | Self::SphereCylinder(_) | Self::Network(_) => false,
+        }
+    }
+
     /// This model with factors on its forces; `table` is named in errors.
     ///
     /// # Errors

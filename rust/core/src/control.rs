@@ -1,7 +1,7 @@
 //! The flight controller: one tick, from a measurement to thrust rates and joint torques.
 //!
-//! [`Controller::tick`] reads top to bottom as the controller does: set-point, kinematics and
-//! dynamics, aerodynamic forces, momentum, tasks, QP, torques. Each step fills one plain struct that
+//! [`Controller::tick`] reads top to bottom as the controller does: state estimate, set-point, kinematics and
+//! dynamics, aerodynamic forces, momentum, tasks, QP, torques, wind estimate. Each step fills one plain struct that
 //! the next reads; after a tick all of them are open to inspection in [`Controller::terms`].
 //!
 //! [`Controller::start`] makes the [`ControllerState`], the one value that a tick changes and the next
@@ -38,9 +38,11 @@ pub use state::ControllerState;
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::dynamics::{Dynamics, InverseMass};
 use crate::error::{BuildError, check};
+use crate::estimator::Estimator;
 use crate::kinematics::Kinematics;
 use crate::qp::{QpAnswer, QpChain, QpProblem, QpSolver, QpStatus};
 use crate::robot::RobotModel;
+use crate::wind_observer::{WindObserver, WindState};
 use attitude::{AttitudeDemand, attitude_demand};
 use channels::{Channels, Modes, Seen};
 use config::ControllerConfig;
@@ -95,6 +97,10 @@ pub struct Controller {
     /// Number of jets of the robot, used or not.
     n_jets: usize,
     config: ControllerConfig,
+    /// What estimates the state before the law, where there is something.
+    estimator: Option<Estimator>,
+    /// What estimates the wind after it, for the next tick.
+    wind_observer: Option<WindObserver>,
     /// What a tick takes the measurement to be.
     channels: Channels,
     time_step: f64,
@@ -125,6 +131,13 @@ impl Controller {
         config.check(&robot)?;
         check("controller time step", time_step, |dt| dt > 0.0, "a positive number of seconds")?;
         let n_jets = robot.jets.len();
+        let (estimator, wind_observer) = (config.estimator.as_ref(), config.wind_observer.as_ref());
+        let estimator = estimator
+            .map(|estimator| Estimator::new(estimator, robot.clone(), aero.clone(), time_step))
+            .transpose()?;
+        let wind_observer = wind_observer
+            .map(|observer| WindObserver::new(observer, robot.clone(), aero.clone(), time_step))
+            .transpose()?;
         let mut model = config.restrict(robot);
         config.check_rate_bounds(&model, time_step)?;
         config.observer.as_ref().map_or(Ok(()), |observer| observer.check(time_step))?;
@@ -142,6 +155,8 @@ impl Controller {
         Ok(Self {
             n_jets,
             aero,
+            estimator,
+            wind_observer,
             solution: DVector::zeros(momentum_qp.problem.len()),
             momentum_solver: config.qp.chain(momentum_qp.problem.len(), 0),
             torque_solver: config.qp.chain(torque_qp.problem.len(), torque_qp.problem.rows()),
@@ -205,6 +220,10 @@ impl Controller {
             &self.setpoint_generator.start(com, rotation),
             inertia_0_b,
             channels,
+            (
+                self.estimator.as_ref().map(Estimator::start),
+                self.wind_observer.as_ref().map(WindObserver::start),
+            ),
             (contact.measured.len(), self.n_jets),
             (self.solution.len(), self.terms.torque_qp.problem.len()),
         ))
@@ -262,7 +281,13 @@ impl Controller {
         let is_seen = self.channels.fit(measurement);
         let seen = &mut self.terms.seen;
         if is_seen {
-            self.channels.update(&mut state.channels, measurement, seen);
+            let wind = state.wind.as_ref().map_or(measurement.wind, WindState::wind);
+            let mut given = Measurement { wind, ..*measurement };
+            if let (Some(estimator), Some(memory)) = (&mut self.estimator, &mut state.estimator) {
+                let estimate = estimator.update(memory, measurement.state, measurement.thrust);
+                (given.state, given.thrust) = (&estimate.state, &estimate.thrust);
+            }
+            self.channels.update(&mut state.channels, &given, seen);
         } else {
             self.channels.update_clock(&mut state.channels, measurement.time, seen);
             state.observer.hold();
@@ -285,6 +310,12 @@ impl Controller {
         });
         self.solve_momentum_qp(state, descent.as_ref());
         self.solve_torque_qp(state, descent.as_ref());
+        if let (Some(observer), Some(memory)) = (&mut self.wind_observer, &mut state.wind) {
+            observer.update(memory, &self.terms);
+        }
+        if let Some(memory) = &mut state.estimator {
+            memory.command(&self.command, &self.terms.momentum.unmodelled_wrench, &self.terms.seen.wind);
+        }
         &self.command
     }
 
@@ -546,6 +577,11 @@ impl Controller {
             && state.momentum_start.len() == self.solution.len()
             && state.contact.force.len() == self.terms.contact.force.len()
             && self.channels.fit_state(&state.channels)
+            && self.wind_observer.is_some() == state.wind.is_some()
+            && match (&self.estimator, &state.estimator) {
+                (Some(estimator), Some(memory)) => estimator.fits(memory),
+                (estimator, memory) => estimator.is_none() && memory.is_none(),
+            }
     }
 
     /// The command of a tick that cannot act: nothing moves, torques stay.

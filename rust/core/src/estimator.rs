@@ -1,4 +1,4 @@
-//! State estimator beside the controller: the robot's model, corrected by measurements, and ahead of their age.
+//! State estimator before the controller's law: the robot's model, corrected by measurements, and ahead of their age.
 //!
 //! ```text
 //! measured at age d ──► wait until all are of one age D ──► correct x̂(t − D)
@@ -145,7 +145,7 @@ fn mark(to: &mut [f64], measured: &[f64]) {
 }
 
 /// What acts on the robot from one tick to the next.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 struct Order {
     torque: Vec<f64>,
     thrust_rate: Vec<f64>,
@@ -163,15 +163,12 @@ struct Model {
     link_forces: LinkForces,
     mass_factor: MassFactor,
     acceleration: DVector<f64>,
-    /// Accelerations of the joints that it does not explain \[rad/s²\].
-    disturbance: DVector<f64>,
 }
 
 impl Model {
-    /// One tick on under an order, semi-implicit.
-    fn advance(&mut self, reading: &mut Reading, order: &Order, time_step: f64) {
-        let Self { robot, aero, kinematics, dynamics, link_forces, mass_factor, acceleration, disturbance } =
-            self;
+    /// One tick on under an order and accelerations of the joints that the model does not explain, semi-implicit.
+    fn advance(&mut self, reading: &mut Reading, order: &Order, disturbance: &DVector<f64>, time_step: f64) {
+        let Self { robot, aero, kinematics, dynamics, link_forces, mass_factor, acceleration } = self;
         let Reading { state, thrust } = reading;
         kinematics.update(robot, state);
         dynamics.update(robot, state, kinematics);
@@ -221,17 +218,24 @@ impl Model {
     }
 }
 
-/// The estimator of one robot; all of its state is in it.
+/// The estimator of one robot, and the space it works in; its state is an [`EstimatorState`].
 #[derive(Debug, Clone)]
 pub struct Estimator {
     model: Model,
     time_step: f64,
+    /// Age of the oldest channel in ticks.
+    oldest: usize,
     /// Age of each channel in ticks, in the order of the configuration.
     ages: [usize; 7],
     /// Share of each channel's innovation that is used.
     shares: [f64; 7],
     /// Shares of the joint positions' innovation that correct velocities, per tick, and accelerations, per tick squared.
     by_position: [f64; 2],
+}
+
+/// The estimator from one tick to the next.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EstimatorState {
     /// The last measurements, a ring as long as the greatest age and one.
     line: Vec<Reading>,
     /// The last commands, in the same places.
@@ -242,6 +246,8 @@ pub struct Estimator {
     then: Reading,
     /// Estimate of now.
     now: Reading,
+    /// Accelerations of the joints that the model does not explain \[rad/s²\].
+    disturbance: DVector<f64>,
 }
 
 impl Estimator {
@@ -269,8 +275,24 @@ impl Estimator {
             (ages[5], shares[4], shares[5]) = (0, 1.0 - pole * pole * pole, 0.0);
             by_position = [left * left * (1.0 + 2.0 * pole), left * left * left];
         }
-        let length = 1 + ages.into_iter().max().unwrap_or(0);
-        let (joints, jets) = (robot.joints.len(), robot.jets.len());
+        let joints = robot.joints.len();
+        let model = Model {
+            kinematics: Kinematics::new(&robot),
+            dynamics: Dynamics::new(&robot),
+            link_forces: LinkForces::new(&robot),
+            mass_factor: MassFactor::new(6 + joints),
+            acceleration: DVector::zeros(6 + joints),
+            robot,
+            aero,
+        };
+        let oldest = ages.into_iter().max().unwrap_or(0);
+        Ok(Self { model, time_step, oldest, ages, shares, by_position })
+    }
+
+    /// The state before the first measurement.
+    #[must_use]
+    pub fn start(&self) -> EstimatorState {
+        let (joints, jets) = (self.model.robot.joints.len(), self.model.robot.jets.len());
         let nothing = Reading::zero(joints, jets);
         let order = Order {
             torque: vec![0.0; joints],
@@ -278,39 +300,39 @@ impl Estimator {
             unmodelled: Vector6::zeros(),
             wind_i: Vector3::zeros(),
         };
-        let model = Model {
-            kinematics: Kinematics::new(&robot),
-            dynamics: Dynamics::new(&robot),
-            link_forces: LinkForces::new(&robot),
-            mass_factor: MassFactor::new(6 + joints),
-            acceleration: DVector::zeros(6 + joints),
-            disturbance: DVector::zeros(joints),
-            robot,
-            aero,
-        };
-        Ok(Self {
-            model,
-            time_step,
-            ages,
-            shares,
-            by_position,
-            line: vec![nothing.clone(); length],
-            orders: vec![order; length],
+        EstimatorState {
+            line: vec![nothing.clone(); 1 + self.oldest],
+            orders: vec![order; 1 + self.oldest],
             ticks: 0,
             then: nothing.clone(),
             now: nothing,
-        })
+            disturbance: DVector::zeros(joints),
+        }
     }
 
-    /// Takes a measurement in and returns the estimate of now. No allocation.
+    /// Whether a state is of this estimator.
+    #[must_use]
+    pub fn fits(&self, state: &EstimatorState) -> bool {
+        let robot = &self.model.robot;
+        state.line.len() == 1 + self.oldest
+            && state.disturbance.len() == robot.joints.len()
+            && state.now.thrust.len() == robot.jets.len()
+    }
+
+    /// Takes in a measurement of this robot and returns the estimate of now. No allocation.
     ///
     /// The first one begins the flight: it is taken for what had been before it. Numbers that cannot be correct
     /// nothing, and are NaN in what is returned, so that the controller knows. An estimate that is not finite begins
     /// anew with what is measured.
-    pub fn update(&mut self, state: &RobotState, thrust: &[f64]) -> &Reading {
-        let Self { model, ages, line, orders, ticks, then, now, by_position, .. } = self;
-        let length = line.len();
-        let (oldest, step) = (length - 1, self.time_step);
+    pub fn update<'a>(
+        &mut self,
+        memory: &'a mut EstimatorState,
+        state: &RobotState,
+        thrust: &[f64],
+    ) -> &'a Reading {
+        let Self { model, ages, by_position, .. } = self;
+        let EstimatorState { line, orders, ticks, then, now, disturbance } = memory;
+        let (oldest, length, step) = (self.oldest, line.len(), self.time_step);
         if *ticks == 0 {
             for reading in line.iter_mut() {
                 reading.copy(state, thrust);
@@ -319,28 +341,36 @@ impl Estimator {
         }
         line[*ticks % length].copy(state, thrust);
         if *ticks > oldest {
-            model.advance(then, &orders[*ticks % length], step);
+            model.advance(then, &orders[*ticks % length], disturbance, step);
         }
         if !then.is_finite() {
             then.copy(state, thrust);
-            model.disturbance.fill(0.0);
+            disturbance.fill(0.0);
         }
         // Measurements that came early wait for the others.
         let aligned = ages.map(|age| &line[(*ticks + length - (oldest - age)) % length]);
         let [of_velocity, of_acceleration] = *by_position;
-        for joint in 0..model.disturbance.len() {
+        for joint in 0..disturbance.len() {
             let found = then.state.joint_position[joint];
             let innovation = known(aligned[4].state.joint_position[joint], found) - found;
             then.state.velocity[6 + joint] += of_velocity / step * innovation;
-            model.disturbance[joint] += of_acceleration / (step * step) * innovation;
+            disturbance[joint] += of_acceleration / (step * step) * innovation;
         }
         correct(then, aligned, &self.shares);
         now.copy(&then.state, &then.thrust);
         for tick in ticks.saturating_sub(oldest)..*ticks {
-            model.advance(now, &orders[tick % length], step);
+            model.advance(now, &orders[tick % length], disturbance, step);
         }
         now.mark_missing(state, thrust);
         *ticks += 1;
+        now
+    }
+}
+
+impl EstimatorState {
+    /// The last estimate; NaN stands for what was not measured.
+    #[must_use]
+    pub fn estimate(&self) -> &Reading {
         &self.now
     }
 

@@ -105,13 +105,18 @@ impl WindObserverConfig {
     }
 }
 
-/// The estimate of the wind; all of its state is in it.
+/// Estimates the wind, in the space it works in; its state is a [`WindState`].
 #[derive(Debug, Clone)]
 pub struct WindObserver {
     config: WindObserverConfig,
     robot: RobotModel,
     aero: AeroModel,
     link_forces: LinkForces,
+}
+
+/// The estimate from one tick to the next.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WindState {
     wrench: ObserverState,
     wind: Vector3<f64>,
     /// Of the estimate, without errors that last.
@@ -125,11 +130,10 @@ pub struct WindObserver {
 }
 
 impl WindObserver {
-    /// An estimator with a model of the robot and of the air, updated about every `time_step` \[s\]. At first there is no
-    /// wind, give or take what a second of the random walk and the vertical winds make of it.
+    /// An estimator with a model of the robot and of the air, updated about every `time_step` \[s\].
     ///
     /// # Errors
-    /// As [`WindObserverConfig::check`].
+    /// As [`WindObserverConfig::check`]; also for a model of the air without forces.
     pub fn new(
         config: &WindObserverConfig,
         robot: RobotModel,
@@ -137,40 +141,35 @@ impl WindObserver {
         time_step: f64,
     ) -> Result<Self, BuildError> {
         config.check(time_step)?;
+        if aero.is_off() {
+            let expected = "a model of the air: without one no force says anything of the wind";
+            return Err(BuildError::bad_value("controller.aero.model", "off", expected));
+        }
+        Ok(Self { config: *config, link_forces: LinkForces::new(&robot), robot, aero })
+    }
+
+    /// The state before the first tick: no wind, give or take what a second of the random walk and the vertical winds
+    /// make of it.
+    #[must_use]
+    pub fn start(&self) -> WindState {
+        let Self { config, .. } = self;
         let std = Vector3::new(config.walk, config.walk, config.vertical_std);
-        Ok(Self {
-            config: *config,
-            link_forces: LinkForces::new(&robot),
-            robot,
-            aero,
+        WindState {
             wrench: ObserverState::new(),
             wind: Vector3::zeros(),
             covariance: Matrix3::from_diagonal(&std.component_mul(&std)),
             sensitivity: Matrix3::zeros(),
             lasting: 0.0,
             unexplained: 0.0,
-        })
-    }
-
-    /// The wind \[m/s, inertial axes\].
-    #[must_use]
-    pub fn wind(&self) -> Vector3<f64> {
-        self.wind
-    }
-
-    /// Its standard deviation along each axis \[m/s\].
-    #[must_use]
-    pub fn std(&self) -> Vector3<f64> {
-        let considered = self.covariance + self.lasting * self.sensitivity * self.sensitivity.transpose();
-        considered.diagonal().map(f64::sqrt)
+        }
     }
 
     /// Takes in what a tick of the controller computed. Where the momentum was not measured nothing is corrected.
-    pub fn update(&mut self, terms: &Terms) {
+    pub fn update(&mut self, state: &mut WindState, terms: &Terms) {
         let step = terms.seen.elapsed;
-        self.predict(step);
+        self.predict(state, step);
         if !terms.seen.has_momentum {
-            self.wrench.hold();
+            state.wrench.hold();
             return;
         }
         let mut rate = Vector6::zeros();
@@ -182,56 +181,56 @@ impl WindObserver {
         let gains =
             ObserverConfig { gain_force: gain, gain_moment: gain, force_max: GREATEST, moment_max: GREATEST };
         let sample = Sample { momentum: terms.dynamics.momentum, rate };
-        let observed = self.wrench.update(&gains, step, sample);
-        self.correct(terms, &observed, step);
+        let observed = state.wrench.update(&gains, step, sample);
+        self.correct(state, terms, &observed, step);
     }
 
     /// Horizontal winds wander, vertical ones return.
-    fn predict(&mut self, step: f64) {
+    fn predict(&self, state: &mut WindState, step: f64) {
         let config = &self.config;
         let kept = libm::exp(-step / config.vertical_time);
-        self.wind.z *= kept;
+        state.wind.z *= kept;
         let keep = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, kept));
         let walk = config.walk * config.walk * step;
         let noise = Vector3::new(walk, walk, config.vertical_std * config.vertical_std * (1.0 - kept * kept));
-        self.covariance = keep * self.covariance * keep + Matrix3::from_diagonal(&noise);
-        self.sensitivity = keep * self.sensitivity;
+        state.covariance = keep * state.covariance * keep + Matrix3::from_diagonal(&noise);
+        state.sensitivity = keep * state.sensitivity;
     }
 
-    fn correct(&mut self, terms: &Terms, observed: &Vector6<f64>, step: f64) {
+    fn correct(&mut self, state: &mut WindState, terms: &Terms, observed: &Vector6<f64>, step: f64) {
         let observed = (observed.fixed_rows::<3>(0).into_owned(), observed.fixed_rows::<3>(3).into_owned());
-        let modelled = self.wrench_in(terms, &self.wind.clone());
+        let modelled = self.wrench_in(terms, &state.wind);
         let mut jacobian = Matrix3::zeros();
         for axis in 0..3 {
-            let mut shifted = self.wind;
+            let mut shifted = state.wind;
             shifted[axis] += DIFFERENCE;
             jacobian.set_column(axis, &((self.wrench_in(terms, &shifted).0 - modelled.0) / DIFFERENCE));
         }
         let config = &self.config;
         let share = -libm::expm1(-step / MEMORY);
         let unexplained =
-            self.unexplained + share * ((observed.1 - modelled.1).norm_squared() - self.unexplained);
+            state.unexplained + share * ((observed.1 - modelled.1).norm_squared() - state.unexplained);
         let lasting = config.force_std * config.force_std
             + config.relative_std * config.relative_std * observed.0.norm_squared()
             + unexplained / (config.moment_arm * config.moment_arm);
         // So many measurements as a time constant of the observer are one.
         let together = (1.0 / (config.gain * step)).max(1.0);
         let error = Vector3::from(config.force_noise).map(|std| together * std * std);
-        let innovation = jacobian * self.covariance * jacobian.transpose() + Matrix3::from_diagonal(&error);
+        let innovation = jacobian * state.covariance * jacobian.transpose() + Matrix3::from_diagonal(&error);
         let Some(inverse) = innovation.try_inverse() else {
             return;
         };
-        let gain = self.covariance * jacobian.transpose() * inverse;
-        let wind = self.wind + gain * (observed.0 - modelled.0);
+        let gain = state.covariance * jacobian.transpose() * inverse;
+        let wind = state.wind + gain * (observed.0 - modelled.0);
         let kept = Matrix3::identity() - gain * jacobian;
         // Joseph's form: symmetric and positive whatever rounding does.
-        let covariance = kept * self.covariance * kept.transpose()
+        let covariance = kept * state.covariance * kept.transpose()
             + gain * Matrix3::from_diagonal(&error) * gain.transpose();
-        let sensitivity = kept * self.sensitivity + gain;
+        let sensitivity = kept * state.sensitivity + gain;
         let numbers = wind.iter().chain(covariance.iter()).chain(sensitivity.iter());
         if numbers.chain([&lasting, &unexplained]).all(|x| x.is_finite()) {
-            (self.wind, self.covariance, self.sensitivity) = (wind, covariance, sensitivity);
-            (self.lasting, self.unexplained) = (lasting, unexplained);
+            (state.wind, state.covariance, state.sensitivity) = (wind, covariance, sensitivity);
+            (state.lasting, state.unexplained) = (lasting, unexplained);
         }
     }
 
@@ -240,5 +239,20 @@ impl WindObserver {
         let Self { robot, aero, link_forces, .. } = self;
         link_forces.update(robot, &terms.kinematics, LinkConventions::default(), aero, wind_i);
         link_forces.wrench_about(&terms.kinematics.com)
+    }
+}
+
+impl WindState {
+    /// The wind \[m/s, inertial axes\].
+    #[must_use]
+    pub fn wind(&self) -> Vector3<f64> {
+        self.wind
+    }
+
+    /// Its standard deviation along each axis \[m/s\].
+    #[must_use]
+    pub fn std(&self) -> Vector3<f64> {
+        let considered = self.covariance + self.lasting * self.sensitivity * self.sensitivity.transpose();
+        considered.diagonal().map(f64::sqrt)
     }
 }

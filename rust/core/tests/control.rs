@@ -14,8 +14,10 @@ use flight_core::control::config::{Fallback, RateFeedback, Solver};
 use flight_core::control::setpoint::Setpoint;
 use flight_core::control::torque::limit_rate;
 use flight_core::control::{BadStart, CommandStatus, ControllerState};
+use flight_core::estimator::{ChannelConfig, EstimatorConfig};
 use flight_core::qp::QpStatus;
 use flight_core::spatial::rotation_angle;
+use flight_core::wind_observer::WindObserverConfig;
 use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
 use flight_io::{AeroConfig, load_robot};
 use flight_sim::{Plant, ScenarioConfig, scenario_from_value};
@@ -325,11 +327,49 @@ fn time_goes_on_without_a_measurement() {
     }
 }
 
+/// With estimators the law is given what they make of the measurement, and the state holds them.
+#[test]
+fn the_law_is_given_what_the_estimators_make() {
+    let mut config = experiment("test2");
+    let slow = ChannelConfig { delay: 0.0, time_constant: 1e9 };
+    let estimator = EstimatorConfig { base_position: slow, ..EstimatorConfig::default() };
+    config.controller.law.estimator = Some(estimator);
+    config.controller.law.wind_observer = Some(WindObserverConfig::default());
+    let good = Sample::start(&config);
+    let mut controller = controller(&config);
+    good.tick(&mut controller);
+    assert_eq!(controller.terms().seen.state.base.position, good.state.base.position);
+    assert_eq!(controller.terms().seen.wind, Vector3::zeros(), "the measured wind is not used");
+    let wind = controller.state().wind().unwrap().wind();
+    let mut moved = Sample { time: TIME_STEP, ..good.clone() };
+    moved.state.base.position.x += 0.1;
+    moved.tick(&mut controller);
+    let seen = &controller.terms().seen;
+    assert_within!((seen.state.base.position - good.state.base.position).amax(), 1e-2, because "a tick of the model");
+    assert_eq!(seen.wind, wind, "that of the tick before");
+    assert_eq!(controller.state().estimator().unwrap().estimate().state, seen.state);
+
+    // A state without estimators is not one of this controller, nor the other way round.
+    let mut without = config.clone();
+    (without.controller.law.estimator, without.controller.law.wind_observer) = (None, None);
+    let mut other = self::controller(&without);
+    good.tick(&mut other);
+    std::mem::swap(&mut controller.state, &mut other.state);
+    for running in [&mut controller, &mut other] {
+        assert_eq!(moved.tick(running).status, CommandStatus::BadState);
+    }
+}
+
 /// A state that was recorded, restored after other ticks: every number of the ticks that follow is the same.
 #[test]
 fn a_restored_state_continues_to_the_same_bits() {
-    for name in ["test1", "test2", "closed_circuit", "test4"] {
-        let config = experiment(name);
+    let mut estimating = experiment("test2_observer");
+    let late = ChannelConfig { delay: 0.02, time_constant: 0.05 };
+    let estimator = EstimatorConfig { base_position: late, ..EstimatorConfig::default() };
+    estimating.controller.law.estimator = Some(estimator);
+    estimating.controller.law.wind_observer = Some(WindObserverConfig::default());
+    let missions = ["test1", "test2", "closed_circuit", "test4"].map(|name| (name, experiment(name)));
+    for (name, config) in missions.into_iter().chain([("estimators", estimating)]) {
         let mut flight = Loop::new(&config);
         flight.run(3.0, |_| wind());
         flight.advance(&wind());

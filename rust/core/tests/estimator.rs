@@ -3,9 +3,10 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
 use crate::common::{Loop, assert_within, experiment, robot};
-use flight_core::estimator::{ChannelConfig, EstimatorConfig, Reading};
-use flight_core::{BuildError, Estimator};
-use flight_io::load_robot;
+use flight_core::control::Command;
+use flight_core::estimator::{ChannelConfig, EstimatorConfig, EstimatorState, Reading};
+use flight_core::{Estimator, RobotState};
+use flight_io::{load_aero, load_robot};
 use flight_sim::sensors::{EncoderConfig, SensorConfig, ThrustSensorConfig};
 use flight_sim::{ScenarioConfig, Sensors, SensorsConfig};
 use nalgebra::{Vector3, Vector6};
@@ -45,12 +46,39 @@ fn ages() -> (SensorsConfig, EstimatorConfig) {
 fn flight(estimator: EstimatorConfig) -> ScenarioConfig {
     let mut config = experiment("test2_observer");
     config.simulator.joint_stops = false;
-    config.controller.estimator = Some(estimator);
+    config.controller.law.estimator = Some(estimator);
     config
 }
 
-fn estimator(config: &ScenarioConfig) -> Estimator {
-    config.estimator(load_robot(&config.robot).unwrap()).unwrap().unwrap()
+/// The world of this flight, whose controller is given the truth.
+fn world(config: &ScenarioConfig) -> Loop {
+    let mut config = config.clone();
+    config.controller.law.estimator = None;
+    Loop::new(&config)
+}
+
+/// An estimator and its state.
+struct Estimating {
+    estimator: Estimator,
+    state: EstimatorState,
+}
+
+impl Estimating {
+    fn update(&mut self, state: &RobotState, thrust: &[f64]) -> &Reading {
+        self.estimator.update(&mut self.state, state, thrust)
+    }
+
+    fn command(&mut self, command: &Command, unmodelled: &Vector6<f64>) {
+        self.state.command(command, unmodelled, &WIND);
+    }
+}
+
+fn estimator(config: &ScenarioConfig) -> Estimating {
+    let robot = load_robot(&config.robot).unwrap();
+    let aero = load_aero(&config.controller.aero, &robot).unwrap();
+    let settings = config.controller.law.estimator.as_ref().unwrap();
+    let estimator = Estimator::new(settings, robot, aero, STEP).unwrap();
+    Estimating { state: estimator.start(), estimator }
 }
 
 /// Largest difference of everything in two readings.
@@ -73,7 +101,7 @@ fn with_the_worlds_own_model_it_is_ahead_of_every_delay() {
     let (late, settings) = ages();
     let config = flight(settings);
     let mut estimator = estimator(&config);
-    let mut world = Loop::new(&config);
+    let mut world = world(&config);
     let (joints, jets) = (23, 4);
     let mut sensors = Sensors::new(&late, STEP, joints, jets).unwrap();
     for tick in 0..60 {
@@ -83,7 +111,7 @@ fn with_the_worlds_own_model_it_is_ahead_of_every_delay() {
         let said = sensors.read(state, thrust);
         let found = estimator.update(&said.state, &said.thrust);
         assert_within!(distance(found, &truth), 1e-9, because "measured exactly, predicted over five ticks by the same equations in another order", "tick {tick}");
-        estimator.command(world.controller.command(), &Vector6::zeros(), &WIND);
+        estimator.command(world.controller.command(), &Vector6::zeros());
         world.advance(&WIND);
     }
 }
@@ -115,7 +143,7 @@ fn every_channel_is_corrected_by_its_share() {
         (d, e, f, g);
     let time_constants = [0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07];
     let config = flight(settings);
-    let world = Loop::new(&config);
+    let world = world(&config);
     let mut still =
         Reading { state: world.plant.state().clone(), thrust: world.plant.jets().thrust().to_vec() };
     still.state.base.rotation = nalgebra::Matrix3::identity();
@@ -145,27 +173,18 @@ fn every_channel_is_corrected_by_its_share() {
 /// A wrench that is in no model moves the whole robot: its momentum as it says, no joint.
 #[test]
 fn an_unmodelled_wrench_moves_the_whole_robot() {
-    let config = flight(EstimatorConfig {
-        base_position: ChannelConfig { delay: 0.0, time_constant: 1e9 },
-        ..EstimatorConfig::default()
-    });
     let slow = ChannelConfig { delay: 0.0, time_constant: 1e9 };
-    let config = ScenarioConfig {
-        controller: flight_io::ControllerSection {
-            estimator: Some(EstimatorConfig {
-                base_rotation: slow,
-                base_linear_velocity: slow,
-                base_angular_velocity: slow,
-                joint_position: slow,
-                joint_velocity: slow,
-                thrust: slow,
-                ..config.controller.estimator.clone().unwrap()
-            }),
-            ..config.controller.clone()
-        },
-        ..config
-    };
-    let mut world = Loop::new(&config);
+    let config = flight(EstimatorConfig {
+        base_position: slow,
+        base_rotation: slow,
+        base_linear_velocity: slow,
+        base_angular_velocity: slow,
+        joint_position: slow,
+        joint_velocity: slow,
+        thrust: slow,
+        joint_observer: None,
+    });
+    let mut world = world(&config);
     world.observe(&WIND);
     let wrench = Vector6::new(30.0, -20.0, 10.0, 2.0, -3.0, 1.5);
     let model = robot("ironcub_mk1");
@@ -175,7 +194,7 @@ fn an_unmodelled_wrench_moves_the_whole_robot() {
         let mut estimator = estimator(&config);
         let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
         estimator.update(state, thrust);
-        estimator.command(world.controller.command(), &unmodelled, &WIND);
+        estimator.command(world.controller.command(), &unmodelled);
         estimator.update(state, thrust).clone()
     });
     // The momentum matrix of the state before the step, with which the step was taken.
@@ -196,7 +215,7 @@ fn what_the_model_does_not_explain_of_the_joints_is_learnt() {
     let found = [None, Some(0.02)].map(|joint_observer| {
         let config =
             flight(EstimatorConfig { joint_velocity: follow, joint_observer, ..EstimatorConfig::default() });
-        let (mut world, mut estimator) = (Loop::new(&config), estimator(&config));
+        let (mut world, mut estimator) = (world(&config), estimator(&config));
         let (mut error, mut momentum_error) = (0.0_f64, 0.0_f64);
         for tick in 0..150 {
             world.observe(&WIND);
@@ -212,7 +231,7 @@ fn what_the_model_does_not_explain_of_the_joints_is_learnt() {
                 error = error.max(difference.rows(6, 23).amax());
                 momentum_error = momentum_error.max(difference.rows(0, 6).amax());
             }
-            estimator.command(world.controller.command(), &Vector6::zeros(), &WIND);
+            estimator.command(world.controller.command(), &Vector6::zeros());
             world.advance(&WIND);
         }
         (error, momentum_error)
@@ -226,7 +245,7 @@ fn what_the_model_does_not_explain_of_the_joints_is_learnt() {
 #[test]
 fn a_measurement_that_is_no_number_corrects_nothing() {
     let config = flight(EstimatorConfig::default());
-    let world = Loop::new(&config);
+    let world = world(&config);
     let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
     let mut estimator = estimator(&config);
     estimator.update(state, thrust);
@@ -251,7 +270,7 @@ fn a_lost_channel_leaves_the_others_corrected() {
         base_position: slow(),
         ..EstimatorConfig::default()
     });
-    let mut world = Loop::new(&config);
+    let mut world = world(&config);
     let [mut whole, mut half] = [estimator(&config), estimator(&config)];
     for tick in 0..60 {
         world.observe(&WIND);
@@ -267,7 +286,7 @@ fn a_lost_channel_leaves_the_others_corrected() {
         // Jets are ideal here: they do what is commanded, as the model has it.
         assert_within!(distance(&found, &expected), 1e-6, because "rounding, in a flight that magnifies it");
         for estimator in [&mut whole, &mut half] {
-            estimator.command(world.controller.command(), &Vector6::zeros(), &WIND);
+            estimator.command(world.controller.command(), &Vector6::zeros());
         }
         world.advance(&WIND);
     }
@@ -277,7 +296,7 @@ fn a_lost_channel_leaves_the_others_corrected() {
 #[test]
 fn absurd_numbers_pass() {
     let config = flight(EstimatorConfig::default());
-    let world = Loop::new(&config);
+    let world = world(&config);
     let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
     for absurd in [1e5, 1e300, f64::INFINITY, f64::NAN] {
         let mut estimator = estimator(&config);
@@ -312,8 +331,7 @@ fn bad_estimators_are_refused_by_name() {
     ];
     for (expected, settings) in wrong {
         let config = flight(settings);
-        let refusal: Result<_, BuildError> = config.estimator(load_robot(&config.robot).unwrap());
-        let text = refusal.unwrap_err().to_string();
+        let text = config.controller(load_robot(&config.robot).unwrap()).unwrap_err().to_string();
         assert!(text.contains(&format!("controller.estimator.{expected}")), "{text}");
     }
 }

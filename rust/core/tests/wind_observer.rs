@@ -7,7 +7,7 @@ use flight_core::WindObserver;
 use flight_core::aero::{LinkConventions, LinkForces};
 use flight_core::control::observer::{ObserverConfig, ObserverState, Sample};
 use flight_core::kinematics::Kinematics;
-use flight_core::wind_observer::WindObserverConfig;
+use flight_core::wind_observer::{WindObserverConfig, WindState};
 use flight_io::{load_aero, load_robot};
 use flight_sim::ScenarioConfig;
 use nalgebra::{DVector, Matrix3, Vector3};
@@ -16,24 +16,36 @@ const STEP: f64 = 0.01;
 
 fn flight(settings: WindObserverConfig) -> ScenarioConfig {
     let mut config = experiment("test2_observer");
-    config.controller.wind_observer = Some(settings);
+    config.controller.law.wind_observer = Some(settings);
     config
 }
 
-fn observer(config: &ScenarioConfig) -> WindObserver {
-    config.wind_observer(load_robot(&config.robot).unwrap()).unwrap().unwrap()
+/// The world of this flight, whose controller is given the wind.
+fn world(config: &ScenarioConfig) -> Loop {
+    let mut config = config.clone();
+    config.controller.law.wind_observer = None;
+    Loop::new(&config)
+}
+
+fn observer(config: &ScenarioConfig) -> (WindObserver, WindState) {
+    let robot = load_robot(&config.robot).unwrap();
+    let aero = load_aero(&config.controller.aero, &robot).unwrap();
+    let settings = config.controller.law.wind_observer.as_ref().unwrap();
+    let observer = WindObserver::new(settings, robot, aero, STEP).unwrap();
+    let state = observer.start();
+    (observer, state)
 }
 
 /// Hovers in a wind that blows from the first tick on, given to the controller; what the observer makes of it.
-fn estimate(settings: WindObserverConfig, wind: Vector3<f64>, seconds: f64) -> WindObserver {
+fn estimate(settings: WindObserverConfig, wind: Vector3<f64>, seconds: f64) -> WindState {
     let config = flight(settings);
-    let (mut world, mut observer) = (Loop::new(&config), observer(&config));
+    let (mut world, (mut observer, mut state)) = (world(&config), observer(&config));
     for _ in 0..flight_ticks(seconds) {
         world.observe(&wind);
-        observer.update(world.controller.terms());
+        observer.update(&mut state, world.controller.terms());
         world.advance(&wind);
     }
-    observer
+    state
 }
 
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a few hundred")]
@@ -61,7 +73,7 @@ fn the_estimate_goes_to_the_wind() {
 #[test]
 fn it_says_how_sure_it_is() {
     let settings = WindObserverConfig::default();
-    let first = observer(&flight(settings));
+    let (_, first) = observer(&flight(settings));
     assert_eq!(first.wind(), Vector3::zeros());
     assert_within!(
         (first.std() - Vector3::new(settings.walk, settings.walk, settings.vertical_std)).amax(),
@@ -85,7 +97,7 @@ fn each_tick_is_the_equations_of_the_filter() {
         ..WindObserverConfig::default()
     };
     let config = flight(settings);
-    let (mut world, mut observer) = (Loop::new(&config), observer(&config));
+    let (mut world, (mut observer, mut state)) = (world(&config), observer(&config));
     let robot = load_robot(&config.robot).unwrap();
     let mut aero = load_aero(&config.controller.aero, &robot).unwrap();
     let mut forces = LinkForces::new(&robot);
@@ -109,7 +121,7 @@ fn each_tick_is_the_equations_of_the_filter() {
     for tick in 0..5 {
         world.observe(&blowing);
         let (terms, thrust) = (world.controller.terms(), world.plant.jets().thrust());
-        observer.update(terms);
+        observer.update(&mut state, terms);
 
         let mut rate = &terms.momentum.a_t * DVector::from_column_slice(thrust);
         rate[2] -= terms.kinematics.mass() * robot.gravity;
@@ -132,8 +144,8 @@ fn each_tick_is_the_equations_of_the_filter() {
             + settings.relative_std.powi(2) * force.norm_squared()
             + unexplained / settings.moment_arm.powi(2);
         let std = (p + lasting * c * c.transpose()).diagonal().map(f64::sqrt);
-        assert_within!(difference(observer.wind(), wind), 1e-10, because "two forms of one filter, matrices with condition numbers below 1e4", "tick {tick}");
-        assert_within!(difference(observer.std(), std), 1e-10, because "as above", "tick {tick}");
+        assert_within!(difference(state.wind(), wind), 1e-10, because "two forms of one filter, matrices with condition numbers below 1e4", "tick {tick}");
+        assert_within!(difference(state.std(), std), 1e-10, because "as above", "tick {tick}");
         world.advance(&blowing);
     }
     assert!(wind.norm() > 0.1, "{wind}");
@@ -143,28 +155,30 @@ fn each_tick_is_the_equations_of_the_filter() {
 fn bad_wind_observers_are_refused_by_name() {
     type Change = fn(&mut ScenarioConfig);
     let refusals: [(&str, Change); 7] = [
-        ("controller.wind_observer.gain is 0", |c| c.controller.wind_observer.as_mut().unwrap().gain = 0.0),
+        ("controller.wind_observer.gain is 0", |c| {
+            c.controller.law.wind_observer.as_mut().unwrap().gain = 0.0
+        }),
         ("controller.wind_observer.gain is 101", |c| {
-            c.controller.wind_observer.as_mut().unwrap().gain = 101.0;
+            c.controller.law.wind_observer.as_mut().unwrap().gain = 101.0;
         }),
         ("controller.wind_observer.walk is NaN", |c| {
-            c.controller.wind_observer.as_mut().unwrap().walk = f64::NAN;
+            c.controller.law.wind_observer.as_mut().unwrap().walk = f64::NAN;
         }),
         ("controller.wind_observer.force_noise is -1", |c| {
-            c.controller.wind_observer.as_mut().unwrap().force_noise[1] = -1.0;
+            c.controller.law.wind_observer.as_mut().unwrap().force_noise[1] = -1.0;
         }),
         ("controller.wind_observer.moment_arm is 0", |c| {
-            c.controller.wind_observer.as_mut().unwrap().moment_arm = 0.0;
+            c.controller.law.wind_observer.as_mut().unwrap().moment_arm = 0.0;
         }),
         ("controller.wind_observer.relative_std is -1", |c| {
-            c.controller.wind_observer.as_mut().unwrap().relative_std = -1.0;
+            c.controller.law.wind_observer.as_mut().unwrap().relative_std = -1.0;
         }),
         ("controller.aero.model is off", |c| c.controller.aero = flight_io::AeroConfig::Off {}),
     ];
     for (expected, change) in refusals {
         let mut config = flight(WindObserverConfig::default());
         change(&mut config);
-        let text = config.wind_observer(load_robot(&config.robot).unwrap()).unwrap_err().to_string();
+        let text = config.controller(load_robot(&config.robot).unwrap()).unwrap_err().to_string();
         assert!(text.contains(expected), "{text}");
     }
 }

@@ -2,8 +2,6 @@
 
 use crate::{AeroConfig, MissionConfig, load_aero, load_mission};
 use flight_core::control::config::ControllerConfig;
-use flight_core::estimator::EstimatorConfig;
-use flight_core::wind_observer::WindObserverConfig;
 use flight_core::{BuildError, Controller, RobotModel};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -14,12 +12,6 @@ use serde::{Deserialize, Serialize};
 pub struct ControllerSection {
     /// The controller's own aerodynamic model; `off` is the baseline controller.
     pub aero: AeroConfig,
-    /// Estimates the state from what is measured; without it the controller is given the measurements.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub estimator: Option<EstimatorConfig>,
-    /// Estimates the wind from the force that acts on the robot; without it the controller is given the wind.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub wind_observer: Option<WindObserverConfig>,
     /// The control law; its keys stand beside `aero`.
     #[serde(flatten)]
     pub law: ControllerConfig,

@@ -78,7 +78,7 @@ impl Controller {
     fn new(config_json: &str) -> PyResult<Self> {
         let config = parse(config_json)?;
         let robot = load_robot(&config.robot).map_err(value_error)?;
-        config.controller_alone(robot).map(|controller| Self { controller, state: None }).map_err(value_error)
+        config.controller(robot).map(|controller| Self { controller, state: None }).map_err(value_error)
     }
 
     /// The state after the last tick; `None` before the first.

@@ -6,12 +6,12 @@ use crate::jets::JetsConfig;
 use crate::sensors::SensorsConfig;
 use crate::signals::SIGNALS;
 use crate::wind::WindConfig;
-use flight_core::aero::{AeroModel, LeverArm};
+use flight_core::Controller;
+use flight_core::aero::LeverArm;
 use flight_core::error::{BuildError, check};
 use flight_core::kinematics::RobotState;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::{Pose, rotation_from_rpy};
-use flight_core::{Controller, Estimator, WindObserver};
 use flight_io::{
     AeroConfig, ControllerSection, MissionConfig, RobotFile, Schema, from_value, load, load_aero,
     load_mission,
@@ -67,69 +67,6 @@ impl ScenarioConfig {
         let factors = &self.disturbances.aero_estimate;
         let aero = load_aero(aero, &robot)?.weighted(factors, &robot, "disturbances.aero_estimate")?;
         Controller::new(robot, aero, load_mission(&self.mission)?, law.clone(), self.simulator.time_step)
-    }
-
-    /// The controller of this flight for a program that gives it state and wind as they are.
-    ///
-    /// # Errors
-    /// As [`Self::controller`]; [`BuildError::BadValue`] for estimators, which would silently be left out.
-    pub fn controller_alone(&self, robot: RobotModel) -> Result<Controller, BuildError> {
-        self.refuse_estimators("a controller alone is given state and wind as they are")?;
-        self.controller(robot)
-    }
-
-    /// Refuses estimators where nothing runs them.
-    pub(crate) fn refuse_estimators(&self, why: &str) -> Result<(), BuildError> {
-        let section = &self.controller;
-        for (key, is_there) in
-            [("estimator", section.estimator.is_some()), ("wind_observer", section.wind_observer.is_some())]
-        {
-            if is_there {
-                return Err(BuildError::bad_value(
-                    format!("controller.{key}"),
-                    "given",
-                    format!("none: {why}"),
-                ));
-            }
-        }
-        Ok(())
-    }
-
-    /// The state estimator of this flight of `robot`, if there is one; it has the controller's models.
-    ///
-    /// # Errors
-    /// [`BuildError`] naming what in the configuration cannot be used.
-    pub fn estimator(&self, robot: RobotModel) -> Result<Option<Estimator>, BuildError> {
-        let Some(config) = &self.controller.estimator else {
-            return Ok(None);
-        };
-        let (robot, aero) = self.models(robot)?;
-        Estimator::new(config, robot, aero, self.simulator.time_step).map(Some)
-    }
-
-    /// What estimates the wind in this flight of `robot`, where it is estimated; it has the controller's models.
-    ///
-    /// # Errors
-    /// [`BuildError`] naming what in the configuration cannot be used.
-    pub fn wind_observer(&self, robot: RobotModel) -> Result<Option<WindObserver>, BuildError> {
-        let Some(config) = &self.controller.wind_observer else {
-            return Ok(None);
-        };
-        if matches!(self.controller.aero, AeroConfig::Off {}) {
-            let expected = "a model of the air: without one no force says anything of the wind";
-            return Err(BuildError::bad_value("controller.aero.model", "off", expected));
-        }
-        let (robot, aero) = self.models(robot)?;
-        WindObserver::new(config, robot, aero, self.simulator.time_step).map(Some)
-    }
-
-    /// The controller's models of `robot` and of the air.
-    fn models(&self, robot: RobotModel) -> Result<(RobotModel, AeroModel), BuildError> {
-        let robot = self.disturbances.controller_robot(robot)?;
-        let factors = &self.disturbances.aero_estimate;
-        let aero = load_aero(&self.controller.aero, &robot)?;
-        let aero = aero.weighted(factors, &robot, "disturbances.aero_estimate")?;
-        Ok((robot, aero))
     }
 }
 

@@ -21,9 +21,9 @@ use crate::summary::Summary;
 use crate::wind::Wind;
 use flight_core::control::{Controller, ControllerState, Measurement};
 use flight_core::error::BuildError;
-use flight_core::estimator::Estimator;
+use flight_core::estimator::Reading;
 use flight_core::robot::RobotModel;
-use flight_core::wind_observer::WindObserver;
+use flight_core::wind_observer::WindState;
 use flight_io::load_robot;
 use nalgebra::Vector3;
 use std::fmt;
@@ -124,10 +124,6 @@ pub struct Scenario {
     wind_estimator: Option<WindEstimator>,
     /// Between the robot's state and the controller; `None` where they are exact.
     sensors: Option<Sensors>,
-    /// Between what is measured and the controller, where there is one.
-    estimator: Option<Estimator>,
-    /// Estimates the wind for the controller; `None` where the controller is given the wind itself.
-    wind_observer: Option<WindObserver>,
     /// Between everything that is measured and the controller.
     outages: Outages,
     /// What is measured at a tick.
@@ -183,8 +179,6 @@ impl Scenario {
             plant,
             sample,
             sensors,
-            estimator: config.estimator(robot.clone())?,
-            wind_observer: config.wind_observer(robot.clone())?,
             wind_estimator: disturbances.wind_estimate.as_ref().map(estimator).transpose()?,
             outages: Outages::new(&disturbances.outages, &robot.jets)?,
             controller: config.controller(robot)?,
@@ -211,10 +205,9 @@ impl Scenario {
         if config.engine == Engine::Rust {
             return Self::new(config).map(|_| ());
         }
-        let as_they_are = "engine = \"mujoco\" gives its controller state and wind as they are";
-        config.refuse_estimators(as_they_are)?;
         if config.simulator.sensors.is_some() {
-            return Err(BuildError::bad_value("simulator.sensors", "given", format!("none: {as_they_are}")));
+            let expected = "none: engine = \"mujoco\" gives its controller state and wind as they are";
+            return Err(BuildError::bad_value("simulator.sensors", "given", expected));
         }
         if config.simulator.ground.is_none() {
             let expected = "a table: engine = \"mujoco\" flies nothing that has no ground under it";
@@ -336,8 +329,6 @@ impl Flight {
             controller_wind,
             wind_estimator,
             sensors,
-            estimator,
-            wind_observer,
             outages,
             sample,
             time_step,
@@ -348,8 +339,6 @@ impl Flight {
         plant.observe(&wind);
         let given = controller_wind.as_ref().map_or(wind, |wind| wind.velocity(time));
         let estimate = wind_estimator.as_mut().map_or(given, |estimator| estimator.update(&given));
-        let estimate = wind_observer.as_ref().map_or(estimate, WindObserver::wind);
-        let wind_std = wind_observer.as_ref().map_or_else(Vector3::zeros, WindObserver::std);
         let truth = (plant.state(), plant.jets().thrust_feedback());
         let (seen, thrust) = sensors.as_mut().map_or(truth, |sensors| {
             let reading = sensors.read(truth.0, truth.1);
@@ -360,10 +349,6 @@ impl Flight {
         sample.wind = estimate;
         outages.spoil(time, sample);
         let Sample { state: seen, thrust, wind: given } = &*sample;
-        let (seen, thrust) = estimator.as_mut().map_or((seen, thrust), |estimator| {
-            let estimated = estimator.update(seen, thrust);
-            (&estimated.state, &estimated.thrust)
-        });
         let measurement = Measurement { time, state: seen, thrust, wind: *given, foot_wrenches: &[] };
         if self.state.is_none() {
             self.state = controller.start(&measurement).ok();
@@ -375,9 +360,14 @@ impl Flight {
             self.loss = Some(Loss { time, reason });
             return false;
         };
+        let given_wind = state.wind().map_or(*given, WindState::wind);
+        let wind_std = state.wind().map_or_else(Vector3::zeros, WindState::std);
         controller.tick(state, &measurement);
-        if let Some(observer) = wind_observer {
-            observer.update(controller.terms());
+        // What the estimators made of it.
+        let mut measurement = Measurement { wind: given_wind, ..measurement };
+        if let Some(estimator) = state.estimator() {
+            let Reading { state, thrust } = estimator.estimate();
+            (measurement.state, measurement.thrust) = (state, thrust);
         }
         let (terms, command) = (controller.terms(), controller.command());
         let errors = TrackingErrors::new(plant, &terms.setpoint);
@@ -395,12 +385,8 @@ impl Flight {
         if self.loss.is_some() {
             return false;
         }
-        let Scenario { plant, controller, estimator, time_step, .. } = &mut self.scenario;
+        let Scenario { plant, controller, time_step, .. } = &mut self.scenario;
         let command = controller.command();
-        if let Some(estimator) = estimator {
-            let terms = controller.terms();
-            estimator.command(command, &terms.momentum.unmodelled_wrench, &terms.seen.wind);
-        }
         let (torque, thrust_rate) = (&command.joint_torque, &command.thrust_rate);
         plant.advance(torque.as_slice(), thrust_rate.as_slice(), &wind, *time_step);
         self.tick += 1;

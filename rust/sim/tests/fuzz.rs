@@ -209,8 +209,6 @@ fn a_spoilt_configuration() {
         if let Some(controller) = section {
             let mut scenario = ScenarioConfig { controller, ..scenario.clone() };
             scenario.simulator.time_step = step;
-            refusal(scenario.estimator(robot.clone()));
-            refusal(scenario.wind_observer(robot.clone()));
             assert_ticks(&scenario, robot.clone());
         }
     });

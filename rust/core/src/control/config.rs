@@ -7,10 +7,12 @@ use super::observer::ObserverConfig;
 use super::setpoint::SetpointConfig;
 use crate::aero::{JacobianOffset, LeverArm, LinkVelocity};
 use crate::error::{BuildError, check};
+use crate::estimator::EstimatorConfig;
 use crate::qp::QpChain;
 #[cfg(feature = "clarabel")]
 use crate::qp::{ClarabelSolver, Method};
 use crate::robot::{JointKind, RobotModel};
+use crate::wind_observer::WindObserverConfig;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -44,6 +46,12 @@ pub struct ControllerConfig {
     /// What it takes to stand on the ground; without it the controller has no feet.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub contact: Option<ContactConfig>,
+    /// Estimates the state from what is measured; without it the law is given the measurements.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub estimator: Option<EstimatorConfig>,
+    /// Estimates the wind from the force that acts on the robot; without it the law is given the measured wind.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wind_observer: Option<WindObserverConfig>,
     /// What observes the wrench that is in no model; without it there is none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub observer: Option<ObserverConfig>,

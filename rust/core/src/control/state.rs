@@ -7,7 +7,9 @@ use super::engines::EngineState;
 use super::observer::ObserverState;
 use super::setpoint::SetpointState;
 use crate::error::{BuildError, check};
+use crate::estimator::EstimatorState;
 use crate::qp::WarmStart;
+use crate::wind_observer::WindState;
 use nalgebra::{DVector, Matrix3};
 
 /// The state of a controller, made by [`super::Controller::start`] and changed by every tick.
@@ -15,6 +17,10 @@ use nalgebra::{DVector, Matrix3};
 /// Nothing else that a tick reads changes: a clone, restored at any later time, continues to the same bits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ControllerState {
+    /// The state estimator; none where the law is given the measurements.
+    pub(super) estimator: Option<EstimatorState>,
+    /// The estimate of the wind; none where the law is given the measured one.
+    pub(super) wind: Option<WindState>,
     /// What is known of the channels of the measurement.
     pub(super) channels: ChannelsState,
     /// State of the set-point generator.
@@ -48,12 +54,15 @@ impl ControllerState {
         setpoint: &SetpointState,
         inertia_0_b: Matrix3<f64>,
         channels: ChannelsState,
+        (estimator, wind): (Option<EstimatorState>, Option<WindState>),
         (feet, jets): (usize, usize),
         unknowns: (usize, usize),
     ) -> Self {
         let posture = measurement.state.joint_position.clone();
         let joints = posture.len();
         Self {
+            estimator,
+            wind,
             channels,
             setpoint: *setpoint,
             posture,
@@ -73,6 +82,18 @@ impl ControllerState {
     #[must_use]
     pub fn time(&self) -> f64 {
         self.channels.time
+    }
+
+    /// The state estimator; none where the law is given the measurements.
+    #[must_use]
+    pub fn estimator(&self) -> Option<&EstimatorState> {
+        self.estimator.as_ref()
+    }
+
+    /// The estimate of the wind; none where the law is given the measured one.
+    #[must_use]
+    pub fn wind(&self) -> Option<&WindState> {
+        self.wind.as_ref()
     }
 
     /// State of the set-point generator.

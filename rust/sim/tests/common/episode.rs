@@ -10,7 +10,7 @@ use flight_core::control::setpoint::Setpoint;
 use flight_core::control::{CommandStatus, ControllerState};
 use flight_core::qp::{KKT_TOLERANCE, QpProblem, kkt_residual};
 use flight_core::robot::RobotModel;
-use flight_core::{BuildError, Controller, Estimator, Measurement, WindObserver};
+use flight_core::{BuildError, Controller, Measurement};
 use flight_io::load_robot;
 use flight_sim::disturbances::{FailureKind, JetFailure, Outage, OutageChannel, OutageKind, Outages, Sample};
 use flight_sim::{Plant, ScenarioConfig, scenario_from_value};
@@ -223,8 +223,6 @@ pub struct Episode {
     robot: RobotModel,
     controller: Controller,
     state: ControllerState,
-    estimator: Option<Estimator>,
-    wind_observer: Option<WindObserver>,
     outages: Outages,
     sample: Sample,
     feet: Vec<Vector6<f64>>,
@@ -267,8 +265,6 @@ impl Episode {
         let absurd = [0.0, 0.001, 0.1][rng.random_range(0..3)];
         Ok(Self {
             plant: rng.random_bool(0.7).then(|| (plant.clone(), plant)),
-            estimator: scenario.estimator(robot.clone())?,
-            wind_observer: scenario.wind_observer(robot.clone())?,
             outages: Outages::new(&random_outages(rng), &robot.jets)?,
             mean_wind: sample.wind,
             absurd,
@@ -313,31 +309,16 @@ impl Episode {
         self.torque.copy_from_slice(self.controller.command().joint_torque.as_slice());
 
         let (controller, state, sample) = (&mut self.controller, &mut self.state, &self.sample);
-        let (estimator, wind_observer) = (&mut self.estimator, &mut self.wind_observer);
         let mut duration = Duration::ZERO;
         let allocated = allocations(|| {
-            let (seen, thrust) = match estimator {
-                Some(estimator) => {
-                    let reading = estimator.update(&sample.state, &sample.thrust);
-                    (&reading.state, reading.thrust.as_slice())
-                }
-                None => (&sample.state, thrust),
-            };
-            let wind = wind_observer.as_ref().map_or(sample.wind, WindObserver::wind);
-            let measurement = Measurement { time, state: seen, thrust, wind, foot_wrenches };
+            let Sample { state: seen, wind, .. } = sample;
+            let measurement = Measurement { time, state: seen, thrust, wind: *wind, foot_wrenches };
             let begin = Instant::now();
             match &setpoint {
                 Some(setpoint) => controller.tick_towards(state, &measurement, setpoint),
                 None => controller.tick(state, &measurement),
             };
             duration = begin.elapsed();
-            if let Some(observer) = wind_observer {
-                observer.update(controller.terms());
-            }
-            if let Some(estimator) = estimator {
-                let terms = controller.terms();
-                estimator.command(controller.command(), &terms.momentum.unmodelled_wrench, &terms.seen.wind);
-            }
         });
         let command = self.controller.command();
         let (rate, velocity, torque) = (&command.thrust_rate, &command.joint_velocity, &command.joint_torque);

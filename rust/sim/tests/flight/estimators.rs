@@ -26,7 +26,7 @@ fn a_late_robot_flies_with_an_estimator() {
         seed: 0,
     });
     let mut flying = falling.clone();
-    flying.controller.estimator = Some(EstimatorConfig {
+    flying.controller.law.estimator = Some(EstimatorConfig {
         base_position: channels(),
         base_rotation: channels(),
         base_linear_velocity: channels(),
@@ -46,7 +46,7 @@ fn a_late_robot_flies_with_an_estimator() {
 #[test]
 fn a_lost_thrust_sensor_is_no_wind() {
     let mut config = experiment("test2_observer");
-    config.controller.wind_observer = Some(WindObserverConfig::default());
+    config.controller.law.wind_observer = Some(WindObserverConfig::default());
     config.simulator.duration = 14.0;
     let lost = Outage {
         channel: OutageChannel::Thrust,
@@ -67,7 +67,7 @@ fn a_lost_thrust_sensor_is_no_wind() {
 #[test]
 fn a_robot_without_a_measured_wind_flies() {
     let mut config = experiment("test2_observer");
-    config.controller.wind_observer = Some(WindObserverConfig::default());
+    config.controller.law.wind_observer = Some(WindObserverConfig::default());
     config.simulator.duration = 14.0;
     let result = fly(&[config]).remove(0);
     assert_eq!(result.outcome, Outcome::Completed);
@@ -84,7 +84,7 @@ fn a_robot_without_a_measured_wind_flies() {
 fn an_estimator_loses_nothing_else_with_a_channel() {
     let mut whole = experiment("test2_observer");
     whole.simulator.duration = 4.0;
-    whole.controller.estimator = Some(EstimatorConfig::default());
+    whole.controller.law.estimator = Some(EstimatorConfig::default());
     for (channel, mode) in [
         (OutageChannel::Wind, Modes::WIND_HELD),
         (OutageChannel::Thrust, Modes::THRUST_MODELLED),
