@@ -285,11 +285,11 @@ class DescentConfig(Table, frozen=True, kw_only=True):
     """The law of a robot that has lost an engine: the attitude first, no place to hold, and fast joints."""
 
     joint_velocity_max_deg: Positive
-    """Greatest joint velocity, of joints whose own is less [deg/s]."""
+    """Greatest joint velocity, of revolute joints whose own is less [deg/s]."""
     momentum: MomentumGains
     """Gains in place of `controller.momentum`."""
     torque_rate_max: Positive
-    """Greatest rate of a joint torque, of joints whose own is less [N m/s]."""
+    """Greatest rate of a joint torque, of revolute joints whose own is less [N m/s]."""
 
 
 class EnginesConfig(Table, frozen=True, kw_only=True):
@@ -494,7 +494,7 @@ class ControllerSection(Table, frozen=True, kw_only=True):
     engines: EnginesConfig | None = None
     """When an engine counts as lost; without it, never."""
     estimator: EstimatorConfig | None = None
-    """Estimates the state from what is measured; without it the controller is given the measurements."""
+    """Estimates the state from what is measured; without it the law is given the measurements."""
     jacobian_offset: JacobianOffset = "link_rotation"
     """Point whose Jacobian carries link forces (in `Λ_a` and the torque law)."""
     lever_arm: LeverArm = "rotated"
@@ -518,7 +518,7 @@ class ControllerSection(Table, frozen=True, kw_only=True):
     weights: MomentumWeights
     """Weights of the momentum QP."""
     wind_observer: WindObserverConfig | None = None
-    """Estimates the wind from the force that acts on the robot; without it the controller is given the wind."""
+    """Estimates the wind from the force that acts on the robot; without it the law is given the measured wind."""
 
 
 class ForceFactorsConfig(Table, frozen=True, kw_only=True):
