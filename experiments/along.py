@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from experiments import Refused, record, study
 from experiments.engine_choice import Choice
 from experiments.study import Findings, Study
-from experiments.trajectory import Consumption, fuel_burnt, fuel_lines
+from experiments.trajectory import fuel_burnt
 from jax_aero import tables
 from jax_aero.places import ROBOT
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.clearance import pairs
 from jax_aero.symbolic.kinematics import Kinematics
+from jax_aero.symbolic.trajectory import Consumption, fuel_lines
 
 STEP = 0.1
 """Between the moments that are looked at [s]."""

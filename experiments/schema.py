@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from experiments import manifest, tip_over, trajectory, trim, tune, waypoints
+from experiments import manifest, tip_over, trim, tune, waypoints
 from experiments.cfd import design as cfd
 from experiments.cfd.settings import FlowConfig
 from experiments.sweep.perturbation import Perturbation
@@ -26,6 +26,7 @@ from experiments.training.config import Training
 from experiments.training.search import SearchConfig
 from jax_aero import places, rust, tables
 from jax_aero.cli import REFUSED, Parser
+from jax_aero.symbolic.trajectory import TrajectoryConfig
 
 Node = dict[str, Any]
 
@@ -38,7 +39,7 @@ STUDIES: dict[str, Any] = {
     "tip_over": tip_over.TipOverConfig,
     "training": Training,
     "training_search": SearchConfig,
-    "trajectory": trajectory.TrajectoryConfig,
+    "trajectory": TrajectoryConfig,
     "trim": trim.TrimConfig,
     "tune": tune.TuneConfig,
     "waypoints": waypoints.Waypoints,

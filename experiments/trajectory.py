@@ -11,7 +11,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -20,75 +20,10 @@ from scipy.integrate import cumulative_trapezoid
 from experiments import Refused
 from experiments.study import Findings, Study
 from experiments.waypoints import reference_text
-from jax_aero import rust, tables
+from jax_aero import rust
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.robot import Robot
-from jax_aero.symbolic.trajectory import Trajectory, TrajectoryProblem, TrajectorySettings
-
-
-class Consumption(tables.Table, frozen=True):
-    """Fuel that a jet burns, linear in its thrust, through two points."""
-
-    thrust: tables.Interval
-    """[N]"""
-    consumption: tuple[tables.NonNegative, tables.NonNegative]
-    """[l/min]"""
-
-
-class TrajectoryConfig(tables.Table, frozen=True):
-    """An optimal flight from one point to another: what is minimised, and within which limits."""
-
-    title: str
-    goal: Literal["min_time", "min_fuel"]
-    flight: Path
-    """The experiment that gives robot, air, posture and wind, and that the plan is compared with."""
-    start_time: tables.NonNegative
-    """When the flight begins to move [s]."""
-    hold_time: tables.NonNegative
-    """Hovering after arrival [s]."""
-    start: tuple[float, float, float]
-    """Centre of mass at the start [m]."""
-    end: tuple[float, float, float]
-    """Centre of mass at the end [m]."""
-    free_groups: tuple[str, ...]
-    """Joint groups that vector the thrust."""
-    yaw_deg: float
-    yaw_slack_deg: tables.NonNegative
-    roll_limits_deg: tables.Interval
-    pitch_limits_deg: tables.Interval
-    angular_velocity_max_deg: tables.Positive
-    """Of each angle [deg/s]."""
-    moment_max: tables.Positive
-    """About each axis [N m]."""
-    acceleration_max: tables.Positive
-    """Along each axis [m/s²]."""
-    speed_max: tables.Positive
-    """[m/s]"""
-    sideways_max: tables.Positive
-    """Distance from the straight line [m]."""
-    height_min: float
-    """[m]"""
-    thrust_reserve: tables.Fraction
-    """Of the greatest thrust, at both ends, left to feedback."""
-    thrust_rate_max: tables.Positive
-    """[N/s]"""
-    joint_velocity_max_deg: tables.Positive
-    """[deg/s]"""
-    duration_range: tables.Interval
-    """[s]"""
-    intervals: tables.Count
-    """Collocation intervals."""
-    degree: tables.Count
-    """Radau points in each interval."""
-    effort_weight: tables.NonNegative
-    """On the rates of the inputs."""
-    posture_weight: tables.NonNegative
-    """[1/rad²]"""
-    sample_time: tables.Positive
-    """Between samples of the exported reference [s]."""
-    fuel: dict[str, Consumption]
-    """By jet."""
-
+from jax_aero.symbolic.trajectory import Trajectory, TrajectoryConfig, TrajectoryProblem, fuel_lines
 
 ARRIVED = 0.05
 """A flight has arrived when it stays this near to its end [m]. Ours."""
@@ -98,8 +33,7 @@ def compute(name: str, config: TrajectoryConfig) -> Findings:
     """Plan, fly, compare."""
     base = rust.load_config(config.flight)
     robot = load_robot(base["robot"])
-    problem = TrajectoryProblem(MomentumModel(robot, base["simulator"]["aero"]), settings(config, base, robot))
-    plan = problem.solve(config.sample_time)
+    plan = problem_of(config, base, robot).solve()
     if not plan.success:
         raise Refused(f"{name}: no trajectory found: {plan.message}")
     text = csv_of(plan, config.start_time, f"{config.title}: jax-aero trajectory {name}")
@@ -121,55 +55,15 @@ STUDY = Study("trajectory", __doc__, TrajectoryConfig, compute, ("min_time", "mi
 main = STUDY.main
 
 
-def settings(config: TrajectoryConfig, base: Mapping[str, Any], robot: Robot) -> TrajectorySettings:
-    """Put the numbers of a configuration into SI units, names into indices."""
+def problem_of(config: TrajectoryConfig, base: Mapping[str, Any], robot: Robot) -> TrajectoryProblem:
+    """Return the problem in the air, the wind and the posture of the flight `base`."""
     groups = rust.Robot(base["robot"]).joint_groups
     if unknown := set(config.free_groups) - set(groups):
         raise Refused(f"free_groups names `{min(unknown)}`; the robot has {', '.join(groups)}")
-    free = sorted(robot.joint_names.index(joint) for group in config.free_groups for joint in groups[group])
-    idle, slope = fuel_lines(config.fuel, robot)
-    return TrajectorySettings(
-        goal=config.goal,
-        start=np.array(config.start, dtype=float),
-        end=np.array(config.end, dtype=float),
-        wind=np.array(base["wind"]["velocity"], dtype=float),
-        yaw=float(np.radians(config.yaw_deg)),
-        posture=np.array(base["simulator"]["initial"]["joint_position"], dtype=float),
-        free_joints=tuple(free),
-        roll=config.roll_limits_deg.radians,
-        pitch=config.pitch_limits_deg.radians,
-        yaw_slack=float(np.radians(config.yaw_slack_deg)),
-        angular_velocity_max=float(np.radians(config.angular_velocity_max_deg)),
-        moment_max=config.moment_max,
-        acceleration_max=config.acceleration_max,
-        speed_max=config.speed_max,
-        sideways_max=config.sideways_max,
-        height_min=config.height_min,
-        thrust_reserve=config.thrust_reserve,
-        thrust_rate_max=config.thrust_rate_max,
-        joint_velocity_max=float(np.radians(config.joint_velocity_max_deg)),
-        fuel_idle=idle,
-        fuel_slope=slope,
-        intervals=config.intervals,
-        degree=config.degree,
-        duration_range=(config.duration_range.lower, config.duration_range.upper),
-        effort_weight=config.effort_weight,
-        posture_weight=config.posture_weight,
-    )
-
-
-def fuel_lines(fuel: Mapping[str, Consumption], robot: Robot) -> tuple[Any, Any]:
-    """Return the consumption at zero thrust [l/s] and its slope [l/(s N)] of each jet."""
-    names = [jet.name for jet in robot.jets]
-    if set(fuel) != set(names):
-        raise Refused(f"`fuel` has {', '.join(fuel)}; expected one table for each jet: {', '.join(names)}")
-    slopes, starts = [], []
-    for name in names:
-        (c0, c1), thrust = fuel[name].consumption, fuel[name].thrust
-        slope = (c1 - c0) / (thrust.upper - thrust.lower) / 60.0
-        slopes.append(slope)
-        starts.append(c0 / 60.0 - slope * thrust.lower)
-    return np.array(starts), np.array(slopes)
+    free = tuple(sorted(robot.joint_names.index(joint) for group in config.free_groups for joint in groups[group]))
+    wind = np.array(base["wind"]["velocity"], dtype=float)
+    posture = np.array(base["simulator"]["initial"]["joint_position"], dtype=float)
+    return TrajectoryProblem(MomentumModel(robot, base["simulator"]["aero"]), config, wind, posture, free)
 
 
 def fuel_burnt(times: Any, thrust: Any, idle: Any, slope: Any) -> Any:

@@ -5,16 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 
+from jax_aero import tables
+from jax_aero.command import Refused
 from jax_aero.symbolic.momentum import MomentumModel
-from jax_aero.symbolic.robot import Array
+from jax_aero.symbolic.robot import Array, Robot
 from jax_aero.symbolic.spatial import SX, turn_from_rpy
-
-Goal = Literal["min_time", "min_fuel"]
 
 IPOPT: dict[str, Any] = {
     "ipopt.print_level": 0,
@@ -33,57 +34,83 @@ SMOOTHER = 5.0
 """How much more effort and posture weigh in the first of two solutions. Ours."""
 
 
-@dataclass(frozen=True)
-class TrajectorySettings:
-    """A task and what it may use; SI units and radians. `configs/trajectory` has the sources."""
+class Consumption(tables.Table, frozen=True):
+    """Fuel that a jet burns, linear in its thrust, through two points."""
 
-    goal: Goal
-    start: Array
-    """(3,) centre of mass where it hovers first [m]."""
-    end: Array
-    """(3,) centre of mass where it hovers last [m]."""
-    wind: Array
-    """(3,) steady wind [m/s]."""
-    yaw: float
-    posture: Array
-    """(n,) joint positions of the joints that stay, and of the rest to begin with [rad]."""
-    free_joints: tuple[int, ...]
-    roll: tuple[float, float]
-    pitch: tuple[float, float]
-    """Limits of the base attitude [rad]."""
-    yaw_slack: float
-    """How far yaw may leave its value [rad]."""
-    angular_velocity_max: float
-    """Of each of the roll, pitch and yaw rates [rad/s]."""
-    moment_max: float
-    """Of each component of the net moment about the centre of mass [N m]: what attitude feedback could not follow."""
-    acceleration_max: float
-    """Of each component [m/s²]."""
-    speed_max: float
+    thrust: tables.Interval
+    """[N]"""
+    consumption: tuple[tables.NonNegative, tables.NonNegative]
+    """[l/min]"""
+
+
+class TrajectoryConfig(tables.Table, frozen=True):
+    """An optimal flight from one point to another: what is minimised, and within which limits."""
+
+    title: str
+    goal: Literal["min_time", "min_fuel"]
+    flight: Path
+    """The experiment that gives robot, air, posture and wind, and that the plan is compared with."""
+    start_time: tables.NonNegative
+    """When the flight begins to move [s]."""
+    hold_time: tables.NonNegative
+    """Hovering after arrival [s]."""
+    start: tuple[float, float, float]
+    """Centre of mass where it hovers first [m]."""
+    end: tuple[float, float, float]
+    """Centre of mass where it hovers last [m]."""
+    free_groups: tuple[str, ...]
+    """Joint groups that vector the thrust."""
+    yaw_deg: float
+    yaw_slack_deg: tables.NonNegative
+    """How far yaw may leave its value [deg]."""
+    roll_limits_deg: tables.Interval
+    pitch_limits_deg: tables.Interval
+    angular_velocity_max_deg: tables.Positive
+    """Of each of roll, pitch and yaw [deg/s]."""
+    moment_max: tables.Positive
+    """Net moment about each axis through the centre of mass [N m]: what attitude feedback could not follow."""
+    acceleration_max: tables.Positive
+    """Along each axis [m/s²]."""
+    speed_max: tables.Positive
     """[m/s]"""
-    sideways_max: float
+    sideways_max: tables.Positive
     """How far the centre of mass may leave the range of y between start and end [m]."""
     height_min: float
-    """Least height of the centre of mass [m]."""
-    thrust_reserve: float
+    """Of the centre of mass [m]."""
+    thrust_reserve: tables.Fraction
     """Fraction of its greatest that every thrust keeps away from 0 and from its greatest, left to feedback."""
-    thrust_rate_max: float
+    thrust_rate_max: tables.Positive
     """[N/s]"""
-    joint_velocity_max: float
-    """[rad/s]"""
-    fuel_idle: Array
-    """(jets,) consumption without thrust [l/s]: the straight line through idle and full thrust, at zero."""
-    fuel_slope: Array
-    """(jets,) consumption per thrust [l/(s N)]."""
-    intervals: int
-    degree: int
-    """Number of intervals, and of Radau points in each."""
-    duration_range: tuple[float, float]
+    joint_velocity_max_deg: tables.Positive
+    """[deg/s]"""
+    duration_range: tables.Interval
     """[s]"""
-    effort_weight: float
-    """Weight of the squared thrust rates and joint velocities, each relative to its limit, integrated over time."""
-    posture_weight: float
-    """Weight of |s − s₀|²/n, integrated over time [1/rad²]: the controller pulls joints back to the posture too."""
+    intervals: tables.Count
+    """Collocation intervals."""
+    degree: tables.Count
+    """Radau points in each interval."""
+    effort_weight: tables.NonNegative
+    """On the squared thrust rates and joint velocities, each relative to its limit, integrated over time."""
+    posture_weight: tables.NonNegative
+    """On |s − s₀|²/n, integrated over time [1/rad²]: the controller pulls joints back to the posture too."""
+    sample_time: tables.Positive
+    """Between samples of the solved flight [s]."""
+    fuel: dict[str, Consumption]
+    """By jet."""
+
+
+def fuel_lines(fuel: Mapping[str, Consumption], robot: Robot) -> tuple[Array, Array]:
+    """Return the consumption at zero thrust [l/s] and its slope [l/(s N)] of each jet."""
+    names = [jet.name for jet in robot.jets]
+    if set(fuel) != set(names):
+        raise Refused(f"`fuel` has {', '.join(fuel)}; expected one table for each jet: {', '.join(names)}")
+    slopes, starts = [], []
+    for name in names:
+        (c0, c1), thrust = fuel[name].consumption, fuel[name].thrust
+        slope = (c1 - c0) / (thrust.upper - thrust.lower) / 60.0
+        slopes.append(slope)
+        starts.append(c0 / 60.0 - slope * thrust.lower)
+    return np.array(starts), np.array(slopes)
 
 
 @dataclass(frozen=True)
@@ -179,13 +206,31 @@ class TrajectoryProblem:
 
     States are polynomials on every interval and continuous; inputs are continuous and linear on every interval, so
     acceleration is continuous too. Both ends are equilibria with no input: v = 0, k = 0, v̇ = 0, k̇ = 0, u = 0, upright.
+
+    Parameters
+    ----------
+    wind
+        (3,) steady wind [m/s].
+    posture
+        (n,) joint positions of the joints that stay, and of the rest to begin with [rad].
+    free_joints
+        Joints that vector the thrust: those of `config.free_groups`.
     """
 
-    def __init__(self, model: MomentumModel, settings: TrajectorySettings) -> None:
+    def __init__(
+        self, model: MomentumModel, config: TrajectoryConfig, wind: Array, posture: Array, free_joints: tuple[int, ...]
+    ) -> None:
         started = time.perf_counter()
-        self.model, self.settings = model, settings
-        self.system = system = CentroidalFlight(model, settings.posture, settings.free_joints)
-        count, degree = settings.intervals, settings.degree
+        self.model, self.config, self.wind, self.posture, self.free_joints = model, config, wind, posture, free_joints
+        self.fuel_idle, self.fuel_slope = fuel_lines(config.fuel, model.robot)
+        self.rate_limits = np.concatenate(
+            [
+                np.full(len(model.robot.jets), config.thrust_rate_max),
+                np.full(len(free_joints), np.radians(config.joint_velocity_max_deg)),
+            ]
+        )
+        self.system = system = CentroidalFlight(model, posture, free_joints)
+        count, degree = config.intervals, config.degree
         points = [0.0, *ca.collocation_points(degree, "radau")]
         self._points = np.array(points)
         slopes = _lagrange_derivatives(self._points)
@@ -201,46 +246,44 @@ class TrajectoryProblem:
         right = ca.horzcat(*(ca.repmat(inputs[:, i + 1], 1, degree) for i in range(count)))
         weight = ca.repmat(ca.horzcat(*blend), system.nu, 1)
         u_inner = left * (1 - weight) + right * weight
-        wind = ca.DM(settings.wind)
-        rates = system.f.map(count * degree)(inner, u_inner, ca.repmat(wind, 1, count * degree))
+        air = ca.DM(wind)
+        rates = system.f.map(count * degree)(inner, u_inner, ca.repmat(air, 1, count * degree))
         defects = []
         for i in range(count):
             block = inner[:, i * degree : (i + 1) * degree]
             start = first if i == 0 else inner[:, i * degree - 1]
             moved = ca.mtimes(ca.horzcat(start, block), ca.DM(slopes[:, 1:]))
             defects.append(moved - h * rates[:, i * degree : (i + 1) * degree])
-        ends = [system.f(x, u, wind) for x, u in ((first, inputs[:, 0]), (inner[:, -1], inputs[:, -1]))]
+        ends = [system.f(x, u, air) for x, u in ((first, inputs[:, 0]), (inner[:, -1], inputs[:, -1]))]
         balance = [ca.vertcat(end[3:6], end[9:12]) for end in ends]
         turning, moment = rates[6:9, :], rates[9:12, :]
         speed = ca.sum1(inner[3:6, :] ** 2)
+        spin = float(np.radians(config.angular_velocity_max_deg))
         self._rows = [
             ("dynamics", ca.vec(ca.horzcat(*defects)), 0.0, 0.0),
             ("equilibrium at the start", balance[0], 0.0, 0.0),
             ("equilibrium at the end", balance[1], 0.0, 0.0),
-            ("angular velocity", ca.vec(turning), -settings.angular_velocity_max, settings.angular_velocity_max),
-            ("moment", ca.vec(moment), -settings.moment_max, settings.moment_max),
-            ("acceleration", ca.vec(rates[3:6, :]), -settings.acceleration_max, settings.acceleration_max),
-            ("speed", ca.vec(speed), 0.0, settings.speed_max**2),
+            ("angular velocity", ca.vec(turning), -spin, spin),
+            ("moment", ca.vec(moment), -config.moment_max, config.moment_max),
+            ("acceleration", ca.vec(rates[3:6, :]), -config.acceleration_max, config.acceleration_max),
+            ("speed", ca.vec(speed), 0.0, config.speed_max**2),
         ]
 
         quadrature = _radau_weights(self._points)
         shares = ca.repmat(ca.DM(quadrature), count, 1)
-        burn = sum(float(i) for i in settings.fuel_idle) + ca.mtimes(
-            ca.DM(settings.fuel_slope).T, inner[12 : 12 + len(model.robot.jets), :]
+        burn = sum(float(i) for i in self.fuel_idle) + ca.mtimes(
+            ca.DM(self.fuel_slope).T, inner[12 : 12 + len(model.robot.jets), :]
         )
-        limits = np.array([*([settings.thrust_rate_max] * len(model.robot.jets))])
-        limits = np.concatenate([limits, np.full(len(settings.free_joints), settings.joint_velocity_max)])
-        effort = ca.mtimes(ca.sum1((u_inner / ca.repmat(ca.DM(limits), 1, count * degree)) ** 2), shares) * h
+        limits = ca.repmat(ca.DM(self.rate_limits), 1, count * degree)
+        effort = ca.mtimes(ca.sum1((u_inner / limits) ** 2), shares) * h
         fuel = ca.mtimes(burn, shares) * h
         self._fuel = ca.Function("fuel", [inner, duration], [fuel])
         # Fuel as the time that a hover could last on it: effort, in seconds, weighs the same in both goals.
         weights = ca.MX.sym("weights", 4)
         cost = weights[0] * duration + weights[1] * fuel / self._hover_burn() + weights[2] * effort
-        if settings.free_joints:
-            away = inner[12 + limits.size - len(settings.free_joints) :, :] - ca.DM(
-                settings.posture[list(settings.free_joints)]
-            )
-            cost += weights[3] * h * ca.mtimes(ca.sum1(away**2), shares) / len(settings.free_joints)
+        if free_joints:
+            away = inner[12 + len(model.robot.jets) :, :] - ca.DM(posture[list(free_joints)])
+            cost += weights[3] * h * ca.mtimes(ca.sum1(away**2), shares) / len(free_joints)
         self._unpack = ca.Function(
             "unpack", [ca.veccat(first, inner, inputs, duration)], [first, inner, inputs, duration]
         )
@@ -255,68 +298,65 @@ class TrajectoryProblem:
 
     def _hover_burn(self) -> float:
         """Consumption with the weight shared in proportion to the strength of the jets [l/s]."""
-        robot, settings = self.model.robot, self.settings
+        robot = self.model.robot
         top = np.array([jet.thrust_max for jet in robot.jets])
         thrust = robot.mass * robot.gravity * top / top.sum()
-        return float(settings.fuel_idle.sum() + settings.fuel_slope @ thrust)
+        return float(self.fuel_idle.sum() + self.fuel_slope @ thrust)
 
     def _bounds(self) -> tuple[Array, Array]:
-        settings, robot = self.settings, self.model.robot
-        count, degree, free = settings.intervals, settings.degree, list(settings.free_joints)
+        config, robot = self.config, self.model.robot
         top = np.array([jet.thrust_max for jet in robot.jets])
         reach = np.inf
-        yaw = (settings.yaw - settings.yaw_slack, settings.yaw + settings.yaw_slack)
-        joints = robot.joint_limits[free]
-        reserve = settings.thrust_reserve * top
-        left = sorted((settings.start[1], settings.end[1]))
-        sides = (left[0] - settings.sideways_max, left[1] + settings.sideways_max)
-        low = np.array(
-            [-reach, sides[0], settings.height_min, *[-reach] * 3, settings.roll[0], settings.pitch[0], yaw[0]]
-        )
-        high = np.array([reach, sides[1], reach, *[reach] * 3, settings.roll[1], settings.pitch[1], yaw[1]])
+        yaw, slack = np.radians(config.yaw_deg), np.radians(config.yaw_slack_deg)
+        roll, pitch = config.roll_limits_deg.radians, config.pitch_limits_deg.radians
+        joints = robot.joint_limits[list(self.free_joints)]
+        reserve = config.thrust_reserve * top
+        left = sorted((config.start[1], config.end[1]))
+        sides = (left[0] - config.sideways_max, left[1] + config.sideways_max)
+        low = np.array([-reach, sides[0], config.height_min, *[-reach] * 3, roll[0], pitch[0], yaw - slack])
+        high = np.array([reach, sides[1], reach, *[reach] * 3, roll[1], pitch[1], yaw + slack])
         low = np.concatenate([low, [-reach] * 3, reserve, joints[:, 0]])
         high = np.concatenate([high, [reach] * 3, top - reserve, joints[:, 1]])
 
-        def hover(at: Array) -> tuple[Array, Array]:
-            fixed = np.array([*at, 0, 0, 0, 0, 0, settings.yaw, 0, 0, 0], dtype=float)
+        def hover(at: tuple[float, float, float]) -> tuple[Array, Array]:
+            fixed = np.array([*at, 0, 0, 0, 0, 0, yaw, 0, 0, 0], dtype=float)
             return np.concatenate([fixed, low[12:]]), np.concatenate([fixed, high[12:]])
 
-        first, last = hover(settings.start), hover(settings.end)
-        rates = np.concatenate(
-            [np.full(top.size, settings.thrust_rate_max), np.full(len(free), settings.joint_velocity_max)]
-        )
-        still = np.zeros(rates.size)
-        middle = count * degree - 1
-        shortest, longest = settings.duration_range
+        first, last = hover(config.start), hover(config.end)
+        rates, still = self.rate_limits, np.zeros(self.system.nu)
+        count, middle = config.intervals, config.intervals * config.degree - 1
+        shortest, longest = config.duration_range.lower, config.duration_range.upper
         lower: list[Any] = [first[0], *[low] * middle, last[0], still, *[-rates] * (count - 1), still, [shortest]]
         upper: list[Any] = [first[1], *[high] * middle, last[1], still, *[rates] * (count - 1), still, [longest]]
         return np.concatenate(lower), np.concatenate(upper)
 
     def _guess(self) -> Array:
         """Return a minimum-jerk motion along the line, upright, the weight shared by strength of the jets."""
-        settings, robot = self.settings, self.model.robot
-        count = settings.intervals
+        config, robot = self.config, self.model.robot
+        count = config.intervals
         top = np.array([jet.thrust_max for jet in robot.jets])
-        duration = 0.5 * sum(settings.duration_range)
+        duration = 0.5 * (config.duration_range.lower + config.duration_range.upper)
         tau = (np.arange(count)[:, None] + self._points[1:]).ravel() / count
         tau = np.concatenate([[0.0], tau])[:, None]
-        way = settings.end - settings.start
-        p = settings.start + way * tau**3 * (10 - 15 * tau + 6 * tau**2)
+        start = np.array(config.start)
+        way = np.array(config.end) - start
+        p = start + way * tau**3 * (10 - 15 * tau + 6 * tau**2)
         v = way * 30 * tau**2 * (1 - tau) ** 2 / duration
-        rest = np.array([0.0, 0.0, settings.yaw, 0.0, 0.0, 0.0, *(robot.mass * robot.gravity * top / top.sum())])
-        rest = np.concatenate([rest, settings.posture[list(settings.free_joints)]])
+        yaw = np.radians(config.yaw_deg)
+        rest = np.array([0.0, 0.0, yaw, 0.0, 0.0, 0.0, *(robot.mass * robot.gravity * top / top.sum())])
+        rest = np.concatenate([rest, self.posture[list(self.free_joints)]])
         x = np.hstack([p, v, np.tile(rest, (tau.size, 1))])
         return np.concatenate([x.ravel(), np.zeros(self.system.nu * (count + 1)), [duration]])
 
-    def solve(self, sample_time: float = 0.01) -> Trajectory:
+    def solve(self) -> Trajectory:
         """Solve and sample.
 
         Twice: first for time and with `SMOOTHER` times the weights of effort and posture, so that both goals start from
-        the same smooth flight and end in the same local minimum; then with the requested settings.
+        the same smooth flight and end in the same local minimum; then as configured.
         """
-        settings = self.settings
-        regular = np.array([settings.effort_weight, settings.posture_weight])
-        time_and_fuel = (1.0, 0.0) if settings.goal == "min_time" else (0.0, 1.0)
+        config = self.config
+        regular = np.array([config.effort_weight, config.posture_weight])
+        time_and_fuel = (1.0, 0.0) if config.goal == "min_time" else (0.0, 1.0)
         lower, upper = self._bounds()
         row_lower = np.concatenate([np.full(row[1].numel(), row[2]) for row in self._rows])
         row_upper = np.concatenate([np.full(row[1].numel(), row[3]) for row in self._rows])
@@ -338,17 +378,15 @@ class TrajectoryProblem:
             ends = np.cumsum([row[1].numel() for row in self._rows])
             name = self._rows[int(np.searchsorted(ends, worst, side="right"))][0]
             message += f"; {name} missed by {missed[worst]:.3g}"
-        return self._sample(answer["x"], sample_time, stats, message, float(missed.max()), elapsed)
+        return self._sample(answer["x"], stats, message, float(missed.max()), elapsed)
 
-    def _sample(
-        self, x: Any, sample_time: float, stats: Mapping[str, Any], message: str, defect: float, elapsed: float
-    ) -> Trajectory:
-        settings, system, robot = self.settings, self.system, self.model.robot
+    def _sample(self, x: Any, stats: Mapping[str, Any], message: str, defect: float, elapsed: float) -> Trajectory:
+        config, system, robot = self.config, self.system, self.model.robot
         first, inner, inputs, duration_dm = (np.array(value.full()) for value in self._unpack(x))
         duration = float(duration_dm[0, 0])
-        count, degree = settings.intervals, settings.degree
+        count, degree = config.intervals, config.degree
         h = duration / count
-        steps = max(2, int(np.ceil(duration / sample_time)) + 1)
+        steps = max(2, int(np.ceil(duration / config.sample_time)) + 1)
         t = np.linspace(0.0, duration, steps)
         which = np.minimum((t / h).astype(int), count - 1)
         local = t / h - which
@@ -359,11 +397,11 @@ class TrajectoryProblem:
             states[sample] = block @ _lagrange(self._points, tau)
         u = inputs[:, which] * (1 - local) + inputs[:, which + 1] * local
         u_dot = (inputs[:, which + 1] - inputs[:, which]) / h
-        wind = np.tile(settings.wind[:, None], (1, steps))
+        wind = np.tile(self.wind[:, None], (1, steps))
         rates = np.array(system.f.map(steps)(states.T, u, wind).full()).T
         jerk = np.array(system.jerk.map(steps)(states.T, u, u_dot, wind).full()).T
-        jets, free = len(robot.jets), list(settings.free_joints)
-        joints, joint_rates = np.tile(settings.posture, (steps, 1)), np.zeros((steps, robot.n_joints))
+        jets, free = len(robot.jets), list(self.free_joints)
+        joints, joint_rates = np.tile(self.posture, (steps, 1)), np.zeros((steps, robot.n_joints))
         joints[:, free], joint_rates[:, free] = states[:, 12 + jets :], u.T[:, jets:]
         return Trajectory(
             success=bool(stats["success"]),

@@ -6,11 +6,11 @@ import xarray as xr
 
 from experiments import Refused, along, pictures, record
 from experiments.import_cfd import known_postures
-from experiments.trajectory import Consumption
 from jax_aero import rust, tables
 from jax_aero.aero.dataset import in_robot_order
 from jax_aero.places import ROBOT
 from jax_aero.symbolic import load_robot
+from jax_aero.symbolic.trajectory import Consumption
 from paper_figs import pictures as pictures_figure
 from paper_figs.figures import FIGURES
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import casadi as ca
 import matplotlib.pyplot as plt
+import msgspec
 import numpy as np
 import pytest
 import xarray as xr
@@ -14,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from experiments import Refused, study, waypoints
 from experiments import trajectory as experiment
 from jax_aero import rust, tables
-from jax_aero.symbolic import MomentumModel, load_robot, trajectory
+from jax_aero.symbolic import load_robot, trajectory
 from jax_aero.symbolic.trajectory import TrajectoryProblem, _lagrange, _lagrange_derivatives, _radau_weights
 from paper_figs.figures import FIGURES
 
@@ -37,40 +38,38 @@ def climb(base):
         "intervals": 5,
         "degree": 2,
     }
-    config = tables.load(PATH, experiment.TrajectoryConfig, changes)
+    config = tables.load(PATH, trajectory.TrajectoryConfig, changes)
     robot = load_robot(base["robot"])
-    model = MomentumModel(robot, base["simulator"]["aero"])
-    return config, model, experiment.settings(config, base, robot)
+    return experiment.problem_of(config, base, robot)
 
 
 @pytest.fixture(scope="module")
 def plan(climb):
-    _, model, settings = climb
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(trajectory, "SMOOTHER", 1.0)  # one valley is enough here
-        return TrajectoryProblem(model, settings).solve(0.02)
+        return climb.solve()
 
 
 def test_it_goes_where_it_was_sent_and_rests_there(climb, plan):
-    config, _, settings = climb
+    config = climb.config
     assert plan.success, plan.message
     for sample, place in ((0, config.start), (-1, config.end)):
         np.testing.assert_allclose(plan.com[sample, 0], place, atol=1e-6)
         np.testing.assert_allclose(plan.com[sample, 1:3], 0.0, atol=1e-5)
-        np.testing.assert_allclose(plan.base_rpy[sample], [0.0, 0.0, settings.yaw], atol=1e-6)
-    assert settings.duration_range[0] < plan.duration < settings.duration_range[1]
+        np.testing.assert_allclose(plan.base_rpy[sample], [0.0, 0.0, np.radians(config.yaw_deg)], atol=1e-6)
+    assert config.duration_range.lower < plan.duration < config.duration_range.upper
 
 
 def test_limits_hold(climb, plan):
-    _, model, settings = climb
-    top = np.array([jet.thrust_max for jet in model.robot.jets])
+    config = climb.config
+    top = np.array([jet.thrust_max for jet in climb.model.robot.jets])
     slack = 1e-3  # between the points where they are imposed
-    assert (plan.thrust >= settings.thrust_reserve * top - slack * top).all()
-    assert (plan.thrust <= (1 - settings.thrust_reserve) * top + slack * top).all()
-    assert np.abs(plan.thrust_rate).max() <= settings.thrust_rate_max + 1e-6
-    assert np.abs(plan.joint_velocity).max() <= settings.joint_velocity_max + 1e-6
-    held = np.setdiff1d(np.arange(23), settings.free_joints)
-    np.testing.assert_array_equal(plan.joint_position[:, held], np.tile(settings.posture[held], (plan.time.size, 1)))
+    assert (plan.thrust >= config.thrust_reserve * top - slack * top).all()
+    assert (plan.thrust <= (1 - config.thrust_reserve) * top + slack * top).all()
+    assert np.abs(plan.thrust_rate).max() <= config.thrust_rate_max + 1e-6
+    assert np.abs(plan.joint_velocity).max() <= np.radians(config.joint_velocity_max_deg) + 1e-6
+    held = np.setdiff1d(np.arange(23), climb.free_joints)
+    np.testing.assert_array_equal(plan.joint_position[:, held], np.tile(climb.posture[held], (plan.time.size, 1)))
 
 
 def test_velocity_acceleration_and_jerk_belong_together(plan):
@@ -84,7 +83,6 @@ def test_velocity_acceleration_and_jerk_belong_together(plan):
 
 def test_the_acceleration_is_what_the_crate_says(climb, plan, base):
     """The centroidal model, at its planned states, against the momentum rate of the Rust crate."""
-    _, _, settings = climb
     controller = rust.Controller(base)
     robot = rust.Robot(base["robot"])
     for sample in np.linspace(0, plan.time.size - 1, 7).astype(int):
@@ -97,7 +95,7 @@ def test_the_acceleration_is_what_the_crate_says(climb, plan, base):
         found = rust.dynamics(robot, rust.State(np.zeros(3), rotation, joints, velocity))
         velocity[:3] = plan.com[sample, 1] - found.momentum[:3] / robot.mass
         state = rust.State(np.zeros(3), rotation, joints, velocity)
-        tick = controller.tick(state, plan.thrust[sample], settings.wind)
+        tick = controller.tick(state, plan.thrust[sample], climb.wind)
         np.testing.assert_allclose(tick.momentum[:3] / robot.mass, plan.com[sample, 1], atol=1e-9)
         np.testing.assert_allclose(tick.momentum[3:], plan.angular_momentum[sample], atol=1e-9)
         np.testing.assert_allclose(tick.momentum_rate_estimate[:3] / robot.mass, plan.com[sample, 2], atol=1e-8)
@@ -105,20 +103,19 @@ def test_the_acceleration_is_what_the_crate_says(climb, plan, base):
 
 @pytest.mark.close_to_tolerance("the loop follows the reference with an error of its own, a physical figure")
 def test_the_exported_reference_flies_in_closed_loop(climb, plan, base):
-    config, _, _ = climb
     text = experiment.csv_of(plan, 10.0, "a test")
     assert text.splitlines()[1] == waypoints.COLUMNS
     flight = experiment.fly(base, text, 10.0 + plan.duration + 3.0)
     assert flight.outcome == "completed"
     error = np.linalg.norm(flight.log["com_position"] - flight.log["com_setpoint"], axis=1)
     assert error[flight.log["time"] > 3.0].max() < 0.2  # the points are few; the experiments' plans are flown to 3 cm
-    np.testing.assert_allclose(flight.log["com_position"][-1], config.end, atol=5e-3)
+    np.testing.assert_allclose(flight.log["com_position"][-1], climb.config.end, atol=5e-3)
 
 
 def test_what_cannot_be_is_said_with_the_constraint(climb):
     """Upright in the paper's posture the robot cannot hover: without joints to move there is no start."""
-    _, model, settings = climb
-    answer = TrajectoryProblem(model, replace(settings, free_joints=(), intervals=2)).solve()
+    config = msgspec.structs.replace(climb.config, intervals=2)
+    answer = TrajectoryProblem(climb.model, config, climb.wind, climb.posture, ()).solve()
     assert not answer.success
     assert "missed by" in answer.message
     assert "equilibrium" in answer.message or "dynamics" in answer.message
@@ -126,7 +123,7 @@ def test_what_cannot_be_is_said_with_the_constraint(climb):
 
 def test_fuel_is_the_line_through_idle_and_full_thrust(base):
     robot = load_robot(base["robot"])
-    idle, slope = experiment.fuel_lines(tables.load(PATH, experiment.TrajectoryConfig).fuel, robot)
+    idle, slope = trajectory.fuel_lines(tables.load(PATH, trajectory.TrajectoryConfig).fuel, robot)
     arm, chest = 60 * (idle[0] + slope[0] * np.array([2.0, 100.0])), 60 * (idle[2] + slope[2] * np.array([9.0, 220.0]))
     np.testing.assert_allclose([*arm, *chest], [0.08, 0.39, 0.13, 0.725])
 
@@ -162,13 +159,12 @@ def test_a_configuration_that_cannot_be_meant_is_refused(tmp_path, old, new, com
 
 def test_without_a_trajectory_nothing_is_flown(monkeypatch):
     unsolved = SimpleNamespace(success=False, message="Infeasible_Problem_Detected")
-    monkeypatch.setattr(experiment, "TrajectoryProblem", lambda *_: SimpleNamespace(solve=lambda _: unsolved))
+    monkeypatch.setattr(experiment, "TrajectoryProblem", lambda *_: SimpleNamespace(solve=lambda: unsolved))
     with pytest.raises(Refused, match="min_time: no trajectory found: Infeasible"):
         experiment.STUDY.run("min_time")
 
 
 def test_the_result_names_its_reference_and_its_flights(tmp_path, monkeypatch, climb, plan):
-    config, model, _ = climb
     rest = np.tile(plan.com[-1:, 0], (3, 1))
     log = {
         "time": np.array([10.0, 11.0, 30.0]),
@@ -180,7 +176,7 @@ def test_the_result_names_its_reference_and_its_flights(tmp_path, monkeypatch, c
         "rotation_error": np.zeros(3),
     }
     flight = rust.FlightResult(log, np.zeros(23), "completed", None, None, {})
-    dataset = experiment.to_dataset(plan, flight, flight, model.robot, config)
+    dataset = experiment.to_dataset(plan, flight, flight, climb.model.robot, climb.config)
     monkeypatch.setattr(study, "RESULTS", tmp_path)
     findings = study.Findings("Small", dataset, {"a figure": np.inf}, texts={"reference.csv": "time\n"})
 
