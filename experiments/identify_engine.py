@@ -25,6 +25,8 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.signal import savgol_coeffs, savgol_filter
 
 from experiments import Refused
 from experiments.study import Findings, Study
@@ -196,12 +198,7 @@ def log_text(log: Log) -> str:
 
 def smooth(thrust: Array) -> Smoothed:
     """Return thrust and two derivatives by least-squares cubics over `2 WINDOW + 1` samples."""
-    offsets = STEP * np.arange(-WINDOW, WINDOW + 1)
-    solve = np.linalg.pinv(np.vander(offsets, 4, increasing=True))
-    padded = np.pad(thrust, WINDOW, mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * WINDOW + 1)
-    c = windows @ solve.T
-    return Smoothed(c[:, 0], c[:, 1], 2.0 * c[:, 2])
+    return Smoothed(*(savgol_filter(thrust, 2 * WINDOW + 1, 3, order, STEP, mode="nearest") for order in range(3)))
 
 
 def regression(log: Log) -> Array:
@@ -215,14 +212,15 @@ def regression(log: Log) -> Array:
     return np.array([*k[:8], 0.0, k[8]])
 
 
-def identify(log: Log, limits: Array, steps: int = 40) -> Array:
+def identify(log: Log, limits: Array) -> Array:
     """Return the twelve numbers of an engine, `limits` those of its throttle [%]."""
     found = regression(log)
     for segment in SEGMENTS:
         residual = residual_of(log, limits, segment)
         # Coefficients differ by orders of magnitude; one that starts at zero has the size that b_uu has.
         scale = np.where(found == 0.0, 1e-3, np.abs(found))
-        found = scale * levenberg(lambda x, r=residual, s=scale: r(s * x), found / scale, steps)  # type: ignore[misc]
+        slope = jax.jit(jax.jacfwd(residual))
+        found = least_squares(jax.jit(residual), found, slope, method="lm", x_scale=scale).x
     return np.concatenate([found, limits])
 
 
@@ -252,29 +250,6 @@ def residual_of(log: Log, limits: Array, segment: int) -> Callable[[Any], Any]:
 def _step(engine: Engines, thrust: Any, rate: Any, throttle: Any) -> tuple[Any, Any]:
     acceleration = thrust_acceleration(engine, thrust, rate, throttle)
     return thrust + STEP * (rate + 0.5 * STEP * acceleration), rate + STEP * acceleration
-
-
-def levenberg(residual: Callable[[Any], Any], start: Array, steps: int) -> Array:
-    """Minimise the sum of squares by Levenberg-Marquardt."""
-    value = jax.jit(residual)
-    slope = jax.jit(jax.jacfwd(residual))
-    x, damping = start, 1e-3
-    here = np.asarray(value(x))
-    for _ in range(steps):
-        j = np.asarray(slope(x))
-        normal, gradient = j.T @ j, j.T @ here
-        moved = False
-        for _ in range(8):
-            trial = x - np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12), gradient)
-            there = np.asarray(value(trial))
-            if there @ there < here @ here:
-                moved = there @ there < (1.0 - 1e-9) * (here @ here)
-                x, here, damping = trial, there, 0.3 * damping
-                break
-            damping *= 10.0
-        if not moved:
-            break
-    return np.asarray(x)
 
 
 def simulate(engine: Array, throttle: Array, smoothed: Smoothed) -> Array:
@@ -323,8 +298,7 @@ def tune(engine: Array, log: Log) -> tuple[Array, float]:
 
     The noise about a cubic through 2 w + 1 samples is less by what the cubic takes up: its share at the middle.
     """
-    offsets = STEP * np.arange(-WINDOW, WINDOW + 1)
-    taken = np.linalg.pinv(np.vander(offsets, 4, increasing=True))[0, WINDOW]
+    taken = savgol_coeffs(2 * WINDOW + 1, 3)[WINDOW]
     left = log.thrust - smooth(log.thrust).thrust
     # The median is not disturbed by the edges of steps, where a cubic does not follow.
     variance = (np.median(np.abs(left)) / 0.6745) ** 2 / (1.0 - taken)

@@ -76,14 +76,6 @@ def test_the_generator_obeys_the_crates_engine(truth, agree):
     agree("step", bench.advanced(10.0, 2.0, 4.0, 0.5), (10.0 + 1.0 + 0.5, 4.0), 1e-15)
 
 
-def test_descent_finds_a_minimum(agree):
-    def residual(x):
-        return np.array([1.0, 0.0]) * 0.0 + jax.numpy.stack([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
-
-    with jax.enable_x64(True):
-        agree("Rosenbrock's minimum", bench.levenberg(residual, np.array([-1.2, 1.0]), 60), [1.0, 1.0], 1e-6)
-
-
 def test_a_log_of_a_minute_gives_the_engine(truth, log, measured, tmp_path):
     """From regression alone to the whole log: another log is simulated to within its noise."""
     with jax.enable_x64(True):
