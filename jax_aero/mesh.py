@@ -1,9 +1,11 @@
-"""Meshes of a URDF: where their files are, and what is in them."""
+"""Meshes: of files that a URDF names, and of bodies of revolution."""
 
 from __future__ import annotations
 
 import functools
+import itertools
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -63,3 +65,28 @@ def read_mesh(path: Path) -> Mesh:
     if faces.size == 0 or not np.isfinite(vertices).all():
         raise Refused(f"mesh {path.name} has no triangle, or vertices that are not finite")
     return Mesh(vertices, faces)
+
+
+def revolve(profile: Sequence[tuple[float, float]], segments: int = 24) -> Mesh:
+    """Turn a profile of (radius, height), from bottom to top, about z; a point given twice makes a sharp edge."""
+    angles = np.linspace(0.0, 2.0 * np.pi, segments, endpoint=False)
+    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    vertices = np.concatenate([np.column_stack([r * ring, np.full(segments, z)]) for r, z in profile])
+    faces = []
+    for low in range(len(profile) - 1):
+        if profile[low] == profile[low + 1]:
+            continue
+        for i in range(segments):
+            a, b = low * segments + i, low * segments + (i + 1) % segments
+            c, d = a + segments, b + segments
+            faces += [(a, b, d)] if profile[low][0] > 0.0 else []
+            faces += [(a, d, c)] if profile[low + 1][0] > 0.0 else []
+    return Mesh(vertices, np.array(faces))
+
+
+def box() -> Mesh:
+    """Edges of length 1, about the origin, sharp: sides share no vertices."""
+    corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = 4 * np.arange(6)[:, None, None] + np.array([(0, 1, 2), (0, 2, 3)])
+    return Mesh(corners[np.ravel(sides)], faces.reshape(-1, 3))

@@ -12,7 +12,7 @@ from experiments import Refused
 from jax_aero import rust
 from jax_aero.aero.dataset import JOINTS, LINKS, Floats, in_robot_order
 from jax_aero.files import write_text
-from jax_aero.mesh import Mesh
+from jax_aero.mesh import Mesh, box, revolve
 from jax_aero.urdf import Pose
 from jax_aero.view.shapes import Kind, Look, Mount, Shape, look_of
 
@@ -26,38 +26,16 @@ MARGIN = np.radians(2.01)
 def triangles_of(kind: Kind, size: tuple[float, float, float]) -> Floats:
     """Return the triangles (T, 3, 3) [m] of a primitive about its centre, with outward normals by the right hand."""
     if kind == "box":
-        return _box(np.asarray(size))
-    if kind == "sphere":
-        latitude = np.linspace(-0.5 * np.pi, 0.5 * np.pi, SEGMENTS // 2 + 1)
-        return size[0] * _turned(np.cos(latitude), np.sin(latitude))
-    _, radius, length = size
-    across = radius * np.array([0.0, 1.0, 1.0, 0.0])
-    return _turned(across, 0.5 * length * np.array([-1.0, -1.0, 1.0, 1.0]))
-
-
-def _turned(radii: Floats, heights: Floats) -> Floats:
-    """Triangles of the body that a polyline from pole to pole describes when it turns about z."""
-    angle = 2.0 * np.pi * np.arange(SEGMENTS) / SEGMENTS
+        return _triangles_of_mesh(box(), size)
+    radius, _, length = size
     # A regular n-gon of circumradius r has the area n/2 sin(2π/n) r².
-    wide = np.sqrt(np.pi / (0.5 * SEGMENTS * np.sin(2.0 * np.pi / SEGMENTS))) * radii
-    ring = np.stack([np.cos(angle), np.sin(angle), np.zeros(SEGMENTS)], axis=-1)
-    points = wide[:, None, None] * ring + heights[:, None, None] * np.array([0.0, 0.0, 1.0])
-    points[[0, -1], :, :2] = 0.0
-    here, beside = points, np.roll(points, -1, axis=1)
-    lower = np.stack([here[:-1], beside[:-1], beside[1:]], axis=2)[1:]  # the first band has no edge below
-    upper = np.stack([here[:-1], beside[1:], here[1:]], axis=2)[:-1]
-    return np.concatenate([lower.reshape(-1, 3, 3), upper.reshape(-1, 3, 3)])
-
-
-def _box(edges: Floats) -> Floats:
-    found = []
-    for axis in range(3):
-        u, v = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
-        for sign in (1.0, -1.0):
-            corners = [sign * np.eye(3)[axis] + a * u + b * v for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-            corners = corners if sign > 0.0 else corners[::-1]
-            found += [[corners[0], corners[1], corners[2]], [corners[0], corners[2], corners[3]]]
-    return 0.5 * edges * np.array(found)
+    wide = radius * np.sqrt(np.pi / (0.5 * SEGMENTS * np.sin(2.0 * np.pi / SEGMENTS)))
+    end = radius if kind == "sphere" else 0.5 * length
+    side = [(wide, -end), (wide, end)]
+    if kind == "sphere":
+        latitudes = np.linspace(-0.5 * np.pi, 0.5 * np.pi, SEGMENTS // 2 + 1)[1:-1]
+        side = [(wide * np.cos(latitude), radius * np.sin(latitude)) for latitude in latitudes]
+    return _triangles_of_mesh(revolve([(0.0, -end), *side, (0.0, end)], SEGMENTS), (1.0, 1.0, 1.0))
 
 
 def is_closed(triangles: Floats) -> bool:

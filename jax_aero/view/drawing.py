@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jax_aero.mesh import Mesh
+from jax_aero.mesh import Mesh, revolve
 from jax_aero.urdf import Vector
 from jax_aero.view.recording import Instant
 from jax_aero.view.shapes import Look, Role, Shape, rotation_onto
@@ -113,23 +113,6 @@ def wind_arrow(instant: Instant, scales: Scales) -> Vector | None:
     return np.stack([above - half, above + half])
 
 
-def revolve(profile: Sequence[tuple[float, float]], segments: int = 24) -> Mesh:
-    """Turn a profile of (radius, height), from bottom to top, about z; a point given twice makes a sharp edge."""
-    angles = np.linspace(0.0, 2.0 * np.pi, segments, endpoint=False)
-    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    vertices = np.concatenate([np.column_stack([r * ring, np.full(segments, z)]) for r, z in profile])
-    faces = []
-    for low in range(len(profile) - 1):
-        if profile[low] == profile[low + 1]:
-            continue
-        for i in range(segments):
-            a, b = low * segments + i, low * segments + (i + 1) % segments
-            c, d = a + segments, b + segments
-            faces += [(a, b, d)] if profile[low][0] > 0.0 else []
-            faces += [(a, d, c)] if profile[low + 1][0] > 0.0 else []
-    return Mesh(vertices, np.array(faces))
-
-
 def cylinder() -> Mesh:
     """Radius and height 1, about the origin, edges slightly rounded."""
     flat, side = (0.93, 0.5), (1.0, 0.47)
@@ -143,21 +126,6 @@ def sphere() -> Mesh:
     return revolve([(max(float(np.cos(a)), 0.0) if abs(a) < 1.57 else 0.0, float(np.sin(a))) for a in angles])
 
 
-def box() -> Mesh:
-    """Edges of length 1, about the origin."""
-    quarter = revolve(
-        [(0.0, -0.5), (0.5**0.5, -0.5), (0.5**0.5, -0.5), (0.5**0.5, 0.5), (0.5**0.5, 0.5), (0.0, 0.5)], 4
-    )
-    turn = rotation_about_z(np.pi / 4)
-    return Mesh(quarter.vertices @ turn.T, quarter.faces)
-
-
 def cone() -> Mesh:
     """Return a cone: base of radius 1 at the origin, tip at height 1."""
     return revolve([(0.0, 0.0), (1.0, 0.0), (1.0, 0.0), (0.0, 1.0)])
-
-
-def rotation_about_z(angle: float) -> Vector:
-    """Rotation matrix, (3, 3)."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -9,7 +9,7 @@ import numpy as np
 import viser
 import viser.transforms as tf
 
-from jax_aero.mesh import Mesh
+from jax_aero.mesh import Mesh, box
 from jax_aero.view import drawing
 from jax_aero.view.drawing import Colour, Placed, Scales
 from jax_aero.view.recording import Instant, Recording
@@ -18,7 +18,7 @@ from jax_aero.view.shapes import Look
 LIT = {drawing.FORCE: (0, 78, 170), drawing.WIND: (60, 160, 240), drawing.PLUME: (248, 140, 0)}
 """Colours that come out as those of the legend under the lights of the page, which turn them towards green."""
 
-MESHES = {"cylinder": drawing.cylinder, "sphere": drawing.sphere, "box": drawing.box}
+MESHES = {"cylinder": drawing.cylinder, "sphere": drawing.sphere, "box": box}
 
 
 class RobotNodes:

@@ -10,6 +10,7 @@ import xarray as xr
 
 from jax_aero import __main__ as commands
 from jax_aero import places, rust
+from jax_aero.mesh import box
 from jax_aero.view import Refused, drawing, labels, recording
 from jax_aero.view.settings import AS_GIVEN, MODELS, Settings, apply, default_config, settings_of
 from jax_aero.view.shapes import look_of
@@ -126,7 +127,7 @@ def test_arrows_are_as_long_as_the_legend_says(seen):
     [
         (drawing.cylinder, (-1.0, -1.0, -0.5), (1.0, 1.0, 0.5)),
         (drawing.sphere, (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
-        (drawing.box, (-0.5, -0.5, -0.5), (0.5, 0.5, 0.5)),
+        (box, (-0.5, -0.5, -0.5), (0.5, 0.5, 0.5)),
         (drawing.cone, (-1.0, -1.0, 0.0), (1.0, 1.0, 1.0)),
     ],
 )
