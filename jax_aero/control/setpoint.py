@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Bool, Float, Int
 
 from jax_aero.config import MissionConfig, SetpointConfig
@@ -331,29 +330,3 @@ def _advance_raw(params: SetpointParams, state: SetpointState, command: Autopilo
     velocity = jnp.stack([jnp.cos(yaw) * along, jnp.sin(yaw) * along, params.speed[1] * vertical])
     pitch = jnp.clip(pitch, params.nose_down_limits[0], params.nose_down_limits[1])
     return state.raw_position + velocity * params.time_step, jnp.stack([roll, pitch, yaw]), ticks
-
-
-class Trajectory(NamedTuple):
-    """Set-points of a whole flight, one row for every tick."""
-
-    raw_position: Float[Array, "ticks 3"]
-    raw_rpy: Float[Array, "ticks 3"]
-    setpoint: Setpoint
-
-
-def trajectory(
-    params: SetpointParams,
-    mission: Commands | Recording,
-    com: Float[Array, "3"],
-    rotation: Float[Array, "3 3"],
-    n_ticks: int,
-) -> Trajectory:
-    """Return the set-points of `n_ticks` ticks from time zero; `com` and `rotation` begin it."""
-
-    def tick(state: SetpointState, index: Array) -> tuple[SetpointState, Trajectory]:
-        state, setpoint = update(params, mission, state, index * params.time_step)
-        return state, Trajectory(state.raw_position, state.raw_rpy, setpoint)
-
-    rows: Trajectory
-    _, rows = lax.scan(tick, start(params, com, rotation), jnp.arange(n_ticks))
-    return rows
