@@ -27,8 +27,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def work() -> None:
         document = read(given.run, given.out / given.name, overwrite=given.overwrite)
-        when = "" if document["lost_time"] is None else f" at {document['lost_time']:.2f} s"
-        print(f"{given.out / given.name}: {document['title']}: {document['outcome']}{when}")
+        how = result.ending(document["outcome"], document["lost_time"], document["lost_reason"])
+        print(f"{given.out / given.name}: {document['title']}: {how}")
 
     return exit_status(work)
 

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from jax_aero.result import ending
+
 HEADINGS = ("flight", "outcome", "max CoM error [m]", "max rotation error [deg]", "thrusts [N]")
 
 
@@ -23,19 +25,11 @@ def _row(manifest: Mapping[str, Any]) -> Sequence[str]:
     rotation = summary.get("max_rotation_error")
     return (
         manifest["name"],
-        outcome(manifest),
+        ending(manifest["outcome"], manifest["lost_time"], manifest["lost_reason"]),
         _number(summary.get("max_com_error"), ".3f"),
         _number(None if rotation is None else math.degrees(rotation), ".1f"),
         f"{_number(summary.get('thrust_min'), '.1f')} to {_number(summary.get('thrust_max'), '.1f')}",
     )
-
-
-def outcome(manifest: Mapping[str, Any]) -> str:
-    """Say how a flight ended: "completed", or "fell at 16.31 s: rotation error above 90 deg"."""
-    words, reason = str(manifest["outcome"]).replace("_", " "), manifest["lost_reason"]
-    if manifest["lost_time"] is None:
-        return words
-    return f"{words} at {manifest['lost_time']:.2f} s" + (f": {reason}" if reason else "")
 
 
 def _number(value: float | None, form: str) -> str:

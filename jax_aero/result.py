@@ -19,6 +19,17 @@ Outcome = Literal["completed", "off_course", "fell", "diverged"]
 """How a flight ended."""
 
 
+def ending(outcome: str, lost_time: float | None, lost_reason: str | None) -> str:
+    """Say how a flight ended: "completed", or "fell at 21.4 s (rotation error 90.1 deg)".
+
+    Result files have NaN and the empty text for no time and no reason.
+    """
+    words = outcome.replace("_", " ")
+    if lost_time is None or math.isnan(lost_time):
+        return words
+    return f"{words} at {lost_time:.1f} s" + (f" ({lost_reason})" if lost_reason else "")
+
+
 @dataclass(frozen=True)
 class FlightResult:
     """One flight: its log and how it ended.

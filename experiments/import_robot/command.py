@@ -23,6 +23,7 @@ from jax_aero import rust
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.files import complete_folder, read_text
+from jax_aero.result import ending
 from jax_aero.robot import load_robot as load_twin
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.aero import load_aero
@@ -203,9 +204,9 @@ def report(result: Imported) -> str:
     for name, flight in (("hover", result.hover), ("mission", result.mission)):
         if flight is None:
             continue
-        why = "" if flight.outcome == "completed" else f" at {flight.lost_time:.2f} s, {flight.lost_reason}"
         lines.append(
-            f"{name:<20} {flight.outcome}{why}; CoM within {1000.0 * flight.summary['max_com_error']:.1f} mm, "
+            f"{name:<20} {ending(flight.outcome, flight.lost_time, flight.lost_reason)}; "
+            f"CoM within {1000.0 * flight.summary['max_com_error']:.1f} mm, "
             f"attitude within {np.degrees(flight.summary['max_rotation_error']):.2f} deg"
         )
     return "\n".join(lines)

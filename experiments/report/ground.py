@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from experiments import record
+from jax_aero.result import ending
 
 GRAVITY = 9.81
 VISIBLE = 1e-3
@@ -80,7 +81,7 @@ def measure(name: str, run: xr.Dataset, ramp_start: float, mass: float) -> Groun
     return Ground(
         name=name,
         completed=outcome == "completed",
-        ending=f"{outcome.replace('_', ' ')} at {run.attrs['lost_time']:.1f} s ({run.attrs['lost_reason']})"
+        ending=ending(outcome, run.attrs["lost_time"], run.attrs["lost_reason"])
         if run.attrs["lost_reason"]
         else "stands to the end",
         always_carried=bool((run["feet_carry"].values == 1).all()),

@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from experiments import record
+from jax_aero.result import ending
 from jax_aero.summary import SETTLING_TIME
 
 WINDY = 3.0
@@ -67,14 +68,11 @@ def measure(name: str, run: xr.Dataset) -> Metrics:
     difference = np.linalg.norm(simulated - estimated, axis=1)
     thrust = run["thrust"].values
     outcome = str(run.attrs["outcome"])
-    words = outcome.replace("_", " ")
     return Metrics(
         name=name,
         title=str(run.attrs["title"]),
         completed=outcome == "completed",
-        ending=words
-        if np.isnan(run.attrs["lost_time"])
-        else f"{words} at {run.attrs['lost_time']:.1f} s ({run.attrs['lost_reason']})",
+        ending=ending(outcome, run.attrs["lost_time"], run.attrs["lost_reason"]),
         com_error=float(distance.max(initial=0.0)),
         rotation_error=float(np.degrees(run["rotation_error"].max())),
         joint_errors={

@@ -12,6 +12,7 @@ import numpy as np
 from viser import uplot
 
 from jax_aero import rust
+from jax_aero.result import ending
 from jax_aero.view import drawing
 from jax_aero.view.drawing import Colour, Scales
 from jax_aero.view.recording import Recording
@@ -68,11 +69,10 @@ def card(solid: Recording, ghost: Recording | None) -> str:
 
 def _badge(flight: Recording) -> str:
     colour = drawing.COMPLETED if flight.outcome == "completed" else drawing.FELL
-    when = "" if flight.lost_time is None else f" at {flight.lost_time:.1f} s"
     why = "" if flight.lost_reason is None else f'<br><span style="color:#667">{html.escape(flight.lost_reason)}</span>'
     return (
         f'<span class="outcome" style="background:{_hex(colour)};color:white;border-radius:4px;padding:0.1em 0.5em;'
-        f'display:inline-block">{html.escape(flight.outcome.replace("_", " "))}{when}</span>{why}'
+        f'display:inline-block">{html.escape(ending(flight.outcome, flight.lost_time, None))}</span>{why}'
     )
 
 

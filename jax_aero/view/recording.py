@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from jax_aero import io, rust
 from jax_aero.files import damaged
 from jax_aero.places import RESULTS
-from jax_aero.result import labels_of
+from jax_aero.result import ending, labels_of
 from jax_aero.summary import SETTLING_TIME
 from jax_aero.view import Refused, require
 from jax_aero.view.shapes import Look, look_of
@@ -151,11 +151,8 @@ class Recording:
 
     @property
     def verdict(self) -> str:
-        """The outcome in words: `completed`, or `fell at 21.4 s: rotation error 90.1 deg`."""
-        words = self.outcome.replace("_", " ")
-        if self.lost_time is None:
-            return words
-        return f"{words} at {self.lost_time:.1f} s" + (f": {self.lost_reason}" if self.lost_reason else "")
+        """The outcome in words: `completed`, or `fell at 21.4 s (rotation error 90.1 deg)`."""
+        return ending(self.outcome, self.lost_time, self.lost_reason)
 
     @cached_property
     def merit(self) -> Merit:

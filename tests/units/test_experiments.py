@@ -11,6 +11,7 @@ from experiments import manifest
 from experiments.__main__ import main
 from experiments.table import outcome_table
 from jax_aero import places, rust
+from jax_aero.result import ending
 
 
 @pytest.fixture
@@ -154,6 +155,12 @@ def test_a_list_names_a_file_that_cannot_be_read(kind, words, tmp_path, monkeypa
     assert re.search(r"  good +Good", listed)
 
 
+@pytest.mark.parametrize("never", [None, float("nan")])
+def test_a_flight_that_was_not_lost_ends_without_a_time(never):
+    assert ending("completed", never, None) == "completed"
+    assert ending("off_course", never, "") == "off course"
+
+
 def test_the_table_says_when_and_why_a_flight_fell():
     fallen = {
         "name": "test1",
@@ -163,7 +170,7 @@ def test_the_table_says_when_and_why_a_flight_fell():
         "summary": {"max_com_error": 0.5, "max_rotation_error": 1.6, "thrust_min": 1.0},
     }
     table = outcome_table([fallen])
-    assert "fell at 16.31 s: rotation error above 90 deg" in table
+    assert "fell at 16.3 s (rotation error above 90 deg)" in table
     assert "0.500" in table
     assert "1.0 to ?" in table
 
