@@ -61,7 +61,7 @@ def draw(sweep: Sweep) -> Figure:
 
 
 def _least(cells: pd.DataFrame) -> float:
-    """Return the low end of the interval of a cell in which every flight arrived [%]."""
+    """Return the low end of the interval of a cell in which every flight completed [%]."""
     full = cells[cells["completed"] == cells["flights"]]
     return 100.0 * float(full["completed_low"].min()) if len(full) else 0.0
 

@@ -11,7 +11,7 @@ from paper_figs import style
 from paper_figs.sweeps import Sweep
 
 BALANCED = 45.0
-"""A flight that arrives counts as balanced up to this rotation error [deg]."""
+"""A flight that completes counts as balanced up to this rotation error [deg]."""
 
 
 def draw(sweep: Sweep) -> Figure:

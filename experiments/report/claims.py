@@ -38,7 +38,7 @@ MOSTLY = 0.95
 """Share of a flight's perturbed neighbours that arrive, from which on the flight counts as flown."""
 
 LEANING = 45.0
-"""Rotation error beyond which a flight that arrives does not count as balanced [deg]."""
+"""Rotation error beyond which a flight that completes does not count as balanced [deg]."""
 
 STANDING = ("balancing_front", "balancing_lateral")
 """The ground experiments of Fig. 6."""
@@ -298,12 +298,12 @@ def answer(results: Results) -> str:
     def by_world(level: str, quantity: str, form: str) -> str:
         return ", ".join(format(cells.cell(world=w, feedback=level)[f"{quantity}_median"], form) for w in worlds)
 
-    arrives, stays = as_good("completed"), as_good("on_course")
+    completes, stays = as_good("completed"), as_good("on_course")
     least = next((name for name in LEAST_FIRST if name in stays), "nothing short of everything")
     moment, force = "total moment only", "total force only"
     return (
         f"The least that stays on course as often as with everything, in every world: **{least}**. "
-        f"As good in staying on course: {', '.join(stays)}. As good in arriving: {', '.join(arrives)}. "
+        f"As good in staying on course: {', '.join(stays)}. As good in completing: {', '.join(completes)}. "
         f"With the moment alone the median rotation error is {by_world(moment, 'rotation_error_deg', '.0f')}° and the "
         f"median CoM error {by_world(moment, 'com_error', '.2f')} m, world by world; with the force alone "
         f"{by_world(force, 'rotation_error_deg', '.0f')}° and {by_world(force, 'com_error', '.2f')} m."
@@ -684,13 +684,13 @@ CLAIMS = (
     ),
     _ours(
         "outages_lasting",
-        "Without wind or thrust sensors for good the robot arrives",
+        "Without wind or thrust sensors for good the flight completes",
         observer.lost_for_ever,
         sweep="outages_observer",
     ),
     _ours(
         "outages_short",
-        "Without base rotation, velocity or position for 0.3 and 1 s the robot arrives",
+        "Without base rotation, velocity or position for 0.3 and 1 s the flight completes",
         observer.lost_for_a_while,
         sweep="outages_observer",
     ),

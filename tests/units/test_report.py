@@ -80,14 +80,14 @@ def results(tmp_path, made_up_results) -> Results:
     write_sweep(tmp_path, "paper_tests", cells, ["test"])
     terms = []
     for world in (claims.RIGHT, claims.HEAD, claims.PUBLISHED):
-        for feedback, arrives, stays in (
+        for feedback, completes, stays in (
             ("everything", 24, 24),
             ("total wrench only", 24, 24),
             ("total moment only", 24 if world == claims.RIGHT else 2, 0),
             ("total force only", 2, 0),
             ("without Λ_a", 24, 24),
         ):
-            terms.append(cell(len(terms), 24, arrives, stays, world=world, feedback=feedback))
+            terms.append(cell(len(terms), 24, completes, stays, world=world, feedback=feedback))
     write_sweep(tmp_path, "ablation_terms", terms, ["world", "feedback"], panels="world")
     return Results(tmp_path)
 
@@ -146,7 +146,7 @@ def test_what_has_not_been_flown_names_its_command(tmp_path):
 def test_the_minimum_is_what_stays_on_course_everywhere(results):
     answer = claims.answer(results)
     assert "in every world: **total wrench only**" in answer
-    assert "As good in arriving: everything, total wrench only, without Λ_a." in answer
+    assert "As good in completing: everything, total wrench only, without Λ_a." in answer
 
 
 def test_both_pages_say_the_same():
