@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jax_aero.adam import AdamState, adam_start, adam_step
 from jax_aero.aero import Axisymmetric, LinkConventions, link_forces, wrench_about
 from jax_aero.jets import JetsState
 from jax_aero.kinematics import kinematics
@@ -123,17 +124,15 @@ def descend(
     """Minimise by Adam from θ = 0, where `exists`; return `θ` and the loss before each step."""
 
     @jax.jit
-    def step(theta: Array, mean: Array, square: Array, count: Array) -> tuple[Array, Array, Array, Array]:
+    def step(adam: AdamState, theta: Array) -> tuple[AdamState, Array, Array]:
         value, slope = jax.value_and_grad(misfit)(theta)
-        mean, square = 0.9 * mean + 0.1 * slope, 0.99 * square + 0.01 * slope**2
-        decayed = rate * 0.5 * (1.0 + jnp.cos(jnp.pi * count / steps))
-        move = mean / (1.0 - 0.9**count) / (jnp.sqrt(square / (1.0 - 0.99**count)) + 1e-12)
-        return theta - decayed * move * exists, mean, square, value
+        decayed = rate * 0.5 * (1.0 + jnp.cos(jnp.pi * (adam.count + 1) / steps))
+        return *adam_step(adam, theta, slope * exists, decayed, beta2=0.99, epsilon=1e-12), value
 
     theta = jnp.zeros(exists.shape)
-    mean, square, losses = jnp.zeros_like(theta), jnp.zeros_like(theta), []
-    for count in range(1, steps + 1):
-        theta, mean, square, value = step(theta, mean, square, jnp.array(float(count)))
+    adam, losses = adam_start(theta), []
+    for _ in range(steps):
+        adam, theta, value = step(adam, theta)
         losses.append(float(value))
     return np.asarray(theta), np.array(losses)
 

@@ -1,4 +1,4 @@
-"""Training of the network of link forces: plain JAX, single precision, one Adam of our own.
+"""Training of the network of link forces: plain JAX, single precision.
 
     Dataset ──samples──► Samples ──fit──► Network ──distil──► a smaller Network;   checkpoint keeps a run that stops
 
@@ -6,7 +6,6 @@ A run is a function of its settings, its samples and its seed: random numbers co
 run that was stopped and taken up again ends with the same bits as one that was not.
 """
 
-from jax_aero.train.adam import AdamState, adam_start, adam_step
 from jax_aero.train.baselines import baseline_errors
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from jax_aero.train.distil import distil_samples
@@ -15,14 +14,11 @@ from jax_aero.train.loss import batch_output, mean_squared_error, total_error
 from jax_aero.train.samples import Samples, predict_areas, samples_of, totals_of
 
 __all__ = [
-    "AdamState",
     "Checkpoint",
     "Fitted",
     "Interrupted",
     "Samples",
     "Settings",
-    "adam_start",
-    "adam_step",
     "baseline_errors",
     "batch_output",
     "distil_samples",

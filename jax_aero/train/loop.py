@@ -17,8 +17,8 @@ import msgspec
 import numpy as np
 
 from jax_aero import tables
+from jax_aero.adam import AdamState, adam_start, adam_step
 from jax_aero.aero.network import Layer, Network, raw_output
-from jax_aero.train.adam import AdamState, adam_start, adam_step
 from jax_aero.train.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from jax_aero.train.loss import batch_output, mean_squared_error, total_error
 from jax_aero.train.samples import Samples, chunks

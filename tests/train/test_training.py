@@ -9,13 +9,12 @@ import pytest
 from msgspec import structs
 
 from jax_aero import tables
+from jax_aero.adam import adam_start, adam_step
 from jax_aero.aero.network import init_network
 from jax_aero.train import (
     Checkpoint,
     Interrupted,
     Settings,
-    adam_start,
-    adam_step,
     baseline_errors,
     batch_output,
     distil_samples,
