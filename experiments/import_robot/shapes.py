@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments import Refused
-from jax_aero.mesh import mesh_file
+from jax_aero.mesh import mesh_file, read_mesh
 from jax_aero.urdf import Pose, attribute, numbers, origin_of
 
 Array = NDArray[np.float64]
@@ -62,31 +62,8 @@ def _box(element: ET.Element, folder: Path) -> Box:
     if shape.tag == "box":
         return Box(origin, numbers(shape, "size", 3))
     if shape.tag == "mesh":
-        points = mesh_points(mesh_file(attribute(shape, "filename"), folder)) * numbers(shape, "scale", 3, "1 1 1")
+        mesh = read_mesh(mesh_file(attribute(shape, "filename"), folder))
+        points = mesh.vertices * numbers(shape, "scale", 3, "1 1 1")
         low, high = points.min(axis=0), points.max(axis=0)
         return Box(origin @ Pose(np.eye(3), (low + high) / 2), high - low)
     raise Refused(f"geometry <{shape.tag}> is unknown; expected sphere, cylinder, capsule, box or mesh")
-
-
-def mesh_points(path: Path) -> Array:
-    """Vertices (k, 3) of an STL or OBJ file, in its own unit."""
-    data = path.read_bytes()
-    if path.suffix.lower() == ".obj":
-        lines = [line.split() for line in data.decode("utf-8").splitlines() if line.startswith("v ")]
-        points = np.array([words[1:4] for words in lines], dtype=np.float64)
-    elif path.suffix.lower() == ".stl":
-        points = _stl_points(data)
-    else:
-        raise Refused(f"mesh {path.name}: expected an STL or OBJ file")
-    if points.size == 0 or not np.isfinite(points).all():
-        raise Refused(f"mesh {path.name} has no vertices, or some that are not finite")
-    return points
-
-
-def _stl_points(data: bytes) -> Array:
-    count = int.from_bytes(data[80:84], "little")
-    if len(data) == 84 + 50 * count:  # binary: a normal, three corners and two bytes for each triangle
-        triangle = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-        return np.asarray(np.frombuffer(data, triangle, count, 84)["corners"].reshape(-1, 3), np.float64)
-    words = [line.split() for line in data.decode("ascii", "replace").splitlines()]
-    return np.array([line[1:4] for line in words if line[:1] == ["vertex"]], dtype=np.float64).reshape(-1, 3)
