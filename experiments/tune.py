@@ -139,7 +139,7 @@ def tuned_controller(
         f"# {config.controller.name} with values tuned by gradient: `jax-aero tune {folder.name}`. Ours.",
         f'base = "{os.path.relpath(config.controller, folder.resolve())}"',
     ]
-    return "\n".join([*lines, *_toml(table, ())]) + "\n"
+    return "\n".join([*lines, "", tables.toml(table)]) + "\n"
 
 
 def _times(value: Any, factor: float) -> Any:
@@ -149,15 +149,6 @@ def _times(value: Any, factor: float) -> Any:
     if isinstance(value, Sequence):
         return [_times(entry, factor) for entry in value]
     return float(f"{value * factor:.4g}")
-
-
-def _toml(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
-    own = [f"{key} = {value}" for key, value in table.items() if not isinstance(value, Mapping)]
-    lines = ["", f"[{'.'.join(path)}]", *own] if path and own else own
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            lines += _toml(value, (*path, key))
-    return lines
 
 
 def to_dataset(config: TuneConfig, found: Tuned) -> xr.Dataset:

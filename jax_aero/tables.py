@@ -120,6 +120,14 @@ def plain(config: Any) -> dict[str, Any]:
     return table
 
 
+def toml(table: Mapping[str, Any], section: str = "") -> str:
+    """Return a table as TOML: numbers, texts, truth, lists of these, and tables as sections; no list of tables."""
+    own = [f"{key} = {json.dumps(value)}" for key, value in table.items() if not isinstance(value, Mapping)]
+    head = [f"[{section}]"] if section and (own or not table) else []
+    inner = [toml(value, _join(section, key)) for key, value in table.items() if isinstance(value, Mapping)]
+    return "\n\n".join(filter(None, ["\n".join(head + own), *inner]))
+
+
 def schema(kind: Any) -> dict[str, Any]:
     """Return the JSON Schema of a type."""
     return msgspec.json.schema(kind, schema_hook=_path_schema)

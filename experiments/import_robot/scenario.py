@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -34,7 +32,8 @@ def controller_text(robot: Robot, groups: Sequence[str], inertia: float, folder:
     table["torque"] |= {"kd": 10.0, "kp": 25.0}
     # Half the greatest thrust in a second; at a limit a rate fades out within as much thrust as one tick can change.
     table["bounds"] |= {"thrust_rate_max": reach, "thrust_steepness": 100.0 / max(reach.values(), default=100.0)}
-    return f"# Controller of {robot.name}: configs/control/aero_aware.toml for its jets and joints.\n" + _toml(table)
+    about = f"# Controller of {robot.name}: configs/control/aero_aware.toml for its jets and joints."
+    return f"{about}\n{tables.toml(table)}\n"
 
 
 def scenario_text(robot: Robot, trim: TrimResult, folder: Path, *, mission: str, wind: str, duration: float) -> str:
@@ -72,18 +71,3 @@ def _mirrored(name: str) -> str:
 
 def _relative(path: Path, folder: Path) -> str:
     return os.path.relpath(path.resolve(), folder.resolve())
-
-
-def _toml(table: Mapping[str, Any]) -> str:
-    plain = {key: value for key, value in table.items() if not isinstance(value, Mapping)}
-    lines = [f"{key} = {_value(value)}" for key, value in plain.items()]
-    for name, section in table.items():
-        if isinstance(section, Mapping):
-            lines += ["", f"[{name}]", *(f"{key} = {_value(value)}" for key, value in section.items())]
-    return "\n".join(lines) + "\n"
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {_value(entry)}" for key, entry in value.items()) + " }"
-    return json.dumps(value)  # numbers, texts, truth and lists are written alike

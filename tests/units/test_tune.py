@@ -1,6 +1,7 @@
 """Tuning by gradient: the gradient of the cost, the loop on a toy, a run that is stopped and goes on."""
 
 import itertools
+import tomllib
 from typing import Any, NamedTuple
 
 import jax
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from experiments import study, tune
-from jax_aero import rust, sim
+from jax_aero import rust, sim, tables
 from jax_aero.command import Refused
 from jax_aero.places import CONFIGS
 from jax_aero.sim import FlightRow
@@ -88,6 +89,13 @@ def test_the_gradient_is_that_of_the_cost(scenario, monkeypatch, measured):
         assert abs(float(slope[index])) > 1e-4
         because = "step² f‴/6 with f‴ of order one is 2e-11, rounding 20 ε |f|/step is 1e-9"
         measured(key, abs(float(slope[index]) - quotient), 2e-8, because=because)
+
+
+def test_a_table_is_written_as_it_is_read():
+    for path in sorted((CONFIGS / "control").glob("*.toml")):
+        assert tomllib.loads(tables.toml(tables.read(path))) == tables.read(path), path.name
+    empty = {"a": {"b": {}, "c": {"d": [1, 2.5, "é"]}}}
+    assert tomllib.loads(tables.toml(empty)) == empty
 
 
 def test_a_factor_scales_what_its_key_names(scenario):
