@@ -35,7 +35,7 @@ LEAST_FIRST = (
 """Levels of the ablation of terms, from no feedback to all of it."""
 
 MOSTLY = 0.95
-"""Share of a flight's perturbed neighbours that arrive, from which on the flight counts as flown."""
+"""Share of a flight's perturbed neighbours that complete, from which on the flight counts as flown."""
 
 LEANING = 45.0
 """Rotation error beyond which a flight that completes does not count as balanced [deg]."""
