@@ -18,7 +18,6 @@ from experiments import flight
 from experiments.study import Findings, Study
 from jax_aero import rust, tables
 from jax_aero.places import ROBOT
-from jax_aero.summary import SETTLING_TIME
 
 ENGINES = {"P160": 160.0, "P100": 100.0}
 """Greatest thrust of each arm [N]: of the published flights, and of the published balancing experiments."""
@@ -80,13 +79,11 @@ def with_arms(robot: str, engine: str, limit: float) -> str:
 
 def outcome_of(result: rust.FlightResult) -> dict[str, Any]:
     """Return how a flight ended, and its extremes."""
-    log = result.log
-    settled = log["time"] >= SETTLING_TIME
-    error = np.linalg.norm(log["com_position"] - log["com_setpoint"], axis=1)
+    thrust = result.log["thrust"]
     return {
         "outcome": result.outcome,
-        "arm_thrust_max": float(log["thrust"][:, :2].max()),
-        "chest_thrust_max": float(log["thrust"][:, 2:].max()),
-        "rotation_error": float(np.degrees(log["rotation_error"].max())),
-        "com_error": float(error[settled].max()),
+        "arm_thrust_max": float(thrust[:, :2].max()),
+        "chest_thrust_max": float(thrust[:, 2:].max()),
+        "rotation_error": float(np.degrees(result.summary["max_rotation_error"])),
+        "com_error": result.summary["max_com_error"],
     }
