@@ -68,7 +68,7 @@ pub struct FlightMeasurement {
     /// Thrusts [N], one per jet.
     pub thrust: *const f64,
     /// Velocity of the air [m/s, inertial axes]; NaN where it is not measured. Zero is still air, and is
-    /// believed: without a wind sensor use a controller without aerodynamic model, or `wind_observer`.
+    /// believed: without a wind sensor use `controller.wind_observer`, or a controller without aerodynamic model.
     pub wind: [f64; 3],
     /// Wrench on each foot about the origin of its sole, force first [N, N m, inertial axes], six per
     /// foot, in the order of `controller.contact.feet`. Null is no load on any foot.
@@ -368,6 +368,18 @@ pub unsafe extern "C" fn flight_jet_name(controller: *const FlightController, in
 pub unsafe extern "C" fn flight_time_step(controller: *const FlightController) -> f64 {
     // SAFETY: by this function's contract.
     unsafe { controller.as_ref() }.map_or(0.0, |controller| controller.time_step)
+}
+
+/// In which ways the last tick differs from one that measures everything, as a sum: the wind is 1 held, 2 lost; 4 a thrust,
+/// 8 the joints, 16 base position, 32 its rotation, 64 its velocity are predicted; 128 the wrenches on the feet are held;
+/// 256 the clock is predicted; 512 on the way down; 1024 an engine does not reach its thrust. Zero for null.
+///
+/// # Safety
+/// As for `flight_joint_count`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flight_modes(controller: *const FlightController) -> u32 {
+    // SAFETY: by this function's contract.
+    unsafe { controller.as_ref() }.map_or(0, |controller| controller.controller.command().modes.bits())
 }
 
 /// Begins a flight: position, attitude and posture of this measurement are those to keep. Allocates, so

@@ -233,7 +233,10 @@ fn what_cannot_be_used_is_refused() {
     assert_eq!(start(&measurement), FlightStatus::FlightNominal);
     assert_eq!(tick(&lacking), FlightStatus::FlightNullPointer);
     assert_eq!(tick(&wrong), FlightStatus::FlightDegraded);
+    assert_eq!(unsafe { flight_modes(c.0) }, 16, "the position is predicted");
     assert_eq!(tick(&measurement), FlightStatus::FlightNominal);
+    assert_eq!(unsafe { flight_modes(c.0) }, 0);
+    assert_eq!(unsafe { flight_modes(null()) }, 0);
     let setpoint = FlightSetpoint {
         com_position: [0.0; 3],
         com_velocity: [0.0; 3],

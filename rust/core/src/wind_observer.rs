@@ -9,7 +9,7 @@
 //! uncertainty, as far as the estimate depends on them (Schmidt's filter). How large those of the model are is seen in
 //! the moment, which no wind of the estimate explains.
 //!
-//! It stands beside the controller: it reads what a tick computed, and the next tick is given its wind. A robot that
+//! It reads what a tick computed, and the next tick is given its wind. A robot that
 //! stands upright gets little force from a vertical wind, which is therefore held near zero by what is known of winds.
 //!
 //! Equations M94 and M110 of `docs/model.md`.
