@@ -2,15 +2,16 @@
 
 Perturbed flights of TEST2 in turbulent winds from everywhere are flown by a controller that is given the wind of its
 wind observer: in the air of its own model, axisymmetric or network, and with the axisymmetric model in the network's
-air. Of each wind it keeps the root mean square of the horizontal error, and the share of the time that each horizontal
-component is within its 90 % interval, from 8 s on. The result goes to `results/wind_observer/turbulence/`.
+air; where `worlds` names it, in the air of its own axisymmetric model with realistic sensors, too. Of each wind it
+keeps the root mean square of the horizontal error, and the share of the time that each horizontal component is within
+its 90 % interval, from 8 s on. The result goes to `results/wind_observer/turbulence/`.
 """
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
@@ -27,10 +28,12 @@ TURBULENCE = 0.1
 """Standard deviation of the wind over its speed."""
 QUANTILE = 1.645
 """Of the normal distribution, for 90 %."""
-WORLDS = {
+World = Literal["axisymmetric", "network", "axisymmetric in the network's air", "realistic sensors"]
+WORLDS: dict[World, tuple[str, str | None]] = {
     "axisymmetric": ("test2_observer", None),
     "network": ("robustness_observer", "simulator.aero"),
     "axisymmetric in the network's air": ("robustness_observer", None),
+    "realistic sensors": ("test2_sensors", None),
 }
 """Experiment of each, and the key of the controller's model of the air where it is not the experiment's own."""
 
@@ -38,6 +41,8 @@ WORLDS = {
 class WindEstimate(tables.Table, frozen=True):
     """Which flights are flown."""
 
+    worlds: tuple[World, ...] = ("axisymmetric", "network", "axisymmetric in the network's air")
+    """In which worlds."""
     speeds: tuple[tables.Positive, ...] = (6.0, 8.0, 10.0, 14.0, 18.0)
     """Of the wind [m/s]."""
     flights: int = 12
@@ -49,7 +54,7 @@ class WindEstimate(tables.Table, frozen=True):
 def compute(_: str, asked: WindEstimate) -> Findings:
     """Fly and judge."""
     found: dict[str, dict[str, float]] = {}
-    for world in WORLDS:
+    for world in asked.worlds:
         for speed in asked.speeds:
             results = rust.fly_batch(list(configurations(world, speed, asked.flights, asked.seed)), full_log=True)
             errors, inside = zip(*(judged(result.log) for result in results), strict=True)
@@ -59,7 +64,7 @@ def compute(_: str, asked: WindEstimate) -> Findings:
                 "completed": sum(result.outcome == "completed" for result in results),
             }
     units = {"rms": ("m s-1", "root mean square error"), "inside": ("1", "share inside the 90 % interval")}
-    shape = (len(WORLDS), len(asked.speeds))
+    shape = (len(asked.worlds), len(asked.speeds))
     data = xr.Dataset(
         {
             key: (
@@ -69,14 +74,18 @@ def compute(_: str, asked: WindEstimate) -> Findings:
             )
             for key, (unit, name) in units.items()
         },
-        {"world": list(WORLDS), "speed": ("speed", list(asked.speeds), {"units": "m s-1", "long_name": "wind speed"})},
+        {
+            "world": list(asked.worlds),
+            "speed": ("speed", list(asked.speeds), {"units": "m s-1", "long_name": "wind speed"}),
+        },
     )
     report = "\n".join(
         f"  {name:<45} rms {figures['rms']:.2f} m/s, {100 * figures['inside']:.0f} % inside, "
         f"{figures['completed']} of {asked.flights} completed"
         for name, figures in found.items()
     )
-    flights = {base: rust.load_config(flight.find(base)) for base in ("test2_observer", "robustness_observer")}
+    bases = sorted({WORLDS[world][0] for world in asked.worlds})
+    flights = {base: rust.load_config(flight.find(base)) for base in bases}
     return Findings("Wind from the wrench", data, found, flights=flights, report=report)
 
 
@@ -84,7 +93,7 @@ STUDY = Study("wind_observer", __doc__, WindEstimate, compute, ("turbulence",), 
 main = STUDY.main
 
 
-def configurations(world: str, speed: float, flights: int, seed: int) -> Iterator[dict[str, Any]]:
+def configurations(world: World, speed: float, flights: int, seed: int) -> Iterator[dict[str, Any]]:
     """Yield perturbed flights in turbulent winds of this speed, from directions all around."""
     name, model = WORLDS[world]
     settings = {"simulator.duration": DURATION, "controller.wind_observer": {}}

@@ -50,9 +50,9 @@ def test_estimated_winds_are_judged_over_all_flights_of_a_speed(monkeypatch, mak
         return results
 
     monkeypatch.setattr(rust, "fly_batch", fly_batch)
-    asked = wind_observer.WindEstimate(speeds=(6.0, 10.0), flights=2)
+    asked = wind_observer.WindEstimate(worlds=tuple(wind_observer.WORLDS), speeds=(6.0, 10.0), flights=2)
     found = wind_observer.compute("turbulence", asked)
-    worlds = len(wind_observer.WORLDS)
+    worlds = len(asked.worlds)
     assert len(found.summary) == len(flown) == 2 * worlds
     assert found.dataset["rms"].shape == (worlds, 2)
     agree("rms", found.dataset["rms"].values, np.ones((worlds, 2)), 1e-12)
