@@ -23,7 +23,9 @@ from tests.shown import in_a_folder_of_its_own
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-PAGES = sorted([DOCS / "failures.md", DOCS / "index.md", DOCS / "start.md", *DOCS.glob("tutorial/*.md"), *DOCS.glob("howto/*.md")])
+PAGES = sorted(
+    [DOCS / "failures.md", DOCS / "index.md", DOCS / "start.md", *DOCS.glob("tutorial/*.md"), *DOCS.glob("howto/*.md")]
+)
 FENCE = re.compile(r"(?:<!-- test: (?P<kind>[\w-]+) -->\n)?^```(?P<language>\w+)\n(?P<code>.*?)^```$", re.M | re.S)
 KINDS = {
     ("run", "python"),
