@@ -23,9 +23,8 @@ from tests.shown import in_a_folder_of_its_own
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-PAGES = sorted(
-    [DOCS / "failures.md", DOCS / "index.md", DOCS / "start.md", *DOCS.glob("tutorial/*.md"), *DOCS.glob("howto/*.md")]
-)
+NAMED = [DOCS / f"{page}.md" for page in ("deviations", "failures", "index", "start")]
+PAGES = sorted([*NAMED, *DOCS.glob("tutorial/*.md"), *DOCS.glob("howto/*.md")])
 FENCE = re.compile(r"(?:<!-- test: (?P<kind>[\w-]+) -->\n)?^```(?P<language>\w+)\n(?P<code>.*?)^```$", re.M | re.S)
 KINDS = {
     ("run", "python"),
