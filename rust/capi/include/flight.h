@@ -57,7 +57,7 @@ typedef struct FlightMeasurement {
   // Thrusts [N], one per jet.
   const double *thrust;
   // Velocity of the air [m/s, inertial axes]; NaN where it is not measured. Zero is still air, and is
-  // believed: without a wind sensor use a controller without aerodynamic model, or `wind_observer`.
+  // believed: without a wind sensor use `controller.wind_observer`, or a controller without aerodynamic model.
   double wind[3];
   // Wrench on each foot about the origin of its sole, force first [N, N m, inertial axes], six per
   // foot, in the order of `controller.contact.feet`. Null is no load on any foot.
@@ -148,6 +148,14 @@ const char *flight_jet_name(const struct FlightController *controller, size_t in
 // # Safety
 // As for `flight_joint_count`.
 double flight_time_step(const struct FlightController *controller);
+
+// In which ways the last tick differs from one that measures everything, as a sum: the wind is 1 held, 2 lost; 4 a thrust,
+// 8 the joints, 16 base position, 32 its rotation, 64 its velocity are predicted; 128 the wrenches on the feet are held;
+// 256 the clock is predicted; 512 on the way down; 1024 an engine does not reach its thrust. Zero for null.
+//
+// # Safety
+// As for `flight_joint_count`.
+uint32_t flight_modes(const struct FlightController *controller);
 
 // Begins a flight: position, attitude and posture of this measurement are those to keep. Allocates, so
 // it is called before the loop; a flight under way ends.

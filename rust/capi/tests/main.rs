@@ -10,7 +10,7 @@ use counting::{Counting, allocations};
 use flight::{
     FlightCommand, FlightController, FlightMeasurement, FlightSetpoint, FlightStatus,
     flight_controller_create, flight_controller_free, flight_foot_count, flight_jet_count, flight_jet_name,
-    flight_joint_count, flight_joint_name, flight_start, flight_tick, flight_time_step,
+    flight_joint_count, flight_joint_name, flight_modes, flight_start, flight_tick, flight_time_step,
 };
 use flight_core::Measurement;
 use flight_core::control::setpoint::Setpoint;
