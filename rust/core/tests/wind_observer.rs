@@ -156,7 +156,7 @@ fn bad_wind_observers_are_refused_by_name() {
     type Change = fn(&mut ScenarioConfig);
     let refusals: [(&str, Change); 7] = [
         ("controller.wind_observer.gain is 0", |c| {
-            c.controller.law.wind_observer.as_mut().unwrap().gain = 0.0
+            c.controller.law.wind_observer.as_mut().unwrap().gain = 0.0;
         }),
         ("controller.wind_observer.gain is 101", |c| {
             c.controller.law.wind_observer.as_mut().unwrap().gain = 101.0;
