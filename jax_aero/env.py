@@ -25,6 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, Key
 
+from jax_aero.control import estimator
 from jax_aero.control.protocol import Command, Measurement
 from jax_aero.control.tick import MomentumController
 from jax_aero.env_task import Seen, Task, added_torque, observation, rewards, steering
@@ -90,6 +91,9 @@ class Steered:
             velocities - command.joint_velocity,
         )
         torque = jnp.clip(command.joint_torque + more, -inner.torque_max, inner.torque_max)
+        if memory.estimator is not None:
+            # What acts until the next tick is not what the controller asked for.
+            memory = memory._replace(estimator=estimator.amend(memory.estimator, torque, rates))
         return memory, command._replace(thrust_rate=rates, joint_torque=torque, joint_velocity=velocities)
 
 

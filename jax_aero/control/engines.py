@@ -71,7 +71,7 @@ class EngineState(NamedTuple):
 
 def engine_limits(config: EnginesConfig, robot: RobotModel) -> EngineLimits:
     """Collect the numbers of a configuration."""
-    none = np.zeros(robot.n_joints)
+    none = leaf(np.zeros(robot.n_joints))
     descent = config.descent
     return EngineLimits(
         time_constant=leaf(config.time_constant),

@@ -1,4 +1,4 @@
-"""State estimator beside the controller: the robot's model, corrected by measurements, and ahead of their age.
+"""State estimator of the controller: the robot's model, corrected by measurements, and ahead of their age.
 
 ```text
 measured at age d ──► wait until all are of one age D ──► correct x̂(t − D)
@@ -25,7 +25,7 @@ from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.kinematics import frame_poses, generalised_force, kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import cross, exp_so3, log_so3, multiply, project_to_so3, rotate
-from jax_aero.types import Array, State, leaf, pytree, where
+from jax_aero.types import Array, State, Static, leaf, pytree, where
 
 GREATEST = 1e6
 """Beyond this no number of a robot is a measurement [m, m/s, rad/s, N]."""
@@ -68,6 +68,8 @@ class Estimator:
     aero: AeroModel
     time_step: Float[Array, ""]
     """[s]."""
+    greatest_age: Static[int]
+    """In ticks."""
 
 
 class EstimatorState(NamedTuple):
@@ -107,20 +109,20 @@ def estimator(config: EstimatorConfig, aero: AeroModel, time_step: Float[Array, 
         age[5], share[4], share[5] = 0, 1.0 - pole**3, 0.0
         by_position = [left * left * (1.0 + 2.0 * pole), left**3]
     ages = jnp.asarray(age, jnp.int32)
-    return Estimator(ages, leaf(share), leaf(by_position), aero, time_step)
+    return Estimator(ages, leaf(share), leaf(by_position), aero, time_step, max(age))
 
 
-def start(settings: Estimator, first: Reading) -> EstimatorState:
-    """Return the state of an estimator that has measured this for as long as it looks back. Outside loops."""
-    length = int(np.max(settings.age)) + 1
+def start(settings: Estimator, state: State, jets: int) -> EstimatorState:
+    """Return the state before the first measurement, which takes the place of the given state and of zero thrusts."""
 
     def often(x: Array) -> Array:
-        return jnp.stack([jnp.asarray(x)] * length)
+        return jnp.stack([x] * (settings.greatest_age + 1))
 
-    rest = jnp.zeros_like(first.state.velocity)
-    order = Order(rest[6:], jnp.zeros_like(first.thrust), rest[:6], rest[:3])
-    line, orders = jax.tree.map(often, (first, order))
-    return EstimatorState(line, orders, first, rest[6:], jnp.array(0, jnp.int32))
+    rest = jnp.zeros_like(state.velocity)
+    nothing = Reading(jax.tree.map(jnp.asarray, state), jnp.zeros(jets, rest.dtype))
+    order = Order(rest[6:], nothing.thrust, rest[:6], rest[:3])
+    line, orders = jax.tree.map(often, (nothing, order))
+    return EstimatorState(line, orders, nothing, rest[6:], jnp.array(0, jnp.int32))
 
 
 def update(
@@ -128,14 +130,18 @@ def update(
 ) -> tuple[EstimatorState, Reading]:
     """Take a measurement in; the state of the next tick, and the estimate of now.
 
-    Numbers that cannot be (`GREATEST`) correct nothing, and are NaN in the estimate, so that the controller knows. An
-    estimate that is not finite begins anew with what is measured.
+    The first one begins the flight: it is taken for what had been before it. Numbers that cannot be (`GREATEST`)
+    correct nothing, and are NaN in the estimate, so that the controller knows. An estimate that is not finite begins
+    anew with what is measured.
     """
-    line = jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), before.line, measured)
+    # Chosen before anything is computed: neither numbers nor derivatives of the first tick depend on those of `start`.
+    always = jax.tree.map(lambda old, new: jnp.broadcast_to(new, old.shape), before.line, measured)
+    line, then = where(before.ticks == 0, (always, measured), (before.line, before.then))
+    line = jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), line, measured)
     oldest = before.orders.torque.shape[0] - 1
     last: Order = jax.tree.map(lambda x: x[-1], before.orders)
-    moved = advance(settings, robot, before.then, last, before.disturbance)
-    then = where(before.ticks > oldest, moved, before.then)
+    moved = advance(settings, robot, then, last, before.disturbance)
+    then = where(before.ticks > oldest, moved, then)
     is_sound = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(then)]))
     then = where(is_sound, then, measured)
     unexplained = jnp.where(is_sound, before.disturbance, 0.0)
@@ -164,6 +170,16 @@ def command(state: EstimatorState, order: Order) -> EstimatorState:
     """Return the state with what acts from this tick to the next."""
     return state._replace(
         orders=jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), state.orders, order)
+    )
+
+
+def amend(state: EstimatorState, torque: Float[Array, " n"], thrust_rate: Float[Array, " j"]) -> EstimatorState:
+    """Return the state with another command [N m, N/s] in place of the last one."""
+    orders = state.orders
+    return state._replace(
+        orders=orders._replace(
+            torque=orders.torque.at[0].set(torque), thrust_rate=orders.thrust_rate.at[0].set(thrust_rate)
+        )
     )
 
 

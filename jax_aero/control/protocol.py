@@ -33,8 +33,12 @@ class Measurement(NamedTuple):
 class Terms(NamedTuple):
     """All intermediate values of a tick of the momentum controller."""
 
+    given: Measurement
+    """What the estimators made of the measurement."""
     seen: Seen
     """The measurement as it was used: predicted where it is not measured."""
+    wind_std: Float[Array, "3"]
+    """Standard deviation of the wind in `given` [m/s]; zero without a wind observer."""
     kinematics: Kinematics
     dynamics: Dynamics
     link_forces: LinkForces

@@ -88,7 +88,7 @@ def task_params(config: ControllerSection, robot: RobotModel, time_step: float) 
     velocity_max = in_place_of(robot.joint_velocity_max, None if common is None else np.deg2rad(common), robot)
     thrust_rate_max = _by_name("bounds.thrust_rate_max", bounds.thrust_rate_max, robot.jets.names, robot)
     descent = None if config.engines is None else config.engines.descent
-    none = np.zeros(robot.n_joints)
+    none = leaf(np.zeros(robot.n_joints))
     fast = none if descent is None else in_place_of(none, np.deg2rad(descent.joint_velocity_max_deg), robot)
     _check_steepness("thrust_steepness", bounds.thrust_steepness, thrust_rate_max, time_step)
     _check_steepness("joint_steepness", bounds.joint_steepness, jnp.maximum(velocity_max, fast), time_step)

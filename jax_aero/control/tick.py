@@ -1,7 +1,8 @@
 """The flight controller: one tick, from a measurement to thrust rates and joint torques.
 
-`tick` reads top to bottom as the controller does: set-point, kinematics and dynamics, aerodynamic forces, momentum,
-tasks, QP, torques. It is a pure function of one sample; `vmap`, `jit`, `grad` and `scan` at the call site.
+`tick` reads top to bottom as the controller does: estimates of state and wind, set-point, kinematics and dynamics,
+aerodynamic forces, momentum, tasks, QP, torques. It is a pure function of one sample; `vmap`, `jit`, `grad` and `scan`
+at the call site.
 
 >>> params = momentum_controller(config, robot)
 >>> memory = init(params, robot, state)
@@ -31,12 +32,13 @@ from jax_aero.aero import (
 )
 from jax_aero.aero.network_card import load_network
 from jax_aero.config import MissionConfig, RateFeedback, ScenarioConfig
-from jax_aero.control import channels, engines, observer, qp
+from jax_aero.control import channels, engines, estimator, observer, qp, wind_observer
 from jax_aero.control import setpoint as generator
 from jax_aero.control.attitude import TaskGains, attitude_demand
 from jax_aero.control.bounds import rate_bounds
 from jax_aero.control.channels import ChannelLimits, ChannelsState, Seen, channel_limits
 from jax_aero.control.engines import EngineLimits, EngineState
+from jax_aero.control.estimator import Estimator, EstimatorState, Order, Reading
 from jax_aero.control.momentum import momentum_model
 from jax_aero.control.observer import ObserverGains, ObserverState
 from jax_aero.control.protocol import Command, Measurement, Terms
@@ -45,6 +47,7 @@ from jax_aero.control.recorded import Recording, read_reference, recording
 from jax_aero.control.setpoint import Commands, SetpointParams, SetpointState
 from jax_aero.control.tasks import Task, TaskInputs, TaskParams, in_place_of, momentum_qp, symmetric_pairs, task_params
 from jax_aero.control.torque import TorqueParams, limit_rate, torque_qp
+from jax_aero.control.wind_observer import WindObserver, WindState
 from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.kinematics import generalised_force, kinematics
 from jax_aero.robot import RobotModel
@@ -97,6 +100,10 @@ class MomentumController:
     """[N m/s]."""
     setpoint: SetpointParams
     channels: ChannelLimits
+    estimator: Estimator | None
+    """Between the measurement and the rest of the tick, where there is one."""
+    wind_observer: WindObserver | None
+    """Estimates the wind in place of the one that is measured; `None` where that is used."""
     observer: ObserverGains | None
     engines: EngineLimits | None
     mission: Commands | Recording
@@ -132,6 +139,10 @@ class ControllerState(NamedTuple):
     """Last command [N m]."""
     torque_is_known: Bool[Array, ""]
     """Whether the rate limiter has a torque to start from."""
+    estimator: EstimatorState | None
+    """`None` without an estimator."""
+    wind: WindState | None
+    """The estimated wind of the next tick; `None` without a wind observer."""
     observer: ObserverState | None
     """The observed wrench, and the measurement that the next one is compared with; `None` without an observer."""
     engines: EngineState | None
@@ -167,7 +178,8 @@ def momentum_controller(
     if controller.contact is not None or not controller.use_jets:
         key, value = ("contact", "given") if controller.contact is not None else ("use_jets", "false")
         raise ValueError(f"`controller.{key}` is {value}; expected a controller that flies: JAX has no feet")
-    feedback = controller.aero_feedback
+    feedback, aero = controller.aero_feedback, controller_aero(config, robot, read_network)
+    estimates, winds = controller.estimator, controller.wind_observer
     return MomentumController(
         switches=Switches(
             LinkConventions(controller.lever_arm, controller.jacobian_offset, controller.link_velocity),
@@ -175,7 +187,7 @@ def momentum_controller(
             torque=feedback.torque,
             symmetric_pairs=symmetric_pairs(controller, robot),
         ),
-        aero=controller_aero(config, robot, read_network),
+        aero=aero,
         rate_feedback=_components(feedback.momentum_rate),
         momentum=leaves(TaskGains, controller.momentum),
         tasks=task_params(controller, robot, config.simulator.time_step),
@@ -185,6 +197,8 @@ def momentum_controller(
         torque_rate_max=in_place_of(robot.joint_torque_rate_max, controller.torque.torque_rate_max, robot),
         setpoint=generator.setpoint_params(controller.setpoint, robot.forward_axis, time_step),
         channels=channel_limits(controller.channels, robot),
+        estimator=None if estimates is None else estimator.estimator(estimates, aero, time_step),
+        wind_observer=None if winds is None else wind_observer.wind_observer(winds, aero),
         observer=None if controller.observer is None else leaves(ObserverGains, controller.observer),
         engines=None if controller.engines is None else engines.engine_limits(controller.engines, robot),
         mission=_mission(config.mission),
@@ -206,7 +220,7 @@ def init(params: MomentumController, robot: RobotModel, state: State) -> Control
     """Start the controller at the state of its first tick, whose position, attitude and posture it will keep."""
     kin = kinematics(robot, state)
     inertia = dynamics(robot, state, kin).centroidal_inertia
-    rotation, n = state.base_rotation, robot.n_joints
+    rotation, n, jets = state.base_rotation, robot.n_joints, params.tasks.thrust_rate.shape[0]
     zeros = jnp.zeros_like(state.joint_position)
     return ControllerState(
         setpoint=generator.start(params.setpoint, kin.com, rotation),
@@ -216,9 +230,11 @@ def init(params: MomentumController, robot: RobotModel, state: State) -> Control
         velocity_error_integral=zeros,
         joint_torque=zeros,
         torque_is_known=jnp.array(False),
+        estimator=None if params.estimator is None else estimator.start(params.estimator, state, jets),
+        wind=None if params.wind_observer is None else wind_observer.start(params.wind_observer),
         observer=None if params.observer is None else observer.start(zeros),
         engines=None if params.engines is None else engines.start(jnp.zeros_like(params.tasks.thrust_rate)),
-        momentum_start=qp.cold_start(params.tasks.thrust_rate.shape[0] + n, zeros.dtype),
+        momentum_start=qp.cold_start(jets + n, zeros.dtype),
         torque_start=qp.cold_start(n, zeros.dtype),
     )
 
@@ -238,10 +254,20 @@ def tick(
     `time` [s], `thrust` [N], `wind` [m/s, inertial axes]. With `setpoint` the mission is not followed; on the way down
     neither is.
 
-    What of the measurement is missing or cannot be right is predicted from what is known; the command says what.
+    The estimator, if there is one, makes its estimate of state and thrusts; the wind observer puts its wind of before
+    this tick in the place of the measured one. What of the measurement is missing or cannot be right is predicted from
+    what is known; the command says what.
     """
     with jax.default_matmul_precision("highest"):
-        known, seen = channels.update(params.channels, memory.channels, params.time_step, time, state, thrust, wind)
+        wind_std = jnp.zeros_like(wind)
+        if params.estimator is not None and memory.estimator is not None:
+            measured = Reading(state, thrust)
+            estimating, (state, thrust) = estimator.update(params.estimator, robot, memory.estimator, measured)
+            memory = memory._replace(estimator=estimating)
+        if memory.wind is not None:
+            wind, wind_std = memory.wind.wind, memory.wind.std
+        given = Measurement(time, state, thrust, wind)
+        known, seen = channels.update(params.channels, memory.channels, params.time_step, *given)
         memory = memory._replace(channels=known)
         if setpoint is None:
             along = generator.update(params.setpoint, params.mission, memory.setpoint, seen.time)
@@ -249,14 +275,22 @@ def tick(
             along = generator.follow(params.setpoint, memory.setpoint, generator.motion_of(setpoint)), setpoint
         down = generator.descend(params.setpoint, memory.setpoint)
         moved, followed = where(known.is_descending, down, along)
-        return _act(params, robot, memory._replace(setpoint=moved), seen, followed)
+        after, command, terms = _act(params, robot, memory._replace(setpoint=moved), given, seen, wind_std, followed)
+        if params.wind_observer is not None and after.wind is not None:
+            after = after._replace(wind=wind_observer.update(params.wind_observer, robot, after.wind, terms))
+        if after.estimator is not None:
+            order = Order(command.joint_torque, command.thrust_rate, terms.momentum.unmodelled_wrench, seen.wind)
+            after = after._replace(estimator=estimator.command(after.estimator, order))
+        return after, command, terms
 
 
 def _act(
     params: MomentumController,
     robot: RobotModel,
     memory: ControllerState,
+    given: Measurement,
     seen: Seen,
+    wind_std: Array,
     setpoint: Setpoint,
 ) -> tuple[ControllerState, Command, Terms]:
     """Tick on a measurement that can be used."""
@@ -380,5 +414,5 @@ def _act(
         momentum_start=wanted.warm_start,
         torque_start=pushed.warm_start,
     )
-    terms = Terms(seen, kin, dyn, link, momentum, setpoint, attitude, shaping, following, pushed.x)
+    terms = Terms(given, seen, wind_std, kin, dyn, link, momentum, setpoint, attitude, shaping, following, pushed.x)
     return after, command, terms

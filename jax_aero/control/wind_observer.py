@@ -5,7 +5,7 @@ dẑ/dt = K_o (L̇ − A_T T + m g e₃ − ẑ)                   the wrench of
 ẑ_f = Σ f_j(v_w) + noise + e,  dv_w = random walk       an extended Kalman filter, e constant
 ```
 
-It stands beside the controller: it reads what a tick computed, and the next tick is given its wind.
+A tick of the controller ends with it: it reads what the tick computed, and the next tick uses its wind.
 
 Equations M94 and M110 of `docs/model.md`.
 """

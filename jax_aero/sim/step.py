@@ -26,13 +26,10 @@ from jaxtyping import Float, Int
 from jax_aero.aero import AeroModel, ReadNetwork
 from jax_aero.aero.network_card import load_network
 from jax_aero.config import ModelError, ScenarioConfig
-from jax_aero.control import estimator as estimating
-from jax_aero.control import wind_observer as wind_observing
-from jax_aero.control.estimator import Estimator, EstimatorState, Order, Reading
+from jax_aero.control.estimator import Reading
 from jax_aero.control.protocol import Command, Controller, Measurement
-from jax_aero.control.tick import controller_aero, momentum_controller
+from jax_aero.control.tick import momentum_controller
 from jax_aero.control.wind_estimate import WindEstimate, measured_wind, wind_estimate
-from jax_aero.control.wind_observer import WindObserver, WindState
 from jax_aero.io import scenario_config
 from jax_aero.jet_faults import known_limits
 from jax_aero.jets import JetDynamics
@@ -115,10 +112,6 @@ class Scenario:
     """Errors of the measured wind; `None` if it is measured exactly."""
     sensors: Sensors | None
     """Errors of what is measured of the robot; `None` if its state is known exactly."""
-    estimator: Estimator | None
-    """Between what is measured and the controller, where there is one."""
-    wind_observer: WindObserver | None
-    """Estimates the wind for the controller; `None` where the controller is given the wind itself."""
     outages: tuple[Outage, ...]
     """Measurements that fail."""
     n_ticks: Int[Array, ""]
@@ -137,10 +130,6 @@ class FlightState(NamedTuple):
     """Of the last tick [m/s]."""
     sensors: SensorState | None
     """`None` where sensors are exact."""
-    estimator: EstimatorState | None
-    """`None` where there is no estimator."""
-    wind_observer: WindState | None
-    """`None` where the controller is given the wind."""
     outages: tuple[Held, ...]
     """What was measured when each outage began."""
     loss: Int[Array, ""]
@@ -254,8 +243,6 @@ def prepare(
         controller_wind=controller_wind,
         wind_estimate=errors,
         sensors=_sensors(config, plant, ticks),
-        estimator=_estimator(config, plant, read_network),
-        wind_observer=_wind_observer(config, plant, read_network),
         outages=outages_of(config.disturbances.outages, robot),
         n_ticks=jnp.array(ticks, jnp.int32),
         precision="",
@@ -272,20 +259,6 @@ def in_precision(scenario: Scenario, state: FlightState, dtype: Any) -> tuple[Sc
 def _sensors(config: ScenarioConfig, plant: Plant, ticks: int) -> Sensors | None:
     settings = config.simulator.sensors
     return None if settings is None else sensing.sensors(settings, plant.time_step, ticks, plant.robot.jets.count)
-
-
-def _estimator(config: ScenarioConfig, plant: Plant, read_network: ReadNetwork) -> Estimator | None:
-    settings = config.controller.estimator
-    if settings is None:
-        return None
-    return estimating.estimator(settings, controller_aero(config, plant.robot, read_network), plant.time_step)
-
-
-def _wind_observer(config: ScenarioConfig, plant: Plant, read_network: ReadNetwork) -> WindObserver | None:
-    settings = config.controller.wind_observer
-    if settings is None:
-        return None
-    return wind_observing.wind_observer(settings, controller_aero(config, plant.robot, read_network))
 
 
 def _winds(wind: Wind, ticks: int, time_step: Array) -> Array:
@@ -317,16 +290,11 @@ def begin(scenario: Scenario, plant: PlantState) -> FlightState:
     if scenario.sensors is not None:
         before = sensing.start(scenario.sensors, seen)
         _, seen = sensing.read(scenario.sensors, before, seen, jnp.array(0))
-    estimator = None
-    if scenario.estimator is not None:
-        estimator = estimating.start(scenario.estimator, seen)
     return FlightState(
         plant=plant,
         controller=_init(scenario.controller, robot, seen.state),
         measured_wind=jnp.zeros_like(plant.robot.velocity[:3]),
         sensors=before,
-        estimator=estimator,
-        wind_observer=None if scenario.wind_observer is None else wind_observing.start(scenario.wind_observer),
         outages=begin_outages(scenario.outages, first.robot, plant.jets.thrust),
         loss=jnp.array(FLYING, jnp.int32),
         loss_size=jnp.zeros_like(plant.robot.velocity[0]),
@@ -357,37 +325,25 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     at_rest = world.at_rest(state.plant)
     now, air = where(is_sound, (state.plant, wind), (at_rest, jnp.zeros_like(wind)))
 
-    given = air if scenario.controller_wind is None else wind_velocity(scenario.controller_wind, time)
-    wind_measured = given if scenario.wind_estimate is None else _measured_wind(scenario, state, tick)
-    wind_seen, measured, wind_std = state.wind_observer, wind_measured, jnp.zeros_like(wind)
-    if wind_seen is not None:
-        measured, wind_std = wind_seen.wind, wind_seen.std
+    blowing = air if scenario.controller_wind is None else wind_velocity(scenario.controller_wind, time)
+    wind_measured = blowing if scenario.wind_estimate is None else _measured_wind(scenario, state, tick)
     model = plant.robot if scenario.controller_model is None else scenario.controller_model
     said, sensors = Reading(now.robot, plant.jets.feedback(now.jets)), state.sensors
     if scenario.sensors is not None and sensors is not None:
         sensors, said = sensing.read(scenario.sensors, sensors, said, tick)
-    estimator = state.estimator
-    held, sample = spoil(scenario.outages, state.outages, time, Sample(said.state, said.thrust, measured))
-    said = Reading(sample.state, sample.thrust)
-    if scenario.estimator is not None and estimator is not None:
-        estimator, said = estimating.update(scenario.estimator, model, estimator, said)
-    measurement = Measurement(time, *said, sample.wind)
+    held, sample = spoil(scenario.outages, state.outages, time, Sample(*said, wind_measured))
+    measurement = Measurement(time, *sample)
     memory, command = scenario.controller.step(model, state.controller, measurement)
-    if scenario.wind_observer is not None and wind_seen is not None and command.terms is not None:
-        wind_seen = wind_observing.update(scenario.wind_observer, model, wind_seen, command.terms)
-    if estimator is not None:
-        terms = command.terms
-        unmodelled = jnp.zeros_like(now.robot.velocity[:6]) if terms is None else terms.momentum.unmodelled_wrench
-        wind_used = sample.wind if terms is None else terms.seen.wind
-        order = Order(command.joint_torque, command.thrust_rate, unmodelled, wind_used)
-        estimator = estimating.command(estimator, order)
+    given, wind_std = measurement, jnp.zeros_like(wind)
+    if command.terms is not None:
+        given, wind_std = command.terms.given, command.terms.wind_std
     seen = _observe(scenario, now, command, air)
 
     rotation_error = com_error = jnp.zeros_like(now.robot.base_position[0])
     if command.setpoint is not None:
         rotation_error = rotation_angle(multiply(command.setpoint.rotation.T, now.robot.base_rotation))
         com_error = safe_norm(seen.kinematics.com - command.setpoint.com_position)
-    row = _nan_unless(is_sound, _row(time, wind, now, measurement, wind_std, command, seen, rotation_error))
+    row = _nan_unless(is_sound, _row(time, wind, now, given, wind_std, command, seen, rotation_error))
     robot = state.plant.robot
     row = row._replace(
         time=time,
@@ -410,8 +366,6 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
         controller=where(goes_on, memory, state.controller),
         measured_wind=wind_measured,
         sensors=sensors,
-        estimator=estimator,
-        wind_observer=wind_seen,
         outages=where(goes_on, held, state.outages),
         loss=jnp.where(lost_now, loss, state.loss),
         loss_size=jnp.where(lost_now, size, state.loss_size),
@@ -458,9 +412,10 @@ def _measured_wind(scenario: Scenario, state: FlightState, tick: Array) -> Array
 def _observe(scenario: Scenario, state: PlantState, command: Command, wind: Array) -> Observation:
     """Observe the plant; what the controller computed for the same robot in the same state is not computed again."""
     plant, terms = scenario.plant, command.terms
-    is_another = scenario.controller_model is not None or scenario.sensors is not None or scenario.estimator is not None
     channels = getattr(scenario.controller, "channels", None)
-    may_be_predicted = bool(scenario.outages) or (channels is not None and channels.compares)
+    may_be_predicted = channels is not None and channels.compares
+    # Sensors, outages and estimators, also those within another controller, return a state that is another object.
+    is_another = terms is None or terms.given.state is not state.robot or scenario.controller_model is not None
     if terms is None or is_another or may_be_predicted or plant.backend != "tree":
         return world.observe(plant, state, wind)
     return world.observe(plant, state, wind, (terms.kinematics, terms.dynamics))
@@ -504,7 +459,7 @@ def _row(
     time: Array,
     wind: Array,
     state: PlantState,
-    measurement: Measurement,
+    given: Measurement,
     wind_std: Array,
     command: Command,
     seen: Observation,
@@ -553,12 +508,12 @@ def _row(
         ),
         momentum_rate_estimate=(jnp.full_like(momentum, jnp.nan) if terms is None else terms.momentum.rate_estimate),
         unmodelled_wrench=(jnp.full_like(momentum, jnp.nan) if terms is None else terms.momentum.unmodelled_wrench),
-        measured_base_position=measurement.state.base_position,
-        measured_base_quaternion=wxyz_from_rotation(measurement.state.base_rotation),
-        measured_base_velocity=measurement.state.velocity[:6],
-        measured_joint_velocity=measurement.state.velocity[6:],
-        measured_thrust=measurement.thrust,
-        measured_wind=measurement.wind,
+        measured_base_position=given.state.base_position,
+        measured_base_quaternion=wxyz_from_rotation(given.state.base_rotation),
+        measured_base_velocity=given.state.velocity[:6],
+        measured_joint_velocity=given.state.velocity[6:],
+        measured_thrust=given.thrust,
+        measured_wind=given.wind,
         measured_wind_std=wind_std,
         qp_status=of_qps("status", time.dtype),
         qp_kkt=of_qps("kkt", time.dtype),

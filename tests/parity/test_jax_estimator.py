@@ -11,8 +11,11 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.aero import aero_model
-from jax_aero.control import estimator
+from jax_aero.control import Measurement, estimator
 from jax_aero.control.estimator import Order, Reading
+from jax_aero.control.tick import momentum_controller
+from jax_aero.env import Steered
+from jax_aero.env_task import Task
 from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
 from jax_aero.sim import sensors
@@ -47,9 +50,8 @@ def test_both_estimate_the_same_state(x64, measured):
         return (seeing, estimator.command(estimating, order)), found
 
     first = jax.tree.map(lambda x: x[0], rows[0])
-    begun = sensors.start(errors, first)
-    _, said = sensors.read(errors, begun, first, jnp.array(0))
-    _, found = jax.lax.scan(tick, (begun, estimator.start(settings, said)), rows)
+    begun = estimator.start(settings, first.state, len(first.thrust))
+    _, found = jax.lax.scan(tick, (sensors.start(errors, first), begun), rows)
     because = "fifty ticks of a model whose joints run away by a factor of 1.5 in each, held by measurements"
     for name, ours in {
         "measured_base_position": found.state.base_position,
@@ -70,7 +72,8 @@ def test_a_lost_number_corrects_nothing_and_the_others_do(absurd, x64, measured)
     settings = estimator.estimator(config.controller.estimator, air, jnp.asarray(config.simulator.time_step))
     state = State(jnp.array([0.1, 0.2, 0.8]), jnp.eye(3), jnp.full(robot.n_joints, 0.1), jnp.zeros(6 + robot.n_joints))
     first = Reading(state, jnp.full(4, 100.0))
-    begun = estimator.start(settings, first)
+    started = estimator.start(settings, state, 4)
+    begun, _ = jax.jit(lambda reading: estimator.update(settings, robot, started, reading))(first)
     said = Reading(state._replace(base_position=state.base_position + 0.01), first.thrust)
     lost = said._replace(thrust=said.thrust.at[2].set(absurd))
     run = jax.jit(lambda reading: estimator.update(settings, robot, begun, reading)[1])
@@ -80,3 +83,58 @@ def test_a_lost_number_corrects_nothing_and_the_others_do(absurd, x64, measured)
     for name in State._fields:
         difference = np.max(np.abs(getattr(found.state, name) - getattr(expected.state, name)))
         measured(name, difference, 1e-12, because="the same operations")
+
+
+@pytest.fixture
+def alone(x64):
+    """A controller with both estimators, its robot, and readings of a robot that hardly moves."""
+    config = scenario_config(rust.load_config(EXPERIMENT, {"controller.wind_observer": {}}))
+    robot, first = load_robot(config.robot), config.simulator.initial
+    rng = np.random.default_rng(7)
+
+    def reading(tick):
+        state = State(
+            jnp.asarray(first.base_position),
+            jnp.diag(jnp.array([-1.0, -1.0, 1.0])),
+            jnp.asarray(first.joint_position),
+            jnp.asarray(0.01 * rng.standard_normal(6 + robot.n_joints)),
+        )
+        return Measurement(jnp.asarray(0.01 * tick), state, jnp.asarray(first.thrust), jnp.array([0.0, 9.0, 0.0]))
+
+    return momentum_controller(config, robot), robot, [reading(tick) for tick in range(10)]
+
+
+def test_a_controller_alone_has_both_estimators_in_its_state(alone):
+    controller, robot, readings = alone
+    step = jax.jit(controller.step)
+
+    def run(memory, readings):
+        states, commands = [memory], []
+        for reading in readings:
+            memory, command = step(robot, memory, reading)
+            states.append(jax.device_get(memory))
+            commands.append(jax.device_get(command))
+        return states, commands
+
+    states, commands = run(controller.init(robot, readings[0].state), readings)
+    assert [int(state.estimator.ticks) for state in states] == list(range(11))
+    for before, after, command, reading in zip(states[:-1], states[1:], commands, readings, strict=True):
+        given, is_first = command.terms.given, before.estimator.ticks == 0
+        # The first estimate is the first measurement.
+        assert np.allclose(given.state.velocity, reading.state.velocity, rtol=1e-12) == is_first
+        assert not np.array_equal(after.wind.wind, before.wind.wind)
+        np.testing.assert_array_equal(given.wind, before.wind.wind)
+        np.testing.assert_allclose(command.terms.wind_std, before.wind.std, rtol=1e-14)
+        np.testing.assert_array_equal(after.estimator.orders.torque[0], command.joint_torque)
+    _, again = run(states[5], readings[5:])
+    for ours, theirs in zip(jax.tree.leaves(again), jax.tree.leaves(commands[5:]), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_the_estimator_is_told_what_acts_where_an_action_is_added(alone):
+    controller, robot, readings = alone
+    steered = Steered(controller, jnp.full(4 + robot.n_joints, 0.5), Task())
+    memory, command = jax.jit(steered.step)(robot, controller.init(robot, readings[0].state), readings[0])
+    orders = memory.estimator.orders
+    np.testing.assert_array_equal(orders.torque[0], command.joint_torque)
+    np.testing.assert_array_equal(orders.thrust_rate[0], command.thrust_rate)

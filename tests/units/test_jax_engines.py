@@ -89,7 +89,8 @@ def test_nothing_is_judged_without_a_momentum():
     state = engines.start(THRUST)
     for tick in range(10):
         state, is_wrong, _ = updated(state, [-30.0 if tick == 0 else 0.0, 0.0], has_momentum=False)
-        assert not state.is_limited.any() and not is_wrong.any()
+        assert not state.is_limited.any()
+        assert not is_wrong.any()
     for tick in range(1, 7):
         state, _, _ = updated(state, [0.0, 0.0])
         np.testing.assert_array_equal(state.is_limited, [tick == 6, False])
@@ -101,7 +102,8 @@ def test_the_limits_of_a_descent_are_those_of_revolute_joints():
     robot = load_robot(CONFIGS / "robot" / "slider.toml")
     descent = engines.engine_limits(config, robot).descent
     slides = np.array(robot.joint_is_prismatic)
-    assert slides.any() and not slides.all()
+    assert slides.any()
+    assert not slides.all()
     speed = np.deg2rad(config.descent.joint_velocity_max_deg)
     np.testing.assert_array_equal(descent.joint_velocity_max, np.where(slides, 0.0, speed))
     np.testing.assert_array_equal(descent.torque_rate_max, np.where(slides, 0.0, config.descent.torque_rate_max))
