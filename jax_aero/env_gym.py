@@ -33,6 +33,9 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def __init__(self, task: Task | None = None) -> None:
         self.task = task or Task()
         self._config = self.task.episode(rust.load_config(self.task.experiment))
+        if self._config["controller"].get("estimator") is not None:
+            expected = "expected none: it would not know what an action adds to the controller's command"
+            raise ValueError(f"`controller.estimator` of {self.task.experiment} is given; {expected}")
         self._robot = rust.Robot(self._config["robot"])
         jets = tables.read(Path(self._config["robot"])).get("jets", [])
         self._thrust_max = np.array([jet["thrust_max"] for jet in jets])

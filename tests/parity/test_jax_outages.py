@@ -40,11 +40,11 @@ ENGINES = {
 OUTAGES = [
     {"channel": "wind", "start": 0.4, "kind": "missing"},
     {"channel": "thrust", "jet": "l_arm_jet", "start": 0.5, "kind": "nan"},
-    {"channel": "base_velocity", "start": 0.6, "duration": 0.2, "kind": "missing"},
+    {"channel": "base_velocity", "start": 0.6, "duration": 0.2, "kind": "frozen"},
     {"channel": "base_rotation", "start": 0.9, "duration": 0.1, "kind": "frozen"},
     {"channel": "base_position", "start": 1.1, "duration": 0.2, "kind": "wrong"},
     {"channel": "joints", "start": 1.4, "duration": 0.05, "kind": "nan"},
-    {"channel": "base_velocity", "start": 1.5, "kind": "frozen"},
+    {"channel": "base_position", "start": 1.5, "kind": "missing"},
     {"channel": "base_rotation", "start": 1.7, "duration": 0.1, "kind": "wrong", "error": 0.4},
 ]
 

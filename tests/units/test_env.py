@@ -79,6 +79,12 @@ def test_both_environments_are_one_task(x64):
     assert float(after.reward[0]) == 0.0
 
 
+def test_gymnasium_refuses_an_estimator():
+    """It would not know what acts; the environment in JAX tells it (`Steered`)."""
+    with pytest.raises(ValueError, match=r"`controller\.estimator` of test2_sensors is given; expected none"):
+        HoverEnv(Task("test2_sensors"))
+
+
 def test_an_action_is_a_residual_or_takes_the_controllers_place():
     action = np.array([1.0, -3.0, 0.5])
     own = np.array([5.0, 6.0]), np.array([0.1])
