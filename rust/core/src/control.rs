@@ -291,6 +291,9 @@ impl Controller {
         } else {
             self.channels.update_clock(&mut state.channels, measurement.time, seen);
             state.observer.hold();
+            if let Some(wind) = &mut state.wind {
+                wind.hold();
+            }
         }
         is_seen
     }
@@ -592,7 +595,6 @@ impl Controller {
         self.command.torque_qp = QpAnswer::refused(QpStatus::NonFinite);
         self.command.status = status;
         self.command.modes = Modes::default();
-        self.terms.seen.has_momentum = false;
         &self.command
     }
 

@@ -169,7 +169,7 @@ impl WindObserver {
         let step = terms.seen.elapsed;
         self.predict(state, step);
         if !terms.seen.has_momentum {
-            state.wrench.hold();
+            state.hold();
             return;
         }
         let mut rate = Vector6::zeros();
@@ -243,6 +243,11 @@ impl WindObserver {
 }
 
 impl WindState {
+    /// A tick whose momentum is not measured: there is nothing to compare the next one with.
+    pub(crate) fn hold(&mut self) {
+        self.wrench.hold();
+    }
+
     /// The wind \[m/s, inertial axes\].
     #[must_use]
     pub fn wind(&self) -> Vector3<f64> {

@@ -3,11 +3,11 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
 use crate::common::{Loop, assert_within, difference, experiment};
-use flight_core::WindObserver;
 use flight_core::aero::{LinkConventions, LinkForces};
 use flight_core::control::observer::{ObserverConfig, ObserverState, Sample};
 use flight_core::kinematics::Kinematics;
 use flight_core::wind_observer::{WindObserverConfig, WindState};
+use flight_core::{Measurement, WindObserver};
 use flight_io::{load_aero, load_robot};
 use flight_sim::ScenarioConfig;
 use nalgebra::{DVector, Matrix3, Vector3};
@@ -149,6 +149,25 @@ fn each_tick_is_the_equations_of_the_filter() {
         world.advance(&blowing);
     }
     assert!(wind.norm() > 0.1, "{wind}");
+}
+
+/// What happened over a measurement of another robot is no wind: here a metre per second of velocity.
+#[test]
+fn over_a_refused_measurement_nothing_is_compared() {
+    let config = flight(WindObserverConfig::default());
+    let mut world = Loop::new(&config);
+    world.run(2.0, |_| Vector3::new(0.0, -8.0, 0.0));
+    let before = world.controller.state().wind().unwrap().wind();
+    let (mut state, thrust) = (world.plant.state().clone(), world.plant.jets().thrust_feedback().to_vec());
+    let time = world.controller.state().time();
+    for (tick, thrust) in [(1.0, [].as_slice()), (2.0, &thrust)] {
+        let time = time + tick * STEP;
+        state.velocity[0] += 0.5;
+        let (wind, foot_wrenches) = (Vector3::zeros(), &[] as &[_]);
+        world.controller.tick(&Measurement { time, state: &state, thrust, wind, foot_wrenches });
+    }
+    let change = (world.controller.state().wind().unwrap().wind() - before).norm();
+    assert!(change < 0.5, "{change} m/s");
 }
 
 #[test]
