@@ -8,6 +8,7 @@ trajectories take a minute or more; their times stand in the manifests of `resul
 
 from __future__ import annotations
 
+import argparse
 import json
 import statistics
 import subprocess
@@ -32,6 +33,7 @@ class Time(NamedTuple):
 
 def main() -> int:
     """Measure and print."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     print("| what | wall time | processor time |\n|---|---|---|")
     for what, spent in _rows():
         print(f"| {what} | {_readable(spent.wall)} | {_readable(spent.processor)} |")

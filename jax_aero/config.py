@@ -975,8 +975,8 @@ class SimulatorConfig(Table, frozen=True, kw_only=True):
     aero: AeroConfig
     """Aerodynamics of the world."""
     course_error: Positive = 0.5
-    """Greatest distance of the centre of mass from its set-point, after the start-up, of a flight that is on course
-    [m].
+    """Greatest distance of the centre of mass from its set-point, after the start-up, of a flight that is not
+    `off_course` [m].
     """
     divergence: DivergenceConfig = DivergenceConfig()
     """What physics excludes."""

@@ -159,8 +159,8 @@ pub struct SimulatorConfig {
     pub initial: InitialConfig,
     /// When a robot counts as fallen.
     pub fall: FallConfig,
-    /// Greatest distance of the centre of mass from its set-point, after the start-up, of a flight that is on
-    /// course \[m\].
+    /// Greatest distance of the centre of mass from its set-point, after the start-up, of a flight that is not
+    /// `off_course` \[m\].
     #[serde(default = "half_a_metre")]
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub course_error: f64,
