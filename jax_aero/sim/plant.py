@@ -222,7 +222,7 @@ def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: A
     if plant.jet_faults is not None:
         thrust = plant.jet_faults.force_scale * thrust
     thrusts = thrust[:, None] * rotate(rotations, robot.jets.axes)
-    # One point for moment and Jacobian: a rigid body cannot tell them apart.
+    # One point for moment and Jacobian: for a rigid body both give the same.
     force = (
         generalised_force(robot, kin, robot.jets.bodies, points, thrusts)
         + generalised_aero_force(robot, seen.placed, seen.link_forces, seen.link_forces.arm_points)

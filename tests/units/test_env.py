@@ -80,7 +80,7 @@ def test_both_environments_are_one_task(x64):
 
 
 def test_gymnasium_refuses_an_estimator():
-    """It would not know what acts; the environment in JAX tells it (`Steered`)."""
+    """It would not know what acts; the environment in JAX hands it on (`Steered`)."""
     with pytest.raises(ValueError, match=r"`controller\.estimator` of test2_sensors is given; expected none"):
         HoverEnv(Task("test2_sensors"))
 

@@ -85,7 +85,7 @@ def test_half_a_result_and_a_folder_of_something_else_are_not_touched(flown, tmp
     assert flown == []
 
 
-def test_without_out_the_folder_tells_what_was_set(flown, tmp_path, monkeypatch):
+def test_without_out_the_folder_names_what_was_set(flown, tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "RESULTS", tmp_path)
     assert main(["test1", "--set", "wind.velocity=[0,-12,0]"]) == 0
     assert [entry.name for entry in tmp_path.iterdir()] == ["test1--wind.velocity=0_-12_0"]

@@ -63,7 +63,7 @@ def test_an_engine_whose_bounds_meet_is_lost():
 
 
 @pytest.mark.parametrize("size", [30.0, -30.0])
-def test_the_momentum_tells_a_wrong_sensor(size):
+def test_the_momentum_shows_a_wrong_sensor(size):
     """A sensor that is wrong by `d` puts `−a d` into the momentum: from half of that on it is the sensor."""
     state = engines.start(THRUST)
     for tick in range(1, 7):

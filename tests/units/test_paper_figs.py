@@ -14,7 +14,7 @@ DRAWN = [name for name, entry in FIGURES.items() if entry.kind in ("", "flight")
 
 
 @pytest.mark.parametrize("name", DRAWN)
-def test_every_figure_is_drawn_as_pdf_and_png_and_tells_its_runs(name, made_up_results, tmp_path):
+def test_every_figure_is_drawn_as_pdf_and_png_and_names_its_runs(name, made_up_results, tmp_path):
     assert main([name, "--results", str(made_up_results), "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / f"{name}.pdf").read_bytes().startswith(b"%PDF")
     with Image.open(tmp_path / "out" / f"{name}.png") as picture:

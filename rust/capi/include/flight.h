@@ -1,7 +1,7 @@
 // One tick of the flight controller of a jet-powered humanoid robot, for C and C++. Generated from rust/capi/src.
 //
 // SI units and radians. Inertial axes: x forward, y left, z up. Matrices are stored by rows. Arrays of joints and
-// jets are in the order of the robot's TOML file; flight_joint_name and flight_jet_name tell it.
+// jets are in the order of the robot's TOML file; flight_joint_name and flight_jet_name return it.
 
 #ifndef FLIGHT_H
 #define FLIGHT_H
@@ -56,8 +56,8 @@ typedef struct FlightMeasurement {
   const double *joint_velocity;
   // Thrusts [N], one per jet.
   const double *thrust;
-  // Velocity of the air [m/s, inertial axes]; NaN where it is not measured. Zero is still air, and is
-  // believed: without a wind sensor use `controller.wind_observer`, or a controller without aerodynamic model.
+  // Velocity of the air [m/s, inertial axes]; NaN where it is not measured. Zero is still air, as if
+  // measured: without a wind sensor use `controller.wind_observer`, or a controller without aerodynamic model.
   double wind[3];
   // Wrench on each foot about the origin of its sole, force first [N, N m, inertial axes], six per
   // foot, in the order of `controller.contact.feet`. Null is no load on any foot.

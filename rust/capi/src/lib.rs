@@ -67,8 +67,8 @@ pub struct FlightMeasurement {
     pub joint_velocity: *const f64,
     /// Thrusts [N], one per jet.
     pub thrust: *const f64,
-    /// Velocity of the air [m/s, inertial axes]; NaN where it is not measured. Zero is still air, and is
-    /// believed: without a wind sensor use `controller.wind_observer`, or a controller without aerodynamic model.
+    /// Velocity of the air [m/s, inertial axes]; NaN where it is not measured. Zero is still air, as if
+    /// measured: without a wind sensor use `controller.wind_observer`, or a controller without aerodynamic model.
     pub wind: [f64; 3],
     /// Wrench on each foot about the origin of its sole, force first [N, N m, inertial axes], six per
     /// foot, in the order of `controller.contact.feet`. Null is no load on any foot.

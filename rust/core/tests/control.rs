@@ -245,8 +245,7 @@ fn what_is_no_rotation_or_time_is_predicted() {
     good.tick(&mut controller);
     let mut setpoint = controller.terms().setpoint;
     setpoint.rotation *= 5.0;
-    let Running { controller, state } = &mut controller;
-    let command = controller.tick_towards(state.as_mut().unwrap(), &good.measurement(), &setpoint);
+    let command = controller.tick_towards(&good.measurement(), &setpoint);
     assert_eq!(command.status, CommandStatus::BadSetpoint);
 }
 
@@ -255,10 +254,8 @@ fn what_is_no_rotation_or_time_is_predicted() {
 fn without_a_set_point_the_last_one_comes_to_rest() {
     let config = experiment("test2");
     let good = Sample::start(&config);
-    let mut running = controller(&config);
-    good.tick(&mut running);
-    let Running { controller, state } = &mut running;
-    let state = state.as_mut().unwrap();
+    let mut controller = controller(&config);
+    good.tick(&mut controller);
     let mut given = controller.terms().setpoint;
     (given.com_position.x, given.com_velocity) = (given.com_position.x + 0.1, Vector3::new(0.2, 0.0, 0.0));
     let none = Setpoint { com_jerk: Vector3::repeat(f64::NAN), ..given };
@@ -266,8 +263,8 @@ fn without_a_set_point_the_last_one_comes_to_rest() {
     let mut towards = |setpoint: &Setpoint| {
         time += TIME_STEP;
         let sample = Sample { time, ..good.clone() };
-        let status = controller.tick_towards(state, &sample.measurement(), setpoint).status;
-        assert_within!((state.time() - time).abs(), 1e-15);
+        let status = controller.tick_towards(&sample.measurement(), setpoint).status;
+        assert_within!((controller.state().time() - time).abs(), 1e-15);
         (status, controller.terms().setpoint)
     };
     assert_eq!(towards(&given), (CommandStatus::Nominal, given));
@@ -289,10 +286,8 @@ fn without_a_set_point_the_last_one_comes_to_rest() {
 fn on_the_way_down_no_set_point_is_followed() {
     let config = experiment("test2");
     let good = Sample::start(&config);
-    let mut running = controller(&config);
-    good.tick(&mut running);
-    let Running { controller, state } = &mut running;
-    let state = state.as_mut().unwrap();
+    let mut controller = controller(&config);
+    good.tick(&mut controller);
     let given = Setpoint::hold(controller.terms().setpoint.com_position, good.state.base.rotation);
     let after = config.controller.law.channels.descend_after;
     let mut lost = good.clone();
@@ -300,7 +295,7 @@ fn on_the_way_down_no_set_point_is_followed() {
     let mut heights = vec![];
     for _ in 0..1000 {
         lost.time += TIME_STEP;
-        controller.tick_towards(state, &lost.measurement(), &given);
+        controller.tick_towards(&lost.measurement(), &given);
         let is_descending = controller.command().modes.contains(Modes::DESCENDING);
         assert_eq!(is_descending, lost.time > after + 0.5 * TIME_STEP, "{}", lost.time);
         if is_descending {

@@ -75,7 +75,7 @@ fn an_engine_whose_bounds_meet_is_lost() {
 
 /// A sensor that says too much by `d` puts `−a d` into the momentum: from half of that on it is the sensor.
 #[test]
-fn the_momentum_tells_a_wrong_sensor() {
+fn the_momentum_shows_a_wrong_sensor() {
     for deviation in [30.0, -30.0] {
         let out = Finding::OutOfReach;
         for (share, expected) in [(0.45, out), (0.55, Finding::WrongSensor), (-0.9, out)] {

@@ -252,11 +252,11 @@ fn a_measurement_that_is_no_number_corrects_nothing() {
     let mut wrong = state.clone();
     wrong.velocity[7] = f64::NAN;
     let coasting = estimator.update(&wrong, thrust).clone();
-    // The controller is told, and everything else is taken as it comes.
+    // What is missing is handed on as missing, everything else is taken as it comes.
     assert!(coasting.state.velocity[7].is_nan());
-    let (mut told, mut given) = (coasting.state.velocity.clone(), state.velocity.clone());
-    (told[7], given[7]) = (0.0, 0.0);
-    assert_within!((told - given).amax(), 1e-15, because "taken as it comes");
+    let (mut found, mut given) = (coasting.state.velocity.clone(), state.velocity.clone());
+    (found[7], given[7]) = (0.0, 0.0);
+    assert_within!((found - given).amax(), 1e-15, because "taken as it comes");
     let back = estimator.update(state, thrust).clone();
     assert!(distance(&back, &Reading { state: state.clone(), thrust: thrust.to_vec() }) < 1e-14);
 }

@@ -327,13 +327,13 @@ fn the_prediction_of_a_velocity_has_the_observed_wrench() {
     *observer_of(&mut config) = Some(WIDE);
     let mut observing = controller(&config);
     *observer_of(&mut config) = None;
-    let mut blind = controller(&config);
+    let mut unaware = controller(&config);
     let mut sample = Prescribed::new(&config);
     for _ in 0..3 {
         observing.tick(&sample.measurement());
-        blind.tick(&sample.measurement());
+        unaware.tick(&sample.measurement());
         // What is measured twice alike may be frozen.
-        sample.set_velocity(&blind.terms().dynamics.momentum_matrix);
+        sample.set_velocity(&unaware.terms().dynamics.momentum_matrix);
         sample.advance(&RATE);
     }
     let terms = observing.terms();
@@ -345,7 +345,7 @@ fn the_prediction_of_a_velocity_has_the_observed_wrench() {
     let mut force = DVector::zeros(terms.dynamics.bias.len());
     force.fixed_rows_mut::<3>(0).copy_from(&f);
     force.fixed_rows_mut::<3>(3).copy_from(&(m + arm.cross(&f)));
-    let torques = &observing.command().joint_torque - &blind.command().joint_torque;
+    let torques = &observing.command().joint_torque - &unaware.command().joint_torque;
     force.rows_mut(6, torques.len()).copy_from(&torques);
     let expected = terms.dynamics.mass_matrix.clone().cholesky().unwrap().solve(&force);
 
@@ -353,7 +353,7 @@ fn the_prediction_of_a_velocity_has_the_observed_wrench() {
     sample.state.velocity.fill(f64::NAN);
     sample.state.base.position.fill(f64::NAN);
     sample.state.base.rotation.fill(f64::NAN);
-    let predicted = [&mut observing, &mut blind].map(|controller| {
+    let predicted = [&mut observing, &mut unaware].map(|controller| {
         controller.tick(&sample.measurement());
         let base = &controller.terms().kinematics.bodies[0];
         DVector::from_iterator(6, base.linear_velocity.iter().chain(&base.angular_velocity).copied())

@@ -22,16 +22,8 @@ pub struct Robot {
     model: RobotModel,
 }
 
-/// State of a robot from arrays: base position (3), rotation (3, 3), joints (n), mixed velocity (6 + n). A rotation that
-/// is none is refused.
-pub fn state(
-    joints: usize,
-    base_position: &Input<'_>,
-    base_rotation: &Input<'_>,
-    joint_position: &Input<'_>,
-    velocity: &Input<'_>,
-) -> PyResult<RobotState> {
-    let state = measured_state(joints, base_position, base_rotation, joint_position, velocity)?;
+/// The state, unless its rotation is none.
+pub fn sound(state: RobotState) -> PyResult<RobotState> {
     let rotation = &state.base.rotation;
     let deviation = orthonormality_error(rotation);
     if deviation > 1e-6 || rotation.determinant() < 0.0 {
@@ -43,7 +35,8 @@ pub fn state(
     Ok(state)
 }
 
-/// The same as it is measured: a controller judges it.
+/// State of a robot from arrays: base position (3), rotation (3, 3), joints (n), mixed velocity (6 + n); as it is measured,
+/// which a controller judges.
 pub fn measured_state(
     joints: usize,
     base_position: &Input<'_>,
@@ -151,7 +144,13 @@ impl Robot {
         joint_position: Input<'py>,
         velocity: Input<'py>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let state = state(self.model.n_joints(), &base_position, &base_rotation, &joint_position, &velocity)?;
+        let state = sound(measured_state(
+            self.model.n_joints(),
+            &base_position,
+            &base_rotation,
+            &joint_position,
+            &velocity,
+        )?)?;
         let (kinematics, dynamics) = self.evaluate(&state);
         let out = PyDict::new(py);
         let positions: Vec<Vector3<f64>> =
@@ -182,7 +181,13 @@ impl Robot {
         joint_position: Input<'py>,
         velocity: Input<'py>,
     ) -> PyResult<(Output<'py>, Output<'py>)> {
-        let state = state(self.model.n_joints(), &base_position, &base_rotation, &joint_position, &velocity)?;
+        let state = sound(measured_state(
+            self.model.n_joints(),
+            &base_position,
+            &base_rotation,
+            &joint_position,
+            &velocity,
+        )?)?;
         let frame = self.frame(frame)?;
         let (kinematics, _) = self.evaluate(&state);
         let point = kinematics.frame_pose(&frame).position;
@@ -201,7 +206,8 @@ impl Robot {
         force: Input<'py>,
     ) -> PyResult<Output<'py>> {
         let joints = self.model.n_joints();
-        let state = state(joints, &base_position, &base_rotation, &joint_position, &velocity)?;
+        let state =
+            sound(measured_state(joints, &base_position, &base_rotation, &joint_position, &velocity)?)?;
         let (_, dynamics) = self.evaluate(&state);
         let mut acceleration = DVector::from_vec(entries("force", &force, &[6 + joints])?) - &dynamics.bias;
         let mut factor = MassFactor::new(6 + joints);
@@ -293,7 +299,7 @@ pub fn link_forces<'py>(
     wind: Input<'py>,
 ) -> PyResult<Output<'py>> {
     let joints = robot.model.n_joints();
-    let state = state(joints, &base_position, &base_rotation, &joint_position, &velocity)?;
+    let state = sound(measured_state(joints, &base_position, &base_rotation, &joint_position, &velocity)?)?;
     let config = aero_config(aero_json)?;
     let mut model = load_aero(&config, &robot.model).map_err(value_error)?;
     let (kinematics, _) = robot.evaluate(&state);

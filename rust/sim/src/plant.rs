@@ -214,7 +214,7 @@ impl Plant {
         }
         let placed = self.frozen.as_ref().map_or(&self.kinematics, |(_, kinematics)| kinematics);
         for (index, link) in self.robot.aero_links.iter().enumerate() {
-            // One point for moment and Jacobian: a rigid body cannot tell them apart.
+            // One point for moment and Jacobian: for a rigid body both give the same.
             let point = &self.link_forces.arm_points_i[index];
             placed.add_generalised_force(link.frame.body, point, &self.link_forces.forces_i[index], force);
         }

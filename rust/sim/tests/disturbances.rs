@@ -55,7 +55,7 @@ fn noise_is_repeatable_and_normal() {
 }
 
 #[test]
-fn a_delayed_estimate_tells_the_wind_of_then() {
+fn a_delayed_estimate_is_the_wind_of_then() {
     let config = WindEstimateConfig { delay: 0.3, ..WindEstimateConfig::default() };
     let winds = step_up(50, 100);
     let estimates = estimate(&config, &winds);

@@ -333,7 +333,7 @@ impl ControllerConfig {
             engines.check()?;
             if self.observer.is_none() {
                 let expected =
-                    "none without controller.observer: the momentum tells an engine from its sensor";
+                    "none without controller.observer: the momentum distinguishes an engine from its sensor";
                 return Err(BuildError::bad_value("controller.engines", "given", expected));
             }
         }

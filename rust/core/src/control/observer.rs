@@ -101,7 +101,8 @@ impl ObserverState {
         self.wrench
     }
 
-    /// A tick whose momentum is not measured, or long after the last one: `ŵ` stays, and there is nothing to compare the next one with.
+    /// A tick whose momentum is not measured, or long after the last one: `ŵ` stays, and there is nothing to compare the
+    /// next one with.
     pub fn hold(&mut self) -> Vector6<f64> {
         self.last = None;
         self.residual.fill(0.0);

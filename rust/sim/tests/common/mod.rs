@@ -11,6 +11,7 @@ pub mod measured;
 pub(crate) use measured::{assert_within, difference, relative};
 
 use flight_core::control::ControllerState;
+use flight_core::control::setpoint::Setpoint;
 use flight_core::spatial::{Pose, rotation_from_wxyz};
 use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
 use flight_io::load_robot;
@@ -90,6 +91,11 @@ impl Running {
             none => none.insert(controller.start(measurement).unwrap()),
         };
         controller.tick(state, measurement)
+    }
+
+    /// A tick of a flight that has begun, towards a given set-point.
+    pub fn tick_towards(&mut self, measurement: &Measurement, setpoint: &Setpoint) -> &Command {
+        self.controller.tick_towards(self.state.as_mut().unwrap(), measurement, setpoint)
     }
 
     pub fn state(&self) -> &ControllerState {
