@@ -105,6 +105,7 @@ class Controller:
         setpoint: Mapping[str, _Array] | None = None,
         foot_wrenches: _Array | None = None,
     ) -> dict[str, Any]: ...
+    def replace_command(self, thrust_rate: _Array, joint_torque: _Array) -> None: ...
 
 class _Measurement(TypedDict):
     time: float

@@ -25,10 +25,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, Key
 
-from jax_aero.control import estimator
 from jax_aero.control.channels import ChannelLimits
 from jax_aero.control.protocol import Command, Measurement
-from jax_aero.control.tick import MomentumController
+from jax_aero.control.tick import MomentumController, replace_command
 from jax_aero.env_task import Seen, Task, added_torque, observation, rewards, steering
 from jax_aero.io import load_config
 from jax_aero.kinematics import kinematics
@@ -97,10 +96,8 @@ class Steered:
             velocities - command.joint_velocity,
         )
         torque = jnp.clip(command.joint_torque + more, -inner.torque_max, inner.torque_max)
-        if memory.estimator is not None:
-            # What acts until the next tick is not what the controller asked for.
-            memory = memory._replace(estimator=estimator.amend(memory.estimator, torque, rates))
-        return memory, command._replace(thrust_rate=rates, joint_torque=torque, joint_velocity=velocities)
+        memory, command = replace_command(memory, command, terms, rates, torque)
+        return memory, command._replace(joint_velocity=velocities)
 
 
 class FlightEnv:

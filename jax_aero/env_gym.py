@@ -23,6 +23,14 @@ from jax_aero.env_task import Seen, Task, added_torque, observation, rewards, st
 LARGEST = 1e6
 """Beyond anything that is observed before a flight counts as lost."""
 
+UNUSED = (
+    ("simulator", "sensors"),
+    ("disturbances", "outages"),
+    ("disturbances", "wind_estimate"),
+    ("disturbances", "controller_wind"),
+)
+"""What is between the plant and the controller in a flight, and not in this environment."""
+
 
 class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """Hover in a wind that every episode draws anew; actions as in `jax_aero.env.FlightEnv`."""
@@ -33,9 +41,10 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def __init__(self, task: Task | None = None) -> None:
         self.task = task or Task()
         self._config = self.task.episode(rust.load_config(self.task.experiment))
-        if self._config["controller"].get("estimator") is not None:
-            expected = "expected none: it would not know what an action adds to the controller's command"
-            raise ValueError(f"`controller.estimator` of {self.task.experiment} is given; {expected}")
+        for table, key in UNUSED:
+            if self._config[table].get(key):
+                expected = "expected none: this environment measures the true state and wind"
+                raise ValueError(f"`{table}.{key}` of {self.task.experiment} is given; {expected}")
         self._robot = rust.Robot(self._config["robot"])
         jets = tables.read(Path(self._config["robot"])).get("jets", [])
         self._thrust_max = np.array([jet["thrust_max"] for jet in jets])
@@ -73,6 +82,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             velocities - tick.joint_velocity_command,
         )
         torque = np.clip(tick.joint_torque + more, tick.torque_qp.lower, tick.torque_qp.upper)
+        self._controller.replace_command(rates, torque)
         self._measurement = self._plant.step(rates, torque)
         self._ticks += 1
         seen, obs = self._observe()

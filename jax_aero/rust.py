@@ -467,6 +467,25 @@ class Controller:
             **raw,
         )
 
+    def replace_command(self, thrust_rate: ArrayLike, joint_torque: ArrayLike) -> None:
+        """Tell after a tick that something else acts until the next one: a safety layer, a residual.
+
+        What the controller predicts follows it: measurements that are missing, and the state estimator's model.
+
+        Parameters
+        ----------
+        thrust_rate
+            [N/s], (jets,).
+        joint_torque
+            [N m], (n,).
+
+        Raises
+        ------
+        ValueError
+            For numbers that are not finite or not of this robot, and before the first tick.
+        """
+        self._core.replace_command(_array(thrust_rate), _array(joint_torque))
+
 
 def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> Config:
     """Read a flight configuration, merge the files it builds on, apply overrides, check it.

@@ -173,7 +173,9 @@ def command(state: EstimatorState, order: Order) -> EstimatorState:
     )
 
 
-def amend(state: EstimatorState, torque: Float[Array, " n"], thrust_rate: Float[Array, " j"]) -> EstimatorState:
+def replace_command(
+    state: EstimatorState, torque: Float[Array, " n"], thrust_rate: Float[Array, " j"]
+) -> EstimatorState:
     """Return the state with another command [N m, N/s] in place of the last one."""
     orders = state.orders
     return state._replace(

@@ -284,6 +284,28 @@ def tick(
         return after, command, terms
 
 
+def replace_command(
+    memory: ControllerState,
+    command: Command,
+    terms: Terms,
+    thrust_rate: Float[Array, " j"],
+    joint_torque: Float[Array, " n"],
+) -> tuple[ControllerState, Command]:
+    """Return state and command where something else acts until the next tick than this one commanded.
+
+    What the channels and the estimator predict follows it. The control law's own torques stay as they were: its rate
+    limiter goes on from them. `thrust_rate` [N/s], `joint_torque` [N m].
+    """
+    # ν̇ is linear in the torques: it changes by M⁻¹ S (τ′ − τ).
+    dyn, known = terms.dynamics, memory.channels
+    change = forward_dynamics(dyn, dyn.bias.at[6:].add(joint_torque - command.joint_torque))
+    known = known._replace(acceleration=known.acceleration + change, thrust_rate=thrust_rate)
+    memory = memory._replace(channels=known)
+    if memory.estimator is not None:
+        memory = memory._replace(estimator=estimator.replace_command(memory.estimator, joint_torque, thrust_rate))
+    return memory, command._replace(thrust_rate=thrust_rate, joint_torque=joint_torque)
+
+
 def _act(
     params: MomentumController,
     robot: RobotModel,

@@ -131,10 +131,25 @@ def test_a_controller_alone_has_both_estimators_in_its_state(alone):
         np.testing.assert_array_equal(ours, theirs)
 
 
-def test_the_estimator_is_told_what_acts_where_an_action_is_added(alone):
+def test_what_is_predicted_follows_an_action_that_is_added(alone, measured):
     controller, robot, readings = alone
-    steered = Steered(controller, jnp.full(4 + robot.n_joints, 0.5), Task())
-    memory, command = jax.jit(steered.step)(robot, controller.init(robot, readings[0].state), readings[0])
-    orders = memory.estimator.orders
+    first = controller.init(robot, readings[0].state), readings[0]
+
+    def added(action):
+        steered = Steered(controller, action, Task())
+        return steered.step(robot, *first)
+
+    flown = jax.jit(added)
+    (without, own), (memory, command) = (
+        jax.device_get(flown(jnp.full(4 + robot.n_joints, action))) for action in (0.0, 0.5)
+    )
+    orders, known = memory.estimator.orders, memory.channels
     np.testing.assert_array_equal(orders.torque[0], command.joint_torque)
     np.testing.assert_array_equal(orders.thrust_rate[0], command.thrust_rate)
+    np.testing.assert_array_equal(known.thrust_rate, command.thrust_rate)
+    # M Δν̇ = S Δτ
+    force = np.zeros(6 + robot.n_joints)
+    force[6:] = command.joint_torque - own.joint_torque
+    assert np.abs(force).max() > 1.0
+    found = command.terms.dynamics.mass_matrix @ (known.acceleration - without.channels.acceleration)
+    measured("force of an action [N, N m]", np.abs(found - force).max(), 1e-8)

@@ -19,7 +19,9 @@ from jax_aero.env_gym import HoverEnv
 from jax_aero.env_task import Task, added_torque, steering
 from tests.measurements import measured
 
-EXAMPLE = Path(__file__).resolve().parents[2] / "docs/howto/residual.py"
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLE = ROOT / "docs/howto/residual.py"
+TEST1 = ROOT / "configs/experiments/test1.toml"
 
 WIND = [3.0, -9.0, 0.0]
 
@@ -50,9 +52,14 @@ def test_without_a_residual_the_controller_flies_as_it_does():
     measured("base after 50 ticks [m]", np.abs(hover._measurement.state.base_position - flown).max(), 1e-12)
 
 
-def test_both_environments_are_one_task(x64):
-    """Six ticks with drawn actions: observations and rewards, in the environment of JAX and in that of the crate."""
-    task = Task(duration=1.0, ramp=0.05)
+def test_both_environments_are_one_task(x64, tmp_path):
+    """Six ticks with drawn actions: observations and rewards, in the environment of JAX and in that of the crate.
+
+    The controller has an estimator, whose model goes on with what acts in both.
+    """
+    experiment = tmp_path / "slow.toml"
+    experiment.write_text(f'base = "{TEST1}"\n[controller.estimator.joint_velocity]\ntime_constant = 0.1\n')
+    task = Task(str(experiment), duration=1.0, ramp=0.05)
     crate, ours = HoverEnv(task), FlightEnv(task)
     assert (ours.action_size, ours.observation_size) == (27, 65)
     seen, _ = crate.reset(options={"wind": WIND})
@@ -79,9 +86,8 @@ def test_both_environments_are_one_task(x64):
     assert float(after.reward[0]) == 0.0
 
 
-def test_gymnasium_refuses_an_estimator():
-    """It would not know what acts; the environment in JAX hands it on (`Steered`)."""
-    with pytest.raises(ValueError, match=r"`controller\.estimator` of test2_sensors is given; expected none"):
+def test_gymnasium_refuses_what_it_leaves_out():
+    with pytest.raises(ValueError, match=r"`simulator\.sensors` of test2_sensors is given; expected none"):
         HoverEnv(Task("test2_sensors"))
 
 

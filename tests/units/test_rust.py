@@ -88,6 +88,31 @@ def test_a_batch_equals_single_flights_whatever_the_number_of_threads():
                 np.testing.assert_array_equal(values, together[name], err_msg=name)
 
 
+def test_a_refused_configuration_costs_no_flight():
+    config, reports = rust.load_config(TEST2, SHORT), []
+    lacking = config | {"wind": {"profile": "file", "path": "no/such.csv"}}
+    with pytest.raises(ValueError, match=r"flight 1 of the batch: .*no/such\.csv"):
+        rust.fly_batch([config, lacking], progress=lambda *report: reports.append(report))
+    assert not reports
+
+
+def test_a_command_is_replaced_after_a_tick_and_by_numbers():
+    config = rust.load_config(TEST2)
+    plant, controller = rust.Plant(config), rust.Controller(config)
+    now = plant.reset()
+    with pytest.raises(ValueError, match="no flight has begun"):
+        controller.replace_command(np.zeros(4), np.zeros(23))
+    controller.tick(now.state, now.thrust, now.wind, now.time)
+    before = controller.state
+    with pytest.raises(ValueError, match="thrust_rate"):
+        controller.replace_command(np.zeros(3), np.zeros(23))
+    with pytest.raises(ValueError, match="expected a finite number for every thrust rate and joint torque"):
+        controller.replace_command(np.zeros(4), np.full(23, np.nan))
+    assert controller.state == before
+    controller.replace_command(np.zeros(4), np.zeros(23))
+    assert controller.state != before
+
+
 def test_other_threads_run_while_a_flight_is_under_way():
     """The crate gives the interpreter away, so a flight in one thread does not hold up another."""
     config = rust.load_config(TEST2)

@@ -33,6 +33,8 @@ typedef enum FlightStatus {
   FLIGHT_NULL_POINTER = -2,
   // An error of the library. Thrust rates and joint velocities are zero, torques stay as the caller has them.
   FLIGHT_PANICKED = -3,
+  // A replaced command holds a number that is not finite. Nothing changes.
+  FLIGHT_BAD_COMMAND = -4,
 } FlightStatus;
 
 // A controller and the flight it is in. One thread at a time may use it.
@@ -174,6 +176,14 @@ enum FlightStatus flight_tick(struct FlightController *controller,
                               const struct FlightMeasurement *measurement,
                               const struct FlightSetpoint *setpoint,
                               const struct FlightCommand *command);
+
+// Tells after a tick that other thrust rates and joint torques act until the next one: those of a safety layer, or of a
+// motor at its limit. What the controller predicts follows them; joint velocities are not read.
+//
+// # Safety
+// The pointers are null or point to what their types say; the arrays of `command` have the lengths that are stated there.
+enum FlightStatus flight_replace_command(struct FlightController *controller,
+                                         const struct FlightCommand *command);
 
 #ifdef __cplusplus
 }  // extern "C"

@@ -8,7 +8,7 @@
 #![allow(unsafe_code, reason = "C has pointers")]
 
 use flight_core::control::setpoint::Setpoint;
-use flight_core::control::{Command, CommandStatus, ControllerState};
+use flight_core::control::{BadCommand, Command, CommandStatus, ControllerState};
 use flight_core::spatial::Pose;
 use flight_core::{BuildError, Controller, Measurement, RobotState};
 use flight_io::load_robot;
@@ -45,6 +45,8 @@ pub enum FlightStatus {
     FlightNullPointer = -2,
     /// An error of the library. Thrust rates and joint velocities are zero, torques stay as the caller has them.
     FlightPanicked = -3,
+    /// A replaced command holds a number that is not finite. Nothing changes.
+    FlightBadCommand = -4,
 }
 
 /// What is measured at a tick.
@@ -216,15 +218,22 @@ impl FlightController {
     }
 }
 
+/// An array of C.
+///
+/// # Safety
+/// `source` holds `length` numbers for as long as the slice is used, or is null and `length` is zero.
+unsafe fn view<'a>(source: *const f64, length: usize) -> &'a [f64] {
+    // SAFETY: by this function's contract.
+    if length > 0 { unsafe { slice::from_raw_parts(source, length) } } else { &[] }
+}
+
 /// Fills `values` from an array of C.
 ///
 /// # Safety
 /// `source` holds as many numbers as `values`, or is null and `values` is empty.
 unsafe fn copy_in(source: *const f64, values: &mut [f64]) {
-    if !values.is_empty() {
-        // SAFETY: by this function's contract.
-        values.copy_from_slice(unsafe { slice::from_raw_parts(source, values.len()) });
-    }
+    // SAFETY: by this function's contract.
+    values.copy_from_slice(unsafe { view(source, values.len()) });
 }
 
 /// Writes `values` to an array of C.
@@ -459,6 +468,36 @@ pub unsafe extern "C" fn flight_tick(
         }
     }
     status
+}
+
+/// Tells after a tick that other thrust rates and joint torques act until the next one: those of a safety layer, or of a
+/// motor at its limit. What the controller predicts follows them; joint velocities are not read.
+///
+/// # Safety
+/// The pointers are null or point to what their types say; the arrays of `command` have the lengths that are stated there.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn flight_replace_command(
+    controller: *mut FlightController,
+    command: *const FlightCommand,
+) -> FlightStatus {
+    // SAFETY: by this function's contract.
+    let (Some(controller), Some(command)) = (unsafe { (controller.as_mut(), command.as_ref()) }) else {
+        return FlightStatus::FlightNullPointer;
+    };
+    let (joints, jets) = (controller.joint_names.len(), controller.jet_names.len());
+    if (jets > 0 && command.thrust_rate.is_null()) || (joints > 0 && command.joint_torque.is_null()) {
+        return FlightStatus::FlightNullPointer;
+    }
+    controller.guarded(|controller| {
+        let Some(flight) = &mut controller.flight else { return FlightStatus::FlightNotStarted };
+        // SAFETY: not null where not empty, and of these lengths by this function's contract.
+        let (rates, torques) =
+            unsafe { (view(command.thrust_rate, jets), view(command.joint_torque, joints)) };
+        match controller.controller.replace_command(flight, rates, torques) {
+            Ok(()) => FlightStatus::FlightNominal,
+            Err(BadCommand) => FlightStatus::FlightBadCommand,
+        }
+    })
 }
 
 fn setpoint_of(given: &FlightSetpoint) -> Setpoint {

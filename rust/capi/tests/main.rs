@@ -10,7 +10,8 @@ use counting::{Counting, allocations};
 use flight::{
     FlightCommand, FlightController, FlightMeasurement, FlightSetpoint, FlightStatus,
     flight_controller_create, flight_controller_free, flight_foot_count, flight_jet_count, flight_jet_name,
-    flight_joint_count, flight_joint_name, flight_modes, flight_start, flight_tick, flight_time_step,
+    flight_joint_count, flight_joint_name, flight_modes, flight_replace_command, flight_start, flight_tick,
+    flight_time_step,
 };
 use flight_core::Measurement;
 use flight_core::control::setpoint::Setpoint;
@@ -179,8 +180,17 @@ fn fly_both(name: &str) {
         assert_eq!(arrays.thrust_rate, expected.thrust_rate.as_slice(), "tick {tick}");
         assert_eq!(arrays.velocity_command, expected.joint_velocity.as_slice(), "tick {tick}");
         assert_eq!(arrays.torque, expected.joint_torque.as_slice(), "tick {tick}");
-        let (torque, rate) = (arrays.torque.clone(), arrays.thrust_rate.clone());
-        plant.advance(&torque, &rate, &wind, scenario.simulator.time_step);
+        if tick % 3 == 0 {
+            // A safety layer halves what acts.
+            arrays.torque.iter_mut().chain(&mut arrays.thrust_rate).for_each(|number| *number *= 0.5);
+            controller.replace_command(ours, &arrays.thrust_rate, &arrays.torque).unwrap();
+            let c_command = arrays.command();
+            let allocated = allocations(|| {
+                status = unsafe { flight_replace_command(c.0, &raw const c_command) };
+            });
+            assert_eq!((allocated, status), (0, FlightStatus::FlightNominal));
+        }
+        plant.advance(&arrays.torque, &arrays.thrust_rate, &wind, scenario.simulator.time_step);
     }
     assert!(plant.state().base.rotation != Matrix3::identity(), "the rotation was never looked at");
 }
@@ -228,6 +238,8 @@ fn what_cannot_be_used_is_refused() {
     let lacking = FlightMeasurement { thrust: null(), ..measurement };
     let wrong = FlightMeasurement { base_position: [f64::NAN; 3], ..measurement };
     assert_eq!(tick(&measurement), FlightStatus::FlightNotStarted);
+    let replace = |given: &FlightCommand| unsafe { flight_replace_command(c.0, given) };
+    assert_eq!(replace(&command), FlightStatus::FlightNotStarted);
     assert_eq!(start(&lacking), FlightStatus::FlightNullPointer);
     assert_eq!(start(&wrong), FlightStatus::FlightNotStarted);
     assert_eq!(start(&measurement), FlightStatus::FlightNominal);
@@ -253,8 +265,12 @@ fn what_cannot_be_used_is_refused() {
         let no_torque = FlightCommand { joint_torque: null_mut(), ..command };
         let status = flight_tick(c.0, &raw const measurement, null(), &raw const no_torque);
         assert_eq!(status, FlightStatus::FlightNullPointer);
+        assert_eq!(replace(&no_torque), FlightStatus::FlightNullPointer);
         assert_eq!(flight_start(null_mut(), &raw const measurement), FlightStatus::FlightNullPointer);
     }
+    assert_eq!(replace(&command), FlightStatus::FlightNominal);
+    arrays.torque[3] = f64::NAN;
+    assert_eq!(replace(&arrays.command()), FlightStatus::FlightBadCommand);
 }
 
 /// `include/flight.h` is what cbindgen makes of the source; with `UPDATE=1` it is written.

@@ -32,13 +32,13 @@ pub mod state;
 pub mod tasks;
 pub mod torque;
 
-pub use command::{BadStart, Command, CommandStatus, Measurement};
+pub use command::{BadCommand, BadStart, Command, CommandStatus, Measurement};
 pub use state::ControllerState;
 
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::dynamics::{Dynamics, InverseMass};
 use crate::error::{BuildError, check};
-use crate::estimator::Estimator;
+use crate::estimator::{Estimator, Reading};
 use crate::kinematics::Kinematics;
 use crate::qp::{QpAnswer, QpChain, QpProblem, QpSolver, QpStatus};
 use crate::robot::RobotModel;
@@ -60,9 +60,22 @@ use torque::{TorqueQp, limit_rate};
 /// Where the published integrator of the joint velocity error saturates \[rad\]; no flight comes near.
 const INTEGRAL_LIMIT: f64 = 20.0;
 
+/// What the estimators made of a measurement: what the control law is given.
+#[derive(Debug, Clone)]
+pub struct Given {
+    /// Pose, velocity and thrusts.
+    pub reading: Reading,
+    /// Velocity of the air \[m/s, inertial axes\].
+    pub wind: Vector3<f64>,
+    /// Its standard deviation; zero without a wind observer \[m/s\].
+    pub wind_std: Vector3<f64>,
+}
+
 /// All intermediate values of the last tick.
 #[derive(Debug, Clone)]
 pub struct Terms {
+    /// The last measurement of this robot, as the estimators hand it on.
+    pub given: Given,
     /// The measurement as it was used: predicted where it is not measured.
     pub seen: Seen,
     /// Poses, velocities, centre of mass.
@@ -168,6 +181,7 @@ impl Controller {
             )?,
             channels,
             terms: Terms {
+                given: Given { reading: Reading::zero(joints, n_jets), wind: zero, wind_std: zero },
                 seen,
                 kinematics: Kinematics::new(&model),
                 dynamics: Dynamics::new(&model),
@@ -276,17 +290,56 @@ impl Controller {
         &self.command
     }
 
+    /// Tells that something else acts until the next tick than the last tick commanded: a safety layer, a residual.
+    /// What the channels and the estimator predict follows it. The control law's own torques stay as they were: its
+    /// rate limiter goes on from them.
+    ///
+    /// # Errors
+    /// [`BadCommand`], and nothing changes.
+    pub fn replace_command(
+        &mut self,
+        state: &mut ControllerState,
+        thrust_rate: &[f64],
+        joint_torque: &[f64],
+    ) -> Result<(), BadCommand> {
+        let is_finite = thrust_rate.iter().chain(joint_torque).all(|number| number.is_finite());
+        let is_sized = thrust_rate.len() == self.n_jets && joint_torque.len() == self.model.joints.len();
+        if !is_finite || !is_sized || !self.fits(state) {
+            return Err(BadCommand);
+        }
+        let Self { command, acceleration, terms, .. } = self;
+        // ν̇ is linear in the torques: it changes by M⁻¹ S (τ′ − τ).
+        if terms.inverse_mass.is_known {
+            acceleration.fill(0.0);
+            let torques = joint_torque.iter().zip(&command.joint_torque);
+            for (entry, (new, old)) in acceleration.as_mut_slice()[6..].iter_mut().zip(torques) {
+                *entry = new - old;
+            }
+            terms.inverse_mass.multiply_in_place(acceleration);
+            state.channels.acceleration += &*acceleration;
+        }
+        command.thrust_rate.copy_from_slice(thrust_rate);
+        command.joint_torque.copy_from_slice(joint_torque);
+        state.channels.thrust_rate.copy_from(&command.thrust_rate);
+        if let Some(memory) = &mut state.estimator {
+            memory.command(command, &terms.momentum.unmodelled_wrench, &terms.seen.wind);
+        }
+        Ok(())
+    }
+
     /// Takes a measurement in and moves the time on; whether it is one of this robot.
     fn see(&mut self, state: &mut ControllerState, measurement: &Measurement) -> bool {
         let is_seen = self.channels.fit(measurement);
-        let seen = &mut self.terms.seen;
+        let Terms { given, seen, .. } = &mut self.terms;
         if is_seen {
-            let wind = state.wind.as_ref().map_or(measurement.wind, WindState::wind);
-            let mut given = Measurement { wind, ..*measurement };
+            given.wind = state.wind.as_ref().map_or(measurement.wind, WindState::wind);
+            given.wind_std = state.wind.as_ref().map_or_else(Vector3::zeros, WindState::std);
+            given.reading.copy(measurement.state, measurement.thrust);
             if let (Some(estimator), Some(memory)) = (&mut self.estimator, &mut state.estimator) {
-                let estimate = estimator.update(memory, measurement.state, measurement.thrust);
-                (given.state, given.thrust) = (&estimate.state, &estimate.thrust);
+                estimator.update(memory, &mut given.reading);
             }
+            let Reading { state: pose, thrust } = &given.reading;
+            let given = Measurement { state: pose, thrust, wind: given.wind, ..*measurement };
             self.channels.update(&mut state.channels, &given, seen);
         } else {
             self.channels.update_clock(&mut state.channels, measurement.time, seen);
@@ -483,8 +536,8 @@ impl Controller {
             self.velocity_error[joint] = velocity - self.command.joint_velocity[joint];
         }
 
-        let is_inverted = inverse_mass.update(&dynamics.mass_matrix);
-        let answer = if is_inverted {
+        inverse_mass.update(&dynamics.mass_matrix);
+        let answer = if inverse_mass.is_known {
             torque_qp.update(
                 &self.config.torque,
                 contact,
@@ -531,16 +584,16 @@ impl Controller {
                 *integral = (*integral + self.time_step * error).clamp(-INTEGRAL_LIMIT, INTEGRAL_LIMIT);
             }
         }
-        self.predict_acceleration(state, is_inverted);
+        self.predict_acceleration(state);
     }
 
     /// What the command makes of the robot, for the channels of the next tick:
     /// `ν̇ = M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a + J_cᵀ f_c + S τ + ŵ − h)`, the observed wrench `ŵ` on the base.
-    fn predict_acceleration(&mut self, state: &mut ControllerState, is_inverted: bool) {
+    fn predict_acceleration(&mut self, state: &mut ControllerState) {
         let Terms { kinematics, inverse_mass, momentum, contact, .. } = &mut self.terms;
         let acceleration = &mut self.acceleration;
         acceleration.fill(0.0);
-        if is_inverted {
+        if inverse_mass.is_known {
             let wrench = &momentum.unmodelled_wrench;
             let arm = kinematics.com - kinematics.bodies[0].i_from_b.position;
             let (force, moment): (Vector3<f64>, Vector3<f64>) =

@@ -272,6 +272,8 @@ pub struct InverseMass {
     pub joint_factor: DMatrix<f64>,
     /// `G`, joint acceleration per unit of torque \[1/(kg m²)\].
     pub joint_gain: DMatrix<f64>,
+    /// Whether the last mass matrix could be inverted, as for [`MassFactor::factorise`].
+    pub is_known: bool,
     forces: DVector<f64>,
 }
 
@@ -283,21 +285,21 @@ impl InverseMass {
             factor: MassFactor::new(6 + joints),
             joint_factor: DMatrix::zeros(joints, joints),
             joint_gain: DMatrix::zeros(joints, joints),
+            is_known: false,
             forces: DVector::zeros(joints),
         }
     }
 
-    /// Inverts `mass_matrix`; `false` as for [`MassFactor::factorise`].
-    #[must_use]
-    pub fn update(&mut self, mass_matrix: &DMatrix<f64>) -> bool {
-        if !self.factor.factorise(mass_matrix) {
-            return false;
+    /// Inverts `mass_matrix`, if it can be.
+    pub fn update(&mut self, mass_matrix: &DMatrix<f64>) {
+        self.is_known = self.factor.factorise(mass_matrix);
+        if !self.is_known {
+            return;
         }
         let (n, joints) = (mass_matrix.nrows(), self.forces.len());
         let joint_block = self.factor.factor.as_slice().get(6 * n + 6..).unwrap_or_default();
         let (inverse, gain) = (self.joint_factor.as_mut_slice(), self.joint_gain.as_mut_slice());
         linalg::invert_symmetric(joint_block, joints, n, inverse, gain);
-        true
     }
 
     /// [`MassFactor::solve_in_place`] without long substitutions, whose every entry waits for the one before:

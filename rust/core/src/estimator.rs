@@ -116,13 +116,17 @@ impl Reading {
         self.thrust.copy_from_slice(thrust);
     }
 
+    fn copy_from(&mut self, other: &Self) {
+        self.copy(&other.state, &other.thrust);
+    }
+
     fn is_finite(&self) -> bool {
         self.state.is_finite() && self.thrust.iter().all(|thrust| thrust.is_finite())
     }
 
     /// Numbers that cannot be in what is measured become NaN here.
-    fn mark_missing(&mut self, state: &RobotState, thrust: &[f64]) {
-        let Self { state: to, thrust: to_thrust } = self;
+    fn mark_missing(&mut self, measured: &Self) {
+        let (Self { state: to, thrust: to_thrust }, Self { state, thrust }) = (self, measured);
         mark(to.base.position.as_mut_slice(), state.base.position.as_slice());
         mark(to.base.rotation.as_mut_slice(), state.base.rotation.as_slice());
         mark(to.joint_position.as_mut_slice(), state.joint_position.as_slice());
@@ -244,8 +248,6 @@ pub struct EstimatorState {
     ticks: usize,
     /// Estimate at the greatest age.
     then: Reading,
-    /// Estimate of now.
-    now: Reading,
     /// Accelerations of the joints that the model does not explain \[rad/s²\].
     disturbance: DVector<f64>,
 }
@@ -304,8 +306,7 @@ impl Estimator {
             line: vec![nothing.clone(); 1 + self.oldest],
             orders: vec![order; 1 + self.oldest],
             ticks: 0,
-            then: nothing.clone(),
-            now: nothing,
+            then: nothing,
             disturbance: DVector::zeros(joints),
         }
     }
@@ -316,35 +317,30 @@ impl Estimator {
         let robot = &self.model.robot;
         state.line.len() == 1 + self.oldest
             && state.disturbance.len() == robot.joints.len()
-            && state.now.thrust.len() == robot.jets.len()
+            && state.then.thrust.len() == robot.jets.len()
     }
 
-    /// Takes in a measurement of this robot and returns the estimate of now. No allocation.
+    /// Puts the estimate of now in the place of a measurement of this robot. No allocation.
     ///
     /// The first one begins the flight: it is taken for what had been before it. Numbers that cannot be correct
-    /// nothing, and are NaN in what is returned, so that the controller knows. An estimate that is not finite begins
+    /// nothing, and are NaN in the estimate, so that the controller knows. An estimate that is not finite begins
     /// anew with what is measured.
-    pub fn update<'a>(
-        &mut self,
-        memory: &'a mut EstimatorState,
-        state: &RobotState,
-        thrust: &[f64],
-    ) -> &'a Reading {
+    pub fn update(&mut self, memory: &mut EstimatorState, now: &mut Reading) {
         let Self { model, ages, by_position, .. } = self;
-        let EstimatorState { line, orders, ticks, then, now, disturbance } = memory;
+        let EstimatorState { line, orders, ticks, then, disturbance } = memory;
         let (oldest, length, step) = (self.oldest, line.len(), self.time_step);
         if *ticks == 0 {
             for reading in line.iter_mut() {
-                reading.copy(state, thrust);
+                reading.copy_from(now);
             }
-            then.copy(state, thrust);
+            then.copy_from(now);
         }
-        line[*ticks % length].copy(state, thrust);
+        line[*ticks % length].copy_from(now);
         if *ticks > oldest {
             model.advance(then, &orders[*ticks % length], disturbance, step);
         }
         if !then.is_finite() {
-            then.copy(state, thrust);
+            then.copy_from(now);
             disturbance.fill(0.0);
         }
         // Measurements that came early wait for the others.
@@ -357,23 +353,16 @@ impl Estimator {
             disturbance[joint] += of_acceleration / (step * step) * innovation;
         }
         correct(then, aligned, &self.shares);
-        now.copy(&then.state, &then.thrust);
+        now.copy_from(then);
         for tick in ticks.saturating_sub(oldest)..*ticks {
             model.advance(now, &orders[tick % length], disturbance, step);
         }
-        now.mark_missing(state, thrust);
+        now.mark_missing(&line[*ticks % length]);
         *ticks += 1;
-        now
     }
 }
 
 impl EstimatorState {
-    /// The last estimate; NaN stands for what was not measured.
-    #[must_use]
-    pub fn estimate(&self) -> &Reading {
-        &self.now
-    }
-
     /// What acts from this tick to the next: the command, the wrench that the controller observes, and the wind that
     /// it uses \[m/s\], which is finite whatever is measured.
     pub fn command(&mut self, command: &Command, unmodelled: &Vector6<f64>, wind_i: &Vector3<f64>) {

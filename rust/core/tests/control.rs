@@ -13,7 +13,7 @@ use flight_core::control::channels::Modes;
 use flight_core::control::config::{Fallback, RateFeedback, Solver};
 use flight_core::control::setpoint::Setpoint;
 use flight_core::control::torque::limit_rate;
-use flight_core::control::{BadStart, CommandStatus, ControllerState};
+use flight_core::control::{BadCommand, BadStart, CommandStatus, ControllerState};
 use flight_core::estimator::{ChannelConfig, EstimatorConfig};
 use flight_core::qp::QpStatus;
 use flight_core::spatial::rotation_angle;
@@ -322,6 +322,64 @@ fn time_goes_on_without_a_measurement() {
     }
 }
 
+/// What acts in the place of a command is what both predictions follow: that of the channels, for a tick in which nothing
+/// is measured, and that of an estimator, which hardly looks at what is.
+#[test]
+fn predictions_follow_a_replaced_command() {
+    let slow = ChannelConfig { delay: 0.0, time_constant: 1e9 };
+    let estimator = EstimatorConfig {
+        base_position: slow,
+        base_rotation: slow,
+        base_linear_velocity: slow,
+        base_angular_velocity: slow,
+        joint_position: slow,
+        joint_velocity: slow,
+        thrust: slow,
+        joint_observer: None,
+    };
+    for estimator in [None, Some(estimator)] {
+        let mut config = experiment("test2");
+        config.simulator.joint_stops = false;
+        config.controller.law.estimator = estimator;
+        let has_estimator = config.controller.law.estimator.is_some();
+        let mut world = Loop::new(&config);
+        world.run(0.05, |_| wind());
+        let torque: Vec<f64> =
+            world.controller.command().joint_torque.iter().map(|torque| 0.9 * torque + 0.1).collect();
+        let rate: Vec<f64> =
+            world.controller.command().thrust_rate.iter().map(|rate| 0.5 * rate - 3.0).collect();
+        let Running { controller, state } = &mut world.controller;
+        let before = state.clone().unwrap();
+        let state = state.as_mut().unwrap();
+        for wrong in [&rate[1..], &[f64::NAN; 4]] {
+            assert_eq!(controller.replace_command(state, wrong, &torque), Err(BadCommand));
+            assert_eq!(*state, before);
+        }
+        controller.replace_command(state, &rate, &torque).unwrap();
+        world.plant.advance(&torque, &rate, &wind(), TIME_STEP);
+        world.tick += 1;
+        let truth = world.plant.state();
+        let mut sample = Sample {
+            time: world.tick as f64 * TIME_STEP,
+            state: truth.clone(),
+            thrust: world.plant.jets().thrust().to_vec(),
+            wind: wind(),
+        };
+        if !has_estimator {
+            sample.state.velocity.fill(f64::NAN);
+            sample.state.base.position.fill(f64::NAN); // or the velocity follows it
+            sample.thrust.fill(f64::NAN);
+        }
+        world.controller.tick(&sample.measurement());
+        let seen = &world.controller.terms().seen;
+        // Velocities near 10 rad/s, by a mass matrix with a condition of 1e4.
+        assert_within!((&seen.state.velocity - &truth.velocity).amax(), 1e-9);
+        for (seen, truth) in seen.thrust.iter().zip(world.plant.jets().thrust()) {
+            assert_within!((seen - truth).abs(), 1e-9);
+        }
+    }
+}
+
 /// With estimators the law is given what they make of the measurement, and the state holds them.
 #[test]
 fn the_law_is_given_what_the_estimators_make() {
@@ -342,7 +400,7 @@ fn the_law_is_given_what_the_estimators_make() {
     let seen = &controller.terms().seen;
     assert_within!((seen.state.base.position - good.state.base.position).amax(), 1e-2, because "a tick of the model");
     assert_eq!(seen.wind, wind, "that of the tick before");
-    assert_eq!(controller.state().estimator().unwrap().estimate().state, seen.state);
+    assert_eq!(controller.terms().given.reading.state, seen.state);
 
     // A state without estimators is not one of this controller, nor the other way round.
     let mut without = config.clone();

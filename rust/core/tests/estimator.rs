@@ -64,8 +64,10 @@ struct Estimating {
 }
 
 impl Estimating {
-    fn update(&mut self, state: &RobotState, thrust: &[f64]) -> &Reading {
-        self.estimator.update(&mut self.state, state, thrust)
+    fn update(&mut self, state: &RobotState, thrust: &[f64]) -> Reading {
+        let mut reading = Reading { state: state.clone(), thrust: thrust.to_vec() };
+        self.estimator.update(&mut self.state, &mut reading);
+        reading
     }
 
     fn command(&mut self, command: &Command, unmodelled: &Vector6<f64>) {
@@ -110,7 +112,7 @@ fn with_the_worlds_own_model_it_is_ahead_of_every_delay() {
         let truth = Reading { state: state.clone(), thrust: thrust.to_vec() };
         let said = sensors.read(state, thrust);
         let found = estimator.update(&said.state, &said.thrust);
-        assert_within!(distance(found, &truth), 1e-9, because "measured exactly, predicted over five ticks by the same equations in another order", "tick {tick}");
+        assert_within!(distance(&found, &truth), 1e-9, because "measured exactly, predicted over five ticks by the same equations in another order", "tick {tick}");
         estimator.command(world.controller.command(), &Vector6::zeros());
         world.advance(&WIND);
     }
@@ -156,7 +158,7 @@ fn every_channel_is_corrected_by_its_share() {
             if is_changed {
                 change(&mut said);
             }
-            estimator.update(&said.state, &said.thrust).clone()
+            estimator.update(&said.state, &said.thrust)
         });
         let share = 1.0 - (-STEP / time_constants[channel]).exp();
         let moved = read(&found[1]) - read(&found[0]);
@@ -195,7 +197,7 @@ fn an_unmodelled_wrench_moves_the_whole_robot() {
         let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
         estimator.update(state, thrust);
         estimator.command(world.controller.command(), &unmodelled);
-        estimator.update(state, thrust).clone()
+        estimator.update(state, thrust)
     });
     // The momentum matrix of the state before the step, with which the step was taken.
     kinematics.update(&model, world.plant.state());
@@ -251,13 +253,13 @@ fn a_measurement_that_is_no_number_corrects_nothing() {
     estimator.update(state, thrust);
     let mut wrong = state.clone();
     wrong.velocity[7] = f64::NAN;
-    let coasting = estimator.update(&wrong, thrust).clone();
+    let coasting = estimator.update(&wrong, thrust);
     // What is missing is handed on as missing, everything else is taken as it comes.
     assert!(coasting.state.velocity[7].is_nan());
     let (mut found, mut given) = (coasting.state.velocity.clone(), state.velocity.clone());
     (found[7], given[7]) = (0.0, 0.0);
     assert_within!((found - given).amax(), 1e-15, because "taken as it comes");
-    let back = estimator.update(state, thrust).clone();
+    let back = estimator.update(state, thrust);
     assert!(distance(&back, &Reading { state: state.clone(), thrust: thrust.to_vec() }) < 1e-14);
 }
 
@@ -305,7 +307,7 @@ fn absurd_numbers_pass() {
         for said in [&wrong, state, &wrong, state, state] {
             estimator.update(said, thrust);
         }
-        let back = estimator.update(state, thrust).clone();
+        let back = estimator.update(state, thrust);
         assert!(
             distance(&back, &Reading { state: state.clone(), thrust: thrust.to_vec() }) < 1e-14,
             "{absurd}"

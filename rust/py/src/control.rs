@@ -144,6 +144,20 @@ impl Controller {
         };
         self.last_tick(py)
     }
+
+    /// Tells after a tick that other thrust rates (jets) [N/s] and joint torques (n) [N m] act until the next one.
+    fn replace_command(&mut self, thrust_rate: Input<'_>, joint_torque: Input<'_>) -> PyResult<()> {
+        let rates = entries("thrust_rate", &thrust_rate, &[self.controller.n_jets()])?;
+        let torques = entries("joint_torque", &joint_torque, &[self.controller.model().n_joints()])?;
+        let Some(state) = &mut self.state else {
+            return Err(PyValueError::new_err(
+                "no flight has begun; expected a tick before its command is replaced",
+            ));
+        };
+        self.controller
+            .replace_command(state, &rates, &torques)
+            .map_err(|reason| PyValueError::new_err(reason.to_string()))
+    }
 }
 
 /// A refused start, as Python sees it.

@@ -150,8 +150,14 @@ pub fn fly_batch(
     if threads == Some(0) {
         return Err(PyValueError::new_err("threads is 0; expected at least 1, or None for one per core"));
     }
-    let parse_one = |text: &String| py.check_signals().and_then(|()| parse(text));
-    let configs = config_jsons.iter().map(parse_one).collect::<PyResult<Vec<_>>>()?;
+    // All are built before one flies: a refusal costs no flight that is flown.
+    let check = |(index, text): (usize, &String)| {
+        py.check_signals()?;
+        parse(text)
+            .and_then(|config| Scenario::new(&config).map(|_| config).map_err(value_error))
+            .map_err(|error| refused(index, error.value(py)))
+    };
+    let configs = config_jsons.iter().enumerate().map(check).collect::<PyResult<Vec<_>>>()?;
     let mut reporter = Reporter::new(progress);
     let keep = |mut result: FlightResult| {
         if !full_log {
@@ -191,9 +197,13 @@ pub fn fly_batch(
     let convert = |(index, result): (usize, Result<FlightResult, BatchError>)| match result {
         Ok(result) => flight_dict(py, result, full_log),
         Err(BatchError::Interrupted) => Err(PyKeyboardInterrupt::new_err("batch interrupted")),
-        Err(error) => Err(PyValueError::new_err(format!("flight {index} of the batch: {error}"))),
+        Err(error) => Err(refused(index, &error)),
     };
     results.into_iter().enumerate().map(convert).collect()
+}
+
+fn refused(index: usize, reason: &dyn std::fmt::Display) -> PyErr {
+    PyValueError::new_err(format!("flight {index} of the batch: {reason}"))
 }
 
 /// Calls Python's progress callback now and then, and keeps the exception it raised.

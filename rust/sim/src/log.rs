@@ -5,7 +5,7 @@ use crate::scenario::{Loss, Outcome};
 use crate::signals::{SIGNALS, Signal};
 use crate::summary::Summary;
 use flight_core::control::setpoint::Setpoint;
-use flight_core::control::{Command, Measurement, Terms};
+use flight_core::control::{Command, Terms};
 use flight_core::qp::QpAnswer;
 use flight_core::robot::RobotModel;
 use nalgebra::Vector3;
@@ -56,14 +56,10 @@ pub struct LogRow<'a> {
     pub wind: Vector3<f64>,
     /// The world.
     pub plant: &'a Plant,
-    /// What the controller was given.
-    pub measurement: &'a Measurement<'a>,
     /// The controller's intermediate values.
     pub terms: &'a Terms,
     /// The controller's command.
     pub command: &'a Command,
-    /// Standard deviation of the wind it was given, along each axis \[m/s\]; zero where it was given the wind.
-    pub wind_std: Vector3<f64>,
     /// Errors against the set-point.
     pub errors: TrackingErrors,
 }

@@ -21,9 +21,7 @@ use crate::summary::Summary;
 use crate::wind::Wind;
 use flight_core::control::{Controller, ControllerState, Measurement};
 use flight_core::error::BuildError;
-use flight_core::estimator::Reading;
 use flight_core::robot::RobotModel;
-use flight_core::wind_observer::WindState;
 use flight_io::load_robot;
 use nalgebra::Vector3;
 use std::fmt;
@@ -360,27 +358,10 @@ impl Flight {
             self.loss = Some(Loss { time, reason });
             return false;
         };
-        let given_wind = state.wind().map_or(*given, WindState::wind);
-        let wind_std = state.wind().map_or_else(Vector3::zeros, WindState::std);
         controller.tick(state, &measurement);
-        // What the estimators made of it.
-        let mut measurement = Measurement { wind: given_wind, ..measurement };
-        if let Some(estimator) = state.estimator() {
-            let Reading { state, thrust } = estimator.estimate();
-            (measurement.state, measurement.thrust) = (state, thrust);
-        }
         let (terms, command) = (controller.terms(), controller.command());
         let errors = TrackingErrors::new(plant, &terms.setpoint);
-        self.log.push(&LogRow {
-            time,
-            wind,
-            plant,
-            measurement: &measurement,
-            wind_std,
-            terms,
-            command,
-            errors,
-        });
+        self.log.push(&LogRow { time, wind, plant, terms, command, errors });
         self.loss = self.scenario.lost(&wind, &errors).map(|reason| Loss { time, reason });
         if self.loss.is_some() {
             return false;

@@ -215,7 +215,7 @@ pub static SIGNALS: [Signal; 41] = [
         |row, out| out.extend(&row.terms.momentum.unmodelled_wrench),
     ),
     signal("measured_base_position", XYZ, "m", "base position that the controller is given", |row, out| {
-        out.extend(&row.measurement.state.base.position);
+        out.extend(&row.terms.given.reading.state.base.position);
     }),
     signal(
         "measured_base_quaternion",
@@ -223,7 +223,7 @@ pub static SIGNALS: [Signal; 41] = [
         "1",
         "base rotation that the controller is given",
         |row, out| {
-            out.extend(wxyz_from_rotation(&row.measurement.state.base.rotation));
+            out.extend(wxyz_from_rotation(&row.terms.given.reading.state.base.rotation));
         },
     ),
     signal(
@@ -231,31 +231,31 @@ pub static SIGNALS: [Signal; 41] = [
         SIX,
         "m s-1 (linear), rad s-1 (angular)",
         "base velocity that the controller is given, mixed",
-        |row, out| out.extend(&row.measurement.state.velocity.as_slice()[..6]),
+        |row, out| out.extend(&row.terms.given.reading.state.velocity.as_slice()[..6]),
     ),
     signal(
         "measured_joint_velocity",
         JOINT,
         "rad s-1",
         "joint velocity that the controller is given",
-        |row, out| out.extend(row.measurement.state.joint_velocity()),
+        |row, out| out.extend(row.terms.given.reading.state.joint_velocity()),
     ),
     signal("measured_thrust", JET, "N", "thrust of each jet that the controller is given", |row, out| {
-        out.extend(row.measurement.thrust);
+        out.extend(&row.terms.given.reading.thrust);
     }),
     signal(
         "measured_wind",
         XYZ,
         "m s-1",
         "wind velocity that the controller is given, inertial frame",
-        |row, out| out.extend(&row.measurement.wind),
+        |row, out| out.extend(&row.terms.given.wind),
     ),
     signal(
         "measured_wind_std",
         XYZ,
         "m s-1",
         "standard deviation of that wind where it is estimated from the robot's motion, else zero",
-        |row, out| out.extend(&row.wind_std),
+        |row, out| out.extend(&row.terms.given.wind_std),
     ),
     integer(signal("qp_status", QP, "1", "outcome of each QP; 0 is solved", |row, out| {
         out.extend(row.qps().map(|answer| f64::from(answer.status.code())));

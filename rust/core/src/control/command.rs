@@ -29,6 +29,13 @@ pub struct Measurement<'a> {
 )]
 pub struct BadStart;
 
+/// A command that no robot of this controller can follow.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "this command cannot act; expected a finite number for every thrust rate and joint torque of this robot"
+)]
+pub struct BadCommand;
+
 /// Whether a command is the one that the control law gives.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CommandStatus {

@@ -84,12 +84,6 @@ impl ControllerState {
         self.channels.time
     }
 
-    /// The state estimator; none where the law is given the measurements.
-    #[must_use]
-    pub fn estimator(&self) -> Option<&EstimatorState> {
-        self.estimator.as_ref()
-    }
-
     /// The estimate of the wind; none where the law is given the measured one.
     #[must_use]
     pub fn wind(&self) -> Option<&WindState> {
