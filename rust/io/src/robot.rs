@@ -13,6 +13,7 @@ mod urdf;
 use crate::read_text;
 use crate::toml::{from_value, parse};
 use flight_core::error::{BuildError, check as check_number};
+use flight_core::jets::EngineModel;
 use flight_core::robot::{
     AeroLink, AxisymmetricCoefficients, EngineCoefficients, Foot, Jet, JointGroup, RobotModel, check,
 };
@@ -228,7 +229,9 @@ fn build(file: RobotFile, urdf_text: &str, origin: &str) -> Result<RobotModel, B
         file.joint_groups.iter().flat_map(|group| &group.joints).map(|joint| joint.name.as_str()).collect();
     let tree = tree::build(&urdf, &file.base_link, &order, &file.locked)?;
     check_coefficients(&file)?;
-    check_engines(&file.engines)?;
+    for (name, coefficients) in &file.engines {
+        EngineModel::new(name, *coefficients)?;
+    }
 
     Ok(RobotModel {
         forward_axis_b: forward_axis(file.forward_axis)?,
@@ -325,30 +328,6 @@ fn jets(file: &RobotFile, tree: &Tree) -> Result<Vec<Jet>, BuildError> {
         })
     };
     file.jets.iter().map(jet).collect()
-}
-
-fn check_engines(engines: &BTreeMap<String, EngineCoefficients>) -> Result<(), BuildError> {
-    for (name, e) in engines {
-        let values = [
-            ("k_t", e.k_t),
-            ("k_tt", e.k_tt),
-            ("k_d", e.k_d),
-            ("k_dd", e.k_dd),
-            ("k_td", e.k_td),
-            ("b_u", e.b_u),
-            ("b_t", e.b_t),
-            ("b_d", e.b_d),
-            ("b_uu", e.b_uu),
-            ("c", e.c),
-            ("throttle_min", e.throttle_min),
-            ("throttle_max", e.throttle_max),
-        ];
-        for (key, value) in values {
-            check_number(&format!("{key} of engine `{name}`"), value, |_| true, "a finite number")?;
-        }
-        check::interval(&format!("throttle range of engine `{name}`"), e.throttle_min, e.throttle_max)?;
-    }
-    Ok(())
 }
 
 fn feet(file: &RobotFile, tree: &Tree) -> Result<Vec<Foot>, BuildError> {

@@ -89,7 +89,7 @@ fn impossible_toml_is_refused_by_name_and_value() {
         spoil(
             "throttle_min = 0.0",
             "throttle_min = 100.0",
-            &["throttle range of engine `E100`", "[100.0, 100.0]"],
+            &["throttle_max of engine `E100` is 100", "above throttle_min = 100 %"],
         ),
         spoil(
             "[[0.08, 0.0, 0.0], [-0.08, 0.04, 0.0], [-0.08, -0.04, 0.0]]",
