@@ -128,7 +128,7 @@ SWEEPS := paper_tests ablation_terms model_pairs
 
 reproduce: $(PACKAGES) ## fly, train, draw and judge what the paper has, write results/report.md and .html (36 minutes of processor time)
 	$(if $(PUBLIC_TABLE),$(BIN)/python -m experiments import-cfd --table $(PUBLIC_TABLE) --out $(DATASET))
-	$(BIN)/python -m experiments fit-aero $(DATA) --set dataset=$(DATASET)
+	$(BIN)/python -m experiments fit-aero $(DATA)
 	$(BIN)/python -m experiments train $(TRAINING) --dataset $(DATASET)
 	$(BIN)/python -m experiments test3 --out results/trained --overwrite --set simulator.aero.card=$(CARD)
 	$(BIN)/python -m experiments test4 --out results/trained --overwrite --set simulator.aero.card=$(CARD) \

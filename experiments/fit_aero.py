@@ -31,12 +31,12 @@ class FitConfig(tables.Table, frozen=True):
     """A fit."""
 
     dataset: str = ""
-    """What import-cfd wrote; without it, `results/datasets/NAME.nc`."""
+    """What import-cfd wrote; without it, `results/datasets/NAME.nc`, or else the shipped one of that name."""
 
 
 def compute(name: str, config: FitConfig) -> Findings:
     """Fit and compare."""
-    path = Path(config.dataset) if config.dataset else study.RESULTS / "datasets" / f"{name}.nc"
+    path = Path(config.dataset) if config.dataset else dataset_of(name)
     computed = load(path)
     computed = computed.take(~computed.is_mirrored)
     dataset = computed.mirrored()
@@ -63,6 +63,12 @@ def compute(name: str, config: FitConfig) -> Findings:
 
 STUDY = Study("fit_aero", __doc__, FitConfig, compute, ("freestream",), engine="scikit-learn")
 main = STUDY.main
+
+
+def dataset_of(name: str) -> Path:
+    """Return the dataset of a name: our own of `results/datasets`, or else a shipped one."""
+    own, shipped = (folder / f"{name}.nc" for folder in (study.RESULTS / "datasets", study.CONFIGS / "aero/datasets"))
+    return shipped if shipped.is_file() and not own.is_file() else own
 
 
 def variants_of(robot: RobotModel, fits: Mapping[str, fit.FamilyFit]) -> dict[str, Floats]:

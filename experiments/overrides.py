@@ -1,15 +1,21 @@
-"""`--set key=value`: from the command line to values, and to the name of a folder."""
+"""`--set key=value`: from the command line to values, and to the name of a folder.
+
+Whatever is changed by `--set`, a flight, study, training or CFD design, has a result of its own: `NAME--key=value`
+beside the `NAME` of the plain one, unless --out says where it goes.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 from collections.abc import Mapping
 from typing import Any
 
+from experiments import manifest
 from jax_aero.keys import parse_assignments as parse
 
-__all__ = ["folder_suffix", "parse"]
+__all__ = ["folder_suffix", "options", "parse"]
 
 SUFFIX_LENGTH = 100
 
@@ -24,6 +30,12 @@ def folder_suffix(overrides: Mapping[str, Any]) -> str:
         return suffix
     digest = hashlib.sha256(suffix.encode()).hexdigest()[:8]
     return f"{suffix[: SUFFIX_LENGTH - 9]}~{digest}"
+
+
+def options(changes: Mapping[str, Any]) -> list[str]:
+    """Return the words of a command line that make these changes, with no path of this machine."""
+    assignments = (f"{key}={json.dumps(manifest.portable(value))}" for key, value in changes.items())
+    return [word for assignment in assignments for word in ("--set", assignment)]
 
 
 def _flat(value: Any) -> str:

@@ -2,7 +2,8 @@
 
 A kind of study is a type of configuration and a function from it to findings. The keys stand in a TOML file of
 `configs/KIND/`, paths in it relative to that file, or, where the kind has no such folder, in the type's defaults; --set
-changes them. Keys, flights and every file named count towards the digest, so that an outdated result is recognised.
+changes them, for a result of its own (`experiments.overrides`). Keys, flights and every file named count towards the
+digest, so that an outdated result is recognised.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -63,20 +64,27 @@ class Study(Generic[C]):
     about: str | None
     config: type[C]
     compute: Any
-    """Function of name and configuration, which returns `Findings`."""
+    """Function of name and configuration, and of the file of a study under way where there is `progress`, which returns
+    `Findings`."""
     names: Sequence[str]
     """Studies that are made where none is named."""
     engine: str = "casadi"
     """Package that does the work."""
     interrupted: str = "nothing was written"
     """Printed after Ctrl-C."""
-    progress: Callable[[str], Path] | None = None
-    """File of a study under way, by its name; it goes when the result is there."""
+    options: Sequence[str] = ()
+    """Further words of the command line that makes it."""
+    progress: str = ""
+    """Ending of the file of a study under way, which lies beside the result and goes when that is there."""
 
     @property
     def command(self) -> str:
         """Return how the command line calls it."""
         return self.kind.replace("_", "-")
+
+    def progress_of(self, folder: Path) -> Path:
+        """Return the file of a study under way, by the folder of its result."""
+        return folder.with_name(f".{folder.name}{self.progress}")
 
     def main(self, arguments: Sequence[str] | None = None) -> int:
         """Run the command line; return its exit status."""
@@ -110,36 +118,33 @@ class Study(Generic[C]):
     def run(self, name: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Compute, write, print; return the manifest."""
         started = time.perf_counter()
+        command = ["jax-aero", self.command, name, *self.options, *overrides.options(changes or {})]
         name, config = self.read(name, changes)
-        findings: Findings = self.compute(name, config)
+        folder = RESULTS / self.kind / (name + overrides.folder_suffix(changes or {}))
+        under_way = [self.progress_of(folder)] if self.progress else []
+        findings: Findings = self.compute(name, config, *under_way)
         timings = {**findings.timings, "all": time.perf_counter() - started}
         hashed = {"flights": {key: rust.config_digest(flight) for key, flight in findings.flights.items()}}
         table = {**tables.plain(config), **findings.inputs}
         digested = digest({**table, **hashed}, [*tables.files(config), *findings.files])
         document = manifest.build(
-            name,
+            folder.name,
             findings.title,
             {**table, **({"flights": findings.flights} if findings.flights else {})},
             digested,
             summary=findings.summary,
-            command=self._command(name, changes or {}),
+            command=command,
             engine=self.engine,
             code=[self.compute.__module__],
             timings_s={key: round(seconds, 4) for key, seconds in timings.items()},
         )
         dataset = findings.dataset.assign_attrs(title=findings.title, config_hash=digested)
-        folder = RESULTS / self.kind / name
         record.write_run(folder, dataset, document, replace=True, texts=findings.texts)
-        if self.progress is not None:
-            self.progress(name).unlink(missing_ok=True)
+        for path in under_way:
+            path.unlink(missing_ok=True)
         print(f"{findings.title}\n{findings.report or listing(findings.summary)}")
         print(f"{manifest.portable(folder)}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
         return document
-
-    def _command(self, name: str, changes: Mapping[str, Any]) -> list[str]:
-        assignments = (f"{key}={json.dumps(manifest.portable(value))}" for key, value in changes.items())
-        options = (word for assignment in assignments for word in ("--set", assignment))
-        return ["jax-aero", self.command, name, *options]
 
 
 def listing(summary: Mapping[str, Any]) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 from tqdm import tqdm
 
-from experiments import engines, study
+from experiments import engines
 from experiments.sources import code_hash
 from experiments.study import Findings, Study
 from jax_aero import rust, tables
@@ -50,10 +50,10 @@ FEEDBACK = ("measured wind", "no measured wind")
 STILL = {"profile": "constant", "velocity": [0.0, 0.0, 0.0]}
 
 
-def compute(name: str, config: TipOverConfig) -> Findings:
+def compute(_: str, config: TipOverConfig, under_way: Path) -> Findings:
     """Make every trial that is not made yet."""
     base = rust.load_config(config.experiment)
-    trials = Trials(trials_of(name))
+    trials = Trials(under_way)
     low, high = config.speeds.lower, config.speeds.upper
     shape = (len(FEEDBACK), len(config.friction), len(config.directions_deg))
     limit, slips = np.full(shape, np.nan), np.zeros(shape, dtype=np.int8)
@@ -79,11 +79,6 @@ def compute(name: str, config: TipOverConfig) -> Findings:
     return Findings(config.title, dataset, figures(dataset), flights={"experiment": base})
 
 
-def trials_of(name: str) -> Path:
-    """Return the file that keeps the trials of a study under way."""
-    return study.RESULTS / "tip_over" / f".{name}.trials.json"
-
-
 STUDY = Study(
     "tip_over",
     __doc__,
@@ -92,7 +87,7 @@ STUDY = Study(
     ("ground",),
     engine="mujoco",
     interrupted="the trials made so far are kept, the same command goes on",
-    progress=trials_of,
+    progress=".trials.json",
 )
 main = STUDY.main
 

@@ -192,7 +192,7 @@ def compute(name: str, config: TrimConfig) -> Findings:
     return Findings(config.title, dataset, summary, files=[urdf], timings={"build": trim.build_time}, report=text)
 
 
-MAP = Study("trim", __doc__, TrimConfig, compute, ("free_joints",))
+MAP = Study("trim", __doc__, TrimConfig, compute, ("free_joints",), options=["--map"])
 
 
 def _everywhere(dataset: xr.Dataset) -> float:

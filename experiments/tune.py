@@ -48,7 +48,7 @@ class TuneConfig(tables.Table, frozen=True):
     """Of the worlds; those that validate have the next."""
 
 
-def compute(name: str, config: TuneConfig) -> Findings:
+def compute(name: str, config: TuneConfig, checkpoint: Path) -> Findings:
     """Tune, from where an interrupted run stands."""
     controller = io.resolve(config.controller, io.CONTROLLER)
     for key in config.keys:
@@ -63,7 +63,7 @@ def compute(name: str, config: TuneConfig) -> Findings:
             _sample(config, controller, worlds),
             len(config.keys),
             config.steps,
-            checkpoint=checkpoint_of(name),
+            checkpoint=checkpoint,
             digest=f"{digest} {code_hash(__name__)}",
         )
     before, after = found.validations[0], min(found.validations, key=lambda one: one.cost)
@@ -75,15 +75,9 @@ def compute(name: str, config: TuneConfig) -> Findings:
         "worlds left out of steps": sum(found.left_out) / (config.steps.count * config.steps.batch),
         **{f"factor of {key}": factor for key, factor in factors.items()},
     }
-    folder = study.RESULTS / "tune" / name
-    texts = {f"{name}.toml": tuned_controller(config, controller, factors, folder)}
+    texts = {f"{name}.toml": tuned_controller(config, controller, factors, checkpoint.with_name(name))}
     base = rust.load_config(worlds.base)
     return Findings(config.title, to_dataset(config, found), summary, flights={worlds.base: base}, texts=texts)
-
-
-def checkpoint_of(name: str) -> Path:
-    """Return where a run under way keeps its progress."""
-    return study.RESULTS / "tune" / f".{name}.npz"
 
 
 STUDY = Study(
@@ -94,7 +88,7 @@ STUDY = Study(
     ("aero_aware",),
     engine="jax",
     interrupted="the same command goes on from the last validation",
-    progress=checkpoint_of,
+    progress=".npz",
 )
 main = STUDY.main
 

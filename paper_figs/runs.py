@@ -77,13 +77,17 @@ def load(results: Path, name: str) -> Run:
     """Read the run of one name."""
     path = results / name / "run.nc"
     if not path.is_file():
-        stem = name.split("--", 1)[0]
         elsewhere = "" if results.resolve() == default_results().resolve() else f" --out {results}"
         raise MissingRun(
-            f"no flight `{name}` in {results}; fly it with: python -m experiments {stem}{elsewhere}"
-            + (" --set ... (the changes in its name)" if stem != name else "")
+            f"no flight `{name}` in {results}; fly it with: python -m experiments {as_typed(name, elsewhere)}"
         )
     return Run(name, read(path))
+
+
+def as_typed(name: str, options: str = "") -> str:
+    """Return the words that make a result: `test2--wind.seed=3` is `test2` with something set."""
+    stem, changed, _ = name.partition("--")
+    return f"{stem}{options}" + (" --set ... (the changes in its name)" if changed else "")
 
 
 def read(path: Path) -> xr.Dataset:

@@ -6,14 +6,15 @@ from pathlib import Path
 
 import xarray as xr
 
-from paper_figs.runs import MissingRun, read
+from paper_figs.runs import MissingRun, as_typed, read
 
 
 def load(results: Path, kind: str, name: str) -> xr.Dataset:
     """Read the study of a kind, with its name as an attribute; `results` is the folder of flights beside it."""
     path = results.parent / kind / name / "run.nc"
     if not path.is_file():
-        words = f"train {name} --dataset FILE" if kind == "training" else f"{kind.replace('_', '-')} {name}"
-        option = " --map" if kind == "trim" else ""
-        raise MissingRun(f"no study `{name}` in {path.parents[1]}; make it with: python -m experiments {words}{option}")
+        command = "train" if kind == "training" else kind.replace("_", "-")
+        words = as_typed(name, {"training": " --dataset FILE", "trim": " --map"}.get(kind, ""))
+        makes = f"python -m experiments {command} {words}"
+        raise MissingRun(f"no study `{name}` in {path.parents[1]}; make it with: {makes}")
     return read(path).assign_attrs(name=name)

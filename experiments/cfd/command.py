@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     def work() -> None:
         for name in given.names:
             design = Design.read(name, overrides.parse(given.set))
-            folder = (given.out or RESULTS) / design.name
+            folder = folder_of(design, given.out)
             if not given.finish:
                 cluster = Ray.of(given)
                 if cluster is None:
@@ -63,6 +63,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(collect(design, folder))
 
     return exit_status(work, interrupted="the same command goes on with the next case")
+
+
+def folder_of(design: Design, out: Path | None = None) -> Path:
+    """Return the folder of a design's cases."""
+    return out / design.name if out else RESULTS / (design.name + overrides.folder_suffix(design.changes))
 
 
 def compute(design: Design, folder: Path, simulator: Simulate = simulate, cluster: Ray | None = None) -> None:
@@ -136,7 +141,7 @@ def collect(design: Design, folder: Path) -> str:
         tables.plain(design.spec),
         design.digest,
         summary=summary,
-        command=["jax-aero", KIND, design.name],
+        command=["jax-aero", KIND, design.name, *overrides.options(design.changes)],
         engine="openfoam",
         code=[__name__],
         refused=refused,

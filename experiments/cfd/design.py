@@ -6,7 +6,7 @@ import hashlib
 import itertools
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -119,12 +119,14 @@ class Design:
 
     name: str
     spec: Spec
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    """Keys that are not as in the file."""
 
     @classmethod
     def read(cls, name: str, changes: Mapping[str, Any]) -> Design:
         """Read a file of `configs/cfd/` by name, or any by its path."""
         path = study.find(KIND, name)
-        return cls(path.stem, tables.load(path, Spec, changes))
+        return cls(path.stem, tables.load(path, Spec, changes), changes)
 
     @cached_property
     def robot(self) -> rust.Robot:

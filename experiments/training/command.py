@@ -50,13 +50,14 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     """Train all parts, write the result, return the errors of the splits."""
     started = time.perf_counter()
     path = study.find("training", given.name)
-    training, document = config.read(path, overrides.parse(given.set))
+    changes = overrides.parse(given.set)
+    training, document = config.read(path, changes)
     if given.write and not training.final:
         raise Refused(f"{path.name}: final is false, so there are no weights to --write")
     dataset = load(given.dataset)
     if training.mirrored:
         dataset = dataset.mirrored()
-    folder: Path = given.out or RESULTS / path.stem
+    folder: Path = given.out or RESULTS / (path.stem + overrides.folder_suffix(changes))
     digest = hashlib.sha256(f"{study.digest(document, [config.ROBOT])}{dataset.sha256}".encode()).hexdigest()
     work = _work_folder(folder, f"{digest} {code_hash(__name__)}", restart=given.restart)
     finished, network = _train(training, dataset, work)

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -138,6 +139,15 @@ def test_a_wrong_setting_is_named(data, tmp_path, capsys, change, message):
     options = [word for key, value in change.items() for word in ("--set", f"{key}={value}")]
     assert main(["train", "compact", "--dataset", str(data), "--out", str(tmp_path / "x"), *options]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_without_out_the_folder_names_what_was_set(data, tmp_path, monkeypatch):
+    monkeypatch.setattr(command, "RESULTS", tmp_path)
+    monkeypatch.setattr(command, "_train", lambda *_: sys.exit("trained"))
+    for options in ([], ["--set", "training.epochs=20"]):
+        with pytest.raises(SystemExit, match="trained"):
+            main(["train", "compact", "--dataset", str(data), *options])
+    assert {path.name for path in tmp_path.iterdir()} == {".compact.work", ".compact--training.epochs=20.work"}
 
 
 def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):

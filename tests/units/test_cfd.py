@@ -402,6 +402,18 @@ def test_a_folder_of_other_settings_is_refused(small, tmp_path):
         command.compute(other, tmp_path, Fake())
 
 
+def test_a_design_with_other_keys_has_a_folder_and_a_command_of_its_own(tmp_path):
+    plain, changed = design.Design.read("anchors", {}), design.Design.read("anchors", {"settings.solver.ranks": 2})
+    assert command.folder_of(plain) == command.RESULTS / "anchors"
+    assert command.folder_of(changed) == command.RESULTS / "anchors--settings.solver.ranks=2"
+    assert command.folder_of(changed, tmp_path) == tmp_path / "anchors"
+    small = design.Design.read("anchors", {"postures": ["hovering"]})
+    command.compute(small, tmp_path, Fake())
+    command.collect(small, tmp_path)
+    words = json.loads((tmp_path / "manifest.json").read_text())["command"]
+    assert words == "jax-aero cfd anchors --set 'postures=[\"hovering\"]'"
+
+
 def _fields(spec):
     return {name: getattr(spec, name) for name in spec.__struct_fields__}
 

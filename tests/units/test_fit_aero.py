@@ -162,10 +162,10 @@ def result(tmp_path_factory, robot, sampled, axes):
     """The command on data made with the corrected model."""
     folder = tmp_path_factory.mktemp("results")
     areas = fit.predicted_areas(np.asarray(robot.aero_links.coefficients["corrected"]), axes, sampled.wind_b)
-    ds.save(dataclasses.replace(sampled, force_area_b=areas), folder / "made_up.nc")
+    ds.save(dataclasses.replace(sampled, force_area_b=areas), folder / "datasets" / "freestream.nc")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(study, "RESULTS", folder)
-        status = fit_aero.main(["freestream", "--set", f"dataset={folder / 'made_up.nc'}"])
+        status = fit_aero.main(["freestream"])
     return folder, status
 
 
@@ -196,6 +196,16 @@ def test_a_missing_dataset_is_named_with_the_command_that_makes_it(tmp_path, cap
     assert "python -m experiments import-cfd" in capsys.readouterr().err
 
 
+def test_a_dataset_is_our_own_of_a_name_or_else_the_shipped_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    assert fit_aero.dataset_of("open") == study.CONFIGS / "aero" / "datasets" / "open.nc"
+    own = tmp_path / "datasets" / "open.nc"
+    own.parent.mkdir()
+    own.touch()
+    assert fit_aero.dataset_of("open") == own
+    assert fit_aero.dataset_of("mine") == tmp_path / "datasets" / "mine.nc"
+
+
 def test_a_solver_table_goes_through_import_and_fit(tmp_path, monkeypatch, robot):
     """Of a table made with a known model the fit is that model, and every other set differs by its own figures."""
     monkeypatch.setattr(study, "RESULTS", tmp_path)
@@ -206,8 +216,8 @@ def test_a_solver_table_goes_through_import_and_fit(tmp_path, monkeypatch, robot
     truth = np.asarray(robot.aero_links.coefficients["signed"])
     rows = modelled_rows(dict(zip(names, axes, strict=True)), truth, winds)
     (tmp_path / "table.csv").write_text(solver_table(rows))
-    assert import_cfd.main(["--table", str(tmp_path / "table.csv"), "--out", str(tmp_path / "made.nc")]) == 0
-    document = fit_aero.STUDY.run("made", {"dataset": str(tmp_path / "made.nc")})
+    assert import_cfd.main(["--table", str(tmp_path / "table.csv"), "--out", str(tmp_path / "datasets/made.nc")]) == 0
+    document = fit_aero.STUDY.run("made")
     found = document["summary"]
     # Rounding of areas up to 0.1 m²: the square of 1e-15, far below (1e-12 m²)².
     measured("mean square error of the right set [m4]", found["signed: link mean square error [m4]"], 1e-24)

@@ -13,6 +13,7 @@ from paper_figs.figures import FIGURES
 from paper_figs.runs import MissingRun
 
 ROOT = Path(__file__).resolve().parents[2]
+NAME = "test2--duration=12.0"
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +32,7 @@ def test_the_parts_add_up_to_what_the_crate_saw(result):
 
 @pytest.mark.close_to_tolerance("the last row lies before the end of the ramp")
 def test_the_wind_is_what_changes_the_force_while_it_rises(result, agree):
-    data = xr.load_dataset(result[0] / "force_rate/test2/run.nc", engine="h5netcdf")
+    data = xr.load_dataset(result[0] / f"force_rate/{NAME}/run.nc", engine="h5netcdf")
     rising = data.sel(time=slice(6.0, 9.9), six=["linear_x", "linear_y", "linear_z"])
     size = {name: float(np.sqrt((rising[name] ** 2).sum("six")).mean()) for name in force_rate.NEGLECTED}
     assert size["wind"] > 5 * max(size["attitude"], size["acceleration"])
@@ -40,17 +41,19 @@ def test_the_wind_is_what_changes_the_force_while_it_rises(result, agree):
 
 
 def test_lambda_a_has_no_linear_rows(result):
-    data = xr.load_dataset(result[0] / "force_rate/test2/run.nc", engine="h5netcdf")
+    data = xr.load_dataset(result[0] / f"force_rate/{NAME}/run.nc", engine="h5netcdf")
     assert float(np.abs(data["lambda_a"].isel(six=slice(0, 3))).max()) == 0.0
 
 
 def test_the_manifest_and_the_figure(result):
     folder, document = result
-    stored = json.loads((folder / "force_rate/test2/manifest.json").read_text())
+    stored = json.loads((folder / f"force_rate/{NAME}/manifest.json").read_text())
     assert stored["engine"] == "casadi"
     assert stored["versions"]["casadi"]
-    figure, hashes = FIGURES["force_rate"].drawn(folder / "flight")
-    assert hashes == {"test2": document["config_digest"]}
+    figure, hashes = FIGURES["force_rate"].drawn(folder / "flight", [NAME])
+    assert hashes == {NAME: document["config_digest"]}
     plt.close(figure)
     with pytest.raises(MissingRun, match=r"make it with: python -m experiments force-rate test9"):
         FIGURES["force_rate"].drawn(folder / "flight", ("test9",))
+    with pytest.raises(MissingRun, match=r"force-rate test2 --set \.\.\. \(the changes in its name\)"):
+        FIGURES["force_rate"].drawn(folder / "flight", ("test2--duration=7.0",))

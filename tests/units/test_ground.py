@@ -372,7 +372,7 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     text = (ROOT / "configs/tip_over/ground.toml").read_text().replace("../", f"{ROOT}/configs/")
     path = tmp_path / "small.toml"
     path.write_text(text.replace("[0.0, 30.0, 60.0, 90.0, 120.0, 150.0, 180.0]", "[0.0, 90.0]"))
-    monkeypatch.setattr(tip_over.study, "RESULTS", tmp_path)
+    monkeypatch.setattr(study, "RESULTS", tmp_path)
     with pytest.raises(KeyboardInterrupt):
         tip_over.STUDY.run(str(path))
     interrupted = len(made)

@@ -186,16 +186,21 @@ def test_the_result_names_its_reference_and_its_flights(tmp_path, monkeypatch, c
     compute.__module__ = experiment.__name__  # whose code the manifest names
     small = replace(experiment.STUDY, compute=compute)
     document = small.run("min_time", {"speed_max": 3.0})
-    folder = tmp_path / "trajectory" / "min_time"
-    assert sorted(path.name for path in folder.iterdir()) == ["manifest.json", "reference.csv", "run.nc"]
+    changed = tmp_path / "trajectory" / "min_time--speed_max=3.0"
+    assert sorted(path.name for path in changed.iterdir()) == ["manifest.json", "reference.csv", "run.nc"]
     assert document["summary"] == {"a figure": None}
+    assert document["name"] == changed.name
     assert document["command"] == "jax-aero trajectory min_time --set speed_max=3.0"
     assert document["config"]["speed_max"] == 3.0
-    read = xr.load_dataset(folder / "run.nc", engine="h5netcdf")
+    read = xr.load_dataset(changed / "run.nc", engine="h5netcdf")
     assert read["com_position_plan"].attrs["units"] == "m"
     again, other = small.run("min_time", {"speed_max": 3.0}), small.run("min_time")
     assert read.attrs["config_hash"] == document["config_digest"] == again["config_digest"]
     assert other["config_digest"] != document["config_digest"]
+    folder = changed.with_name("min_time")
+    before = {path: path.read_bytes() for path in sorted(folder.iterdir())}
+    small.run("min_time", {"speed_max": 2.0})
+    assert {path: path.read_bytes() for path in sorted(folder.iterdir())} == before
     (folder / "notes.txt").write_text("mine")
     with pytest.raises(Refused, match=r"holds more than a result \(notes\.txt\)"):
         small.run("min_time")

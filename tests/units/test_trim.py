@@ -161,6 +161,7 @@ def test_a_map_is_a_result_with_a_manifest(tmp_path, monkeypatch):
     assert document["summary"]["trims requested"] == 12
     assert document["summary"]["strongest wind with a trim from every direction [m/s]"] == 10.0
     assert set(document["timings_s"]) == {"build", "all"}
+    assert document["command"] == "jax-aero trim '(outside the repository)/small.toml' --map"
     assert str(tmp_path) not in (tmp_path / "trim/small/manifest.json").read_text()
 
     data = xr.load_dataset(tmp_path / "trim/small/run.nc", engine="h5netcdf")

@@ -162,7 +162,8 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bytes(files, monkeypatch):
     document = tune.STUDY.run(path)
     assert document["summary"]["worlds left out of steps"] == 0.5
     whole = {name: (folder / name).read_bytes() for name in ("run.nc", "toy.toml")}
-    assert not tune.checkpoint_of("toy").exists()
+    checkpoint = tune.STUDY.progress_of(folder)
+    assert not checkpoint.exists()
 
     calls = itertools.count()
 
@@ -174,7 +175,9 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bytes(files, monkeypatch):
     monkeypatch.setattr(tune, "gradients", killed)
     with pytest.raises(MemoryError):
         tune.STUDY.run(path)
-    assert tune.checkpoint_of("toy").exists()
+    assert checkpoint.exists()
+    tune.STUDY.run(path, {"seed": 7})  # another run, with a file of its own
+    assert checkpoint.exists()
     tune.STUDY.run(path)
     assert {name: (folder / name).read_bytes() for name in whole} == whole
 
