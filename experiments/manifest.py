@@ -39,7 +39,7 @@ def build(
         "name": name,
         "title": title,
         # JSON has neither infinity, to which the errors of a fall may grow, nor NaN.
-        "summary": {key: _finite(value) for key, value in summary.items()},
+        "summary": _finite(summary),
         "config_digest": digest,
         "config": portable(config),
         "code_hash": code_hash(*code),
@@ -54,6 +54,8 @@ def build(
 
 
 def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

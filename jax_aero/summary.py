@@ -42,7 +42,7 @@ def condense(log: Mapping[str, Any], joint_setpoint: Any) -> dict[str, Any]:
 
 
 def figures(signals: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
-    """Extremes and means of condensed signals; the first axis is time."""
+    """Extremes and means of condensed signals; the first axis is time. What has no tick to be of is NaN."""
     time, com_error, rotation_error = signals["time"], signals["com_error"], signals["rotation_error"]
     settled = time >= SETTLING_TIME
     com_error = com_error[settled]
@@ -51,10 +51,10 @@ def figures(signals: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
     tick = float(time[1]) if time.size > 1 else 0.0
     kkt = signals["qp_kkt"][np.isfinite(signals["qp_kkt"])]
     found = {
-        "max_com_error": _greatest(distance),
-        "max_com_error_x": _greatest(np.abs(com_error[:, 0])),
-        "max_com_error_y": _greatest(np.abs(com_error[:, 1])),
-        "max_com_error_z": _greatest(np.abs(com_error[:, 2])),
+        "max_com_error": _greatest_of(distance),
+        "max_com_error_x": _greatest_of(np.abs(com_error[:, 0])),
+        "max_com_error_y": _greatest_of(np.abs(com_error[:, 1])),
+        "max_com_error_z": _greatest_of(np.abs(com_error[:, 2])),
         "max_rotation_error": _greatest(rotation_error),
         "thrust_min": signals["thrust"].min() if signals["thrust"].size else 0.0,
         "thrust_max": signals["thrust"].max() if signals["thrust"].size else 0.0,
@@ -80,5 +80,11 @@ def _greatest(values: NDArray[np.float64]) -> float:
     return float(np.max(values, initial=0.0))
 
 
+def _greatest_of(values: NDArray[np.float64]) -> float:
+    """Greatest of values that are not negative; NaN if there are none."""
+    return float(np.max(values)) if values.size else np.nan
+
+
 def _root_mean_square(values: NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+    """NaN if there are no values."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else np.nan

@@ -42,14 +42,16 @@ def draw(sweep: Sweep) -> Figure:
 def correlations(sweep: Sweep, flights: pd.DataFrame, quantity: str) -> dict[str, float]:
     """Return Spearman's rank correlation of a quantity with the size of every input's departure from its middle.
 
-    A bias hurts to both sides, so inputs whose middle is nominal count by their distance from it.
+    A bias hurts to both sides, so inputs whose middle is nominal count by their distance from it. Flights without the
+    quantity, since they were lost before it counts, are left out.
     """
     found = {}
+    known = flights[quantity].notna()
     for axis in sweep.axes:
         x = flights[axis["name"]]
         middle = (x.max() + x.min()) / 2.0
         size = x if axis["name"] in ("speed", "lag") else (x - middle).abs()
-        found[axis["name"]] = float(size.rank().corr(flights[quantity].rank()))
+        found[axis["name"]] = float(size[known].rank().corr(flights.loc[known, quantity].rank()))
     return found
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -204,7 +205,7 @@ def _run(flight: Metrics) -> Sequence[str]:
     return (
         f"`{flight.name}` {flight.title}",
         flight.ending,
-        f"{flight.com_error:.3f}",
+        "–" if math.isnan(flight.com_error) else f"{flight.com_error:.3f}",
         f"{flight.rotation_error:.1f}",
         ", ".join(f"{error:.0f}" for error in flight.joint_errors.values()),
         f"{flight.thrust[0]:.1f} to {flight.thrust[1]:.1f}",

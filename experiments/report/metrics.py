@@ -30,6 +30,7 @@ class Metrics:
     completed: bool
     ending: str
     com_error: float
+    """After settling [m]; NaN of a flight that ended before."""
     rotation_error: float
     joint_errors: dict[str, float]
     """Greatest sum of absolute joint errors, by group [deg]."""
@@ -73,7 +74,7 @@ def measure(name: str, run: xr.Dataset) -> Metrics:
         title=str(run.attrs["title"]),
         completed=outcome == "completed",
         ending=ending(outcome, run.attrs["lost_time"], run.attrs["lost_reason"]),
-        com_error=float(distance.max(initial=0.0)),
+        com_error=float(distance.max()) if distance.size else np.nan,
         rotation_error=float(np.degrees(run["rotation_error"].max())),
         joint_errors={
             str(group): float(error[:, groups == group].sum(axis=1).max()) for group in dict.fromkeys(groups.tolist())

@@ -20,7 +20,6 @@ from experiments import manifest
 from experiments.engines import Failure
 from jax_aero import rust
 from jax_aero.result import FlightResult, Outcome
-from jax_aero.summary import SETTLING_TIME
 
 if TYPE_CHECKING:
     from experiments.sweep.design import Design
@@ -117,20 +116,18 @@ def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
     """Return counts and quantiles of the flights of one cell."""
     completed = flights["outcome"] == "completed"
     errors = int((flights["outcome"] == "error").sum())
-    near = (flights["max_rotation_error"] <= ON_COURSE_ROTATION) & (flights["max_com_error"] <= ON_COURSE_COM)
+    far = (flights["max_rotation_error"] > ON_COURSE_ROTATION) | (flights["max_com_error"] > ON_COURSE_COM)
     trials = len(completed) - errors
     record: dict[str, Any] = {"flights": trials, "errors": errors}
     degraded = flights["degraded_time"] > 0.0
-    for name, which in (("completed", completed), ("on_course", completed & near), ("degraded", degraded)):
+    for name, which in (("completed", completed), ("on_course", completed & ~far), ("degraded", degraded)):
         low, high = wilson(int(which.sum()), trials)
         record |= {name: int(which.sum()), f"{name}_low": low, f"{name}_high": high}
     for outcome in typing.get_args(Outcome):
         record[outcome] = int((flights["outcome"] == outcome).sum())
-    # The position error counts from `SETTLING_TIME` on: a flight that was lost before has none, not a zero.
-    settled = ~(flights["lost_time"].astype(float) < SETTLING_TIME)
     for name, (column, factor) in QUANTITIES.items():
         values = flights[column].astype(float) * factor
-        values = values[np.isfinite(values) & (settled if column == "max_com_error" else True)]
+        values = values[np.isfinite(values)]
         for quantile, share in QUANTILES.items():
             record[f"{name}_{quantile}"] = float(np.quantile(values, share)) if values.size else None
     return record

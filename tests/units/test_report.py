@@ -92,6 +92,11 @@ def results(tmp_path, made_up_results) -> Results:
     return Results(tmp_path)
 
 
+def test_a_flight_that_ends_while_it_settles_has_no_error_of_position(make_flight, robot):
+    run = record.to_dataset(make_flight(duration=2.0), robot, title="t", config_digest="0" * 64)
+    assert np.isnan(metrics.measure("t", run).com_error)
+
+
 def test_metrics_are_those_of_the_log(results, make_flight, robot, agree):
     found = results.flights["test2"]
     log = make_flight().log

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from experiments import Refused, record, sources, study
+from experiments import Refused, manifest, record, sources, study
 from experiments.__main__ import main
 from experiments.engines import MODULES
 from experiments.sweep import run, spec
@@ -245,6 +245,13 @@ def test_overwrite_removes_only_what_was_written(flown, tmp_path, capsys):
             assert path.read_text() == "mine"
             path.unlink()
         assert main(command) == 0
+
+
+def test_a_number_that_json_lacks_is_null_however_deep_it_stands():
+    summary = {"a": np.inf, "flight": {"com_error": np.nan, "outcome": "fell"}}
+    code = ["experiments.flight"]
+    document = manifest.build("x", "x", {}, "0", summary=summary, command=["x"], engine="rust", code=code)
+    assert document["summary"] == {"a": None, "flight": {"com_error": None, "outcome": "fell"}}
 
 
 def test_every_file_of_a_study_counts_as_its_own(tmp_path):

@@ -51,6 +51,17 @@ def test_figures_are_those_of_the_crate(flight):
         assert found[name] == pytest.approx(value, rel=1e-13, abs=1e-15), name
 
 
+def test_a_flight_that_ends_while_it_settles_has_no_figure_of_what_comes_after():
+    """In both languages; the others are there, and the flight is as complete as any."""
+    flight = rust.fly(rust.load_config(TEST2, {"simulator.duration": 1.0}))
+    found = figures(condense(flight.log, flight.joint_setpoint))
+    after = {"max_com_error", "max_com_error_x", "max_com_error_y", "max_com_error_z"}
+    after |= {"rms_com_error", "rms_rotation_error"}
+    for summary in (found, flight.summary):
+        assert {name for name, value in summary.items() if np.isnan(value)} == after
+    assert flight.outcome == "completed"
+
+
 @pytest.mark.parametrize("signal", ["com_position", "rotation_error", "thrust", "joint_torque", "aero_force_sim"])
 def test_figures_do_not_hide_what_is_no_number(flight, signal):
     log = {name: values.copy() for name, values in flight.log.items()}

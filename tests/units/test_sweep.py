@@ -316,6 +316,7 @@ def test_a_cell_has_counts_and_quantiles_of_its_flights(agree):
     flights = dict.fromkeys(columns, ramp) | {"outcome": np.array(["completed"] * 9 + ["fell"] * 2)}
     flights["lost_time"] = np.array([np.nan] * 9 + [2.9, 8.0])
     flights["max_com_error"], flights["max_rotation_error"] = 0.1 * ramp, np.radians(10.0 * ramp)
+    flights["max_com_error"][9] = np.nan
     found = table._cell(flights)
     assert (found["flights"], found["errors"], found["completed"], found["fell"], found["degraded"]) == (
         11,
@@ -335,6 +336,13 @@ def test_a_cell_has_counts_and_quantiles_of_its_flights(agree):
     agree("joints", found["joint_error_deg_median"], np.degrees(5.0), 1e-12)
     agree("position", [found[f"com_error_{end}"] for end in ("median", "worst")], [0.45, 1.0], 1e-12)
     agree("end", [found[f"lost_time_{end}"] for end in ("median", "worst")], [5.45, 8.0], 1e-12)
+
+
+def test_a_completed_flight_without_an_error_of_position_was_never_too_far_off():
+    columns = {column for column, _ in table.QUANTITIES.values()} | {"degraded_time"}
+    flights = dict.fromkeys(columns, np.zeros(2)) | {"outcome": np.array(["completed", "fell"])}
+    found = table._cell(flights | {"max_com_error": np.full(2, np.nan)})
+    assert (found["on_course"], found["com_error_worst"]) == (1, None)
 
 
 def test_nothing_is_known_without_trials():

@@ -178,3 +178,6 @@ def test_an_input_counts_by_its_distance_from_the_middle(tmp_path, agree):
     found = correlations(sweep, flights, "error")
     agree("bias", found["bias"], 1.0, 1e-12)
     assert abs(found["speed"]) < 0.2
+    # A flight that was lost before the error counts has none, wherever it stands among the inputs.
+    flights.loc[[3, 20], "error"] = np.nan
+    agree("bias of the others", correlations(sweep, flights, "error")["bias"], 1.0, 1e-12)

@@ -510,8 +510,9 @@ function verdict({ outcome, lost_time: lost, lost_reason: reason, summary }, dis
   if (outcome === "diverged") return [`The computation diverges at ${lost.toFixed(1)} s: ${reason}`, "bad"];
   if (outcome === "off_course") return [`Flies to the end, but up to ${summary.max_com_error.toFixed(2)} m off course`, "bad"];
   const where = distance > 5 ? "Arrives" : "Stays in place";
-  const off = `${(100 * summary.max_com_error).toFixed(1)} cm off course at most`;
-  return error > LEANING ? [`${where}, leaning: up to ${error.toFixed(1)}°, ${off}`, "bad"] : [`${where} upright: attitude error up to ${error.toFixed(1)}°, ${off}`, "good"];
+  // A flight that ends before it has settled has no error of position.
+  const off = summary.max_com_error === null ? "" : `, ${(100 * summary.max_com_error).toFixed(1)} cm off course at most`;
+  return error > LEANING ? [`${where}, leaning: up to ${error.toFixed(1)}°${off}`, "bad"] : [`${where} upright: attitude error up to ${error.toFixed(1)}°${off}`, "good"];
 }
 
 /** A direction in words: 0 ahead, 90 left. */

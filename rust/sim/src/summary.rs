@@ -25,7 +25,8 @@ const fn figure(name: &'static str, unit: &'static str, meaning: &'static str) -
 
 macro_rules! figures {
     ($($name:ident [$unit:literal] $meaning:literal;)*) => {
-        /// Figures of merit of a flight. Each is NaN if a number is that it is made of.
+        /// Figures of merit of a flight. Each is NaN if a number is that it is made of; those after settling, too, if
+        /// the flight ended before.
         #[derive(Debug, Clone, Copy, PartialEq)]
         pub struct Summary {
             $(#[doc = concat!($meaning, " \\[", $unit, "\\]")] pub $name: f64,)*
@@ -105,7 +106,7 @@ impl Summary {
             .map(|(com, desired)| com - desired)
             .collect();
         let distances = || com_errors.iter().map(Vector3::norm);
-        let along = |axis: usize| greatest(com_errors.iter().map(|error| error[axis].abs()));
+        let along = |axis: usize| greatest_of(com_errors.iter().map(|error| error[axis].abs()));
         let tick = time.get(1).copied().unwrap_or_default();
         let degraded = data("degraded_modes").iter().filter(|modes| **modes > 0.0).count();
         let above = rotation.iter().filter(|angle| **angle > LEANING).count();
@@ -118,7 +119,7 @@ impl Summary {
         let solved = |status: &&[f64]| !status.iter().any(|code| *code > 0.0);
         let thrust = || data("thrust").iter().copied();
         Self {
-            max_com_error: greatest(distances()),
+            max_com_error: greatest_of(distances()),
             max_com_error_x: along(0),
             max_com_error_y: along(1),
             max_com_error_z: along(2),
@@ -167,13 +168,18 @@ fn greatest(values: impl Iterator<Item = f64>) -> f64 {
     values.fold(0.0, greater)
 }
 
+/// Greatest of values that are not negative; NaN if there are none.
+fn greatest_of(values: impl Iterator<Item = f64>) -> f64 {
+    values.reduce(greater).unwrap_or(f64::NAN)
+}
+
 /// Least value; infinite if there are none.
 fn least(values: impl Iterator<Item = f64>) -> f64 {
     values.fold(f64::INFINITY, lesser)
 }
 
-/// Zero if there are no values.
+/// NaN if there are no values.
 fn root_mean_square(values: impl Iterator<Item = f64>) -> f64 {
     let (count, sum) = values.fold((0.0_f64, 0.0), |(count, sum), x| (count + 1.0, sum + x * x));
-    (sum / count.max(1.0)).sqrt()
+    (sum / count).sqrt()
 }
