@@ -6,18 +6,16 @@ beside the `NAME` of the plain one, unless --out says where it goes.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 from collections.abc import Mapping
 from typing import Any
 
 from experiments import manifest
+from jax_aero import places
 from jax_aero.keys import parse_assignments as parse
 
 __all__ = ["folder_suffix", "options", "parse"]
-
-SUFFIX_LENGTH = 100
 
 
 def folder_suffix(overrides: Mapping[str, Any]) -> str:
@@ -25,11 +23,7 @@ def folder_suffix(overrides: Mapping[str, Any]) -> str:
 
     `{"wind.velocity": [0, -12, 0]}` becomes `--wind.velocity=0_-12_0`; long ones end in a digest.
     """
-    suffix = "".join(f"--{key}={_flat(value)}" for key, value in sorted(overrides.items()))
-    if len(suffix) <= SUFFIX_LENGTH:
-        return suffix
-    digest = hashlib.sha256(suffix.encode()).hexdigest()[:8]
-    return f"{suffix[: SUFFIX_LENGTH - 9]}~{digest}"
+    return places.addition("".join(f"--{key}={_flat(value)}" for key, value in sorted(overrides.items())))
 
 
 def options(changes: Mapping[str, Any]) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import hashlib
 from collections.abc import Iterable
 from os import PathLike, fspath
 from pathlib import Path
@@ -40,6 +41,21 @@ def find(kind: str, name: str | PathLike[str]) -> Path:
     if text not in (known := names(kind)):
         raise Refused(f"there is no `{text}` in configs/{kind}{did_you_mean(text, known)}")
     return CONFIGS / kind / f"{text}.toml"
+
+
+LONGEST = 100
+"""Length of what is added to the name of a result or of a figure."""
+
+
+def addition(text: str) -> str:
+    """Return what is added to the name of a result or of a figure; a long one ends in a digest.
+
+    >>> addition("--test2_half")
+    '--test2_half'
+    """
+    if len(text) <= LONGEST:
+        return text
+    return f"{text[: LONGEST - 9]}~{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

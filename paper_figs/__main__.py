@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"error: {name}: {reason}", file=sys.stderr)
             missing += 1
             continue
-        for path in style.save(figure, name, given.out, hashes):
+        for path in style.save(figure, _file_name(name, given.runs), given.out, hashes):
             print(path)
         plt.close(figure)
     if missing:
@@ -69,6 +69,13 @@ def _draw(name: str, given: argparse.Namespace) -> tuple[Figure, dict[str, str]]
         return FIGURES[name].drawn(given.results, given.runs or ())
     sweep = sweeps.load(given.sweeps, name)
     return DRAWINGS[sweep.document["drawing"]](sweep), sweep.hashes
+
+
+def _file_name(name: str, chosen: Sequence[str] | None) -> str:
+    """Return the name of a figure's files: of other results than its own it is another figure, and called so."""
+    if not chosen or tuple(chosen) == FIGURES[name].runs:
+        return name
+    return name + places.addition("--" + "_".join(run.replace("/", "-") for run in chosen))
 
 
 def _sweep_names(folder: Path) -> Iterator[str]:

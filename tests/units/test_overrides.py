@@ -3,7 +3,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from experiments import Refused
-from experiments.overrides import SUFFIX_LENGTH, folder_suffix, parse
+from experiments.overrides import folder_suffix, parse
+from jax_aero import places
 
 
 def test_values_are_written_as_in_toml():
@@ -56,7 +57,7 @@ VALUES = st.recursive(st.booleans() | st.integers() | st.floats() | st.text(), s
 @given(st.dictionaries(KEYS, VALUES, max_size=8))
 def test_any_suffix_is_one_short_folder_name(overrides):
     suffix = folder_suffix(overrides)
-    assert len(suffix) <= SUFFIX_LENGTH
+    assert len(suffix) <= places.LONGEST
     assert "/" not in suffix
     assert suffix.isprintable()
 

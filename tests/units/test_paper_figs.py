@@ -35,6 +35,10 @@ def test_the_runs_of_a_figure_can_be_chosen(made_up_results, tmp_path):
         str(tmp_path),
     ]
     assert main(arguments) == 0
+    # What is called fig5 shows the runs of Fig. 5: a report takes it for that.
+    assert {path.stem for path in tmp_path.iterdir()} == {"fig5--test2_test1_published"}
+    assert main([*arguments[:3], "test1", *arguments[4:]]) == 0
+    assert (tmp_path / "fig5.png").is_file()
 
 
 def test_a_missing_flight_is_named_with_the_command_that_flies_it(tmp_path, capsys):
