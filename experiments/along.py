@@ -50,6 +50,9 @@ class Along(tables.Table, frozen=True):
     trim: Path = study.CONFIGS / "trim" / "hover_posture.toml"
     """Has the length of a plume."""
 
+    def __post_init__(self) -> None:
+        tables.check_levels(self, "flights")
+
 
 def compute(_: str, asked: Along) -> Findings:
     """Read the flights."""
@@ -81,14 +84,17 @@ def _read(name: str) -> xr.Dataset:
 def of_runs(runs: dict[str, xr.Dataset], fuel: dict[str, Consumption], plume_length: float) -> xr.Dataset:
     """Return fuel burnt and clearance of every flight up to its loss, on common times."""
     robot = load_robot(ROBOT)
+    for name, run in runs.items():
+        if tuple(run["joint"].values) != tuple(robot.joint_names):
+            raise Refused(f"`flights` has {name}, whose joints are not those of {robot.name}; expected flights of it")
     distances, jets = clearance_of(robot, plume_length)
     idle, slope = fuel_lines(fuel, robot)
     end = max(float(run["time"][-1]) for run in runs.values())
     times = np.arange(0.0, end + 0.5 * STEP, STEP)
     burnt = np.full((len(runs), times.size), np.nan)
     nearest = np.full((len(runs), times.size, len(jets)), np.nan)
-    for index, run in enumerate(runs.values()):
-        lost = float(run.attrs["lost_time"])
+    lost_times = [float(run.attrs["lost_time"]) for run in runs.values()]
+    for index, (run, lost) in enumerate(zip(runs.values(), lost_times, strict=True)):
         until = float(run["time"][-1]) if np.isnan(lost) else lost
         flown = times <= until + 1e-9
         total = fuel_burnt(run["time"].values, run["thrust"].values, idle, slope)
@@ -103,6 +109,7 @@ def of_runs(runs: dict[str, xr.Dataset], fuel: dict[str, Consumption], plume_len
                 nearest,
                 {"units": "m", "long_name": "from the exhaust's axis to the nearest link"},
             ),
+            "lost_time": ("flight", lost_times, {"units": "s", "long_name": "when the flight was lost; NaN if not"}),
         },
         {"flight": list(runs), "time": ("time", times, {"units": "s"}), "jet": jets},
     )

@@ -114,6 +114,13 @@ def files(config: Any) -> Iterator[Path]:
             yield from files(part)
 
 
+def check_levels(table: Table, *names: str) -> None:
+    """Refuse keys whose list is empty or has a value twice: what is computed for each value is named by it."""
+    for name in names:
+        if not (values := getattr(table, name)) or len(set(values)) < len(values):
+            raise ValueError(f"`{name}` is {json.dumps(values)}; expected one value or more, each once")
+
+
 def plain(config: Any) -> dict[str, Any]:
     """Return a typed configuration as plain tables, every default written out."""
     table: dict[str, Any] = msgspec.to_builtins(config, enc_hook=str)

@@ -21,7 +21,7 @@ def draw(study: xr.Dataset) -> Figure:
         left.plot(fuel["time"], fuel, label=flight.replace("_", " "), **look)
         nearest = 1e3 * one["clearance"].min("jet").dropna("time")
         right.plot(nearest["time"], nearest, linewidth=0.9, **look)
-        if float(fuel["time"][-1]) < float(study["time"][-1]):
+        if one["lost_time"].notnull():
             for axes, line in ((left, fuel), (right, nearest)):
                 axes.plot(line["time"][-1], line[-1], "X", color=style.VERMILION, markersize=6)
     left.set_ylabel("fuel burnt [l]")

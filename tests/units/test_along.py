@@ -38,12 +38,18 @@ def test_a_flight_that_is_not_there_is_named():
 @pytest.fixture
 def study(make_flight, robot):
     runs = {}
-    for name, lost in (("whole", None), ("fell", 21.5)):
-        flight = make_flight(step=0.5, lost_time=lost)
+    for name, lost in (("whole", None), ("fell", 21.5), ("short", None)):
+        flight = make_flight(30.0 if name == "short" else 50.0, step=0.5, lost_time=lost)
         flight.log["thrust"][:] = 100.0
         flight.log["joint_position"][:] = POSTURE
         runs[name] = record.to_dataset(flight, robot, title=name, config_digest="0")
     return along.of_runs(runs, fuel(), 1.5)
+
+
+def test_a_flight_of_another_robot_is_named(make_flight, robot):
+    platform = record.to_dataset(make_flight(), robot, title="t", config_digest="0").isel(joint=slice(4))
+    with pytest.raises(Refused, match="`flights` has mine, whose joints are not those of "):
+        along.of_runs({"mine": platform}, fuel(), 1.5)
 
 
 def test_figures_of_a_flight_end_with_it(study, agree):
@@ -69,7 +75,8 @@ def test_the_figure_shows_flights(study, tmp_path):
     folder.mkdir(parents=True)
     record.write_dataset(study, folder / "run.nc")
     figure, hashes = FIGURES["along"].drawn(tmp_path / "flight")
-    assert [len(axes.lines) for axes in figure.axes] == [3, 4]
+    # A cross where the one was lost, none where the other was shorter.
+    assert [len(axes.lines) for axes in figure.axes] == [4, 5]
     assert hashes == {"flights": "0"}
 
 
