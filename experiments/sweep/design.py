@@ -115,6 +115,10 @@ class Design:
         for cell in range(len(self.cells)):
             config = self.cell_config(cell)
             with self._naming(cell):
+                if (engine := config.get("engine", self.spec.engine)) != self.spec.engine:
+                    raise Refused(
+                        f"`engine` of the flight is {engine!r}; expected {self.spec.engine!r}, as of the sweep"
+                    )
                 rust.check_config(config)  # first as it is written: only then can it be perturbed
                 self._perturb(config, 0)
                 rust.check_config(config)

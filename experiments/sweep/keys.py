@@ -1,4 +1,4 @@
-"""Settings of a sweep: dotted keys, and `wind.speed` and `wind.direction_deg`, which set `wind.velocity`."""
+"""Settings: dotted keys, `wind.speed` and `wind.direction_deg` of the horizontal part of `wind.velocity`."""
 
 from __future__ import annotations
 
@@ -29,4 +29,5 @@ def set_all(config: dict[str, Any], settings: Mapping[str, Any]) -> None:
         wind = {"wind.velocity": get(config, "wind.velocity")}
         velocity = tables.convert(wind, dict[str, tuple[float, float, float]], f"to set {' and '.join(polar)}")
         speed, direction = speed_and_direction(velocity["wind.velocity"])
-        config["wind"]["velocity"] = wind_from(given.get(POLAR[0], speed), given.get(POLAR[1], direction))
+        *horizontal, _ = wind_from(given.get(POLAR[0], speed), given.get(POLAR[1], direction))
+        config["wind"]["velocity"] = [*horizontal, velocity["wind.velocity"][2]]

@@ -117,6 +117,9 @@ def test_wind_is_given_by_where_it_comes_from(speed, direction, velocity, agree)
     assert config["wind"]["velocity"] == velocity
     keys.set_all(config, {"wind.speed": 2 * speed})
     agree("wind speed", np.linalg.norm(config["wind"]["velocity"]), 2 * speed, 1e-12)
+    config["wind"]["velocity"][2] = -1.5  # what is vertical has neither, and stays
+    keys.set_all(config, {"wind.speed": speed})
+    agree("velocity", config["wind"]["velocity"], [*velocity[:2], -1.5], 1e-9)
 
 
 @pytest.mark.parametrize(
@@ -336,6 +339,18 @@ def test_a_cell_has_counts_and_quantiles_of_its_flights(agree):
     agree("joints", found["joint_error_deg_median"], np.degrees(5.0), 1e-12)
     agree("position", [found[f"com_error_{end}"] for end in ("median", "worst")], [0.45, 1.0], 1e-12)
     agree("end", [found[f"lost_time_{end}"] for end in ("median", "worst")], [5.45, 8.0], 1e-12)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"base": "balancing_front"},
+        {"axis": [{"name": "engine", "level": [{"label": "jax", "set": {"engine": "jax"}}]}]},
+    ],
+)
+def test_a_cell_of_another_engine_is_refused_before_the_first_flight(change):
+    with pytest.raises(Refused, match=r"cell 0 .*: `engine` of the flight is '(mujoco|jax)'; expected 'rust', as of"):
+        design(**change).check()
 
 
 def test_a_completed_flight_without_an_error_of_position_was_never_too_far_off():
