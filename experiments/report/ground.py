@@ -47,7 +47,7 @@ class Ground:
 
 
 def read(folder: Path, mass: float) -> Ground | None:
-    """Return the numbers of a result folder, or `None` where no robot stood."""
+    """Return the numbers of a result folder, or `None` where no robot stood first in calm and then in wind."""
     document = record.read_manifest(folder)
     if document is None:
         return None
@@ -55,6 +55,8 @@ def read(folder: Path, mass: float) -> Ground | None:
         if "contact_force" not in opened or "controller_wind" not in document["config"].get("disturbances", {}):
             return None
         start = float(document["config"]["disturbances"]["controller_wind"].get("ramp_start", 0.0))
+        if not 0.0 < start <= float(opened["time"][-1]):
+            return None
         return measure(folder.name, opened.load(), start, mass)
 
 

@@ -78,8 +78,9 @@ class Results:
         found = {}
         for path in sorted((self.folder / "sweeps").glob("*/cells.parquet")):
             document = json.loads((path.parent / "sweep.json").read_text(encoding="utf-8"))
-            _require_whole(path.parent, document.get("finished", {}))
-            found[path.parent.name] = Sweep(document, pq.read_table(path).to_pylist())
+            if "finished" in document:
+                _require_whole(path.parent, document["finished"])
+                found[path.parent.name] = Sweep(document, pq.read_table(path).to_pylist())
         return found
 
     def sweep(self, name: str) -> Sweep:

@@ -13,7 +13,7 @@ import xarray as xr
 
 from experiments import engine_choice, record
 from experiments.__main__ import main
-from experiments.report import claims, facts, metrics
+from experiments.report import claims, facts, ground, metrics
 from experiments.report.command import _counted, _spans, build, claims_json
 from experiments.report.page import Heading, Page, Picture, Table, Text
 from experiments.report.results import Results
@@ -90,6 +90,22 @@ def results(tmp_path, made_up_results) -> Results:
             terms.append(cell(len(terms), 24, completes, stays, world=world, feedback=feedback))
     write_sweep(tmp_path, "ablation_terms", terms, ["world", "feedback"], panels="world")
     return Results(tmp_path)
+
+
+def test_a_robot_that_never_stood_in_wind_has_no_numbers(tmp_path, make_flight, robot):
+    run = record.to_dataset(make_flight(duration=2.0), robot, title="t", config_digest="0" * 64)
+    run["contact_force"] = (("time", "foot"), np.zeros((run.sizes["time"], 2)))
+    config = {"disturbances": {"controller_wind": {"ramp_start": 5.0}}}
+    record.write_run(tmp_path / "fell", run, {"config": config})
+    assert ground.read(tmp_path / "fell", 44.0) is None
+
+
+def test_a_sweep_under_way_is_not_there_yet(tmp_path):
+    folder = tmp_path / "sweeps" / "made"
+    folder.mkdir(parents=True)
+    pq.write_table(pa.table({"cell": [0]}), folder / "cells.parquet")
+    (folder / "sweep.json").write_text(json.dumps({"config_hash": "0"}))
+    assert Results(tmp_path).sweeps == {}
 
 
 def test_a_flight_that_ends_while_it_settles_has_no_error_of_position(make_flight, robot):
