@@ -57,7 +57,8 @@ def compute(name: str, config: TuneConfig, checkpoint: Path) -> Findings:
     worlds = spec.load(str(config.worlds))
     if not worlds.is_sampled:
         raise Refused(f"{config.worlds.name} is a {worlds.design}; expected a sampled design")
-    digest = study.digest(tables.plain(config), [*tables.files(config)])
+    base = rust.load_config(worlds.base)
+    digest = study.digest({**tables.plain(config), "base": rust.config_digest(base)}, [*tables.files(config)])
     with jax.enable_x64(True):
         found = tune(
             _sample(config, controller, worlds),
@@ -76,7 +77,6 @@ def compute(name: str, config: TuneConfig, checkpoint: Path) -> Findings:
         **{f"factor of {key}": factor for key, factor in factors.items()},
     }
     texts = {f"{name}.toml": tuned_controller(config, controller, factors, checkpoint.with_name(name))}
-    base = rust.load_config(worlds.base)
     return Findings(config.title, to_dataset(config, found), summary, flights={worlds.base: base}, texts=texts)
 
 

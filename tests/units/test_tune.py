@@ -194,6 +194,26 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bytes(files, monkeypatch):
     plt.close(figure)
 
 
+def test_a_run_does_not_go_on_in_other_worlds(files, monkeypatch):
+    """A sweep names its flight by name or from the current folder, not from its own."""
+    flight = files / "mine.toml"
+    flight.write_text(f'base = "{CONFIGS}/experiments/platform_hover.toml"\n')
+    (files / "worlds.toml").write_text(WORLDS.replace('"platform_hover"', f'"{flight}"'))
+    calls = itertools.count()
+
+    def killed(*arguments):
+        if next(calls) == 5:
+            raise MemoryError
+        return slopes(*arguments)
+
+    monkeypatch.setattr(tune, "gradients", killed)
+    with pytest.raises(MemoryError):
+        tune.STUDY.run(str(files / "toy.toml"))
+    flight.write_text(flight.read_text() + "simulator = { initial = { free_fall_tick = false } }\n")
+    with pytest.raises(ValueError, match="other settings"):
+        tune.STUDY.run(str(files / "toy.toml"))
+
+
 @pytest.mark.parametrize(
     ("before", "after", "message"),
     [
