@@ -77,7 +77,8 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
         if network is not None:
             save_network(card, network, config.robot(), description=training.description, training=facts)
 
-    document = _manifest(folder.name, training, document, digest, finished, errors, time.perf_counter() - started)
+    seconds = time.perf_counter() - started
+    document = _manifest(folder.name, training, document, digest, finished, errors, seconds, dataset.sha256)
     data = result.to_dataset(config.robot(), dataset, finished, training.title)
     data.attrs["config_hash"] = digest
     record.write_run(folder, data, document, replace=True, more=lambda draft: save(draft / f"{folder.name}.json"))
@@ -96,6 +97,7 @@ def _manifest(
     finished: list[Finished],
     errors: dict[str, Any],
     seconds: float,
+    dataset: str,
 ) -> dict[str, Any]:
     copies = training.ensemble.members if training.ensemble.keep == "mean" else 1
     summary = {
@@ -113,6 +115,7 @@ def _manifest(
         command=["python", "-m", "experiments", "train", *sys.argv[2:]],
         engine="jax",
         code=[__name__],
+        dataset=dataset,
         timings_s=timings,
     )
 

@@ -112,6 +112,7 @@ def run(path: Path, epochs: int, folder: Path, write: Path | None) -> dict[str, 
         command=["jax-aero", "train-ensemble", *sys.argv[2:]],
         engine="jax",
         code=[__name__],
+        dataset=dataset.sha256,
         timings_s={"this call": time.perf_counter() - started},
     )
     record.write_run(folder, data, document, replace=True)

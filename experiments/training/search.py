@@ -115,7 +115,7 @@ def run(given: argparse.Namespace) -> None:
         # By the number of trials: a search that goes on draws what it would have drawn, and two processes draw others.
         search.sampler = optuna.samplers.TPESampler(seed=settings.seed + len(search.trials))
         search.optimize(objective, n_trials=1, callbacks=[say])
-    _write(out, search, base, digest)
+    _write(out, search, {**tables.plain(settings), "base": base}, digest, dataset.sha256)
     print(f"best of {_complete(search)}: {search.best_value:.3e} m4 with {search.best_params}")
 
 
@@ -159,7 +159,7 @@ def error_of(training: config.Training, dataset: Dataset, settings: SearchConfig
     return float(np.mean(errors))
 
 
-def _write(out: Path, search: optuna.Study, base: Mapping[str, Any], digest: str) -> None:
+def _write(out: Path, search: optuna.Study, table: Mapping[str, Any], digest: str, dataset: str) -> None:
     keys = sorted({key for trial in search.trials for key in trial.params})
     text = io.StringIO()
     writer = csv.writer(text)
@@ -173,12 +173,13 @@ def _write(out: Path, search: optuna.Study, base: Mapping[str, Any], digest: str
     document = manifest.build(
         out.name,
         "Search for training settings",
-        base,
+        table,
         digest,
         summary={"best_error_m4": search.best_value, "best": search.best_params, "trials": _complete(search)},
         command=["python", "-m", "experiments", "train-search", *sys.argv[2:]],
         engine="optuna",
         code=[__name__],
+        dataset=dataset,
         timings_s={"all trials": sum(t.duration.total_seconds() for t in search.trials if t.duration)},
     )
     write_json(out / "manifest.json", document)

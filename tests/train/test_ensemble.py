@@ -102,7 +102,9 @@ def test_networks_predict_postures_that_they_have_not_seen(made_up_dataset, tmp_
         assert set(run["posture"].values) == everything
         truth = made_up_dataset.mirrored().force_area_b.sum(axis=1)
         agree("force areas", run["force_area"].values, truth, 1e-9)
-    summary = json.loads((tmp_path / "out" / "manifest.json").read_text())["summary"]
+    document = json.loads((tmp_path / "out" / "manifest.json").read_text())
+    assert document["dataset"] == made_up_dataset.mirrored().sha256
+    summary = document["summary"]
     best, worst = (summary[f"links, {which} single network [m4]"] for which in ("best", "worst"))
     assert 0.0 < best < worst
     card = json.loads((tmp_path / "written" / "ensemble.json").read_text())

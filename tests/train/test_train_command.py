@@ -11,7 +11,7 @@ from PIL import Image
 
 from experiments.__main__ import main
 from experiments.training import command
-from jax_aero.aero.dataset import save
+from jax_aero.aero.dataset import load, save
 from jax_aero.aero.network_card import load_network, read_card
 from jax_aero.command import INTERRUPTED
 from jax_aero.train import Interrupted, predict_areas
@@ -62,6 +62,7 @@ def result(data, tmp_path_factory):
 
 def test_a_result_holds_errors_of_both_splits_beside_baselines(result, made_up_dataset, agree):
     document = json.loads((result / "training" / "compact" / "manifest.json").read_text())
+    assert document["dataset"] == made_up_dataset.mirrored().sha256
     errors = document["summary"]["errors"]
     assert set(errors) == {"random", "grouped"}
     assert errors["grouped"]["folds"] == 2
@@ -176,7 +177,11 @@ def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):
     with (out / "trials.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert [row["state"] for row in rows] == ["COMPLETE", "COMPLETE"]
-    assert json.loads((out / "manifest.json").read_text())["summary"]["trials"] == 2
+    document = json.loads((out / "manifest.json").read_text())
+    assert document["summary"]["trials"] == 2
+    assert document["dataset"] == load(data).sha256
+    assert (document["config"]["folds"], document["config"]["base"]["network"]["features"]) == (3, ["wind", "joints"])
+    assert document["config"]["space"].keys() == {"network.hidden", "training.learning_rate"}
     # One that is not interrupted draws the same, and not twice.
     assert main([*arguments[:-1], str(tmp_path / "whole")]) == 0
     with (tmp_path / "whole" / "trials.csv").open() as stream:
