@@ -29,6 +29,9 @@ class ArmEngines(tables.Table, frozen=True):
 
     experiments: tuple[str, ...] = ("no_wind", "test1", "test2", "test4", "head_wind", "second_order_jets")
 
+    def __post_init__(self) -> None:
+        tables.check_levels(self, "experiments")
+
 
 def compute(_: str, asked: ArmEngines) -> Findings:
     """Fly every mission with every engine."""

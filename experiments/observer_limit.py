@@ -9,9 +9,10 @@ plant and controller. The result goes to `results/observer_limit/hover/`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import casadi as ca
+import msgspec
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -37,8 +38,11 @@ class ObserverLimit(tables.Table, frozen=True):
     gains: tuple[tables.NonNegative, ...] = (0.0, 1.0, 2.0, 3.0, 5.0, 10.0)
     """K_o [1/s]; zero is the published controller."""
     axes: tuple[Literal["roll", "yaw"], ...] = ("roll", "yaw")
-    duration: tables.Positive = 12.0
-    """Of a flight [s]."""
+    duration: Annotated[float, msgspec.Meta(ge=0.03)] = 12.0
+    """Of a flight, whose last two thirds are compared [s]."""
+
+    def __post_init__(self) -> None:
+        tables.check_levels(self, "gains", "axes")
 
 
 def compute(_: str, limits: ObserverLimit) -> Findings:

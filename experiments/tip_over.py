@@ -45,6 +45,9 @@ class TipOverConfig(tables.Table, frozen=True):
     friction: tuple[tables.Positive, ...]
     """Coefficients of the soles."""
 
+    def __post_init__(self) -> None:
+        tables.check_levels(self, "directions_deg", "friction")
+
 
 FEEDBACK = ("measured wind", "no measured wind")
 STILL = {"profile": "constant", "velocity": [0.0, 0.0, 0.0]}

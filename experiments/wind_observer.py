@@ -17,15 +17,16 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import flight, manifest
+from experiments import flight
 from experiments.study import Findings, Study
 from experiments.sweep.perturbation import Perturbation
-from jax_aero import keys, rust, tables
+from jax_aero import keys, places, rust, tables
 
 DURATION, KNOWN = 20.0, 8.0
 """Of a flight, and from when on it is judged [s]."""
 TURBULENCE = 0.1
 """Standard deviation of the wind over its speed."""
+PERTURBATION = places.CONFIGS / "perturbation" / "flight.toml"
 QUANTILE = 1.645
 """Of the normal distribution, for 90 %."""
 World = Literal["axisymmetric", "network", "axisymmetric in the network's air", "realistic sensors"]
@@ -45,10 +46,13 @@ class WindEstimate(tables.Table, frozen=True):
     """In which worlds."""
     speeds: tuple[tables.Positive, ...] = (6.0, 8.0, 10.0, 14.0, 18.0)
     """Of the wind [m/s]."""
-    flights: int = 12
+    flights: tables.Count = 12
     """Of each speed and world."""
-    seed: int = 2
+    seed: tables.Natural = 2
     """Of the perturbation; the observer's numbers were chosen with seed 1."""
+
+    def __post_init__(self) -> None:
+        tables.check_levels(self, "worlds", "speeds")
 
 
 def compute(_: str, asked: WindEstimate) -> Findings:
@@ -86,7 +90,7 @@ def compute(_: str, asked: WindEstimate) -> Findings:
     )
     bases = sorted({WORLDS[world][0] for world in asked.worlds})
     flights = {base: rust.load_config(flight.find(base)) for base in bases}
-    return Findings("Wind from the wrench", data, found, flights=flights, report=report)
+    return Findings("Wind from the wrench", data, found, flights=flights, files=[PERTURBATION], report=report)
 
 
 STUDY = Study("wind_observer", __doc__, WindEstimate, compute, ("turbulence",), engine="rust")
@@ -101,9 +105,7 @@ def configurations(world: World, speed: float, flights: int, seed: int) -> Itera
     if model is not None:
         table["controller"]["aero"] = copy.deepcopy(keys.get(table, model))
     links = rust.Robot(table["robot"]).aero_link_names
-    perturbation = tables.convert(
-        tables.read(manifest.REPOSITORY / "configs" / "perturbation" / "flight.toml"), Perturbation, "perturbation"
-    )
+    perturbation = tables.load(PERTURBATION, Perturbation)
     for repeat in range(flights):
         config = copy.deepcopy(table)
         angle = 2.0 * np.pi * (repeat + 0.5) / flights

@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments import arm_engines, identify_aero, import_lab, manifest, wind_observer
+from experiments import (
+    along,
+    arm_engines,
+    identify_aero,
+    import_lab,
+    manifest,
+    observer_limit,
+    study,
+    wind_observer,
+)
 from jax_aero import rust
 
 
@@ -65,6 +74,41 @@ def test_estimated_winds_are_judged_over_all_flights_of_a_speed(monkeypatch, mak
         np.testing.assert_allclose(across, [[0, 1, 0], [0, -1, 0]], atol=0.5)
         assert [wind["std"][2] / wind["std"][0] for wind in winds] == pytest.approx([0.3, 0.3])
         np.testing.assert_allclose(winds[0]["std"][0] / speed, wind_observer.TURBULENCE, rtol=0.5)
+
+
+@pytest.mark.parametrize(
+    ("main", "change", "words"),
+    [
+        (wind_observer.main, "flights=0", "`flights` is 0; expected an integer ≥ 1"),
+        (wind_observer.main, "seed=-1", "`seed` is -1; expected an integer ≥ 0"),
+        (wind_observer.main, "speeds=[]", "`speeds` is []; expected one value or more, each once"),
+        (wind_observer.main, "speeds=[6.0, 6.0]", "`speeds` is [6.0, 6.0]; expected one value or more, each once"),
+        (observer_limit.main, "gains=[1.0, 1.0]", "`gains` is [1.0, 1.0]; expected one value or more, each once"),
+        (observer_limit.main, "duration=0.01", "`duration` is 0.01; expected a number ≥ 0.03"),
+        (along.main, "flights=[]", "`flights` is []; expected one value or more, each once"),
+        (arm_engines.main, "experiments=[]", "`experiments` is []; expected one value or more, each once"),
+    ],
+)
+def test_what_a_study_cannot_be_made_of_is_named(main, change, words, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    assert main(["--set", change]) == 2
+    assert words in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
+
+
+def test_the_perturbation_of_the_wind_observers_flights_counts(tmp_path, monkeypatch, make_flight):
+    monkeypatch.setattr(study, "RESULTS", tmp_path)
+
+    def fly_batch(configs, *, full_log):
+        return [make_flight() for _ in configs]
+
+    monkeypatch.setattr(rust, "fly_batch", fly_batch)
+    changes = {"worlds": ["axisymmetric"], "speeds": [6.0], "flights": 1}
+    before = wind_observer.STUDY.run("turbulence", changes)["config_digest"]
+    other = tmp_path / "flight.toml"
+    other.write_text(wind_observer.PERTURBATION.read_text().replace("wind_speed = 0.", "wind_speed = 0.0"))
+    monkeypatch.setattr(wind_observer, "PERTURBATION", other)
+    assert wind_observer.STUDY.run("turbulence", changes)["config_digest"] != before
 
 
 def test_identified_areas_are_judged_by_the_forces_of_another_flight(agree):
