@@ -61,7 +61,13 @@ class Entry:
 
     def drawn(self, results: Path, names: Sequence[str] = ()) -> tuple[Figure, dict[str, str]]:
         """Return the figure, and the hash of every result or table it shows."""
-        names = names or self.runs
+        try:
+            return self._drawn(results, names or self.runs)
+        except KeyError as missing:
+            what = str(missing.args[0]).partition(". ")[0]
+            raise runs.NotDrawn(f"{what}: other code made the result; make it again: {self.command}") from None
+
+    def _drawn(self, results: Path, names: Sequence[str]) -> tuple[Figure, dict[str, str]]:
         if self.tables:
             return self.draw(*map(tunnel.read, self.tables)), tunnel.hashes(*self.tables)
         if self.kind == "flight":

@@ -13,6 +13,7 @@ from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.trajectory import Consumption
 from paper_figs import pictures as pictures_figure
 from paper_figs.figures import FIGURES
+from paper_figs.runs import NotDrawn
 
 POSTURE = [0.1, *[0.0] * 2, *[-0.17, 0.44, 0.7, 0.26] * 2, *[0.0] * 12]
 
@@ -78,6 +79,14 @@ def test_the_figure_shows_flights(study, tmp_path):
     # A cross where the one was lost, none where the other was shorter.
     assert [len(axes.lines) for axes in figure.axes] == [4, 5]
     assert hashes == {"flights": "0"}
+
+
+def test_a_result_of_older_code_is_not_drawn(study, tmp_path):
+    folder = tmp_path / "along" / "flights"
+    folder.mkdir(parents=True)
+    record.write_dataset(study.drop_vars("lost_time").assign_attrs(config_hash="0"), folder / "run.nc")
+    with pytest.raises(NotDrawn, match=r"'lost_time': other code made the result; make it again: python -m .* along"):
+        FIGURES["along"].drawn(tmp_path / "flight")
 
 
 def test_capsules_are_where_the_robots_file_has_them(agree):
