@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 from experiments.report import facts, observer
 from experiments.report.ground import Ground
-from experiments.report.metrics import FINAL, Metrics
+from experiments.report.metrics import FINAL
 from experiments.report.results import NotFlownError, Results, count
 from experiments.report.verdicts import AGREES, NOT_FLOWN, differs, out_of_reach, within
 
@@ -57,6 +57,8 @@ class Claim:
     """What makes the measurement; empty where committed files alone do."""
     figure: str
     """Name of the figure of `paper_figs` that shows it; empty without one."""
+    commit: str | None = None
+    """At which the last of the results was made that it was measured on; none where files alone are."""
 
 
 def all_claims(results: Results) -> list[Claim]:
@@ -102,25 +104,18 @@ def _ours(key: str, claim: str, judge: Judge, *, sweep: str = "", study: str = "
 
 
 def _stated(claim: _Claim, results: Results) -> Claim:
+    results.made.clear()
     try:
         measured, verdict = claim.judge(results)
     except NotFlownError as reason:
         measured, verdict = str(reason), NOT_FLOWN
     figure = claim.figure or claim.sweep.partition(" ")[0]
-    return Claim(claim.key, claim.where, claim.claim, measured, verdict, claim.command, figure)
-
-
-def _flight(results: Results, name: str) -> Metrics:
-    if name not in results.flights:
-        raise NotFlownError(f"`python -m experiments {name}` has not been run")
-    return results.flights[name]
+    commit = results.made[max(results.made)] if results.made else None
+    return Claim(claim.key, claim.where, claim.claim, measured, verdict, claim.command, figure, commit)
 
 
 def _stood(results: Results) -> tuple[Ground, Ground]:
-    for name in STANDING:
-        if name not in results.standing:
-            raise NotFlownError(f"`python -m experiments {name}` has not been run")
-    front, lateral = (results.standing[name] for name in STANDING)
+    front, lateral = map(results.stood, STANDING)
     return front, lateral
 
 
@@ -144,7 +139,7 @@ def _pair(results: Results, test: str) -> tuple[str, list[Mapping[str, float]]]:
     name = test.upper() if test.startswith("test") else test
     texts, shares = [], []
     for arms, run in (("corrected", test), ("published", f"{test}_published")):
-        found, share = _flight(results, run), cells.cell(test=f"{name}, {arms} arms")
+        found, share = results.flight(run), cells.cell(test=f"{name}, {arms} arms")
         texts.append(
             f"{arms} arms: {found.ending}, rotation error {found.rotation_error:.1f}°, "
             f"CoM error {100 * found.com_error:.0f} cm, perturbed {count(share)} complete"
@@ -183,7 +178,7 @@ def _flies(test: str) -> Judge:
 
 
 def _joint_errors(results: Results) -> tuple[str, str]:
-    aware, baseline = _flight(results, "test2"), _flight(results, "test1_published")
+    aware, baseline = results.flight("test2"), results.flight("test1_published")
     bounded = aware.joint_error_at_end < 0.2 * aware.joint_error_max
     grows = baseline.joint_error_at_end > 0.5 * baseline.joint_error_max
     text = (
@@ -195,13 +190,13 @@ def _joint_errors(results: Results) -> tuple[str, str]:
 
 
 def _aligned(results: Results) -> tuple[str, str]:
-    median, greatest = _flight(results, "test2").force_angle
+    median, greatest = results.flight("test2").force_angle
     text = f"TEST2: angle between total force and relative wind {median:.1f}° in the median, {greatest:.1f}° at most"
     return text, _judged(median < 15.0)
 
 
 def _asymmetry(results: Results) -> tuple[str, str]:
-    wind, still = _flight(results, "test2"), _flight(results, "no_wind")
+    wind, still = results.flight("test2"), results.flight("no_wind")
     text = (
         f"left and right differ by up to {wind.asymmetry[0]:.1f} N (arms) and {wind.asymmetry[1]:.1f} N (chest) "
         f"in the side wind, by {still.asymmetry[0]:.1f} N and {still.asymmetry[1]:.1f} N without wind"
@@ -212,7 +207,7 @@ def _asymmetry(results: Results) -> tuple[str, str]:
 def _robustness(results: Results) -> tuple[str, str]:
     text, shares = _pair(results, "robustness")
     verdict = _agreement(*map(_mostly, shares))
-    leaning = max(_flight(results, name).rotation_error for name in ("robustness", "robustness_published"))
+    leaning = max(results.flight(name).rotation_error for name in ("robustness", "robustness_published"))
     if verdict.startswith(AGREES) and leaning > LEANING:
         verdict += f", but the robot leans by up to {leaning:.0f}°"
     return text, verdict + _undecided(shares)
@@ -240,7 +235,7 @@ def _model_pairs(results: Results) -> tuple[str, str]:
 def _transitions(results: Results) -> tuple[str, str]:
     texts, times = [], []
     for arms, name in (("corrected", "robustness"), ("published", "robustness_published")):
-        run = _flight(results, name)
+        run = results.flight(name)
         texts.append(f"{arms} arms: {run.force_difference:.1f} N of {run.force:.1f} N, at {run.difference_time:.0f} s")
         times.append(run.difference_time)
     verdict = _agreement(*(time >= 20.0 for time in times))
@@ -251,7 +246,7 @@ def _transitions(results: Results) -> tuple[str, str]:
 
 
 def _thrusts_alike(results: Results) -> tuple[str, str]:
-    axisymmetric, network = (_flight(results, name).thrust for name in ("test2", "test4"))
+    axisymmetric, network = (results.flight(name).thrust for name in ("test2", "test4"))
     text = (
         f"TEST2 {axisymmetric[0]:.1f} to {axisymmetric[1]:.1f} N, TEST4 {network[0]:.1f} to {network[1]:.1f} N; "
         "corrected arms"

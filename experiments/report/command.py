@@ -74,11 +74,15 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def claims_json(stated: Sequence[claims.Claim], kept: Path) -> str:
-    """Return the claims as they were measured, each with its commit; what is not flown here stays as it was kept."""
+    """Return the claims as they were measured, each with its commit; what is not flown here stays as it was kept.
+
+    The commit is that of the results, which may be older than the code that judges them.
+    """
     older = json.loads(kept.read_text(encoding="utf-8"))["claims"] if kept.is_file() else {}
-    commit = manifest.git_state()["commit"]
+    here = manifest.git_state()["commit"]
     found = {}
     for claim in stated:
+        commit = claim.commit or here
         measured = {"measured": claim.measured, "verdict": claim.verdict, "commit": commit}
         if claim.verdict == NOT_FLOWN and claim.key in older:
             measured = {name: older[claim.key].get(name) for name in measured}

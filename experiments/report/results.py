@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pyarrow.parquet as pq
 
@@ -17,6 +17,7 @@ from jax_aero import rust
 from jax_aero.files import damaged
 
 Cell = Mapping[str, Any]
+Flown = TypeVar("Flown")
 
 
 class NotFlownError(Exception):
@@ -49,6 +50,14 @@ class Results:
     """A results folder."""
 
     folder: Path
+    made: dict[str, str] = field(default_factory=dict)
+    """Commits at which the results were made that were asked for, by the time of each."""
+
+    def note(self, document: Mapping[str, Any]) -> None:
+        """Remember when and at which commit a result was made."""
+        created, commit = document.get("finished", document).get("created"), (document.get("git") or {}).get("commit")
+        if created and commit:
+            self.made[created] = commit
 
     @cached_property
     def folders(self) -> list[Path]:
@@ -83,10 +92,25 @@ class Results:
                 found[path.parent.name] = Sweep(document, pq.read_table(path).to_pylist())
         return found
 
+    def flight(self, name: str) -> metrics.Metrics:
+        """Return a plain flight."""
+        return self._flown(self.flights, name)
+
+    def stood(self, name: str) -> ground.Ground:
+        """Return a plain ground experiment."""
+        return self._flown(self.standing, name)
+
+    def _flown(self, found: Mapping[str, Flown], name: str) -> Flown:
+        if name not in found:
+            raise NotFlownError(f"`python -m experiments {name}` has not been run")
+        self.note(record.read_manifest(self.folder / "flight" / name) or {})
+        return found[name]
+
     def sweep(self, name: str) -> Sweep:
         """Return a finished sweep."""
         if name not in self.sweeps:
             raise NotFlownError(f"`python -m experiments sweep {name}` has not been run")
+        self.note(self.sweeps[name].document)
         return self.sweeps[name]
 
     def study(self, kind: str, name: str) -> dict[str, Any]:
@@ -94,7 +118,9 @@ class Results:
         path = self.folder / kind / name / "manifest.json"
         if not path.is_file():
             raise NotFlownError(f"`python -m experiments {kind.replace('_', '-')} {name}` has not been run")
-        return dict(json.loads(path.read_text(encoding="utf-8"))["summary"])
+        document = json.loads(path.read_text(encoding="utf-8"))
+        self.note(document)
+        return dict(document["summary"])
 
     def figure(self, name: str) -> str | None:
         """Return the path of a figure beside the report, if it was drawn."""

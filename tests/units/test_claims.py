@@ -52,8 +52,8 @@ def judged(key, *, flights=None, standing=None, sweeps=None, studies=None):
     made_up = {name: [cell(**one) for one in cells] for name, cells in (sweeps or {}).items()}
     return JUDGES[key](
         SimpleNamespace(
-            flights=flights,
-            standing=standing,
+            flight=(flights or {}).get,
+            stood=(standing or {}).get,
             sweep=lambda name: Sweep({}, made_up[name]),
             study=lambda kind, name: (studies or {}).get(name, (studies or {}).get(kind)),
         )

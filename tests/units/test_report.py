@@ -92,6 +92,19 @@ def results(tmp_path, made_up_results) -> Results:
     return Results(tmp_path)
 
 
+def test_a_claim_has_the_commit_of_the_last_result_that_it_was_measured_on(results, tmp_path):
+    for name, day, commit in (("test2", 1, "a" * 40), ("test4", 2, "b" * 40), ("test1", 3, "c" * 40)):
+        path = tmp_path / "flight" / name / "manifest.json"
+        made = {"created": f"2026-01-0{day}T00:00:00+00:00", "git": {"commit": commit, "dirty": False}}
+        path.write_text(json.dumps(json.loads(path.read_text()) | made))
+    stated = claims.all_claims(Results(tmp_path))
+    found = {claim.key: claim.commit for claim in stated}
+    assert (found["aligned"], found["thrusts_alike"], found["mass"]) == ("a" * 40, "b" * 40, None)
+    kept = json.loads(claims_json(stated, tmp_path / "none.json"))["claims"]
+    assert kept["thrusts_alike"]["commit"] == "b" * 40
+    assert kept["mass"]["commit"] not in ("a" * 40, "b" * 40, "c" * 40)
+
+
 def test_a_robot_that_never_stood_in_wind_has_no_numbers(tmp_path, make_flight, robot):
     run = record.to_dataset(make_flight(duration=2.0), robot, title="t", config_digest="0" * 64)
     run["contact_force"] = (("time", "foot"), np.zeros((run.sizes["time"], 2)))
