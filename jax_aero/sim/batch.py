@@ -156,7 +156,8 @@ def _groups(prepared: Iterable[tuple[Scenario, FlightState]]) -> list[Group]:
         leaves, structure = jax.tree.flatten(scenario)
         is_shared = tuple(jax.tree.leaves(_shared(scenario)))
         common = tuple(leaf.tobytes() for leaf, shared in zip(leaves, is_shared, strict=True) if shared)
-        shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
+        # Those of the state too: delay lines of sensors are as long as their greatest delay.
+        shapes = tuple((leaf.shape, leaf.dtype) for leaf in (*leaves, *jax.tree.leaves(state)))
         n_ticks = int(scenario.n_ticks)
         key = structure, shapes, jax.tree.structure(state), n_ticks, hash(common)
         group = found.setdefault(key, Group(structure, is_shared, [], [], n_ticks, [], []))

@@ -109,9 +109,11 @@ def test_what_differs_does_not_decide_what_compiles(counted):
 
 
 def test_flights_of_another_structure_fly_apart(counted):
-    found = sim.fly_batch(flights({}, {"controller.lever_arm": "unrotated"}, {}), full_log=True)
-    assert len(found) == 3
-    assert len(counted) == 2
+    """Another switch is another structure, and so is a sensor that looks further back."""
+    sensors = [{"simulator.sensors": {"base_position": {"delay": delay}}} for delay in (0.01, 0.03, 0.03)]
+    found = sim.fly_batch(flights({}, {"controller.lever_arm": "unrotated"}, {}, *sensors), full_log=True)
+    assert len(found) == 6
+    assert len(counted) == 4
 
 
 def test_numbers_go_to_the_device_once(counted, monkeypatch):
