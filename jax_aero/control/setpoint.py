@@ -314,7 +314,8 @@ def _advance_raw(params: SetpointParams, state: SetpointState, command: Autopilo
     is a floating-point sum that ends at a residue above zero, so that one more step is taken; the counter takes that
     step by moving as long as boost was left *before* the tick.
     """
-    full = jnp.round(params.turbo_boost / (params.turbo_rate * params.time_step)).astype(jnp.int32)
+    # Half a tick rounds up.
+    full = jnp.floor(params.turbo_boost / (params.turbo_rate * params.time_step) + 0.5).astype(jnp.int32)
     in_turbo = command.turbo | (state.turbo_ticks > 0)
     ticks = jnp.where(command.turbo, jnp.minimum(state.turbo_ticks + 1, full), jnp.maximum(state.turbo_ticks - 1, 0))
     forward = jnp.where(in_turbo, 1.0, command.forward)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
 import jax
@@ -24,6 +25,7 @@ FORWARD = np.array([-1.0, 0.0, 0.0])
 TOLERANCE = {"com_jerk": 1e-11}
 
 
+@functools.partial(jax.jit, static_argnums=3)
 def follow(params, mission, start, ticks):
     """Set-points of a whole flight, one row for every tick."""
 
@@ -35,18 +37,18 @@ def follow(params, mission, start, ticks):
 
 
 @pytest.mark.close_to_tolerance("the tolerance is the bound of TOLERANCE's comment, without a factor to spare")
-@pytest.mark.parametrize("name", ["test2", "closed_circuit", "closed_circuit_no_turbo"])
-def test_setpoints(name, agree):
-    table = rust.load_config(EXPERIMENTS / f"{name}.toml")
+@pytest.mark.parametrize(
+    ("name", "boost"),
+    [("test2", None), ("test2", 0.25), ("closed_circuit", None), ("closed_circuit_no_turbo", None)],
+)
+def test_setpoints(name, boost, agree):
+    """With the mission's boost, or with one that takes two and a half ticks to grow."""
+    grown = {} if boost is None else {"controller.setpoint.turbo_boost": boost, "controller.setpoint.turbo_rate": 10.0}
+    table = rust.load_config(EXPERIMENTS / f"{name}.toml", grown)
     config = scenario_config(table)
-
-    @jax.jit
-    def fly(mission):
-        time_step = jnp.array(config.simulator.time_step)
-        params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, time_step)
-        return follow(params, mission, START, n_ticks(config.simulator) + 1)
-
-    ours = jax.device_get(fly(setpoint.commands(config.mission)))
+    time_step = jnp.array(config.simulator.time_step)
+    params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, time_step)
+    ours = jax.device_get(follow(params, setpoint.commands(config.mission), START, n_ticks(config.simulator) + 1))
     theirs = rust.setpoint_trajectory(table, *START)
     assert ours.keys() == theirs.keys()
     for signal, expected in theirs.items():
@@ -70,13 +72,10 @@ def test_recorded_setpoints(columns, agree, tmp_path):
     rust.check_config(table)
     config = scenario_config(table)
 
-    @jax.jit
-    def fly(recording):
-        time_step = jnp.array(config.simulator.time_step)
-        params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, time_step)
-        return follow(params, recording, START, n_ticks(config.simulator) + 1)
-
-    ours = jax.device_get(fly(recorded.recording(recorded.read_reference(config.mission.file))))
+    time_step = jnp.array(config.simulator.time_step)
+    params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, time_step)
+    recording = recorded.recording(recorded.read_reference(config.mission.file))
+    ours = jax.device_get(follow(params, recording, START, n_ticks(config.simulator) + 1))
     for signal, expected in rust.setpoint_trajectory(table, *START).items():
         agree(f"recorded: {signal}", ours[signal], expected, TOLERANCE.get(signal, 1e-12))
 
