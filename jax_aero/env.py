@@ -25,7 +25,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, Key
 
-from jax_aero.control.channels import ChannelLimits
 from jax_aero.control.protocol import Command, Measurement
 from jax_aero.control.tick import MomentumController, replace_command
 from jax_aero.env_task import Seen, Task, added_torque, observation, rewards, steering
@@ -67,11 +66,6 @@ class Steered:
     inner: MomentumController
     action: Float[Array, " u"]
     task: Static[Task]
-
-    @property
-    def channels(self) -> ChannelLimits:
-        """Those of the controller, which say whether it may predict what is measured."""
-        return self.inner.channels
 
     def init(self, robot: RobotModel, state: RobotState) -> Any:
         """Start the controller."""

@@ -12,13 +12,15 @@ Equations M101 to M103 of `docs/model.md`.
 
 from __future__ import annotations
 
+import operator
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from msgspec.structs import astuple
 
-from jax_aero.config import ChannelsConfig, Jumps
+from jax_aero.config import ChannelsConfig, DivergenceConfig, Greatest, Jumps
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import exp_so3, is_rotation, multiply, vee_of_skew_part
 from jax_aero.types import Array, State, Static, leaf, pytree
@@ -74,6 +76,8 @@ class ChannelLimits:
     """Infinite where everything is accepted."""
     compares: Static[bool]
     """Whether values are compared with what is predicted."""
+    may_predict: Static[bool]
+    """Whether the state of a flight that has not diverged may be predicted instead."""
 
 
 class ChannelsState(NamedTuple):
@@ -122,9 +126,11 @@ class Seen(NamedTuple):
     """Whether the momentum is that of measurements, and its rate that of the time since the last tick."""
 
 
-def channel_limits(config: ChannelsConfig, robot: RobotModel) -> ChannelLimits:
+def channel_limits(config: ChannelsConfig, robot: RobotModel, divergence: DivergenceConfig) -> ChannelLimits:
     """Collect the numbers of a configuration, entry by entry."""
     n, most = robot.n_joints, config.greatest
+    # By default all that a flight reaches before it diverges is accepted.
+    is_wild = any(map(operator.gt, astuple(divergence), astuple(DivergenceConfig())))
     free = dict.fromkeys(
         ("joint_position", "joint_velocity", "position", "rotation", "velocity", "angular_velocity"), np.inf
     )
@@ -148,6 +154,7 @@ def channel_limits(config: ChannelsConfig, robot: RobotModel) -> ChannelLimits:
         greatest=entries(most.wind, leaf(most.thrust * thrust_max), 2.0, most),
         jump=entries(np.inf, leaf(np.full(thrust_max.shape, np.inf)), near.rotation, near),
         compares=config.jump is not None,
+        may_predict=config.jump is not None or most != Greatest() or is_wild,
     )
 
 
@@ -201,10 +208,10 @@ def update(
     clock_offset = jnp.where(has_jumped, time - following, memory.clock_offset)
     modes = jnp.where(is_known & ~has_jumped, 0, MODES["clock_predicted"])
 
-    predicted = jnp.where(memory.is_begun, _predict(limits, memory, jets, n, dt), memory.predicted)
-
     def of_all(entries: Array) -> Array:
         return jnp.all(entries[None, :] | ~owners, axis=1)
+
+    predicted = jnp.where(memory.is_begun, _predict(limits, memory, jets, n, dt), memory.predicted)
 
     is_same = memory.is_begun & of_all(now == memory.last)
     same = jnp.where(is_same, memory.same + 1, 0)

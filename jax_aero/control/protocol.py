@@ -39,6 +39,8 @@ class Terms(NamedTuple):
     """The measurement as it was used: predicted where it is not measured."""
     wind_std: Float[Array, "3"]
     """Standard deviation of the wind in `given` [m/s]; zero without a wind observer."""
+    state: State
+    """That kinematics and dynamics are of: the given one itself where none is predicted."""
     kinematics: Kinematics
     dynamics: Dynamics
     link_forces: LinkForces

@@ -412,11 +412,10 @@ def _measured_wind(scenario: Scenario, state: FlightState, tick: Array) -> Array
 def _observe(scenario: Scenario, state: PlantState, command: Command, wind: Array) -> Observation:
     """Observe the plant; what the controller computed for the same robot in the same state is not computed again."""
     plant, terms = scenario.plant, command.terms
-    channels = getattr(scenario.controller, "channels", None)
-    may_be_predicted = channels is not None and channels.compares
-    # Sensors, outages and estimators, also those within another controller, return a state that is another object.
-    is_another = terms is None or terms.given.state is not state.robot or scenario.controller_model is not None
-    if terms is None or is_another or may_be_predicted or plant.backend != "tree":
+    # Sensors, outages, estimators and predictions, also those within another controller, are of a state that is another
+    # object.
+    is_known = terms is not None and terms.state is state.robot and scenario.controller_model is None
+    if terms is None or not is_known or plant.backend != "tree":
         return world.observe(plant, state, wind)
     return world.observe(plant, state, wind, (terms.kinematics, terms.dynamics))
 

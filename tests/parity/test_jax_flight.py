@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import jax
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from jax_aero import io, rust, sim
+from jax_aero.control.tick import MomentumController
 from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
 from jax_aero.sim.plant import PlantState, advance, observe, start_plant
@@ -285,3 +287,41 @@ def test_both_kinds_of_dynamics_fly_the_same():
     apart = np.abs(heights["tree"] - heights["mjx"]).max(axis=1)
     assert apart[1] < 1e-11
     assert apart.max() < 1e-8
+
+
+@pytree
+class Wrapped:
+    """A controller of one's own around the configured one."""
+
+    inner: MomentumController
+
+    def init(self, robot, state):
+        return self.inner.init(robot, state)
+
+    def step(self, robot, state, measurement):
+        return self.inner.step(robot, state, measurement)
+
+
+@pytest.mark.parametrize(
+    ("changes", "shares"),
+    [
+        ({}, True),
+        ({"controller.channels.greatest.velocity": 0.02}, False),
+        ({"simulator.divergence.joint_velocity": 200.0}, False),
+        ({"controller.channels.jump": {}}, False),
+    ],
+)
+@pytest.mark.usefixtures("x64")
+def test_the_world_is_not_where_the_controller_predicts_it(monkeypatch, changes, shares):
+    """It takes over what a controller computed for its own state alone: not where that may be a predicted one."""
+    config = scenario_config(rust.load_config(EXPERIMENTS / "no_wind.toml", changes))
+    scenario, start = sim.prepare(config)
+    scenario, taken = dataclasses.replace(scenario, controller=Wrapped(scenario.controller)), []
+
+    def watched(plant, state, wind, known=None):
+        taken.append(known is not None)
+        return observe(plant, state, wind, known)
+
+    monkeypatch.setattr("jax_aero.sim.plant.observe", watched)
+    jax.eval_shape(lambda *flight: sim.step(*flight), scenario, start, jnp.array(0))
+    assert taken == [shares]
