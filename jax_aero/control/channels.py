@@ -211,6 +211,9 @@ def update(
     def of_all(entries: Array) -> Array:
         return jnp.all(entries[None, :] | ~owners, axis=1)
 
+    # The first measurement is what it is compared with.
+    is_first = ~memory.is_begun & of_all(jnp.isfinite(now))[owner]
+    memory = memory._replace(predicted=jnp.where(is_first, now, memory.predicted))
     predicted = jnp.where(memory.is_begun, _predict(limits, memory, jets, n, dt), memory.predicted)
 
     is_same = memory.is_begun & of_all(now == memory.last)
@@ -230,7 +233,7 @@ def update(
 
     # The pose integrates the velocity of this tick, measured or not.
     velocity = jnp.where(judge(predicted)[0][VELOCITY], now[-18:-12], predicted[-18:-12])
-    pose = _integrate(memory.predicted[-12:], velocity, dt)
+    pose = _integrate(predicted[-12:], velocity, dt)
     pose = pose.at[:3].set(jnp.clip(pose[:3], -limits.greatest[-12:-9], limits.greatest[-12:-9]))
     predicted = jnp.where(memory.is_begun, predicted.at[-12:].set(pose), memory.predicted)
     is_measured, is_frozen = judge(predicted)

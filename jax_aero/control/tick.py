@@ -165,7 +165,7 @@ def momentum_controller(
     read_network: ReadNetwork = load_network,
     tasks: tuple[Task, ...] = (),
 ) -> MomentumController:
-    """Collect the controller's numbers from a configuration. Outside loops: tables are worked out here.
+    """Collect the numbers of a controller of this robot, as the controller models it. Outside loops: tables are made.
 
     `tasks` are objectives of one's own, added to the controller's.
 

@@ -229,17 +229,18 @@ def prepare(
     wind, replaced = wind_model(config.wind), config.disturbances.controller_wind
     controller_wind = None if replaced is None else wind_model(replaced)
     plant, state = world.start_plant(config.simulator, config.disturbances, robot, aero, jets, read_network)
+    model = controller_model(config, robot)
     estimate, ticks, errors = config.disturbances.wind_estimate, world.n_ticks(config.simulator), None
     if estimate is not None:
         errors = wind_estimate(estimate, plant.time_step, _winds(controller_wind or wind, ticks, plant.time_step))
     scenario = Scenario(
         plant=plant,
-        controller=controller or momentum_controller(config, robot, read_network),
+        controller=controller or momentum_controller(config, model or robot, read_network),
         wind=wind,
         fall=leaves(FallLimits, config.simulator.fall),
         divergence=leaves(DivergenceLimits, config.simulator.divergence),
         course_error=leaf(config.simulator.course_error),
-        controller_model=controller_model(config, robot),
+        controller_model=model,
         controller_wind=controller_wind,
         wind_estimate=errors,
         sensors=_sensors(config, plant, ticks),

@@ -171,10 +171,12 @@ def test_safe_commands(published, ticks):
         spoilt(4, followed=lost),
         spoilt(5, memory=good[5][0] | nothing),
         spoilt(6, followed=lost, memory=good[6][0] | nothing),
-        *good[7:],
+        # Too much to be accepted, but all that there is at the first tick.
+        spoilt(7, thrust=np.array([80.0, 1700.0, 80.0, 80.0]), wind=np.array([310.0, 0.0, 0.0])),
+        *good[8:],
     ]
     memory, command, _ = jax.device_get(ticks(*stacked(samples)))
-    expected = ["Degraded"] * 3 + ["Nominal", "MomentumHeld", "TorqueHeld", "BothHeld"]
+    expected = ["Degraded"] * 3 + ["Nominal", "MomentumHeld", "TorqueHeld", "BothHeld", "Degraded"]
     for i, (sample, status) in enumerate(zip(samples, expected, strict=False)):
         theirs = crate_tick(published.table, sample)
         assert STATUS[command.status[i]] == theirs.status == status
