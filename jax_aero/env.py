@@ -27,7 +27,7 @@ from jaxtyping import Float, Int, Key
 
 from jax_aero.control.protocol import Command, Measurement
 from jax_aero.control.tick import MomentumController, replace_command
-from jax_aero.env_task import Seen, Task, added_torque, observation, rewards, steering
+from jax_aero.env_task import Seen, Task, added_torque, is_lost, observation, rewards, steering
 from jax_aero.io import load_config
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import RobotModel
@@ -164,7 +164,7 @@ class FlightEnv:
         state = state._replace(flight=flight, tick=state.tick + 1, com_setpoint=row.com_setpoint)
         seen, obs = self._observe(state)
         parts = rewards(jnp, seen, action)
-        lost = flight.loss != FLYING
+        lost = (flight.loss != FLYING) | is_lost(jnp, seen, scenario.fall)
         finite = {name: jnp.where(lost, 0.0, value).astype(state.reward.dtype) for name, value in parts.items()}
         errors = {
             "attitude_error": row.rotation_error,

@@ -11,6 +11,7 @@ Needs the extra `rl`. The task, what is observed and what is rewarded are those 
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium  # type: ignore[import-not-found,unused-ignore]
@@ -18,18 +19,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import rust, tables
-from jax_aero.env_task import Seen, Task, added_torque, observation, rewards, steering
+from jax_aero.env_task import Seen, Task, added_torque, is_lost, observation, rewards, steering
 
 LARGEST = 1e6
 """Beyond anything that is observed before a flight counts as lost."""
 
-UNUSED = (
+BETWEEN = (
     ("simulator", "sensors"),
     ("disturbances", "outages"),
     ("disturbances", "wind_estimate"),
     ("disturbances", "controller_wind"),
 )
-"""What is between the plant and the controller in a flight, and not in this environment."""
+"""What of a configuration would stand between plant and controller: tables and keys."""
 
 
 class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
@@ -41,10 +42,11 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def __init__(self, task: Task | None = None) -> None:
         self.task = task or Task()
         self._config = self.task.episode(rust.load_config(self.task.experiment))
-        for table, key in UNUSED:
+        for table, key in BETWEEN:
             if self._config[table].get(key):
-                expected = "expected none: this environment measures the true state and wind"
+                expected = "expected none: here the controller is given what the plant measures"
                 raise ValueError(f"`{table}.{key}` of {self.task.experiment} is given; {expected}")
+        self._fall = SimpleNamespace(**self._config["simulator"]["fall"])
         self._robot = rust.Robot(self._config["robot"])
         jets = tables.read(Path(self._config["robot"])).get("jets", [])
         self._thrust_max = np.array([jet["thrust_max"] for jet in jets])
@@ -87,10 +89,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._ticks += 1
         seen, obs = self._observe()
         parts = {name: float(value) for name, value in rewards(np, seen, wide).items()}
-        limits = self._config["simulator"]["fall"]
-        cosine = 0.5 * (np.trace(self._upright.T @ seen.rotation) - 1.0)
-        turned = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-        lost = bool(turned > limits["rotation_error_deg"] or np.linalg.norm(seen.com_error) > limits["com_error"])
+        lost = bool(is_lost(np, seen, self._fall))
         return obs, 0.0 if lost else sum(parts.values()), lost, self._ticks >= self._last_tick, parts
 
     def _begin(self, wind: list[float]) -> None:

@@ -39,7 +39,16 @@ class Task:
             raise ValueError(f"`wind_max` is {self.wind_max}; expected a number ≥ 0")
 
     def episode(self, config: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the configuration of an episode in still air, from that of the experiment."""
+        """Return the configuration of an episode in still air, from that of the experiment.
+
+        Raises
+        ------
+        ValueError
+            For an experiment whose controller is given the mean of the wind.
+        """
+        if (config.get("disturbances", {}).get("wind_estimate") or {}).get("mean_only"):
+            expected = "expected false: no mean of a wind is known before it is drawn"
+            raise ValueError(f"`disturbances.wind_estimate.mean_only` of {self.experiment} is true; {expected}")
         wind = {"profile": "ramp", "velocity": [0.0, 0.0, 0.0], "ramp_start": 0.0, "ramp_end": self.ramp}
         simulator = {**config["simulator"], "duration": self.duration}
         return {**config, "mission": {}, "wind": wind, "simulator": simulator}
@@ -95,6 +104,14 @@ def rewards(xp: Any, seen: Seen, action: Any) -> dict[str, Any]:
         "position": 0.5 * xp.exp(-20.0 * xp.sum(seen.com_error**2)),
         "effort": -0.01 * xp.mean(action**2),
     }
+
+
+def is_lost(xp: Any, seen: Seen, limits: Any) -> Any:
+    """Return whether the robot has fallen, by the limits of `simulator.fall`; one whose state is no number has."""
+    cosine = 0.5 * (xp.trace(seen.setpoint_rotation.T @ seen.rotation) - 1.0)
+    turned = xp.degrees(xp.arccos(xp.clip(cosine, -1.0, 1.0)))
+    is_near = xp.sum(seen.com_error**2) <= limits.com_error**2
+    return ~((turned <= limits.rotation_error_deg) & is_near)
 
 
 def steering(xp: Any, task: Task, action: Any, thrust_rate: Any, joint_velocity: Any) -> tuple[Any, Any]:

@@ -413,8 +413,7 @@ def _measured_wind(scenario: Scenario, state: FlightState, tick: Array) -> Array
 def _observe(scenario: Scenario, state: PlantState, command: Command, wind: Array) -> Observation:
     """Observe the plant; what the controller computed for the same robot in the same state is not computed again."""
     plant, terms = scenario.plant, command.terms
-    # Sensors, outages, estimators and predictions, also those within another controller, are of a state that is another
-    # object.
+    # Sensors, outages, estimators and predictions, also those within another controller, are of another object.
     is_known = terms is not None and terms.state is state.robot and scenario.controller_model is None
     if terms is None or not is_known or plant.backend != "tree":
         return world.observe(plant, state, wind)

@@ -20,8 +20,7 @@ from jax_aero.env_task import Task, added_torque, steering
 from tests.measurements import measured
 
 ROOT = Path(__file__).resolve().parents[2]
-EXAMPLE = ROOT / "docs/howto/residual.py"
-TEST1 = ROOT / "configs/experiments/test1.toml"
+EXAMPLE, EXPERIMENTS = ROOT / "docs/howto/residual.py", ROOT / "configs/experiments"
 
 WIND = [3.0, -9.0, 0.0]
 
@@ -58,7 +57,7 @@ def test_both_environments_are_one_task(x64, tmp_path):
     The controller has an estimator, whose model goes on with what acts in both.
     """
     experiment = tmp_path / "slow.toml"
-    experiment.write_text(f'base = "{TEST1}"\n[controller.estimator.joint_velocity]\ntime_constant = 0.1\n')
+    experiment.write_text(f'base = "{EXPERIMENTS}/test1.toml"\n[controller.estimator.joint_velocity]\ntime_constant = 0.1\n')
     task = Task(str(experiment), duration=1.0, ramp=0.05)
     crate, ours = HoverEnv(task), FlightEnv(task)
     assert (ours.action_size, ours.observation_size) == (27, 65)
@@ -84,11 +83,41 @@ def test_both_environments_are_one_task(x64, tmp_path):
     after = step(lost, jnp.zeros((2, 27), jnp.float32))
     assert after.done.tolist() == [1.0, 0.0]
     assert float(after.reward[0]) == 0.0
+    # Down 0.99 m from the set-point and 1.01 m after the step: lost in this one, as in the environment of the crate.
+    plant = states.flight.plant
+    falling = plant.robot._replace(
+        base_position=plant.robot.base_position - jnp.array([[0.0, 0.0, 0.99], [0.0, 0.0, 0.0]]),
+        velocity=plant.robot.velocity.at[0, 2].set(-2.0),
+    )
+    flight = states.flight._replace(plant=plant._replace(robot=falling))
+    after = step(states._replace(flight=flight), jnp.zeros((2, 27), jnp.float32))
+    assert after.flight.loss.tolist() == [0, 0]
+    assert after.done.tolist() == [1.0, 0.0]
+    assert float(after.reward[0]) == 0.0
 
 
-def test_gymnasium_refuses_what_it_leaves_out():
-    with pytest.raises(ValueError, match=r"`simulator\.sensors` of test2_sensors is given; expected none"):
-        HoverEnv(Task("test2_sensors"))
+BETWEEN = {
+    "simulator.sensors": "{}",
+    "disturbances.outages": '[{ channel = "wind", start = 1.0, kind = "missing" }]',
+    "disturbances.wind_estimate": "{ delay = 0.1 }",
+    "disturbances.controller_wind": '{ profile = "constant", velocity = [0.0, 0.0, 0.0] }',
+}
+
+
+@pytest.mark.parametrize("key", BETWEEN)
+def test_gymnasium_refuses_what_stands_between_plant_and_controller(key, tmp_path):
+    """Its loop would leave it out; the environment in JAX has it."""
+    (tmp_path / "own.toml").write_text(f'base = "{EXPERIMENTS}/test1.toml"\n{key} = {BETWEEN[key]}\n')
+    with pytest.raises(ValueError, match=rf"`{key}` of .*own\.toml is given; expected none"):
+        HoverEnv(Task(str(tmp_path / "own.toml")))
+
+
+def test_a_task_refuses_the_mean_of_a_wind_that_is_drawn_later(tmp_path):
+    (tmp_path / "own.toml").write_text(
+        f'base = "{EXPERIMENTS}/test1.toml"\ndisturbances.wind_estimate.mean_only = true\n'
+    )
+    with pytest.raises(ValueError, match=r"`disturbances\.wind_estimate\.mean_only` of .*own\.toml is true"):
+        FlightEnv(Task(str(tmp_path / "own.toml")))
 
 
 def test_an_action_is_a_residual_or_takes_the_controllers_place():
