@@ -153,8 +153,10 @@ def error_of(training: config.Training, dataset: Dataset, settings: SearchConfig
     for train, held_out in rows.grouped_folds(settings.fold_seed, settings.folds)[: settings.folds_run]:
         start = training.start(robot, training.seed)
         samples, unseen = (samples_of(start, robot, rows.take(part)) for part in (train, held_out))
-        fitted = fit(start, samples, unseen, training.training, training.seed)
-        error = fitted.curves[-1][2]
+        try:
+            error = fit(start, samples, unseen, training.training, training.seed).curves[-1][2]
+        except FloatingPointError:
+            return np.inf
         errors.append(error if error is not None and np.isfinite(error) else np.inf)
     return float(np.mean(errors))
 

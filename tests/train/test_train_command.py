@@ -11,6 +11,7 @@ from PIL import Image
 
 from experiments.__main__ import main
 from experiments.training import command
+from jax_aero import tables
 from jax_aero.aero.dataset import load, save
 from jax_aero.aero.network_card import load_network, read_card
 from jax_aero.command import INTERRUPTED
@@ -209,3 +210,13 @@ def test_a_trial_that_another_process_runs_stops_no_search(data, tmp_path, monke
     monkeypatch.setattr("experiments.training.search.error_of", beside)
     assert main(arguments) == 0
     assert "trial 1 of 1: inf m4" in capsys.readouterr().out
+
+
+def test_a_trial_whose_network_diverges_has_an_infinite_error(made_up_dataset):
+    pytest.importorskip("optuna")
+    from experiments.training import search
+
+    changes = {"network.hidden": [4, 4, 4], "training.epochs": 2, "training.batch": 32, "training.learning_rate": 1e9}
+    path = command.study.CONFIGS / "training" / "plain.toml"
+    settings = search.SearchConfig(path, trials=1, seed=1, fold_seed=0, folds=3, folds_run=1, space={})
+    assert search.error_of(search.changed(path, tables.read(path), changes), made_up_dataset, settings) == np.inf

@@ -56,9 +56,10 @@ def test_both_environments_are_one_task(x64, tmp_path):
 
     The controller has an estimator, whose model goes on with what acts in both.
     """
-    experiment = tmp_path / "slow.toml"
-    experiment.write_text(f'base = "{EXPERIMENTS}/test1.toml"\n[controller.estimator.joint_velocity]\ntime_constant = 0.1\n')
-    task = Task(str(experiment), duration=1.0, ramp=0.05)
+    (tmp_path / "own.toml").write_text(
+        f'base = "{EXPERIMENTS}/test1.toml"\ncontroller.estimator.joint_velocity.time_constant = 0.1\n'
+    )
+    task = Task(str(tmp_path / "own.toml"), duration=1.0, ramp=0.05)
     crate, ours = HoverEnv(task), FlightEnv(task)
     assert (ours.action_size, ours.observation_size) == (27, 65)
     seen, _ = crate.reset(options={"wind": WIND})
