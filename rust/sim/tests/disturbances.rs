@@ -64,6 +64,22 @@ fn a_delayed_estimate_is_the_wind_of_then() {
     }
 }
 
+/// A clone goes on to the same bits, also while the delay line fills.
+#[test]
+fn a_clone_of_an_estimate_has_its_delay() {
+    let config = WindEstimateConfig { delay: 0.3, ..WindEstimateConfig::default() };
+    let winds: Vec<Vector3<f64>> = (0..100).map(|tick| Vector3::new(f64::from(tick), 0.0, 0.0)).collect();
+    for cloned_at in [0, 10, 50] {
+        let mut estimator = WindEstimator::new(&config, STEP, Vector3::zeros()).unwrap();
+        for (tick, wind) in winds.iter().enumerate() {
+            if tick == cloned_at {
+                estimator = estimator.clone();
+            }
+            assert_eq!(estimator.update(wind), winds[tick.saturating_sub(30)], "tick {tick}");
+        }
+    }
+}
+
 #[test]
 fn a_low_pass_has_gone_63_percent_after_its_time_constant() {
     let config = WindEstimateConfig { time_constant: 0.5, ..WindEstimateConfig::default() };

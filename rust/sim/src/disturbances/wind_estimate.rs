@@ -68,7 +68,9 @@ pub struct WindEstimator {
     bias: Vector3<f64>,
     noise_std: f64,
     noise: Noise,
-    /// The last winds, a ring; `next` is the oldest. Empty without delay.
+    /// Age of the wind that is given, in ticks.
+    age: usize,
+    /// The last winds, a ring as long as the age when it is full; `next` is then the oldest.
     line: Vec<Vector3<f64>>,
     next: usize,
     /// Share of the way that the low pass goes per tick.
@@ -84,13 +86,14 @@ impl WindEstimator {
     pub fn new(config: &WindEstimateConfig, time_step: f64, mean: Vector3<f64>) -> Result<Self, BuildError> {
         config.check()?;
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 1000 s
-        let delayed_ticks = (config.delay / time_step).round() as usize;
+        let age = (config.delay / time_step).round() as usize;
         Ok(Self {
+            age,
             mean: config.mean_only.then_some(mean),
             bias: Vector3::from(config.bias),
             noise_std: config.noise_std,
             noise: Noise::new(config.seed, 0),
-            line: Vec::with_capacity(delayed_ticks),
+            line: Vec::with_capacity(age),
             next: 0,
             step: if config.time_constant > 0.0 {
                 -libm::expm1(-time_step / config.time_constant)
@@ -117,16 +120,15 @@ impl WindEstimator {
     }
 
     fn delayed(&mut self, wind: &Vector3<f64>) -> Vector3<f64> {
-        let length = self.line.capacity();
-        if length == 0 {
+        if self.age == 0 {
             return *wind;
         }
-        if self.line.len() < length {
+        if self.line.len() < self.age {
             self.line.push(*wind);
             return self.line[0];
         }
         let oldest = std::mem::replace(&mut self.line[self.next], *wind);
-        self.next = (self.next + 1) % length;
+        self.next = (self.next + 1) % self.age;
         oldest
     }
 }
