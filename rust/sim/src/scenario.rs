@@ -23,7 +23,7 @@ use flight_core::control::{Controller, ControllerState, Measurement};
 use flight_core::error::BuildError;
 use flight_core::robot::RobotModel;
 use flight_io::load_robot;
-use nalgebra::Vector3;
+use nalgebra::{Vector3, Vector6};
 use std::fmt;
 use std::ops::ControlFlow;
 
@@ -126,6 +126,8 @@ pub struct Scenario {
     outages: Outages,
     /// What is measured at a tick.
     sample: Sample,
+    /// Of the controller's feet: nothing, as there is no ground.
+    foot_wrenches: Vec<Vector6<f64>>,
     time_step: f64,
     n_ticks: usize,
     fall: FallConfig,
@@ -173,13 +175,16 @@ impl Scenario {
         let sensors = sensors
             .map(|sensors| Sensors::new(sensors, time_step, robot.joints.len(), robot.jets.len()))
             .transpose()?;
+        let outages = Outages::new(&disturbances.outages, &robot.jets)?;
+        let controller = config.controller(robot)?;
         Ok(Self {
             plant,
             sample,
+            foot_wrenches: vec![Vector6::zeros(); controller.model().feet.len()],
             sensors,
             wind_estimator: disturbances.wind_estimate.as_ref().map(estimator).transpose()?,
-            outages: Outages::new(&disturbances.outages, &robot.jets)?,
-            controller: config.controller(robot)?,
+            outages,
+            controller,
             wind,
             controller_wind,
             time_step,
@@ -329,6 +334,7 @@ impl Flight {
             sensors,
             outages,
             sample,
+            foot_wrenches,
             time_step,
             ..
         } = &mut self.scenario;
@@ -347,7 +353,7 @@ impl Flight {
         sample.wind = estimate;
         outages.spoil(time, sample);
         let Sample { state: seen, thrust, wind: given } = &*sample;
-        let measurement = Measurement { time, state: seen, thrust, wind: *given, foot_wrenches: &[] };
+        let measurement = Measurement { time, state: seen, thrust, wind: *given, foot_wrenches };
         if self.state.is_none() {
             self.state = controller.start(&measurement).ok();
             self.log.joint_setpoint =

@@ -1,7 +1,7 @@
 //! What the simulator promises besides physics: the log, batches, interruption, falls, refusals.
 
 use super::{STILL, data, ramp_to, with};
-use crate::common::{assert_within, experiment, fly, tick_at};
+use crate::common::{assert_within, difference, experiment, fly, tick_at};
 use flight_core::spatial::{orthonormality_error, rotation_from_wxyz};
 use flight_io::{load_controller, load_robot};
 use flight_sim::signals::Dimension;
@@ -484,6 +484,18 @@ fn without_thrust_the_centre_of_mass_falls_freely() {
 }
 
 type Refusal = (&'static str, fn(&mut ScenarioConfig), &'static str);
+
+/// Where there is no ground, nothing is on the feet of a controller that could stand: it flies as one without feet.
+#[test]
+fn a_controller_with_feet_flies() {
+    let config = with(experiment("test2_observer"), |config| config.simulator.duration = 1.0);
+    let contact = experiment("take_off").controller.law.contact;
+    let able = with(config.clone(), |config| config.controller.law.contact = contact);
+    let [able, without] = [able, config].map(|config| run(&config));
+    assert_eq!(able.outcome, Outcome::Completed);
+    let end = |result| Vector3::from_column_slice(&data(result, "com_position")[300..]);
+    assert_within!(difference(end(&able), end(&without)), 1e-9, because "QPs with more unknowns, all of them zero");
+}
 
 /// Every number of the simulator that cannot be is refused by name, with its value.
 #[test]
