@@ -1,7 +1,7 @@
 //! The wind, from the wrench that acts on the robot: what an aerodynamic model says a wind would do, inverted.
 //!
 //! ```text
-//! dẑ/dt = K_o (L̇ − A_T T + m g e₃ − ẑ)                   the wrench of everything but jets and weight
+//! dẑ/dt = K_o (L̇ − A_T T − A_c f_c + m g e₃ − ẑ)         the wrench of everything but jets, feet and weight
 //! ẑ_f = Σ f_j(v_w) + noise + e,  dv_w = random walk       an extended Kalman filter, e constant
 //! ```
 //!
@@ -177,6 +177,7 @@ impl WindObserver {
             rate += column * *thrust;
         }
         rate[2] -= terms.kinematics.mass() * self.robot.gravity;
+        terms.contact.add_measured(&terms.kinematics.com, &mut rate);
         let gain = self.config.gain;
         let gains =
             ObserverConfig { gain_force: gain, gain_moment: gain, force_max: GREATEST, moment_max: GREATEST };

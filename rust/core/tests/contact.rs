@@ -13,6 +13,7 @@ use flight_core::dynamics::Dynamics;
 use flight_core::kinematics::Kinematics;
 use flight_core::robot::Foot;
 use flight_core::spatial::exp_so3;
+use flight_core::wind_observer::WindObserverConfig;
 use flight_core::{Measurement, RobotState};
 use flight_io::{ControllerSection, load_controller, load_robot};
 use flight_sim::{Scenario, ScenarioConfig};
@@ -480,6 +481,21 @@ fn small_force_rates_are_dropped() {
         controller.tick(&measurement(&state, Vector3::new(8.0, 3.0, 0.0), &feet));
         assert_eq!(controller.terms().contact.force_rate.amax(), 0.0);
     }
+}
+
+/// A robot that stands still in still air feels no wind: what carries it is its feet.
+#[test]
+fn the_ground_is_no_wind() {
+    let mut standing = controller(|law| law.wind_observer = Some(WindObserverConfig::default()));
+    let (mut state, mass) = (at_rest(), standing.model().mass());
+    let feet = [Vector6::new(0.0, 0.0, mass * 9.81 / 2.0, 0.0, 0.0, 0.0); 2];
+    for tick in 0..200 {
+        let time = f64::from(tick) * TIME_STEP;
+        state.base.position.x += 1e-12; // the same bits in tick after tick could be frozen
+        standing.tick(&Measurement { time, ..measurement(&state, Vector3::zeros(), &feet) });
+    }
+    let wind = standing.state().wind().unwrap().wind();
+    assert_within!(wind.norm(), 1e-9, because "the weight and the feet cancel to rounding", "{wind}");
 }
 
 /// In the air a controller that could stand flies as one that could not.
