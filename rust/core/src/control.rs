@@ -144,14 +144,14 @@ impl Controller {
         config.check(&robot)?;
         check("controller time step", time_step, |dt| dt > 0.0, "a positive number of seconds")?;
         let n_jets = robot.jets.len();
+        let mut model = config.restrict(robot);
         let (estimator, wind_observer) = (config.estimator.as_ref(), config.wind_observer.as_ref());
         let estimator = estimator
-            .map(|estimator| Estimator::new(estimator, robot.clone(), aero.clone(), time_step))
+            .map(|estimator| Estimator::new(estimator, model.clone(), aero.clone(), time_step))
             .transpose()?;
         let wind_observer = wind_observer
-            .map(|observer| WindObserver::new(observer, robot.clone(), aero.clone(), time_step))
+            .map(|observer| WindObserver::new(observer, model.clone(), aero.clone(), time_step))
             .transpose()?;
-        let mut model = config.restrict(robot);
         config.check_rate_bounds(&model, time_step)?;
         config.observer.as_ref().map_or(Ok(()), |observer| observer.check(time_step))?;
         let channels = Channels::new(&config.channels, &model, time_step);
@@ -322,7 +322,7 @@ impl Controller {
         command.joint_torque.copy_from_slice(joint_torque);
         state.channels.thrust_rate.copy_from(&command.thrust_rate);
         if let Some(memory) = &mut state.estimator {
-            memory.command(command, &terms.momentum.unmodelled_wrench, &terms.seen.wind);
+            memory.replace_command(command);
         }
         Ok(())
     }
@@ -370,7 +370,9 @@ impl Controller {
             observer.update(memory, &self.terms);
         }
         if let Some(memory) = &mut state.estimator {
-            memory.command(&self.command, &self.terms.momentum.unmodelled_wrench, &self.terms.seen.wind);
+            let Terms { momentum, seen, contact, .. } = &self.terms;
+            let feet = contact.force_of_torques.as_slice();
+            memory.command(&self.command, &momentum.unmodelled_wrench, &seen.wind, feet);
         }
         &self.command
     }
@@ -557,7 +559,9 @@ impl Controller {
         contact.force_of_torques.copy_from(&contact.force);
         if answer.status == QpStatus::Solved {
             let (forces, torques) = self.torque_solver.x().split_at(torque_qp.foot_force.end);
-            contact.force_of_torques.copy_from_slice(forces);
+            if contact.is_active {
+                contact.force_of_torques.copy_from_slice(forces);
+            }
             unlimited_torque.copy_from_slice(torques);
             if !state.torque_is_known {
                 // The published rate limiter starts from its first input.
@@ -603,13 +607,9 @@ impl Controller {
             acceleration.rows_mut(6, self.command.joint_torque.len()).copy_from(&self.command.joint_torque);
             // The wrenches with which the feet stay: those of an impact do not last for a tick.
             let wrenches = contact.force_of_torques.as_slice().chunks_exact(WRENCH);
-            let feet = self.model.feet.iter().zip(&contact.soles).zip(wrenches);
-            for ((foot, sole), wrench) in feet.filter(|_| contact.is_active) {
-                let (force, moment) =
-                    (Vector3::from_column_slice(&wrench[..3]), Vector3::from_column_slice(&wrench[3..]));
-                kinematics.visit_jacobian_columns(foot.frame.body, &sole.position, |column, v, w| {
-                    acceleration[column] += v.dot(&force) + w.dot(&moment);
-                });
+            for ((foot, sole), wrench) in self.model.feet.iter().zip(&contact.soles).zip(wrenches) {
+                let (body, wrench) = (foot.frame.body, Vector6::from_column_slice(wrench));
+                kinematics.add_generalised_wrench(body, &sole.position, &wrench, acceleration);
             }
             inverse_mass.multiply_in_place(acceleration);
             // The torque QP left the free acceleration here.

@@ -13,6 +13,7 @@
 
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::Command;
+use crate::control::contact::WRENCH;
 use crate::dynamics::{Dynamics, MassFactor};
 use crate::error::{BuildError, check};
 use crate::kinematics::{Kinematics, RobotState};
@@ -155,6 +156,8 @@ struct Order {
     thrust_rate: Vec<f64>,
     unmodelled: Vector6<f64>,
     wind_i: Vector3<f64>,
+    /// With which the feet stay, foot after foot.
+    foot_wrenches: Vec<f64>,
 }
 
 /// The robot's model and the space it works in.
@@ -186,6 +189,10 @@ impl Model {
             let pose = kinematics.frame_pose(&jet.frame);
             let force = pose.rotation * jet.axis_f.into_inner() * *thrust;
             kinematics.add_generalised_force(jet.frame.body, &pose.position, &force, acceleration);
+        }
+        for (foot, wrench) in robot.feet.iter().zip(order.foot_wrenches.chunks_exact(WRENCH)) {
+            let (sole, wrench) = (kinematics.frame_pose(&foot.frame), Vector6::from_column_slice(wrench));
+            kinematics.add_generalised_wrench(foot.frame.body, &sole.position, &wrench, acceleration);
         }
         link_forces.add_generalised_force(robot, kinematics, acceleration);
         if !mass_factor.factorise(&dynamics.mass_matrix) {
@@ -301,6 +308,7 @@ impl Estimator {
             thrust_rate: vec![0.0; jets],
             unmodelled: Vector6::zeros(),
             wind_i: Vector3::zeros(),
+            foot_wrenches: vec![0.0; WRENCH * self.model.robot.feet.len()],
         };
         EstimatorState {
             line: vec![nothing.clone(); 1 + self.oldest],
@@ -363,15 +371,33 @@ impl Estimator {
 }
 
 impl EstimatorState {
-    /// What acts from this tick to the next: the command, the wrench that the controller observes, and the wind that
-    /// it uses \[m/s\], which is finite whatever is measured.
-    pub fn command(&mut self, command: &Command, unmodelled: &Vector6<f64>, wind_i: &Vector3<f64>) {
-        let length = self.orders.len();
-        let order = &mut self.orders[(self.ticks + length - 1) % length];
-        order.torque.copy_from_slice(command.joint_torque.as_slice());
-        order.thrust_rate.copy_from_slice(command.thrust_rate.as_slice());
+    /// What acts from this tick to the next: the command, the wrench that the controller observes, the wind that it
+    /// uses \[m/s\], which is finite whatever is measured, and the wrenches with which the robot's feet stay, foot after
+    /// foot about their soles \[N, N m, inertial axes\].
+    pub fn command(
+        &mut self,
+        command: &Command,
+        unmodelled: &Vector6<f64>,
+        wind_i: &Vector3<f64>,
+        foot_wrenches: &[f64],
+    ) {
+        self.replace_command(command);
+        let order = self.last_order();
         order.unmodelled = *unmodelled;
         order.wind_i = *wind_i;
+        order.foot_wrenches.copy_from_slice(foot_wrenches);
+    }
+
+    /// Another command acts from this tick to the next.
+    pub fn replace_command(&mut self, command: &Command) {
+        let order = self.last_order();
+        order.torque.copy_from_slice(command.joint_torque.as_slice());
+        order.thrust_rate.copy_from_slice(command.thrust_rate.as_slice());
+    }
+
+    fn last_order(&mut self) -> &mut Order {
+        let length = self.orders.len();
+        &mut self.orders[(self.ticks + length - 1) % length]
     }
 }
 

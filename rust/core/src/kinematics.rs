@@ -12,7 +12,7 @@
 
 use crate::robot::{Frame, JointKind, RobotModel};
 use crate::spatial::{Pose, axis_angle};
-use nalgebra::{DVector, Matrix3, Matrix3xX, Vector3};
+use nalgebra::{DVector, Matrix3, Matrix3xX, Vector3, Vector6};
 
 /// Where the robot is and how it moves.
 #[derive(Debug, Clone, PartialEq)]
@@ -281,6 +281,21 @@ impl Kinematics {
         for &joint in &self.chains[body] {
             generalised[6 + joint] += self.bodies[joint + 1].joint_velocity_at(point_i).dot(force_i);
         }
+    }
+
+    /// Adds the generalised force of a wrench on `body` about `point_i`, force first \[N, N m, inertial axes\].
+    pub fn add_generalised_wrench(
+        &self,
+        body: usize,
+        point_i: &Vector3<f64>,
+        wrench_i: &Vector6<f64>,
+        generalised: &mut DVector<f64>,
+    ) {
+        let (force, moment): (Vector3<f64>, Vector3<f64>) =
+            (wrench_i.fixed_rows::<3>(0).into(), wrench_i.fixed_rows::<3>(3).into());
+        self.visit_jacobian_columns(body, point_i, |column, v, w| {
+            generalised[column] += v.dot(&force) + w.dot(&moment);
+        });
     }
 }
 

@@ -10,6 +10,7 @@ use flight_core::control::config::{ControllerConfig, Solver};
 use flight_core::control::contact::{Contact, ContactConfig, ContactState, WRENCH_ROWS};
 use flight_core::control::setpoint::Setpoint;
 use flight_core::dynamics::Dynamics;
+use flight_core::estimator::{ChannelConfig, EstimatorConfig};
 use flight_core::kinematics::Kinematics;
 use flight_core::robot::Foot;
 use flight_core::spatial::exp_so3;
@@ -496,6 +497,28 @@ fn the_ground_is_no_wind() {
     }
     let wind = standing.state().wind().unwrap().wind();
     assert_within!(wind.norm(), 1e-9, because "the weight and the feet cancel to rounding", "{wind}");
+}
+
+/// A robot that stands is estimated to stand: its feet are part of the model that runs ahead of late measurements.
+#[test]
+fn a_robot_that_stands_is_not_estimated_to_fall() {
+    let late = ChannelConfig { delay: 0.05, time_constant: 0.1 };
+    let mut standing = controller(|law| {
+        law.estimator = Some(EstimatorConfig {
+            base_position: late,
+            base_linear_velocity: late,
+            joint_position: late,
+            joint_velocity: late,
+            ..EstimatorConfig::default()
+        });
+    });
+    let state = at_rest();
+    for tick in 0..20 {
+        let time = f64::from(tick) * TIME_STEP;
+        standing.tick(&Measurement { time, ..measurement(&state, Vector3::zeros(), &weight_on_both()) });
+        let speed = standing.terms().seen.state.base_linear_velocity().norm();
+        assert_within!(speed, 0.05, because "f_c* of a foot is off by 5 N of 212, which is g / 40 over 0.1 s", "tick {tick}");
+    }
 }
 
 /// In the air a controller that could stand flies as one that could not.

@@ -71,7 +71,7 @@ impl Estimating {
     }
 
     fn command(&mut self, command: &Command, unmodelled: &Vector6<f64>) {
-        self.state.command(command, unmodelled, &WIND);
+        self.state.command(command, unmodelled, &WIND, &[0.0; 12]);
     }
 }
 

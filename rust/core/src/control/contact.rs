@@ -203,7 +203,7 @@ pub struct Contact {
     pub force: DVector<f64>,
     /// `ḟ_c*` of this tick.
     pub force_rate: DVector<f64>,
-    /// `f_c` of the torque QP's answer.
+    /// `f_c` of the torque QP's answer, or `f_c*` where it has none; zero while the feet do not carry.
     pub force_of_torques: DVector<f64>,
     /// Poses of the soles.
     pub soles: Vec<Pose>,
