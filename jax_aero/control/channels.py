@@ -279,15 +279,25 @@ def update(
         is_begun=jnp.array(True),
         is_descending=is_descending,
     )
-    joints = used[3 + jets : 3 + jets + 2 * n]
-    seen = State(
-        base_position=used[-12:-9],
-        base_rotation=used[-9:].reshape(3, 3),
-        joint_position=joints[:n],
-        velocity=jnp.concatenate([used[-18:-12], joints[n:]]),
-    )
-    thrusts, modes = used[3 : 3 + jets], modes.astype(jnp.int32)
+    seen, thrusts = _parts(used, jets, n)
+    modes = modes.astype(jnp.int32)
     return after, Seen(now_time, seen, thrusts, used[:3], modes, innovation, dt, has_momentum)
+
+
+def accept(
+    limits: ChannelLimits,
+    memory: ChannelsState,
+    time_step: Float[Array, ""],
+    time: Float[Array, ""],
+    state: State,
+    thrust: Float[Array, " j"],
+    wind: Float[Array, "3"],
+) -> tuple[ChannelsState, tuple[State, Float[Array, " j"]]]:
+    """Judge a measurement as `update` does, and return what of it is accepted; NaN stands for the rest."""
+    jets, n = thrust.shape[0], state.joint_position.shape[0]
+    after, _ = update(limits, memory, time_step, time, state, thrust, wind)
+    is_accepted = (after.age == 0.0)[_owners(jets, n).argmax(axis=0)]
+    return after, _parts(jnp.where(is_accepted, _flat(state, thrust, wind), jnp.nan), jets, n)
 
 
 def reject_sensor(memory: ChannelsState, is_wrong: Bool[Array, " j"], deviation: Float[Array, " j"]) -> ChannelsState:
@@ -309,6 +319,18 @@ def _flat(state: State, thrust: Array, wind: Array) -> Array:
     joints = (state.joint_position, state.velocity[6:])
     base = (state.velocity[:6], state.base_position, state.base_rotation.reshape(9))
     return jnp.concatenate([wind, thrust, *joints, *base])
+
+
+def _parts(numbers: Array, jets: int, n: int) -> tuple[State, Array]:
+    """Return state and thrusts: the other way round."""
+    joints = numbers[3 + jets : 3 + jets + 2 * n]
+    state = State(
+        base_position=numbers[-12:-9],
+        base_rotation=numbers[-9:].reshape(3, 3),
+        joint_position=joints[:n],
+        velocity=jnp.concatenate([numbers[-18:-12], joints[n:]]),
+    )
+    return state, numbers[3 : 3 + jets]
 
 
 def _predict(limits: ChannelLimits, memory: ChannelsState, jets: int, n: int, dt: Array) -> Array:

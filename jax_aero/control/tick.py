@@ -139,6 +139,8 @@ class ControllerState(NamedTuple):
     """Last command [N m]."""
     torque_is_known: Bool[Array, ""]
     """Whether the rate limiter has a torque to start from."""
+    measured: ChannelsState | None
+    """What is known of the channels of the measurement that the estimator is given; `None` without one."""
     estimator: EstimatorState | None
     """`None` without an estimator."""
     wind: WindState | None
@@ -222,14 +224,16 @@ def init(params: MomentumController, robot: RobotModel, state: State) -> Control
     inertia = dynamics(robot, state, kin).centroidal_inertia
     rotation, n, jets = state.base_rotation, robot.n_joints, params.tasks.thrust_rate.shape[0]
     zeros = jnp.zeros_like(state.joint_position)
+    known = channels.start(robot, state)
     return ControllerState(
         setpoint=generator.start(params.setpoint, kin.com, rotation),
-        channels=channels.start(robot, state),
+        channels=known,
         posture=jnp.asarray(state.joint_position),
         inertia_0=multiply(multiply(rotation.T, inertia), rotation),
         velocity_error_integral=zeros,
         joint_torque=zeros,
         torque_is_known=jnp.array(False),
+        measured=None if params.estimator is None else known,
         estimator=None if params.estimator is None else estimator.start(params.estimator, state, jets),
         wind=None if params.wind_observer is None else wind_observer.start(params.wind_observer),
         observer=None if params.observer is None else observer.start(zeros),
@@ -254,16 +258,19 @@ def tick(
     `time` [s], `thrust` [N], `wind` [m/s, inertial axes]. With `setpoint` the mission is not followed; on the way down
     neither is.
 
-    The estimator, if there is one, makes its estimate of state and thrusts; the wind observer puts its wind of before
-    this tick in the place of the measured one. What of the measurement is missing or cannot be right is predicted from
-    what is known; the command says what.
+    The estimator, if there is one, makes its estimate of what is accepted of state and thrusts; the wind observer puts
+    its wind of before this tick in the place of the measured one. What of the measurement is missing or cannot be right
+    is predicted from what is known; the command says what.
     """
     with jax.default_matmul_precision("highest"):
         wind_std = jnp.zeros_like(wind)
-        if params.estimator is not None and memory.estimator is not None:
-            measured = Reading(state, thrust)
+        if params.estimator is not None and memory.estimator is not None and memory.measured is not None:
+            caused = {"acceleration": memory.channels.acceleration, "thrust_rate": memory.channels.thrust_rate}
+            moving = memory.measured._replace(**caused)
+            judged, accepted = channels.accept(params.channels, moving, params.time_step, time, state, thrust, wind)
+            measured = Reading(*accepted)
             estimating, (state, thrust) = estimator.update(params.estimator, robot, memory.estimator, measured)
-            memory = memory._replace(estimator=estimating)
+            memory = memory._replace(measured=judged, estimator=estimating)
         if memory.wind is not None:
             wind, wind_std = memory.wind.wind, memory.wind.std
         given = Measurement(time, state, thrust, wind)

@@ -12,6 +12,7 @@ import pytest
 from jax_aero import rust
 from jax_aero.aero import aero_model
 from jax_aero.control import Measurement, estimator
+from jax_aero.control.channels import MODES
 from jax_aero.control.estimator import Order, Reading
 from jax_aero.control.tick import momentum_controller
 from jax_aero.env import Steered
@@ -129,6 +130,27 @@ def test_a_controller_alone_has_both_estimators_in_its_state(alone):
     _, again = run(states[5], readings[5:])
     for ours, theirs in zip(jax.tree.leaves(again), jax.tree.leaves(commands[5:]), strict=True):
         np.testing.assert_array_equal(ours, theirs)
+
+
+def test_what_is_not_accepted_is_not_followed(alone):
+    controller, robot, readings = alone
+    step = jax.jit(controller.step)
+
+    def run(error):
+        memory, modes = controller.init(robot, readings[0].state), []
+        for tick, reading in enumerate(readings):
+            place = reading.state.base_position + (error if tick == 5 else 0.0)
+            given = reading._replace(state=reading.state._replace(base_position=place))
+            memory, command = step(robot, memory, given)
+            modes.append(int(command.degraded_modes))
+        return memory.estimator.then.state.base_position, modes
+
+    right, nothing = run(0.0)
+    found, modes = run(1.0)
+    assert nothing == [0] * 10
+    assert modes == [0] * 5 + [MODES["position_predicted"]] + [0] * 4
+    # A tick without a correction, of an estimate that moves at millimetres per second.
+    assert np.max(np.abs(found - right)) < 1e-3
 
 
 def test_what_is_predicted_follows_an_action_that_is_added(alone, measured):

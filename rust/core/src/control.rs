@@ -54,6 +54,7 @@ use momentum_qp::{MomentumQp, Task, TaskInputs};
 use nalgebra::{DVector, Matrix3, Vector3, Vector6};
 use observer::Sample;
 use setpoint::{Setpoint, SetpointGenerator};
+use state::Estimation;
 use std::sync::Arc;
 use torque::{TorqueQp, limit_rate};
 
@@ -229,15 +230,16 @@ impl Controller {
         if inertia_0_b.try_inverse().is_none() || !inertia_0_b.iter().chain(&com).all(|x| x.is_finite()) {
             return Err(BadStart);
         }
+        let estimation = self.estimator.as_ref().map(|estimator| Estimation {
+            channels: channels.clone(),
+            estimator: estimator.start(),
+        });
         Ok(ControllerState::new(
             measurement,
             &self.setpoint_generator.start(com, rotation),
             inertia_0_b,
             channels,
-            (
-                self.estimator.as_ref().map(Estimator::start),
-                self.wind_observer.as_ref().map(WindObserver::start),
-            ),
+            (estimation, self.wind_observer.as_ref().map(WindObserver::start)),
             (contact.measured.len(), self.n_jets),
             (self.solution.len(), self.terms.torque_qp.problem.len()),
         ))
@@ -321,7 +323,7 @@ impl Controller {
         command.thrust_rate.copy_from_slice(thrust_rate);
         command.joint_torque.copy_from_slice(joint_torque);
         state.channels.thrust_rate.copy_from(&command.thrust_rate);
-        if let Some(memory) = &mut state.estimator {
+        if let Some(Estimation { estimator: memory, .. }) = &mut state.estimation {
             memory.replace_command(command);
         }
         Ok(())
@@ -335,7 +337,11 @@ impl Controller {
             given.wind = state.wind.as_ref().map_or(measurement.wind, WindState::wind);
             given.wind_std = state.wind.as_ref().map_or_else(Vector3::zeros, WindState::std);
             given.reading.copy(measurement.state, measurement.thrust);
-            if let (Some(estimator), Some(memory)) = (&mut self.estimator, &mut state.estimator) {
+            if let (Some(estimator), Some(estimation)) = (&mut self.estimator, &mut state.estimation) {
+                let Estimation { channels, estimator: memory } = estimation;
+                channels.command_of(&state.channels);
+                self.channels.accept(channels, measurement, seen);
+                given.reading.copy(&seen.state, &seen.thrust);
                 estimator.update(memory, &mut given.reading);
             }
             let Reading { state: pose, thrust } = &given.reading;
@@ -369,7 +375,7 @@ impl Controller {
         if let (Some(observer), Some(memory)) = (&mut self.wind_observer, &mut state.wind) {
             observer.update(memory, &self.terms);
         }
-        if let Some(memory) = &mut state.estimator {
+        if let Some(Estimation { estimator: memory, .. }) = &mut state.estimation {
             let Terms { momentum, seen, contact, .. } = &self.terms;
             let feet = contact.force_of_torques.as_slice();
             memory.command(&self.command, &momentum.unmodelled_wrench, &seen.wind, feet);
@@ -634,8 +640,10 @@ impl Controller {
             && state.contact.force.len() == self.terms.contact.force.len()
             && self.channels.fit_state(&state.channels)
             && self.wind_observer.is_some() == state.wind.is_some()
-            && match (&self.estimator, &state.estimator) {
-                (Some(estimator), Some(memory)) => estimator.fits(memory),
+            && match (&self.estimator, &state.estimation) {
+                (Some(estimator), Some(Estimation { channels, estimator: memory })) => {
+                    estimator.fits(memory) && self.channels.fit_state(channels)
+                }
                 (estimator, memory) => estimator.is_none() && memory.is_none(),
             }
     }

@@ -664,6 +664,16 @@ impl Channels {
         self.write(seen);
     }
 
+    /// Judges a measurement that fits as [`Self::update`] does and makes `seen` of what is accepted; NaN stands for the
+    /// rest.
+    pub fn accept(&mut self, state: &mut ChannelsState, measurement: &Measurement, seen: &mut Seen) {
+        self.update(state, measurement, seen);
+        for (entry, _) in self.entries.iter().zip(&state.channels).filter(|(_, channel)| channel.age > 0.0) {
+            self.now[entry.range.clone()].fill(f64::NAN);
+        }
+        self.write(seen);
+    }
+
     /// The numbers of a measurement that fits.
     fn read(&mut self, measurement: &Measurement) {
         let (layout, now) = (&self.layout, &mut self.now);
@@ -718,6 +728,12 @@ impl ChannelsState {
             *velocity += dt * acceleration;
         }
         bound(predicted, greatest);
+    }
+
+    /// Takes over what the last command causes.
+    pub(super) fn command_of(&mut self, other: &Self) {
+        self.acceleration.copy_from(&other.acceleration);
+        self.thrust_rate.copy_from(&other.thrust_rate);
     }
 
     /// Uses the measured thrust of a jet no more, which was measured too large by `deviation` \[N\].

@@ -104,3 +104,43 @@ fn an_estimator_loses_nothing_else_with_a_channel() {
         }
     }
 }
+
+/// A value that is wrong by more than a jump, and one that is frozen, are not used with an estimator either: it does not follow
+/// them.
+#[test]
+fn an_estimator_follows_no_measurement_that_is_not_accepted() {
+    let late = || ChannelConfig { delay: 0.02, time_constant: 0.05 };
+    let mut whole = experiment("test2_observer");
+    whole.simulator.duration = 4.0;
+    let sensor = || SensorConfig { delay: 0.02, ..SensorConfig::default() };
+    whole.simulator.sensors = Some(SensorsConfig {
+        base_position: sensor(),
+        base_rotation: sensor(),
+        base_linear_velocity: sensor(),
+        ..SensorsConfig::default()
+    });
+    whole.controller.law.estimator = Some(EstimatorConfig {
+        base_position: late(),
+        base_rotation: late(),
+        base_linear_velocity: late(),
+        ..EstimatorConfig::default()
+    });
+    for (channel, mode, error) in [
+        (OutageChannel::BasePosition, Modes::POSITION_PREDICTED, 1.0),
+        (OutageChannel::BaseRotation, Modes::ROTATION_PREDICTED, 1.0),
+        (OutageChannel::BaseVelocity, Modes::VELOCITY_PREDICTED, 5.0),
+    ] {
+        let mut config = whole.clone();
+        let (start, duration) = (1.0, Some(0.3));
+        config.disturbances.outages =
+            vec![Outage { channel, jet: None, start, duration, kind: OutageKind::Wrong, error }];
+        let result = fly(&[config]).remove(0);
+        assert_eq!(result.outcome, Outcome::Completed, "{channel:?}");
+        let modes = &result.log.series("degraded_modes").unwrap().data;
+        for (tick, modes) in modes.iter().enumerate() {
+            let expected = if (100..130).contains(&tick) { f64::from(mode.bits()) } else { 0.0 };
+            assert_within!((modes - expected).abs(), 0.0, "{channel:?}, tick {tick}");
+        }
+        assert!(result.summary.max_rotation_error.to_degrees() < 3.0, "{channel:?}");
+    }
+}
