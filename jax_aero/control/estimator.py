@@ -130,13 +130,14 @@ def update(
 ) -> tuple[EstimatorState, Reading]:
     """Take a measurement in; the state of the next tick, and the estimate of now.
 
-    The first one begins the flight: it is taken for what had been before it. Numbers that cannot be (`GREATEST`)
-    correct nothing, and are NaN in the estimate, so that the controller knows. An estimate that is not finite begins
-    anew with what is measured.
+    The first one begins the flight: it is taken for what had been before it, as far as it can be. Numbers that cannot
+    be (`GREATEST`) correct nothing, and are NaN in the estimate, so that the controller knows. An estimate that is not
+    finite begins anew with what is measured.
     """
     # Chosen before anything is computed: neither numbers nor derivatives of the first tick depend on those of `start`.
     always = jax.tree.map(lambda old, new: jnp.broadcast_to(new, old.shape), before.line, measured)
-    line, then = where(before.ticks == 0, (always, measured), (before.line, before.then))
+    first = (always, _known(measured, before.then))
+    line, then = where(before.ticks == 0, first, (before.line, before.then))
     line = jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), line, measured)
     oldest = before.orders.torque.shape[0] - 1
     last: Order = jax.tree.map(lambda x: x[-1], before.orders)

@@ -232,7 +232,7 @@ impl Controller {
         }
         let estimation = self.estimator.as_ref().map(|estimator| Estimation {
             channels: channels.clone(),
-            estimator: estimator.start(),
+            estimator: estimator.start(measurement.state, measurement.thrust),
         });
         Ok(ControllerState::new(
             measurement,

@@ -125,14 +125,26 @@ impl Reading {
         self.state.is_finite() && self.thrust.iter().all(|thrust| thrust.is_finite())
     }
 
+    /// Numbers that can be in what is measured are taken over.
+    fn take_over(&mut self, measured: &Self) {
+        self.zip_apply(measured, |to, measured| *to = known(measured, *to));
+    }
+
     /// Numbers that cannot be in what is measured become NaN here.
     fn mark_missing(&mut self, measured: &Self) {
-        let (Self { state: to, thrust: to_thrust }, Self { state, thrust }) = (self, measured);
-        mark(to.base.position.as_mut_slice(), state.base.position.as_slice());
-        mark(to.base.rotation.as_mut_slice(), state.base.rotation.as_slice());
-        mark(to.joint_position.as_mut_slice(), state.joint_position.as_slice());
-        mark(to.velocity.as_mut_slice(), state.velocity.as_slice());
-        mark(to_thrust, thrust);
+        self.zip_apply(measured, |to, measured| *to = if can_be(measured) { *to } else { f64::NAN });
+    }
+
+    /// Changes each number by that of another reading.
+    fn zip_apply(&mut self, other: &Self, change: impl Fn(&mut f64, f64)) {
+        let (Self { state: to, thrust: to_thrust }, Self { state, thrust }) = (self, other);
+        to.base.position.zip_apply(&state.base.position, &change);
+        to.base.rotation.zip_apply(&state.base.rotation, &change);
+        to.joint_position.zip_apply(&state.joint_position, &change);
+        to.velocity.zip_apply(&state.velocity, &change);
+        for (to, measured) in to_thrust.iter_mut().zip(thrust) {
+            change(to, *measured);
+        }
     }
 }
 
@@ -141,12 +153,6 @@ const GREATEST: f64 = 1e6;
 
 fn can_be(measured: f64) -> bool {
     measured.abs() <= GREATEST
-}
-
-fn mark(to: &mut [f64], measured: &[f64]) {
-    for (to, _) in to.iter_mut().zip(measured).filter(|(_, measured)| !can_be(**measured)) {
-        *to = f64::NAN;
-    }
 }
 
 /// What acts on the robot from one tick to the next.
@@ -298,11 +304,11 @@ impl Estimator {
         Ok(Self { model, time_step, oldest, ages, shares, by_position })
     }
 
-    /// The state before the first measurement.
+    /// The state before the first measurement, for a flight that begins with this state of the robot and thrusts \[N\].
     #[must_use]
-    pub fn start(&self) -> EstimatorState {
+    pub fn start(&self, state: &RobotState, thrust: &[f64]) -> EstimatorState {
         let (joints, jets) = (self.model.robot.joints.len(), self.model.robot.jets.len());
-        let nothing = Reading::zero(joints, jets);
+        let first = Reading { state: state.clone(), thrust: thrust.to_vec() };
         let order = Order {
             torque: vec![0.0; joints],
             thrust_rate: vec![0.0; jets],
@@ -311,10 +317,10 @@ impl Estimator {
             foot_wrenches: vec![0.0; WRENCH * self.model.robot.feet.len()],
         };
         EstimatorState {
-            line: vec![nothing.clone(); 1 + self.oldest],
+            line: vec![first.clone(); 1 + self.oldest],
             orders: vec![order; 1 + self.oldest],
             ticks: 0,
-            then: nothing,
+            then: first,
             disturbance: DVector::zeros(joints),
         }
     }
@@ -330,8 +336,8 @@ impl Estimator {
 
     /// Puts the estimate of now in the place of a measurement of this robot. No allocation.
     ///
-    /// The first one begins the flight: it is taken for what had been before it. Numbers that cannot be correct
-    /// nothing, and are NaN in the estimate, so that the controller knows. An estimate that is not finite begins
+    /// The first one begins the flight: it is taken for what had been before it, as far as it can be. Numbers that cannot
+    /// be correct nothing, and are NaN in the estimate, so that the controller knows. An estimate that is not finite begins
     /// anew with what is measured.
     pub fn update(&mut self, memory: &mut EstimatorState, now: &mut Reading) {
         let Self { model, ages, by_position, .. } = self;
@@ -341,7 +347,7 @@ impl Estimator {
             for reading in line.iter_mut() {
                 reading.copy_from(now);
             }
-            then.copy_from(now);
+            then.take_over(now);
         }
         line[*ticks % length].copy_from(now);
         if *ticks > oldest {
