@@ -10,6 +10,7 @@ import jax
 import numpy as np
 import xarray as xr
 
+from experiments.import_cfd import COMMIT
 from experiments.training.parts import Finished
 from jax_aero.aero import fit
 from jax_aero.aero.dataset import JOINTS, LINKS, Dataset
@@ -20,8 +21,8 @@ from jax_aero.train.samples import predict_areas
 
 FREESTREAM_NOTE = (
     "Trained on free-stream simulations that the authors of the paper made public in the history of the repository "
-    "ami-iit/element_cfd-simulation (commit 0d43057), from before that repository had a licence file. The table itself "
-    "is not part of this project: import it from there. These weights are this project's own result."
+    f"ami-iit/element_cfd-simulation (commit {COMMIT}), from before that repository had a licence file. The table "
+    "itself is not part of this project: import it from there. These weights are this project's own result."
 )
 SURROGATE_NOTE = (
     "Trained on the project's own surrogate of interfering panels, which was calibrated on published data alone; no "
@@ -31,8 +32,9 @@ OPEN_NOTE = (
     "Trained on the project's own simulations by an open solver (docs/cfd.md). Of the public free-stream table are the "
     "normal-force coefficients of the signed axisymmetric model, where the network corrects that."
 )
-NOTES = {"surrogate": SURROGATE_NOTE, "openfoam": OPEN_NOTE}
-"""What a card says of its data, by a word of their provenance; others are of the public free-stream table."""
+OTHER_NOTE = "Trained on data that are no part of this project; `dataset` and `dataset_sha256` say which."
+NOTES = {"surrogate": SURROGATE_NOTE, "openfoam": OPEN_NOTE, COMMIT: FREESTREAM_NOTE}
+"""What a card says of its data, by a word of their provenance."""
 
 
 def summarise(finished: Sequence[Finished], chosen_on: Sequence[str] = ()) -> dict[str, Any]:
@@ -164,7 +166,7 @@ def card_facts(
         "errors": plain,
         "error_unit": "m^4, mean over 13 x 3 components of held-out rows",
         "baselines": baselines,
-        "note": next((note for word, note in NOTES.items() if word in source_text), FREESTREAM_NOTE),
+        "note": next((note for word, note in NOTES.items() if word in source_text), OTHER_NOTE),
     }
 
 

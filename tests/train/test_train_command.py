@@ -3,6 +3,7 @@
 import csv
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from PIL import Image
 
 from experiments.__main__ import main
 from experiments.training import command
+from experiments.training.result import card_facts
 from jax_aero import tables
 from jax_aero.aero.dataset import load, save
 from jax_aero.aero.network_card import load_network, read_card
@@ -92,6 +94,20 @@ def test_the_weights_are_written_where_flights_find_them(result, ironcub, made_u
     network = load_network(written, ironcub)
     error = predict_areas(network, ironcub, made_up_dataset) - made_up_dataset.force_area_b
     assert np.mean(error**2) < np.mean(made_up_dataset.force_area_b**2)
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("data/outputParameters.csv at 0d43057", "that the authors of the paper made public"),
+        ("OpenFOAM (simpleFoam, k-omega SST) around primitives", "simulations by an open solver"),
+        ("mine.csv", "no part of this project"),
+    ],
+)
+def test_a_card_says_whose_data_they_are(made_up_dataset, source, words):
+    data = replace(made_up_dataset, provenance={"source": source})
+    facts = card_facts(data, {}, epochs=1, seed=1, source="data.nc", held_out="")
+    assert words in facts["note"]
 
 
 def test_figures_are_drawn_from_the_result(result, tmp_path):
