@@ -182,7 +182,7 @@ def _fly_together(group: Group, size: int, full_log: bool, devices: tuple[jax.De
     # Always `size` flights: what is missing is the last one again.
     rows = [min(row, len(group.places) - 1) for row in range(size)]
     stacked, state = group.stacked(rows)
-    posture = np.asarray(state.plant.robot.joint_position)
+    posture = np.asarray(state.posture)
     # Numbers go to the devices once, not with every chunk.
     mesh = Mesh(np.array(devices), ("flights",))
     split, whole = (NamedSharding(mesh, PartitionSpec(*axes)) for axes in (("flights",), ()))  # type: ignore[no-untyped-call]
@@ -190,11 +190,11 @@ def _fly_together(group: Group, size: int, full_log: bool, devices: tuple[jax.De
         jax.device_put(leaf, whole if is_shared else split)
         for leaf, is_shared in zip(stacked, group.is_shared, strict=True)
     )
-    state, postures = jax.device_put((state, posture), split)
+    state = jax.device_put(state, split)
     fly = _compiled(group.structure, group.axes, full_log, mesh)
     kept: list[dict[str, Any]] = []
     for first in range(0, group.n_ticks + 1, CHUNK):
-        state, chunk = fly(leaves, postures, state, jnp.array(first, jnp.int32))
+        state, chunk = fly(leaves, state, jnp.array(first, jnp.int32))
         kept.append(jax.device_get(chunk))
         if not np.any(np.asarray(state.loss) == FLYING):
             break
@@ -215,25 +215,23 @@ def _compiled(
 ) -> Callable[..., tuple[FlightState, dict[str, Array]]]:
     """Fly a chunk of ticks, for flights of one structure."""
 
-    def some(
-        leaves: tuple[Array, ...], posture: Array, state: FlightState, first: Array
-    ) -> tuple[FlightState, dict[str, Array]]:
+    def some(leaves: tuple[Array, ...], state: FlightState, first: Array) -> tuple[FlightState, dict[str, Array]]:
         scenario = jax.tree.unflatten(structure, leaves)
 
         def one(state: FlightState, tick: Array) -> tuple[FlightState, dict[str, Array]]:
             state, row = step(scenario, state, tick)
             signals = row._asdict()
-            return state, signals if full_log else condense(signals, posture)
+            return state, signals if full_log else condense(signals, state.posture)
 
         return jax.lax.scan(one, state, first + jnp.arange(CHUNK, dtype=jnp.int32))
 
-    together = jax.vmap(some, in_axes=(axes, 0, 0, None))
+    together = jax.vmap(some, in_axes=(axes, 0, None))
     if mesh.size > 1:
         split, whole = PartitionSpec("flights"), PartitionSpec()  # type: ignore[no-untyped-call]
         together = jax.shard_map(
             together,
             mesh=mesh,
-            in_specs=(tuple(whole if axis is None else split for axis in axes), split, split, whole),
+            in_specs=(tuple(whole if axis is None else split for axis in axes), split, whole),
             out_specs=split,
             check_vma=False,
         )

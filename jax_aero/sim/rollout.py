@@ -115,7 +115,7 @@ def fly(
 def run(scenario: Scenario, state: FlightState, progress: Progress | None = None) -> FlightResult:
     """Fly a scenario from this state to its end, or until it is lost; as `fly` does with one of its own."""
     n_ticks = int(scenario.n_ticks)
-    posture = np.asarray(state.plant.robot.joint_position, np.float64)
+    posture = np.asarray(state.posture, np.float64)
     rows: list[FlightRow] = []
     for first in range(0, n_ticks + 1, CHUNK):
         # Chunks are of one length, so that they compile once; the last one flies beyond the end.

@@ -132,6 +132,8 @@ class FlightState(NamedTuple):
     """`None` where sensors are exact."""
     outages: tuple[Held, ...]
     """What was measured when each outage began."""
+    posture: Float[Array, " n"]
+    """Joint positions that were measured at the first tick [rad]."""
     loss: Int[Array, ""]
     """`FLYING`, or by which criterion the flight was lost."""
     loss_size: Float[Array, ""]
@@ -297,6 +299,7 @@ def begin(scenario: Scenario, plant: PlantState) -> FlightState:
         measured_wind=jnp.zeros_like(plant.robot.velocity[:3]),
         sensors=before,
         outages=begin_outages(scenario.outages, first.robot, plant.jets.thrust),
+        posture=seen.state.joint_position,
         loss=jnp.array(FLYING, jnp.int32),
         loss_size=jnp.zeros_like(plant.robot.velocity[0]),
         loss_tick=jnp.array(-1, jnp.int32),
@@ -368,6 +371,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
         measured_wind=wind_measured,
         sensors=sensors,
         outages=where(goes_on, held, state.outages),
+        posture=state.posture,
         loss=jnp.where(lost_now, loss, state.loss),
         loss_size=jnp.where(lost_now, size, state.loss_size),
         loss_tick=jnp.where(lost_now, tick.astype(jnp.int32), state.loss_tick),

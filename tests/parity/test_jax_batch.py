@@ -116,6 +116,14 @@ def test_flights_of_another_structure_fly_apart(counted):
     assert len(counted) == 4
 
 
+def test_the_desired_posture_is_the_measured_one(counted):
+    """Not the true one, which encoders with steps do not see."""
+    coarse = {"simulator.sensors": {"joints": {"resolution": 0.01}}}
+    (found,) = sim.fly_batch(flights(coarse))
+    expected = rust.fly(*flights(coarse)).joint_setpoint
+    np.testing.assert_allclose(found.joint_setpoint, expected, rtol=0, atol=1e-15)
+
+
 def test_numbers_go_to_the_device_once(counted, monkeypatch):
     """Every chunk but the first gets arrays that are there already."""
     sim.fly_batch(flights({}, {}), full_log=True)
@@ -125,9 +133,9 @@ def test_numbers_go_to_the_device_once(counted, monkeypatch):
     def watched(*static):
         fly = compiled(*static)
 
-        def call(leaves, postures, state, first):
-            kinds.extend(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves((leaves, postures, state)))
-            return fly(leaves, postures, state, first)
+        def call(leaves, state, first):
+            kinds.extend(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves((leaves, state)))
+            return fly(leaves, state, first)
 
         return call
 
