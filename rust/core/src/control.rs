@@ -256,7 +256,7 @@ impl Controller {
         }
         let is_seen = self.see(state, measurement);
         let setpoint = if state.channels.is_descending {
-            self.setpoint_generator.descend(&mut state.setpoint)
+            self.setpoint_generator.descend(&mut state.setpoint, state.contact.is_active)
         } else {
             self.setpoint_generator.update(&mut state.setpoint, self.terms.seen.time)
         };
@@ -278,7 +278,7 @@ impl Controller {
         let is_seen = self.see(state, measurement);
         let is_valid = setpoint.is_valid();
         let followed = if state.channels.is_descending {
-            self.setpoint_generator.descend(&mut state.setpoint)
+            self.setpoint_generator.descend(&mut state.setpoint, state.contact.is_active)
         } else if is_valid {
             self.setpoint_generator.follow(&mut state.setpoint, &setpoint.motion());
             *setpoint

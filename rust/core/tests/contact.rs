@@ -521,6 +521,22 @@ fn a_robot_that_stands_is_not_estimated_to_fall() {
     }
 }
 
+/// A robot that stands and has lost its place for long stays where it is: there is nowhere to descend to.
+#[test]
+fn a_robot_that_stands_does_not_descend() {
+    let mut standing = controller(|_| ());
+    let mut state = at_rest();
+    standing.tick(&measurement(&state, Vector3::zeros(), &weight_on_both()));
+    let height = standing.state().setpoint().raw().position.z;
+    state.base.position.fill(f64::NAN);
+    for tick in 1..500 {
+        let time = f64::from(tick) * TIME_STEP;
+        standing.tick(&Measurement { time, ..measurement(&state, Vector3::zeros(), &weight_on_both()) });
+    }
+    assert!(standing.controller.command().modes.contains(Modes::DESCENDING));
+    assert_eq!(standing.state().setpoint().raw().position.z, height);
+}
+
 /// In the air a controller that could stand flies as one that could not.
 #[test]
 fn in_the_air_feet_change_nothing() {

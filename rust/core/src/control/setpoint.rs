@@ -294,16 +294,19 @@ impl SetpointGenerator {
         self.smooth(state)
     }
 
-    /// Set-point of a tick of the way down instead of the mission: level, straight down, without boost.
+    /// Set-point of a tick of the way down instead of the mission: level, without boost, and straight down to where the
+    /// robot has landed.
     #[must_use]
-    pub fn descend(&self, state: &mut SetpointState) -> Setpoint {
+    pub fn descend(&self, state: &mut SetpointState, has_landed: bool) -> Setpoint {
         let raw = &mut state.raw;
         let step = self.config.attitude_rate_deg[0].to_radians() * self.time_step;
         for angle in raw.rpy.iter_mut().take(2) {
             *angle -= angle.clamp(-step, step);
         }
         raw.turbo_ticks = 0;
-        raw.position.z -= self.config.descent_speed * self.time_step;
+        if !has_landed {
+            raw.position.z -= self.config.descent_speed * self.time_step;
+        }
         self.smooth(state)
     }
 
