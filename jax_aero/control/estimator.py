@@ -17,7 +17,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jax_aero.aero import AeroModel, LinkConventions, generalised_aero_force, link_forces
 from jax_aero.config import EstimatorConfig
@@ -184,6 +184,15 @@ def replace_command(
             torque=orders.torque.at[0].set(torque), thrust_rate=orders.thrust_rate.at[0].set(thrust_rate)
         )
     )
+
+
+def correct_thrusts(
+    state: EstimatorState, is_wrong: Bool[Array, " j"], deviation: Float[Array, " j"]
+) -> EstimatorState:
+    """Return the state without the deviations [N] of sensors that are wrong, whose measurements are used no more."""
+    lost = jnp.where(is_wrong, jnp.nan, state.line.thrust)
+    right = state.then.thrust - jnp.where(is_wrong, deviation, 0.0)
+    return state._replace(line=state.line._replace(thrust=lost), then=state.then._replace(thrust=right))
 
 
 def advance(

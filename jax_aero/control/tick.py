@@ -347,6 +347,11 @@ def _act(
             params.engines, before, elapsed, thrust, innovation, momentum.a_t, residual, has_momentum
         )
         known = channels.reject_sensor(known, is_wrong, deviation)
+        if memory.measured is not None and memory.estimator is not None:
+            memory = memory._replace(
+                measured=channels.reject_sensor(memory.measured, is_wrong, deviation),
+                estimator=estimator.correct_thrusts(memory.estimator, is_wrong, deviation),
+            )
         descent = params.engines.descent
         if descent is not None:
             is_lost = jnp.any(turning.is_lost(params.engines))

@@ -440,6 +440,10 @@ impl Controller {
                     }
                     Finding::WrongSensor => {
                         state.channels.reject_sensor(jet, engine.deviation);
+                        if let Some(Estimation { channels, estimator }) = &mut state.estimation {
+                            channels.reject_sensor(jet, engine.deviation);
+                            estimator.correct_thrust(jet, engine.deviation);
+                        }
                         *engine = EngineState::default();
                     }
                     Finding::Nothing => {}

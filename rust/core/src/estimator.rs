@@ -377,6 +377,14 @@ impl Estimator {
 }
 
 impl EstimatorState {
+    /// Takes a deviation \[N\] out of the thrust of a jet, that of its sensor, whose measurements are used no more.
+    pub(crate) fn correct_thrust(&mut self, jet: usize, deviation: f64) {
+        self.then.thrust[jet] -= deviation;
+        for reading in &mut self.line {
+            reading.thrust[jet] = f64::NAN;
+        }
+    }
+
     /// What acts from this tick to the next: the command, the wrench that the controller observes, the wind that it
     /// uses \[m/s\], which is finite whatever is measured, and the wrenches with which the robot's feet stay, foot after
     /// foot about their soles \[N, N m, inertial axes\].
