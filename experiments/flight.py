@@ -88,8 +88,7 @@ def existing(folder: Path, digest: str, code: str | None, *, overwrite: bool) ->
         return None
     shown = os.path.relpath(folder)
     if overwrite:
-        others = record.unrelated_files(folder) if folder.is_dir() else [folder.name]
-        if others:
+        if others := record.unrelated_files(folder):
             raise Refused(f"{shown} holds more than a result ({others[0]}), so it is not overwritten")
         return None
     finished = record.read_manifest(folder)

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from experiments import Refused
 from experiments.study import Findings, Study
-from jax_aero import rust, tables
+from jax_aero import places, rust, tables
 from jax_aero.summary import SETTLING_TIME
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.momentum import ForceRate
@@ -39,10 +40,17 @@ def compute(name: str, settings: ForceRateConfig) -> Findings:
     config = rust.load_config(name, overrides)
     model = MomentumModel(load_robot(config["robot"]), config["simulator"]["aero"])
     log = rust.fly(config).log
+    if log["time"][-1] <= SETTLING_TIME:
+        raise Refused(f"{name} ends at {log['time'][-1]:g} s; expected a `duration` beyond {SETTLING_TIME:g} s")
     parts, mismatch = split(model, log)
     dataset = to_dataset(log["time"][1:-1], parts)
     summary = figures(dataset) | {"mismatch with differences of the log, rms over rms": mismatch}
-    return Findings(f"Second derivative of the momentum: {config['title']}", dataset, summary, flights={name: config})
+    return Findings(
+        f"Second derivative of the momentum: {config.get('title') or name}",
+        dataset,
+        summary,
+        flights={places.name_of(name): config},
+    )
 
 
 STUDY = Study("force_rate", __doc__, ForceRateConfig, compute, ("test2",))

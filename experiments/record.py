@@ -106,7 +106,12 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
 
 
 def unrelated_files(folder: Path) -> list[str]:
-    """Return the files in a folder that its manifest does not list; replacing the result would delete them."""
+    """Return the files in a folder that its manifest does not list; replacing the result would delete them.
+
+    A file in the folder's place is such a one.
+    """
+    if folder.is_file():
+        return [folder.name]
     own = {RUN_FILE, MANIFEST_FILE, *((read_manifest(folder) or {}).get("files") or {})}
     paths = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir())
     return sorted(path for path in paths if path not in own)

@@ -120,7 +120,7 @@ class Study(Generic[C]):
         started = time.perf_counter()
         command = ["jax-aero", self.command, name, *self.options, *overrides.options(changes or {})]
         name, config = self.read(name, changes)
-        folder = RESULTS / self.kind / (name + overrides.folder_suffix(changes or {}))
+        folder = RESULTS / self.kind / (places.name_of(name) + overrides.folder_suffix(changes or {}))
         under_way = [self.progress_of(folder)] if self.progress else []
         findings: Findings = self.compute(name, config, *under_way)
         timings = {**findings.timings, "all": time.perf_counter() - started}

@@ -36,6 +36,9 @@ class WindMap(tables.Table, frozen=True):
     directions_deg: tuple[float, ...]
     """Where the wind comes from: 0 from ahead (+x), 90 from the left (+y) [deg]."""
 
+    def __post_init__(self) -> None:
+        tables.check_levels(self, "speeds", "directions_deg")
+
 
 class TrimConfig(tables.Table, frozen=True):
     """A trim: what is free, within which limits, and what is preferred."""

@@ -29,6 +29,20 @@ def names(kind: str) -> list[str]:
     return sorted(path.stem for path in (CONFIGS / kind).glob("*.toml"))
 
 
+def is_path(text: str) -> bool:
+    """Return whether a text is the path of a file, and not a name."""
+    return "/" in text or text.endswith(".toml")
+
+
+def name_of(text: str) -> str:
+    """Return the name of what is given by its name or by its path.
+
+    >>> name_of("mine/test2.toml")
+    'test2'
+    """
+    return Path(text).stem if is_path(text) else text
+
+
 def find(kind: str, name: str | PathLike[str]) -> Path:
     """Return a file of `configs/KIND/` by its name, or any file by its path.
 
@@ -36,7 +50,7 @@ def find(kind: str, name: str | PathLike[str]) -> Path:
     'test2.toml'
     """
     text = fspath(name)
-    if "/" in text or text.endswith(".toml") or not isinstance(name, str):
+    if is_path(text) or not isinstance(name, str):
         return Path(text)
     if text not in (known := names(kind)):
         raise Refused(f"there is no `{text}` in configs/{kind}{did_you_mean(text, known)}")

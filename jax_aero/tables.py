@@ -118,7 +118,7 @@ def check_levels(table: Table, *names: str) -> None:
     """Refuse keys whose list is empty or has a value twice: what is computed for each value is named by it."""
     for name in names:
         if not (values := getattr(table, name)) or len(set(values)) < len(values):
-            raise ValueError(f"`{name}` is {json.dumps(values)}; expected one value or more, each once")
+            raise ValueError(str(_refusal(name, values, "one value or more, each once")))
 
 
 def plain(config: Any) -> dict[str, Any]:

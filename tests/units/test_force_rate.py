@@ -26,6 +26,24 @@ def result(tmp_path_factory):
     return folder, document
 
 
+def test_an_experiment_given_by_its_path_stays_where_it_is(tmp_path, monkeypatch, capsys):
+    """The result has its name, beside those of the others, and not its path."""
+    monkeypatch.setattr(study, "RESULTS", tmp_path / "results")
+    path = tmp_path / "mine.toml"
+    text = f'base = "{ROOT}/configs/experiments/test2.toml"\n'
+    path.write_text(text)
+    assert force_rate.main([str(path), "--set", "duration=3.1"]) == 0
+    assert path.read_text() == text
+    (folder,) = (tmp_path / "results" / "force_rate").iterdir()
+    assert folder.name == "mine--duration=3.1"
+    assert "mine" in json.loads((folder / "manifest.json").read_text())["config"]["flights"]
+    assert force_rate.main([str(path), "--set", "duration=3.0"]) == 2
+    assert "ends at 3 s; expected a `duration` beyond 3 s" in capsys.readouterr().err
+    folder.with_name("mine--duration=3.2").write_text("mine")
+    assert force_rate.main([str(path), "--set", "duration=3.2"]) == 2
+    assert folder.with_name("mine--duration=3.2").read_text() == "mine"
+
+
 def test_the_parts_add_up_to_what_the_crate_saw(result):
     assert result[1]["summary"]["mismatch with differences of the log, rms over rms"] < 0.1
 

@@ -197,6 +197,7 @@ def test_a_map_without_any_trim_is_written_and_says_so(tmp_path, monkeypatch, ca
         ("free_groups = []", 'free_groups = ["tail"]', "free_groups names `tail`"),
         ("ironcub_mk1.toml", "ironcub_mk9.toml", "expected the path of a file that exists"),
         ("[map]", "[maps]", "unknown key `maps`"),
+        ("directions_deg = [", "directions_deg = [0.0, ", r"`map.directions_deg` is \[0.0,0.0,.*each once"),
     ],
 )
 def test_a_configuration_that_cannot_be_meant_is_refused(tmp_path, old, new, complaint):
