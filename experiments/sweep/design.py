@@ -76,9 +76,11 @@ class Design:
     def cell_config(self, cell: int) -> rust.Config:
         """Return the unperturbed configuration of a cell."""
         levels = self.cells[cell]
-        base = next((level.base for level in levels if level.base), self.spec.base)
-        config = copy.deepcopy(self.bases[base])
         with self._naming(cell):
+            base, *others = {level.base for level in levels if level.base} or {self.spec.base}
+            if others:
+                raise Refused(f"its levels have the `base` {' and '.join(sorted([base, *others]))}; expected one")
+            config = copy.deepcopy(self.bases[base])
             for settings in (self.spec.set, *(level.set for level in levels)):
                 keys.set_all(config, settings)
         return config
@@ -111,10 +113,13 @@ class Design:
         return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
 
     def check(self) -> None:
-        """Refuse a sweep with a cell that cannot fly, before the first flight."""
-        for cell in range(len(self.cells)):
+        """Refuse a sweep with a cell that cannot fly, or that is there twice, before the first flight."""
+        firsts: dict[tuple[str | float, ...], int] = {}
+        for cell, levels in enumerate(self.cells):
             config = self.cell_config(cell)
             with self._naming(cell):
+                if (first := firsts.setdefault(tuple(level.label for level in levels), cell)) < cell:
+                    raise Refused(f"cell {first} has the same levels; expected each combination once")
                 if (engine := config.get("engine", self.spec.engine)) != self.spec.engine:
                     raise Refused(
                         f"`engine` of the flight is {engine!r}; expected {self.spec.engine!r}, as of the sweep"

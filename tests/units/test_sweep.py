@@ -342,6 +342,28 @@ def test_a_cell_has_counts_and_quantiles_of_its_flights(agree):
 
 
 @pytest.mark.parametrize(
+    ("axes", "words"),
+    [
+        (
+            [{"name": "x", "key": "wind.speed", "values": [1.0, 2.0, 1.0]}],
+            r"cell 2 \(x = 1.0\): cell 0 has the same",
+        ),
+        ([{"name": "x", "level": [{"label": "a"}, {"label": "a"}]}], r"cell 1 \(x = a\): cell 0 has the same levels"),
+        (
+            [
+                {"name": name, "level": [{"label": "a", "base": base}]}
+                for name, base in {"x": "test1", "y": "test4"}.items()
+            ],
+            r"cell 0 \(x = a, y = a\): its levels have the `base` test1 and test4; expected one",
+        ),
+    ],
+)
+def test_cells_that_their_labels_do_not_tell_are_refused(axes, words):
+    with pytest.raises(Refused, match=words):
+        design(axis=axes).check()
+
+
+@pytest.mark.parametrize(
     "change",
     [
         {"base": "balancing_front"},
