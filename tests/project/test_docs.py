@@ -13,6 +13,7 @@ from pathlib import Path
 import nbformat
 import pytest
 from nbclient import NotebookClient
+from traitlets.config import Config
 
 from experiments import waypoints
 from experiments.sweep import spec
@@ -188,7 +189,7 @@ def test_shown_waypoints_become_a_flight(page, tmp_path):
 
 
 @pytest.mark.parametrize("path", sorted(DOCS.glob("notebooks/*.ipynb")), ids=name)
-def test_a_notebook_runs(path):
+def test_a_notebook_runs(path, tmp_path):
     def outputs() -> list[nbformat.NotebookNode]:
         return [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
 
@@ -198,7 +199,10 @@ def test_a_notebook_runs(path):
     notebook = nbformat.read(path, as_version=4)
     assert any("image/png" in output.get("data", {}) for output in outputs())
     stored = printed()
-    NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(path.parent)}}).execute()
+    # Files in place of TCP ports, which are chosen before they are bound: another process may take one.
+    config = Config(KernelManager={"transport": "ipc", "ip": str(tmp_path / "kernel")})
+    resources = {"metadata": {"path": str(path.parent)}}
+    NotebookClient(notebook, timeout=600, resources=resources, config=config).execute()
     if path.stem == "first_flight":  # of the crate alone, which computes the same bits everywhere
         assert printed() == stored
 
