@@ -66,15 +66,20 @@ def compute(_: str, asked: Along) -> Findings:
         for name, found in summary.items()
     )
     inputs = {"hashes": {name: run.attrs["config_hash"] for name, run in runs.items()}}
-    return Findings("Fuel and clearance along flights", data, summary, inputs=inputs, files=[ROBOT], report=report)
+    files = [ROBOT, *map(_file, runs)]
+    return Findings("Fuel and clearance along flights", data, summary, inputs=inputs, files=files, report=report)
 
 
 STUDY = Study("along", __doc__, Along, compute, ("flights",))
 main = STUDY.main
 
 
+def _file(name: str) -> Path:
+    return study.RESULTS / "flight" / name / record.RUN_FILE
+
+
 def _read(name: str) -> xr.Dataset:
-    path = study.RESULTS / "flight" / name / record.RUN_FILE
+    path = _file(name)
     if not path.is_file():
         raise Refused(f"no flight `{name}`; fly it with: python -m experiments {name}")
     with xr.open_dataset(path, engine="h5netcdf") as opened:

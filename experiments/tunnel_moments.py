@@ -45,6 +45,8 @@ MODELS = {
     "spheres and cylinders": "sphere_cylinder",
     "network, shipped": "network",
 }
+MODEL_FILES = (ROBOT, PANELS, *(AERO / f"{name}.toml" for name in MODELS.values()))
+"""What the forces of all models follow from, with the files that these name."""
 PANEL_MODEL, NOTHING = "panels", "no moment"
 CORRECTED = ("axisymmetric, corrected", "network, shipped")
 """Models that the tunnel corrects."""
@@ -70,9 +72,8 @@ def compute(_: str, config: MomentsConfig) -> Findings:
     areas = model_areas(robot, data)
     result = compared(robot, data, areas)
     figures = summary(result) | corrections(robot, data, areas)
-    networks = [AERO / "networks" / "default.json"]
-    files = [ROBOT, PANELS, *(AERO / f"{name}.toml" for name in MODELS.values()), *networks]
     inputs = {"draws": DRAWS, "seed": SEED, "points": result.sizes["point"]}
+    files = [*MODEL_FILES, Path(config.dataset)]
     return Findings("Models' moments beside the wind tunnel", result, figures, inputs=inputs, files=files)
 
 

@@ -18,9 +18,10 @@ import numpy as np
 import xarray as xr
 
 from experiments import Refused, study, tunnel_moments
-from experiments.calibrate_surrogate import table_rows, toml
+from experiments.calibrate_surrogate import CFD, TUNNEL, table_rows, toml
 from experiments.cfd.command import RESULTS
 from experiments.cfd.correct import corrected
+from experiments.import_cfd import POSTURES
 from experiments.study import Findings, Study
 from experiments.tunnel_moments import NEWTON_METRES, PANELS
 from jax_aero import tables
@@ -55,7 +56,7 @@ def compute(name: str, config: CompareConfig) -> Findings:
     summary = {"cases": len(ours), "postures": len(ours.postures), **couples(robot, ours), **beside_tunnel(ours)}
     inputs: dict[str, Any] = {"dataset": ours.sha256}
     models = models_at(robot, ours)
-    texts = {}
+    texts, files = {}, [*tunnel_moments.MODEL_FILES, POSTURES, TUNNEL, CFD]
     if len(np.unique(ours.family)) > 2:
         panels = load_surrogate(PANELS, robot)
         fixed = corrected(panels, batched_features(robot, panels.panels, panels.wake), ours)
@@ -65,6 +66,7 @@ def compute(name: str, config: CompareConfig) -> Findings:
         )
     if (trained := held_out_network(name, ours)) is not None:
         models["network, trained on postures other than the row's"] = trained
+        files.append(training_of(name))
     summary |= judged(robot, models, ours, f"beside the {OPEN}")
     result = as_rows(models, ours)
     if config.table:
@@ -83,7 +85,7 @@ def compute(name: str, config: CompareConfig) -> Findings:
         names = [f"{OPEN}, beside the table: {link}, rms [m2]" for link in LINKS]
         summary |= dict(zip(names, off.tolist(), strict=True))
         result = as_rows(at_rows, there)
-    return Findings(f"Open CFD `{name}` beside others", result, summary, inputs=inputs, texts=texts)
+    return Findings(f"Open CFD `{name}` beside others", result, summary, inputs=inputs, files=files, texts=texts)
 
 
 STUDY = Study("cfd_compare", __doc__, CompareConfig, compute, ("open",), engine="openfoam")
@@ -109,9 +111,14 @@ def judged(robot: RobotModel, models: Mapping[str, Floats], truth: Dataset, wher
     }
 
 
+def training_of(name: str) -> Path:
+    """Return the result of `train NAME`."""
+    return study.RESULTS / "training" / name / "run.nc"
+
+
 def held_out_network(name: str, ours: Dataset) -> Floats | None:
     """Return the force areas (N, 13, 3) that `train NAME` predicted for postures held out, if it was run."""
-    path = study.RESULTS / "training" / name / "run.nc"
+    path = training_of(name)
     if not path.is_file():
         return None
     run = xr.load_dataset(path, engine="h5netcdf")

@@ -20,7 +20,7 @@ from experiments.cfd.case import FAR
 from experiments.cfd.geometry import robot_surfaces
 from experiments.cfd.settings import Air, FlowConfig
 from experiments.cfd.simulate import Unfit, make_mesh, solve
-from experiments.import_cfd import known_postures
+from experiments.import_cfd import POSTURES, known_postures
 from experiments.study import Findings, Study
 from jax_aero import rust
 from jax_aero.aero.dataset import wind_direction
@@ -68,7 +68,7 @@ def compute(_name: str, config: FlowConfig) -> Findings:
         "cells": facts.cells,
     }
     data = data.assign_attrs(wind=wind, cells=facts.cells, edge=settings.mesh.finest)
-    return Findings(config.title, data, summary)
+    return Findings(config.title, data, summary, files=[ROBOT, POSTURES])
 
 
 def read_case(folder: Path, ranks: int, air: Air) -> tuple[pyvista.UnstructuredGrid, pyvista.PolyData]:

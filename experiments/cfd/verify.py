@@ -28,7 +28,7 @@ from experiments.cfd import foam
 from experiments.cfd.geometry import Surface, robot_surfaces, triangles_of
 from experiments.cfd.settings import Mesh, Settings, Shell
 from experiments.cfd.simulate import Result, simulate
-from experiments.import_cfd import known_postures
+from experiments.import_cfd import POSTURES, known_postures
 from experiments.study import Findings, Study
 from jax_aero import rust, tables
 from jax_aero.aero.dataset import Floats, wind_direction
@@ -130,7 +130,7 @@ def compute(name: str, config: VerifyConfig) -> Findings:
         },
         {"run": [*plans], "link": [*subject.surfaces], "xyz": ["x", "y", "z"]},
     )
-    return Findings(f"Open CFD verified: {name}", data, summary)
+    return Findings(f"Open CFD verified: {name}", data, summary, files=[ROBOT, POSTURES])
 
 
 def coefficient(result: Result, subject: Subject) -> float:

@@ -89,6 +89,14 @@ def test_a_result_of_older_code_is_not_drawn(study, tmp_path):
         FIGURES["along"].drawn(tmp_path / "flight")
 
 
+def test_the_flights_themselves_count(make_flight, robot, tmp_path, monkeypatch):
+    monkeypatch.setattr(along.study, "RESULTS", tmp_path)
+    path = tmp_path / "flight" / "mine" / "run.nc"
+    path.parent.mkdir(parents=True)
+    record.write_dataset(record.to_dataset(make_flight(5.0), robot, title="t", config_digest="0"), path)
+    assert path in along.compute("flights", along.Along(flights=("mine",))).files
+
+
 def test_capsules_are_where_the_robots_file_has_them(agree):
     robot = rust.Robot(str(ROBOT))
     joints = in_robot_order(robot.joint_names, known_postures()["Config1"])

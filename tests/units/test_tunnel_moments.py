@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 
 from experiments import import_tunnel, tunnel_correction, tunnel_moments
 from jax_aero.aero import dataset, tunnel
@@ -168,6 +169,17 @@ def test_figures_of_the_comparison_are_those_of_its_points(robot, points, monkey
     key = f"all, centre below, {name}, corrected by other postures: force"
     agree("force, corrected", fixed[f"{key}, rms [N]"], 0.5 * 61.25 * force, 1e-12)
     assert fixed[f"{key}, added, 2.5 %"] <= fixed[f"{key}, added, 97.5 %"] < 0.0
+
+
+def test_the_points_of_the_tunnel_count(tmp_path, monkeypatch):
+    monkeypatch.setattr(tunnel_moments, "read", lambda _: xr.Dataset(coords={"point": [0]}))
+    monkeypatch.setattr(tunnel_moments, "model_areas", lambda *_: {})
+    monkeypatch.setattr(tunnel_moments, "compared", lambda _, data, __: data)
+    monkeypatch.setattr(tunnel_moments, "summary", lambda _: {})
+    monkeypatch.setattr(tunnel_moments, "corrections", lambda *_: {})
+    path = tmp_path / "tunnel.nc"
+    found = tunnel_moments.compute("mk1", tunnel_moments.MomentsConfig(dataset=str(path)))
+    assert {path, tunnel_moments.ROBOT, tunnel_moments.PANELS} <= set(found.files)
 
 
 def test_a_cell_of_the_matrix_counts_balanced_arrivals():
