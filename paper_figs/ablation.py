@@ -1,4 +1,4 @@
-"""One thing varied, its effect: share of flights that arrive, rotation error, position error.
+"""One thing varied, its effect: share of flights that complete, rotation error, position error.
 
 Named levels stand as dots in rows, numbers as lines. A panel's level (world, controller) has one colour and marker
 everywhere; in between, both identify it.

@@ -1,4 +1,4 @@
-"""Many things varied at once: which of them an error goes with, and how often flights arrive along each."""
+"""Many things varied at once: which of them an error goes with, and how often flights complete along each."""
 
 from __future__ import annotations
 

@@ -159,7 +159,7 @@ def test_every_scene_plays_and_proves_its_number(visit):
     assert numbers[2].startswith("32.9°")
     assert "3.1° with the model" in numbers[2]
     assert re.match(r"2[01]\.\d s", numbers[3])
-    assert "it arrives" in numbers[3]
+    assert "it completes" in numbers[3]
     assert numbers[4].startswith("4.9°")
     assert re.search(r"the baseline falls at 2[01]\.\d s", numbers[4])
     assert page.complaints == []

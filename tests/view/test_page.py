@@ -191,7 +191,7 @@ def test_a_new_flight_keeps_the_moment_and_the_old_one_as_ghost(visit, fallen):
     first = served.solid
     page.choose("air", "network default")
     page.choose("lever arms", "corrected")
-    page.wait_for(lambda: served.solid is not first and served.solid.duration == 50.0, "a flight that arrives")
+    page.wait_for(lambda: served.solid is not first and served.solid.duration == 50.0, "a flight that completes")
     assert served.ghost is first
     assert served.solid.config["simulator"]["aero"]["card"].endswith("default.json")
     # Robot, time field and numbers show one moment.

@@ -11,7 +11,7 @@ const SPARE = 6; // of a picture, for flights in the background: at least this [
 const SHARE = 0.25; // and this share of the time that pictures take
 const CHUNK = 5; // ticks between two looks at the clock
 const TURNING = 0.2; // a dragged wind needs this long for each change [s]
-const LEANING = 10; // beyond this attitude error a flight that arrives is said to lean [deg]
+const LEANING = 10; // beyond this attitude error a flight that completes is said to lean [deg]
 const GHOSTS = {
   none: ["none", "One robot flies."],
   baseline: ["baseline", "The same flight under the baseline, in the same wind."],

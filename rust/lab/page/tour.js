@@ -44,8 +44,8 @@ export const TOUR = [
     start: 8,
     text: "The published simulator adds a link's offset without turning it into the world, which triples the aerodynamic moment at hover: 1.9 instead of 0.67 N m. Only with this error does the baseline fall.",
     proof: ({ watched, corrected }) => [
-      watched.lost_time === null ? "arrives" : `${watched.lost_time.toFixed(1)} s`,
-      `until it falls; with corrected arms it ${corrected.lost_time === null ? "arrives" : "falls too"}`,
+      watched.lost_time === null ? "completes" : `${watched.lost_time.toFixed(1)} s`,
+      `until it falls; with corrected arms it ${corrected.lost_time === null ? "completes" : "falls too"}`,
     ],
   },
   {
@@ -54,10 +54,10 @@ export const TOUR = [
     others: { baseline: { ...DEFAULTS, controller: "baseline", arms: "published" } },
     ghost: "baseline",
     start: 8,
-    text: "The observer compares the robot's momentum with what its thrusts should give and takes the rest for a wrench of the air. Without model and wind sensor it arrives in the very flight that the baseline, the ghost, loses.",
+    text: "The observer compares the robot's momentum with what its thrusts should give and takes the rest for a wrench of the air. Without model and wind sensor it completes the very flight that the baseline, the ghost, loses.",
     proof: ({ watched, baseline }) => [
       degrees(watched.summary.max_rotation_error),
-      `greatest attitude error; the baseline ${baseline.lost_time === null ? "arrives" : `falls at ${baseline.lost_time.toFixed(1)} s`}`,
+      `greatest attitude error; the baseline ${baseline.lost_time === null ? "completes" : `falls at ${baseline.lost_time.toFixed(1)} s`}`,
     ],
   },
 ];

@@ -63,7 +63,7 @@ fn a_lost_thrust_sensor_is_no_wind() {
     assert_within!(error, 1.5, because "as without the outage: what is promised of the estimate");
 }
 
-/// A robot that is not given the wind arrives, and estimates it to 1.5 m/s when it has risen.
+/// A robot that is not given the wind completes its flight, and estimates it to 1.5 m/s when it has risen.
 #[test]
 fn a_robot_without_a_measured_wind_flies() {
     let mut config = experiment("test2_observer");

@@ -24,19 +24,19 @@ fn rotation_error_deg(result: &FlightResult) -> f64 {
 
 /// TEST3: without aerodynamics in the controller the robot turns over with the published arms, whatever the last bits.
 /// With corrected arms it leans so far that they decide the end: of 20 flights that differ in them 20 or, with other
-/// vector instructions, 19 arrive.
+/// vector instructions, 19 complete.
 #[test]
 fn test3_falls_with_published_arms() {
     let [published] = flights(["test3_published"]);
     let fall = published.loss.unwrap_or_else(|| panic!("it flew on"));
     assert!((12.0..=40.0).contains(&fall.time), "fell at {} s: {}", fall.time, fall.reason);
-    for result in arrived("test3", 8, 4) {
+    for result in completed("test3", 8, 4) {
         assert!(rotation_error_deg(&result) > 15.0, "{}", rotation_error_deg(&result));
     }
 }
 
-/// Flights of an experiment whose first thrust differs in its last bits, those that arrive: at least so many.
-fn arrived(name: &str, flights: u32, least: usize) -> Vec<FlightResult> {
+/// Flights of an experiment whose first thrust differs in its last bits, those that complete: at least so many.
+fn completed(name: &str, flights: u32, least: usize) -> Vec<FlightResult> {
     let config = experiment(name);
     let nudged: Vec<_> = (0..flights)
         .map(|bits| {
@@ -45,10 +45,10 @@ fn arrived(name: &str, flights: u32, least: usize) -> Vec<FlightResult> {
             })
         })
         .collect();
-    let arrived: Vec<_> = fly(&nudged).into_iter().filter(|result| result.loss.is_none()).collect();
-    assert!(arrived.len() >= least, "{name}: {} of {flights} arrive", arrived.len());
-    arrived.iter().for_each(assert_completed);
-    arrived
+    let completed: Vec<_> = fly(&nudged).into_iter().filter(|result| result.loss.is_none()).collect();
+    assert!(completed.len() >= least, "{name}: {} of {flights} complete", completed.len());
+    completed.iter().for_each(assert_completed);
+    completed
 }
 
 /// TEST4: with the same network in the controller it flies, with either kind of arms. The controller's
@@ -66,12 +66,12 @@ fn test4_flies() {
     }
 }
 
-/// Robustness: a controller with the axisymmetric model arrives more often than not, and the models differ. It leans
-/// so far that last bits decide the end: of 20 flights that differ in them 19 arrive, and 15 with published arms.
+/// Robustness: a controller with the axisymmetric model completes more often than not, and the models differ. It leans
+/// so far that last bits decide the end: of 20 flights that differ in them 19 complete, and 15 with published arms.
 #[test]
-fn the_axisymmetric_model_is_good_enough_to_arrive() {
+fn the_axisymmetric_model_is_good_enough_to_complete() {
     for name in ["robustness", "robustness_published"] {
-        for result in arrived(name, 12, 4) {
+        for result in completed(name, 12, 4) {
             let difference = result.summary.max_aero_force_difference;
             assert!((1.0..=12.0).contains(&difference), "{difference} N");
         }

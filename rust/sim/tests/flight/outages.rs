@@ -37,7 +37,7 @@ fn last<'a>(flight: &'a FlightResult, name: &str) -> &'a [f64] {
     flight.log.series(name).unwrap().row(flight.log.len() - 1)
 }
 
-fn arrives(lost: Outage, expected: u32, worst_deg: f64) {
+fn completes(lost: Outage, expected: u32, worst_deg: f64) {
     let what = format!("{lost:?}");
     let flight = fly(vec![lost], |_| ());
     assert_eq!(flight.outcome, Outcome::Completed, "{what}: {:?}", flight.loss);
@@ -47,26 +47,26 @@ fn arrives(lost: Outage, expected: u32, worst_deg: f64) {
 }
 
 #[test]
-fn without_wind_it_arrives() {
+fn without_wind_it_completes() {
     let lost = Modes::WIND_HELD.bits() | Modes::WIND_LOST.bits();
     for (duration, modes) in [(0.3, 1), (1.0, 1), (FOR_EVER, lost)] {
-        arrives(outage(OutageChannel::Wind, duration, OutageKind::Missing), modes, 5.0);
+        completes(outage(OutageChannel::Wind, duration, OutageKind::Missing), modes, 5.0);
     }
 }
 
 #[test]
-fn without_thrust_sensors_it_arrives() {
+fn without_thrust_sensors_it_completes() {
     for duration in [0.3, 1.0, FOR_EVER] {
         let lost = outage(OutageChannel::Thrust, duration, OutageKind::Missing);
         let one = Outage { jet: Some("chest_l_jet".into()), ..lost.clone() };
         for lost in [lost, one] {
-            arrives(lost, Modes::THRUST_MODELLED.bits(), 5.0);
+            completes(lost, Modes::THRUST_MODELLED.bits(), 5.0);
         }
     }
 }
 
 #[test]
-fn blind_for_a_second_it_arrives() {
+fn blind_for_a_second_it_completes() {
     for (channel, mode) in [
         (OutageChannel::BasePosition, Modes::POSITION_PREDICTED),
         (OutageChannel::BaseRotation, Modes::ROTATION_PREDICTED),
@@ -75,11 +75,11 @@ fn blind_for_a_second_it_arrives() {
         for duration in [0.3, 1.0] {
             for kind in [OutageKind::Missing, OutageKind::Wrong] {
                 // Beyond every jump.
-                arrives(Outage { error: 3.0, ..outage(channel, duration, kind) }, mode.bits(), 5.0);
+                completes(Outage { error: 3.0, ..outage(channel, duration, kind) }, mode.bits(), 5.0);
             }
         }
     }
-    arrives(outage(OutageChannel::Joints, 0.3, OutageKind::Nan), Modes::JOINTS_PREDICTED.bits(), 5.0);
+    completes(outage(OutageChannel::Joints, 0.3, OutageKind::Nan), Modes::JOINTS_PREDICTED.bits(), 5.0);
 }
 
 /// Everything of the state stands still for 0.3 s: recognised, and survived.
@@ -113,7 +113,7 @@ fn blind_for_good_it_descends() {
 
 /// A thrust sensor that stands still or is off for good: the momentum shows it, and the thrust is modelled from then on.
 #[test]
-fn with_a_wrong_thrust_sensor_it_arrives() {
+fn with_a_wrong_thrust_sensor_it_completes() {
     for (jet, kind, error) in [
         ("l_arm_jet", OutageKind::Wrong, -40.0),
         ("chest_r_jet", OutageKind::Wrong, 20.0),
@@ -122,7 +122,7 @@ fn with_a_wrong_thrust_sensor_it_arrives() {
         ("chest_r_jet", OutageKind::Frozen, 0.0),
     ] {
         let lost = outage(OutageChannel::Thrust, FOR_EVER, kind);
-        arrives(Outage { jet: Some(jet.into()), error, ..lost }, Modes::THRUST_MODELLED.bits(), 30.0);
+        completes(Outage { jet: Some(jet.into()), error, ..lost }, Modes::THRUST_MODELLED.bits(), 30.0);
     }
 }
 
@@ -130,7 +130,7 @@ fn with_a_wrong_thrust_sensor_it_arrives() {
 #[test]
 fn a_second_without_joints_is_too_long() {
     let joints = |duration| outage(OutageChannel::Joints, duration, OutageKind::Missing);
-    arrives(joints(0.5), Modes::JOINTS_PREDICTED.bits(), 5.0);
+    completes(joints(0.5), Modes::JOINTS_PREDICTED.bits(), 5.0);
     let flight = fly(vec![joints(1.0)], |config| config.simulator.duration = 21.0);
     assert_eq!(flight.outcome, Outcome::Fell);
 }
@@ -171,7 +171,7 @@ fn without_an_engine_it_sinks_to_the_ground() {
 
 /// One that keeps its thrust is no loss before another thrust is asked of it: the mission goes on.
 #[test]
-fn with_a_stuck_engine_it_arrives() {
+fn with_a_stuck_engine_it_completes() {
     for jet in JETS {
         let (flight, _) = fly_without(jet, FailureKind::Stuck, 0.0, 50.0);
         assert_eq!(flight.outcome, Outcome::Completed, "{jet}: {:?}", flight.loss);
