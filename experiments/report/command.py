@@ -12,7 +12,7 @@ from experiments import engine_choice, manifest
 from experiments.report import claims, facts
 from experiments.report.metrics import Metrics
 from experiments.report.page import Heading, Page, Picture, Table, Text
-from experiments.report.results import Results, Sweep, count
+from experiments.report.results import NotFlownError, Results, Sweep, count
 from experiments.report.verdicts import NOT_FLOWN
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
@@ -152,9 +152,10 @@ def _coded(command: str) -> str:
 
 
 def _minimum(page: Page, results: Results) -> None:
-    if "ablation_terms" not in results.sweeps:
+    try:
+        sweep = results.sweep("ablation_terms")
+    except NotFlownError:
         return
-    sweep = results.sweeps["ablation_terms"]
     worlds = sweep.levels("world")
     rows = [
         [

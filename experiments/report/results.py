@@ -107,11 +107,14 @@ class Results:
         return found[name]
 
     def sweep(self, name: str) -> Sweep:
-        """Return a finished sweep."""
+        """Return a finished sweep, all of whose flights were flown."""
         if name not in self.sweeps:
             raise NotFlownError(f"`python -m experiments sweep {name}` has not been run")
-        self.note(self.sweeps[name].document)
-        return self.sweeps[name]
+        found = self.sweeps[name]
+        if failed := found.document["finished"]["outcomes"].get("error"):
+            raise NotFlownError(f"{failed} flights of `python -m experiments sweep {name}` could not be flown")
+        self.note(found.document)
+        return found
 
     def study(self, kind: str, name: str) -> dict[str, Any]:
         """Return the figures of a study."""

@@ -121,6 +121,19 @@ def test_a_sweep_under_way_is_not_there_yet(tmp_path):
     assert Results(tmp_path).sweeps == {}
 
 
+def test_a_sweep_with_flights_that_could_not_be_flown_decides_no_claim(results):
+    """Their cell would say that all flights of it complete: none of none."""
+    path = results.folder / "sweeps" / "paper_tests" / "sweep.json"
+    document = json.loads(path.read_text())
+    document["finished"]["outcomes"]["error"] = 2
+    path.write_text(json.dumps(document))
+    stated = [claim for claim in claims.all_claims(Results(results.folder)) if "sweep paper_tests" in claim.measured]
+    assert stated
+    for claim in stated:
+        assert claim.verdict == NOT_FLOWN
+        assert claim.measured == "2 flights of `python -m experiments sweep paper_tests` could not be flown"
+
+
 def test_a_flight_that_ends_while_it_settles_has_no_error_of_position(make_flight, robot):
     run = record.to_dataset(make_flight(duration=2.0), robot, title="t", config_digest="0" * 64)
     assert np.isnan(metrics.measure("t", run).com_error)
