@@ -23,7 +23,7 @@ from msgspec.structs import astuple
 from jax_aero.config import ChannelsConfig, DivergenceConfig, Greatest, Jumps
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import exp_so3, is_rotation, multiply, vee_of_skew_part
-from jax_aero.types import Array, State, Static, leaf, pytree
+from jax_aero.types import Array, State, Static, leaf, pytree, where
 
 GAP_MAX = 10.5
 """Longest time between two ticks, in ticks. Half a tick is for rounding."""
@@ -119,7 +119,8 @@ class Seen(NamedTuple):
     modes: Int[Array, ""]
     """What of it is not measured."""
     thrust_innovation: Float[Array, " j"]
-    """By how much each thrust is not the predicted one; zero where it is not measured [N]."""
+    """By how much each thrust is not the predicted one, or by how much an estimator corrects it; zero where it is not
+    measured [N]."""
     elapsed: Float[Array, ""]
     """Time since the last tick [s]."""
     has_momentum: Bool[Array, ""]
@@ -284,20 +285,20 @@ def update(
     return after, Seen(now_time, seen, thrusts, used[:3], modes, innovation, dt, has_momentum)
 
 
-def accept(
-    limits: ChannelLimits,
-    memory: ChannelsState,
-    time_step: Float[Array, ""],
-    time: Float[Array, ""],
-    state: State,
-    thrust: Float[Array, " j"],
-    wind: Float[Array, "3"],
-) -> tuple[ChannelsState, tuple[State, Float[Array, " j"]]]:
-    """Judge a measurement as `update` does, and return what of it is accepted; NaN stands for the rest."""
-    jets, n = thrust.shape[0], state.joint_position.shape[0]
-    after, _ = update(limits, memory, time_step, time, state, thrust, wind)
-    is_accepted = (after.age == 0.0)[_owners(jets, n).argmax(axis=0)]
-    return after, _parts(jnp.where(is_accepted, _flat(state, thrust, wind), jnp.nan), jets, n)
+def accepted(memory: ChannelsState, seen: Seen) -> tuple[State, Float[Array, " j"]]:
+    """Return what an estimator may follow of the measurement that was taken in last, state and thrusts.
+
+    NaN stands for what was not accepted, but a base velocity that was not is the one that follows the pose.
+    """
+    jets, n = seen.thrust.shape[0], seen.state.joint_position.shape[0]
+    is_accepted = (memory.age == 0.0).at[VELOCITY].set(True)[_owners(jets, n).argmax(axis=0)]
+    return _parts(jnp.where(is_accepted, _flat(seen.state, seen.thrust, seen.wind), jnp.nan), jets, n)
+
+
+def replaced(limits: ChannelLimits, state: State, thrust: Float[Array, " j"], seen: Seen) -> Seen:
+    """Put an estimate in the place of what is seen, unless a number of it could not have been accepted."""
+    is_plausible = jnp.all(jnp.abs(_flat(state, thrust, seen.wind)) <= limits.greatest)
+    return where(is_plausible, seen._replace(state=state, thrust=thrust), seen)
 
 
 def reject_sensor(memory: ChannelsState, is_wrong: Bool[Array, " j"], deviation: Float[Array, " j"]) -> ChannelsState:

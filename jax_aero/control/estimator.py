@@ -127,12 +127,12 @@ def start(settings: Estimator, state: State, jets: int) -> EstimatorState:
 
 def update(
     settings: Estimator, robot: RobotModel, before: EstimatorState, measured: Reading
-) -> tuple[EstimatorState, Reading]:
-    """Take a measurement in; the state of the next tick, and the estimate of now.
+) -> tuple[EstimatorState, Reading, Float[Array, " j"]]:
+    """Take a measurement in; the state of the next tick, the estimate of now, and the correction of thrusts [N].
 
     The first one begins the flight: it is taken for what had been before it, as far as it can be. Numbers that cannot
-    be (`GREATEST`) correct nothing, and are NaN in the estimate, so that the controller knows. An estimate that is not
-    finite begins anew with what is measured.
+    be (`GREATEST`) correct nothing: the estimate of them is the model's. One that is not finite begins anew with what
+    is measured.
     """
     # Chosen before anything is computed: neither numbers nor derivatives of the first tick depend on those of `start`.
     always = jax.tree.map(lambda old, new: jnp.broadcast_to(new, old.shape), before.line, measured)
@@ -154,6 +154,7 @@ def update(
     innovation = aligned[4].state.joint_position - then.state.joint_position
     disturbance = unexplained + of_acceleration / step**2 * innovation
     corrected = _correct(settings.share, then, aligned)
+    innovation_of_thrust = corrected.thrust - then.thrust
     velocity = corrected.state.velocity.at[6:].add(of_velocity / step * innovation)
     then = corrected._replace(state=corrected.state._replace(velocity=velocity))
 
@@ -163,8 +164,7 @@ def update(
 
     orders = jax.tree.map(lambda x: x[:oldest][::-1], before.orders)
     now, _ = jax.lax.scan(ahead, then, (orders, jnp.arange(oldest)[::-1]))
-    now = jax.tree.map(lambda found, said: jnp.where(_can_be(said), found, jnp.nan), now, measured)
-    return EstimatorState(line, before.orders, then, disturbance, before.ticks + 1), now
+    return EstimatorState(line, before.orders, then, disturbance, before.ticks + 1), now, innovation_of_thrust
 
 
 def command(state: EstimatorState, order: Order) -> EstimatorState:

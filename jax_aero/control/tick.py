@@ -139,8 +139,6 @@ class ControllerState(NamedTuple):
     """Last command [N m]."""
     torque_is_known: Bool[Array, ""]
     """Whether the rate limiter has a torque to start from."""
-    measured: ChannelsState | None
-    """What is known of the channels of the measurement that the estimator is given; `None` without one."""
     estimator: EstimatorState | None
     """`None` without an estimator."""
     wind: WindState | None
@@ -224,16 +222,14 @@ def init(params: MomentumController, robot: RobotModel, state: State) -> Control
     inertia = dynamics(robot, state, kin).centroidal_inertia
     rotation, n, jets = state.base_rotation, robot.n_joints, params.tasks.thrust_rate.shape[0]
     zeros = jnp.zeros_like(state.joint_position)
-    known = channels.start(robot, state)
     return ControllerState(
         setpoint=generator.start(params.setpoint, kin.com, rotation),
-        channels=known,
+        channels=channels.start(robot, state),
         posture=jnp.asarray(state.joint_position),
         inertia_0=multiply(multiply(rotation.T, inertia), rotation),
         velocity_error_integral=zeros,
         joint_torque=zeros,
         torque_is_known=jnp.array(False),
-        measured=None if params.estimator is None else known,
         estimator=None if params.estimator is None else estimator.start(params.estimator, state, jets),
         wind=None if params.wind_observer is None else wind_observer.start(params.wind_observer),
         observer=None if params.observer is None else observer.start(zeros),
@@ -264,18 +260,17 @@ def tick(
     """
     with jax.default_matmul_precision("highest"):
         wind_std = jnp.zeros_like(wind)
-        if params.estimator is not None and memory.estimator is not None and memory.measured is not None:
-            caused = {"acceleration": memory.channels.acceleration, "thrust_rate": memory.channels.thrust_rate}
-            moving = memory.measured._replace(**caused)
-            judged, accepted = channels.accept(params.channels, moving, params.time_step, time, state, thrust, wind)
-            measured = Reading(*accepted)
-            estimating, (state, thrust) = estimator.update(params.estimator, robot, memory.estimator, measured)
-            memory = memory._replace(measured=judged, estimator=estimating)
         if memory.wind is not None:
             wind, wind_std = memory.wind.wind, memory.wind.std
         given = Measurement(time, state, thrust, wind)
         known, seen = channels.update(params.channels, memory.channels, params.time_step, *given)
         memory = memory._replace(channels=known)
+        if params.estimator is not None and memory.estimator is not None:
+            measured = Reading(*channels.accepted(known, seen))
+            estimating, estimate, corrected = estimator.update(params.estimator, robot, memory.estimator, measured)
+            memory = memory._replace(estimator=estimating)
+            seen = channels.replaced(params.channels, *estimate, seen)._replace(thrust_innovation=corrected)
+            given = given._replace(state=seen.state, thrust=seen.thrust)
         if setpoint is None:
             along = generator.update(params.setpoint, params.mission, memory.setpoint, seen.time)
         else:
@@ -347,11 +342,9 @@ def _act(
             params.engines, before, elapsed, thrust, innovation, momentum.a_t, residual, has_momentum
         )
         known = channels.reject_sensor(known, is_wrong, deviation)
-        if memory.measured is not None and memory.estimator is not None:
-            memory = memory._replace(
-                measured=channels.reject_sensor(memory.measured, is_wrong, deviation),
-                estimator=estimator.correct_thrusts(memory.estimator, is_wrong, deviation),
-            )
+        if memory.estimator is not None:
+            right = estimator.correct_thrusts(memory.estimator, is_wrong, deviation)
+            memory = memory._replace(estimator=right)
         descent = params.engines.descent
         if descent is not None:
             is_lost = jnp.any(turning.is_lost(params.engines))

@@ -54,7 +54,6 @@ use momentum_qp::{MomentumQp, Task, TaskInputs};
 use nalgebra::{DVector, Matrix3, Vector3, Vector6};
 use observer::Sample;
 use setpoint::{Setpoint, SetpointGenerator};
-use state::Estimation;
 use std::sync::Arc;
 use torque::{TorqueQp, limit_rate};
 
@@ -230,16 +229,14 @@ impl Controller {
         if inertia_0_b.try_inverse().is_none() || !inertia_0_b.iter().chain(&com).all(|x| x.is_finite()) {
             return Err(BadStart);
         }
-        let estimation = self.estimator.as_ref().map(|estimator| Estimation {
-            channels: channels.clone(),
-            estimator: estimator.start(measurement.state, measurement.thrust),
-        });
+        let estimator = self.estimator.as_ref();
+        let estimator = estimator.map(|estimator| estimator.start(measurement.state, measurement.thrust));
         Ok(ControllerState::new(
             measurement,
             &self.setpoint_generator.start(com, rotation),
             inertia_0_b,
             channels,
-            (estimation, self.wind_observer.as_ref().map(WindObserver::start)),
+            (estimator, self.wind_observer.as_ref().map(WindObserver::start)),
             (contact.measured.len(), self.n_jets),
             (self.solution.len(), self.terms.torque_qp.problem.len()),
         ))
@@ -323,7 +320,7 @@ impl Controller {
         command.thrust_rate.copy_from_slice(thrust_rate);
         command.joint_torque.copy_from_slice(joint_torque);
         state.channels.thrust_rate.copy_from(&command.thrust_rate);
-        if let Some(Estimation { estimator: memory, .. }) = &mut state.estimation {
+        if let Some(memory) = &mut state.estimator {
             memory.replace_command(command);
         }
         Ok(())
@@ -337,16 +334,13 @@ impl Controller {
             given.wind = state.wind.as_ref().map_or(measurement.wind, WindState::wind);
             given.wind_std = state.wind.as_ref().map_or_else(Vector3::zeros, WindState::std);
             given.reading.copy(measurement.state, measurement.thrust);
-            if let (Some(estimator), Some(estimation)) = (&mut self.estimator, &mut state.estimation) {
-                let Estimation { channels, estimator: memory } = estimation;
-                channels.command_of(&state.channels);
-                self.channels.accept(channels, measurement, seen);
-                given.reading.copy(&seen.state, &seen.thrust);
-                estimator.update(memory, &mut given.reading);
+            let measurement = Measurement { wind: given.wind, ..*measurement };
+            self.channels.update(&mut state.channels, &measurement, seen);
+            if let (Some(estimator), Some(memory)) = (&mut self.estimator, &mut state.estimator) {
+                self.channels.accepted(&state.channels, &mut given.reading);
+                estimator.update(memory, &mut given.reading, &mut seen.thrust_innovation);
+                self.channels.replace(&mut given.reading, seen);
             }
-            let Reading { state: pose, thrust } = &given.reading;
-            let given = Measurement { state: pose, thrust, wind: given.wind, ..*measurement };
-            self.channels.update(&mut state.channels, &given, seen);
         } else {
             self.channels.update_clock(&mut state.channels, measurement.time, seen);
             state.observer.hold();
@@ -375,7 +369,7 @@ impl Controller {
         if let (Some(observer), Some(memory)) = (&mut self.wind_observer, &mut state.wind) {
             observer.update(memory, &self.terms);
         }
-        if let Some(Estimation { estimator: memory, .. }) = &mut state.estimation {
+        if let Some(memory) = &mut state.estimator {
             let Terms { momentum, seen, contact, .. } = &self.terms;
             let feet = contact.force_of_torques.as_slice();
             memory.command(&self.command, &momentum.unmodelled_wrench, &seen.wind, feet);
@@ -440,8 +434,7 @@ impl Controller {
                     }
                     Finding::WrongSensor => {
                         state.channels.reject_sensor(jet, engine.deviation);
-                        if let Some(Estimation { channels, estimator }) = &mut state.estimation {
-                            channels.reject_sensor(jet, engine.deviation);
+                        if let Some(estimator) = &mut state.estimator {
                             estimator.correct_thrust(jet, engine.deviation);
                         }
                         *engine = EngineState::default();
@@ -644,10 +637,8 @@ impl Controller {
             && state.contact.force.len() == self.terms.contact.force.len()
             && self.channels.fit_state(&state.channels)
             && self.wind_observer.is_some() == state.wind.is_some()
-            && match (&self.estimator, &state.estimation) {
-                (Some(estimator), Some(Estimation { channels, estimator: memory })) => {
-                    estimator.fits(memory) && self.channels.fit_state(channels)
-                }
+            && match (&self.estimator, &state.estimator) {
+                (Some(estimator), Some(memory)) => estimator.fits(memory),
                 (estimator, memory) => estimator.is_none() && memory.is_none(),
             }
     }

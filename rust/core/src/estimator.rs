@@ -127,23 +127,14 @@ impl Reading {
 
     /// Numbers that can be in what is measured are taken over.
     fn take_over(&mut self, measured: &Self) {
-        self.zip_apply(measured, |to, measured| *to = known(measured, *to));
-    }
-
-    /// Numbers that cannot be in what is measured become NaN here.
-    fn mark_missing(&mut self, measured: &Self) {
-        self.zip_apply(measured, |to, measured| *to = if can_be(measured) { *to } else { f64::NAN });
-    }
-
-    /// Changes each number by that of another reading.
-    fn zip_apply(&mut self, other: &Self, change: impl Fn(&mut f64, f64)) {
-        let (Self { state: to, thrust: to_thrust }, Self { state, thrust }) = (self, other);
-        to.base.position.zip_apply(&state.base.position, &change);
-        to.base.rotation.zip_apply(&state.base.rotation, &change);
-        to.joint_position.zip_apply(&state.joint_position, &change);
-        to.velocity.zip_apply(&state.velocity, &change);
+        let (Self { state: to, thrust: to_thrust }, Self { state, thrust }) = (self, measured);
+        let take = |to: &mut f64, measured| *to = known(measured, *to);
+        to.base.position.zip_apply(&state.base.position, take);
+        to.base.rotation.zip_apply(&state.base.rotation, take);
+        to.joint_position.zip_apply(&state.joint_position, take);
+        to.velocity.zip_apply(&state.velocity, take);
         for (to, measured) in to_thrust.iter_mut().zip(thrust) {
-            change(to, *measured);
+            take(to, *measured);
         }
     }
 }
@@ -337,9 +328,11 @@ impl Estimator {
     /// Puts the estimate of now in the place of a measurement of this robot. No allocation.
     ///
     /// The first one begins the flight: it is taken for what had been before it, as far as it can be. Numbers that cannot
-    /// be correct nothing, and are NaN in the estimate, so that the controller knows. An estimate that is not finite begins
+    /// be correct nothing: the estimate of them is the model's. One that is not finite begins
     /// anew with what is measured.
-    pub fn update(&mut self, memory: &mut EstimatorState, now: &mut Reading) {
+    ///
+    /// `thrust_innovation` becomes by how much the measurement corrects each thrust \[N\].
+    pub fn update(&mut self, memory: &mut EstimatorState, now: &mut Reading, thrust_innovation: &mut [f64]) {
         let Self { model, ages, by_position, .. } = self;
         let EstimatorState { line, orders, ticks, then, disturbance } = memory;
         let (oldest, length, step) = (self.oldest, line.len(), self.time_step);
@@ -366,12 +359,15 @@ impl Estimator {
             then.state.velocity[6 + joint] += of_velocity / step * innovation;
             disturbance[joint] += of_acceleration / (step * step) * innovation;
         }
+        thrust_innovation.copy_from_slice(&then.thrust);
         correct(then, aligned, &self.shares);
+        for (innovation, corrected) in thrust_innovation.iter_mut().zip(&then.thrust) {
+            *innovation = corrected - *innovation;
+        }
         now.copy_from(then);
         for tick in ticks.saturating_sub(oldest)..*ticks {
             model.advance(now, &orders[tick % length], disturbance, step);
         }
-        now.mark_missing(&line[*ticks % length]);
         *ticks += 1;
     }
 }

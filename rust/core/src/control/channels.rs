@@ -17,6 +17,7 @@
 
 use super::command::Measurement;
 use crate::error::{BuildError, check};
+use crate::estimator::Reading;
 use crate::kinematics::RobotState;
 use crate::robot::RobotModel;
 use crate::spatial::{Pose, exp_so3, is_rotation, vee_of_skew_part};
@@ -348,7 +349,8 @@ pub struct Seen {
     pub state: RobotState,
     /// Thrust of every jet \[N\].
     pub thrust: Vec<f64>,
-    /// By how much each thrust is not the predicted one; zero where it is not measured \[N\].
+    /// By how much each thrust is not the predicted one, or by how much an estimator corrects it; zero where it is not
+    /// measured \[N\].
     pub thrust_innovation: Vec<f64>,
     /// Time since the last tick \[s\].
     pub elapsed: f64,
@@ -664,14 +666,29 @@ impl Channels {
         self.write(seen);
     }
 
-    /// Judges a measurement that fits as [`Self::update`] does and makes `seen` of what is accepted; NaN stands for the
-    /// rest.
-    pub fn accept(&mut self, state: &mut ChannelsState, measurement: &Measurement, seen: &mut Seen) {
-        self.update(state, measurement, seen);
-        for (entry, _) in self.entries.iter().zip(&state.channels).filter(|(_, channel)| channel.age > 0.0) {
-            self.now[entry.range.clone()].fill(f64::NAN);
+    /// What an estimator may follow of the measurement that was taken in last: NaN stands for what was not accepted, but
+    /// a base velocity that was not is the one that follows the pose.
+    pub fn accepted(&mut self, state: &ChannelsState, reading: &mut Reading) {
+        for (entry, channel) in self.entries.iter().zip(&state.channels) {
+            if channel.age > 0.0 && entry.mode != Modes::VELOCITY_PREDICTED {
+                self.now[entry.range.clone()].fill(f64::NAN);
+            }
         }
-        self.write(seen);
+        self.write_reading(&mut reading.state, &mut reading.thrust);
+    }
+
+    /// Puts an estimate in the place of what is seen; what is seen in its place where a number of it could not have
+    /// been accepted.
+    pub fn replace(&mut self, estimate: &mut Reading, seen: &mut Seen) {
+        let Reading { state, thrust } = &*estimate;
+        let (time, wind, foot_wrenches) = (seen.time, seen.wind, &seen.foot_wrenches);
+        self.read(&Measurement { time, state, thrust, wind, foot_wrenches });
+        if self.now.iter().zip(&self.greatest).all(|(number, most)| number.abs() <= *most) {
+            seen.state.copy_from(state);
+            seen.thrust.copy_from_slice(thrust);
+        } else {
+            estimate.copy(&seen.state, &seen.thrust);
+        }
     }
 
     /// The numbers of a measurement that fits.
@@ -691,19 +708,25 @@ impl Channels {
         }
     }
 
-    /// The other way round.
-    fn write(&self, seen: &mut Seen) {
+    /// The other way round: state and thrusts.
+    fn write_reading(&self, state: &mut RobotState, thrust: &mut [f64]) {
         let (layout, now) = (&self.layout, &self.now);
         let middle = layout.joints.start + layout.n_joints();
-        seen.wind = vector(&now[layout.wind.clone()]);
-        seen.thrust.copy_from_slice(&now[layout.thrust.clone()]);
-        seen.state.joint_position.copy_from_slice(&now[layout.joints.start..middle]);
-        seen.state.velocity.as_mut_slice()[6..].copy_from_slice(&now[middle..layout.joints.end]);
-        seen.state.velocity.as_mut_slice()[..6].copy_from_slice(&now[layout.velocity.clone()]);
-        seen.state.base = Pose {
+        thrust.copy_from_slice(&now[layout.thrust.clone()]);
+        state.joint_position.copy_from_slice(&now[layout.joints.start..middle]);
+        state.velocity.as_mut_slice()[6..].copy_from_slice(&now[middle..layout.joints.end]);
+        state.velocity.as_mut_slice()[..6].copy_from_slice(&now[layout.velocity.clone()]);
+        state.base = Pose {
             rotation: rotation_of(&now[layout.rotation.clone()]),
             position: vector(&now[layout.position.clone()]),
         };
+    }
+
+    /// The other way round: everything.
+    fn write(&self, seen: &mut Seen) {
+        let (layout, now) = (&self.layout, &self.now);
+        self.write_reading(&mut seen.state, &mut seen.thrust);
+        seen.wind = vector(&now[layout.wind.clone()]);
         for (to, wrench) in seen.foot_wrenches.iter_mut().zip(now[layout.feet.clone()].chunks_exact(6)) {
             to.copy_from_slice(wrench);
         }
@@ -728,12 +751,6 @@ impl ChannelsState {
             *velocity += dt * acceleration;
         }
         bound(predicted, greatest);
-    }
-
-    /// Takes over what the last command causes.
-    pub(super) fn command_of(&mut self, other: &Self) {
-        self.acceleration.copy_from(&other.acceleration);
-        self.thrust_rate.copy_from(&other.thrust_rate);
     }
 
     /// Uses the measured thrust of a jet no more, which was measured too large by `deviation` \[N\].

@@ -17,8 +17,8 @@ use nalgebra::{DVector, Matrix3};
 /// Nothing else that a tick reads changes: a clone, restored at any later time, continues to the same bits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ControllerState {
-    /// What stands before the law; none where it is given the measurements.
-    pub(super) estimation: Option<Estimation>,
+    /// The state estimator; none where the law is given the measurements.
+    pub(super) estimator: Option<EstimatorState>,
     /// The estimate of the wind; none where the law is given the measured one.
     pub(super) wind: Option<WindState>,
     /// What is known of the channels of the measurement.
@@ -47,13 +47,6 @@ pub struct ControllerState {
     pub(super) torque_start: WarmStart,
 }
 
-/// A state estimator, and what is known of the channels of the measurement that it is given.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Estimation {
-    pub(super) channels: ChannelsState,
-    pub(super) estimator: EstimatorState,
-}
-
 impl ControllerState {
     /// The state before the first tick, with space for feet, jets and the unknowns of the momentum QP and the torque QP.
     pub(super) fn new(
@@ -61,14 +54,14 @@ impl ControllerState {
         setpoint: &SetpointState,
         inertia_0_b: Matrix3<f64>,
         channels: ChannelsState,
-        (estimation, wind): (Option<Estimation>, Option<WindState>),
+        (estimator, wind): (Option<EstimatorState>, Option<WindState>),
         (feet, jets): (usize, usize),
         unknowns: (usize, usize),
     ) -> Self {
         let posture = measurement.state.joint_position.clone();
         let joints = posture.len();
         Self {
-            estimation,
+            estimator,
             wind,
             channels,
             setpoint: *setpoint,
