@@ -168,3 +168,22 @@ fn a_thrust_sensor_that_is_wrong_is_not_estimated_from() {
         assert!(lean < 10.0, "{jet}: {lean} deg");
     }
 }
+
+/// A tenth of a second without any joint measurement, with realistic sensors, in wind: the model of the estimator goes on.
+/// Joints that are predicted from the last estimate instead lose all of these flights.
+#[test]
+fn without_its_joints_for_a_moment_a_robot_with_realistic_sensors_flies_on() {
+    let mut config = experiment("test2_sensors");
+    config.simulator.duration = 22.0;
+    let flights = [1, 2, 3, 4].map(|seed| {
+        let mut config = config.clone();
+        config.simulator.sensors.as_mut().unwrap().seed = seed;
+        let (start, duration) = (20.0, Some(0.1));
+        let (channel, kind) = (OutageChannel::Joints, OutageKind::Missing);
+        config.disturbances.outages = vec![Outage { channel, jet: None, start, duration, kind, error: 1.0 }];
+        config
+    });
+    for result in fly(&flights) {
+        assert_eq!(result.outcome, Outcome::Completed);
+    }
+}
