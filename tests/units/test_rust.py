@@ -83,7 +83,7 @@ def test_a_batch_equals_single_flights_whatever_the_number_of_threads():
     for threads in (1, 3):
         batch = rust.fly_batch(configs, threads, full_log=True)
         for alone, together in zip(single, batch, strict=True):
-            assert alone.summary == together.summary
+            np.testing.assert_equal(alone.summary, together.summary)  # NaN before a flight has settled
             for name, values in alone.log.items():
                 np.testing.assert_array_equal(values, together[name], err_msg=name)
 
