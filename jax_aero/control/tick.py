@@ -267,9 +267,9 @@ def tick(
         memory = memory._replace(channels=known)
         if params.estimator is not None and memory.estimator is not None:
             measured = Reading(*channels.accepted(known, seen))
-            estimating, estimate, corrected = estimator.update(params.estimator, robot, memory.estimator, measured)
+            estimating, estimate, innovation = estimator.update(params.estimator, robot, memory.estimator, measured)
             memory = memory._replace(estimator=estimating)
-            seen = channels.replaced(params.channels, *estimate, seen)._replace(thrust_innovation=corrected)
+            seen = channels.replaced(params.channels, *estimate, seen)._replace(thrust_innovation=innovation)
             given = given._replace(state=seen.state, thrust=seen.thrust)
         if setpoint is None:
             along = generator.update(params.setpoint, params.mission, memory.setpoint, seen.time)

@@ -328,8 +328,7 @@ impl Estimator {
     /// Puts the estimate of now in the place of a measurement of this robot. No allocation.
     ///
     /// The first one begins the flight: it is taken for what had been before it, as far as it can be. Numbers that cannot
-    /// be correct nothing: the estimate of them is the model's. One that is not finite begins
-    /// anew with what is measured.
+    /// be correct nothing: the estimate of them is the model's. One that is not finite begins anew with what is measured.
     ///
     /// `thrust_innovation` becomes by how much the measurement corrects each thrust \[N\].
     pub fn update(&mut self, memory: &mut EstimatorState, now: &mut Reading, thrust_innovation: &mut [f64]) {

@@ -6,7 +6,7 @@
 
 use crate::common::{
     Loop, Running, TIME_STEP, assert_within, configs, experiment, random_state, random_vector, rng, robot,
-    tick_at,
+    tick_at, uniform_estimator,
 };
 use flight_core::control::bounds::LimitedValues;
 use flight_core::control::channels::Modes;
@@ -326,17 +326,7 @@ fn time_goes_on_without_a_measurement() {
 /// is measured, and that of an estimator, which hardly looks at what is.
 #[test]
 fn predictions_follow_a_replaced_command() {
-    let slow = ChannelConfig { delay: 0.0, time_constant: 1e9 };
-    let estimator = EstimatorConfig {
-        base_position: slow,
-        base_rotation: slow,
-        base_linear_velocity: slow,
-        base_angular_velocity: slow,
-        joint_position: slow,
-        joint_velocity: slow,
-        thrust: slow,
-        joint_observer: None,
-    };
+    let estimator = uniform_estimator(ChannelConfig { delay: 0.0, time_constant: 1e9 });
     for estimator in [None, Some(estimator)] {
         let mut config = experiment("test2");
         config.simulator.joint_stops = false;

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot start has failed")]
 
-use crate::common::{Loop, assert_within, experiment, robot};
+use crate::common::{Loop, assert_within, experiment, robot, uniform_estimator};
 use flight_core::control::Command;
 use flight_core::estimator::{ChannelConfig, EstimatorConfig, EstimatorState, Reading};
 use flight_core::{Estimator, RobotState};
@@ -177,17 +177,7 @@ fn every_channel_is_corrected_by_its_share() {
 /// A wrench that is in no model moves the whole robot: its momentum as it says, no joint.
 #[test]
 fn an_unmodelled_wrench_moves_the_whole_robot() {
-    let slow = ChannelConfig { delay: 0.0, time_constant: 1e9 };
-    let config = flight(EstimatorConfig {
-        base_position: slow,
-        base_rotation: slow,
-        base_linear_velocity: slow,
-        base_angular_velocity: slow,
-        joint_position: slow,
-        joint_velocity: slow,
-        thrust: slow,
-        joint_observer: None,
-    });
+    let config = flight(uniform_estimator(ChannelConfig { delay: 0.0, time_constant: 1e9 }));
     let mut world = world(&config);
     world.observe(&WIND);
     let wrench = Vector6::new(30.0, -20.0, 10.0, 2.0, -3.0, 1.5);

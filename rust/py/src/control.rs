@@ -170,14 +170,14 @@ impl Controller {
     fn measured(
         &self,
         time: f64,
-        [position, rotation, joints, velocity]: [&Input<'_>; 4],
+        state: [&Input<'_>; 4],
         thrust: &Input<'_>,
         wind: &Input<'_>,
         foot_wrenches: Option<Input<'_>>,
     ) -> PyResult<Measured> {
         Ok(Measured {
             time,
-            state: measured_state(self.controller.model().n_joints(), position, rotation, joints, velocity)?,
+            state: measured_state(self.controller.model().n_joints(), state)?,
             thrust: entries("thrust", thrust, &[self.controller.n_jets()])?,
             wind: vector3("wind", wind)?,
             foot_wrenches: self.foot_wrenches(foot_wrenches)?,

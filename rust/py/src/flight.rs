@@ -4,8 +4,8 @@ use crate::arrays::{Input, Output, array, entries, value_error, vector, vectors}
 use flight_core::BuildError;
 use flight_io::{AeroConfig, NetworkConfig, RobotFiles, read_bytes};
 use flight_sim::{
-    BatchError, FlightResult, Scenario, ScenarioConfig, Wind, WindConfig, fly_batch as fly_rust_batch,
-    load_scenario, scenario_from_value,
+    BatchError, FlightResult, Scenario, ScenarioConfig, Wind, WindConfig, check_batch,
+    fly_batch as fly_rust_batch, load_scenario, scenario_from_value,
 };
 use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -150,14 +150,11 @@ pub fn fly_batch(
     if threads == Some(0) {
         return Err(PyValueError::new_err("threads is 0; expected at least 1, or None for one per core"));
     }
-    // All are built before one flies: a refusal costs no flight that is flown.
-    let check = |(index, text): (usize, &String)| {
+    let parse_one = |(index, text): (usize, &String)| {
         py.check_signals()?;
-        parse(text)
-            .and_then(|config| Scenario::new(&config).map(|_| config).map_err(value_error))
-            .map_err(|error| refused(index, error.value(py)))
+        parse(text).map_err(|reason| refused(index, reason.value(py)))
     };
-    let configs = config_jsons.iter().enumerate().map(check).collect::<PyResult<Vec<_>>>()?;
+    let configs = config_jsons.iter().enumerate().map(parse_one).collect::<PyResult<Vec<_>>>()?;
     let mut reporter = Reporter::new(progress);
     let keep = |mut result: FlightResult| {
         if !full_log {
@@ -166,16 +163,23 @@ pub fn fly_batch(
         result
     };
     let (done, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let go_on =
+        || if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
     let count = |finished: usize, _: usize| {
         done.store(finished, Ordering::Relaxed);
-        if stop.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        go_on()
+    };
+    // All are built before one flies: a refusal costs no flight that is flown.
+    let fly = || {
+        check_batch(&configs, threads, go_on)?;
+        fly_rust_batch(&configs, threads, keep, count)
     };
     // Python handles signals only in the thread that called this function, so that thread waits and checks for
     // them while another one flies. A flight under way at an interrupt is the last of its thread.
     let results = py
         .detach(|| {
             std::thread::scope(|scope| {
-                let batch = scope.spawn(|| fly_rust_batch(&configs, threads, keep, count));
+                let batch = scope.spawn(fly);
                 while !batch.is_finished() {
                     std::thread::sleep(REPORT_INTERVAL / 10);
                     if reporter.report(done.load(Ordering::Relaxed), configs.len()).is_break() {
@@ -186,9 +190,8 @@ pub fn fly_batch(
                 batch.join()
             })
         })
-        .map_err(|_| PyRuntimeError::new_err("a flight panicked: please report this configuration"))?
-        .map_err(|error| PyRuntimeError::new_err(error.to_string()))?;
-    if reporter.raised.is_none() {
+        .map_err(|_| PyRuntimeError::new_err("a flight panicked: please report this configuration"))?;
+    if reporter.raised.is_none() && results.is_ok() {
         let _ = reporter.force(configs.len(), configs.len());
     }
     if let Some(error) = reporter.raised {
@@ -196,10 +199,18 @@ pub fn fly_batch(
     }
     let convert = |(index, result): (usize, Result<FlightResult, BatchError>)| match result {
         Ok(result) => flight_dict(py, result, full_log),
-        Err(BatchError::Interrupted) => Err(PyKeyboardInterrupt::new_err("batch interrupted")),
-        Err(error) => Err(refused(index, &error)),
+        Err(BatchError::Build(reason)) => Err(refused(index, &reason)),
+        Err(error) => Err(batch_error(&error)),
     };
-    results.into_iter().enumerate().map(convert).collect()
+    results.map_err(|error| batch_error(&error))?.into_iter().enumerate().map(convert).collect()
+}
+
+fn batch_error(error: &BatchError) -> PyErr {
+    match error {
+        BatchError::Build(_) | BatchError::Refused(..) => PyValueError::new_err(error.to_string()),
+        BatchError::Interrupted => PyKeyboardInterrupt::new_err("batch interrupted"),
+        BatchError::NoThreads(_) => PyRuntimeError::new_err(error.to_string()),
+    }
 }
 
 fn refused(index: usize, reason: &dyn std::fmt::Display) -> PyErr {

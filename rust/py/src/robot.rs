@@ -22,8 +22,10 @@ pub struct Robot {
     model: RobotModel,
 }
 
-/// The state, unless its rotation is none.
-pub fn sound(state: RobotState) -> PyResult<RobotState> {
+/// State of a robot from arrays: base position (3), rotation (3, 3), joints (n), mixed velocity (6 + n). Its rotation must be
+/// one to 1e-6.
+pub fn state(joints: usize, arrays: [&Input<'_>; 4]) -> PyResult<RobotState> {
+    let state = measured_state(joints, arrays)?;
     let rotation = &state.base.rotation;
     let deviation = orthonormality_error(rotation);
     if deviation > 1e-6 || rotation.determinant() < 0.0 {
@@ -35,14 +37,10 @@ pub fn sound(state: RobotState) -> PyResult<RobotState> {
     Ok(state)
 }
 
-/// State of a robot from arrays: base position (3), rotation (3, 3), joints (n), mixed velocity (6 + n); as it is measured,
-/// which a controller judges.
+/// The same as it is measured, which a controller judges.
 pub fn measured_state(
     joints: usize,
-    base_position: &Input<'_>,
-    base_rotation: &Input<'_>,
-    joint_position: &Input<'_>,
-    velocity: &Input<'_>,
+    [base_position, base_rotation, joint_position, velocity]: [&Input<'_>; 4],
 ) -> PyResult<RobotState> {
     let rotation = matrix3("base_rotation", base_rotation)?;
     Ok(RobotState {
@@ -144,13 +142,8 @@ impl Robot {
         joint_position: Input<'py>,
         velocity: Input<'py>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let state = sound(measured_state(
-            self.model.n_joints(),
-            &base_position,
-            &base_rotation,
-            &joint_position,
-            &velocity,
-        )?)?;
+        let arrays = [&base_position, &base_rotation, &joint_position, &velocity];
+        let state = state(self.model.n_joints(), arrays)?;
         let (kinematics, dynamics) = self.evaluate(&state);
         let out = PyDict::new(py);
         let positions: Vec<Vector3<f64>> =
@@ -181,13 +174,8 @@ impl Robot {
         joint_position: Input<'py>,
         velocity: Input<'py>,
     ) -> PyResult<(Output<'py>, Output<'py>)> {
-        let state = sound(measured_state(
-            self.model.n_joints(),
-            &base_position,
-            &base_rotation,
-            &joint_position,
-            &velocity,
-        )?)?;
+        let arrays = [&base_position, &base_rotation, &joint_position, &velocity];
+        let state = state(self.model.n_joints(), arrays)?;
         let frame = self.frame(frame)?;
         let (kinematics, _) = self.evaluate(&state);
         let point = kinematics.frame_pose(&frame).position;
@@ -206,8 +194,7 @@ impl Robot {
         force: Input<'py>,
     ) -> PyResult<Output<'py>> {
         let joints = self.model.n_joints();
-        let state =
-            sound(measured_state(joints, &base_position, &base_rotation, &joint_position, &velocity)?)?;
+        let state = state(joints, [&base_position, &base_rotation, &joint_position, &velocity])?;
         let (_, dynamics) = self.evaluate(&state);
         let mut acceleration = DVector::from_vec(entries("force", &force, &[6 + joints])?) - &dynamics.bias;
         let mut factor = MassFactor::new(6 + joints);
@@ -298,8 +285,8 @@ pub fn link_forces<'py>(
     velocity: Input<'py>,
     wind: Input<'py>,
 ) -> PyResult<Output<'py>> {
-    let joints = robot.model.n_joints();
-    let state = sound(measured_state(joints, &base_position, &base_rotation, &joint_position, &velocity)?)?;
+    let arrays = [&base_position, &base_rotation, &joint_position, &velocity];
+    let state = state(robot.model.n_joints(), arrays)?;
     let config = aero_config(aero_json)?;
     let mut model = load_aero(&config, &robot.model).map_err(value_error)?;
     let (kinematics, _) = robot.evaluate(&state);

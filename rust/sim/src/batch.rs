@@ -15,12 +15,35 @@ pub enum BatchError {
     /// It could not be built.
     #[error(transparent)]
     Build(#[from] BuildError),
+    /// A flight of a batch that was to be flown as a whole, by its number.
+    #[error("flight {0} of the batch: {1}")]
+    Refused(usize, BuildError),
     /// The batch was stopped.
     #[error("interrupted")]
     Interrupted,
     /// No threads could be started.
     #[error("cannot start threads: {0}")]
     NoThreads(String),
+}
+
+/// Builds every configuration without flying it, `threads` at a time, for whom one that is refused makes all others
+/// worthless.
+///
+/// # Errors
+/// [`BatchError::Refused`] for the first that cannot be built, [`BatchError::Interrupted`] if `go_on` said so.
+pub fn check_batch(
+    configs: &[ScenarioConfig],
+    threads: Option<usize>,
+    go_on: impl Fn() -> ControlFlow<()> + Sync,
+) -> Result<(), BatchError> {
+    let check = |(index, config): (usize, &ScenarioConfig)| {
+        if go_on().is_break() {
+            return Some(BatchError::Interrupted);
+        }
+        Scenario::new(config).err().map(|reason| BatchError::Refused(index, reason))
+    };
+    let found = pool(threads)?.install(|| configs.par_iter().enumerate().find_map_first(check));
+    found.map_or(Ok(()), Err)
 }
 
 /// Flies every configuration, `threads` at a time (`None`: one per core). Results stand in the order
@@ -37,10 +60,7 @@ pub fn fly_batch<T: Send>(
     reduce: impl Fn(FlightResult) -> T + Sync,
     progress: impl FnMut(usize, usize) -> ControlFlow<()> + Send,
 ) -> Result<Vec<Result<T, BatchError>>, BatchError> {
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads.unwrap_or(0))
-        .build()
-        .map_err(|error| BatchError::NoThreads(error.to_string()))?;
+    let pool = pool(threads)?;
     let (done, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
     let progress = Mutex::new(progress);
     let go_on =
@@ -61,4 +81,9 @@ pub fn fly_batch<T: Send>(
         Ok(result)
     };
     Ok(pool.install(|| configs.par_iter().map(fly).collect()))
+}
+
+fn pool(threads: Option<usize>) -> Result<rayon::ThreadPool, BatchError> {
+    let builder = rayon::ThreadPoolBuilder::new().num_threads(threads.unwrap_or(0));
+    builder.build().map_err(|error| BatchError::NoThreads(error.to_string()))
 }

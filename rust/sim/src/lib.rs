@@ -21,7 +21,7 @@ pub mod summary;
 pub mod turbulence;
 pub mod wind;
 
-pub use batch::{BatchError, fly_batch};
+pub use batch::{BatchError, check_batch, fly_batch};
 pub use config::{Engine, ScenarioConfig, SimulatorConfig, load_scenario, scenario_from_value, schemas};
 pub use disturbances::Disturbances;
 pub use log::{FlightLog, FlightResult};

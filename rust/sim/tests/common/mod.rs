@@ -12,6 +12,7 @@ pub(crate) use measured::{assert_within, difference, relative};
 
 use flight_core::control::ControllerState;
 use flight_core::control::setpoint::Setpoint;
+use flight_core::estimator::{ChannelConfig, EstimatorConfig};
 use flight_core::spatial::{Pose, rotation_from_wxyz};
 use flight_core::{Command, Controller, Measurement, RobotModel, RobotState};
 use flight_io::load_robot;
@@ -41,6 +42,20 @@ pub fn both_robots() -> [RobotModel; 2] {
 
 pub fn experiment(name: &str) -> ScenarioConfig {
     load_scenario(&configs("experiments").join(name).with_extension("toml")).unwrap()
+}
+
+/// A state estimator that takes all measurements alike.
+pub fn uniform_estimator(channel: ChannelConfig) -> EstimatorConfig {
+    EstimatorConfig {
+        base_position: channel,
+        base_rotation: channel,
+        base_linear_velocity: channel,
+        base_angular_velocity: channel,
+        joint_position: channel,
+        joint_velocity: channel,
+        thrust: channel,
+        joint_observer: None,
+    }
 }
 
 pub fn rng(seed: u64) -> ChaCha8Rng {

@@ -6,7 +6,8 @@ use flight_core::spatial::{orthonormality_error, rotation_from_wxyz};
 use flight_io::{load_controller, load_robot};
 use flight_sim::signals::Dimension;
 use flight_sim::{
-    BatchError, FlightLog, FlightResult, Interrupted, Loss, LossReason, Scenario, ScenarioConfig, fly_batch,
+    BatchError, FlightLog, FlightResult, Interrupted, Loss, LossReason, Scenario, ScenarioConfig,
+    check_batch, fly_batch,
 };
 use flight_sim::{Outcome, SIGNALS, Summary, figures};
 use nalgebra::Vector3;
@@ -342,6 +343,23 @@ fn a_batch_survives_a_flight_that_cannot_be_built() {
         other => panic!("{other:?}"),
     }
     assert!(fly_batch(&[], None, |_| (), |_, _| ControlFlow::Continue(())).unwrap().is_empty());
+}
+
+/// Who needs all flights checks them before one is flown: the first that cannot be built is named. It can be stopped, too.
+#[test]
+fn a_batch_is_checked_before_it_flies() {
+    let bad = with(short(0.2), |config| config.simulator.duration = -1.0);
+    let go_on = || ControlFlow::Continue(());
+    assert!(check_batch(&[short(0.2), short(0.2)], Some(2), go_on).is_ok());
+    let configs = [short(0.2), bad.clone(), short(0.2), bad];
+    let refused = check_batch(&configs, Some(2), go_on).unwrap_err();
+    assert!(matches!(refused, BatchError::Refused(1, _)));
+    let expected = "flight 1 of the batch: simulator.duration is -1; expected a positive number";
+    assert_eq!(refused.to_string(), expected);
+    assert!(matches!(
+        check_batch(&configs, Some(1), || ControlFlow::Break(())),
+        Err(BatchError::Interrupted)
+    ));
 }
 
 /// A flight ends on the tick that exceeds a limit, with its reason and its row in the log.
