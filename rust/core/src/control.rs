@@ -219,7 +219,7 @@ impl Controller {
     /// # Errors
     /// [`BadStart`] for a measurement that a tick would refuse, or whose inertia or centre of mass overflow.
     pub fn start(&mut self, measurement: &Measurement) -> Result<ControllerState, BadStart> {
-        let channels = self.channels.start(measurement).ok_or(BadStart)?;
+        let channels = self.channels.start(measurement)?;
         let Terms { kinematics, dynamics, contact, .. } = &mut self.terms;
         kinematics.update(&self.model, measurement.state);
         dynamics.update(&self.model, measurement.state, kinematics);
@@ -227,7 +227,7 @@ impl Controller {
         let inertia_0_b = rotation.transpose() * dynamics.centroidal_inertia * rotation;
         let com = kinematics.com;
         if inertia_0_b.try_inverse().is_none() || !inertia_0_b.iter().chain(&com).all(|x| x.is_finite()) {
-            return Err(BadStart);
+            return Err(BadStart::SingularInertia);
         }
         let estimator = self.estimator.as_ref();
         let estimator = estimator.map(|estimator| estimator.start(measurement.state, measurement.thrust));

@@ -13,7 +13,7 @@ use flight_core::control::channels::Modes;
 use flight_core::control::config::{Fallback, RateFeedback, Solver};
 use flight_core::control::setpoint::Setpoint;
 use flight_core::control::torque::limit_rate;
-use flight_core::control::{BadCommand, BadStart, CommandStatus, ControllerState};
+use flight_core::control::{BadCommand, CommandStatus, ControllerState};
 use flight_core::estimator::{ChannelConfig, EstimatorConfig};
 use flight_core::qp::QpStatus;
 use flight_core::spatial::rotation_angle;
@@ -90,7 +90,7 @@ fn assert_equal(what: &str, a: &[f64], b: &[f64], tolerance: f64) {
 type Spoil = (&'static str, fn(&mut Sample));
 
 /// Every part of a measurement, spoilt.
-const SPOILT: [Spoil; 14] = [
+const SPOILT: [Spoil; 15] = [
     ("a thrust too few", |sample| sample.thrust.truncate(3)),
     ("a thrust too many", |sample| sample.thrust.push(100.0)),
     ("a joint too few", |sample| {
@@ -104,7 +104,8 @@ const SPOILT: [Spoil; 14] = [
     ("base rotation", |sample| sample.state.base.rotation[(2, 1)] = f64::NAN),
     ("joint position", |sample| sample.state.joint_position[22] = f64::NAN),
     ("infinite joint position", |sample| sample.state.joint_position[0] = f64::NEG_INFINITY),
-    ("base velocity", |sample| sample.state.velocity[0] = f64::NAN),
+    ("base linear velocity", |sample| sample.state.velocity[0] = f64::NAN),
+    ("base angular velocity", |sample| sample.state.velocity[5] = f64::NAN),
     ("joint velocity", |sample| sample.state.velocity[28] = f64::NAN),
     ("thrust", |sample| sample.thrust[3] = f64::NAN),
     ("infinite thrust", |sample| sample.thrust[0] = f64::INFINITY),
@@ -179,18 +180,30 @@ fn the_setpoint_moves_on_while_measurements_are_bad() {
     assert!(undisturbed.com_position.z > 5.0);
 }
 
-/// A bad first measurement starts nothing; the flight starts with the first good one.
+/// A bad first measurement starts nothing, and says what is wrong; the flight starts with the first good one.
 #[test]
 fn a_bad_first_measurement_starts_nothing() {
     let config = experiment("test2");
     let good = Sample::start(&config);
-    for (what, spoil) in SPOILT.into_iter().filter(|(what, _)| *what != "wind") {
-        let mut controller = controller(&config);
+    let refused = |spoil: &dyn Fn(&mut Sample)| {
         let mut bad = good.clone();
         spoil(&mut bad);
-        let refused = controller.controller.start(&bad.measurement());
-        assert_eq!(refused, Err(BadStart), "{what}");
+        controller(&config).controller.start(&bad.measurement()).unwrap_err().to_string()
+    };
+    for (what, spoil) in &SPOILT[..OF_ANOTHER_ROBOT] {
+        assert!(refused(spoil).contains("expected 23 joints, 4 thrusts, 0 feet"), "{what}");
     }
+    for (what, spoil) in SPOILT[OF_ANOTHER_ROBOT..].iter().filter(|(what, _)| *what != "wind") {
+        let (reason, name) = (refused(spoil), what.trim_start_matches("infinite ").replace(' ', "_"));
+        assert!(reason.contains(&format!("`{name}` holds ")), "{what}: {reason}");
+    }
+    assert!(
+        refused(&|sample| sample.state.base.rotation[(0, 0)] += 0.1)
+            .contains("`base_rotation` is not a rotation")
+    );
+    assert!(refused(&|sample| sample.time = -0.5).contains("`time` holds -0.5; expected 0 to 1e9 s"));
+    let reason = refused(&|sample| sample.state.base.position.fill(1e308));
+    assert!(reason.contains("the inertia of the robot cannot be inverted"), "{reason}");
     let mut controller = controller(&config);
     good.tick(&mut controller);
     assert_eq!(controller.state().posture(), &good.state.joint_position);

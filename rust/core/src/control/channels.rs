@@ -15,7 +15,7 @@
 //!
 //! Equations M101 to M103 of `docs/model.md`.
 
-use super::command::Measurement;
+use super::command::{BadStart, Measurement};
 use crate::error::{BuildError, check};
 use crate::estimator::Reading;
 use crate::kinematics::RobotState;
@@ -421,6 +421,23 @@ impl Layout {
     fn n_joints(&self) -> usize {
         self.joints.len() / 2
     }
+
+    /// What a number is called in a measurement.
+    fn name(&self, index: usize) -> &'static str {
+        let (positions, _) = self.joints.clone().map_halves();
+        let (linear, _) = self.velocity.clone().map_halves();
+        let names = [
+            (self.wind.end, "wind"),
+            (self.thrust.end, "thrust"),
+            (positions.end, "joint_position"),
+            (self.joints.end, "joint_velocity"),
+            (linear.end, "base_linear_velocity"),
+            (self.velocity.end, "base_angular_velocity"),
+            (self.position.end, "base_position"),
+            (self.rotation.end, "base_rotation"),
+        ];
+        names.into_iter().find(|(end, _)| index < *end).map_or("foot_wrenches", |(_, name)| name)
+    }
 }
 
 /// A channel's numbers, and how a tick without them is called.
@@ -513,21 +530,31 @@ impl Channels {
         state.last.len() == self.layout.len() && state.channels.len() == self.entries.len()
     }
 
-    /// The state before the first tick; `None` for a measurement that no flight can begin with.
-    #[must_use]
-    pub fn start(&mut self, measurement: &Measurement) -> Option<ChannelsState> {
-        if !self.fit(measurement) || !time_is_plausible(measurement.time) {
-            return None;
+    /// The state before the first tick.
+    ///
+    /// # Errors
+    /// [`BadStart`] for a measurement that no flight can begin with.
+    pub fn start(&mut self, measurement: &Measurement) -> Result<ChannelsState, BadStart> {
+        let (joints, jets) = (self.layout.n_joints(), self.layout.thrust.len());
+        if !self.fit(measurement) {
+            return Err(BadStart::OtherRobot { joints, jets, feet: self.layout.feet.len() / 6 });
+        }
+        let bad = |name, value, expected| Err(BadStart::BadValue { name, value, expected });
+        if !time_is_plausible(measurement.time) {
+            return bad("time", measurement.time, "0 to 1e9 s");
         }
         self.read(measurement);
         let wind = &mut self.now[self.layout.wind.clone()];
         if !wind.iter().all(|x| x.is_finite()) {
             wind.fill(0.0); // not measured: still air, until it is
         }
-        if !self.now.iter().all(|x| x.is_finite()) || !is_rotation(&measurement.state.base.rotation) {
-            return None;
+        if let Some((index, value)) = self.now.iter().enumerate().find(|(_, x)| !x.is_finite()) {
+            return bad(self.layout.name(index), *value, "a finite number");
         }
-        Some(ChannelsState {
+        if !is_rotation(&measurement.state.base.rotation) {
+            return Err(BadStart::NoRotation);
+        }
+        Ok(ChannelsState {
             channels: vec![Channel::default(); self.entries.len()],
             last: self.now.clone(),
             predicted: self.now.clone(),

@@ -21,13 +21,40 @@ pub struct Measurement<'a> {
     pub foot_wrenches: &'a [Vector6<f64>],
 }
 
-/// A measurement that no flight can begin with.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "a flight cannot begin with this measurement; expected numbers of this robot that can be right, a base rotation \
-     that is one, and an inertia that can be inverted"
-)]
-pub struct BadStart;
+/// A measurement that no flight can begin with, and why.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum BadStart {
+    /// It has other numbers of joints, thrusts or feet.
+    #[error(
+        "a flight cannot begin with a measurement of another robot; expected {joints} joints, {jets} thrusts, {feet} feet"
+    )]
+    OtherRobot {
+        /// Number of joints.
+        joints: usize,
+        /// Number of jets.
+        jets: usize,
+        /// Number of feet whose wrenches are measured.
+        feet: usize,
+    },
+    /// One of its numbers cannot be right.
+    #[error("a flight cannot begin: `{name}` holds {value}; expected {expected}")]
+    BadValue {
+        /// The field of the measurement.
+        name: &'static str,
+        /// The number.
+        value: f64,
+        /// What could be right.
+        expected: &'static str,
+    },
+    /// The base rotation is none.
+    #[error(
+        "a flight cannot begin: `base_rotation` is not a rotation; expected orthonormal columns, right-handed, to 1e-6"
+    )]
+    NoRotation,
+    /// In this posture the robot has no inertia that can be inverted, or no centre of mass.
+    #[error("a flight cannot begin: in this posture the inertia of the robot cannot be inverted")]
+    SingularInertia,
+}
 
 /// A command that no robot of this controller can follow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
