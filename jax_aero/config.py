@@ -319,6 +319,7 @@ class EstimatorConfig(Table, frozen=True, kw_only=True):
     joint_observer: Positive | None = None
     """Time constant of an observer that finds velocities of the joints, and accelerations that the model does not
     explain, from their positions alone [s], in place of `joint_velocity` and the time constant of `joint_position`.
+    Joint velocities then need not be measured.
     """
     joint_position: ChannelConfig = ChannelConfig()
     """Joint positions."""

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from msgspec.structs import astuple
 
-from jax_aero.config import ChannelsConfig, DivergenceConfig, Greatest, Jumps
+from jax_aero.config import ControllerSection, DivergenceConfig, Greatest, Jumps
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import exp_so3, is_rotation, multiply, vee_of_skew_part
 from jax_aero.types import Array, State, Static, leaf, pytree, where
@@ -76,6 +76,8 @@ class ChannelLimits:
     """Infinite where everything is accepted."""
     compares: Static[bool]
     """Whether values are compared with what is predicted."""
+    needs_joint_velocity: Static[bool]
+    """Else an observer of the joints finds them from positions, and they count as zero where they are not measured."""
     may_predict: Static[bool]
     """Whether the state of a flight that has not diverged may be predicted instead."""
 
@@ -127,8 +129,9 @@ class Seen(NamedTuple):
     """Whether the momentum is that of measurements, and its rate that of the time since the last tick."""
 
 
-def channel_limits(config: ChannelsConfig, robot: RobotModel, divergence: DivergenceConfig) -> ChannelLimits:
+def channel_limits(controller: ControllerSection, robot: RobotModel, divergence: DivergenceConfig) -> ChannelLimits:
     """Collect the numbers of a configuration, entry by entry."""
+    config, estimator = controller.channels, controller.estimator
     n, most = robot.n_joints, config.greatest
     # By default all that a flight reaches before it diverges is accepted.
     is_wild = any(map(operator.gt, astuple(divergence), astuple(DivergenceConfig())))
@@ -155,6 +158,7 @@ def channel_limits(config: ChannelsConfig, robot: RobotModel, divergence: Diverg
         greatest=entries(most.wind, leaf(most.thrust * thrust_max), 2.0, most),
         jump=entries(np.inf, leaf(np.full(thrust_max.shape, np.inf)), near.rotation, near),
         compares=config.jump is not None,
+        needs_joint_velocity=estimator is None or estimator.joint_observer is None,
         may_predict=config.jump is not None or most != Greatest() or is_wild,
     )
 
@@ -193,6 +197,9 @@ def update(
     wind: Float[Array, "3"],
 ) -> tuple[ChannelsState, Seen]:
     """Take in a measurement at `time` [s] by its clock."""
+    if not limits.needs_joint_velocity:
+        joints = state.velocity[6:]
+        state = state._replace(velocity=state.velocity.at[6:].set(jnp.where(jnp.isfinite(joints), joints, 0.0)))
     jets, n = thrust.shape[0], state.joint_position.shape[0]
     owners = _owners(jets, n)
     owner = owners.argmax(axis=0)

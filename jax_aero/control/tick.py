@@ -196,7 +196,7 @@ def momentum_controller(
         torque_max=in_place_of(robot.joint_torque_max, controller.torque.torque_max, robot),
         torque_rate_max=in_place_of(robot.joint_torque_rate_max, controller.torque.torque_rate_max, robot),
         setpoint=generator.setpoint_params(controller.setpoint, robot.forward_axis, time_step),
-        channels=channel_limits(controller.channels, robot, config.simulator.divergence),
+        channels=channel_limits(controller, robot, config.simulator.divergence),
         estimator=None if estimates is None else estimator.estimator(estimates, aero, time_step),
         wind_observer=None if winds is None else wind_observer.wind_observer(winds, aero),
         observer=None if controller.observer is None else leaves(ObserverGains, controller.observer),

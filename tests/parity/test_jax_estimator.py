@@ -88,7 +88,7 @@ def test_a_lost_number_corrects_nothing_and_the_others_do(absurd, x64, measured)
 
 @pytest.fixture
 def alone(x64):
-    """A controller with both estimators, its robot, and readings of a robot that hardly moves."""
+    """A controller with both estimators, its robot, and readings of one that hardly moves, without joint velocities."""
     config = scenario_config(rust.load_config(EXPERIMENT, {"controller.wind_observer": {}}))
     robot, first = load_robot(config.robot), config.simulator.initial
     rng = np.random.default_rng(7)
@@ -97,8 +97,8 @@ def alone(x64):
         state = State(
             jnp.asarray(first.base_position),
             jnp.diag(jnp.array([-1.0, -1.0, 1.0])),
-            jnp.asarray(first.joint_position),
-            jnp.asarray(0.01 * rng.standard_normal(6 + robot.n_joints)),
+            jnp.asarray(first.joint_position + 1e-6 * rng.standard_normal(robot.n_joints)),
+            jnp.asarray(np.append(0.01 * rng.standard_normal(6), np.full(robot.n_joints, np.nan))),
         )
         return Measurement(jnp.asarray(0.01 * tick), state, jnp.asarray(first.thrust), jnp.array([0.0, 9.0, 0.0]))
 
@@ -121,8 +121,10 @@ def test_a_controller_alone_has_both_estimators_in_its_state(alone):
     assert [int(state.estimator.ticks) for state in states] == list(range(11))
     for before, after, command, reading in zip(states[:-1], states[1:], commands, readings, strict=True):
         given, is_first = command.terms.given, before.estimator.ticks == 0
-        # The first estimate is the first measurement.
-        assert np.allclose(given.state.velocity, reading.state.velocity, rtol=1e-12) == is_first
+        # The first estimate is the first measurement; joint velocities are found from positions.
+        assert np.allclose(given.state.velocity[:6], reading.state.velocity[:6], rtol=1e-12) == is_first
+        assert np.all(given.state.velocity[6:] == 0.0) == is_first
+        assert command.degraded_modes == 0
         assert not np.array_equal(after.wind.wind, before.wind.wind)
         np.testing.assert_array_equal(given.wind, before.wind.wind)
         np.testing.assert_allclose(command.terms.wind_std, before.wind.std, rtol=1e-14)

@@ -54,7 +54,8 @@ typedef struct FlightMeasurement {
   double base_angular_velocity[3];
   // Joint positions [rad], one per joint.
   const double *joint_position;
-  // Joint velocities [rad/s], one per joint.
+  // Joint velocities [rad/s], one per joint; NaN where they are not measured, which
+  // `controller.estimator.joint_observer` makes up for.
   const double *joint_velocity;
   // Thrusts [N], one per jet.
   const double *thrust;

@@ -65,7 +65,8 @@ pub struct FlightMeasurement {
     pub base_angular_velocity: [f64; 3],
     /// Joint positions [rad], one per joint.
     pub joint_position: *const f64,
-    /// Joint velocities [rad/s], one per joint.
+    /// Joint velocities [rad/s], one per joint; NaN where they are not measured, which
+    /// `controller.estimator.joint_observer` makes up for.
     pub joint_velocity: *const f64,
     /// Thrusts [N], one per jet.
     pub thrust: *const f64,

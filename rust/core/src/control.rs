@@ -38,7 +38,7 @@ pub use state::ControllerState;
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::dynamics::{Dynamics, InverseMass};
 use crate::error::{BuildError, check};
-use crate::estimator::{Estimator, Reading};
+use crate::estimator::{Estimator, EstimatorConfig, Reading};
 use crate::kinematics::Kinematics;
 use crate::qp::{QpAnswer, QpChain, QpProblem, QpSolver, QpStatus};
 use crate::robot::RobotModel;
@@ -154,7 +154,9 @@ impl Controller {
             .transpose()?;
         config.check_rate_bounds(&model, time_step)?;
         config.observer.as_ref().map_or(Ok(()), |observer| observer.check(time_step))?;
-        let channels = Channels::new(&config.channels, &model, time_step);
+        let observes_joints = |estimator: &EstimatorConfig| estimator.joint_observer.is_some();
+        let needs_joint_velocity = !config.estimator.as_ref().is_some_and(observes_joints);
+        let channels = Channels::new(&config.channels, &model, time_step, needs_joint_velocity);
         let seen = Seen::new(&model, time_step);
         if !config.use_jets {
             model.jets.clear();

@@ -45,7 +45,8 @@ pub struct EstimatorConfig {
     /// Thrusts.
     pub thrust: ChannelConfig,
     /// Time constant of an observer that finds velocities of the joints, and accelerations that the model does not explain,
-    /// from their positions alone \[s\], in place of `joint_velocity` and the time constant of `joint_position`.
+    /// from their positions alone \[s\], in place of `joint_velocity` and the time constant of `joint_position`. Joint
+    /// velocities then need not be measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub joint_observer: Option<f64>,

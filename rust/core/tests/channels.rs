@@ -74,7 +74,7 @@ impl Rig {
             thrust: vec![80.0, 90.0, 5.0, 110.0],
             wind: Vector3::new(6.0, -8.0, 1.0),
         };
-        let mut channels = Channels::new(config, &robot, STEP);
+        let mut channels = Channels::new(config, &robot, STEP, true);
         let mut state = channels.start(&sample.measurement()).unwrap();
         state.acceleration = DVector::from_fn(29, |_, _| rng.random_range(-2.0..2.0));
         state.thrust_rate = DVector::from_vec(vec![30.0, -40.0, -600.0, 10.0]);

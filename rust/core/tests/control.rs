@@ -383,6 +383,34 @@ fn predictions_follow_a_replaced_command() {
     }
 }
 
+/// An observer of the joints finds their velocities from positions: a robot that begins at rest needs no others.
+#[test]
+fn an_observer_of_joints_needs_no_velocities() {
+    let mut config = experiment("test2_sensors");
+    config.simulator.sensors = None;
+    let [mut seeing, mut blind] = [controller(&config), controller(&config)];
+    let mut world = Loop::new(&config);
+    for tick in 0..20 {
+        world.observe(&wind());
+        let thrust = world.plant.jets().thrust().to_vec();
+        let mut sample = Sample {
+            time: f64::from(tick) * TIME_STEP,
+            state: world.plant.state().clone(),
+            thrust,
+            wind: wind(),
+        };
+        if tick == 0 {
+            sample.state.velocity.rows_range_mut(6..).fill(0.0);
+        }
+        let expected = sample.tick(&mut seeing).clone();
+        sample.state.velocity.rows_range_mut(6..).fill(f64::NAN);
+        assert_eq!(numbers(sample.tick(&mut blind)), numbers(&expected));
+        assert!(expected.modes.is_empty());
+        world.advance(&wind());
+    }
+    assert!(blind.terms().given.reading.state.velocity.rows_range(6..).amax() > 1e-3);
+}
+
 /// With estimators the law is given what they make of the measurement, and the state holds them.
 #[test]
 fn the_law_is_given_what_the_estimators_make() {

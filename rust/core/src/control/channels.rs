@@ -458,13 +458,21 @@ pub struct Channels {
     entries: Vec<Entry>,
     greatest: Vec<f64>,
     jump: Vec<f64>,
+    /// Whether joint velocities must be measured: an observer of the joints finds them from positions.
+    needs_joint_velocity: bool,
     now: Vec<f64>,
 }
 
 impl Channels {
-    /// The channels of `robot` with its jets, joints and feet, at a tick of `time_step` \[s\].
+    /// The channels of `robot` with its jets, joints and feet, at a tick of `time_step` \[s\]. Joint velocities that are
+    /// not needed count as zero where they are not measured.
     #[must_use]
-    pub fn new(config: &ChannelsConfig, robot: &RobotModel, time_step: f64) -> Self {
+    pub fn new(
+        config: &ChannelsConfig,
+        robot: &RobotModel,
+        time_step: f64,
+        needs_joint_velocity: bool,
+    ) -> Self {
         let (jets, joints, feet) = (robot.jets.len(), robot.joints.len(), robot.feet.len());
         let layout = Layout::new(jets, joints, feet);
         let most = &config.greatest;
@@ -510,6 +518,7 @@ impl Channels {
             entries,
             greatest,
             jump,
+            needs_joint_velocity,
             layout,
         }
     }
@@ -544,6 +553,7 @@ impl Channels {
             return bad("time", measurement.time, "0 to 1e9 s");
         }
         self.read(measurement);
+        self.fill_joint_velocity();
         let wind = &mut self.now[self.layout.wind.clone()];
         if !wind.iter().all(|x| x.is_finite()) {
             wind.fill(0.0); // not measured: still air, until it is
@@ -592,6 +602,7 @@ impl Channels {
     pub fn update(&mut self, state: &mut ChannelsState, measurement: &Measurement, seen: &mut Seen) {
         let is_step = self.update_clock(state, measurement.time, seen);
         self.read(measurement);
+        self.fill_joint_velocity();
         let mut modes = seen.modes;
         let dt = seen.elapsed;
         if state.is_begun {
@@ -732,6 +743,14 @@ impl Channels {
         now[layout.velocity.clone()].copy_from_slice(&velocity.as_slice()[..6]);
         for (to, wrench) in now[layout.feet.clone()].chunks_exact_mut(6).zip(measurement.foot_wrenches) {
             to.copy_from_slice(wrench.as_slice());
+        }
+    }
+
+    /// Zero for joint velocities that are neither measured nor needed.
+    fn fill_joint_velocity(&mut self) {
+        if !self.needs_joint_velocity {
+            let (_, velocities) = self.layout.joints.clone().map_halves();
+            self.now[velocities].iter_mut().filter(|x| !x.is_finite()).for_each(|x| *x = 0.0);
         }
     }
 
