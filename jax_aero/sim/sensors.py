@@ -106,7 +106,8 @@ def read(errors: Sensors, before: SensorState, truth: Reading, tick: Int[Array, 
     gyro = turning.base_rotation.T @ turning.velocity[3:6] + angular
 
     joints, last = then(4), before.said.state
-    steps = joints.joint_position / jnp.where(errors.resolution > 0.0, errors.resolution, 1.0)
+    # Not divided by the resolution: XLA makes a multiplication of that, and ties must round alike in both languages.
+    steps = joints.joint_position * (1.0 / jnp.where(errors.resolution > 0.0, errors.resolution, 1.0))
     rounded = errors.resolution * jnp.sign(steps) * jnp.floor(jnp.abs(steps) + 0.5)  # halves away from zero
     joint_position = jnp.where(errors.resolution > 0.0, rounded, joints.joint_position)
     was = last.velocity[6:]

@@ -221,8 +221,9 @@ impl Sensors {
         let velocities = &mut said.state.velocity.as_mut_slice()[6..];
         for (joint, velocity) in velocities.iter_mut().enumerate() {
             let (before, position) = (said.state.joint_position[joint], joints.joint_position[joint]);
+            // Not divided by `step`: XLA makes a multiplication of that, and ties must round alike in both languages.
             let step = config.joints.resolution;
-            let position = if step > 0.0 { step * (position / step).round() } else { position };
+            let position = if step > 0.0 { step * (position * (1.0 / step)).round() } else { position };
             said.state.joint_position[joint] = position;
             let is_difference = self.is_started && config.joints.velocity_time_constant.is_some();
             *velocity = if is_difference {
