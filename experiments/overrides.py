@@ -21,7 +21,8 @@ __all__ = ["folder_suffix", "options", "parse"]
 def folder_suffix(overrides: Mapping[str, Any]) -> str:
     """Return what distinguishes a run with overrides from the plain one, fit for a folder name.
 
-    `{"wind.velocity": [0, -12, 0]}` becomes `--wind.velocity=0_-12_0`; long ones end in a digest.
+    `{"wind.velocity": [0, -12, 0]}` becomes `--wind.velocity=0_-12_0`; long ones, and texts with characters that no
+    name of a folder should have, end in a digest.
     """
     return places.addition("".join(f"--{key}={_flat(value)}" for key, value in sorted(overrides.items())))
 
@@ -38,4 +39,5 @@ def _flat(value: Any) -> str:
     if isinstance(value, list):
         return "_".join(_flat(item) for item in value)
     text = str(value).lower() if isinstance(value, bool) else str(value)
-    return re.sub(r"[^\w.+=-]", "-", text)
+    plain = re.sub(r"[^\w.+=-]", "-", text)
+    return plain if plain == text else plain + places.mark(text)

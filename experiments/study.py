@@ -113,7 +113,7 @@ class Study(Generic[C]):
                 set_key(table, key, value)
             return name, tables.convert(table, self.config, self.command)
         path = find(self.kind, name)
-        return path.stem, tables.load(path, self.config, changes)
+        return result_name(self.kind, path), tables.load(path, self.config, changes)
 
     def run(self, name: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Compute, write, print; return the manifest."""
@@ -166,6 +166,14 @@ def find(kind: str, name: str) -> Path:
     if not path.is_file():
         raise Refused(f"there is no file {path}")
     return path
+
+
+def result_name(kind: str, path: Path) -> str:
+    """Return the name of the result of a configuration of a kind, which is not that of another, shipped one."""
+    shipped = CONFIGS / kind / f"{path.stem}.toml"
+    if shipped.is_file() and not shipped.samefile(path):
+        raise Refused(f"{path}: its result would take the place of that of configs/{kind}/{shipped.name}; rename it")
+    return path.stem
 
 
 def titles(kind: str) -> dict[str, str]:

@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments import study
 from jax_aero import places, rust, tables
 from jax_aero.cli import Parser, completes
 from jax_aero.command import exit_status
@@ -100,8 +101,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
 
     def work() -> None:
-        path = places.find("waypoints", given.name)
-        folder = (given.out or places.RESULTS / "waypoints") / path.stem
+        path = study.find("waypoints", given.name)
+        name = path.stem if given.out else study.result_name("waypoints", path)
+        folder = (given.out or places.RESULTS / "waypoints") / name
         for file in write(path, tables.load(path, Waypoints), folder):
             print(os.path.relpath(file))
 

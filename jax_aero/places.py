@@ -69,7 +69,12 @@ def addition(text: str) -> str:
     """
     if len(text) <= LONGEST:
         return text
-    return f"{text[: LONGEST - 9]}~{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+    return f"{text[: LONGEST - 9]}{mark(text)}"
+
+
+def mark(text: str) -> str:
+    """Return nine characters that tell a text from others whose names are written alike."""
+    return f"~{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

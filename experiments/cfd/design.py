@@ -126,7 +126,7 @@ class Design:
     def read(cls, name: str, changes: Mapping[str, Any]) -> Design:
         """Read a file of `configs/cfd/` by name, or any by its path."""
         path = study.find(KIND, name)
-        return cls(path.stem, tables.load(path, Spec, changes), changes)
+        return cls(study.result_name(KIND, path), tables.load(path, Spec, changes), changes)
 
     @cached_property
     def robot(self) -> rust.Robot:

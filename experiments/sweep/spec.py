@@ -152,7 +152,8 @@ class Spec(tables.Table, frozen=True):
 def load(name: str) -> Spec:
     """Read the sweep of a name or of a path."""
     path = study.find("sweeps", name)
-    return from_table(path.stem, _with_files(tables.read(path), path.parent, iter(range(MAX_FILES))))
+    own = study.result_name("sweeps", path)
+    return from_table(own, _with_files(tables.read(path), path.parent, iter(range(MAX_FILES))))
 
 
 def from_table(name: str, table: Mapping[str, Any]) -> Spec:

@@ -57,7 +57,8 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     dataset = load(given.dataset)
     if training.mirrored:
         dataset = dataset.mirrored()
-    folder: Path = given.out or RESULTS / (path.stem + overrides.folder_suffix(changes))
+    folder: Path = given.out or RESULTS / (study.result_name("training", path) + overrides.folder_suffix(changes))
+    _refuse_other_data(folder, dataset.sha256)
     digest = hashlib.sha256(f"{study.digest(document, [config.ROBOT])}{dataset.sha256}".encode()).hexdigest()
     work = _work_folder(folder, f"{digest} {code_hash(__name__)}", restart=given.restart)
     finished, network = _train(training, dataset, work)
@@ -87,6 +88,13 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     shutil.rmtree(work)
     print(f"{manifest.portable(folder.resolve())}: {document['summary']['parameters']} parameters")
     return errors
+
+
+def _refuse_other_data(folder: Path, dataset: str) -> None:
+    """Refuse to replace a training on other data."""
+    there = record.read_manifest(folder) or {}
+    if there.get("dataset", dataset) != dataset:
+        raise Refused(f"{manifest.portable(folder.resolve())} holds a training on other data; choose another --out")
 
 
 def _manifest(

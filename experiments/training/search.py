@@ -87,7 +87,7 @@ def run(given: argparse.Namespace) -> None:
     settings = tables.load(path, SearchConfig)
     base = tables.read(settings.base)
     dataset = load(given.dataset)
-    out: Path = given.out or RESULTS / path.stem
+    out: Path = given.out or RESULTS / study.result_name("training_search", path)
     out.mkdir(parents=True, exist_ok=True)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     # One study per question: another dataset, space or code must not be mixed in.

@@ -168,6 +168,16 @@ def test_without_out_the_folder_names_what_was_set(data, tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == {".compact.work", ".compact--training.epochs=20.work"}
 
 
+def test_a_training_on_other_data_is_not_replaced(result, made_up_dataset, tmp_path, capsys):
+    other = tmp_path / "other.nc"
+    save(made_up_dataset.take(np.arange(96)), other)
+    out = result / "training" / "compact"
+    before = (out / "manifest.json").read_bytes()
+    assert main(words(other, out)) == 2
+    assert "holds a training on other data; choose another --out" in capsys.readouterr().err
+    assert (out / "manifest.json").read_bytes() == before
+
+
 def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):
     pytest.importorskip("optuna")
     base = tmp_path / "base.toml"

@@ -44,7 +44,9 @@ def test_what_cannot_be_read_is_refused_and_quoted(assignment):
 
 def test_the_suffix_names_what_was_set():
     assert folder_suffix({"wind.velocity": [0, -12, 0]}) == "--wind.velocity=0_-12_0"
-    assert folder_suffix({"b": True, "a": "x/y z"}) == "--a=x-y-z--b=true"
+    assert folder_suffix({"b": True, "a": "x-y-z"}) == "--a=x-y-z--b=true"
+    assert folder_suffix({"a": "x/y z"}) == "--a=x-y-z~96ec5b3f"
+    assert folder_suffix({"a": "x-y/z"}) != folder_suffix({"a": "x/y z"})
     assert folder_suffix({}) == ""
 
 

@@ -19,7 +19,7 @@ from experiments import (
     study,
     wind_observer,
 )
-from jax_aero import rust
+from jax_aero import cli, places, rust
 
 
 @pytest.mark.parametrize("made_up", [{"lost_time": None}, {"lost_time": 21.5}])
@@ -94,6 +94,16 @@ def test_what_a_study_cannot_be_made_of_is_named(main, change, words, capsys, tm
     assert main(["--set", change]) == 2
     assert words in capsys.readouterr().err
     assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("command", "kind"), [("trim", "trim"), ("sweep", "sweeps"), ("waypoints", "waypoints"), ("cfd", "cfd")]
+)
+def test_ones_own_file_with_a_shipped_name_replaces_no_result(command, kind, tmp_path, capsys):
+    own = tmp_path / f"{places.names(kind)[0]}.toml"
+    own.touch()
+    assert cli.main([command, str(own)]) == 2
+    assert f"its result would take the place of that of configs/{kind}/{own.name}; rename it" in capsys.readouterr().err
 
 
 def test_the_perturbation_of_the_wind_observers_flights_counts(tmp_path, monkeypatch, make_flight):
