@@ -14,10 +14,11 @@ from paper_figs import style
 from paper_figs.sweeps import Sweep, axis_label
 
 ROWS = (
-    ("completed", "flights completed [%]", "cividis", (0.0, 100.0)),
-    ("rotation_error_deg_worst", "worst rotation error [deg]", "cividis_r", (0.0, 90.0)),
-    ("com_error_worst", "worst CoM error [m]", "cividis_r", (0.0, 1.0)),
+    ("completed", "flights completed [%]", "cividis", 100.0),
+    ("rotation_error_deg_worst", "worst rotation error [deg]", "cividis_r", 90.0),
+    ("com_error_cm_worst", "worst CoM error [cm]", "cividis_r", 100.0),
 )
+"""Column of the cells, its title, colours, and the value at which they end."""
 
 
 def draw(sweep: Sweep) -> Figure:
@@ -36,19 +37,19 @@ def draw(sweep: Sweep) -> Figure:
         sharey=True,
         squeeze=False,
     )
-    for row, (quantity, title, colours, limits) in enumerate(ROWS):
+    for row, (quantity, title, colours, most) in enumerate(ROWS):
         for column, level in enumerate(levels):
             cells = sweep.cells if panel is None or level is None else sweep.cells[sweep.cells[panel["name"]] == level]
             axes = grid[row, column]
-            image = _map(axes, cells, (down["name"], across["name"]), quantity, colours, limits)
+            image = _map(axes, cells, (down["name"], across["name"]), quantity, colours, most)
             if row == 0 and panel is not None:
-                axes.set_title(f"{panel['label']}: {level}")
-            if row == len(ROWS) - 1:
-                axes.set_xlabel(axis_label(across))
+                axes.set_title(level)
             if column == 0:
                 axes.set_ylabel(axis_label(down))
         figure.colorbar(image, ax=grid[row, :].tolist(), label=title, pad=0.01)
-    figure.suptitle(sweep.title, x=0.01, ha="left", fontsize=9.5, fontweight="bold")
+    grid[-1, 0].set_xlabel(axis_label(across), loc="left")  # once: beside each other labels overlap
+    columns = "" if panel is None else f"; columns: {panel['label']}"
+    figure.suptitle(sweep.title + columns, x=0.01, ha="left", fontsize=9.5, fontweight="bold")
     n = sweep.document["repeats"]
     figure.supxlabel(
         f"{sweep.footnote()}; a cell of {n} of {n} stands for at least {_least(sweep.cells):.0f} % (Wilson 95 %)",
@@ -67,21 +68,23 @@ def _least(cells: pd.DataFrame) -> float:
 
 
 def _map(
-    axes: Axes, cells: pd.DataFrame, names: tuple[str, str], quantity: str, colours: str, limits: tuple[float, float]
+    axes: Axes, cells: pd.DataFrame, names: tuple[str, str], quantity: str, colours: str, most: float
 ) -> AxesImage:
-    table = cells.assign(share=100.0 * cells["completed"] / cells["flights"].clip(lower=1))
+    table = cells.assign(
+        completed=100.0 * cells["completed"] / cells["flights"].clip(lower=1),
+        com_error_cm_worst=100.0 * cells["com_error_worst"],
+    )
     # Not `pivot_table`, which drops a level that has no number anywhere and so moves the others.
-    values = table.pivot(index=names[0], columns=names[1], values="share" if quantity == "completed" else quantity)
-    norm = Normalize(*limits)
+    values = table.pivot(index=names[0], columns=names[1], values=quantity)
+    norm = Normalize(0.0, most)
     image = axes.imshow(values, cmap=colours, norm=norm, aspect="auto", origin="lower")
     axes.set_xticks(range(values.shape[1]), [f"{value:g}" for value in values.columns])
     axes.set_yticks(range(values.shape[0]), [f"{value:g}" for value in values.index])
     axes.grid(visible=False)
-    form = "{:.1f}" if limits[1] <= 1.0 else "{:.0f}"
     for y, x in np.ndindex(values.shape):
         value = float(values.iloc[y, x])
-        shade = norm(min(value, limits[1])) if colours == "cividis" else 1.0 - norm(min(value, limits[1]))
-        beyond = quantity != "completed" and value > limits[1]  # behind a fall numbers lose their meaning
-        text = "–" if np.isnan(value) else f">{limits[1]:g}" if beyond else form.format(value)
+        shade = norm(min(value, most)) if colours == "cividis" else 1.0 - norm(min(value, most))
+        # Behind a fall numbers lose their meaning.
+        text = "–" if np.isnan(value) else f">{most:g}" if value > most else f"{value:.0f}"
         axes.text(x, y, text, ha="center", va="center", fontsize=5.8, color="white" if shade < 0.55 else "black")
     return image
