@@ -143,7 +143,7 @@ def _counted(stated: Sequence[claims.Claim]) -> str:
 
 
 def _linked(results: Results, figure: str) -> str:
-    path = results.figure(figure) if figure else None
+    path = results.figures(figure).get("") if figure else None
     return f"[{figure}]({path})" if path else figure
 
 
@@ -221,8 +221,11 @@ def _run(flight: Metrics) -> Sequence[str]:
 
 
 def _pictures(results: Results, figures: Iterable[tuple[str, str]]) -> list[Picture]:
-    found = ((results.figure(name), caption) for name, caption in figures)
-    return [Picture(path, caption) for path, caption in found if path is not None]
+    return [
+        Picture(path, f"{caption} (`{runs}`)" if runs else caption)
+        for name, caption in figures
+        for runs, path in results.figures(name).items()
+    ]
 
 
 def _sweep(page: Page, results: Results, name: str, sweep: Sweep) -> None:

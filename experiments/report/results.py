@@ -125,9 +125,12 @@ class Results:
         self.note(document)
         return dict(document["summary"])
 
-    def figure(self, name: str) -> str | None:
-        """Return the path of a figure beside the report, if it was drawn."""
-        return f"figures/{name}.png" if (self.folder / "figures" / f"{name}.png").is_file() else None
+    def figures(self, name: str) -> dict[str, str]:
+        """Return the paths beside the report of a figure as it was drawn, by the runs that fill it: "" its own."""
+        drawn = [self.folder / "figures" / f"{name}.png", *sorted(self.folder.glob(f"figures/{name}--*.png"))]
+        return {
+            path.stem.removeprefix(name).removeprefix("--"): f"figures/{path.name}" for path in drawn if path.is_file()
+        }
 
 
 def _require_whole(folder: Path, document: Mapping[str, Any]) -> None:

@@ -14,7 +14,7 @@ import xarray as xr
 from experiments import engine_choice, record
 from experiments.__main__ import main
 from experiments.report import claims, facts, ground, metrics
-from experiments.report.command import _counted, _spans, build, claims_json
+from experiments.report.command import _counted, _pictures, _spans, build, claims_json
 from experiments.report.page import Heading, Page, Picture, Table, Text
 from experiments.report.results import Results
 from experiments.report.verdicts import AGREES, NOT_FLOWN, within
@@ -213,6 +213,18 @@ def test_both_pages_say_the_same():
     assert "<h1>Title &amp; more</h1>" in html
     assert "![what it shows](figures/a.png)" in markdown
     assert '<img src="figures/a.png" alt="what it shows">' in html
+
+
+def test_a_figure_of_other_runs_is_shown_with_their_name(tmp_path):
+    (tmp_path / "figures").mkdir()
+    for name in ("fig4_fit--open", "fig5", "fig5--half_test2", "fig5a"):
+        (tmp_path / "figures" / f"{name}.png").touch()
+    shown = _pictures(Results(tmp_path), [("fig4_fit", "The fit"), ("fig5", "One mission"), ("fig6", "None")])
+    assert [(picture.path, picture.caption) for picture in shown] == [
+        ("figures/fig4_fit--open.png", "The fit (`open`)"),
+        ("figures/fig5.png", "One mission"),
+        ("figures/fig5--half_test2.png", "One mission (`half_test2`)"),
+    ]
 
 
 def test_the_report_is_written_from_what_there_is(results, capsys):
