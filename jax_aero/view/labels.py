@@ -50,7 +50,7 @@ def letter_video(
     text(draw, (margin, below), f"{time:.1f} s", size, SOFT)
     lines = [
         f"wind {np.linalg.norm(now.wind):.1f} m/s",
-        f"attitude error {np.rad2deg(now.rotation_error):.0f}°",
+        f"rotation error {np.rad2deg(now.rotation_error):.0f}°",
         f"off course {np.linalg.norm(now.com - now.com_setpoint):.2f} m",
         f"speed {np.linalg.norm(now.com_velocity):.1f} m/s",
         f"height {now.com[2]:.1f} m",
@@ -144,9 +144,10 @@ def profile(
         place = pixel(np.array([low[0], z]))
         draw.line((place[0] - 0.4 * size, place[1], *place), fill=SOFT, width=1)
         text(draw, (place[0] - 0.6 * size, place[1]), f"{z:g} m", int(0.75 * size), SOFT, anchor="rm")
-    text(draw, (right, top - 0.4 * size), "from above" if turns else "from the side", int(0.75 * size), SOFT, "rb")
-    draw.line([pixel(p) for p in wanted[::10]], fill=drawing.REFERENCE, width=max(size // 8, 1))
-    draw.line([pixel(p) for p in path[::10]], fill=drawing.TRAIL, width=max(size // 6, 2))
+    view = "from above" if turns else "from the side"
+    text(draw, (right, bottom + 1.3 * size), view, int(0.75 * size), SOFT, "ra")
+    draw.line([pixel(p) for p in (*wanted[::10], wanted[-1])], fill=drawing.REFERENCE, width=max(size // 8, 1))
+    draw.line([pixel(p) for p in (*path[::10], path[-1])], fill=drawing.TRAIL, width=max(size // 6, 2))
     for number, time in enumerate(times, start=1):
         place = pixel(recording.at(time).com[columns])
         radius = 0.62 * size

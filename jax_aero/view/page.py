@@ -248,8 +248,8 @@ class Page:
         self.speed = gui.add_button_group("speed", tuple(SPEEDS))
         self.numbers = gui.add_html(panel.numbers(self.solid, 0.0))
         self._build_controls()
-        self.signal = gui.add_dropdown("plot", panel.signals(self.results), initial_value=panel.ATTITUDE)
-        self.chart = panel.Chart(self.solid, self.ghost, panel.ATTITUDE)
+        self.signal = gui.add_dropdown("plot", panel.signals(self.results), initial_value=panel.ROTATION_ERROR)
+        self.chart = panel.Chart(self.solid, self.ghost, panel.ROTATION_ERROR)
         self.plot = gui.add_uplot(
             self.chart.data(0.0),
             self.chart.series,

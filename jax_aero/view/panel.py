@@ -18,7 +18,7 @@ from jax_aero.view.drawing import Colour, Scales
 from jax_aero.view.recording import Recording
 
 POINTS = 600  # of the plot
-ATTITUDE = "attitude error"
+ROTATION_ERROR = "rotation error"
 """Angle between base and set-point."""
 LEAN = "lean"
 """Angle between the base's z axis and the vertical."""
@@ -80,7 +80,7 @@ def numbers(flight: Recording, time: float) -> str:
     """Return the moment in one or two lines."""
     now, jets = flight.at(time), flight.robot.jet_names
     parts = [
-        f"attitude error {np.rad2deg(now.rotation_error):.1f}°",
+        f"rotation error {np.rad2deg(now.rotation_error):.1f}°",
         f"lean {np.rad2deg(now.lean):.1f}°",
         f"off course {np.linalg.norm(now.com - now.com_setpoint):.2f} m",
         f"{np.linalg.norm(now.com_velocity):.1f} m/s",
@@ -102,7 +102,7 @@ class Chart:
     Parameters
     ----------
     signal
-        `ATTITUDE`, `LEAN`, or a signal of the flights.
+        `ROTATION_ERROR`, `LEAN`, or a signal of the flights.
     """
 
     solid: Recording
@@ -142,7 +142,7 @@ class Chart:
     @property
     def axes(self) -> tuple[uplot.Axis, ...]:
         """Axes with their units; which signal it is stands over the plot."""
-        unit = "°" if self.signal in (ATTITUDE, LEAN) else rust.signals()[self.signal].unit.split(" (")[0]
+        unit = "°" if self.signal in (ROTATION_ERROR, LEAN) else rust.signals()[self.signal].unit.split(" (")[0]
         return (
             uplot.Axis(label="time [s]", labelSize=18, size=26),
             uplot.Axis(label=f"[{unit}]", labelSize=18, size=44),
@@ -161,19 +161,18 @@ class Chart:
         every = np.concatenate([_rows(flight, self.signal).ravel() for flight in self._flights])
         every = every[np.isfinite(every)]
         low, high = (float(every.min()), float(every.max())) if every.size else (0.0, 0.0)
-        least = 5.0 if self.signal in (ATTITUDE, LEAN) else 1e-9
+        least = 5.0 if self.signal in (ROTATION_ERROR, LEAN) else 1e-9
         return min(low * 1.08, 0.0), max(high * 1.08, low * 0.92, 0.0 if low < -least else least)
 
 
 def signals(flights: Sequence[Recording]) -> list[str]:
     """Return what can be plotted of all these flights."""
-    return [ATTITUDE, LEAN] + [
-        name for name in rust.signals() if name != "time" and all(name in flight.signals for flight in flights)
-    ]
+    others = [name for name in rust.signals() if name not in ("time", "rotation_error")]
+    return [ROTATION_ERROR, LEAN] + [name for name in others if all(name in flight.signals for flight in flights)]
 
 
 def _rows(flight: Recording, signal: str) -> Any:
-    if signal == ATTITUDE:
+    if signal == ROTATION_ERROR:
         return np.rad2deg(flight.rows("rotation_error"))
     if signal == LEAN:
         _, x, y, _ = flight.signals["base_quaternion"].T
@@ -182,7 +181,7 @@ def _rows(flight: Recording, signal: str) -> Any:
 
 
 def _names(flight: Recording, signal: str) -> list[str]:
-    return [signal] if signal in (ATTITUDE, LEAN) else flight.names(signal) or [signal.replace("_", " ")]
+    return [signal] if signal in (ROTATION_ERROR, LEAN) else flight.names(signal) or [signal.replace("_", " ")]
 
 
 def _curves(flight: Recording, signal: str, times: Any) -> list[Any]:

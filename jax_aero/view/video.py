@@ -207,11 +207,16 @@ def _strip(
     draw = ImageDraw.Draw(sheet, "RGBA")
     labels.text(draw, (letters, 0.5 * letters), recording.title, int(1.3 * letters), labels.INK)
     labels.badge(draw, (width - int(1.2 * letters), int(1.4 * letters)), recording, letters, "rm")
-    for i, time in enumerate(times):
+    errors = [np.rad2deg(recording.at(time).rotation_error) for time in times]
+    captions = [
+        f"{i}    {t:.1f} s    rotation error {e:.0f}°" for i, (t, e) in enumerate(zip(times, errors, strict=True), 1)
+    ]
+    margin = 0.7 * letters
+    longest = max(labels.font(letters).getlength(words) for words in captions)
+    size_of_caption = int(letters * min(1.0, (panel[0] - 2 * margin) / longest))
+    for i, words in enumerate(captions):
         left = i * panel[0]
-        now = recording.at(time)
-        words = f"{i + 1}    {time:.1f} s    attitude error {np.rad2deg(now.rotation_error):.0f}°"
-        labels.text(draw, (left + 0.7 * letters, top - 1.5 * letters), words, letters, labels.INK)
+        labels.text(draw, (left + margin, top - 0.5 * letters), words, size_of_caption, labels.INK, "lb")
         if i:
             draw.line((left, top, left, top + panel[1]), fill=labels.PAPER, width=max(letters // 6, 2))
     base = height - int(2.2 * letters)

@@ -254,7 +254,7 @@ def test_an_exported_flight_plays_as_one_file(browser, built, fallen, tmp_path):
     tab.wait_for_function("!page.isPlaying")
     tab.locator("figcaption select").last.select_option("joint_position")
     tab.evaluate("page.seek(21)")
-    tab.wait_for_function("document.querySelector('#status').textContent.includes('attitude error')")
+    tab.wait_for_function("document.querySelector('#status').textContent.includes('rotation error')")
     seen = recording.read(fallen)
     shown = tab.evaluate("[...page.solid.pose(page.rowAt(page.solid, 21))]")
     now = seen.at(21.0)

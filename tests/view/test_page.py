@@ -151,7 +151,7 @@ def test_a_result_is_drawn_and_scrubbed(visit, fallen):
     page.set_number("time [s]", "18")
     page.wait_for(lambda: page.served.now == 18.0, "the requested moment")
     page.wait_for(lambda: changed(start, page.picture()) > 0.02, "another picture")
-    page.wait_for(lambda: re.search("attitude error [67]", page.tab.content()) is not None, "its numbers")
+    page.wait_for(lambda: re.search("rotation error [67]", page.tab.content()) is not None, "its numbers")
     # Playing goes on from there, to the fall.
     page.tab.get_by_role("button", name="5×").click()
     page.tab.get_by_role("button", name="Play").click()

@@ -1,4 +1,4 @@
-"""A robot of meshes can be looked at; attitude error and lean are two angles; foreign sites are turned away."""
+"""A robot of meshes can be looked at; rotation error and lean are two angles; foreign sites are turned away."""
 
 import http.client
 import itertools

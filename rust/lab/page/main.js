@@ -11,7 +11,7 @@ const SPARE = 6; // of a picture, for flights in the background: at least this [
 const SHARE = 0.25; // and this share of the time that pictures take
 const CHUNK = 5; // ticks between two looks at the clock
 const TURNING = 0.2; // a dragged wind needs this long for each change [s]
-const LEANING = 10; // beyond this attitude error a flight that completes is said to lean [deg]
+const LEANING = 10; // beyond this rotation error a flight that completes is said to lean [deg]
 const GHOSTS = {
   none: ["none", "One robot flies."],
   baseline: ["baseline", "The same flight under the baseline, in the same wind."],
@@ -512,7 +512,7 @@ function verdict({ outcome, lost_time: lost, lost_reason: reason, summary }, dis
   const where = distance > 5 ? "Arrives" : "Stays in place";
   // A flight that ends before it has settled has no error of position.
   const off = summary.max_com_error === null ? "" : `, ${(100 * summary.max_com_error).toFixed(1)} cm off course at most`;
-  return error > LEANING ? [`${where}, leaning: up to ${error.toFixed(1)}°${off}`, "bad"] : [`${where} upright: attitude error up to ${error.toFixed(1)}°${off}`, "good"];
+  return error > LEANING ? [`${where}, leaning: up to ${error.toFixed(1)}°${off}`, "bad"] : [`${where} upright: rotation error up to ${error.toFixed(1)}°${off}`, "good"];
 }
 
 /** A direction in words: 0 ahead, 90 left. */

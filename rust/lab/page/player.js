@@ -21,7 +21,7 @@ const isDark = matchMedia("(prefers-color-scheme: dark)");
 
 /** Curves that are no signals: title, unit, and for a flight a function of the row. */
 const DERIVED = {
-  attitude: { title: "attitude error", unit: "°", least: 5, read: (flight) => {
+  attitude: { title: "rotation error", unit: "°", least: 5, read: (flight) => {
     const error = flight.series("rotation_error");
     return [(row) => degrees(error[row])];
   } },
@@ -173,7 +173,7 @@ export class Player {
     const course = off < 0.995 ? `${(100 * off).toFixed(1)}\u00a0cm` : `${off.toFixed(2)}\u00a0m`;
     // The third entry of the base's z axis; rotations are kept by columns, the base is the first body.
     const lean = degrees(Math.acos(Math.min(Math.max(solid.pose(row)[8], -1), 1)));
-    return `attitude error ${error.toFixed(1)}°, lean ${lean.toFixed(1)}°, ${course} off course, height ${com[2].toFixed(1)}\u00a0m, ${Math.abs(com[0]).toFixed(0)}\u00a0m flown`;
+    return `rotation error ${error.toFixed(1)}°, lean ${lean.toFixed(1)}°, ${course} off course, height ${com[2].toFixed(1)}\u00a0m, ${Math.abs(com[0]).toFixed(0)}\u00a0m flown`;
   }
 
   play(isPlaying) {

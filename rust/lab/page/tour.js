@@ -22,7 +22,7 @@ export const TOUR = [
     ghost: "none",
     start: 4,
     text: "Between 5 and 10 s a side wind rises to 10 m/s and pushes on every link. This controller is given the wind and has a model of these forces, so its jets answer before the robot is pushed away.",
-    proof: ({ watched }) => [`${watched.summary.max_aero_force.toFixed(1)} N`, `of air, held with an attitude error of at most ${degrees(watched.summary.max_rotation_error)}`],
+    proof: ({ watched }) => [`${watched.summary.max_aero_force.toFixed(1)} N`, `of air, held with a rotation error of at most ${degrees(watched.summary.max_rotation_error)}`],
   },
   {
     name: "The baseline leans",
@@ -33,7 +33,7 @@ export const TOUR = [
     text: "The paper's flight without an aerodynamic model: the moment of the air turns the robot until its stiffness holds against it. The violet ghost is the aware controller in the same wind.",
     proof: ({ watched, aware }) => [
       degrees(watched.summary.max_rotation_error),
-      `greatest attitude error; ${degrees(aware.summary.max_rotation_error)} with the model`,
+      `greatest rotation error; ${degrees(aware.summary.max_rotation_error)} with the model`,
     ],
   },
   {
@@ -57,7 +57,7 @@ export const TOUR = [
     text: "The observer compares the robot's momentum with what its thrusts should give and takes the rest for a wrench of the air. Without model and wind sensor it completes the very flight that the baseline, the ghost, loses.",
     proof: ({ watched, baseline }) => [
       degrees(watched.summary.max_rotation_error),
-      `greatest attitude error; the baseline ${baseline.lost_time === null ? "completes" : `falls at ${baseline.lost_time.toFixed(1)} s`}`,
+      `greatest rotation error; the baseline ${baseline.lost_time === null ? "completes" : `falls at ${baseline.lost_time.toFixed(1)} s`}`,
     ],
   },
 ];
