@@ -1,7 +1,7 @@
-//! What is said when something handed to us at build time is wrong.
+//! Errors of construction, and the checks of numbers that return them.
 //!
-//! Every module refuses bad input when it is *built*, with an error that names the item, shows the
-//! value and says what was expected. Nothing in flight returns these: a tick answers with a status.
+//! Every module refuses bad input when it is *built*, with an error that names the item, its value and what was
+//! expected. Nothing in flight returns these: a tick has a status.
 
 use std::path::PathBuf;
 use thiserror::Error;
@@ -85,5 +85,41 @@ pub fn check(
         Ok(value)
     } else {
         Err(BuildError::bad_value(item, value, expected))
+    }
+}
+
+/// A table of a configuration, by its full name: checks of its numbers, which errors name by their keys.
+#[derive(Debug, Clone, Copy)]
+pub struct Table<'a>(pub &'a str);
+
+impl Table<'_> {
+    /// As [`check`], for the number of a key.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key and `expected`.
+    pub fn check(
+        self,
+        key: &str,
+        value: f64,
+        accept: impl Fn(f64) -> bool,
+        expected: &str,
+    ) -> Result<(), BuildError> {
+        check(&format!("{}.{key}", self.0), value, accept, expected).map(|_| ())
+    }
+
+    /// Refuses a number that is not positive and finite.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn positive(self, key: &str, value: f64) -> Result<(), BuildError> {
+        self.check(key, value, |x| x > 0.0, "a positive number")
+    }
+
+    /// Refuses a number that is negative or not finite.
+    ///
+    /// # Errors
+    /// [`BuildError::BadValue`] naming the key.
+    pub fn non_negative(self, key: &str, value: f64) -> Result<(), BuildError> {
+        self.check(key, value, |x| x >= 0.0, "a number ≥ 0")
     }
 }

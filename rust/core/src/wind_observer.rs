@@ -17,7 +17,7 @@
 use crate::aero::{AeroModel, LinkConventions, LinkForces};
 use crate::control::Terms;
 use crate::control::observer::{ObserverConfig, ObserverState, Sample};
-use crate::error::{BuildError, check};
+use crate::error::{BuildError, Table};
 use crate::robot::RobotModel;
 use nalgebra::{Matrix3, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
@@ -85,23 +85,18 @@ impl WindObserverConfig {
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self, time_step: f64) -> Result<(), BuildError> {
-        let positive = |key: &str, value: f64| {
-            check(&format!("controller.wind_observer.{key}"), value, |x| x > 0.0, "a positive number")
-                .map(|_| ())
-        };
+        let table = Table("controller.wind_observer");
         let greatest = 1.0 / time_step;
         let expected = format!("a positive number up to {greatest}, 1 / time step of {time_step} s");
         let is_gain = |gain: f64| 0.0 < gain && gain <= greatest * (1.0 + 1e-9);
-        check("controller.wind_observer.gain", self.gain, is_gain, &expected)?;
-        positive("walk", self.walk)?;
-        positive("vertical_std", self.vertical_std)?;
-        positive("vertical_time", self.vertical_time)?;
-        positive("moment_arm", self.moment_arm)?;
-        self.force_noise.into_iter().try_for_each(|std| positive("force_noise", std))?;
-        for (key, std) in [("force_std", self.force_std), ("relative_std", self.relative_std)] {
-            check(&format!("controller.wind_observer.{key}"), std, |x| x >= 0.0, "a number ≥ 0")?;
-        }
-        Ok(())
+        table.check("gain", self.gain, is_gain, &expected)?;
+        table.positive("walk", self.walk)?;
+        table.positive("vertical_std", self.vertical_std)?;
+        table.positive("vertical_time", self.vertical_time)?;
+        table.positive("moment_arm", self.moment_arm)?;
+        self.force_noise.into_iter().try_for_each(|std| table.positive("force_noise", std))?;
+        table.non_negative("force_std", self.force_std)?;
+        table.non_negative("relative_std", self.relative_std)
     }
 }
 

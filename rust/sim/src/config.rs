@@ -8,7 +8,7 @@ use crate::signals::SIGNALS;
 use crate::wind::WindConfig;
 use flight_core::Controller;
 use flight_core::aero::LeverArm;
-use flight_core::error::{BuildError, check};
+use flight_core::error::{BuildError, Table};
 use flight_core::kinematics::RobotState;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::{Pose, rotation_from_rpy};
@@ -288,29 +288,18 @@ impl SimulatorConfig {
     /// # Errors
     /// [`BuildError::BadValue`] naming key, value and expectation.
     pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
-        let positive = |name: &str, value: f64| {
-            check(&format!("simulator.{name}"), value, |x| x > 0.0, "a positive number").map(|_| ())
-        };
-        positive("duration", self.duration)?;
-        check(
-            "simulator.time_step",
-            self.time_step,
-            |x| 0.0 < x && x <= 1.0,
-            "a number of seconds in (0, 1]",
-        )?;
-        positive("fall.com_error", self.fall.com_error)?;
-        positive("course_error", self.course_error)?;
-        positive("divergence.speed", self.divergence.speed)?;
-        positive("divergence.angular_velocity", self.divergence.angular_velocity)?;
-        positive("divergence.joint_velocity", self.divergence.joint_velocity)?;
-        positive("divergence.joint_excess", self.divergence.joint_excess)?;
-        positive("divergence.thrust_ratio", self.divergence.thrust_ratio)?;
-        check(
-            "simulator.fall.rotation_error_deg",
-            self.fall.rotation_error_deg,
-            |x| 0.0 < x && x <= 180.0,
-            "degrees in (0, 180]",
-        )?;
+        let table = Table("simulator");
+        table.positive("duration", self.duration)?;
+        table.check("time_step", self.time_step, |x| 0.0 < x && x <= 1.0, "a number of seconds in (0, 1]")?;
+        table.positive("fall.com_error", self.fall.com_error)?;
+        table.positive("course_error", self.course_error)?;
+        table.positive("divergence.speed", self.divergence.speed)?;
+        table.positive("divergence.angular_velocity", self.divergence.angular_velocity)?;
+        table.positive("divergence.joint_velocity", self.divergence.joint_velocity)?;
+        table.positive("divergence.joint_excess", self.divergence.joint_excess)?;
+        table.positive("divergence.thrust_ratio", self.divergence.thrust_ratio)?;
+        let angle = self.fall.rotation_error_deg;
+        table.check("fall.rotation_error_deg", angle, |x| 0.0 < x && x <= 180.0, "degrees in (0, 180]")?;
         if let Some(sensors) = &self.sensors {
             sensors.check()?;
         }
@@ -337,33 +326,19 @@ impl SimulatorConfig {
         let logged = SIGNALS.iter().filter(|signal| signal.read.is_some());
         let row: usize = logged.map(|signal| signal.row_len(robot) * size_of::<f64>()).sum();
         let most = (MAX_LOG / row) as f64 * self.time_step;
-        check(
-            "simulator.duration",
-            self.duration,
-            |x| x <= most,
-            &format!("at most {most} s: the log of a longer flight exceeds 2 GiB"),
-        )?;
+        let expected = format!("at most {most} s: the log of a longer flight exceeds 2 GiB");
+        table.check("duration", self.duration, |x| x <= most, &expected)?;
         let initial = &self.initial;
-        let finite = |name: &str, values: &[f64]| -> Result<(), BuildError> {
-            for value in values {
-                check(&format!("simulator.initial.{name}"), *value, |_| true, "finite numbers")?;
-            }
-            Ok(())
+        let each = |key: &str, values: &[f64], accept: fn(f64) -> bool, expected: &str| {
+            let item = format!("initial.{key}");
+            values.iter().try_for_each(|value| table.check(&item, *value, accept, expected))
         };
-        for position in initial.base_position {
-            check(
-                "simulator.initial.base_position",
-                position,
-                |x| x.abs() <= 1e6,
-                "finite numbers up to 1e6 m, beyond which a micrometre is lost to rounding",
-            )?;
-        }
-        finite("base_rpy_deg", &initial.base_rpy_deg)?;
-        finite("base_velocity", &initial.base_velocity)?;
-        finite("joint_position", &initial.joint_position)?;
-        for thrust in &initial.thrust {
-            check("simulator.initial.thrust", *thrust, |t| t >= 0.0, "newtons ≥ 0")?;
-        }
+        let near = "finite numbers up to 1e6 m, beyond which a micrometre is lost to rounding";
+        each("base_position", &initial.base_position, |x| x.abs() <= 1e6, near)?;
+        each("base_rpy_deg", &initial.base_rpy_deg, |_| true, "finite numbers")?;
+        each("base_velocity", &initial.base_velocity, |_| true, "finite numbers")?;
+        each("joint_position", &initial.joint_position, |_| true, "finite numbers")?;
+        each("thrust", &initial.thrust, |t| t >= 0.0, "newtons ≥ 0")?;
         let length = |name: &str, found: usize, expected: usize, of: &str| {
             if found == expected {
                 Ok(())

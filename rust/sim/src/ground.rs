@@ -1,6 +1,6 @@
 //! The ground and the motors of a world in which the robot stands.
 
-use flight_core::error::{BuildError, check};
+use flight_core::error::{BuildError, Table};
 use flight_core::robot::RobotModel;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -62,13 +62,14 @@ impl GroundConfig {
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self) -> Result<(), BuildError> {
-        check("simulator.ground.friction", self.friction, |x| x > 0.0, "a positive number")?;
-        check("simulator.ground.contact_time", self.contact_time, |x| x > 0.0, "a positive time in s")?;
-        check("simulator.ground.settling", self.settling, |x| x >= 0.0, "a time ≥ 0 in s")?;
-        let Some(odometry) = &self.leg_odometry else { return Ok(()) };
-        let item = "simulator.ground.leg_odometry.velocity_time_constant";
-        check(item, odometry.velocity_time_constant, |x| x >= 0.0, "a time ≥ 0 in s")?;
-        Ok(())
+        let table = Table("simulator.ground");
+        table.positive("friction", self.friction)?;
+        table.check("contact_time", self.contact_time, |x| x > 0.0, "a positive time in s")?;
+        table.check("settling", self.settling, |x| x >= 0.0, "a time ≥ 0 in s")?;
+        self.leg_odometry.as_ref().map_or(Ok(()), |LegOdometryConfig { velocity_time_constant }| {
+            let key = "leg_odometry.velocity_time_constant";
+            table.check(key, *velocity_time_constant, |x| x >= 0.0, "a time ≥ 0 in s")
+        })
     }
 }
 
@@ -78,24 +79,17 @@ impl MotorsConfig {
     /// # Errors
     /// [`BuildError`] naming the key.
     pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
-        for (name, value) in [
-            ("friction", self.friction),
-            ("damping", self.damping),
-            ("stiffness", self.stiffness),
-            ("inertia", self.inertia),
-        ] {
-            check(&format!("simulator.motors.{name}"), value, |x| x >= 0.0, "a number ≥ 0")?;
-        }
+        let table = Table("simulator.motors");
+        table.non_negative("friction", self.friction)?;
+        table.non_negative("damping", self.damping)?;
+        table.non_negative("stiffness", self.stiffness)?;
+        table.non_negative("inertia", self.inertia)?;
         for (joint, friction) in &self.friction_of {
-            let item = "simulator.motors.friction_of";
             if robot.joint_index(joint).is_none() {
-                return Err(BuildError::unknown_name(
-                    item,
-                    joint,
-                    robot.joints.iter().map(|joint| joint.name.as_str()),
-                ));
+                let known = robot.joints.iter().map(|joint| joint.name.as_str());
+                return Err(BuildError::unknown_name("simulator.motors.friction_of", joint, known));
             }
-            check(&format!("{item}.{joint}"), *friction, |x| x >= 0.0, "a number ≥ 0")?;
+            table.non_negative(&format!("friction_of.{joint}"), *friction)?;
         }
         Ok(())
     }

@@ -8,7 +8,7 @@
 //! Equations M88 to M90 of `docs/model.md`.
 
 use crate::noise::Noise;
-use flight_core::error::{BuildError, check};
+use flight_core::error::{BuildError, Table};
 use flight_core::estimator::Reading;
 use flight_core::kinematics::RobotState;
 use flight_core::spatial::exp_so3;
@@ -93,11 +93,13 @@ impl SensorsConfig {
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self) -> Result<(), BuildError> {
-        let at = |key: &str, value: f64, greatest: f64, expected: &str| {
-            check(&format!("simulator.sensors.{key}"), value, |x| (0.0..=greatest).contains(&x), expected)
-                .map(|_| ())
+        let table = Table("simulator.sensors");
+        let size = |key: &str, value: f64, unit: &str| {
+            table.check(key, value, |x| x >= 0.0, &format!("a number ≥ 0 in {unit}"))
         };
-        let is_age = "seconds from 0 to 1";
+        let age = |key: &str, value: f64| {
+            table.check(key, value, |x| (0.0..=MAX_DELAY).contains(&x), "seconds from 0 to 1")
+        };
         for (key, sensor, unit) in [
             ("base_position", &self.base_position, "m"),
             ("base_rotation", &self.base_rotation, "rad"),
@@ -105,20 +107,19 @@ impl SensorsConfig {
             ("base_angular_velocity", &self.base_angular_velocity, "rad/s"),
         ] {
             for bias in sensor.bias {
-                let item = format!("simulator.sensors.{key}.bias");
-                check(&item, bias, |_| true, &format!("three finite numbers in {unit}"))?;
+                let expected = format!("three finite numbers in {unit}");
+                table.check(&format!("{key}.bias"), bias, |_| true, &expected)?;
             }
-            let is_size = format!("a number ≥ 0 in {unit}");
-            at(&format!("{key}.noise_std"), sensor.noise_std, f64::MAX, &is_size)?;
-            at(&format!("{key}.delay"), sensor.delay, MAX_DELAY, is_age)?;
+            size(&format!("{key}.noise_std"), sensor.noise_std, unit)?;
+            age(&format!("{key}.delay"), sensor.delay)?;
         }
-        at("joints.resolution", self.joints.resolution, f64::MAX, "a number ≥ 0 in rad or m")?;
+        size("joints.resolution", self.joints.resolution, "rad or m")?;
         let time_constant = self.joints.velocity_time_constant.unwrap_or(0.0);
-        at("joints.velocity_time_constant", time_constant, f64::MAX, "seconds ≥ 0")?;
-        at("joints.delay", self.joints.delay, MAX_DELAY, is_age)?;
-        check("simulator.sensors.thrust.bias", self.thrust.bias, |_| true, "a finite force in N")?;
-        at("thrust.noise_std", self.thrust.noise_std, f64::MAX, "a number ≥ 0 in N")?;
-        at("thrust.delay", self.thrust.delay, MAX_DELAY, is_age)
+        table.check("joints.velocity_time_constant", time_constant, |x| x >= 0.0, "seconds ≥ 0")?;
+        age("joints.delay", self.joints.delay)?;
+        table.check("thrust.bias", self.thrust.bias, |_| true, "a finite force in N")?;
+        size("thrust.noise_std", self.thrust.noise_std, "N")?;
+        age("thrust.delay", self.thrust.delay)
     }
 }
 

@@ -16,7 +16,7 @@
 //! Equations M101 to M103 of `docs/model.md`.
 
 use super::command::{BadStart, Measurement};
-use crate::error::{BuildError, check};
+use crate::error::{BuildError, Table};
 use crate::estimator::Reading;
 use crate::kinematics::RobotState;
 use crate::robot::RobotModel;
@@ -186,16 +186,14 @@ impl ChannelsConfig {
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self) -> Result<(), BuildError> {
-        let at = |key: &str, value: f64, accept: fn(f64) -> bool, expected: &str| {
-            check(&format!("controller.channels.{key}"), value, accept, expected).map(|_| ())
-        };
+        let table = Table("controller.channels");
         for (key, value) in [
             ("wind_hold", self.wind_hold),
             ("widening", self.widening),
             ("velocity_gain", self.velocity_gain),
             ("descend_after", self.descend_after),
         ] {
-            at(key, value, |x| x >= 0.0, "a number ≥ 0")?;
+            table.non_negative(key, value)?;
         }
         let (greatest, jump) = (&self.greatest, self.jump.clone().unwrap_or_default());
         for (key, value) in [
@@ -217,7 +215,7 @@ impl ChannelsConfig {
             ("jump.velocity", jump.velocity),
             ("jump.angular_velocity", jump.angular_velocity),
         ] {
-            at(key, value, |x| x > 0.0, "a positive number")?;
+            table.positive(key, value)?;
         }
         Ok(())
     }

@@ -6,7 +6,7 @@ use super::engines::EnginesConfig;
 use super::observer::ObserverConfig;
 use super::setpoint::SetpointConfig;
 use crate::aero::{JacobianOffset, LeverArm, LinkVelocity};
-use crate::error::{BuildError, check};
+use crate::error::{BuildError, Table};
 use crate::estimator::EstimatorConfig;
 use crate::qp::QpChain;
 #[cfg(feature = "clarabel")]
@@ -15,6 +15,8 @@ use crate::robot::{JointKind, RobotModel};
 use crate::wind_observer::WindObserverConfig;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+
+const CONTROLLER: Table = Table("controller");
 
 /// The control law: everything that makes a controller besides robot, aerodynamic model and mission.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -137,16 +139,14 @@ impl MomentumGains {
     ///
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
-    pub(super) fn check(&self, table: &str) -> Result<(), BuildError> {
-        let non_negative =
-            |key: &str, value: f64| at(&format!("{table}.{key}"), value, |x| x >= 0.0, "a number ≥ 0");
+    pub(super) fn check(&self, table: Table) -> Result<(), BuildError> {
         for axis in 0..3 {
-            non_negative("kp_linear", self.kp_linear[axis])?;
-            non_negative("kd_linear", self.kd_linear[axis])?;
+            table.non_negative("kp_linear", self.kp_linear[axis])?;
+            table.non_negative("kd_linear", self.kd_linear[axis])?;
         }
-        at(&format!("{table}.ko"), self.ko, |x| x > 0.0, "a positive number")?;
-        non_negative("c0", self.c0)?;
-        non_negative("c1", self.c1)
+        table.positive("ko", self.ko)?;
+        table.non_negative("c0", self.c0)?;
+        table.non_negative("c1", self.c1)
     }
 }
 
@@ -303,29 +303,26 @@ impl ControllerConfig {
     /// # Errors
     /// [`BuildError`] naming the key, its value and what was expected.
     pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
-        let non_negative = |name: &str, value: f64| at(name, value, |x| x >= 0.0, "a number ≥ 0");
-        let positive = |name: &str, value: f64| at(name, value, |x| x > 0.0, "a positive number");
-
-        self.momentum.check("momentum")?;
-        non_negative("weights.momentum", self.weights.momentum)?;
-        non_negative("weights.angular_momentum", self.weights.angular_momentum)?;
-        non_negative("weights.posture", self.weights.posture)?;
-        non_negative("weights.joint_velocity", self.weights.joint_velocity)?;
-        non_negative("weights.symmetry", self.weights.symmetry)?;
-        positive("weights.regularisation", self.weights.regularisation)?;
-        positive("bounds.thrust_steepness", self.bounds.thrust_steepness)?;
-        positive("bounds.joint_steepness", self.bounds.joint_steepness)?;
-        non_negative("torque.kd", self.torque.kd)?;
-        non_negative("torque.kp", self.torque.kp)?;
-        non_negative("torque.weight_acceleration", self.torque.weight_acceleration)?;
-        non_negative("torque.weight_torque", self.torque.weight_torque)?;
-        positive("torque.regularisation", self.torque.regularisation)?;
+        self.momentum.check(Table("controller.momentum"))?;
+        CONTROLLER.non_negative("weights.momentum", self.weights.momentum)?;
+        CONTROLLER.non_negative("weights.angular_momentum", self.weights.angular_momentum)?;
+        CONTROLLER.non_negative("weights.posture", self.weights.posture)?;
+        CONTROLLER.non_negative("weights.joint_velocity", self.weights.joint_velocity)?;
+        CONTROLLER.non_negative("weights.symmetry", self.weights.symmetry)?;
+        CONTROLLER.positive("weights.regularisation", self.weights.regularisation)?;
+        CONTROLLER.positive("bounds.thrust_steepness", self.bounds.thrust_steepness)?;
+        CONTROLLER.positive("bounds.joint_steepness", self.bounds.joint_steepness)?;
+        CONTROLLER.non_negative("torque.kd", self.torque.kd)?;
+        CONTROLLER.non_negative("torque.kp", self.torque.kp)?;
+        CONTROLLER.non_negative("torque.weight_acceleration", self.torque.weight_acceleration)?;
+        CONTROLLER.non_negative("torque.weight_torque", self.torque.weight_torque)?;
+        CONTROLLER.positive("torque.regularisation", self.torque.regularisation)?;
         for (name, limit) in [
             ("bounds.joint_velocity_max_deg", self.bounds.joint_velocity_max_deg),
             ("torque.torque_max", self.torque.torque_max),
             ("torque.torque_rate_max", self.torque.torque_rate_max),
         ] {
-            limit.map_or(Ok(()), |limit| positive(name, limit))?;
+            limit.map_or(Ok(()), |limit| CONTROLLER.positive(name, limit))?;
         }
         self.qp.check()?;
         self.channels.check()?;
@@ -369,7 +366,7 @@ impl ControllerConfig {
         let stable = |key: &str, rate_max: f64, steepness: f64| {
             let greatest = 2.0 / (rate_max * time_step);
             let expected = format!("at most {greatest}, 2 / (greatest rate · time step of {time_step} s)");
-            at(key, steepness, |x| x <= greatest * (1.0 + 1e-9), &expected)
+            CONTROLLER.check(key, steepness, |x| x <= greatest * (1.0 + 1e-9), &expected)
         };
         for jet in &robot.jets {
             if let Some(rate_max) = self.bounds.thrust_rate_max.get(&jet.name) {
@@ -428,10 +425,6 @@ impl ControllerConfig {
     }
 }
 
-fn at(name: &str, value: f64, accept: impl Fn(f64) -> bool, expected: &str) -> Result<(), BuildError> {
-    check(&format!("controller.{name}"), value, accept, expected).map(|_| ())
-}
-
 fn jet_names(robot: &RobotModel) -> impl Iterator<Item = &str> + Clone {
     robot.jets.iter().map(|jet| jet.name.as_str())
 }
@@ -452,7 +445,7 @@ fn per_name<'a>(
         if !names.clone().any(|known| known == name) {
             return Err(BuildError::unknown_name(format!("controller.{table}"), name, names));
         }
-        at(&format!("{table}.{name}"), *value, |x| x >= 0.0, "a number ≥ 0")?;
+        CONTROLLER.non_negative(&format!("{table}.{name}"), *value)?;
     }
     for name in names {
         if !values.contains_key(name) {

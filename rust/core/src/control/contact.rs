@@ -11,7 +11,7 @@
 //! first, inertial axes. Equations M54, M74, M75, M82, M111 and M112 of `docs/model.md`.
 
 use crate::dynamics::Dynamics;
-use crate::error::{BuildError, check};
+use crate::error::{BuildError, Table};
 use crate::kinematics::Kinematics;
 use crate::robot::{Foot, RobotModel, check::unique};
 use crate::spatial::Pose;
@@ -108,11 +108,7 @@ impl ContactConfig {
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
-        let at = |name: &str, value: f64, accept: fn(f64) -> bool, expected: &str| {
-            check(&format!("controller.contact.{name}"), value, accept, expected).map(|_| ())
-        };
-        let non_negative = |name: &str, value: f64| at(name, value, |x| x >= 0.0, "a number ≥ 0");
-        let positive = |name: &str, value: f64| at(name, value, |x| x > 0.0, "a positive number");
+        let table = Table("controller.contact");
         if self.feet.is_empty() {
             return Err(BuildError::bad_value("controller.contact.feet", "[]", "at least one foot"));
         }
@@ -121,23 +117,23 @@ impl ContactConfig {
         if let Some(name) = self.feet.iter().find(|name| !known().any(|foot| foot == **name)) {
             return Err(BuildError::unknown_name("controller.contact.feet", name, known()));
         }
-        positive("vertical_force_min", self.vertical_force_min)?;
-        positive("force_rate_max", self.force_rate_max)?;
-        non_negative("force_rate_dead_zone", self.force_rate_dead_zone)?;
-        non_negative("weight_force_rate", self.weight_force_rate)?;
-        non_negative("weight_foot_velocity", self.weight_foot_velocity)?;
-        non_negative("weight_foot_acceleration", self.weight_foot_acceleration)?;
-        non_negative("weight_force", self.weight_force)?;
+        table.positive("vertical_force_min", self.vertical_force_min)?;
+        table.positive("force_rate_max", self.force_rate_max)?;
+        table.non_negative("force_rate_dead_zone", self.force_rate_dead_zone)?;
+        table.non_negative("weight_force_rate", self.weight_force_rate)?;
+        table.non_negative("weight_foot_velocity", self.weight_foot_velocity)?;
+        table.non_negative("weight_foot_acceleration", self.weight_foot_acceleration)?;
+        table.non_negative("weight_force", self.weight_force)?;
         if let Some(transfer) = &self.load_transfer {
-            positive("load_transfer.gain", transfer.gain)?;
-            non_negative("load_transfer.measured_gain", transfer.measured_gain)?;
-            positive("load_transfer.height", transfer.height)?;
-            non_negative("load_transfer.hold_time", transfer.hold_time)?;
+            table.positive("load_transfer.gain", transfer.gain)?;
+            table.non_negative("load_transfer.measured_gain", transfer.measured_gain)?;
+            table.positive("load_transfer.height", transfer.height)?;
+            table.non_negative("load_transfer.hold_time", transfer.hold_time)?;
         }
         let limits = &self.wrench;
-        positive("wrench.friction", limits.friction)?;
-        non_negative("wrench.torsional_friction", limits.torsional_friction)?;
-        non_negative("wrench.vertical_force_min", limits.vertical_force_min)
+        table.positive("wrench.friction", limits.friction)?;
+        table.non_negative("wrench.torsional_friction", limits.torsional_friction)?;
+        table.non_negative("wrench.vertical_force_min", limits.vertical_force_min)
     }
 }
 

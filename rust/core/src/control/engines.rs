@@ -11,7 +11,7 @@
 //! whose bounds meet is lost. Equations M105 and M106 of `docs/model.md`.
 
 use super::config::MomentumGains;
-use crate::error::{BuildError, check};
+use crate::error::{BuildError, Table};
 use crate::robot::{Joint, JointKind};
 use nalgebra::Vector6;
 use serde::{Deserialize, Serialize};
@@ -76,17 +76,14 @@ impl EnginesConfig {
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self) -> Result<(), BuildError> {
-        let at = |key: &str, value: f64, accept: fn(f64) -> bool, expected: &str| {
-            check(&format!("controller.engines.{key}"), value, accept, expected).map(|_| ())
-        };
-        at("time_constant", self.time_constant, |x| x > 0.0, "a positive number")?;
-        at("deviation_max", self.deviation_max, |x| x > 0.0, "a positive number")?;
-        at("confirmation", self.confirmation, |x| x >= 0.0, "a number ≥ 0")?;
+        let table = Table("controller.engines");
+        table.positive("time_constant", self.time_constant)?;
+        table.positive("deviation_max", self.deviation_max)?;
+        table.non_negative("confirmation", self.confirmation)?;
         let Some(descent) = &self.descent else { return Ok(()) };
-        descent.momentum.check("engines.descent.momentum")?;
-        let velocity = descent.joint_velocity_max_deg;
-        at("descent.joint_velocity_max_deg", velocity, |x| x > 0.0, "a positive number")?;
-        at("descent.torque_rate_max", descent.torque_rate_max, |x| x > 0.0, "a positive number")
+        descent.momentum.check(Table("controller.engines.descent.momentum"))?;
+        table.positive("descent.joint_velocity_max_deg", descent.joint_velocity_max_deg)?;
+        table.positive("descent.torque_rate_max", descent.torque_rate_max)
     }
 }
 

@@ -10,7 +10,7 @@
 //! the law is the same in flight and standing. `Δt` is the time between the two measurements. Inertial axes, about
 //! the centre of mass, force first. Equations M82 to M84 and M106 of `docs/model.md`.
 
-use crate::error::{BuildError, check};
+use crate::error::{BuildError, Table};
 use nalgebra::Vector6;
 use serde::{Deserialize, Serialize};
 
@@ -42,16 +42,14 @@ impl ObserverConfig {
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self, time_step: f64) -> Result<(), BuildError> {
-        let greatest = 1.0 / time_step;
+        let (table, greatest) = (Table("controller.observer"), 1.0 / time_step);
         for (key, gain) in [("gain_force", self.gain_force), ("gain_moment", self.gain_moment)] {
             let expected = format!("a number from 0 to {greatest}, 1 / time step of {time_step} s");
             let accepted = |gain: f64| (0.0..=greatest * (1.0 + 1e-9)).contains(&gain);
-            check(&format!("controller.observer.{key}"), gain, accepted, &expected)?;
+            table.check(key, gain, accepted, &expected)?;
         }
-        for (key, limit) in [("force_max", self.force_max), ("moment_max", self.moment_max)] {
-            check(&format!("controller.observer.{key}"), limit, |x| x >= 0.0, "a number ≥ 0")?;
-        }
-        Ok(())
+        table.non_negative("force_max", self.force_max)?;
+        table.non_negative("moment_max", self.moment_max)
     }
 }
 

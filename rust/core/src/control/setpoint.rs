@@ -10,7 +10,7 @@
 use super::minimum_jerk::{FilterState, MinimumJerkFilter};
 use super::mission::{AutopilotCommand, Mission};
 use super::recorded::RecordedMotion;
-use crate::error::{BuildError, check};
+use crate::error::{BuildError, Table};
 use crate::spatial::{
     axis_angle, is_rotation, project_to_so3, rotation_from_rpy, rpy_from_rotation, skew, vee_of_skew_part,
 };
@@ -64,28 +64,23 @@ impl SetpointConfig {
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self) -> Result<(), BuildError> {
-        let at = |name: &str, value: f64, accept: fn(f64) -> bool, expected: &str| {
-            check(&format!("controller.setpoint.{name}"), value, accept, expected).map(|_| ())
-        };
-        let positive = |name: &str, value: f64| at(name, value, |x| x > 0.0, "a positive number");
-        positive("position_smoothing", self.position_smoothing)?;
-        positive("acceleration_smoothing", self.acceleration_smoothing)?;
-        positive("angular_velocity_smoothing", self.angular_velocity_smoothing)?;
-        positive("turbo_rate", self.turbo_rate)?;
-        let non_negative = |name: &str, value: f64| at(name, value, |x| x >= 0.0, "a number ≥ 0");
-        non_negative("turbo_boost", self.turbo_boost)?;
-        non_negative("attitude_gain", self.attitude_gain)?;
-        non_negative("descent_speed", self.descent_speed)?;
+        let table = Table("controller.setpoint");
+        table.positive("position_smoothing", self.position_smoothing)?;
+        table.positive("acceleration_smoothing", self.acceleration_smoothing)?;
+        table.positive("angular_velocity_smoothing", self.angular_velocity_smoothing)?;
+        table.positive("turbo_rate", self.turbo_rate)?;
+        table.non_negative("turbo_boost", self.turbo_boost)?;
+        table.non_negative("attitude_gain", self.attitude_gain)?;
+        table.non_negative("descent_speed", self.descent_speed)?;
         for speed in self.speed {
-            non_negative("speed", speed)?;
+            table.non_negative("speed", speed)?;
         }
         for rate in self.attitude_rate_deg {
-            non_negative("attitude_rate_deg", rate)?;
+            table.non_negative("attitude_rate_deg", rate)?;
         }
         let [low, high] = self.nose_down_limits_deg;
-        check("controller.setpoint.nose_down_limits_deg[0]", low, |x| x <= high, "at most the upper limit")?;
-        check("controller.setpoint.nose_down_limits_deg[1]", high, |_| true, "finite degrees")?;
-        Ok(())
+        table.check("nose_down_limits_deg[0]", low, |x| x <= high, "at most the upper limit")?;
+        table.check("nose_down_limits_deg[1]", high, |_| true, "finite degrees")
     }
 }
 

@@ -5,7 +5,7 @@
 //! Equation M41 of `docs/model.md`.
 
 use crate::noise::Noise;
-use flight_core::error::{BuildError, check};
+use flight_core::error::{BuildError, Table};
 use flight_core::robot::Jet;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -103,25 +103,23 @@ impl JetFaultsConfig {
     /// # Errors
     /// [`BuildError`] naming the key, its value and what was expected.
     pub fn check(&self, jets: &[Jet]) -> Result<(), BuildError> {
-        let at = |name: &str, value: f64, accept: &dyn Fn(f64) -> bool, expected: &str| {
-            check(&format!("disturbances.jets.{name}"), value, accept, expected).map(|_| ())
-        };
+        let table = Table("disturbances.jets");
         if let Some(failure) = &self.failure {
             index_of("failure.jet", &failure.jet, jets)?;
-            at("failure.time", failure.time, &|t| t >= 0.0, "seconds ≥ 0")?;
-            at("failure.decay", failure.decay, &|t| t >= 0.0, "seconds ≥ 0")?;
+            table.check("failure.time", failure.time, |t| t >= 0.0, "seconds ≥ 0")?;
+            table.check("failure.decay", failure.decay, |t| t >= 0.0, "seconds ≥ 0")?;
         }
         if let Some(scale) = self.thrust_limit_scale {
-            at("thrust_limit_scale", scale, &|x| x > 0.0, "a positive factor")?;
+            table.check("thrust_limit_scale", scale, |x| x > 0.0, "a positive factor")?;
         }
         if let Some(noise) = &self.measurement_noise {
-            at("measurement_noise.std", noise.std, &|x| x >= 0.0, "newtons ≥ 0")?;
+            table.check("measurement_noise.std", noise.std, |x| x >= 0.0, "newtons ≥ 0")?;
         }
         for (jet, scale) in &self.force_scale {
             index_of("force_scale", jet, jets)?;
-            at(&format!("force_scale.{jet}"), *scale, &|x| x >= 0.0, "a factor ≥ 0")?;
+            table.check(&format!("force_scale.{jet}"), *scale, |x| x >= 0.0, "a factor ≥ 0")?;
         }
-        at("lag", self.lag, &|t| t >= 0.0, "seconds ≥ 0")
+        table.check("lag", self.lag, |t| t >= 0.0, "seconds ≥ 0")
     }
 
     /// Scales the limits of the controller's model, where they are known.

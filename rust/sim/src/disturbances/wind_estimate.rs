@@ -7,7 +7,7 @@
 //! Equation M39 of `docs/model.md`.
 
 use crate::noise::Noise;
-use flight_core::error::{BuildError, check};
+use flight_core::error::{BuildError, Table};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
@@ -47,16 +47,13 @@ impl WindEstimateConfig {
     /// # Errors
     /// [`BuildError::BadValue`] naming the key.
     pub fn check(&self) -> Result<(), BuildError> {
-        let at = |name: &str, value: f64, limit: f64, expected: &str| {
-            let item = format!("disturbances.wind_estimate.{name}");
-            check(&item, value, |x| (0.0..=limit).contains(&x), expected).map(|_| ())
-        };
+        let table = Table("disturbances.wind_estimate");
         for bias in self.bias {
-            check("disturbances.wind_estimate.bias", bias, |_| true, "three finite numbers in m/s")?;
+            table.check("bias", bias, |_| true, "three finite numbers in m/s")?;
         }
-        at("noise_std", self.noise_std, f64::MAX, "a number ≥ 0 in m/s")?;
-        at("delay", self.delay, MAX_DELAY, "seconds from 0 to 1000")?;
-        at("time_constant", self.time_constant, f64::MAX, "seconds ≥ 0")
+        table.check("noise_std", self.noise_std, |x| x >= 0.0, "a number ≥ 0 in m/s")?;
+        table.check("delay", self.delay, |x| (0.0..=MAX_DELAY).contains(&x), "seconds from 0 to 1000")?;
+        table.check("time_constant", self.time_constant, |x| x >= 0.0, "seconds ≥ 0")
     }
 }
 
