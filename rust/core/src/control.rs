@@ -282,7 +282,7 @@ impl Controller {
             self.setpoint_generator.follow(&mut state.setpoint, &setpoint.motion());
             *setpoint
         } else {
-            self.setpoint_generator.hold(&mut state.setpoint)
+            self.setpoint_generator.smooth(&mut state.setpoint)
         };
         self.act(state, is_seen, &followed);
         if !is_valid && matches!(self.command.status, CommandStatus::Nominal | CommandStatus::Degraded) {

@@ -60,26 +60,23 @@ impl Pchip {
     /// Value at `x`; beyond an end of the table, the value of that end. NaN for NaN.
     #[must_use]
     pub fn at(&self, x: f64) -> f64 {
-        if x.is_nan() {
-            return x;
-        }
-        let above = self.knots.partition_point(|knot| knot.x <= x);
-        match (above.checked_sub(1).and_then(|below| self.knots.get(below)), self.knots.get(above)) {
-            (Some(a), Some(b)) => hermite(a, b, x),
-            (Some(end), None) | (None, Some(end)) => end.y,
-            (None, None) => f64::NAN,
-        }
+        self.between(x, hermite)
     }
 
     /// Value at `x` of the straight line between neighbouring points; constant outside the table.
     #[must_use]
     pub fn linear_at(&self, x: f64) -> f64 {
+        self.between(x, |a, b, x| a.y + (b.y - a.y) * (x - a.x) / (b.x - a.x))
+    }
+
+    /// What `curve` gives between the points around `x`; beyond an end of the table, the value of that end.
+    fn between(&self, x: f64, curve: impl Fn(&Knot, &Knot, f64) -> f64) -> f64 {
         if x.is_nan() {
             return x;
         }
         let above = self.knots.partition_point(|knot| knot.x <= x);
         match (above.checked_sub(1).and_then(|below| self.knots.get(below)), self.knots.get(above)) {
-            (Some(a), Some(b)) => a.y + (b.y - a.y) * (x - a.x) / (b.x - a.x),
+            (Some(a), Some(b)) => curve(a, b, x),
             (Some(end), None) | (None, Some(end)) => end.y,
             (None, None) => f64::NAN,
         }

@@ -397,12 +397,6 @@ impl ControllerConfig {
         robot
     }
 
-    /// Numbers by jet in the order of the robot's jets; zero for those that the table does not name.
-    #[must_use]
-    pub fn per_jet(&self, table: &BTreeMap<String, f64>, robot: &RobotModel) -> Vec<f64> {
-        jet_names(robot).map(|jet| table.get(jet).copied().unwrap_or(0.0)).collect()
-    }
-
     /// Posture gain `K_s` of every joint \[1/s\]; zero for joints of no group.
     #[must_use]
     pub fn posture_gains(&self, robot: &RobotModel) -> Vec<f64> {
@@ -423,6 +417,11 @@ impl ControllerConfig {
         let pairs = self.weights.symmetric_jets.iter();
         pairs.map(|[a, b]| Ok((jet_index(robot, a)?, jet_index(robot, b)?))).collect()
     }
+}
+
+/// Numbers by jet in the order of the robot's jets; zero for those that the table does not name.
+pub(super) fn per_jet(table: &BTreeMap<String, f64>, robot: &RobotModel) -> Vec<f64> {
+    jet_names(robot).map(|jet| table.get(jet).copied().unwrap_or(0.0)).collect()
 }
 
 fn jet_names(robot: &RobotModel) -> impl Iterator<Item = &str> + Clone {

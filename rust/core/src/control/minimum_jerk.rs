@@ -37,9 +37,7 @@ impl FilterState {
     /// In equilibrium at a constant input.
     #[must_use]
     pub fn at_rest(input: Vector3<f64>) -> Self {
-        let mut derivatives = Matrix3::zeros();
-        derivatives.set_row(0, &input.transpose());
-        Self { derivatives, previous_input: input }
+        Self::moving(input, Vector3::zeros(), Vector3::zeros())
     }
 
     /// State with these outputs, the last input being its value.

@@ -283,12 +283,6 @@ impl SetpointGenerator {
         state.acceleration = FilterState::moving(acceleration, jerk, Vector3::zeros());
     }
 
-    /// Set-point of a tick without any: the last one comes to rest.
-    #[must_use]
-    pub fn hold(&self, state: &mut SetpointState) -> Setpoint {
-        self.smooth(state)
-    }
-
     /// Set-point of a tick of the way down instead of the mission: level, without boost, and straight down to where the
     /// robot has landed.
     #[must_use]
@@ -353,8 +347,9 @@ impl SetpointGenerator {
         raw.position += axis_angle(&Vector3::z(), raw.rpy.z) * velocity * self.time_step;
     }
 
-    /// The smooth set-point that follows the raw one.
-    fn smooth(&self, state: &mut SetpointState) -> Setpoint {
+    /// The smooth set-point that follows the raw one; of a tick that does not move that one, it comes to rest.
+    #[must_use]
+    pub fn smooth(&self, state: &mut SetpointState) -> Setpoint {
         self.position_filter.update(&mut state.position, &state.raw.position);
         self.acceleration_filter.update(&mut state.acceleration, &state.position.acceleration());
 

@@ -15,7 +15,7 @@
 //! with `K = K_P + K_D + K_O⁻¹`. The linear task is `e⃛ + 8.75 ë + 22.8 ė + 15 e = 0` in the position
 //! error at the published gains. Equations M57, M58, M61 to M64, M73 and M111 of `docs/model.md`.
 
-use super::config::ControllerConfig;
+use super::config::{ControllerConfig, per_jet};
 use super::contact::ContactConfig;
 use super::momentum_qp::{Equations, Layout, Task, TaskInputs, Unknowns};
 use crate::error::BuildError;
@@ -56,7 +56,7 @@ pub fn standard_tasks(
         tasks.push(Arc::new(LoadRate {
             side: Side::Jets,
             first: thrust_rate.start,
-            weights: config.per_jet(&weights.thrust_rate, robot),
+            weights: per_jet(&weights.thrust_rate, robot),
             gain: transfer_gain,
         }));
     }

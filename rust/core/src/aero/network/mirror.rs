@@ -3,7 +3,7 @@
 //! Equation M25 of `docs/model.md`.
 
 use crate::error::BuildError;
-use crate::kinematics::{Kinematics, RobotState};
+use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
 use nalgebra::{Matrix3, Vector3};
 
@@ -38,8 +38,7 @@ impl Mirror {
     /// # Errors
     /// A joint or link whose image is absent, somewhere else, or turns about another axis.
     pub fn new(robot: &RobotModel, joints: &[usize]) -> Result<Self, BuildError> {
-        let mut kinematics = Kinematics::new(robot);
-        kinematics.update(robot, &RobotState::zero(robot.joints.len()));
+        let kinematics = Kinematics::new(robot);
         let names: Vec<&str> = joints.iter().map(|&joint| robot.joints[joint].name.as_str()).collect();
         let joint_images = joints.iter().zip(&names).map(|(&joint, name)| {
             let image = place_of_image(&names, name, "joint")?;
