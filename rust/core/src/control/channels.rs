@@ -386,10 +386,12 @@ impl Seen {
 struct Layout {
     wind: Range<usize>,
     thrust: Range<usize>,
-    joints: Range<usize>,
+    joint_position: Range<usize>,
+    joint_velocity: Range<usize>,
+    linear_velocity: Range<usize>,
+    angular_velocity: Range<usize>,
     position: Range<usize>,
     rotation: Range<usize>,
-    velocity: Range<usize>,
     feet: Range<usize>,
 }
 
@@ -404,8 +406,10 @@ impl Layout {
         Self {
             wind: next(3),
             thrust: next(jets),
-            joints: next(2 * joints),
-            velocity: next(6),
+            joint_position: next(joints),
+            joint_velocity: next(joints),
+            linear_velocity: next(3),
+            angular_velocity: next(3),
             position: next(3),
             rotation: next(9),
             feet: next(6 * feet),
@@ -417,20 +421,28 @@ impl Layout {
     }
 
     fn n_joints(&self) -> usize {
-        self.joints.len() / 2
+        self.joint_position.len()
+    }
+
+    /// Positions and velocities of the joints.
+    fn joints(&self) -> Range<usize> {
+        self.joint_position.start..self.joint_velocity.end
+    }
+
+    /// Linear and angular velocity of the base.
+    fn velocity(&self) -> Range<usize> {
+        self.linear_velocity.start..self.angular_velocity.end
     }
 
     /// What a number is called in a measurement.
     fn name(&self, index: usize) -> &'static str {
-        let (positions, _) = self.joints.clone().map_halves();
-        let (linear, _) = self.velocity.clone().map_halves();
         let names = [
             (self.wind.end, "wind"),
             (self.thrust.end, "thrust"),
-            (positions.end, "joint_position"),
-            (self.joints.end, "joint_velocity"),
-            (linear.end, "base_linear_velocity"),
-            (self.velocity.end, "base_angular_velocity"),
+            (self.joint_position.end, "joint_position"),
+            (self.joint_velocity.end, "joint_velocity"),
+            (self.linear_velocity.end, "base_linear_velocity"),
+            (self.angular_velocity.end, "base_angular_velocity"),
             (self.position.end, "base_position"),
             (self.rotation.end, "base_rotation"),
         ];
@@ -480,34 +492,31 @@ impl Channels {
         for (entry, jet) in layout.thrust.clone().zip(&robot.jets) {
             greatest[entry] = most.thrust * jet.thrust_max;
         }
-        let (at, middle) = (layout.joints.start, layout.joints.start + joints);
-        greatest[at..middle].fill(most.joint_position);
-        jump[at..middle].fill(near.joint_position);
-        greatest[middle..layout.joints.end].fill(most.joint_velocity);
-        jump[middle..layout.joints.end].fill(near.joint_velocity);
-        greatest[layout.position.clone()].fill(most.position);
-        jump[layout.position.clone()].fill(near.position);
-        greatest[layout.rotation.clone()].fill(2.0);
-        jump[layout.rotation.clone()].fill(near.rotation);
-        let (linear, angular) = layout.velocity.clone().map_halves();
-        greatest[linear.clone()].fill(most.velocity);
-        jump[linear].fill(near.velocity);
-        greatest[angular.clone()].fill(most.angular_velocity);
-        jump[angular].fill(near.angular_velocity);
+        for (range, most, near) in [
+            (&layout.joint_position, most.joint_position, near.joint_position),
+            (&layout.joint_velocity, most.joint_velocity, near.joint_velocity),
+            (&layout.linear_velocity, most.velocity, near.velocity),
+            (&layout.angular_velocity, most.angular_velocity, near.angular_velocity),
+            (&layout.position, most.position, near.position),
+            (&layout.rotation, 2.0, near.rotation),
+        ] {
+            greatest[range.clone()].fill(most);
+            jump[range.clone()].fill(near);
+        }
         for foot in greatest[layout.feet.clone()].chunks_exact_mut(6) {
             foot[..3].fill(most.foot_force);
             foot[3..].fill(most.foot_moment);
         }
-        let entry = |range: &Range<usize>, mode, is_vital| Entry { range: range.clone(), mode, is_vital };
-        let mut entries = vec![entry(&layout.wind, Modes::WIND_HELD, false)];
+        let entry = |range, mode, is_vital| Entry { range, mode, is_vital };
+        let mut entries = vec![entry(layout.wind.clone(), Modes::WIND_HELD, false)];
         let thrusts = layout.thrust.clone();
-        entries.extend(thrusts.map(|jet| entry(&(jet..jet + 1), Modes::THRUST_MODELLED, false)));
+        entries.extend(thrusts.map(|jet| entry(jet..jet + 1, Modes::THRUST_MODELLED, false)));
         entries.extend([
-            entry(&layout.joints, Modes::JOINTS_PREDICTED, true),
-            entry(&layout.velocity, Modes::VELOCITY_PREDICTED, true),
-            entry(&layout.position, Modes::POSITION_PREDICTED, true),
-            entry(&layout.rotation, Modes::ROTATION_PREDICTED, true),
-            entry(&layout.feet, Modes::FEET_HELD, false),
+            entry(layout.joints(), Modes::JOINTS_PREDICTED, true),
+            entry(layout.velocity(), Modes::VELOCITY_PREDICTED, true),
+            entry(layout.position.clone(), Modes::POSITION_PREDICTED, true),
+            entry(layout.rotation.clone(), Modes::ROTATION_PREDICTED, true),
+            entry(layout.feet.clone(), Modes::FEET_HELD, false),
         ]);
         Self {
             config: config.clone(),
@@ -668,7 +677,7 @@ impl Channels {
             let turned =
                 rotation_of(&self.now[rotation.clone()]) * rotation_of(&state.last[rotation]).transpose();
             let (moved, turned) = (moved / dt, vee_of_skew_part(&turned) / dt);
-            let velocity = &mut state.predicted[self.layout.velocity.clone()];
+            let velocity = &mut state.predicted[self.layout.velocity()];
             for (velocity, found) in velocity.iter_mut().zip(moved.iter().chain(&turned)) {
                 *velocity += share * (found - *velocity);
             }
@@ -731,14 +740,13 @@ impl Channels {
     fn read(&mut self, measurement: &Measurement) {
         let (layout, now) = (&self.layout, &mut self.now);
         let RobotState { base, joint_position, velocity } = measurement.state;
-        let middle = layout.joints.start + layout.n_joints();
         now[layout.wind.clone()].copy_from_slice(measurement.wind.as_slice());
         now[layout.thrust.clone()].copy_from_slice(measurement.thrust);
-        now[layout.joints.start..middle].copy_from_slice(joint_position.as_slice());
-        now[middle..layout.joints.end].copy_from_slice(&velocity.as_slice()[6..]);
+        now[layout.joint_position.clone()].copy_from_slice(joint_position.as_slice());
+        now[layout.joint_velocity.clone()].copy_from_slice(&velocity.as_slice()[6..]);
         now[layout.position.clone()].copy_from_slice(base.position.as_slice());
         now[layout.rotation.clone()].copy_from_slice(base.rotation.as_slice());
-        now[layout.velocity.clone()].copy_from_slice(&velocity.as_slice()[..6]);
+        now[layout.velocity()].copy_from_slice(&velocity.as_slice()[..6]);
         for (to, wrench) in now[layout.feet.clone()].chunks_exact_mut(6).zip(measurement.foot_wrenches) {
             to.copy_from_slice(wrench.as_slice());
         }
@@ -747,19 +755,18 @@ impl Channels {
     /// Zero for joint velocities that are neither measured nor needed.
     fn fill_joint_velocity(&mut self) {
         if !self.needs_joint_velocity {
-            let (_, velocities) = self.layout.joints.clone().map_halves();
-            self.now[velocities].iter_mut().filter(|x| !x.is_finite()).for_each(|x| *x = 0.0);
+            let velocities = &mut self.now[self.layout.joint_velocity.clone()];
+            velocities.iter_mut().filter(|x| !x.is_finite()).for_each(|x| *x = 0.0);
         }
     }
 
     /// The other way round: state and thrusts.
     fn write_reading(&self, state: &mut RobotState, thrust: &mut [f64]) {
         let (layout, now) = (&self.layout, &self.now);
-        let middle = layout.joints.start + layout.n_joints();
         thrust.copy_from_slice(&now[layout.thrust.clone()]);
-        state.joint_position.copy_from_slice(&now[layout.joints.start..middle]);
-        state.velocity.as_mut_slice()[6..].copy_from_slice(&now[middle..layout.joints.end]);
-        state.velocity.as_mut_slice()[..6].copy_from_slice(&now[layout.velocity.clone()]);
+        state.joint_position.copy_from_slice(&now[layout.joint_position.clone()]);
+        state.velocity.as_mut_slice()[6..].copy_from_slice(&now[layout.joint_velocity.clone()]);
+        state.velocity.as_mut_slice()[..6].copy_from_slice(&now[layout.velocity()]);
         state.base = Pose {
             rotation: rotation_of(&now[layout.rotation.clone()]),
             position: vector(&now[layout.position.clone()]),
@@ -785,13 +792,13 @@ impl ChannelsState {
         for (thrust, rate) in predicted[layout.thrust.clone()].iter_mut().zip(thrust_rate.iter()) {
             *thrust = (*thrust + dt * rate).max(0.0);
         }
-        let middle = layout.joints.start + layout.n_joints();
         let (base, joints) = acceleration.as_slice().split_at(6);
-        for (joint, acceleration) in joints.iter().enumerate() {
-            predicted[middle + joint] += dt * acceleration;
-            predicted[layout.joints.start + joint] += dt * predicted[middle + joint];
+        let places = layout.joint_position.clone().zip(layout.joint_velocity.clone());
+        for ((position, velocity), acceleration) in places.zip(joints) {
+            predicted[velocity] += dt * acceleration;
+            predicted[position] += dt * predicted[velocity];
         }
-        for (velocity, acceleration) in predicted[layout.velocity.clone()].iter_mut().zip(base) {
+        for (velocity, acceleration) in predicted[layout.velocity()].iter_mut().zip(base) {
             *velocity += dt * acceleration;
         }
         bound(predicted, greatest);
@@ -820,18 +827,6 @@ fn integrate_pose(predicted: &mut [f64], layout: &Layout, velocity: &Vector6<f64
     let angular: Vector3<f64> = velocity.fixed_rows::<3>(3).into();
     let rotation = exp_so3(&(angular * dt)) * rotation_of(&predicted[layout.rotation.clone()]);
     predicted[layout.rotation.clone()].copy_from_slice(rotation.as_slice());
-}
-
-/// The two halves of a range.
-trait Halves {
-    fn map_halves(self) -> (Range<usize>, Range<usize>);
-}
-
-impl Halves for Range<usize> {
-    fn map_halves(self) -> (Range<usize>, Range<usize>) {
-        let middle = self.start + self.len() / 2;
-        (self.start..middle, middle..self.end)
-    }
 }
 
 /// Three numbers as a vector.
