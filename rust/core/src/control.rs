@@ -42,6 +42,7 @@ use crate::estimator::{Estimator, EstimatorConfig, Reading};
 use crate::kinematics::Kinematics;
 use crate::qp::{QpAnswer, QpChain, QpProblem, QpSolver, QpStatus};
 use crate::robot::RobotModel;
+use crate::spatial::parts;
 use crate::wind_observer::{WindObserver, WindState};
 use attitude::{AttitudeDemand, attitude_demand};
 use channels::{Channels, Modes, Seen};
@@ -463,7 +464,7 @@ impl Controller {
             contact,
             ..
         } = &mut self.terms;
-        let moment_estimate: Vector3<f64> = momentum.rate_estimate.fixed_rows::<3>(3).into();
+        let (_, moment_estimate) = parts(&momentum.rate_estimate);
         let inertia_0_b = &state.inertia_0_b;
         let gains = descent.map_or(&self.config.momentum, |descent| &descent.momentum);
         if descent.is_some() {
@@ -605,8 +606,7 @@ impl Controller {
         if inverse_mass.is_known {
             let wrench = &momentum.unmodelled_wrench;
             let arm = kinematics.com - kinematics.bodies[0].i_from_b.position;
-            let (force, moment): (Vector3<f64>, Vector3<f64>) =
-                (wrench.fixed_rows::<3>(0).into(), wrench.fixed_rows::<3>(3).into());
+            let (force, moment) = parts(wrench);
             acceleration.fixed_rows_mut::<3>(0).copy_from(&force);
             acceleration.fixed_rows_mut::<3>(3).copy_from(&(moment + arm.cross(&force)));
             acceleration.rows_mut(6, self.command.joint_torque.len()).copy_from(&self.command.joint_torque);

@@ -18,9 +18,12 @@ use crate::dynamics::{Dynamics, MassFactor};
 use crate::error::{BuildError, check};
 use crate::kinematics::{Kinematics, RobotState};
 use crate::robot::RobotModel;
-use crate::spatial::{exp_so3, log_so3, project_to_so3};
+use crate::spatial::{exp_so3, log_so3, parts, project_to_so3};
 use nalgebra::{DVector, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
+
+/// Beyond this no number of a robot is a measurement \[m, m/s, rad/s, N\].
+const GREATEST: f64 = 1e6;
 
 /// Greatest age of a measurement \[s\]: every tick of it costs an evaluation of the model.
 const MAX_DELAY: f64 = 0.2;
@@ -140,13 +143,6 @@ impl Reading {
     }
 }
 
-/// Beyond this no number of a robot is a measurement \[m, m/s, rad/s, N\].
-const GREATEST: f64 = 1e6;
-
-fn can_be(measured: f64) -> bool {
-    measured.abs() <= GREATEST
-}
-
 /// What acts on the robot from one tick to the next.
 #[derive(Debug, Clone, PartialEq)]
 struct Order {
@@ -183,11 +179,7 @@ impl Model {
         for (joint, torque) in order.torque.iter().enumerate() {
             acceleration[6 + joint] += torque;
         }
-        for (jet, thrust) in robot.jets.iter().zip(thrust.iter()) {
-            let pose = kinematics.frame_pose(&jet.frame);
-            let force = pose.rotation * jet.axis_f.into_inner() * *thrust;
-            kinematics.add_generalised_force(jet.frame.body, &pose.position, &force, acceleration);
-        }
+        kinematics.add_thrusts(robot, thrust.iter().copied(), acceleration);
         for (foot, wrench) in robot.feet.iter().zip(order.foot_wrenches.chunks_exact(WRENCH)) {
             let (sole, wrench) = (kinematics.frame_pose(&foot.frame), Vector6::from_column_slice(wrench));
             kinematics.add_generalised_wrench(foot.frame.body, &sole.position, &wrench, acceleration);
@@ -204,23 +196,18 @@ impl Model {
             acceleration[6 + joint] += extra;
             wrench -= dynamics.momentum_matrix.column(6 + joint) * *extra;
         }
-        let (force, moment) = (wrench.fixed_rows::<3>(0), wrench.fixed_rows::<3>(3));
         if let Some(inertia) = dynamics.centroidal_inertia.cholesky() {
-            let angular = inertia.solve(&Vector3::from(moment));
+            let (force, moment) = parts(&wrench);
+            let angular = inertia.solve(&moment);
             let arm = kinematics.com - state.base.position;
-            let linear = Vector3::from(force) / kinematics.mass() - angular.cross(&arm);
+            let linear = force / kinematics.mass() - angular.cross(&arm);
             for axis in 0..3 {
                 acceleration[axis] += linear[axis];
                 acceleration[3 + axis] += angular[axis];
             }
         }
         state.velocity.axpy(time_step, acceleration, 1.0);
-        state.base.position += state.base_linear_velocity() * time_step;
-        state.base.rotation = exp_so3(&(state.base_angular_velocity() * time_step)) * state.base.rotation;
-        let velocities = &state.velocity.as_slice()[6..];
-        for (position, velocity) in state.joint_position.iter_mut().zip(velocities) {
-            *position += velocity * time_step;
-        }
+        state.advance_pose(time_step);
         for (thrust, rate) in thrust.iter_mut().zip(&order.thrust_rate) {
             *thrust = (*thrust + time_step * rate).max(0.0);
         }
@@ -411,9 +398,9 @@ impl EstimatorState {
     }
 }
 
-/// What is measured, or the estimate where that cannot be.
+/// What is measured, or the estimate where no robot can be measured so.
 fn known(measured: f64, estimate: f64) -> f64 {
-    if can_be(measured) { measured } else { estimate }
+    if measured.abs() <= GREATEST { measured } else { estimate }
 }
 
 /// Moves an estimate towards measurements of its time, each by its share.

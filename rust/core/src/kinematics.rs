@@ -11,7 +11,7 @@
 //! Equations M7 to M10 of `docs/model.md`.
 
 use crate::robot::{Frame, JointKind, RobotModel};
-use crate::spatial::{Pose, axis_angle};
+use crate::spatial::{Pose, axis_angle, exp_so3, parts};
 use nalgebra::{DVector, Matrix3, Matrix3xX, Vector3, Vector6};
 
 /// Where the robot is and how it moves.
@@ -67,6 +67,15 @@ impl RobotState {
             && self.base.rotation.iter().all(|x| x.is_finite())
             && self.joint_position.iter().all(|x| x.is_finite())
             && self.velocity.iter().all(|x| x.is_finite())
+    }
+
+    /// Moves the pose on by `step` \[s\] at the present velocity: M78.
+    pub fn advance_pose(&mut self, step: f64) {
+        self.base.position += self.base_linear_velocity() * step;
+        self.base.rotation = exp_so3(&(self.base_angular_velocity() * step)) * self.base.rotation;
+        for (position, velocity) in self.joint_position.iter_mut().zip(&self.velocity.as_slice()[6..]) {
+            *position += velocity * step;
+        }
     }
 
     /// Copies another state of the same robot without allocating.
@@ -283,6 +292,20 @@ impl Kinematics {
         }
     }
 
+    /// Adds the generalised forces of the jets of `robot`, each with its force along its axis \[N\].
+    pub fn add_thrusts(
+        &self,
+        robot: &RobotModel,
+        thrusts: impl IntoIterator<Item = f64>,
+        generalised: &mut DVector<f64>,
+    ) {
+        for (jet, thrust) in robot.jets.iter().zip(thrusts) {
+            let pose = self.frame_pose(&jet.frame);
+            let force = pose.rotation * jet.axis_f.into_inner() * thrust;
+            self.add_generalised_force(jet.frame.body, &pose.position, &force, generalised);
+        }
+    }
+
     /// Adds the generalised force of a wrench on `body` about `point_i`, force first \[N, N m, inertial axes\].
     pub fn add_generalised_wrench(
         &self,
@@ -291,8 +314,7 @@ impl Kinematics {
         wrench_i: &Vector6<f64>,
         generalised: &mut DVector<f64>,
     ) {
-        let (force, moment): (Vector3<f64>, Vector3<f64>) =
-            (wrench_i.fixed_rows::<3>(0).into(), wrench_i.fixed_rows::<3>(3).into());
+        let (force, moment) = parts(wrench_i);
         self.visit_jacobian_columns(body, point_i, |column, v, w| {
             generalised[column] += v.dot(&force) + w.dot(&moment);
         });

@@ -5,7 +5,7 @@
 //!
 //! Equations M1 to M5 of `docs/model.md`.
 
-use nalgebra::{Matrix3, Quaternion, Rotation3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Quaternion, Rotation3, Unit, UnitQuaternion, Vector3, Vector6};
 
 /// A rigid transform `a_from_b`: rotation of frame b in frame a, and b's origin in a \[m\].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -36,6 +36,12 @@ impl std::ops::Mul for Pose {
     fn mul(self, rhs: Self) -> Self {
         Self { rotation: self.rotation * rhs.rotation, position: self.transform_point(&rhs.position) }
     }
+}
+
+/// Linear and angular part of six numbers: of a wrench, force and moment.
+#[must_use]
+pub fn parts(six: &Vector6<f64>) -> (Vector3<f64>, Vector3<f64>) {
+    (six.fixed_rows::<3>(0).into(), six.fixed_rows::<3>(3).into())
 }
 
 /// The matrix `S(v)` with `S(v) u = v × u`.

@@ -19,6 +19,7 @@ use crate::control::Terms;
 use crate::control::observer::{ObserverConfig, ObserverState, Sample};
 use crate::error::{BuildError, Table};
 use crate::robot::RobotModel;
+use crate::spatial::parts;
 use nalgebra::{Matrix3, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
@@ -194,7 +195,7 @@ impl WindObserver {
     }
 
     fn correct(&mut self, state: &mut WindState, terms: &Terms, observed: &Vector6<f64>, step: f64) {
-        let observed = (observed.fixed_rows::<3>(0).into_owned(), observed.fixed_rows::<3>(3).into_owned());
+        let observed = parts(observed);
         let modelled = self.wrench_in(terms, &state.wind);
         let mut jacobian = Matrix3::zeros();
         for axis in 0..3 {

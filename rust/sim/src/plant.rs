@@ -16,7 +16,6 @@ use flight_core::dynamics::{Dynamics, MassFactor};
 use flight_core::error::BuildError;
 use flight_core::kinematics::{Kinematics, RobotState};
 use flight_core::robot::RobotModel;
-use flight_core::spatial::exp_so3;
 use flight_io::load_aero;
 use nalgebra::{DVector, Vector3};
 
@@ -207,11 +206,8 @@ impl Plant {
         for (joint, torque) in torque.iter().enumerate() {
             force[6 + joint] += torque;
         }
-        for (index, jet) in self.robot.jets.iter().enumerate() {
-            let pose = self.kinematics.frame_pose(&jet.frame);
-            let thrust_force = pose.rotation * jet.axis_f.into_inner() * self.jets.force(index);
-            self.kinematics.add_generalised_force(jet.frame.body, &pose.position, &thrust_force, force);
-        }
+        let thrusts = (0..self.robot.jets.len()).map(|jet| self.jets.force(jet));
+        self.kinematics.add_thrusts(&self.robot, thrusts, force);
         let placed = self.frozen.as_ref().map_or(&self.kinematics, |(_, kinematics)| kinematics);
         for (index, link) in self.robot.aero_links.iter().enumerate() {
             // One point for moment and Jacobian: for a rigid body both give the same.
@@ -276,15 +272,7 @@ impl Plant {
         if self.integrator == Integrator::SemiImplicitEuler {
             self.state.velocity.axpy(step, &self.acceleration, 1.0);
         }
-        let linear = self.state.base_linear_velocity();
-        let angular = self.state.base_angular_velocity();
-        self.state.base.position += linear * step;
-        self.state.base.rotation = exp_so3(&(angular * step)) * self.state.base.rotation;
-        for (position, velocity) in
-            self.state.joint_position.iter_mut().zip(&self.state.velocity.as_slice()[6..])
-        {
-            *position += velocity * step;
-        }
+        self.state.advance_pose(step);
         if self.integrator == Integrator::ExplicitEuler {
             self.state.velocity.axpy(step, &self.acceleration, 1.0);
         }
