@@ -117,22 +117,15 @@ impl Jets {
             let item = format!("initial thrust of jet `{}`", jet.name);
             check(&item, *thrust, |_| true, "a finite force in N")?;
         }
-        let thrust = initial_thrust.to_vec();
-        let thrust_rate = vec![0.0; jets.len()];
-        let config = match config {
-            JetsConfig::Ideal {} => {
-                let dynamics = Dynamics::Ideal;
-                return Ok(Self {
-                    dynamics,
-                    faults: None,
-                    thrust,
-                    thrust_rate,
-                    throttle: Vec::new(),
-                    estimate: Vec::new(),
-                });
-            }
-            JetsConfig::SecondOrder(config) => config,
+        let mut new = Self {
+            dynamics: Dynamics::Ideal,
+            faults: None,
+            thrust: initial_thrust.to_vec(),
+            thrust_rate: vec![0.0; jets.len()],
+            throttle: Vec::new(),
+            estimate: Vec::new(),
         };
+        let JetsConfig::SecondOrder(config) = config else { return Ok(new) };
         if let Some(names) = &config.engines {
             one_per_jet("engines", names.len(), jets)?;
         }
@@ -154,14 +147,10 @@ impl Jets {
                 })
             })
             .collect::<Result<_, BuildError>>()?;
-        Ok(Self {
-            throttle: jets.iter().map(|jet| jet.controller.throttle()).collect(),
-            estimate: jets.iter().map(|jet| jet.ekf.thrust()).collect(),
-            dynamics: Dynamics::SecondOrder { jets, feedback: config.feedback },
-            faults: None,
-            thrust,
-            thrust_rate,
-        })
+        new.throttle = jets.iter().map(|jet| jet.controller.throttle()).collect();
+        new.estimate = jets.iter().map(|jet| jet.ekf.thrust()).collect();
+        new.dynamics = Dynamics::SecondOrder { jets, feedback: config.feedback };
+        Ok(new)
     }
 
     /// The same jets with these faults.

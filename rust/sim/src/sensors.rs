@@ -147,7 +147,7 @@ pub struct Sensors {
     line: Vec<Reading>,
     now: usize,
     is_started: bool,
-    said: Reading,
+    reading: Reading,
 }
 
 impl Sensors {
@@ -185,7 +185,7 @@ impl Sensors {
             line: vec![nothing.clone(); oldest + 1],
             now: 0,
             is_started: false,
-            said: nothing,
+            reading: nothing,
         })
     }
 
@@ -193,11 +193,11 @@ impl Sensors {
     ///
     /// Before a delay has passed, the first state is measured; the joints' low pass starts settled.
     pub fn read(&mut self, state: &RobotState, thrust: &[f64]) -> &Reading {
-        let Self { config, ages, line, said, noise, .. } = self;
+        let Self { config, ages, line, reading, noise, .. } = self;
         self.now = (self.now + 1) % line.len();
-        for (place, reading) in line.iter_mut().enumerate() {
+        for (place, tick) in line.iter_mut().enumerate() {
             if place == self.now || !self.is_started {
-                reading.copy(state, thrust);
+                tick.copy(state, thrust);
             }
         }
         let (now, length) = (self.now, line.len());
@@ -207,25 +207,25 @@ impl Sensors {
             Vector3::from(sensor.bias) + sensor.noise_std * drawn
         };
 
-        said.state.base.position = then(ages.position).state.base.position + errors(&config.base_position);
-        said.state.base.rotation =
+        reading.state.base.position = then(ages.position).state.base.position + errors(&config.base_position);
+        reading.state.base.rotation =
             then(ages.rotation).state.base.rotation * exp_so3(&errors(&config.base_rotation));
         let linear = then(ages.linear).state.base_linear_velocity() + errors(&config.base_linear_velocity);
         let turning = &then(ages.angular).state;
         let gyro = turning.base.rotation.transpose() * turning.base_angular_velocity()
             + errors(&config.base_angular_velocity);
-        let angular = said.state.base.rotation * gyro;
-        said.state.velocity.as_mut_slice()[..3].copy_from_slice(linear.as_slice());
-        said.state.velocity.as_mut_slice()[3..6].copy_from_slice(angular.as_slice());
+        let angular = reading.state.base.rotation * gyro;
+        reading.state.velocity.as_mut_slice()[..3].copy_from_slice(linear.as_slice());
+        reading.state.velocity.as_mut_slice()[3..6].copy_from_slice(angular.as_slice());
 
         let joints = &then(ages.joints).state;
-        let velocities = &mut said.state.velocity.as_mut_slice()[6..];
+        let velocities = &mut reading.state.velocity.as_mut_slice()[6..];
         for (joint, velocity) in velocities.iter_mut().enumerate() {
-            let (before, position) = (said.state.joint_position[joint], joints.joint_position[joint]);
+            let (before, position) = (reading.state.joint_position[joint], joints.joint_position[joint]);
             // Not divided by `step`: XLA makes a multiplication of that, and ties must round alike in both languages.
             let step = config.joints.resolution;
             let position = if step > 0.0 { step * (position * (1.0 / step)).round() } else { position };
-            said.state.joint_position[joint] = position;
+            reading.state.joint_position[joint] = position;
             let is_difference = self.is_started && config.joints.velocity_time_constant.is_some();
             *velocity = if is_difference {
                 *velocity + self.share * ((position - before) / self.time_step - *velocity)
@@ -235,10 +235,10 @@ impl Sensors {
         }
 
         let thrusts = &then(ages.thrust).thrust;
-        for (said, thrust) in said.thrust.iter_mut().zip(thrusts) {
-            *said = thrust + config.thrust.bias + config.thrust.noise_std * noise.normal();
+        for (measured, thrust) in reading.thrust.iter_mut().zip(thrusts) {
+            *measured = thrust + config.thrust.bias + config.thrust.noise_std * noise.normal();
         }
         self.is_started = true;
-        &self.said
+        &self.reading
     }
 }

@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 const MEASUREMENT_STREAM: u64 = 1;
 
 /// Faults of the jets; none by default.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct JetFaultsConfig {
     /// One jet that fails.
@@ -37,19 +37,6 @@ pub struct JetFaultsConfig {
     /// Force that a jet exerts, over the thrust that it seems to have, by its name; jets that are not named
     /// exert their thrust.
     pub force_scale: BTreeMap<String, f64>,
-}
-
-impl Default for JetFaultsConfig {
-    fn default() -> Self {
-        Self {
-            failure: None,
-            thrust_limit_scale: None,
-            limit_is_known: false,
-            lag: 0.0,
-            measurement_noise: None,
-            force_scale: BTreeMap::new(),
-        }
-    }
 }
 
 /// A jet that stops obeying.

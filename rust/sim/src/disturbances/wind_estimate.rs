@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 const MAX_DELAY: f64 = 1000.0;
 
 /// Errors of the wind estimate; none by default.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct WindEstimateConfig {
     /// Added to the wind \[m/s, inertial axes\].
@@ -33,12 +33,6 @@ pub struct WindEstimateConfig {
     pub mean_only: bool,
     /// Seed of the noise.
     pub seed: u64,
-}
-
-impl Default for WindEstimateConfig {
-    fn default() -> Self {
-        Self { bias: [0.0; 3], noise_std: 0.0, delay: 0.0, time_constant: 0.0, mean_only: false, seed: 0 }
-    }
 }
 
 impl WindEstimateConfig {
