@@ -1,6 +1,5 @@
-//! NumPy arrays to vectors and back: shape, dtype and finiteness are checked here and nowhere else.
+//! NumPy arrays to vectors and back: shape and dtype are checked here and nowhere else.
 
-use flight_core::BuildError;
 use nalgebra::{Dim, Matrix, Matrix3, RawStorage, Vector3};
 use numpy::ndarray::{ArrayD, IxDyn};
 use numpy::{IntoPyArray, PyArrayDyn, PyReadonlyArrayDyn};
@@ -12,8 +11,8 @@ pub type Input<'py> = PyReadonlyArrayDyn<'py, f64>;
 /// A float64 array result.
 pub type Output<'py> = Bound<'py, PyArrayDyn<f64>>;
 
-/// Errors of the crate are `ValueError`s with the same text.
-pub fn value_error(error: BuildError) -> PyErr {
+/// Errors of the crates are `ValueError`s with the same text.
+pub fn value_error(error: impl std::fmt::Display) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
 
@@ -41,8 +40,7 @@ pub fn matrix3(name: &str, array: &Input<'_>) -> PyResult<Matrix3<f64>> {
 
 /// A row-major array of the given shape; `data` must fill it.
 pub fn array<'py>(py: Python<'py>, shape: &[usize], data: Vec<f64>) -> PyResult<Output<'py>> {
-    let array = ArrayD::from_shape_vec(IxDyn(shape), data)
-        .map_err(|error| PyValueError::new_err(error.to_string()))?;
+    let array = ArrayD::from_shape_vec(IxDyn(shape), data).map_err(value_error)?;
     Ok(array.into_pyarray(py))
 }
 

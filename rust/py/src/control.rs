@@ -6,7 +6,7 @@ use crate::qp::answer;
 use crate::robot::measured_state;
 use flight_core::control::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::tasks::MOMENTUM_ROWS;
-use flight_core::control::{BadStart, ControllerState as State, Terms};
+use flight_core::control::{ControllerState as State, Terms};
 use flight_core::{Measurement, RobotState};
 use flight_io::{load_mission, load_robot};
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
@@ -109,7 +109,7 @@ impl Controller {
     ) -> PyResult<()> {
         let pose = [&base_position, &base_rotation, &joint_position, &velocity];
         let measured = self.measured(time, pose, &thrust, &wind, foot_wrenches)?;
-        self.state = Some(self.controller.start(&measured.measurement()).map_err(bad_start)?);
+        self.state = Some(self.controller.start(&measured.measurement()).map_err(value_error)?);
         Ok(())
     }
 
@@ -136,7 +136,7 @@ impl Controller {
         let measurement = measured.measurement();
         let state = match &mut self.state {
             Some(state) => state,
-            none => none.insert(self.controller.start(&measurement).map_err(bad_start)?),
+            none => none.insert(self.controller.start(&measurement).map_err(value_error)?),
         };
         match setpoint {
             None => self.controller.tick(state, &measurement),
@@ -154,15 +154,8 @@ impl Controller {
                 "no flight has begun; expected a tick before its command is replaced",
             ));
         };
-        self.controller
-            .replace_command(state, &rates, &torques)
-            .map_err(|reason| PyValueError::new_err(reason.to_string()))
+        self.controller.replace_command(state, &rates, &torques).map_err(value_error)
     }
-}
-
-/// A refused start, as Python sees it.
-fn bad_start(reason: BadStart) -> PyErr {
-    PyValueError::new_err(reason.to_string())
 }
 
 impl Controller {
@@ -191,9 +184,7 @@ impl Controller {
         let wrenches = entries("foot_wrenches", &wrenches, &[feet, 6])?;
         Ok(wrenches.chunks_exact(6).map(Vector6::from_column_slice).collect())
     }
-}
 
-impl Controller {
     fn last_tick<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let (terms, command) = (self.controller.terms(), self.controller.command());
         let out = PyDict::new(py);

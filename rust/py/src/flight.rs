@@ -207,14 +207,14 @@ pub fn fly_batch(
 
 fn batch_error(error: &BatchError) -> PyErr {
     match error {
-        BatchError::Build(_) | BatchError::Refused(..) => PyValueError::new_err(error.to_string()),
+        BatchError::Build(_) | BatchError::Refused(..) => value_error(error),
         BatchError::Interrupted => PyKeyboardInterrupt::new_err("batch interrupted"),
         BatchError::NoThreads(_) => PyRuntimeError::new_err(error.to_string()),
     }
 }
 
 fn refused(index: usize, reason: &dyn std::fmt::Display) -> PyErr {
-    PyValueError::new_err(format!("flight {index} of the batch: {reason}"))
+    value_error(format_args!("flight {index} of the batch: {reason}"))
 }
 
 /// Calls Python's progress callback now and then, and keeps the exception it raised.
@@ -241,11 +241,11 @@ impl Reporter {
     /// Reports now.
     fn force(&mut self, done: usize, total: usize) -> ControlFlow<()> {
         self.last = Instant::now();
-        let said = Python::attach(|py| {
+        let outcome = Python::attach(|py| {
             py.check_signals()?;
             self.progress.as_ref().map_or(Ok(()), |progress| progress.call1(py, (done, total)).map(|_| ()))
         });
-        match said {
+        match outcome {
             Ok(()) => ControlFlow::Continue(()),
             Err(error) => {
                 self.raised = Some(error);

@@ -16,9 +16,6 @@ pub struct Plant {
     /// As it was at the beginning.
     start: flight_sim::Plant,
     wind: Wind,
-    joints: usize,
-    jets: usize,
-    links: usize,
     time_step: f64,
     tick: usize,
 }
@@ -29,12 +26,11 @@ impl Plant {
     fn new(config_json: &str) -> PyResult<Self> {
         let config = parse(config_json)?;
         let robot = load_robot(&config.robot).map_err(value_error)?;
-        let (joints, jets, links) = (robot.n_joints(), robot.jets.len(), robot.aero_links.len());
         let start =
             flight_sim::Plant::new(robot, &config.simulator, &config.disturbances).map_err(value_error)?;
         let wind = Wind::new(&config.wind).map_err(value_error)?;
         let time_step = config.simulator.time_step;
-        Ok(Self { current: start.clone(), start, wind, joints, jets, links, time_step, tick: 0 })
+        Ok(Self { current: start.clone(), start, wind, time_step, tick: 0 })
     }
 
     /// Return to the initial state.
@@ -66,10 +62,11 @@ impl Plant {
         joint_torque: Input<'py>,
         link_forces: Option<Input<'py>>,
     ) -> PyResult<crate::arrays::Output<'py>> {
-        let thrust_rate = finite("thrust_rate", &thrust_rate, &[self.jets])?;
-        let torque = finite("joint_torque", &joint_torque, &[self.joints])?;
-        let forces =
-            link_forces.map(|forces| finite("link_forces", &forces, &[self.links, 3])).transpose()?;
+        let robot = self.current.robot();
+        let thrust_rate = finite("thrust_rate", &thrust_rate, &[robot.jets.len()])?;
+        let torque = finite("joint_torque", &joint_torque, &[robot.n_joints()])?;
+        let links = robot.aero_links.len();
+        let forces = link_forces.map(|forces| finite("link_forces", &forces, &[links, 3])).transpose()?;
         let forces =
             forces.map(|values| values.chunks_exact(3).map(Vector3::from_column_slice).collect::<Vec<_>>());
         self.current.replace_link_forces(forces).map_err(value_error)?;
