@@ -140,7 +140,8 @@ impl MomentumModel {
             total += force;
             let lambda = &mut self.lambda;
             kinematics.visit_jacobian_columns(foot.frame.body, &sole.position, |column, j_v, _| {
-                subtract(lambda, column, &stack(&Vector3::zeros(), &force.cross(&j_v)));
+                let mut moment = lambda.fixed_view_mut::<3, 1>(3, column);
+                moment -= force.cross(&j_v);
             });
         }
         add_com_motion(&mut self.lambda, dynamics, &(total / kinematics.mass()));
@@ -200,11 +201,6 @@ fn add_com_motion(lambda: &mut Matrix6xX<f64>, dynamics: &Dynamics, force_per_ma
         let mut moment = lambda.fixed_rows_mut::<3>(3);
         moment += force_per_mass.cross(&momentum.fixed_rows::<3>(0));
     }
-}
-
-fn subtract(lambda: &mut Matrix6xX<f64>, column: usize, value: &Vector6<f64>) {
-    let mut target = lambda.column_mut(column);
-    target -= value;
 }
 
 fn stack(linear: &Vector3<f64>, angular: &Vector3<f64>) -> Vector6<f64> {

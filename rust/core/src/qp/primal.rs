@@ -75,6 +75,14 @@ impl WarmStart {
     pub fn is_empty(&self) -> bool {
         self.x.is_empty()
     }
+
+    /// Copies another one of as many variables without allocating.
+    fn copy_from(&mut self, other: &Self) {
+        if other.len() == self.len() {
+            self.x.copy_from_slice(&other.x);
+            self.side.copy_from_slice(&other.side);
+        }
+    }
 }
 
 /// The method of a flying tick: exact, warm started, no allocation after [`PrimalActiveSet::new`].
@@ -85,10 +93,8 @@ impl WarmStart {
 pub struct PrimalActiveSet {
     n: usize,
     iteration_limit: u32,
-    /// The answer, in the units of the problem; the starting point of the next solve.
-    x: Vec<f64>,
-    /// The working set, kept for the next solve.
-    side: Vec<Side>,
+    /// The answer, in the units of the problem, and the working set: the next solve begins there.
+    warm: WarmStart,
     scaled: Scaled,
     /// Current point, always inside the bounds.
     y: Vec<f64>,
@@ -131,7 +137,7 @@ impl QpSolver for PrimalActiveSet {
         let x = &self.candidate;
         let mut answer = QpAnswer::judged(qp, x, &[], self.kkt, iterations, QpStatus::Inaccurate);
         if answer.status != QpStatus::NonFinite {
-            self.x.copy_from_slice(x);
+            self.warm.x.copy_from_slice(x);
             if end != QpStatus::Solved {
                 answer.status = end;
             }
@@ -140,7 +146,7 @@ impl QpSolver for PrimalActiveSet {
     }
 
     fn x(&self) -> &[f64] {
-        &self.x
+        &self.warm.x
     }
 
     fn multipliers(&self) -> &[f64] {
@@ -156,8 +162,7 @@ impl PrimalActiveSet {
         Self {
             n,
             iteration_limit: PASSES_PER_VARIABLE.saturating_mul(u32::try_from(n.max(1)).unwrap_or(u32::MAX)),
-            x: zeros(),
-            side: vec![Side::Free; n],
+            warm: WarmStart::cold(n),
             scaled: Scaled::new(n, n + 1),
             y: zeros(),
             candidate: zeros(),
@@ -182,33 +187,27 @@ impl PrimalActiveSet {
 
     /// Begins the next solve at `start`; without effect for another number of variables.
     pub fn set_start(&mut self, start: &WarmStart) {
-        if start.x.len() == self.n {
-            self.x.copy_from_slice(&start.x);
-            self.side.copy_from_slice(&start.side);
-        }
+        self.warm.copy_from(start);
     }
 
     /// Stores where the next solve would begin; without effect for another number of variables.
     pub fn store_start(&self, start: &mut WarmStart) {
-        if start.x.len() == self.n {
-            start.x.copy_from_slice(&self.x);
-            start.side.copy_from_slice(&self.side);
-        }
+        start.copy_from(&self.warm);
     }
 
     /// Forgets the last answer and its working set: the next solve starts cold.
     pub fn reset(&mut self) {
-        self.x.fill(0.0);
-        self.side.fill(Side::Free);
+        self.warm.x.fill(0.0);
+        self.warm.side.fill(Side::Free);
     }
 
     /// Puts `y` where the last solve ended, as far as the new bounds allow.
     fn start(&mut self) {
         let Scaled { inverse_s, lower, upper, .. } = &self.scaled;
         let bounds = lower.iter().zip(upper);
-        let last = self.x.iter().zip(inverse_s);
+        let last = self.warm.x.iter().zip(inverse_s);
         for (((y, side), (x, inverse_s)), (&lower, &upper)) in
-            self.y.iter_mut().zip(&mut self.side).zip(last).zip(bounds)
+            self.y.iter_mut().zip(&mut self.warm.side).zip(last).zip(bounds)
         {
             if lower >= upper {
                 *side = Side::Lower;
@@ -300,7 +299,7 @@ impl PrimalActiveSet {
         let Scaled { lower, upper, .. } = &self.scaled;
         let bounds = lower.iter().zip(upper);
         let mut any = false;
-        for ((side, q), (lower, upper)) in self.side.iter_mut().zip(&self.gradient).zip(bounds) {
+        for ((side, q), (lower, upper)) in self.warm.side.iter_mut().zip(&self.gradient).zip(bounds) {
             let held_back = match side {
                 Side::Free => false,
                 Side::Lower => *q < -tolerance,
@@ -323,18 +322,18 @@ impl PrimalActiveSet {
     fn aim(&mut self, is_first: bool) -> bool {
         let (n, ld) = (self.n, self.n + 1);
         self.free.clear();
-        self.free.extend((0..n).filter(|&j| self.side[j] == Side::Free));
+        self.free.extend((0..n).filter(|&j| self.warm.side[j] == Side::Free));
         self.target.copy_from_slice(&self.y);
         if is_first {
             self.gradient.copy_from_slice(&self.scaled.g);
-            for j in (0..n).filter(|&j| self.side[j] != Side::Free) {
+            for j in (0..n).filter(|&j| self.warm.side[j] != Side::Free) {
                 linalg::add_scaled(&mut self.gradient, self.y[j], self.scaled.column(j));
             }
         }
         // From the last variable that is held on, the matrix moves up as one piece, which H and its factor allow as
         // their columns have the same length.
         let m = self.free.len();
-        let rest = self.side.iter().rposition(|side| *side != Side::Free).map_or(0, |held| held + 1);
+        let rest = self.warm.side.iter().rposition(|side| *side != Side::Free).map_or(0, |held| held + 1);
         let first = m - (n - rest);
         for (place, &j) in self.free[..first].iter().enumerate() {
             let (from, to) = (self.scaled.column(j), &mut self.factor[place * ld..][..m]);
@@ -444,7 +443,7 @@ impl PrimalActiveSet {
             met_any = true;
             t = t.max(t_next);
             let d = self.step[i];
-            (self.side[i], self.y[i]) =
+            (self.warm.side[i], self.y[i]) =
                 if d > 0.0 { (Side::Upper, upper[i]) } else { (Side::Lower, lower[i]) };
             self.step[i] = 0.0;
             self.meets[i] = f64::INFINITY;
