@@ -11,7 +11,7 @@
 //! Every processor computes the same bits: an entry's sum has one order whatever the vectors, and multiplication
 //! and addition round separately, for not every processor has them fused.
 //!
-//! Sizes are the caller's promise, as they are for slice indexing: a slice that is too short panics.
+//! The caller guarantees sizes, as for slice indexing: a slice that is too short panics.
 
 #![allow(clippy::needless_range_loop, reason = "indices are those of the equations, and of constant range")]
 

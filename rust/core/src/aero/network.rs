@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! card + weights, RobotModel ──new──► Network;   Kinematics, wind ──link_forces──► forces_i
-//! features ► Evaluator (mlp) ► scale, offset ► mean with the mirrored question ► base axes ► + baseline
+//! features ► Evaluator (mlp) ► scale, offset ► mean with the mirrored sample ► base axes ► + baseline
 //! ```
 //!
 //! `card` says what the weights mean, `tensors` holds the weights, `mirror` the robot's symmetry; `mlp`
@@ -165,7 +165,7 @@ impl Network {
         }
     }
 
-    /// The question, and beside every number that of the mirrored question.
+    /// The input, and beside every number that of the mirrored input.
     fn fill_inputs(&mut self, wind_b: &Vector3<f64>, joint_position: &[f64]) {
         let mut first = 0;
         for feature in &self.features {
@@ -220,7 +220,7 @@ impl Network {
         }
     }
 
-    /// From the answer, and the answer to the mirrored question, to force areas in base axes.
+    /// From the output, and the output of the mirrored input, to force areas in base axes.
     fn read_areas(&mut self, wind_b: &Vector3<f64>) {
         for ((output, scale), offset) in self.outputs.iter_mut().zip(&self.scale).zip(&self.offset) {
             for y in output {

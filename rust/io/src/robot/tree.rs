@@ -165,7 +165,7 @@ fn motions(
     urdf.joints.iter().map(motion).collect()
 }
 
-/// For each link, the joints that hang from it and the links these carry.
+/// For each link, the joints whose parent it is and their child links.
 fn children_of_links(urdf: &urdf_rs::Robot) -> Result<Vec<Vec<(usize, usize)>>, BuildError> {
     let index_of: BTreeMap<&str, usize> =
         urdf.links.iter().enumerate().map(|(i, link)| (link.name.as_str(), i)).collect();
@@ -212,7 +212,7 @@ fn base_index(
     }
 }
 
-/// With one root, a link out of its reach hangs from a cycle.
+/// With one root, a link that is not reached belongs to a cycle or descends from one.
 fn check_all_reached(
     urdf: &urdf_rs::Robot,
     places: &BTreeMap<String, (usize, Pose)>,

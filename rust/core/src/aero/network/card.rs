@@ -92,11 +92,11 @@ pub struct Architecture {
     pub hidden: Vec<usize>,
     /// After every hidden layer.
     pub activation: Activation,
-    /// Networks of this shape whose answers are averaged.
+    /// Networks of this shape whose outputs are averaged.
     pub members: usize,
-    /// Whether the answer to the mirrored question is mirrored and averaged in.
+    /// Whether the output of the mirrored input is mirrored and averaged in.
     pub mirror: bool,
-    /// What the network's answer is added to.
+    /// What the network's output is added to.
     pub baseline: Option<Baseline>,
 }
 
@@ -112,7 +112,7 @@ pub enum Activation {
     Silu,
 }
 
-/// What the network's answer is added to.
+/// What the network's output is added to.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Baseline {

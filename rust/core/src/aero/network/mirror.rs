@@ -1,4 +1,4 @@
-//! The robot in a mirror: which joint and link is whose image, read off the robot itself.
+//! Mirror symmetry of a robot: the image of every joint and link, found from the robot itself.
 //!
 //! Equation M25 of `docs/model.md`.
 
@@ -16,10 +16,10 @@ pub fn reflect(v: &Vector3<f64>) -> Vector3<f64> {
     Vector3::new(v.x, -v.y, v.z)
 }
 
-/// Who is whose image.
+/// The mirror image of every joint and link.
 #[derive(Debug, Clone)]
 pub struct Mirror {
-    /// For every joint in question the place of its image among them, and the sign of its angle there.
+    /// For every joint that is an input the place of its image among them, and the sign of its angle there.
     pub joints: Vec<(usize, f64)>,
     /// For every link its image, and the map from its axes to those of the image:
     ///

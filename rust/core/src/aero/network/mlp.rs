@@ -1,7 +1,7 @@
 //! Multilayer perceptrons, one sample or a mirrored pair at a time.
 //!
 //! A matrix is stored in panels of rows, entry by entry of the input: the sums of one panel stay in registers
-//! while its weights stream past once, for both samples of a pair. The vectors are those that
+//! while its weights are read once, for both samples of a pair. The vectors are those that
 //! `linalg::dispatch` finds. They multiply and add in two steps everywhere, so that every processor computes
 //! the same bits.
 
@@ -13,7 +13,7 @@ use crate::linalg::{dispatch, dispatch_plain};
 use pulp::{Simd, WithSimd};
 use std::fmt::Debug;
 
-/// Samples that are asked at once, the second being the mirrored one. Unused where nothing is mirrored.
+/// Two samples that are evaluated at once, the second being the mirrored one. Unused where nothing is mirrored.
 pub type Pair = [f64; 2];
 
 /// A floating-point type that weights are widened to.
@@ -68,7 +68,7 @@ impl Real for f32 {
         x
     }
 
-    #[allow(clippy::cast_possible_truncation)] // single precision is what was asked for
+    #[allow(clippy::cast_possible_truncation)] // to single precision, as configured
     fn from_f64(x: f64) -> Self {
         x as Self
     }
@@ -273,7 +273,7 @@ impl<T: Real, const V: usize, const B: usize> Mlp<T, V, B> {
         })
     }
 
-    /// Mean of the members' answers.
+    /// Mean of the members' outputs.
     fn evaluate(&mut self, inputs: &[Pair], outputs: &mut [Pair]) {
         for (b, x) in self.input.iter_mut().enumerate() {
             for (x, input) in x.iter_mut().zip(inputs) {
@@ -306,7 +306,7 @@ impl<T: Real, const V: usize, const B: usize> Mlp<T, V, B> {
     }
 }
 
-/// The networks, in the asked precision and for the asked number of samples. The eight sums of
+/// The networks, in the configured precision and for one or two samples. The eight sums of
 /// a pass hide the latency of an addition, and fill half of sixteen vector registers.
 #[derive(Debug, Clone)]
 pub struct Evaluator(Kind);
@@ -338,7 +338,7 @@ impl Evaluator {
         }))
     }
 
-    /// Writes the mean of the members' answers to both samples; the second stays zero where nothing is
+    /// Writes the mean of the members' outputs for both samples; the second stays zero where nothing is
     /// mirrored.
     pub fn evaluate(&mut self, inputs: &[Pair], outputs: &mut [Pair]) {
         match &mut self.0 {

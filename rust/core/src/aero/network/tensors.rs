@@ -47,7 +47,7 @@ impl Tensors {
         Ok(values)
     }
 
-    /// Refuses tensors that nobody took.
+    /// Refuses tensors that were not taken.
     ///
     /// # Errors
     /// [`BuildError::Malformed`] naming the first of them.
