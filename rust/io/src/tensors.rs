@@ -32,7 +32,9 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Tensors, BuildError> {
         .ok_or_else(|| malformed(format!("{} bytes are no safetensors file", bytes.len())))?;
     let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
     if length > rest.len().min(MAX_HEADER) {
-        return Err(malformed(format!("announces a table of {length} bytes; the file is shorter")));
+        return Err(malformed(format!(
+            "announces a table of {length} bytes; the file is shorter, or the table exceeds 16 MiB"
+        )));
     }
     let (table, data) = rest.split_at(length);
     let mut table: BTreeMap<String, serde_json::Value> =
