@@ -6,7 +6,7 @@ use flight_core::Measurement;
 use flight_core::control::CommandStatus;
 use flight_core::spatial::{orthonormality_error, rotation_from_rpy, rpy_from_rotation};
 use flight_io::load_robot;
-use flight_sim::{Plant, Wind, WindConfig};
+use flight_sim::Plant;
 use nalgebra::{DVector, Matrix3, Vector3};
 
 /// At gimbal lock itself, where only one of roll and yaw is left, the rotation still comes back.
@@ -17,16 +17,6 @@ fn rpy_at_gimbal_lock_names_the_rotation() {
         let r = Matrix3::new(0.0, -s, sign * c, 0.0, c, sign * s, -sign, 0.0, 0.0);
         assert_within!(orthonormality_error(&r), 1e-15, because "a few units in the last place of numbers of order one");
         assert_within!((rotation_from_rpy(&rpy_from_rotation(&r)) - r).amax(), 1e-12);
-    }
-}
-/// A field too many is refused whatever it says.
-#[test]
-fn wind_file_with_a_trailing_word_is_refused() {
-    let folder = tempfile::tempdir().unwrap();
-    for line in ["0,1,2,3,gusty", "0,1,2,3,"] {
-        let path = folder.path().join("trailing.csv");
-        std::fs::write(&path, format!("time,x,y,z\n{line}\n")).unwrap();
-        assert!(Wind::new(&WindConfig::File { path }).is_err(), "{line}");
     }
 }
 fn controller() -> (Running, Plant) {

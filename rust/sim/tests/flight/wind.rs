@@ -121,6 +121,8 @@ fn bad_wind_files_are_refused_with_their_line() {
         ("no_samples.csv", "time,x,y,z\n", ["no_samples.csv", "at least one sample"]),
         ("short.csv", "time,x,y,z\n0,1,2,3\n1,2,3\n", ["line 3", "1,2,3"]),
         ("long.csv", "time,x,y,z\n0,1,2,3,4\n", ["line 2", "0,1,2,3,4"]),
+        ("trailing.csv", "time,x,y,z\n0,1,2,3,gusty\n", ["line 2", "0,1,2,3,gusty"]),
+        ("comma.csv", "time,x,y,z\n0,1,2,3,\n", ["line 2", "0,1,2,3,"]),
         ("word.csv", "time,x,y,z\n0,1,strong,3\n", ["line 2", "strong"]),
         ("nan.csv", "time,x,y,z\n0,1,NaN,3\n", ["line 2", "finite numbers"]),
         ("inf.csv", "time,x,y,z\n0,1,inf,3\n", ["line 2", "finite numbers"]),
