@@ -388,7 +388,7 @@ fn predictions_follow_a_replaced_command() {
 fn an_observer_of_joints_needs_no_velocities() {
     let mut config = experiment("test2_sensors");
     config.simulator.sensors = None;
-    let [mut seeing, mut blind] = [controller(&config), controller(&config)];
+    let (mut seeing, mut blind) = (controller(&config), controller(&config));
     let mut world = Loop::new(&config);
     for tick in 0..20 {
         world.observe(&wind());
