@@ -459,7 +459,7 @@ class MomentumWeights(Table, frozen=True, kw_only=True):
 class WindObserverConfig(Table, frozen=True, kw_only=True):
     """How the wind is estimated."""
 
-    force_noise: tuple[NonNegative, NonNegative, NonNegative] = (0.3, 0.3, 4.0)
+    force_noise: tuple[Positive, Positive, Positive] = (0.3, 0.3, 4.0)
     """Standard deviation of the noise of the observed force, by axis [N]."""
     force_std: NonNegative = 0.1
     """Standard deviation of errors of the force that last: of mass, thrusts and attitude [N]."""
@@ -612,7 +612,7 @@ stuck: Its thrust stays where it is.
 
 
 class JetFailure(Table, frozen=True, kw_only=True):
-    """A jet that stops obeying."""
+    """A jet that no longer follows its command."""
 
     decay: NonNegative = 0.0
     """Time constant with which a jet that is off loses its thrust [s]; zero for at once."""
@@ -798,7 +798,7 @@ class EncoderConfig(Table, frozen=True, kw_only=True):
 
 
 Engine: TypeAlias = Literal["rust", "jax", "mujoco"]
-"""Who flies a configuration.
+"""The program that simulates a configuration.
 
 rust: This crate.
 jax: The batched, differentiable simulation in Python.
@@ -952,7 +952,7 @@ class ThrustSensorConfig(Table, frozen=True, kw_only=True):
 
 
 class SensorsConfig(Table, frozen=True, kw_only=True):
-    """Sensors of the robot's own state; exact unless something is said of them."""
+    """Sensors of the robot's own state; those without settings are exact."""
 
     base_angular_velocity: SensorConfig = SensorConfig()
     """Gyroscopes [rad/s, base axes]; the measured rotation turns them into inertial axes."""

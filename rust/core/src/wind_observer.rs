@@ -51,7 +51,7 @@ pub struct WindObserverConfig {
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub vertical_time: f64,
     /// Standard deviation of the noise of the observed force, by axis \[N\].
-    #[cfg_attr(feature = "schema", schemars(inner(range(min = 0))))]
+    #[cfg_attr(feature = "schema", schemars(extend("items" = { "type": "number", "format": "double", "exclusiveMinimum": 0 })))]
     pub force_noise: [f64; 3],
     /// Standard deviation of errors of the force that last: of mass, thrusts and attitude \[N\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]

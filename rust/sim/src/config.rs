@@ -100,7 +100,7 @@ pub fn schemas() -> [(&'static str, Schema); 7] {
     ]
 }
 
-/// Who flies a configuration.
+/// The program that simulates a configuration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Engine {

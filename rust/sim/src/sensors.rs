@@ -22,7 +22,7 @@ const STREAM: u64 = 2;
 /// Longest delay \[s\]: the delay line is kept in memory.
 const MAX_DELAY: f64 = 1.0;
 
-/// Sensors of the robot's own state; exact unless something is said of them.
+/// Sensors of the robot's own state; those without settings are exact.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SensorsConfig {

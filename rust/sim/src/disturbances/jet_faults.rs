@@ -39,7 +39,7 @@ pub struct JetFaultsConfig {
     pub force_scale: BTreeMap<String, f64>,
 }
 
-/// A jet that stops obeying.
+/// A jet that no longer follows its command.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JetFailure {
