@@ -16,21 +16,13 @@ import numpy as np
 
 from jax_aero import keys, tables
 
-SEED_KEYS = (
-    "wind.seed",
-    "disturbances.wind_estimate.seed",
-    "disturbances.jets.measurement_noise.seed",
-    "simulator.sensors.seed",
-)
-"""Keys that get a seed of their own in every repeat, where their table is there and made of chance."""
-
 CHANCE = {
     "wind": ("time_scale",),
     "disturbances.wind_estimate": (),
     "disturbances.jets.measurement_noise": (),
     "simulator.sensors": (),
 }
-"""Keys that mark a table of random numbers."""
+"""Tables that get a seed of their own in every repeat, and the keys without which one has no random numbers."""
 
 STREAMS = (
     "joint_position",
@@ -139,9 +131,9 @@ def _draw(aero: dict[str, Any], cards: Sequence[Path], seed: int, repeat: int) -
 
 
 def _seed(config: dict[str, Any], stream: np.random.Generator) -> None:
-    """Give every table made of chance a seed of this repeat."""
-    for key in SEED_KEYS:
+    """Give every table of random numbers a seed of this repeat."""
+    for key, marks in CHANCE.items():
         drawn = int(stream.integers(2**31))
-        table = keys.get(config, key.rpartition(".")[0])
-        if isinstance(table, dict) and all(mark in table for mark in CHANCE[key.rpartition(".")[0]]):
+        table = keys.get(config, key)
+        if isinstance(table, dict) and all(mark in table for mark in marks):
             table["seed"] = drawn
