@@ -20,7 +20,7 @@ from experiments.study import CONFIGS, Findings, Study
 from jax_aero import tables
 from jax_aero.aero import fit, surrogate_fit
 from jax_aero.aero.dataset import Floats, tunnel_from_base
-from jax_aero.aero.posture import link_axes
+from jax_aero.aero.posture import link_axes, vector_rms
 from jax_aero.aero.surrogate import TERMS, Wake, batched_features, build_panels, force_areas
 from jax_aero.aero.surrogate_fit import Records, Settings
 from jax_aero.places import ROBOT
@@ -139,8 +139,8 @@ def figures(table: Records, models: Mapping[str, Floats]) -> dict[str, float]:
         own = names == posture
         seen = "held out" if posture in JUDGES else "calibration"
         for model, areas in models.items():
-            off = areas[own] - table.force_area_w[own]
-            found[f"{posture} ({seen}), {model}: rms vector error [m2]"] = float(np.sqrt(np.mean(np.sum(off**2, 1))))
+            error = vector_rms(areas[own] - table.force_area_w[own])
+            found[f"{posture} ({seen}), {model}: rms vector error [m2]"] = error
     return found
 
 

@@ -28,7 +28,7 @@ from jax_aero import io, tables
 from jax_aero.aero import tunnel
 from jax_aero.aero.dataset import Floats, in_robot_order, tunnel_from_base, wind_direction
 from jax_aero.aero.model import aero_model
-from jax_aero.aero.posture import centres_of_mass, link_frames, standing, total_wrench
+from jax_aero.aero.posture import centres_of_mass, link_frames, standing, total_wrench, vector_rms
 from jax_aero.aero.protocol import LinksInAir
 from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogate
 from jax_aero.places import ROBOT
@@ -243,7 +243,7 @@ def summary(result: xr.Dataset) -> dict[str, float]:
     alone = result["robot_only"] == 1
     for group in GROUPS:
         rows = alone if group == "all" else alone & (result["kind"] == group)
-        own = np.sqrt(np.mean(np.sum(result["uncertainty"].values[rows.values] ** 2, axis=1)))
+        own = vector_rms(result["uncertainty"].values[rows.values])
         found[f"{group}: the measurement's own standard deviation [N m]"] = own * NEWTON_METRES
         for side in SIDES:
             for name in result["model"].values:
@@ -299,7 +299,7 @@ def corrections(robot: RobotModel, data: xr.Dataset, areas: Mapping[str, Floats]
                     added = drawn - drawn[:, :1]
                     for way, error, values, more in zip(errors, chosen, drawn.T, added.T, strict=True):
                         key = f"{group}, centre {side}, {name}, {way}: {quantity}"
-                        found[f"{key}, rms [{unit}]"] = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+                        found[f"{key}, rms [{unit}]"] = vector_rms(error)
                         found |= {f"{key}, {text}": x for text, x in _ends(values)}
                         if way != "as it is":
                             found |= {f"{key}, added, {text}": x for text, x in _ends(more)}

@@ -70,6 +70,14 @@ def folder_of(design: Design, out: Path | None = None) -> Path:
     return out / design.name if out else RESULTS / (design.name + overrides.folder_suffix(design.changes))
 
 
+def dataset_of(name: str, given: str = "") -> Path:
+    """Return the dataset of a design, unless another is given."""
+    path = Path(given) if given else RESULTS / name / "dataset.nc"
+    if not path.is_file():
+        raise Refused(f"no {path}; make it with: jax-aero cfd {name}")
+    return path
+
+
 def compute(design: Design, folder: Path, simulator: Simulate = simulate, cluster: Ray | None = None) -> None:
     """Compute the cases of a design that are not there yet: here, or over a cluster, where a posture is a task."""
     settings, surfaces = design.spec.settings, design.surfaces

@@ -19,14 +19,14 @@ import xarray as xr
 
 from experiments import Refused, study, tunnel_moments
 from experiments.calibrate_surrogate import CFD, TUNNEL, table_rows, toml
-from experiments.cfd.command import RESULTS
+from experiments.cfd.command import dataset_of
 from experiments.cfd.correct import corrected
 from experiments.import_cfd import POSTURES
 from experiments.study import Findings, Study
 from experiments.tunnel_moments import NEWTON_METRES, PANELS
 from jax_aero import tables
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, Indices, load, tunnel_from_base
-from jax_aero.aero.posture import total_wrench
+from jax_aero.aero.posture import total_wrench, vector_rms
 from jax_aero.aero.surrogate import batched_features, load_surrogate
 from jax_aero.places import ROBOT
 from jax_aero.robot import RobotModel, load_robot
@@ -49,9 +49,7 @@ class CompareConfig(tables.Table, frozen=True):
 
 def compute(name: str, config: CompareConfig) -> Findings:
     """Compare."""
-    path = Path(config.dataset) if config.dataset else RESULTS / name / "dataset.nc"
-    if not path.is_file():
-        raise Refused(f"no {path}; make it with: jax-aero cfd {name}")
+    path = dataset_of(name, config.dataset)
     ours, robot = symmetrised(load(path)), load_robot(ROBOT)
     summary = {"cases": len(ours), "postures": len(ours.postures), **couples(robot, ours), **beside_tunnel(ours)}
     inputs: dict[str, Any] = {"dataset": ours.sha256}
@@ -151,10 +149,9 @@ def errors(robot: RobotModel, areas: Floats, there: Dataset) -> dict[str, float]
     return {
         "drag, relative error, mean": float(np.mean(drag / right - 1.0)),
         "drag, relative error, rms": float(np.sqrt(np.mean((drag / right - 1.0) ** 2))),
-        "total force, rms [m2]": float(np.sqrt(np.mean(np.sum(wrench.force_area**2, axis=1)))),
+        "total force, rms [m2]": vector_rms(wrench.force_area),
         "links, mean square [m4]": float(np.mean(off**2)),
-        "moment of forces at link centres, rms [N m at 10 m/s]": NEWTON_METRES
-        * float(np.sqrt(np.mean(np.sum(wrench.moment_volume**2, axis=1)))),
+        "moment of forces at link centres, rms [N m at 10 m/s]": NEWTON_METRES * vector_rms(wrench.moment_volume),
     }
 
 
@@ -179,8 +176,7 @@ def couples(robot: RobotModel, data: Dataset) -> dict[str, float]:
     moment = total_wrench(robot, data.joint_position_deg, data.force_area_b).moment_volume
     names = {"forces at link centres": moment, "couples on links": volumes, "both": moment + volumes}
     return {
-        f"moment about the centre of mass, {name}, rms [N m at 10 m/s]": NEWTON_METRES
-        * float(np.sqrt(np.mean(np.sum(value**2, axis=1))))
+        f"moment about the centre of mass, {name}, rms [N m at 10 m/s]": NEWTON_METRES * vector_rms(value)
         for name, value in names.items()
     }
 

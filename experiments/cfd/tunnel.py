@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from experiments import Refused
-from experiments.cfd.command import RESULTS
+from experiments.cfd.command import dataset_of
 from experiments.study import Findings, Study
 from experiments.tunnel_moments import NEWTON_METRES
 from jax_aero import tables
@@ -60,9 +60,7 @@ class Row(NamedTuple):
 
 def compute(name: str, config: TunnelConfig) -> Findings:
     """Compare."""
-    path = Path(config.dataset) if config.dataset else RESULTS / name / "dataset.nc"
-    if not path.is_file():
-        raise Refused(f"no {path}; make it with: jax-aero cfd {name}")
+    path = dataset_of(name, config.dataset)
     ours, robot = load(path), load_robot(config.robot)
     rows = list(beside(ours, xr.load_dataset(config.tunnel, engine="h5netcdf"), axes_of(robot)))
     if not rows:

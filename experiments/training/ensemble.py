@@ -21,12 +21,11 @@ import xarray as xr
 from experiments import manifest, record, study
 from experiments.sources import code_hash
 from experiments.training import config, result
-from experiments.training.parts import vector_rms
 from jax_aero import tables
 from jax_aero.aero.dataset import Dataset, Floats, Indices, load
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import save_network
-from jax_aero.aero.posture import link_arms, total_wrench
+from jax_aero.aero.posture import link_arms, total_wrench, vector_rms
 from jax_aero.cli import Parser, count
 from jax_aero.command import exit_status
 from jax_aero.files import complete_file, write_json

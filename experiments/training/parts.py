@@ -16,7 +16,7 @@ import numpy.typing as npt
 from experiments.training.config import Training
 from jax_aero.aero.dataset import Dataset, Floats, Indices
 from jax_aero.aero.network import Layer, Network
-from jax_aero.aero.posture import total_wrench
+from jax_aero.aero.posture import total_wrench, vector_rms
 from jax_aero.files import write_json
 from jax_aero.robot import RobotModel
 from jax_aero.train import Fitted, Samples, Settings, baseline_errors, distil_samples, fit, predict_areas, samples_of
@@ -126,7 +126,7 @@ def run(
 def mean_of(members: list[Network]) -> Network:
     """Return one network whose members are those of several: their mean, as it can be flown."""
     layers = tuple(
-        Layer(*(np.concatenate([getattr(net.layers[i], name) for net in members]) for name in ("weight", "bias")))  # type: ignore[arg-type]  # NumPy arrays are leaves as good
+        Layer(*(np.concatenate([getattr(net.layers[i], name) for net in members]) for name in ("weight", "bias")))  # type: ignore[arg-type]  # NumPy arrays are leaves too
         for i in range(len(members[0].layers))
     )
     return dataclasses.replace(members[0], layers=layers)
@@ -146,11 +146,6 @@ def _errors(robot: RobotModel, predicted: Floats, held_out: Dataset) -> dict[str
         "by_posture": {name: float(square[held_out.posture == name].mean()) for name in held_out.postures},
         "by_link": [float(value) for value in square.mean(axis=(0, 2))],
     }
-
-
-def vector_rms(vectors: Floats) -> float:
-    """Root of the mean squared length of vectors (n, 3)."""
-    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
 
 
 def keep(work: Path, finished: Finished) -> None:

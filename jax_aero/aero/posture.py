@@ -71,6 +71,11 @@ def total_wrench(
     return Wrench(force_area_b.sum(axis=1), moments)
 
 
+def vector_rms(vectors: Float[np.ndarray, "B 3"]) -> float:
+    """Return the root of the mean squared length of vectors."""
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
+
+
 def link_arms(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> Float[np.ndarray, "B L 3"]:
     """Return the links' aerodynamic centres from the centre of mass [m], base axes; rows may repeat."""
     return _by_posture(_arms, robot, joint_position_deg)
