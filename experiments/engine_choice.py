@@ -15,7 +15,6 @@ Source: paper, Methods, "Actuators Selection".
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from jax_aero import tables
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.files import write_json
-from jax_aero.places import ROBOT as ROBOT
+from jax_aero.places import ROBOT
 from jax_aero.tables import Positive
 
 RESULTS = manifest.RESULTS
@@ -88,9 +87,9 @@ def results(choice: Choice) -> dict[str, Any]:
     }
 
 
-def engines(path: Path = ROBOT) -> list[dict[str, Any]]:
+def engines() -> list[dict[str, Any]]:
     """Return the robot's jets: thrust limit, engine and its steady throttle range."""
-    robot = tomllib.loads(path.read_text(encoding="utf-8"))
+    robot = tables.read(ROBOT)
     return [
         {
             "jet": jet["name"],

@@ -159,7 +159,7 @@ def acceleration_of(e: Array, thrust: float, rate: float, throttle: float) -> fl
     return float(drift + (e[5] + e[6] * thrust + e[7] * rate) * v)
 
 
-def advanced(thrust: float, rate: float, acceleration: float, step: float) -> tuple[float, float]:
+def advanced(thrust: Any, rate: Any, acceleration: Any, step: float) -> tuple[Any, Any]:
     """Return thrust and rate after a step of M33."""
     return thrust + step * (rate + 0.5 * step * acceleration), rate + step * acceleration
 
@@ -248,8 +248,7 @@ def residual_of(log: Log, limits: Array, segment: int) -> Callable[[Any], Any]:
 
 
 def _step(engine: Engines, thrust: Any, rate: Any, throttle: Any) -> tuple[Any, Any]:
-    acceleration = thrust_acceleration(engine, thrust, rate, throttle)
-    return thrust + STEP * (rate + 0.5 * STEP * acceleration), rate + STEP * acceleration
+    return advanced(thrust, rate, thrust_acceleration(engine, thrust, rate, throttle), STEP)
 
 
 def simulate(engine: Array, throttle: Array, smoothed: Smoothed) -> Array:

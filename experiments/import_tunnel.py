@@ -9,7 +9,6 @@ about the balance centre, the hip-pitch axis and the centre of mass, with an unc
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ import xarray as xr
 
 from experiments import Refused, manifest, record
 from experiments.import_cfd import OUT, known_postures
+from jax_aero import tables
 from jax_aero.aero import tunnel
 from jax_aero.aero.dataset import Floats
 from jax_aero.aero.posture import centres_of_mass
@@ -60,10 +60,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return exit_status(work)
 
 
-def known_tests(path: Path = TESTS) -> dict[tuple[str, str], Test]:
+def known_tests() -> dict[tuple[str, str], Test]:
     """Return what is known of every test, by campaign and name."""
     found = {}
-    for campaign in tomllib.loads(path.read_text(encoding="utf-8"))["campaign"]:
+    for campaign in tables.read(TESTS)["campaign"]:
         marks = campaign.get("marks", {})
         points = campaign.get("point_marks", {})
         limits = campaign.get("tare_above_deg", {})
@@ -90,7 +90,7 @@ def known_tests(path: Path = TESTS) -> dict[tuple[str, str], Test]:
 def folders(clone: Path) -> dict[str, Path]:
     """Return the folders of balance files in a clone, by campaign."""
     found = {}
-    for campaign in tomllib.loads(TESTS.read_text(encoding="utf-8"))["campaign"]:
+    for campaign in tables.read(TESTS)["campaign"]:
         places = [clone / root / name / "data_GVPM" for root in ROOTS for name in campaign["folders"]]
         if present := [place for place in places if place.is_dir()]:
             found[campaign["name"]] = present[0]

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -64,17 +65,15 @@ def compute(_: str, config: TipOverConfig, under_way: Path) -> Findings:
     cells = list(np.ndindex(shape))
     steps = int(np.ceil(np.log2((high - low) / config.resolution)))
     with tqdm(total=len(cells) * (steps + 2), unit="trial", disable=not sys.stderr.isatty()) as bar:
-        for cell in cells:
+
+        def stands(cell: tuple[int, ...], speed: float) -> dict[str, Any]:
+            bar.update()
             feedback, friction, direction = cell
+            direction_deg, mu = config.directions_deg[direction], config.friction[friction]
+            return trials.make(trial(base, config, speed, direction_deg, mu, is_measured=feedback == 0))
 
-            def stands(
-                speed: float, is_measured: bool = feedback == 0, friction: int = friction, direction: int = direction
-            ) -> dict[str, Any]:
-                bar.update()
-                direction_deg, mu = config.directions_deg[direction], config.friction[friction]
-                return trials.make(trial(base, config, speed, direction_deg, mu, is_measured=is_measured))
-
-            found = seek(stands, low, high, config.resolution)
+        for cell in cells:
+            found = seek(partial(stands, cell), low, high, config.resolution)
             limit[cell] = found["speed"]
             slips[cell] = found["slipped"]
             force[cell] = found["force"]

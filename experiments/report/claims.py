@@ -216,16 +216,16 @@ def _robustness(results: Results) -> tuple[str, str]:
 def _model_pairs(results: Results) -> tuple[str, str]:
     """How many winds are flown on course with the simulator's own model, with another's, without, and observed."""
     sweep = results.sweep("model_pairs")
+    worlds = sweep.levels("world")
     texts, shares = [], []
     for arms in sweep.levels("arms"):
         cells = sweep.select(arms=arms)
         kinds = {
             "the simulator's model": [cell for cell in cells if cell["model"] == cell["world"]],
-            "another model": [cell for cell in cells if cell["model"] in sweep.levels("world")],
+            "another model": [cell for cell in cells if cell["model"] in worlds and cell["model"] != cell["world"]],
             "no model": [cell for cell in cells if cell["model"] == "none"],
             "no model, observer": [cell for cell in cells if cell["model"] == "observer, no model"],
         }
-        kinds["another model"] = [cell for cell in kinds["another model"] if cell["model"] != cell["world"]]
         counts = {name: (sum(c["on_course"] for c in own), len(own)) for name, own in kinds.items()}
         texts.append(f"{arms}, on course: " + ", ".join(f"{name} {n} of {m}" for name, (n, m) in counts.items()))
         shares.append(counts["another model"][0] / counts["another model"][1])

@@ -17,7 +17,7 @@ import numpy as np
 from experiments import engine_choice
 from experiments.report.verdicts import AGREES, differs, out_of_reach, within
 from jax_aero import rust
-from jax_aero.places import CONFIGS
+from jax_aero.places import CONFIGS, ROBOT
 from jax_aero.urdf import origin_of
 
 NETWORK = CONFIGS / "aero" / "networks" / "default.json"
@@ -71,7 +71,7 @@ def silhouette() -> float:
 
 def mass() -> tuple[str, str]:
     """Judge the robot's mass."""
-    found = rust.Robot(str(engine_choice.ROBOT)).mass
+    found = rust.Robot(str(ROBOT)).mass
     return f"{found:.2f} kg in the model", within(found, 43.25, 43.35, "kg")
 
 

@@ -11,9 +11,9 @@ from typing import Any, TypeVar
 
 import pyarrow.parquet as pq
 
-from experiments import Refused, engine_choice, record
+from experiments import Refused, record
 from experiments.report import ground, metrics
-from jax_aero import rust
+from jax_aero import places, rust
 from jax_aero.files import damaged
 
 Cell = Mapping[str, Any]
@@ -77,7 +77,7 @@ class Results:
     @cached_property
     def standing(self) -> dict[str, ground.Ground]:
         """Return every plain ground experiment, by name."""
-        mass = rust.Robot(str(engine_choice.ROBOT)).mass
+        mass = rust.Robot(str(places.ROBOT)).mass
         read = ((folder.name, ground.read(folder, mass)) for folder in self.folders)
         return {name: found for name, found in read if found is not None}
 

@@ -31,6 +31,9 @@ IPOPT: dict[str, Any] = {
 }
 """Quiet, to the last digit, and without a raised exception: `Trim.solve` judges the answer itself."""
 
+TOLERANCE = 1e-5
+"""Up to which a scaled constraint holds, and, over its span, an unknown is at a limit."""
+
 
 @dataclass(frozen=True)
 class TrimSettings:
@@ -273,12 +276,12 @@ class Trim:
         x, cost, stats = self._run(self._elastic, start, p, low, high)
         return x[:size], cost, x[size : size + count] - x[size + count :], stats
 
-    def _violations(self, missed: Array, tolerance: float = 1e-5) -> tuple[Violation, ...]:
+    def _violations(self, missed: Array) -> tuple[Violation, ...]:
         order = np.argsort(-np.abs(missed))
         return tuple(
             Violation(self._names[i].name, abs(float(missed[i])) * self._names[i].scale, self._names[i].unit)
             for i in order
-            if abs(missed[i]) > tolerance
+            if abs(missed[i]) > TOLERANCE
         )
 
     def _result(
@@ -318,7 +321,7 @@ class Trim:
             solve_time=elapsed,
         )
 
-    def _at_limit(self, x: Array, tolerance: float = 1e-5) -> tuple[str, ...]:
+    def _at_limit(self, x: Array) -> tuple[str, ...]:
         robot = self.model.robot
         names: Sequence[str] = (
             *("roll", "pitch", "yaw"),
@@ -329,9 +332,9 @@ class Trim:
         low, high = self.bounds()
         span = high - low
         return tuple(
-            f"{name} at its {'lower' if value - a <= tolerance * wide else 'upper'} limit"
+            f"{name} at its {'lower' if value - a <= TOLERANCE * wide else 'upper'} limit"
             for name, value, a, wide in zip(names, x, low, span, strict=True)
-            if name != "margin" and wide > 0 and min(value - a, a + wide - value) <= tolerance * wide
+            if name != "margin" and wide > 0 and min(value - a, a + wide - value) <= TOLERANCE * wide
         )
 
 

@@ -19,6 +19,7 @@ from experiments.report.page import Heading, Page, Picture, Table, Text
 from experiments.report.results import Results
 from experiments.report.verdicts import AGREES, NOT_FLOWN, within
 from experiments.sweep.table import wilson
+from jax_aero.places import ROBOT
 
 
 def cell(index, flights, completed, on_course, rotation=5.0, **labels):
@@ -323,7 +324,7 @@ def test_the_arm_jet_sits_beside_its_elbow(agree):
     """By the fixed joint of the URDF: where the jet sits on the body of the elbow, and its z axis."""
     origin = next(
         joint.find("origin")
-        for joint in ElementTree.parse(engine_choice.ROBOT.with_suffix(".urdf")).iter("joint")
+        for joint in ElementTree.parse(ROBOT.with_suffix(".urdf")).iter("joint")
         if joint.find("child").get("link") == "l_arm_jet_turbine"
     )
     place, (roll, pitch, yaw) = (np.array(origin.get(key).split(), dtype=float) for key in ("xyz", "rpy"))
