@@ -220,7 +220,7 @@ def _draw(
     rows: Sequence[Mapping[str, Any]], tables: Sequence[tuple[str, list[dict[str, Any]]]], robot: RobotModel, given: Any
 ) -> Figure:
     """Draw force areas of the robot by model, its moments, and the drag of each link of the first model."""
-    angle = "alpha_deg" if ":" in given.alpha else "beta_deg"
+    angle = "alpha_deg" if len({row["alpha_deg"] for row in rows}) > 1 else "beta_deg"
     figure = Figure(figsize=(10.0, 6.0), layout="constrained")
     grid = figure.subplots(2, 3)
 

@@ -22,7 +22,6 @@ Equation M30 of `docs/model.md`.
 from __future__ import annotations
 
 import itertools
-import tomllib
 from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
@@ -33,6 +32,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jax_aero import tables
 from jax_aero.aero.dataset import LINK_TWINS, LINKS, MIRROR_AXES, Floats, Indices
 from jax_aero.aero.fit import FAMILIES
 from jax_aero.aero.posture import link_frames
@@ -260,6 +260,21 @@ def batched_features(robot: RobotModel, panels: Panels, wake: Wake, dtype: Any =
     return evaluate
 
 
+class _File(tables.Table, frozen=True):
+    panels: dict[str, tables.Positive]
+    wake: dict[str, tables.Positive]
+    coefficients: dict[str, tuple[float, ...]]
+
+    def __post_init__(self) -> None:
+        expected = {"panels": ("spacing", "cluster_size"), "wake": Wake._fields, "coefficients": tuple(FAMILIES)}
+        for section, keys in expected.items():
+            if set(found := getattr(self, section)) != set(keys):
+                raise ValueError(f"`{section}` has {', '.join(found) or 'nothing'}; expected {', '.join(keys)}")
+        for family, weights in self.coefficients.items():
+            if len(weights) != len(TERMS):
+                raise ValueError(f"`coefficients.{family}` has {len(weights)} numbers; expected {len(TERMS)} numbers")
+
+
 def load_surrogate(path: str | PathLike[str], robot: RobotModel) -> Surrogate:
     """Read `configs/aero/panels/surrogate.toml` or a file like it.
 
@@ -268,23 +283,11 @@ def load_surrogate(path: str | PathLike[str], robot: RobotModel) -> Surrogate:
     ValueError
         Naming the key, its value and what was expected.
     """
-    table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    expected = {"panels": {"spacing", "cluster_size"}, "wake": set(Wake._fields), "coefficients": set(FAMILIES)}
-    for section, keys in expected.items():
-        if section not in table or set(table[section]) != keys:
-            raise ValueError(f"{path}: [{section}] has {sorted(table.get(section, []))}; expected {sorted(keys)}")
-    for section in ("panels", "wake"):
-        for key, value in table[section].items():
-            if not (isinstance(value, int | float) and 0.0 < value < np.inf):
-                raise ValueError(f"{path}: `{section}.{key}` is {value!r}; expected a positive number")
-    rows: dict[str, list[float]] = {}
-    for family, weights in table["coefficients"].items():
-        if len(weights) != len(TERMS) or not np.isfinite(weights).all():
-            raise ValueError(f"{path}: `coefficients.{family}` is {weights!r}; expected {len(TERMS)} numbers")
-        rows |= dict.fromkeys(FAMILIES[family], weights)
+    file = tables.load(Path(path), _File)
+    rows = {link: weights for family, weights in file.coefficients.items() for link in FAMILIES[family]}
     return Surrogate(
-        panels=build_panels(robot, **table["panels"]),
-        wake=Wake(**table["wake"]),
+        panels=build_panels(robot, **file.panels),
+        wake=Wake(**file.wake),
         coefficients=np.array([rows[link] for link in LINKS], dtype=np.float64),
     )
 

@@ -134,12 +134,14 @@ def _number(cell: str, source: str, line: int, column: int) -> float:
 def read_sweep(text: str, source: str) -> tuple[Floats, Floats]:
     """Return forces and moments (n, 3) of a gravity sweep (`.tara`), balance axes, from its first zero [N, N m]."""
     lines = [line for line in text.splitlines() if line.strip()]
-    if not lines or not lines[0].startswith("a_nom"):
-        raise ValueError(f"{source}: no gravity sweep; expected a line of columns a_nom[deg], …")
-    rows = [
-        [_number(cell, source, place, column) for column, cell in enumerate(line.split("\t")[:10])]
-        for place, line in enumerate(lines[1:], start=2)
-    ]
+    if len(lines) < 2 or not lines[0].startswith("a_nom"):
+        raise ValueError(f"{source}: no gravity sweep; expected a line of columns a_nom[deg], …, and rows")
+    rows = []
+    for place, line in enumerate(lines[1:], start=2):
+        cells = line.split("\t")[:10]
+        if len(cells) < 10:
+            raise ValueError(f"{source}, line {place}: {len(cells)} columns; expected at least 10")
+        rows.append([_number(cell, source, place, column) for column, cell in enumerate(cells)])
     found = np.array(rows)
     return found[:, 4:7], found[:, 7:10]
 

@@ -6,6 +6,7 @@ import json
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
+from zipfile import BadZipFile
 
 import jax
 import numpy as np
@@ -48,10 +49,10 @@ def load_checkpoint(path: str | PathLike[str], like: Any, digest: str) -> Checkp
         return None
     expected, structure = jax.tree.flatten(like)
     try:
-        with np.load(target, allow_pickle=False) as file:
+        with target.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             meta = json.loads(str(file["meta"]))
             leaves = [file[f"leaf_{i}"] for i in range(len(expected))]
-    except (OSError, ValueError, KeyError) as reason:
+    except (OSError, EOFError, ValueError, KeyError, BadZipFile) as reason:
         raise ValueError(f"{target.name} is no checkpoint that can be read: {reason}; remove it") from reason
     if meta["digest"] != digest:
         raise ValueError(f"{target.name} belongs to other settings or data; remove it, or restart")

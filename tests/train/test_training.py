@@ -169,9 +169,11 @@ def test_another_runs_checkpoint_is_refused(task, tmp_path):
     fit(network, training, validation, structs.replace(SETTINGS, epochs=1), seed=5, checkpoint=path)
     with pytest.raises(ValueError, match=r"run.npz belongs to other settings or data"):
         fit(network, training, validation, structs.replace(SETTINGS, epochs=1), seed=6, checkpoint=path)
-    path.write_bytes(b"nothing")
-    with pytest.raises(ValueError, match=r"run.npz is no checkpoint that can be read"):
-        load_checkpoint(path, {"a": np.zeros(2)}, "x")
+    whole = path.read_bytes()
+    for damaged in (b"nothing", b"", whole[: len(whole) // 2]):
+        path.write_bytes(damaged)
+        with pytest.raises(ValueError, match=r"run.npz is no checkpoint that can be read"):
+            load_checkpoint(path, {"a": np.zeros(2)}, "x")
 
 
 def test_a_checkpoint_keeps_every_bit(tmp_path):

@@ -70,3 +70,19 @@ def test_angles_are_numbers_or_ranges():
 def test_mistakes_are_named(words, message, capsys):
     assert cli.main(["air", *words]) == cli.REFUSED
     assert message in capsys.readouterr().err
+
+
+def test_the_axis_is_of_the_angle_that_varies():
+    """A range may hold one angle."""
+    given = command._parser().parse_args(["--alpha", "10:10:5", "--beta", "0:20:10"])
+    robot = load_robot(places.find("robot", "ironcub_mk1"))
+    links = [command.ROBOT, *robot.aero_links.names]
+    values = dict.fromkeys(command.COLUMNS, 1.0)
+    rows = [
+        {"model": given.model[0], "link": link, "alpha_deg": 10.0, "beta_deg": beta, **values}
+        for link in links
+        for beta in (0.0, 10.0, 20.0)
+    ]
+    axes = command._draw(rows, [], robot, given).axes[0]
+    assert axes.get_xlabel() == "beta [deg]"
+    assert axes.lines[0].get_xdata().tolist() == [0.0, 10.0, 20.0]

@@ -129,9 +129,11 @@ def test_blocks_do_not_change_a_row(robot, model, cases):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("gamma = 2.0", "gamma = -2.0", "`wake.gamma` is -2.0; expected a positive number"),
-        ("gamma = 2.0", "gama = 2.0", r"\[wake\] has .* expected"),
-        ("head = [", "head = [1.0, ", "`coefficients.head` is .* expected 12 numbers"),
+        ("gamma = 2.0", "gamma = -2.0", "`wake.gamma` is -2.0; expected a number > 0"),
+        ("gamma = 2.0", "gama = 2.0", "`wake` has gama, .*; expected gamma, "),
+        ("head = [", "head = [1.0, ", "`coefficients.head` has 13 numbers; expected 12"),
+        ("head = [", "head = 1.0 #", "`coefficients.head` is 1.0; expected a list"),
+        ("spacing = 0.045", "spacing = true", "`panels.spacing` is true; expected a number > 0"),
     ],
 )
 def test_a_bad_file_is_refused(robot, tmp_path, old, new, message):

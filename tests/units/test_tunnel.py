@@ -166,6 +166,18 @@ def test_a_table_of_points_is_refused_with_line_and_column(column, text, message
         tunnel.read_reduced(",".join(row) + "\n" + cells, import_tunnel.known_tests(), "t.csv")
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a_nom[deg]\n", r"t.tara: no gravity sweep; expected .* rows"),
+        ("a_nom[deg]\n" + "\t".join("1" * 10) + "\n1\t2\n", r"t.tara, line 3: 2 columns; expected at least 10"),
+    ],
+)
+def test_a_gravity_sweep_that_is_cut_short_is_refused(text, message):
+    with pytest.raises(ValueError, match=message):
+        tunnel.read_sweep(text, "t.tara")
+
+
 def test_a_table_may_lack_the_last_reading_without_wind():
     row = reduced_table((1.0,) * 6) | {f"zr{name}": "nan" for name in tunnel.COMPONENTS}
     points = tunnel.read_reduced(",".join(row) + "\n" + ",".join(row.values()), import_tunnel.known_tests(), "t.csv")
