@@ -245,14 +245,19 @@ def _jets(jets: Sequence[Thruster]) -> list[str]:
     lines = []
     for jet in jets:
         lines += ["", "[[jets]]", f'name = "{jet.frame}"', f'frame = "{jet.frame}"', f"axis = {_row(AXES[jet.axis])}"]
-        lines += [f"thrust_max = {jet.thrust_max!r}", f'engine = "linear_{jet.thrust_max:g}"'.replace(".", "_")]
+        lines += [f"thrust_max = {jet.thrust_max!r}", f"engine = {_engine(jet.thrust_max)}"]
     for greatest in sorted({jet.thrust_max for jet in jets}):
-        name = f"linear_{greatest:g}".replace(".", "_")
-        lines += ["", "# Linear, critically damped at 3 rad/s, full thrust at full throttle (?).", f"[engines.{name}]"]
+        lines += ["", "# Linear, critically damped at 3 rad/s, full thrust at full throttle (?)."]
+        lines += [f"[engines.{_engine(greatest)}]"]
         values = {"k_t": -9.0, "k_d": -6.0, "b_u": 0.09 * greatest, "throttle_min": 0.0, "throttle_max": 100.0}
         keys = ("k_t", "k_tt", "k_d", "k_dd", "k_td", "b_u", "b_t", "b_d", "b_uu", "c", "throttle_min", "throttle_max")
         lines += [f"{key} = {values.get(key, 0.0)!r}" for key in keys]
     return lines
+
+
+def _engine(thrust_max: float) -> str:
+    """Return the name of an engine, as a TOML string: of each greatest thrust one."""
+    return f'"linear_{thrust_max!r}"'
 
 
 def _foot(tree: Tree, boxes: dict[str, Box], frame: str) -> list[str]:

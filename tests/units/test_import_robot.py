@@ -168,6 +168,13 @@ def test_what_is_not_there_is_refused_by_name(tmp_path):
     assert not folder.exists()
 
 
+def test_every_greatest_thrust_has_an_engine_of_its_own():
+    thrusts = [25.5, 1e6, 100.0, 100.00000001]
+    table = tomllib.loads("\n".join(skeleton._jets([skeleton.Thruster(f"n{t}", "z", t) for t in thrusts])))
+    found = [table["engines"][jet["engine"]]["b_u"] for jet in table["jets"]]
+    assert found == [0.09 * thrust for thrust in thrusts]
+
+
 def test_force_areas_are_those_of_cylinders_and_spheres():
     """Drag coefficients of 0.8 along the axis and of 1 across it, a third of the side for the normal force; 0.5."""
     disc = 0.25 * np.pi * 0.1**2
