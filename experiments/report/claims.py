@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from experiments.engine_choice import PAPER_FUEL
 from experiments.report import facts, observer
 from experiments.report.ground import Ground
 from experiments.report.metrics import FINAL
@@ -384,7 +385,9 @@ def _fuel_flown(results: Results) -> tuple[str, str]:
     flown = results.study("along", "flights")["no_wind"]
     mass = flown["five_minutes_kg"]
     text = f"{mass:.2f} kg at the mean rate of the mission without wind ({flown['fuel_l']:.2f} l in 50 s)"
-    return text, _judged(abs(mass - 4.61) < 0.25, f"{mass - 4.61:+.2f} kg; the engines burn more, and idle counts")
+    return text, _judged(
+        abs(mass - PAPER_FUEL) < 0.25, f"{mass - PAPER_FUEL:+.2f} kg; the engines burn more, and idle counts"
+    )
 
 
 def _arm_engines(results: Results) -> tuple[str, str]:

@@ -282,6 +282,7 @@ def _spans(values: Sequence[object], known: Sequence[object]) -> str:
 def _engines(page: Page) -> None:
     choice = engine_choice.Choice()
     found = engine_choice.results(choice)
+    battery, fuel = str(engine_choice.PAPER_BATTERY), str(engine_choice.PAPER_FUEL)
     page.add(
         Heading(2, "Why jets: battery against fuel"),
         Text(
@@ -292,9 +293,17 @@ def _engines(page: Page) -> None:
         Table(
             ("what", "ours [kg]", "paper [kg]"),
             [
-                ("battery, 13 kW for 15 kg of thrust as printed", f"{found['battery_kg']:.2f}", "26.31"),
-                ("battery, 1 kW per kg of thrust", f"{found['battery_at_1_kW_per_kg_kg']:.2f}", "26.31"),
-                ("fuel, burnt on the way", f"{found['fuel_kg']:.2f}", "4.61"),
+                (
+                    "battery, 13 kW for 15 kg of thrust as printed",
+                    f"{found['battery_kg']:.2f}",
+                    battery,
+                ),
+                (
+                    "battery, 1 kW per kg of thrust",
+                    f"{found['battery_at_1_kW_per_kg_kg']:.2f}",
+                    battery,
+                ),
+                ("fuel, burnt on the way", f"{found['fuel_kg']:.2f}", fuel),
                 ("fuel, if none of its mass were lost", f"{found['fuel_without_burn_off_kg']:.2f}", "—"),
             ],
         ),

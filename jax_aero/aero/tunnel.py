@@ -105,12 +105,12 @@ def read_gvp(text: str, source: str) -> Gvp:
     ValueError
         Naming file, line and column where something is not what the format has.
     """
-    lines = [line for line in text.splitlines() if line.strip()]
+    places, lines = _lines(text)
     if len(lines) < 3 or "=" not in lines[0] or not lines[1].startswith("ID(0)"):
         raise ValueError(f"{source}: no balance file; expected a line KEY=VALUE;…, one of columns ID(0),…, and rows")
     header = dict(part.strip().split("=", 1) for part in lines[0].split(";") if "=" in part)
     rows = []
-    for place, line in enumerate(lines[2:], start=3):
+    for place, line in zip(places[2:], lines[2:], strict=True):
         cells = line.split("\t")
         if len(cells) != GVP_COLUMNS:
             raise ValueError(f"{source}, line {place}: {len(cells)} columns; expected {GVP_COLUMNS}")
@@ -120,8 +120,14 @@ def read_gvp(text: str, source: str) -> Gvp:
     bad = np.argwhere(~np.isfinite(found[:, needed]))
     if len(bad):
         row, column = bad[0]
-        raise ValueError(f"{source}, line {row + 3}, column {needed[column]}: nan; expected a finite number")
+        raise ValueError(f"{source}, line {places[2 + row]}, column {needed[column]}: nan; expected a finite number")
     return Gvp(header, found)
+
+
+def _lines(text: str) -> tuple[list[int], list[str]]:
+    """Return number and text of every line that is not empty."""
+    found = [(place, line) for place, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    return [place for place, _ in found], [line for _, line in found]
 
 
 def _number(cell: str, source: str, line: int, column: int) -> float:
@@ -133,11 +139,11 @@ def _number(cell: str, source: str, line: int, column: int) -> float:
 
 def read_sweep(text: str, source: str) -> tuple[Floats, Floats]:
     """Return forces and moments (n, 3) of a gravity sweep (`.tara`), balance axes, from its first zero [N, N m]."""
-    lines = [line for line in text.splitlines() if line.strip()]
+    places, lines = _lines(text)
     if len(lines) < 2 or not lines[0].startswith("a_nom"):
         raise ValueError(f"{source}: no gravity sweep; expected a line of columns a_nom[deg], …, and rows")
     rows = []
-    for place, line in enumerate(lines[1:], start=2):
+    for place, line in zip(places[1:], lines[1:], strict=True):
         cells = line.split("\t")[:10]
         if len(cells) < 10:
             raise ValueError(f"{source}, line {place}: {len(cells)} columns; expected at least 10")

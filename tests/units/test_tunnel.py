@@ -170,7 +170,7 @@ def test_a_table_of_points_is_refused_with_line_and_column(column, text, message
     ("text", "message"),
     [
         ("a_nom[deg]\n", r"t.tara: no gravity sweep; expected .* rows"),
-        ("a_nom[deg]\n" + "\t".join("1" * 10) + "\n1\t2\n", r"t.tara, line 3: 2 columns; expected at least 10"),
+        ("a_nom[deg]\n" + "\t".join("1" * 10) + "\n\n1\t2\n", r"t.tara, line 4: 2 columns; expected at least 10"),
     ],
 )
 def test_a_gravity_sweep_that_is_cut_short_is_refused(text, message):
