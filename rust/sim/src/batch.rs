@@ -12,10 +12,10 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 /// Why a flight of a batch has no result.
 #[derive(Debug, thiserror::Error)]
 pub enum BatchError {
-    /// It could not be built.
+    /// Its configuration could not be built.
     #[error(transparent)]
     Build(#[from] BuildError),
-    /// A flight of a batch that was to be flown as a whole, by its number.
+    /// The configuration of this number could not be built.
     #[error("flight {0} of the batch: {1}")]
     Refused(usize, BuildError),
     /// The batch was stopped.
@@ -26,8 +26,7 @@ pub enum BatchError {
     NoThreads(String),
 }
 
-/// Builds every configuration without flying it, `threads` at a time, for whom one that is refused makes all others
-/// worthless.
+/// Builds every configuration without flying it, `threads` at a time: before a batch of which all flights are needed.
 ///
 /// # Errors
 /// [`BatchError::Refused`] for the first that cannot be built, [`BatchError::Interrupted`] if `go_on` said so.
