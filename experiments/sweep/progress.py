@@ -7,7 +7,7 @@ import time
 from types import TracebackType
 
 LINE_INTERVAL = 15.0
-"""Between two lines where nobody watches [s]."""
+"""Between two lines where the output is not a terminal [s]."""
 MOVE_INTERVAL = 0.2
 
 

@@ -39,7 +39,7 @@ def rotations(wxyz):
 
 
 def test_both_read_the_same(x64, measured):
-    """The truth is that of a flight of the crate, whose log has what its sensors said.
+    """The truth is that of a flight of the crate, whose log has what its sensors measured.
 
     It begins with every joint in the middle between two steps of its encoder.
     """

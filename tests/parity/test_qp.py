@@ -63,7 +63,7 @@ def harvest(name: str, thrown: int, rng: np.random.Generator) -> Iterator[Case]:
             np.concatenate([twist, flight["joint_velocity"][k]]),
         )
         tick = flown.tick(state, flight["thrust"][k], flight["wind"][k], time)
-        # The logged flight and this replay are one: else these would be problems nobody ever flew.
+        # The logged flight and this replay are one: else these would be problems of no flight.
         np.testing.assert_allclose(tick.thrust_rate, flight["thrust_rate"][k], rtol=1e-6, atol=1e-6)
         if k % EVERY == 0:
             yield from cases_of(tick, name)

@@ -10,7 +10,7 @@ STEP = 0.002
 
 
 def integrator(gain):
-    """ẋ = u, u = −gain y, and an integral that nobody reads."""
+    """ẋ = u, u = −gain y, and an integral that has no output."""
     one = np.eye(1)
     return inner_loop.Loop(
         world=one,

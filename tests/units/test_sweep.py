@@ -97,7 +97,7 @@ def test_a_sampled_design_fills_its_box_evenly_and_repeatably(kind):
     assert points.shape == (64, 2)
     assert (points >= [2, -90]).all()
     assert (points <= [10, 90]).all()
-    # One point in each of 64 slices: what both designs promise of every single axis.
+    # One point in each of 64 slices: what both designs guarantee for every single axis.
     slices = np.floor((points - [2, -90]) / [8, 180] * 64).clip(0, 63)
     assert all(len(set(column)) == 64 for column in slices.T)
     assert design(design=kind, samples=64, axis=box, seed=2).cells != cells

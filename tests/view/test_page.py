@@ -144,7 +144,7 @@ def test_the_second_result_is_the_ghost(fallen):
 
 def test_a_result_is_drawn_and_scrubbed(visit, fallen):
     page = visit(fallen)
-    assert page.served.server.get_host() == "127.0.0.1"  # nobody else is served
+    assert page.served.server.get_host() == "127.0.0.1"  # no other machine is served
     assert [FALL.fullmatch(outcome) is not None for outcome in page.outcomes()] == [True]
     page.wait_for(lambda: colours(page.picture()) > 300, "a picture of many colours")
     start = page.picture()

@@ -388,7 +388,7 @@ fn predictions_follow_a_replaced_command() {
 fn an_observer_of_joints_needs_no_velocities() {
     let mut config = experiment("test2_sensors");
     config.simulator.sensors = None;
-    let (mut seeing, mut blind) = (controller(&config), controller(&config));
+    let (mut measured, mut unmeasured) = (controller(&config), controller(&config));
     let mut world = Loop::new(&config);
     for tick in 0..20 {
         world.observe(&wind());
@@ -402,13 +402,13 @@ fn an_observer_of_joints_needs_no_velocities() {
         if tick == 0 {
             sample.state.velocity.rows_range_mut(6..).fill(0.0);
         }
-        let expected = sample.tick(&mut seeing).clone();
+        let expected = sample.tick(&mut measured).clone();
         sample.state.velocity.rows_range_mut(6..).fill(f64::NAN);
-        assert_eq!(numbers(sample.tick(&mut blind)), numbers(&expected));
+        assert_eq!(numbers(sample.tick(&mut unmeasured)), numbers(&expected));
         assert!(expected.modes.is_empty());
         world.advance(&wind());
     }
-    assert!(blind.terms().given.reading.state.velocity.rows_range(6..).amax() > 1e-3);
+    assert!(unmeasured.terms().given.reading.state.velocity.rows_range(6..).amax() > 1e-3);
 }
 
 /// With estimators the law is given what they make of the measurement, and the state holds them.

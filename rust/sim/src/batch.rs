@@ -29,7 +29,7 @@ pub enum BatchError {
 /// Builds every configuration without flying it, `threads` at a time: before a batch of which all flights are needed.
 ///
 /// # Errors
-/// [`BatchError::Refused`] for the first that cannot be built, [`BatchError::Interrupted`] if `go_on` said so.
+/// [`BatchError::Refused`] for the first that cannot be built, [`BatchError::Interrupted`] if `go_on` breaks.
 pub fn check_batch(
     configs: &[ScenarioConfig],
     threads: Option<usize>,

@@ -345,7 +345,7 @@ fn a_batch_survives_a_flight_that_cannot_be_built() {
     assert!(fly_batch(&[], None, |_| (), |_, _| ControlFlow::Continue(())).unwrap().is_empty());
 }
 
-/// Who needs all flights checks them before one is flown: the first that cannot be built is named. It can be stopped, too.
+/// A check of a batch names the first flight that cannot be built, and can be stopped.
 #[test]
 fn a_batch_is_checked_before_it_flies() {
     let bad = with(short(0.2), |config| config.simulator.duration = -1.0);
