@@ -1,6 +1,7 @@
 """Which engines follow their commands.
 
     d ← e^{−Δt/τ} d + (T_k − T̂_k)          how far a thrust has left the commanded one
+    d̄ ← d after lags of τ_e and τ_n         the same, as late as the momentum is known
     n ← n + (1 − e^{−Δt/τ_n}) (w − ŵ − n)   what the momentum says beside the observed wrench
 
 The thrust that an engine stops at bounds what is commanded from then on. Equations M105 and M106 of `docs/model.md`.
@@ -16,6 +17,7 @@ from jaxtyping import Bool, Float
 
 from jax_aero.config import EnginesConfig
 from jax_aero.control.attitude import TaskGains
+from jax_aero.control.observer import residual_share
 from jax_aero.control.tasks import in_place_of
 from jax_aero.robot import RobotModel
 from jax_aero.types import Array, leaf, leaves, pytree
@@ -52,6 +54,10 @@ class EngineState(NamedTuple):
 
     deviation: Float[Array, " j"]
     """`d` [N]."""
+    estimated: Float[Array, " j"]
+    """`d` after the first lag [N]."""
+    late: Float[Array, " j"]
+    """`d` after both, `d̄` [N]."""
     suspected: Float[Array, " j"]
     """How long it has been too large [s]."""
     least: Float[Array, " j"]
@@ -90,7 +96,7 @@ def engine_limits(config: EnginesConfig, robot: RobotModel) -> EngineLimits:
 def start(like: Float[Array, " j"]) -> EngineState:
     """Return what is known of engines with thrusts like these at first."""
     none = jnp.zeros_like(like)
-    return EngineState(none, none, none, jnp.full_like(like, jnp.inf))
+    return EngineState(none, none, none, none, none, jnp.full_like(like, jnp.inf))
 
 
 def update(
@@ -102,27 +108,35 @@ def update(
     a_t: Float[Array, "6 j"],
     residual: Float[Array, "6"],
     has_momentum: Bool[Array, ""],
+    momentum_share: Float[Array, ""],
 ) -> tuple[EngineState, Bool[Array, " j"], Float[Array, " j"]]:
     """Take in thrusts [N] and by how much they are not the predicted ones.
 
     Also return which sensors are wrong, and by how much.
 
-    `a_t` takes thrusts to the momentum's rate, `residual` is the `n` above [N, N m]. Where the momentum is not measured
-    nothing is judged: the confirmation begins anew.
+    `a_t` takes thrusts to the momentum's rate, `residual` is the `n` above [N, N m]. `momentum_share` is the share of a
+    change that the estimated momentum follows per tick, 1 where it is measured. Where it is not, nothing is judged:
+    lags and confirmation begin anew. Moments alone are compared: gyroscopes are less noisy than velocities, and forces
+    of the air change more than their moments.
     """
     deviation = jnp.exp(-dt / limits.time_constant) * last.deviation + innovation
-    exceeds = has_momentum & (jnp.abs(deviation) > limits.deviation_max)
+    estimated = last.estimated + momentum_share * (deviation - last.estimated)
+    late = last.late + residual_share(dt) * (estimated - last.late)
+    estimated, late = jnp.where(has_momentum, estimated, 0.0), jnp.where(has_momentum, late, 0.0)
+    exceeds = jnp.abs(late) > limits.deviation_max
     suspected = jnp.where(exceeds, last.suspected + dt, 0.0)
     # Half a tick is for rounding.
     is_sure = exceeds & (suspected >= limits.confirmation + 0.5 * dt)
-    explained = -(a_t.T @ residual) / jnp.sum(a_t**2, axis=0)
-    is_wrong = is_sure & ~last.is_limited & (explained * jnp.sign(deviation) > 0.5 * jnp.abs(deviation))
-    is_short, is_stuck = (is_sure & ~is_wrong & (sign * deviation > 0.0) for sign in (-1.0, 1.0))
-    after = EngineState(
-        # A sensor that is no longer accepted says nothing about its engine.
-        jnp.where(is_wrong, 0.0, deviation),
-        jnp.where(is_wrong, 0.0, suspected),
-        jnp.where(is_stuck, thrust, jnp.where(is_short, jnp.minimum(last.least, thrust), last.least)),
-        jnp.where(is_short, thrust, jnp.where(is_stuck, jnp.maximum(last.greatest, thrust), last.greatest)),
+    # A product in place of the quotient of M106: a jet may have no moment about the centre of mass.
+    moments = a_t[3:]
+    explained = -(moments.T @ residual[3:]) * jnp.sign(late)
+    is_wrong = is_sure & ~last.is_limited & (explained > 0.5 * jnp.abs(late) * jnp.sum(moments**2, axis=0))
+    is_short, is_stuck = (is_sure & ~is_wrong & (sign * late > 0.0) for sign in (-1.0, 1.0))
+    least = jnp.where(is_stuck, thrust, jnp.where(is_short, jnp.minimum(last.least, thrust), last.least))
+    greatest = jnp.where(is_short, thrust, jnp.where(is_stuck, jnp.maximum(last.greatest, thrust), last.greatest))
+    # A sensor that is no longer accepted says nothing about its engine.
+    deviation_left, estimated, late, suspected = (
+        jnp.where(is_wrong, 0.0, x) for x in (deviation, estimated, late, suspected)
     )
+    after = EngineState(deviation_left, estimated, late, suspected, least, greatest)
     return after, is_wrong, deviation

@@ -65,6 +65,9 @@ class Estimator:
     """Share of the innovation that is accepted."""
     by_position: Float[Array, "2"]
     """Shares of the joint positions' innovation that correct velocities, per tick, and accelerations, per tick²."""
+    momentum_share: Float[Array, ""]
+    """Share of a moment that is in no model that the estimated momentum shows per tick: that of a lag as long as the
+    greatest age and the time constant of the angular velocity."""
     aero: AeroModel
     time_step: Float[Array, ""]
     """[s]."""
@@ -99,17 +102,22 @@ def estimator(config: EstimatorConfig, aero: AeroModel, time_step: Float[Array, 
         config.thrust,
     )
     step = float(time_step)
+
+    def share_of(time_constant: float) -> float:
+        return -np.expm1(-step / time_constant) if time_constant > 0.0 else 1.0
+
     age = [int(np.floor(channel.delay / step + 0.5)) for channel in channels]  # half a tick rounds up
-    share = [-np.expm1(-step / channel.time_constant) if channel.time_constant > 0.0 else 1.0 for channel in channels]
+    share = [share_of(channel.time_constant) for channel in channels]
     by_position = [0.0, 0.0]
     if config.joint_observer is not None:
         # Three poles at e^(-Δt/T).
-        left = -np.expm1(-step / config.joint_observer)
+        left = share_of(config.joint_observer)
         pole = 1.0 - left
         age[5], share[4], share[5] = 0, 1.0 - pole**3, 0.0
         by_position = [left * left * (1.0 + 2.0 * pole), left**3]
+    momentum_share = share_of(max(age) * step + config.base_angular_velocity.time_constant)
     ages = jnp.asarray(age, jnp.int32)
-    return Estimator(ages, leaf(share), leaf(by_position), aero, time_step, max(age))
+    return Estimator(ages, leaf(share), leaf(by_position), leaf(momentum_share), aero, time_step, max(age))
 
 
 def start(settings: Estimator, state: State, jets: int) -> EstimatorState:

@@ -76,9 +76,14 @@ def update(
     limits = _sixfold(gains.force_max, gains.moment_max)
     is_used = last.is_known & jnp.all(jnp.isfinite(moved))
     wrench = jnp.where(is_used, jnp.clip(moved, -limits, limits), last.wrench)
-    newer = last.residual - jnp.expm1(-elapsed / RESIDUAL_TIME) * (innovation - last.residual)
+    newer = last.residual + residual_share(elapsed) * (innovation - last.residual)
     residual = jnp.where(is_used, newer, last.residual)
     return ObserverState(wrench, residual, jnp.array(True), momentum, rate)
+
+
+def residual_share(elapsed: Float[Array, ""]) -> Float[Array, ""]:
+    """Return the share of an innovation that the residual takes in after `elapsed` [s]."""
+    return -jnp.expm1(-elapsed / RESIDUAL_TIME)
 
 
 def hold(last: ObserverState) -> ObserverState:

@@ -338,8 +338,9 @@ def _act(
     turning = before
     if params.engines is not None and before is not None:
         residual = jnp.zeros_like(dyn.momentum) if observed is None else observed.residual
+        share = jnp.ones_like(elapsed) if params.estimator is None else params.estimator.momentum_share
         turning, is_wrong, deviation = engines.update(
-            params.engines, before, elapsed, thrust, innovation, momentum.a_t, residual, has_momentum
+            params.engines, before, elapsed, thrust, innovation, momentum.a_t, residual, has_momentum, share
         )
         known = channels.reject_sensor(known, is_wrong, deviation)
         if memory.estimator is not None:

@@ -24,6 +24,7 @@ from jax_aero.spatial import rotation_from_wxyz
 from jax_aero.types import State
 
 EXPERIMENT = Path(__file__).resolve().parents[2] / "configs" / "experiments" / "test2_sensors.toml"
+BOTH = {"controller.wind_observer": {}}
 WIND = {"profile": "ramp", "velocity": [3.0, -9.0, 1.0], "ramp_start": 0.0, "ramp_end": 0.5}
 
 
@@ -89,7 +90,7 @@ def test_a_lost_number_corrects_nothing_and_the_others_do(absurd, x64, measured)
 @pytest.fixture
 def alone(x64):
     """A controller with both estimators, its robot, and readings of one that hardly moves, without joint velocities."""
-    config = scenario_config(rust.load_config(EXPERIMENT, {"controller.wind_observer": {}}))
+    config = scenario_config(rust.load_config(EXPERIMENT, BOTH))
     robot, first = load_robot(config.robot), config.simulator.initial
     rng = np.random.default_rng(7)
 
@@ -103,6 +104,26 @@ def alone(x64):
         return Measurement(jnp.asarray(0.01 * tick), state, jnp.asarray(first.thrust), jnp.array([0.0, 9.0, 0.0]))
 
     return momentum_controller(config, robot), robot, [reading(tick) for tick in range(10)]
+
+
+def test_both_find_a_wrong_thrust_sensor_in_the_same_tick(alone):
+    """Thrusts follow their commands, a sensor is off from the third tick on, and the momentum shows nothing of it."""
+    controller, robot, readings = alone
+    step, crate = jax.jit(controller.step), rust.Controller(rust.load_config(EXPERIMENT, BOTH))
+    memory, thrust = controller.init(robot, readings[0].state), readings[0].thrust
+    modes = []
+    for tick in range(20):
+        off = jnp.array([60.0 if tick >= 3 else 0.0, 0.0, 0.0, 0.0])
+        reading = readings[tick % 10]._replace(time=jnp.asarray(0.01 * tick), thrust=thrust + off)
+        memory, command = step(robot, memory, reading)
+        theirs = crate.tick(reading.state, reading.thrust, reading.wind, float(reading.time))
+        modes.append((int(command.degraded_modes), sum(MODES[name] for name in theirs.degraded_modes)))
+        thrust = thrust + 0.01 * jnp.asarray(theirs.thrust_rate)
+    assert all(ours == theirs for ours, theirs in modes), modes
+    found = [ours for ours, _ in modes].index(MODES["thrust_modelled"])
+    # Lags of 0.04 and 0.02 s until 12 N of 60 N, of which the estimator follows a tenth a tick, and 0.03 s.
+    assert 8 <= found <= 14, modes
+    assert modes[-1][0] == MODES["thrust_modelled"]
 
 
 def test_a_controller_alone_has_both_estimators_in_its_state(alone):

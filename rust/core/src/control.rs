@@ -48,7 +48,7 @@ use attitude::{AttitudeDemand, attitude_demand};
 use channels::{Channels, Modes, Seen};
 use config::ControllerConfig;
 use contact::{Contact, WRENCH};
-use engines::{DescentConfig, EngineState, Finding};
+use engines::{DescentConfig, EngineState, Finding, sensor_error};
 use mission::Mission;
 use momentum::MomentumModel;
 use momentum_qp::{MomentumQp, Task, TaskInputs};
@@ -427,11 +427,13 @@ impl Controller {
             });
         }
         if let Some(config) = &self.config.engines {
+            let momentum_share = self.estimator.as_ref().map_or(1.0, |estimator| estimator.momentum_share);
             for (jet, engine) in state.engines.iter_mut().enumerate().take(self.model.jets.len()) {
                 let column: Vector6<f64> = momentum.a_t.column(jet).into();
                 let measured = (measurement.thrust[jet], measurement.thrust_innovation[jet]);
-                let residual = measurement.has_momentum.then_some(&state.observer.residual);
-                match engine.update(config, measurement.elapsed, measured, &column, residual) {
+                let sensor_error =
+                    measurement.has_momentum.then(|| sensor_error(&column, &state.observer.residual));
+                match engine.update(config, measurement.elapsed, measured, momentum_share, sensor_error) {
                     Finding::OutOfReach => {
                         state.channels.is_descending |= config.descent.is_some() && engine.is_lost(config);
                     }

@@ -227,6 +227,9 @@ pub struct Estimator {
     shares: [f64; 7],
     /// Shares of the joint positions' innovation that correct velocities, per tick, and accelerations, per tick squared.
     by_position: [f64; 2],
+    /// Share of a moment that is in no model that the estimated momentum shows per tick: that of a lag as long as the
+    /// greatest age and the time constant of the angular velocity.
+    pub momentum_share: f64,
 }
 
 /// The estimator from one tick to the next.
@@ -259,9 +262,8 @@ impl Estimator {
         let channels = config.channels().map(|(_, channel)| *channel);
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 0.2 s
         let mut ages = channels.map(|channel| (channel.delay / time_step).round() as usize);
-        let share = |time_constant: f64| -libm::expm1(-time_step / time_constant);
-        let mut shares = channels
-            .map(|channel| if channel.time_constant > 0.0 { share(channel.time_constant) } else { 1.0 });
+        let share = |time: f64| if time > 0.0 { -libm::expm1(-time_step / time) } else { 1.0 };
+        let mut shares = channels.map(|channel| share(channel.time_constant));
         let mut by_position = [0.0; 2];
         if let Some(time) = config.joint_observer {
             // Three poles at e^(-Δt/T).
@@ -280,7 +282,8 @@ impl Estimator {
             aero,
         };
         let oldest = ages.into_iter().max().unwrap_or(0);
-        Ok(Self { model, time_step, oldest, ages, shares, by_position })
+        let lag = oldest as f64 * time_step + config.base_angular_velocity.time_constant;
+        Ok(Self { model, time_step, oldest, ages, shares, by_position, momentum_share: share(lag) })
     }
 
     /// The state before the first measurement, for a flight that begins with this state of the robot and thrusts \[N\].

@@ -4,7 +4,7 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{assert_within, experiment};
-use flight_core::control::engines::{DescentConfig, EngineState, EnginesConfig, Finding};
+use flight_core::control::engines::{DescentConfig, EngineState, EnginesConfig, Finding, sensor_error};
 use flight_core::robot::JointKind;
 use flight_io::load_robot;
 use nalgebra::Vector6;
@@ -13,8 +13,9 @@ const STEP: f64 = 0.01;
 const CONFIG: EnginesConfig =
     EnginesConfig { time_constant: 0.5, deviation_max: 15.0, confirmation: 0.05, descent: None };
 
-fn column() -> Vector6<f64> {
-    Vector6::new(0.1, -0.2, 0.97, 0.05, 0.3, -0.1)
+/// After a tick with a momentum that is measured and says that the sensor is wrong by so much \[N\].
+fn updated(engine: &mut EngineState, thrust: f64, innovation: f64, sensor_error: f64) -> Finding {
+    engine.update(&CONFIG, STEP, (thrust, innovation), 1.0, Some(sensor_error))
 }
 
 /// A deviation of `a` newtons per tick: `a (1 − e^{−kΔt/τ}) / (1 − e^{−Δt/τ})` after k ticks.
@@ -22,28 +23,26 @@ fn column() -> Vector6<f64> {
 fn deviations_are_summed_and_forgotten() {
     let mut engine = EngineState::default();
     for tick in 1..=40 {
-        let _ = engine.update(&CONFIG, STEP, (100.0, 0.3), &column(), Some(&Vector6::zeros()));
+        let _ = updated(&mut engine, 100.0, 0.3, 0.0);
         let expected = 0.3 * (-f64::from(tick) * STEP / 0.5).exp_m1() / (-STEP / 0.5).exp_m1();
         assert_within!((engine.deviation - expected).abs(), 1e-12, "tick {tick}");
     }
 }
 
-/// 20 N at once are suspect for five ticks and then bound the thrust on their side; 14 N never do.
+/// 20 N at once are beyond 15 N, as late as the residual is, from the third tick on, are suspect for five ticks, and then
+/// bound the thrust on their side; 14 N never do.
 #[test]
 fn a_thrust_that_is_not_reached_bounds_the_engine_after_its_confirmation() {
     let everything = (0.0, f64::INFINITY);
     for (size, found, range) in [
-        (20.0, Some(6), (100.0, f64::INFINITY)),
-        (-20.0, Some(6), (0.0, 100.0)),
+        (20.0, Some(8), (100.0, f64::INFINITY)),
+        (-20.0, Some(8), (0.0, 100.0)),
         (14.0, None, everything),
         (-14.0, None, everything),
     ] {
         let mut engine = EngineState::default();
         let findings: Vec<_> = (1..=20)
-            .map(|tick| {
-                let innovation = if tick == 1 { size } else { 0.0 };
-                engine.update(&CONFIG, STEP, (100.0, innovation), &column(), Some(&Vector6::zeros()))
-            })
+            .map(|tick| updated(&mut engine, 100.0, if tick == 1 { size } else { 0.0 }, 0.0))
             .collect();
         let first = findings.iter().position(|finding| *finding == Finding::OutOfReach);
         assert_eq!(first.map(|tick| tick + 1), found, "{size} N");
@@ -56,56 +55,94 @@ fn a_thrust_that_is_not_reached_bounds_the_engine_after_its_confirmation() {
 /// that fades away.
 #[test]
 fn an_engine_whose_bounds_meet_is_lost() {
-    let none = Vector6::zeros();
     let mut stuck = EngineState::default();
     for tick in 0..100 {
-        let _ =
-            stuck.update(&CONFIG, STEP, (80.0, if tick < 50 { -1.0 } else { 1.0 }), &column(), Some(&none));
+        let _ = updated(&mut stuck, 80.0, if tick < 50 { -1.0 } else { 1.0 }, 0.0);
         assert_eq!(stuck.is_lost(&CONFIG), stuck.range == (80.0, 80.0), "tick {tick}");
     }
     assert_eq!(stuck.range, (80.0, 80.0));
     let (mut fading, mut thrust) = (EngineState::default(), 100.0);
     for _ in 0..50 {
         thrust -= 2.0;
-        let _ = fading.update(&CONFIG, STEP, (thrust, -2.0), &column(), Some(&none));
+        let _ = updated(&mut fading, thrust, -2.0, 0.0);
     }
     assert_eq!(fading.range, (0.0, thrust));
     assert!(fading.is_lost(&CONFIG));
 }
 
-/// A sensor that says too much by `d` puts `−a d` into the momentum: from half of that on it is the sensor.
+/// A deviation after lags with shares `a` and `b` is, a step of `d` being forgotten by `f` per tick,
+/// `d Σ a (1 − a)^i b (1 − b)^j f^l` over `i + j + l = k − 1`; it is compared with what the momentum says.
 #[test]
-fn the_momentum_shows_a_wrong_sensor() {
-    for deviation in [30.0, -30.0] {
-        let out = Finding::OutOfReach;
-        for (share, expected) in [(0.45, out), (0.55, Finding::WrongSensor), (-0.9, out)] {
-            let mut engine = EngineState::default();
-            let mut found = Finding::Nothing;
-            for tick in 1..=6 {
-                let innovation = if tick == 1 { deviation } else { 0.0 };
-                let residual = column() * (-share * deviation * (-f64::from(tick - 1) * STEP / 0.5).exp());
-                found = engine.update(&CONFIG, STEP, (100.0, innovation), &column(), Some(&residual));
+fn a_deviation_is_as_late_as_the_momentum() {
+    let (share, deviation) = (0.2_f64, 40.0);
+    let (forgotten, residual) = ((-STEP / CONFIG.time_constant).exp(), -(-STEP / 0.02_f64).exp_m1());
+    let late = |tick: i32| {
+        let mut sum = 0.0;
+        for i in 0..tick {
+            for j in 0..tick - i {
+                sum += share
+                    * (1.0 - share).powi(i)
+                    * residual
+                    * (1.0 - residual).powi(j)
+                    * forgotten.powi(tick - 1 - i - j);
             }
-            assert_eq!(found, expected, "{deviation} N, {share}");
+        }
+        deviation * sum
+    };
+    let first = (1..100).find(|tick| late(*tick) > CONFIG.deviation_max).unwrap() + 5;
+    for (part, expected) in [(0.49, Finding::OutOfReach), (0.51, Finding::WrongSensor)] {
+        let mut engine = EngineState::default();
+        for tick in 1..=first {
+            let innovation = if tick == 1 { deviation } else { 0.0 };
+            let found = engine.update(&CONFIG, STEP, (100.0, innovation), share, Some(part * late(tick)));
+            assert_eq!(found, if tick == first { expected } else { Finding::Nothing }, "tick {tick}");
         }
     }
 }
 
-/// Without a momentum that is measured nothing is judged, and the confirmation begins anew when it is back.
+/// A sensor that says too much by `d` puts `−a d` into the momentum, of which moments are compared.
+#[test]
+fn the_momentum_shows_by_how_much_a_sensor_is_wrong() {
+    let column = Vector6::new(0.1, -0.2, 0.97, 0.05, 0.3, -0.1);
+    assert_within!((sensor_error(&column, &(-30.0 * column)) - 30.0).abs(), 1e-13);
+    let (force, across) =
+        (Vector6::new(9.0, 8.0, 7.0, 0.0, 0.0, 0.0), Vector6::new(0.0, 0.0, 0.0, 0.3, -0.05, 0.0));
+    assert_eq!(sensor_error(&column, &(force + across)), 0.0);
+    assert!(sensor_error(&Vector6::new(0.0, 0.0, 1.0, 0.0, 0.0, 0.0), &column).is_nan());
+}
+
+/// Only what the momentum shows, and shows on the same side, is a sensor.
+#[test]
+fn the_momentum_shows_a_wrong_sensor() {
+    for deviation in [30.0, -30.0] {
+        let out = Finding::OutOfReach;
+        for (share, expected) in [(0.9, Finding::WrongSensor), (0.0, out), (-0.9, out), (f64::NAN, out)] {
+            let mut engine = EngineState::default();
+            let found = (1..=100)
+                .map(|tick| {
+                    updated(&mut engine, 100.0, if tick == 1 { deviation } else { 0.0 }, share * deviation)
+                })
+                .find(|found| *found != Finding::Nothing);
+            assert_eq!(found, Some(expected), "{deviation} N, {share}");
+        }
+    }
+}
+
+/// Without a momentum that is measured nothing is judged, and lags and confirmation begin anew when it is back.
 #[test]
 fn nothing_is_judged_without_a_momentum() {
     let mut engine = EngineState::default();
-    let mut update = |innovation: f64, residual: Option<&Vector6<f64>>| {
-        engine.update(&CONFIG, STEP, (100.0, innovation), &column(), residual)
+    let mut update = |innovation: f64, sensor_error: Option<f64>| {
+        engine.update(&CONFIG, STEP, (100.0, innovation), 1.0, sensor_error)
     };
     assert_eq!(update(-30.0, None), Finding::Nothing);
     for _ in 0..10 {
         assert_eq!(update(0.0, None), Finding::Nothing);
     }
-    let none = Vector6::zeros();
-    let findings: Vec<_> = (0..6).map(|_| update(0.0, Some(&none))).collect();
-    assert_eq!(findings[..5], [Finding::Nothing; 5]);
-    assert_eq!(findings[5], Finding::OutOfReach);
+    let findings: Vec<_> = (0..8).map(|_| update(0.0, Some(0.0))).collect();
+    let found = findings.iter().position(|finding| *finding == Finding::OutOfReach);
+    assert!(findings[..found.unwrap()].iter().all(|finding| *finding == Finding::Nothing));
+    assert!(found.unwrap() > 5, "{findings:?}");
 }
 
 /// On the way down revolute joints are as fast as the descent says where their own limits are less; sliding ones are not:

@@ -1,19 +1,21 @@
 //! Which engines follow their commands.
 //!
 //! ```text
-//! d ← e^{−Δt/τ} d + (T_k − T̂_k)        how far a thrust has left the commanded one, T̂ by M31
-//! n ← n + (1 − e^{−Δt/τ_n}) (w − ŵ − n)  what the momentum says beside the observed wrench
+//! d ← e^{−Δt/τ} d + (T_k − T̂_k)              how far a thrust has left the commanded one, T̂ by M31
+//! d̄ ← d after lags of τ_e and τ_n             the same, as late as the momentum is known
+//! n ← n + (1 − e^{−Δt/τ_n}) (w − ŵ − n)       what the momentum says beside the observed wrench
 //! ```
 //!
-//! Where `|d|` stays above its limit for a while, either the engine does not reach the thrust it is commanded or its
+//! Where `|d̄|` stays above its limit for a while, either the engine does not reach the thrust it is commanded or its
 //! sensor is wrong. A wrong sensor puts a wrench of `−d` times the jet's column of `A_T` into the momentum that no thrust
 //! explains; an engine puts none. The thrust that an engine stops at bounds what is commanded from then on, and an engine
 //! whose bounds meet is lost. Equations M105 and M106 of `docs/model.md`.
 
 use super::config::MomentumGains;
+use super::observer::residual_share;
 use crate::error::{BuildError, Table};
 use crate::robot::{Joint, JointKind};
-use nalgebra::Vector6;
+use nalgebra::{Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
 /// When an engine does not reach its thrust, and when it counts as lost.
@@ -92,6 +94,8 @@ impl EnginesConfig {
 pub struct EngineState {
     /// `d` \[N\].
     pub deviation: f64,
+    /// `d` after the first lag and after both, `d̄` \[N\].
+    late: [f64; 2],
     /// How long it has been too large \[s\].
     suspected: f64,
     /// Least and greatest thrust that it reaches, as far as that was found \[N\].
@@ -100,7 +104,7 @@ pub struct EngineState {
 
 impl Default for EngineState {
     fn default() -> Self {
-        Self { deviation: 0.0, suspected: 0.0, range: (0.0, f64::INFINITY) }
+        Self { deviation: 0.0, late: [0.0; 2], suspected: 0.0, range: (0.0, f64::INFINITY) }
     }
 }
 
@@ -128,33 +132,53 @@ impl EngineState {
         self.range.1 - self.range.0 < config.deviation_max
     }
 
-    /// Takes in the thrust of this tick \[N\] and by how much it is not the predicted one, after `dt` \[s\]; `column` is
-    /// the jet's one of `A_T`, `residual` is `n`. Without it nothing is judged: the confirmation begins anew.
+    /// Takes in the thrust of this tick \[N\] and by how much it is not the predicted one, after `dt` \[s\].
+    ///
+    /// `momentum_share` is the share of a change that the estimated momentum follows per tick, 1 where it is measured;
+    /// `sensor_error` is what the momentum says of the sensor, [`sensor_error`]. Without it nothing is judged: lags and
+    /// confirmation begin anew.
     pub fn update(
         &mut self,
         config: &EnginesConfig,
         dt: f64,
         (thrust, innovation): (f64, f64),
-        column: &Vector6<f64>,
-        residual: Option<&Vector6<f64>>,
+        momentum_share: f64,
+        sensor_error: Option<f64>,
     ) -> Finding {
         self.deviation = libm::exp(-dt / config.time_constant) * self.deviation + innovation;
-        let Some(residual) = residual.filter(|_| self.deviation.abs() > config.deviation_max) else {
-            self.suspected = 0.0;
+        let Some(sensor_error) = sensor_error else {
+            (self.late, self.suspected) = ([0.0; 2], 0.0);
             return Finding::Nothing;
         };
+        let [estimated, late] = &mut self.late;
+        *estimated += momentum_share * (self.deviation - *estimated);
+        *late += residual_share(dt) * (*estimated - *late);
+        let late = *late;
+        if late.abs() <= config.deviation_max {
+            self.suspected = 0.0;
+            return Finding::Nothing;
+        }
         self.suspected += dt;
         // Half a tick is for rounding.
         if self.suspected < config.confirmation + 0.5 * dt {
             return Finding::Nothing;
         }
-        let explained = -column.dot(residual) / column.norm_squared();
-        if !self.is_limited() && explained / self.deviation > 0.5 {
+        if !self.is_limited() && sensor_error / late > 0.5 {
             return Finding::WrongSensor;
         }
         let (least, greatest) = self.range;
-        self.range =
-            if self.deviation < 0.0 { (least.min(thrust), thrust) } else { (thrust, greatest.max(thrust)) };
+        self.range = if late < 0.0 { (least.min(thrust), thrust) } else { (thrust, greatest.max(thrust)) };
         Finding::OutOfReach
     }
+}
+
+/// By how much the sensor of a jet would have to be wrong to explain the residual `n` of the momentum \[N\]; `column` is
+/// the jet's one of `A_T`.
+///
+/// Moments alone are compared: gyroscopes are less noisy than velocities, and forces of the air change more than their
+/// moments. Of a jet without a moment about the centre of mass nothing is known: not a number.
+#[must_use]
+pub fn sensor_error(column: &Vector6<f64>, residual: &Vector6<f64>) -> f64 {
+    let moment = |wrench: &Vector6<f64>| Vector3::new(wrench[3], wrench[4], wrench[5]);
+    -moment(column).dot(&moment(residual)) / moment(column).norm_squared()
 }

@@ -92,7 +92,7 @@ impl ObserverState {
             if moved.iter().all(|x| x.is_finite()) {
                 let (force, moment) = (config.force_max, config.moment_max);
                 let limits = Vector6::new(force, force, force, moment, moment, moment);
-                self.residual += (innovation - self.residual) * share(1.0 / RESIDUAL_TIME, elapsed);
+                self.residual += (innovation - self.residual) * residual_share(elapsed);
                 self.wrench = moved.zip_map(&limits, |x, limit| x.clamp(-limit, limit));
             }
         }
@@ -117,4 +117,9 @@ impl Default for ObserverState {
 /// `1 − exp(−K_o Δt)`.
 fn share(gain: f64, elapsed: f64) -> f64 {
     -libm::expm1(-gain * elapsed)
+}
+
+/// Share of an innovation that the residual takes in after `elapsed` \[s\].
+pub(super) fn residual_share(elapsed: f64) -> f64 {
+    share(1.0 / RESIDUAL_TIME, elapsed)
 }
