@@ -174,6 +174,17 @@ fn every_channel_is_corrected_by_its_share() {
     }
 }
 
+/// The momentum is estimated as late as the oldest measurement and the gyroscopes' time constant are together; at once
+/// without an age.
+#[test]
+fn the_momentum_is_known_after_the_greatest_age_and_the_gyroscopes() {
+    let share = |config| estimator(&flight(config)).estimator.momentum_share;
+    let gyroscopes = ChannelConfig { delay: 0.0, time_constant: 0.02 };
+    let old = EstimatorConfig { base_angular_velocity: gyroscopes, ..ages().1 };
+    assert_within!((share(old) + (-STEP / 0.07_f64).exp_m1()).abs(), 1e-15);
+    assert_within!((share(EstimatorConfig::default()) - 1.0).abs(), 0.0);
+}
+
 /// A wrench that is in no model moves the whole robot: its momentum as it says, no joint.
 #[test]
 fn an_unmodelled_wrench_moves_the_whole_robot() {

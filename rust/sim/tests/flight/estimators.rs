@@ -145,27 +145,27 @@ fn an_estimator_follows_no_measurement_that_is_not_accepted() {
     }
 }
 
-/// A thrust sensor that was found wrong is used no more, by the estimator either: a flight with realistic sensors leans
-/// little where a chest jet's is 40 N too low.
+/// With realistic sensors, too, a wrong thrust sensor is told from a failing engine, and used no more by the estimator. Compared
+/// with the deviation of this tick instead of one as late as the momentum, three of these are engines and fell the robot.
 #[test]
-fn a_thrust_sensor_that_is_wrong_is_not_estimated_from() {
+fn a_thrust_sensor_that_is_wrong_is_found_with_realistic_sensors() {
     let mut config = experiment("test2_sensors");
     config.simulator.duration = 22.0;
-    for jet in ["chest_l_jet", "chest_r_jet"] {
+    for (jet, error) in
+        [("l_arm_jet", 90.0), ("chest_r_jet", 90.0), ("chest_l_jet", -40.0), ("chest_r_jet", -90.0)]
+    {
         config.disturbances.outages = vec![Outage {
             channel: OutageChannel::Thrust,
             jet: Some(jet.into()),
             start: 18.0,
             duration: None,
             kind: OutageKind::Wrong,
-            error: -40.0,
+            error,
         }];
         let result = fly(&[config.clone()]).remove(0);
-        assert_eq!(result.outcome, Outcome::Completed, "{jet}");
+        assert_eq!(result.outcome, Outcome::Completed, "{jet}, {error} N");
         let modes = result.log.series("degraded_modes").unwrap().data.last().copied();
-        assert_eq!(modes, Some(f64::from(Modes::THRUST_MODELLED.bits())), "{jet}");
-        let lean = result.summary.max_rotation_error.to_degrees();
-        assert!(lean < 10.0, "{jet}: {lean} deg");
+        assert_eq!(modes, Some(f64::from(Modes::THRUST_MODELLED.bits())), "{jet}, {error} N");
     }
 }
 
