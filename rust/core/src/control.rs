@@ -97,7 +97,7 @@ pub struct Terms {
     pub momentum_qp: MomentumQp,
     /// The torque QP.
     pub torque_qp: TorqueQp,
-    /// The feet; none for a controller that only flies.
+    /// What is computed of the feet; none for a controller that only flies.
     pub contact: Contact,
     /// Torques before the rate limiter \[N m\].
     pub unlimited_torque: DVector<f64>,
@@ -412,8 +412,8 @@ impl Controller {
             self.time_step,
         );
         contact.add_measured(&kinematics.com, &mut rate);
-        if contact.is_active {
-            momentum.add_contact(&self.model, kinematics, dynamics, contact);
+        if state.contact.is_active {
+            momentum.add_contact(&self.model, kinematics, dynamics, &contact.soles, &state.contact.force);
             if let Some(height) = contact.stand_height() {
                 state.setpoint.keep_above(kinematics.com.z - height);
             }
@@ -492,6 +492,7 @@ impl Controller {
             inertia_0_b,
             posture: &state.posture,
             contact,
+            contact_state: &state.contact,
             gains,
         };
         momentum_qp.update(&inputs);
@@ -549,8 +550,8 @@ impl Controller {
         inverse_mass.update(&dynamics.mass_matrix);
         let answer = if inverse_mass.is_known {
             torque_qp.update(
-                &self.config.torque,
                 contact,
+                &state.contact,
                 inverse_mass,
                 &mut self.force,
                 &self.velocity_error,
@@ -564,10 +565,10 @@ impl Controller {
             QpAnswer::refused(QpStatus::NotPositiveDefinite)
         };
         self.command.torque_qp = answer;
-        contact.force_of_torques.copy_from(&contact.force);
+        contact.force_of_torques.copy_from(&state.contact.force);
         if answer.status == QpStatus::Solved {
             let (forces, torques) = self.torque_solver.x().split_at(torque_qp.foot_force.end);
-            if contact.is_active {
+            if state.contact.is_active {
                 contact.force_of_torques.copy_from_slice(forces);
             }
             unlimited_torque.copy_from_slice(torques);
@@ -638,7 +639,7 @@ impl Controller {
     fn fits(&self, state: &ControllerState) -> bool {
         state.posture.len() == self.model.joints.len()
             && state.momentum_start.len() == self.solution.len()
-            && state.contact.force.len() == self.terms.contact.force.len()
+            && state.contact.force.len() == self.terms.contact.force_of_torques.len()
             && self.channels.fit_state(&state.channels)
             && self.wind_observer.is_some() == state.wind.is_some()
             && match (&self.estimator, &state.estimator) {

@@ -159,14 +159,15 @@ fn the_side_that_is_relieved_loses_its_load_at_the_gain() {
     {
         tick_with_load(&mut controller, &state, 0.01 * k as f64, climb, &weight_on_both());
         let terms = controller.terms();
-        assert!(terms.contact.is_active);
+        let carried = controller.state().contact();
+        assert!(carried.is_active);
         assert_eq!(terms.contact.takes_off, takes_off, "{climb} m");
         let (_, thrust_rates, _) = terms.momentum_qp.task("thrust rate").unwrap();
         let (_, force_rates, _) = terms.momentum_qp.task("force rate").unwrap();
         let (of_jets, of_feet) = if takes_off { (0.0, gain) } else { (gain, 0.0) };
         assert_eq!(thrust_rates, DVector::from_element(4, of_jets * 26.0));
-        assert_eq!(force_rates, &terms.contact.force * of_feet);
-        assert!(terms.contact.force.norm() > 100.0);
+        assert_eq!(force_rates, &carried.force * of_feet);
+        assert!(carried.force.norm() > 100.0);
     }
 }
 
@@ -180,7 +181,7 @@ fn the_desired_wrench_is_the_measured_one_at_take_off_and_follows_it_else() {
     let measured: Vec<f64> = weight_on_both().iter().flatten().copied().collect();
     // κ_m Δt of configs/control/take_off.toml.
     let part = 1.0 * TIME_STEP;
-    for (index, force) in terms.contact.force.iter().enumerate() {
+    for (index, force) in controller.state().contact().force.iter().enumerate() {
         let start = if index % 6 == 2 { left / 2.0 } else { 0.0 };
         let expected = start + part * (measured[index] - start);
         assert_within!(
@@ -190,7 +191,7 @@ fn the_desired_wrench_is_the_measured_one_at_take_off_and_follows_it_else() {
         );
     }
     tick_with_load(&mut controller, &state, 0.01, 0.5, &weight_on_both());
-    for (force, measured) in controller.terms().contact.force.iter().zip(&measured) {
+    for (force, measured) in controller.state().contact().force.iter().zip(&measured) {
         assert_within!((force - measured).abs(), 1e-12 * 400.0, "rounding of f + (m - f)");
     }
 }
@@ -214,9 +215,9 @@ fn without_an_answer_the_wrenches_of_the_momentum_qp_are_predicted_to_act() {
     let (state, feet) = (at_rest(), weight_on_both());
     let command = running.tick(&measurement(&state, Vector3::zeros(), &feet));
     assert_eq!(command.status, CommandStatus::TorqueHeld);
-    let contact = &running.controller.terms().contact;
-    assert!(contact.force.amax() > 100.0);
-    assert_eq!(contact.force_of_torques, contact.force);
+    let desired = &running.state().contact().force;
+    assert!(desired.amax() > 100.0);
+    assert_eq!(&running.terms().contact.force_of_torques, desired);
 }
 
 /// Feet of a robot that stands carry through a short loss of contact; those of one that takes off do not.
@@ -233,7 +234,7 @@ fn feet_carry_through_a_short_loss_of_contact_unless_the_robot_takes_off() {
             state.velocity[0] = -state.velocity[0] + 1e-12;
             state.base.position.x += 1e-12;
             tick_with_load(&mut controller, &state, 0.01 * f64::from(k), climb, &in_the_air);
-            ticks += i32::from(controller.terms().contact.is_active);
+            ticks += i32::from(controller.state().contact().is_active);
         }
         // 0.2 s; the sum of twenty steps may round to either side of it.
         assert!((ticks - carrying).abs() <= i32::from(carrying > 0), "{ticks} ticks, climb of {climb} m");
@@ -253,14 +254,14 @@ fn the_momentum_rate_is_the_sum_of_what_acts() {
         let status = controller.tick(&measurement(&state, wind, &weight_on_both())).status;
         assert_eq!(status, CommandStatus::Nominal);
         let terms = controller.terms();
-        let contact = &terms.contact;
+        let desired = &controller.state().contact().force;
         let (mut force, mut moment) = terms.link_forces.wrench_about(&terms.kinematics.com);
         assert!(force.norm() > 0.01);
         force.z -= terms.kinematics.mass() * 9.81;
-        for (foot, sole) in contact.soles.iter().enumerate() {
-            let f = Vector3::from(contact.force.fixed_rows::<3>(6 * foot));
+        for (foot, sole) in terms.contact.soles.iter().enumerate() {
+            let f = Vector3::from(desired.fixed_rows::<3>(6 * foot));
             force += f;
-            moment += Vector3::from(contact.force.fixed_rows::<3>(6 * foot + 3));
+            moment += Vector3::from(desired.fixed_rows::<3>(6 * foot + 3));
             moment += (sole.position - terms.kinematics.com).cross(&f);
         }
         let rate = terms.momentum.rate_estimate;
@@ -294,10 +295,9 @@ fn rates_of_the_feet_are_their_differences() {
             kinematics.update(&robot, &state);
             dynamics.update(&robot, &state, &kinematics);
             contact.update(&mut ContactState::new(2), &robot, &kinematics, &dynamics, 0.0, 0.0, 0.0);
-            contact.force.copy_from(&held);
             let velocity = contact.jacobian_transposed.tr_mul(&state.velocity);
             let mut momentum = flight_core::control::momentum::MomentumModel::new(&robot);
-            momentum.add_contact(&robot, &kinematics, &dynamics, &contact);
+            momentum.add_contact(&robot, &kinematics, &dynamics, &contact.soles, &held);
             let positions: Vec<f64> = contact
                 .soles
                 .iter()
@@ -347,7 +347,7 @@ fn the_standing_qp_is_its_definition() {
         let acceleration = &inverse * (&b * u + &force);
         let feet = contact.jacobian_transposed.tr_mul(&acceleration) + &contact.velocity_product;
         let joints = acceleration.rows(6, 23) - &desired;
-        let off = u.rows(0, 12) - &contact.force;
+        let off = u.rows(0, 12) - &controller.state().contact().force;
         0.5 * (joints.norm_squared()
             + config.weight_foot_acceleration * feet.norm_squared()
             + config.weight_force * off.norm_squared()
@@ -388,9 +388,8 @@ fn feet_are_contacts_by_name() {
     let mut one = named(&["r_sole"]);
     assert_eq!(first_tick(&mut one, &[right]).status, CommandStatus::Nominal);
     assert_eq!(one.terms().momentum_qp.problem.len(), 6 + 23);
-    let contact = &one.terms().contact;
-    assert!(contact.is_active);
-    assert_eq!(contact.soles.len(), 1);
+    assert!(one.state().contact().is_active);
+    assert_eq!(one.terms().contact.soles.len(), 1);
 
     let torque = first_tick(&mut named(&["l_sole", "r_sole"]), &[left, right]).joint_torque;
     let other = first_tick(&mut named(&["r_sole", "l_sole"]), &[right, left]).joint_torque;
@@ -443,7 +442,7 @@ fn contact_switches_with_the_measured_wrenches() {
     let still = Vector3::zeros();
     let mut tick = |feet: &[Vector6<f64>; 2]| {
         assert_eq!(controller.tick(&measurement(&state, still, feet)).status, CommandStatus::Nominal);
-        let contact = &controller.terms().contact;
+        let contact = controller.state().contact();
         (contact.is_active, contact.force.clone(), contact.force_rate.clone())
     };
     let (active, force, rate) = tick(&[Vector6::zeros(); 2]);
@@ -480,7 +479,7 @@ fn small_force_rates_are_dropped() {
     let feet = weight_on_both();
     for _ in 0..3 {
         controller.tick(&measurement(&state, Vector3::new(8.0, 3.0, 0.0), &feet));
-        assert_eq!(controller.terms().contact.force_rate.amax(), 0.0);
+        assert_eq!(controller.state().contact().force_rate.amax(), 0.0);
     }
 }
 

@@ -381,12 +381,11 @@ fn the_ground_is_part_of_the_model() {
                 Measurement { time, state: &state, thrust: &[0.0; 4], wind, foot_wrenches: &foot_wrenches };
             standing.tick(&measurement);
             let terms = standing.terms();
-            let contact = &terms.contact;
-            assert_eq!(contact.is_active, carries);
+            assert_eq!(standing.state().contact().is_active, carries);
             let com = terms.kinematics.com;
             let (mut force, mut moment) = terms.link_forces.wrench_about(&com);
             force.z -= terms.kinematics.mass() * 9.81;
-            for (sole, wrench) in contact.soles.iter().zip(&foot_wrenches) {
+            for (sole, wrench) in terms.contact.soles.iter().zip(&foot_wrenches) {
                 let pushed: Vector3<f64> = wrench.fixed_rows::<3>(0).into();
                 force += pushed;
                 moment += (sole.position - com).cross(&pushed) + wrench.fixed_rows::<3>(3);

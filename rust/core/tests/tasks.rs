@@ -124,7 +124,8 @@ fn momentum_acceleration(
         let mut rate = momentum.rate_estimate;
         for (index, foot) in robot.feet.iter().enumerate() {
             let first = unknowns.force_rate.start + 6 * index;
-            let wrench = terms.contact.force.fixed_rows::<6>(6 * index) + u.fixed_rows::<6>(first) * time;
+            let wrench = controller.state().contact().force.fixed_rows::<6>(6 * index)
+                + u.fixed_rows::<6>(first) * time;
             let arm = kinematics.frame_pose(&foot.frame).position - kinematics.com;
             rate += wrench;
             let mut moment = rate.fixed_rows_mut::<3>(3);
@@ -256,7 +257,7 @@ fn the_limbs_may_carry_what_the_change_of_inertia_leaves_them() {
 fn the_feet_task_is_the_velocity_of_the_soles() {
     for (name, seed) in &CASES[2..] {
         let (controller, state, _) = ticked(name, *seed);
-        assert!(controller.terms().contact.is_active);
+        assert!(controller.state().contact().is_active);
         let u = random_unknowns(&controller, *seed);
         let found = equations(&controller, "feet", &u);
         let robot = controller.model();

@@ -4,6 +4,7 @@ use crate::arrays::{Input, array, entries, matrix, matrix3, value_error, vector,
 use crate::flight::parse;
 use crate::qp::answer;
 use crate::robot::measured_state;
+use flight_core::control::contact::ContactState;
 use flight_core::control::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::tasks::MOMENTUM_ROWS;
 use flight_core::control::{ControllerState as State, Terms};
@@ -241,7 +242,6 @@ impl Controller {
         if !terms.contact.measured.is_empty() {
             out.set_item("torque_rows", matrix(py, &terms.torque_qp.problem.normals.transpose())?)?;
             out.set_item("torque_limit", vector(py, terms.torque_qp.problem.limit.as_slice())?)?;
-            out.set_item("contact", contact_dict(py, terms)?)?;
         }
         out.set_item("status", format!("{:?}", command.status))?;
         out.set_item("degraded_modes", command.modes.names().collect::<Vec<_>>())?;
@@ -250,6 +250,9 @@ impl Controller {
             out.set_item("inertia_0_b", matrix(py, state.inertia_0_b())?)?;
             let integral = state.velocity_error_integral().as_slice();
             out.set_item("velocity_error_integral", vector(py, integral)?)?;
+            if !terms.contact.measured.is_empty() {
+                out.set_item("contact", contact_dict(py, terms, state.contact())?)?;
+            }
         }
         out.set_item("setpoint", setpoint_to_dict(py, &terms.setpoint)?)?;
         Ok(out)
@@ -257,13 +260,13 @@ impl Controller {
 }
 
 /// The feet of a controller that can stand.
-fn contact_dict<'py>(py: Python<'py>, terms: &Terms) -> PyResult<Bound<'py, PyDict>> {
+fn contact_dict<'py>(py: Python<'py>, terms: &Terms, state: &ContactState) -> PyResult<Bound<'py, PyDict>> {
     let (out, contact) = (PyDict::new(py), &terms.contact);
     let feet = contact.soles.len();
     let wrenches = |forces: &DVector<f64>| array(py, &[feet, 6], forces.as_slice().to_vec());
-    out.set_item("is_active", contact.is_active)?;
-    out.set_item("force", wrenches(&contact.force)?)?;
-    out.set_item("force_rate", wrenches(&contact.force_rate)?)?;
+    out.set_item("is_active", state.is_active)?;
+    out.set_item("force", wrenches(&state.force)?)?;
+    out.set_item("force_rate", wrenches(&state.force_rate)?)?;
     out.set_item("force_of_torques", wrenches(&contact.force_of_torques)?)?;
     out.set_item("a_c", matrix(py, &terms.momentum.a_c)?)?;
     out.set_item("jacobian", matrix(py, &contact.jacobian_transposed.transpose())?)?;

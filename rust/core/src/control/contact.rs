@@ -164,15 +164,15 @@ impl WrenchLimits {
     }
 }
 
-/// Feet that carry, and their desired wrenches, from one tick to the next.
+/// Whether the feet carry, and their desired wrenches, from one tick to the next.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ContactState {
     /// Whether all feet carry.
-    pub(super) is_active: bool,
+    pub is_active: bool,
     /// `f_c*`, foot after foot; zero while the feet do not carry.
-    pub(super) force: DVector<f64>,
-    /// `ḟ_c*` of the last tick, integrated when the next one begins.
-    pub(super) force_rate: DVector<f64>,
+    pub force: DVector<f64>,
+    /// `ḟ_c*` of the last tick, integrated when the next one begins; zero while the feet do not carry.
+    pub force_rate: DVector<f64>,
     /// Since when one of the feet does not carry \[s\].
     unloaded_time: f64,
 }
@@ -186,19 +186,13 @@ impl ContactState {
     }
 }
 
-/// The feet of one tick, none for a controller that only flies; preallocated.
+/// What a tick computes of the feet, none for a controller that only flies; preallocated.
 #[derive(Debug, Clone)]
 pub struct Contact {
-    /// Whether all feet carry.
-    pub is_active: bool,
-    /// Whether they are to be relieved.
+    /// Whether feet that carry are to be relieved.
     pub takes_off: bool,
     /// Measured wrench of each foot.
     pub measured: Vec<Vector6<f64>>,
-    /// `f_c*`, foot after foot; zero while the feet do not carry.
-    pub force: DVector<f64>,
-    /// `ḟ_c*` of this tick.
-    pub force_rate: DVector<f64>,
     /// `f_c` of the torque QP's answer, or `f_c*` where it has none; zero while the feet do not carry.
     pub force_of_torques: DVector<f64>,
     /// Poses of the soles.
@@ -217,11 +211,8 @@ impl Contact {
         let feet = robot.feet.len();
         let nothing = DVector::zeros(WRENCH * feet);
         Self {
-            is_active: false,
             takes_off: false,
             measured: vec![Vector6::zeros(); feet],
-            force: nothing.clone(),
-            force_rate: nothing.clone(),
             force_of_torques: nothing.clone(),
             soles: vec![Pose::identity(); feet],
             jacobian_transposed: DMatrix::zeros(6 + robot.joints.len(), WRENCH * feet),
@@ -259,14 +250,11 @@ impl Contact {
             state.is_active = carries;
             self.restart(state, left);
         }
-        self.is_active = state.is_active;
         self.follow_measured(state, time_step);
-        self.force.copy_from(&state.force);
-        self.force_rate.fill(0.0);
         for (sole, foot) in self.soles.iter_mut().zip(&robot.feet) {
             *sole = kinematics.frame_pose(&foot.frame);
         }
-        if !self.is_active {
+        if !state.is_active {
             self.jacobian_transposed.fill(0.0);
             self.velocity_product.fill(0.0);
             return;
@@ -303,7 +291,7 @@ impl Contact {
 
     /// `f_c*` of a robot that takes off is what is measured; while it stands, what is measured draws it.
     fn follow_measured(&self, state: &mut ContactState, time_step: f64) {
-        let Some(transfer) = self.config.load_transfer.as_ref().filter(|_| self.is_active) else { return };
+        let Some(transfer) = self.config.load_transfer.as_ref().filter(|_| state.is_active) else { return };
         let part = if self.takes_off { 1.0 } else { (transfer.measured_gain * time_step).min(1.0) };
         let wrenches = state.force.as_mut_slice().chunks_exact_mut(WRENCH);
         for (force, measured) in
@@ -315,9 +303,8 @@ impl Contact {
 
     /// Without load transfer vertical force and, where configured, moment about y, of each foot as measured; with it
     /// equal parts of the vertical force that jets and air leave, for a measurement would be that of the impact.
-    fn restart(&mut self, state: &mut ContactState, left: f64) {
+    fn restart(&self, state: &mut ContactState, left: f64) {
         state.force.fill(0.0);
-        self.force_of_torques.fill(0.0);
         if !state.is_active {
             return;
         }
@@ -336,13 +323,11 @@ impl Contact {
     }
 
     /// Stores the rate of the momentum QP's answer; feet that carry nothing have none.
-    pub fn store_rate(&mut self, state: &mut ContactState, rate: &[f64]) {
-        if !self.is_active {
-            return;
+    pub fn store_rate(&self, state: &mut ContactState, rate: &[f64]) {
+        if state.is_active {
+            for (to, rate) in state.force_rate.iter_mut().zip(rate) {
+                *to = if rate.abs() < self.config.force_rate_dead_zone { 0.0 } else { *rate };
+            }
         }
-        for (to, rate) in self.force_rate.iter_mut().zip(rate) {
-            *to = if rate.abs() < self.config.force_rate_dead_zone { 0.0 } else { *rate };
-        }
-        state.force_rate.copy_from(&self.force_rate);
     }
 }

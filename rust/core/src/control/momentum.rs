@@ -11,14 +11,14 @@
 //! Equations M50 to M52, M54 to M56 and M86 of `docs/model.md`.
 
 use super::config::{AeroFeedback, RateFeedback};
-use super::contact::{Contact, WRENCH};
+use super::contact::WRENCH;
 use crate::aero::LinkForces;
 use crate::dynamics::Dynamics;
 use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
-use crate::spatial::skew;
+use crate::spatial::{Pose, skew};
 use crate::subtree::SubtreeLoads;
-use nalgebra::{Matrix6xX, Vector3, Vector6};
+use nalgebra::{DVector, Matrix6xX, Vector3, Vector6};
 
 /// Terms of the momentum rate and of its derivative; preallocated.
 #[derive(Debug, Clone)]
@@ -113,7 +113,7 @@ impl MomentumModel {
         self.rate_estimate += wrench;
     }
 
-    /// Adds the feet that carry: `A_c f_c*` to the momentum rate, `Λ_c` to its derivative.
+    /// Adds the feet that carry, their soles and `f_c*`: `A_c f_c*` to the momentum rate, `Λ_c` to its derivative.
     ///
     /// ```text
     /// Λ_c = (0 ; −Σ_k S(f_k) (J_k − J_G))
@@ -123,19 +123,20 @@ impl MomentumModel {
         robot: &RobotModel,
         kinematics: &Kinematics,
         dynamics: &Dynamics,
-        contact: &Contact,
+        soles: &[Pose],
+        force: &DVector<f64>,
     ) {
-        for (foot, sole) in contact.soles.iter().enumerate() {
+        for (foot, sole) in soles.iter().enumerate() {
             let mut a_c = self.a_c.columns_mut(WRENCH * foot, WRENCH);
             a_c.fill_with_identity();
             a_c.fixed_view_mut::<3, 3>(3, 0).copy_from(&skew(&(sole.position - kinematics.com)));
         }
-        for (column, force) in self.a_c.column_iter().zip(&contact.force) {
+        for (column, force) in self.a_c.column_iter().zip(force) {
             self.rate_estimate += column * *force;
         }
-        let wrenches = contact.force.as_slice().chunks_exact(WRENCH);
+        let wrenches = force.as_slice().chunks_exact(WRENCH);
         let mut total = Vector3::zeros();
-        for ((foot, sole), wrench) in robot.feet.iter().zip(&contact.soles).zip(wrenches) {
+        for ((foot, sole), wrench) in robot.feet.iter().zip(soles).zip(wrenches) {
             let force = Vector3::from_column_slice(&wrench[..3]);
             total += force;
             let lambda = &mut self.lambda;

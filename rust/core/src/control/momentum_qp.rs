@@ -38,7 +38,7 @@
 use super::attitude::AttitudeDemand;
 use super::bounds::LimitedValues;
 use super::config::{ControllerConfig, MomentumGains, per_jet};
-use super::contact::{Contact, WRENCH};
+use super::contact::{Contact, ContactState, WRENCH};
 use super::momentum::MomentumModel;
 use super::setpoint::Setpoint;
 use super::tasks::standard_tasks;
@@ -108,8 +108,10 @@ pub struct TaskInputs<'a> {
     pub inertia_0_b: &'a Matrix3<f64>,
     /// Desired posture `s_d` \[rad\].
     pub posture: &'a DVector<f64>,
-    /// The feet.
+    /// What the tick computed of the feet.
     pub contact: &'a Contact,
+    /// Whether the feet carry, and their desired wrenches.
+    pub contact_state: &'a ContactState,
     /// Gains of momentum and attitude.
     pub gains: &'a MomentumGains,
 }

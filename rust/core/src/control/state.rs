@@ -35,7 +35,7 @@ pub struct ControllerState {
     pub(super) joint_torque: DVector<f64>,
     /// Whether the rate limiter has a torque to start from.
     pub(super) torque_is_known: bool,
-    /// Feet that carry, and their desired wrenches.
+    /// Whether the feet carry, and their desired wrenches.
     pub(super) contact: ContactState,
     /// What is known of each engine.
     pub(super) engines: Vec<EngineState>,
@@ -94,6 +94,12 @@ impl ControllerState {
     #[must_use]
     pub fn setpoint(&self) -> &SetpointState {
         &self.setpoint
+    }
+
+    /// Whether the feet carry, and their desired wrenches.
+    #[must_use]
+    pub fn contact(&self) -> &ContactState {
+        &self.contact
     }
 
     /// Posture to return to, `s_d` \[rad\].

@@ -284,10 +284,10 @@ impl Task for LoadRate {
     }
 
     fn update(&self, inputs: &TaskInputs, equations: &mut Equations) {
-        let contact = inputs.contact;
+        let TaskInputs { contact, contact_state, thrust, .. } = inputs;
         let (load, is_relieved) = match self.side {
-            Side::Jets => (inputs.thrust, contact.is_active && !contact.takes_off),
-            Side::Feet => (contact.force.as_slice(), contact.is_active && contact.takes_off),
+            Side::Jets => (*thrust, contact_state.is_active && !contact.takes_off),
+            Side::Feet => (contact_state.force.as_slice(), contact_state.is_active && contact.takes_off),
         };
         let gain = if is_relieved { self.gain } else { 0.0 };
         for (offset, load) in equations.offset.iter_mut().zip(load) {

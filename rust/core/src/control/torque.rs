@@ -15,11 +15,12 @@
 //! prints `τ = b̄ − M̄⁻¹ s̈**`, which contradicts its own `M̄ s̈ + b̄ = τ`; see `docs/deviations.md`).
 
 use super::config::TorqueConfig;
-use super::contact::{Contact, ContactConfig, WRENCH, WRENCH_ROWS};
+use super::contact::{Contact, ContactConfig, ContactState, WRENCH, WRENCH_ROWS};
 use crate::dynamics::InverseMass;
 use crate::linalg;
 use crate::qp::QpProblem;
 use crate::robot::RobotModel;
+use crate::spatial::Pose;
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 use std::ops::Range;
 
@@ -36,6 +37,8 @@ pub struct TorqueQp {
     pub acceleration_free: DVector<f64>,
     /// The QP handed to the solver.
     pub problem: QpProblem,
+    /// `K_D` \[1/s\] and `K_P` \[1/s²\].
+    gains: (f64, f64),
     /// `K⁻¹ J_cᵀ`.
     feet: DMatrix<f64>,
     /// `P W^½`.
@@ -67,6 +70,7 @@ impl TorqueQp {
             acceleration_desired: DVector::zeros(joints),
             acceleration_free: DVector::zeros(n),
             problem,
+            gains: (config.kd, config.kp),
             feet: DMatrix::zeros(6 + joints, forces),
             weighted: DMatrix::zeros(n, n),
             roots: per_block(contact.weight_foot_acceleration.sqrt(), config.weight_acceleration.sqrt()),
@@ -81,16 +85,17 @@ impl TorqueQp {
     /// accelerations of base and joints.
     pub fn update(
         &mut self,
-        config: &TorqueConfig,
         contact: &Contact,
+        contact_state: &ContactState,
         inverse_mass: &mut InverseMass,
         force: &mut DVector<f64>,
         velocity_error: &DVector<f64>,
         velocity_error_integral: &DVector<f64>,
     ) {
         let (forces, joints) = (self.foot_force.len(), self.joint_torque.len());
+        let (kd, kp) = self.gains;
         self.acceleration_desired.copy_from(velocity_error);
-        self.acceleration_desired.axpy(-config.kp, velocity_error_integral, -config.kd);
+        self.acceleration_desired.axpy(-kp, velocity_error_integral, -kd);
 
         inverse_mass.multiply_in_place(force);
         let (mut free_feet, mut free_joints) =
@@ -105,8 +110,8 @@ impl TorqueQp {
         self.weighted_error.component_mul_assign(&self.roots);
 
         self.update_gain(contact, inverse_mass);
-        self.update_cost(contact);
-        self.update_rows(contact);
+        self.update_cost(&contact_state.force);
+        self.update_rows(&contact.soles, contact_state.is_active);
     }
 
     /// `P W^½`, with `(M⁻¹ J_cᵀ)_s = K_s⁻ᵀ (K⁻¹ J_cᵀ)_s`.
@@ -136,7 +141,7 @@ impl TorqueQp {
     }
 
     /// `H = P W P + diagonal`, `g = P W (c_free − c*) − w_f f_c*`.
-    fn update_cost(&mut self, contact: &Contact) {
+    fn update_cost(&mut self, force_desired: &DVector<f64>) {
         let QpProblem { h, g, .. } = &mut self.problem;
         let n = g.len();
         linalg::times_transpose(self.weighted.as_slice(), n, h.as_mut_slice());
@@ -145,23 +150,23 @@ impl TorqueQp {
         }
         g.fill(0.0);
         linalg::add_mat_vec(g.as_mut_slice(), self.weighted.as_slice(), n, self.weighted_error.as_slice());
-        for (g, wanted) in g.iter_mut().zip(&contact.force) {
+        for (g, wanted) in g.iter_mut().zip(force_desired) {
             *g -= self.weight_force * wanted;
         }
     }
 
     /// Rows in sole axes, turned into inertial ones: `c · (Rᵀ f, Rᵀ m) = (R c_f, R c_m) · (f, m)`. They limit only
     /// feet that carry.
-    fn update_rows(&mut self, contact: &Contact) {
+    fn update_rows(&mut self, soles: &[Pose], is_active: bool) {
         let QpProblem { normals, limit, .. } = &mut self.problem;
-        for (foot, (sole, rows)) in contact.soles.iter().zip(&self.wrench_rows).enumerate() {
+        for (foot, (sole, rows)) in soles.iter().zip(&self.wrench_rows).enumerate() {
             for (index, (row, bound)) in rows.iter().enumerate() {
                 let column = WRENCH_ROWS * foot + index;
                 let force: Vector3<f64> = sole.rotation * row.fixed_rows::<3>(0);
                 let moment: Vector3<f64> = sole.rotation * row.fixed_rows::<3>(3);
                 normals.fixed_view_mut::<3, 1>(WRENCH * foot, column).copy_from(&force);
                 normals.fixed_view_mut::<3, 1>(WRENCH * foot + 3, column).copy_from(&moment);
-                limit[column] = if contact.is_active { *bound } else { f64::INFINITY };
+                limit[column] = if is_active { *bound } else { f64::INFINITY };
             }
         }
     }
