@@ -125,16 +125,16 @@ def rotation_from_rpy(rpy: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3
 def rpy_from_rotation(r: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3"]:
     """Inverse of `rotation_from_rpy`, pitch in [−π/2, π/2].
 
-    At a pitch of ±π/2, where roll and yaw are not defined, both are zero and all derivatives finite.
+    At gimbal lock (pitch within √ε of ±π/2) only the sum or difference of roll and yaw is defined; roll is then zero.
+    All derivatives are finite.
     """
-    pitch = jnp.arctan2(-r[..., 2, 0], safe_norm(jnp.stack([r[..., 0, 0], r[..., 1, 0]], -1)))
-    return jnp.stack([_safe_arctan2(r[..., 2, 1], r[..., 2, 2]), pitch, _safe_arctan2(r[..., 1, 0], r[..., 0, 0])], -1)
-
-
-def _safe_arctan2(y: Array, x: Array) -> Array:
-    """`atan2(y, x)`, zero with gradient zero where both are zero (to rounding of their squares)."""
-    is_zero = x * x + y * y == 0.0
-    return jnp.where(is_zero, 0.0, jnp.arctan2(y, jnp.where(is_zero, 1.0, x)))
+    cos_pitch = safe_norm(jnp.stack([r[..., 0, 0], r[..., 1, 0]], -1))
+    pitch = jnp.arctan2(-r[..., 2, 0], cos_pitch)
+    # There rounding moves roll and yaw by as much as the attitude moves without them.
+    is_locked = cos_pitch < np.sqrt(np.finfo(r.dtype).eps)
+    roll = jnp.arctan2(jnp.where(is_locked, 0.0, r[..., 2, 1]), jnp.where(is_locked, 1.0, r[..., 2, 2]))
+    sine, cosine = jnp.where(is_locked, -r[..., 0, 1], r[..., 1, 0]), jnp.where(is_locked, r[..., 1, 1], r[..., 0, 0])
+    return jnp.stack([roll, pitch, jnp.arctan2(sine, cosine)], -1)
 
 
 def is_rotation(matrix: Float[Array, "3 3"]) -> Bool[Array, ""]:

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from jax_aero import rust
 from jax_aero.control import recorded, setpoint
@@ -53,6 +54,22 @@ def test_setpoints(name, boost, agree):
     assert ours.keys() == theirs.keys()
     for signal, expected in theirs.items():
         agree(signal, ours[signal], expected, TOLERANCE.get(signal, 1e-12))
+
+
+@pytest.mark.parametrize("pitch", [-np.pi / 2, np.pi / 2, np.pi / 2 - 1e-5])
+def test_setpoints_of_a_start_without_a_heading(pitch, agree):
+    """A base that is pitched to the vertical, where rounding would decide on roll and yaw, keeps its attitude."""
+    rotation = Rotation.from_euler("ZYX", [0.7, pitch, 0.4]).as_matrix()
+    table = rust.load_config(EXPERIMENTS / "test2.toml", {"simulator.duration": 2.0})
+    table["controller"]["setpoint"]["nose_down_limits_deg"] = [-90.0, 90.0]
+    config = scenario_config(table)
+    params = setpoint.setpoint_params(config.controller.setpoint, FORWARD, jnp.array(config.simulator.time_step))
+    start = (START[0], rotation)
+    ours = jax.device_get(follow(params, setpoint.commands(config.mission), start, n_ticks(config.simulator) + 1))
+    agree("attitude that is kept", ours["rotation"][-1], rotation, 1e-10)
+    theirs = rust.setpoint_trajectory(table, *start)
+    for signal in ("raw_rpy", "rotation"):
+        agree(f"vertical: {signal}", ours[signal], theirs[signal], 1e-10)
 
 
 HEADER = ["time", "x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "ax", "ay", "az", "jx", "jy", "jz"]

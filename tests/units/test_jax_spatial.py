@@ -57,12 +57,16 @@ def test_logarithm_and_its_derivative(dtype):
 
 @pytest.mark.parametrize("pitch", [-np.pi / 2, np.pi / 2])
 def test_roll_pitch_yaw_at_gimbal_lock(pitch, measured):
-    """Roll and yaw are not defined there; values and derivatives stay finite."""
+    """Roll is zero there; the three still name the rotation, and derivatives stay finite."""
     exact = jnp.array([[0.0, 0.0, np.sign(pitch)], [0.0, 1.0, 0.0], [-np.sign(pitch), 0.0, 0.0]])
-    for rotation in (exact, spatial.rotation_from_rpy(jnp.array([0.3, pitch, -0.2]))):
+    rounded = spatial.rotation_from_rpy(jnp.array([0.0, 0.0, 1.1])) @ spatial.rotation_from_rpy(
+        jnp.array([0.3, pitch, -0.2])
+    )
+    for rotation in (exact, rounded):
         rpy, slopes = spatial.rpy_from_rotation(rotation), jax.jacrev(spatial.rpy_from_rotation)(rotation)
         measured("pitch", abs(rpy[1] - pitch), 1e-15)
-        assert np.all(np.isfinite(rpy))
+        assert rpy[0] == 0.0
+        measured("rotation", np.abs(spatial.rotation_from_rpy(rpy) - rotation).max(), 1e-15)
         assert np.all(np.isfinite(slopes))
 
 

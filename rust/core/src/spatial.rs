@@ -115,13 +115,14 @@ pub fn rotation_from_rpy(rpy: &Vector3<f64>) -> Matrix3<f64> {
     )
 }
 
-/// Inverse of [`rotation_from_rpy`], pitch in `[−π/2, π/2]`. At gimbal lock (pitch ±π/2) only the sum
+/// Inverse of [`rotation_from_rpy`], pitch in `[−π/2, π/2]`. At gimbal lock (pitch within √ε of ±π/2) only the sum
 /// or difference of roll and yaw is defined; roll is then zero.
 #[must_use]
 pub fn rpy_from_rotation(r: &Matrix3<f64>) -> Vector3<f64> {
     let cos_pitch = libm::hypot(r.m11, r.m21);
     let pitch = libm::atan2(-r.m31, cos_pitch);
-    if cos_pitch < 1e-12 {
+    // There rounding moves roll and yaw by as much as the attitude moves without them.
+    if cos_pitch < f64::EPSILON.sqrt() {
         return Vector3::new(0.0, pitch, libm::atan2(-r.m12, r.m22));
     }
     Vector3::new(libm::atan2(r.m32, r.m33), pitch, libm::atan2(r.m21, r.m11))
