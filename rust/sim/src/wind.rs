@@ -143,7 +143,9 @@ impl Wind {
                 duration: check("wind.duration", *duration, |d| d > 0.0, "a positive time in s")?,
             },
             WindConfig::File { path } => Self::Recorded(read_samples(path)?),
-            WindConfig::Samples { samples } => Self::Recorded(check_samples(samples)?),
+            WindConfig::Samples { samples } => {
+                Self::Recorded(in_order(samples, "wind.samples", |index| format!("wind.samples[{index}]"))?)
+            }
         })
     }
 
@@ -185,18 +187,24 @@ fn risen((start, end): &(f64, f64), time: f64) -> f64 {
     if time >= *end { 1.0 } else { ((time - start) / (end - start)).max(0.0) }
 }
 
-fn check_samples(samples: &[[f64; 4]]) -> Result<Vec<(f64, Vector3<f64>)>, BuildError> {
-    let refuse = |value: String, expected| Err(BuildError::bad_value("wind.samples", value, expected));
+/// Samples in order of time; `item` holds them, and `place` says where one of them stands.
+fn in_order(
+    samples: &[[f64; 4]],
+    item: &str,
+    place: impl Fn(usize) -> String,
+) -> Result<Vec<(f64, Vector3<f64>)>, BuildError> {
     if samples.is_empty() {
-        return refuse("[]".into(), "at least one sample");
+        return Err(BuildError::bad_value(item, "empty", "at least one sample"));
     }
-    if let Some(sample) = samples.iter().find(|sample| !sample.iter().all(|number| number.is_finite())) {
-        return refuse(format!("{sample:?}"), "four finite numbers: time, x, y, z");
-    }
-    for (before, after) in samples.iter().zip(&samples[1..]) {
-        if before[0] >= after[0] {
-            return refuse(format!("{after:?}"), "a time later than that of the sample before");
-        }
+    for (index, sample) in samples.iter().enumerate() {
+        let expected = if !sample.iter().all(|number| number.is_finite()) {
+            "four finite numbers: time, x, y, z"
+        } else if index > 0 && sample[0] <= samples[index - 1][0] {
+            "a time later than the one before"
+        } else {
+            continue;
+        };
+        return Err(BuildError::bad_value(place(index), format!("{sample:?}"), expected));
     }
     Ok(samples.iter().map(|[time, x, y, z]| (*time, Vector3::new(*x, *y, *z))).collect())
 }
@@ -204,7 +212,8 @@ fn check_samples(samples: &[[f64; 4]]) -> Result<Vec<(f64, Vector3<f64>)>, Build
 fn read_samples(path: &Path) -> Result<Vec<(f64, Vector3<f64>)>, BuildError> {
     let text = read_text(path)?;
     let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty());
-    let place = |line: usize| format!("line {} of wind file {}", line + 1, path.display());
+    let file = format!("wind file {}", path.display());
+    let place = |line: usize| format!("line {} of {file}", line + 1);
     match lines.next() {
         Some((_, header)) if header.replace(' ', "") == "time,x,y,z" => {}
         header => {
@@ -212,27 +221,14 @@ fn read_samples(path: &Path) -> Result<Vec<(f64, Vector3<f64>)>, BuildError> {
             return Err(BuildError::bad_value(place(0), value, "the header time,x,y,z"));
         }
     }
-    let mut samples: Vec<(f64, Vector3<f64>)> = Vec::new();
+    let (mut numbers, mut samples) = (Vec::new(), Vec::new());
     for (number, line) in lines {
         let fields: Result<Vec<f64>, _> = line.split(',').map(|field| field.trim().parse()).collect();
-        let fields = fields.unwrap_or_default();
-        let [time, x, y, z] = fields[..] else {
+        let Ok(Ok(sample)) = fields.map(<[f64; 4]>::try_from) else {
             return Err(BuildError::bad_value(place(number), line, "four numbers time,x,y,z"));
         };
-        if !fields.iter().all(|field| field.is_finite()) {
-            return Err(BuildError::bad_value(place(number), line, "finite numbers"));
-        }
-        if samples.last().is_some_and(|(before, _)| *before >= time) {
-            return Err(BuildError::bad_value(place(number), line, "a time later than the line before"));
-        }
-        samples.push((time, Vector3::new(x, y, z)));
+        numbers.push(number);
+        samples.push(sample);
     }
-    if samples.is_empty() {
-        return Err(BuildError::bad_value(
-            format!("wind file {}", path.display()),
-            "empty",
-            "at least one sample",
-        ));
-    }
-    Ok(samples)
+    in_order(&samples, &file, |index| place(numbers[index]))
 }
