@@ -131,19 +131,21 @@ pub struct Controller {
 }
 
 impl Controller {
-    /// A controller for `robot` that ticks every `time_step` \[s\].
+    /// A controller for `robot` that ticks every `time_step` \[s\]. `aero` makes its aerodynamic model once `config` is
+    /// checked, so that gains of another robot are named before its missing coefficients.
     ///
     /// # Errors
     /// [`BuildError`] naming what in the configuration does not fit the robot or the time step.
     pub fn new(
         robot: RobotModel,
-        aero: AeroModel,
+        aero: impl FnOnce(&RobotModel) -> Result<AeroModel, BuildError>,
         mission: Mission,
         config: ControllerConfig,
         time_step: f64,
     ) -> Result<Self, BuildError> {
         config.check(&robot)?;
         check("controller time step", time_step, |dt| dt > 0.0, "a positive number of seconds")?;
+        let aero = aero(&robot)?;
         let n_jets = robot.jets.len();
         let mut model = config.restrict(robot);
         let (estimator, wind_observer) = (config.estimator.as_ref(), config.wind_observer.as_ref());

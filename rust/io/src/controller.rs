@@ -27,8 +27,6 @@ pub fn load_controller(
     mission: &MissionConfig,
     time_step: f64,
 ) -> Result<Controller, BuildError> {
-    // First, so that gains of another robot are named before its missing coefficients.
-    controller.law.check(&robot)?;
-    let aero = load_aero(&controller.aero, &robot)?;
+    let aero = |robot: &RobotModel| load_aero(&controller.aero, robot);
     Controller::new(robot, aero, load_mission(mission)?, controller.law.clone(), time_step)
 }

@@ -30,36 +30,21 @@ pub struct MissionConfig {
     pub file: Option<PathBuf>,
 }
 
-impl MissionConfig {
-    /// Refuses intervals that [`Commands::check`] refuses, and commands beside a file.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] naming the list and the interval.
-    pub fn check(&self) -> Result<(), BuildError> {
-        if let Some(file) = &self.file
-            && let Some((name, [(start, end), ..])) =
-                self.commands.lists().into_iter().find(|(_, intervals)| !intervals.is_empty())
-        {
-            return Err(BuildError::bad_value(
-                format!("mission.{name}"),
-                format!("[[{start}, {end}], …] beside the recorded reference {}", file.display()),
-                "either commands or a file",
-            ));
-        }
-        self.commands.check()
-    }
-}
-
-/// The mission of a table; reads its file, if it has one.
+/// The mission of a table; reads its file, if it has one. Commands are checked where set-points are made of them.
 ///
 /// # Errors
-/// [`BuildError`] naming the key, or the file, the line and what was expected.
+/// [`BuildError`] naming commands beside a file, or the file, the line and what was expected.
 pub fn load_mission(config: &MissionConfig) -> Result<Mission, BuildError> {
-    config.check()?;
-    match &config.file {
-        None => Ok(Mission::Commands(config.commands.clone())),
-        Some(file) => load_recording(file).map(Mission::Recorded),
+    let Some(file) = &config.file else { return Ok(Mission::Commands(config.commands.clone())) };
+    let mut lists = config.commands.lists().into_iter();
+    if let Some((name, [(start, end), ..])) = lists.find(|(_, intervals)| !intervals.is_empty()) {
+        return Err(BuildError::bad_value(
+            format!("mission.{name}"),
+            format!("[[{start}, {end}], …] beside the recorded reference {}", file.display()),
+            "either commands or a file",
+        ));
     }
+    load_recording(file).map(Mission::Recorded)
 }
 
 /// Reads a recorded reference.

@@ -62,10 +62,10 @@ impl ScenarioConfig {
     pub fn controller(&self, robot: RobotModel) -> Result<Controller, BuildError> {
         let ControllerSection { aero, law, .. } = &self.controller;
         let robot = self.disturbances.controller_robot(robot)?;
-        // First, so that gains of another robot are named before its missing coefficients.
-        law.check(&robot)?;
         let factors = &self.disturbances.aero_estimate;
-        let aero = load_aero(aero, &robot)?.weighted(factors, &robot, "disturbances.aero_estimate")?;
+        let aero = |robot: &RobotModel| {
+            load_aero(aero, robot)?.weighted(factors, robot, "disturbances.aero_estimate")
+        };
         Controller::new(robot, aero, load_mission(&self.mission)?, law.clone(), self.simulator.time_step)
     }
 }

@@ -352,7 +352,7 @@ fn every_control_file_is_a_controller() {
 fn every_mission_file_is_an_mission() {
     for file in files("mission") {
         let config: MissionConfig = parse(&file);
-        config.check().unwrap();
+        config.commands.check().unwrap();
     }
 }
 

@@ -83,19 +83,21 @@ struct PlacedLink {
 }
 
 impl Network {
-    /// Checks card and weights against each other and the robot.
+    /// Checks card and weights against each other and the robot; the weights are read once the card is checked, for
+    /// those of another robot say less about what is wrong.
     ///
     /// # Errors
     /// [`BuildError`] naming key or tensor, the value found and what was expected.
     pub fn new(
         card: Card,
-        mut tensors: Tensors,
+        tensors: impl FnOnce() -> Result<Tensors, BuildError>,
         precision: Precision,
         air_density: f64,
         robot: &RobotModel,
     ) -> Result<Self, BuildError> {
         let air_density = super::check_air_density(air_density)?;
         card.check(robot)?;
+        let mut tensors = tensors()?;
         let (inputs, outputs) = (card.n_inputs(), 3 * robot.aero_links.len());
         let is_double = precision == Precision::F64;
         let evaluator = Evaluator::load(&mut tensors, &card.architecture, (inputs, outputs), is_double)?;

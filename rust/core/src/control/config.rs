@@ -345,13 +345,10 @@ impl ControllerConfig {
         per_name("posture_gain", &self.posture_gain, robot.groups.iter().map(|group| group.name.as_str()))?;
         per_name("weights.thrust_rate", &self.weights.thrust_rate, jet_names(robot))?;
         per_name("bounds.thrust_rate_max", &self.bounds.thrust_rate_max, jet_names(robot))?;
-        for [one, other] in &self.weights.symmetric_jets {
-            jet_index(robot, one)?;
-            jet_index(robot, other)?;
-            if one == other {
-                let key = "controller.weights.symmetric_jets";
-                return Err(BuildError::bad_value(key, format!("a pair of `{one}` and itself"), "two jets"));
-            }
+        self.symmetric_pairs(robot)?;
+        if let Some([jet, _]) = self.weights.symmetric_jets.iter().find(|[one, other]| one == other) {
+            let key = "controller.weights.symmetric_jets";
+            return Err(BuildError::bad_value(key, format!("a pair of `{jet}` and itself"), "two jets"));
         }
         Ok(())
     }

@@ -151,7 +151,7 @@ impl Card {
     ///
     /// # Errors
     /// [`BuildError`] naming the card, the key, its value and what was expected.
-    pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
+    pub(super) fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
         let origin = self.origin.as_str();
         let refuse = |key: &str, value: String, expected: &str| {
             Err(BuildError::bad_value(format!("`{key}` in {origin}"), value, expected))
