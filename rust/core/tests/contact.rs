@@ -4,11 +4,11 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{Running, TIME_STEP, assert_within, configs, random_state, rng};
-use flight_core::control::CommandStatus;
 use flight_core::control::channels::Modes;
 use flight_core::control::config::{ControllerConfig, Solver};
 use flight_core::control::contact::{Contact, ContactConfig, ContactState, WRENCH_ROWS};
 use flight_core::control::setpoint::Setpoint;
+use flight_core::control::{CommandStatus, Terms};
 use flight_core::dynamics::Dynamics;
 use flight_core::estimator::{ChannelConfig, EstimatorConfig};
 use flight_core::kinematics::Kinematics;
@@ -467,6 +467,27 @@ fn contact_switches_with_the_measured_wrenches() {
     light[1][2] = 3.51;
     let (active, force, _) = tick(&light);
     assert!(active && force[8] == 3.51 && force[2] == 212.5);
+}
+
+/// Wrenches of feet that do not carry are fixed in both QPs, before a touchdown and after a take-off.
+#[test]
+fn wrenches_of_feet_that_do_not_carry_are_fixed() {
+    let mut controller = controller(|_| ());
+    let (state, in_the_air) = (at_rest(), [Vector6::zeros(); 2]);
+    for (feet, carry) in [(in_the_air, false), (weight_on_both(), true), (in_the_air, false)] {
+        controller.tick(&measurement(&state, Vector3::zeros(), &feet));
+        let Terms { momentum_qp, torque_qp, .. } = controller.terms();
+        for (problem, unknowns) in [
+            (&momentum_qp.problem, momentum_qp.unknowns.force_rate.clone()),
+            (&torque_qp.problem, torque_qp.foot_force.clone()),
+        ] {
+            assert_eq!(unknowns.len(), 12);
+            let bounds =
+                [&problem.lower, &problem.upper].map(|bound| bound.rows_range(unknowns.clone()).abs());
+            assert!(bounds.iter().flatten().all(|bound| (*bound > 0.0) == carry), "{carry}");
+        }
+        assert_eq!(torque_qp.problem.is_box(), !carry);
+    }
 }
 
 /// Rates inside the dead zone are not integrated.

@@ -162,6 +162,25 @@ fn without_rows_it_is_the_box_problem() {
     }
 }
 
+/// Rows that limit nothing leave a box, which the primal method solves; a row that limits something is refused, and
+/// there is no certificate without its multiplier.
+#[test]
+fn rows_that_limit_nothing_leave_a_box() {
+    let mut qp = random_problem(&mut rng(13), 5, 8);
+    let limit = qp.limit[3];
+    let mut solver = PrimalActiveSet::new(5);
+    assert_eq!(solver.solve(&qp).status, QpStatus::SizeMismatch);
+    qp.limit.fill(f64::INFINITY);
+    let answer = solver.solve(&qp);
+    assert_eq!(answer.status, QpStatus::Solved);
+    assert_eq!(answer.kkt, kkt_residual(&qp, solver.x(), &[0.0; 8]));
+    let (x, _) = solved(&qp);
+    assert_within!(difference(&x, &DVector::from_column_slice(solver.x())), 1e-9);
+    qp.limit[3] = limit;
+    assert_eq!(solver.solve(&qp).status, QpStatus::SizeMismatch);
+    assert!(kkt_residual(&qp, solver.x(), &[]).is_nan());
+}
+
 /// Brute force over all sets of rows that could hold, for problems small enough.
 #[test]
 fn tiny_problems_agree_with_enumeration() {

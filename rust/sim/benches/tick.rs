@@ -5,7 +5,7 @@ mod common;
 use flight_core::qp::{ClarabelSolver, DualActiveSet, QpSolver};
 use flight_core::{BuildError, Measurement};
 use flight_io::load_robot;
-use flight_sim::{Plant, Scenario, Wind};
+use flight_sim::{Plant, Scenario, ScenarioConfig, Wind};
 use std::hint::black_box;
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -28,8 +28,11 @@ fn main() -> Result<(), BuildError> {
         ("tick, TEST2, published arms", "test2_published"),
         ("tick, TEST1, published arms, until the fall", "test1_published"),
     ] {
-        report(title, &tick_times(name)?);
+        report(title, &tick_times(&common::configuration(name)?)?);
     }
+    let mut config = common::configuration("test2")?;
+    config.controller.law.contact = common::configuration("take_off")?.controller.law.contact;
+    report("tick, TEST2, by a controller that can stand", &tick_times(&config)?);
     report("tick on the ground, side wind to 15 m/s", &standing_tick_times()?);
     let (ours, clarabel) = standing_qp_times()?;
     report("its torque QP alone", &ours);
@@ -39,13 +42,12 @@ fn main() -> Result<(), BuildError> {
 }
 
 /// Replays the measurements of a flight.
-fn tick_times(name: &str) -> Result<Replays, BuildError> {
-    let config = common::configuration(name)?;
+fn tick_times(config: &ScenarioConfig) -> Result<Replays, BuildError> {
     let end =
-        Scenario::new(&config)?.run(|_, _| ControlFlow::Continue(())).ok().and_then(|result| result.loss);
-    let ticks = common::record(&config, &(0.0..=end.map_or(f64::INFINITY, |fall| fall.time)))?;
+        Scenario::new(config)?.run(|_, _| ControlFlow::Continue(())).ok().and_then(|result| result.loss);
+    let ticks = common::record(config, &(0.0..=end.map_or(f64::INFINITY, |fall| fall.time)))?;
     replay(ticks.len(), |times| {
-        let mut controller = common::controller(&config)?;
+        let mut controller = common::controller(config)?;
         let mut state = None;
         for tick in &ticks {
             let measurement = tick.measurement();

@@ -183,6 +183,8 @@ pub struct MomentumQp {
     /// The diagonal part of `H`.
     diagonal: DVector<f64>,
     limited: LimitedValues,
+    /// Greatest rate of the wrenches of feet that carry \[N/s, N m/s\].
+    force_rate_max: f64,
 }
 
 impl MomentumQp {
@@ -203,15 +205,14 @@ impl MomentumQp {
             weighted: DMatrix::zeros(n, 0),
             diagonal: DVector::zeros(n),
             limited: LimitedValues::new(n),
+            force_rate_max: config.contact.as_ref().map_or(0.0, |contact| contact.force_rate_max),
             unknowns,
         };
-        let force_rate_max = config.contact.as_ref().map_or(0.0, |contact| contact.force_rate_max);
-        let Unknowns { thrust_rate, force_rate, joint_velocity } = qp.unknowns.clone();
+        let Unknowns { thrust_rate, joint_velocity, .. } = qp.unknowns.clone();
         let limited = &mut qp.limited;
         limited.rate_max[thrust_rate.clone()]
             .copy_from_slice(&per_jet(&config.bounds.thrust_rate_max, robot));
         limited.steepness[thrust_rate].fill(config.bounds.thrust_steepness);
-        limited.rate_max[force_rate].fill(force_rate_max);
         limited.steepness[joint_velocity.clone()].fill(config.bounds.joint_steepness);
         for (joint, unknown) in robot.joints.iter().zip(joint_velocity) {
             (limited.least[unknown], limited.greatest[unknown]) = joint.limits;
@@ -315,15 +316,17 @@ impl MomentumQp {
     }
 
     /// Builds the bounds of one tick: thrusts stay within these ranges \[N\], joints within their limits by these
-    /// greatest velocities \[rad/s, m/s\].
+    /// greatest velocities \[rad/s, m/s\]. Wrenches of feet that do not carry are fixed, so that the solver leaves them out.
     pub fn update_bounds(
         &mut self,
         inputs: &TaskInputs,
         thrust_ranges: impl IntoIterator<Item = (f64, f64)>,
         velocity_max: impl IntoIterator<Item = f64>,
     ) {
-        let Unknowns { thrust_rate, joint_velocity, .. } = &self.unknowns;
+        let Unknowns { thrust_rate, force_rate, joint_velocity } = &self.unknowns;
         let limited = &mut self.limited;
+        let force_rate_max = if inputs.contact_state.is_active { self.force_rate_max } else { 0.0 };
+        limited.rate_max[force_rate.clone()].fill(force_rate_max);
         limited.value[thrust_rate.clone()].copy_from_slice(inputs.thrust);
         for (unknown, range) in thrust_rate.clone().zip(thrust_ranges) {
             (limited.least[unknown], limited.greatest[unknown]) = range;

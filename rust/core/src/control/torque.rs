@@ -109,18 +109,23 @@ impl TorqueQp {
         of_joints -= &self.acceleration_desired;
         self.weighted_error.component_mul_assign(&self.roots);
 
-        self.update_gain(contact, inverse_mass);
+        self.update_gain(contact, contact_state.is_active, inverse_mass);
         self.update_cost(&contact_state.force);
-        self.update_rows(&contact.soles, contact_state.is_active);
+        self.update_limits(&contact.soles, contact_state.is_active);
     }
 
-    /// `P W^½`, with `(M⁻¹ J_cᵀ)_s = K_s⁻ᵀ (K⁻¹ J_cᵀ)_s`.
-    fn update_gain(&mut self, contact: &Contact, inverse_mass: &InverseMass) {
+    /// `P W^½`, with `(M⁻¹ J_cᵀ)_s = K_s⁻ᵀ (K⁻¹ J_cᵀ)_s`, which is zero for feet that do not carry.
+    fn update_gain(&mut self, contact: &Contact, carries: bool, inverse_mass: &InverseMass) {
         let (forces, joints) = (self.foot_force.len(), self.joint_torque.len());
         for (joint, column) in inverse_mass.joint_gain.column_iter().enumerate() {
             let root = self.roots[forces + joint];
             let mut to = self.weighted.column_mut(forces + joint);
             to.rows_mut(forces, joints).zip_apply(&column, |to, from| *to = root * from);
+        }
+        if !carries {
+            self.weighted.rows_mut(0, forces).fill(0.0);
+            self.weighted.columns_mut(0, forces).fill(0.0);
+            return;
         }
         self.feet.copy_from(&contact.jacobian_transposed);
         let (n, factor) = (6 + joints, inverse_mass.factor.factor.as_slice());
@@ -156,9 +161,16 @@ impl TorqueQp {
     }
 
     /// Rows in sole axes, turned into inertial ones: `c · (Rᵀ f, Rᵀ m) = (R c_f, R c_m) · (f, m)`. They limit only
-    /// feet that carry.
-    fn update_rows(&mut self, soles: &[Pose], is_active: bool) {
-        let QpProblem { normals, limit, .. } = &mut self.problem;
+    /// feet that carry; the wrenches of others are fixed at zero, and the problem is a box.
+    fn update_limits(&mut self, soles: &[Pose], carries: bool) {
+        let QpProblem { normals, limit, lower, upper, .. } = &mut self.problem;
+        let bound = if carries { f64::INFINITY } else { 0.0 };
+        lower.rows_range_mut(self.foot_force.clone()).fill(-bound);
+        upper.rows_range_mut(self.foot_force.clone()).fill(bound);
+        if !carries {
+            limit.fill(f64::INFINITY);
+            return;
+        }
         for (foot, (sole, rows)) in soles.iter().zip(&self.wrench_rows).enumerate() {
             for (index, (row, bound)) in rows.iter().enumerate() {
                 let column = WRENCH_ROWS * foot + index;
@@ -166,7 +178,7 @@ impl TorqueQp {
                 let moment: Vector3<f64> = sole.rotation * row.fixed_rows::<3>(3);
                 normals.fixed_view_mut::<3, 1>(WRENCH * foot, column).copy_from(&force);
                 normals.fixed_view_mut::<3, 1>(WRENCH * foot + 3, column).copy_from(&moment);
-                limit[column] = if is_active { *bound } else { f64::INFINITY };
+                limit[column] = *bound;
             }
         }
     }

@@ -129,7 +129,8 @@ pub fn kkt_residual(qp: &QpProblem, x: &[f64], multipliers: &[f64]) -> f64 {
     /// Variables treated at a time, on the stack.
     const BLOCK: usize = 32;
     let n = qp.len();
-    if x.len() != n || multipliers.len() != qp.rows() || !qp.sizes_agree() {
+    let is_complete = multipliers.len() == qp.rows() || (multipliers.is_empty() && qp.is_box());
+    if x.len() != n || !is_complete || !qp.sizes_agree() {
         return f64::NAN;
     }
     let (h, g, normals) = (qp.h.as_slice(), qp.g.as_slice(), qp.normals.as_slice());

@@ -60,12 +60,12 @@ impl QpChain {
         Self { methods, answered: 0 }
     }
 
-    /// The active-set methods for `n` variables and `rows` rows: for boxes the primal one and behind it the
-    /// dual one, which starts from scratch; with rows the dual one.
+    /// The active-set methods for `n` variables and `rows` rows: the primal one, for boxes, and behind it the dual one,
+    /// which starts from scratch.
     #[must_use]
     pub fn active_set(n: usize, rows: usize) -> Self {
         let dual = Method::Dual(DualActiveSet::new(n, rows));
-        Self::new(if rows == 0 { vec![Method::Primal(PrimalActiveSet::new(n)), dual] } else { vec![dual] })
+        Self::new(vec![Method::Primal(PrimalActiveSet::new(n)), dual])
     }
 
     /// Begins the next solve of the primal method at `start`; the other methods start from scratch.

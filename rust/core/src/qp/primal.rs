@@ -121,10 +121,11 @@ pub struct PrimalActiveSet {
 
 impl QpSolver for PrimalActiveSet {
     /// Starts from the last answer and its working set. `x` is unchanged for `NonFinite`, `InfeasibleBounds`
-    /// and `SizeMismatch`, which a problem with rows is; for the other failures it is the best feasible point
-    /// that was reached.
+    /// and `SizeMismatch`, which a problem with rows that limit something is; for the other failures it is the best
+    /// feasible point that was reached.
     fn solve(&mut self, qp: &QpProblem) -> QpAnswer {
-        let loaded = qp.check(self.n, 0).and_then(|()| self.scaled.load(qp));
+        let rows = if qp.is_box() { qp.rows() } else { 0 };
+        let loaded = qp.check(self.n, rows).and_then(|()| self.scaled.load(qp));
         if let Err(status) = loaded {
             return QpAnswer::refused(status);
         }

@@ -59,6 +59,12 @@ impl QpProblem {
         self.limit.len()
     }
 
+    /// Whether no row limits anything.
+    #[must_use]
+    pub fn is_box(&self) -> bool {
+        self.limit.iter().all(|limit| *limit == f64::INFINITY)
+    }
+
     /// Objective `½ xᵀ H x + gᵀ x`; allocates, for tests and reports. NaN if `x` has another length.
     #[must_use]
     pub fn objective(&self, x: &[f64]) -> f64 {

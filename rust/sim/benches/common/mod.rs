@@ -17,6 +17,8 @@ pub struct Tick {
     pub state: RobotState,
     pub thrust: Vec<f64>,
     pub wind: Vector3<f64>,
+    /// Wrenches on the feet that the controller can stand on: none.
+    pub feet: Vec<Vector6<f64>>,
     pub momentum_qp: QpProblem,
     pub torque_qp: QpProblem,
 }
@@ -28,7 +30,7 @@ impl Tick {
             state: &self.state,
             thrust: &self.thrust,
             wind: self.wind,
-            foot_wrenches: &[],
+            foot_wrenches: &self.feet,
         }
     }
 }
@@ -63,7 +65,8 @@ pub fn record(config: &ScenarioConfig, span: &RangeInclusive<f64>) -> Result<Vec
         let wind = wind_profile.velocity(time);
         plant.observe(&wind);
         let thrust = plant.jets().thrust_feedback();
-        let measurement = Measurement { time, state: plant.state(), thrust, wind, foot_wrenches: &[] };
+        let feet = vec![Vector6::zeros(); controller.model().feet.len()];
+        let measurement = Measurement { time, state: plant.state(), thrust, wind, foot_wrenches: &feet };
         let Some(state) = started(&mut controller, &mut state, &measurement) else { break };
         controller.tick(state, &measurement);
         if span.contains(&time) {
@@ -72,6 +75,7 @@ pub fn record(config: &ScenarioConfig, span: &RangeInclusive<f64>) -> Result<Vec
                 state: plant.state().clone(),
                 thrust: thrust.to_vec(),
                 wind,
+                feet,
                 momentum_qp: controller.terms().momentum_qp.problem.clone(),
                 torque_qp: controller.terms().torque_qp.problem.clone(),
             });
