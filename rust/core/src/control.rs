@@ -40,20 +40,20 @@ use crate::dynamics::{Dynamics, InverseMass};
 use crate::error::{BuildError, check};
 use crate::estimator::{Estimator, EstimatorConfig, Reading};
 use crate::kinematics::Kinematics;
-use crate::qp::{QpAnswer, QpChain, QpProblem, QpSolver, QpStatus};
+use crate::qp::{QpAnswer, QpChain, QpProblem, QpSolver, QpStatus, WarmStart};
 use crate::robot::RobotModel;
 use crate::spatial::parts;
 use crate::wind_observer::{WindObserver, WindState};
 use attitude::{AttitudeDemand, attitude_demand};
 use channels::{Channels, Modes, Seen};
 use config::ControllerConfig;
-use contact::{Contact, WRENCH};
+use contact::{Contact, ContactState, WRENCH};
 use engines::{DescentConfig, EngineState, Finding, sensor_error};
 use mission::Mission;
 use momentum::MomentumModel;
 use momentum_qp::{MomentumQp, Task, TaskInputs};
 use nalgebra::{DVector, Matrix3, Vector3, Vector6};
-use observer::Sample;
+use observer::{ObserverState, Sample};
 use setpoint::{Setpoint, SetpointGenerator};
 use std::sync::Arc;
 use torque::{TorqueQp, limit_rate};
@@ -235,16 +235,23 @@ impl Controller {
             return Err(BadStart::SingularInertia);
         }
         let estimator = self.estimator.as_ref();
-        let estimator = estimator.map(|estimator| estimator.start(measurement.state, measurement.thrust));
-        Ok(ControllerState::new(
-            measurement,
-            &self.setpoint_generator.start(com, rotation),
-            inertia_0_b,
+        let joints = self.model.joints.len();
+        Ok(ControllerState {
+            estimator: estimator.map(|estimator| estimator.start(measurement.state, measurement.thrust)),
+            wind: self.wind_observer.as_ref().map(WindObserver::start),
             channels,
-            (estimator, self.wind_observer.as_ref().map(WindObserver::start)),
-            (contact.measured.len(), self.n_jets),
-            (self.solution.len(), self.terms.torque_qp.problem.len()),
-        ))
+            setpoint: self.setpoint_generator.start(com, rotation),
+            posture: measurement.state.joint_position.clone(),
+            inertia_0_b,
+            velocity_error_integral: DVector::zeros(joints),
+            joint_torque: DVector::zeros(joints),
+            torque_is_known: false,
+            contact: ContactState::new(contact.measured.len()),
+            engines: vec![EngineState::default(); self.n_jets],
+            observer: ObserverState::new(),
+            momentum_start: WarmStart::cold(self.terms.momentum_qp.problem.len()),
+            torque_start: WarmStart::cold(self.terms.torque_qp.problem.len()),
+        })
     }
 
     /// One tick, which follows the mission.
@@ -400,9 +407,7 @@ impl Controller {
         momentum.update(&self.model, kinematics, dynamics, thrust, link_forces, feedback);
         // What the observer compares with: the feet as measured, not as desired.
         let mut rate = momentum.rate_estimate;
-        for (known, measured) in contact.measured.iter_mut().zip(&measurement.foot_wrenches) {
-            *known = *measured;
-        }
+        contact.measured.copy_from_slice(&measurement.foot_wrenches);
         let climb = setpoint.com_position.z - kinematics.com.z;
         contact.update(
             &mut state.contact,
@@ -508,9 +513,7 @@ impl Controller {
             .map(|joint| descent.map_or(joint.velocity_max, |descent| descent.velocity_max(joint)));
         momentum_qp.update_bounds(&inputs, thrust_ranges, velocity_max);
 
-        self.momentum_solver.set_start(&state.momentum_start);
-        let answer = self.momentum_solver.solve(&momentum_qp.problem);
-        self.momentum_solver.store_start(&mut state.momentum_start);
+        let answer = self.momentum_solver.solve_from(&mut state.momentum_start, &momentum_qp.problem);
         self.command.momentum_qp = answer;
         self.solution.as_mut_slice().copy_from_slice(self.momentum_solver.x());
         self.command.status =
@@ -559,10 +562,7 @@ impl Controller {
                 &self.velocity_error,
                 &state.velocity_error_integral,
             );
-            self.torque_solver.set_start(&state.torque_start);
-            let answer = self.torque_solver.solve(&torque_qp.problem);
-            self.torque_solver.store_start(&mut state.torque_start);
-            answer
+            self.torque_solver.solve_from(&mut state.torque_start, &torque_qp.problem)
         } else {
             QpAnswer::refused(QpStatus::NotPositiveDefinite)
         };

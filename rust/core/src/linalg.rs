@@ -172,7 +172,7 @@ macro_rules! for_panels {
     };
 }
 
-/// Inner product `xᵀ y` over the shorter length.
+/// Inner product `xᵀ y` of two vectors of one length.
 ///
 /// Summed in four interleaved parts: a single running sum cannot be vectorised, because floating
 /// addition does not associate.

@@ -1,7 +1,6 @@
 //! Everything that a controller carries from one tick to the next.
 
 use super::channels::ChannelsState;
-use super::command::Measurement;
 use super::contact::ContactState;
 use super::engines::EngineState;
 use super::observer::ObserverState;
@@ -48,36 +47,6 @@ pub struct ControllerState {
 }
 
 impl ControllerState {
-    /// The state before the first tick, with space for feet, jets and the unknowns of the momentum QP and the torque QP.
-    pub(super) fn new(
-        measurement: &Measurement,
-        setpoint: &SetpointState,
-        inertia_0_b: Matrix3<f64>,
-        channels: ChannelsState,
-        (estimator, wind): (Option<EstimatorState>, Option<WindState>),
-        (feet, jets): (usize, usize),
-        unknowns: (usize, usize),
-    ) -> Self {
-        let posture = measurement.state.joint_position.clone();
-        let joints = posture.len();
-        Self {
-            estimator,
-            wind,
-            channels,
-            setpoint: *setpoint,
-            posture,
-            inertia_0_b,
-            velocity_error_integral: DVector::zeros(joints),
-            joint_torque: DVector::zeros(joints),
-            torque_is_known: false,
-            contact: ContactState::new(feet),
-            engines: vec![EngineState::default(); jets],
-            observer: ObserverState::new(),
-            momentum_start: WarmStart::cold(unknowns.0),
-            torque_start: WarmStart::cold(unknowns.1),
-        }
-    }
-
     /// Time of the last tick \[s\].
     #[must_use]
     pub fn time(&self) -> f64 {

@@ -68,18 +68,17 @@ impl QpChain {
         Self::new(vec![Method::Primal(PrimalActiveSet::new(n)), dual])
     }
 
-    /// Begins the next solve of the primal method at `start`; the other methods start from scratch.
-    pub fn set_start(&mut self, start: &WarmStart) {
+    /// Solves `qp`. A primal method that is the first begins at `start`, and its next solve would begin at what that is
+    /// afterwards; the other methods start from scratch.
+    pub fn solve_from(&mut self, start: &mut WarmStart, qp: &QpProblem) -> QpAnswer {
         if let Some(Method::Primal(solver)) = self.methods.first_mut() {
             solver.set_start(start);
         }
-    }
-
-    /// Stores where the next solve of the primal method would begin.
-    pub fn store_start(&self, start: &mut WarmStart) {
+        let answer = self.solve(qp);
         if let Some(Method::Primal(solver)) = self.methods.first() {
             solver.store_start(start);
         }
+        answer
     }
 
     /// The same chain with one more method at its end.

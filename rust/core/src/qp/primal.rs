@@ -187,12 +187,12 @@ impl PrimalActiveSet {
     }
 
     /// Begins the next solve at `start`; without effect for another number of variables.
-    pub fn set_start(&mut self, start: &WarmStart) {
+    pub(super) fn set_start(&mut self, start: &WarmStart) {
         self.warm.copy_from(start);
     }
 
     /// Stores where the next solve would begin; without effect for another number of variables.
-    pub fn store_start(&self, start: &mut WarmStart) {
+    pub(super) fn store_start(&self, start: &mut WarmStart) {
         start.copy_from(&self.warm);
     }
 
