@@ -65,9 +65,9 @@ def compute(_: str, asked: Along) -> Findings:
         f"  {name:<26} " + ", ".join(f"{key} {value:.4g}" for key, value in found.items())
         for name, found in summary.items()
     )
-    inputs = {"hashes": {name: run.attrs["config_hash"] for name, run in runs.items()}}
+    read = {name: run.attrs["config_hash"] for name, run in runs.items()}
     files = [ROBOT, *map(_file, runs)]
-    return Findings("Fuel and clearance along flights", data, summary, inputs=inputs, files=files, report=report)
+    return Findings("Fuel and clearance along flights", data, summary, results=read, files=files, report=report)
 
 
 STUDY = Study("along", __doc__, Along, compute, ("flights",))

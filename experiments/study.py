@@ -43,6 +43,8 @@ class Findings:
     """Printed, and kept in the manifest; `None` where there is no number."""
     flights: Mapping[str, rust.Config] = field(default_factory=dict)
     """Resolved configurations that it depends on."""
+    results: Mapping[str, str] = field(default_factory=dict)
+    """Digests of the configurations of flights whose results it reads, by name."""
     inputs: Mapping[str, Any] = field(default_factory=dict)
     """What else it depends on."""
     files: Sequence[Path] = ()
@@ -124,9 +126,10 @@ class Study(Generic[C]):
         under_way = [self.progress_of(folder)] if self.progress else []
         findings: Findings = self.compute(name, config, *under_way)
         timings = {**findings.timings, "all": time.perf_counter() - started}
-        hashed = {"flights": {key: rust.config_digest(flight) for key, flight in findings.flights.items()}}
+        flights = {**{key: rust.config_digest(flight) for key, flight in findings.flights.items()}, **findings.results}
         table = {**tables.plain(config), **findings.inputs}
-        digested = digest({**table, **hashed}, [*tables.files(config), *findings.files])
+        files = [*tables.files(config), *findings.files]
+        digested = digest({**table, "flights": flights}, files)
         document = manifest.build(
             folder.name,
             findings.title,
@@ -136,6 +139,7 @@ class Study(Generic[C]):
             command=command,
             engine=self.engine,
             code=[self.compute.__module__],
+            sources={"flights": flights, "files": {manifest.portable(path): file_hash(path) for path in files}},
             timings_s={key: round(seconds, 4) for key, seconds in timings.items()},
         )
         dataset = findings.dataset.assign_attrs(title=findings.title, config_hash=digested)

@@ -15,7 +15,7 @@ from experiments.report import facts, observer
 from experiments.report.ground import Ground
 from experiments.report.metrics import FINAL
 from experiments.report.results import NotFlownError, Results, count
-from experiments.report.verdicts import AGREES, NOT_FLOWN, differs, out_of_reach, within
+from experiments.report.verdicts import AGREES, ANOTHER, NOT_FLOWN, OUTDATED, differs, out_of_reach, within
 
 RIGHT, HEAD, PUBLISHED = (
     "corrected arms, 10 m/s from the side",
@@ -110,8 +110,13 @@ def _stated(claim: _Claim, results: Results) -> Claim:
         measured, verdict = claim.judge(results)
     except NotFlownError as reason:
         measured, verdict = str(reason), NOT_FLOWN
+    else:
+        if differs := [f"{name} ({made.differs})" for name, made in results.made.items() if made.differs]:
+            measured = f"{measured}; {ANOTHER}: {', '.join(differs)}"
+            verdict = f"{OUTDATED}: {verdict}"
     figure = claim.figure or claim.sweep.partition(" ")[0]
-    commit = results.made[max(results.made)] if results.made else None
+    commits = {made.created: made.commit for made in results.made.values() if made.created and made.commit}
+    commit = commits[max(commits)] if commits else None
     return Claim(claim.key, claim.where, claim.claim, measured, verdict, claim.command, figure, commit)
 
 

@@ -10,10 +10,9 @@ from pathlib import Path
 
 from experiments import engine_choice, manifest
 from experiments.report import claims, facts
-from experiments.report.metrics import Metrics
 from experiments.report.page import Heading, Page, Picture, Table, Text
 from experiments.report.results import NotFlownError, Results, Sweep, count
-from experiments.report.verdicts import NOT_FLOWN
+from experiments.report.verdicts import ANOTHER, NOT_FLOWN, OUTDATED
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.files import write_text
@@ -74,9 +73,10 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def claims_json(stated: Sequence[claims.Claim], kept: Path) -> str:
-    """Return the claims as they were measured, each with its commit; what is not flown here stays as it was kept.
+    """Return the claims as they were measured, each with its commit.
 
-    The commit is that of the results, which may be older than the code that judges them.
+    What is not flown here, or with another configuration than today's, stays as it was kept. The commit is that of the
+    results, which may be older than the code that judges them.
     """
     older = json.loads(kept.read_text(encoding="utf-8"))["claims"] if kept.is_file() else {}
     here = manifest.git_state()["commit"]
@@ -84,7 +84,7 @@ def claims_json(stated: Sequence[claims.Claim], kept: Path) -> str:
     for claim in stated:
         commit = claim.commit or here
         measured = {"measured": claim.measured, "verdict": claim.verdict, "commit": commit}
-        if claim.verdict == NOT_FLOWN and claim.key in older:
+        if claim.verdict.startswith((NOT_FLOWN, OUTDATED)) and claim.key in older:
             measured = {name: older[claim.key].get(name) for name in measured}
         elif claim.key in older and all(older[claim.key][name] == measured[name] for name in ("measured", "verdict")):
             measured["commit"] = older[claim.key].get("commit", commit)
@@ -134,7 +134,7 @@ def build(results: Results, stated: Sequence[claims.Claim]) -> Page:
 
 def _counted(stated: Sequence[claims.Claim]) -> str:
     """Return how many claims got each verdict; one that agrees in part counts as such."""
-    words = ("agrees", "agrees in part", "differs", "out of reach", "not flown here")
+    words = ("agrees", "agrees in part", "differs", "out of reach", NOT_FLOWN, OUTDATED)
     found = dict.fromkeys(words, 0)
     for claim in stated:
         word = next(word for word in words if claim.verdict.startswith(word))
@@ -169,7 +169,7 @@ def _minimum(page: Page, results: Results) -> None:
     ]
     page.add(
         Heading(2, "The minimum aerodynamic information that still flies"),
-        Text(claims.answer(results)),
+        Text(claims.answer(results) + _outdated(sweep.differs)),
         Text(
             "Per world: flights completed, flights that also stayed within 15° and 0.25 m of their reference, "
             "median of the greatest rotation error."
@@ -194,7 +194,7 @@ def _runs(page: Page, results: Results) -> None:
     named = (*PAPER_RUNS, *PUBLISHED_RUNS)
     page.add(
         Text("The network is ours: the paper's weights are not public. Its card says what it was trained on."),
-        Table(headings, [_run(results.flights[name]) for name in named if name in results.flights]),
+        Table(headings, [_run(results, name) for name in named if name in results.flights]),
     )
     page.add(*_pictures(results, FIGURES.items()))
     others = sorted(set(results.flights) - set(named))
@@ -202,13 +202,18 @@ def _runs(page: Page, results: Results) -> None:
         page.add(
             Heading(2, "Runs of our own"),
             Text("Not in the paper: other controllers, missions, engines and robots."),
-            Table(headings, [_run(results.flights[name]) for name in others]),
+            Table(headings, [_run(results, name) for name in others]),
         )
 
 
-def _run(flight: Metrics) -> Sequence[str]:
+def _outdated(differs: str) -> str:
+    return f" **{ANOTHER[0].upper()}{ANOTHER[1:]}: {differs}.**" if differs else ""
+
+
+def _run(results: Results, name: str) -> Sequence[str]:
+    flight = results.flights[name]
     return (
-        f"`{flight.name}` {flight.title}",
+        f"`{flight.name}` {flight.title}{_outdated(results.differing[name])}",
         flight.ending,
         "–" if math.isnan(flight.com_error) else f"{flight.com_error:.3f}",
         f"{flight.rotation_error:.1f}",
@@ -239,7 +244,10 @@ def _sweep(page: Page, results: Results, name: str, sweep: Sweep) -> None:
     failed = f", {finished['error']} could not be flown" if finished["error"] else ""
     page.add(
         Heading(3, document["title"]),
-        Text(f"{document['description']} {document['rows']} flights: {counted}{failed}. {_edge(sweep)}".strip()),
+        Text(
+            f"{document['description']} {document['rows']} flights: {counted}{failed}. {_edge(sweep)}".strip()
+            + _outdated(sweep.differs)
+        ),
     )
     page.add(*_pictures(results, [(name, f"`{name}`")]))
 

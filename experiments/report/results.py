@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import pyarrow.parquet as pq
 
 from experiments import Refused, record
-from experiments.report import ground, metrics
+from experiments.report import ground, metrics, outdated
 from jax_aero import places, rust
 from jax_aero.files import damaged
 
@@ -30,6 +30,8 @@ class Sweep:
 
     document: dict[str, Any]
     cells: list[dict[str, Any]]
+    differs: str = ""
+    """What of its configuration is not as it is today."""
 
     def cell(self, **labels: object) -> Cell:
         """Return the one cell with these levels."""
@@ -45,19 +47,28 @@ class Sweep:
         return list(dict.fromkeys(cell[axis] for cell in self.cells))
 
 
+class Made(NamedTuple):
+    """How a result was made."""
+
+    created: str
+    """When; empty where it is not said."""
+    commit: str | None
+    differs: str
+    """What of its configuration is not as it is today."""
+
+
 @dataclass(frozen=True)
 class Results:
     """A results folder."""
 
     folder: Path
-    made: dict[str, str] = field(default_factory=dict)
-    """Commits at which the results were made that were asked for, by the time of each."""
+    made: dict[str, Made] = field(default_factory=dict)
+    """How the results were made that were asked for, by name."""
 
-    def note(self, document: Mapping[str, Any]) -> None:
-        """Remember when and at which commit a result was made."""
-        created, commit = document.get("finished", document).get("created"), (document.get("git") or {}).get("commit")
-        if created and commit:
-            self.made[created] = commit
+    def note(self, name: str, document: Mapping[str, Any], differs: str) -> None:
+        """Remember how a result was made."""
+        created = document.get("finished", document).get("created", "")
+        self.made[name] = Made(created, (document.get("git") or {}).get("commit"), differs)
 
     @cached_property
     def folders(self) -> list[Path]:
@@ -67,6 +78,16 @@ class Results:
         for folder in plain:
             _require_whole(folder, record.read_manifest(folder) or {})
         return plain
+
+    @cached_property
+    def differing(self) -> dict[str, str]:
+        """Return what of the configuration of every plain flight is not as it is today, by name."""
+        read = ((folder.name, record.read_manifest(folder)) for folder in self.folders)
+        return {
+            name: outdated.flight(name, document.get("config_digest"), document.get("config"))
+            for name, document in read
+            if document is not None
+        }
 
     @cached_property
     def flights(self) -> dict[str, metrics.Metrics]:
@@ -89,7 +110,8 @@ class Results:
             document = json.loads((path.parent / "sweep.json").read_text(encoding="utf-8"))
             if "finished" in document:
                 _require_whole(path.parent, document["finished"])
-                found[path.parent.name] = Sweep(document, pq.read_table(path).to_pylist())
+                name, cells = path.parent.name, pq.read_table(path).to_pylist()
+                found[name] = Sweep(document, cells, outdated.sweep(name, document))
         return found
 
     def flight(self, name: str) -> metrics.Metrics:
@@ -103,7 +125,7 @@ class Results:
     def _flown(self, found: Mapping[str, Flown], name: str) -> Flown:
         if name not in found:
             raise NotFlownError(f"`python -m experiments {name}` has not been run")
-        self.note(record.read_manifest(self.folder / "flight" / name) or {})
+        self.note(name, record.read_manifest(self.folder / "flight" / name) or {}, self.differing[name])
         return found[name]
 
     def sweep(self, name: str) -> Sweep:
@@ -113,7 +135,7 @@ class Results:
         found = self.sweeps[name]
         if failed := found.document["finished"]["outcomes"].get("error"):
             raise NotFlownError(f"{failed} flights of `python -m experiments sweep {name}` could not be flown")
-        self.note(found.document)
+        self.note(f"sweep {name}", found.document, found.differs)
         return found
 
     def study(self, kind: str, name: str) -> dict[str, Any]:
@@ -122,7 +144,7 @@ class Results:
         if not path.is_file():
             raise NotFlownError(f"`python -m experiments {kind.replace('_', '-')} {name}` has not been run")
         document = json.loads(path.read_text(encoding="utf-8"))
-        self.note(document)
+        self.note(f"{kind} {name}", document, outdated.study(kind, name, document))
         return dict(document["summary"])
 
     def figures(self, name: str) -> dict[str, str]:

@@ -1,7 +1,10 @@
-"""The words of a verdict: agrees, differs (by how much), out of reach (why), not flown here."""
+"""The words of a verdict: agrees, differs (by how much), out of reach (why), not flown here; outdated, before them."""
 
 AGREES = "agrees"
 NOT_FLOWN = "not flown here"
+OUTDATED = "outdated"
+ANOTHER = "made with another configuration than today's"
+"""Why a verdict is outdated; what differs follows."""
 
 
 def differs(how: str) -> str:

@@ -162,7 +162,19 @@ def _finish(folder: Path, design: Design, document: dict[str, Any], chunks: Chun
 
 
 def _document(design: Design) -> dict[str, Any]:
-    spec = design.spec
+    return {
+        **described(design.spec),
+        "rows": design.n_rows,
+        "config_hash": design.digest,
+        "code_hash": code_hash(design),
+        "git": manifest.git_state(),
+        "versions": manifest.versions(),
+        "device": manifest.device(),
+    }
+
+
+def described(spec: Spec) -> dict[str, Any]:
+    """Return what `SWEEP_FILE` holds of the file of a sweep."""
     return {
         "name": spec.name,
         "title": spec.title,
@@ -184,13 +196,8 @@ def _document(design: Design) -> dict[str, Any]:
         "perturbation": manifest.portable(tables.plain(spec.perturbation)),
         "seed": spec.seed,
         "repeats": spec.repeats,
-        "rows": design.n_rows,
+        "chunk": spec.chunk,
         "engine": spec.engine,
-        "config_hash": design.digest,
-        "code_hash": code_hash(design),
-        "git": manifest.git_state(),
-        "versions": manifest.versions(),
-        "device": manifest.device(),
     }
 
 

@@ -11,14 +11,18 @@ import pyarrow.parquet as pq
 import pytest
 import xarray as xr
 
-from experiments import engine_choice, record
+from experiments import engine_choice, manifest, record, study, wind_observer
 from experiments.__main__ import main
-from experiments.report import claims, facts, ground, metrics
+from experiments.cfd.settings import FlowConfig
+from experiments.report import claims, facts, ground, metrics, outdated
 from experiments.report.command import _counted, _pictures, _spans, build, claims_json
 from experiments.report.page import Heading, Page, Picture, Table, Text
 from experiments.report.results import Results
-from experiments.report.verdicts import AGREES, NOT_FLOWN, within
+from experiments.report.verdicts import AGREES, ANOTHER, NOT_FLOWN, within
+from experiments.sweep import run, spec
+from experiments.sweep.design import Design
 from experiments.sweep.table import wilson
+from jax_aero import places, rust, tables
 from jax_aero.places import ROBOT
 
 
@@ -61,7 +65,9 @@ def write_sweep(results, name, cells, axes, **document):
             "outcomes": {"completed": 9, "fell": 0, "off_course": 1, "diverged": 0, "error": 0},
         },
     }
-    (folder / "sweep.json").write_text(json.dumps(base | document))
+    shipped = spec.load(name)
+    digest = {"config_hash": Design(shipped).digest}
+    (folder / "sweep.json").write_text(json.dumps(run.described(shipped) | base | digest | document))
 
 
 @pytest.fixture
@@ -72,6 +78,8 @@ def results(tmp_path, made_up_results) -> Results:
             fell = run.attrs["outcome"] == "fell"
             document |= {"outcome": run.attrs["outcome"], "lost_reason": run.attrs["lost_reason"]}
             document["lost_time"] = float(run.attrs["lost_time"]) if fell else None
+        config = rust.load_config(path.parent.name)
+        document |= {"config_digest": rust.config_digest(config), "config": manifest.portable(config)}
         path.write_text(json.dumps(document))
     tests = [("TEST1, corrected arms", 250), ("TEST2, corrected arms", 250), ("TEST1, published arms", 0)]
     tests += [("TEST2, published arms", 249), ("TEST3, corrected arms", 250), ("TEST3, published arms", 3)]
@@ -104,6 +112,87 @@ def test_a_claim_has_the_commit_of_the_last_result_that_it_was_measured_on(resul
     kept = json.loads(claims_json(stated, tmp_path / "none.json"))["claims"]
     assert kept["thrusts_alike"]["commit"] == "b" * 40
     assert kept["mass"]["commit"] not in ("a" * 40, "b" * 40, "c" * 40)
+
+
+def changed(path, **entries):
+    """Change entries of a JSON document."""
+    path.write_text(json.dumps(json.loads(path.read_text()) | entries))
+
+
+def verdicts_of(results):
+    return {claim.key: claim for claim in claims.all_claims(results)}
+
+
+def test_a_flight_of_another_configuration_is_named_in_its_row_and_in_the_claims_that_rest_on_it(results):
+    config = rust.load_config("test2", {"wind.velocity": [0.0, 5.0, 0.0], "simulator.duration": 9.0})
+    entries = {"config_digest": rust.config_digest(config), "config": manifest.portable(config)}
+    changed(results.folder / "flight" / "test2" / "manifest.json", **entries)
+    said = f"{ANOTHER}: test2 (`simulator.duration`, `wind.velocity`)"
+    found = verdicts_of(results)
+    assert found["aligned"].verdict == "outdated: differs: it does not hold"
+    assert found["aligned"].measured.endswith(f"; {said}")
+    assert found["test2"].verdict == "outdated: agrees"
+    assert "outdated" not in found["test1"].verdict
+    text = build(results, list(found.values())).markdown()
+    assert (
+        "test2: made up **Made with another configuration than today's: `simulator.duration`, `wind.velocity`.** |"
+        in text
+    )
+    assert "test1: made up |" in text
+    assert "** outdated" in text
+
+
+def test_a_flight_of_another_file_that_it_names_is_outdated(results):
+    changed(results.folder / "flight" / "test4" / "manifest.json", config_digest="0" * 64)
+    assert results.differing["test4"] == "a file that it names"
+    assert outdated.flight("no_shipped_name", "0" * 64, {}) == ""
+
+
+def test_a_sweep_of_another_configuration_is_named_in_its_claims(results):
+    assert ANOTHER[1:] not in build(results, []).markdown()
+    for name in ("paper_tests", "ablation_terms"):
+        changed(results.folder / "sweeps" / name / "sweep.json", config_hash="0" * 64)
+    found = Results(results.folder)
+    claim = verdicts_of(found)["test2"]
+    assert claim.verdict == "outdated: agrees"
+    assert f"{ANOTHER}: sweep paper_tests (`axes`, " in claim.measured
+    assert build(found, []).markdown().count(ANOTHER[1:]) == 2, "in the answer and with the sweep"
+
+
+def test_what_differs_of_a_sweep_is_named():
+    shipped = spec.load("paper_tests")
+    document = run.described(shipped) | {"config_hash": "0" * 64}
+    assert outdated.sweep("paper_tests", document) == "the flights of its cells, or a file that they name"
+    assert outdated.sweep("paper_tests", document | {"repeats": 7, "seed": 9}) == "`repeats`, `seed`"
+    assert outdated.sweep("paper_tests", {"config_hash": Design(shipped).digest}) == ""
+
+
+def test_a_study_of_another_flight_or_file_is_outdated(tmp_path, monkeypatch, make_flight):
+    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    monkeypatch.setattr(rust, "fly_batch", lambda configs, **_: [make_flight() for _ in configs])
+    document = wind_observer.STUDY.run("turbulence", {"worlds": ["axisymmetric"], "speeds": [6.0], "flights": 1})
+    assert outdated.study("wind_observer", "turbulence", document) == ""
+    document["sources"]["files"]["configs/perturbation/flight.toml"] = "0"
+    document["sources"]["flights"]["test2_observer"] = "0"
+    document["config"]["flights"]["test2_observer"]["simulator"]["duration"] = 1.0
+    said = "test2_observer: `simulator.duration`; configs/perturbation/flight.toml"
+    assert outdated.study("wind_observer", "turbulence", document) == said
+
+
+def test_a_study_of_another_file_of_its_name_is_outdated():
+    config = manifest.portable(tables.plain(tables.load(places.find("cfd_flow", "flight30"), FlowConfig)))
+    document = {"config": config, "sources": {"flights": {}, "files": {}}}
+    assert outdated.study("cfd_flow", "flight30", document) == ""
+    config["settings"]["air"]["speed"] = 10.0
+    assert outdated.study("cfd_flow", "flight30", document) == "`settings.air.speed`"
+
+
+def test_an_outdated_claim_stays_as_it_was_kept(tmp_path):
+    base = claims.Claim("k", "w", "c", "12 m", "agrees", "fly it", "")
+    kept = tmp_path / "claims.json"
+    kept.write_text(claims_json([base], kept))
+    other = dataclasses.replace(base, measured="13 m", verdict="outdated: agrees")
+    assert json.loads(claims_json([other], kept))["claims"]["k"]["measured"] == "12 m"
 
 
 def test_a_robot_that_never_stood_in_wind_has_no_numbers(tmp_path, make_flight, robot):

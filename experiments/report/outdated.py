@@ -1,0 +1,85 @@
+"""Which results were made with another configuration than their name stands for today, and what differs.
+
+The digest of a result says whether, and the configuration that it keeps says which keys; where no key differs, a file
+that it names does. A name that is not shipped, as that of one's own file, stands for nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from experiments import manifest
+from experiments.cfd.settings import FlowConfig
+from experiments.sources import file_hash
+from experiments.sweep import run, spec
+from experiments.sweep.design import Design
+from jax_aero import places, rust, tables
+
+MOST = 4
+"""Keys that are named, of those that differ."""
+
+WITH_FILES = {"cfd_flow": FlowConfig}
+"""Types of the studies of the report whose configurations are files of `configs/KIND/`."""
+
+
+def flight(name: str, digest: str | None, kept: Mapping[str, Any] | None) -> str:
+    """Return what differs from the experiment of a name; empty if nothing.
+
+    A result has the digest of the configuration that was flown, and mostly the configuration (`kept`).
+    """
+    if name not in places.names("experiments"):
+        return ""
+    today = rust.load_config(places.find("experiments", name))
+    if rust.config_digest(today) == digest:
+        return ""
+    if kept is None:
+        return "its configuration"
+    return _listed(_differing(kept, manifest.portable(today))) or "a file that it names"
+
+
+def sweep(name: str, document: Mapping[str, Any]) -> str:
+    """Return what differs from the sweep of a name, by the description of a result; empty if nothing."""
+    if name not in places.names("sweeps"):
+        return ""
+    today = spec.load(name)
+    if Design(today).digest == document.get("config_hash"):
+        return ""
+    described = run.described(today)
+    kept = {key: document.get(key) for key in described}
+    return _listed(_differing(kept, described)) or "the flights of its cells, or a file that they name"
+
+
+def study(kind: str, name: str, document: Mapping[str, Any]) -> str:
+    """Return what differs of a study's configuration, flights and files, by its manifest; empty if nothing."""
+    config, sources = document["config"], document.get("sources")
+    if sources is None:
+        return "it does not say which flights and files it was made of"
+    found = []
+    if kind in WITH_FILES and name in places.names(kind):
+        today = tables.plain(tables.load(places.find(kind, name), WITH_FILES[kind]))
+        found.append(_listed(_differing(config, manifest.portable(today))))
+    flights = config.get("flights") if isinstance(config.get("flights"), Mapping) else {}
+    for one, digest in sources["flights"].items():
+        differs = flight(one, digest, flights.get(one))
+        found.append(f"{one}: {differs}" if differs else "")
+    for path, digest in sources["files"].items():
+        file = places.HOME / path
+        found.append(path if file.is_file() and file_hash(file) != digest else "")
+    return "; ".join(filter(None, found))
+
+
+def _differing(kept: Mapping[str, Any], today: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    """Yield the dotted keys whose values differ."""
+    for key in sorted(kept.keys() | today.keys()):
+        one, other = kept.get(key), today.get(key)
+        if isinstance(one, Mapping) and isinstance(other, Mapping):
+            yield from _differing(one, other, f"{prefix}{key}.")
+        elif one != other:
+            yield prefix + key
+
+
+def _listed(keys: Iterator[str]) -> str:
+    first = [f"`{key}`" for key in keys]
+    more = [f"{len(first) - MOST} more"] if len(first) > MOST else []
+    return ", ".join(first[:MOST] + more)
