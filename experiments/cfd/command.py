@@ -5,6 +5,7 @@ every case is kept in `results/cfd/NAME/cases/` as soon as it is computed, so an
 command. At the end `dataset.nc` holds what was accepted, in the format of `import-cfd`, and `manifest.json` what was
 refused and why. Needs OpenFOAM: apt-get install openfoam.
 `--cluster ray` computes several postures at a time; of each, the cases are kept when all of its winds are there.
+Cases of other code are kept when they are all there; with some of them missing the folder is refused.
 """
 
 from __future__ import annotations
@@ -16,19 +17,20 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 from tqdm import tqdm
 
 from experiments import Refused, manifest, overrides, study
-from experiments.cfd import foam
+from experiments.cfd import foam, geometry
 from experiments.cfd.design import KIND, Case, Design
 from experiments.cfd.geometry import Surface
 from experiments.cfd.settings import Settings
 from experiments.cfd.simulate import Result, simulate
 from experiments.cluster import Ray, add_options
+from experiments.sources import code_hash
 from jax_aero import places, tables
 from jax_aero.aero.cfd_import import checks
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, save
@@ -37,6 +39,8 @@ from jax_aero.command import exit_status
 from jax_aero.files import locked, write_json
 
 RESULTS = manifest.RESULTS / KIND
+MODULES = geometry.__name__, simulate.__module__
+"""Whose code, with all that they import, makes a case."""
 Simulate = Callable[[Mapping[str, Surface], Iterable[Floats], Settings, Path], Iterator[Result]]
 
 
@@ -82,12 +86,12 @@ def compute(design: Design, folder: Path, simulator: Simulate = simulate, cluste
     """Compute the cases of a design that are not there yet: here, or over a cluster, where a posture is a task."""
     settings, surfaces = design.spec.settings, design.surfaces
     with locked(folder), tqdm(desc=design.name, unit="case", file=sys.stderr, disable=None) as bar:
-        _begin(design, folder)
         bar.reset(total=sum(1 for _ in design))
         left = {
             name: [case for case in cases if not _path(folder, case).is_file()] for name, cases in design.cases.items()
         }
         missing = {name: cases for name, cases in left.items() if cases}
+        _begin(design, folder, is_whole=not missing)
         bar.update(bar.total - sum(map(len, missing.values())))
         jobs = {name: Job(surfaces[name], [case.wind_b for case in cases]) for name, cases in missing.items()}
         shared = simulator, settings
@@ -118,14 +122,25 @@ def _remotely(shared: tuple[Simulate, Settings], job: Job) -> list[Result]:
     return list(_solved(*shared, job))
 
 
-def _begin(design: Design, folder: Path) -> None:
-    """Mark the folder as this design's, or refuse one that holds another's."""
-    about = folder / "design.json"
-    if about.is_file():
-        if json.loads(about.read_text(encoding="utf-8"))["digest"] != design.digest:
-            raise Refused(f"{os.path.relpath(folder)} holds cases of other settings; choose another --out")
-    else:
-        write_json(about, {"digest": design.digest, "settings": tables.plain(design.spec.settings)})
+def _begin(design: Design, folder: Path, *, is_whole: bool) -> None:
+    """Mark the folder as this design's, or refuse one that holds cases of another, or of other code and not all."""
+    about = {"digest": design.digest, "code_hash": code_hash(*MODULES)}
+    found, shown = _about(folder), os.path.relpath(folder)
+    if not found:
+        write_json(folder / "design.json", {**about, "settings": tables.plain(design.spec.settings)})
+    elif found["digest"] != about["digest"]:
+        raise Refused(f"{shown} holds cases of other settings; choose another --out")
+    elif found.get("code_hash") != about["code_hash"]:
+        if not is_whole:
+            raise Refused(f"{shown} holds cases that were computed by other code; choose another --out, or remove them")
+        print(f"{shown} has all cases already, computed by other code")
+
+
+def _about(folder: Path) -> dict[str, Any]:
+    """Return what the folder says of its cases; nothing where there are none."""
+    if not any((folder / "cases").glob("*.json")):
+        return {}
+    return dict(json.loads((folder / "design.json").read_text(encoding="utf-8")))
 
 
 def collect(design: Design, folder: Path) -> str:
@@ -151,11 +166,12 @@ def collect(design: Design, folder: Path) -> str:
         summary=summary,
         command=["jax-aero", KIND, design.name, *overrides.options(design.changes)],
         engine="openfoam",
-        code=[__name__],
+        code=MODULES,
         refused=refused,
         dataset=dataset.sha256,
     )
-    write_json(folder / "manifest.json", document)
+    # Of the code that computed the cases, which may be older.
+    write_json(folder / "manifest.json", document | {"code_hash": _about(folder).get("code_hash")})
     lines = [f"{design.spec.title}: " + ", ".join(f"{count} {what}" for what, count in summary.items())]
     lines += [f"  {name}: {reason}" for name, reason in refused.items()]
     lines += [f"  {name:<34} {np.median(values):.4g}" for name, values in dataset.quality.items()]

@@ -15,7 +15,7 @@ import pytest
 import pyvista
 import xarray as xr
 
-from experiments import calibrate_surrogate, import_cfd, record, study
+from experiments import calibrate_surrogate, import_cfd, record, sources, study
 from experiments.cfd import case, command, compare, correct, design, flow, foam, geometry, settings, simulate, verify
 from jax_aero import mesh, rust, tables
 from jax_aero.aero import dataset as ds
@@ -392,6 +392,26 @@ def test_a_design_that_was_killed_goes_on_and_says_what_it_refused(small, tmp_pa
     np.testing.assert_allclose(both.couple_volume_b[4:], -both.couple_volume_b[:4] * ds.MIRROR_AXES)
     assert json.loads((tmp_path / "manifest.json").read_text())["summary"]["accepted"] == 4
     command.compute(small, tmp_path, Fake(lives=0))  # nothing is left to do
+
+
+def test_cases_of_other_code_are_kept_whole_or_refused(small, tmp_path, monkeypatch, capsys):
+    with pytest.raises(KeyboardInterrupt):
+        command.compute(small, tmp_path, Fake(lives=4))
+    own = json.loads((tmp_path / "design.json").read_text())["code_hash"]
+    assert own == sources.code_hash("experiments.cfd.simulate", "experiments.cfd.geometry")
+    with monkeypatch.context() as patch:
+        patch.setattr(command, "code_hash", lambda *_: "other")
+        with pytest.raises(Refused, match="holds cases that were computed by other code; choose another --out"):
+            command.compute(small, tmp_path, Fake())
+    command.compute(small, tmp_path, Fake())
+    monkeypatch.setattr(command, "code_hash", lambda *_: "other")
+    command.compute(small, tmp_path, Fake(lives=0))
+    command.collect(small, tmp_path)
+    assert "has all cases already, computed by other code" in capsys.readouterr().out
+    assert json.loads((tmp_path / "manifest.json").read_text())["code_hash"] == own
+    shutil.rmtree(tmp_path / "cases")
+    command.compute(small, tmp_path, Fake())
+    assert json.loads((tmp_path / "design.json").read_text())["code_hash"] == "other"
 
 
 def test_a_folder_of_other_settings_is_refused(small, tmp_path):
