@@ -1,7 +1,8 @@
 """Search for better settings: `python -m experiments train-search NAME --dataset FILE`.
 
 A file of `configs/training_search/` names a training file and ranges for some of its keys. A trial trains one network
-per inner fold of whole postures, without members or students, and is judged by the mean error of the rows held out.
+per inner fold of whole postures, without members or students, and is judged by the mean error of the rows held out:
+of the weights that are kept, with patience the best ones.
 Trials are kept in a SQLite file, so a search goes on where it stopped, and several processes can share one.
 """
 
@@ -154,7 +155,7 @@ def error_of(training: config.Training, dataset: Dataset, settings: SearchConfig
         start = training.start(robot, training.seed)
         samples, unseen = (samples_of(start, robot, rows.take(part)) for part in (train, held_out))
         try:
-            error = fit(start, samples, unseen, training.training, training.seed).curves[-1][2]
+            error = fit(start, samples, unseen, training.training, training.seed).error
         except FloatingPointError:
             return np.inf
         errors.append(error if error is not None and np.isfinite(error) else np.inf)

@@ -81,6 +81,8 @@ class Fitted(NamedTuple):
     """A trained network, and how it came about."""
 
     network: Network
+    error: float | None
+    """Its validation loss [m⁴]; without validation `None`."""
     curves: tuple[Curve, ...]
     """Loss curves, one entry per validation."""
     epochs: int
@@ -188,10 +190,11 @@ def fit(
             raise Interrupted from None
     if checkpoint is not None:
         _keep(checkpoint, digest, now)
-    is_best = settings.patience and validation is not None
-    final = now.state.best if is_best else now.state.layers
+    layers, error = now.state.layers, now.curves[-1][2]
+    if settings.patience and validation is not None:
+        layers, error = now.state.best, now.best_error
     steady = times[1:] or times or [0.0]
-    return Fitted(replace(network, layers=final), now.curves, now.epoch, float(np.mean(steady)))
+    return Fitted(replace(network, layers=layers), error, now.curves, now.epoch, float(np.mean(steady)))
 
 
 def _is_stuck(settings: Settings, now: _Now) -> bool:

@@ -11,13 +11,13 @@ import xarray as xr
 from PIL import Image
 
 from experiments.__main__ import main
-from experiments.training import command
+from experiments.training import command, config
 from experiments.training.result import card_facts
 from jax_aero import tables
 from jax_aero.aero.dataset import load, save
 from jax_aero.aero.network_card import load_network, read_card
 from jax_aero.command import INTERRUPTED
-from jax_aero.train import Interrupted, predict_areas
+from jax_aero.train import Interrupted, fit, predict_areas, samples_of
 from paper_figs.__main__ import main as draw
 
 # A small plain network: what is compiled is what takes the time.
@@ -246,3 +246,20 @@ def test_a_trial_whose_network_diverges_has_an_infinite_error(made_up_dataset):
     path = command.study.CONFIGS / "training" / "plain.toml"
     settings = search.SearchConfig(path, trials=1, seed=1, fold_seed=0, folds=3, folds_run=1, space={})
     assert search.error_of(search.changed(path, tables.read(path), changes), made_up_dataset, settings) == np.inf
+
+
+def test_a_trial_is_judged_by_the_weights_that_it_keeps(made_up_dataset):
+    """With patience those of the best validation, not of the last."""
+    pytest.importorskip("optuna")
+    from experiments.training import search
+
+    changes = {"network.hidden": [4], "training.epochs": 30, "training.batch": 32, "training.learning_rate": 0.5}
+    path = command.study.CONFIGS / "training" / "plain.toml"
+    settings = search.SearchConfig(path, trials=1, seed=1, fold_seed=0, folds=3, folds_run=1, space={})
+    training = search.changed(path, tables.read(path), changes | {"training.patience": 3, "training.validate_every": 1})
+    rows = made_up_dataset.mirrored() if training.mirrored else made_up_dataset
+    (train, held_out), *_ = rows.grouped_folds(0, 3)
+    start = training.start(config.robot(), training.seed)
+    seen, unseen = (samples_of(start, config.robot(), rows.take(part)) for part in (train, held_out))
+    errors = [row[2] for row in fit(start, seen, unseen, training.training, training.seed).curves]
+    assert search.error_of(training, made_up_dataset, settings) == min(errors) < errors[-1]
