@@ -88,7 +88,7 @@ STUDY = Study(
     ("aero_aware",),
     engine="jax",
     interrupted="the same command goes on from the last validation",
-    progress=".npz",
+    progress=".checkpoint",
 )
 main = STUDY.main
 

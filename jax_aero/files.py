@@ -159,6 +159,17 @@ def _sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def sealed(content: bytes, what: str) -> bytes:
+    """Return a file's content behind the SHA-256 of it and of what it is."""
+    return hashlib.sha256(what.encode() + content).digest() + content
+
+
+def unsealed(file: bytes, what: str) -> bytes | None:
+    """Return what was sealed, or `None` where it is empty, cut short, changed, or something else."""
+    content = file[hashlib.sha256().digest_size :]
+    return content if file == sealed(content, what) else None
+
+
 MAX_SIZE = 64 * 1024 * 1024
 """Longest file that is read into memory [bytes], as in the crate."""
 

@@ -1,12 +1,11 @@
 """Finished chunks of a sweep under way, each in a file with a checksum.
 
-A file is the SHA-256 of the sweep's digest, the code's, the chunk's number and the table, then the table (Parquet). So
-a file that is cut short, empty, changed, or of another chunk, sweep or code, does not count.
+A file is a table (Parquet), sealed with the sweep's digest, the code's and the chunk's number. So a file that is cut
+short, empty, changed, or of another chunk, sweep or code, does not count.
 """
 
 from __future__ import annotations
 
-import hashlib
 import io
 from collections.abc import Iterable
 from contextlib import suppress
@@ -17,9 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from jax_aero.command import Refused
-from jax_aero.files import write_bytes
-
-CHECKSUM = hashlib.sha256().digest_size
+from jax_aero.files import sealed, unsealed, write_bytes
 
 
 @dataclass(frozen=True)
@@ -36,8 +33,7 @@ class Chunks:
 
     def write(self, chunk: int, table: pa.Table) -> None:
         """Put a chunk on the disk."""
-        content = parquet(table)
-        write_bytes(self.path(chunk), self._checksum(chunk, content) + content)
+        write_bytes(self.path(chunk), sealed(parquet(table), self._what(chunk)))
 
     def read(self, chunk: int) -> pa.Table:
         """Return a chunk that was there whole."""
@@ -66,12 +62,10 @@ class Chunks:
 
     def _content(self, chunk: int) -> bytes | None:
         path = self.path(chunk)
-        sealed = path.read_bytes() if path.is_file() else b""
-        content = sealed[CHECKSUM:]
-        return content if sealed[:CHECKSUM] == self._checksum(chunk, content) else None
+        return unsealed(path.read_bytes(), self._what(chunk)) if path.is_file() else None
 
-    def _checksum(self, chunk: int, content: bytes) -> bytes:
-        return hashlib.sha256(f"{self.identity} {chunk} ".encode() + content).digest()
+    def _what(self, chunk: int) -> str:
+        return f"{self.identity} {chunk} "
 
 
 def parquet(table: pa.Table) -> bytes:

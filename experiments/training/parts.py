@@ -83,7 +83,7 @@ def run(
             unseen,
             settings,
             seed,
-            checkpoint=work / f"{part.name}-{name}.npz",
+            checkpoint=work / f"{part.name}-{name}.checkpoint",
             on_epoch=lambda _, train, error: on_epoch(train, error),
         )
         curves[f"{part.name}-{name}"] = [list(row) for row in found.curves]
@@ -153,7 +153,7 @@ def keep(work: Path, finished: Finished) -> None:
     name = finished.part.name
     np.savez(work / f"{name}.areas.npz", areas=finished.areas)
     write_json(work / f"{name}.json", {"errors": finished.errors, "curves": finished.curves})
-    for path in work.glob(f"{name}-*.npz"):
+    for path in work.glob(f"{name}-*.checkpoint"):
         path.unlink()
 
 

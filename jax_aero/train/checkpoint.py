@@ -1,17 +1,19 @@
-"""A training run that can stop and go on: everything that the next epoch depends on, in one file."""
+"""A training run that can stop and go on: everything that the next epoch depends on, in one file with a checksum."""
 
 from __future__ import annotations
 
+import io
 import json
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import jax
 import numpy as np
 
-from jax_aero.files import complete_file
+from jax_aero.files import sealed, unsealed, write_bytes
+
+KIND = "checkpoint"
 
 
 class Checkpoint(NamedTuple):
@@ -29,11 +31,11 @@ class Checkpoint(NamedTuple):
 
 def save_checkpoint(path: str | PathLike[str], checkpoint: Checkpoint) -> None:
     """Write a checkpoint; the file appears complete or not at all."""
-    target = Path(path)
     leaves = {f"leaf_{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(checkpoint.state))}
     meta = json.dumps({"digest": checkpoint.digest, "epoch": checkpoint.epoch, "facts": checkpoint.facts})
-    with complete_file(target) as draft, draft.open("wb") as stream:
-        np.savez(stream, meta=np.array(meta), **leaves)  # type: ignore[arg-type]  # the stub forbids names from a dict
+    stream = io.BytesIO()
+    np.savez(stream, meta=np.array(meta), **leaves)  # type: ignore[arg-type]  # the stub forbids names from a dict
+    write_bytes(Path(path), sealed(stream.getvalue(), KIND))
 
 
 def load_checkpoint(path: str | PathLike[str], like: Any, digest: str) -> Checkpoint | None:
@@ -47,15 +49,14 @@ def load_checkpoint(path: str | PathLike[str], like: Any, digest: str) -> Checkp
     target = Path(path)
     if not target.is_file():
         return None
+    if (content := unsealed(target.read_bytes(), KIND)) is None:
+        raise ValueError(f"{target.name} is no checkpoint, or damaged: its checksum is another; remove it")
     expected, structure = jax.tree.flatten(like)
-    try:
-        with target.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            meta = json.loads(str(file["meta"]))
-            leaves = [file[f"leaf_{i}"] for i in range(len(expected))]
-    except (OSError, EOFError, ValueError, KeyError, BadZipFile) as reason:
-        raise ValueError(f"{target.name} is no checkpoint that can be read: {reason}; remove it") from reason
-    if meta["digest"] != digest:
-        raise ValueError(f"{target.name} belongs to other settings or data; remove it, or restart")
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        meta = json.loads(str(file["meta"]))
+        if meta["digest"] != digest:
+            raise ValueError(f"{target.name} belongs to other settings or data; remove it, or restart")
+        leaves = [file[f"leaf_{i}"] for i in range(len(expected))]
     for leaf, model in zip(leaves, expected, strict=True):
         if leaf.shape != np.shape(model) or leaf.dtype != np.asarray(model).dtype:
             raise ValueError(f"{target.name} holds {leaf.dtype}{leaf.shape}; expected {np.shape(model)}")

@@ -144,7 +144,7 @@ def test_the_rate_rises_and_then_falls_along_half_a_cosine(count, agree):
 
 def test_a_run_that_was_stopped_ends_with_the_same_bits(task, tmp_path):
     network, training, validation = task
-    path = tmp_path / "run.npz"
+    path = tmp_path / "run.checkpoint"
     whole = fit(network, training, validation, SETTINGS, seed=5)
 
     def stop(epoch, _train, _error):
@@ -165,26 +165,33 @@ def test_a_run_that_was_stopped_ends_with_the_same_bits(task, tmp_path):
 
 def test_another_runs_checkpoint_is_refused(task, tmp_path):
     network, training, validation = task
-    path = tmp_path / "run.npz"
+    path = tmp_path / "run.checkpoint"
     fit(network, training, validation, structs.replace(SETTINGS, epochs=1), seed=5, checkpoint=path)
-    with pytest.raises(ValueError, match=r"run.npz belongs to other settings or data"):
+    with pytest.raises(ValueError, match=r"run.checkpoint belongs to other settings or data"):
         fit(network, training, validation, structs.replace(SETTINGS, epochs=1), seed=6, checkpoint=path)
+
+
+def test_a_damaged_checkpoint_is_refused_by_name(tmp_path):
+    """Empty, foreign, cut short, and with any one byte inverted, also where the content would be read as it was."""
+    path, state = tmp_path / "run.checkpoint", {"a": jnp.zeros(2)}
+    save_checkpoint(path, Checkpoint("d", 4, state, {}))
     whole = path.read_bytes()
-    for damaged in (b"nothing", b"", whole[: len(whole) // 2]):
+    changed = [whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :] for at in range(len(whole))]
+    for damaged in (b"nothing", b"", whole[: len(whole) // 2], *changed):
         path.write_bytes(damaged)
-        with pytest.raises(ValueError, match=r"run.npz is no checkpoint that can be read"):
-            load_checkpoint(path, {"a": np.zeros(2)}, "x")
+        with pytest.raises(ValueError, match=r"run.checkpoint is no checkpoint, or damaged: .*; remove it"):
+            load_checkpoint(path, state, "d")
 
 
 def test_a_checkpoint_keeps_every_bit(tmp_path):
     state = {"a": jnp.asarray([1.0, np.nextafter(np.float32(1.0), 2)], jnp.float32), "n": jnp.asarray(3, jnp.int32)}
-    save_checkpoint(tmp_path / "c.npz", Checkpoint("d", 4, state, {"best": None}))
-    found = load_checkpoint(tmp_path / "c.npz", state, "d")
+    save_checkpoint(tmp_path / "c.checkpoint", Checkpoint("d", 4, state, {"best": None}))
+    found = load_checkpoint(tmp_path / "c.checkpoint", state, "d")
     assert found.epoch == 4
     assert found.facts == {"best": None}
     assert found.state["a"].tobytes() == state["a"].tobytes()
     assert found.state["n"].dtype == np.int32
-    assert load_checkpoint(tmp_path / "none.npz", state, "d") is None
+    assert load_checkpoint(tmp_path / "none.checkpoint", state, "d") is None
 
 
 def test_early_stopping_keeps_the_best_weights(task, agree):
@@ -195,6 +202,10 @@ def test_early_stopping_keeps_the_best_weights(task, agree):
     assert stopped.epochs < 60
     assert stopped.epochs == int(np.argmin(errors)) + 1 + 3
     agree("validation error", validation_error(stopped.network, validation), min(errors), 1e-6)
+    assert stopped.error == min(errors) < errors[-1]
+    last = fit(network, training, validation, structs.replace(settings, patience=0, epochs=3), seed=0)
+    assert last.error == last.curves[-1][2]
+    assert fit(network, training, None, SETTINGS, seed=0).error is None
 
 
 def test_validation_is_that_of_the_network_as_it_flies(task, ironcub, made_up_dataset, agree):

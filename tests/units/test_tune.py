@@ -124,12 +124,12 @@ def bowl(theta, step):
 
 
 def test_steps_lower_the_cost_and_leave_out_worlds_without_a_gradient(tmp_path):
-    found = gains.tune(bowl, 2, STEPS, checkpoint=tmp_path / "c.npz", digest="a")
+    found = gains.tune(bowl, 2, STEPS, checkpoint=tmp_path / "c.checkpoint", digest="a")
     assert min(look.cost for look in found.validations) < 0.3 * found.validations[0].cost
     assert found.left_out == (0, 1, 0, 1, 0, 1)
     assert np.isfinite(found.logarithms).all()
     with pytest.raises(ValueError, match="other settings"):
-        gains.tune(bowl, 2, STEPS, checkpoint=tmp_path / "c.npz", digest="b")
+        gains.tune(bowl, 2, STEPS, checkpoint=tmp_path / "c.checkpoint", digest="b")
 
 
 def test_a_validation_that_is_worse_takes_the_values_back_and_halves_the_rate(tmp_path):
@@ -139,7 +139,7 @@ def test_a_validation_that_is_worse_takes_the_values_back_and_halves_the_rate(tm
         return theta[None, 0] if step >= 0 else (theta[None, 0] + 0.43) ** 2, jnp.ones((1, 1))
 
     steps = gains.Steps(count=6, batch=1, learning_rate=0.2, gradient_max=10.0, validation=1, validate_every=1)
-    found = gains.tune(away, 1, steps, checkpoint=tmp_path / "c.npz", digest="a")
+    found = gains.tune(away, 1, steps, checkpoint=tmp_path / "c.checkpoint", digest="a")
     tried = [look.logarithms[0] for look in found.validations]
     # Adam's steps have the length of its rate, within ε.
     np.testing.assert_allclose(tried, [0.0, -0.2, -0.4, -0.6, -0.5, -0.45, -0.5], atol=1e-6)
