@@ -153,6 +153,7 @@ class Page:
             if self.ghost is not None:
                 self.ghost_robot = RobotNodes(self.server, "/world/ghost", self.ghost.look, ghost=True)
             self._new_flight()
+            self._dress()
 
     def _new_flight(self) -> None:
         """Set up what depends on the flights, but not on their robots."""
@@ -370,6 +371,7 @@ class Page:
         self.play.icon = viser.Icon.PLAYER_PAUSE if self.playing else viser.Icon.PLAYER_PLAY
 
     def _dress(self) -> None:
+        """Show what is switched on."""
         with self.lock, self.server.atomic():
             if self.robot is not None:
                 if self.robot.arrows is not None:
@@ -430,6 +432,9 @@ def _labels(recordings: Sequence[Recording]) -> list[str]:
     """Return a different short name for every recording."""
     labels: list[str] = []
     for recording in recordings:
-        number = sum(label.startswith(recording.title) for label in labels)
-        labels.append(recording.title if number == 0 else f"{recording.title} ({number + 1})")
+        label, number = recording.title, 1
+        while label in labels:
+            number += 1
+            label = f"{recording.title} ({number})"
+        labels.append(label)
     return labels

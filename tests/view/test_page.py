@@ -7,6 +7,7 @@ import re
 import time
 import unicodedata
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -140,6 +141,28 @@ def test_the_second_result_is_the_ghost(fallen):
     page = Page(results, results[0].config, port=0)
     page.close()
     assert [page.solid, page.ghost, *page.others] == [results[0], results[1], *results[1:]]
+
+
+def test_what_is_switched_off_stays_off_with_another_ghost(fallen):
+    from jax_aero.view.page import NO_GHOST, Page
+
+    results = [recording.read(fallen) for _ in range(2)]
+    page = Page(results, results[0].config, port=0)
+    for box in (page.show_forces, page.show_plumes, page.show_path):
+        box.value = False
+    page.compare.value = NO_GHOST
+    page.close()
+    assert page.ghost is None
+    assert not any(node.visible for node in (page.robot.arrows, page.robot.flames, page.path, page.trail, page.cross))
+
+
+def test_every_recording_has_a_label_of_its_own(fallen):
+    from jax_aero.view.page import _labels
+
+    seen = recording.read(fallen)
+    titles = ["TEST1, observed", "TEST1", "TEST1", "TEST1 (2)", "TEST1"]
+    labels = _labels([replace(seen, title=title) for title in titles])
+    assert labels == ["TEST1, observed", "TEST1", "TEST1 (2)", "TEST1 (2) (2)", "TEST1 (3)"]
 
 
 def test_a_result_is_drawn_and_scrubbed(visit, fallen):
