@@ -16,11 +16,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import Refused, record, study
+from experiments import Refused, record
 from experiments.engine_choice import Choice
 from experiments.study import Findings, Study
 from experiments.trajectory import fuel_burnt
-from jax_aero import tables
+from jax_aero import places, tables
 from jax_aero.places import ROBOT
 from jax_aero.symbolic import load_robot
 from jax_aero.symbolic.clearance import pairs
@@ -45,9 +45,9 @@ class Along(tables.Table, frozen=True):
         "test1_published",
         "no_wind",
     )
-    plan: Path = study.CONFIGS / "trajectory" / "min_time.toml"
+    plan: Path = places.CONFIGS / "trajectory" / "min_time.toml"
     """Has the consumption of the jets."""
-    trim: Path = study.CONFIGS / "trim" / "hover_posture.toml"
+    trim: Path = places.CONFIGS / "trim" / "hover_posture.toml"
     """Has the length of a plume."""
 
     def __post_init__(self) -> None:
@@ -75,7 +75,7 @@ main = STUDY.main
 
 
 def _file(name: str) -> Path:
-    return study.RESULTS / "flight" / name / record.RUN_FILE
+    return places.RESULTS / "flight" / name / record.RUN_FILE
 
 
 def _read(name: str) -> xr.Dataset:

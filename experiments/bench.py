@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from experiments import Refused, manifest
 from experiments.bench_native import FOLDER, QPS, URDF, Times, build, run, take_turns, tick_times
-from jax_aero import rust
+from jax_aero import places, rust
 from jax_aero.rust import QpProblem, State
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ def _from_python() -> Rows:
         problems = _read_problems(name)
         for rows in (_our_rows, _daqp_rows, _clarabel_rows):
             yield from ((name, by, ns) for by, ns in rows(len(problems[0].g), problems))
-    config = rust.load_config(manifest.REPOSITORY / "configs" / "experiments" / "test2.toml")
+    config = rust.load_config(places.CONFIGS / "experiments" / "test2.toml")
     yield "flight of 50 s", "ours, `rust.fly`, full log", _per_item(rust.fly, [config])
 
 

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments import bench_jaxsim, manifest
-from jax_aero import rust, sim
+from jax_aero import places, rust, sim
 from jax_aero.aero import LinkConventions, aero_model, link_forces
 from jax_aero.control import qp
 from jax_aero.control import tick as control
@@ -39,7 +39,7 @@ from jax_aero.types import State, with_dtype
 untyped: Any = jax
 """The parts of JAX that carry no types."""
 
-EXPERIMENTS = manifest.REPOSITORY / "configs" / "experiments"
+EXPERIMENTS = places.CONFIGS / "experiments"
 HOVER = 1000
 """Tick of TEST2 at which the states are taken: hovering in the full wind."""
 TICKS = 20

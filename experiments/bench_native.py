@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments import Refused
-from experiments.manifest import REPOSITORY
+from jax_aero import places
 
 Times = dict[str, float]
 """What was measured to nanoseconds: the median over rounds, in the fastest turn.
@@ -26,9 +26,9 @@ Times = dict[str, float]
 A virtual machine may run at two paces, one half as fast again as the other. Of a few turns each, two medians may be of
 different paces; the fastest turns are most likely of one."""
 
-FOLDER = REPOSITORY / "target" / "side_by_side"
-SOURCES = REPOSITORY / "rust" / "sim" / "benches" / "native"
-URDF = REPOSITORY / "configs" / "robot" / "ironcub_mk1.urdf"
+FOLDER = places.HOME / "target" / "side_by_side"
+SOURCES = places.HOME / "rust" / "sim" / "benches" / "native"
+URDF = places.CONFIGS / "robot" / "ironcub_mk1.urdf"
 QPS = tuple(f"{name} QP, {case}" for name in ("momentum", "torque") for case in ("calm", "saturated"))
 EIGEN = "cmeel-eigen==3.4.1"  # the headers that Pinocchio was compiled with are not in its wheel
 # What the configuration of Pinocchio requires.
@@ -133,7 +133,7 @@ def _is_newer(program: Path, *sources: Path) -> bool:
 def run(command: Sequence[str]) -> str:
     """Run a program to its end and return what it printed, or refuse with what it complained of."""
     try:
-        done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=True)
+        done = subprocess.run(command, cwd=places.HOME, capture_output=True, text=True, check=True)
     except FileNotFoundError:
         raise Refused(f"`{command[0]}` is not installed") from None
     except subprocess.CalledProcessError as error:

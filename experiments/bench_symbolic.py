@@ -19,7 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments import study, trim
+from experiments import trim
+from jax_aero import places
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.aero import load_aero
 
@@ -46,8 +47,8 @@ def _rows() -> Iterator[tuple[str, Time]]:
     for module in ("casadi", "jax_aero.symbolic"):
         yield f"import {module}", _imported(code.format(module))
 
-    robot = load_robot(study.CONFIGS / "robot/ironcub_mk1.toml")
-    aero = load_aero(study.CONFIGS / "aero/axisymmetric_corrected.toml")
+    robot = load_robot(places.CONFIGS / "robot/ironcub_mk1.toml")
+    aero = load_aero(places.CONFIGS / "aero/axisymmetric_corrected.toml")
     yield "build all expressions of iRonCub-Mk1", _median(lambda: MomentumModel(robot, aero), 3)
     rng = np.random.default_rng(0)
     state = (rng.normal(size=3), np.eye(3), rng.normal(size=23), rng.normal(size=29), np.full(4, 100.0), np.ones(3))
@@ -66,7 +67,7 @@ def _rows() -> Iterator[tuple[str, Time]]:
         )
         for wind, words in (((0.0, 0.0, 0.0), "still air"), ((0.0, -10.0, 0.0), "10 m/s side wind")):
             yield f"solve it, {words}", _median(lambda: problem.solve(wind, objective="max_margin"), 5)  # noqa: B023 used at once
-    for path in sorted((study.RESULTS / "trajectory").glob("*/manifest.json")):
+    for path in sorted((places.RESULTS / "trajectory").glob("*/manifest.json")):
         document = json.loads(path.read_text(encoding="utf-8"))
         for step in ("build", "solve"):
             wall = document["timings_s"][step]

@@ -16,8 +16,8 @@ import numpy as np
 import xarray as xr
 
 from experiments.import_cfd import POSTURES, known_postures
-from experiments.study import CONFIGS, Findings, Study
-from jax_aero import tables
+from experiments.study import Findings, Study
+from jax_aero import places, tables
 from jax_aero.aero import fit, surrogate_fit
 from jax_aero.aero.dataset import Floats, tunnel_from_base
 from jax_aero.aero.posture import link_axes, vector_rms
@@ -26,7 +26,7 @@ from jax_aero.aero.surrogate_fit import Records, Settings
 from jax_aero.places import ROBOT
 from jax_aero.robot import RobotModel, load_robot
 
-TUNNEL, CFD = (CONFIGS / "tables" / name for name in ("wind_tunnel.toml", "cfd_tunnel.toml"))
+TUNNEL, CFD = (places.CONFIGS / "tables" / name for name in ("wind_tunnel.toml", "cfd_tunnel.toml"))
 
 JUDGES = ("flight50", "flight60")
 """Postures that no coefficient has seen."""

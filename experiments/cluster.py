@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from experiments import Refused, manifest, sources
+from experiments import Refused, sources
+from jax_aero import places
 from jax_aero.cli import count
 
 Key = TypeVar("Key")
@@ -86,7 +87,7 @@ class Ray:
 
 def _connect(ray: Any, address: str | None, workers: int | None) -> None:
     # The driver's folder is not on the path of its workers when it was started as `python -m`.
-    environment = {"env_vars": {"PYTHONPATH": str(manifest.REPOSITORY)}}
+    environment = {"env_vars": {"PYTHONPATH": str(places.HOME)}}
     quiet = {"log_to_driver": False, "logging_level": "error", "runtime_env": environment}
     if address:
         ray.init(address=address, **quiet)

@@ -19,15 +19,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments import Refused, manifest
-from jax_aero import tables
+from experiments import Refused
+from jax_aero import places, tables
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.files import write_json
 from jax_aero.places import ROBOT
 from jax_aero.tables import Positive
-
-RESULTS = manifest.RESULTS
 
 PAPER_BATTERY, PAPER_FUEL = 26.31, 4.61
 """What the paper prints [kg]."""
@@ -106,7 +104,7 @@ def main(arguments: Sequence[str]) -> int:
     parser = Parser("engine-choice", __doc__.split("\n", 1)[0])
     for name, value in tables.plain(Choice()).items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=float, default=value, metavar="X")
-    parser.add_argument("--out", type=Path, default=RESULTS, metavar="DIR", help="folder of engine_choice.json")
+    parser.add_argument("--out", type=Path, default=places.RESULTS, metavar="DIR", help="folder of engine_choice.json")
     given = vars(parser.parse_args(arguments))
     out: Path = given.pop("out")
     return exit_status(lambda: _compare(tables.convert(given, Choice, "engine-choice"), out))

@@ -14,9 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from experiments import study
 from experiments.study import Findings, Study
-from jax_aero import tables
+from jax_aero import places, tables
 from jax_aero.aero import fit
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, load
 from jax_aero.aero.posture import link_axes
@@ -67,7 +66,7 @@ main = STUDY.main
 
 def dataset_of(name: str) -> Path:
     """Return the dataset of a name: our own of `results/datasets`, or else a shipped one."""
-    own, shipped = (folder / f"{name}.nc" for folder in (study.RESULTS / "datasets", study.CONFIGS / "aero/datasets"))
+    own, shipped = (folder / f"{name}.nc" for folder in (places.RESULTS / "datasets", places.CONFIGS / "aero/datasets"))
     return shipped if shipped.is_file() and not own.is_file() else own
 
 

@@ -14,10 +14,10 @@ from tqdm import tqdm
 
 from experiments import Refused, engines, manifest, overrides, record, study
 from experiments.sources import code_hash
-from jax_aero import rust
+from jax_aero import places, rust
 from jax_aero.files import damaged
 
-RESULTS = manifest.RESULTS / "flight"
+RESULTS = places.RESULTS / "flight"
 
 
 def find(name: str) -> Path:

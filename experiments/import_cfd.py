@@ -15,14 +15,15 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments import Refused, manifest
+from experiments import Refused
+from jax_aero import places
 from jax_aero.aero.cfd_import import read_mat, read_solver_table
 from jax_aero.aero.dataset import JOINTS, Dataset, Floats, read_postures, save
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 
-POSTURES = manifest.REPOSITORY / "configs" / "tables" / "postures.toml"
-OUT = manifest.RESULTS / "datasets"
+POSTURES = places.CONFIGS / "tables" / "postures.toml"
+OUT = places.RESULTS / "datasets"
 
 COMMIT = "0d43057"
 TABLE_PATH = "simulations/ironcub-automatic-cfd/auto-cfd-sim/data/outputParameters.csv"

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, manifest, record
+from experiments import Refused, record
 from experiments.import_cfd import OUT, known_postures
-from jax_aero import tables
+from jax_aero import places, tables
 from jax_aero.aero import tunnel
 from jax_aero.aero.dataset import Floats
 from jax_aero.aero.posture import centres_of_mass
@@ -28,7 +28,7 @@ from jax_aero.command import exit_status
 from jax_aero.places import ROBOT
 from jax_aero.robot import load_robot
 
-TESTS = manifest.REPOSITORY / "configs" / "tables" / "tunnel_tests.toml"
+TESTS = places.CONFIGS / "tables" / "tunnel_tests.toml"
 ROOTS = ("wind-tunnel", "wind-tunnel-data")
 """Folders of the campaigns in a clone, at different commits."""
 SIDES = ("below", "above")

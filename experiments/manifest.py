@@ -16,8 +16,6 @@ from typing import Any
 from experiments.sources import code_hash
 from jax_aero import places, rust
 
-REPOSITORY, RESULTS = places.HOME, places.RESULTS
-
 
 def build(
     name: str,
@@ -77,8 +75,8 @@ def portable(value: Any) -> Any:
         value = str(value)
     if isinstance(value, str) and Path(value).is_absolute():
         path = Path(value)
-        inside = path.is_relative_to(REPOSITORY)
-        return path.relative_to(REPOSITORY).as_posix() if inside else f"(outside the repository)/{path.name}"
+        inside = path.is_relative_to(places.HOME)
+        return path.relative_to(places.HOME).as_posix() if inside else f"(outside the repository)/{path.name}"
     return value
 
 
@@ -104,7 +102,7 @@ def _git(*arguments: str) -> str | None:
     try:
         # Without a lock: an ended process would leave it behind, and a commit under way must not fail of this one.
         command = ["git", "--no-optional-locks", *arguments]
-        answer = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=True, timeout=10)
+        answer = subprocess.run(command, cwd=places.HOME, capture_output=True, text=True, check=True, timeout=10)
     except (OSError, subprocess.SubprocessError):
         return None
     return answer.stdout.strip()

@@ -14,10 +14,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from experiments import record, study
+from experiments import record
 from experiments.import_cfd import POSTURES, known_postures
 from experiments.study import Findings, Study
-from jax_aero import rust, tables
+from jax_aero import places, rust, tables
 from jax_aero.aero.dataset import in_robot_order
 from jax_aero.places import ROBOT
 from jax_aero.symbolic import load_robot
@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 class Pictures(tables.Table, frozen=True):
     """What Fig. 5 a shows."""
 
-    flight: Path = study.RESULTS / "flight" / "test2" / record.RUN_FILE
+    flight: Path = places.RESULTS / "flight" / "test2" / record.RUN_FILE
     moment: tables.NonNegative = 14.0
     """Hovering while the wind blows [s]."""
 

@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from experiments import manifest, tip_over, trim, tune, waypoints
+from experiments import tip_over, trim, tune, waypoints
 from experiments.cfd import design as cfd
 from experiments.cfd.settings import FlowConfig
 from experiments.sweep.perturbation import Perturbation
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for path, text in files().items():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
-        print(path.relative_to(manifest.REPOSITORY))
+        print(path.relative_to(places.HOME))
     return 0
 
 
@@ -69,10 +69,10 @@ def files() -> dict[Path, str]:
     found = {name: schema if name == "robot" else of_parts(schema) for name, schema in crate.items()}
     found |= {name: {"$schema": DIALECT, **tables.schema(kind)} for name, kind in STUDIES.items()}
     found["sweeps"] = _with_files(found["sweeps"])
-    folder, docs = manifest.REPOSITORY / "configs" / "schema", manifest.REPOSITORY / "docs"
+    folder, docs = places.CONFIGS / "schema", places.HOME / "docs"
     return {
         **{folder / f"{name}.schema.json": _json(schema) for name, schema in sorted(found.items())},
-        manifest.REPOSITORY / "jax_aero" / "config.py": python_types(crate),
+        places.HOME / "jax_aero" / "config.py": python_types(crate),
         docs / "reference" / "configuration.md": reference(crate),
     }
 

@@ -29,9 +29,6 @@ from jax_aero.keys import set_key
 
 C = TypeVar("C", bound=tables.Table)
 
-RESULTS = manifest.RESULTS
-CONFIGS = places.CONFIGS
-
 
 @dataclass(frozen=True)
 class Findings:
@@ -104,12 +101,12 @@ class Study(Generic[C]):
 
     def _about_names(self) -> str:
         default = f" (default {' '.join(self.names)})"
-        folder = CONFIGS / self.kind
+        folder = places.CONFIGS / self.kind
         return f"a file stem in configs/{self.kind}, or a path{default}" if folder.is_dir() else f"a name{default}"
 
     def read(self, name: str, changes: Mapping[str, Any] | None = None) -> tuple[str, C]:
         """Return the name and the configuration of a study that is given by name or path."""
-        if not (CONFIGS / self.kind).is_dir():
+        if not (places.CONFIGS / self.kind).is_dir():
             table: dict[str, Any] = {}
             for key, value in (changes or {}).items():
                 set_key(table, key, value)
@@ -122,7 +119,7 @@ class Study(Generic[C]):
         started = time.perf_counter()
         command = ["jax-aero", self.command, name, *self.options, *overrides.options(changes or {})]
         name, config = self.read(name, changes)
-        folder = RESULTS / self.kind / (places.name_of(name) + overrides.folder_suffix(changes or {}))
+        folder = places.RESULTS / self.kind / (places.name_of(name) + overrides.folder_suffix(changes or {}))
         under_way = [self.progress_of(folder)] if self.progress else []
         findings: Findings = self.compute(name, config, *under_way)
         timings = {**findings.timings, "all": time.perf_counter() - started}
@@ -174,7 +171,7 @@ def find(kind: str, name: str) -> Path:
 
 def result_name(kind: str, path: Path) -> str:
     """Return the name of the result of a configuration of a kind, which is not that of another, shipped one."""
-    shipped = CONFIGS / kind / f"{path.stem}.toml"
+    shipped = places.CONFIGS / kind / f"{path.stem}.toml"
     if shipped.is_file() and not shipped.samefile(path):
         raise Refused(f"{path}: its result would take the place of that of configs/{kind}/{shipped.name}; rename it")
     return path.stem
@@ -193,7 +190,7 @@ def titles(kind: str) -> dict[str, str]:
 
 def schema_of(kind: str, folder: Path) -> str:
     """Return the path of the schema of a kind of file, from a folder."""
-    return os.path.relpath(CONFIGS / "schema" / f"{kind}.schema.json", folder.resolve())
+    return os.path.relpath(places.CONFIGS / "schema" / f"{kind}.schema.json", folder.resolve())
 
 
 def digest(config: Mapping[str, Any], files: Sequence[Path]) -> str:

@@ -16,9 +16,10 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from experiments import Refused, manifest, study
+from experiments import Refused, study
 from experiments.import_cfd import OUT, POSTURES, keep, known_postures
 from experiments.sources import code_hash
+from jax_aero import places
 from jax_aero.aero.cfd_import import AIR_DENSITY, SPEED, checks
 from jax_aero.aero.dataset import Dataset, Floats, wind_direction
 from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogate
@@ -28,7 +29,7 @@ from jax_aero.files import complete_file
 from jax_aero.places import ROBOT
 from jax_aero.robot import load_robot
 
-SURROGATE = manifest.REPOSITORY / "configs" / "aero" / "panels" / "surrogate.toml"
+SURROGATE = places.CONFIGS / "aero" / "panels" / "surrogate.toml"
 
 PITCHES = np.arange(0.0, 181.0, 10.0)
 YAWS = np.arange(-160.0, 181.0, 20.0)

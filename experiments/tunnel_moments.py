@@ -22,9 +22,9 @@ import xarray as xr
 
 from experiments import Refused
 from experiments.import_cfd import OUT
-from experiments.study import CONFIGS, Findings, Study
+from experiments.study import Findings, Study
 from experiments.tunnel_correction import Points, columns, held_out, rms_by_posture
-from jax_aero import io, tables
+from jax_aero import io, places, tables
 from jax_aero.aero import tunnel
 from jax_aero.aero.dataset import Floats, in_robot_order, tunnel_from_base, wind_direction
 from jax_aero.aero.model import aero_model
@@ -35,7 +35,7 @@ from jax_aero.places import ROBOT
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.spatial import rotate
 
-AERO = CONFIGS / "aero"
+AERO = places.CONFIGS / "aero"
 PANELS = AERO / "panels" / "surrogate.toml"
 MODELS = {
     "axisymmetric, published": "axisymmetric_published",

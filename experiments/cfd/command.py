@@ -38,7 +38,7 @@ from jax_aero.cli import Parser, completes
 from jax_aero.command import exit_status
 from jax_aero.files import locked, write_json
 
-RESULTS = manifest.RESULTS / KIND
+RESULTS = places.RESULTS / KIND
 MODULES = geometry.__name__, simulate.__module__
 """Whose code, with all that they import, makes a case."""
 Simulate = Callable[[Mapping[str, Surface], Iterable[Floats], Settings, Path], Iterator[Result]]

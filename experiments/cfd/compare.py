@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, study, tunnel_moments
+from experiments import Refused, tunnel_moments
 from experiments.calibrate_surrogate import CFD, TUNNEL, table_rows, toml
 from experiments.cfd.command import dataset_of
 from experiments.cfd.correct import corrected
 from experiments.import_cfd import POSTURES
 from experiments.study import Findings, Study
 from experiments.tunnel_moments import NEWTON_METRES, PANELS
-from jax_aero import tables
+from jax_aero import places, tables
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, Indices, load, tunnel_from_base
 from jax_aero.aero.posture import total_wrench, vector_rms
 from jax_aero.aero.surrogate import batched_features, load_surrogate
@@ -111,7 +111,7 @@ def judged(robot: RobotModel, models: Mapping[str, Floats], truth: Dataset, wher
 
 def training_of(name: str) -> Path:
     """Return the result of `train NAME`."""
-    return study.RESULTS / "training" / name / "run.nc"
+    return places.RESULTS / "training" / name / "run.nc"
 
 
 def held_out_network(name: str, ours: Dataset) -> Floats | None:

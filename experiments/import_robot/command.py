@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments import Refused, manifest, study
+from experiments import Refused, study
 from experiments.import_robot import scenario, shapes, skeleton
-from jax_aero import rust
+from jax_aero import places, rust
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.files import complete_folder, read_text
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     def work() -> int:
         result = import_robot(
             given.urdf,
-            given.out or manifest.RESULTS / "robot" / given.urdf.stem,
+            given.out or places.RESULTS / "robot" / given.urdf.stem,
             jets=given.jet,
             feet=given.foot,
             held=given.hold,
@@ -167,7 +167,7 @@ def _trim(robot: Robot, posture_deg: dict[str, float], forward: str) -> TrimResu
         posture_weight=1.0,
         spread_weight=1.0,  # even thrusts keep a reserve for the wind
     )
-    return Trim(MomentumModel(robot, load_aero(study.CONFIGS / "aero" / "sphere_cylinder.toml")), settings).solve(
+    return Trim(MomentumModel(robot, load_aero(places.CONFIGS / "aero" / "sphere_cylinder.toml")), settings).solve(
         (0.0, 0.0, 0.0)
     )
 

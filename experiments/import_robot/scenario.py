@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments import study
-from jax_aero import tables
+from jax_aero import places, tables
 from jax_aero.symbolic.robot import Robot
 from jax_aero.symbolic.trim import TrimResult
 
@@ -19,9 +18,9 @@ INERTIA_OF_PUBLISHED_GAINS = 6.66
 
 def controller_text(robot: Robot, groups: Sequence[str], inertia: float, folder: Path) -> str:
     """Return the published controller for another robot: its jets and groups, attitude gains scaled by its inertia."""
-    table = tables.read(study.CONFIGS / "control" / "aero_aware.toml")
+    table = tables.read(places.CONFIGS / "control" / "aero_aware.toml")
     reach = {jet.name: 0.5 * jet.thrust_max for jet in robot.jets}
-    table["aero"] = {"base": _relative(study.CONFIGS / "aero" / "sphere_cylinder.toml", folder)}
+    table["aero"] = {"base": _relative(places.CONFIGS / "aero" / "sphere_cylinder.toml", folder)}
     for key in ("c0", "c1"):
         table["momentum"][key] *= inertia / INERTIA_OF_PUBLISHED_GAINS
     table["posture_gain"] = dict.fromkeys(groups, 20.0)
@@ -45,13 +44,13 @@ def scenario_text(robot: Robot, trim: TrimResult, folder: Path, *, mission: str,
 description = "Starts in the trim that import-robot found."
 robot = "robot.toml"
 controller = {{ base = "controller.toml" }}
-mission = {{ base = "{_relative(study.CONFIGS / "mission" / f"{mission}.toml", folder)}" }}
-wind = {{ base = "{_relative(study.CONFIGS / "wind" / f"{wind}.toml", folder)}" }}
+mission = {{ base = "{_relative(places.CONFIGS / "mission" / f"{mission}.toml", folder)}" }}
+wind = {{ base = "{_relative(places.CONFIGS / "wind" / f"{wind}.toml", folder)}" }}
 
 [simulator]
 duration = {duration!r}
 time_step = 0.01
-aero = {{ base = "{_relative(study.CONFIGS / "aero" / "sphere_cylinder.toml", folder)}" }}
+aero = {{ base = "{_relative(places.CONFIGS / "aero" / "sphere_cylinder.toml", folder)}" }}
 jets = {{ dynamics = "ideal" }}
 fall = {{ rotation_error_deg = 90.0, com_error = 1.0 }}
 

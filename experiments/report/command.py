@@ -13,6 +13,7 @@ from experiments.report import claims, facts
 from experiments.report.page import Heading, Page, Picture, Table, Text
 from experiments.report.results import NotFlownError, Results, Sweep, count
 from experiments.report.verdicts import ANOTHER, NOT_FLOWN, OUTDATED
+from jax_aero import places
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.files import write_text
@@ -43,7 +44,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--results",
         type=Path,
-        default=manifest.RESULTS,
+        default=places.RESULTS,
         metavar="DIR",
         help="folder with flight/, sweeps/",
     )

@@ -31,11 +31,11 @@ from experiments.sweep.chunks import Chunks, parquet
 from experiments.sweep.design import Design
 from experiments.sweep.progress import Progress
 from experiments.sweep.spec import Spec
-from jax_aero import rust, tables
+from jax_aero import places, rust, tables
 from jax_aero.files import checksums, damaged, locked, write_bytes, write_json
 from jax_aero.result import Outcome
 
-RESULTS = manifest.RESULTS / "sweeps"
+RESULTS = places.RESULTS / "sweeps"
 
 PRESENTATION = ("title", "description", "drawing", "panels", "axes")
 """What `SWEEP_FILE` holds of a sweep for its figure alone: a finished one takes it from its file, too."""

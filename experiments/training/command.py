@@ -22,13 +22,14 @@ from experiments import Refused, manifest, overrides, record, study
 from experiments.sources import code_hash
 from experiments.training import config, parts, result
 from experiments.training.parts import Finished
+from jax_aero import places
 from jax_aero.aero.dataset import Dataset, load
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import save_network
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 
-RESULTS = study.RESULTS / "training"
+RESULTS = places.RESULTS / "training"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -21,7 +21,7 @@ import xarray as xr
 from experiments import manifest, record, study
 from experiments.sources import code_hash
 from experiments.training import config, result
-from jax_aero import tables
+from jax_aero import places, tables
 from jax_aero.aero.dataset import Dataset, Floats, Indices, load
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import save_network
@@ -31,7 +31,7 @@ from jax_aero.command import exit_status
 from jax_aero.files import complete_file, write_json
 from jax_aero.train import fit, predict_areas, samples_of
 
-BASE = study.CONFIGS / "training" / "compact.toml"
+BASE = places.CONFIGS / "training" / "compact.toml"
 FOLDS = 5
 COVERAGE = 0.9
 SEED = 100
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, metavar="DIR", help="result folder (default results/training/ensemble)")
     parser.add_argument("--write", type=Path, metavar="DIR", help="write weights, cards and ensemble.json there")
     given = parser.parse_args(arguments)
-    folder = given.out or study.RESULTS / "training" / "ensemble"
+    folder = given.out or places.RESULTS / "training" / "ensemble"
 
     def work() -> None:
         print(study.listing(run(given.dataset, given.epochs, folder, given.write)["summary"]))

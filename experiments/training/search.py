@@ -24,7 +24,7 @@ import optuna
 from experiments import manifest, study
 from experiments.sources import code_hash
 from experiments.training import config
-from jax_aero import tables
+from jax_aero import places, tables
 from jax_aero.aero.dataset import Dataset, load
 from jax_aero.cli import Parser, count
 from jax_aero.command import exit_status
@@ -32,7 +32,7 @@ from jax_aero.files import write_json, write_text
 from jax_aero.keys import set_key
 from jax_aero.train import fit, samples_of
 
-RESULTS = study.RESULTS / "training_search"
+RESULTS = places.RESULTS / "training_search"
 
 
 class Range(tables.Table, frozen=True):

@@ -13,7 +13,7 @@ from PIL import Image
 from experiments.__main__ import main
 from experiments.training import command, config
 from experiments.training.result import card_facts
-from jax_aero import tables
+from jax_aero import places, tables
 from jax_aero.aero.dataset import load, save
 from jax_aero.aero.network_card import load_network, read_card
 from jax_aero.command import INTERRUPTED
@@ -182,7 +182,7 @@ def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):
     pytest.importorskip("optuna")
     base = tmp_path / "base.toml"
     options = "\n".join(f"{key} = {value}" for key, value in {"epochs": 2, "batch": 32, "validate_every": 1}.items())
-    text = (command.study.CONFIGS / "training" / "plain.toml").read_text()
+    text = (places.CONFIGS / "training" / "plain.toml").read_text()
     for line in options.splitlines():
         key = line.split(" ")[0]
         text = "\n".join(line if row.startswith(f"{key} ") else row for row in text.splitlines())
@@ -221,7 +221,7 @@ def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):
 def test_a_trial_that_another_process_runs_stops_no_search(data, tmp_path, monkeypatch, capsys):
     search = tmp_path / "small.toml"
     search.write_text(
-        f'base = "{command.study.CONFIGS}/training/plain.toml"\ntrials = 1\nseed = 1\nfold_seed = 0\nfolds = 3\n'
+        f'base = "{places.CONFIGS}/training/plain.toml"\ntrials = 1\nseed = 1\nfold_seed = 0\nfolds = 3\n'
         'folds_run = 1\n[space]\n"training.learning_rate" = { low = 1e-3, high = 1e-2 }\n'
     )
     arguments = ["train-search", str(search), "--dataset", str(data), "--out", str(tmp_path / "out")]
@@ -243,7 +243,7 @@ def test_a_trial_whose_network_diverges_has_an_infinite_error(made_up_dataset):
     from experiments.training import search
 
     changes = {"network.hidden": [4, 4, 4], "training.epochs": 2, "training.batch": 32, "training.learning_rate": 1e9}
-    path = command.study.CONFIGS / "training" / "plain.toml"
+    path = places.CONFIGS / "training" / "plain.toml"
     settings = search.SearchConfig(path, trials=1, seed=1, fold_seed=0, folds=3, folds_run=1, space={})
     assert search.error_of(search.changed(path, tables.read(path), changes), made_up_dataset, settings) == np.inf
 
@@ -254,7 +254,7 @@ def test_a_trial_is_judged_by_the_weights_that_it_keeps(made_up_dataset):
     from experiments.training import search
 
     changes = {"network.hidden": [4], "training.epochs": 30, "training.batch": 32, "training.learning_rate": 0.5}
-    path = command.study.CONFIGS / "training" / "plain.toml"
+    path = places.CONFIGS / "training" / "plain.toml"
     settings = search.SearchConfig(path, trials=1, seed=1, fold_seed=0, folds=3, folds_run=1, space={})
     training = search.changed(path, tables.read(path), changes | {"training.patience": 3, "training.validate_every": 1})
     rows = made_up_dataset.mirrored() if training.mirrored else made_up_dataset

@@ -6,7 +6,7 @@ import xarray as xr
 
 from experiments import Refused, along, pictures, record
 from experiments.import_cfd import known_postures
-from jax_aero import rust, tables
+from jax_aero import places, rust, tables
 from jax_aero.aero.dataset import in_robot_order
 from jax_aero.places import ROBOT
 from jax_aero.symbolic import load_robot
@@ -90,7 +90,7 @@ def test_a_result_of_older_code_is_not_drawn(study, tmp_path):
 
 
 def test_the_flights_themselves_count(make_flight, robot, tmp_path, monkeypatch):
-    monkeypatch.setattr(along.study, "RESULTS", tmp_path)
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
     path = tmp_path / "flight" / "mine" / "run.nc"
     path.parent.mkdir(parents=True)
     record.write_dataset(record.to_dataset(make_flight(5.0), robot, title="t", config_digest="0"), path)

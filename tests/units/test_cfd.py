@@ -15,9 +15,9 @@ import pytest
 import pyvista
 import xarray as xr
 
-from experiments import calibrate_surrogate, import_cfd, record, sources, study
+from experiments import calibrate_surrogate, import_cfd, record, sources
 from experiments.cfd import case, command, compare, correct, design, flow, foam, geometry, settings, simulate, verify
-from jax_aero import mesh, rust, tables
+from jax_aero import mesh, places, rust, tables
 from jax_aero.aero import dataset as ds
 from jax_aero.aero import surrogate, surrogate_fit
 from jax_aero.aero.dataset import LINKS
@@ -572,7 +572,7 @@ def test_cases_are_compared_with_models_and_with_rows_of_a_table(collected, tmp_
 
 
 def test_a_network_is_judged_on_the_rows_it_was_trained_beside(collected, tmp_path, monkeypatch):
-    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
     assert compare.held_out_network("small", collected) is None
     both = collected.mirrored()
     run = xr.Dataset(

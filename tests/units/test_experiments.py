@@ -53,7 +53,7 @@ def test_the_manifest_says_all_and_names_no_path_of_this_machine(flown, tmp_path
     assert document["config"]["robot"] == "configs/robot/ironcub_mk1.toml"
     assert document["overrides"] == {"wind.velocity": [0, -12, 0]}
     assert {"python", "numpy", "jax-aero", "flight-core"} <= document["versions"].keys()
-    assert str(manifest.REPOSITORY) not in text
+    assert str(places.HOME) not in text
     assert str(tmp_path) not in text
     assert not re.search(r'"/', text)
 
@@ -176,8 +176,8 @@ def test_the_table_says_when_and_why_a_flight_fell():
 
 
 def test_paths_become_portable():
-    inside = manifest.REPOSITORY / "configs" / "x.toml"
-    outside = manifest.REPOSITORY.parent / "secret" / "x.toml"
+    inside = places.CONFIGS / "x.toml"
+    outside = places.HOME.parent / "secret" / "x.toml"
     assert manifest.portable({"a": [str(inside), inside, 3]}) == {"a": ["configs/x.toml", "configs/x.toml", 3]}
     assert manifest.portable(str(outside)) == "(outside the repository)/x.toml"
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments import fit_aero, import_cfd, study
+from experiments import fit_aero, import_cfd
+from jax_aero import places
 from jax_aero.aero import dataset as ds
 from jax_aero.aero import fit
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
@@ -164,7 +165,7 @@ def result(tmp_path_factory, robot, sampled, axes):
     areas = fit.predicted_areas(np.asarray(robot.aero_links.coefficients["corrected"]), axes, sampled.wind_b)
     ds.save(dataclasses.replace(sampled, force_area_b=areas), folder / "datasets" / "freestream.nc")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(study, "RESULTS", folder)
+        patch.setattr(places, "RESULTS", folder)
         status = fit_aero.main(["freestream"])
     return folder, status
 
@@ -197,8 +198,8 @@ def test_a_missing_dataset_is_named_with_the_command_that_makes_it(tmp_path, cap
 
 
 def test_a_dataset_is_our_own_of_a_name_or_else_the_shipped_one(tmp_path, monkeypatch):
-    monkeypatch.setattr(study, "RESULTS", tmp_path)
-    assert fit_aero.dataset_of("open") == study.CONFIGS / "aero" / "datasets" / "open.nc"
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
+    assert fit_aero.dataset_of("open") == places.CONFIGS / "aero" / "datasets" / "open.nc"
     own = tmp_path / "datasets" / "open.nc"
     own.parent.mkdir()
     own.touch()
@@ -208,7 +209,7 @@ def test_a_dataset_is_our_own_of_a_name_or_else_the_shipped_one(tmp_path, monkey
 
 def test_a_solver_table_goes_through_import_and_fit(tmp_path, monkeypatch, robot):
     """Of a table made with a known model the fit is that model, and every other set differs by its own figures."""
-    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
     names = ["hovering", "Config2", "Config101", "Config114"]
     axes = link_axes(robot, np.array([import_cfd.known_postures()[name] for name in names]))
     rng = np.random.default_rng(3)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments import force_rate, study
+from experiments import force_rate
+from jax_aero import places
 from paper_figs.figures import FIGURES
 from paper_figs.runs import MissingRun
 
@@ -21,14 +22,14 @@ def result(tmp_path_factory):
     """The first 12 s of TEST2: the wind rises, the climb begins."""
     folder = tmp_path_factory.mktemp("results")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(study, "RESULTS", folder)
+        patch.setattr(places, "RESULTS", folder)
         document = force_rate.STUDY.run("test2", {"duration": 12.0})
     return folder, document
 
 
 def test_an_experiment_given_by_its_path_stays_where_it_is(tmp_path, monkeypatch, capsys):
     """The result has its name, beside those of the others, and not its path."""
-    monkeypatch.setattr(study, "RESULTS", tmp_path / "results")
+    monkeypatch.setattr(places, "RESULTS", tmp_path / "results")
     path = tmp_path / "mine.toml"
     text = f'base = "{ROOT}/configs/experiments/test2.toml"\n'
     path.write_text(text)

@@ -10,7 +10,7 @@ import xarray as xr
 
 from experiments import Refused, engines, record, study, tip_over
 from experiments.report import ground
-from jax_aero import rust
+from jax_aero import places, rust
 from jax_aero.mujoco_ground import GroundPlant, fly
 from paper_figs.__main__ import main as draw
 
@@ -372,7 +372,7 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     text = (ROOT / "configs/tip_over/ground.toml").read_text().replace("../", f"{ROOT}/configs/")
     path = tmp_path / "small.toml"
     path.write_text(text.replace("[0.0, 30.0, 60.0, 90.0, 120.0, 150.0, 180.0]", "[0.0, 90.0]"))
-    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
     with pytest.raises(KeyboardInterrupt):
         tip_over.STUDY.run(str(path))
     interrupted = len(made)

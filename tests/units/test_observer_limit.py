@@ -4,7 +4,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from experiments import observer_limit, study
+from experiments import observer_limit
+from jax_aero import places
 from paper_figs.figures import FIGURES
 
 
@@ -46,7 +47,7 @@ def test_the_couple_is_one(config, agree, measured):
 
 
 def test_the_result_and_the_figure(tmp_path, monkeypatch):
-    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
     document = observer_limit.STUDY.run("hover", {"gains": [3.0], "axes": ["yaw"], "duration": 0.05})
     assert set(document["summary"]) == {f"yaw, K_o 3: {key} [N m/rad]" for key in ("predicted", "flown")}
     name = "hover--axes=yaw--duration=0.05--gains=3.0"

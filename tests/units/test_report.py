@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 import xarray as xr
 
-from experiments import engine_choice, manifest, record, study, wind_observer
+from experiments import engine_choice, manifest, record, wind_observer
 from experiments.__main__ import main
 from experiments.cfd.settings import FlowConfig
 from experiments.report import claims, facts, ground, metrics, outdated
@@ -168,7 +168,7 @@ def test_what_differs_of_a_sweep_is_named():
 
 
 def test_a_study_of_another_flight_or_file_is_outdated(tmp_path, monkeypatch, make_flight):
-    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
     monkeypatch.setattr(rust, "fly_batch", lambda configs, **_: [make_flight() for _ in configs])
     document = wind_observer.STUDY.run("turbulence", {"worlds": ["axisymmetric"], "speeds": [6.0], "flights": 1})
     assert outdated.study("wind_observer", "turbulence", document) == ""

@@ -16,7 +16,6 @@ from experiments import (
     import_lab,
     manifest,
     observer_limit,
-    study,
     wind_observer,
 )
 from jax_aero import cli, places, rust
@@ -90,7 +89,7 @@ def test_estimated_winds_are_judged_over_all_flights_of_a_speed(monkeypatch, mak
     ],
 )
 def test_what_a_study_cannot_be_made_of_is_named(main, change, words, capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
     assert main(["--set", change]) == 2
     assert words in capsys.readouterr().err
     assert not any(tmp_path.iterdir())
@@ -107,7 +106,7 @@ def test_ones_own_file_with_a_shipped_name_replaces_no_result(command, kind, tmp
 
 
 def test_the_perturbation_of_the_wind_observers_flights_counts(tmp_path, monkeypatch, make_flight):
-    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
 
     def fly_batch(configs, *, full_log):
         return [make_flight() for _ in configs]

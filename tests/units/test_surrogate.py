@@ -7,7 +7,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from experiments import calibrate_surrogate, import_cfd, study, surrogate_dataset
+from experiments import calibrate_surrogate, import_cfd, surrogate_dataset
+from jax_aero import places
 from jax_aero.aero import dataset as ds
 from jax_aero.aero import fit, surrogate, surrogate_fit
 from jax_aero.aero.dataset import LINKS
@@ -149,7 +150,7 @@ def test_a_bad_file_is_refused(robot, tmp_path, old, new, message):
 def calibrated(tmp_path_factory):
     folder = tmp_path_factory.mktemp("results")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(study, "RESULTS", folder)
+        patch.setattr(places, "RESULTS", folder)
         # The penalties that ship; trying all of them takes a while.
         patch.setattr(surrogate_fit, "GRID", {"to_common": (10.0,), "to_zero": (1.0,)})
         document = calibrate_surrogate.STUDY.run("calibration")

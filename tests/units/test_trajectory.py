@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments import Refused, study, waypoints
 from experiments import trajectory as experiment
-from jax_aero import rust, tables
+from jax_aero import places, rust, tables
 from jax_aero.symbolic import load_robot, trajectory
 from jax_aero.symbolic.trajectory import TrajectoryProblem, _lagrange, _lagrange_derivatives, _radau_weights
 from paper_figs.figures import FIGURES
@@ -177,7 +177,7 @@ def test_the_result_names_its_reference_and_its_flights(tmp_path, monkeypatch, c
     }
     flight = rust.FlightResult(log, np.zeros(23), "completed", None, None, {})
     dataset = experiment.to_dataset(plan, flight, flight, climb.model.robot, climb.config)
-    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
     findings = study.Findings("Small", dataset, {"a figure": np.inf}, texts={"reference.csv": "time\n"})
 
     def compute(*_):

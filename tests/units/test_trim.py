@@ -9,9 +9,9 @@ import pytest
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-from experiments import Refused, study
+from experiments import Refused
 from experiments import trim as experiment
-from jax_aero import rust
+from jax_aero import places, rust
 from paper_figs.figures import FIGURES
 from tests.measurements import measured
 
@@ -152,7 +152,7 @@ def test_the_command_line(capsys):
 
 
 def test_a_map_is_a_result_with_a_manifest(tmp_path, monkeypatch):
-    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
     text = (ROOT / "configs/trim/hover_posture.toml").read_text().replace('"../', f'"{ROOT}/configs/')
     head = text[: text.index("[map]")]
     path = tmp_path / "small.toml"
@@ -176,7 +176,7 @@ def test_a_map_is_a_result_with_a_manifest(tmp_path, monkeypatch):
 
 
 def test_a_map_without_any_trim_is_written_and_says_so(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(study, "RESULTS", tmp_path)
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
     text = (ROOT / "configs/trim/hover_posture.toml").read_text().replace('"../', f'"{ROOT}/configs/')
     path = tmp_path / "storm.toml"
     path.write_text(text[: text.index("[map]")] + "[map]\nspeeds = [20.0]\ndirections_deg = [90.0]\n")

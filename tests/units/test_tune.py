@@ -10,8 +10,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from experiments import study, tune
-from jax_aero import rust, sim, tables
+from experiments import tune
+from jax_aero import places, rust, sim, tables
 from jax_aero.command import Refused
 from jax_aero.places import CONFIGS
 from jax_aero.sim import FlightRow
@@ -44,7 +44,7 @@ steps = {{ count = 4, batch = 2, learning_rate = 0.1, gradient_max = 100.0, vali
 
 @pytest.fixture
 def files(tmp_path, monkeypatch):
-    monkeypatch.setattr(study, "RESULTS", tmp_path / "results")
+    monkeypatch.setattr(places, "RESULTS", tmp_path / "results")
     (tmp_path / "worlds.toml").write_text(WORLDS)
     (tmp_path / "toy.toml").write_text(TUNE)
     return tmp_path
@@ -158,7 +158,7 @@ def slopes(theta, group, *_):
 def test_a_run_that_is_killed_goes_on_to_the_same_bytes(files, monkeypatch):
     """And its controller flies, with the values of the factors."""
     monkeypatch.setattr(tune, "gradients", slopes)
-    path, folder = str(files / "toy.toml"), study.RESULTS / "tune" / "toy"
+    path, folder = str(files / "toy.toml"), places.RESULTS / "tune" / "toy"
     document = tune.STUDY.run(path)
     assert document["summary"]["worlds left out of steps"] == 0.5
     whole = {name: (folder / name).read_bytes() for name in ("run.nc", "toy.toml")}
@@ -189,7 +189,7 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bytes(files, monkeypatch):
     factor = document["summary"]["factor of momentum.c0"]
     assert tuned["controller"]["momentum"]["c0"] == float(f"{before['controller']['momentum']['c0'] * factor:.4g}")
     assert rust.fly(rust.load_config(flown, {"simulator.duration": 0.1})).outcome == "completed"
-    figure, hashes = FIGURES["tune"].drawn(study.RESULTS / "flight", ["toy"])
+    figure, hashes = FIGURES["tune"].drawn(places.RESULTS / "flight", ["toy"])
     assert hashes == {"toy": document["config_digest"]}
     plt.close(figure)
 

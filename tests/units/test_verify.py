@@ -121,7 +121,7 @@ def test_a_robot_alone_is_compared_without_a_flight(compared, tmp_path):
 
 def test_another_controller_takes_the_place_of_the_flights(tmp_path, capsys):
     controller = rust.load_config("test1")
-    observer = command.places.HOME / "configs" / "control" / "observer.toml"
+    observer = command.places.CONFIGS / "control" / "observer.toml"
     options = command._parse(["--config", "test1", "--controller", str(observer), "--set", "simulator.duration=1"])
     found = command._config(options)
     assert found["controller"] != controller["controller"]
