@@ -15,7 +15,7 @@ from experiments.report import facts, observer
 from experiments.report.ground import Ground
 from experiments.report.metrics import FINAL
 from experiments.report.results import NotFlownError, Results, count
-from experiments.report.verdicts import AGREES, ANOTHER, NOT_FLOWN, OUTDATED, differs, out_of_reach, within
+from experiments.report.verdicts import AGREES, ANOTHER, NOT_FLOWN, OUTDATED, differs, judged, out_of_reach, within
 
 RIGHT, HEAD, PUBLISHED = (
     "corrected arms, 10 m/s from the side",
@@ -41,8 +41,14 @@ MOSTLY = 0.95
 LEANING = 45.0
 """Rotation error beyond which a flight that completes does not count as balanced [deg]."""
 
+ARMS = {"corrected": "", "published": "_published"}
+"""Endings of the names of flights, by their lever arms."""
+
 STANDING = ("balancing_front", "balancing_lateral")
 """The ground experiments of Fig. 6."""
+
+VISIBLE_SHIFT = 2e-3
+"""A CoM that moved less than this did not move [m]."""
 
 
 @dataclass(frozen=True)
@@ -86,9 +92,8 @@ class _Claim:
     @property
     def command(self) -> str:
         """Return what makes the measurement."""
-        words = [f"python -m experiments {' '.join(self.flights)}"] if self.flights else []
-        words += [f"python -m experiments sweep {self.sweep}"] if self.sweep else []
-        return "; ".join([*words, *([f"python -m experiments {self.study}"] if self.study else [])])
+        words = (" ".join(self.flights), f"sweep {self.sweep}" if self.sweep else "", self.study)
+        return "; ".join(f"python -m experiments {word}" for word in words if word)
 
 
 def _fact(key: str, where: str, claim: str, judge: Callable[[], tuple[str, str]], figure: str = "") -> _Claim:
@@ -135,17 +140,13 @@ def _agreement(corrected: bool, published: bool) -> str:
     return differs("it does not hold")
 
 
-def _judged(holds: bool, how: str = "it does not hold") -> str:
-    return AGREES if holds else differs(how)
-
-
 def _pair(results: Results, test: str) -> tuple[str, list[Mapping[str, float]]]:
     """How a test ends with corrected and with published lever arms, and how often its perturbed flights complete."""
     cells = results.sweep("paper_tests")
     name = test.upper() if test.startswith("test") else test
     texts, shares = [], []
-    for arms, run in (("corrected", test), ("published", f"{test}_published")):
-        found, share = results.flight(run), cells.cell(test=f"{name}, {arms} arms")
+    for arms, end in ARMS.items():
+        found, share = results.flight(test + end), cells.cell(test=f"{name}, {arms} arms")
         texts.append(
             f"{arms} arms: {found.ending}, rotation error {found.rotation_error:.1f}°, "
             f"CoM error {100 * found.com_error:.0f} cm, perturbed {count(share)} complete"
@@ -161,7 +162,7 @@ def _mostly(share: Mapping[str, float]) -> bool:
 
 def _undecided(shares: Sequence[Mapping[str, float]]) -> str:
     """Return where more flights could turn a verdict on what is claimed to complete; empty if nowhere."""
-    pairs = zip(("corrected", "published"), shares, strict=True)
+    pairs = zip(ARMS, shares, strict=True)
     arms = [arms for arms, share in pairs if share["completed_low"] < MOSTLY < share["completed_high"]]
     inside = f"{100 * MOSTLY:.0f} % is within the interval"
     return f"; with {' and '.join(arms)} lever arms not decided: {inside}" if arms else ""
@@ -192,13 +193,13 @@ def _joint_errors(results: Results) -> tuple[str, str]:
         f"{FINAL:g} s; TEST1, published arms: at most {baseline.joint_error_max:.0f}°, "
         f"{baseline.joint_error_at_end:.0f}° over the {FINAL:g} s before the fall"
     )
-    return text, _judged(bounded and grows)
+    return text, judged(bounded and grows)
 
 
 def _aligned(results: Results) -> tuple[str, str]:
     median, greatest = results.flight("test2").force_angle
     text = f"TEST2: angle between total force and relative wind {median:.1f}° in the median, {greatest:.1f}° at most"
-    return text, _judged(median < 15.0)
+    return text, judged(median < 15.0)
 
 
 def _asymmetry(results: Results) -> tuple[str, str]:
@@ -207,13 +208,13 @@ def _asymmetry(results: Results) -> tuple[str, str]:
         f"left and right differ by up to {wind.asymmetry[0]:.1f} N (arms) and {wind.asymmetry[1]:.1f} N (chest) "
         f"in the side wind, by {still.asymmetry[0]:.1f} N and {still.asymmetry[1]:.1f} N without wind"
     )
-    return text, _judged(max(wind.asymmetry) > 1.5 * max(still.asymmetry))
+    return text, judged(max(wind.asymmetry) > 1.5 * max(still.asymmetry))
 
 
 def _robustness(results: Results) -> tuple[str, str]:
     text, shares = _pair(results, "robustness")
     verdict = _agreement(*map(_mostly, shares))
-    leaning = max(results.flight(name).rotation_error for name in ("robustness", "robustness_published"))
+    leaning = max(results.flight(f"robustness{end}").rotation_error for end in ARMS.values())
     if verdict.startswith(AGREES) and leaning > LEANING:
         verdict += f", but the robot leans by up to {leaning:.0f}°"
     return text, verdict + _undecided(shares)
@@ -240,8 +241,8 @@ def _model_pairs(results: Results) -> tuple[str, str]:
 
 def _transitions(results: Results) -> tuple[str, str]:
     texts, times = [], []
-    for arms, name in (("corrected", "robustness"), ("published", "robustness_published")):
-        run = results.flight(name)
+    for arms, end in ARMS.items():
+        run = results.flight(f"robustness{end}")
         texts.append(f"{arms} arms: {run.force_difference:.1f} N of {run.force:.1f} N, at {run.difference_time:.0f} s")
         times.append(run.difference_time)
     verdict = _agreement(*(time >= 20.0 for time in times))
@@ -258,7 +259,7 @@ def _thrusts_alike(results: Results) -> tuple[str, str]:
         "corrected arms"
     )
     apart = max(abs(one - other) for one, other in zip(axisymmetric, network, strict=True))
-    return text, _judged(apart < 10.0)
+    return text, judged(apart < 10.0)
 
 
 def _lambda(results: Results) -> tuple[str, str]:
@@ -271,7 +272,7 @@ def _lambda(results: Results) -> tuple[str, str]:
             f"{without['rotation_error_deg_median']:.1f}° without"
         )
         same.append(abs(whole["rotation_error_deg_median"] - without["rotation_error_deg_median"]) < 1.0)
-    return "median rotation error " + "; ".join(texts), _judged(all(same), "not in every world")
+    return "median rotation error " + "; ".join(texts), judged(all(same), "not in every world")
 
 
 def _minimum(results: Results) -> tuple[str, str]:
@@ -313,12 +314,10 @@ def answer(results: Results) -> str:
 
 def _stands(results: Results) -> tuple[str, str]:
     runs = _stood(results)
-    text = "; ".join(f"{run.name}: {run.ending}, feet carry {_always(run.always_carried)}" for run in runs)
-    return text, _judged(all(run.completed and run.always_carried for run in runs))
-
-
-def _always(yes: bool) -> str:
-    return "all the time" if yes else "not all the time"
+    text = "; ".join(
+        f"{run.name}: {run.ending}, feet carry {'' if run.always_carried else 'not '}all the time" for run in runs
+    )
+    return text, judged(all(run.completed and run.always_carried for run in runs))
 
 
 def _against(results: Results) -> tuple[str, str]:
@@ -333,23 +332,19 @@ def _against(results: Results) -> tuple[str, str]:
         and abs(run.shift[axis]) > max(VISIBLE_SHIFT, 5.0 * abs(run.shift[1 - axis]))
         for run, axis in zip(runs, axes, strict=True)
     )
-    return text, _judged(all(opposed))
-
-
-VISIBLE_SHIFT = 2e-3
-"""A CoM that moved less than this did not move [m]."""
+    return text, judged(all(opposed))
 
 
 def _ankle_pitch(results: Results) -> tuple[str, str]:
     front, _ = _stood(results)
     first = max(front.left_leg, key=lambda joint: abs(front.left_leg[joint]))
-    return _leg(front), _judged(first == "ankle_pitch")
+    return _leg(front), judged(first == "ankle_pitch")
 
 
 def _rolls(results: Results) -> tuple[str, str]:
     _, lateral = _stood(results)
     order = sorted(lateral.left_leg, key=lambda joint: -abs(lateral.left_leg[joint]))
-    return _leg(lateral), _judged(set(order[:2]) == {"hip_roll", "ankle_roll"})
+    return _leg(lateral), judged(set(order[:2]) == {"hip_roll", "ankle_roll"})
 
 
 def _leg(run: Ground) -> str:
@@ -376,21 +371,21 @@ def _identities(results: Results) -> tuple[str, str]:
         for run in runs
     )
     exact = all(run.identity < 1e-9 and abs(run.vertical[1]) < 0.5 for run in runs)
-    return text, _judged(exact)
+    return text, judged(exact)
 
 
 def _onset(results: Results) -> tuple[str, str]:
     runs = _stood(results)
     text = "; ".join(f"{run.name}: CoM has moved 1 mm after {run.onset:.1f} s" for run in runs)
     near = all(abs(run.onset - 2.0) < 1.0 for run in runs)
-    return text, _judged(near, "not when the real robot does: our drives are chosen, not measured")
+    return text, judged(near, "not when the real robot does: our drives are chosen, not measured")
 
 
 def _fuel_flown(results: Results) -> tuple[str, str]:
     flown = results.study("along", "flights")["no_wind"]
     mass = flown["five_minutes_kg"]
     text = f"{mass:.2f} kg at the mean rate of the mission without wind ({flown['fuel_l']:.2f} l in 50 s)"
-    return text, _judged(
+    return text, judged(
         abs(mass - PAPER_FUEL) < 0.25, f"{mass - PAPER_FUEL:+.2f} kg; the engines burn more, and idle counts"
     )
 
@@ -404,7 +399,7 @@ def _arm_engines(results: Results) -> tuple[str, str]:
         for name, cell in weak.items()
     )
     same = all(cell["outcome"] == found[f"{name} P160"]["outcome"] for name, cell in weak.items())
-    return text, _judged(same, "not every flight ends alike")
+    return text, judged(same, "not every flight ends alike")
 
 
 def _clearance(results: Results) -> tuple[str, str]:
@@ -431,7 +426,7 @@ def _wake_viscosity(results: Results) -> tuple[str, str]:
         f"at most {greatest:.0f} in the plane of symmetry, above 100 in {part:.0f} % of the area there in which the "
         "air is slower than half the wind"
     )
-    return text, _judged(part > 99.0, f"not in {100.0 - part:.0f} % of it")
+    return text, judged(part > 99.0, f"not in {100.0 - part:.0f} % of it")
 
 
 def _wake_meshes(results: Results) -> tuple[str, str]:
@@ -443,7 +438,7 @@ def _wake_meshes(results: Results) -> tuple[str, str]:
         f"{', '.join(f'{area:.2f}' for area in areas)} m²"
     )
     change = areas[1] / areas[2] - 1.0
-    return text, _judged(abs(change) < 0.1, f"{100.0 * change:+.0f} % from the finest to that of the recipe")
+    return text, judged(abs(change) < 0.1, f"{100.0 * change:+.0f} % from the finest to that of the recipe")
 
 
 _TESTS = "paper_tests"

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from experiments import engine_choice
-from experiments.report.verdicts import AGREES, differs, out_of_reach, within
+from experiments.report.verdicts import AGREES, differs, judged, out_of_reach, within
 from jax_aero import rust
 from jax_aero.places import CONFIGS, ROBOT
 from jax_aero.urdf import origin_of
@@ -86,7 +86,7 @@ def lift() -> tuple[str, str]:
     """Judge carry 40 kg."""
     chest = [jet["thrust_max"] for jet in robot()["jets"] if "chest" in jet["name"]]
     return f"{len(chest)} chest jets, {sum(chest):.0f} N, carry {sum(chest) / GRAVITY:.1f} kg", (
-        AGREES if sum(chest) > 40.0 * GRAVITY > max(chest) else differs("one would do, or two do not")
+        judged(sum(chest) > 40.0 * GRAVITY > max(chest), "one would do, or two do not")
     )
 
 
@@ -107,7 +107,7 @@ def arm_engine() -> tuple[str, str]:
     names = sorted({jet["engine"] for jet in robot()["jets"] if "arm" in jet["name"]})
     steady = {name: steady_thrust(robot()["engines"][name], 100.0) for name in ("P100", "P160")}
     text = f"{', '.join(names)}; steady at 100 %: " + ", ".join(f"{n} {t:.1f} N" for n, t in steady.items())
-    return text, AGREES if names == ["P100"] else differs("the published flights put P160 there, so do ours")
+    return text, judged(names == ["P100"], "the published flights put P160 there, so do ours")
 
 
 def battery() -> tuple[str, str]:
@@ -155,7 +155,7 @@ def strength() -> tuple[str, str]:
     text = f"{ERGAL_STRENGTH:.0f} MPa (7075-T6) over the paper's stresses: " + ", ".join(
         f"{part} {factor:.1f}" for part, factor in factors.items()
     )
-    return text, AGREES if min(factors.values()) >= 5.0 else differs(f"{min(factors.values()):.1f}")
+    return text, judged(min(factors.values()) >= 5.0, f"{min(factors.values()):.1f}")
 
 
 def ranges() -> tuple[str, str]:
@@ -165,7 +165,7 @@ def ranges() -> tuple[str, str]:
     alpha = [angle for test in tunnel["flight"] for angle in test["alpha_deg"]]
     text = f"hovering β {min(beta)}° to {max(beta)}°, flight α {min(alpha)}° to {max(alpha)}°"
     same = (min(beta), max(beta), min(alpha), max(alpha)) == (-90, 90, 25, 65)
-    return text, AGREES if same else differs("other angles")
+    return text, judged(same, "other angles")
 
 
 def campaign() -> tuple[str, str]:
@@ -203,7 +203,7 @@ def mach() -> tuple[str, str]:
     speed = max(test["speed"] for test in table("tables/wind_tunnel.toml")["hovering"])
     number = speed / SPEED_OF_SOUND
     return f"{number:.3f} at {speed:g} m/s, density changes by {50.0 * number * number:.2f} %", (
-        AGREES if number < 0.3 else differs("compressible")
+        judged(number < 0.3, "compressible")
     )
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -46,15 +48,13 @@ class Ground:
     """Vertical foot forces f_c* less the weight, and less the weight and the aerodynamic lift, at the end [N]."""
 
 
-def read(folder: Path, mass: float) -> Ground | None:
-    """Return the numbers of a result folder, or `None` where no robot stood first in calm and then in wind."""
-    document = record.read_manifest(folder)
-    if document is None:
-        return None
+def read(folder: Path, config: Mapping[str, Any], mass: float) -> Ground | None:
+    """Return the numbers of a flight's result, or `None` where no robot stood first in calm and then in wind."""
+    wind = config.get("disturbances", {}).get("controller_wind")
     with xr.open_dataset(folder / record.RUN_FILE, engine="h5netcdf") as opened:
-        if "contact_force" not in opened or "controller_wind" not in document["config"].get("disturbances", {}):
+        if "contact_force" not in opened or wind is None:
             return None
-        start = float(document["config"]["disturbances"]["controller_wind"].get("ramp_start", 0.0))
+        start = float(wind.get("ramp_start", 0.0))
         if not 0.0 < start <= float(opened["time"][-1]):
             return None
         return measure(folder.name, opened.load(), start, mass)

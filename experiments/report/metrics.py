@@ -49,10 +49,8 @@ class Metrics:
     """Angle between the total force and the relative wind: median and greatest [deg]."""
 
 
-def read(folder: Path) -> Metrics | None:
-    """Return the metrics of a result folder, or `None` where there is no flight."""
-    if record.read_manifest(folder) is None:
-        return None
+def read(folder: Path) -> Metrics:
+    """Return the metrics of a flight's result."""
     with xr.open_dataset(folder / record.RUN_FILE, engine="h5netcdf") as opened:
         return measure(folder.name, opened.load())
 

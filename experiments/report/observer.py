@@ -5,11 +5,11 @@ An error of many flights is given as median, 90 % quantile and worst.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from experiments.report.results import Cell, Results, count
-from experiments.report.verdicts import AGREES, differs
+from experiments.report.verdicts import judged
 from experiments.sweep.table import wilson
 
 OUTAGE_SPEED = 10.0
@@ -21,13 +21,8 @@ def _errors(cell: Cell) -> str:
     return f"{count(cell)} complete, rotation error {low:.1f}, {high:.1f}, {worst:.1f}°"
 
 
-def _judged(bad: Iterable[str]) -> str:
-    named = list(bad)
-    return differs(", ".join(named)) if named else AGREES
-
-
-def _listed(cells: Iterable[tuple[str, Cell]]) -> str:
-    return "; ".join(f"{name}: {_errors(cell)}" for name, cell in cells)
+def _judged_by(bad: list[str]) -> str:
+    return judged(not bad, ", ".join(bad))
 
 
 def _beyond(cells: Iterable[tuple[str, Cell]], error: str, limit: float) -> list[str]:
@@ -41,13 +36,18 @@ def _beyond(cells: Iterable[tuple[str, Cell]], error: str, limit: float) -> list
     return found
 
 
+def _all_within(cells: Sequence[tuple[str, Cell]], error: str, limit: float) -> tuple[str, str]:
+    """Return the errors of named cells, and whether all complete within a limit [deg]."""
+    return "; ".join(f"{name}: {_errors(cell)}" for name, cell in cells), _judged_by(_beyond(cells, error, limit))
+
+
 def tests(arms: str, limit: float) -> Callable[[Results], tuple[str, str]]:
     """Judge TEST1 and TEST3, flown without an aerodynamic model."""
 
     def judge(results: Results) -> tuple[str, str]:
         sweep = results.sweep("observer_tests")
         cells = [(test, sweep.cell(test=f"{test}, {arms} arms")) for test in ("TEST1", "TEST3")]
-        return _listed(cells), _judged(_beyond(cells, "worst", limit))
+        return _all_within(cells, "worst", limit)
 
     return judge
 
@@ -71,7 +71,7 @@ def fast_wind(results: Results) -> tuple[str, str]:
         cells = sweep.select(controller=controller, speed=26.0)
         texts.append(f"{controller}: {_pooled(cells)}")
         bad += _beyond(((f"{controller} from {cell['direction']:g}°", cell) for cell in cells), "median", 12.0)
-    return "; ".join(texts), _judged(bad)
+    return "; ".join(texts), _judged_by(bad)
 
 
 def every_wind(results: Results) -> tuple[str, str]:
@@ -86,7 +86,7 @@ def every_wind(results: Results) -> tuple[str, str]:
                 texts.append(f"{controller}, {speed:g} m/s: {_pooled(cells)}")
             if lost:
                 bad.append(f"{controller} at {speed:g} m/s: {lost} of {sum(cell['flights'] for cell in cells)}")
-    return "; ".join(texts), _judged(bad)
+    return "; ".join(texts), _judged_by(bad)
 
 
 def model_errors(results: Results) -> tuple[str, str]:
@@ -95,7 +95,7 @@ def model_errors(results: Results) -> tuple[str, str]:
     named = ("mass +10 %", "CoM 4 cm", "left arm jet -10 %")
     errors = [name for name in sweep.levels("model_error") if any(word in name for word in named)]
     cells = [(error, sweep.cell(controller="observer and model", model_error=error)) for error in errors]
-    return _listed(cells), _judged(_beyond(cells, "median", 10.0))
+    return _all_within(cells, "median", 10.0)
 
 
 def sensors(results: Results) -> tuple[str, str]:
@@ -104,7 +104,7 @@ def sensors(results: Results) -> tuple[str, str]:
     cells = [
         (flight, sweep.cell(controller="observer and estimator", flight=flight)) for flight in sweep.levels("flight")
     ]
-    return _listed(cells), _judged(_beyond(cells, "worst", 12.0))
+    return _all_within(cells, "worst", 12.0)
 
 
 def false_alarms(results: Results) -> tuple[str, str]:
@@ -115,7 +115,7 @@ def false_alarms(results: Results) -> tuple[str, str]:
     flights, alarmed = (sum(cell[name] for cell in cells) for name in ("flights", "degraded"))
     low, high = wilson(alarmed, flights)
     text = f"{alarmed} of {flights} flights, {1000.0 * low:.1f} to {1000.0 * high:.1f} of 1000 (95 %)"
-    return text, _judged([f"{alarmed} false alarms"] if alarmed else [])
+    return text, judged(not alarmed, f"{alarmed} false alarms")
 
 
 def _outages(results: Results, what: Mapping[str, tuple[float, ...]]) -> tuple[str, str]:
@@ -126,7 +126,7 @@ def _outages(results: Results, what: Mapping[str, tuple[float, ...]]) -> tuple[s
         for duration in durations
         for cell in sweep.select(channel=channel, duration=duration, speed=OUTAGE_SPEED)
     ]
-    return _listed(cells), _judged(_beyond(cells, "worst", 90.0))
+    return _all_within(cells, "worst", 90.0)
 
 
 def lost_for_ever(results: Results) -> tuple[str, str]:
@@ -147,7 +147,7 @@ def lost_engines(results: Results) -> tuple[str, str]:
         for failure in sweep.levels("failure")
         if failure.endswith("at 18 s")
     ]
-    return _listed(cells), _judged(_beyond(cells, "worst", 90.0))
+    return _all_within(cells, "worst", 90.0)
 
 
 def wind_estimate(results: Results) -> tuple[str, str]:
@@ -168,4 +168,4 @@ def wind_estimate(results: Results) -> tuple[str, str]:
             "interval too narrow": min(inside) < 0.85,
         }
         bad += [f"{world}: {how}" for how, holds in wrong.items() if holds]
-    return f"{speeds[0]} to {speeds[-1]} m/s; " + "; ".join(texts), _judged(bad)
+    return f"{speeds[0]} to {speeds[-1]} m/s; " + "; ".join(texts), _judged_by(bad)

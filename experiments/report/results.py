@@ -71,36 +71,37 @@ class Results:
         self.made[name] = Made(created, (document.get("git") or {}).get("commit"), differs)
 
     @cached_property
-    def folders(self) -> list[Path]:
-        """Return the folders of plain flights; those with --set are somebody's own business."""
-        found = sorted(path.parent for path in (self.folder / "flight").glob("*/manifest.json"))
-        plain = [folder for folder in found if "--" not in folder.name]
-        for folder in plain:
-            _require_whole(folder, record.read_manifest(folder) or {})
-        return plain
+    def manifests(self) -> dict[str, dict[str, Any]]:
+        """Return the manifests of plain flights, by name; those with --set are somebody's own business."""
+        found = {}
+        for folder in sorted(path.parent for path in (self.folder / "flight").glob("*/manifest.json")):
+            if "--" not in folder.name and (document := record.read_manifest(folder)) is not None:
+                _require_whole(folder, document)
+                found[folder.name] = document
+        return found
 
     @cached_property
     def differing(self) -> dict[str, str]:
         """Return what of the configuration of every plain flight is not as it is today, by name."""
-        read = ((folder.name, record.read_manifest(folder)) for folder in self.folders)
         return {
             name: outdated.flight(name, document.get("config_digest"), document.get("config"))
-            for name, document in read
-            if document is not None
+            for name, document in self.manifests.items()
         }
 
     @cached_property
     def flights(self) -> dict[str, metrics.Metrics]:
         """Return every plain flight, by name."""
-        read = ((folder.name, metrics.read(folder)) for folder in self.folders)
-        return {name: found for name, found in read if found is not None}
+        return {name: metrics.read(self.folder / "flight" / name) for name in self.manifests}
 
     @cached_property
     def standing(self) -> dict[str, ground.Ground]:
         """Return every plain ground experiment, by name."""
         mass = rust.Robot(str(places.ROBOT)).mass
-        read = ((folder.name, ground.read(folder, mass)) for folder in self.folders)
-        return {name: found for name, found in read if found is not None}
+        read = (
+            ground.read(self.folder / "flight" / name, document.get("config", {}), mass)
+            for name, document in self.manifests.items()
+        )
+        return {found.name: found for found in read if found is not None}
 
     @cached_property
     def sweeps(self) -> dict[str, Sweep]:
@@ -125,7 +126,7 @@ class Results:
     def _flown(self, found: Mapping[str, Flown], name: str) -> Flown:
         if name not in found:
             raise NotFlownError(f"`python -m experiments {name}` has not been run")
-        self.note(name, record.read_manifest(self.folder / "flight" / name) or {}, self.differing[name])
+        self.note(name, self.manifests[name], self.differing[name])
         return found[name]
 
     def sweep(self, name: str) -> Sweep:

@@ -12,6 +12,11 @@ def differs(how: str) -> str:
     return f"differs: {how}"
 
 
+def judged(holds: bool, how: str = "it does not hold") -> str:
+    """Return whether a claim holds, else how it differs."""
+    return AGREES if holds else differs(how)
+
+
 def out_of_reach(why: str) -> str:
     """Return the verdict of what cannot be made here, and why."""
     return f"out of reach: {why}"

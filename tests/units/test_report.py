@@ -200,7 +200,7 @@ def test_a_robot_that_never_stood_in_wind_has_no_numbers(tmp_path, make_flight, 
     run["contact_force"] = (("time", "foot"), np.zeros((run.sizes["time"], 2)))
     config = {"disturbances": {"controller_wind": {"ramp_start": 5.0}}}
     record.write_run(tmp_path / "fell", run, {"config": config})
-    assert ground.read(tmp_path / "fell", 44.0) is None
+    assert ground.read(tmp_path / "fell", config, 44.0) is None
 
 
 def test_a_sweep_under_way_is_not_there_yet(tmp_path):
