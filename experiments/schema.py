@@ -270,11 +270,9 @@ def _python_type(name: str, node: Node) -> str:
 def _class(name: str, node: Node, options: str) -> str:
     lines = [f"\n\nclass {name}(Table, frozen=True, kw_only=True{options}):\n", _docstring(node, 4, name)]
     required = node.get("required", ())
+    lines += ["\n"] if node["properties"] else []
     for key, value in node["properties"].items():
-        if lines[-1].endswith('"""\n'):
-            lines.append("\n" if len(lines) == 2 else "")
-        lines.append(f"    {_field(key, value, key in required)}\n")
-        lines.append(_docstring(value, 4))
+        lines += [f"    {_field(key, value, key in required)}\n", _docstring(value, 4)]
     return "".join(lines)
 
 
@@ -379,8 +377,7 @@ def reference(schemas: Mapping[str, Node]) -> str:
     for root, heading in (("experiments", "A flight"), ("robot", "A robot")):
         name = schemas[root]["title"]
         parts.append(f"\n## {heading}: `configs/{root}/*.toml`\n")
-        places = _places(name, definitions)
-        for part, keys in places.items():
+        for part, keys in _places(name, definitions).items():
             if part != name:
                 parts.append(f"\n### {', '.join(f'`{key}`' for key in keys)} {{#{part}}}\n")
             parts.append(_section(definitions[part], definitions))
