@@ -28,8 +28,8 @@ from jax_aero.aero.network_card import save_network
 from jax_aero.aero.posture import link_arms, total_wrench, vector_rms
 from jax_aero.cli import Parser, count
 from jax_aero.command import exit_status
-from jax_aero.files import complete_file, write_json
-from jax_aero.train import fit, predict_areas, samples_of
+from jax_aero.files import write_json
+from jax_aero.train import Checkpoint, fit, load_checkpoint, predict_areas, samples_of, save_checkpoint
 
 BASE = places.CONFIGS / "training" / "compact.toml"
 FOLDS = 5
@@ -78,15 +78,17 @@ def run(path: Path, epochs: int, folder: Path, write: Path | None) -> dict[str, 
     predicted = np.zeros((len(MEMBERS), len(dataset), *dataset.force_area_b.shape[1:]), np.float32)
     for fold, (train, held_out) in enumerate(dataset.grouped_folds(0, FOLDS)):
         for number, training in enumerate(trainings):
-            file = work / f"fold-{fold}-member-{number}.npy"
-            if not file.is_file():
+            file = work / f"fold-{fold}-member-{number}.checkpoint"
+            kept = load_checkpoint(file, predicted[number, held_out], digest)
+            if kept is None:
                 network = train_member(number, training, dataset.take(without_one(dataset, train, fold + number)))
-                with complete_file(file) as draft:
-                    np.save(draft, predict_areas(network, robot, dataset.take(held_out)).astype(np.float32))
+                areas = predict_areas(network, robot, dataset.take(held_out)).astype(np.float32)
+                kept = Checkpoint(digest, epochs, areas, {})
+                save_checkpoint(file, kept)
                 print(
                     f"fold {fold}, member {number}: {time.perf_counter() - started:.0f} s", file=sys.stderr, flush=True
                 )
-            predicted[number, held_out] = np.load(file)
+            predicted[number, held_out] = kept.state
     totals = [total_wrench(robot, dataset.joint_position_deg, areas.astype(np.float64)) for areas in predicted]
     truth = total_wrench(robot, dataset.joint_position_deg, dataset.force_area_b)
     found = {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -14,12 +13,23 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.training.config import Training
-from jax_aero.aero.dataset import Dataset, Floats, Indices
+from jax_aero.aero.dataset import LINKS, Dataset, Floats, Indices
 from jax_aero.aero.network import Layer, Network
 from jax_aero.aero.posture import total_wrench, vector_rms
-from jax_aero.files import write_json
 from jax_aero.robot import RobotModel
-from jax_aero.train import Fitted, Samples, Settings, baseline_errors, distil_samples, fit, predict_areas, samples_of
+from jax_aero.train import (
+    Checkpoint,
+    Fitted,
+    Samples,
+    Settings,
+    baseline_errors,
+    distil_samples,
+    fit,
+    load_checkpoint,
+    predict_areas,
+    samples_of,
+    save_checkpoint,
+)
 
 OnEpoch = Callable[[float, float | None], None]
 
@@ -150,19 +160,14 @@ def _errors(robot: RobotModel, predicted: Floats, held_out: Dataset) -> dict[str
 
 def keep(work: Path, finished: Finished) -> None:
     """Write a part that is done; its checkpoints are not needed any more."""
-    name = finished.part.name
-    np.savez(work / f"{name}.areas.npz", areas=finished.areas)
-    write_json(work / f"{name}.json", {"errors": finished.errors, "curves": finished.curves})
+    name, facts = finished.part.name, {"errors": finished.errors, "curves": finished.curves}
+    save_checkpoint(work / f"{name}.checkpoint", Checkpoint(name, 0, finished.areas, facts))
     for path in work.glob(f"{name}-*.checkpoint"):
         path.unlink()
 
 
 def recall(work: Path, part: Part) -> Finished | None:
     """Return a part that an earlier call finished."""
-    path = work / f"{part.name}.json"
-    if not path.is_file():
-        return None
-    document = json.loads(path.read_text(encoding="utf-8"))
-    with np.load(work / f"{part.name}.areas.npz") as file:
-        areas = file["areas"]
-    return Finished(part, document["errors"], areas, document["curves"])
+    areas = np.zeros((len(part.held_out), len(LINKS), 3), np.float32)
+    found = load_checkpoint(work / f"{part.name}.checkpoint", areas, part.name)
+    return Finished(part, areas=np.asarray(found.state), **found.facts) if found else None

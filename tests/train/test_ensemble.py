@@ -75,7 +75,7 @@ def test_the_shipped_ensemble_has_the_listed_networks():
         assert shipped.architecture.activation == listed.activation
 
 
-def test_networks_predict_postures_that_they_have_not_seen(made_up_dataset, tmp_path, monkeypatch, agree):
+def test_networks_predict_postures_that_they_have_not_seen(made_up_dataset, tmp_path, monkeypatch, capsys, agree):
     """The second call goes on with what the first has computed, and writes networks that lack one posture each."""
     path, seen = tmp_path / "made_up.nc", []
     save(made_up_dataset, path)
@@ -113,3 +113,8 @@ def test_networks_predict_postures_that_they_have_not_seen(made_up_dataset, tmp_
         (left_out,) = everything - rows
         assert f"not shown {left_out}" in (tmp_path / "written" / member).read_text()
         load_network(tmp_path / "written" / member, config.robot())
+
+    (kept,) = tmp_path.glob(".out.*/fold-0-member-1.checkpoint")
+    kept.write_bytes(kept.read_bytes()[:-9] + bytes(9))
+    assert main(words) == 2
+    assert "fold-0-member-1.checkpoint is no checkpoint, or damaged" in capsys.readouterr().err

@@ -135,6 +135,12 @@ def test_an_interrupted_run_goes_on_and_ends_as_if_nothing_had_been(result, data
     assert not out.exists()
     assert main(words(data, out, training__epochs="5")) == 2
     assert "holds an unfinished run with other settings" in capsys.readouterr().err
+    kept = tmp_path / ".compact.work" / "grouped-0-0.checkpoint"
+    whole = kept.read_bytes()
+    kept.write_bytes(whole[:-9] + bytes(9))
+    assert main(words(data, out)) == 2
+    assert "grouped-0-0.checkpoint is no checkpoint, or damaged" in capsys.readouterr().err
+    kept.write_bytes(whole)
     assert main(words(data, out)) == 0
     assert done == ["grouped-0-0", "grouped-0-1", "grouped-0-1", "random-56", "final"]
     whole = result / "training" / "compact" / "compact.safetensors"
