@@ -45,7 +45,7 @@ MODES = {
     "position_predicted": 16,
     "rotation_predicted": 32,
     "velocity_predicted": 64,
-    "feet_held": 128,
+    "feet_predicted": 128,
     "clock_predicted": 256,
     "descending": 512,
     "engine_limited": 1024,

@@ -170,6 +170,27 @@ def test_the_robot_takes_off_and_lands(measured, tmp_path):
     assert (out / "take_off.pdf").read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.parametrize(("back", "down", "ends", "height"), [(1.2, [(3.0, 9.0)], 9.0, 0.57), (9.0, [], 5.0, 0.7)])
+def test_feet_that_are_not_measured_stand_and_take_off(monkeypatch, back, down, ends, height):
+    """Held as they were last measured, they keep their load: the robot fell on leaving the ground."""
+    tick = rust.Controller.tick
+
+    def blind(self, state, thrust, wind, time, *, foot_wrenches):
+        seen = np.full_like(foot_wrenches, np.nan) if 0.3 <= time < back else foot_wrenches
+        return tick(self, state, thrust, wind, time, foot_wrenches=seen)
+
+    monkeypatch.setattr(rust.Controller, "tick", blind)
+    times = {"mission.up": [(0.5, 1.5)], "mission.down": down, "simulator.duration": ends}
+    result = fly(rust.load_config(ROOT / "configs/experiments/take_off.toml", times))
+    assert result.outcome == "completed"
+    assert np.degrees(result.summary["max_rotation_error"]) < 10.0
+    log = result.log
+    assert ((log["degraded_modes"] == 128.0) == ((log["time"] >= 0.3) & (log["time"] < back))).all()
+    heights = log["com_position"][:, 2]
+    assert heights.max() > 0.6
+    assert heights[-1] > height - 0.01
+
+
 def test_second_order_engines_are_refused():
     config = standing(**{"simulator.jets": {"dynamics": "second_order"}})
     with pytest.raises(ValueError, match=r"simulator\.jets\.dynamics"):

@@ -418,6 +418,9 @@ impl Controller {
             -momentum.rate_estimate[2],
             self.time_step,
         );
+        // What feet that carry predict is no measurement of what acts on the robot.
+        measurement.has_momentum &=
+            !(state.contact.is_active && measurement.modes.contains(Modes::FEET_PREDICTED));
         contact.add_measured(&kinematics.com, &mut rate);
         if state.contact.is_active {
             momentum.add_contact(&self.model, kinematics, dynamics, &contact.soles, &state.contact.force);
@@ -627,6 +630,7 @@ impl Controller {
         }
         state.channels.acceleration.copy_from(acceleration);
         state.channels.thrust_rate.copy_from(&self.command.thrust_rate);
+        state.channels.foot_wrenches.copy_from(&contact.force_of_torques);
     }
 
     /// Adds an objective of one's own to the momentum QP; not in a tick.

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-use crate::common::{Running, TIME_STEP, assert_within, configs, random_state, rng};
+use crate::common::{Running, TIME_STEP, assert_within, configs, experiment, random_state, rng};
 use flight_core::control::channels::Modes;
 use flight_core::control::config::{ControllerConfig, Solver};
 use flight_core::control::contact::{Contact, ContactConfig, ContactState, WRENCH_ROWS};
@@ -22,7 +22,7 @@ use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 use rand::RngExt;
 
 fn standing() -> ScenarioConfig {
-    crate::common::experiment("balancing_front")
+    experiment("balancing_front")
 }
 
 fn contact_config() -> ContactConfig {
@@ -123,7 +123,7 @@ fn what_corners_can_do_is_allowed() {
 
 /// A controller that can take off, behind its first tick on the ground with thrusts that carry a quarter of the weight.
 fn able_to_take_off() -> (Running, RobotState) {
-    let config = crate::common::experiment("take_off");
+    let config = experiment("take_off");
     let controller = Running::new(config.controller(load_robot(&config.robot).unwrap()).unwrap());
     (controller, config.simulator.initial.state())
 }
@@ -560,7 +560,7 @@ fn a_robot_that_stands_does_not_descend() {
 /// In the air a controller that could stand flies as one that could not.
 #[test]
 fn in_the_air_feet_change_nothing() {
-    let flight = crate::common::experiment("test2");
+    let flight = experiment("test2");
     let robot = load_robot(&flight.robot).unwrap();
     let make = |contact: Option<ContactConfig>| {
         let mut controller = flight.controller.clone();
@@ -603,24 +603,42 @@ fn clarabel_commands_the_same() {
     }
 }
 
-/// Feet whose wrenches are not finite are those of the last tick; a foot too few stops the controller.
+/// Wrenches on feet that are not finite are those with which the torque QP keeps them at rest, and observers hold; a foot too
+/// few stops the controller.
 #[test]
-fn unsound_feet_are_held_and_a_missing_one_is_a_bad_measurement() {
-    let mut controller = controller(|_| ());
-    let state = at_rest();
-    let mut status =
-        |feet: &[Vector6<f64>]| controller.tick(&measurement(&state, Vector3::zeros(), feet)).status;
-    assert_eq!(status(&weight_on_both()), CommandStatus::Nominal);
-    let mut bad = weight_on_both();
-    bad[0][3] = f64::NAN;
-    assert_eq!(status(&bad), CommandStatus::Degraded);
-    assert_eq!(status(&[Vector6::zeros()]), CommandStatus::BadMeasurement);
-    assert_eq!(status(&weight_on_both()), CommandStatus::Nominal);
-    let mut held = |feet: &[Vector6<f64>]| {
-        controller.tick(&measurement(&state, Vector3::zeros(), feet));
-        (controller.command().modes, controller.terms().contact.measured.clone())
+fn unsound_feet_are_predicted_and_a_missing_one_is_a_bad_measurement() {
+    let mut controller = controller(|config| {
+        config.observer = experiment("test2_observer").controller.law.observer;
+    });
+    let (state, mut time) = (at_rest(), 0.0);
+    let mut tick = |feet: &[Vector6<f64>]| {
+        let measured = Measurement { time, ..measurement(&state, Vector3::zeros(), feet) };
+        time += TIME_STEP;
+        let status = controller.tick(&measured).status;
+        let Terms { momentum, contact, .. } = controller.terms();
+        let kept = contact.force_of_torques.as_slice().chunks_exact(6).map(Vector6::from_column_slice);
+        let kept: Vec<_> = kept.collect();
+        (status, controller.command().modes, contact.measured.clone(), kept, momentum.unmodelled_wrench)
     };
-    assert_eq!(held(&bad), (Modes::FEET_HELD, weight_on_both().to_vec()));
+    // More than the weight, and still at rest: something else pulls.
+    let mut heavy = weight_on_both();
+    heavy[0][2] += 40.0;
+    let mut bad = heavy;
+    bad[0][3] = f64::NAN;
+    let _ = tick(&heavy);
+    let (status, _, _, kept, observed) = tick(&heavy);
+    assert_eq!(status, CommandStatus::Nominal);
+    assert!(observed[2] < -0.5, "{observed}");
+    let mut before = kept;
+    assert!(before[0][2] > 10.0);
+    for _ in 0..3 {
+        let (status, modes, used, kept, held) = tick(&bad);
+        assert_eq!((status, modes), (CommandStatus::Degraded, Modes::FEET_PREDICTED));
+        assert_eq!((used, held), (before, observed));
+        before = kept;
+    }
+    assert_eq!(tick(&[Vector6::zeros()]).0, CommandStatus::BadMeasurement);
+    assert_eq!(tick(&weight_on_both()).0, CommandStatus::Nominal);
 }
 
 /// What is no foot, no ground, no motor is refused by name; so is a world that its engine does not know.
@@ -656,7 +674,7 @@ fn bad_numbers_are_refused_by_name() {
         c.engine = flight_sim::Engine::Rust;
     });
     assert!(Scenario::new(&standing()).is_err(), "this engine has no ground");
-    let said = crate::common::experiment("test2");
+    let said = experiment("test2");
     let mut sparrow = said.controller.clone();
     sparrow.law.contact = Some(contact_config());
     let mut footless = crate::common::robot("ironcub_mk1");
@@ -671,7 +689,7 @@ fn bad_numbers_are_refused_by_name() {
 /// A measured wind that does not blow enters the controller's forces and not the simulator's.
 #[test]
 fn a_controller_wind_is_given_and_does_not_blow() {
-    let mut config = crate::common::experiment("test2");
+    let mut config = experiment("test2");
     config.simulator.duration = 0.2;
     let wind = flight_sim::WindConfig::Constant { velocity: [0.0, -10.0, 0.0] };
     config.wind = flight_sim::WindConfig::Constant { velocity: [0.0; 3] };

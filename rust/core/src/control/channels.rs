@@ -6,7 +6,8 @@
 //! used, and the channel's age grows.
 //!
 //! ```text
-//! wind, feet        their last value; the wind fades to zero
+//! wind              its last value, which fades to zero
+//! feet              the wrenches with which the model keeps them at rest
 //! thrusts           T ← max(0, T + Δt Ṫ*)
 //! joints and base   the model's own step with the last torques and the observed wrench
 //! ```
@@ -240,8 +241,8 @@ impl Modes {
     pub const ROTATION_PREDICTED: Self = Self(1 << 5);
     /// The base velocity is.
     pub const VELOCITY_PREDICTED: Self = Self(1 << 6);
-    /// The wrenches on the feet are the last ones that were measured.
-    pub const FEET_HELD: Self = Self(1 << 7);
+    /// The wrenches on the feet are those with which the model keeps them at rest.
+    pub const FEET_PREDICTED: Self = Self(1 << 7);
     /// The time is the controller's own, or a step of it is none.
     pub const CLOCK_PREDICTED: Self = Self(1 << 8);
     /// The robot levels and descends instead of following its mission.
@@ -262,7 +263,7 @@ impl Modes {
         (Self::POSITION_PREDICTED, "position_predicted"),
         (Self::ROTATION_PREDICTED, "rotation_predicted"),
         (Self::VELOCITY_PREDICTED, "velocity_predicted"),
-        (Self::FEET_HELD, "feet_held"),
+        (Self::FEET_PREDICTED, "feet_predicted"),
         (Self::CLOCK_PREDICTED, "clock_predicted"),
         (Self::DESCENDING, "descending"),
         (Self::ENGINE_LIMITED, "engine_limited"),
@@ -328,6 +329,8 @@ pub struct ChannelsState {
     pub acceleration: DVector<f64>,
     /// Thrust rates of the last command \[N/s\].
     pub thrust_rate: DVector<f64>,
+    /// Wrenches with which its feet stay, foot after foot \[N, N m\].
+    pub foot_wrenches: DVector<f64>,
     /// Time of the last tick, M108 \[s\].
     pub time: f64,
     /// By how much the clock of the measurements is ahead of it \[s\].
@@ -516,7 +519,7 @@ impl Channels {
             entry(layout.velocity(), Modes::VELOCITY_PREDICTED, true),
             entry(layout.position.clone(), Modes::POSITION_PREDICTED, true),
             entry(layout.rotation.clone(), Modes::ROTATION_PREDICTED, true),
-            entry(layout.feet.clone(), Modes::FEET_HELD, false),
+            entry(layout.feet.clone(), Modes::FEET_PREDICTED, false),
         ]);
         Self {
             config: config.clone(),
@@ -577,6 +580,7 @@ impl Channels {
             predicted: self.now.clone(),
             acceleration: DVector::zeros(6 + self.layout.n_joints()),
             thrust_rate: DVector::zeros(self.layout.thrust.len()),
+            foot_wrenches: DVector::zeros(self.layout.feet.len()),
             time: measurement.time,
             clock_offset: 0.0,
             is_begun: false,
@@ -788,7 +792,8 @@ impl ChannelsState {
     /// Moves every value but the pose on by `dt` \[s\]: M78 for joints and base, M31 for thrusts. None leaves what is
     /// accepted of a measurement, or a robot without one for long would be predicted to move ever faster.
     fn predict(&mut self, layout: &Layout, greatest: &[f64], dt: f64) {
-        let Self { predicted, acceleration, thrust_rate, .. } = self;
+        let Self { predicted, acceleration, thrust_rate, foot_wrenches, .. } = self;
+        predicted[layout.feet.clone()].copy_from_slice(foot_wrenches.as_slice());
         for (thrust, rate) in predicted[layout.thrust.clone()].iter_mut().zip(thrust_rate.iter()) {
             *thrust = (*thrust + dt * rate).max(0.0);
         }
