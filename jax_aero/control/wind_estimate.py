@@ -39,7 +39,7 @@ class WindEstimate:
     time_constant: Float[Array, ""]
     """Of the low pass [s]; zero for none."""
     mean: Float[Array, "3"]
-    """Over the flight [m/s]."""
+    """Over the flight, of the wind that it was prepared with [m/s]."""
     is_mean: Bool[Array, ""]
     """Whether that mean is all that is measured."""
 

@@ -404,7 +404,7 @@ impl Flight {
         self.scenario.plant.robot()
     }
 
-    /// From the next tick on, this wind blows.
+    /// From the next tick on, this wind blows. With `mean_only` the mean stays that of the configured one.
     pub fn set_wind(&mut self, wind: Wind) {
         self.scenario.wind = wind;
     }
