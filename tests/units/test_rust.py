@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from experiments import record
-from experiments.manifest import REPOSITORY
 from jax_aero import rust
+from jax_aero.places import HOME
 
-TEST2 = REPOSITORY / "configs" / "experiments" / "test2.toml"
+TEST2 = HOME / "configs" / "experiments" / "test2.toml"
 SHORT = {"simulator.duration": 1.0}
 
 
@@ -144,7 +144,7 @@ else:
 def test_ctrl_c_ends_a_long_call_at_once(call, start):
     """The interrupt arrives while Rust flies with the interpreter lock released."""
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    process = start(sys.executable, "-c", LONG_CALL, call, cwd=REPOSITORY, **pipes)
+    process = start(sys.executable, "-c", LONG_CALL, call, cwd=HOME, **pipes)
     assert process.stdout.readline() == "flying\n"
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
@@ -170,7 +170,7 @@ def test_a_loop_over_the_plant_is_the_flight():
 
 def test_a_controller_of_ones_own_over_the_plant():
     """It keeps height by thrust alone; without it the robot falls 0.1 m in that time."""
-    config = rust.load_config(REPOSITORY / "configs/experiments/no_wind.toml")
+    config = rust.load_config(HOME / "configs/experiments/no_wind.toml")
     robot, plant = rust.Robot(config["robot"]), rust.Plant(config)
     now = plant.reset()
     com = rust.dynamics(robot, now.state).com_position[2]
