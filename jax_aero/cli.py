@@ -45,7 +45,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "along": Command("experiments.along:main", "symbolic", "find fuel and clearance along flights"),
         "arm-engines": Command("experiments.arm_engines:main", "figs", "fly with other engines in the arms"),
         "pictures": Command("experiments.pictures:main", "view,symbolic", "draw the robot for figures of the paper"),
-        "view": Command("jax_aero.view.command:view", "view", "watch a flight in the browser, and fly it again"),
+        "view": Command("jax_aero.view.command:view", "view", "show a flight in the browser, and fly it again"),
         "video": Command("jax_aero.view.command:video", "view", "film a flight, or two in one scene"),
         "import-lab": Command("experiments.import_lab:main", "figs", "make a result of what the flight lab exported"),
         "export": Command("jax_aero.view.command:export", "view", "write a flight as one HTML file that plays it"),

@@ -73,7 +73,7 @@ def addition(text: str) -> str:
 
 
 def mark(text: str) -> str:
-    """Return nine characters that tell a text from others whose names are written alike."""
+    """Return nine characters that differ for texts whose names are written alike."""
     return f"~{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 

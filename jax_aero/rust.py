@@ -468,7 +468,7 @@ class Controller:
         )
 
     def replace_command(self, thrust_rate: ArrayLike, joint_torque: ArrayLike) -> None:
-        """Tell after a tick that something else acts until the next one: a safety layer, a residual.
+        """Report after a tick what acts until the next one instead of its command: a safety layer, a residual.
 
         What the controller predicts follows it: measurements that are missing, and the state estimator's model.
 

@@ -50,7 +50,7 @@ def run(command: list[str], folder: Path, ranks: int = 1) -> str:
     Failed
         If it ends with an error.
     Refused
-        If somebody ended it.
+        If it was interrupted.
     """
     words = command
     if ranks > 1:

@@ -72,7 +72,7 @@ class Results:
 
     @cached_property
     def manifests(self) -> dict[str, dict[str, Any]]:
-        """Return the manifests of plain flights, by name; those with --set are somebody's own business."""
+        """Return the manifests of plain flights, by name; those with --set are not the paper's."""
         found = {}
         for folder in sorted(path.parent for path in (self.folder / "flight").glob("*/manifest.json")):
             if "--" not in folder.name and (document := record.read_manifest(folder)) is not None:

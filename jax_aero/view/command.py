@@ -172,7 +172,7 @@ def _size(text: str) -> tuple[int, int]:
 
 
 class _Bar:
-    """A progress bar, where tqdm is installed and somebody looks."""
+    """A progress bar, where tqdm is installed and the output is a terminal."""
 
     def __init__(self, unit: str) -> None:
         self.unit = unit

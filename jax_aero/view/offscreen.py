@@ -273,17 +273,17 @@ def display_model(recording: Recording, width: int, height: int, ghost: Recordin
 
     A ghost is a second robot in it, whose names begin with `ghost_`.
     """
-    spec = _dressed(recording, is_ghost=False)
+    spec = _robot_spec(recording, is_ghost=False)
     if ghost is not None:
-        other = _dressed(ghost, is_ghost=True)
+        other = _robot_spec(ghost, is_ghost=True)
         spec.attach(other, prefix="ghost_", frame=spec.worldbody.add_frame())
     cone = drawing.cone()
     _add_mesh(spec, "cone", cone.vertices, cone.faces)
-    _dress_world(spec, width, height)
+    _add_world(spec, width, height)
     return spec.compile()
 
 
-def _dressed(recording: Recording, *, is_ghost: bool) -> Any:
+def _robot_spec(recording: Recording, *, is_ghost: bool) -> Any:
     """Return a robot with the shapes of its look, in the colours of their roles or in a ghost's."""
     import mujoco
 
@@ -338,7 +338,7 @@ def _mujoco_size(shape: Shape) -> list[float]:
     return {"cylinder": [x, 0.5 * z, 0.0], "sphere": [x, 0.0, 0.0], "box": [0.5 * x, 0.5 * y, 0.5 * z]}[shape.kind]
 
 
-def _dress_world(spec: Any, width: int, height: int) -> None:
+def _add_world(spec: Any, width: int, height: int) -> None:
     """Ground with lines every metre, sky, sun."""
     import mujoco
 

@@ -20,7 +20,7 @@ def allowed(host: str) -> list[Any]:
     """Return what the header `Origin` of a connection may be, for a page that listens on `host`.
 
     A browser sends the site that a script came from. Scripts of other sites, which could otherwise read and steer the
-    page, name themselves there; so do names that somebody lets point to this machine.
+    page, name themselves there; so do foreign names that resolve to this machine.
     """
     return [None, re.compile(rf"https?://{_host(host)}")]
 

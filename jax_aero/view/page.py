@@ -153,7 +153,7 @@ class Page:
             if self.ghost is not None:
                 self.ghost_robot = RobotNodes(self.server, "/world/ghost", self.ghost.look, ghost=True)
             self._new_flight()
-            self._dress()
+            self._show_or_hide()
 
     def _new_flight(self) -> None:
         """Set up what depends on the flights, but not on their robots."""
@@ -274,7 +274,7 @@ class Page:
         self.play.on_click(lambda _: self._toggle())
         self.speed.on_click(lambda _: setattr(self, "rate", SPEEDS[self.speed.value]))
         for box in (self.follow, self.show_forces, self.show_plumes, self.show_wind, self.show_path):
-            box.on_update(lambda _: self._dress())
+            box.on_update(lambda _: self._show_or_hide())
         self.force_length.on_update(lambda _: self._rescale())
 
     def _build_controls(self) -> None:
@@ -370,7 +370,7 @@ class Page:
         self.play.label = "Pause" if self.playing else "Play"
         self.play.icon = viser.Icon.PLAYER_PAUSE if self.playing else viser.Icon.PLAYER_PLAY
 
-    def _dress(self) -> None:
+    def _show_or_hide(self) -> None:
         """Show what is switched on."""
         with self.lock, self.server.atomic():
             if self.robot is not None:

@@ -167,8 +167,8 @@ def test_odd_boxes_and_data_without_an_answer(harvested, solve):
 
 
 @pytest.mark.close_to_tolerance("an answer is accepted anywhere below the certificate's tolerance")
-def test_float32_answers_are_certified_and_as_low_as_that_promises(harvested, measured):
-    """Judged in float64 with the data that were not rounded: the residual r and the objective; x is promised nothing.
+def test_float32_answers_are_certified_and_as_low_as_that_guarantees(harvested, measured):
+    """Judged in float64 with the data that were not rounded: the residual r and the objective; x has no bound.
 
     Single precision rounds data and certificate; either adds at most `evaluation_rounding` to the tolerance κ. In
     the units y = √H_ii x let p = y − r be the projection that defines r, q the gradient and y* the minimiser. Then
@@ -193,8 +193,8 @@ def test_float32_answers_are_certified_and_as_low_as_that_promises(harvested, me
     gradient = (np.einsum("kij,kj->ki", problem.h, x) + problem.g) / root
     projection = np.clip(root * x - gradient, root * problem.lower, root * problem.upper)
     scale = np.maximum(1, np.maximum(np.abs(problem.g / root).max(axis=1), np.abs(root * x).max(axis=1)))
-    promised = certified * scale * (np.abs(gradient) + np.abs(projection - root * best)).sum(axis=1)
+    guaranteed = certified * scale * (np.abs(gradient) + np.abs(projection - root * best)).sum(axis=1)
     step = x - best
     # f(x) − f(x*) without the cancellation of two objectives: q(x)·d − ½ d·H d.
     above = np.sum(root * gradient * step, axis=1) - np.einsum("ki,kij,kj->k", step, problem.h, step) / 2
-    measured("float32: objective above the minimum, of what that promises", np.max(above / promised), 1.0)
+    measured("float32: objective above the minimum, of what that guarantees", np.max(above / guaranteed), 1.0)

@@ -49,19 +49,33 @@ def test_test1_and_test2_differ_in_the_controller_alone():
     assert different == {"title", "description", "controller"}
 
 
-@pytest.mark.parametrize("name", ["observer_tests", "observer_missions"])
-def test_a_sweep_that_adds_the_observer_adds_the_recommended_one(name):
-    def table(path):
-        return tomllib.loads((ROOT / "configs" / path).read_text(encoding="utf-8"))
+def table(path):
+    return tomllib.loads((ROOT / "configs" / path).read_text(encoding="utf-8"))
 
-    recommended, added = table("control/observer.toml"), table(f"sweeps/{name}.toml")["set"]
-    assert added["controller.observer"] == recommended["observer"]
-    assert added["controller.weights.joint_velocity"] == recommended["weights"]["joint_velocity"]
+
+@pytest.mark.parametrize("name", ["observer_tests", "observer_missions"])
+def test_a_sweep_that_adds_the_recommended_controller_adds_all_of_it(name):
+    recommended = table("control/observer.toml")
+    assert recommended.keys() == {"base", "observer", "weights", "channels", "engines"}
+    added = {key: value for key, value in table(f"sweeps/{name}.toml")["set"].items() if key.startswith("controller.")}
+    assert added == {
+        "controller.observer": recommended["observer"],
+        "controller.weights.joint_velocity": recommended["weights"]["joint_velocity"],
+        "controller.channels.jump": recommended["channels"]["jump"],
+        "controller.engines": recommended["engines"],
+    }
+    assert recommended["weights"].keys() == {"joint_velocity"}
+    assert recommended["channels"].keys() == {"jump"}
+
+
+def test_a_loss_that_is_found_without_a_descent_is_found_as_the_recommended_controller_finds_it():
+    recommended = table("control/observer.toml")["engines"]
+    (axis,) = (axis for axis in table("sweeps/engine_loss.toml")["axis"] if axis["name"] == "engines")
+    (level,) = (level for level in axis["level"] if level["label"] == "found, flies on")
+    assert {"descent": recommended["descent"], **level["set"]["controller.engines"]} == recommended
+    assert "descent" not in level["set"]["controller.engines"]
 
 
 def test_a_sweep_of_realistic_sensors_has_the_realistic_sensors():
-    def table(path):
-        return tomllib.loads((ROOT / "configs" / path).read_text(encoding="utf-8"))
-
     added = table("sweeps/sensors_tests.toml")["set"]["simulator.sensors"]
     assert added == table("simulator/flight_sensors.toml")["sensors"]

@@ -131,8 +131,8 @@ def test_splits_depend_on_the_seed_alone(data):
     assert len(data.random_split(1, 0.25)[1]) == len(data) // 4
     with pytest.raises(ValueError, match="between 0 and 1"):
         data.random_split(1, 1.0)
-    with pytest.raises(ValueError, match="no posture nobody"):
-        data.grouped_split(1, hold_out=["nobody"])
+    with pytest.raises(ValueError, match="no posture unknown"):
+        data.grouped_split(1, hold_out=["unknown"])
 
 
 def test_a_file_gives_back_what_was_written(data, tmp_path):

@@ -175,11 +175,11 @@ def test_feet_that_are_not_measured_stand_and_take_off(monkeypatch, back, down, 
     """Held as they were last measured, they keep their load: the robot fell on leaving the ground."""
     tick = rust.Controller.tick
 
-    def blind(self, state, thrust, wind, time, *, foot_wrenches):
+    def without_feet(self, state, thrust, wind, time, *, foot_wrenches):
         seen = np.full_like(foot_wrenches, np.nan) if 0.3 <= time < back else foot_wrenches
         return tick(self, state, thrust, wind, time, foot_wrenches=seen)
 
-    monkeypatch.setattr(rust.Controller, "tick", blind)
+    monkeypatch.setattr(rust.Controller, "tick", without_feet)
     times = {"mission.up": [(0.5, 1.5)], "mission.down": down, "simulator.duration": ends}
     result = fly(rust.load_config(ROOT / "configs/experiments/take_off.toml", times))
     assert result.outcome == "completed"

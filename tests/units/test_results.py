@@ -159,7 +159,7 @@ def damages(whole: bytes, other: bytes) -> dict[str, bytes]:
         "cut short": whole[:-1],
         "a bit turned": whole[:40] + bytes([whole[40] ^ 1]) + whole[41:],
         "of another range": other,
-        "foreign": b"PAR1 of somebody else",
+        "foreign": b"PAR1 of another program",
     }
 
 

@@ -178,7 +178,7 @@ enum FlightStatus flight_tick(struct FlightController *controller,
                               const struct FlightSetpoint *setpoint,
                               const struct FlightCommand *command);
 
-// Tells after a tick that other thrust rates and joint torques act until the next one: those of a safety layer, or of a
+// Reports after a tick other thrust rates and joint torques that act until the next one: those of a safety layer, or of a
 // motor at its limit. What the controller predicts follows them; joint velocities are not read.
 //
 // # Safety

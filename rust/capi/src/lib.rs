@@ -471,7 +471,7 @@ pub unsafe extern "C" fn flight_tick(
     status
 }
 
-/// Tells after a tick that other thrust rates and joint torques act until the next one: those of a safety layer, or of a
+/// Reports after a tick other thrust rates and joint torques that act until the next one: those of a safety layer, or of a
 /// motor at its limit. What the controller predicts follows them; joint velocities are not read.
 ///
 /// # Safety

@@ -246,7 +246,7 @@ impl Controller {
             velocity_error_integral: DVector::zeros(joints),
             joint_torque: DVector::zeros(joints),
             torque_is_known: false,
-            contact: ContactState::new(contact.measured.len()),
+            contact: ContactState::new(contact.soles.len()),
             engines: vec![EngineState::default(); self.n_jets],
             observer: ObserverState::new(),
             momentum_start: WarmStart::cold(self.terms.momentum_qp.problem.len()),
@@ -301,7 +301,7 @@ impl Controller {
         &self.command
     }
 
-    /// Tells that something else acts until the next tick than the last tick commanded: a safety layer, a residual.
+    /// Reports what acts until the next tick instead of the last command: that of a safety layer, of a residual.
     /// What the channels and the estimator predict follows it. The control law's own torques stay as they were: its
     /// rate limiter goes on from them.
     ///
@@ -407,13 +407,13 @@ impl Controller {
         momentum.update(&self.model, kinematics, dynamics, thrust, link_forces, feedback);
         // What the observer compares with: the feet as measured, not as desired.
         let mut rate = momentum.rate_estimate;
-        contact.measured.copy_from_slice(&measurement.foot_wrenches);
         let climb = setpoint.com_position.z - kinematics.com.z;
         contact.update(
             &mut state.contact,
             &self.model,
             kinematics,
             dynamics,
+            &measurement.foot_wrenches,
             climb,
             -momentum.rate_estimate[2],
             self.time_step,
@@ -421,7 +421,7 @@ impl Controller {
         // What feet that carry predict is no measurement of what acts on the robot.
         measurement.has_momentum &=
             !(state.contact.is_active && measurement.modes.contains(Modes::FEET_PREDICTED));
-        contact.add_measured(&kinematics.com, &mut rate);
+        contact.add_measured(&measurement.foot_wrenches, &kinematics.com, &mut rate);
         if state.contact.is_active {
             momentum.add_contact(&self.model, kinematics, dynamics, &contact.soles, &state.contact.force);
             if let Some(height) = contact.stand_height() {

@@ -173,7 +173,7 @@ impl WindObserver {
             rate += column * *thrust;
         }
         rate[2] -= terms.kinematics.mass() * self.robot.gravity;
-        terms.contact.add_measured(&terms.kinematics.com, &mut rate);
+        terms.contact.add_measured(&terms.seen.foot_wrenches, &terms.kinematics.com, &mut rate);
         let gain = self.config.gain;
         let gains =
             ObserverConfig { gain_force: gain, gain_moment: gain, force_max: GREATEST, moment_max: GREATEST };

@@ -287,14 +287,15 @@ fn rates_of_the_feet_are_their_differences() {
     for _ in 0..20 {
         let state = random_state(&mut rng, &robot);
         let mut contact = Contact::new(&contact_config(), &robot);
-        contact.measured.iter_mut().for_each(|wrench| wrench[2] = 200.0);
         let (mut kinematics, mut dynamics) = (Kinematics::new(&robot), Dynamics::new(&robot));
         let held = DVector::from_fn(12, |_, _| rng.random_range(-50.0..50.0));
         let mut at = |time: f64| {
             let state = moved(&state, time);
             kinematics.update(&robot, &state);
             dynamics.update(&robot, &state, &kinematics);
-            contact.update(&mut ContactState::new(2), &robot, &kinematics, &dynamics, 0.0, 0.0, 0.0);
+            let measured = [Vector6::new(0.0, 0.0, 200.0, 0.0, 0.0, 0.0); 2];
+            let feet = &mut ContactState::new(2);
+            contact.update(feet, &robot, &kinematics, &dynamics, &measured, 0.0, 0.0, 0.0);
             let velocity = contact.jacobian_transposed.tr_mul(&state.velocity);
             let mut momentum = flight_core::control::momentum::MomentumModel::new(&robot);
             momentum.add_contact(&robot, &kinematics, &dynamics, &contact.soles, &held);
@@ -615,10 +616,10 @@ fn unsound_feet_are_predicted_and_a_missing_one_is_a_bad_measurement() {
         let measured = Measurement { time, ..measurement(&state, Vector3::zeros(), feet) };
         time += TIME_STEP;
         let status = controller.tick(&measured).status;
-        let Terms { momentum, contact, .. } = controller.terms();
+        let Terms { momentum, contact, seen, .. } = controller.terms();
         let kept = contact.force_of_torques.as_slice().chunks_exact(6).map(Vector6::from_column_slice);
         let kept: Vec<_> = kept.collect();
-        (status, controller.command().modes, contact.measured.clone(), kept, momentum.unmodelled_wrench)
+        (status, controller.command().modes, seen.foot_wrenches.clone(), kept, momentum.unmodelled_wrench)
     };
     // More than the weight, and still at rest: something else pulls.
     let mut heavy = weight_on_both();

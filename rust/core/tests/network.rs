@@ -319,11 +319,11 @@ fn bad_weights_are_refused() {
     assert_says(&more, &["extra", "no layer"]);
     let fewer = tensors("fewer", |tensors| drop(tensors.pop()));
     assert_says(&fewer, &["output.offset", "does not exist"]);
-    let promised = tensors("promised", |tensors| {
+    let declared = tensors("declared", |tensors| {
         tensors[0].1 = vec![4, 22];
         tensors[0].2.truncate(80);
     });
-    assert_says(&promised, &["bytes", "320", "352"]);
+    assert_says(&declared, &["bytes", "320", "352"]);
 
     let file = |name: &str, spoil: fn(&mut Vec<u8>)| error_of_weights(name, |_| {}, spoil);
     assert_says(&file("cut", |bytes| bytes.truncate(bytes.len() - 1)), &["cut.safetensors", "output.offset"]);

@@ -49,7 +49,7 @@ fn ticked(name: &str, seed: u64) -> (Running, RobotState, Vec<f64>) {
     let thrust: Vec<f64> = (0..controller.n_jets()).map(|_| rng.random_range(10.0..150.0)).collect();
     let feet =
         [Vector6::new(3.0, -2.0, 212.5, 0.4, -1.2, 0.1), Vector6::new(1.0, 2.0, 200.0, -0.4, -1.0, 0.0)];
-    let feet = &feet[..controller.terms().contact.measured.len()];
+    let feet = &feet[..controller.terms().contact.soles.len()];
     // The first tick keeps its posture and inertia; the second one has left them.
     let mut start = state.clone();
     start.joint_position.add_scalar_mut(0.1);

@@ -146,7 +146,7 @@ impl Controller {
         self.last_tick(py)
     }
 
-    /// Tells after a tick that other thrust rates (jets) [N/s] and joint torques (n) [N m] act until the next one.
+    /// Reports after a tick other thrust rates (jets) [N/s] and joint torques (n) [N m] that act until the next one.
     fn replace_command(&mut self, thrust_rate: Input<'_>, joint_torque: Input<'_>) -> PyResult<()> {
         let rates = entries("thrust_rate", &thrust_rate, &[self.controller.n_jets()])?;
         let torques = entries("joint_torque", &joint_torque, &[self.controller.model().n_joints()])?;
@@ -239,7 +239,7 @@ impl Controller {
         out.set_item("joint_torque", vector(py, command.joint_torque.as_slice())?)?;
         out.set_item("torque_qp", answer(py, &command.torque_qp)?)?;
 
-        if !terms.contact.measured.is_empty() {
+        if !terms.contact.soles.is_empty() {
             out.set_item("torque_rows", matrix(py, &terms.torque_qp.problem.normals.transpose())?)?;
             out.set_item("torque_limit", vector(py, terms.torque_qp.problem.limit.as_slice())?)?;
         }
@@ -250,7 +250,7 @@ impl Controller {
             out.set_item("inertia_0_b", matrix(py, state.inertia_0_b())?)?;
             let integral = state.velocity_error_integral().as_slice();
             out.set_item("velocity_error_integral", vector(py, integral)?)?;
-            if !terms.contact.measured.is_empty() {
+            if !terms.contact.soles.is_empty() {
                 out.set_item("contact", contact_dict(py, terms, state.contact())?)?;
             }
         }

@@ -177,15 +177,15 @@ fn unreadable_files_are_named() {
     let folder = tempdir().unwrap();
     let absent = write(&folder, "top.toml", "base = 'absent.toml'\n");
     assert_says(&resolve(&absent).unwrap_err(), &["cannot read", "absent.toml"]);
-    let robot = write(&folder, "robot.toml", "robot = 'nobody.toml'\n");
-    assert_says(&resolve(&robot).unwrap_err(), &["cannot read", "nobody.toml"]);
+    let robot = write(&folder, "robot.toml", "robot = 'missing.toml'\n");
+    assert_says(&resolve(&robot).unwrap_err(), &["cannot read", "missing.toml"]);
     let broken = write(&folder, "broken.toml", "a = 1\nb = = 2\n");
     assert_says(&resolve(&broken).unwrap_err(), &["broken.toml", "line 2"]);
     let number = write(&folder, "number.toml", "base = 7\n");
     assert_says(&resolve(&number).unwrap_err(), &["`base`", "is 7", "the path of a TOML file"]);
     let mut gone = experiment("test2");
-    gone.robot = folder.path().join("nobody.toml");
-    assert_says(&Scenario::new(&gone).unwrap_err(), &["cannot read", "nobody.toml"]);
+    gone.robot = folder.path().join("missing.toml");
+    assert_says(&Scenario::new(&gone).unwrap_err(), &["cannot read", "missing.toml"]);
 }
 
 fn test2_value() -> Value {

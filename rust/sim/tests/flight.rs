@@ -1,4 +1,4 @@
-//! Whole flights: what the published flights must give, in which world, and what the simulator promises.
+//! Whole flights: what the published flights must give, in which world, and what the simulator guarantees.
 //!
 //! "Published" flights use the printed coefficients and explicit Euler, as the numbers they are compared
 //! with did. After thrusts and joints saturate a falling robot moves chaotically: there only the outcome

@@ -191,8 +191,6 @@ impl ContactState {
 pub struct Contact {
     /// Whether feet that carry are to be relieved.
     pub takes_off: bool,
-    /// Measured wrench of each foot.
-    pub measured: Vec<Vector6<f64>>,
     /// `f_c` of the torque QP's answer, or `f_c*` where it has none; zero while the feet do not carry.
     pub force_of_torques: DVector<f64>,
     /// Poses of the soles.
@@ -212,7 +210,6 @@ impl Contact {
         let nothing = DVector::zeros(WRENCH * feet);
         Self {
             takes_off: false,
-            measured: vec![Vector6::zeros(); feet],
             force_of_torques: nothing.clone(),
             soles: vec![Pose::identity(); feet],
             jacobian_transposed: DMatrix::zeros(6 + robot.joints.len(), WRENCH * feet),
@@ -221,9 +218,9 @@ impl Contact {
         }
     }
 
-    /// Advances `f_c*` of `state` by the last tick's rate, decides from the measured wrenches whether the feet carry
-    /// (when that changes, `f_c*` starts anew), and recomputes what depends on the state. The set-point is `climb` \[m\]
-    /// above the centre of mass; jets and air leave the vertical force `left` \[N\] to the feet.
+    /// Advances `f_c*` of `state` by the last tick's rate, decides from the `measured` wrench of each foot whether the
+    /// feet carry (when that changes, `f_c*` starts anew), and recomputes what depends on the state. The set-point is
+    /// `climb` \[m\] above the centre of mass; jets and air leave the vertical force `left` \[N\] to the feet.
     #[allow(clippy::too_many_arguments)] // each is computed elsewhere in the tick
     pub fn update(
         &mut self,
@@ -231,6 +228,7 @@ impl Contact {
         robot: &RobotModel,
         kinematics: &Kinematics,
         dynamics: &Dynamics,
+        measured: &[Vector6<f64>],
         climb: f64,
         left: f64,
         time_step: f64,
@@ -239,8 +237,7 @@ impl Contact {
         state.force.axpy(time_step, &state.force_rate, 1.0);
         state.force_rate.fill(0.0);
         let threshold = self.config.vertical_force_min;
-        let mut carries =
-            !self.measured.is_empty() && self.measured.iter().all(|wrench| wrench[2] > threshold);
+        let mut carries = !measured.is_empty() && measured.iter().all(|wrench| wrench[2] > threshold);
         if let Some(transfer) = &self.config.load_transfer {
             self.takes_off = climb > transfer.height;
             state.unloaded_time = if carries { 0.0 } else { state.unloaded_time + time_step };
@@ -248,9 +245,9 @@ impl Contact {
         }
         if carries != state.is_active {
             state.is_active = carries;
-            self.restart(state, left);
+            self.restart(state, measured, left);
         }
-        self.follow_measured(state, time_step);
+        self.follow(state, measured, time_step);
         for (sole, foot) in self.soles.iter_mut().zip(&robot.feet) {
             *sole = kinematics.frame_pose(&foot.frame);
         }
@@ -280,9 +277,9 @@ impl Contact {
         self.config.load_transfer.as_ref().map(|transfer| transfer.height)
     }
 
-    /// Adds `A_c f_c` of the measured wrenches to a momentum rate.
-    pub fn add_measured(&self, com: &Vector3<f64>, rate: &mut Vector6<f64>) {
-        for (sole, wrench) in self.soles.iter().zip(&self.measured) {
+    /// Adds `A_c f_c` of the `measured` wrenches to a momentum rate.
+    pub fn add_measured(&self, measured: &[Vector6<f64>], com: &Vector3<f64>, rate: &mut Vector6<f64>) {
+        for (sole, wrench) in self.soles.iter().zip(measured) {
             *rate += wrench;
             let mut moment = rate.fixed_rows_mut::<3>(3);
             moment += (sole.position - com).cross(&wrench.fixed_rows::<3>(0));
@@ -290,12 +287,12 @@ impl Contact {
     }
 
     /// `f_c*` of a robot that takes off is what is measured; while it stands, what is measured draws it.
-    fn follow_measured(&self, state: &mut ContactState, time_step: f64) {
+    fn follow(&self, state: &mut ContactState, measured: &[Vector6<f64>], time_step: f64) {
         let Some(transfer) = self.config.load_transfer.as_ref().filter(|_| state.is_active) else { return };
         let part = if self.takes_off { 1.0 } else { (transfer.measured_gain * time_step).min(1.0) };
         let wrenches = state.force.as_mut_slice().chunks_exact_mut(WRENCH);
         for (force, measured) in
-            wrenches.zip(&self.measured).flat_map(|(force, measured)| force.iter_mut().zip(measured))
+            wrenches.zip(measured).flat_map(|(force, measured)| force.iter_mut().zip(measured))
         {
             *force += part * (measured - *force);
         }
@@ -303,18 +300,18 @@ impl Contact {
 
     /// Without load transfer vertical force and, where configured, moment about y, of each foot as measured; with it
     /// equal parts of the vertical force that jets and air leave, for a measurement would be that of the impact.
-    fn restart(&self, state: &mut ContactState, left: f64) {
+    fn restart(&self, state: &mut ContactState, measured: &[Vector6<f64>], left: f64) {
         state.force.fill(0.0);
         if !state.is_active {
             return;
         }
         if self.config.load_transfer.is_some() {
             for wrench in state.force.as_mut_slice().chunks_exact_mut(WRENCH) {
-                wrench[2] = left.max(0.0) / self.measured.len() as f64;
+                wrench[2] = left.max(0.0) / measured.len() as f64;
             }
             return;
         }
-        for (foot, wrench) in self.measured.iter().enumerate() {
+        for (foot, wrench) in measured.iter().enumerate() {
             state.force[WRENCH * foot + 2] = wrench[2];
             if self.config.start_with_moment {
                 state.force[WRENCH * foot + 4] = wrench[4];

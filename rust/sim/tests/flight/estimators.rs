@@ -60,7 +60,7 @@ fn a_lost_thrust_sensor_is_no_wind() {
     let result = fly(&[config]).remove(0);
     let row = |name: &str| Vector3::from_column_slice(result.log.series(name).unwrap().row(1400));
     let error = (row("measured_wind") - row("wind")).norm();
-    assert_within!(error, 1.5, because "as without the outage: what is promised of the estimate");
+    assert_within!(error, 1.5, because "as without the outage: the bound of the estimate");
 }
 
 /// A robot that is not given the wind completes its flight, and estimates it to 1.5 m/s when it has risen.
@@ -145,7 +145,7 @@ fn an_estimator_follows_no_measurement_that_is_not_accepted() {
     }
 }
 
-/// With realistic sensors, too, a wrong thrust sensor is told from a failing engine, and used no more by the estimator. Compared
+/// With realistic sensors, too, a wrong thrust sensor is distinguished from a failing engine, and used no more by the estimator. Compared
 /// with the deviation of this tick instead of one as late as the momentum, three of these are engines and fell the robot.
 #[test]
 fn a_thrust_sensor_that_is_wrong_is_found_with_realistic_sensors() {

@@ -1,4 +1,4 @@
-//! What the simulator promises besides physics: the log, batches, interruption, falls, refusals.
+//! What the simulator guarantees besides physics: the log, batches, interruption, falls, refusals.
 
 use super::{STILL, data, ramp_to, with};
 use crate::common::{assert_within, difference, experiment, fly, tick_at};
