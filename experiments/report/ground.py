@@ -51,13 +51,15 @@ class Ground:
 def read(folder: Path, config: Mapping[str, Any], mass: float) -> Ground | None:
     """Return the numbers of a flight's result, or `None` where no robot stood first in calm and then in wind."""
     wind = config.get("disturbances", {}).get("controller_wind")
+    if wind is None:
+        return None
     with xr.open_dataset(folder / record.RUN_FILE, engine="h5netcdf") as opened:
-        if "contact_force" not in opened or wind is None:
+        if "contact_force" not in opened:
             return None
         start = float(wind.get("ramp_start", 0.0))
         if not 0.0 < start <= float(opened["time"][-1]):
             return None
-        return measure(folder.name, opened.load(), start, mass)
+        return measure(folder.name, opened, start, mass)
 
 
 def measure(name: str, run: xr.Dataset, ramp_start: float, mass: float) -> Ground:

@@ -70,14 +70,15 @@ def write_sweep(results, name, cells, axes, **document):
     (folder / "sweep.json").write_text(json.dumps(run.described(shipped) | base | digest | document))
 
 
-@pytest.fixture
-def results(tmp_path, made_up_results) -> Results:
-    for path in shutil.copytree(made_up_results, tmp_path / "flight").glob("*/manifest.json"):
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory, made_up_results):
+    """Made-up flights whose manifests say what today's configurations are, and two sweeps."""
+    folder = tmp_path_factory.mktemp("whole")
+    for path in shutil.copytree(made_up_results, folder / "flight").glob("*/manifest.json"):
         document = json.loads(path.read_text())
         with xr.open_dataset(path.with_name("run.nc"), engine="h5netcdf") as run:
-            fell = run.attrs["outcome"] == "fell"
-            document |= {"outcome": run.attrs["outcome"], "lost_reason": run.attrs["lost_reason"]}
-            document["lost_time"] = float(run.attrs["lost_time"]) if fell else None
+            document |= {key: run.attrs[key] for key in ("outcome", "lost_reason")}
+            document["lost_time"] = float(run.attrs["lost_time"]) if document["outcome"] == "fell" else None
         config = rust.load_config(path.parent.name)
         document |= {"config_digest": rust.config_digest(config), "config": manifest.portable(config)}
         path.write_text(json.dumps(document))
@@ -86,7 +87,7 @@ def results(tmp_path, made_up_results) -> Results:
     tests += [("TEST4, corrected arms", 250), ("TEST4, published arms", 248), ("robustness, corrected arms", 250)]
     tests += [("robustness, published arms", 120)]
     cells = [cell(i, 250, n, n // 2, test=label) for i, (label, n) in enumerate(tests)]
-    write_sweep(tmp_path, "paper_tests", cells, ["test"])
+    write_sweep(folder, "paper_tests", cells, ["test"])
     terms = []
     for world in (claims.RIGHT, claims.HEAD, claims.PUBLISHED):
         for feedback, completes, stays in (
@@ -97,8 +98,13 @@ def results(tmp_path, made_up_results) -> Results:
             ("without Λ_a", 24, 24),
         ):
             terms.append(cell(len(terms), 24, completes, stays, world=world, feedback=feedback))
-    write_sweep(tmp_path, "ablation_terms", terms, ["world", "feedback"], panels="world")
-    return Results(tmp_path)
+    write_sweep(folder, "ablation_terms", terms, ["world", "feedback"], panels="world")
+    return folder
+
+
+@pytest.fixture
+def results(tmp_path, whole) -> Results:
+    return Results(shutil.copytree(whole, tmp_path, dirs_exist_ok=True))
 
 
 def test_a_claim_has_the_commit_of_the_last_result_that_it_was_measured_on(results, tmp_path):
