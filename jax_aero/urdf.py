@@ -154,7 +154,7 @@ def read_tree(urdf_text: str, base_link: str, order: Sequence[str], locked: Mapp
 
 
 def root_of(urdf_text: str) -> ElementTree.Element:
-    """Return the root of a URDF's tags; what is no XML, or nests more than `MAX_DEPTH` deep, is a `ValueError`."""
+    """Return the root of a URDF's tags; what is none, or nests more than `MAX_DEPTH` deep, is a `ValueError`."""
     depth, root = 0, ElementTree.Element("")
     try:
         for event, element in ElementTree.iterparse(io.StringIO(urdf_text), ("start", "end")):
@@ -164,6 +164,8 @@ def root_of(urdf_text: str) -> ElementTree.Element:
                 raise ValueError(f"tags nest more than {MAX_DEPTH} deep")
     except ElementTree.ParseError as reason:
         raise ValueError(f"the URDF is no XML: {reason}") from None
+    if root.tag != "robot":
+        raise ValueError(f"the outermost tag is <{root.tag}>; expected <robot>")
     return root
 
 

@@ -37,6 +37,14 @@ def test_a_urdf_whose_tags_nest_deeply_is_refused(robot, load):
             load(robot)
 
 
+@pytest.mark.parametrize("load", [rust.Robot, load_robot])
+def test_a_file_of_another_kind_is_refused(robot, load):
+    urdf = robot.with_suffix(".urdf")
+    urdf.write_text(urdf.read_text().replace("<robot", "<sdf").replace("</robot>", "</sdf>"))
+    with pytest.raises(ValueError, match="the outermost tag is <sdf>; expected <robot>"):
+        load(robot)
+
+
 @pytest.mark.parametrize("number", ["1e300", "nan", "0.0 0.0"])
 def test_a_place_that_is_none_is_refused_as_it_is_read(robot, number):
     urdf = robot.with_suffix(".urdf")

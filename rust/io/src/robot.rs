@@ -24,6 +24,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 use tree::Tree;
+use urdf::Urdf;
 
 /// A robot's TOML file.
 #[derive(Serialize, Deserialize, JsonSchema)]
@@ -185,10 +186,15 @@ impl RobotFiles {
     /// # Errors
     /// [`BuildError`] for a file that cannot be read or parsed.
     pub fn read(path: &Path) -> Result<Self, BuildError> {
+        Self::read_and_parse(path).map(|(files, _)| files)
+    }
+
+    fn read_and_parse(path: &Path) -> Result<(Self, RobotFile), BuildError> {
         let origin = path.display().to_string();
         let toml = read_text(path)?;
-        let urdf = read_text(&path.with_file_name(&parse_toml(&toml, &origin)?.urdf))?;
-        Ok(Self { toml, urdf, origin })
+        let file = parse_toml(&toml, &origin)?;
+        let urdf = read_text(&path.with_file_name(&file.urdf))?;
+        Ok((Self { toml, urdf, origin }, file))
     }
 
     /// The robot they describe.
@@ -214,7 +220,8 @@ pub fn robot_from_text(toml: &str, urdf: &str, origin: &str) -> Result<RobotMode
 /// # Errors
 /// As [`RobotFiles::read`] and [`RobotFiles::model`].
 pub fn load_robot(path: &Path) -> Result<RobotModel, BuildError> {
-    RobotFiles::read(path)?.model()
+    let (files, parsed) = RobotFiles::read_and_parse(path)?;
+    build(parsed, &files.urdf, &files.origin)
 }
 
 fn parse_toml(text: &str, origin: &str) -> Result<RobotFile, BuildError> {
@@ -223,8 +230,7 @@ fn parse_toml(text: &str, origin: &str) -> Result<RobotFile, BuildError> {
 
 fn build(file: RobotFile, urdf_text: &str, origin: &str) -> Result<RobotModel, BuildError> {
     let malformed = |error: String| BuildError::malformed(format!("{origin}: urdf `{}`", file.urdf), error);
-    urdf::check_depth(urdf_text).map_err(malformed)?;
-    let urdf = urdf_rs::read_from_string(urdf_text).map_err(|error| malformed(error.to_string()))?;
+    let urdf = Urdf::read(urdf_text).map_err(malformed)?;
     let order: Vec<&str> =
         file.joint_groups.iter().flat_map(|group| &group.joints).map(|joint| joint.name.as_str()).collect();
     let tree = tree::build(&urdf, &file.base_link, &order, &file.locked)?;

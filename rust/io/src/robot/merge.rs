@@ -2,7 +2,7 @@
 //!
 //! Equation M6 of `docs/model.md`.
 
-use super::urdf::pose;
+use super::urdf::Link;
 use flight_core::error::{BuildError, check as check_number};
 use flight_core::robot::{Body, check};
 use flight_core::spatial::Pose;
@@ -18,22 +18,20 @@ pub(super) struct Part {
 }
 
 /// A link's mass in its body; `None` for a link that is only a frame.
-pub(super) fn part(link: &urdf_rs::Link, body_from_link: &Pose) -> Result<Option<Part>, BuildError> {
-    let inertial = &link.inertial;
+pub(super) fn part(link: &Link, body_from_link: &Pose) -> Result<Option<Part>, BuildError> {
+    let Some(inertial) = &link.inertial else { return Ok(None) };
     let mass_item = format!("mass of link `{}`", link.name);
-    let mass =
-        check_number(&mass_item, inertial.mass.value, |m| m >= 0.0, "a mass that is not negative, in kg")?;
-    let i = &inertial.inertia;
-    let inertia = Matrix3::new(i.ixx, i.ixy, i.ixz, i.ixy, i.iyy, i.iyz, i.ixz, i.iyz, i.izz);
+    let mass = check_number(&mass_item, inertial.mass, |m| m >= 0.0, "a mass that is not negative, in kg")?;
+    let inertia = inertial.inertia;
     let inertia_item = format!("inertia of link `{}`", link.name);
     check::inertia(&inertia_item, &inertia)?;
     let body_from_inertial =
-        *body_from_link * pose(&format!("the inertia of link `{}`", link.name), &inertial.origin)?;
+        *body_from_link * inertial.origin.pose(&format!("the inertia of link `{}`", link.name))?;
     if mass == 0.0 {
         return if inertia == Matrix3::zeros() {
             Ok(None)
         } else {
-            let value = format!("principal part {:?}", [i.ixx, i.iyy, i.izz]);
+            let value = format!("principal part {:?}", [inertia.m11, inertia.m22, inertia.m33]);
             Err(BuildError::bad_value(inertia_item, value, "zero, as the link has no mass"))
         };
     }

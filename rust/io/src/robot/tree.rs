@@ -1,7 +1,7 @@
 //! From a URDF's links and joints to a tree of bodies that move.
 
 use super::merge::{merge, part};
-use super::urdf::{axis, greatest, kind, limits, pose};
+use super::urdf::{Joint, Urdf};
 use flight_core::error::{BuildError, check as check_number};
 use flight_core::robot::{Body, Frame, JointKind, check};
 use flight_core::spatial::{Pose, axis_angle};
@@ -42,7 +42,7 @@ impl Tree {
 
 /// Builds the tree whose moving joints are those of `order`; `locked` ones stay at their position \[rad, m\].
 pub(super) fn build(
-    urdf: &urdf_rs::Robot,
+    urdf: &Urdf,
     base_link: &str,
     order: &[&str],
     locked: &BTreeMap<String, f64>,
@@ -68,11 +68,11 @@ pub(super) fn build(
         places.insert(link.name.clone(), (body, body_from_link));
         for &(joint_index, child) in &children[link_index] {
             let joint = &urdf.joints[joint_index];
-            let body_from_joint = body_from_link * pose(&format!("joint `{}`", joint.name), &joint.origin)?;
+            let body_from_joint = body_from_link * joint.origin.pose(&format!("joint `{}`", joint.name))?;
             match motions[joint_index] {
                 Motion::Fixed => to_visit.push((child, body, body_from_joint)),
                 Motion::Locked(kind, position) => {
-                    let axis = axis(joint)?.into_inner();
+                    let axis = joint.axis()?.into_inner();
                     let moved = match kind {
                         JointKind::Revolute => {
                             Pose { rotation: axis_angle(&axis, position), position: Vector3::zeros() }
@@ -88,10 +88,10 @@ pub(super) fn build(
                     joints[place] = Some(TreeJoint {
                         kind,
                         parent_from_child: body_from_joint,
-                        axis_b: axis(joint)?,
-                        limits: limits(joint)?,
-                        torque_max: greatest(joint, "effort", joint.limit.effort)?,
-                        velocity_max: greatest(joint, "velocity", joint.limit.velocity)?,
+                        axis_b: joint.axis()?,
+                        limits: joint.limits()?,
+                        torque_max: joint.greatest("effort", joint.effort)?,
+                        velocity_max: joint.greatest("velocity", joint.velocity)?,
                     });
                     to_visit.push((child, moved, Pose::identity()));
                 }
@@ -121,11 +121,7 @@ enum Motion {
     Moving(JointKind, usize),
 }
 
-fn motions(
-    urdf: &urdf_rs::Robot,
-    order: &[&str],
-    locked: &BTreeMap<String, f64>,
-) -> Result<Vec<Motion>, BuildError> {
+fn motions(urdf: &Urdf, order: &[&str], locked: &BTreeMap<String, f64>) -> Result<Vec<Motion>, BuildError> {
     check::unique("joint", order.iter().copied().chain(locked.keys().map(String::as_str)))?;
     let is_known = |name: &str| urdf.joints.iter().any(|joint| joint.name == name);
     let known = || urdf.joints.iter().map(|joint| joint.name.as_str());
@@ -136,17 +132,17 @@ fn motions(
         return Err(BuildError::unknown_name("list of locked joints", name, known()));
     }
 
-    let motion = |joint: &urdf_rs::Joint| {
+    let motion = |joint: &Joint| {
         let name = joint.name.as_str();
         let item = format!("type of joint `{name}`");
         if let Some(mimic) = &joint.mimic {
             let item = format!("joint `{name}`");
-            let value = format!("a mimic of `{}`", mimic.joint);
+            let value = format!("a mimic of `{mimic}`");
             return Err(BuildError::bad_value(item, value, "a joint that moves on its own"));
         }
         let place = order.iter().position(|listed| *listed == name);
         let locked_at = locked.get(name);
-        match (kind(joint)?, place, locked_at) {
+        match (joint.kind()?, place, locked_at) {
             (None, None, None) => Ok(Motion::Fixed),
             (None, _, _) => Err(BuildError::bad_value(item, "fixed", "one that moves, as it is listed")),
             (Some(kind), Some(place), _) => Ok(Motion::Moving(kind, place)),
@@ -166,7 +162,7 @@ fn motions(
 }
 
 /// For each link, the joints whose parent it is and their child links.
-fn children_of_links(urdf: &urdf_rs::Robot) -> Result<Vec<Vec<(usize, usize)>>, BuildError> {
+fn children_of_links(urdf: &Urdf) -> Result<Vec<Vec<(usize, usize)>>, BuildError> {
     let index_of: BTreeMap<&str, usize> =
         urdf.links.iter().enumerate().map(|(i, link)| (link.name.as_str(), i)).collect();
     let find = |item: String, name: &str| {
@@ -175,11 +171,11 @@ fn children_of_links(urdf: &urdf_rs::Robot) -> Result<Vec<Vec<(usize, usize)>>, 
     let mut children = vec![Vec::new(); urdf.links.len()];
     let mut carrier: Vec<Option<&str>> = vec![None; urdf.links.len()];
     for (joint_index, joint) in urdf.joints.iter().enumerate() {
-        let parent = find(format!("parent of joint `{}`", joint.name), &joint.parent.link)?;
-        let child = find(format!("child of joint `{}`", joint.name), &joint.child.link)?;
+        let parent = find(format!("parent of joint `{}`", joint.name), &joint.parent)?;
+        let child = find(format!("child of joint `{}`", joint.name), &joint.child)?;
         if let Some(first) = carrier[child].replace(&joint.name) {
             return Err(BuildError::bad_value(
-                format!("link `{}`", joint.child.link),
+                format!("link `{}`", joint.child),
                 format!("the child of `{first}` and of `{}`", joint.name),
                 "the child of one joint",
             ));
@@ -190,11 +186,7 @@ fn children_of_links(urdf: &urdf_rs::Robot) -> Result<Vec<Vec<(usize, usize)>>, 
 }
 
 /// The link nothing carries, which must be the base.
-fn base_index(
-    urdf: &urdf_rs::Robot,
-    children: &[Vec<(usize, usize)>],
-    base_link: &str,
-) -> Result<usize, BuildError> {
+fn base_index(urdf: &Urdf, children: &[Vec<(usize, usize)>], base_link: &str) -> Result<usize, BuildError> {
     let names = || urdf.links.iter().map(|link| link.name.as_str());
     let base = names()
         .position(|name| name == base_link)
@@ -214,7 +206,7 @@ fn base_index(
 
 /// With one root, a link that is not reached belongs to a cycle or descends from one.
 fn check_all_reached(
-    urdf: &urdf_rs::Robot,
+    urdf: &Urdf,
     places: &BTreeMap<String, (usize, Pose)>,
     base_link: &str,
 ) -> Result<(), BuildError> {

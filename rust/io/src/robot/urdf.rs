@@ -1,70 +1,204 @@
-//! Single values of a URDF, checked.
+//! What of a URDF a robot is made of. Tags and attributes that say nothing of bodies and joints are not read.
 
 use flight_core::error::{BuildError, check as check_number};
 use flight_core::robot::{JointKind, check};
 use flight_core::spatial::{Pose, rotation_from_rpy};
-use nalgebra::{Unit, Vector3};
-use quick_xml::Reader;
-use quick_xml::events::Event;
-use urdf_rs::JointType;
+use nalgebra::{Matrix3, Unit, Vector3};
+use roxmltree::{Document, Node};
 
-/// Deepest nesting of tags: a parser calls itself once a level, and a stack is finite.
-const MAX_DEPTH: u32 = 64;
+/// Deepest nesting of tags, as in the JAX twin.
+const MAX_DEPTH: usize = 64;
 
-/// Refuses tags that nest too deeply, and says why; also for a text that is no XML.
-pub(super) fn check_depth(text: &str) -> Result<(), String> {
-    let mut reader = Reader::from_str(text);
-    let mut depth = 0;
-    loop {
-        match reader.read_event().map_err(|error| error.to_string())? {
-            Event::Start(_) if depth == MAX_DEPTH => {
-                return Err(format!("tags nest more than {MAX_DEPTH} deep"));
+/// The links and joints of a URDF, in its order.
+pub(super) struct Urdf {
+    pub(super) links: Vec<Link>,
+    pub(super) joints: Vec<Joint>,
+}
+
+/// A link, which is a frame and may have a mass.
+pub(super) struct Link {
+    pub(super) name: String,
+    pub(super) inertial: Option<Inertial>,
+}
+
+/// The mass of a link, its centre of mass, and its inertia about it.
+pub(super) struct Inertial {
+    pub(super) origin: Origin,
+    /// \[kg\]
+    pub(super) mass: f64,
+    /// In the axes of `origin` \[kg m²\].
+    pub(super) inertia: Matrix3<f64>,
+}
+
+/// A pose as a URDF writes it: position \[m\], and angles about fixed x, y and z \[rad\].
+#[derive(Clone, Copy, Default)]
+pub(super) struct Origin {
+    xyz: [f64; 3],
+    rpy: [f64; 3],
+}
+
+/// A joint. Numbers that are not given have the URDF's defaults.
+pub(super) struct Joint {
+    pub(super) name: String,
+    pub(super) origin: Origin,
+    pub(super) parent: String,
+    pub(super) child: String,
+    /// The joint that this one follows, if it does.
+    pub(super) mimic: Option<String>,
+    /// Greatest effort \[N m, N\] and velocity \[rad/s, m/s\].
+    pub(super) effort: f64,
+    pub(super) velocity: f64,
+    kind: String,
+    axis: [f64; 3],
+    lower: f64,
+    upper: f64,
+}
+
+impl Urdf {
+    /// Reads a URDF; the error says what is no XML, missing, or no number.
+    pub(super) fn read(text: &str) -> Result<Self, String> {
+        let document = Document::parse(text).map_err(|error| error.to_string())?;
+        // A tag has its ancestors, itself and the document.
+        if document.descendants().any(|node| node.is_element() && node.ancestors().count() > MAX_DEPTH + 1) {
+            return Err(format!("tags nest more than {MAX_DEPTH} deep"));
+        }
+        let robot = document.root_element();
+        if !robot.has_tag_name("robot") {
+            return Err(format!("the outermost tag is <{}>; expected <robot>", robot.tag_name().name()));
+        }
+        let tags = |tag| robot.children().filter(move |node: &Node<'_, '_>| node.has_tag_name(tag));
+        Ok(Self {
+            links: tags("link").map(link).collect::<Result<_, _>>()?,
+            joints: tags("joint").map(joint).collect::<Result<_, _>>()?,
+        })
+    }
+}
+
+fn link(node: Node<'_, '_>) -> Result<Link, String> {
+    let inertial = |node| {
+        let inertia = required(node, "inertia")?;
+        let of = |key| number(inertia, key, None);
+        let (xy, xz, yz) = (of("ixy")?, of("ixz")?, of("iyz")?);
+        Ok::<_, String>(Inertial {
+            origin: origin(node)?,
+            mass: number(required(node, "mass")?, "value", None)?,
+            inertia: Matrix3::new(of("ixx")?, xy, xz, xy, of("iyy")?, yz, xz, yz, of("izz")?),
+        })
+    };
+    Ok(Link {
+        name: attribute(node, "name")?.to_owned(),
+        inertial: child(node, "inertial").map(inertial).transpose()?,
+    })
+}
+
+fn joint(node: Node<'_, '_>) -> Result<Joint, String> {
+    let linked = |tag| required(node, tag).and_then(|end| attribute(end, "link")).map(str::to_owned);
+    let limit = |key| child(node, "limit").map_or(Ok(0.0), |limit| number(limit, key, Some(0.0)));
+    let mimic = child(node, "mimic").map(|mimic| attribute(mimic, "joint").map(str::to_owned));
+    Ok(Joint {
+        name: attribute(node, "name")?.to_owned(),
+        origin: origin(node)?,
+        parent: linked("parent")?,
+        child: linked("child")?,
+        mimic: mimic.transpose()?,
+        effort: limit("effort")?,
+        velocity: limit("velocity")?,
+        kind: attribute(node, "type")?.to_owned(),
+        axis: child(node, "axis").map_or(Ok([1.0, 0.0, 0.0]), |axis| numbers(axis, "xyz", None))?,
+        lower: limit("lower")?,
+        upper: limit("upper")?,
+    })
+}
+
+fn origin(node: Node<'_, '_>) -> Result<Origin, String> {
+    child(node, "origin").map_or(Ok(Origin::default()), |origin| {
+        let at = |key| numbers(origin, key, Some([0.0; 3]));
+        Ok(Origin { xyz: at("xyz")?, rpy: at("rpy")? })
+    })
+}
+
+fn child<'a, 'i>(node: Node<'a, 'i>, tag: &str) -> Option<Node<'a, 'i>> {
+    node.children().find(|child| child.has_tag_name(tag))
+}
+
+fn required<'a, 'i>(node: Node<'a, 'i>, tag: &str) -> Result<Node<'a, 'i>, String> {
+    child(node, tag).ok_or_else(|| format!("{} has no <{tag}>", named(node)))
+}
+
+fn attribute<'a>(node: Node<'a, '_>, key: &str) -> Result<&'a str, String> {
+    node.attribute(key).ok_or_else(|| format!("{} has no `{key}`", named(node)))
+}
+
+/// A tag, with the name of the link or joint that it belongs to.
+fn named(node: Node<'_, '_>) -> String {
+    let tag = node.tag_name().name();
+    match node.ancestors().find_map(|node| node.attribute("name").map(|name| (node.tag_name().name(), name)))
+    {
+        Some((owner, name)) if owner == tag => format!("{owner} `{name}`"),
+        Some((owner, name)) => format!("the <{tag}> of {owner} `{name}`"),
+        None => format!("a <{tag}>"),
+    }
+}
+
+/// So many numbers of an attribute, or `default` where it is not given.
+fn numbers<const N: usize>(
+    node: Node<'_, '_>,
+    key: &str,
+    default: Option<[f64; N]>,
+) -> Result<[f64; N], String> {
+    let text = match (node.attribute(key), default) {
+        (None, Some(default)) => return Ok(default),
+        _ => attribute(node, key)?,
+    };
+    let found: Option<Vec<f64>> = text.split_whitespace().map(|word| word.parse().ok()).collect();
+    found.and_then(|found| found.try_into().ok()).ok_or_else(|| {
+        let expected = if N == 1 { "a number".to_owned() } else { format!("{N} numbers") };
+        format!("`{key}` of {} is `{text}`; expected {expected}", named(node))
+    })
+}
+
+fn number(node: Node<'_, '_>, key: &str, default: Option<f64>) -> Result<f64, String> {
+    numbers(node, key, default.map(|number| [number])).map(|[number]| number)
+}
+
+impl Origin {
+    /// The pose; `item` says whose.
+    pub(super) fn pose(&self, item: &str) -> Result<Pose, BuildError> {
+        let position = check::finite(&format!("origin xyz of {item}"), &self.xyz)?;
+        let rpy = check::finite(&format!("origin rpy of {item}"), &self.rpy)?;
+        Ok(Pose { rotation: rotation_from_rpy(&rpy), position })
+    }
+}
+
+impl Joint {
+    pub(super) fn axis(&self) -> Result<Unit<Vector3<f64>>, BuildError> {
+        check::unit(&format!("axis of joint `{}`", self.name), &self.axis)
+    }
+
+    /// How the joint moves its child; `None` for one that does not.
+    pub(super) fn kind(&self) -> Result<Option<JointKind>, BuildError> {
+        match self.kind.as_str() {
+            "fixed" => Ok(None),
+            "revolute" | "continuous" => Ok(Some(JointKind::Revolute)),
+            "prismatic" => Ok(Some(JointKind::Prismatic)),
+            other => {
+                let expected = "revolute, continuous, prismatic or fixed";
+                Err(BuildError::bad_value(format!("type of joint `{}`", self.name), other, expected))
             }
-            Event::Start(_) => depth += 1,
-            Event::End(_) => depth -= 1,
-            Event::Eof => return Ok(()),
-            _ => {}
         }
     }
-}
 
-/// A URDF origin; `item` says whose.
-pub(super) fn pose(item: &str, origin: &urdf_rs::Pose) -> Result<Pose, BuildError> {
-    let position = check::finite(&format!("origin xyz of {item}"), &origin.xyz)?;
-    let rpy = check::finite(&format!("origin rpy of {item}"), &origin.rpy)?;
-    Ok(Pose { rotation: rotation_from_rpy(&rpy), position })
-}
+    /// A limit of effort or velocity; `None` where the URDF says 0 or nothing.
+    pub(super) fn greatest(&self, key: &str, value: f64) -> Result<Option<f64>, BuildError> {
+        let item = format!("URDF {key} limit of joint `{}`", self.name);
+        check_number(&item, value, |x| x >= 0.0, "a number ≥ 0").map(|x| (x > 0.0).then_some(x))
+    }
 
-/// The axis of a joint.
-pub(super) fn axis(joint: &urdf_rs::Joint) -> Result<Unit<Vector3<f64>>, BuildError> {
-    check::unit(&format!("axis of joint `{}`", joint.name), &joint.axis.xyz)
-}
-
-/// How a joint moves its child; `None` for one that does not.
-pub(super) fn kind(joint: &urdf_rs::Joint) -> Result<Option<JointKind>, BuildError> {
-    match joint.joint_type {
-        JointType::Fixed => Ok(None),
-        JointType::Revolute | JointType::Continuous => Ok(Some(JointKind::Revolute)),
-        JointType::Prismatic => Ok(Some(JointKind::Prismatic)),
-        ref other => {
-            let value = format!("{other:?}").to_lowercase();
-            let expected = "revolute, continuous, prismatic or fixed";
-            Err(BuildError::bad_value(format!("type of joint `{}`", joint.name), value, expected))
+    /// The limits of the joint \[rad, m\]; a continuous one has none.
+    pub(super) fn limits(&self) -> Result<Option<(f64, f64)>, BuildError> {
+        if self.kind == "continuous" {
+            return Ok(None);
         }
+        check::interval(&format!("URDF limit of joint `{}`", self.name), self.lower, self.upper).map(Some)
     }
-}
-
-/// A limit of a joint's effort or velocity; `None` where the URDF says 0 or nothing.
-pub(super) fn greatest(joint: &urdf_rs::Joint, key: &str, value: f64) -> Result<Option<f64>, BuildError> {
-    let item = format!("URDF {key} limit of joint `{}`", joint.name);
-    check_number(&item, value, |x| x >= 0.0, "a number ≥ 0").map(|x| (x > 0.0).then_some(x))
-}
-
-/// The limits of a joint \[rad, m\]; a continuous one has none.
-pub(super) fn limits(joint: &urdf_rs::Joint) -> Result<Option<(f64, f64)>, BuildError> {
-    if joint.joint_type == JointType::Continuous {
-        return Ok(None);
-    }
-    let item = format!("URDF limit of joint `{}`", joint.name);
-    check::interval(&item, joint.limit.lower, joint.limit.upper).map(Some)
 }

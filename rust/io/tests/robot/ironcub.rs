@@ -363,28 +363,38 @@ fn link_centres() {
     }
 }
 
+/// The first tag of this name in another.
+fn tag<'a, 'i>(node: roxmltree::Node<'a, 'i>, name: &str) -> roxmltree::Node<'a, 'i> {
+    node.children().find(|child| child.has_tag_name(name)).unwrap()
+}
+
 /// What one sees is what the sphere/cylinder model computes with.
 #[test]
 fn visuals_show_the_published_link_sizes() {
     let robot = ironcub();
-    let urdf =
-        urdf_rs::read_from_string(&RobotFiles::read(&robot_file("ironcub_mk1.toml")).unwrap().urdf).unwrap();
+    let text = RobotFiles::read(&robot_file("ironcub_mk1.toml")).unwrap().urdf;
+    let urdf = roxmltree::Document::parse(&text).unwrap();
+    let numbers = |node: roxmltree::Node<'_, '_>, key| -> Vec<f64> {
+        node.attribute(key).unwrap_or("0 0 0").split(' ').map(|word| word.parse().unwrap()).collect()
+    };
     for aero in &robot.aero_links {
-        let link = urdf.links.iter().find(|link| link.name == aero.frame.name).unwrap();
-        let [visual] = link.visual.as_slice() else { panic!("{}: one visual expected", aero.name) };
-        match visual.geometry {
-            urdf_rs::Geometry::Sphere { radius } if aero.is_sphere => {
-                assert_close(&aero.name, 2.0 * radius, aero.diameter, 1e-15);
-            }
-            urdf_rs::Geometry::Cylinder { radius, length } if !aero.is_sphere => {
-                assert_close(&aero.name, 2.0 * radius, aero.diameter, 1e-15);
-                assert_close(&aero.name, length, aero.length, 0.0);
-                // A URDF cylinder stands along its own z axis.
-                let r = flight_core::spatial::rotation_from_rpy(&Vector3::from(*visual.origin.rpy));
-                assert_within!((r * Vector3::z()).cross(&aero.axis_l).norm(), 1e-15, "axis of {}", aero.name);
-            }
-            ref other => panic!("{}: {other:?}", aero.name),
+        let links = &mut urdf.root_element().children().filter(|node| node.has_tag_name("link"));
+        let link = links.find(|link| link.attribute("name") == Some(&aero.frame.name)).unwrap();
+        assert_eq!(link.children().filter(|node| node.has_tag_name("visual")).count(), 1, "{}", aero.name);
+        let visual = tag(link, "visual");
+        let (geometry, origin) = (tag(visual, "geometry"), tag(visual, "origin"));
+        if aero.is_sphere {
+            let radius = numbers(tag(geometry, "sphere"), "radius")[0];
+            assert_close(&aero.name, 2.0 * radius, aero.diameter, 1e-15);
+        } else {
+            let cylinder = tag(geometry, "cylinder");
+            assert_close(&aero.name, 2.0 * numbers(cylinder, "radius")[0], aero.diameter, 1e-15);
+            assert_close(&aero.name, numbers(cylinder, "length")[0], aero.length, 0.0);
+            // A URDF cylinder stands along its own z axis.
+            let r = flight_core::spatial::rotation_from_rpy(&Vector3::from_vec(numbers(origin, "rpy")));
+            assert_within!((r * Vector3::z()).cross(&aero.axis_l).norm(), 1e-15, "axis of {}", aero.name);
         }
-        assert_within!((Vector3::from(*visual.origin.xyz) - aero.centre_l).norm(), 1e-15, "{}", aero.name);
+        let position = Vector3::from_vec(numbers(origin, "xyz"));
+        assert_within!((position - aero.centre_l).norm(), 1e-15, "{}", aero.name);
     }
 }

@@ -128,6 +128,22 @@ fn impossible_urdf_is_refused_by_name_and_value() {
             "<parent link=\"back_nozzle\"/>\n    <child link=\"pack\"/>",
             &["link `pack`", "cycle", "`pelvis`"],
         ),
+        // What is missing, or no number.
+        spoil("<child link=\"head\"/>", "", &["sparrow.urdf", "joint `neck` has no <child>"]),
+        spoil("<child link=\"head\"/>", "<child/>", &["the <child> of joint `neck` has no `link`"]),
+        spoil("<link name=\"head\">", "<link>", &["the <link> of robot `sparrow` has no `name`"]),
+        spoil("<mass value=\"2.5\"/>", "", &["the <inertial> of link `pelvis` has no <mass>"]),
+        spoil("ixx=\"0.010417\"", "", &["the <inertia> of link `pelvis` has no `ixx`"]),
+        spoil(
+            "upper=\"1.5\"",
+            "upper=\"1.5 m\"",
+            &["`upper` of the <limit> of joint `l_shoulder` is `1.5 m`", "a number"],
+        ),
+        spoil(
+            "xyz=\"0 0.13 0.28\"",
+            "xyz=\"0 0.13\"",
+            &["`xyz` of the <origin> of joint `l_shoulder` is `0 0.13`", "3 numbers"],
+        ),
         // Joints.
         spoil("\"l_hip\" type=\"revolute\"", "\"l_hip\" type=\"prismatic\"", &["joint `l_hip`", "prismatic"]),
         spoil("\"l_hip\" type=\"revolute\"", "\"l_hip\" type=\"floating\"", &["joint `l_hip`", "floating"]),
@@ -171,8 +187,15 @@ fn impossible_urdf_is_refused_by_name_and_value() {
     }
 }
 
-/// A moving body needs mass and inertia, though a link of it may lack them.
-/// Instead of the end of the process, in which a parser that calls itself once a level would run out of stack.
+#[test]
+fn a_file_of_another_kind_is_refused() {
+    let (toml, urdf) = sparrow_texts();
+    let other = urdf.replace("<robot", "<sdf").replace("</robot>", "</sdf>");
+    let message = robot_from_text(&toml, &other, "sparrow.toml").unwrap_err().to_string();
+    assert!(message.contains("the outermost tag is <sdf>; expected <robot>"), "{message}");
+}
+
+/// Where such tags are read by a function that calls itself once a level, the process ends without stack.
 #[test]
 fn tags_that_nest_deeply_are_refused() {
     let (toml, urdf) = sparrow_texts();
@@ -183,6 +206,7 @@ fn tags_that_nest_deeply_are_refused() {
     assert!(message.contains("`sparrow.urdf`: tags nest more than 64 deep"), "{message}");
 }
 
+/// A moving body needs mass and inertia, though a link of it may lack them.
 #[test]
 fn massless_and_point_like_bodies_are_refused() {
     let cases = [
