@@ -64,7 +64,7 @@ def sizes_of(model: robot.RobotModel) -> dict[str, int]:
 
 
 @types.pytree
-class Watched:
+class Checked:
     """The flight controller, whose state, measurement and command are checked."""
 
     inner: MomentumController
@@ -86,7 +86,7 @@ def trace_flight() -> None:
     """Trace a tick of a batch of flights, and a gradient through a QP."""
     config = io.scenario_config(io.load_config(CONFIGS / "experiments" / "test2_sensors.toml", EVERYTHING))
     model = robot.load_robot(config.robot)
-    scenario, state = sim.prepare(config, model, controller=Watched(momentum_controller(config, model)))
+    scenario, state = sim.prepare(config, model, controller=Checked(momentum_controller(config, model)))
 
     def flown(state: sim.FlightState) -> sim.FlightRow:
         after, row = sim.step(scenario, state, jnp.array(1))

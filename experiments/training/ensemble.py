@@ -158,8 +158,8 @@ def intervals(predicted: Floats, truth: Floats, family: Indices) -> dict[str, An
     """
     error = np.linalg.norm(predicted.mean(axis=0) - truth, axis=1)
     spread = np.sqrt(predicted.var(axis=0, ddof=1).sum(axis=1))
-    floor = float(np.sqrt(np.mean(spread**2)))
-    score = error / np.sqrt(spread**2 + floor**2)
+    spread_rms = float(np.sqrt(np.mean(spread**2)))
+    score = error / np.sqrt(spread**2 + spread_rms**2)
     covered = {}
     for one in np.unique(family):
         other = np.quantile(score[family != one], COVERAGE)
@@ -168,12 +168,12 @@ def intervals(predicted: Floats, truth: Floats, family: Indices) -> dict[str, An
     weights = [int(np.sum(family == one)) for one in covered]
     return {
         "factor": factor,
-        "floor": floor,
+        "spread_rms": spread_rms,
         "rms": vector_rms(predicted.mean(axis=0) - truth),
         "coverage": float(np.average(list(covered.values()), weights=weights)),
         "coverage_min": min(covered.values()),
         "coverage_max": max(covered.values()),
-        "half_width": float(np.mean(factor * np.sqrt(spread**2 + floor**2))),
+        "half_width": float(np.mean(factor * np.sqrt(spread**2 + spread_rms**2))),
         "correlation": float(np.corrcoef(error, spread)[0, 1]),
     }
 
@@ -187,11 +187,11 @@ def link_half_width(moment: Mapping[str, float], of_links: Floats) -> float:
     Parameters
     ----------
     moment
-        Error `rms` and spread `floor` of the total moment [m³], of `intervals`.
+        Error `rms` and spread `spread_rms` of the total moment [m³], of `intervals`.
     of_links
         (N, L, 3) moment volumes of the links about the centre of mass [m³].
     """
-    missing = moment["rms"] ** 2 - moment["floor"] ** 2
+    missing = moment["rms"] ** 2 - moment["spread_rms"] ** 2
     return float(np.sqrt(3.0 * max(missing, 0.0) / np.mean(np.sum(of_links**2, axis=(1, 2)))))
 
 
@@ -250,7 +250,8 @@ def write_members(
         )
     card = {
         "members": [f"member_{number}.json" for number in range(len(trainings))],
-        "interval": "|error| <= factor sqrt(spread^2 + floor^2); spread: standard deviation of the members, all axes",
+        "interval": "|error| <= factor sqrt(spread^2 + spread_rms^2); spread: standard deviation of the members, "
+        "all axes",
         "coverage_aimed_at": COVERAGE,
         "force_m2": found["force"],
         "moment_about_com_m3": found["moment"],

@@ -1,4 +1,4 @@
-"""What can be changed while watching, and how it changes a flight's configuration."""
+"""What can be changed while a flight is shown, and how it changes a flight's configuration."""
 
 from __future__ import annotations
 

@@ -130,7 +130,7 @@ def test_numbers_go_to_the_device_once(counted, monkeypatch):
     compiled = batch._compiled
     kinds = []
 
-    def watched(*static):
+    def recorded(*static):
         fly = compiled(*static)
 
         def call(leaves, state, first):
@@ -139,7 +139,7 @@ def test_numbers_go_to_the_device_once(counted, monkeypatch):
 
         return call
 
-    monkeypatch.setattr(batch, "_compiled", watched)
+    monkeypatch.setattr(batch, "_compiled", recorded)
     sim.fly_batch(flights({}, {}), full_log=True)
     assert kinds
     assert all(kinds)

@@ -318,10 +318,10 @@ def test_the_world_is_not_where_the_controller_predicts_it(monkeypatch, changes,
     scenario, start = sim.prepare(config)
     scenario, taken = dataclasses.replace(scenario, controller=Wrapped(scenario.controller)), []
 
-    def watched(plant, state, wind, known=None):
+    def recorded(plant, state, wind, known=None):
         taken.append(known is not None)
         return observe(plant, state, wind, known)
 
-    monkeypatch.setattr("jax_aero.sim.plant.observe", watched)
+    monkeypatch.setattr("jax_aero.sim.plant.observe", recorded)
     jax.eval_shape(lambda *flight: sim.step(*flight), scenario, start, jnp.array(0))
     assert taken == [shares]

@@ -21,7 +21,7 @@ def test_intervals_are_conformal_across_families(agree):
     factor = 4.4 / np.sqrt(8.0)  # between 3 and 5, at 2.7 of 3 steps
     expected = {
         "factor": factor,
-        "floor": np.sqrt(7.0),
+        "spread_rms": np.sqrt(7.0),
         "rms": np.sqrt(114.0 / 4.0),
         # The three rows of one family are covered by the score of the other, and not the other way round.
         "coverage": 0.75,
@@ -49,10 +49,10 @@ def test_intervals_cover_what_they_say_where_the_error_follows_the_spread():
 def test_factors_on_links_add_what_the_spread_of_the_networks_lacks(measured):
     rng = np.random.default_rng(4)
     of_links = rng.normal(size=(50, 13, 3))
-    half = ensemble.link_half_width({"rms": 1.3, "floor": 0.5}, of_links)
+    half = ensemble.link_half_width({"rms": 1.3, "spread_rms": 0.5}, of_links)
     factors = rng.uniform(-half, half, size=(4000, 1, 13, 1))
     added = np.mean(np.sum(np.sum(factors * of_links, axis=2) ** 2, axis=-1))
-    assert ensemble.link_half_width({"rms": 0.5, "floor": 1.3}, of_links) == 0.0
+    assert ensemble.link_half_width({"rms": 0.5, "spread_rms": 1.3}, of_links) == 0.0
     # A mean over 4000 draws of a sum of squares whose standard deviation is at most √2 of its mean; four of them.
     measured("variance that is added", abs(added / (1.3**2 - 0.5**2) - 1.0), 4 * np.sqrt(2.0 / 4000))
 

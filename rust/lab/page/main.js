@@ -280,7 +280,7 @@ class Page extends Player {
     this.play(true);
     this.#showScene("…", "computing");
     this.#showSettings();
-    const flights = Object.entries({ watched: scene.settings, ...scene.others });
+    const flights = Object.entries({ shown: scene.settings, ...scene.others });
     const results = await Promise.all(flights.map(async ([name, settings]) => [name, await this.flyWhole(settings)]));
     if (this.scenario === index) this.#showScene(...scene.proof(Object.fromEntries(results)));
   }

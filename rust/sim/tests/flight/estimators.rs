@@ -145,8 +145,9 @@ fn an_estimator_follows_no_measurement_that_is_not_accepted() {
     }
 }
 
-/// With realistic sensors, too, a wrong thrust sensor is distinguished from a failing engine, and used no more by the estimator. Compared
-/// with the deviation of this tick instead of one as late as the momentum, three of these are engines and fell the robot.
+/// With realistic sensors, too, a wrong thrust sensor is distinguished from a failing engine, and used no more by the
+/// estimator. Compared with the deviation of this tick instead of one as late as the momentum, three of these are
+/// engines and fell the robot.
 #[test]
 fn a_thrust_sensor_that_is_wrong_is_found_with_realistic_sensors() {
     let mut config = experiment("test2_sensors");
