@@ -288,7 +288,7 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
         seen, thrust = plant.observe(blowing[k]), plant.thrust
         tick = controller.tick(seen.measured, thrust, measured[k], time, foot_wrenches=seen.foot_wrenches[plant.named])
         posture = tick.posture
-        row = _row(plant, seen, tick, time, thrust, blowing[k], measured[k])
+        row = _row(plant, seen, tick, time, thrust, blowing[k])
         rows.append(row)
         loss = _divergence(row, simulator["divergence"], plant.robot) or _fall(row, simulator["fall"])
         if loss is not None:
@@ -317,13 +317,14 @@ def _times(simulator: Mapping[str, Any]) -> Array:
 
 
 def _row(
-    plant: GroundPlant, seen: Observed, tick: rust.Tick, time: float, thrust: Array, wind: Array, measured: Array
+    plant: GroundPlant, seen: Observed, tick: rust.Tick, time: float, thrust: Array, wind: Array
 ) -> dict[str, Any]:
     """Every signal of one tick."""
     truth = rust.dynamics(plant.robot, seen.state)
     position, rotation, joints, nu = (np.asarray(part) for part in seen.state)
     desired = np.asarray(tick.setpoint.rotation)
-    measured_position, measured_rotation, _, measured_nu = (np.asarray(part) for part in seen.measured)
+    given = tick.given
+    given_position, given_rotation, _, given_nu = (np.asarray(part) for part in given.state)
     contact = tick.contact
     if contact is None:
         raise ValueError("`controller.contact` is absent; expected a table: without feet the controller cannot stand")
@@ -356,13 +357,13 @@ def _row(
         "momentum_setpoint": np.append(plant.robot.mass * np.asarray(tick.setpoint.com_velocity), np.zeros(3)),
         "momentum_rate_estimate": tick.momentum_rate_estimate,
         "unmodelled_wrench": tick.unmodelled_wrench,
-        "measured_base_position": measured_position,
-        "measured_base_quaternion": _wxyz(measured_rotation),
-        "measured_base_velocity": measured_nu[:6],
-        "measured_joint_velocity": measured_nu[6:],
-        "measured_thrust": thrust,
-        "measured_wind": measured,
-        "measured_wind_std": np.zeros(3),
+        "measured_base_position": given_position,
+        "measured_base_quaternion": _wxyz(given_rotation),
+        "measured_base_velocity": given_nu[:6],
+        "measured_joint_velocity": given_nu[6:],
+        "measured_thrust": given.thrust,
+        "measured_wind": given.wind,
+        "measured_wind_std": given.wind_std,
         "qp_status": [tick.momentum_answer.status_code, tick.torque_answer.status_code],
         "qp_kkt": [tick.momentum_answer.kkt, tick.torque_answer.kkt],
         "qp_iterations": [tick.momentum_answer.iterations, tick.torque_answer.iterations],

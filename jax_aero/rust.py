@@ -249,6 +249,26 @@ class ContactTick:
     velocity_product: Array
 
 
+@dataclass(frozen=True)
+class Given:
+    """What a controller's estimators, where it has some, made of a measurement.
+
+    Attributes
+    ----------
+    state
+        Pose and velocity of the robot.
+    thrust
+        Of every jet [N], (jets,).
+    wind, wind_std
+        Velocity of the air and its standard deviation, zero without a wind observer [m/s, inertial axes], (3,).
+    """
+
+    state: State
+    thrust: Array
+    wind: Array
+    wind_std: Array
+
+
 class Plant:
     """The simulated robot of a configuration, with its jets and wind, for a control loop of your own.
 
@@ -335,6 +355,8 @@ class Tick:
         Part of the state of the controller after the tick, see `Controller.state`.
     setpoint
         What was followed.
+    given
+        What the law was given.
     contact
         The feet; `None` for a controller that cannot stand. Its force rates are unknowns of `momentum_qp` too, between
         thrust rates and joint velocities.
@@ -379,6 +401,7 @@ class Tick:
     inertia_0_b: Array
     velocity_error_integral: Array
     setpoint: Setpoint
+    given: Given
     contact: ContactTick | None = None
 
 
@@ -453,7 +476,7 @@ class Controller:
         given = None if setpoint is None else {name: _array(value) for name, value in vars(setpoint).items()}
         feet = None if foot_wrenches is None else _array(foot_wrenches)
         raw = self._core.tick(time, *_arrays(state), _array(thrust), _array(wind), given, feet)
-        contact = raw.pop("contact", None)
+        contact, given = raw.pop("contact", None), raw.pop("given")
         momentum = QpProblem(raw.pop("h"), raw.pop("g"), raw.pop("lower"), raw.pop("upper"))
         kind = QpProblem if contact is None else RowProblem
         torque = kind(*(raw.pop(f"torque_{part}") for part in kind._fields))
@@ -463,6 +486,7 @@ class Controller:
             momentum_qp=momentum,
             torque_qp=torque,
             setpoint=Setpoint(**raw.pop("setpoint")),
+            given=Given(State(*(given.pop(part) for part in State._fields)), **given),
             contact=None if contact is None else ContactTick(**contact),
             **raw,
         )

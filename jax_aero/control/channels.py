@@ -28,6 +28,9 @@ from jax_aero.types import Array, State, Static, leaf, pytree, where
 GAP_MAX = 10.5
 """Longest time between two ticks, in ticks. Half a tick is for rounding."""
 
+PAUSE_MAX = 1.0
+"""Longest time without ticks that counts as a pause of the controller [s]: beyond it a clock has jumped."""
+
 TIME_MAX = 1e9
 """Longest flight [s]: beyond it ticks of milliseconds are rounding errors of the time."""
 
@@ -124,7 +127,10 @@ class Seen(NamedTuple):
     """By how much each thrust is not the predicted one, or by how much an estimator corrects it; zero where it is not
     measured [N]."""
     elapsed: Float[Array, ""]
-    """Time since the last tick [s]."""
+    """Time since the last tick [s]; a time step where that is not known."""
+    pause: Float[Array, ""]
+    """How far the measurement's clock went on where the time since the last tick is not known: either the clock has
+    jumped or the controller has paused. Zero where it is known, or cannot be a pause [s]."""
     has_momentum: Bool[Array, ""]
     """Whether the momentum is that of measurements, and its rate that of the time since the last tick."""
 
@@ -211,6 +217,8 @@ def update(
     elapsed = measured - memory.time
     is_step = (elapsed > 0.0) & (elapsed < GAP_MAX * time_step)
     dt = jnp.where(is_step, elapsed, time_step)
+    may_have_paused = memory.is_begun & ~is_step & (elapsed > 0.0) & (elapsed <= PAUSE_MAX)
+    pause = jnp.where(may_have_paused, elapsed, 0.0)
     has_jumped = memory.is_begun & ~is_step & limits.compares
     now_time = jnp.where(has_jumped, following, measured)
     clock_offset = jnp.where(has_jumped, time - following, memory.clock_offset)
@@ -234,7 +242,9 @@ def update(
         if not limits.compares:
             return is_plausible, memory.is_frozen
         distance = jnp.abs(now - predicted)
-        is_near = of_all(distance <= (1.0 + limits.widening * memory.age)[owner] * limits.jump)
+        # What happened in a pause is no jump.
+        gate = 1.0 + limits.widening * memory.age + pause / time_step
+        is_near = of_all(distance <= gate[owner] * limits.jump)
         leaves = (same >= limits.frozen_ticks) & ~of_all(distance <= FROZEN_SHARE * limits.jump)
         is_frozen = is_same & (memory.is_frozen | leaves)
         return is_plausible & is_near & ~is_frozen, is_frozen
@@ -249,7 +259,8 @@ def update(
     of_entry = is_measured[owner]
     # What is not measured must not enter the computation, not even its derivative.
     now = jnp.where(of_entry, now, predicted)
-    innovation = jnp.where(memory.is_begun, (now - predicted)[3 : 3 + jets], 0.0)
+    # Over an unknown time it says nothing.
+    innovation = jnp.where(memory.is_begun & is_step, (now - predicted)[3 : 3 + jets], 0.0)
     # Of joints and base the predicted value moves on, to be compared with one that may be frozen.
     is_vital = np.arange(owners.shape[0]) > jets
     predicted = jnp.where((is_measured & ~(is_same & is_vital))[owner], now, predicted)
@@ -289,7 +300,7 @@ def update(
     )
     seen, thrusts = _parts(used, jets, n)
     modes = modes.astype(jnp.int32)
-    return after, Seen(now_time, seen, thrusts, used[:3], modes, innovation, dt, has_momentum)
+    return after, Seen(now_time, seen, thrusts, used[:3], modes, innovation, dt, pause, has_momentum)
 
 
 def accepted(memory: ChannelsState, seen: Seen) -> tuple[State, Float[Array, " j"]]:

@@ -22,6 +22,10 @@ from jax_aero.control.tasks import in_place_of
 from jax_aero.robot import RobotModel
 from jax_aero.types import Array, leaf, leaves, pytree
 
+LEAST_ARM = 0.01
+"""Least lever arm about the centre of mass of a jet whose sensor can be judged [m]: a deviation of 10 N has a moment of
+0.1 N m there, as much as the residual's noise."""
+
 
 @pytree
 class Descent:
@@ -129,8 +133,10 @@ def update(
     is_sure = exceeds & (suspected >= limits.confirmation + 0.5 * dt)
     # A product in place of the quotient of M106: a jet may have no moment about the centre of mass.
     moments = a_t[3:]
+    arm_squared = jnp.sum(moments**2, axis=0)
     explained = -(moments.T @ residual[3:]) * jnp.sign(late)
-    is_wrong = is_sure & ~last.is_limited & (explained > 0.5 * jnp.abs(late) * jnp.sum(moments**2, axis=0))
+    is_known = arm_squared >= LEAST_ARM**2
+    is_wrong = is_sure & ~last.is_limited & is_known & (explained > 0.5 * jnp.abs(late) * arm_squared)
     is_short, is_stuck = (is_sure & ~is_wrong & (sign * late > 0.0) for sign in (-1.0, 1.0))
     least = jnp.where(is_stuck, thrust, jnp.where(is_short, jnp.minimum(last.least, thrust), last.least))
     greatest = jnp.where(is_short, thrust, jnp.where(is_stuck, jnp.maximum(last.greatest, thrust), last.greatest))

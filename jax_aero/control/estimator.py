@@ -50,6 +50,8 @@ class Order(NamedTuple):
     """Wrench that is in no model, about the centre of mass [N, N m]."""
     wind: Float[Array, "3"]
     """That the controller uses, finite whatever is measured [m/s]."""
+    duration: Float[Array, ""]
+    """How long it acts [s]; known when the next tick comes."""
 
 
 @pytree
@@ -128,15 +130,22 @@ def start(settings: Estimator, state: State, jets: int) -> EstimatorState:
 
     rest = jnp.zeros_like(state.velocity)
     nothing = Reading(jax.tree.map(jnp.asarray, state), jnp.zeros(jets, rest.dtype))
-    order = Order(rest[6:], nothing.thrust, rest[:6], rest[:3])
+    order = Order(rest[6:], nothing.thrust, rest[:6], rest[:3], jnp.asarray(settings.time_step))
     line, orders = jax.tree.map(often, (nothing, order))
     return EstimatorState(line, orders, nothing, rest[6:], jnp.array(0, jnp.int32))
 
 
+def restarted(state: EstimatorState, has_paused: Bool[Array, ""]) -> EstimatorState:
+    """Let the next measurement begin anew after a pause: it is not known how long the last command has acted."""
+    return state._replace(ticks=jnp.where(has_paused, 0, state.ticks))
+
+
 def update(
-    settings: Estimator, robot: RobotModel, before: EstimatorState, measured: Reading
+    settings: Estimator, robot: RobotModel, before: EstimatorState, measured: Reading, elapsed: Float[Array, ""]
 ) -> tuple[EstimatorState, Reading, Float[Array, " j"]]:
     """Take a measurement in; the state of the next tick, the estimate of now, and the correction of thrusts [N].
+
+    `elapsed` is the time since the last measurement [s], of which whole time steps count; ages count measurements.
 
     The first one begins the flight: it is taken for what had been before it, as far as it can be. Numbers that cannot
     be (`GREATEST`) correct nothing: the estimate of them is the model's. One that is not finite begins anew with what
@@ -148,7 +157,9 @@ def update(
     line, then = where(before.ticks == 0, first, (before.line, before.then))
     line = jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), line, measured)
     oldest = before.orders.torque.shape[0] - 1
-    last: Order = jax.tree.map(lambda x: x[-1], before.orders)
+    duration = settings.time_step * jnp.maximum(jnp.round(elapsed / settings.time_step), 1.0)
+    given = before.orders._replace(duration=before.orders.duration.at[0].set(duration))
+    last: Order = jax.tree.map(lambda x: x[-1], given)
     moved = advance(settings, robot, then, last, before.disturbance)
     then = where(before.ticks > oldest, moved, then)
     is_sound = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(then)]))
@@ -158,7 +169,7 @@ def update(
     # Measurements that came early wait for the others.
     waiting = oldest - settings.age
     aligned = [_known(jax.tree.map(lambda x, ticks=waiting[channel]: x[ticks], line), then) for channel in range(7)]
-    step, (of_velocity, of_acceleration) = settings.time_step, settings.by_position
+    step, (of_velocity, of_acceleration) = last.duration, settings.by_position
     innovation = aligned[4].state.joint_position - then.state.joint_position
     disturbance = unexplained + of_acceleration / step**2 * innovation
     corrected = _correct(settings.share, then, aligned)
@@ -166,13 +177,13 @@ def update(
     velocity = corrected.state.velocity.at[6:].add(of_velocity / step * innovation)
     then = corrected._replace(state=corrected.state._replace(velocity=velocity))
 
-    def ahead(now: Reading, given: tuple[Order, Array]) -> tuple[Reading, None]:
-        order, age = given
+    def ahead(now: Reading, acting: tuple[Order, Array]) -> tuple[Reading, None]:
+        order, age = acting
         return where(before.ticks > age, advance(settings, robot, now, order, disturbance), now), None
 
-    orders = jax.tree.map(lambda x: x[:oldest][::-1], before.orders)
+    orders = jax.tree.map(lambda x: x[:oldest][::-1], given)
     now, _ = jax.lax.scan(ahead, then, (orders, jnp.arange(oldest)[::-1]))
-    return EstimatorState(line, before.orders, then, disturbance, before.ticks + 1), now, innovation_of_thrust
+    return EstimatorState(line, given, then, disturbance, before.ticks + 1), now, innovation_of_thrust
 
 
 def command(state: EstimatorState, order: Order) -> EstimatorState:
@@ -211,7 +222,7 @@ def advance(
     disturbance: Float[Array, " n"],
 ) -> Reading:
     """One tick of the model under an order and unexplained accelerations of the joints, semi-implicit."""
-    state, step = reading.state, settings.time_step
+    state, step = reading.state, order.duration
     kin = kinematics(robot, state)
     dyn = dynamics(robot, state, kin)
     link = link_forces(settings.aero, robot, kin, LinkConventions(), order.wind)

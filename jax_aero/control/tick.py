@@ -267,7 +267,8 @@ def tick(
         memory = memory._replace(channels=known)
         if params.estimator is not None and memory.estimator is not None:
             measured = Reading(*channels.accepted(known, seen))
-            estimating, estimate, innovation = estimator.update(params.estimator, robot, memory.estimator, measured)
+            before = estimator.restarted(memory.estimator, seen.pause > 0.0)
+            estimating, estimate, innovation = estimator.update(params.estimator, robot, before, measured, seen.elapsed)
             memory = memory._replace(estimator=estimating)
             seen = channels.replaced(params.channels, *estimate, seen)._replace(thrust_innovation=innovation)
             given = given._replace(state=seen.state, thrust=seen.thrust)
@@ -281,7 +282,8 @@ def tick(
         if params.wind_observer is not None and after.wind is not None:
             after = after._replace(wind=wind_observer.update(params.wind_observer, robot, after.wind, terms))
         if after.estimator is not None:
-            order = Order(command.joint_torque, command.thrust_rate, terms.momentum.unmodelled_wrench, seen.wind)
+            unmodelled = terms.momentum.unmodelled_wrench
+            order = Order(command.joint_torque, command.thrust_rate, unmodelled, seen.wind, params.time_step)
             after = after._replace(estimator=estimator.command(after.estimator, order))
         return after, command, terms
 
@@ -319,7 +321,7 @@ def _act(
 ) -> tuple[ControllerState, Command, Terms]:
     """Tick on a measurement that can be used."""
     switches = params.switches
-    _, state, thrust, wind, modes, innovation, elapsed, has_momentum = seen
+    _, state, thrust, wind, modes, innovation, elapsed, _, has_momentum = seen
     known = memory.channels
     kin = kinematics(robot, state)
     dyn = dynamics(robot, state, kin)

@@ -25,6 +25,7 @@ from jax_aero.types import State
 
 EXPERIMENT = Path(__file__).resolve().parents[2] / "configs" / "experiments" / "test2_sensors.toml"
 BOTH = {"controller.wind_observer": {}}
+STEP = jnp.asarray(0.01)
 WIND = {"profile": "ramp", "velocity": [3.0, -9.0, 1.0], "ramp_start": 0.0, "ramp_end": 0.5}
 
 
@@ -41,14 +42,15 @@ def test_both_estimate_the_same_state(x64, measured):
     rotations = jax.vmap(rotation_from_wxyz)(jnp.asarray(flown["base_quaternion"]))
     velocity = np.hstack([flown["base_velocity"], flown["joint_velocity"]])
     truth = Reading(State(flown["base_position"], rotations, flown["joint_position"], velocity), flown["thrust"])
-    orders = Order(*(flown[name] for name in ("joint_torque", "thrust_rate", "unmodelled_wrench", "measured_wind")))
+    names = ("joint_torque", "thrust_rate", "unmodelled_wrench", "measured_wind")
+    orders = Order(*(flown[name] for name in names), np.full(ticks, time_step))
     rows = jax.tree.map(jnp.asarray, (truth, orders, np.arange(ticks)))
 
     def tick(state, row):
         seeing, estimating = state
         now, order, count = row
         seeing, said = sensors.read(errors, seeing, now, count)
-        estimating, found, _ = estimator.update(settings, robot, estimating, said)
+        estimating, found, _ = estimator.update(settings, robot, estimating, said, time_step)
         return (seeing, estimator.command(estimating, order)), found
 
     first = jax.tree.map(lambda x: x[0], rows[0])
@@ -71,14 +73,14 @@ def test_a_lost_number_corrects_nothing_and_the_others_do(absurd, x64, measured)
     table = rust.load_config(EXPERIMENT)
     config, robot = scenario_config(table), load_robot(table["robot"])
     air = aero_model(config.controller.aero, robot)
-    settings = estimator.estimator(config.controller.estimator, air, jnp.asarray(config.simulator.time_step))
+    settings = estimator.estimator(config.controller.estimator, air, STEP)
     state = State(jnp.array([0.1, 0.2, 0.8]), jnp.eye(3), jnp.full(robot.n_joints, 0.1), jnp.zeros(6 + robot.n_joints))
     first = Reading(state, jnp.full(4, 100.0))
     started = estimator.start(settings, state, 4)
-    begun, _, _ = jax.jit(lambda reading: estimator.update(settings, robot, started, reading))(first)
+    begun, _, _ = jax.jit(lambda reading: estimator.update(settings, robot, started, reading, STEP))(first)
     said = Reading(state._replace(base_position=state.base_position + 0.01), first.thrust)
     lost = said._replace(thrust=said.thrust.at[2].set(absurd))
-    run = jax.jit(lambda reading: estimator.update(settings, robot, begun, reading)[1])
+    run = jax.jit(lambda reading: estimator.update(settings, robot, begun, reading, STEP)[1])
     expected, found = run(said), run(lost)
     assert np.all(np.isfinite(found.thrust))
     assert np.all(np.isfinite(expected.thrust))
@@ -124,6 +126,28 @@ def test_both_find_a_wrong_thrust_sensor_in_the_same_tick(alone):
     # Lags of 0.04 and 0.02 s until 12 N of 60 N, of which the estimator follows a tenth a tick, and 0.03 s.
     assert 8 <= found <= 14, modes
     assert modes[-1][0] == MODES["thrust_modelled"]
+
+
+def test_both_follow_ticks_of_every_length_and_begin_anew_after_a_pause(alone, measured):
+    """Ticks of one to three time steps, a pause of 0.3 s, and a clock that runs back."""
+    controller, robot, readings = alone
+    step, crate = jax.jit(controller.step), rust.Controller(rust.load_config(EXPERIMENT, BOTH))
+    memory, thrust = controller.init(robot, readings[0].state), readings[0].thrust
+    steps = [0.01, 0.02, 0.03, 0.01, 0.02, 0.3, 0.01, 0.01, 0.02, -1.0, 0.01, 0.01, 0.03]
+    restarts, commands = [], []
+    for tick, time in enumerate(np.cumsum([1.5, *steps])):
+        reading = readings[tick % 10]._replace(time=jnp.asarray(time), thrust=thrust)
+        memory, command = step(robot, memory, reading)
+        theirs = crate.tick(reading.state, reading.thrust, reading.wind, float(time))
+        assert int(command.degraded_modes) == sum(MODES[name] for name in theirs.degraded_modes)
+        commands.append([np.append(x.thrust_rate, x.joint_torque) for x in (command, theirs)])
+        restarts.append(int(memory.estimator.ticks) == 1)
+        thrust = thrust + 0.01 * jnp.asarray(theirs.thrust_rate)
+    assert np.flatnonzero(restarts).tolist() == [0, 6]
+    ours, crates = np.swapaxes(commands, 0, 1)
+    assert np.abs(crates).max() > 10.0
+    because = "joints whose model runs away by a factor of 1.5 and more a tick, held by measurements"
+    measured("commands [N/s, N m]", np.abs(ours - crates).max(), 1e-6, because=because)
 
 
 def test_a_controller_alone_has_both_estimators_in_its_state(alone):

@@ -191,6 +191,18 @@ def test_feet_that_are_not_measured_stand_and_take_off(monkeypatch, back, down, 
     assert heights[-1] > height - 0.01
 
 
+def test_what_the_controller_is_given_is_recorded():
+    """Its estimators stand between what is measured and the law."""
+    estimator = {"base_position": {"time_constant": 0.5}}
+    observing = {"controller.wind_observer": {}, "controller.estimator": estimator}
+    log = fly(early_wind([-12.0, 0.0, 0.0], measured=False, duration=2.0, **observing)).log
+    assert (log["measured_wind_std"][:, :2] > 0.0).all()
+    assert np.abs(log["measured_wind"] - log["wind"]).max() > 0.1
+    differences = log["measured_base_position"] - log["base_position"]
+    assert 1e-6 < np.abs(differences).max() < 0.1
+    np.testing.assert_array_equal(log["measured_thrust"], log["thrust"])
+
+
 def test_second_order_engines_are_refused():
     config = standing(**{"simulator.jets": {"dynamics": "second_order"}})
     with pytest.raises(ValueError, match=r"simulator\.jets\.dynamics"):
@@ -312,6 +324,11 @@ def test_an_incomplete_log_is_refused(frontal):
         ({"simulator.motors.friction_of": {"tail": 1.0}}, "friction_of names `tail`"),
         ({"controller.contact.wrench.friction": -1.0}, "wrench.friction` is -1"),
         ({"engine": "rust"}, 'engine = "mujoco"'),
+        ({"simulator.integrator": "explicit_euler"}, r'integrator is "explicit_euler"; expected "semi_implicit_euler"'),
+        ({"simulator.lever_arm": "unrotated"}, 'lever_arm is "unrotated"; expected "rotated"'),
+        ({"simulator.kinematics": "frozen"}, 'kinematics is "frozen"; expected "current"'),
+        ({"simulator.initial.base_velocity": [3.0, 0, 0, 0, 0, 0]}, r"base_velocity is \[3.0,0.0,0.0,0.0,0.0,0.0\]"),
+        ({"simulator.initial.free_fall_tick": True}, "free_fall_tick is true; expected false"),
     ],
 )
 def test_bad_ground_is_refused(overrides, named):

@@ -58,6 +58,18 @@ use setpoint::{Setpoint, SetpointGenerator};
 use std::sync::Arc;
 use torque::{TorqueQp, limit_rate};
 
+/// Least time between two ticks \[s\]: delays of seconds are then at most thousands of ticks.
+pub const TIME_STEP_MIN: f64 = 1e-4;
+
+/// Refuses a time between two ticks \[s\] that no flight has; `item` names it.
+///
+/// # Errors
+/// [`BuildError::BadValue`].
+pub fn check_time_step(item: &str, time_step: f64) -> Result<(), BuildError> {
+    check(item, time_step, |step| (TIME_STEP_MIN..=1.0).contains(&step), "seconds from 0.0001 to 1")?;
+    Ok(())
+}
+
 /// Where the published integrator of the joint velocity error saturates \[rad\]; no flight comes near.
 const INTEGRAL_LIMIT: f64 = 20.0;
 
@@ -144,7 +156,7 @@ impl Controller {
         time_step: f64,
     ) -> Result<Self, BuildError> {
         config.check(&robot)?;
-        check("controller time step", time_step, |dt| dt > 0.0, "a positive number of seconds")?;
+        check_time_step("controller time step", time_step)?;
         let aero = aero(&robot)?;
         let n_jets = robot.jets.len();
         let mut model = config.restrict(robot);
@@ -318,20 +330,32 @@ impl Controller {
         if !is_finite || !is_sized || !self.fits(state) {
             return Err(BadCommand);
         }
-        let Self { command, acceleration, terms, .. } = self;
-        // ν̇ is linear in the torques: it changes by M⁻¹ S (τ′ − τ).
-        if terms.inverse_mass.is_known {
+        let Self {
+            model,
+            command,
+            acceleration,
+            terms: Terms { kinematics, dynamics, inverse_mass, .. },
+            ..
+        } = self;
+        let last = &mut state.channels;
+        // ν̇ is linear in the torques: it changes by M⁻¹ S (τ′ − τ). The state may be of another tick than the last one
+        // of this controller.
+        kinematics.update(model, &last.commanded_in);
+        dynamics.update(model, &last.commanded_in, kinematics);
+        inverse_mass.update(&dynamics.mass_matrix);
+        if inverse_mass.is_known {
             acceleration.fill(0.0);
-            let torques = joint_torque.iter().zip(&command.joint_torque);
+            let torques = joint_torque.iter().zip(&last.joint_torque);
             for (entry, (new, old)) in acceleration.as_mut_slice()[6..].iter_mut().zip(torques) {
                 *entry = new - old;
             }
-            terms.inverse_mass.multiply_in_place(acceleration);
-            state.channels.acceleration += &*acceleration;
+            inverse_mass.multiply_in_place(acceleration);
+            last.acceleration += &*acceleration;
         }
         command.thrust_rate.copy_from_slice(thrust_rate);
         command.joint_torque.copy_from_slice(joint_torque);
-        state.channels.thrust_rate.copy_from(&command.thrust_rate);
+        last.thrust_rate.copy_from(&command.thrust_rate);
+        last.joint_torque.copy_from(&command.joint_torque);
         if let Some(memory) = &mut state.estimator {
             memory.replace_command(command);
         }
@@ -350,7 +374,10 @@ impl Controller {
             self.channels.update(&mut state.channels, &measurement, seen);
             if let (Some(estimator), Some(memory)) = (&mut self.estimator, &mut state.estimator) {
                 self.channels.accepted(&state.channels, &mut given.reading);
-                estimator.update(memory, &mut given.reading, &mut seen.thrust_innovation);
+                if seen.pause > 0.0 {
+                    memory.restart();
+                }
+                estimator.update(memory, &mut given.reading, seen.elapsed, &mut seen.thrust_innovation);
                 self.channels.replace(&mut given.reading, seen);
             }
         } else {
@@ -608,7 +635,7 @@ impl Controller {
     /// What the command makes of the robot, for the channels of the next tick:
     /// `ν̇ = M⁻¹ (Σ Jᵀ T a + J_aᵀ f_a + J_cᵀ f_c + S τ + ŵ − h)`, the observed wrench `ŵ` on the base.
     fn predict_acceleration(&mut self, state: &mut ControllerState) {
-        let Terms { kinematics, inverse_mass, momentum, contact, .. } = &mut self.terms;
+        let Terms { seen, kinematics, inverse_mass, momentum, contact, .. } = &mut self.terms;
         let acceleration = &mut self.acceleration;
         acceleration.fill(0.0);
         if inverse_mass.is_known {
@@ -629,6 +656,8 @@ impl Controller {
             *acceleration += &self.force;
         }
         state.channels.acceleration.copy_from(acceleration);
+        state.channels.commanded_in.copy_from(&seen.state);
+        state.channels.joint_torque.copy_from(&self.command.joint_torque);
         state.channels.thrust_rate.copy_from(&self.command.thrust_rate);
         state.channels.foot_wrenches.copy_from(&contact.force_of_torques);
     }

@@ -18,12 +18,9 @@ use crate::dynamics::{Dynamics, MassFactor};
 use crate::error::{BuildError, check};
 use crate::kinematics::{Kinematics, RobotState};
 use crate::robot::RobotModel;
-use crate::spatial::{exp_so3, log_so3, parts, project_to_so3};
+use crate::spatial::{GREATEST, exp_so3, log_so3, parts, project_to_so3};
 use nalgebra::{DVector, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
-
-/// Beyond this no number of a robot is a measurement \[m, m/s, rad/s, N\].
-const GREATEST: f64 = 1e6;
 
 /// Greatest age of a measurement \[s\]: every tick of it costs an evaluation of the model.
 const MAX_DELAY: f64 = 0.2;
@@ -152,6 +149,8 @@ struct Order {
     wind_i: Vector3<f64>,
     /// With which the feet stay, foot after foot.
     foot_wrenches: Vec<f64>,
+    /// How long it acts \[s\]; known when the next tick comes.
+    duration: f64,
 }
 
 /// The robot's model and the space it works in.
@@ -168,7 +167,7 @@ struct Model {
 
 impl Model {
     /// One tick on under an order and accelerations of the joints that the model does not explain, semi-implicit.
-    fn advance(&mut self, reading: &mut Reading, order: &Order, disturbance: &DVector<f64>, time_step: f64) {
+    fn advance(&mut self, reading: &mut Reading, order: &Order, disturbance: &DVector<f64>) {
         let Self { robot, aero, kinematics, dynamics, link_forces, mass_factor, acceleration } = self;
         let Reading { state, thrust } = reading;
         kinematics.update(robot, state);
@@ -206,10 +205,10 @@ impl Model {
                 acceleration[3 + axis] += angular[axis];
             }
         }
-        state.velocity.axpy(time_step, acceleration, 1.0);
-        state.advance_pose(time_step);
+        state.velocity.axpy(order.duration, acceleration, 1.0);
+        state.advance_pose(order.duration);
         for (thrust, rate) in thrust.iter_mut().zip(&order.thrust_rate) {
-            *thrust = (*thrust + time_step * rate).max(0.0);
+            *thrust = (*thrust + order.duration * rate).max(0.0);
         }
     }
 }
@@ -297,6 +296,7 @@ impl Estimator {
             unmodelled: Vector6::zeros(),
             wind_i: Vector3::zeros(),
             foot_wrenches: vec![0.0; WRENCH * self.model.robot.feet.len()],
+            duration: self.time_step,
         };
         EstimatorState {
             line: vec![first.clone(); 1 + self.oldest],
@@ -321,11 +321,21 @@ impl Estimator {
     /// The first one begins the flight: it is taken for what had been before it, as far as it can be. Numbers that cannot
     /// be correct nothing: the estimate of them is the model's. One that is not finite begins anew with what is measured.
     ///
+    /// `elapsed` is the time since the last measurement \[s\], of which whole time steps count; ages count measurements.
     /// `thrust_innovation` becomes by how much the measurement corrects each thrust \[N\].
-    pub fn update(&mut self, memory: &mut EstimatorState, now: &mut Reading, thrust_innovation: &mut [f64]) {
+    pub fn update(
+        &mut self,
+        memory: &mut EstimatorState,
+        now: &mut Reading,
+        elapsed: f64,
+        thrust_innovation: &mut [f64],
+    ) {
+        memory.last_order().duration = self.time_step * (elapsed / self.time_step).round().max(1.0);
         let Self { model, ages, by_position, .. } = self;
         let EstimatorState { line, orders, ticks, then, disturbance } = memory;
-        let (oldest, length, step) = (self.oldest, line.len(), self.time_step);
+        let (oldest, length) = (self.oldest, line.len());
+        // Of the step that leads to `then`.
+        let step = orders[*ticks % length].duration;
         if *ticks == 0 {
             for reading in line.iter_mut() {
                 reading.copy_from(now);
@@ -334,7 +344,7 @@ impl Estimator {
         }
         line[*ticks % length].copy_from(now);
         if *ticks > oldest {
-            model.advance(then, &orders[*ticks % length], disturbance, step);
+            model.advance(then, &orders[*ticks % length], disturbance);
         }
         if !then.is_finite() {
             then.copy_from(now);
@@ -356,13 +366,18 @@ impl Estimator {
         }
         now.copy_from(then);
         for tick in ticks.saturating_sub(oldest)..*ticks {
-            model.advance(now, &orders[tick % length], disturbance, step);
+            model.advance(now, &orders[tick % length], disturbance);
         }
         *ticks += 1;
     }
 }
 
 impl EstimatorState {
+    /// Lets the next measurement begin anew: it is not known how long the last command has acted.
+    pub(crate) fn restart(&mut self) {
+        self.ticks = 0;
+    }
+
     /// Takes a deviation \[N\] out of the thrust of a jet, that of its sensor, whose measurements are used no more.
     pub(crate) fn correct_thrust(&mut self, jet: usize, deviation: f64) {
         self.then.thrust[jet] -= deviation;

@@ -7,6 +7,9 @@
 
 use nalgebra::{Matrix3, Quaternion, Rotation3, Unit, UnitQuaternion, Vector3, Vector6};
 
+/// Beyond this no number of a robot's motion or thrust is one, measured or wanted \[m, rad, s, N\].
+pub(crate) const GREATEST: f64 = 1e6;
+
 /// A rigid transform `a_from_b`: rotation of frame b in frame a, and b's origin in a \[m\].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose {

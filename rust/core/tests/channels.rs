@@ -304,6 +304,43 @@ fn a_time_that_is_none_is_predicted() {
     }
 }
 
+/// After a pause of the controller values may have moved by a jump in every tick that it missed, and thrusts say nothing;
+/// a clock that runs back or far ahead has jumped, and excuses no other value.
+#[test]
+fn what_happened_in_a_pause_is_no_jump() {
+    // 2 (1 + gap / 10 ms)
+    for (gap, most) in [(0.09, 2.0), (0.3, 62.0), (0.99, 200.0), (1.01, 2.0), (-0.3, 2.0)] {
+        for (off, is_accepted) in [(0.99 * most, true), (1.01 * most, false)] {
+            let mut rig = Rig::new(&with_jumps());
+            rig.state.acceleration.fill(0.0);
+            rig.sample.time = 5.0;
+            rig.tick(|_| ());
+            let seen = rig.tick(|sample| {
+                sample.time += gap - STEP;
+                sample.state.velocity[1] += off;
+                sample.thrust[0] += 50.0;
+            });
+            assert_eq!(!seen.modes.contains(Modes::VELOCITY_PREDICTED), is_accepted, "{gap} s, {off} m/s");
+            let is_step = gap == 0.09;
+            assert_eq!(seen.thrust_innovation[0] != 0.0, is_step, "{gap} s");
+            assert_eq!(seen.pause > 0.0, most > 2.0, "{gap} s");
+        }
+    }
+}
+
+/// The first measurement is what it is compared with, whatever the controller was started from.
+#[test]
+fn the_first_measurement_is_accepted() {
+    let mut rig = Rig::new(&with_jumps());
+    rig.state = rig.channels.start(&rig.sample.measurement()).unwrap();
+    let seen = rig.tick(|sample| {
+        sample.state.base.position.x += 5.0;
+        sample.thrust[0] += 50.0;
+    });
+    assert!(seen.modes.is_empty());
+    assert_eq!(seen.thrust_innovation[0], 0.0);
+}
+
 /// Without jumps in the configuration every time is followed, as published.
 #[test]
 fn without_jumps_every_time_is_followed() {

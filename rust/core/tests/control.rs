@@ -260,6 +260,12 @@ fn what_is_no_rotation_or_time_is_predicted() {
     setpoint.rotation *= 5.0;
     let command = controller.tick_towards(&good.measurement(), &setpoint);
     assert_eq!(command.status, CommandStatus::BadSetpoint);
+    // Finite, but its filter would overflow, and for good.
+    let mut setpoint = Setpoint::hold(setpoint.com_position, good.state.base.rotation);
+    for (speed, status) in [(1e308, CommandStatus::BadSetpoint), (0.1, CommandStatus::Nominal)] {
+        setpoint.angular_velocity_b.z = speed;
+        assert_eq!(controller.tick_towards(&good.measurement(), &setpoint).status, status, "{speed} rad/s");
+    }
 }
 
 /// Without a set-point that is one the robot comes to rest at the last one, and what is measured is used.
@@ -380,6 +386,93 @@ fn predictions_follow_a_replaced_command() {
         for (seen, truth) in seen.thrust.iter().zip(world.plant.jets().thrust()) {
             assert_within!((seen - truth).abs(), 1e-9);
         }
+    }
+}
+
+/// What acts in place of a command is a matter of the state alone: other ticks of the controller, or another controller,
+/// change nothing, and neither does what was to act in its place before.
+#[test]
+fn a_replaced_command_belongs_to_its_state() {
+    let config = experiment("test2_observer");
+    let mut world = Loop::new(&config);
+    world.run(0.05, |_| wind());
+    let command = world.controller.command().clone();
+    let torque: Vec<f64> = command.joint_torque.iter().map(|torque| torque + 5.0).collect();
+    let (rate, before) = (command.thrust_rate.as_slice(), command.joint_torque.as_slice());
+    let after_tick = world.controller.state().clone();
+    let mut unmeasured = Sample {
+        time: (world.tick + 1) as f64 * TIME_STEP,
+        state: world.plant.state().clone(),
+        thrust: world.plant.jets().thrust().to_vec(),
+        wind: wind(),
+    };
+    unmeasured.state.velocity.fill(f64::NAN);
+    unmeasured.state.base.position.fill(f64::NAN); // or the velocity follows it
+    let predicted = |running: &mut Running, replacements: &[&[f64]]| {
+        running.state = Some(after_tick.clone());
+        for torque in replacements {
+            let Running { controller, state } = &mut *running;
+            controller.replace_command(state.as_mut().unwrap(), rate, torque).unwrap();
+        }
+        unmeasured.tick(running);
+        running.terms().seen.state.velocity.clone()
+    };
+    let as_commanded = predicted(&mut world.controller, &[]);
+    let expected = predicted(&mut world.controller, &[&torque]);
+    assert!((&expected - &as_commanded).amax() > 0.1);
+    let mut fresh = controller(&config);
+    assert_eq!(predicted(&mut fresh, &[&torque]), expected, "another controller");
+    world.run(0.2, |_| wind());
+    assert_eq!(predicted(&mut world.controller, &[&torque]), expected, "other ticks");
+    let twice = predicted(&mut world.controller, &[&torque, before, &torque]);
+    assert_within!((twice - &expected).amax(), 1e-9, because "up to 1e4 rad/s² for 10 ms, taken back once");
+}
+
+/// A controller that does not tick for 0.22 s on a climb, whose last command goes on acting, flies on: what it measures
+/// then is neither a jump nor a failing engine.
+#[test]
+fn a_controller_that_pauses_flies_on() {
+    let observed = experiment("test2_observer");
+    let mut estimating = observed.clone();
+    estimating.controller.law.estimator =
+        Some(EstimatorConfig { joint_observer: Some(0.05), ..EstimatorConfig::default() });
+    for config in [observed, estimating] {
+        let mut world = Loop::new(&config);
+        world.run(1.0, |_| Vector3::zeros());
+        world.advance(&Vector3::zeros());
+        let start = Setpoint::hold(world.controller.terms().setpoint.com_position, Matrix3::identity());
+        let (mut height, mut modes) = ([0.0_f64; 3], Vec::new());
+        for tick in 0..300 {
+            // Up, with a jerk that is 6 m/s³ for 0.4 s, −6 m/s³ for 0.8 s and 6 m/s³ for 0.4 s.
+            let jerk = match tick {
+                0..40 | 120..160 => 6.0,
+                40..120 => -6.0,
+                _ => 0.0,
+            };
+            let mut setpoint = start;
+            setpoint.com_position.z += height[0];
+            (setpoint.com_velocity.z, setpoint.com_acceleration.z) = (height[1], height[2]);
+            setpoint.com_jerk.z = jerk;
+            let [_, speed, acceleration] = height;
+            height[0] += TIME_STEP * (speed + 0.5 * TIME_STEP * acceleration);
+            height[1] += TIME_STEP * (acceleration + 0.5 * TIME_STEP * jerk);
+            height[2] += TIME_STEP * jerk;
+            if !(51..72).contains(&tick) {
+                let sample = Sample {
+                    time: world.tick as f64 * TIME_STEP,
+                    state: world.plant.state().clone(),
+                    thrust: world.plant.jets().thrust().to_vec(),
+                    wind: Vector3::zeros(),
+                };
+                let command = world.controller.tick_towards(&sample.measurement(), &setpoint);
+                modes.extend(command.modes.names());
+            }
+            world.plant.observe(&Vector3::zeros());
+            world.advance(&Vector3::zeros());
+        }
+        let terms = world.controller.terms();
+        let error = (terms.setpoint.com_position - terms.kinematics.com).norm();
+        assert!(error < 0.3 && modes == ["clock_predicted"], "{error} m, {} modes", modes.len());
     }
 }
 

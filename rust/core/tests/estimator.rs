@@ -61,13 +61,15 @@ fn world(config: &ScenarioConfig) -> Loop {
 struct Estimating {
     estimator: Estimator,
     state: EstimatorState,
+    /// Time since the last measurement \[s\].
+    elapsed: f64,
 }
 
 impl Estimating {
     fn update(&mut self, state: &RobotState, thrust: &[f64]) -> Reading {
         let mut reading = Reading { state: state.clone(), thrust: thrust.to_vec() };
         let mut innovation = vec![0.0; thrust.len()];
-        self.estimator.update(&mut self.state, &mut reading, &mut innovation);
+        self.estimator.update(&mut self.state, &mut reading, self.elapsed, &mut innovation);
         reading
     }
 
@@ -82,7 +84,7 @@ fn estimator(config: &ScenarioConfig) -> Estimating {
     let settings = config.controller.law.estimator.as_ref().unwrap();
     let estimator = Estimator::new(settings, robot, aero, STEP).unwrap();
     let initial = &config.simulator.initial;
-    Estimating { state: estimator.start(&initial.state(), &initial.thrust), estimator }
+    Estimating { state: estimator.start(&initial.state(), &initial.thrust), estimator, elapsed: STEP }
 }
 
 /// Largest difference of everything in two readings.
@@ -117,6 +119,31 @@ fn with_the_worlds_own_model_it_is_ahead_of_every_delay() {
         assert_within!(distance(&found, &truth), 1e-9, because "measured exactly, predicted over five ticks by the same equations in another order", "tick {tick}");
         estimator.command(world.controller.command(), &Vector6::zeros());
         world.advance(&WIND);
+    }
+}
+
+/// Ticks that come late are as long as they are: commands act, and joints move, for all of that time.
+#[test]
+fn a_longer_tick_is_predicted_as_long_as_it_is() {
+    let slow = uniform_estimator(ChannelConfig { delay: 0.0, time_constant: 1e9 });
+    let observed = EstimatorConfig { joint_observer: Some(0.05), ..EstimatorConfig::default() };
+    for settings in [slow, observed] {
+        let config = flight(settings);
+        let mut estimator = estimator(&config);
+        let mut world = world(&config);
+        for tick in 0..12_i32 {
+            world.observe(&WIND);
+            let (state, thrust) = (world.plant.state(), world.plant.jets().thrust());
+            let truth = Reading { state: state.clone(), thrust: thrust.to_vec() };
+            let found = estimator.update(state, thrust);
+            assert_within!(distance(&found, &truth), 1e-9, because "one step of the same equations in another order", "tick {tick}");
+            let command = world.controller.command();
+            estimator.command(command, &Vector6::zeros());
+            estimator.elapsed = STEP * f64::from(1 + tick % 3);
+            let (torque, rate) = (command.joint_torque.as_slice(), command.thrust_rate.as_slice());
+            world.plant.advance(torque, rate, &WIND, estimator.elapsed);
+            world.tick += 1;
+        }
     }
 }
 

@@ -103,6 +103,9 @@ fn rows_that_make_no_curve_are_refused() {
     for (rows, expected) in [
         ("0,0,0,1,0,0,0\n0,0,0,1,0,0,0\n", "later than the one before"),
         ("0,0,0,1,0,0,0\n", "1 samples long; expected at least 2"),
+        ("0,0,0,1,0,0,0\n1e-310,0,0,1,0,0,1\n", "jerks up to 1e6"),
+        ("-1.7e308,0,0,1,0,0,0\n1.7e308,0,0,2,0,0,0\n", "by a finite number"),
+        ("0,0,0,1e7,0,0,0\n1,0,0,1e7,0,0,0\n", "jerks up to 1e6"),
     ] {
         let message = parse_recording(&format!("{header}\n{rows}"), "r.csv").unwrap_err().to_string();
         assert!(message.contains(expected), "{message} does not say {expected}");

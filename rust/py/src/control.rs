@@ -7,7 +7,7 @@ use crate::robot::measured_state;
 use flight_core::control::contact::ContactState;
 use flight_core::control::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::tasks::MOMENTUM_ROWS;
-use flight_core::control::{ControllerState as State, Terms};
+use flight_core::control::{ControllerState as State, Given, Terms};
 use flight_core::{Measurement, RobotState};
 use flight_io::{load_mission, load_robot};
 use nalgebra::{DMatrix, DVector, Vector3, Vector6};
@@ -255,6 +255,7 @@ impl Controller {
             }
         }
         out.set_item("setpoint", setpoint_to_dict(py, &terms.setpoint)?)?;
+        out.set_item("given", given_to_dict(py, &terms.given)?)?;
         Ok(out)
     }
 }
@@ -284,6 +285,19 @@ fn setpoint_to_dict<'py>(py: Python<'py>, setpoint: &Setpoint) -> PyResult<Bound
     out.set_item("angular_velocity", vector(py, setpoint.angular_velocity_b.as_slice())?)?;
     out.set_item("angular_acceleration", vector(py, setpoint.angular_acceleration_b.as_slice())?)?;
     out.set_item("angular_jerk", vector(py, setpoint.angular_jerk_b.as_slice())?)?;
+    Ok(out)
+}
+
+/// What the estimators made of the measurement.
+fn given_to_dict<'py>(py: Python<'py>, given: &Given) -> PyResult<Bound<'py, PyDict>> {
+    let (out, state) = (PyDict::new(py), &given.reading.state);
+    out.set_item("base_position", vector(py, state.base.position.as_slice())?)?;
+    out.set_item("base_rotation", matrix(py, &state.base.rotation)?)?;
+    out.set_item("joint_position", vector(py, state.joint_position.as_slice())?)?;
+    out.set_item("velocity", vector(py, state.velocity.as_slice())?)?;
+    out.set_item("thrust", vector(py, &given.reading.thrust)?)?;
+    out.set_item("wind", vector(py, given.wind.as_slice())?)?;
+    out.set_item("wind_std", vector(py, given.wind_std.as_slice())?)?;
     Ok(out)
 }
 

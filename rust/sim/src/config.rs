@@ -8,6 +8,7 @@ use crate::signals::SIGNALS;
 use crate::wind::WindConfig;
 use flight_core::Controller;
 use flight_core::aero::LeverArm;
+use flight_core::control::check_time_step;
 use flight_core::error::{BuildError, Table};
 use flight_core::kinematics::RobotState;
 use flight_core::robot::RobotModel;
@@ -121,7 +122,7 @@ pub struct SimulatorConfig {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub duration: f64,
     /// Tick of controller and physics \[s\].
-    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1))]
+    #[schemars(range(min = 0.0001, max = 1))]
     pub time_step: f64,
     /// Physics steps within a tick; forces that depend on the state follow it, commands are held.
     #[serde(default = "one")]
@@ -290,7 +291,7 @@ impl SimulatorConfig {
     pub fn check(&self, robot: &RobotModel) -> Result<(), BuildError> {
         let table = Table("simulator");
         table.positive("duration", self.duration)?;
-        table.check("time_step", self.time_step, |x| 0.0 < x && x <= 1.0, "a number of seconds in (0, 1]")?;
+        check_time_step("simulator.time_step", self.time_step)?;
         table.positive("fall.com_error", self.fall.com_error)?;
         table.positive("course_error", self.course_error)?;
         table.positive("divergence.speed", self.divergence.speed)?;

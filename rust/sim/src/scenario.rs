@@ -12,18 +12,22 @@
 //! which is the published order of execution with its unit delays written out: its physics block runs
 //! first in a tick, on what the tick before left in the delays. Equation M77 of `docs/model.md`, the end of a flight M80.
 
-use crate::config::{DivergenceConfig, DynamicsBackend, Engine, FallConfig, ScenarioConfig};
+use crate::config::{
+    AeroKinematics, DivergenceConfig, DynamicsBackend, Engine, FallConfig, Integrator, ScenarioConfig,
+};
 use crate::disturbances::{Outages, Sample, WindEstimator};
 use crate::log::{FlightLog, FlightResult, LogRow, TrackingErrors};
 use crate::plant::Plant;
 use crate::sensors::Sensors;
 use crate::summary::Summary;
 use crate::wind::Wind;
+use flight_core::aero::LeverArm;
 use flight_core::control::{Controller, ControllerState, Measurement};
 use flight_core::error::BuildError;
 use flight_core::robot::RobotModel;
 use flight_io::load_robot;
 use nalgebra::{Vector3, Vector6};
+use serde_json::json;
 use std::fmt;
 use std::ops::ControlFlow;
 
@@ -219,6 +223,20 @@ impl Scenario {
         if config.controller.law.contact.is_none() {
             let expected = "a table: without feet the controller cannot stand on simulator.ground";
             return Err(BuildError::bad_value("controller.contact", "absent", expected));
+        }
+        let simulator = json!(config.simulator);
+        for (key, known) in [
+            ("integrator", json!(Integrator::default())),
+            ("lever_arm", json!(LeverArm::default())),
+            ("kinematics", json!(AeroKinematics::default())),
+            ("initial.base_velocity", json!(vec![0.0; 6])),
+            ("initial.free_fall_tick", json!(false)),
+        ] {
+            let value = key.split('.').fold(&simulator, |table, part| &table[part]);
+            if *value != known {
+                let expected = format!("{known}: engine = \"mujoco\" knows no other");
+                return Err(BuildError::bad_value(format!("simulator.{key}"), value, expected));
+            }
         }
         let robot = load_robot(&config.robot)?;
         config.simulator.check(&robot)?;

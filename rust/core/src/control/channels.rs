@@ -29,6 +29,9 @@ use std::ops::Range;
 /// Longest time between two ticks, in ticks. Half a tick is for rounding.
 const GAP_MAX: f64 = 10.5;
 
+/// Longest time without ticks that counts as a pause of the controller \[s\]: beyond it a clock has jumped.
+const PAUSE_MAX: f64 = 1.0;
+
 /// Longest flight \[s\]: beyond it ticks of milliseconds are rounding errors of the time.
 const TIME_MAX: f64 = 1e9;
 
@@ -325,9 +328,13 @@ pub struct ChannelsState {
     last: Vec<f64>,
     /// What the model makes of the last values that were measured.
     predicted: Vec<f64>,
-    /// Acceleration `ν̇` that the last command causes.
+    /// Acceleration `ν̇` that the last command causes in the state `commanded_in`.
     pub acceleration: DVector<f64>,
-    /// Thrust rates of the last command \[N/s\].
+    /// State of the robot as the last tick that commanded saw it.
+    pub commanded_in: RobotState,
+    /// Torques of the last command, or those that act in their place \[N m, N\].
+    pub joint_torque: DVector<f64>,
+    /// Thrust rates likewise \[N/s\].
     pub thrust_rate: DVector<f64>,
     /// Wrenches with which its feet stay, foot after foot \[N, N m\].
     pub foot_wrenches: DVector<f64>,
@@ -353,8 +360,11 @@ pub struct Seen {
     /// By how much each thrust is not the predicted one, or by how much an estimator corrects it; zero where it is not
     /// measured \[N\].
     pub thrust_innovation: Vec<f64>,
-    /// Time since the last tick \[s\].
+    /// Time since the last tick \[s\]; a time step where that is not known.
     pub elapsed: f64,
+    /// How far the measurement's clock went on where the time since the last tick is not known: either the clock has
+    /// jumped or the controller has paused. Zero where it is known, or cannot be a pause \[s\].
+    pub pause: f64,
     /// Whether the momentum is that of measurements, and its rate that of the time since the last tick.
     pub has_momentum: bool,
     /// Velocity of the air \[m/s, inertial axes\].
@@ -376,6 +386,7 @@ impl Seen {
             thrust: vec![0.0; jets],
             thrust_innovation: vec![0.0; jets],
             elapsed: time_step,
+            pause: 0.0,
             has_momentum: false,
             wind: Vector3::zeros(),
             foot_wrenches: vec![Vector6::zeros(); robot.feet.len()],
@@ -578,8 +589,10 @@ impl Channels {
             channels: vec![Channel::default(); self.entries.len()],
             last: self.now.clone(),
             predicted: self.now.clone(),
-            acceleration: DVector::zeros(6 + self.layout.n_joints()),
-            thrust_rate: DVector::zeros(self.layout.thrust.len()),
+            acceleration: DVector::zeros(6 + joints),
+            commanded_in: measurement.state.clone(),
+            joint_torque: DVector::zeros(joints),
+            thrust_rate: DVector::zeros(jets),
             foot_wrenches: DVector::zeros(self.layout.feet.len()),
             time: measurement.time,
             clock_offset: 0.0,
@@ -602,6 +615,8 @@ impl Channels {
         state.time = if has_jumped { next } else { time };
         seen.time = state.time;
         seen.elapsed = if is_step { elapsed } else { self.time_step };
+        let may_have_paused = state.is_begun && !is_step && elapsed > 0.0 && elapsed <= PAUSE_MAX;
+        seen.pause = if may_have_paused { elapsed } else { 0.0 };
         seen.modes = Modes::default();
         if !is_known || has_jumped {
             seen.modes.insert(Modes::CLOCK_PREDICTED);
@@ -618,20 +633,30 @@ impl Channels {
         let dt = seen.elapsed;
         if state.is_begun {
             state.predict(&self.layout, &self.greatest, dt);
+        } else {
+            // The first measurement is what it is compared with.
+            for range in self.entries.iter().map(|entry| entry.range.clone()) {
+                if self.now[range.clone()].iter().all(|x| x.is_finite()) {
+                    state.predicted[range.clone()].copy_from_slice(&self.now[range]);
+                }
+            }
         }
         let predicted = &state.predicted[self.layout.thrust.clone()];
         for ((to, now), predicted) in
             seen.thrust_innovation.iter_mut().zip(&self.now[self.layout.thrust.clone()]).zip(predicted)
         {
-            *to = now - predicted;
+            // Over an unknown time it says nothing.
+            *to = if is_step { now - predicted } else { 0.0 };
         }
+        // What happened in a pause is no jump.
+        let missed_ticks = seen.pause / self.time_step;
         // Of the pose: whether this tick and the last one measured it, and anew.
         let mut is_fresh = is_step;
         for (entry, channel) in self.entries.iter().zip(&mut state.channels) {
             let range = entry.range.clone();
             let is_same = state.is_begun && self.now[range.clone()] == state.last[range.clone()];
             channel.same = if is_same { channel.same.saturating_add(1) } else { 0 };
-            let gate = 1.0 + self.config.widening * channel.age;
+            let gate = 1.0 + self.config.widening * channel.age + missed_ticks;
             let is_near = |now: &[f64], predicted: &[f64], gate: f64| {
                 let mut entries = now.iter().zip(predicted).zip(&self.jump[range.clone()]);
                 entries.all(|((now, predicted), jump)| (now - predicted).abs() <= gate * jump)

@@ -18,6 +18,10 @@ use crate::robot::{Joint, JointKind};
 use nalgebra::{Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
+/// Least lever arm about the centre of mass of a jet whose sensor can be judged \[m\]: a deviation of 10 N has a moment of
+/// 0.1 N m there, as much as the residual's noise.
+const LEAST_ARM: f64 = 0.01;
+
 /// When an engine does not reach its thrust, and when it counts as lost.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -176,9 +180,14 @@ impl EngineState {
 /// the jet's one of `A_T`.
 ///
 /// Moments alone are compared: gyroscopes are less noisy than velocities, and forces of the air change more than their
-/// moments. Of a jet without a moment about the centre of mass nothing is known: not a number.
+/// moments. Of a jet through the centre of mass nothing is known: zero, for an engine that fails is the worse of both.
 #[must_use]
 pub fn sensor_error(column: &Vector6<f64>, residual: &Vector6<f64>) -> f64 {
     let moment = |wrench: &Vector6<f64>| Vector3::new(wrench[3], wrench[4], wrench[5]);
-    -moment(column).dot(&moment(residual)) / moment(column).norm_squared()
+    let arm_squared = moment(column).norm_squared();
+    if arm_squared < LEAST_ARM * LEAST_ARM {
+        0.0
+    } else {
+        -moment(column).dot(&moment(residual)) / arm_squared
+    }
 }

@@ -3,7 +3,7 @@
 //! Equation M49 of `docs/model.md`.
 
 use crate::error::BuildError;
-use crate::spatial::{exp_so3, log_so3, rotation_from_rpy};
+use crate::spatial::{GREATEST, exp_so3, log_so3, rotation_from_rpy};
 use nalgebra::{Matrix3, Vector3};
 
 /// Numbers that every sample has: time, position, attitude.
@@ -55,19 +55,27 @@ impl Recording {
         if !(REQUIRED..=REQUIRED + 9).contains(&width) || !(width - REQUIRED).is_multiple_of(3) {
             return Err(BuildError::bad_value(place(0), format!("{:?}", rows[0]), "7, 10, 13 or 16 numbers"));
         }
+        let is_step = |time: f64| time > 0.0 && time.is_finite();
         for (index, row) in rows.iter().enumerate() {
             let expected = if row.len() != width {
                 format!("{width} numbers")
             } else if !row.iter().all(|value| value.is_finite()) {
                 "finite numbers".to_owned()
-            } else if index > 0 && rows[index - 1][0] >= row[0] {
-                "a time later than the one before".to_owned()
+            } else if index > 0 && !is_step(row[0] - rows[index - 1][0]) {
+                "a time later than the one before, by a finite number".to_owned()
             } else {
                 continue;
             };
             return Err(BuildError::bad_value(place(index), format!("{row:?}"), expected));
         }
         let recording = Self::from_rows(rows, width);
+        let is_finite = |motion: &RecordedMotion| {
+            motion.com.iter().chain([&motion.angular_velocity_b]).all(|vector| vector.norm() <= GREATEST)
+        };
+        if let Some(row) = recording.motions.iter().position(|motion| !is_finite(motion)) {
+            let expected = "positions, velocities, accelerations and jerks up to 1e6 (m, rad, s)";
+            return Err(BuildError::bad_value(place(row), format!("{:?}", rows[row]), expected));
+        }
         match recording.turns_b.iter().position(|turn| turn.norm() > MAX_TURN) {
             None => Ok(recording),
             Some(row) => {

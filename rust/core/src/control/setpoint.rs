@@ -12,7 +12,8 @@ use super::mission::{AutopilotCommand, Mission};
 use super::recorded::RecordedMotion;
 use crate::error::{BuildError, Table};
 use crate::spatial::{
-    axis_angle, is_rotation, project_to_so3, rotation_from_rpy, rpy_from_rotation, skew, vee_of_skew_part,
+    GREATEST, axis_angle, is_rotation, project_to_so3, rotation_from_rpy, rpy_from_rotation, skew,
+    vee_of_skew_part,
 };
 use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -122,7 +123,7 @@ impl Setpoint {
         }
     }
 
-    /// Whether all numbers are finite and the rotation is one.
+    /// Whether no number is beyond 10⁶ (m, rad, s), which no robot reaches, and the rotation is one.
     #[must_use]
     pub fn is_valid(&self) -> bool {
         let vectors = [
@@ -134,7 +135,7 @@ impl Setpoint {
             &self.angular_acceleration_b,
             &self.angular_jerk_b,
         ];
-        vectors.iter().all(|vector| vector.iter().all(|x| x.is_finite())) && is_rotation(&self.rotation)
+        vectors.iter().all(|vector| vector.iter().all(|x| x.abs() <= GREATEST)) && is_rotation(&self.rotation)
     }
 
     /// Its motion, as far as a recording has it.

@@ -402,11 +402,13 @@ impl Episode {
         let held = || command.joint_torque.as_slice() == self.torque;
         let still = || unknowns.thrust_rate.clone().chain(unknowns.joint_velocity.clone()).all(nearest);
         match command.status {
-            CommandStatus::Nominal | CommandStatus::Degraded => momentum && torque,
+            CommandStatus::Nominal | CommandStatus::Degraded | CommandStatus::BadSetpoint => {
+                momentum && torque
+            }
             CommandStatus::MomentumHeld => still() && torque,
             CommandStatus::TorqueHeld => momentum && held(),
             CommandStatus::BothHeld => still() && held(),
-            CommandStatus::BadMeasurement | CommandStatus::BadState | CommandStatus::BadSetpoint => {
+            CommandStatus::BadMeasurement | CommandStatus::BadState => {
                 held() && command.thrust_rate.iter().chain(&command.joint_velocity).all(|rate| *rate == 0.0)
             }
         }
