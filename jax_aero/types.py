@@ -31,6 +31,9 @@ Tree = TypeVar("Tree")
 Static: TypeAlias = Annotated[T, "static"]
 """A field of a `pytree` that is structure, not a leaf: a name or a switch, fixed when a function is compiled."""
 
+COMPUTED_FROM = ("time_step",)
+"""Fields that others were computed from, wherever they stand; a class names more of its own in `computed_from`."""
+
 
 @dataclass_transform(frozen_default=True)
 def pytree(cls: type[T]) -> type[T]:
@@ -161,7 +164,8 @@ def changed(tree: Tree, values: Mapping[str, Any]) -> Tree:
     Raises
     ------
     ValueError
-        Naming the part that a name does not lead to, or the shape that was expected.
+        Naming the part that a name does not lead to, the shape that was expected, or what others were computed from:
+        they would stay as they are.
     """
     for name, value in values.items():
         tree = _changed(tree, name.split("."), name, value)
@@ -173,6 +177,8 @@ def _changed(node: Any, path: list[str], name: str, value: Any) -> Any:
     known = {item.name for item in fields(node)} if is_dataclass(node) else set(getattr(node, "_fields", ()))
     if first not in known:
         raise ValueError(f"`{first}` in `{name}` is unknown{did_you_mean(first, sorted(known))}")
+    if first in (*COMPUTED_FROM, *getattr(node, "computed_from", ())):
+        raise ValueError(f"`{name}` is what others were computed from; expected `prepare` with another configuration")
     before = getattr(node, first)
     if rest:
         after = _changed(before, rest, name, value)

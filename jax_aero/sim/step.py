@@ -93,7 +93,10 @@ class DivergenceLimits:
 class Scenario:
     """Everything that does not change in a flight. Every number is a leaf: batch and differentiate what you like.
 
-    Another controller, aerodynamic model or jet dynamics is set by `prepare`, or by `dataclasses.replace`.
+    Another controller, aerodynamic model or jet dynamics is set by `prepare`, or by `dataclasses.replace`. Other leaves
+    were computed from the time step, and from the wind where its mean is measured: `changed` refuses these. Limits are
+    the controller's: `controller.torque_max`, a copy of `plant.robot.joint_torque_max`, limits the torques. The state
+    holds centre of mass and inertia of the robot that it began with: after a change of them, `begin` anew.
     """
 
     plant: Plant
@@ -118,6 +121,14 @@ class Scenario:
     """Number of ticks after the one at time zero."""
     precision: Static[str]
     """Name of the floating-point type of all numbers, so that a change of type is never silent."""
+
+    @property
+    def computed_from(self) -> tuple[str, ...]:
+        """Return which wind the mean is of, unless it is known not to be measured: of a traced switch it is not."""
+        is_mean = False if self.wind_estimate is None else self.wind_estimate.is_mean
+        if not isinstance(is_mean, jax.core.Tracer) and not np.asarray(is_mean).any():
+            return ()
+        return ("wind" if self.controller_wind is None else "controller_wind",)
 
 
 class FlightState(NamedTuple):

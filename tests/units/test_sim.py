@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -14,6 +15,7 @@ import pytest
 
 from jax_aero import io, rust, sim
 from jax_aero.io import scenario_config
+from jax_aero.types import changed
 
 ROOT = Path(__file__).resolve().parents[2]
 EXPERIMENTS = sorted((ROOT / "configs" / "experiments").glob("*.toml"))
@@ -142,6 +144,23 @@ def test_double_precision_is_never_silently_missing():
         double = sim.prepare(config)
     with pytest.raises(ValueError, match=r"prepared in float64, but its numbers are float32 here"):
         jax.eval_shape(lambda scenario, state: sim.rollout(scenario, state, 2, sim.everything), *double)
+
+
+def test_what_others_were_computed_from_does_not_change():
+    """They would stay as they are: filters and delays, and the mean of the wind where the controller is given it."""
+    config = io.load_config(TEST2, {"simulator.duration": 0.1, "disturbances.wind_estimate": {"mean_only": True}})
+    scenario, _ = sim.prepare(config, dtype=np.float32)
+    other, wind = replace(scenario, controller_wind=scenario.wind), {"wind.velocity": jnp.zeros(3)}
+    names = ("plant.time_step", "controller.time_step", "controller.setpoint.time_step")
+    refused = [(scenario, {name: 0.02}) for name in names] + [(scenario, wind)]
+    for of, values in [*refused, (other, {"controller_wind.velocity": jnp.zeros(3)})]:
+        with pytest.raises(ValueError, match=rf"`{next(iter(values))}` is what others .*; expected `prepare`"):
+            changed(of, values)
+    with pytest.raises(ValueError, match=r"wind\.velocity"):
+        jax.eval_shape(lambda traced: changed(traced, wind), scenario)
+    assert not changed(other, wind).wind.velocity.any()
+    exact = replace(scenario, wind_estimate=changed(scenario.wind_estimate, {"is_mean": False}))
+    assert jax.eval_shape(lambda velocity: changed(exact, {"wind.velocity": velocity}), jnp.zeros(3))
 
 
 SPOILT = {
