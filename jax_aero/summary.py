@@ -50,6 +50,8 @@ def figures(signals: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
     simulated, estimated = signals["simulated"], signals["estimated"]
     tick = float(time[1]) if time.size > 1 else 0.0
     kkt = signals["qp_kkt"][np.isfinite(signals["qp_kkt"])]
+    # The greater of both QPs; NaN where there is neither.
+    status, iterations = (np.fmax.reduce(signals[name], axis=1) for name in ("qp_status", "qp_iterations"))
     found = {
         "max_com_error": _greatest_of(distance),
         "max_com_error_x": _greatest_of(np.abs(com_error[:, 0])),
@@ -61,18 +63,23 @@ def figures(signals: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
         "max_torque": _greatest(signals["largest_torque"]),
         "min_com_height": np.min(signals["com_position"][:, 2], initial=np.inf),
         "min_com_x_settling": np.min(signals["com_position"][~settled, 0], initial=np.inf),
-        "ticks_without_solution": np.count_nonzero(np.any(signals["qp_status"] > 0.0, axis=1)),
+        "ticks_without_solution": _ticks_above(status, 0.0),
         "rms_com_error": _root_mean_square(distance),
         "rms_rotation_error": _root_mean_square(rotation_error[settled]),
-        "time_above_45_deg": tick * np.count_nonzero(rotation_error > LEANING),
+        "time_above_45_deg": tick * _ticks_above(rotation_error, LEANING),
         "max_joint_error": _greatest(signals["joint_error"]),
         "max_aero_force": _greatest(np.linalg.norm(simulated, axis=1)),
         "max_aero_force_difference": _greatest(np.linalg.norm(simulated - estimated, axis=1)),
-        "max_kkt": _greatest(kkt),
-        "max_qp_iterations": _greatest(signals["qp_iterations"]),
-        "degraded_time": tick * np.count_nonzero(signals["degraded_modes"] > 0.0),
+        "max_kkt": _greatest_of(kkt),
+        "max_qp_iterations": _greatest(iterations),
+        "degraded_time": tick * _ticks_above(signals["degraded_modes"], 0.0),
     }
     return {name: float(value) for name, value in found.items()}
+
+
+def _ticks_above(values: NDArray[np.float64], limit: float) -> float:
+    """Count the ticks with a greater value; NaN if one is NaN."""
+    return float(np.sum(np.where(np.isnan(values), np.nan, values > limit)))
 
 
 def _greatest(values: NDArray[np.float64]) -> float:

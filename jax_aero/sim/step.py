@@ -354,10 +354,13 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
         given, wind_std = command.terms.given, command.terms.wind_std
     seen = _observe(scenario, now, command, air)
 
-    rotation_error = com_error = jnp.zeros_like(now.robot.base_position[0])
+    # Without a set-point there is no error to judge.
+    fall, error = jnp.full_like(divergence, FLYING), jnp.zeros_like(limit)
+    rotation_error = jnp.full_like(limit, jnp.nan)
     if command.setpoint is not None:
         rotation_error = rotation_angle(multiply(command.setpoint.rotation.T, now.robot.base_rotation))
         com_error = safe_norm(seen.kinematics.com - command.setpoint.com_position)
+        fall, error = _judge(scenario.fall, rotation_error, com_error)
     row = _nan_unless(is_sound, _row(time, wind, now, given, wind_std, command, seen, rotation_error))
     robot = state.plant.robot
     row = row._replace(
@@ -370,7 +373,6 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
         thrust=state.plant.jets.thrust,
     )
 
-    fall, error = _judge(scenario.fall, rotation_error, com_error)
     loss, size = jnp.where(is_sound, fall, divergence), jnp.where(is_sound, error, limit)
     lost_now = (state.loss == FLYING) & (loss != FLYING)
     goes_on = (state.loss == FLYING) & (loss == FLYING)
@@ -512,13 +514,10 @@ def _row(
             jnp.full_like(seen.link_forces.forces, jnp.nan) if terms is None else terms.link_forces.forces
         ),
         momentum=momentum,
-        momentum_setpoint=jnp.concatenate(
-            [
-                nothing
-                if setpoint is None or terms is None
-                else terms.dynamics.mass_matrix[0, 0] * setpoint.com_velocity,
-                jnp.zeros_like(wind),
-            ]
+        momentum_setpoint=(
+            jnp.full_like(momentum, jnp.nan)
+            if setpoint is None or terms is None
+            else jnp.pad(terms.dynamics.mass_matrix[0, 0] * setpoint.com_velocity, (0, 3))
         ),
         momentum_rate_estimate=(jnp.full_like(momentum, jnp.nan) if terms is None else terms.momentum.rate_estimate),
         unmodelled_wrench=(jnp.full_like(momentum, jnp.nan) if terms is None else terms.momentum.unmodelled_wrench),

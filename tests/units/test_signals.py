@@ -71,7 +71,7 @@ def test_figures_do_not_hide_what_is_no_number(flight, signal):
     expected = {
         "com_position": {"max_com_error", "max_com_error_x", "max_com_error_y", "max_com_error_z", "rms_com_error"}
         | {"min_com_height"},
-        "rotation_error": {"max_rotation_error", "rms_rotation_error"},
+        "rotation_error": {"max_rotation_error", "rms_rotation_error", "time_above_45_deg"},
         "thrust": {"thrust_min", "thrust_max"},
         "joint_torque": {"max_torque"},
         "aero_force_sim": {"max_aero_force", "max_aero_force_difference"},
