@@ -54,7 +54,7 @@ class EnvState(NamedTuple):
     done: Float[Array, ""]
     """1 where the robot is lost."""
     metrics: dict[str, Float[Array, ""]]
-    """Parts of the reward, and the errors of attitude [rad] and position [m]."""
+    """Parts of the reward, and the errors of attitude [rad] and position [m]; zero where the robot is lost."""
     info: dict[str, Any]
     """For wrappers; left as it is."""
 
@@ -165,16 +165,16 @@ class FlightEnv:
         seen, obs = self._observe(state)
         parts = rewards(jnp, seen, action)
         lost = (flight.loss != FLYING) | is_lost(jnp, seen, scenario.fall)
-        finite = {name: jnp.where(lost, 0.0, value).astype(state.reward.dtype) for name, value in parts.items()}
-        errors = {
-            "attitude_error": row.rotation_error,
-            "position_error": jnp.linalg.norm(seen.com_error),
+        errors = {"attitude_error": row.rotation_error, "position_error": jnp.linalg.norm(seen.com_error)}
+        # The numbers of a lost robot need not be finite.
+        metrics = {
+            name: jnp.where(lost, 0.0, value).astype(state.reward.dtype) for name, value in (parts | errors).items()
         }
         return state._replace(
             obs=jnp.where(jnp.isfinite(obs), obs, 0.0),
-            reward=sum(finite.values(), jnp.zeros_like(state.reward)),
+            reward=sum((metrics[name] for name in parts), jnp.zeros_like(state.reward)),
             done=lost.astype(state.done.dtype),
-            metrics=finite | errors,
+            metrics=metrics,
         )
 
     def _observe(self, state: EnvState) -> tuple[Seen, Array]:
