@@ -609,7 +609,14 @@ def fly_batch(
     """Fly many configurations over threads; the results do not depend on how many.
 
     Without `full_log` only outcome and summary are sure to be there.
+
+    Raises
+    ------
+    ValueError
+        Naming the first flight that cannot be flown, and why; and for `threads` below one.
     """
+    if threads is not None and threads < 1:
+        raise ValueError(f"`threads` is {threads}; expected at least 1, or None for one per core")
     texts = [_to_json(config) for config in configs]
     return [FlightResult(**raw) for raw in _core.fly_batch(texts, threads, progress, full_log)]
 

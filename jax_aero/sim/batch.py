@@ -84,8 +84,10 @@ def fly_batch(
     Raises
     ------
     ValueError
-        Naming the first flight that cannot be flown, and why.
+        Naming the first flight that cannot be flown, and why; and for `most_together` below one.
     """
+    if most_together is not None and most_together < 1:
+        raise ValueError(f"`most_together` is {most_together}; expected at least 1, or None for the usual number")
     with jax.enable_x64(True):
         workers = tuple(jax.devices() if devices is None else devices)
         together = most_together or MOST_TOGETHER.get(workers[0].platform, MOST_ELSEWHERE)

@@ -69,7 +69,15 @@ def rollout(
 
     Pure: `jit`, `vmap` and `grad` it. Reverse mode stores one state in `checkpoint_every` ticks and what `keep` takes,
     so its memory does not grow with all that happens within a tick.
+
+    Raises
+    ------
+    ValueError
+        For a negative `n_ticks`, and for `checkpoint_every` below one.
     """
+    for name, value, least in (("n_ticks", n_ticks, 0), ("checkpoint_every", checkpoint_every, 1)):
+        if value < least:
+            raise ValueError(f"`{name}` is {value}; expected at least {least}")
 
     def one(state: FlightState, tick: Array) -> tuple[FlightState, Kept]:
         state, row = step(scenario, state, tick)
@@ -85,7 +93,7 @@ def rollout(
     if whole:
         state, rows = jax.lax.scan(several, state, ticks[: whole * checkpoint_every].reshape(whole, checkpoint_every))
         parts.append(jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), rows))
-    if n_ticks % checkpoint_every:
+    if n_ticks % checkpoint_every or not whole:
         state, rows = several(state, ticks[whole * checkpoint_every :])
         parts.append(rows)
     kept: Kept = jax.tree.map(lambda *x: jnp.concatenate(x), *parts)

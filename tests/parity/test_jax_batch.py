@@ -182,6 +182,12 @@ def test_a_flight_that_cannot_be_flown_is_named():
         sim.fly_batch([table, spoilt])
 
 
+@pytest.mark.parametrize("most", [0, -1])
+def test_a_number_of_flights_is_positive(most):
+    with pytest.raises(ValueError, match=rf"`most_together` is {most}; expected at least 1"):
+        sim.fly_batch([], most_together=most)
+
+
 def test_the_size_of_a_batch():
     """At most a seventh flies in vain beyond eight flights; parts of a batch are of one size."""
     sizes = [batch.batch_size(n, 1, 64) for n in (1, 2, 3, 5, 9, 48, 50, 64, 65, 100, 640)]

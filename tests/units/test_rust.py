@@ -96,6 +96,12 @@ def test_a_refused_configuration_costs_no_flight():
     assert not reports
 
 
+@pytest.mark.parametrize("threads", [0, -1])
+def test_a_number_of_threads_is_positive(threads):
+    with pytest.raises(ValueError, match=rf"`threads` is {threads}; expected at least 1"):
+        rust.fly_batch([rust.load_config(TEST2, SHORT)], threads)
+
+
 def test_a_command_is_replaced_after_a_tick_and_by_numbers():
     config = rust.load_config(TEST2)
     plant, controller = rust.Plant(config), rust.Controller(config)

@@ -174,6 +174,19 @@ def test_what_others_were_computed_from_does_not_change():
     assert jax.eval_shape(lambda velocity: changed(exact, {"wind.velocity": velocity}), jnp.zeros(3))
 
 
+def test_a_rollout_of_no_ticks_has_no_rows():
+    start = sim.prepare(io.load_config(TEST2, {"simulator.duration": 0.1}), dtype=np.float32)
+    after, rows = jax.eval_shape(lambda *flight: sim.rollout(*flight, 0, sim.everything), *start)
+    assert jax.tree.structure(after) == jax.tree.structure(start[1])
+    assert {leaf.shape[0] for leaf in jax.tree.leaves(rows)} == {0}
+
+
+@pytest.mark.parametrize(("name", "value"), [("n_ticks", -1), ("checkpoint_every", 0)])
+def test_a_rollout_refuses_a_number_that_counts_nothing(name, value):
+    with pytest.raises(ValueError, match=f"`{name}` is {value}; expected at least"):
+        sim.rollout(None, None, keep=sim.everything, **{"n_ticks": 9, name: value})
+
+
 SPOILT = {
     "simulator.integrator": ("rk4", "semi_implicit_euler"),
     "simulator.dynamics": ("featherstone", "tree"),
