@@ -39,7 +39,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jax_aero import _core
 from jax_aero._core import BoxQpSolver, ControllerState, Robot, __version__, kkt_residual
-from jax_aero.io import override
+from jax_aero.io import override, plain
 from jax_aero.places import find
 from jax_aero.result import FlightResult, Progress
 
@@ -519,8 +519,8 @@ def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None =
     path
         The name of an experiment, such as `test2`, or the path of a TOML file.
     overrides
-        Dotted key to value, e.g. `{"wind.velocity": [0, -12, 0]}`. A key has to exist in the
-        resolved configuration, or at least be one the crate accepts.
+        Dotted key to value, e.g. `{"wind.velocity": [0, -12, 0]}`; arrays and paths are accepted, too. A key has to
+        exist in the resolved configuration, or at least be one the crate accepts.
 
     Raises
     ------
@@ -748,6 +748,6 @@ def _suggestion(config: Config, key: str) -> str:
 
 def _to_json(config: Mapping[str, Any]) -> str:
     try:
-        return json.dumps(config, allow_nan=False)
+        return json.dumps(plain(config), allow_nan=False)
     except (TypeError, ValueError) as reason:
         raise ValueError(f"the configuration holds a value that is no number, text, list or table: {reason}") from None

@@ -126,6 +126,20 @@ def test_overrides_are_the_same_in_both_languages():
     assert rust.config_digest(io.load_config(TEST2, changes)) == rust.config_digest(rust.load_config(TEST2, changes))
 
 
+def test_arrays_and_paths_are_values_in_both_languages(monkeypatch):
+    """Where keys are set, and in a configuration that is put together; a path starts at the current folder."""
+    monkeypatch.chdir(ROOT)
+    robot = Path("configs/robot/ironcub_mk1.toml")
+    changes = {"wind.velocity": np.array([0.0, 1.0, 2.0]), "simulator.duration": np.float32(1.0), "robot": robot}
+    expected = {"wind.velocity": [0.0, 1.0, 2.0], "simulator.duration": 1.0, "robot": str(robot)}
+    for load in (io.load_config, rust.load_config):
+        table = load(TEST2, changes)
+        assert json.loads(json.dumps(table)) == table == load(TEST2, expected)
+        composed = table | {"robot": robot, "wind": table["wind"] | {"velocity": jnp.array([0.0, 1.0, 2.0])}}
+        assert rust.config_digest(composed) == rust.config_digest(table)
+        assert scenario_config(composed) == scenario_config(table)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
