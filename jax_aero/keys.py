@@ -19,9 +19,16 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
     Raises
     ------
     Refused
-        If a text has no `=`, an empty part of a key, or a value that TOML cannot read.
+        If a text has no `=`, an empty part of a key, or a value that TOML cannot read or that is more than one; and if
+        a key is given twice.
     """
-    return dict(_parse_assignment(assignment) for assignment in assignments)
+    values: dict[str, Any] = {}
+    for assignment in assignments:
+        key, value = _parse_assignment(assignment)
+        if key in values:
+            raise Refused(f"--set {assignment}: `{key}` is {values[key]!r} already; expected each key once")
+        values[key] = value
+    return values
 
 
 def _parse_assignment(assignment: str) -> tuple[str, Any]:
@@ -29,12 +36,15 @@ def _parse_assignment(assignment: str) -> tuple[str, Any]:
     if not equals or not all(key.split(".")):
         raise Refused(f"--set {assignment}: expected key=value, e.g. wind.velocity=[0,-12,0]")
     try:
-        return key, tomllib.loads(f"value = {text}")["value"]
+        table = tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError as reason:
         # Shells remove quotes, so `simulator.lever_arm=unrotated` is accepted without them.
         if BARE_WORD.fullmatch(text) is None:
             raise Refused(f"--set {assignment}: `{text}` is no TOML value ({reason})") from None
         return key, text
+    if len(table) > 1:
+        raise Refused(f"--set {assignment}: `{text}` is more than a value; expected one")
+    return key, table["value"]
 
 
 def get(config: Mapping[str, Any], key: str) -> Any:

@@ -31,11 +31,18 @@ def test_a_bare_word_is_a_text_because_shells_strip_quotes():
     }
 
 
-def test_the_last_assignment_of_a_key_wins():
-    assert parse(["a=1", "a=2"]) == {"a": 2}
+def test_a_key_is_given_once():
+    with pytest.raises(Refused, match=r"--set a\.b = 2: `a\.b` is 1 already; expected each key once"):
+        parse(["a.b=1", "c=1", "a.b = 2"])
 
 
-@pytest.mark.parametrize("assignment", ["wind.velocity", "=3", "a..b=3", "a.=3", "a=[1,", "a=1 2", "a="])
+def test_a_value_may_have_line_breaks():
+    assert parse(["a=[1,\n2] # a list"]) == {"a": [1, 2]}
+
+
+@pytest.mark.parametrize(
+    "assignment", ["wind.velocity", "=3", "a..b=3", "a.=3", "a=[1,", "a=1 2", "a=", "a=1\nb=2", "a=1\n[b]"]
+)
 def test_what_cannot_be_read_is_refused_and_quoted(assignment):
     with pytest.raises(Refused) as refusal:
         parse([assignment])
