@@ -105,15 +105,13 @@ def run(design: Design, workers: Workers, *, out: Path | None = None, overwrite:
     """Fly what is missing of a sweep; return its folder."""
     folder = (out or RESULTS) / design.spec.name
     with locked(folder):
-        if overwrite and folder.exists():
-            _clear(folder)
-        _run(design, workers, folder)
+        _run(design, workers, folder, overwrite=overwrite)
     return folder
 
 
-def _run(design: Design, workers: Workers, folder: Path) -> None:
+def _run(design: Design, workers: Workers, folder: Path, *, overwrite: bool) -> None:
     document = _document(design)
-    found, shown = _found(folder, document), os.path.relpath(folder)
+    found, shown = {} if overwrite else _found(folder, document), os.path.relpath(folder)
     chunks = Chunks(folder / "chunks", f"{document['config_hash']} {document['code_hash']}")
     for draft in folder.rglob(".*.draft.*"):  # of a process that was killed
         draft.unlink()
@@ -125,6 +123,9 @@ def _run(design: Design, workers: Workers, folder: Path) -> None:
         print(f"{shown} is finished already{other}; --overwrite flies it again")
         return
     design.check()
+    engines.engine(design.spec.engine)
+    if overwrite and folder.exists():  # now that nothing refuses the new one any more
+        _clear(folder)
     chunks.folder.mkdir(parents=True, exist_ok=True)
     whole = chunks.whole(design.n_chunks)
     if damaged := chunks.remove(but=whole):

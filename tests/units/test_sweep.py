@@ -529,6 +529,25 @@ def test_a_folder_with_something_else_in_it_is_not_overwritten(tmp_path, capsys)
     assert "also holds notes.txt" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"set": {"simulator.duration": -0.5}}, "`simulator.duration` is -0.5"),
+        ({"set": {"simulator.duration": "long"}}, '`simulator.duration` is "long"'),
+        ({"engine": "jax", "set": {"engine": "jax"}}, 'engine = "jax" needs `nowhere.jax`'),
+    ],
+)
+def test_a_sweep_that_cannot_fly_overwrites_nothing(tmp_path, monkeypatch, change, words):
+    short = {"repeats": 1, "set": {"simulator.duration": 0.02}}
+    folder = run.run(design(**short), run.Local(1), out=tmp_path)
+    before = read(folder)
+    monkeypatch.setitem(engines.MODULES, "jax", "nowhere.jax")
+    monkeypatch.setattr(run, "code_hash", lambda _: "")
+    with pytest.raises(Refused, match=re.escape(words)):
+        run.run(design(**short | change), run.Local(1), out=tmp_path, overwrite=True)
+    assert read(folder) == before
+
+
 def test_the_list_names_every_sweep(capsys):
     assert main(["sweep", "--list"]) == 0
     listed = capsys.readouterr().out
