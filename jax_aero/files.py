@@ -44,7 +44,7 @@ def complete_folder(target: Path, *, replace: bool = False) -> Iterator[Path]:
     """Yield a draft folder that becomes `target` when the block ends, and is removed when the block raises.
 
     A process that was killed between the two renames of a replacement leaves the old folder under another name: the
-    next one puts it back.
+    next one puts it back. Where `target` is a symbolic link, what it leads to is replaced.
 
     Raises
     ------
@@ -53,6 +53,7 @@ def complete_folder(target: Path, *, replace: bool = False) -> Iterator[Path]:
     OSError
         If `target` is there without `replace`, or the disk is full.
     """
+    target = target.resolve()
     draft, retired = (target.with_name(f".{target.name}.{word}") for word in ("draft", "old"))
     with locked(target):
         if retired.exists() and not target.exists():
@@ -89,6 +90,7 @@ def locked(target: Path) -> Iterator[None]:
     Refused
         Naming process, machine and start of whoever holds it.
     """
+    target = target.resolve()  # one lock, whatever link leads there
     target.parent.mkdir(parents=True, exist_ok=True)
     path = target.with_name(f".{target.name}.lock")
     while True:

@@ -105,7 +105,7 @@ def run(design: Design, workers: Workers, *, out: Path | None = None, overwrite:
     """Fly what is missing of a sweep; return its folder."""
     folder = (out or RESULTS) / design.spec.name
     with locked(folder):
-        _run(design, workers, folder, overwrite=overwrite)
+        _run(design, workers, folder.resolve(), overwrite=overwrite)
     return folder
 
 

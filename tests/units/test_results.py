@@ -247,6 +247,18 @@ def test_overwrite_removes_only_what_was_written(flown, tmp_path, capsys):
         assert main(command) == 0
 
 
+def test_a_result_behind_a_link_is_overwritten_each_time(flown, tmp_path):
+    elsewhere, results = tmp_path / "elsewhere", tmp_path / "results"
+    results.mkdir()
+    for name in ("test1", "made_up"):
+        (results / name).symlink_to(elsewhere / name)
+    for _ in range(3):
+        assert main(["test1", "--out", str(results), "--overwrite"]) == 0
+        run.run(design(), run.Local(1), out=results, overwrite=True)
+    assert sorted(path.name for path in elsewhere.iterdir()) == ["made_up", "test1"]
+    assert [path.is_symlink() for path in results.iterdir()] == [True, True]
+
+
 def test_a_number_that_json_lacks_is_null_however_deep_it_stands():
     summary = {"a": np.inf, "flight": {"com_error": np.nan, "outcome": "fell"}}
     code = ["experiments.flight"]
@@ -280,6 +292,10 @@ def test_who_holds_a_sweep_is_named_and_a_dead_holder_followed(tmp_path, start):
     with pytest.raises(Refused, match=rf"made_up is being written by process {holder.pid} on \S+ since 20\d\d-"):
         run.run(design(), run.Local(1), out=tmp_path)
     assert not (tmp_path / "made_up").exists()
+    (tmp_path / "link").symlink_to(tmp_path / "made_up")
+    with pytest.raises(Refused, match="is being written"), files.locked(tmp_path / "link"):
+        pass
+    (tmp_path / "link").unlink()
     holder.kill()
     holder.wait()
     assert (tmp_path / ".made_up.lock").exists()
