@@ -15,7 +15,6 @@ from tqdm import tqdm
 from experiments import Refused, engines, manifest, overrides, record, study
 from experiments.sources import code_hash
 from jax_aero import places, rust
-from jax_aero.files import damaged
 
 RESULTS = places.RESULTS / "flight"
 
@@ -42,7 +41,7 @@ def run(
     folder = (out or RESULTS) / name
     engine = engines.engine_of(config)
     code = (__name__, engines.MODULES[engine])
-    finished = existing(folder, rust.config_digest(config), code_hash(*code), overwrite=overwrite)
+    finished = record.existing(folder, rust.config_digest(config), code_hash(*code), overwrite=overwrite)
     if finished is not None:
         return finished
 
@@ -77,30 +76,6 @@ def run(
     record.write_run(folder, dataset, document, replace=overwrite)
     print(os.path.relpath(folder / record.RUN_FILE))
     return document
-
-
-def existing(folder: Path, digest: str, code: str | None, *, overwrite: bool) -> dict[str, Any] | None:
-    """Return the manifest of an equal finished result; refuse to touch anything else that is there.
-
-    A result of other code (`code`, where that is known) is kept too, and its age printed.
-    """
-    if not folder.exists():
-        return None
-    shown = os.path.relpath(folder)
-    if overwrite:
-        if others := record.unrelated_files(folder):
-            raise Refused(f"{shown} holds more than a result ({others[0]}), so it is not overwritten")
-        return None
-    finished = record.read_manifest(folder)
-    if finished is not None and finished.get("config_digest") == digest:
-        if name := damaged(folder, finished.get("files", {})):
-            raise Refused(f"{shown}/{name} is not what was written there; --overwrite flies it again")
-        commit = (finished.get("git") or {}).get("commit") or "unknown"
-        other = "" if code in (None, finished.get("code_hash")) else " by other code"
-        print(f"{shown} has this flight already, flown{other} (commit {commit[:10]}); --overwrite flies it again")
-        return finished
-    what = "no finished result" if finished is None else "the result of another configuration"
-    raise Refused(f"{shown} holds {what}; choose another --out, or --overwrite it")
 
 
 def _fly(config: rust.Config, name: str) -> rust.FlightResult:

@@ -45,7 +45,7 @@ def read(path: Path, folder: Path, *, overwrite: bool = False) -> dict[str, Any]
         raise Refused(f"{path} is no run of the lab: {missing} is missing") from None
     except (ValueError, TypeError) as reason:
         raise Refused(f"{path} is no run of the lab: {reason}") from None
-    if flight.existing(folder, digest, None, overwrite=overwrite) is None:
+    if record.existing(folder, digest, None, overwrite=overwrite) is None:
         written = {
             **{key: value for key, value in document.items() if key not in ("format", "version", "log", "has_ended")},
             "name": folder.name,

@@ -7,6 +7,7 @@ was flown, by which code, on what machine, and the checksum of every other file)
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ import xarray as xr
 
 from experiments import Refused
 from jax_aero import rust
-from jax_aero.files import checksums, complete_folder, write_json, write_netcdf, write_text
+from jax_aero.files import checksums, complete_folder, damaged, write_json, write_netcdf, write_text
 from jax_aero.result import FlightResult, RobotNames, labels_of
 
 RUN_FILE = "run.nc"
@@ -103,6 +104,38 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
     except (OSError, ValueError):
         return None
     return manifest if isinstance(manifest, dict) and (folder / RUN_FILE).is_file() else None
+
+
+def existing(folder: Path, digest: str, code: str | None, *, overwrite: bool) -> dict[str, Any] | None:
+    """Return the manifest of an equal finished result; refuse to touch anything else that is there.
+
+    A result of other code (`code`, where that is known) is kept too, and its age printed.
+    """
+    if (finished := replaceable(folder, digest, overwrite=overwrite)) is None:
+        return None
+    shown = os.path.relpath(folder)
+    if name := damaged(folder, finished.get("files", {})):
+        raise Refused(f"{shown}/{name} is not what was written there; --overwrite makes it again")
+    commit = (finished.get("git") or {}).get("commit") or "unknown"
+    other = "" if code in (None, finished.get("code_hash")) else ", made by other code"
+    print(f"{shown} is finished already{other} (commit {commit[:10]}); --overwrite makes it again")
+    return finished
+
+
+def replaceable(folder: Path, digest: str, *, overwrite: bool) -> dict[str, Any] | None:
+    """Return the manifest of an equal result; refuse what is no result and, without `overwrite`, another one."""
+    if not folder.exists():
+        return None
+    shown = os.path.relpath(folder)
+    if overwrite:
+        if others := unrelated_files(folder):
+            raise Refused(f"{shown} holds more than a result ({others[0]}), so it is not overwritten")
+        return None
+    finished = read_manifest(folder)
+    if finished is not None and finished.get("config_digest") == digest:
+        return finished
+    what = "no finished result" if finished is None else "the result of another configuration"
+    raise Refused(f"{shown} holds {what}; choose another --out, or --overwrite it")
 
 
 def unrelated_files(folder: Path) -> list[str]:

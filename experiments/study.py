@@ -25,6 +25,7 @@ from experiments.sources import file_hash
 from jax_aero import places, rust, tables
 from jax_aero.cli import Parser, completes
 from jax_aero.command import exit_status
+from jax_aero.files import computing
 from jax_aero.keys import set_key
 
 C = TypeVar("C", bound=tables.Table)
@@ -120,29 +121,31 @@ class Study(Generic[C]):
         command = ["jax-aero", self.command, name, *self.options, *overrides.options(changes or {})]
         name, config = self.read(name, changes)
         folder = places.RESULTS / self.kind / (places.name_of(name) + overrides.folder_suffix(changes or {}))
-        under_way = [self.progress_of(folder)] if self.progress else []
-        findings: Findings = self.compute(name, config, *under_way)
-        timings = {**findings.timings, "all": time.perf_counter() - started}
-        flights = {**{key: rust.config_digest(flight) for key, flight in findings.flights.items()}, **findings.results}
-        table = {**tables.plain(config), **findings.inputs}
-        files = [*tables.files(config), *findings.files]
-        digested = digest({**table, "flights": flights}, files)
-        document = manifest.build(
-            folder.name,
-            findings.title,
-            {**table, **({"flights": findings.flights} if findings.flights else {})},
-            digested,
-            summary=findings.summary,
-            command=command,
-            engine=self.engine,
-            code=[self.compute.__module__],
-            sources={"flights": flights, "files": {manifest.portable(path): file_hash(path) for path in files}},
-            timings_s={key: round(seconds, 4) for key, seconds in timings.items()},
-        )
-        dataset = findings.dataset.assign_attrs(title=findings.title, config_hash=digested)
-        record.write_run(folder, dataset, document, replace=True, texts=findings.texts)
-        for path in under_way:
-            path.unlink(missing_ok=True)
+        with computing(folder):
+            under_way = [self.progress_of(folder)] if self.progress else []
+            findings: Findings = self.compute(name, config, *under_way)
+            timings = {**findings.timings, "all": time.perf_counter() - started}
+            flights = {key: rust.config_digest(flight) for key, flight in findings.flights.items()}
+            flights |= findings.results
+            table = {**tables.plain(config), **findings.inputs}
+            files = [*tables.files(config), *findings.files]
+            digested = digest({**table, "flights": flights}, files)
+            document = manifest.build(
+                folder.name,
+                findings.title,
+                {**table, **({"flights": findings.flights} if findings.flights else {})},
+                digested,
+                summary=findings.summary,
+                command=command,
+                engine=self.engine,
+                code=[self.compute.__module__],
+                sources={"flights": flights, "files": {manifest.portable(path): file_hash(path) for path in files}},
+                timings_s={key: round(seconds, 4) for key, seconds in timings.items()},
+            )
+            dataset = findings.dataset.assign_attrs(title=findings.title, config_hash=digested)
+            record.write_run(folder, dataset, document, replace=True, texts=findings.texts)
+            for path in under_way:
+                path.unlink(missing_ok=True)
         print(f"{findings.title}\n{findings.report or listing(findings.summary)}")
         print(f"{manifest.portable(folder)}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
         return document

@@ -25,7 +25,7 @@ from jax_aero.aero.dataset import Dataset, Floats, wind_direction
 from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogate
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
-from jax_aero.files import complete_file
+from jax_aero.files import complete_file, computing
 from jax_aero.places import ROBOT
 from jax_aero.robot import load_robot
 
@@ -50,8 +50,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parts = parts_of(given.out)
 
     def work() -> None:
-        keep(compute(given.only or posture_names(given.postures), given.model, parts), given.out)
-        shutil.rmtree(parts, ignore_errors=True)
+        with computing(given.out):
+            keep(compute(given.only or posture_names(given.postures), given.model, parts), given.out)
+            shutil.rmtree(parts, ignore_errors=True)
 
     return exit_status(work, interrupted=f"go on with the same command ({parts.name} has what is done)")
 

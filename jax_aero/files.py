@@ -14,7 +14,7 @@ import shutil
 import socket
 import stat
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -108,6 +108,11 @@ def locked(target: Path) -> Iterator[None]:
     finally:
         path.unlink(missing_ok=True)
         os.close(descriptor)
+
+
+def computing(target: Path) -> AbstractContextManager[None]:
+    """Hold the lock of the work on a result: of what is computed, and kept beside it, before its folder is written."""
+    return locked(target.resolve().with_name(f".{target.resolve().name}.work"))
 
 
 def _take(descriptor: int, path: Path, target: Path) -> None:

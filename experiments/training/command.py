@@ -2,7 +2,8 @@
 
 A file of `configs/training/` is trained once per fold of whole postures (`grouped`), once on a random split, which
 leaks (`random`), and once on everything; errors are those of held-out rows, beside simpler models on the same rows.
-A run that was stopped goes on with the same command. `--write` also puts the weights where flights find them.
+A run that was stopped goes on with the same command; a finished one is only replaced with --overwrite.
+`--write` also puts the weights where flights find them.
 """
 
 from __future__ import annotations
@@ -25,9 +26,10 @@ from experiments.training.parts import Finished
 from jax_aero import places
 from jax_aero.aero.dataset import Dataset, load
 from jax_aero.aero.network import Network
-from jax_aero.aero.network_card import save_network
+from jax_aero.aero.network_card import card_path, copy_network, save_network
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
+from jax_aero.files import computing
 
 RESULTS = places.RESULTS / "training"
 
@@ -42,60 +44,73 @@ def main(arguments: Sequence[str] | None = None) -> int:
     study.add_set(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="result folder (default results/training/NAME)")
     parser.add_argument("--write", type=Path, metavar="CARD", help="write weights and card there too (…/NAME.json)")
+    parser.add_argument("--overwrite", action="store_true", help="train again and replace a result that is there")
     parser.add_argument("--restart", action="store_true", help="throw away what an unfinished run left")
     given = parser.parse_args(arguments)
     return exit_status(lambda: print(table(run(given))), interrupted="the same command goes on where this one stopped")
 
 
 def run(given: argparse.Namespace) -> dict[str, Any]:
-    """Train all parts, write the result, return the errors of the splits."""
-    started = time.perf_counter()
+    """Train all parts, write the result, unless it is there; return the errors of the splits."""
     path = study.find("training", given.name)
     changes = overrides.parse(given.set)
     training, document = config.read(path, changes)
-    if given.write and not training.final:
-        raise Refused(f"{path.name}: final is false, so there are no weights to --write")
+    if given.write:
+        card_path(given.write)  # refused before the training
+        if not training.final:
+            raise Refused(f"{path.name}: final is false, so there are no weights to --write")
     dataset = load(given.dataset)
     if training.mirrored:
         dataset = dataset.mirrored()
-    folder: Path = given.out or RESULTS / (study.result_name("training", path) + overrides.folder_suffix(changes))
-    _refuse_other_data(folder, dataset.sha256)
+    named = given.out or RESULTS / (study.result_name("training", path) + overrides.folder_suffix(changes))
+    folder: Path = named.resolve()
     digest = hashlib.sha256(f"{study.digest(document, [config.ROBOT])}{dataset.sha256}".encode()).hexdigest()
-    work = _work_folder(folder, f"{digest} {code_hash(__name__)}", restart=given.restart)
-    finished, network = _train(training, dataset, work)
-    errors = result.summarise(finished, training.chosen_on)
-    facts: dict[str, Any] = {}
-    if network is not None:
-        facts = result.card_facts(
-            dataset,
-            errors,
-            epochs=training.epochs,
-            seed=training.seed,
-            source=given.dataset.name,
-            held_out=f"final weights: all rows; errors: {_held_out(training)}",
-        ) | {"check": result.check_rows(network, config.robot(), dataset)}
+    with computing(folder):
+        found = record.existing(folder, digest, code_hash(__name__), overwrite=given.overwrite)
+        if found is None:
+            found = _trained(given, training, document, digest, dataset, folder)
+    if given.write:
+        copy_network(folder / f"{folder.name}.json", given.write)
+    summary = found["summary"]
+    print(f"{manifest.portable(folder)}: {summary['parameters']} parameters")
+    return dict(summary["errors"])
 
-    def save(card: Path) -> None:
+
+def _trained(
+    given: argparse.Namespace,
+    training: config.Training,
+    table: dict[str, Any],
+    digest: str,
+    dataset: Dataset,
+    folder: Path,
+) -> dict[str, Any]:
+    """Train all parts and write the result; return its manifest."""
+    started = time.perf_counter()
+    todo = list(parts.parts(training, dataset))
+    work = _work_folder(folder, f"{digest} {code_hash(__name__)}", restart=given.restart)
+    finished, network = _train(training, dataset, todo, work)
+    errors = result.summarise(finished, training.chosen_on)
+
+    def save(draft: Path) -> None:
         if network is not None:
+            facts = result.card_facts(
+                dataset,
+                errors,
+                epochs=training.epochs,
+                seed=training.seed,
+                source=given.dataset.name,
+                held_out=f"final weights: all rows; errors: {_held_out(training)}",
+            ) | {"check": result.check_rows(network, config.robot(), dataset)}
+            card = draft / f"{folder.name}.json"
             save_network(card, network, config.robot(), description=training.description, training=facts)
 
     seconds = time.perf_counter() - started
-    document = _manifest(folder.name, training, document, digest, finished, errors, seconds, dataset.sha256)
+    document = _manifest(folder.name, training, table, digest, finished, errors, seconds, dataset.sha256)
     data = result.to_dataset(config.robot(), dataset, finished, training.title)
     data.attrs["config_hash"] = digest
-    record.write_run(folder, data, document, replace=True, more=lambda draft: save(draft / f"{folder.name}.json"))
-    if given.write:
-        save(given.write)
+    record.write_run(folder, data, document, replace=given.overwrite, more=save)
     shutil.rmtree(work)
-    print(f"{manifest.portable(folder.resolve())}: {document['summary']['parameters']} parameters")
-    return errors
-
-
-def _refuse_other_data(folder: Path, dataset: str) -> None:
-    """Refuse to replace a training on other data."""
-    there = record.read_manifest(folder) or {}
-    if there.get("dataset", dataset) != dataset:
-        raise Refused(f"{manifest.portable(folder.resolve())} holds a training on other data; choose another --out")
+    return document
 
 
 def _manifest(
@@ -138,9 +153,10 @@ def _held_out(training: config.Training) -> str:
     )
 
 
-def _train(training: config.Training, dataset: Dataset, work: Path) -> tuple[list[Finished], Network | None]:
+def _train(
+    training: config.Training, dataset: Dataset, todo: Sequence[parts.Part], work: Path
+) -> tuple[list[Finished], Network | None]:
     robot = config.robot()
-    todo = list(parts.parts(training, dataset))
     finished: list[Finished] = []
     network = None
     is_quiet = not sys.stderr.isatty()
@@ -178,7 +194,8 @@ def _work_folder(folder: Path, digest: str, *, restart: bool) -> Path:
     if restart and work.exists():
         shutil.rmtree(work)
     mark = work / "digest"
-    if mark.is_file() and mark.read_text(encoding="utf-8") != digest:
+    # Without a checkpoint there is nothing to finish: the run was refused.
+    if any(work.glob("*.checkpoint")) and mark.is_file() and mark.read_text(encoding="utf-8") != digest:
         raise Refused(
             f"{work.name} holds an unfinished run with other settings, data or code; finish that one, or add --restart"
         )

@@ -71,6 +71,9 @@ class Validation(tables.Table, frozen=True):
     fold_seeds: tuple[tables.Natural, ...]
 
     def __post_init__(self) -> None:
+        for name in ("random_seeds", "fold_seeds"):
+            if len(set(seeds := getattr(self, name))) < len(seeds):
+                raise ValueError(f"`{name}` is {list(seeds)}; expected each seed once")
         if self.folds_run > self.folds:
             raise ValueError(f"`folds_run` is {self.folds_run}; expected at most {self.folds}, which is `folds`")
 

@@ -28,7 +28,7 @@ from jax_aero.aero.network_card import save_network
 from jax_aero.aero.posture import link_arms, total_wrench, vector_rms
 from jax_aero.cli import Parser, count
 from jax_aero.command import exit_status
-from jax_aero.files import write_json
+from jax_aero.files import computing, write_json
 from jax_aero.train import Checkpoint, fit, load_checkpoint, predict_areas, samples_of, save_checkpoint
 
 BASE = places.CONFIGS / "training" / "compact.toml"
@@ -57,22 +57,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--dataset", type=Path, required=True, metavar="FILE", help="from import-cfd")
     parser.add_argument("--epochs", type=count, default=60, metavar="N", help="of every network (default 60)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="result folder (default results/training/ensemble)")
+    parser.add_argument("--overwrite", action="store_true", help="replace the result of another ensemble")
     parser.add_argument("--write", type=Path, metavar="DIR", help="write weights, cards and ensemble.json there")
     given = parser.parse_args(arguments)
-    folder = given.out or places.RESULTS / "training" / "ensemble"
+    folder = (given.out or places.RESULTS / "training" / "ensemble").resolve()
 
     def work() -> None:
-        print(study.listing(run(given.dataset, given.epochs, folder, given.write)["summary"]))
+        with computing(folder):
+            found = run(given.dataset, given.epochs, folder, given.write, overwrite=given.overwrite)
+        print(study.listing(found["summary"]))
 
     return exit_status(work, interrupted="the same command goes on where this one stopped")
 
 
-def run(path: Path, epochs: int, folder: Path, write: Path | None) -> dict[str, Any]:
+def run(path: Path, epochs: int, folder: Path, write: Path | None, *, overwrite: bool = False) -> dict[str, Any]:
     """Train, calibrate, write; return the manifest."""
     started = time.perf_counter()
     robot, dataset = config.robot(), load(path).mirrored()
     trainings = [member_training(changes, epochs) for changes in MEMBERS]
     digest = study.digest({"members": list(MEMBERS), "epochs": epochs, "data": dataset.sha256}, [config.ROBOT, BASE])
+    record.replaceable(folder, digest, overwrite=overwrite)
     work = folder.with_name(f".{folder.name}.{digest[:12]}{code_hash(__name__)}")
     work.mkdir(parents=True, exist_ok=True)
     predicted = np.zeros((len(MEMBERS), len(dataset), *dataset.force_area_b.shape[1:]), np.float32)

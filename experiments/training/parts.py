@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from experiments import Refused
 from experiments.training.config import Training
 from jax_aero.aero.dataset import LINKS, Dataset, Floats, Indices
 from jax_aero.aero.network import Layer, Network
@@ -68,6 +69,11 @@ def parts(training: Training, dataset: Dataset) -> Iterator[Part]:
             yield Part(f"grouped-{seed}-{fold}", "grouped", seed, train, rest)
     for seed in held.random_seeds:
         train, rest = dataset.random_split(seed, held.fraction)
+        if not 0 < len(rest) < len(dataset):
+            raise Refused(
+                f"`validation.fraction` is {held.fraction:g}, which holds out {len(rest)} of {len(dataset)} rows; "
+                "expected some of them, not all"
+            )
         yield Part(f"random-{seed}", "random", seed, train, rest)
     if training.final:
         everything = np.arange(len(dataset), dtype=np.int64)

@@ -122,9 +122,7 @@ def save_network(
     training: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Write `path` (ending in .json) and the weights beside it, in single precision; return the card."""
-    target = Path(path)
-    if target.suffix != ".json":
-        raise ValueError(f"path is {target.name!r}; expected the card's name, ending in .json")
+    target = card_path(path)
     tensors = dump_tensors(_tensors(network))
     card = {
         "format": FORMAT,
@@ -147,11 +145,32 @@ def save_network(
         },
         "training": dict(training),
     }
+    _write(target, card, tensors)
+    return card
+
+
+def copy_network(source: str | PathLike[str], path: str | PathLike[str]) -> None:
+    """Write a network's card and weights a second time, under the name of `path` (ending in .json)."""
+    target, origin = card_path(path), Path(source)
+    card = json.loads(read_text(origin))
+    tensors = read_bytes(origin.with_name(card["weights"]["file"]))
+    weights = {**card["weights"], "file": f"{target.stem}.safetensors"}
+    _write(target, {**card, "name": target.stem, "weights": weights}, tensors)
+
+
+def card_path(path: str | PathLike[str]) -> Path:
+    """Return the path of a card; refuse one that does not end in .json."""
+    target = Path(path)
+    if target.suffix != ".json":
+        raise ValueError(f"path is {target.name!r}; expected the card's name, ending in .json")
+    return target
+
+
+def _write(target: Path, card: Mapping[str, Any], tensors: bytes) -> None:
     text = json.dumps(card, indent=2, ensure_ascii=False, allow_nan=False)
     # Weights first: a card never names weights that are not there yet, and an old card refuses new ones by their hash.
     write_bytes(target.with_suffix(".safetensors"), tensors)
     write_text(target, f"{text}\n")
-    return card
 
 
 def load_network(path: str | PathLike[str], robot: RobotModel) -> Network:

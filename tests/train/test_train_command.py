@@ -10,10 +10,11 @@ import pytest
 import xarray as xr
 from PIL import Image
 
+from experiments import record
 from experiments.__main__ import main
 from experiments.training import command, config
 from experiments.training.result import card_facts
-from jax_aero import places, tables
+from jax_aero import files, places, tables
 from jax_aero.aero.dataset import load, save
 from jax_aero.aero.network_card import load_network, read_card
 from jax_aero.command import INTERRUPTED
@@ -174,14 +175,81 @@ def test_without_out_the_folder_names_what_was_set(data, tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == {".compact.work", ".compact--training.epochs=20.work"}
 
 
-def test_a_training_on_other_data_is_not_replaced(result, made_up_dataset, tmp_path, capsys):
+def test_another_result_is_not_replaced(result, made_up_dataset, data, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(command, "_train", lambda *_: sys.exit("trained"))
     other = tmp_path / "other.nc"
     save(made_up_dataset.take(np.arange(96)), other)
-    out = result / "training" / "compact"
-    before = (out / "manifest.json").read_bytes()
-    assert main(words(other, out)) == 2
-    assert "holds a training on other data; choose another --out" in capsys.readouterr().err
-    assert (out / "manifest.json").read_bytes() == before
+    out, flight = result / "training" / "compact", tmp_path / "flight"
+    record.write_run(flight, xr.Dataset(), {"config_digest": "f" * 64})
+    for arguments in (words(other, out), words(data, out, seed="7"), words(data, flight)):
+        assert main(arguments) == 2
+        assert "holds the result of another configuration; choose another --out" in capsys.readouterr().err
+        with pytest.raises(SystemExit, match="trained"):
+            main([*arguments, "--overwrite"])
+    (flight / "notes.txt").touch()
+    assert main([*words(data, flight), "--overwrite"]) == 2
+    assert "flight holds more than a result (notes.txt), so it is not overwritten" in capsys.readouterr().err
+
+
+def test_a_finished_training_is_kept_and_its_weights_can_be_written_again(result, data, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(command, "_train", lambda *_: sys.exit("trained"))
+    out, written = result / "training" / "compact", tmp_path / "again.json"
+    assert main([*words(data, out), "--write", str(written)]) == 0
+    printed = capsys.readouterr().out
+    assert "compact is finished already" in printed
+    assert "worst fold" in printed
+    card, kept = json.loads(written.read_text()), json.loads((out / "compact.json").read_text())
+    assert (card.pop("name"), card["weights"].pop("file")) == ("again", "again.safetensors")
+    assert (kept.pop("name"), kept["weights"].pop("file")) == ("compact", "compact.safetensors")
+    assert card == kept
+    assert written.with_suffix(".safetensors").read_bytes() == (out / "compact.safetensors").read_bytes()
+
+
+def test_two_processes_do_not_train_into_one_folder(data, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with files.computing(tmp_path / "one"):
+        for arguments in (words(data, "one"), ["train-ensemble", "--dataset", str(data), "--out", "one"]):
+            assert main(arguments) == 2
+            assert ".one.work is being written by process" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_is_named_by_where_it_is(data, tmp_path, monkeypatch, capsys):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    for name in ("train", "train-ensemble"):
+        arguments = ["train", "compact"] if name == "train" else [name]
+        assert main([*arguments, "--dataset", str(data), "--out", "."]) == 2
+        assert "holds no finished result; choose another --out, or --overwrite it" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "message"),
+    [
+        ({}, ["--write", "weights.safetensors"], "path is 'weights.safetensors'; expected the card's name"),
+        ({"validation__folds": "1", "validation__folds_run": "1"}, [], "folds is 1; expected 2 to 6"),
+        (
+            {"validation__fraction": "1e-9"},
+            [],
+            "`validation.fraction` is 1e-09, which holds out 0 of 288 rows; expected some of them, not all",
+        ),
+        ({"validation__random_seeds": "[1, 1]"}, [], "`validation.random_seeds` is [1, 1]; expected each seed once"),
+        ({"validation__fold_seeds": "[2, 2]"}, [], "`validation.fold_seeds` is [2, 2]; expected each seed once"),
+    ],
+)
+def test_what_cannot_end_is_refused_before_the_training(data, tmp_path, monkeypatch, capsys, changes, options, message):
+    monkeypatch.setattr(command, "_train", lambda *_: sys.exit("trained"))
+    assert main([*words(data, tmp_path / "out", **changes), *options]) == 2
+    assert message in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_refused_training_does_not_hold_the_next_one_up(data, tmp_path, monkeypatch, capsys):
+    assert main(words(data, tmp_path / "out", training__batch="1000")) == 2
+    assert "`batch` is 1000; there are 192 rows" in capsys.readouterr().err
+    monkeypatch.setattr(command, "_train", lambda *_: sys.exit("trained"))
+    with pytest.raises(SystemExit, match="trained"):
+        main(words(data, tmp_path / "out"))
 
 
 def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):

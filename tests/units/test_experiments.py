@@ -62,7 +62,7 @@ def test_an_equal_result_is_kept_and_another_one_protected(flown, tmp_path, caps
     out = ["--out", str(tmp_path)]
     assert main(["test1", *out]) == 0
     assert main(["test1", *out]) == 0
-    assert "has this flight already" in capsys.readouterr().out
+    assert "is finished already" in capsys.readouterr().out
     assert len(flown) == 1
 
     assert main(["test1", "--set", "wind.velocity=[0,0,0]", *out]) == 2

@@ -19,7 +19,7 @@ from experiments.engines import MODULES
 from experiments.sweep import run, spec
 from experiments.sweep.chunks import Chunks
 from experiments.sweep.design import Design
-from jax_aero import cli, files, io, rust
+from jax_aero import cli, files, io, places, rust
 from jax_aero.view import recording
 from paper_figs import runs
 
@@ -143,7 +143,7 @@ def test_a_result_of_other_code_is_kept_and_called_so(flown, tmp_path, capsys, m
     assert main(["test1", "--out", str(tmp_path)]) == 0
     monkeypatch.setattr("experiments.flight.code_hash", lambda *_: "other")
     assert main(["test1", "--out", str(tmp_path)]) == 0
-    assert "flown by other code" in capsys.readouterr().out
+    assert "is finished already, made by other code" in capsys.readouterr().out
 
 
 # --- damage
@@ -218,7 +218,7 @@ def test_a_damaged_result_of_a_flight_is_refused_and_flown_again(flown, tmp_path
     path = tmp_path / "test1" / "run.nc"
     path.write_bytes(path.read_bytes()[:-1])
     assert main(["test1", "--out", str(tmp_path)]) == 2
-    assert "run.nc is not what was written there; --overwrite flies it again" in capsys.readouterr().err
+    assert "run.nc is not what was written there; --overwrite makes it again" in capsys.readouterr().err
     assert main(["test1", "--out", str(tmp_path), "--overwrite"]) == 0
 
 
@@ -301,6 +301,16 @@ def test_who_holds_a_sweep_is_named_and_a_dead_holder_followed(tmp_path, start):
     assert (tmp_path / ".made_up.lock").exists()
     run.run(design(), run.Local(1), out=tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["made_up"]
+
+
+@pytest.mark.parametrize("kind", ["tune", "surrogate-dataset"])
+def test_what_is_kept_of_work_under_way_has_one_process(tmp_path, monkeypatch, capsys, kind):
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
+    result = {"tune": tmp_path / "tune" / "aero_aware", "surrogate-dataset": tmp_path / "surrogate.nc"}[kind]
+    with files.computing(result):
+        assert main([kind, *(["--out", str(result)] if kind == "surrogate-dataset" else [])]) == 2
+    assert f".{result.name}.work is being written by process" in capsys.readouterr().err
+    assert not any(path.is_file() for path in tmp_path.rglob("*"))
 
 
 def test_a_lock_of_another_machine_is_left_alone(tmp_path):
