@@ -12,6 +12,7 @@ import argparse
 import copy
 import csv
 import io
+import itertools
 import json
 import sys
 from collections.abc import Mapping, Sequence
@@ -20,19 +21,23 @@ from typing import Any
 
 import numpy as np
 import optuna
+from msgspec.structs import replace
 
-from experiments import manifest, study
+from experiments import Refused, manifest, record, study
 from experiments.sources import code_hash
 from experiments.training import config
 from jax_aero import places, tables
 from jax_aero.aero.dataset import Dataset, load
 from jax_aero.cli import Parser, count
 from jax_aero.command import exit_status
-from jax_aero.files import write_json, write_text
+from jax_aero.files import read_text, write_json, write_text
 from jax_aero.keys import set_key
 from jax_aero.train import fit, samples_of
 
 RESULTS = places.RESULTS / "training_search"
+
+SEED = "seed"
+"""Attribute of a trial: of the sampler that drew it."""
 
 
 class Range(tables.Table, frozen=True):
@@ -89,10 +94,12 @@ def run(given: argparse.Namespace) -> None:
     base = tables.read(settings.base)
     dataset = load(given.dataset)
     out: Path = given.out or RESULTS / study.result_name("training_search", path)
-    out.mkdir(parents=True, exist_ok=True)
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
     # One study per question: another dataset, space or code must not be mixed in.
     digest = study.digest({"table": tables.plain(settings), "base": base, "data": dataset.sha256}, [])
+    if (out / record.RUN_FILE).exists() or _digest_in(out) not in (None, digest):
+        raise Refused(f"{manifest.portable(out.resolve())} holds another result; choose another --out, or remove it")
+    out.mkdir(parents=True, exist_ok=True)
+    optuna.logging.set_verbosity(optuna.logging.ERROR)  # with warnings it prints a traceback after Ctrl-C
     search = optuna.create_study(
         study_name=f"{digest[:16]} {code_hash(__name__)}",
         storage=f"sqlite:///{(out / 'trials.db').resolve()}",
@@ -102,6 +109,7 @@ def run(given: argparse.Namespace) -> None:
     wanted = given.trials or settings.trials
 
     def objective(trial: optuna.Trial) -> float:
+        trial.set_user_attr(SEED, seed)
         return error_of(changed(path, base, suggestions(trial, settings.space)), dataset, settings)
 
     def say(_: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
@@ -113,11 +121,31 @@ def run(given: argparse.Namespace) -> None:
         )
 
     while _complete(search) < wanted:
-        # By the number of trials: a search that goes on draws what it would have drawn, and two processes draw others.
-        search.sampler = optuna.samplers.TPESampler(seed=settings.seed + len(search.trials))
+        seed = _free_seed(search, settings.seed)
+        search.sampler = optuna.samplers.TPESampler(seed=seed)
         search.optimize(objective, n_trials=1, callbacks=[say])
     _write(out, search, {**tables.plain(settings), "base": base}, digest, dataset.sha256)
     print(f"best of {_complete(search)}: {search.best_value:.3e} m4 with {search.best_params}")
+
+
+def _digest_in(folder: Path) -> str | None:
+    """Return the digest of the result in a folder: `None` where there is none, empty where it cannot be read."""
+    try:
+        return str(json.loads(read_text(folder / record.MANIFEST_FILE))["config_digest"])
+    except FileNotFoundError:
+        return None
+    except (ValueError, KeyError, TypeError):
+        return ""
+
+
+def _free_seed(search: optuna.Study, first: int) -> int:
+    """Return the first seed that no trial has but failed ones: what was interrupted is drawn again.
+
+    Processes that share a search draw with different seeds, and so do the trials of one that was killed, which count as
+    under way.
+    """
+    taken = {trial.user_attrs.get(SEED) for trial in search.trials if trial.state != optuna.trial.TrialState.FAIL}
+    return next(seed for seed in itertools.count(first) if seed not in taken)
 
 
 def _complete(search: optuna.Study) -> int:
@@ -141,9 +169,9 @@ def changed(path: Path, base: Mapping[str, Any], changes: Mapping[str, Any]) -> 
     table = copy.deepcopy(dict(base))
     for key, value in changes.items():
         set_key(table, key, value)
-    noise = table["training"]["noise"]
-    table["training"]["noise"] = {block: std for block, std in noise.items() if block in table["network"]["features"]}
-    return tables.convert(table, config.Training, path.name)
+    training: config.Training = tables.convert(table, config.Training, path.name)
+    noise = {block: std for block, std in training.training.noise.items() if block in training.network.features}
+    return replace(training, training=replace(training.training, noise=noise))
 
 
 def error_of(training: config.Training, dataset: Dataset, settings: SearchConfig) -> float:
@@ -185,4 +213,4 @@ def _write(out: Path, search: optuna.Study, table: Mapping[str, Any], digest: st
         dataset=dataset,
         timings_s={"all trials": sum(t.duration.total_seconds() for t in search.trials if t.duration)},
     )
-    write_json(out / "manifest.json", document)
+    write_json(out / record.MANIFEST_FILE, document)

@@ -292,6 +292,63 @@ def test_a_search_keeps_its_trials_and_goes_on(data, tmp_path, capsys):
     assert drawn[0] != drawn[1]
 
 
+@pytest.fixture
+def small_search(data, tmp_path):
+    search = tmp_path / "small.toml"
+    search.write_text(
+        f'base = "{places.CONFIGS}/training/plain.toml"\ntrials = 3\nseed = 1\nfold_seed = 0\nfolds = 3\n'
+        'folds_run = 1\n[space]\n"training.learning_rate" = { low = 1e-3, high = 1e-2 }\n'
+    )
+    return lambda name: ["train-search", str(search), "--dataset", str(data), "--out", str(tmp_path / name)]
+
+
+def test_an_interrupted_search_draws_what_it_would_have_drawn(small_search, tmp_path, monkeypatch, capsys):
+    pytest.importorskip("optuna")
+    calls = []
+
+    def stop_at_the_second(training, *_):
+        calls.append(training.training.learning_rate)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return training.training.learning_rate
+
+    monkeypatch.setattr("experiments.training.search.error_of", stop_at_the_second)
+    assert main(small_search("stopped")) == INTERRUPTED
+    assert capsys.readouterr().err == "interrupted; the same command goes on with the next trial\n"
+    assert main(small_search("stopped")) == 0
+    assert main(small_search("whole")) == 0
+    assert calls[1] == calls[2]
+    assert [calls[0], *calls[2:4]] == calls[4:]
+    with (tmp_path / "stopped" / "trials.csv").open() as stream:
+        assert [row["state"] for row in csv.DictReader(stream)] == ["COMPLETE", "FAIL", "COMPLETE", "COMPLETE"]
+
+
+def test_a_search_replaces_no_other_result(small_search, tmp_path, monkeypatch, capsys):
+    pytest.importorskip("optuna")
+    monkeypatch.setattr("experiments.training.search.error_of", lambda *_: 1.0)
+    record.write_run(tmp_path / "flight", xr.Dataset(), {})
+    assert main(small_search("search")) == 0
+    settings = tmp_path / "small.toml"
+    settings.write_text(settings.read_text().replace("seed = 1\n", "seed = 2\n"))
+    for name in ("flight", "search"):
+        before = files.checksums(tmp_path / name)
+        assert main(small_search(name)) == 2
+        assert f"{name} holds another result; choose another --out, or remove it" in capsys.readouterr().err
+        assert files.checksums(tmp_path / name) == before
+
+
+def test_a_search_starts_from_a_file_that_leaves_noise_at_its_default():
+    pytest.importorskip("optuna")
+    from experiments.training import search
+
+    path = places.CONFIGS / "training" / "compact.toml"
+    table = tables.read(path)
+    kept = search.changed(path, table, {"network.features": ["link_wind"]})
+    assert set(kept.training.noise) == {"link_wind"}
+    del table["training"]["noise"]
+    assert search.changed(path, table, {}).training.noise == {}
+
+
 def test_a_trial_that_another_process_runs_stops_no_search(data, tmp_path, monkeypatch, capsys):
     search = tmp_path / "small.toml"
     search.write_text(
