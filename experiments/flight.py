@@ -33,11 +33,11 @@ def run(
     overwrite: bool = False,
 ) -> dict[str, Any]:
     """Fly one configuration and write its folder, unless it is already there; return the manifest."""
+    name = path.stem if out else study.result_name("experiments", path) + overrides.folder_suffix(changes)
     try:
         config = rust.load_config(path, changes)
     except ValueError as reason:
         raise Refused(f"{path.stem}: {reason}") from None
-    name = path.stem if out else path.stem + overrides.folder_suffix(changes)
     folder = (out or RESULTS) / name
     engine = engines.engine_of(config)
     code = (__name__, engines.MODULES[engine])

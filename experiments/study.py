@@ -172,12 +172,16 @@ def find(kind: str, name: str) -> Path:
     return path
 
 
-def result_name(kind: str, path: Path) -> str:
-    """Return the name of the result of a configuration of a kind, which is not that of another, shipped one."""
-    shipped = places.CONFIGS / kind / f"{path.stem}.toml"
+def result_name(kind: str, path: Path, named: str | None = None) -> str:
+    """Return the name of the result of a configuration of a kind, which is not that of another, shipped one.
+
+    It is that of the file, unless the file itself gives one (`named`).
+    """
+    name = path.stem if named is None else named
+    shipped = places.CONFIGS / kind / f"{name}.toml"
     if shipped.is_file() and not shipped.samefile(path):
         raise Refused(f"{path}: its result would take the place of that of configs/{kind}/{shipped.name}; rename it")
-    return path.stem
+    return name
 
 
 def titles(kind: str) -> dict[str, str]:

@@ -24,7 +24,7 @@ from experiments.sources import code_hash
 from experiments.study import Findings, Study
 from experiments.sweep import spec
 from experiments.sweep.design import Design
-from jax_aero import io, keys, rust, tables
+from jax_aero import io, keys, places, rust, tables
 from jax_aero.command import Refused
 from jax_aero.sim.batch import Group, grouped
 from jax_aero.train.gains import Cost, Sample, Steps, Tuned, gradients, tune
@@ -77,7 +77,8 @@ def compute(name: str, config: TuneConfig, checkpoint: Path) -> Findings:
         **{f"factor of {key}": factor for key, factor in factors.items()},
     }
     texts = {f"{name}.toml": tuned_controller(config, controller, factors, checkpoint.with_name(name))}
-    return Findings(config.title, to_dataset(config, found), summary, flights={worlds.base: base}, texts=texts)
+    flights = {places.name_of(worlds.base): base}
+    return Findings(config.title, to_dataset(config, found), summary, flights=flights, texts=texts)
 
 
 STUDY = Study(

@@ -178,7 +178,7 @@ def _build(value: Any, kind: inspect.Type, key: str, folder: Path) -> Any:
         case inspect.FloatType() if _is_number(value):
             if _is_finite(value) and _in_range(value, kind) and abs(value) <= LARGEST:
                 return float(value)
-        case inspect.StrType() if isinstance(value, str) and re.search(kind.pattern or "", value):
+        case inspect.StrType() if isinstance(value, str) and (not kind.pattern or re.fullmatch(kind.pattern, value)):
             return value
         case inspect.CustomType() if isinstance(value, str | Path):
             with suppress(OSError):  # a name that no file can have

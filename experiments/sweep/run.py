@@ -192,7 +192,7 @@ def described(spec: Spec) -> dict[str, Any]:
             }
             for axis in spec.axis
         ],
-        "base": spec.base,
+        "base": manifest.portable(spec.base),
         "set": manifest.portable(dict(spec.set)),
         "perturbation": manifest.portable(tables.plain(spec.perturbation)),
         "seed": spec.seed,

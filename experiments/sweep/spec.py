@@ -10,7 +10,7 @@ import msgspec
 
 from experiments import study
 from experiments.sweep.perturbation import Perturbation
-from jax_aero import tables
+from jax_aero import places, tables
 
 MAX_FILES = 128
 """How many files one sweep may consist of; files that name one another are as deep in calls."""
@@ -26,7 +26,7 @@ class Level(tables.Table, frozen=True):
     set: dict[str, Any] = msgspec.field(default_factory=dict)
     """Values of dotted keys of the flight."""
     base: str | None = None
-    """Name of an experiment to start from instead of the sweep's."""
+    """Name or path of an experiment to start from instead of the sweep's."""
 
 
 class Range(tables.Table, frozen=True):
@@ -106,9 +106,9 @@ class Spec(tables.Table, frozen=True):
     title: str
     description: str
     base: str
-    """Name of the experiment that is varied."""
+    """Name or path of the experiment that is varied."""
     axis: Annotated[tuple[Axis, ...], msgspec.Meta(min_length=1)]
-    name: Annotated[str, msgspec.Meta(pattern=r"^\w[^/]*$")] = ""
+    name: Annotated[str, msgspec.Meta(pattern=r"^\w[^/\x00-\x1f\x7f]*$")] = ""
     """Of the result's folder; without it, that of the file."""
     design: Literal["grid", "list", "latin_hypercube", "sobol"] = "grid"
     """Which cells are flown: all combinations, the axes walked together, or a quasi-random sample."""
@@ -152,8 +152,8 @@ class Spec(tables.Table, frozen=True):
 def load(name: str) -> Spec:
     """Read the sweep of a name or of a path."""
     path = study.find("sweeps", name)
-    own = study.result_name("sweeps", path)
-    return from_table(own, _with_files(tables.read(path), path.parent, iter(range(MAX_FILES))))
+    table = _with_files(tables.read(path), path.parent, iter(range(MAX_FILES)))
+    return from_table(study.result_name("sweeps", path, table.get("name")), table)
 
 
 def from_table(name: str, table: Mapping[str, Any]) -> Spec:
@@ -164,7 +164,7 @@ def from_table(name: str, table: Mapping[str, Any]) -> Spec:
 def _with_files(value: Any, folder: Path, count: Iterator[int]) -> Any:
     """Return `value` with every table `{ file = "..." }` in it replaced by that file's table, while `count` lasts.
 
-    Paths start at the file that names them.
+    Paths start at the file that names them, also those of flights in place of their names.
     """
     if isinstance(value, Mapping):
         if value.keys() == {"file"}:
@@ -173,7 +173,7 @@ def _with_files(value: Any, folder: Path, count: Iterator[int]) -> Any:
             return _with_files(tables.read(folder / value["file"]), (folder / value["file"]).parent, count)
         return {
             key: str((folder / item).resolve())
-            if isinstance(item, str) and key.rpartition(".")[2] in PATHS
+            if isinstance(item, str) and (key.rpartition(".")[2] in PATHS or (key == "base" and places.is_path(item)))
             else _with_files(item, folder, count)
             for key, item in value.items()
         }

@@ -96,7 +96,8 @@ def test_what_a_study_cannot_be_made_of_is_named(main, change, words, capsys, tm
 
 
 @pytest.mark.parametrize(
-    ("command", "kind"), [("trim", "trim"), ("sweep", "sweeps"), ("waypoints", "waypoints"), ("cfd", "cfd")]
+    ("command", "kind"),
+    [("fly", "experiments"), ("trim", "trim"), ("sweep", "sweeps"), ("waypoints", "waypoints"), ("cfd", "cfd")],
 )
 def test_ones_own_file_with_a_shipped_name_replaces_no_result(command, kind, tmp_path, capsys):
     own = tmp_path / f"{places.names(kind)[0]}.toml"

@@ -144,6 +144,9 @@ def test_wind_is_given_by_where_it_comes_from(speed, direction, velocity, agree)
         ({"axis": [{"name": "x", "level": [{"label": 1}, {"label": "a"}]}]}, "expected numbers or texts alone"),
         ({"samples": 8}, "`samples` is 8; expected none for a grid"),
         ({"name": "../up"}, '`name` is "../up"; expected a text'),
+        ({"name": "two\nlines"}, r'`name` is "two\\nlines"; expected a text'),
+        ({"name": "line\n"}, r'`name` is "line\\n"; expected a text'),
+        ({"axis": [{"name": "x\n", "key": "wind.speed", "values": [1]}]}, r"`axis\[0\]\.name` is .*; expected a text"),
         ({"axis": [{"name": "x", "key": "wind.speed", "low": 1, "high": 2}]}, "needs values"),
         (
             {"axis": [{"name": "thrust_max_low", "key": "wind.speed", "values": [1]}]},
@@ -191,6 +194,34 @@ def test_every_sweep_of_the_repository_can_fly(name):
         rust.check_config(loaded.row_config(cell * loaded.spec.repeats))
     assert loaded.spec.title
     assert loaded.spec.description
+
+
+def test_flights_that_a_sweep_names_by_their_paths_start_at_the_file(tmp_path, monkeypatch):
+    """Wherever it is flown from, also where a file of it names them; what is kept of it names no folder."""
+    flight = (places.CONFIGS / "experiments" / "test2.toml").read_text().replace('"../', f'"{places.CONFIGS}/')
+    for folder, duration in (("flights", 1.0), ("axes", 2.0), ("elsewhere", 3.0)):
+        (tmp_path / folder).mkdir()
+        text = flight.replace('flight.toml"', f'flight.toml", duration = {duration}')
+        (tmp_path / folder / "mine.toml").write_text(text)
+    (tmp_path / "axes" / "arms.toml").write_text('name = "arms"\nlevel = [{ label = "a", base = "mine.toml" }]\n')
+    (tmp_path / "mine.toml").write_text(
+        'title = "t"\ndescription = "d"\nbase = "flights/mine.toml"\naxis = [{ file = "axes/arms.toml" }]\n'
+    )
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    loaded = Design(spec.load("../mine.toml"))
+    assert loaded.cell_config(0)["simulator"]["duration"] == 2.0
+    assert loaded.bases[loaded.spec.base]["simulator"]["duration"] == 1.0
+    assert run.described(loaded.spec)["base"] == "(outside the repository)/mine.toml"
+
+
+def test_a_sweep_that_names_itself_takes_no_shipped_ones_place(tmp_path):
+    path = quick(tmp_path)
+    path.write_text('name = "map_wind"\n' + path.read_text())
+    with pytest.raises(Refused, match=r"would take the place of that of configs/sweeps/map_wind\.toml; rename it"):
+        spec.load(str(path))
+    path.write_text(path.read_text().replace("map_wind", "mine"))
+    own = path.rename(tmp_path / "map_wind.toml")
+    assert spec.load(str(own)).name == "mine"
 
 
 # --- perturbed flights

@@ -195,10 +195,10 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bytes(files, monkeypatch):
 
 
 def test_a_run_does_not_go_on_in_other_worlds(files, monkeypatch):
-    """A sweep names its flight by name or from the current folder, not from its own."""
+    """Whose flight has changed, which the sweep names by its path."""
     flight = files / "mine.toml"
     flight.write_text(f'base = "{CONFIGS}/experiments/platform_hover.toml"\n')
-    (files / "worlds.toml").write_text(WORLDS.replace('"platform_hover"', f'"{flight}"'))
+    (files / "worlds.toml").write_text(WORLDS.replace('"platform_hover"', '"mine.toml"'))
     calls = itertools.count()
 
     def killed(*arguments):
