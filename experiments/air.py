@@ -40,6 +40,9 @@ from jax_aero.types import Array, State
 DENSITY = 1.225
 """By which forces become areas [kg/m³]."""
 
+MAX_ANGLES = 10_000
+"""Of a range."""
+
 ROBOT = "robot"
 """Stands for the sum over all links."""
 
@@ -125,7 +128,10 @@ def angles(option: str, text: str) -> Floats:
     if len(numbers) != 3 or not numbers[2] > 0.0 or numbers[1] < numbers[0]:
         raise ValueError(f"{option} is {text}; expected an angle, or FROM:TO:STEP, e.g. 0:180:5")
     first, last, step = numbers
-    found: Floats = first + step * np.arange(int((last - first) / step + 1e-9) + 1, dtype=np.float64)
+    count = (last - first) / step + 1e-9
+    if not count < MAX_ANGLES:
+        raise ValueError(f"{option} is {text}; expected at most {MAX_ANGLES} angles")
+    found: Floats = first + step * np.arange(int(count) + 1, dtype=np.float64)
     return found
 
 

@@ -36,6 +36,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status."""
     given = _parser().parse_args(arguments)
     if given.index:
+        if not places.IS_CHECKOUT:
+            print("error: --index reads docs/ of a checkout of the repository, and this is none", file=sys.stderr)
+            return cli.REFUSED
         print(paper.page(), end="")
         return 0
     known = [*FIGURES, *_sweep_names(given.sweeps)]
@@ -59,16 +62,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for path in style.save(figure, _file_name(name, given.runs), given.out, hashes):
             print(path)
         plt.close(figure)
+    hidden = [name for name in names if name in FIGURES and sweeps.is_finished(given.sweeps / name)]
+    for name in hidden:
+        print(f"error: the sweep {name} is not drawn, since a figure has its name; give it another", file=sys.stderr)
     if missing:
         print(f"{missing} of {len(names)} figures were not drawn", file=sys.stderr)
-    return 1 if missing else 0
+    return 1 if missing or hidden else 0
 
 
 def _draw(name: str, given: argparse.Namespace) -> tuple[Figure, dict[str, str]]:
     if name in FIGURES:
         return FIGURES[name].drawn(given.results, given.runs or ())
     sweep = sweeps.load(given.sweeps, name)
-    return DRAWINGS[sweep.document["drawing"]](sweep), sweep.hashes
+    with plt.rc_context({"text.parse_math": False}):  # its texts are those of a file, where $ is a character
+        return DRAWINGS[sweep.document["drawing"]](sweep), sweep.hashes
 
 
 def _file_name(name: str, chosen: Sequence[str] | None) -> str:
@@ -81,7 +88,7 @@ def _file_name(name: str, chosen: Sequence[str] | None) -> str:
 def _sweep_names(folder: Path) -> Iterator[str]:
     yield from SWEEPS
     finished = {path.parent.name for path in folder.glob("*/cells.parquet")}
-    yield from sorted(finished - set(SWEEPS))
+    yield from sorted(finished - {*SWEEPS, *FIGURES})
 
 
 def _parser() -> argparse.ArgumentParser:

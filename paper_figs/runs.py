@@ -32,7 +32,7 @@ class Run:
     @property
     def title(self) -> str:
         """Return what the run calls itself in the paper's words."""
-        return str(self.data.attrs["title"])
+        return as_written(self.data.attrs["title"])
 
     @property
     def config_hash(self) -> str:
@@ -71,6 +71,11 @@ class Run:
         """Return the distance of the centre of mass from its reference [m]."""
         offset = self.flown["com_position"] - self.flown["com_setpoint"]
         return (offset**2).sum("xyz") ** 0.5
+
+
+def as_written(text: object) -> str:
+    """Return a text of a file so that Matplotlib writes `$` as it is, and does not read mathematics between two."""
+    return str(text).replace("$", r"\$")
 
 
 def load(results: Path, name: str) -> Run:

@@ -76,10 +76,15 @@ class Sweep:
         return f"{each}, {kind}" if n > 1 or perturbed else each
 
 
+def is_finished(folder: Path) -> bool:
+    """Return whether a folder holds a finished sweep."""
+    return (folder / "cells.parquet").is_file()
+
+
 def load(results: Path, name: str) -> Sweep:
     """Read the sweep of one name."""
     folder = results / name
-    if not (folder / "cells.parquet").is_file():
+    if not is_finished(folder):
         raise MissingRun(f"no finished sweep `{name}`; fly it with: python -m experiments sweep {name}")
     return Sweep(name, json.loads((folder / "sweep.json").read_text(encoding="utf-8")), folder)
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from paper_figs import panels, style
+from paper_figs import panels, runs, style
 
 COLOURS = {"min_time": style.VERMILION, "min_fuel": style.BLUE}
 PAPER = style.GREY
@@ -33,7 +33,7 @@ def draw(*studies: xr.Dataset) -> Figure:
     flights = [(studies[0], "paper", PAPER, "paper's mission")]
     for study in studies:
         colour = COLOURS.get(study.attrs["name"], style.BLACK)
-        flights.append((study, "flown", colour, str(study.attrs["title"]).lower()))
+        flights.append((study, "flown", colour, runs.as_written(study.attrs["title"]).lower()))
     for study, of, colour, label in flights:
         look = {"color": colour, "label": label, "linestyle": DASHES.get(label, "-")}
         curves = _curves(study, of)

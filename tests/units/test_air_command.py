@@ -60,6 +60,8 @@ def test_angles_are_numbers_or_ranges():
     [
         (["--alpha", "0:10"], "FROM:TO:STEP"),
         (["--alpha", "0:10:5", "--beta", "0:10:5"], "expected one range"),
+        (["--alpha", "0:1e9:1e-3"], "--alpha is 0:1e9:1e-3; expected at most 10000 angles"),
+        (["--beta", "0:1e308:1e-308"], "--beta is 0:1e308:1e-308; expected at most 10000 angles"),
         (["--posture", "hoverin"], "did you mean hovering"),
         (["--model", "axisymetric_corrected"], "did you mean axisymmetric_corrected"),
         (["--robot", "sparrow"], "expected --posture zero"),

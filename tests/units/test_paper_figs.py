@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from paper_figs import runs
+from jax_aero import places
+from paper_figs import panels, runs
 from paper_figs.__main__ import main
 from paper_figs.figures import FIGURES
 from paper_figs.panels import readable
@@ -55,6 +56,21 @@ def test_a_missing_flight_is_named_with_the_command_that_flies_it(tmp_path, caps
 def test_a_mistake_is_named(arguments, message, capsys):
     assert main(arguments) == 2
     assert message in capsys.readouterr().err
+
+
+def test_the_index_needs_a_checkout(monkeypatch, capsys):
+    monkeypatch.setattr(places, "IS_CHECKOUT", False)
+    assert main(["--index"]) == 2
+    assert capsys.readouterr().err == "error: --index reads docs/ of a checkout of the repository, and this is none\n"
+
+
+def test_a_dollar_in_a_title_is_one(made_up_results):
+    run = runs.load(made_up_results, "test1")
+    dear = runs.Run("dear", run.data.assign_attrs(title=r"$\x$"))
+    figure = plt.figure()
+    panels.title(figure, dear)
+    figure.canvas.draw()
+    plt.close(figure)
 
 
 def test_joint_errors_are_summed_by_group_in_degrees(made_up_results):

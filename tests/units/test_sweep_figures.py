@@ -106,6 +106,23 @@ def test_a_damaged_sweep_is_one_line(tmp_path, capsys):
     assert "cells.parquet is damaged (" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("drawing", "panels"), [("levels", ""), ("levels", "price"), ("map", "price")])
+def test_a_dollar_in_a_sweeps_texts_is_one(drawing, panels, tmp_path, monkeypatch):
+    price = {"name": "price", "label": r"5 $\x$ or more", "unit": "$", "levels": [r"5 $\x$", "from $6_ to $7^"]}
+    monkeypatch.setitem(AXES, "price", price)
+    axes = ["price", "scale", "speed"] if drawing == "map" else ["terms", "price"]
+    write(tmp_path / "sweeps", r"$\x$", drawing, axes, panels)
+    assert main([r"$\x$", "--sweeps", str(tmp_path / "sweeps"), "--out", str(tmp_path)]) == 0
+
+
+def test_a_sweep_that_a_figure_hides_is_named(tmp_path, capsys):
+    write(tmp_path / "sweeps", "fig3", "levels", ["terms"], "")
+    assert main(["fig3", "--sweeps", str(tmp_path / "sweeps"), "--out", str(tmp_path)]) == 1
+    said = capsys.readouterr()
+    assert "fig3.png" in said.out
+    assert said.err == "error: the sweep fig3 is not drawn, since a figure has its name; give it another\n"
+
+
 def test_a_map_keeps_the_row_of_a_level_without_any_number(tmp_path):
     write(tmp_path, "made_up", "map", ["world", "scale", "speed"])
     cells = pd.read_parquet(tmp_path / "made_up/cells.parquet")
