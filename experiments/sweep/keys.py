@@ -15,6 +15,8 @@ POLAR = ("wind.speed", "wind.direction_deg")
 def set_all(config: dict[str, Any], settings: Mapping[str, Any]) -> None:
     """Set every key in place; a number as a part of a key is an index into a list.
 
+    The values of an axis are floats: where one replaces an integer, it becomes one, unless it has a fraction.
+
     Raises
     ------
     ValueError
@@ -22,7 +24,8 @@ def set_all(config: dict[str, Any], settings: Mapping[str, Any]) -> None:
     """
     for key, value in settings.items():
         if key not in POLAR:
-            set_key(config, key, value)
+            replaces_integer = type(get(config, key)) is int and isinstance(value, float) and value.is_integer()
+            set_key(config, key, int(value) if replaces_integer else value)
     polar = {key: settings[key] for key in POLAR if key in settings}
     if polar:
         given = tables.convert(polar, dict[str, float], "settings")

@@ -196,6 +196,14 @@ def test_every_sweep_of_the_repository_can_fly(name):
     assert loaded.spec.description
 
 
+def test_an_axis_may_vary_an_integer():
+    made = design(axis=[{"name": "substeps", "key": "simulator.substeps", "values": [1, 2]}])
+    made.check()
+    assert repr([made.cell_config(cell)["simulator"]["substeps"] for cell in range(2)]) == "[1, 2]"
+    with pytest.raises(Refused, match=r"`simulator\.substeps` is 1\.5; expected an integer"):
+        design(axis=[{"name": "substeps", "key": "simulator.substeps", "values": [1.5]}]).check()
+
+
 def test_flights_that_a_sweep_names_by_their_paths_start_at_the_file(tmp_path, monkeypatch):
     """Wherever it is flown from, also where a file of it names them; what is kept of it names no folder."""
     flight = (places.CONFIGS / "experiments" / "test2.toml").read_text().replace('"../', f'"{places.CONFIGS}/')
