@@ -93,16 +93,16 @@ def run(given: argparse.Namespace) -> None:
     settings = tables.load(path, SearchConfig)
     base = tables.read(settings.base)
     dataset = load(given.dataset)
-    out: Path = given.out or RESULTS / study.result_name("training_search", path)
+    out: Path = (given.out or RESULTS / study.result_name("training_search", path)).resolve()
     # One study per question: another dataset, space or code must not be mixed in.
     digest = study.digest({"table": tables.plain(settings), "base": base, "data": dataset.sha256}, [])
     if (out / record.RUN_FILE).exists() or _digest_in(out) not in (None, digest):
-        raise Refused(f"{manifest.portable(out.resolve())} holds another result; choose another --out, or remove it")
+        raise Refused(f"{manifest.portable(out)} holds another result; choose another --out, or remove it")
     out.mkdir(parents=True, exist_ok=True)
     optuna.logging.set_verbosity(optuna.logging.ERROR)  # with warnings it prints a traceback after Ctrl-C
     search = optuna.create_study(
         study_name=f"{digest[:16]} {code_hash(__name__)}",
-        storage=f"sqlite:///{(out / 'trials.db').resolve()}",
+        storage=f"sqlite:///{out / 'trials.db'}",
         direction="minimize",
         load_if_exists=True,
     )

@@ -327,7 +327,10 @@ def test_a_search_replaces_no_other_result(small_search, tmp_path, monkeypatch, 
     pytest.importorskip("optuna")
     monkeypatch.setattr("experiments.training.search.error_of", lambda *_: 1.0)
     record.write_run(tmp_path / "flight", xr.Dataset(), {})
-    assert main(small_search("search")) == 0
+    (tmp_path / "search").mkdir()
+    monkeypatch.chdir(tmp_path / "search")
+    assert main([*small_search("search")[:-1], "."]) == 0
+    assert json.loads((tmp_path / "search" / "manifest.json").read_text())["name"] == "search"
     settings = tmp_path / "small.toml"
     settings.write_text(settings.read_text().replace("seed = 1\n", "seed = 2\n"))
     for name in ("flight", "search"):

@@ -209,9 +209,13 @@ def test_a_run_does_not_go_on_in_other_worlds(files, monkeypatch):
     monkeypatch.setattr(tune, "gradients", killed)
     with pytest.raises(MemoryError):
         tune.STUDY.run(str(files / "toy.toml"))
-    flight.write_text(flight.read_text() + "simulator = { initial = { free_fall_tick = false } }\n")
+    text = flight.read_text()
+    flight.write_text(text + "simulator = { initial = { free_fall_tick = false } }\n")
     with pytest.raises(ValueError, match="other settings"):
         tune.STUDY.run(str(files / "toy.toml"))
+    flight.write_text(text)
+    document = tune.STUDY.run(str(files / "toy.toml"))
+    assert list(document["sources"]["flights"]) == list(document["config"]["flights"]) == ["mine"]
 
 
 @pytest.mark.parametrize(
