@@ -1007,7 +1007,7 @@ class SimulatorConfig(Table, frozen=True, kw_only=True):
     """Sensors of the robot's own state; without them the controller is given the state itself."""
     substeps: Annotated[int, Meta(ge=1, le=1000)] = 1
     """Physics steps within a tick; forces that depend on the state follow it, commands are held."""
-    time_step: Annotated[float, Meta(ge=0.0001, le=1)]
+    time_step: Annotated[float, Meta(ge=0.0002, le=1)]
     """Tick of controller and physics [s]."""
 
 

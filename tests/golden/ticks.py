@@ -69,7 +69,8 @@ def values(tick: rust.Tick) -> Values:
                 add(f"{name}.{key}", part)
 
     for key, value in vars(tick).items():
-        add(stored_names.get(key, key), value)
+        if key != "given":  # without estimators that is the measurement
+            add(stored_names.get(key, key), value)
     return found
 
 

@@ -162,15 +162,15 @@ def test_safe_commands(published, ticks):
 
     position = good[1][1].base_position * nan
     nothing = {"velocity_error_integral": np.full(23, 1e307)}  # times the gain, it overflows
-    lost = good[4][4]._replace(com_jerk=np.array([0.0, 1e308, 0.0]))  # times the mass, it overflows
+    heavy = {"inertia_0": 1e307 * np.eye(3)}  # times a rate of turn, likewise
     samples = [
         spoilt(0, thrust=np.array([80.0, nan, 80.0, 80.0])),
         spoilt(1, state=good[1][1]._replace(base_position=position)),
         spoilt(2, wind=np.array([0.0, np.inf, 0.0])),
         spoilt(3),
-        spoilt(4, followed=lost),
+        spoilt(4, memory=good[4][0] | heavy),
         spoilt(5, memory=good[5][0] | nothing),
-        spoilt(6, followed=lost, memory=good[6][0] | nothing),
+        spoilt(6, memory=good[6][0] | nothing | heavy),
         # Too much to be accepted, but all that there is at the first tick.
         spoilt(7, thrust=np.array([80.0, 1700.0, 80.0, 80.0]), wind=np.array([310.0, 0.0, 0.0])),
         *good[8:],

@@ -59,14 +59,14 @@ use std::sync::Arc;
 use torque::{TorqueQp, limit_rate};
 
 /// Least time between two ticks \[s\]: delays of seconds are then at most thousands of ticks.
-pub const TIME_STEP_MIN: f64 = 1e-4;
+pub const TIME_STEP_MIN: f64 = 2e-4;
 
 /// Refuses a time between two ticks \[s\] that no flight has; `item` names it.
 ///
 /// # Errors
 /// [`BuildError::BadValue`].
 pub fn check_time_step(item: &str, time_step: f64) -> Result<(), BuildError> {
-    check(item, time_step, |step| (TIME_STEP_MIN..=1.0).contains(&step), "seconds from 0.0001 to 1")?;
+    check(item, time_step, |step| (TIME_STEP_MIN..=1.0).contains(&step), "seconds from 0.0002 to 1")?;
     Ok(())
 }
 

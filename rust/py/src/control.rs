@@ -47,6 +47,7 @@ impl ControllerState {
         state.map(|state| Self { state }).map_err(value_error)
     }
 
+    /// Whether all numbers are the same; a NaN, as of a measurement that was missing, equals nothing.
     fn __eq__(&self, other: &Self) -> bool {
         self.state == other.state
     }

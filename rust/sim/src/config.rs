@@ -122,7 +122,7 @@ pub struct SimulatorConfig {
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub duration: f64,
     /// Tick of controller and physics \[s\].
-    #[schemars(range(min = 0.0001, max = 1))]
+    #[schemars(range(min = 0.0002, max = 1))]
     pub time_step: f64,
     /// Physics steps within a tick; forces that depend on the state follow it, commands are held.
     #[serde(default = "one")]
