@@ -70,7 +70,6 @@ class Estimator:
     momentum_share: Float[Array, ""]
     """Share of a moment that is in no model that the estimated momentum shows per tick: that of a lag as long as the
     greatest age and the time constant of the angular velocity."""
-    aero: AeroModel
     time_step: Float[Array, ""]
     """[s]."""
     greatest_age: Static[int]
@@ -92,8 +91,8 @@ class EstimatorState(NamedTuple):
     """That have been taken in."""
 
 
-def estimator(config: EstimatorConfig, aero: AeroModel, time_step: Float[Array, ""]) -> Estimator:
-    """Collect the numbers of an estimator with this model of the air."""
+def estimator(config: EstimatorConfig, time_step: Float[Array, ""]) -> Estimator:
+    """Collect the numbers of a configuration."""
     channels = (
         config.base_position,
         config.base_rotation,
@@ -119,7 +118,7 @@ def estimator(config: EstimatorConfig, aero: AeroModel, time_step: Float[Array, 
         by_position = [left * left * (1.0 + 2.0 * pole), left**3]
     momentum_share = share_of(max(age) * step + config.base_angular_velocity.time_constant)
     ages = jnp.asarray(age, jnp.int32)
-    return Estimator(ages, leaf(share), leaf(by_position), leaf(momentum_share), aero, time_step, max(age))
+    return Estimator(ages, leaf(share), leaf(by_position), leaf(momentum_share), time_step, max(age))
 
 
 def start(settings: Estimator, state: State, jets: int) -> EstimatorState:
@@ -141,7 +140,12 @@ def restarted(state: EstimatorState, has_paused: Bool[Array, ""]) -> EstimatorSt
 
 
 def update(
-    settings: Estimator, robot: RobotModel, before: EstimatorState, measured: Reading, elapsed: Float[Array, ""]
+    settings: Estimator,
+    robot: RobotModel,
+    aero: AeroModel,
+    before: EstimatorState,
+    measured: Reading,
+    elapsed: Float[Array, ""],
 ) -> tuple[EstimatorState, Reading, Float[Array, " j"]]:
     """Take a measurement in; the state of the next tick, the estimate of now, and the correction of thrusts [N].
 
@@ -160,7 +164,7 @@ def update(
     duration = settings.time_step * jnp.maximum(jnp.round(elapsed / settings.time_step), 1.0)
     given = before.orders._replace(duration=before.orders.duration.at[0].set(duration))
     last: Order = jax.tree.map(lambda x: x[-1], given)
-    moved = advance(settings, robot, then, last, before.disturbance)
+    moved = advance(robot, aero, then, last, before.disturbance)
     then = where(before.ticks > oldest, moved, then)
     is_sound = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(then)]))
     then = where(is_sound, then, measured)
@@ -179,7 +183,7 @@ def update(
 
     def ahead(now: Reading, acting: tuple[Order, Array]) -> tuple[Reading, None]:
         order, age = acting
-        return where(before.ticks > age, advance(settings, robot, now, order, disturbance), now), None
+        return where(before.ticks > age, advance(robot, aero, now, order, disturbance), now), None
 
     orders = jax.tree.map(lambda x: x[:oldest][::-1], given)
     now, _ = jax.lax.scan(ahead, then, (orders, jnp.arange(oldest)[::-1]))
@@ -215,8 +219,8 @@ def correct_thrusts(
 
 
 def advance(
-    settings: Estimator,
     robot: RobotModel,
+    aero: AeroModel,
     reading: Reading,
     order: Order,
     disturbance: Float[Array, " n"],
@@ -225,7 +229,7 @@ def advance(
     state, step = reading.state, order.duration
     kin = kinematics(robot, state)
     dyn = dynamics(robot, state, kin)
-    link = link_forces(settings.aero, robot, kin, LinkConventions(), order.wind)
+    link = link_forces(aero, robot, kin, LinkConventions(), order.wind)
     rotations, points = frame_poses(kin, robot.jets.bodies, robot.jets.rotations, robot.jets.positions)
     thrusts = reading.thrust[:, None] * rotate(rotations, robot.jets.axes)
     force = (

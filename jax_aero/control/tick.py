@@ -197,8 +197,8 @@ def momentum_controller(
         torque_rate_max=in_place_of(robot.joint_torque_rate_max, controller.torque.torque_rate_max, robot),
         setpoint=generator.setpoint_params(controller.setpoint, robot.forward_axis, time_step),
         channels=channel_limits(controller, robot, config.simulator.divergence),
-        estimator=None if estimates is None else estimator.estimator(estimates, aero, time_step),
-        wind_observer=None if winds is None else wind_observer.wind_observer(winds, aero),
+        estimator=None if estimates is None else estimator.estimator(estimates, time_step),
+        wind_observer=None if winds is None else leaves(WindObserver, winds),
         observer=None if controller.observer is None else leaves(ObserverGains, controller.observer),
         engines=None if controller.engines is None else engines.engine_limits(controller.engines, robot),
         mission=_mission(config.mission),
@@ -268,7 +268,9 @@ def tick(
         if params.estimator is not None and memory.estimator is not None:
             measured = Reading(*channels.accepted(known, seen))
             before = estimator.restarted(memory.estimator, seen.pause > 0.0)
-            estimating, estimate, innovation = estimator.update(params.estimator, robot, before, measured, seen.elapsed)
+            estimating, estimate, innovation = estimator.update(
+                params.estimator, robot, params.aero, before, measured, seen.elapsed
+            )
             memory = memory._replace(estimator=estimating)
             seen = channels.replaced(params.channels, *estimate, seen)._replace(thrust_innovation=innovation)
             given = given._replace(state=seen.state, thrust=seen.thrust)
@@ -280,7 +282,8 @@ def tick(
         moved, followed = where(known.is_descending, down, along)
         after, command, terms = _act(params, robot, memory._replace(setpoint=moved), given, seen, wind_std, followed)
         if params.wind_observer is not None and after.wind is not None:
-            after = after._replace(wind=wind_observer.update(params.wind_observer, robot, after.wind, terms))
+            blowing = wind_observer.update(params.wind_observer, robot, params.aero, after.wind, terms)
+            after = after._replace(wind=blowing)
         if after.estimator is not None:
             unmodelled = terms.momentum.unmodelled_wrench
             order = Order(command.joint_torque, command.thrust_rate, unmodelled, seen.wind, params.time_step)

@@ -19,12 +19,11 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from jax_aero.aero import AeroModel, LinkConventions, link_forces, wrench_about
-from jax_aero.config import WindObserverConfig
 from jax_aero.control import observer
 from jax_aero.control.observer import ObserverGains, ObserverState
 from jax_aero.control.protocol import Terms
 from jax_aero.robot import RobotModel
-from jax_aero.types import Array, leaf, pytree, where
+from jax_aero.types import Array, pytree, where
 
 DIFFERENCE = 0.1
 """Step of the differences that make the Jacobian [m/s]."""
@@ -40,7 +39,6 @@ GREATEST = 1e4
 class WindObserver:
     """How the wind is estimated."""
 
-    aero: AeroModel
     gain: Float[Array, ""]
     """How fast the acting force is observed [1/s]."""
     walk: Float[Array, ""]
@@ -81,21 +79,6 @@ class WindState(NamedTuple):
         return jnp.sqrt(jnp.diagonal(considered))
 
 
-def wind_observer(config: WindObserverConfig, aero: AeroModel) -> WindObserver:
-    """Collect the numbers of an estimate with this model of the air."""
-    return WindObserver(
-        aero=aero,
-        gain=leaf(config.gain),
-        walk=leaf(config.walk),
-        vertical_std=leaf(config.vertical_std),
-        vertical_time=leaf(config.vertical_time),
-        force_noise=leaf(config.force_noise),
-        force_std=leaf(config.force_std),
-        relative_std=leaf(config.relative_std),
-        moment_arm=leaf(config.moment_arm),
-    )
-
-
 def start(settings: WindObserver) -> WindState:
     """Return the state before the first tick: no wind, give or take a second of its walk."""
     std = jnp.stack([jnp.asarray(x) for x in (settings.walk, settings.walk, settings.vertical_std)])
@@ -107,6 +90,7 @@ def start(settings: WindObserver) -> WindState:
 def update(
     settings: WindObserver,
     robot: RobotModel,
+    aero: AeroModel,
     before: WindState,
     terms: Terms,
 ) -> WindState:
@@ -127,7 +111,7 @@ def update(
     wind, covariance = keep * before.wind, keep[:, None] * before.covariance * keep + wandering
 
     def wrench_in(wind: Array) -> Array:
-        link = link_forces(settings.aero, robot, terms.kinematics, LinkConventions(), wind)
+        link = link_forces(aero, robot, terms.kinematics, LinkConventions(), wind)
         return wrench_about(link, terms.kinematics.com)
 
     modelled = wrench_in(wind)

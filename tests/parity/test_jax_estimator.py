@@ -37,7 +37,8 @@ def test_both_estimate_the_same_state(x64, measured):
     config, robot = scenario_config(table), load_robot(table["robot"])
     time_step, ticks = jnp.asarray(config.simulator.time_step), len(flown["time"])
     errors = sensors.sensors(config.simulator.sensors, time_step, ticks - 1, 4)
-    settings = estimator.estimator(config.controller.estimator, aero_model(config.controller.aero, robot), time_step)
+    settings = estimator.estimator(config.controller.estimator, time_step)
+    air = aero_model(config.controller.aero, robot)
 
     rotations = jax.vmap(rotation_from_wxyz)(jnp.asarray(flown["base_quaternion"]))
     velocity = np.hstack([flown["base_velocity"], flown["joint_velocity"]])
@@ -50,7 +51,7 @@ def test_both_estimate_the_same_state(x64, measured):
         seeing, estimating = state
         now, order, count = row
         seeing, said = sensors.read(errors, seeing, now, count)
-        estimating, found, _ = estimator.update(settings, robot, estimating, said, time_step)
+        estimating, found, _ = estimator.update(settings, robot, air, estimating, said, time_step)
         return (seeing, estimator.command(estimating, order)), found
 
     first = jax.tree.map(lambda x: x[0], rows[0])
@@ -73,14 +74,14 @@ def test_a_lost_number_corrects_nothing_and_the_others_do(absurd, x64, measured)
     table = rust.load_config(EXPERIMENT)
     config, robot = scenario_config(table), load_robot(table["robot"])
     air = aero_model(config.controller.aero, robot)
-    settings = estimator.estimator(config.controller.estimator, air, STEP)
+    settings = estimator.estimator(config.controller.estimator, STEP)
     state = State(jnp.array([0.1, 0.2, 0.8]), jnp.eye(3), jnp.full(robot.n_joints, 0.1), jnp.zeros(6 + robot.n_joints))
     first = Reading(state, jnp.full(4, 100.0))
     started = estimator.start(settings, state, 4)
-    begun, _, _ = jax.jit(lambda reading: estimator.update(settings, robot, started, reading, STEP))(first)
+    begun, _, _ = jax.jit(lambda reading: estimator.update(settings, robot, air, started, reading, STEP))(first)
     said = Reading(state._replace(base_position=state.base_position + 0.01), first.thrust)
     lost = said._replace(thrust=said.thrust.at[2].set(absurd))
-    run = jax.jit(lambda reading: estimator.update(settings, robot, begun, reading, STEP)[1])
+    run = jax.jit(lambda reading: estimator.update(settings, robot, air, begun, reading, STEP)[1])
     expected, found = run(said), run(lost)
     assert np.all(np.isfinite(found.thrust))
     assert np.all(np.isfinite(expected.thrust))

@@ -19,7 +19,7 @@ from jax_aero.io import scenario_config
 from jax_aero.kinematics import frame_poses, kinematics
 from jax_aero.robot import load_robot
 from jax_aero.spatial import cross, rotate, rotation_from_wxyz
-from jax_aero.types import State
+from jax_aero.types import State, leaves
 
 EXPERIMENT = Path(__file__).resolve().parents[2] / "configs" / "experiments" / "test2_observer.toml"
 WIND = {"profile": "ramp", "velocity": [3.0, -9.0, 1.0], "ramp_start": 0.0, "ramp_end": 0.5}
@@ -39,10 +39,8 @@ def replayed(x64):
     table["wind"] = WIND
     flown = rust.fly(table)
     config, robot = scenario_config(table), load_robot(table["robot"])
-    settings = wind_observer.wind_observer(
-        config.controller.wind_observer,
-        aero_model(config.controller.aero, robot),
-    )
+    settings = leaves(wind_observer.WindObserver, config.controller.wind_observer)
+    air = aero_model(config.controller.aero, robot)
     step = jnp.asarray(config.simulator.time_step)
     velocity = np.hstack([flown["base_velocity"], flown["joint_velocity"]])
     rows = (flown["base_position"], flown["base_quaternion"], flown["joint_position"], velocity)
@@ -64,7 +62,7 @@ def replayed(x64):
             seen = Seen(**dict.fromkeys(Seen._fields))._replace(
                 thrust=jnp.concatenate([thrust, force]), elapsed=step, has_momentum=jnp.array(True)
             )
-            after = wind_observer.update(settings, robot, state, Terms(**nothing | of_tick | {"seen": seen}))
+            after = wind_observer.update(settings, robot, air, state, Terms(**nothing | of_tick | {"seen": seen}))
             return after, state
 
         return jax.lax.scan(tick, wind_observer.start(settings), rows)[1]
