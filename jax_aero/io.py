@@ -14,13 +14,11 @@ kinds, the types say; no key is judged before all files are merged.
 from __future__ import annotations
 
 import copy
-import os
 from collections.abc import Iterator, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from msgspec import inspect
 
 from jax_aero import tables
@@ -61,21 +59,10 @@ def override(table: Table, key: str, value: Any) -> None:
     place: inspect.Type | None = FLIGHT
     for part in parents:
         place = _below(place, part)
-    entry = {last: plain(value)}
+    entry = {last: tables.plain(value)}
     for inner, name in paths(entry, place):
         inner[name] = str(Path(inner[name]).resolve())
     set_key(table, key, entry[last])
-
-
-def plain(value: Any) -> Any:
-    """Return a copy of a value as a file would hold it: lists for arrays, texts for paths, and Python's own numbers."""
-    if isinstance(value, Mapping):
-        return {key: plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(entry) for entry in value]
-    if isinstance(value, PathLike):
-        return os.fspath(value)
-    return np.asarray(value).tolist() if hasattr(type(value), "__array__") else value
 
 
 def scenario_config(table: Mapping[str, Any]) -> ScenarioConfig:
@@ -86,12 +73,12 @@ def scenario_config(table: Mapping[str, Any]) -> ScenarioConfig:
     ValueError
         Naming the key, its value and what was expected.
     """
-    return tables.convert(plain(table), ScenarioConfig, "configuration")
+    return tables.convert(tables.plain(table), ScenarioConfig, "configuration")
 
 
 def aero_config(table: Mapping[str, Any]) -> AeroConfig:
     """Return the typed configuration of an aerodynamic model."""
-    found: AeroConfig = tables.convert(plain(table), AeroConfig, "aerodynamic model")  # type: ignore[arg-type]
+    found: AeroConfig = tables.convert(tables.plain(table), AeroConfig, "aerodynamic model")  # type: ignore[arg-type]
     return found
 
 

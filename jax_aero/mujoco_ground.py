@@ -25,9 +25,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from jax_aero import mujoco_model, rust
-from jax_aero.config import Disturbances
 from jax_aero.control.channels import MODES
-from jax_aero.io import scenario_config
 from jax_aero.leg_odometry import LegOdometry
 from jax_aero.result import Outcome
 from jax_aero.summary import condense, figures
@@ -264,16 +262,8 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
     ValueError
         If the configuration has no ground, or contains settings that this engine does not support.
     """
-    rust.check_config(config)
-    simulator = config["simulator"]
-    if "ground" not in simulator:
-        raise ValueError("`simulator.ground` is absent; expected a table: this engine flies nothing without ground")
-    disturbances = config.get("disturbances", {})
-    for key in ("aero", "jets", "outages", "wind_estimate"):
-        if getattr(scenario_config(config).disturbances, key) != getattr(Disturbances(), key):
-            raise ValueError(f"this engine does not support `disturbances.{key}`")
-    if simulator["jets"]["dynamics"] != "ideal":
-        raise ValueError(f'`simulator.jets.dynamics` is "{simulator["jets"]["dynamics"]}"; expected "ideal" here')
+    rust.check_config({**config, "engine": "mujoco"})
+    simulator, disturbances = config["simulator"], config.get("disturbances", {})
     plant, controller = GroundPlant(config), rust.Controller(config)
     times = _times(simulator)
     blowing = rust.wind_velocity(config["wind"], times)

@@ -37,9 +37,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from jax_aero import _core
+from jax_aero import _core, tables
 from jax_aero._core import BoxQpSolver, ControllerState, Robot, __version__, kkt_residual
-from jax_aero.io import override, plain
+from jax_aero.io import override
 from jax_aero.places import find
 from jax_aero.result import FlightResult, Progress
 
@@ -747,7 +747,8 @@ def _suggestion(config: Config, key: str) -> str:
 
 
 def _to_json(config: Mapping[str, Any]) -> str:
+    plain = tables.plain(config)
     try:
-        return json.dumps(plain(config), allow_nan=False)
-    except (TypeError, ValueError) as reason:
-        raise ValueError(f"the configuration holds a value that is no number, text, list or table: {reason}") from None
+        return json.dumps(plain, allow_nan=False)
+    except ValueError as reason:
+        raise ValueError(f"the configuration holds a number that is not finite: {reason}") from None

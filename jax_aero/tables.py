@@ -24,6 +24,7 @@ import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from os import PathLike, fspath
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, TypeVar
 
@@ -121,10 +122,22 @@ def check_levels(table: Table, *names: str) -> None:
             raise ValueError(str(_refusal(name, values, "one value or more, each once")))
 
 
-def plain(config: Any) -> dict[str, Any]:
-    """Return a typed configuration as plain tables, every default written out."""
-    table: dict[str, Any] = msgspec.to_builtins(config, enc_hook=str)
-    return table
+def plain(config: Any) -> Any:
+    """Return a copy of a configuration as a file would hold it.
+
+    Types become tables, every default written out; arrays, NumPy's numbers and paths become lists, numbers and texts.
+    """
+    return msgspec.to_builtins(config, enc_hook=_as_in_a_file)
+
+
+def _as_in_a_file(value: Any) -> Any:
+    if isinstance(value, PathLike):
+        return fspath(value)
+    if hasattr(type(value), "tolist"):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise ConfigError(f"{value!r} is a {type(value).__name__}; expected a number, text, list or table")
 
 
 def toml(table: Mapping[str, Any], section: str = "") -> str:

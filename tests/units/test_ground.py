@@ -27,6 +27,8 @@ FREE_JOINTS = {
 COARSE = {"simulator.substeps": 5}
 """Larger physics steps, for speed; joints without friction or inertia need the finer ones."""
 
+OUTAGE = {"channel": "wind", "start": 1.0, "duration": 2.0, "kind": "missing"}
+
 
 def standing(**overrides):
     return rust.load_config(ROOT / "configs/experiments/balancing_front.toml", COARSE | overrides)
@@ -203,12 +205,6 @@ def test_what_the_controller_is_given_is_recorded():
     np.testing.assert_array_equal(log["measured_thrust"], log["thrust"])
 
 
-def test_second_order_engines_are_refused():
-    config = standing(**{"simulator.jets": {"dynamics": "second_order"}})
-    with pytest.raises(ValueError, match=r"simulator\.jets\.dynamics"):
-        fly(config)
-
-
 def test_a_robot_without_jets_cannot_take_off():
     transfer = {"gain": 1.0, "measured_gain": 1.0, "height": 0.01, "hold_time": 0.2}
     with pytest.raises(ValueError, match=r"controller\.use_jets"):
@@ -329,6 +325,12 @@ def test_an_incomplete_log_is_refused(frontal):
         ({"simulator.kinematics": "frozen"}, 'kinematics is "frozen"; expected "current"'),
         ({"simulator.initial.base_velocity": [3.0, 0, 0, 0, 0, 0]}, r"base_velocity is \[3.0,0.0,0.0,0.0,0.0,0.0\]"),
         ({"simulator.initial.free_fall_tick": True}, "free_fall_tick is true; expected false"),
+        ({"simulator.jets": {"dynamics": "second_order"}}, 'dynamics is "second_order"; expected "ideal"'),
+        ({"simulator.sensors": {"seed": 1}}, r"simulator\.sensors is .*; expected none"),
+        ({"disturbances.wind_estimate": {"delay": 0.1}}, r"disturbances\.wind_estimate is .*; expected none"),
+        ({"disturbances.aero": {"drag": 1.1}}, r"disturbances\.aero is .*; expected \{"),
+        ({"disturbances.jets": {"lag": 0.1}}, r"disturbances\.jets is .*; expected \{"),
+        ({"disturbances.outages": [OUTAGE]}, r"disturbances\.outages is .*; expected \[\]"),
     ],
 )
 def test_bad_ground_is_refused(overrides, named):
@@ -342,8 +344,8 @@ def test_engines_refuse_what_they_do_not_know(monkeypatch):
         engines.engine("mujoco").fly(flying)
     with pytest.raises(ValueError, match=r"simulator\.ground"):
         rust.fly(standing())
-    with pytest.raises(ValueError, match="wind_estimate"):
-        fly(standing(**{"disturbances.wind_estimate": {"bias": [1.0, 0.0, 0.0]}}))
+    with pytest.raises(ValueError, match=r"disturbances\.outages"):
+        fly(standing() | {"disturbances": {"outages": [OUTAGE]}})
     monkeypatch.setitem(__import__("sys").modules, "jax_aero.mujoco_ground", None)
     with pytest.raises(Refused, match='engine = "mujoco" needs'):
         engines.engine("mujoco")

@@ -58,8 +58,8 @@ use setpoint::{Setpoint, SetpointGenerator};
 use std::sync::Arc;
 use torque::{TorqueQp, limit_rate};
 
-/// Least time between two ticks \[s\]: delays of seconds are then at most thousands of ticks.
-pub const TIME_STEP_MIN: f64 = 2e-4;
+/// Least time between two ticks \[s\]: the longest delay, of a wind estimate, is then five million ticks.
+const TIME_STEP_MIN: f64 = 2e-4;
 
 /// Refuses a time between two ticks \[s\] that no flight has; `item` names it.
 ///

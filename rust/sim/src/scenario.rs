@@ -15,7 +15,7 @@
 use crate::config::{
     AeroKinematics, DivergenceConfig, DynamicsBackend, Engine, FallConfig, Integrator, ScenarioConfig,
 };
-use crate::disturbances::{Outages, Sample, WindEstimator};
+use crate::disturbances::{Disturbances, Outages, Sample, WindEstimator};
 use crate::log::{FlightLog, FlightResult, LogRow, TrackingErrors};
 use crate::plant::Plant;
 use crate::sensors::Sensors;
@@ -27,7 +27,7 @@ use flight_core::error::BuildError;
 use flight_core::robot::RobotModel;
 use flight_io::load_robot;
 use nalgebra::{Vector3, Vector6};
-use serde_json::json;
+use serde_json::{Value, json};
 use std::fmt;
 use std::ops::ControlFlow;
 
@@ -212,10 +212,6 @@ impl Scenario {
         if config.engine == Engine::Rust {
             return Self::new(config).map(|_| ());
         }
-        if config.simulator.sensors.is_some() {
-            let expected = "none: engine = \"mujoco\" gives its controller state and wind as they are";
-            return Err(BuildError::bad_value("simulator.sensors", "given", expected));
-        }
         if config.simulator.ground.is_none() {
             let expected = "a table: engine = \"mujoco\" flies nothing that has no ground under it";
             return Err(BuildError::bad_value("simulator.ground", "absent", expected));
@@ -224,18 +220,25 @@ impl Scenario {
             let expected = "a table: without feet the controller cannot stand on simulator.ground";
             return Err(BuildError::bad_value("controller.contact", "absent", expected));
         }
-        let simulator = json!(config.simulator);
+        let (given, none) = (json!(config), Disturbances::default());
         for (key, known) in [
-            ("integrator", json!(Integrator::default())),
-            ("lever_arm", json!(LeverArm::default())),
-            ("kinematics", json!(AeroKinematics::default())),
-            ("initial.base_velocity", json!(vec![0.0; 6])),
-            ("initial.free_fall_tick", json!(false)),
+            ("simulator.integrator", json!(Integrator::default())),
+            ("simulator.lever_arm", json!(LeverArm::default())),
+            ("simulator.kinematics", json!(AeroKinematics::default())),
+            ("simulator.jets.dynamics", json!("ideal")),
+            ("simulator.initial.base_velocity", json!(vec![0.0; 6])),
+            ("simulator.initial.free_fall_tick", json!(false)),
+            ("simulator.sensors", Value::Null),
+            ("disturbances.wind_estimate", Value::Null),
+            ("disturbances.aero", json!(none.aero)),
+            ("disturbances.jets", json!(none.jets)),
+            ("disturbances.outages", json!(none.outages)),
         ] {
-            let value = key.split('.').fold(&simulator, |table, part| &table[part]);
+            let value = key.split('.').fold(&given, |table, part| &table[part]);
             if *value != known {
-                let expected = format!("{known}: engine = \"mujoco\" knows no other");
-                return Err(BuildError::bad_value(format!("simulator.{key}"), value, expected));
+                let known = if known.is_null() { "none".to_owned() } else { known.to_string() };
+                let expected = format!("{known}: engine = \"mujoco\" knows nothing else");
+                return Err(BuildError::bad_value(key, value, expected));
             }
         }
         let robot = load_robot(&config.robot)?;

@@ -633,23 +633,16 @@ impl Channels {
         let dt = seen.elapsed;
         if state.is_begun {
             state.predict(&self.layout, &self.greatest, dt);
-        } else {
-            // The first measurement is what it is compared with.
-            for range in self.entries.iter().map(|entry| entry.range.clone()) {
-                if self.now[range.clone()].iter().all(|x| x.is_finite()) {
-                    state.predicted[range.clone()].copy_from_slice(&self.now[range]);
-                }
-            }
         }
         let predicted = &state.predicted[self.layout.thrust.clone()];
         for ((to, now), predicted) in
             seen.thrust_innovation.iter_mut().zip(&self.now[self.layout.thrust.clone()]).zip(predicted)
         {
             // Over an unknown time it says nothing.
-            *to = if is_step { now - predicted } else { 0.0 };
+            *to = if is_step && state.is_begun { now - predicted } else { 0.0 };
         }
-        // What happened in a pause is no jump.
-        let missed_ticks = seen.pause / self.time_step;
+        // What happened in a pause is no jump, and the first measurement has nothing to jump from.
+        let missed_ticks = if state.is_begun { seen.pause / self.time_step } else { f64::INFINITY };
         // Of the pose: whether this tick and the last one measured it, and anew.
         let mut is_fresh = is_step;
         for (entry, channel) in self.entries.iter().zip(&mut state.channels) {
