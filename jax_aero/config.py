@@ -222,6 +222,10 @@ class LoadTransfer(Table, frozen=True, kw_only=True):
     """
     hold_time: NonNegative
     """Time for which feet of a robot that stands may lose contact and still count as carrying [s]."""
+    landing_force: Positive
+    """Vertical force on the robot that the controller's model does not explain, beyond which feet that are not
+    measured carry, if the set-point is below the centre of mass by `height` [N].
+    """
     measured_gain: NonNegative
     """Gain with which `f_c*` of a robot that stands follows the measured wrenches [1/s]."""
 

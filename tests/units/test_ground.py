@@ -172,9 +172,11 @@ def test_the_robot_takes_off_and_lands(measured, tmp_path):
     assert (out / "take_off.pdf").read_bytes().startswith(b"%PDF")
 
 
-@pytest.mark.parametrize(("back", "down", "ends", "height"), [(1.2, [(3.0, 9.0)], 9.0, 0.57), (9.0, [], 5.0, 0.7)])
-def test_feet_that_are_not_measured_stand_and_take_off(monkeypatch, back, down, ends, height):
-    """Held as they were last measured, they keep their load: the robot fell on leaving the ground."""
+@pytest.mark.parametrize("back", [1.2, 99.0])
+def test_feet_that_are_not_measured_stand_take_off_and_land(monkeypatch, back):
+    """Held as they were last measured, they keep their load: the robot fell on leaving the ground. It fell after it had
+    touched the ground, too, where that was not found from its momentum.
+    """
     tick = rust.Controller.tick
 
     def without_feet(self, state, thrust, wind, time, *, foot_wrenches):
@@ -182,15 +184,14 @@ def test_feet_that_are_not_measured_stand_and_take_off(monkeypatch, back, down, 
         return tick(self, state, thrust, wind, time, foot_wrenches=seen)
 
     monkeypatch.setattr(rust.Controller, "tick", without_feet)
-    times = {"mission.up": [(0.5, 1.5)], "mission.down": down, "simulator.duration": ends}
-    result = fly(rust.load_config(ROOT / "configs/experiments/take_off.toml", times))
+    result = fly(rust.load_config(ROOT / "configs/experiments/take_off.toml", {"simulator.duration": 15.0}))
     assert result.outcome == "completed"
     assert np.degrees(result.summary["max_rotation_error"]) < 10.0
     log = result.log
     assert ((log["degraded_modes"] == 128.0) == ((log["time"] >= 0.3) & (log["time"] < back))).all()
-    heights = log["com_position"][:, 2]
-    assert heights.max() > 0.6
-    assert heights[-1] > height - 0.01
+    assert log["com_position"][:, 2].max() > 0.6
+    assert log["com_position"][-1, 2] > 0.56
+    assert (log["feet_carry"][-200:] == 1.0).all()
 
 
 def test_what_the_controller_is_given_is_recorded():
@@ -206,7 +207,7 @@ def test_what_the_controller_is_given_is_recorded():
 
 
 def test_a_robot_without_jets_cannot_take_off():
-    transfer = {"gain": 1.0, "measured_gain": 1.0, "height": 0.01, "hold_time": 0.2}
+    transfer = {"gain": 1.0, "measured_gain": 1.0, "height": 0.01, "hold_time": 0.2, "landing_force": 100.0}
     with pytest.raises(ValueError, match=r"controller\.use_jets"):
         rust.check_config(standing(**{"controller.contact.load_transfer": transfer}))
 

@@ -435,7 +435,8 @@ impl Controller {
         // What the observer compares with: the feet as measured, not as desired.
         let mut rate = momentum.rate_estimate;
         let climb = setpoint.com_position.z - kinematics.com.z;
-        contact.update(
+        let is_predicted = measurement.modes.contains(Modes::FEET_PREDICTED);
+        let has_landed = contact.update(
             &mut state.contact,
             &self.model,
             kinematics,
@@ -443,14 +444,18 @@ impl Controller {
             &measurement.foot_wrenches,
             climb,
             -momentum.rate_estimate[2],
+            is_predicted.then(|| state.observer.wrench[2] + state.observer.residual[2]),
             self.time_step,
         );
         // What feet that carry predict is no measurement of what acts on the robot.
-        measurement.has_momentum &=
-            !(state.contact.is_active && measurement.modes.contains(Modes::FEET_PREDICTED));
+        measurement.has_momentum &= !(state.contact.is_active && is_predicted);
         contact.add_measured(&measurement.foot_wrenches, &kinematics.com, &mut rate);
         if state.contact.is_active {
             momentum.add_contact(&self.model, kinematics, dynamics, &contact.soles, &state.contact.force);
+            if has_landed {
+                // What was observed since the feet touched the ground is theirs (M114).
+                state.observer = ObserverState::new();
+            }
             if let Some(height) = contact.stand_height() {
                 state.setpoint.keep_above(kinematics.com.z - height);
             }

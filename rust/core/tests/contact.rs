@@ -6,7 +6,7 @@
 use crate::common::{Running, TIME_STEP, assert_within, configs, experiment, random_state, rng};
 use flight_core::control::channels::Modes;
 use flight_core::control::config::{ControllerConfig, Solver};
-use flight_core::control::contact::{Contact, ContactConfig, ContactState, WRENCH_ROWS};
+use flight_core::control::contact::{Contact, ContactConfig, ContactState, LoadTransfer, WRENCH_ROWS};
 use flight_core::control::setpoint::Setpoint;
 use flight_core::control::{CommandStatus, Terms};
 use flight_core::dynamics::Dynamics;
@@ -241,6 +241,48 @@ fn feet_carry_through_a_short_loss_of_contact_unless_the_robot_takes_off() {
     }
 }
 
+/// M114: feet that are not measured carry where the model does not explain what holds the robot up and its set-point is
+/// below it, and the observer begins anew. Thrusts that carry a quarter of the weight leave 320 N.
+#[test]
+fn feet_that_are_not_measured_carry_what_nothing_else_explains() {
+    let (missing, weightless) = ([Vector6::repeat(f64::NAN); 2], [Vector6::zeros(); 2]);
+    for (feet, climb, landing_force, lands) in [
+        (missing, -0.011, 300.0, true),
+        (missing, -0.011, 350.0, false),
+        (missing, -0.009, 300.0, false),
+        (weightless, -0.011, 300.0, false),
+    ] {
+        let mut config = experiment("take_off");
+        let contact = config.controller.law.contact.as_mut().unwrap();
+        contact.load_transfer.as_mut().unwrap().landing_force = landing_force;
+        let mut running = Running::new(config.controller(load_robot(&config.robot).unwrap()).unwrap());
+        let mut state = config.simulator.initial.state();
+        tick_with_load(&mut running, &state, 0.0, 0.0, &weightless);
+        let mut carries = false;
+        for tick in 1..300 {
+            // A measurement with the same bits in tick after tick would count as frozen.
+            state.joint_position[0] += 1e-12;
+            state.velocity[0] = -state.velocity[0] + 1e-12;
+            state.base.position.x += 1e-12;
+            let before = running.terms().momentum.unmodelled_wrench[2];
+            tick_with_load(&mut running, &state, 0.01 * f64::from(tick), climb, &feet);
+            let carries_now = running.state().contact().is_active;
+            if carries_now && !carries {
+                assert!(before > 10.0, "{before} N");
+                assert_eq!(running.terms().momentum.unmodelled_wrench, Vector6::zeros());
+                let terms = running.terms();
+                let left = terms.kinematics.mass() * 9.81 - terms.momentum.a_t.row(2).sum() * 26.0;
+                // They are predicted to carry nothing yet, which draws f_c* with κ_m.
+                let expected = left * (1.0 - 1.0 * TIME_STEP);
+                let force: f64 = running.state().contact().force.iter().skip(2).step_by(6).sum();
+                assert_within!((force - expected).abs(), 1e-12 * 400.0, "rounding of a sum of thrusts");
+            }
+            carries = carries_now;
+        }
+        assert_eq!(carries, lands, "climb of {climb} m, {landing_force} N");
+    }
+}
+
 /// `L̇ = Σ f_c* + Σ f_a − m g e₃` and its moments, at every tick, whatever the state and the wind.
 #[test]
 fn the_momentum_rate_is_the_sum_of_what_acts() {
@@ -295,7 +337,7 @@ fn rates_of_the_feet_are_their_differences() {
             dynamics.update(&robot, &state, &kinematics);
             let measured = [Vector6::new(0.0, 0.0, 200.0, 0.0, 0.0, 0.0); 2];
             let feet = &mut ContactState::new(2);
-            contact.update(feet, &robot, &kinematics, &dynamics, &measured, 0.0, 0.0, 0.0);
+            contact.update(feet, &robot, &kinematics, &dynamics, &measured, 0.0, 0.0, None, 0.0);
             let velocity = contact.jacobian_transposed.tr_mul(&state.velocity);
             let mut momentum = flight_core::control::momentum::MomentumModel::new(&robot);
             momentum.add_contact(&robot, &kinematics, &dynamics, &contact.soles, &held);
@@ -659,6 +701,10 @@ fn bad_numbers_are_refused_by_name() {
     refused(&["contact.vertical_force_min is 0", "positive"], |c| contact(c).vertical_force_min = 0.0);
     refused(&["contact.weight_force is -1"], |c| contact(c).weight_force = -1.0);
     refused(&["wrench.friction is NaN"], |c| contact(c).wrench.friction = f64::NAN);
+    refused(&["load_transfer.landing_force is 0", "positive"], |c| {
+        let transfer = experiment("take_off").controller.law.contact.unwrap().load_transfer.unwrap();
+        contact(c).load_transfer = Some(LoadTransfer { landing_force: 0.0, ..transfer });
+    });
     refused(&["controller.contact.feet is []", "at least one"], |c| contact(c).feet.clear());
     refused(&["controller.contact.feet", "`l_sloe`", "l_sole"], |c| contact(c).feet[0] = "l_sloe".into());
     refused(&["controller.contact.feet", "`r_sole`", "more than once"], |c| {

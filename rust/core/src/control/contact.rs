@@ -8,7 +8,7 @@
 //!
 //! `f_c*` is the integral of the momentum QP's own answer, not a measurement: it is the estimate in the
 //! momentum rate and the reference of the torque QP alike. Wrenches are about the sole's origin, force
-//! first, inertial axes. Equations M54, M74, M75, M82, M111 and M112 of `docs/model.md`.
+//! first, inertial axes. Equations M54, M74, M75, M82, M111, M112 and M114 of `docs/model.md`.
 
 use crate::dynamics::Dynamics;
 use crate::error::{BuildError, Table};
@@ -83,6 +83,10 @@ pub struct LoadTransfer {
     /// Time for which feet of a robot that stands may lose contact and still count as carrying \[s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub hold_time: f64,
+    /// Vertical force on the robot that the controller's model does not explain, beyond which feet that are not
+    /// measured carry, if the set-point is below the centre of mass by `height` \[N\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub landing_force: f64,
 }
 
 /// What the wrench of every foot may be, in sole axes about the sole's origin; where its centre of pressure
@@ -129,6 +133,7 @@ impl ContactConfig {
             table.non_negative("load_transfer.measured_gain", transfer.measured_gain)?;
             table.positive("load_transfer.height", transfer.height)?;
             table.non_negative("load_transfer.hold_time", transfer.hold_time)?;
+            table.positive("load_transfer.landing_force", transfer.landing_force)?;
         }
         let limits = &self.wrench;
         table.positive("wrench.friction", limits.friction)?;
@@ -220,7 +225,9 @@ impl Contact {
 
     /// Advances `f_c*` of `state` by the last tick's rate, decides from the `measured` wrench of each foot whether the
     /// feet carry (when that changes, `f_c*` starts anew), and recomputes what depends on the state. The set-point is
-    /// `climb` \[m\] above the centre of mass; jets and air leave the vertical force `left` \[N\] to the feet.
+    /// `climb` \[m\] above the centre of mass; jets and air leave the vertical force `left` \[N\] to the feet. Where
+    /// the feet are not measured, `unmodelled` \[N\] is the vertical force that the model does not explain; whether the
+    /// feet are found to carry by it is returned.
     #[allow(clippy::too_many_arguments)] // each is computed elsewhere in the tick
     pub fn update(
         &mut self,
@@ -231,15 +238,21 @@ impl Contact {
         measured: &[Vector6<f64>],
         climb: f64,
         left: f64,
+        unmodelled: Option<f64>,
         time_step: f64,
-    ) {
+    ) -> bool {
         // Forward Euler: a rate is used in its own tick and integrated into the next.
         state.force.axpy(time_step, &state.force_rate, 1.0);
         state.force_rate.fill(0.0);
         let threshold = self.config.vertical_force_min;
         let mut carries = !measured.is_empty() && measured.iter().all(|wrench| wrench[2] > threshold);
+        let mut has_landed = false;
         if let Some(transfer) = &self.config.load_transfer {
             self.takes_off = climb > transfer.height;
+            has_landed = !state.is_active
+                && climb < -transfer.height
+                && unmodelled.is_some_and(|force| force > transfer.landing_force);
+            carries |= has_landed;
             state.unloaded_time = if carries { 0.0 } else { state.unloaded_time + time_step };
             carries |= state.is_active && !self.takes_off && state.unloaded_time <= transfer.hold_time;
         }
@@ -254,7 +267,7 @@ impl Contact {
         if !state.is_active {
             self.jacobian_transposed.fill(0.0);
             self.velocity_product.fill(0.0);
-            return;
+            return has_landed;
         }
         for (index, foot) in robot.feet.iter().enumerate() {
             let (sole, first) = (&self.soles[index], WRENCH * index);
@@ -269,6 +282,7 @@ impl Contact {
             self.velocity_product.fixed_rows_mut::<3>(first).copy_from(&linear);
             self.velocity_product.fixed_rows_mut::<3>(first + 3).copy_from(&angular);
         }
+        has_landed
     }
 
     /// How far below the centre of mass the set-point of a robot that stands may be \[m\].
