@@ -211,7 +211,7 @@ class ChannelsConfig(Table, frozen=True, kw_only=True):
 
 class LoadTransfer(Table, frozen=True, kw_only=True):
     """How load passes between feet and jets. A robot whose feet carry takes off towards a set-point above its centre
-    of mass: the feet are relieved. Otherwise it stands: the jets are relieved.
+    of mass: the feet are relieved. Otherwise, and on its way down, it stands: the jets are relieved.
     """
 
     gain: Positive
@@ -222,9 +222,10 @@ class LoadTransfer(Table, frozen=True, kw_only=True):
     """
     hold_time: NonNegative
     """Time for which feet of a robot that stands may lose contact and still count as carrying [s]."""
-    landing_force: Positive
+    landing_force: Positive | None = None
     """Vertical force on the robot that the controller's model does not explain, beyond which feet that are not
-    measured carry, if the set-point is below the centre of mass by `height` [N].
+    measured carry, if the set-point is below the centre of mass by `height` [N]; needs `controller.observer`.
+    Without it such feet are not found to carry.
     """
     measured_gain: NonNegative
     """Gain with which `f_c*` of a robot that stands follows the measured wrenches [1/s]."""
@@ -814,9 +815,9 @@ class FallConfig(Table, frozen=True, kw_only=True):
     """When a robot counts as fallen."""
 
     com_error: Positive
-    """Greatest distance between centre of mass and reference [m]."""
+    """Greatest distance between centre of mass and set-point [m]."""
     rotation_error_deg: Annotated[float, Meta(gt=0, le=180)]
-    """Greatest rotation between base and reference [deg]."""
+    """Greatest rotation between base and set-point [deg]."""
 
 
 class LegOdometryConfig(Table, frozen=True, kw_only=True):
@@ -1025,7 +1026,7 @@ class ScenarioConfig(Table, frozen=True, kw_only=True):
     disturbances: Disturbances = Disturbances()
     """What is done to robot and controller."""
     engine: Engine = "rust"
-    """Which engine flies it. This crate is one of them and reads the files of both."""
+    """Which engine flies it. This crate is one of them and reads the files of all."""
     mission: MissionConfig
     """What the autopilot demands, and when."""
     robot: Path

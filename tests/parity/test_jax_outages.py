@@ -41,6 +41,7 @@ OUTAGES = [
     {"channel": "wind", "start": 0.4, "kind": "missing"},
     {"channel": "thrust", "jet": "l_arm_jet", "start": 0.5, "kind": "nan"},
     {"channel": "base_velocity", "start": 0.6, "duration": 0.2, "kind": "frozen"},
+    {"channel": "base_position", "start": 0.74, "duration": 0.02, "kind": "frozen"},  # new again after two ticks
     {"channel": "base_rotation", "start": 0.9, "duration": 0.1, "kind": "frozen"},
     {"channel": "base_position", "start": 1.1, "duration": 0.2, "kind": "wrong"},
     {"channel": "joints", "start": 1.4, "duration": 0.05, "kind": "nan"},

@@ -1,5 +1,6 @@
 """A robot that stands: MuJoCo under it, the crate's controller in it."""
 
+import itertools
 from pathlib import Path
 
 import daqp
@@ -11,6 +12,7 @@ import xarray as xr
 from experiments import Refused, engines, record, study, tip_over
 from experiments.report import ground
 from jax_aero import places, rust
+from jax_aero.control.channels import MODES
 from jax_aero.mujoco_ground import GroundPlant, fly
 from paper_figs.__main__ import main as draw
 
@@ -194,6 +196,43 @@ def test_feet_that_are_not_measured_stand_take_off_and_land(monkeypatch, back):
     assert (log["feet_carry"][-200:] == 1.0).all()
 
 
+@pytest.mark.parametrize("jet", [0, 2])
+def test_an_engine_that_stops_before_the_robot_leaves_the_ground_ends_the_take_off(monkeypatch, jet):
+    """It went on relieving its feet, and sank where it stood; it fell in either case."""
+    advance = GroundPlant.advance
+    ticks = itertools.count(1)
+
+    def without_an_engine(self, torque, thrust_rate):
+        advance(self, torque, thrust_rate)
+        if next(ticks) >= 275:
+            self.thrust[jet] = 0.0
+
+    monkeypatch.setattr(GroundPlant, "advance", without_an_engine)
+    result = fly(rust.load_config(ROOT / "configs/experiments/take_off.toml", {"simulator.duration": 9.0}))
+    assert result.outcome == "completed"
+    log = result.log
+    assert (log["feet_carry"] == 1.0).all()
+    assert log["thrust"][275].sum() > 80.0
+    assert log["thrust"][-1].sum() < 50.0
+    assert np.degrees(log["rotation_error"].max()) < 5.0
+
+
+@pytest.mark.parametrize("lost", ["base_position", "base_rotation"])
+def test_a_robot_that_loses_its_pose_in_the_air_lands_and_stands(monkeypatch, lost):
+    tick = rust.Controller.tick
+
+    def without(self, state, thrust, wind, time, *, foot_wrenches):
+        if time >= 6.0:
+            state = state._replace(**{lost: np.asarray(getattr(state, lost)) * np.nan})
+        return tick(self, state, thrust, wind, time, foot_wrenches=foot_wrenches)
+
+    monkeypatch.setattr(rust.Controller, "tick", without)
+    result = fly(rust.load_config(ROOT / "configs/experiments/take_off.toml", {"simulator.duration": 16.0}))
+    assert result.outcome == "completed"
+    assert (result.log["feet_carry"][-200:] == 1.0).all()
+    assert (result.log["degraded_modes"][-200:].astype(int) & MODES["descending"]).all()
+
+
 def test_what_the_controller_is_given_is_recorded():
     """Its estimators stand between what is measured and the law."""
     estimator = {"base_position": {"time_constant": 0.5}}
@@ -207,7 +246,7 @@ def test_what_the_controller_is_given_is_recorded():
 
 
 def test_a_robot_without_jets_cannot_take_off():
-    transfer = {"gain": 1.0, "measured_gain": 1.0, "height": 0.01, "hold_time": 0.2, "landing_force": 100.0}
+    transfer = {"gain": 1.0, "measured_gain": 1.0, "height": 0.01, "hold_time": 0.2}
     with pytest.raises(ValueError, match=r"controller\.use_jets"):
         rust.check_config(standing(**{"controller.contact.load_transfer": transfer}))
 

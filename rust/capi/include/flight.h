@@ -63,7 +63,8 @@ typedef struct FlightMeasurement {
   // measured: without a wind sensor use `controller.wind_observer`, or a controller without aerodynamic model.
   double wind[3];
   // Wrench on each foot about the origin of its sole, force first [N, N m, inertial axes], six per
-  // foot, in the order of `controller.contact.feet`. Null is no load on any foot.
+  // foot, in the order of `controller.contact.feet`. NaN where they are not measured; null is no load on any foot, as if
+  // measured.
   const double *foot_wrenches;
 } FlightMeasurement;
 
@@ -153,7 +154,7 @@ const char *flight_jet_name(const struct FlightController *controller, size_t in
 double flight_time_step(const struct FlightController *controller);
 
 // In which ways the last tick differs from one that measures everything, as a sum: the wind is 1 held, 2 lost; 4 a thrust,
-// 8 the joints, 16 base position, 32 its rotation, 64 its velocity are predicted; 128 the wrenches on the feet are held;
+// 8 the joints, 16 base position, 32 its rotation, 64 its velocity, 128 the wrenches on the feet are predicted;
 // 256 the clock is predicted; 512 on the way down; 1024 an engine does not reach its thrust. Zero for null.
 //
 // # Safety

@@ -277,7 +277,7 @@ impl Controller {
         }
         let is_seen = self.see(state, measurement);
         let setpoint = if state.channels.is_descending {
-            self.setpoint_generator.descend(&mut state.setpoint, state.contact.is_active)
+            self.setpoint_generator.descend(&mut state.setpoint, self.terms.contact.stays(&state.contact))
         } else {
             self.setpoint_generator.update(&mut state.setpoint, self.terms.seen.time)
         };
@@ -299,7 +299,7 @@ impl Controller {
         let is_seen = self.see(state, measurement);
         let is_valid = setpoint.is_valid();
         let followed = if state.channels.is_descending {
-            self.setpoint_generator.descend(&mut state.setpoint, state.contact.is_active)
+            self.setpoint_generator.descend(&mut state.setpoint, self.terms.contact.stays(&state.contact))
         } else if is_valid {
             self.setpoint_generator.follow(&mut state.setpoint, &setpoint.motion());
             *setpoint
@@ -314,8 +314,9 @@ impl Controller {
     }
 
     /// Reports what acts until the next tick instead of the last command: that of a safety layer, of a residual.
-    /// What the channels and the estimator predict follows it. The control law's own torques stay as they were: its
-    /// rate limiter goes on from them.
+    /// What the channels and the estimator predict follows it; while the feet carry, its thrust rates alone, as other
+    /// torques change what the feet carry more than how the robot moves. The control law's own torques stay as they
+    /// were: its rate limiter goes on from them.
     ///
     /// # Errors
     /// [`BadCommand`], and nothing changes.
@@ -338,26 +339,28 @@ impl Controller {
             ..
         } = self;
         let last = &mut state.channels;
-        // ν̇ is linear in the torques: it changes by M⁻¹ S (τ′ − τ). The state may be of another tick than the last one
-        // of this controller.
-        kinematics.update(model, &last.commanded_in);
-        dynamics.update(model, &last.commanded_in, kinematics);
-        inverse_mass.update(&dynamics.mass_matrix);
-        if inverse_mass.is_known {
-            acceleration.fill(0.0);
-            let torques = joint_torque.iter().zip(&last.joint_torque);
-            for (entry, (new, old)) in acceleration.as_mut_slice()[6..].iter_mut().zip(torques) {
-                *entry = new - old;
+        if !state.contact.is_active {
+            // ν̇ is linear in the torques: it changes by M⁻¹ S (τ′ − τ). The state may be of another tick than the last
+            // one of this controller.
+            kinematics.update(model, &last.commanded_in);
+            dynamics.update(model, &last.commanded_in, kinematics);
+            inverse_mass.update(&dynamics.mass_matrix);
+            if inverse_mass.is_known {
+                acceleration.fill(0.0);
+                let torques = joint_torque.iter().zip(&last.joint_torque);
+                for (entry, (new, old)) in acceleration.as_mut_slice()[6..].iter_mut().zip(torques) {
+                    *entry = new - old;
+                }
+                inverse_mass.multiply_in_place(acceleration);
+                last.acceleration += &*acceleration;
             }
-            inverse_mass.multiply_in_place(acceleration);
-            last.acceleration += &*acceleration;
+            last.joint_torque.copy_from_slice(joint_torque);
         }
+        last.thrust_rate.copy_from_slice(thrust_rate);
         command.thrust_rate.copy_from_slice(thrust_rate);
         command.joint_torque.copy_from_slice(joint_torque);
-        last.thrust_rate.copy_from(&command.thrust_rate);
-        last.joint_torque.copy_from(&command.joint_torque);
         if let Some(memory) = &mut state.estimator {
-            memory.replace_command(command);
+            memory.replace_command(last.thrust_rate.as_slice(), last.joint_torque.as_slice());
         }
         Ok(())
     }
@@ -401,7 +404,7 @@ impl Controller {
         self.observe(state);
         let descent = self.config.engines.as_ref().and_then(|config| {
             let is_lost = state.engines.iter().any(|engine| engine.is_lost(config));
-            config.descent.filter(|_| is_lost)
+            config.descent.filter(|_| is_lost && !state.contact.is_active)
         });
         self.solve_momentum_qp(state, descent.as_ref());
         self.solve_torque_qp(state, descent.as_ref());
@@ -435,6 +438,8 @@ impl Controller {
         // What the observer compares with: the feet as measured, not as desired.
         let mut rate = momentum.rate_estimate;
         let climb = setpoint.com_position.z - kinematics.com.z;
+        // A robot on its way down does not take off.
+        let climb = if state.channels.is_descending { climb.min(0.0) } else { climb };
         let is_predicted = measurement.modes.contains(Modes::FEET_PREDICTED);
         let has_landed = contact.update(
             &mut state.contact,

@@ -396,7 +396,7 @@ impl EstimatorState {
         wind_i: &Vector3<f64>,
         foot_wrenches: &[f64],
     ) {
-        self.replace_command(command);
+        self.replace_command(command.thrust_rate.as_slice(), command.joint_torque.as_slice());
         let order = self.last_order();
         order.unmodelled = *unmodelled;
         order.wind_i = *wind_i;
@@ -404,10 +404,10 @@ impl EstimatorState {
     }
 
     /// Another command acts from this tick to the next.
-    pub fn replace_command(&mut self, command: &Command) {
+    pub fn replace_command(&mut self, thrust_rate: &[f64], joint_torque: &[f64]) {
         let order = self.last_order();
-        order.torque.copy_from_slice(command.joint_torque.as_slice());
-        order.thrust_rate.copy_from_slice(command.thrust_rate.as_slice());
+        order.torque.copy_from_slice(joint_torque);
+        order.thrust_rate.copy_from_slice(thrust_rate);
     }
 
     fn last_order(&mut self) -> &mut Order {

@@ -278,6 +278,25 @@ fn a_lost_velocity_follows_the_pose() {
     }
 }
 
+/// A pose that is new in every other tick alone moved for two of them: its difference is not the velocity times one tick.
+#[test]
+fn a_lost_velocity_does_not_follow_a_pose_that_was_held() {
+    let mut rig = Rig::new(&ChannelsConfig::default());
+    rig.state.acceleration.fill(0.0);
+    let (v, start) = (rig.sample.state.base_linear_velocity(), rig.sample.state.base.position);
+    let (w, rotation) = (rig.sample.state.base_angular_velocity(), rig.sample.state.base.rotation);
+    for tick in 1..=50 {
+        let time = f64::from(tick - tick % 2) * STEP;
+        let seen = rig.tick(|sample| {
+            sample.state.base.position = start + v * time;
+            sample.state.base.rotation = exp_so3(&(w * time)) * rotation;
+            sample.state.velocity.rows_mut(0, 6).fill(f64::NAN);
+        });
+        assert_eq!(seen.state.base_linear_velocity(), v, "tick {tick}");
+        assert_eq!(seen.state.base_angular_velocity(), w, "tick {tick}");
+    }
+}
+
 /// The clock runs on where the time is none; a step that repeats, runs back or leaps is none either, and from then on
 /// the clock counts from there. Momentum is measured where the time that passed is known.
 #[test]

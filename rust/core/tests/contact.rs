@@ -254,7 +254,7 @@ fn feet_that_are_not_measured_carry_what_nothing_else_explains() {
     ] {
         let mut config = experiment("take_off");
         let contact = config.controller.law.contact.as_mut().unwrap();
-        contact.load_transfer.as_mut().unwrap().landing_force = landing_force;
+        contact.load_transfer.as_mut().unwrap().landing_force = Some(landing_force);
         let mut running = Running::new(config.controller(load_robot(&config.robot).unwrap()).unwrap());
         let mut state = config.simulator.initial.state();
         tick_with_load(&mut running, &state, 0.0, 0.0, &weightless);
@@ -584,6 +584,37 @@ fn a_robot_that_stands_is_not_estimated_to_fall() {
     }
 }
 
+/// A robot that is to take off and has lost its place for long stays: its jets are relieved, not its feet, and its
+/// set-point comes down to it.
+#[test]
+fn a_robot_on_its_way_down_does_not_take_off() {
+    let (mut running, mut state) = able_to_take_off();
+    tick_with_load(&mut running, &state, 0.0, 0.5, &weight_on_both());
+    assert!(running.terms().contact.takes_off);
+    state.base.position.fill(f64::NAN);
+    for tick in 1..700 {
+        // A measurement with the same bits in tick after tick would count as frozen.
+        state.joint_position[0] += 1e-12;
+        state.velocity[0] = -state.velocity[0] + 1e-12;
+        let (time, feet) = (f64::from(tick) * TIME_STEP, weight_on_both());
+        let measurement = Measurement {
+            time,
+            state: &state,
+            thrust: &QUARTER,
+            wind: Vector3::zeros(),
+            foot_wrenches: &feet,
+        };
+        let Running { controller, state: carried } = &mut running;
+        let setpoint = Setpoint::hold(Vector3::new(0.0, 0.0, 1.1), state.base.rotation);
+        controller.tick_towards(carried.as_mut().unwrap(), &measurement, &setpoint);
+        let is_descending = controller.command().modes.contains(Modes::DESCENDING);
+        assert_eq!(controller.terms().contact.takes_off, !is_descending, "tick {tick}");
+    }
+    assert!(running.controller.command().modes.contains(Modes::DESCENDING));
+    let (raw, com) = (running.state().setpoint().raw().position.z, running.terms().kinematics.com.z);
+    assert_within!((com - 0.01 - raw).abs(), 1e-9, "kept at the height of the load transfer below");
+}
+
 /// A robot that stands and has lost its place for long stays where it is: there is nowhere to descend to.
 #[test]
 fn a_robot_that_stands_does_not_descend() {
@@ -703,8 +734,13 @@ fn bad_numbers_are_refused_by_name() {
     refused(&["wrench.friction is NaN"], |c| contact(c).wrench.friction = f64::NAN);
     refused(&["load_transfer.landing_force is 0", "positive"], |c| {
         let transfer = experiment("take_off").controller.law.contact.unwrap().load_transfer.unwrap();
-        contact(c).load_transfer = Some(LoadTransfer { landing_force: 0.0, ..transfer });
+        contact(c).load_transfer = Some(LoadTransfer { landing_force: Some(0.0), ..transfer });
     });
+    let mut blind = experiment("take_off").controller.law;
+    blind.observer = None;
+    blind.engines = None;
+    let said = blind.check(&crate::common::robot("ironcub_mk1")).expect_err("refused").to_string();
+    assert!(said.contains("landing_force is 50; expected none without controller.observer"), "{said}");
     refused(&["controller.contact.feet is []", "at least one"], |c| contact(c).feet.clear());
     refused(&["controller.contact.feet", "`l_sloe`", "l_sole"], |c| contact(c).feet[0] = "l_sloe".into());
     refused(&["controller.contact.feet", "`r_sole`", "more than once"], |c| {

@@ -36,7 +36,7 @@ pub struct ScenarioConfig {
     /// What the flight is for.
     #[serde(default)]
     pub description: String,
-    /// Which engine flies it. This crate is one of them and reads the files of both.
+    /// Which engine flies it. This crate is one of them and reads the files of all.
     #[serde(default)]
     pub engine: Engine,
     /// The robot's TOML file.
@@ -275,10 +275,10 @@ impl Default for DivergenceConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FallConfig {
-    /// Greatest rotation between base and reference \[deg\].
+    /// Greatest rotation between base and set-point \[deg\].
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 180))]
     pub rotation_error_deg: f64,
-    /// Greatest distance between centre of mass and reference \[m\].
+    /// Greatest distance between centre of mass and set-point \[m\].
     #[schemars(extend("exclusiveMinimum" = 0))]
     pub com_error: f64,
 }

@@ -648,6 +648,7 @@ impl Channels {
         for (entry, channel) in self.entries.iter().zip(&mut state.channels) {
             let range = entry.range.clone();
             let is_same = state.is_begun && self.now[range.clone()] == state.last[range.clone()];
+            let was_new = channel.same == 0;
             channel.same = if is_same { channel.same.saturating_add(1) } else { 0 };
             let gate = 1.0 + self.config.widening * channel.age + missed_ticks;
             let is_near = |now: &[f64], predicted: &[f64], gate: f64| {
@@ -674,7 +675,7 @@ impl Channels {
                 modes.insert(entry.mode);
             }
             if entry.mode == Modes::POSITION_PREDICTED || entry.mode == Modes::ROTATION_PREDICTED {
-                is_fresh &= was_measured && channel.age == 0.0 && !is_same && state.is_begun;
+                is_fresh &= was_measured && was_new && channel.age == 0.0 && !is_same && state.is_begun;
             }
             if entry.mode == Modes::VELOCITY_PREDICTED {
                 // The pose integrates the velocity of this tick, measured or not.

@@ -65,7 +65,7 @@ pub struct ContactConfig {
 }
 
 /// How load passes between feet and jets. A robot whose feet carry takes off towards a set-point above its centre of
-/// mass: the feet are relieved. Otherwise it stands: the jets are relieved.
+/// mass: the feet are relieved. Otherwise, and on its way down, it stands: the jets are relieved.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -84,9 +84,11 @@ pub struct LoadTransfer {
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub hold_time: f64,
     /// Vertical force on the robot that the controller's model does not explain, beyond which feet that are not
-    /// measured carry, if the set-point is below the centre of mass by `height` \[N\].
+    /// measured carry, if the set-point is below the centre of mass by `height` \[N\]; needs `controller.observer`.
+    /// Without it such feet are not found to carry.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub landing_force: f64,
+    pub landing_force: Option<f64>,
 }
 
 /// What the wrench of every foot may be, in sole axes about the sole's origin; where its centre of pressure
@@ -133,7 +135,9 @@ impl ContactConfig {
             table.non_negative("load_transfer.measured_gain", transfer.measured_gain)?;
             table.positive("load_transfer.height", transfer.height)?;
             table.non_negative("load_transfer.hold_time", transfer.hold_time)?;
-            table.positive("load_transfer.landing_force", transfer.landing_force)?;
+            if let Some(force) = transfer.landing_force {
+                table.positive("load_transfer.landing_force", force)?;
+            }
         }
         let limits = &self.wrench;
         table.positive("wrench.friction", limits.friction)?;
@@ -251,7 +255,7 @@ impl Contact {
             self.takes_off = climb > transfer.height;
             has_landed = !state.is_active
                 && climb < -transfer.height
-                && unmodelled.is_some_and(|force| force > transfer.landing_force);
+                && unmodelled.zip(transfer.landing_force).is_some_and(|(force, least)| force > least);
             carries |= has_landed;
             state.unloaded_time = if carries { 0.0 } else { state.unloaded_time + time_step };
             carries |= state.is_active && !self.takes_off && state.unloaded_time <= transfer.hold_time;
@@ -283,6 +287,12 @@ impl Contact {
             self.velocity_product.fixed_rows_mut::<3>(first + 3).copy_from(&angular);
         }
         has_landed
+    }
+
+    /// Whether the feet carry a robot that can neither take off nor land.
+    #[must_use]
+    pub fn stays(&self, state: &ContactState) -> bool {
+        state.is_active && self.config.load_transfer.is_none()
     }
 
     /// How far below the centre of mass the set-point of a robot that stands may be \[m\].

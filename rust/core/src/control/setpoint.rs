@@ -284,17 +284,17 @@ impl SetpointGenerator {
         state.acceleration = FilterState::moving(acceleration, jerk, Vector3::zeros());
     }
 
-    /// Set-point of a tick of the way down instead of the mission: level, without boost, and straight down to where the
-    /// robot has landed.
+    /// Set-point of a tick of the way down instead of the mission: level, without boost, and straight down unless the
+    /// robot `stays` where it is.
     #[must_use]
-    pub fn descend(&self, state: &mut SetpointState, has_landed: bool) -> Setpoint {
+    pub fn descend(&self, state: &mut SetpointState, stays: bool) -> Setpoint {
         let raw = &mut state.raw;
         let step = self.config.attitude_rate_deg[0].to_radians() * self.time_step;
         for angle in raw.rpy.iter_mut().take(2) {
             *angle -= angle.clamp(-step, step);
         }
         raw.turbo_ticks = 0;
-        if !has_landed {
+        if !stays {
             raw.position.z -= self.config.descent_speed * self.time_step;
         }
         self.smooth(state)
