@@ -1,8 +1,9 @@
 """What a tick takes the measurement to be, channel by channel, where some of it is missing or cannot be right.
 
-Every channel is treated alike. The model moves its last value on to this tick; the measured value is used if it is
-finite, within its accepted range and near its predicted value, and if it is not frozen, that is, the same to the bit
-for several ticks while what is predicted moves away. Else the predicted value is used, and the channel's age grows.
+The model moves the last value of every channel on to this tick; the measured value is used if it is finite and within
+its accepted range. Values of joints and base have to be near the predicted ones, too, and must not be frozen, that is,
+the same to the bit for several ticks while what is predicted moves away. Else the predicted value is used, and the
+channel's age grows.
 
 All numbers of a measurement stand in one vector of `E` entries: wind, thrusts, joint positions, joint velocities, base
 velocity, position and rotation (row by row); `C` channels own them.
