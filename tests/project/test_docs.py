@@ -110,8 +110,7 @@ def test_the_names_that_a_page_imports_exist(page):
     for code in blocks(page, "parse", "python"):
         for node in ast.walk(ast.parse(code)):
             if isinstance(node, ast.ImportFrom):
-                module = importlib.import_module(str(node.module))
-                assert all(hasattr(module, alias.name) for alias in node.names)
+                exec(compile(ast.Module([node], []), page.name, "exec"), {})
 
 
 @pytest.mark.parametrize("page", having("run", "sh"), ids=name)
