@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     vector: dict[str, Any] = {"nargs": 3, "type": float, "metavar": ("X", "Y", "Z"), "default": [0.0, 0.0, 0.0]}
     parser.add_argument("--wind", help="velocity of the air [m/s, inertial axes]", **vector)
     parser.add_argument("--velocity", help="flight velocity [m/s, inertial axes]", **vector)
-    parser.add_argument("--without", metavar="JET", help="a jet without thrust; the attitude is free then")
+    parser.add_argument("--without", metavar="JET", help="a jet without thrust; roll and pitch may be up to ±90° then")
     parser.add_argument("--objective", choices=OBJECTIVES, default="min_thrust")
     parser.add_argument("--map", action="store_true", help="solve all winds of the configuration, write a result")
     study.add_set(parser)

@@ -356,7 +356,8 @@ class Tick:
     setpoint
         What was followed.
     given
-        What the law was given.
+        What the controller's estimators, where it has some, made of the measurement; what is missing is not yet
+        predicted in it.
     contact
         The feet; `None` for a controller that cannot stand. Its force rates are unknowns of `momentum_qp` too, between
         thrust rates and joint velocities.

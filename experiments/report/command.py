@@ -172,7 +172,7 @@ def _minimum(page: Page, results: Results) -> None:
         Heading(2, "The minimum aerodynamic information that still flies"),
         Text(claims.answer(results) + _outdated(sweep.differs)),
         Text(
-            "Per world: flights completed, flights that also stayed within 15° and 0.25 m of their reference, "
+            "Per world: flights completed, flights that also stayed within 15° and 0.25 m of their set-point, "
             "median of the greatest rotation error."
         ),
         Table(("feedback", *worlds), rows),

@@ -42,7 +42,7 @@ export const TOUR = [
     others: { corrected: { ...DEFAULTS, controller: "baseline" } },
     ghost: "none",
     start: 8,
-    text: "The published simulator adds a link's offset without turning it into the world, which triples the aerodynamic moment at hover: 1.9 instead of 0.67 N m. Only with this error does the baseline fall.",
+    text: "The published simulator adds a link's offset without turning it into inertial axes, which triples the aerodynamic moment at hover: 1.9 instead of 0.67 N m. Only with this error does the baseline fall.",
     proof: ({ shown, corrected }) => [
       shown.lost_time === null ? "completes" : `${shown.lost_time.toFixed(1)} s`,
       `until it falls; with corrected arms it ${corrected.lost_time === null ? "completes" : "falls too"}`,
