@@ -1,9 +1,9 @@
 //! What a tick takes the measurement to be, channel by channel, where some of it is missing or cannot be right.
 //!
-//! Every channel is treated alike. The model moves its last value on to this tick ([`ChannelsState::predict`]); the
-//! measured value is used if it is finite, within its accepted range and near its predicted value, and if it is not
-//! frozen, that is, the same to the bit for several ticks while what is predicted moves away. Else the predicted value is
-//! used, and the channel's age grows.
+//! The model moves the last value of every channel on to this tick ([`ChannelsState::predict`]). The measured value is
+//! used if it is finite, within its accepted range and, of joints and base, near its predicted value and not frozen,
+//! that is, the same to the bit for several ticks while what is predicted moves away. Else the predicted value is used,
+//! and the channel's age grows.
 //!
 //! ```text
 //! wind              its last value, which fades to zero
