@@ -15,6 +15,10 @@ def wind_from(speed: float, direction_deg: float) -> list[float]:
 
 
 def speed_and_direction(velocity: Sequence[float]) -> tuple[float, float]:
-    """Return horizontal speed [m/s] and direction [deg, -180 to 180] of a velocity: the inverse of `wind_from`."""
+    """Return horizontal speed [m/s] and direction [deg, -180 to 180] of a velocity: the inverse of `wind_from`.
+
+    Calm air has direction 0.
+    """
     x, y, _ = velocity
-    return math.hypot(x, y), math.degrees(math.atan2(-y, -x))
+    # Differences, as the direction of -0.0 is -180.
+    return math.hypot(x, y), math.degrees(math.atan2(0.0 - y, 0.0 - x))

@@ -81,8 +81,8 @@ class Design:
             if others:
                 raise Refused(f"its levels have the `base` {' and '.join(sorted([base, *others]))}; expected one")
             config = copy.deepcopy(self.bases[base])
-            for settings in (self.spec.set, *(level.set for level in levels)):
-                keys.set_all(config, settings)
+            settings = {key: value for level in levels for key, value in level.set.items()}
+            keys.set_all(config, self.spec.set, settings)
         return config
 
     def row_config(self, row: int) -> rust.Config:

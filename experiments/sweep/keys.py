@@ -2,31 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from jax_aero import tables
 from jax_aero.keys import get, set_key
 from jax_aero.wind_direction import speed_and_direction, wind_from
 
+WIND = ("wind", "wind.velocity")
 POLAR = ("wind.speed", "wind.direction_deg")
 
 
-def set_all(config: dict[str, Any], settings: Mapping[str, Any]) -> None:
-    """Set every key in place; a number as a part of a key is an index into a list.
+def set_all(config: dict[str, Any], *layers: Mapping[str, Any]) -> None:
+    """Set every key in place, layer by layer; a number as a part of a key is an index into a list.
 
-    The values of an axis are floats: where one replaces an integer, it becomes one, unless it has a fraction.
+    Speed and direction of the wind come last, whatever their order, unless a later layer sets the wind itself.
 
     Raises
     ------
     ValueError
         Naming a key that cannot be set, or what it was to change, with its value and what was expected.
     """
-    for key, value in settings.items():
-        if key not in POLAR:
-            replaces_integer = type(get(config, key)) is int and isinstance(value, float) and value.is_integer()
-            set_key(config, key, int(value) if replaces_integer else value)
-    polar = {key: settings[key] for key in POLAR if key in settings}
+    polar: dict[str, Any] = {}
+    for settings in layers:
+        if any(key in settings for key in WIND):
+            polar.clear()
+        for key, value in settings.items():
+            if key in POLAR:
+                polar[key] = value
+            else:
+                set_key(config, key, value)
     if polar:
         given = tables.convert(polar, dict[str, float], "settings")
         wind = {"wind.velocity": get(config, "wind.velocity")}
@@ -34,3 +39,24 @@ def set_all(config: dict[str, Any], settings: Mapping[str, Any]) -> None:
         speed, direction = speed_and_direction(velocity["wind.velocity"])
         *horizontal, _ = wind_from(given.get(POLAR[0], speed), given.get(POLAR[1], direction))
         config["wind"]["velocity"] = [*horizontal, velocity["wind.velocity"][2]]
+
+
+def replaced(key: str, earlier: Mapping[str, Any]) -> str | None:
+    """Return the first of earlier settings that is lost, whole or in part, where `key` is set; `None` without one."""
+    for other, value in earlier.items():
+        # Speed and direction of the wind outlast what sets the wind, as they come last.
+        if key == other or (other not in POLAR and any(_within(part, key) for part in (other, *_parts(other, value)))):
+            return other
+    return None
+
+
+def _within(key: str, table: str) -> bool:
+    return f"{key}.".startswith(f"{table}.")
+
+
+def _parts(key: str, value: Any) -> Iterator[str]:
+    """Yield the keys of all that a table or list holds."""
+    entries = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else ()
+    for name, entry in entries:
+        yield f"{key}.{name}"
+        yield from _parts(f"{key}.{name}", entry)

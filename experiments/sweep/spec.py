@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -9,6 +10,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from experiments import study
+from experiments.sweep import keys
 from experiments.sweep.perturbation import Perturbation
 from jax_aero import places, tables
 
@@ -95,9 +97,14 @@ class Axis(tables.Table, frozen=True):
         # Fifteen digits: 0.1 + 0.2 is 0.3 in a table.
         return tuple(self.sampled(float(f"{value:.15g}")) for value in values)
 
+    @property
+    def settings(self) -> tuple[dict[str, Any], ...]:
+        """Return what its levels set; those of values alike."""
+        return tuple(level.set for level in self.level) or (dict.fromkeys(self.written, 0.0),)
+
     def sampled(self, value: float) -> Level:
-        """Return the level of one value."""
-        return Level(label=value, set=dict.fromkeys(self.written, value))
+        """Return the level of one value; a whole one is set as an integer, which stands for a number, too."""
+        return Level(label=value, set=dict.fromkeys(self.written, int(value) if value.is_integer() else value))
 
 
 class Spec(tables.Table, frozen=True):
@@ -142,6 +149,14 @@ class Spec(tables.Table, frozen=True):
             raise ValueError(f"`panels` is {self.panels!r}; expected the name of an axis: {', '.join(names)}")
         if self.design == "list" and len({len(axis.levels) for axis in self.axis}) > 1:
             raise ValueError("the axes of a list need equally many values")
+        for earlier, later in itertools.combinations(self.axis, 2):
+            for before, after in itertools.product(earlier.settings, later.settings):
+                for key in after:
+                    if lost := keys.replaced(key, before):
+                        raise ValueError(
+                            f"axis {later.name} sets `{key}`, which replaces `{lost}` of axis {earlier.name}; "
+                            "expected axes that set different keys"
+                        )
 
     @property
     def is_sampled(self) -> bool:

@@ -122,6 +122,54 @@ def test_wind_is_given_by_where_it_comes_from(speed, direction, velocity, agree)
     agree("velocity", config["wind"]["velocity"], [*velocity[:2], -1.5], 1e-9)
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_speed_and_direction_of_the_wind_come_in_any_order(order, agree):
+    """Also over calm air, which has no direction, and over a level that sets the wind itself."""
+    still = {"wind.velocity": [0.0, 0.0, 0.0]}
+    constant = {"wind": {"profile": "constant", "velocity": [0.0] * 3}}
+    box = [
+        {"name": "direction", "key": "wind.direction_deg", "values": [0, 90]},
+        {"name": "speed", "key": "wind.speed", "values": [5]},
+        {"name": "wind", "level": [{"label": "constant", "set": constant}]},
+    ]
+    made = design(set=still, axis=box[::order])
+    velocities = [made.cell_config(cell)["wind"]["velocity"] for cell in range(2)]
+    agree("velocities", velocities, [[-5.0, 0.0, 0.0], [0.0, -5.0, 0.0]], 1e-12)
+    alone = design(set={**still, "wind.direction_deg": 90}, axis=[box[1]])
+    agree("direction of every cell", alone.cell_config(0)["wind"]["velocity"], [0.0, -5.0, 0.0], 1e-12)
+    assert design(set=still, axis=[box[1]]).cell_config(0)["wind"]["velocity"] == [-5.0, 0.0, 0.0]
+    over = {"name": "wind", "level": [{"label": "a", "set": {"wind.velocity": [0.0, -3.0, 0.0]}}]}
+    assert design(set={"wind.speed": 9}, axis=[over]).cell_config(0)["wind"]["velocity"] == [0.0, -3.0, 0.0]
+
+
+def axes_that_set(*settings):
+    return [{"name": f"a{n}", "level": [{"label": "x", "set": one}]} for n, one in enumerate(settings)]
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        ({"wind.seed": 1}, {"wind": {"profile": "turbulent"}}),
+        ({"wind.speed": 1}, {"wind.speed": 2}),
+        ({"simulator.jets": {"feedback": "ideal"}}, {"simulator.jets.feedback": "ideal"}),
+        ({"simulator": {"jets": {"feedback": "ideal"}}}, {"simulator.jets": {}}),
+        ({"disturbances.outages": [{"start": 1.0}]}, {"disturbances.outages.0.start": 2.0}),
+    ],
+)
+def test_an_axis_replaces_nothing_of_another(first, second):
+    (lost,), (key,) = first, second
+    with pytest.raises(Refused, match=re.escape(f"axis a1 sets `{key}`, which replaces `{lost}` of axis a0; expected")):
+        design(axis=axes_that_set(first, second))
+
+
+def test_axes_may_set_parts_of_one_table():
+    design(axis=axes_that_set({"simulator.jets": {"feedback": "ideal"}}, {"simulator.jets.dynamics": "ideal"}))
+    design(set={"wind.seed": 1}, axis=axes_that_set({"wind": {"profile": "constant"}}))
+    values = [{"name": name, "key": "wind.speed", "low": 1, "high": 2} for name in ("x", "y")]
+    with pytest.raises(Refused, match=r"axis y sets `wind\.speed`, which replaces `wind\.speed` of axis x"):
+        design(axis=values, design="sobol", samples=2)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -196,10 +244,14 @@ def test_every_sweep_of_the_repository_can_fly(name):
     assert loaded.spec.description
 
 
-def test_an_axis_may_vary_an_integer():
-    made = design(axis=[{"name": "substeps", "key": "simulator.substeps", "values": [1, 2]}])
+@pytest.mark.parametrize("values", [{"values": [1, 2.0]}, {"range": {"start": 1, "stop": 2, "num": 2}}])
+def test_an_axis_may_vary_an_integer(values):
+    """Also one that the flight leaves out."""
+    estimate = {"disturbances.wind_estimate": {"noise_std": 1.0}}
+    made = design(set=estimate, axis=[{"name": "seed", "key": "disturbances.wind_estimate.seed", **values}])
     made.check()
-    assert repr([made.cell_config(cell)["simulator"]["substeps"] for cell in range(2)]) == "[1, 2]"
+    assert repr([made.cell_config(cell)["disturbances"]["wind_estimate"]["seed"] for cell in range(2)]) == "[1, 2]"
+    assert repr([level.label for (level,) in made.cells]) == "[1.0, 2.0]"
     with pytest.raises(Refused, match=r"`simulator\.substeps` is 1\.5; expected an integer"):
         design(axis=[{"name": "substeps", "key": "simulator.substeps", "values": [1.5]}]).check()
 
