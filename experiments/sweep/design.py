@@ -10,14 +10,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 from experiments import Refused, flight, manifest
 from experiments.sources import file_hash
 from experiments.sweep import keys, table
 from experiments.sweep.perturbation import members
 from experiments.sweep.spec import Level, Spec
-from jax_aero import io, rust, tables
+from jax_aero import rust, tables
 
 
 @dataclass(frozen=True)
@@ -98,19 +97,16 @@ class Design:
     @cached_property
     def digest(self) -> str:
         """Return a hash of all that decides the result, but for the code: every cell, and every file it names."""
-        configs = [self.cell_config(cell) for cell in range(len(self.cells))]
-        paths = {table[key] for config in configs for table, key in io.paths(config)}
-        if ensemble := self.spec.perturbation.ensemble:
-            paths |= {str(card) for card in members(ensemble)}
+        ensemble = self.spec.perturbation.ensemble
         what = {
             "axes": [axis.name for axis in self.spec.axis],
             "labels": [[level.label for level in levels] for levels in self.cells],
-            "cells": manifest.portable(configs),
-            "files": sorted([manifest.portable(path), file_hash(Path(path))] for path in paths),
+            "cells": [table.config_hash(self.cell_config(cell)) for cell in range(len(self.cells))],
+            "networks": [[card.name, file_hash(card)] for card in members(ensemble)] if ensemble else [],
             "perturbation": manifest.portable(tables.plain(self.spec.perturbation)),
             "numbers": [self.spec.seed, self.spec.repeats, self.spec.chunk, self.spec.engine],
         }
-        return hashlib.sha256(json.dumps(what, sort_keys=True, default=str).encode()).hexdigest()
+        return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
 
     def check(self) -> None:
         """Refuse a sweep with a cell that cannot fly, or that is there twice, before the first flight."""

@@ -5,6 +5,7 @@ Nothing in these tables depends on when, where or in which order flights were fl
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 import math
@@ -16,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from experiments import manifest
 from experiments.engines import Failure
-from jax_aero import rust
+from experiments.sources import file_hash
+from jax_aero import io, rust
 from jax_aero.result import FlightResult, Outcome
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ def rows(
         record |= {axis.name: label for axis, label in zip(design.spec.axis, labels, strict=True)}
         if design.spec.perturbation.ensemble:
             record["member"] = Path(config["simulator"]["aero"]["card"]).stem
-        record["config_hash"] = config_hash(dict(config))
+        record["config_hash"] = config_hash(config)
         if isinstance(flown, Failure):
             record |= {"outcome": "error", "error": flown.reason}
         else:
@@ -146,9 +147,14 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 
 
 def config_hash(config: Mapping[str, Any]) -> str:
-    """Return a short hash of one row's configuration, the same on every machine."""
-    text = json.dumps(manifest.portable(config), sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    """Return a short hash of a configuration and, in the place of its path, of every file; the same on every machine.
+
+    Of any configuration: `rust.config_digest` refuses one that cannot fly, which has a row, too.
+    """
+    hashed = copy.deepcopy(dict(config))
+    for part, key in io.paths(hashed):
+        part[key] = file_hash(Path(part[key]))
+    return hashlib.sha256(json.dumps(hashed, sort_keys=True).encode()).hexdigest()[:16]
 
 
 COLUMNS = {name for name, _ in (*PLACE, DRAWN, *FLIGHT)} | set(_cell({name: np.zeros(0) for name, _ in FLIGHT}))

@@ -335,6 +335,26 @@ def test_the_digest_follows_perturbations_and_weights(tmp_path):
     assert len(set(digests)) == len(digests)
 
 
+def test_files_of_one_name_that_change_places_make_another_sweep_of_other_rows(tmp_path):
+    level = []
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        wind = {"profile": "file", "path": str(tmp_path / folder / "wind.csv")}
+        level.append({"label": folder, "set": {"wind": wind}})
+    found = []
+    for texts in (("one", "other"), ("other", "one")):
+        for folder, text in zip("ab", texts, strict=True):
+            (tmp_path / folder / "wind.csv").write_text(text)
+        made = design(axis=[{"name": "wind", "level": level}])
+        configs = [made.row_config(row) for row in range(2)]
+        rows = table.rows(made, range(2), configs, [engines.Failure("")] * 2)
+        found.append((made.digest, rows["config_hash"].to_pylist()))
+    (before, (one, other)), (after, swapped) = found
+    assert before != after
+    assert one != other
+    assert swapped == [other, one]
+
+
 def test_without_sizes_nothing_is_perturbed():
     made = design()
     assert made.row_config(0) == made.cell_config(0)
