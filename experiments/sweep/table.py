@@ -30,7 +30,10 @@ SUMMARY = tuple(name for name, figure in rust.figures().items() if not figure.is
 
 ON_COURSE_ROTATION = math.radians(15.0)
 ON_COURSE_COM = 0.25
-"""A completed flight that was never this far off [rad, m] counts as on course, a stricter word than completed."""
+"""A completed flight that was never this far off [rad, m] counts as on course, a stricter word than completed.
+
+One that ends within its start-up has no error of position to tell, and does not count.
+"""
 
 
 PLACE = [("row", pa.int64()), ("cell", pa.int64()), ("repeat", pa.int64())]
@@ -117,11 +120,11 @@ def _cell(flights: Mapping[str, Any]) -> dict[str, Any]:
     """Return counts and quantiles of the flights of one cell."""
     completed = flights["outcome"] == "completed"
     errors = int((flights["outcome"] == "error").sum())
-    far = (flights["max_rotation_error"] > ON_COURSE_ROTATION) | (flights["max_com_error"] > ON_COURSE_COM)
+    near = (flights["max_rotation_error"] <= ON_COURSE_ROTATION) & (flights["max_com_error"] <= ON_COURSE_COM)
     trials = len(completed) - errors
     record: dict[str, Any] = {"flights": trials, "errors": errors}
     degraded = flights["degraded_time"] > 0.0
-    for name, which in (("completed", completed), ("on_course", completed & ~far), ("degraded", degraded)):
+    for name, which in (("completed", completed), ("on_course", completed & near), ("degraded", degraded)):
         low, high = wilson(int(which.sum()), trials)
         record |= {name: int(which.sum()), f"{name}_low": low, f"{name}_high": high}
     for outcome in typing.get_args(Outcome):

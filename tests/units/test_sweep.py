@@ -486,11 +486,13 @@ def test_a_cell_of_another_engine_is_refused_before_the_first_flight(change):
         design(**change).check()
 
 
-def test_a_completed_flight_without_an_error_of_position_was_never_too_far_off():
+def test_a_completed_flight_without_an_error_of_position_does_not_count_as_on_course():
     columns = {column for column, _ in table.QUANTITIES.values()} | {"degraded_time"}
     flights = dict.fromkeys(columns, np.zeros(2)) | {"outcome": np.array(["completed", "fell"])}
-    found = table._cell(flights | {"max_com_error": np.full(2, np.nan)})
-    assert (found["on_course"], found["com_error_worst"]) == (1, None)
+    found = table._cell(flights | {"max_com_error": np.array([np.nan, 0.0])})
+    assert (found["completed"], found["on_course"]) == (1, 0)
+    assert table._cell(flights)["on_course"] == 1
+    assert table._cell(flights | {"max_com_error": np.full(2, np.nan)})["com_error_worst"] is None
 
 
 def test_nothing_is_known_without_trials():
