@@ -39,13 +39,18 @@ class TuneConfig(tables.Table, frozen=True):
     worlds: Path
     """A sweep of a sampled design: each world is a cell, perturbed by draws of its own."""
     keys: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
-    """Values of the controller; each is multiplied by a factor, all entries of a list or table by the same."""
+    """Values of the controller, numbers or lists or tables of numbers that it has as one array (`posture_gain`,
+    `weights.thrust_rate`); each is multiplied by a factor, all entries of a list or table by the same."""
     duration: tables.Positive
     """Of a flight [s]."""
     cost: Cost
     steps: Steps
     seed: tables.Natural = 1
     """Of the worlds; those that validate have the next."""
+
+    def __post_init__(self) -> None:
+        if len(set(self.keys)) < len(self.keys):
+            raise ValueError(f"`keys` is {list(self.keys)}; expected each key once")
 
 
 def compute(name: str, config: TuneConfig, checkpoint: Path) -> Findings:

@@ -204,8 +204,11 @@ def scaled(scenario: Scenario, keys: Sequence[str], logarithms: Float[Array, " k
         Naming a key of which the controller has no number.
     """
     values = {}
-    for place, logarithm in zip(map(_place, keys), logarithms, strict=True):
-        before: Any = reduce(getattr, place.split("."), cast(Any, scenario))
+    for key, logarithm in zip(keys, logarithms, strict=True):
+        place = _place(key)
+        before: Any = reduce(lambda part, name: getattr(part, name, None), place.split("."), cast(Any, scenario))
+        if not isinstance(before, jax.Array):
+            raise ValueError(f"`{key}` cannot be tuned; expected what the controller has as one number or array")
         values[place] = before * jnp.exp(logarithm)
     return changed(scenario, values)
 

@@ -116,6 +116,14 @@ def test_a_factor_scales_what_its_key_names(scenario):
         np.testing.assert_allclose(got, factor * np.asarray(was), rtol=1e-14)  # exp(log x), a few roundings
 
 
+@pytest.mark.parametrize(
+    "key", ["momentum", "weights", "weights.symmetric_jets", "posture_gain.torso", "torque.torque_max"]
+)
+def test_a_key_that_is_no_array_of_the_controller_is_refused(scenario, key):
+    with pytest.raises(ValueError, match=f"`{key}` cannot be tuned; expected what the controller has as one"):
+        gains.scaled(scenario, [key], jnp.zeros(1))
+
+
 def bowl(theta, step):
     """Two worlds whose best values differ by a draw, and of every second step one whose gradient says nothing."""
     best = jnp.array([[1.0, -0.5], [1.0, -0.5]]) + 0.05 * np.random.default_rng(abs(step)).normal(size=(2, 2))
@@ -223,6 +231,7 @@ def test_a_run_does_not_go_on_in_other_worlds(files, monkeypatch):
     [
         ("momentum.c0", "momentum.c9", "`momentum.c9` in keys is no value of platform.toml"),
         ('"momentum.c0"', '"setpoint.turbo_rate"', "`setpoint.turbo_rate` cannot be tuned"),
+        ('"momentum.c0"', '"momentum.kp_linear"', "`keys` is .*; expected each key once"),
         ("validation = 2", "validation = 3", "`steps.validation` is 3; expected a multiple"),
     ],
 )
