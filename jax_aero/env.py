@@ -183,7 +183,7 @@ class FlightEnv:
             rotation=now.robot.base_rotation,
             velocity=now.robot.velocity,
             joint_position=now.robot.joint_position,
-            thrust=now.jets.thrust,
+            thrust=self._scenario.plant.jets.feedback(now.jets),
             com_error=kinematics(robot, now.robot).com - state.com_setpoint,
             setpoint_rotation=state.setpoint_rotation,
             posture=self._start.plant.robot.joint_position,

@@ -64,7 +64,7 @@ class Seen(NamedTuple):
     joint_position: Any
     """(n,) [rad]."""
     thrust: Any
-    """(j,) [N]."""
+    """(j,) [N]; the estimated one where `jets.feedback` is "estimated"."""
     com_error: Any
     """Centre of mass from its set-point (3,) [m]."""
     setpoint_rotation: Any

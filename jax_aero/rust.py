@@ -291,7 +291,10 @@ class Plant:
         return self.measure()
 
     def measure(self) -> Measurement:
-        """Return the true state, thrusts and wind: without the configuration's sensors, outages and wind estimate."""
+        """Return state, thrusts and wind, without the configuration's sensors, outages and wind estimate.
+
+        All are the true ones, but for the thrusts where `jets.feedback` is "estimated": those are the estimates.
+        """
         raw = self._core.measure()
         state = State(raw["base_position"], raw["base_rotation"], raw["joint_position"], raw["velocity"])
         return Measurement(raw["time"], state, raw["thrust"], raw["wind"])

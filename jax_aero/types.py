@@ -156,6 +156,14 @@ def where(condition: Bool[Array, ""], yes: Tree, no: Tree) -> Tree:
     return chosen
 
 
+def joined(*parts: Float[Array, " _"]) -> Float[Array, " _"]:
+    """Return vectors one after the other.
+
+    Empty ones are left out: jaxlib 0.10 compiles a slice of an empty last one to something else, or ends the process.
+    """
+    return jnp.concatenate([part for part in parts if part.size])
+
+
 def changed(tree: Tree, values: Mapping[str, Any]) -> Tree:
     """Return a scenario, or a part of it, with other numbers at dotted names such as `controller.momentum.c0`.
 

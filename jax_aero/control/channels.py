@@ -24,7 +24,7 @@ from msgspec.structs import astuple
 from jax_aero.config import ControllerSection, DivergenceConfig, Greatest, Jumps
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import exp_so3, is_rotation, multiply, vee_of_skew_part
-from jax_aero.types import Array, State, Static, leaf, pytree, where
+from jax_aero.types import Array, State, Static, joined, leaf, pytree, where
 
 GAP_MAX = 10.5
 """Longest time between two ticks, in ticks. Half a tick is for rounding."""
@@ -349,7 +349,7 @@ def _parts(numbers: Array, jets: int, n: int) -> tuple[State, Array]:
         base_position=numbers[-12:-9],
         base_rotation=numbers[-9:].reshape(3, 3),
         joint_position=joints[:n],
-        velocity=jnp.concatenate([numbers[-18:-12], joints[n:]]),
+        velocity=joined(numbers[-18:-12], joints[n:]),
     )
     return state, numbers[3 : 3 + jets]
 

@@ -25,7 +25,7 @@ from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.kinematics import frame_poses, generalised_force, kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import cross, exp_so3, log_so3, multiply, project_to_so3, rotate
-from jax_aero.types import Array, State, Static, leaf, pytree, where
+from jax_aero.types import Array, State, Static, joined, leaf, pytree, where
 
 GREATEST = 1e6
 """Beyond this no number of a robot is a measurement [m, m/s, rad/s, N]."""
@@ -281,12 +281,10 @@ def _correct(share: Array, estimate: Reading, measured: list[Reading]) -> Readin
         base_position=moved(0, now.base_position, position.state.base_position),
         base_rotation=base_rotation,
         joint_position=moved(4, now.joint_position, joints.state.joint_position),
-        velocity=jnp.concatenate(
-            [
-                moved(2, now.velocity[:3], linear.state.velocity[:3]),
-                base_rotation @ gyros,
-                moved(5, now.velocity[6:], joint_velocities.state.velocity[6:]),
-            ]
+        velocity=joined(
+            moved(2, now.velocity[:3], linear.state.velocity[:3]),
+            base_rotation @ gyros,
+            moved(5, now.velocity[6:], joint_velocities.state.velocity[6:]),
         ),
     )
     return Reading(state, jnp.maximum(moved(6, estimate.thrust, thrusts.thrust), 0.0))

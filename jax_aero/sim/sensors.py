@@ -24,7 +24,7 @@ from jax_aero import noise
 from jax_aero.config import SensorsConfig
 from jax_aero.control.estimator import Reading
 from jax_aero.spatial import exp_so3, multiply
-from jax_aero.types import Array, State, leaf, pytree
+from jax_aero.types import Array, State, joined, leaf, pytree
 
 STREAM = 2
 
@@ -119,7 +119,7 @@ def read(errors: Sensors, before: SensorState, truth: Reading, tick: Int[Array, 
             base_position=then(0).base_position + position,
             base_rotation=base_rotation,
             joint_position=joint_position,
-            velocity=jnp.concatenate([then(2).velocity[:3] + linear, base_rotation @ gyro, joint_velocity]),
+            velocity=joined(then(2).velocity[:3] + linear, base_rotation @ gyro, joint_velocity),
         ),
         line.thrust[errors.age[5]] + errors.thrust_bias + errors.thrust_noise_std * drawn[12:],
     )

@@ -58,6 +58,15 @@ def test_a_platform_without_joints_hovers_in_both_engines():
     assert largest_difference(ours, twin) < 1e-9
 
 
+def test_sensors_of_a_platform_without_joints_fly_in_both_engines():
+    """What they measure of the joint velocities is the empty end of a vector."""
+    sensors = {"base_linear_velocity": {"noise_std": 0.01}}
+    changes = {"simulator.duration": 0.3, "simulator.sensors": sensors}
+    ours, twin = both(rust.load_config(CONFIGS / "experiments/platform_hover.toml", changes))
+    assert ours.outcome == twin.outcome == "completed"
+    assert largest_difference(ours, twin) < 1e-9
+
+
 def test_a_robot_without_jets_falls_as_gravity_has_it(without_jets):
     config = hover_of(without_jets, (), duration=0.4)
     config["simulator"]["initial"]["thrust"] = []

@@ -54,10 +54,10 @@ def test_without_a_residual_the_controller_flies_as_it_does():
 def test_both_environments_are_one_task(x64, tmp_path):
     """Six ticks with drawn actions: observations and rewards, in the environment of JAX and in that of the crate.
 
-    The controller has an estimator, whose model goes on with what acts in both.
+    The controller has an estimator, whose model goes on with what acts in both, and is given estimated thrusts.
     """
     (tmp_path / "own.toml").write_text(
-        f'base = "{EXPERIMENTS}/test1.toml"\ncontroller.estimator.joint_velocity.time_constant = 0.1\n'
+        f'base = "{EXPERIMENTS}/sensor_noise.toml"\ncontroller.estimator.joint_velocity.time_constant = 0.1\n'
     )
     task = Task(str(tmp_path / "own.toml"), duration=1.0, ramp=0.05)
     crate, ours = HoverEnv(task), FlightEnv(task)
