@@ -13,7 +13,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
@@ -136,7 +136,8 @@ def write(path: Path, points: Waypoints, folder: Path) -> list[Path]:
     base = os.path.relpath(points.experiment, folder.resolve())
     write_text(
         flight,
-        f"# Source: ours, jax-aero waypoints {path.stem}\nbase = {_quoted(base)}\ntitle = {_quoted(points.title)}\n"
+        f"# Source: ours, jax-aero waypoints {path.stem}\n"
+        f"base = {tables.toml_value(base)}\ntitle = {tables.toml_value(points.title)}\n"
         f'mission = {{ file = "mission.csv"{without} }}\nsimulator = {{ duration = {duration:g} }}\n',
     )
     return [mission, flight]
@@ -233,7 +234,3 @@ def _still(com: Array) -> Array:
     rows: Array = np.zeros((4, 1, 3))
     rows[0, 0] = com
     return rows
-
-
-def _quoted(text: Any) -> str:
-    return msgspec.json.encode(str(text)).decode()

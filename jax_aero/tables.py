@@ -142,10 +142,20 @@ def _as_in_a_file(value: Any) -> Any:
 
 def toml(table: Mapping[str, Any], section: str = "") -> str:
     """Return a table as TOML: numbers, texts, truth, lists of these, and tables as sections; no list of tables."""
-    own = [f"{key} = {json.dumps(value)}" for key, value in table.items() if not isinstance(value, Mapping)]
+    own = [f"{toml_key(key)} = {toml_value(value)}" for key, value in table.items() if not isinstance(value, Mapping)]
     head = [f"[{section}]"] if section and (own or not table) else []
-    inner = [toml(value, _join(section, key)) for key, value in table.items() if isinstance(value, Mapping)]
+    inner = [toml(value, _join(section, toml_key(key))) for key, value in table.items() if isinstance(value, Mapping)]
     return "\n\n".join(filter(None, ["\n".join(head + own), *inner]))
+
+
+def toml_key(name: str) -> str:
+    """Return a key as TOML: quoted, unless it is a bare one."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else toml_value(name)
+
+
+def toml_value(value: Any) -> str:
+    """Return a number, a text, truth or a list of these as TOML."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def schema(kind: Any) -> dict[str, Any]:

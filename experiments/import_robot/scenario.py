@@ -31,7 +31,7 @@ def controller_text(robot: Robot, groups: Sequence[str], inertia: float, folder:
     table["torque"] |= {"kd": 10.0, "kp": 25.0}
     # Half the greatest thrust in a second; at a limit a rate fades out within as much thrust as one tick can change.
     table["bounds"] |= {"thrust_rate_max": reach, "thrust_steepness": 100.0 / max(reach.values(), default=100.0)}
-    about = f"# Controller of {robot.name}: configs/control/aero_aware.toml for its jets and joints."
+    about = "# Controller: configs/control/aero_aware.toml for the robot's jets and joints."
     return f"{about}\n{tables.toml(table)}\n"
 
 
@@ -40,17 +40,21 @@ def scenario_text(robot: Robot, trim: TrimResult, folder: Path, *, mission: str,
     joints = ", ".join(repr(float(value)) for value in trim.joint_position)
     thrust = ", ".join(repr(float(value)) for value in trim.thrust)
     attitude = ", ".join(repr(float(value)) for value in np.degrees(trim.base_rpy))
-    return f"""title = "{robot.name}: {mission} in wind {wind}"
+
+    def path_of(kind: str, name: str) -> str:
+        return tables.toml_value(_relative(places.CONFIGS / kind / f"{name}.toml", folder))
+
+    return f"""title = {tables.toml_value(f"{robot.name}: {mission} in wind {wind}")}
 description = "Starts in the trim that import-robot found."
 robot = "robot.toml"
 controller = {{ base = "controller.toml" }}
-mission = {{ base = "{_relative(places.CONFIGS / "mission" / f"{mission}.toml", folder)}" }}
-wind = {{ base = "{_relative(places.CONFIGS / "wind" / f"{wind}.toml", folder)}" }}
+mission = {{ base = {path_of("mission", mission)} }}
+wind = {{ base = {path_of("wind", wind)} }}
 
 [simulator]
 duration = {duration!r}
 time_step = 0.01
-aero = {{ base = "{_relative(places.CONFIGS / "aero" / "sphere_cylinder.toml", folder)}" }}
+aero = {{ base = {path_of("aero", "sphere_cylinder")} }}
 jets = {{ dynamics = "ideal" }}
 fall = {{ rotation_error_deg = 90.0, com_error = 1.0 }}
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from experiments import Refused
 from experiments.import_robot.shapes import Array, Box
+from jax_aero.tables import toml_key, toml_value
 from jax_aero.urdf import IDENTITY, Pose, attribute, numbers, origin_of
 
 AXES = {
@@ -154,17 +155,17 @@ def write(
     if unknown := [joint for joint in held if joint not in [known.name for known in tree.joints]]:
         raise Refused(f"`{unknown[0]}` is no joint of the URDF")
     lines = [
-        f"# {name}: made from its URDF by `python -m experiments import-robot`. Check what is marked with (?).",
+        "# Robot made from its URDF by `python -m experiments import-robot`. Check what is marked with (?).",
         "# SI units and radians, except keys ending in `_deg`; throttle is in percent.",
         "",
-        f'name = "{name}"',
-        f'urdf = "{os.path.relpath(urdf.resolve(), folder.resolve())}"',
-        f'base_link = "{tree.base}"',
+        f"name = {toml_value(name)}",
+        f"urdf = {toml_value(os.path.relpath(urdf.resolve(), folder.resolve()))}",
+        f"base_link = {toml_value(tree.base)}",
     ]
     if forward != "x":
         lines.append(f"forward_axis = {_row(AXES[forward])}")
     if held:
-        lines.append(f"locked = {{ {', '.join(f'{joint} = 0.0' for joint in held)} }}")
+        lines.append(f"locked = {{ {', '.join(f'{toml_key(joint)} = 0.0' for joint in held)} }}")
     lines += ["", "# --- joints, in tree order, a group for each chain ---", *_groups(tree.chains(held))]
     links = {link: box for link, box in boxes.items() if box.size.max() >= SMALLEST_LINK}
     lines += ["", "# --- aerodynamic links: cylinders and spheres of the size of the geometry (?) ---"]
@@ -185,6 +186,11 @@ def _row(values: Array | Sequence[float]) -> str:
     return "[" + ", ".join(repr(round(float(value), 6) + 0.0) for value in values) + "]"
 
 
+def _quoted(name: str, *keys: str) -> list[str]:
+    """Return lines that give each of the keys a name of the URDF."""
+    return [f"{key} = {toml_value(name)}" for key in keys]
+
+
 def group_name(chain: Sequence[Joint]) -> str:
     """Name a chain after its first joint."""
     return f"{chain[0].name}_chain"
@@ -193,14 +199,14 @@ def group_name(chain: Sequence[Joint]) -> str:
 def _groups(chains: Sequence[Sequence[Joint]]) -> list[str]:
     lines = []
     for chain in chains:
-        lines += ["", "[[joint_groups]]", f'name = "{group_name(chain)}"', "joints = ["]
+        lines += ["", "[[joint_groups]]", f"name = {toml_value(group_name(chain))}", "joints = ["]
         lines += [f"    {{ {', '.join(_joint_entry(joint))} }}," for joint in chain]
         lines += ["]"]
     return lines
 
 
 def _joint_entry(joint: Joint) -> list[str]:
-    entry = [f'name = "{joint.name}"']
+    entry = [f"name = {toml_value(joint.name)}"]
     turns = joint.kind != "prismatic"
     if joint.kind == "continuous":
         entry.append("limits_deg = [-180.0, 180.0]")
@@ -225,7 +231,7 @@ def _cylinder(box: Box) -> tuple[Array, float, float, bool]:
 
 def _aero_link(link: str, box: Box) -> list[str]:
     axis, diameter, length, is_sphere = _cylinder(box)
-    lines = ["", "[[aero_links]]", f'name = "{link}"', f'frame = "{link}"', f'family = "{link}"']
+    lines = ["", "[[aero_links]]", *_quoted(link, "name", "frame", "family")]
     exact = "[" + ", ".join(repr(float(value) + 0.0) for value in axis) + "]"
     lines += [f"axis = {exact}", f"centre = {_row(box.pose.position)}"]
     lines += [f"diameter = {diameter:.4g}", f"length = {length:.4g}"]
@@ -236,15 +242,16 @@ def _areas(link: str, box: Box) -> str:
     _, diameter, length, is_sphere = _cylinder(box)
     disc = 0.25 * np.pi * diameter**2
     if is_sphere:
-        return f"{link} = {{ cda = [{0.5 * disc:.4g}, 0.0, 0.0, 0.0, 0.0], cna = 0.0 }}"
+        return f"{toml_key(link)} = {{ cda = [{0.5 * disc:.4g}, 0.0, 0.0, 0.0, 0.0], cna = 0.0 }}"
     side = diameter * length
-    return f"{link} = {{ cda = [{0.8 * disc:.4g}, 0.0, {side - 0.8 * disc:.4g}, 0.0, 0.0], cna = {side / 3.0:.4g} }}"
+    cda = f"[{0.8 * disc:.4g}, 0.0, {side - 0.8 * disc:.4g}, 0.0, 0.0]"
+    return f"{toml_key(link)} = {{ cda = {cda}, cna = {side / 3.0:.4g} }}"
 
 
 def _jets(jets: Sequence[Thruster]) -> list[str]:
     lines = []
     for jet in jets:
-        lines += ["", "[[jets]]", f'name = "{jet.frame}"', f'frame = "{jet.frame}"', f"axis = {_row(AXES[jet.axis])}"]
+        lines += ["", "[[jets]]", *_quoted(jet.frame, "name", "frame"), f"axis = {_row(AXES[jet.axis])}"]
         lines += [f"thrust_max = {jet.thrust_max!r}", f"engine = {_engine(jet.thrust_max)}"]
     for greatest in sorted({jet.thrust_max for jet in jets}):
         lines += ["", "# Linear, critically damped at 3 rad/s, full thrust at full throttle (?)."]
@@ -271,4 +278,4 @@ def _foot(tree: Tree, boxes: dict[str, Box], frame: str) -> list[str]:
     (x_min, y_min), (x_max, y_max) = low_points[:, :2].min(axis=0), low_points[:, :2].max(axis=0)
     vertices = [[x_min, y_max, 0.0], [x_max, y_max, 0.0], [x_max, y_min, 0.0], [x_min, y_min, 0.0]]
     rows = ", ".join(_row(vertex) for vertex in vertices)
-    return ["", "[[feet]]", f'name = "{frame}"', f'frame = "{frame}"', f"vertices = [{rows}]"]
+    return ["", "[[feet]]", *_quoted(frame, "name", "frame"), f"vertices = [{rows}]"]

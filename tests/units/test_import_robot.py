@@ -80,6 +80,23 @@ def test_the_sparrows_urdf_becomes_a_robot_that_flies(tmp_path, capsys):
     assert "not empty" in capsys.readouterr().err
 
 
+def test_names_may_hold_what_is_no_bare_key(tmp_path):
+    """Blanks, dots, quotes, backslashes and what is no ASCII, in every name of the URDF."""
+    urdf = ET.parse(ROBOTS / "sparrow.urdf")
+    for element in urdf.iter():
+        for key in {"name", "link"} & set(element.attrib):
+            element.set(key, rf'{element.get(key)} "x".\ü')
+    urdf.write(tmp_path / "odd.urdf", encoding="utf-8", xml_declaration=True)
+    nozzles = [("back_nozzle", "z"), ("l_thruster", "-x"), ("r_thruster", "-x")]
+    name = r'{} "x".\ü'.format
+    jets = [skeleton.Thruster(name(frame), axis, 100.0) for frame, axis in nozzles]
+    feet = [name("l_sole"), name("r_sole")]
+    result = command.import_robot(tmp_path / "odd.urdf", tmp_path / "out", jets=jets, feet=feet, held=[name("neck")])
+    assert result.hover.outcome == "completed"
+    table = tomllib.loads((tmp_path / "out" / "robot.toml").read_text(encoding="utf-8"))
+    assert table["locked"] == {name("neck"): 0.0}
+
+
 def box_of(*parts):
     """Return the box of a link with some `<visual>` parts."""
     text = "".join(f"<visual>{part}</visual>" for part in parts)
