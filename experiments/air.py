@@ -35,6 +35,7 @@ from jax_aero.files import complete_file
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.spatial import cross
+from jax_aero.tables import LARGEST
 from jax_aero.types import Array, State
 
 DENSITY = 1.225
@@ -68,8 +69,8 @@ def _compute(given: argparse.Namespace) -> None:
     alphas, betas = angles("--alpha", given.alpha), angles("--beta", given.beta)
     if min(len(alphas), len(betas)) > 1:
         raise ValueError("--alpha and --beta are both ranges; expected one range")
-    if not given.speed > 0.0:
-        raise ValueError(f"--speed is {given.speed}; expected a positive number")
+    if not 0.0 < given.speed <= LARGEST:
+        raise ValueError(f"--speed is {given.speed}; expected a number > 0, at most {LARGEST:g}")
     robot = load_robot(places.find("robot", given.robot))
     joints = posture(robot, given.posture)
     tables = [(name, points(name, given.posture, alphas, betas)) for name in given.beside]

@@ -83,6 +83,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
 
     def work() -> int:
+        for name, parts in (("wind", given.wind), ("velocity", given.velocity)):
+            if not all(abs(part) <= tables.LARGEST for part in parts):
+                raise Refused(f"--{name} is {parts}; expected three numbers, each at most {tables.LARGEST:g}")
         changes = overrides.parse(given.set)
         if given.map:
             return 0 if MAP.run(given.name, changes)["summary"]["trims found"] else 1

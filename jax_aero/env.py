@@ -27,7 +27,7 @@ from jaxtyping import Float, Int, Key
 
 from jax_aero.control.protocol import Command, Measurement
 from jax_aero.control.tick import MomentumController, replace_command
-from jax_aero.env_task import Seen, Task, added_torque, is_lost, observation, rewards, steering
+from jax_aero.env_task import Seen, Task, added_torque, is_lost, observation, rewards, steering, within
 from jax_aero.io import load_config
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import RobotModel
@@ -78,7 +78,7 @@ class Steered:
         terms = command.terms
         assert terms is not None
         assert command.joint_velocity is not None
-        rates, velocities = steering(jnp, self.task, self.action, command.thrust_rate, command.joint_velocity)
+        rates, velocities = steering(self.task, self.action, command.thrust_rate, command.joint_velocity)
         bounds, j = terms.momentum_qp.problem, rates.shape[0]
         rates = jnp.clip(rates, bounds.lower[:j], bounds.upper[:j])
         more = added_torque(
@@ -119,7 +119,7 @@ class FlightEnv:
         self.action_size = robot.jets.count + robot.n_joints
         self.observation_size = 15 + 2 * robot.n_joints + robot.jets.count
         self.dt = float(self._scenario.plant.time_step)
-        self.episode_length = round(self.task.duration / self.dt)
+        self.episode_length = self.task.ticks(self.dt)
 
     def reset(self, key: Key[Array, ""]) -> EnvState:
         """Begin an episode: draw its wind."""
@@ -156,7 +156,7 @@ class FlightEnv:
         """Fly one tick with an action between −1 and 1."""
         inner = self._scenario.controller
         assert isinstance(inner, MomentumController)
-        action = jnp.asarray(action, state.wind.dtype)
+        action = within(jnp, action, self.action_size, state.wind.dtype)
         scenario: Scenario = changed(self._scenario, {"wind.velocity": state.wind})
         scenario = replace(scenario, controller=Steered(inner, action, self.task))
         flight, row = step(scenario, state.flight, state.tick)

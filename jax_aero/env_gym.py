@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jax_aero import rust, tables
-from jax_aero.env_task import Seen, Task, added_torque, is_lost, observation, rewards, steering
+from jax_aero.env_task import Seen, Task, added_torque, is_lost, observation, rewards, steering, within
 
 LARGEST = 1e6
 """Beyond anything that is observed before a flight counts as lost."""
@@ -53,7 +53,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         n, j = len(self._robot.joint_names), len(self._robot.jet_names)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (j + n,), np.float32)
         self.observation_space = gymnasium.spaces.Box(-LARGEST, LARGEST, (15 + 2 * n + j,), np.float32)
-        self._last_tick = round(self.task.duration / self._config["simulator"]["time_step"])
+        self._last_tick = self.task.ticks(self._config["simulator"]["time_step"])
         self._ticks = 0
         self._begin([0.0, 0.0, 0.0])
 
@@ -70,9 +70,9 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Fly one tick."""
         now, law = self._measurement, self._config["controller"]["torque"]
+        clipped = within(np, action, self._thrust_max.size + self._posture.size, np.float64)
         tick = self._controller.tick(now.state, now.thrust, now.wind, now.time)
-        wide = np.asarray(action, dtype=np.float64)
-        rates, velocities = steering(np, self.task, wide, tick.thrust_rate, tick.joint_velocity_command)
+        rates, velocities = steering(self.task, clipped, tick.thrust_rate, tick.joint_velocity_command)
         j = rates.shape[0]
         rates = np.clip(rates, tick.momentum_qp.lower[:j], tick.momentum_qp.upper[:j])
         more = added_torque(
@@ -88,7 +88,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._measurement = self._plant.step(rates, torque)
         self._ticks += 1
         seen, obs = self._observe()
-        parts = {name: float(value) for name, value in rewards(np, seen, wide).items()}
+        parts = {name: float(value) for name, value in rewards(np, seen, clipped).items()}
         lost = bool(is_lost(np, seen, self._fall))
         return obs, 0.0 if lost else sum(parts.values()), lost, self._ticks >= self._last_tick, parts
 

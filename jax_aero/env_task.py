@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, Literal, NamedTuple, get_args
 
 Steering = Literal["residual", "rates"]
@@ -35,8 +36,21 @@ class Task:
     def __post_init__(self) -> None:
         if self.steering not in (known := get_args(Steering)):
             raise ValueError(f"`steering` is {self.steering!r}; expected one of {', '.join(known)}")
-        if not 0.0 <= self.wind_max < math.inf:
-            raise ValueError(f"`wind_max` is {self.wind_max}; expected a number ≥ 0")
+        for name in ("wind_max", "ramp", "thrust_rate", "joint_velocity"):
+            _check(name, getattr(self, name), 0.0, "a number ≥ 0")
+        _check("duration", self.duration, math.ulp(0.0), "a number > 0")
+
+    def ticks(self, time_step: float) -> int:
+        """Return the length of an episode.
+
+        Raises
+        ------
+        ValueError
+            For a duration that is none.
+        """
+        if (ticks := round(self.duration / time_step)) < 1:
+            raise ValueError(f"`duration` is {self.duration}; expected at least one time step of {time_step} s")
+        return ticks
 
     def episode(self, config: Mapping[str, Any]) -> dict[str, Any]:
         """Return the configuration of an episode in still air, from that of the experiment.
@@ -52,6 +66,11 @@ class Task:
         wind = {"profile": "ramp", "velocity": [0.0, 0.0, 0.0], "ramp_start": 0.0, "ramp_end": self.ramp}
         simulator = {**config["simulator"], "duration": self.duration}
         return {**config, "mission": {}, "wind": wind, "simulator": simulator}
+
+
+def _check(name: str, value: Any, least: float, expected: str) -> None:
+    if not isinstance(value, Real) or not least <= float(value) < math.inf:
+        raise ValueError(f"`{name}` is {value!r}; expected {expected}")
 
 
 class Seen(NamedTuple):
@@ -95,14 +114,17 @@ def observation(xp: Any, seen: Seen, thrust_max: Any) -> Any:
 
 
 def rewards(xp: Any, seen: Seen, action: Any) -> dict[str, Any]:
-    """Return the parts of the reward of one tick, each at most what perfect hovering gives; their sum is at most 1."""
+    """Return the parts of the reward of one tick, each at most what perfect hovering gives; their sum is at most 1.
+
+    `action` is as `within` returns it.
+    """
     error = seen.setpoint_rotation.T @ seen.rotation
     # 1 − cos of the angle between base and set-point.
     angle = 0.5 * (3.0 - xp.trace(error))
     return {
         "attitude": 0.5 * xp.exp(-20.0 * angle),
         "position": 0.5 * xp.exp(-20.0 * xp.sum(seen.com_error**2)),
-        "effort": -0.01 * xp.mean(action**2),
+        "effort": -0.01 * xp.sum(action**2) / max(action.size, 1),
     }
 
 
@@ -114,10 +136,22 @@ def is_lost(xp: Any, seen: Seen, limits: Any) -> Any:
     return ~((turned <= limits.rotation_error_deg) & is_near)
 
 
-def steering(xp: Any, task: Task, action: Any, thrust_rate: Any, joint_velocity: Any) -> tuple[Any, Any]:
-    """Return thrust rates and joint velocities that an action asks for, given the controller's own."""
+def within(xp: Any, action: Any, size: int, dtype: Any) -> Any:
+    """Return an action between −1 and 1.
+
+    Raises
+    ------
+    ValueError
+        For one of another shape than (size,).
+    """
+    if (shape := xp.shape(action)) != (size,):
+        raise ValueError(f"`action` has shape {shape}; expected {(size,)}")
+    return xp.clip(xp.asarray(action, dtype), -1.0, 1.0)
+
+
+def steering(task: Task, action: Any, thrust_rate: Any, joint_velocity: Any) -> tuple[Any, Any]:
+    """Return thrust rates and joint velocities that an action between −1 and 1 asks for, given the controller's own."""
     j = thrust_rate.shape[0]
-    action = xp.clip(action, -1.0, 1.0)
     rates, velocities = task.thrust_rate * action[:j], task.joint_velocity * action[j:]
     if task.steering == "residual":
         return thrust_rate + rates, joint_velocity + velocities

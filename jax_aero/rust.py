@@ -27,6 +27,7 @@ import copy
 import difflib
 import functools
 import json
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -754,5 +755,18 @@ def _to_json(config: Mapping[str, Any]) -> str:
     plain = tables.plain(config)
     try:
         return json.dumps(plain, allow_nan=False)
-    except ValueError as reason:
-        raise ValueError(f"the configuration holds a number that is not finite: {reason}") from None
+    except ValueError:
+        key, value = next(_not_finite(plain))
+        raise ValueError(f"`{key}` is {value}; expected a finite number") from None
+
+
+def _not_finite(value: Any, key: str = "") -> Iterator[tuple[str, float]]:
+    """Yield what is no finite number in a configuration, and where it stands."""
+    if isinstance(value, Mapping):
+        for name, inner in value.items():
+            yield from _not_finite(inner, f"{key}.{name}" if key else str(name))
+    elif isinstance(value, list | tuple):
+        for index, inner in enumerate(value):
+            yield from _not_finite(inner, f"{key}[{index}]")
+    elif isinstance(value, float) and not math.isfinite(value):
+        yield key, value

@@ -172,8 +172,8 @@ def changed(tree: Tree, values: Mapping[str, Any]) -> Tree:
     Raises
     ------
     ValueError
-        Naming the part that a name does not lead to, the shape that was expected, or what others were computed from:
-        they would stay as they are.
+        Naming the part that a name does not lead to, a name or value that is no number or array, the shape or type
+        that was expected, or what others were computed from: they would stay as they are.
     """
     for name, value in values.items():
         tree = _changed(tree, name.split("."), name, value)
@@ -188,13 +188,24 @@ def _changed(node: Any, path: list[str], name: str, value: Any) -> Any:
     if first in (*COMPUTED_FROM, *getattr(node, "computed_from", ())):
         raise ValueError(f"`{name}` is what others were computed from; expected `prepare` with another configuration")
     before = getattr(node, first)
-    if rest:
-        after = _changed(before, rest, name, value)
-    elif jnp.shape(value) != jnp.shape(before):
-        raise ValueError(f"`{name}` has shape {jnp.shape(value)}; expected {jnp.shape(before)}")
-    else:
-        after = jnp.asarray(value, jnp.result_type(before))
+    after = _changed(before, rest, name, value) if rest else _like(before, name, value)
     return cast(Any, replace if is_dataclass(node) else type(node)._replace)(node, **{first: after})
+
+
+def _like(before: Any, name: str, value: Any) -> Array:
+    """Return a value as a leaf of the shape and kind of another."""
+    if not isinstance(before, Array | int | float):
+        raise ValueError(f"`{name}` is {type(before).__name__}; expected the name of a number or an array")
+    try:
+        new = jnp.asarray(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"`{name}` is {value!r}; expected a number or an array") from None
+    if new.shape != jnp.shape(before):
+        raise ValueError(f"`{name}` has shape {new.shape}; expected {jnp.shape(before)}")
+    wanted = jnp.result_type(before)
+    if jnp.issubdtype(new.dtype, jnp.inexact) and not jnp.issubdtype(wanted, jnp.inexact):
+        raise ValueError(f"`{name}` is {value!r}; expected values of type {wanted}")
+    return new.astype(wanted)
 
 
 def with_dtype(tree: Tree, dtype: Any) -> Tree:

@@ -65,7 +65,8 @@ def test_angles_are_numbers_or_ranges():
         (["--posture", "hoverin"], "did you mean hovering"),
         (["--model", "axisymetric_corrected"], "did you mean axisymmetric_corrected"),
         (["--robot", "sparrow"], "expected --posture zero"),
-        (["--speed", "0"], "expected a positive number"),
+        (["--speed", "0"], "expected a number > 0, at most 1e+09"),
+        (["--speed", "1e300"], "expected a number > 0, at most 1e+09"),
         (["--alpha", "0:20:10", "--beside", "wind_tunnel"], "holds nothing of posture"),
     ],
 )

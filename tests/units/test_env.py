@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -16,7 +17,7 @@ from jax_aero import rust
 from jax_aero.control.torque import TorqueParams, torque_qp
 from jax_aero.env import FlightEnv
 from jax_aero.env_gym import HoverEnv
-from jax_aero.env_task import Task, added_torque, steering
+from jax_aero.env_task import Seen, Task, added_torque, rewards, steering, within
 from tests.measurements import measured
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -128,12 +129,12 @@ def test_a_task_refuses_the_mean_of_a_wind_that_is_drawn_later(tmp_path):
 
 
 def test_an_action_is_a_residual_or_takes_the_controllers_place():
-    action = np.array([1.0, -3.0, 0.5])
+    action = within(np, [1.0, -3.0, 0.5], 3, np.float64)
     own = np.array([5.0, 6.0]), np.array([0.1])
-    rates, velocities = steering(np, Task(thrust_rate=10.0, joint_velocity=2.0), action, *own)
+    rates, velocities = steering(Task(thrust_rate=10.0, joint_velocity=2.0), action, *own)
     assert rates.tolist() == [15.0, -4.0]
     assert velocities.tolist() == [1.1]
-    rates, velocities = steering(np, Task("test1", "rates", thrust_rate=10.0, joint_velocity=2.0), action, *own)
+    rates, velocities = steering(Task("test1", "rates", thrust_rate=10.0, joint_velocity=2.0), action, *own)
     assert rates.tolist() == [10.0, -10.0]
     assert velocities.tolist() == [1.0]
 
@@ -157,8 +158,45 @@ def test_a_task_names_what_it_does_not_know():
         FlightEnv(Task(experiment="tset1"))
     with pytest.raises(ValueError, match="`steering` is 'rate'; expected one of residual, rates"):
         Task(steering="rate")
-    with pytest.raises(ValueError, match="`wind_max` is -3; expected a number ≥ 0"):
-        Task(wind_max=-3)
+    for wrong in (
+        {"wind_max": -3},
+        {"wind_max": "a"},
+        {"ramp": np.nan},
+        {"thrust_rate": np.nan},
+        {"thrust_rate": -5.0},
+        {"joint_velocity": np.inf},
+    ):
+        ((name, value),) = wrong.items()
+        with pytest.raises(ValueError, match=re.escape(f"`{name}` is {value!r}; expected a number ≥ 0")):
+            Task(**wrong)
+    for duration in (np.nan, 0.0):
+        with pytest.raises(ValueError, match=f"`duration` is {duration}; expected a number > 0"):
+            Task(duration=duration)
+    with pytest.raises(ValueError, match=r"`duration` is 0\.004; expected at least one time step of 0\.01 s"):
+        HoverEnv(Task(duration=0.004))
+
+
+def test_a_wind_that_is_not_finite_is_refused_by_its_key():
+    with pytest.raises(ValueError, match=r"`wind\.velocity\[1\]` is nan; expected a finite number"):
+        HoverEnv().reset(options={"wind": [0.0, np.nan, 0.0]})
+
+
+@pytest.mark.parametrize("size", [3, 30])
+def test_an_action_of_another_shape_is_refused(size):
+    with pytest.raises(ValueError, match=rf"`action` has shape \({size},\); expected \(27,\)"):
+        HoverEnv().step(np.zeros(size, np.float32))
+    hover = FlightEnv()
+    with pytest.raises(ValueError, match=rf"`action` has shape \({size},\); expected \(27,\)"):
+        hover.step(hover.start(jnp.zeros(3)), jnp.zeros(size))
+
+
+def test_the_effort_is_that_of_the_action_that_is_flown():
+    """Beyond the bounds none is added; a robot with nothing to steer makes none."""
+    seen = Seen(np.eye(3), np.zeros(6), np.zeros(0), np.zeros(0), np.zeros(3), np.eye(3), np.zeros(0))
+    crate = HoverEnv()
+    crate.reset(options={"wind": WIND})
+    assert crate.step(np.full(27, 30.0))[4]["effort"] == pytest.approx(-0.01)
+    assert sum(rewards(np, seen, np.zeros(0)).values()) == 1.0
 
 
 def test_the_example_imports_names_that_exist():

@@ -188,6 +188,23 @@ def test_what_others_were_computed_from_does_not_change():
     assert jax.eval_shape(lambda velocity: changed(exact, {"wind.velocity": velocity}), jnp.zeros(3))
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("n_ticks", 10.5, r"`n_ticks` is 10\.5; expected values of type int"),
+        ("sensors", None, r"`sensors` is NoneType; expected the name of a number or an array"),
+        ("wind", 1.0, r"`wind` is \w+; expected the name of a number or an array"),
+        ("wind.velocity", "a", r"`wind\.velocity` is 'a'; expected a number or an array"),
+        ("wind.velocity", None, r"`wind\.velocity` is None; expected a number or an array"),
+        ("wind.velocity", [0.0, 1.0], r"`wind\.velocity` has shape \(2,\); expected \(3,\)"),
+    ],
+)
+def test_changed_refuses_what_is_no_leaf(name, value, words):
+    scenario, _ = sim.prepare(io.load_config(TEST2, {"simulator.duration": 0.1}), dtype=np.float32)
+    with pytest.raises(ValueError, match=words):
+        changed(scenario, {name: value})
+
+
 def test_a_rollout_of_no_ticks_has_no_rows():
     start = sim.prepare(io.load_config(TEST2, {"simulator.duration": 0.1}), dtype=np.float32)
     after, rows = jax.eval_shape(lambda *flight: sim.rollout(*flight, 0, sim.everything), *start)

@@ -140,6 +140,9 @@ def test_without_an_arm_jet_the_others_hold_the_robot(free, flight, monkeypatch)
 
 def test_the_command_line(capsys):
     assert experiment.main(["hover_posture", "--without", "tail_jet"]) == 2
+    for option in ("--wind", "--velocity"):
+        for wrong in ("nan", "1e308"):
+            assert experiment.main([option, wrong, "0", "0"]) == 2
     assert "tail_jet" in capsys.readouterr().err
     assert experiment.main(["hover_posture", "--wind", "0", "-10", "0"]) == 0
     said = capsys.readouterr().out
