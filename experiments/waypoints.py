@@ -13,6 +13,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, NamedTuple
 
 import msgspec
@@ -80,7 +81,7 @@ class Waypoints(Table, frozen=True, kw_only=True):
     """Greatest rate of a turn [deg/s]."""
     settling: Annotated[float, msgspec.Meta(ge=0.0)] = 5.0
     """Flown after the last motion [s]."""
-    steps: tuple[Step, ...]
+    steps: Annotated[tuple[Step, ...], msgspec.Meta(min_length=1)]
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,11 @@ def write(path: Path, points: Waypoints, folder: Path) -> list[Path]:
         ]
     )
     mission, flight = folder / "mission.csv", folder / f"{path.stem}.toml"
-    write_text(mission, reference_text(rows, f"jax-aero waypoints {path.stem}", 10))
+    text = reference_text(rows, f"jax-aero waypoints {path.stem}", 10)
+    with TemporaryDirectory() as draft:
+        write_text(Path(draft) / mission.name, text)
+        rust.check_config({**config, "mission": {"file": str(Path(draft) / mission.name)}})
+    write_text(mission, text)
     # Tables of a base stay where nothing replaces them: its commands would be beside the reference.
     without = "".join(
         f", {name} = []" for name, value in config["mission"].items() if isinstance(value, list) and value

@@ -60,8 +60,10 @@ class Run:
         error = abs(self.flown["joint_position"] - self.flown["joint_setpoint"]) * (180.0 / np.pi)
         group_of = self.flown["joint_group"].values
         groups = list(dict.fromkeys(group_of.tolist()))  # in the robot's order
-        sums = [error.isel(joint=np.flatnonzero(group_of == group)).sum("joint") for group in groups]
-        return Series(np.stack(sums, axis=1), {"time": error["time"], "group": groups}, ("time", "group"))
+        sums = np.zeros((len(error["time"]), len(groups)))
+        for column, group in enumerate(groups):
+            sums[:, column] = error.isel(joint=np.flatnonzero(group_of == group)).sum("joint").values
+        return Series(sums, {"time": error["time"], "group": groups}, ("time", "group"))
 
     def rotation_error_deg(self) -> Series:
         """Return the angle between the base's rotation and its reference [deg]."""

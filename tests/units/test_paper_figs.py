@@ -82,6 +82,12 @@ def test_joint_errors_are_summed_by_group_in_degrees(made_up_results):
     np.testing.assert_allclose(errors.sel(group="torso"), torso)
 
 
+def test_a_robot_without_joints_has_no_joint_errors(made_up_results):
+    run = runs.load(made_up_results, "test1")
+    without = runs.Run("without", run.data.isel(joint=[]))
+    assert without.joint_error_deg().shape == (len(without.flown["time"]), 0)
+
+
 def test_nothing_behind_a_fall_is_shown(made_up_results):
     run = runs.load(made_up_results, "test1_published")
     assert run.lost_time == 21.5

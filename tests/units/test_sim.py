@@ -194,7 +194,7 @@ def test_what_others_were_computed_from_does_not_change():
         ("n_ticks", 10.5, r"`n_ticks` is 10\.5; expected values of type int"),
         ("sensors", None, r"`sensors` is NoneType; expected the name of a number or an array"),
         ("wind", 1.0, r"`wind` is \w+; expected the name of a number or an array"),
-        ("wind.velocity", "a", r"`wind\.velocity` is 'a'; expected a number or an array"),
+        ("wind.velocity", "fast", r"`wind\.velocity` is 'fast'; expected a number or an array"),
         ("wind.velocity", None, r"`wind\.velocity` is None; expected a number or an array"),
         ("wind.velocity", [0.0, 1.0], r"`wind\.velocity` has shape \(2,\); expected \(3,\)"),
     ],

@@ -65,6 +65,17 @@ def test_a_mission_beyond_the_longest_flight_is_refused_before_it_is_sampled(tmp
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    "steps",
+    [(), (Step(hold=1.0), Step(forward=1e-9, speed=1e8)), (Step(forward=1e8, speed=1e8),)],
+    ids=["none", "equal times", "too far"],
+)
+def test_a_mission_that_cannot_be_flown_leaves_no_file(tmp_path, steps):
+    with pytest.raises(ValueError, match="expected"):
+        waypoints.write(Path("none.toml"), points(*steps), tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
 def test_the_shipped_box_is_written_and_can_be_flown(tmp_path, capsys):
     assert cli.main(["waypoints", "box", "--out", str(tmp_path)]) == 0
     flight = tmp_path / "box" / "box.toml"
