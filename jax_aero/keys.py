@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from jax_aero.command import Refused
@@ -55,6 +55,17 @@ def get(config: Mapping[str, Any], key: str) -> Any:
             return None
         value = value[part]
     return value
+
+
+def parts(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the dotted key and the value of what is given and of all that it holds; places of a list are numbers."""
+    yield key, value
+    if isinstance(value, Mapping):
+        entries: Iterable[tuple[Any, Any]] = value.items()
+    else:
+        entries = enumerate(value) if isinstance(value, list | tuple) else ()
+    for name, entry in entries:
+        yield from parts(entry, f"{key}.{name}" if key else str(name))
 
 
 def set_key(config: dict[str, Any], key: str, value: Any) -> None:

@@ -41,6 +41,7 @@ from numpy.typing import ArrayLike, NDArray
 from jax_aero import _core, tables
 from jax_aero._core import BoxQpSolver, ControllerState, Robot, __version__, kkt_residual
 from jax_aero.io import override
+from jax_aero.keys import parts
 from jax_aero.places import find
 from jax_aero.result import FlightResult, Progress
 
@@ -756,17 +757,6 @@ def _to_json(config: Mapping[str, Any]) -> str:
     try:
         return json.dumps(plain, allow_nan=False)
     except ValueError:
-        key, value = next(_not_finite(plain))
+        numbers = ((key, value) for key, value in parts(plain) if isinstance(value, float))
+        key, value = next(number for number in numbers if not math.isfinite(number[1]))
         raise ValueError(f"`{key}` is {value}; expected a finite number") from None
-
-
-def _not_finite(value: Any, key: str = "") -> Iterator[tuple[str, float]]:
-    """Yield what is no finite number in a configuration, and where it stands."""
-    if isinstance(value, Mapping):
-        for name, inner in value.items():
-            yield from _not_finite(inner, f"{key}.{name}" if key else str(name))
-    elif isinstance(value, list | tuple):
-        for index, inner in enumerate(value):
-            yield from _not_finite(inner, f"{key}[{index}]")
-    elif isinstance(value, float) and not math.isfinite(value):
-        yield key, value

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from jax_aero import tables
-from jax_aero.keys import get, set_key
+from jax_aero.keys import get, parts, set_key
 from jax_aero.wind_direction import speed_and_direction, wind_from
 
 WIND = ("wind", "wind.velocity")
@@ -45,18 +45,10 @@ def replaced(key: str, earlier: Mapping[str, Any]) -> str | None:
     """Return the first of earlier settings that is lost, whole or in part, where `key` is set; `None` without one."""
     for other, value in earlier.items():
         # Speed and direction of the wind outlast what sets the wind, as they come last.
-        if key == other or (other not in POLAR and any(_within(part, key) for part in (other, *_parts(other, value)))):
+        if key == other or (other not in POLAR and any(_within(part, key) for part, _ in parts(value, other))):
             return other
     return None
 
 
 def _within(key: str, table: str) -> bool:
     return f"{key}.".startswith(f"{table}.")
-
-
-def _parts(key: str, value: Any) -> Iterator[str]:
-    """Yield the keys of all that a table or list holds."""
-    entries = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else ()
-    for name, entry in entries:
-        yield f"{key}.{name}"
-        yield from _parts(f"{key}.{name}", entry)

@@ -267,8 +267,8 @@ def update(
     predicted = jnp.where((is_measured & ~(is_same & is_vital))[owner], now, predicted)
 
     # The differences of a pose that this tick and the last one measured, and anew.
-    pose_is_new = is_measured & ~is_same & (memory.same == 0) & (memory.age == 0.0)
-    fresh = memory.is_begun & is_step & jnp.all(pose_is_new[-2:])
+    is_new = is_measured & ~is_same & (memory.same == 0) & (memory.age == 0.0)
+    fresh = memory.is_begun & is_step & jnp.all(is_new[-2:])
     before = jnp.where(of_entry & jnp.isfinite(memory.last), memory.last, now)
     moved = now[-12:-9] - before[-12:-9]
     turned = vee_of_skew_part(multiply(now[-9:].reshape(3, 3), before[-9:].reshape(3, 3).T))

@@ -42,7 +42,11 @@ def test_a_wrong_value_of_a_known_key_does_not_make_the_key_unknown():
 
 @pytest.mark.parametrize(
     ("value", "reason"),
-    [(np.float64, "is a type; expected a number, text"), (1 + 2j, "is a complex; expected"), (float("nan"), "nan")],
+    [
+        (np.float64, "is a type; expected a number, text"),
+        (1 + 2j, "is a complex; expected"),
+        (float("nan"), "`simulator.duration` is nan; expected a finite number"),
+    ],
 )
 def test_a_value_no_file_could_hold_is_refused(value, reason):
     with pytest.raises(ValueError, match=reason):

@@ -441,7 +441,14 @@ impl Controller {
         // A robot on its way down does not take off.
         let climb = if state.channels.is_descending { climb.min(0.0) } else { climb };
         let is_predicted = measurement.modes.contains(Modes::FEET_PREDICTED);
-        let has_landed = contact.update(
+        let observer = &mut state.observer;
+        let unmodelled = observer.wrench[2] + observer.residual[2];
+        let has_landed = is_predicted && contact.has_landed(&state.contact, climb, unmodelled);
+        if has_landed {
+            // What it has observed since the feet touched the ground is theirs.
+            *observer = ObserverState::new();
+        }
+        contact.update(
             &mut state.contact,
             &self.model,
             kinematics,
@@ -449,7 +456,7 @@ impl Controller {
             &measurement.foot_wrenches,
             climb,
             -momentum.rate_estimate[2],
-            is_predicted.then(|| state.observer.wrench[2] + state.observer.residual[2]),
+            has_landed,
             self.time_step,
         );
         // What feet that carry predict is no measurement of what acts on the robot.
@@ -457,10 +464,6 @@ impl Controller {
         contact.add_measured(&measurement.foot_wrenches, &kinematics.com, &mut rate);
         if state.contact.is_active {
             momentum.add_contact(&self.model, kinematics, dynamics, &contact.soles, &state.contact.force);
-            if has_landed {
-                // What was observed since the feet touched the ground is theirs (M114).
-                state.observer = ObserverState::new();
-            }
             if let Some(height) = contact.stand_height() {
                 state.setpoint.keep_above(kinematics.com.z - height);
             }

@@ -337,7 +337,7 @@ fn rates_of_the_feet_are_their_differences() {
             dynamics.update(&robot, &state, &kinematics);
             let measured = [Vector6::new(0.0, 0.0, 200.0, 0.0, 0.0, 0.0); 2];
             let feet = &mut ContactState::new(2);
-            contact.update(feet, &robot, &kinematics, &dynamics, &measured, 0.0, 0.0, None, 0.0);
+            contact.update(feet, &robot, &kinematics, &dynamics, &measured, 0.0, 0.0, false, 0.0);
             let velocity = contact.jacobian_transposed.tr_mul(&state.velocity);
             let mut momentum = flight_core::control::momentum::MomentumModel::new(&robot);
             momentum.add_contact(&robot, &kinematics, &dynamics, &contact.soles, &held);
@@ -582,6 +582,39 @@ fn a_robot_that_stands_is_not_estimated_to_fall() {
         let speed = standing.terms().seen.state.base_linear_velocity().norm();
         assert_within!(speed, 0.05, because "f_c* of a foot is off by 5 N of 212, which is g / 40 over 0.1 s", "tick {tick}");
     }
+}
+
+/// M101 on the ground: other torques than were commanded change what the feet carry, not what is predicted of the motion;
+/// other thrust rates do act.
+#[test]
+fn a_replaced_command_leaves_the_predicted_motion_of_a_robot_that_stands() {
+    let seen_after = |replaced: Option<(f64, f64)>| {
+        let (mut running, mut state) = able_to_take_off();
+        tick_with_load(&mut running, &state, 0.0, 0.0, &weight_on_both());
+        if let Some((share, rate)) = replaced {
+            let torque = running.controller.command().joint_torque.clone() * share;
+            let Running { controller, state } = &mut running;
+            controller.replace_command(state.as_mut().unwrap(), &[rate; 4], torque.as_slice()).unwrap();
+        }
+        state.velocity.rows_mut(0, 6).fill(f64::NAN);
+        state.base.position.fill(f64::NAN); // or the velocity follows it
+        let thrust = [f64::NAN; 4];
+        let feet = weight_on_both();
+        let measurement = Measurement {
+            time: TIME_STEP,
+            state: &state,
+            thrust: &thrust,
+            wind: Vector3::zeros(),
+            foot_wrenches: &feet,
+        };
+        running.tick(&measurement);
+        let seen = &running.terms().seen;
+        (seen.state.velocity.clone(), seen.thrust[0])
+    };
+    let (commanded, _) = seen_after(None);
+    let (replaced, thrust) = seen_after(Some((0.5, 30.0)));
+    assert_eq!(replaced, commanded);
+    assert_within!((thrust - (26.0 + 30.0 * TIME_STEP)).abs(), 1e-12);
 }
 
 /// A robot that is to take off and has lost its place for long stays: its jets are relieved, not its feet, and its

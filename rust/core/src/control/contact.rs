@@ -229,9 +229,8 @@ impl Contact {
 
     /// Advances `f_c*` of `state` by the last tick's rate, decides from the `measured` wrench of each foot whether the
     /// feet carry (when that changes, `f_c*` starts anew), and recomputes what depends on the state. The set-point is
-    /// `climb` \[m\] above the centre of mass; jets and air leave the vertical force `left` \[N\] to the feet. Where
-    /// the feet are not measured, `unmodelled` \[N\] is the vertical force that the model does not explain; whether the
-    /// feet are found to carry by it is returned.
+    /// `climb` \[m\] above the centre of mass; jets and air leave the vertical force `left` \[N\] to the feet. They
+    /// carry as well where `has_landed`.
     #[allow(clippy::too_many_arguments)] // each is computed elsewhere in the tick
     pub fn update(
         &mut self,
@@ -242,21 +241,17 @@ impl Contact {
         measured: &[Vector6<f64>],
         climb: f64,
         left: f64,
-        unmodelled: Option<f64>,
+        has_landed: bool,
         time_step: f64,
-    ) -> bool {
+    ) {
         // Forward Euler: a rate is used in its own tick and integrated into the next.
         state.force.axpy(time_step, &state.force_rate, 1.0);
         state.force_rate.fill(0.0);
         let threshold = self.config.vertical_force_min;
-        let mut carries = !measured.is_empty() && measured.iter().all(|wrench| wrench[2] > threshold);
-        let mut has_landed = false;
+        let is_loaded = !measured.is_empty() && measured.iter().all(|wrench| wrench[2] > threshold);
+        let mut carries = is_loaded || has_landed;
         if let Some(transfer) = &self.config.load_transfer {
             self.takes_off = climb > transfer.height;
-            has_landed = !state.is_active
-                && climb < -transfer.height
-                && unmodelled.zip(transfer.landing_force).is_some_and(|(force, least)| force > least);
-            carries |= has_landed;
             state.unloaded_time = if carries { 0.0 } else { state.unloaded_time + time_step };
             carries |= state.is_active && !self.takes_off && state.unloaded_time <= transfer.hold_time;
         }
@@ -271,7 +266,7 @@ impl Contact {
         if !state.is_active {
             self.jacobian_transposed.fill(0.0);
             self.velocity_product.fill(0.0);
-            return has_landed;
+            return;
         }
         for (index, foot) in robot.feet.iter().enumerate() {
             let (sole, first) = (&self.soles[index], WRENCH * index);
@@ -286,7 +281,16 @@ impl Contact {
             self.velocity_product.fixed_rows_mut::<3>(first).copy_from(&linear);
             self.velocity_product.fixed_rows_mut::<3>(first + 3).copy_from(&angular);
         }
-        has_landed
+    }
+
+    /// Whether feet that are not measured begin to carry (M114): the set-point is `climb` \[m\] above the centre of mass,
+    /// and the model does not explain the vertical force `unmodelled` \[N\].
+    #[must_use]
+    pub fn has_landed(&self, state: &ContactState, climb: f64, unmodelled: f64) -> bool {
+        self.config.load_transfer.as_ref().is_some_and(|transfer| {
+            let is_below = climb < -transfer.height;
+            !state.is_active && is_below && transfer.landing_force.is_some_and(|least| unmodelled > least)
+        })
     }
 
     /// Whether the feet carry a robot that can neither take off nor land.
