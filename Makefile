@@ -21,7 +21,7 @@ WORKERS ?= 2
 PARALLEL := --numprocesses $(WORKERS) --dist worksteal
 
 # What XLA has compiled, shared by the test processes and kept for their next run.
-JAX_CACHE := JAX_COMPILATION_CACHE_DIR=$(abspath target/jax) JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0.3 \
+JAX_CACHE := JAX_COMPILATION_CACHE_DIR=$(abspath target/jax) JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0 \
 	JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES=-1
 
 # Compiling takes most of the time of JAX's tests: with the least optimisation of XLA they take half as long. `make
