@@ -222,13 +222,14 @@ class LoadTransfer(Table, frozen=True, kw_only=True):
     """
     hold_time: NonNegative
     """Time for which feet of a robot that stands may lose contact and still count as carrying [s]."""
-    landing_force: Positive | None = None
-    """Vertical force on the robot that the controller's model does not explain, beyond which feet that are not
-    measured carry, if the set-point is below the centre of mass by `height` [N]; needs `controller.observer`.
-    Without it such feet are not found to carry.
-    """
     measured_gain: NonNegative
     """Gain with which `f_c*` of a robot that stands follows the measured wrenches [1/s]."""
+    unmodelled_force_max: Positive | None = None
+    """Greatest vertical force on the robot that the controller's model may leave unexplained [N]: beyond it measured
+    wrenches of the feet are wrong, and feet in the air carry if the set-point is below the centre of mass by
+    `height`. Needs `controller.observer`; without it foot sensors are believed, and feet that are not measured do
+    not begin to carry.
+    """
 
 
 class WrenchLimits(Table, frozen=True, kw_only=True):

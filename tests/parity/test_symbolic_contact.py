@@ -28,7 +28,7 @@ def ticks(count):
     law = config["controller"]
     for key in ("observer", "channels", "engines"):  # a random state does not follow from the one before
         del law[key]
-    del law["contact"]["load_transfer"]["landing_force"]  # which needs the observer
+    del law["contact"]["load_transfer"]["unmodelled_force_max"]  # which needs the observer
     initial, rng = config["simulator"]["initial"], np.random.default_rng(3)
     for index in range(count):
         controller = rust.Controller(config)

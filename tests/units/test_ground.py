@@ -158,6 +158,7 @@ def test_the_robot_takes_off_and_lands(measured, tmp_path):
     result = fly(config)
     log, summary = result.log, result.summary
     assert result.outcome == "completed"
+    assert not log["degraded_modes"].any()  # the impact included
     carried = log["feet_carry"] == 1.0
     assert carried[:50].all()
     assert carried[-200:].all()
@@ -193,6 +194,30 @@ def test_feet_that_are_not_measured_stand_take_off_and_land(monkeypatch, back):
     assert ((log["degraded_modes"] == 128.0) == ((log["time"] >= 0.3) & (log["time"] < back))).all()
     assert log["com_position"][:, 2].max() > 0.6
     assert log["com_position"][-1, 2] > 0.56
+    assert (log["feet_carry"][-200:] == 1.0).all()
+
+
+@pytest.mark.parametrize(("wrong", "start", "found"), [("zero", 0.5, 0.62), ("zero", 6.0, 12.2), ("frozen", 1.0, 2.9)])
+def test_foot_sensors_that_the_momentum_contradicts_are_not_believed(monkeypatch, wrong, start, found):
+    """They were: the robot fell at 1.8, 14.7 and 6.4 s."""
+    tick = rust.Controller.tick
+    last = []
+
+    def spoilt(self, state, thrust, wind, time, *, foot_wrenches):
+        if time < start:
+            last[:] = [np.array(foot_wrenches)]
+        seen = foot_wrenches if time < start else last[0] * (wrong == "frozen")
+        return tick(self, state, thrust, wind, time, foot_wrenches=seen)
+
+    monkeypatch.setattr(rust.Controller, "tick", spoilt)
+    changes = {"simulator.duration": 15.0, "wind.velocity": [0.0, 0.0, 0.0]}
+    result = fly(rust.load_config(ROOT / "configs/experiments/take_off.toml", changes))
+    assert result.outcome == "completed"
+    log = result.log
+    is_found = log["degraded_modes"].astype(int) & MODES["feet_predicted"] > 0
+    assert log["time"][is_found][0] == pytest.approx(found, abs=0.15)
+    assert is_found[log["time"] > found + 0.2].all()
+    assert log["com_position"][:, 2].max() > 0.6
     assert (log["feet_carry"][-200:] == 1.0).all()
 
 

@@ -400,8 +400,8 @@ impl Controller {
         if !is_seen {
             return self.hold_command(CommandStatus::BadMeasurement);
         }
-        self.command.modes = self.terms.seen.modes;
         self.observe(state);
+        self.command.modes = self.terms.seen.modes;
         let descent = self.config.engines.as_ref().and_then(|config| {
             let is_lost = state.engines.iter().any(|engine| engine.is_lost(config));
             config.descent.filter(|_| is_lost && !state.contact.is_active)
@@ -440,13 +440,17 @@ impl Controller {
         let climb = setpoint.com_position.z - kinematics.com.z;
         // A robot on its way down does not take off.
         let climb = if state.channels.is_descending { climb.min(0.0) } else { climb };
-        let is_predicted = measurement.modes.contains(Modes::FEET_PREDICTED);
         let observer = &mut state.observer;
+        let are_measured = !measurement.modes.contains(Modes::FEET_PREDICTED);
         let unmodelled = observer.wrench[2] + observer.residual[2];
-        let has_landed = is_predicted && contact.has_landed(&state.contact, climb, unmodelled);
-        if has_landed {
-            // What it has observed since the feet touched the ground is theirs.
+        let carry_unknown =
+            contact.carry_unknown(&mut state.contact, are_measured, climb, unmodelled, measurement.elapsed);
+        if carry_unknown {
+            // What it has observed is theirs.
             *observer = ObserverState::new();
+            if are_measured {
+                state.channels.reject_feet(measurement);
+            }
         }
         contact.update(
             &mut state.contact,
@@ -456,11 +460,12 @@ impl Controller {
             &measurement.foot_wrenches,
             climb,
             -momentum.rate_estimate[2],
-            has_landed,
+            carry_unknown,
             self.time_step,
         );
         // What feet that carry predict is no measurement of what acts on the robot.
-        measurement.has_momentum &= !(state.contact.is_active && is_predicted);
+        measurement.has_momentum &=
+            !(state.contact.is_active && measurement.modes.contains(Modes::FEET_PREDICTED));
         contact.add_measured(&measurement.foot_wrenches, &kinematics.com, &mut rate);
         if state.contact.is_active {
             momentum.add_contact(&self.model, kinematics, dynamics, &contact.soles, &state.contact.force);
@@ -498,7 +503,7 @@ impl Controller {
                 }
             }
             if state.engines.iter().any(EngineState::is_limited) {
-                self.command.modes.insert(Modes::ENGINE_LIMITED);
+                measurement.modes.insert(Modes::ENGINE_LIMITED);
             }
         }
     }

@@ -828,6 +828,17 @@ impl ChannelsState {
         bound(predicted, greatest);
     }
 
+    /// Uses the measured wrenches of the feet no more, nor those of this tick.
+    pub(super) fn reject_feet(&mut self, seen: &mut Seen) {
+        if let Some(feet) = self.channels.last_mut() {
+            feet.is_distrusted = true;
+        }
+        for (to, wrench) in seen.foot_wrenches.iter_mut().zip(self.foot_wrenches.as_slice().chunks_exact(6)) {
+            to.copy_from_slice(wrench);
+        }
+        seen.modes.insert(Modes::FEET_PREDICTED);
+    }
+
     /// Uses the measured thrust of a jet no more, which was measured too large by `deviation` \[N\].
     pub(super) fn reject_sensor(&mut self, jet: usize, deviation: f64) {
         let (first_entry, first_channel) = (3, 1); // behind the wind

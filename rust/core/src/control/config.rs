@@ -336,10 +336,12 @@ impl ControllerConfig {
         }
         if let Some(contact) = &self.contact {
             contact.check(robot)?;
-            let landing_force = contact.load_transfer.as_ref().and_then(|transfer| transfer.landing_force);
-            if let Some(force) = landing_force.filter(|_| self.observer.is_none()) {
-                let (key, expected) =
-                    ("controller.contact.load_transfer.landing_force", "none without controller.observer");
+            let force_max = contact.load_transfer.as_ref().and_then(|transfer| transfer.unmodelled_force_max);
+            if let Some(force) = force_max.filter(|_| self.observer.is_none()) {
+                let (key, expected) = (
+                    "controller.contact.load_transfer.unmodelled_force_max",
+                    "none without controller.observer",
+                );
                 return Err(BuildError::bad_value(key, force, expected));
             }
             if contact.load_transfer.is_some() && !self.use_jets {

@@ -24,6 +24,10 @@ pub const WRENCH: usize = 6;
 /// Corners of the friction polygon, four to a quadrant with its ends.
 const FRICTION_SIDES: usize = 12;
 
+/// Time after which an unexplained force is none of an impact \[s\]. For half of it what the feet measure at one time is not
+/// what they exert during a tick (`take_off`, winds up to 10 m/s).
+const IMPACT_TIME: f64 = 0.1;
+
 /// Inequalities on the wrench of one foot: friction, torsion, unilateral, centre of pressure.
 pub const WRENCH_ROWS: usize = FRICTION_SIDES + 2 + 1 + 4;
 
@@ -83,12 +87,13 @@ pub struct LoadTransfer {
     /// Time for which feet of a robot that stands may lose contact and still count as carrying \[s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub hold_time: f64,
-    /// Vertical force on the robot that the controller's model does not explain, beyond which feet that are not
-    /// measured carry, if the set-point is below the centre of mass by `height` \[N\]; needs `controller.observer`.
-    /// Without it such feet are not found to carry.
+    /// Greatest vertical force on the robot that the controller's model may leave unexplained \[N\]: beyond it measured
+    /// wrenches of the feet are wrong, and feet in the air carry if the set-point is below the centre of mass by `height`.
+    /// Needs `controller.observer`; without it foot sensors are believed, and feet that are not measured do not begin to
+    /// carry.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub landing_force: Option<f64>,
+    pub unmodelled_force_max: Option<f64>,
 }
 
 /// What the wrench of every foot may be, in sole axes about the sole's origin; where its centre of pressure
@@ -135,8 +140,8 @@ impl ContactConfig {
             table.non_negative("load_transfer.measured_gain", transfer.measured_gain)?;
             table.positive("load_transfer.height", transfer.height)?;
             table.non_negative("load_transfer.hold_time", transfer.hold_time)?;
-            if let Some(force) = transfer.landing_force {
-                table.positive("load_transfer.landing_force", force)?;
+            if let Some(force) = transfer.unmodelled_force_max {
+                table.positive("load_transfer.unmodelled_force_max", force)?;
             }
         }
         let limits = &self.wrench;
@@ -182,8 +187,10 @@ pub struct ContactState {
     pub force: DVector<f64>,
     /// `ḟ_c*` of the last tick, integrated when the next one begins; zero while the feet do not carry.
     pub force_rate: DVector<f64>,
-    /// Since when one of the feet does not carry \[s\].
+    /// For how long one of the feet has not carried \[s\].
     unloaded_time: f64,
+    /// For how long the model has not explained the vertical force \[s\].
+    unknown_time: f64,
 }
 
 impl ContactState {
@@ -191,7 +198,13 @@ impl ContactState {
     #[must_use]
     pub fn new(feet: usize) -> Self {
         let nothing = DVector::zeros(WRENCH * feet);
-        Self { is_active: false, force: nothing.clone(), force_rate: nothing, unloaded_time: 0.0 }
+        Self {
+            is_active: false,
+            force: nothing.clone(),
+            force_rate: nothing,
+            unloaded_time: f64::INFINITY,
+            unknown_time: 0.0,
+        }
     }
 }
 
@@ -230,7 +243,7 @@ impl Contact {
     /// Advances `f_c*` of `state` by the last tick's rate, decides from the `measured` wrench of each foot whether the
     /// feet carry (when that changes, `f_c*` starts anew), and recomputes what depends on the state. The set-point is
     /// `climb` \[m\] above the centre of mass; jets and air leave the vertical force `left` \[N\] to the feet. They
-    /// carry as well where `has_landed`.
+    /// carry as well, and `f_c*` starts anew, where that `is_found`.
     #[allow(clippy::too_many_arguments)] // each is computed elsewhere in the tick
     pub fn update(
         &mut self,
@@ -241,7 +254,7 @@ impl Contact {
         measured: &[Vector6<f64>],
         climb: f64,
         left: f64,
-        has_landed: bool,
+        is_found: bool,
         time_step: f64,
     ) {
         // Forward Euler: a rate is used in its own tick and integrated into the next.
@@ -249,17 +262,19 @@ impl Contact {
         state.force_rate.fill(0.0);
         let threshold = self.config.vertical_force_min;
         let is_loaded = !measured.is_empty() && measured.iter().all(|wrench| wrench[2] > threshold);
-        let mut carries = is_loaded || has_landed;
+        let mut carries = is_loaded || is_found;
         if let Some(transfer) = &self.config.load_transfer {
             self.takes_off = climb > transfer.height;
             state.unloaded_time = if carries { 0.0 } else { state.unloaded_time + time_step };
             carries |= state.is_active && !self.takes_off && state.unloaded_time <= transfer.hold_time;
         }
-        if carries != state.is_active {
+        if carries != state.is_active || is_found {
             state.is_active = carries;
             self.restart(state, measured, left);
         }
-        self.follow(state, measured, time_step);
+        if !is_found {
+            self.follow(state, measured, time_step);
+        }
         for (sole, foot) in self.soles.iter_mut().zip(&robot.feet) {
             *sole = kinematics.frame_pose(&foot.frame);
         }
@@ -283,14 +298,27 @@ impl Contact {
         }
     }
 
-    /// Whether feet that are not measured begin to carry (M114): the set-point is `climb` \[m\] above the centre of mass,
-    /// and the model does not explain the vertical force `unmodelled` \[N\].
-    #[must_use]
-    pub fn has_landed(&self, state: &ContactState, climb: f64, unmodelled: f64) -> bool {
-        self.config.load_transfer.as_ref().is_some_and(|transfer| {
-            let is_below = climb < -transfer.height;
-            !state.is_active && is_below && transfer.landing_force.is_some_and(|least| unmodelled > least)
-        })
+    /// Whether the feet carry something else than is known of them (M114): the set-point is `climb` \[m\] above the centre
+    /// of mass, and the model does not explain the vertical force `unmodelled` \[N\], `elapsed` \[s\] after the last tick.
+    pub fn carry_unknown(
+        &self,
+        state: &mut ContactState,
+        are_measured: bool,
+        climb: f64,
+        unmodelled: f64,
+        elapsed: f64,
+    ) -> bool {
+        let Some(transfer) = &self.config.load_transfer else { return false };
+        let Some(greatest) = transfer.unmodelled_force_max else { return false };
+        let is_unknown = if state.is_active {
+            are_measured && unmodelled.abs() > greatest
+        } else {
+            let carried_just_now = are_measured && state.unloaded_time <= transfer.hold_time;
+            unmodelled > greatest && (climb < -transfer.height || carried_just_now)
+        };
+        state.unknown_time = if is_unknown { state.unknown_time + elapsed } else { 0.0 };
+        // Half a tick is for rounding.
+        is_unknown && (!are_measured || state.unknown_time > IMPACT_TIME + 0.5 * elapsed)
     }
 
     /// Whether the feet carry a robot that can neither take off nor land.
