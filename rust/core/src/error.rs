@@ -88,6 +88,19 @@ pub fn check(
     }
 }
 
+/// Place of a name among those that are known.
+///
+/// # Errors
+/// [`BuildError::UnknownName`] naming `item`.
+pub fn place_of<S: AsRef<str>>(
+    item: impl Into<String>,
+    name: &str,
+    known: impl IntoIterator<Item = S> + Clone,
+) -> Result<usize, BuildError> {
+    let place = known.clone().into_iter().position(|known| known.as_ref() == name);
+    place.ok_or_else(|| BuildError::unknown_name(item, name, known))
+}
+
 /// A table of a configuration, by its full name: checks of its numbers, which errors name by their keys.
 #[derive(Debug, Clone, Copy)]
 pub struct Table<'a>(pub &'a str);

@@ -12,7 +12,7 @@ mod urdf;
 
 use crate::read_text;
 use crate::toml::{from_value, parse};
-use flight_core::error::{BuildError, check as check_number};
+use flight_core::error::{BuildError, check as check_number, place_of};
 use flight_core::jets::EngineModel;
 use flight_core::robot::{
     AeroLink, AxisymmetricCoefficients, EngineCoefficients, Foot, Jet, JointGroup, RobotModel, check,
@@ -301,10 +301,8 @@ fn check_coefficients(file: &RobotFile) -> Result<(), BuildError> {
     for (set, families) in &file.coefficients {
         for (family, areas) in families {
             let of = format!("coefficient set `{set}`, family `{family}`");
-            if !file.aero_links.iter().any(|link| link.family == *family) {
-                let known = file.aero_links.iter().map(|link| &link.family);
-                return Err(BuildError::unknown_name(format!("coefficient set `{set}`"), family, known));
-            }
+            let known = file.aero_links.iter().map(|link| &link.family);
+            place_of(format!("coefficient set `{set}`"), family, known)?;
             for (index, value) in areas.cda.iter().chain([&areas.cna]).enumerate() {
                 check_number(&format!("w{index} of {of}"), *value, |_| true, "a finite area, in m²")?;
             }

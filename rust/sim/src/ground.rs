@@ -1,6 +1,6 @@
 //! The ground and the motors of a world in which the robot stands.
 
-use flight_core::error::{BuildError, Table};
+use flight_core::error::{BuildError, Table, place_of};
 use flight_core::robot::RobotModel;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -85,10 +85,7 @@ impl MotorsConfig {
         table.non_negative("stiffness", self.stiffness)?;
         table.non_negative("inertia", self.inertia)?;
         for (joint, friction) in &self.friction_of {
-            if robot.joint_index(joint).is_none() {
-                let known = robot.joints.iter().map(|joint| joint.name.as_str());
-                return Err(BuildError::unknown_name("simulator.motors.friction_of", joint, known));
-            }
+            place_of("simulator.motors.friction_of", joint, robot.joints.iter().map(|joint| &joint.name))?;
             table.non_negative(&format!("friction_of.{joint}"), *friction)?;
         }
         Ok(())

@@ -5,7 +5,7 @@
 //!
 //! Equation M40 of `docs/model.md`.
 
-use crate::error::{BuildError, check};
+use crate::error::{BuildError, check, place_of};
 use crate::robot::AeroLink;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -59,10 +59,7 @@ impl ForceFactors {
         let scale = factor("scale", config.scale)?;
         let mut by_link = vec![scale; links.len()];
         for (name, value) in &config.links {
-            let names = || links.iter().map(|link| link.name.as_str());
-            let index = names()
-                .position(|known| known == name)
-                .ok_or_else(|| BuildError::unknown_name(format!("{table}.links"), name, names()))?;
+            let index = place_of(format!("{table}.links"), name, links.iter().map(|link| &link.name))?;
             by_link[index] = scale * factor(&format!("links.{name}"), *value)?;
         }
         Ok(Self {

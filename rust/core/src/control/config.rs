@@ -6,7 +6,7 @@ use super::engines::EnginesConfig;
 use super::observer::ObserverConfig;
 use super::setpoint::SetpointConfig;
 use crate::aero::{JacobianOffset, LeverArm, LinkVelocity};
-use crate::error::{BuildError, Table};
+use crate::error::{BuildError, Table, place_of};
 use crate::estimator::EstimatorConfig;
 use crate::qp::QpChain;
 #[cfg(feature = "clarabel")]
@@ -419,8 +419,9 @@ impl ControllerConfig {
     /// # Errors
     /// [`BuildError::UnknownName`] for a jet the robot does not have.
     pub fn symmetric_pairs(&self, robot: &RobotModel) -> Result<Vec<(usize, usize)>, BuildError> {
+        let place = |jet: &str| place_of("controller.weights.symmetric_jets", jet, jet_names(robot));
         let pairs = self.weights.symmetric_jets.iter();
-        pairs.map(|[a, b]| Ok((jet_index(robot, a)?, jet_index(robot, b)?))).collect()
+        pairs.map(|[a, b]| Ok((place(a)?, place(b)?))).collect()
     }
 }
 
@@ -433,12 +434,6 @@ fn jet_names(robot: &RobotModel) -> impl Iterator<Item = &str> + Clone {
     robot.jets.iter().map(|jet| jet.name.as_str())
 }
 
-fn jet_index(robot: &RobotModel, name: &str) -> Result<usize, BuildError> {
-    jet_names(robot)
-        .position(|jet| jet == name)
-        .ok_or_else(|| BuildError::unknown_name("controller.weights.symmetric_jets", name, jet_names(robot)))
-}
-
 /// A table with exactly one number ≥ 0 for each of the robot's names.
 fn per_name<'a>(
     table: &str,
@@ -446,9 +441,7 @@ fn per_name<'a>(
     names: impl Iterator<Item = &'a str> + Clone,
 ) -> Result<(), BuildError> {
     for (name, value) in values {
-        if !names.clone().any(|known| known == name) {
-            return Err(BuildError::unknown_name(format!("controller.{table}"), name, names));
-        }
+        place_of(format!("controller.{table}"), name, names.clone())?;
         CONTROLLER.non_negative(&format!("{table}.{name}"), *value)?;
     }
     for name in names {

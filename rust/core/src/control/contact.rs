@@ -11,7 +11,7 @@
 //! first, inertial axes. Equations M54, M74, M75, M82, M111, M112 and M114 of `docs/model.md`.
 
 use crate::dynamics::Dynamics;
-use crate::error::{BuildError, Table};
+use crate::error::{BuildError, Table, place_of};
 use crate::kinematics::Kinematics;
 use crate::robot::{Foot, RobotModel, check::unique};
 use crate::spatial::Pose;
@@ -124,9 +124,8 @@ impl ContactConfig {
             return Err(BuildError::bad_value("controller.contact.feet", "[]", "at least one foot"));
         }
         unique("controller.contact.feet: foot", self.feet.iter().map(String::as_str))?;
-        let known = || robot.feet.iter().map(|foot| foot.name.as_str());
-        if let Some(name) = self.feet.iter().find(|name| !known().any(|foot| foot == **name)) {
-            return Err(BuildError::unknown_name("controller.contact.feet", name, known()));
+        for name in &self.feet {
+            place_of("controller.contact.feet", name, robot.feet.iter().map(|foot| &foot.name))?;
         }
         table.positive("vertical_force_min", self.vertical_force_min)?;
         table.positive("force_rate_max", self.force_rate_max)?;

@@ -2,7 +2,7 @@
 
 use super::merge::{merge, part};
 use super::urdf::{Joint, Urdf};
-use flight_core::error::{BuildError, check as check_number};
+use flight_core::error::{BuildError, check as check_number, place_of};
 use flight_core::robot::{Body, Frame, JointKind, check};
 use flight_core::spatial::{Pose, axis_angle};
 use nalgebra::{Unit, Vector3};
@@ -123,13 +123,12 @@ enum Motion {
 
 fn motions(urdf: &Urdf, order: &[&str], locked: &BTreeMap<String, f64>) -> Result<Vec<Motion>, BuildError> {
     check::unique("joint", order.iter().copied().chain(locked.keys().map(String::as_str)))?;
-    let is_known = |name: &str| urdf.joints.iter().any(|joint| joint.name == name);
-    let known = || urdf.joints.iter().map(|joint| joint.name.as_str());
-    if let Some(name) = order.iter().find(|name| !is_known(name)) {
-        return Err(BuildError::unknown_name("joint order", *name, known()));
+    let known = urdf.joints.iter().map(|joint| joint.name.as_str());
+    for name in order {
+        place_of("joint order", name, known.clone())?;
     }
-    if let Some(name) = locked.keys().find(|name| !is_known(name)) {
-        return Err(BuildError::unknown_name("list of locked joints", name, known()));
+    for name in locked.keys() {
+        place_of("list of locked joints", name, known.clone())?;
     }
 
     let motion = |joint: &Joint| {
@@ -188,9 +187,7 @@ fn children_of_links(urdf: &Urdf) -> Result<Vec<Vec<(usize, usize)>>, BuildError
 /// The link nothing carries, which must be the base.
 fn base_index(urdf: &Urdf, children: &[Vec<(usize, usize)>], base_link: &str) -> Result<usize, BuildError> {
     let names = || urdf.links.iter().map(|link| link.name.as_str());
-    let base = names()
-        .position(|name| name == base_link)
-        .ok_or_else(|| BuildError::unknown_name("base_link", base_link, names()))?;
+    let base = place_of("base_link", base_link, names())?;
     let carried: BTreeSet<usize> = children.iter().flatten().map(|&(_, child)| child).collect();
     let roots: Vec<&str> =
         names().enumerate().filter(|(i, _)| !carried.contains(i)).map(|(_, name)| name).collect();

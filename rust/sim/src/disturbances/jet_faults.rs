@@ -5,7 +5,7 @@
 //! Equation M41 of `docs/model.md`.
 
 use crate::noise::Noise;
-use flight_core::error::{BuildError, Table};
+use flight_core::error::{BuildError, Table, place_of};
 use flight_core::robot::Jet;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -121,10 +121,7 @@ impl JetFaultsConfig {
 
 /// Place of a jet in every thrust vector.
 fn index_of(key: &str, name: &str, jets: &[Jet]) -> Result<usize, BuildError> {
-    let names = || jets.iter().map(|jet| jet.name.as_str());
-    names()
-        .position(|jet| jet == name)
-        .ok_or_else(|| BuildError::unknown_name(format!("disturbances.jets.{key}"), name, names()))
+    place_of(format!("disturbances.jets.{key}"), name, jets.iter().map(|jet| &jet.name))
 }
 
 /// Faults in time.

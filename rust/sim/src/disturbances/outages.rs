@@ -2,7 +2,7 @@
 //!
 //! Equation M104 of `docs/model.md`.
 
-use flight_core::error::{BuildError, check};
+use flight_core::error::{BuildError, check, place_of};
 use flight_core::kinematics::RobotState;
 use flight_core::robot::Jet;
 use flight_core::spatial::axis_angle;
@@ -91,10 +91,7 @@ impl Outage {
             if self.channel != OutageChannel::Thrust {
                 return Err(BuildError::bad_value(key("jet"), name, "none, but for the channel thrust"));
             }
-            let names = || jets.iter().map(|jet| jet.name.as_str());
-            if !names().any(|jet| jet == name) {
-                return Err(BuildError::unknown_name(key("jet"), name, names()));
-            }
+            place_of(key("jet"), name, jets.iter().map(|jet| &jet.name))?;
         }
         Ok(())
     }

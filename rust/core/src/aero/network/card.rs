@@ -1,6 +1,6 @@
 //! The card of a network: what its weights mean, and how they came about.
 
-use crate::error::{BuildError, check};
+use crate::error::{BuildError, check, place_of};
 use crate::robot::{AxisymmetricCoefficients, RobotModel};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -200,10 +200,8 @@ impl Card {
         }
         let mut last = None;
         for name in joints {
-            let index = robot.joint_index(name).ok_or_else(|| {
-                let known = robot.joints.iter().map(|joint| joint.name.as_str());
-                BuildError::unknown_name(format!("`inputs.joints` in {origin}"), name, known)
-            })?;
+            let known = robot.joints.iter().map(|joint| &joint.name);
+            let index = place_of(format!("`inputs.joints` in {origin}"), name, known)?;
             if last.is_some_and(|last| index <= last) {
                 let item = format!("order of `inputs.joints` in {origin}");
                 return Err(BuildError::bad_value(item, joints.join(", "), "joints in the robot's order"));
@@ -216,8 +214,8 @@ impl Card {
     fn check_baseline(&self, origin: &str) -> Result<(), BuildError> {
         let Some(Baseline::Axisymmetric { links }) = &self.architecture.baseline else { return Ok(()) };
         let item = || format!("`architecture.baseline.links` in {origin}");
-        if let Some(name) = links.keys().find(|name| !self.inputs.links.contains(name)) {
-            return Err(BuildError::unknown_name(item(), name, &self.inputs.links));
+        for name in links.keys() {
+            place_of(item(), name, &self.inputs.links)?;
         }
         for name in &self.inputs.links {
             let Some(set) = links.get(name) else {

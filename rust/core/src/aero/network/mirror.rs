@@ -2,7 +2,7 @@
 //!
 //! Equation M25 of `docs/model.md`.
 
-use crate::error::BuildError;
+use crate::error::{BuildError, place_of};
 use crate::kinematics::Kinematics;
 use crate::robot::RobotModel;
 use nalgebra::{Matrix3, Vector3};
@@ -85,9 +85,5 @@ fn place_of_image(names: &[&str], name: &str, kind: &str) -> Result<usize, Build
             other => other,
         })
         .collect();
-    let image = swapped.join("_");
-    names
-        .iter()
-        .position(|known| *known == image)
-        .ok_or_else(|| BuildError::unknown_name(format!("mirror image of {kind} `{name}`"), image, names))
+    place_of(format!("mirror image of {kind} `{name}`"), &swapped.join("_"), names)
 }
