@@ -91,7 +91,7 @@ enum Dynamics {
 #[derive(Debug, Clone)]
 pub struct Jets {
     dynamics: Dynamics,
-    faults: Option<JetFaults>,
+    faults: JetFaults,
     thrust: Vec<f64>,
     thrust_rate: Vec<f64>,
     /// Empty under ideal dynamics, as `estimate`.
@@ -119,7 +119,7 @@ impl Jets {
         }
         let mut new = Self {
             dynamics: Dynamics::Ideal,
-            faults: None,
+            faults: JetFaults::new(&JetFaultsConfig::default(), jets)?,
             thrust: initial_thrust.to_vec(),
             thrust_rate: vec![0.0; jets.len()],
             throttle: Vec::new(),
@@ -165,7 +165,7 @@ impl Jets {
                 "second_order, whose estimators disturbances.jets.measurement_noise disturbs",
             ));
         }
-        self.faults = if config.is_default() { None } else { Some(JetFaults::new(config, jets)?) };
+        self.faults = JetFaults::new(config, jets)?;
         Ok(self)
     }
 
@@ -176,27 +176,11 @@ impl Jets {
     /// without a command stays as it is. No allocation. Faults change the command before and the
     /// thrust after.
     pub fn advance(&mut self, thrust_rate_command: &[f64], dt: f64) {
-        // Taken out for as long as they and the jets both change.
-        let Some(mut faults) = self.faults.take() else {
-            return self.follow(thrust_rate_command, dt, |thrust| thrust);
-        };
-        let JetFaults { response, sensor, .. } = &mut faults;
-        self.follow(response.delayed(thrust_rate_command, dt), dt, |thrust| sensor.measured(thrust));
-        for jet in 0..self.thrust.len() {
-            let (thrust, rate) = faults.limited(jet, self.thrust[jet], self.thrust_rate[jet], dt);
-            (self.thrust[jet], self.thrust_rate[jet]) = (thrust, rate);
-            if let Dynamics::SecondOrder { jets, .. } = &mut self.dynamics {
-                (jets[jet].engine.thrust, jets[jet].engine.thrust_rate) = (thrust, rate);
-            }
-        }
-        self.faults = Some(faults);
-    }
-
-    fn follow(&mut self, thrust_rate_command: &[f64], dt: f64, mut measured: impl FnMut(f64) -> f64) {
+        let commands = self.faults.response.delayed(thrust_rate_command, dt);
         match &mut self.dynamics {
             Dynamics::Ideal => {
                 let jets = self.thrust.iter_mut().zip(&mut self.thrust_rate);
-                for ((thrust, thrust_rate), &command) in jets.zip(thrust_rate_command) {
+                for ((thrust, thrust_rate), &command) in jets.zip(commands) {
                     let next = *thrust + dt * command;
                     // A comparison, as `f64::max` would hide what is no number.
                     (*thrust, *thrust_rate) = if next < 0.0 { (0.0, 0.0) } else { (next, command) };
@@ -206,9 +190,7 @@ impl Jets {
                 let thrusts = self.thrust.iter_mut().zip(&mut self.thrust_rate);
                 let inner = self.throttle.iter_mut().zip(&mut self.estimate);
                 let jets = jets.iter_mut().zip(thrusts.zip(inner));
-                for ((jet, ((thrust, thrust_rate), (throttle, estimate))), &command) in
-                    jets.zip(thrust_rate_command)
-                {
+                for ((jet, ((thrust, thrust_rate), (throttle, estimate))), &command) in jets.zip(commands) {
                     *throttle = jet.controller.update(
                         jet.engine.model(),
                         jet.ekf.thrust(),
@@ -216,12 +198,19 @@ impl Jets {
                         command,
                         dt,
                     );
-                    jet.ekf.update(measured(jet.engine.thrust), *throttle, dt);
+                    jet.ekf.update(self.faults.sensor.measured(jet.engine.thrust), *throttle, dt);
                     jet.engine.step(*throttle, dt);
                     *thrust = jet.engine.thrust;
                     *thrust_rate = jet.engine.thrust_rate;
                     *estimate = jet.ekf.thrust();
                 }
+            }
+        }
+        for jet in 0..self.thrust.len() {
+            let given = self.faults.limited(jet, self.thrust[jet], self.thrust_rate[jet], dt);
+            (self.thrust[jet], self.thrust_rate[jet]) = given;
+            if let Dynamics::SecondOrder { jets, .. } = &mut self.dynamics {
+                (jets[jet].engine.thrust, jets[jet].engine.thrust_rate) = given;
             }
         }
     }
@@ -235,7 +224,7 @@ impl Jets {
     /// Force that a jet exerts along its axis \[N\].
     #[must_use]
     pub fn force(&self, jet: usize) -> f64 {
-        self.thrust[jet] * self.faults.as_ref().map_or(1.0, |faults| faults.force_scale(jet))
+        self.thrust[jet] * self.faults.force_scale(jet)
     }
 
     /// Thrust that the flight controller is given \[N\], per jet.

@@ -79,12 +79,6 @@ pub struct MeasurementNoise {
 }
 
 impl JetFaultsConfig {
-    /// Whether there are no faults.
-    #[must_use]
-    pub fn is_default(&self) -> bool {
-        *self == Self::default()
-    }
-
     /// Refuses names and numbers that mean nothing for `jets`.
     ///
     /// # Errors
@@ -131,7 +125,7 @@ pub struct JetFaults {
     pub response: Response,
     /// Between the jets and their estimators.
     pub sensor: Sensor,
-    /// Greatest thrust of each jet \[N\]; empty without limits.
+    /// Greatest thrust of each jet \[N\]; infinite without a limit.
     limits: Vec<f64>,
     /// Force of each jet over its thrust.
     force_scale: Vec<f64>,
@@ -146,13 +140,13 @@ pub struct Response {
 }
 
 impl Response {
-    /// Thrust rates \[N/s\] that reach the jets when these are commanded for the next `dt` \[s\].
+    /// Thrust rates \[N/s\] that reach the jets when these are commanded for the next `dt` \[s\], as many as these.
     pub fn delayed(&mut self, command: &[f64], dt: f64) -> &[f64] {
         for (delayed, command) in self.command.iter_mut().zip(command) {
             let share = if self.lag > 0.0 { -libm::expm1(-dt / self.lag) } else { 1.0 };
             *delayed = if share < 1.0 { *delayed + (command - *delayed) * share } else { *command };
         }
-        &self.command
+        &self.command[..command.len().min(self.command.len())]
     }
 }
 
@@ -197,12 +191,12 @@ impl JetFaults {
                 thrust: None,
             })
         };
-        let limits = config.thrust_limit_scale.iter();
+        let limit_scale = config.thrust_limit_scale.unwrap_or(f64::INFINITY);
         let (std, seed) = config.measurement_noise.as_ref().map_or((0.0, 0), |noise| (noise.std, noise.seed));
         Ok(Self {
             response: Response { lag: config.lag, command: vec![0.0; jets.len()] },
             sensor: Sensor { std, noise: Noise::new(seed, MEASUREMENT_STREAM) },
-            limits: limits.flat_map(|scale| jets.iter().map(move |jet| jet.thrust_max * scale)).collect(),
+            limits: jets.iter().map(|jet| jet.thrust_max * limit_scale).collect(),
             force_scale: jets
                 .iter()
                 .map(|jet| config.force_scale.get(&jet.name).copied().unwrap_or(1.0))
@@ -221,10 +215,9 @@ impl JetFaults {
     /// Call once per step and jet.
     pub fn limited(&mut self, jet: usize, thrust: f64, thrust_rate: f64, dt: f64) -> (f64, f64) {
         let (mut thrust, mut thrust_rate) = (thrust, thrust_rate);
-        if let Some(limit) = self.limits.get(jet)
-            && thrust > *limit
-        {
-            (thrust, thrust_rate) = (*limit, thrust_rate.min(0.0));
+        let limit = self.limits[jet];
+        if thrust > limit {
+            (thrust, thrust_rate) = (limit, thrust_rate.min(0.0));
         }
         let Some(failing) = self.failing.as_mut().filter(|failing| failing.jet == jet) else {
             return (thrust, thrust_rate);

@@ -24,12 +24,6 @@ impl Default for ModelError {
 }
 
 impl ModelError {
-    /// Whether the model is right.
-    #[must_use]
-    pub fn is_default(&self) -> bool {
-        *self == Self::default()
-    }
-
     /// Refuses numbers that do not make a robot.
     ///
     /// # Errors
@@ -56,9 +50,6 @@ impl ModelError {
     /// The robot with these errors.
     #[must_use]
     pub fn apply(&self, mut robot: RobotModel) -> RobotModel {
-        if self.is_default() {
-            return robot;
-        }
         for body in &mut robot.bodies {
             body.mass *= self.mass_scale;
             body.inertia_b *= self.mass_scale;
