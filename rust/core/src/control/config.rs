@@ -8,9 +8,9 @@ use super::setpoint::SetpointConfig;
 use crate::aero::{JacobianOffset, LeverArm, LinkVelocity};
 use crate::error::{BuildError, Table, place_of};
 use crate::estimator::EstimatorConfig;
-use crate::qp::QpChain;
 #[cfg(feature = "clarabel")]
-use crate::qp::{ClarabelSolver, Method};
+use crate::qp::ClarabelSolver;
+use crate::qp::{DualActiveSet, Method, PrimalActiveSet, QpChain};
 use crate::robot::{JointKind, RobotModel};
 use crate::wind_observer::WindObserverConfig;
 use serde::{Deserialize, Serialize};
@@ -281,19 +281,20 @@ impl QpConfig {
         Ok(())
     }
 
-    /// The methods for `n` variables and `rows` rows, in order.
+    /// The methods for `n` variables and `rows` rows, in order. Of the active-set ones the primal one, for boxes, is the
+    /// first, and behind it the dual one, which starts from scratch.
     #[must_use]
     pub fn chain(&self, n: usize, rows: usize) -> QpChain {
-        let chain = QpChain::active_set(n, rows);
-        #[cfg(feature = "clarabel")]
-        match (self.solver, self.fallback) {
-            (Solver::Clarabel, _) => {
-                return QpChain::new(vec![Method::Clarabel(ClarabelSolver::new(n, rows))]);
-            }
-            (_, Fallback::Clarabel) => return chain.then(Method::Clarabel(ClarabelSolver::new(n, rows))),
-            _ => {}
+        let mut methods = Vec::new();
+        if self.solver == Solver::ActiveSet {
+            methods.push(Method::Primal(PrimalActiveSet::new(n)));
+            methods.push(Method::Dual(DualActiveSet::new(n, rows)));
         }
-        chain
+        #[cfg(feature = "clarabel")]
+        if self.solver == Solver::Clarabel || self.fallback == Fallback::Clarabel {
+            methods.push(Method::Clarabel(ClarabelSolver::new(n, rows)));
+        }
+        QpChain::new(methods)
     }
 }
 

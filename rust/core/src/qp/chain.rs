@@ -60,14 +60,6 @@ impl QpChain {
         Self { methods, answered: 0 }
     }
 
-    /// The active-set methods for `n` variables and `rows` rows: the primal one, for boxes, and behind it the dual one,
-    /// which starts from scratch.
-    #[must_use]
-    pub fn active_set(n: usize, rows: usize) -> Self {
-        let dual = Method::Dual(DualActiveSet::new(n, rows));
-        Self::new(vec![Method::Primal(PrimalActiveSet::new(n)), dual])
-    }
-
     /// Solves `qp`. A primal method that is the first begins at `start`, and its next solve would begin at what that is
     /// afterwards; the other methods start from scratch.
     pub fn solve_from(&mut self, start: &mut WarmStart, qp: &QpProblem) -> QpAnswer {
@@ -79,13 +71,6 @@ impl QpChain {
             solver.store_start(start);
         }
         answer
-    }
-
-    /// The same chain with one more method at its end.
-    #[must_use]
-    pub fn then(mut self, method: Method) -> Self {
-        self.methods.push(method);
-        self
     }
 }
 
