@@ -260,7 +260,7 @@ impl Controller {
             torque_is_known: false,
             contact: ContactState::new(contact.soles.len()),
             engines: vec![EngineState::default(); self.n_jets],
-            observer: ObserverState::new(),
+            observer: ObserverState::default(),
             momentum_start: WarmStart::cold(self.terms.momentum_qp.problem.len()),
             torque_start: WarmStart::cold(self.terms.torque_qp.problem.len()),
         })
@@ -447,7 +447,7 @@ impl Controller {
             contact.carry_unknown(&mut state.contact, are_measured, climb, unmodelled, measurement.elapsed);
         if carry_unknown {
             // What it has observed is theirs.
-            *observer = ObserverState::new();
+            *observer = ObserverState::default();
             if are_measured {
                 state.channels.reject_feet(measurement);
             }

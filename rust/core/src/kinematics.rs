@@ -162,7 +162,7 @@ impl Kinematics {
             com: Vector3::zeros(),
             joint_position: vec![0.0; robot.joints.len()],
             chains,
-            mass: robot.bodies.iter().map(|body| body.mass).sum(),
+            mass: robot.mass(),
         };
         kinematics.update(robot, &RobotState::zero(robot.joints.len()));
         kinematics

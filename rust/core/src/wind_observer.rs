@@ -151,7 +151,7 @@ impl WindObserver {
         let Self { config, .. } = self;
         let std = Vector3::new(config.walk, config.walk, config.vertical_std);
         WindState {
-            wrench: ObserverState::new(),
+            wrench: ObserverState::default(),
             wind: Vector3::zeros(),
             covariance: Matrix3::from_diagonal(&std.component_mul(&std)),
             sensitivity: Matrix3::zeros(),

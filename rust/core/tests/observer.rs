@@ -43,7 +43,7 @@ fn law(wrench: &Vector6<f64>, time: f64) -> Vector6<f64> {
 #[test]
 fn a_constant_wrench_is_approached_at_the_stated_rate() {
     for step in [0.0025, 0.01, 0.03] {
-        let mut state = ObserverState::new();
+        let mut state = ObserverState::default();
         for tick in 0..400 {
             let time = f64::from(tick) * step;
             let error = state.update(&WIDE, step, at(time)) - law(&WRENCH, time);
@@ -56,7 +56,7 @@ fn a_constant_wrench_is_approached_at_the_stated_rate() {
 /// A model of every force leaves nothing to observe.
 #[test]
 fn without_an_unknown_wrench_nothing_is_observed() {
-    let mut state = ObserverState::new();
+    let mut state = ObserverState::default();
     for tick in 0..200 {
         let time = f64::from(tick) * TIME_STEP;
         let sample = Sample { momentum: MOMENTUM + RATE * time, rate: RATE };
@@ -67,7 +67,7 @@ fn without_an_unknown_wrench_nothing_is_observed() {
 /// The rate is that of the tick before: it is what acted between the two measurements.
 #[test]
 fn the_rate_that_acted_is_subtracted() {
-    let mut state = ObserverState::new();
+    let mut state = ObserverState::default();
     let mut momentum = MOMENTUM;
     for tick in 0..100 {
         let rate = RATE * f64::from(tick % 7);
@@ -83,7 +83,7 @@ fn the_estimate_stays_within_its_limits() {
     let config = ObserverConfig { force_max: 20.0, moment_max: 4.0, ..WIDE };
     let limits = Vector6::new(20.0, 20.0, 20.0, 4.0, 4.0, 4.0);
     for sign in [1.0, -1.0] {
-        let (mut state, mut momentum, mut found) = (ObserverState::new(), MOMENTUM, Vector6::zeros());
+        let (mut state, mut momentum, mut found) = (ObserverState::default(), MOMENTUM, Vector6::zeros());
         for _ in 0..1000 {
             let sample = Sample { momentum, rate: RATE };
             found = state.update(&config, TIME_STEP, sample);
@@ -101,14 +101,14 @@ fn the_estimate_stays_within_its_limits() {
 #[test]
 fn missing_measurements_are_bridged_or_held() {
     for missed in [1, 4, 9] {
-        let mut state = ObserverState::new();
+        let mut state = ObserverState::default();
         for tick in (0..200).filter(|tick| tick % (missed + 1) == 0) {
             let time = f64::from(tick) * TIME_STEP;
             let found = state.update(&WIDE, f64::from(missed + 1) * TIME_STEP, at(time));
             assert_within!((found - law(&WRENCH, time)).amax(), 1e-11, "{missed} missed");
         }
     }
-    let mut state = ObserverState::new();
+    let mut state = ObserverState::default();
     update(&mut state, at(1.0));
     let before = update(&mut state, at(1.01));
     assert!(before.amax() > 1.0);
@@ -126,7 +126,7 @@ fn missing_measurements_are_bridged_or_held() {
 #[test]
 fn the_residual_follows_what_is_found_beside_the_estimate() {
     let config = ObserverConfig { gain_force: 0.0, gain_moment: 0.0, ..WIDE };
-    let mut state = ObserverState::new();
+    let mut state = ObserverState::default();
     for tick in 0..20 {
         let time = f64::from(tick) * TIME_STEP;
         state.update(&config, TIME_STEP, at(time));
@@ -141,7 +141,7 @@ fn the_residual_follows_what_is_found_beside_the_estimate() {
 /// Numbers that overflow leave the estimate as it is.
 #[test]
 fn an_overflow_is_not_observed() {
-    let mut state = ObserverState::new();
+    let mut state = ObserverState::default();
     update(&mut state, at(0.0));
     let before = update(&mut state, at(0.01));
     for momentum in [f64::MAX, f64::INFINITY, f64::NAN] {

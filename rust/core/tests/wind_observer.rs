@@ -107,7 +107,7 @@ fn each_tick_is_the_equations_of_the_filter() {
     };
     let gain = settings.gain;
     let wide = ObserverConfig { gain_force: gain, gain_moment: gain, force_max: 1e4, moment_max: 1e4 };
-    let mut acting = ObserverState::new();
+    let mut acting = ObserverState::default();
     let kept = (-STEP / settings.vertical_time).exp();
     let (walk, vertical) = (settings.walk.powi(2), settings.vertical_std.powi(2));
     let a = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, kept));

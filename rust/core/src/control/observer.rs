@@ -62,8 +62,8 @@ pub struct Sample {
     pub rate: Vector6<f64>,
 }
 
-/// The observer from one tick to the next.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// The observer from one tick to the next; at first nothing is observed.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct ObserverState {
     /// `ŵ` \[N, N m\].
     pub(super) wrench: Vector6<f64>,
@@ -74,12 +74,6 @@ pub struct ObserverState {
 }
 
 impl ObserverState {
-    /// Nothing observed yet.
-    #[must_use]
-    pub fn new() -> Self {
-        Self { wrench: Vector6::zeros(), residual: Vector6::zeros(), last: None }
-    }
-
     /// Takes in a measurement `elapsed` \[s\] after the last one, and returns `ŵ`.
     ///
     /// Without a last one there is nothing to compare: `ŵ` stays, as it does where numbers overflow.
@@ -105,12 +99,6 @@ impl ObserverState {
         self.last = None;
         self.residual.fill(0.0);
         self.wrench
-    }
-}
-
-impl Default for ObserverState {
-    fn default() -> Self {
-        Self::new()
     }
 }
 
