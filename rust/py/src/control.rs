@@ -10,10 +10,21 @@ use flight_core::control::tasks::MOMENTUM_ROWS;
 use flight_core::control::{ControllerState as State, Given, Terms};
 use flight_core::{Measurement, RobotState};
 use flight_io::{load_mission, load_robot};
-use nalgebra::{DMatrix, DVector, Vector3, Vector6};
+use nalgebra::{DVector, Vector3, Vector6};
 use pyo3::exceptions::{PyKeyError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+
+/// What Python calls [`Setpoint::vectors`].
+const SETPOINT_VECTORS: [&str; 7] = [
+    "com_position",
+    "com_velocity",
+    "com_acceleration",
+    "com_jerk",
+    "angular_velocity",
+    "angular_acceleration",
+    "angular_jerk",
+];
 
 /// The flight controller of a configuration, and the state of the flight it is in.
 #[pyclass(module = "jax_aero._core")]
@@ -278,14 +289,10 @@ fn contact_dict<'py>(py: Python<'py>, terms: &Terms, state: &ContactState) -> Py
 
 fn setpoint_to_dict<'py>(py: Python<'py>, setpoint: &Setpoint) -> PyResult<Bound<'py, PyDict>> {
     let out = PyDict::new(py);
-    out.set_item("com_position", vector(py, setpoint.com_position.as_slice())?)?;
-    out.set_item("com_velocity", vector(py, setpoint.com_velocity.as_slice())?)?;
-    out.set_item("com_acceleration", vector(py, setpoint.com_acceleration.as_slice())?)?;
-    out.set_item("com_jerk", vector(py, setpoint.com_jerk.as_slice())?)?;
+    for (name, numbers) in SETPOINT_VECTORS.into_iter().zip(setpoint.vectors()) {
+        out.set_item(name, vector(py, numbers.as_slice())?)?;
+    }
     out.set_item("rotation", matrix(py, &setpoint.rotation)?)?;
-    out.set_item("angular_velocity", vector(py, setpoint.angular_velocity_b.as_slice())?)?;
-    out.set_item("angular_acceleration", vector(py, setpoint.angular_acceleration_b.as_slice())?)?;
-    out.set_item("angular_jerk", vector(py, setpoint.angular_jerk_b.as_slice())?)?;
     Ok(out)
 }
 
@@ -341,41 +348,20 @@ pub fn setpoint_trajectory<'py>(
         SetpointGenerator::new(&config.controller.law.setpoint, mission, &robot.forward_axis_b, dt)
             .map_err(value_error)?;
     let mut state = generator.start(vector3("com", &com)?, &matrix3("rotation", &rotation)?);
-    let mut signals: [(&str, DMatrix<f64>); 9] = [
-        "raw_position",
-        "raw_rpy",
-        "com_position",
-        "com_velocity",
-        "com_acceleration",
-        "com_jerk",
-        "angular_velocity",
-        "angular_acceleration",
-        "angular_jerk",
-    ]
-    .map(|name| (name, DMatrix::zeros(ticks, 3)));
+    let mut signals: [Vec<Vector3<f64>>; 2 + SETPOINT_VECTORS.len()] = Default::default();
     let mut rotations = Vec::with_capacity(9 * ticks);
     for tick in 0..ticks {
         let setpoint = generator.update(&mut state, tick as f64 * dt);
         let raw = state.raw();
-        let values = [
-            raw.position,
-            raw.rpy,
-            setpoint.com_position,
-            setpoint.com_velocity,
-            setpoint.com_acceleration,
-            setpoint.com_jerk,
-            setpoint.angular_velocity_b,
-            setpoint.angular_acceleration_b,
-            setpoint.angular_jerk_b,
-        ];
-        for ((_, signal), value) in signals.iter_mut().zip(values) {
-            signal.set_row(tick, &value.transpose());
+        let values = [&raw.position, &raw.rpy].into_iter().chain(setpoint.vectors());
+        for (signal, value) in signals.iter_mut().zip(values) {
+            signal.push(*value);
         }
         rotations.extend(setpoint.rotation.transpose().iter());
     }
     let out = PyDict::new(py);
-    for (name, signal) in &signals {
-        out.set_item(name, matrix(py, signal)?)?;
+    for (name, signal) in ["raw_position", "raw_rpy"].into_iter().chain(SETPOINT_VECTORS).zip(&signals) {
+        out.set_item(name, vectors(py, signal)?)?;
     }
     out.set_item("rotation", array(py, &[ticks, 3, 3], rotations)?)?;
     Ok(out)

@@ -126,7 +126,14 @@ impl Setpoint {
     /// Whether no number is beyond 10⁶ (m, rad, s), which no robot reaches, and the rotation is one.
     #[must_use]
     pub fn is_valid(&self) -> bool {
-        let vectors = [
+        self.vectors().iter().all(|vector| vector.iter().all(|x| x.abs() <= GREATEST))
+            && is_rotation(&self.rotation)
+    }
+
+    /// Position of the centre of mass and its derivatives, then angular velocity and its derivatives.
+    #[must_use]
+    pub fn vectors(&self) -> [&Vector3<f64>; 7] {
+        [
             &self.com_position,
             &self.com_velocity,
             &self.com_acceleration,
@@ -134,8 +141,7 @@ impl Setpoint {
             &self.angular_velocity_b,
             &self.angular_acceleration_b,
             &self.angular_jerk_b,
-        ];
-        vectors.iter().all(|vector| vector.iter().all(|x| x.abs() <= GREATEST)) && is_rotation(&self.rotation)
+        ]
     }
 
     /// Its motion, as far as a recording has it.
