@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on fails")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-use crate::common::{assert_within, relative};
+use crate::common::{assert_says, assert_within, relative};
 use flight_core::BuildError;
 use flight_core::aero::axisymmetric::axisymmetric_force;
 use flight_core::aero::{AeroModel, Attack, LinksInAir, Pchip, SphereCylinder, SphereCylinderConfig};
@@ -493,12 +493,6 @@ fn sphere_cylinder_error(change: impl FnOnce(&mut SphereCylinderConfig)) -> Stri
     let mut config = sphere_cylinder_config();
     change(&mut config);
     model_of(&AeroConfig::SphereCylinder(Box::new(config)), &links()).unwrap_err().to_string()
-}
-
-fn assert_says(message: &str, parts: &[&str]) {
-    for part in parts {
-        assert!(message.contains(part), "`{message}` does not mention `{part}`");
-    }
 }
 
 #[test]

@@ -3,9 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-use crate::common::{assert_within, experiment, random_state, rng};
-use flight_core::Measurement;
-use flight_core::RobotState;
+use crate::common::{Sample, assert_within, experiment, random_state, rng};
 use flight_core::control::channels::{Channels, ChannelsConfig, ChannelsState, Jumps, Modes, Seen};
 use flight_core::robot::RobotModel;
 use flight_core::spatial::exp_so3;
@@ -15,21 +13,7 @@ use rand::RngExt;
 
 const STEP: f64 = 0.01;
 
-/// What is measured, owned.
-#[derive(Clone)]
-struct Sample {
-    time: f64,
-    state: RobotState,
-    thrust: Vec<f64>,
-    wind: Vector3<f64>,
-}
-
 impl Sample {
-    fn measurement(&self) -> Measurement<'_> {
-        let Self { time, state, thrust, wind } = self;
-        Measurement { time: *time, state, thrust, wind: *wind, foot_wrenches: &[] }
-    }
-
     /// A tick later.
     fn next(&self) -> Self {
         Self { time: self.time + STEP, ..self.clone() }

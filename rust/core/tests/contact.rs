@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-use crate::common::{Running, TIME_STEP, assert_within, configs, experiment, random_state, rng};
+use crate::common::{Running, TIME_STEP, assert_within, configs, experiment, moved, random_state, rng};
 use flight_core::control::channels::Modes;
 use flight_core::control::config::{ControllerConfig, Solver};
 use flight_core::control::contact::{Contact, ContactConfig, ContactState, LoadTransfer, WRENCH_ROWS};
@@ -13,7 +13,6 @@ use flight_core::dynamics::Dynamics;
 use flight_core::estimator::{ChannelConfig, EstimatorConfig};
 use flight_core::kinematics::Kinematics;
 use flight_core::robot::Foot;
-use flight_core::spatial::exp_so3;
 use flight_core::wind_observer::WindObserverConfig;
 use flight_core::{Measurement, RobotState};
 use flight_io::{ControllerSection, load_controller, load_robot};
@@ -359,14 +358,6 @@ fn the_momentum_rate_is_the_sum_of_what_acts() {
         assert_within!((Vector3::from(rate.fixed_rows::<3>(0)) - force).norm(), 1e-9);
         assert_within!((Vector3::from(rate.fixed_rows::<3>(3)) - moment).norm(), 1e-9);
     }
-}
-
-fn moved(state: &RobotState, time: f64) -> RobotState {
-    let mut to = state.clone();
-    to.base.position += state.base_linear_velocity() * time;
-    to.base.rotation = exp_so3(&(state.base_angular_velocity() * time)) * state.base.rotation;
-    to.joint_position.axpy(time, &DVector::from_column_slice(state.joint_velocity()), 1.0);
-    to
 }
 
 /// `Λ_c ν` is how the moment of held foot forces about the CoM changes; `J_c ν` and `J̇_c ν` are the feet's

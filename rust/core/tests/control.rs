@@ -5,8 +5,8 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{
-    Loop, Running, TIME_STEP, assert_within, configs, experiment, random_state, random_vector, rng, robot,
-    tick_at, uniform_estimator,
+    Loop, Running, Sample, TIME_STEP, assert_within, configs, experiment, moved, random_state, random_vector,
+    rng, robot, tick_at, uniform_estimator,
 };
 use flight_core::control::bounds::LimitedValues;
 use flight_core::control::channels::Modes;
@@ -36,15 +36,6 @@ fn controller(config: &ScenarioConfig) -> Running {
     Running::new(config.controller(robot).unwrap())
 }
 
-/// A measurement that owns its parts.
-#[derive(Clone)]
-struct Sample {
-    time: f64,
-    state: RobotState,
-    thrust: Vec<f64>,
-    wind: Vector3<f64>,
-}
-
 impl Sample {
     /// The robot as its flight starts.
     fn start(config: &ScenarioConfig) -> Self {
@@ -54,23 +45,13 @@ impl Sample {
         Self { time: 0.0, state: plant.state().clone(), thrust, wind: wind() }
     }
 
-    fn measurement(&self) -> Measurement<'_> {
-        let Self { time, state, thrust, wind } = self;
-        Measurement { time: *time, state, thrust, wind: *wind, foot_wrenches: &[] }
-    }
-
     fn tick<'a>(&self, controller: &'a mut Running) -> &'a Command {
         controller.tick(&self.measurement())
     }
 
     /// The robot after it has moved on at its present velocity.
     fn after(&self, time: f64) -> Self {
-        let mut moved = self.clone();
-        let turn = flight_core::spatial::exp_so3(&(self.state.base_angular_velocity() * time));
-        moved.state.base.rotation = turn * self.state.base.rotation;
-        moved.state.base.position += self.state.base_linear_velocity() * time;
-        moved.state.joint_position += self.state.velocity.rows_range(6..) * time;
-        moved
+        Self { state: moved(&self.state, time), ..self.clone() }
     }
 }
 

@@ -4,7 +4,7 @@
 #[path = "../../sim/tests/common/network.rs"]
 mod cards;
 
-use crate::common::{assert_within, random_state, random_vector, rng, robot};
+use crate::common::{assert_says, assert_within, random_state, random_vector, rng, robot};
 use cards::{COMPACT, Shape, Tensor, card, file_of, n_inputs, paper, random_network, random_tensors, write};
 use flight_core::aero::{AeroModel, ForceFactorsConfig, LinkConventions, LinkForces, Precision};
 use flight_core::kinematics::Kinematics;
@@ -231,14 +231,6 @@ fn other_robots_have_networks_too() {
 }
 
 // --- refusals ----------------------------------------------------------------------------------------------------
-
-#[track_caller]
-fn assert_says(error: &BuildError, words: &[&str]) {
-    let message = error.to_string();
-    for word in words {
-        assert!(message.contains(word), "`{word}` is not in: {message}");
-    }
-}
 
 /// What is wrong with a card whose value at `pointer` is `value`.
 fn error_of_card(pointer: &str, value: Value) -> BuildError {

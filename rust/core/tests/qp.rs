@@ -4,27 +4,18 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 #![allow(clippy::cast_possible_truncation, reason = "numbers of variables are below 65")]
 
-use crate::common::assert_within;
+use crate::common::{assert_within, normal, rng};
 use flight_core::qp::{
     ClarabelSolver, KKT_TOLERANCE, PASSES_PER_VARIABLE, PrimalActiveSet, QpProblem, QpSolver, QpStatus,
     kkt_residual,
 };
 use nalgebra::{DMatrix, DVector};
-use rand::{RngExt, SeedableRng};
+use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 /// Variables of the momentum QP in flight: 4 thrust rates, 23 joint velocities.
 const FLIGHT: usize = 27;
 const JETS: usize = 4;
-
-fn rng(seed: u64) -> ChaCha8Rng {
-    ChaCha8Rng::seed_from_u64(seed)
-}
-
-/// Zero mean, unit variance.
-fn normal(rng: &mut ChaCha8Rng) -> f64 {
-    (0..12).map(|_| rng.random_range(-0.5..0.5)).sum()
-}
 
 fn log_uniform(rng: &mut ChaCha8Rng, low: f64, high: f64) -> f64 {
     (rng.random_range(low.ln()..high.ln())).exp()

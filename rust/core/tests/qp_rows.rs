@@ -4,7 +4,7 @@
 #![allow(clippy::expect_used, reason = "a test that cannot go on has failed")]
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
-use crate::common::{assert_within, rng};
+use crate::common::{assert_within, normal, rng};
 use flight_core::control::contact::WrenchLimits;
 use flight_core::qp::{
     ClarabelSolver, DualActiveSet, KKT_TOLERANCE, Method, PrimalActiveSet, QpChain, QpProblem, QpSolver,
@@ -20,10 +20,6 @@ const FEET: usize = 2;
 const FORCES: usize = 6 * FEET;
 const JOINTS: usize = 23;
 const N: usize = FORCES + JOINTS;
-
-fn normal(rng: &mut ChaCha8Rng) -> f64 {
-    (0..12).map(|_| rng.random_range(-0.5..0.5)).sum()
-}
 
 fn limits() -> WrenchLimits {
     WrenchLimits { friction: 0.1, torsional_friction: 1.0 / 75.0, vertical_force_min: 1.0 }

@@ -82,10 +82,7 @@ fn moved(controller: &Running, state: &RobotState, u: &DVector<f64>, time: f64) 
     to.velocity
         .rows_mut(6, unknowns.joint_velocity.len())
         .copy_from_slice(&u.as_slice()[unknowns.joint_velocity.clone()]);
-    to.base.position += state.base_linear_velocity() * time;
-    to.base.rotation = exp_so3(&(state.base_angular_velocity() * time)) * state.base.rotation;
-    let turn = to.velocity.rows(6, unknowns.joint_velocity.len()) * time;
-    to.joint_position += turn;
+    to.advance_pose(time);
     to
 }
 

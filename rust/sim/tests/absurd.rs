@@ -1,12 +1,10 @@
 //! What cannot be right is refused where it is built, or does not outlive its tick.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
-use crate::common::{Running, assert_within, experiment};
+use crate::common::{Loop, assert_within, experiment};
 use flight_core::Measurement;
 use flight_core::control::CommandStatus;
 use flight_core::spatial::{orthonormality_error, rotation_from_rpy, rpy_from_rotation};
-use flight_io::load_robot;
-use flight_sim::Plant;
 use nalgebra::{DVector, Matrix3, Vector3};
 
 /// At gimbal lock itself, where only one of roll and yaw is left, the rotation still comes back.
@@ -19,17 +17,12 @@ fn rpy_at_gimbal_lock_names_the_rotation() {
         assert_within!((rotation_from_rpy(&rpy_from_rotation(&r)) - r).amax(), 1e-12);
     }
 }
-fn controller() -> (Running, Plant) {
-    let c = experiment("test2");
-    let robot = load_robot(&c.robot).unwrap();
-    let plant = Plant::new(robot.clone(), &c.simulator, &c.disturbances).unwrap();
-    (Running::new(c.controller(robot).unwrap()), plant)
-}
+
 /// A velocity of another length is a bad measurement, not a panic.
 #[test]
 fn a_velocity_of_another_length_is_a_bad_measurement() {
     for length in [28, 30, 0] {
-        let (mut controller, plant) = controller();
+        let Loop { plant, mut controller, .. } = Loop::new(&experiment("test2"));
         let mut state = plant.state().clone();
         state.velocity = DVector::zeros(length);
         let thrust = plant.jets().thrust();
@@ -39,10 +32,11 @@ fn a_velocity_of_another_length_is_a_bad_measurement() {
         assert_eq!(controller.tick(&m(&state)).status, CommandStatus::BadMeasurement);
     }
 }
+
 /// One absurd sample does not cost the flight: a tick later the torques are sensible again.
 #[test]
 fn one_absurd_velocity_is_forgotten() {
-    let (mut controller, plant) = controller();
+    let Loop { plant, mut controller, .. } = Loop::new(&experiment("test2"));
     let good = plant.state().clone();
     let mut absurd = good.clone();
     absurd.velocity[9] = 1e12;

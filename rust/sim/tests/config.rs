@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
-use crate::common::{configs, experiment, robot};
+use crate::common::{assert_says, configs, experiment, robot};
 use flight_core::BuildError;
 use flight_core::control::config::RateFeedback;
 use flight_io::{AeroConfig, ControllerSection, MissionConfig, Schema, load, load_aero};
@@ -150,14 +150,6 @@ fn paths_start_at_the_file_that_names_them() {
         assert_eq!(found, expected.canonicalize().unwrap());
     }
     assert_eq!(experiment("test2").robot, configs("robot/ironcub_mk1.toml").canonicalize().unwrap());
-}
-
-#[track_caller]
-fn assert_says(error: &BuildError, words: &[&str]) {
-    let message = error.to_string();
-    for word in words {
-        assert!(message.contains(word), "`{message}` does not say `{word}`");
-    }
 }
 
 /// Files that name one another in a circle are refused, by name.

@@ -4,7 +4,7 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::engines::engines;
-use crate::common::{assert_within, relative};
+use crate::common::{assert_says, assert_within, relative};
 use flight_core::robot::{Frame, Jet};
 use flight_core::spatial::Pose;
 use flight_sim::jets::{Jets, JetsConfig, SecondOrderConfig, ThrustFeedback};
@@ -175,12 +175,6 @@ fn throttle_stays_within_limits_under_hard_commands() {
 fn assert_refused(config: &JetsConfig, parts: &[&str]) {
     let message = Jets::new(config, &jets(), &engines(), &HOVER).unwrap_err().to_string();
     assert_says(&message, parts);
-}
-
-fn assert_says(message: &str, parts: &[&str]) {
-    for part in parts {
-        assert!(message.contains(part), "`{message}` does not mention `{part}`");
-    }
 }
 
 #[test]

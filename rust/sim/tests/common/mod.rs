@@ -20,6 +20,7 @@ use flight_sim::{FlightResult, Plant, ScenarioConfig, fly_batch, load_scenario};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use std::fmt::Display;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
@@ -66,6 +67,11 @@ pub fn random_vector(rng: &mut ChaCha8Rng, size: f64) -> Vector3<f64> {
     Vector3::from_fn(|_, _| rng.random_range(-size..size))
 }
 
+/// Zero mean, unit variance.
+pub fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    (0..12).map(|_| rng.random_range(-0.5..0.5)).sum()
+}
+
 /// Any attitude, joints within ±1.5 rad, velocities up to 3 m/s and 3 rad/s.
 pub fn random_state(rng: &mut ChaCha8Rng, robot: &RobotModel) -> RobotState {
     let mut state = RobotState::zero(robot.joints.len());
@@ -80,6 +86,38 @@ pub fn random_state(rng: &mut ChaCha8Rng, robot: &RobotModel) -> RobotState {
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a few thousand, at least zero")]
 pub fn tick_at(time: f64) -> usize {
     (time / TIME_STEP).round() as usize
+}
+
+/// The state after moving on for a time at its own velocity.
+pub fn moved(state: &RobotState, time: f64) -> RobotState {
+    let mut moved = state.clone();
+    moved.advance_pose(time);
+    moved
+}
+
+/// A measurement that owns its parts.
+#[derive(Clone)]
+pub struct Sample {
+    pub time: f64,
+    pub state: RobotState,
+    pub thrust: Vec<f64>,
+    pub wind: Vector3<f64>,
+}
+
+impl Sample {
+    pub fn measurement(&self) -> Measurement<'_> {
+        let Self { time, state, thrust, wind } = self;
+        Measurement { time: *time, state, thrust, wind: *wind, foot_wrenches: &[] }
+    }
+}
+
+/// The refusal has all of these words.
+#[track_caller]
+pub fn assert_says(refusal: &dyn Display, words: &[&str]) {
+    let message = refusal.to_string();
+    for word in words {
+        assert!(message.contains(word), "`{word}` is not in: {message}");
+    }
 }
 
 /// Flies all configurations, on all cores.

@@ -1,6 +1,6 @@
 //! What the state estimator and the wind observer make of a whole flight.
 
-use crate::common::{assert_within, experiment, fly};
+use crate::common::{assert_within, experiment, fly, uniform_estimator};
 use flight_core::control::channels::Modes;
 use flight_core::estimator::{ChannelConfig, EstimatorConfig};
 use flight_core::wind_observer::WindObserverConfig;
@@ -13,7 +13,6 @@ use nalgebra::Vector3;
 #[test]
 fn a_late_robot_flies_with_an_estimator() {
     let sensor = || SensorConfig { delay: 0.02, ..SensorConfig::default() };
-    let channels = || ChannelConfig { delay: 0.02, ..ChannelConfig::default() };
     let mut falling = experiment("test2_observer");
     falling.simulator.duration = 6.0;
     falling.simulator.sensors = Some(SensorsConfig {
@@ -26,16 +25,8 @@ fn a_late_robot_flies_with_an_estimator() {
         seed: 0,
     });
     let mut flying = falling.clone();
-    flying.controller.law.estimator = Some(EstimatorConfig {
-        base_position: channels(),
-        base_rotation: channels(),
-        base_linear_velocity: channels(),
-        base_angular_velocity: channels(),
-        joint_position: channels(),
-        joint_velocity: channels(),
-        thrust: channels(),
-        joint_observer: None,
-    });
+    flying.controller.law.estimator =
+        Some(uniform_estimator(ChannelConfig { delay: 0.02, ..ChannelConfig::default() }));
     let [falling, flying] = fly(&[falling, flying]).try_into().unwrap();
     assert_eq!(falling.outcome, Outcome::Fell);
     assert_eq!(flying.outcome, Outcome::Completed);
