@@ -55,12 +55,6 @@ impl QpStatus {
     pub fn code(self) -> u8 {
         self as u8
     }
-
-    /// True for [`QpStatus::Solved`] alone.
-    #[must_use]
-    pub fn is_solved(self) -> bool {
-        self == Self::Solved
-    }
 }
 
 /// What a solver says about its `x`.
@@ -83,16 +77,16 @@ impl QpAnswer {
         Self { status, iterations: 0, kkt: f64::NAN, active: 0 }
     }
 
-    /// Judges `x` and the multipliers of the rows by their residual `kkt` alone. `otherwise` is the status
-    /// where it does not pass.
+    /// Judges `x` and the multipliers of the rows by their residual alone. `otherwise` is the status where it does not
+    /// pass.
     pub(super) fn judged(
         qp: &QpProblem,
         x: &[f64],
         multipliers: &[f64],
-        kkt: f64,
         iterations: u32,
         otherwise: QpStatus,
     ) -> Self {
+        let kkt = kkt_residual(qp, x, multipliers);
         let status = if kkt <= KKT_TOLERANCE {
             QpStatus::Solved
         } else if kkt.is_finite() {

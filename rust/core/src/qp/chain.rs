@@ -80,7 +80,7 @@ impl QpSolver for QpChain {
         for (place, method) in self.methods.iter_mut().enumerate() {
             answer = method.solve(qp);
             self.answered = place;
-            if answer.status.is_solved() {
+            if answer.status == QpStatus::Solved {
                 break;
             }
         }

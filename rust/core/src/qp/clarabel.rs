@@ -67,14 +67,7 @@ impl QpSolver for ClarabelSolver {
             return QpAnswer::refused(QpStatus::NonFinite);
         }
         if qp.is_empty() {
-            return QpAnswer::judged(
-                qp,
-                &self.x,
-                &self.multipliers,
-                kkt_residual(qp, &self.x, &self.multipliers),
-                0,
-                QpStatus::Inaccurate,
-            );
+            return QpAnswer::judged(qp, &self.x, &self.multipliers, 0, QpStatus::Inaccurate);
         }
         // An indefinite problem has stationary points, and an interior point can settle on one.
         if !linalg::cholesky_in_place(&mut qp.h.as_slice().to_vec(), n, n, n) {
@@ -94,14 +87,7 @@ impl QpSolver for ClarabelSolver {
             (x, multipliers) = polish(qp, x, multipliers);
         }
         let otherwise = unless_certified(solution.status);
-        let answer = QpAnswer::judged(
-            qp,
-            &x,
-            &multipliers,
-            kkt_residual(qp, &x, &multipliers),
-            solution.iterations,
-            otherwise,
-        );
+        let answer = QpAnswer::judged(qp, &x, &multipliers, solution.iterations, otherwise);
         if answer.status != QpStatus::NonFinite {
             (self.x, self.multipliers) = (x, multipliers);
         }

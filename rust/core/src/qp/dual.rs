@@ -13,7 +13,7 @@
 //! the data, with the residual corrected until it stops falling, before the certificate judges it.
 
 use super::scaled::Scaled;
-use super::{QpAnswer, QpProblem, QpSolver, QpStatus, kkt_residual};
+use super::{QpAnswer, QpProblem, QpSolver, QpStatus};
 use crate::linalg;
 
 /// Changes of the active set allowed per constraint and variable. A calm tick needs one for each active
@@ -100,7 +100,7 @@ impl QpSolver for DualActiveSet {
             }
         }
         let (x, u) = (&self.work, &self.multipliers);
-        let answer = QpAnswer::judged(qp, x, u, kkt_residual(qp, x, u), iterations, QpStatus::Inaccurate);
+        let answer = QpAnswer::judged(qp, x, u, iterations, QpStatus::Inaccurate);
         if answer.status != QpStatus::NonFinite {
             self.x.copy_from_slice(x);
         }

@@ -13,7 +13,7 @@
 //! Block pivoting and projected Newton have no such argument and do fail on saturated problems.
 
 use super::scaled::Scaled;
-use super::{QpAnswer, QpProblem, QpSolver, QpStatus, kkt_residual};
+use super::{QpAnswer, QpProblem, QpSolver, QpStatus};
 use crate::linalg;
 
 /// Passes allowed per variable. A calm tick needs one in all; the worst of four million fuzzed problems
@@ -98,9 +98,8 @@ pub struct PrimalActiveSet {
     scaled: Scaled,
     /// Current point, always inside the bounds.
     y: Vec<f64>,
-    /// `y` in the units of the problem, and its residual.
+    /// `y` in the units of the problem.
     candidate: Vec<f64>,
-    kkt: f64,
     /// `H y + g`.
     gradient: Vec<f64>,
     /// Where the Newton step leads: `y` where a variable is held.
@@ -131,12 +130,13 @@ impl QpSolver for PrimalActiveSet {
         }
         self.start();
         let mut iterations = 0;
-        let end = self.descend(qp, &mut iterations);
+        let end = self.descend(&mut iterations);
         if end == QpStatus::NonFinite {
             return QpAnswer { iterations, ..QpAnswer::refused(end) };
         }
+        self.scaled.unscale(qp, &self.y, &mut self.candidate);
         let x = &self.candidate;
-        let mut answer = QpAnswer::judged(qp, x, &[], self.kkt, iterations, QpStatus::Inaccurate);
+        let mut answer = QpAnswer::judged(qp, x, &[], iterations, QpStatus::Inaccurate);
         if answer.status != QpStatus::NonFinite {
             self.warm.x.copy_from_slice(x);
             if end != QpStatus::Solved {
@@ -167,7 +167,6 @@ impl PrimalActiveSet {
             scaled: Scaled::new(n, n + 1),
             y: zeros(),
             candidate: zeros(),
-            kkt: f64::NAN,
             gradient: zeros(),
             target: zeros(),
             step: zeros(),
@@ -225,11 +224,10 @@ impl PrimalActiveSet {
     }
 
     /// The active-set loop. `Solved` means that it found the right working set.
-    fn descend(&mut self, qp: &QpProblem, iterations: &mut u32) -> QpStatus {
+    fn descend(&mut self, iterations: &mut u32) -> QpStatus {
         let mut corrections = 0;
         loop {
             if *iterations >= self.iteration_limit {
-                self.certify(qp);
                 return QpStatus::IterationLimit;
             }
             *iterations += 1;
@@ -241,7 +239,6 @@ impl PrimalActiveSet {
             }
             if !self.aim(is_first) {
                 self.update_gradient();
-                self.certify(qp);
                 let finite = self.gradient.iter().all(|q| q.is_finite());
                 return if finite { QpStatus::NotPositiveDefinite } else { QpStatus::NonFinite };
             }
@@ -258,7 +255,6 @@ impl PrimalActiveSet {
                 }
             }
             if self.is_well_conditioned() {
-                self.certify(qp);
                 return QpStatus::Solved;
             }
             // One step of iterative refinement: same factor, gradient fresh from the data. Not even an answer
@@ -269,21 +265,13 @@ impl PrimalActiveSet {
             self.correct();
             if corrections == CORRECTION_LIMIT {
                 self.take_target();
-                self.certify(qp);
                 return QpStatus::Solved;
             }
             if self.follow(true) == Followed::Whole {
-                self.certify(qp);
                 return QpStatus::Solved;
             }
             corrections += 1;
         }
-    }
-
-    /// Brings `y` to the units of the problem and judges it.
-    fn certify(&mut self, qp: &QpProblem) {
-        self.scaled.unscale(qp, &self.y, &mut self.candidate);
-        self.kkt = kkt_residual(qp, &self.candidate, &[]);
     }
 
     /// `gradient = H y + g`, from the data every time: running updates would keep their rounding.

@@ -8,7 +8,7 @@ use crate::common::{configs, experiment, random_state, random_vector};
 use flight_core::control::config::Solver;
 use flight_core::control::setpoint::Setpoint;
 use flight_core::control::{CommandStatus, ControllerState};
-use flight_core::qp::{KKT_TOLERANCE, QpProblem, kkt_residual};
+use flight_core::qp::{KKT_TOLERANCE, QpProblem, QpStatus, kkt_residual};
 use flight_core::robot::RobotModel;
 use flight_core::{BuildError, Controller, Measurement};
 use flight_io::load_robot;
@@ -391,8 +391,9 @@ impl Episode {
             self.answer[unknown] - 0.0_f64.max(lower).min(upper) == 0.0
         };
         // Rates of foot wrenches and multipliers of rows stay inside the controller: there the reported residual counts.
-        let says_so =
-            |answer: &flight_core::qp::QpAnswer| answer.status.is_solved() && answer.kkt <= KKT_TOLERANCE;
+        let says_so = |answer: &flight_core::qp::QpAnswer| {
+            answer.status == QpStatus::Solved && answer.kkt <= KKT_TOLERANCE
+        };
         let is_minimiser = |problem: &QpProblem, x: &[f64]| kkt_residual(problem, x, &[]) <= KKT_TOLERANCE;
         let momentum = says_so(&command.momentum_qp)
             && (!unknowns.force_rate.is_empty() || is_minimiser(&qp.problem, &self.answer));
