@@ -40,7 +40,7 @@ use crate::dynamics::{Dynamics, InverseMass};
 use crate::error::{BuildError, check};
 use crate::estimator::{Estimator, EstimatorConfig, Reading};
 use crate::kinematics::Kinematics;
-use crate::qp::{QpAnswer, QpChain, QpProblem, QpSolver, QpStatus, WarmStart};
+use crate::qp::{QpAnswer, QpChain, QpSolver, QpStatus, WarmStart};
 use crate::robot::RobotModel;
 use crate::spatial::parts;
 use crate::wind_observer::{WindObserver, WindState};
@@ -568,7 +568,9 @@ impl Controller {
             if self.command.modes.is_empty() { CommandStatus::Nominal } else { CommandStatus::Degraded };
         if answer.status != QpStatus::Solved {
             self.command.status = CommandStatus::MomentumHeld;
-            nearest_to_zero(&momentum_qp.problem, &mut self.solution);
+            // Nothing moves, as far as the bounds allow.
+            self.solution.fill(0.0);
+            momentum_qp.problem.clamp(self.solution.as_mut_slice());
         }
         let (jets, unknowns, u) = (self.model.jets.len(), &momentum_qp.unknowns, self.solution.as_slice());
         self.command.thrust_rate.as_mut_slice()[..jets].copy_from_slice(&u[unknowns.thrust_rate.clone()]);
@@ -734,12 +736,5 @@ impl Controller {
     #[must_use]
     pub fn terms(&self) -> &Terms {
         &self.terms
-    }
-}
-
-/// The safe command where the momentum QP has no answer: nothing moves, as far as the bounds allow.
-fn nearest_to_zero(problem: &QpProblem, x: &mut DVector<f64>) {
-    for (x, (lower, upper)) in x.iter_mut().zip(problem.lower.iter().zip(&problem.upper)) {
-        *x = 0.0_f64.max(*lower).min(*upper);
     }
 }

@@ -76,7 +76,7 @@ impl QpProblem {
     }
 
     /// Brings `x` inside the bounds; a NaN stays one. With comparisons, as `f64::max` would turn a NaN into a bound.
-    pub(super) fn clamp(&self, x: &mut [f64]) {
+    pub(crate) fn clamp(&self, x: &mut [f64]) {
         let bounds = self.lower.as_slice().iter().zip(self.upper.as_slice());
         for (x, (lower, upper)) in x.iter_mut().zip(bounds) {
             let raised = if *x < *lower { *lower } else { *x };
