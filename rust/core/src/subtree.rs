@@ -17,8 +17,8 @@ use crate::robot::RobotModel;
 use crate::spatial::vee_of_skew_part;
 use nalgebra::{DVector, Matrix3, Vector3};
 
-/// Forces on one subtree.
-#[derive(Debug, Clone, Copy)]
+/// Forces on one subtree; none by default.
+#[derive(Debug, Clone, Copy, Default)]
 pub struct Load {
     /// `F = Σ f` \[N\].
     pub force: Vector3<f64>,
@@ -27,11 +27,6 @@ pub struct Load {
 }
 
 impl Load {
-    const NONE: Self = Self {
-        force: Vector3::new(0.0, 0.0, 0.0),
-        dyad: Matrix3::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-    };
-
     /// `M = Σ r × f` about the origin of the base \[N m\].
     #[must_use]
     pub fn moment(&self) -> Vector3<f64> {
@@ -50,7 +45,7 @@ impl SubtreeLoads {
     /// Space for the subtrees of `robot`.
     #[must_use]
     pub fn new(robot: &RobotModel) -> Self {
-        Self { loads: vec![Load::NONE; robot.bodies.len()] }
+        Self { loads: vec![Load::default(); robot.bodies.len()] }
     }
 
     /// Sums forces, each on a body at a point: `(body, point_i, force_i)` \[m, N, inertial axes\].
@@ -61,7 +56,7 @@ impl SubtreeLoads {
         forces: impl Iterator<Item = (usize, Vector3<f64>, Vector3<f64>)>,
     ) {
         let origin = kinematics.bodies[0].i_from_b.position;
-        self.loads.fill(Load::NONE);
+        self.loads.fill(Load::default());
         for (body, point, force) in forces {
             let load = &mut self.loads[body];
             load.force += force;
