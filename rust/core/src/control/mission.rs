@@ -13,19 +13,6 @@ pub enum Mission {
     Recorded(Recording),
 }
 
-impl Mission {
-    /// Refuses commands that [`Commands::check`] refuses.
-    ///
-    /// # Errors
-    /// [`BuildError::BadValue`] naming the list and the interval.
-    pub fn check(&self) -> Result<(), BuildError> {
-        match self {
-            Self::Commands(commands) => commands.check(),
-            Self::Recorded(_) => Ok(()),
-        }
-    }
-}
-
 /// Time interval `(start, end)` \[s\], open at both ends.
 pub type Interval = (f64, f64);
 

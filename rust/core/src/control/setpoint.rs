@@ -211,7 +211,7 @@ impl SetpointGenerator {
     /// `forward_axis_b`, a unit vector orthogonal to base z.
     ///
     /// # Errors
-    /// As [`SetpointConfig::check`] and [`Mission::check`].
+    /// As [`SetpointConfig::check`] and [`Commands::check`](super::mission::Commands::check).
     pub fn new(
         config: &SetpointConfig,
         mission: Mission,
@@ -219,7 +219,9 @@ impl SetpointGenerator {
         time_step: f64,
     ) -> Result<Self, BuildError> {
         config.check()?;
-        mission.check()?;
+        if let Mission::Commands(commands) = &mission {
+            commands.check()?;
+        }
         let up = Vector3::z();
         #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // positive; saturates
         let full_boost = (config.turbo_boost / (config.turbo_rate * time_step)).round() as u32;
