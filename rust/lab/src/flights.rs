@@ -72,17 +72,16 @@ impl Flights {
         let config: ScenarioConfig = from_value(resolved, "scenario")?;
         let flight = Scenario::new(&config)?.begin();
         let robot = flight.robot();
-        let names = |names: Vec<&str>| names.into_iter().map(str::to_owned).collect::<Vec<_>>();
         let free = self.held.iter().position(Option::is_none);
         let number = free.unwrap_or(self.held.len());
         let about = json!({
             "flight": number,
             "n_ticks": flight.n_ticks(),
             "config": config,
-            "bodies": names(robot.bodies.iter().map(|body| body.name.as_str()).collect()),
-            "joints": names(robot.joints.iter().map(|joint| joint.name.as_str()).collect()),
-            "jets": names(robot.jets.iter().map(|jet| jet.name.as_str()).collect()),
-            "links": names(robot.aero_links.iter().map(|link| link.name.as_str()).collect()),
+            "bodies": robot.bodies.iter().map(|body| &body.name).collect::<Vec<_>>(),
+            "joints": robot.joints.iter().map(|joint| &joint.name).collect::<Vec<_>>(),
+            "jets": robot.jets.iter().map(|jet| &jet.name).collect::<Vec<_>>(),
+            "links": robot.aero_links.iter().map(|link| &link.name).collect::<Vec<_>>(),
             "signals": flight.log().series.iter().map(|series| json!({
                 "name": series.signal.name,
                 "unit": series.signal.unit,
