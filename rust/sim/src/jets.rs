@@ -94,8 +94,7 @@ pub struct Jets {
     faults: JetFaults,
     thrust: Vec<f64>,
     thrust_rate: Vec<f64>,
-    /// Empty under ideal dynamics, as `estimate`.
-    throttle: Vec<f64>,
+    /// Empty under ideal dynamics.
     estimate: Vec<f64>,
 }
 
@@ -122,7 +121,6 @@ impl Jets {
             faults: JetFaults::new(&JetFaultsConfig::default(), jets)?,
             thrust: initial_thrust.to_vec(),
             thrust_rate: vec![0.0; jets.len()],
-            throttle: Vec::new(),
             estimate: Vec::new(),
         };
         let JetsConfig::SecondOrder(config) = config else { return Ok(new) };
@@ -147,7 +145,6 @@ impl Jets {
                 })
             })
             .collect::<Result<_, BuildError>>()?;
-        new.throttle = jets.iter().map(|jet| jet.controller.throttle()).collect();
         new.estimate = jets.iter().map(|jet| jet.ekf.thrust()).collect();
         new.dynamics = Dynamics::SecondOrder { jets, feedback: config.feedback };
         Ok(new)
@@ -188,18 +185,17 @@ impl Jets {
             }
             Dynamics::SecondOrder { jets, .. } => {
                 let thrusts = self.thrust.iter_mut().zip(&mut self.thrust_rate);
-                let inner = self.throttle.iter_mut().zip(&mut self.estimate);
-                let jets = jets.iter_mut().zip(thrusts.zip(inner));
-                for ((jet, ((thrust, thrust_rate), (throttle, estimate))), &command) in jets.zip(commands) {
-                    *throttle = jet.controller.update(
+                let jets = jets.iter_mut().zip(thrusts.zip(&mut self.estimate));
+                for ((jet, ((thrust, thrust_rate), estimate)), &command) in jets.zip(commands) {
+                    let throttle = jet.controller.update(
                         jet.engine.model(),
                         jet.ekf.thrust(),
                         jet.ekf.thrust_rate(),
                         command,
                         dt,
                     );
-                    jet.ekf.update(self.faults.sensor.measured(jet.engine.thrust), *throttle, dt);
-                    jet.engine.step(*throttle, dt);
+                    jet.ekf.update(self.faults.sensor.measured(jet.engine.thrust), throttle, dt);
+                    jet.engine.step(throttle, dt);
                     *thrust = jet.engine.thrust;
                     *thrust_rate = jet.engine.thrust_rate;
                     *estimate = jet.ekf.thrust();
@@ -245,8 +241,11 @@ impl Jets {
     /// Throttle of the last step \[%\], per jet; at first the one that holds the initial thrust.
     /// Empty under ideal dynamics, which have no throttle.
     #[must_use]
-    pub fn throttle(&self) -> &[f64] {
-        &self.throttle
+    pub fn throttle(&self) -> Vec<f64> {
+        match &self.dynamics {
+            Dynamics::Ideal => Vec::new(),
+            Dynamics::SecondOrder { jets, .. } => jets.iter().map(|jet| jet.controller.throttle()).collect(),
+        }
     }
 }
 

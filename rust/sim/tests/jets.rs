@@ -70,7 +70,7 @@ fn second_order_jets_track_a_thrust_ramp() {
 #[test]
 fn second_order_jets_hold_their_thrust_at_zero_command() {
     let mut jets = build(&second_order(|_| {}));
-    let throttle = jets.throttle().to_vec();
+    let throttle = jets.throttle();
     for _ in 0..500 {
         jets.advance(&[0.0; 4], DT);
     }
