@@ -123,15 +123,10 @@ impl SensorsConfig {
     }
 }
 
-/// Ages in ticks.
-#[derive(Debug, Clone)]
-struct Ages {
-    position: usize,
-    rotation: usize,
-    linear: usize,
-    angular: usize,
-    joints: usize,
-    thrust: usize,
+/// A delay \[s\] in ticks.
+#[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 1 s
+fn age(delay: f64, time_step: f64) -> usize {
+    (delay / time_step).round() as usize
 }
 
 /// The sensors in time; read once per tick.
@@ -139,7 +134,6 @@ struct Ages {
 pub struct Sensors {
     config: SensorsConfig,
     time_step: f64,
-    ages: Ages,
     /// Share of the way that the low pass of joint velocities goes per tick.
     share: f64,
     noise: Noise,
@@ -162,24 +156,18 @@ impl Sensors {
         jets: usize,
     ) -> Result<Self, BuildError> {
         config.check()?;
-        #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss)] // checked: 0 to 1 s
-        let ticks = |delay: f64| (delay / time_step).round() as usize;
-        let ages = Ages {
-            position: ticks(config.base_position.delay),
-            rotation: ticks(config.base_rotation.delay),
-            linear: ticks(config.base_linear_velocity.delay),
-            angular: ticks(config.base_angular_velocity.delay),
-            joints: ticks(config.joints.delay),
-            thrust: ticks(config.thrust.delay),
-        };
-        let all = [ages.position, ages.rotation, ages.linear, ages.angular, ages.joints, ages.thrust];
-        let oldest = all.into_iter().max().unwrap_or(0);
+        let SensorsConfig {
+            base_position, base_rotation, base_linear_velocity, base_angular_velocity, ..
+        } = config;
+        let of_base = [base_position, base_rotation, base_linear_velocity, base_angular_velocity];
+        let delays =
+            of_base.map(|sensor| sensor.delay).into_iter().chain([config.joints.delay, config.thrust.delay]);
+        let oldest = age(delays.fold(0.0, f64::max), time_step);
         let nothing = Reading::zero(joints, jets);
         let time_constant = config.joints.velocity_time_constant.unwrap_or(0.0);
         Ok(Self {
             config: config.clone(),
             time_step,
-            ages,
             share: if time_constant > 0.0 { -libm::expm1(-time_step / time_constant) } else { 1.0 },
             noise: Noise::new(config.seed, STREAM),
             line: vec![nothing.clone(); oldest + 1],
@@ -193,7 +181,7 @@ impl Sensors {
     ///
     /// Before a delay has passed, the first state is measured; the joints' low pass starts settled.
     pub fn read(&mut self, state: &RobotState, thrust: &[f64]) -> &Reading {
-        let Self { config, ages, line, reading, noise, .. } = self;
+        let Self { config, time_step, line, reading, noise, .. } = self;
         self.now = (self.now + 1) % line.len();
         for (place, tick) in line.iter_mut().enumerate() {
             if place == self.now || !self.is_started {
@@ -201,24 +189,26 @@ impl Sensors {
             }
         }
         let (now, length) = (self.now, line.len());
-        let then = |age: usize| &line[(now + length - age) % length];
+        let then = |delay: f64| &line[(now + length - age(delay, *time_step)) % length];
         let mut errors = |sensor: &SensorConfig| {
             let drawn = Vector3::from_fn(|_, _| noise.normal());
             Vector3::from(sensor.bias) + sensor.noise_std * drawn
         };
 
-        reading.state.base.position = then(ages.position).state.base.position + errors(&config.base_position);
+        reading.state.base.position =
+            then(config.base_position.delay).state.base.position + errors(&config.base_position);
         reading.state.base.rotation =
-            then(ages.rotation).state.base.rotation * exp_so3(&errors(&config.base_rotation));
-        let linear = then(ages.linear).state.base_linear_velocity() + errors(&config.base_linear_velocity);
-        let turning = &then(ages.angular).state;
+            then(config.base_rotation.delay).state.base.rotation * exp_so3(&errors(&config.base_rotation));
+        let linear = then(config.base_linear_velocity.delay).state.base_linear_velocity()
+            + errors(&config.base_linear_velocity);
+        let turning = &then(config.base_angular_velocity.delay).state;
         let gyro = turning.base.rotation.transpose() * turning.base_angular_velocity()
             + errors(&config.base_angular_velocity);
         let angular = reading.state.base.rotation * gyro;
         reading.state.velocity.as_mut_slice()[..3].copy_from_slice(linear.as_slice());
         reading.state.velocity.as_mut_slice()[3..6].copy_from_slice(angular.as_slice());
 
-        let joints = &then(ages.joints).state;
+        let joints = &then(config.joints.delay).state;
         let velocities = &mut reading.state.velocity.as_mut_slice()[6..];
         for (joint, velocity) in velocities.iter_mut().enumerate() {
             let (before, position) = (reading.state.joint_position[joint], joints.joint_position[joint]);
@@ -228,13 +218,13 @@ impl Sensors {
             reading.state.joint_position[joint] = position;
             let is_difference = self.is_started && config.joints.velocity_time_constant.is_some();
             *velocity = if is_difference {
-                *velocity + self.share * ((position - before) / self.time_step - *velocity)
+                *velocity + self.share * ((position - before) / *time_step - *velocity)
             } else {
                 joints.velocity[6 + joint]
             };
         }
 
-        let thrusts = &then(ages.thrust).thrust;
+        let thrusts = &then(config.thrust.delay).thrust;
         for (measured, thrust) in reading.thrust.iter_mut().zip(thrusts) {
             *measured = thrust + config.thrust.bias + config.thrust.noise_std * noise.normal();
         }
