@@ -140,7 +140,7 @@ impl FlightController {
         let joint_names = robot.joints.iter().map(|joint| c_name(&joint.name)).collect::<Result<_, _>>()?;
         let jet_names = robot.jets.iter().map(|jet| c_name(&jet.name)).collect::<Result<_, _>>()?;
         let controller = scenario.controller(robot)?;
-        let (joints, feet) = (controller.model().n_joints(), controller.model().feet.len());
+        let (joints, feet) = (controller.model().joints.len(), controller.model().feet.len());
         Ok(Self {
             flight: None,
             time_step: scenario.simulator.time_step,

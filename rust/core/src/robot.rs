@@ -42,12 +42,6 @@ impl RobotModel {
         self.bodies.iter().map(|body| body.mass).sum()
     }
 
-    /// Number of joints that move.
-    #[must_use]
-    pub fn n_joints(&self) -> usize {
-        self.joints.len()
-    }
-
     /// Place of a joint in every joint vector.
     #[must_use]
     pub fn joint_index(&self, name: &str) -> Option<usize> {

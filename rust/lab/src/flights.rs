@@ -90,7 +90,7 @@ impl Flights {
             })).collect::<Vec<_>>(),
         });
         let held = Held {
-            state: RobotState::zero(robot.n_joints()),
+            state: RobotState::zero(robot.joints.len()),
             kinematics: Kinematics::new(robot),
             poses: Vec::new(),
             flight,

@@ -161,7 +161,7 @@ impl Controller {
     /// Reports after a tick other thrust rates (jets) [N/s] and joint torques (n) [N m] that act until the next one.
     fn replace_command(&mut self, thrust_rate: Input<'_>, joint_torque: Input<'_>) -> PyResult<()> {
         let rates = entries("thrust_rate", &thrust_rate, &[self.controller.n_jets()])?;
-        let torques = entries("joint_torque", &joint_torque, &[self.controller.model().n_joints()])?;
+        let torques = entries("joint_torque", &joint_torque, &[self.controller.model().joints.len()])?;
         let Some(state) = &mut self.state else {
             return Err(PyValueError::new_err(
                 "no flight has begun; expected a tick before its command is replaced",
@@ -183,7 +183,7 @@ impl Controller {
     ) -> PyResult<Measured> {
         Ok(Measured {
             time,
-            state: measured_state(self.controller.model().n_joints(), state)?,
+            state: measured_state(self.controller.model().joints.len(), state)?,
             thrust: entries("thrust", thrust, &[self.controller.n_jets()])?,
             wind: vector3("wind", wind)?,
             foot_wrenches: self.foot_wrenches(foot_wrenches)?,

@@ -64,7 +64,7 @@ impl Plant {
     ) -> PyResult<crate::arrays::Output<'py>> {
         let robot = self.current.robot();
         let thrust_rate = finite("thrust_rate", &thrust_rate, &[robot.jets.len()])?;
-        let torque = finite("joint_torque", &joint_torque, &[robot.n_joints()])?;
+        let torque = finite("joint_torque", &joint_torque, &[robot.joints.len()])?;
         let links = robot.aero_links.len();
         let forces = link_forces.map(|forces| finite("link_forces", &forces, &[links, 3])).transpose()?;
         let forces =

@@ -143,7 +143,7 @@ impl Robot {
         velocity: Input<'py>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let arrays = [&base_position, &base_rotation, &joint_position, &velocity];
-        let state = state(self.model.n_joints(), arrays)?;
+        let state = state(self.model.joints.len(), arrays)?;
         let (kinematics, dynamics) = self.evaluate(&state);
         let out = PyDict::new(py);
         let positions: Vec<Vector3<f64>> =
@@ -175,7 +175,7 @@ impl Robot {
         velocity: Input<'py>,
     ) -> PyResult<(Output<'py>, Output<'py>)> {
         let arrays = [&base_position, &base_rotation, &joint_position, &velocity];
-        let state = state(self.model.n_joints(), arrays)?;
+        let state = state(self.model.joints.len(), arrays)?;
         let frame = self.frame(frame)?;
         let (kinematics, _) = self.evaluate(&state);
         let point = kinematics.frame_pose(&frame).position;
@@ -193,7 +193,7 @@ impl Robot {
         velocity: Input<'py>,
         force: Input<'py>,
     ) -> PyResult<Output<'py>> {
-        let joints = self.model.n_joints();
+        let joints = self.model.joints.len();
         let state = state(joints, [&base_position, &base_rotation, &joint_position, &velocity])?;
         let (_, dynamics) = self.evaluate(&state);
         let mut acceleration = DVector::from_vec(entries("force", &force, &[6 + joints])?) - &dynamics.bias;
@@ -286,7 +286,7 @@ pub fn link_forces<'py>(
     wind: Input<'py>,
 ) -> PyResult<Output<'py>> {
     let arrays = [&base_position, &base_rotation, &joint_position, &velocity];
-    let state = state(robot.model.n_joints(), arrays)?;
+    let state = state(robot.model.joints.len(), arrays)?;
     let config = aero_config(aero_json)?;
     let mut model = load_aero(&config, &robot.model).map_err(value_error)?;
     let (kinematics, _) = robot.evaluate(&state);

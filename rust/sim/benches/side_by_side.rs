@@ -184,7 +184,7 @@ fn report(what: &str, rounds: usize, count: usize, mut round: impl FnMut()) {
 // --- files -----------------------------------------------------------------------------------------------------
 
 fn write_states(folder: &Path, robot: &RobotModel, ticks: &[Tick]) -> std::io::Result<()> {
-    let mut data = vec![ticks.len() as f64, robot.n_joints() as f64];
+    let mut data = vec![ticks.len() as f64, robot.joints.len() as f64];
     let mut check = Vec::new();
     let mut bundle = Bundle::new(robot);
     for tick in ticks {

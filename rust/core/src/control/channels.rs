@@ -434,10 +434,6 @@ impl Layout {
         self.feet.end
     }
 
-    fn n_joints(&self) -> usize {
-        self.joint_position.len()
-    }
-
     /// Positions and velocities of the joints.
     fn joints(&self) -> Range<usize> {
         self.joint_position.start..self.joint_velocity.end
@@ -547,7 +543,7 @@ impl Channels {
     /// Whether a measurement is of this robot.
     #[must_use]
     pub fn fit(&self, measurement: &Measurement) -> bool {
-        let (joints, feet) = (self.layout.n_joints(), self.layout.feet.len() / 6);
+        let (joints, feet) = (self.layout.joint_position.len(), self.layout.feet.len() / 6);
         measurement.state.n_joints() == joints
             && measurement.state.velocity.len() == 6 + joints
             && measurement.thrust.len() == self.layout.thrust.len()
@@ -565,7 +561,7 @@ impl Channels {
     /// # Errors
     /// [`BadStart`] for a measurement that no flight can begin with.
     pub fn start(&mut self, measurement: &Measurement) -> Result<ChannelsState, BadStart> {
-        let (joints, jets) = (self.layout.n_joints(), self.layout.thrust.len());
+        let (joints, jets) = (self.layout.joint_position.len(), self.layout.thrust.len());
         if !self.fit(measurement) {
             return Err(BadStart::OtherRobot { joints, jets, feet: self.layout.feet.len() / 6 });
         }

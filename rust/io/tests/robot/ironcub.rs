@@ -18,7 +18,7 @@ fn has_its_bodies_and_mass() {
     let robot = ironcub();
     assert_eq!(robot.name, "iRonCub-Mk1");
     assert_eq!(robot.bodies.len(), 24);
-    assert_eq!(robot.n_joints(), 23);
+    assert_eq!(robot.joints.len(), 23);
     assert_close("mass", robot.mass(), 43.321_631, 1e-12);
     assert_close("gravity", robot.gravity, 9.81, 0.0);
     assert_eq!(robot.bodies[0].name, "root_link");
