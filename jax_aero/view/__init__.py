@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterable
+from pathlib import Path
 
 from jax_aero.command import Refused as Refused
 
@@ -21,3 +22,11 @@ def require(modules: Iterable[str], purpose: str) -> None:
             importlib.import_module(module)
         except ModuleNotFoundError as reason:
             raise Refused(f"{purpose} needs `{reason.name}`; install it with: pip install 'jax-aero[view]'") from None
+
+
+def check_out(out: Path, *suffixes: str) -> None:
+    """Raise `Refused` where `out` has another ending or would lie in no folder: before any work is done."""
+    if out.suffix not in suffixes:
+        raise Refused(f"`{out}` does not end in {' or '.join(suffixes)}; expected a file like flight{suffixes[0]}")
+    if not out.parent.is_dir():
+        raise Refused(f"there is no folder `{out.parent}` for `{out.name}`")

@@ -30,30 +30,16 @@ class RobotNodes:
     def __init__(self, server: viser.ViserServer, name: str, look: Look, *, ghost: bool) -> None:
         self.look, self.ghost = look, ghost
         self.root = server.scene.add_frame(name, show_axes=False)
+        groups = [([shape for shape in look.shapes if shape.kind == kind], mesh()) for kind, mesh in MESHES.items()]
+        groups += [([shape], shape.mesh) for shape in look.shapes if shape.mesh is not None]
         self.groups = []
-        for kind, mesh in MESHES.items():
-            shapes = [shape for shape in look.shapes if shape.kind == kind]
-            if not shapes:
-                continue
-            colours = [drawing.GHOST if ghost else drawing.ROLES[shape.role] for shape in shapes]
-            handle = _batch(
-                server,
-                f"{name}/{kind}",
-                mesh(),
-                np.array([shape.size for shape in shapes]),
-                colours,
-                opacity=0.5 if ghost else None,
-            )
-            self.groups.append((shapes, handle))
-        for shape in look.shapes:
-            if shape.mesh is not None:
-                colour = drawing.GHOST if ghost else drawing.ROLES[shape.role]
-                size = np.array([shape.size])
-                number = len(self.groups)
-                handle = _batch(
-                    server, f"{name}/mesh_{number}", shape.mesh, size, [colour], opacity=0.5 if ghost else None
-                )
-                self.groups.append(([shape], handle))
+        for number, (shapes, mesh) in enumerate(groups):
+            if shapes:
+                colours = [drawing.GHOST if ghost else drawing.ROLES[shape.role] for shape in shapes]
+                sizes = [shape.size for shape in shapes]
+                opacity = 0.5 if ghost else None
+                handle = _batch(server, f"{name}/shapes_{number}", mesh, sizes, colours, opacity=opacity)
+                self.groups.append((shapes, handle))
         jets, links = len(look.jets), len(look.links)
         self.flames = None
         if jets and not ghost:

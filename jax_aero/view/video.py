@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from jax_aero.files import complete_file
-from jax_aero.view import Refused, require
+from jax_aero.view import Refused, check_out, require
 from jax_aero.view.drawing import Scales
 from jax_aero.view.offscreen import Studio, Viewpoint, camera_at
 from jax_aero.view.recording import Recording
@@ -125,15 +125,7 @@ def _check(fps: float, speed: float, size: tuple[int, int], start: float, end: f
         raise Refused(f"size is {size[0]}x{size[1]}; expected even numbers from 64 to 4096, e.g. 1280x720")
     if not 0.0 <= start < end:
         raise Refused(f"the video would run from {start:g} to {end:g} s; expected a start before the end of the flight")
-    _check_out(out, ".mp4", ".gif")
-
-
-def _check_out(out: Path, *suffixes: str) -> None:
-    """Before any work is done."""
-    if out.suffix not in suffixes:
-        raise Refused(f"`{out}` does not end in {' or '.join(suffixes)}; expected a file like flight{suffixes[0]}")
-    if not out.parent.is_dir():
-        raise Refused(f"there is no folder `{out.parent}` for `{out.name}`")
+    check_out(out, ".mp4", ".gif")
 
 
 def write_snapshot(
@@ -152,7 +144,7 @@ def write_snapshot(
     Refused
         If there is no way to draw here, or a time lies outside the flight.
     """
-    _check_out(out, ".png")
+    check_out(out, ".png")
     if any(not 64 <= edge <= 8192 for edge in size):
         raise Refused(f"size is {size[0]}x{size[1]}; expected 64 to 8192, e.g. 1920x1080")
     chosen = [float(t) for t in times] or [float(t) for t in np.linspace(0.0, recording.duration, PANELS)]

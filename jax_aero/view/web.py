@@ -12,7 +12,7 @@ import numpy as np
 
 from jax_aero import rust
 from jax_aero.files import complete_file
-from jax_aero.view import Refused, drawing
+from jax_aero.view import Refused, check_out, drawing
 from jax_aero.view.recording import Recording
 from jax_aero.view.shapes import Look, Mount, Shape
 
@@ -34,10 +34,7 @@ def write_page(recordings: Sequence[Recording], out: Path) -> None:
     Refused
         If the page is not built, or `out` is no `.html` in a folder that is there.
     """
-    if out.suffix != ".html":
-        raise Refused(f"`{out}` does not end in .html; expected a file like flight.html")
-    if not out.parent.is_dir():
-        raise Refused(f"there is no folder `{out.parent}` for `{out.name}`")
+    check_out(out, ".html")
     if not TEMPLATE.is_file():
         raise Refused(f"there is no `{TEMPLATE.name}` beside `{Path(__file__).name}`; `make lab` builds it (with npm)")
     table = {
