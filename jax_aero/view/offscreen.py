@@ -98,14 +98,13 @@ class Studio:
         recording: Recording,
         width: int,
         height: int,
-        scales: Scales | None = None,
         ghost: Recording | None = None,
     ) -> None:
         require(["mujoco", "OpenGL", "jax"], "drawing offscreen")
         backend = find_backend()
         os.environ["MUJOCO_GL"] = os.environ["PYOPENGL_PLATFORM"] = backend  # read when MuJoCo is first imported
         self.recording, self.ghost, self.width, self.height = recording, ghost, width, height
-        self.scales = Scales() if scales is None else scales
+        self.scales = Scales()
         self.look = recording.look
 
         import mujoco  # type: ignore[import-untyped]
