@@ -331,7 +331,8 @@ def reduce_points(points: Points, joints: Mapping[str, Floats], coms: Mapping[st
     u_lever = np.sqrt(sum(_lever_part(axis, sigma, points.load[:, :3] / q, turns) ** 2 for axis in range(3)))
     u_zero = np.abs(zero[:, 1] + np.cross(to_com, zero[:, 0]))
     u_repeat = np.tile(REPEATABILITY, (n, 1))
-    marks = [(*m, *(("support",) if _is_exposed(k, b) else ())) for m, k, b in _zip(points)]
+    exposed = np.abs(points.yaw_deg) > [EXPOSED[kind] for kind in points.kind]
+    marks = [(*own, "support") if is_exposed else own for own, is_exposed in zip(points.marks, exposed, strict=True)]
     angles = np.array([joints.get(name, np.full(len(JOINTS), np.nan)) for name in points.posture])
     vector, load = ("point", "axis"), ("point", "component")
     area, volume = {"units": "m2"}, {"units": "m3"}
@@ -374,14 +375,6 @@ def reduce_points(points: Points, joints: Mapping[str, Floats], coms: Mapping[st
     }
     text = "base (root_link) axes: x backward, y right, z up; divided by the dynamic pressure"
     return xr.Dataset(variables, coords, {"robot": points.robot, "side": side, "axes": text})
-
-
-def _zip(points: Points) -> Iterable[tuple[tuple[str, ...], str, float]]:
-    return zip(points.marks, points.kind, points.yaw_deg.tolist(), strict=True)
-
-
-def _is_exposed(kind: str, yaw: float) -> bool:
-    return abs(yaw) > EXPOSED[kind]
 
 
 def _lever_part(axis: int, sigma: Floats, forces: Floats, turns: Floats) -> Floats:
