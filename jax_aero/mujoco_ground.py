@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco  # type: ignore[import-untyped]
@@ -66,28 +65,27 @@ class GroundPlant:
     def __init__(self, config: Mapping[str, Any]) -> None:
         self.source: str = config["robot"]
         self.robot = rust.Robot(self.source)
-        self._table = tomllib.loads(Path(self.source).read_text(encoding="utf-8"))
+        table = tomllib.loads(self.robot.toml_text)
         simulator = config["simulator"]
         self._aero = simulator["aero"]
         self._substeps: int = simulator["substeps"]
-        self.model = _model(self.source, simulator)
+        self.model = _model(self.source, self.robot, table["feet"], simulator)
         self.data = mujoco.MjData(self.model)
         self._order = mujoco_model.order_of(self.source, tuple(self.robot.joint_names))
-        self._soles = [self.model.site(f"foot_{foot['name']}").id for foot in self._table["feet"]]
+        feet = self.robot.foot_names
+        self._soles = [self.model.site(f"foot_{foot}").id for foot in feet]
         self._foot_of_geom = {
             self.model.geom(f"{foot['name']}_{corner}").id: index
-            for index, foot in enumerate(self._table["feet"])
+            for index, foot in enumerate(table["feet"])
             for corner in range(len(foot["vertices"]))
         }
-        feet = [foot["name"] for foot in self._table["feet"]]
         self.named = [feet.index(name) for name in config["controller"]["contact"]["feet"]]
         """The feet that the controller stands on, in its order."""
         self.thrust: Array = np.array(simulator["initial"]["thrust"], dtype=np.float64)
         """Of every jet [N]."""
-        jets = self._table.get("jets", [])
-        self._jets = [self.model.site(f"jet_{jet['name']}").id for jet in jets]
-        self._axes = [np.asarray(jet["axis"]) for jet in jets]
-        self._links = [self.model.site(f"aero_{link['name']}").id for link in self._table["aero_links"]]
+        self._jets = [self.model.site(f"jet_{jet}").id for jet in self.robot.jet_names]
+        self._axes = [np.asarray(jet["axis"]) for jet in table.get("jets", [])]
+        self._links = [self.model.site(f"aero_{link}").id for link in self.robot.aero_link_names]
         self._stand(simulator["initial"], simulator["ground"]["settling"])
         self.model.jnt_stiffness[1:] = simulator.get("motors", {}).get("stiffness", 0.0)
         self.model.qpos_spring[:] = self.data.qpos
@@ -189,10 +187,9 @@ class GroundPlant:
         return forces
 
 
-def _model(source: str, simulator: Mapping[str, Any]) -> Any:
-    """MuJoCo's model of the robot on a plane, with the motors of the configuration."""
+def _model(source: str, robot: rust.Robot, feet: list[dict[str, Any]], simulator: Mapping[str, Any]) -> Any:
+    """MuJoCo's model of the robot on a plane: `feet` as in its file, motors as in the configuration."""
     ground, motors = simulator["ground"], simulator.get("motors", {})
-    table = tomllib.loads(Path(source).read_text(encoding="utf-8"))
     spec = mujoco_model.mujoco_spec(source)
     option = spec.option
     # Without the reset, a run that blows up ends there instead of starting over.
@@ -220,7 +217,7 @@ def _model(source: str, simulator: Mapping[str, Any]) -> Any:
         condim=3,
         **contact,
     )
-    for foot in table["feet"]:
+    for foot in feet:
         body = spec.body(foot["frame"])
         body.add_site(name=f"foot_{foot['name']}")
         for corner, vertex in enumerate(foot["vertices"]):
@@ -236,7 +233,6 @@ def _model(source: str, simulator: Mapping[str, Any]) -> Any:
                 **contact,
             )
     model = spec.compile()
-    robot = rust.Robot(source)
     for joint, (lower, upper) in zip(robot.joint_names, robot.joint_stops, strict=True):
         model.joint(joint).range[:] = lower, upper
         model.jnt_limited[model.joint(joint).id] = np.isfinite(upper - lower)

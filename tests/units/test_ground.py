@@ -11,7 +11,7 @@ import xarray as xr
 
 from experiments import Refused, engines, record, study, tip_over
 from experiments.report import ground
-from jax_aero import places, rust
+from jax_aero import places, rust, tables
 from jax_aero.control.channels import MODES
 from jax_aero.mujoco_ground import GroundPlant, fly
 from paper_figs.__main__ import main as draw
@@ -81,7 +81,7 @@ def test_state_and_dynamics_are_those_of_the_crate():
     mujoco.mj_forward(plant.model, plant.data)  # now with the wind
     force = np.concatenate([np.zeros(6), seen.joint_torque])
     axes = rust.Controller(config).tick(seen.state, plant.thrust, np.zeros(3), 0.0).jet_axes
-    for jet, axis, thrust in zip(plant._table["jets"], axes, plant.thrust, strict=True):
+    for jet, axis, thrust in zip(tables.read(Path(plant.source))["jets"], axes, plant.thrust, strict=True):
         force += thrust * rust.frame_jacobian(plant.robot, jet["frame"], seen.state).linear.T @ axis
     for index, point in enumerate(plant._links):
         body = plant.data.body(plant.model.site_bodyid[point])
