@@ -28,9 +28,10 @@ from jax_aero import io, places, tables
 from jax_aero.aero import tunnel
 from jax_aero.aero.dataset import Floats, in_robot_order, tunnel_from_base, wind_direction
 from jax_aero.aero.model import aero_model
-from jax_aero.aero.posture import centres_of_mass, link_frames, standing, total_wrench, vector_rms
+from jax_aero.aero.posture import centres_of_mass, link_frames, total_wrench, vector_rms
 from jax_aero.aero.protocol import LinksInAir
 from jax_aero.aero.surrogate import batched_features, force_areas, load_surrogate
+from jax_aero.kinematics import standing
 from jax_aero.places import ROBOT
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.spatial import rotate

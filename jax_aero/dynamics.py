@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_aero.config import DynamicsBackend
-from jax_aero.kinematics import sum_over_ancestors
 from jax_aero.linalg import solve_positive_definite
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import cross, multiply, rotate, skew
@@ -67,7 +66,7 @@ def _tree_mass_matrix_and_bias(robot: RobotModel, state: State, kin: Kinematics)
     first = robot.masses[:, None] * coms
     about_origin = inertias - multiply(skew(first), skew(coms))
     quantities = jnp.concatenate([robot.masses[:, None], first, about_origin.reshape(-1, 9), force, moment], axis=1)
-    moves = sum_over_ancestors(robot, quantities.dtype)
+    moves = jnp.asarray(robot.ancestors, quantities.dtype)
     subtree = moves.T @ quantities
     whole = quantities.sum(0)
 
@@ -95,7 +94,7 @@ def _inertial_wrenches(
 ) -> tuple[Array, Array]:
     """Force (nb, 3) and moment about the base origin (nb, 3) that each body needs if `ν̇ = 0`, gravity included."""
     parents = np.array(robot.parent[1:], dtype=int)
-    moves = sum_over_ancestors(robot, state.velocity.dtype)
+    moves = jnp.asarray(robot.ancestors, state.velocity.dtype)
     omega = kin.angular_velocities
     rates = state.velocity[6:, None]
     alpha = moves @ (cross(omega[parents], kin.joint_angular) * rates)

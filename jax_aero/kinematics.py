@@ -20,7 +20,7 @@ from jax_aero.types import Array, Kinematics, State
 def kinematics(robot: RobotModel, state: State) -> Kinematics:
     """Poses and velocities of all bodies, and the centre of mass."""
     parents = np.array(robot.parent[1:], dtype=int)
-    moves = sum_over_ancestors(robot, state.velocity.dtype)
+    moves = jnp.asarray(robot.ancestors, state.velocity.dtype)
     turns = jnp.asarray(robot.joint_turns, state.velocity.dtype)
     shifts = (1.0 - turns) * state.joint_position
     local = multiply(robot.joint_rotations, axis_angle(jnp.asarray(robot.joint_axes), turns * state.joint_position))
@@ -38,9 +38,10 @@ def kinematics(robot: RobotModel, state: State) -> Kinematics:
     return Kinematics(rotations, positions, joint_linear, joint_angular, com, angular, linear, state.joint_position)
 
 
-def sum_over_ancestors(robot: RobotModel, dtype: np.dtype[np.generic] | type) -> Float[Array, "nb n"]:
-    """Return the matrix that sums, for every body, over the joints between it and the base."""
-    return jnp.asarray(robot.ancestors, dtype)
+def standing(robot: RobotModel, joint_position: Float[Array, " n"]) -> Kinematics:
+    """Kinematics at rest, the base at the origin with its axes along the inertial ones; joint positions [rad]."""
+    zero = jnp.zeros(robot.n_velocities, joint_position.dtype)
+    return kinematics(robot, State(zero[:3], jnp.eye(3, dtype=zero.dtype), joint_position, zero))
 
 
 def carriers(robot: RobotModel, bodies: tuple[int, ...], dtype: np.dtype[np.generic] | type) -> Float[Array, "k n"]:

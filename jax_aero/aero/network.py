@@ -23,10 +23,10 @@ from jaxtyping import Float, Key
 from scipy.linalg import block_diag
 
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces
-from jax_aero.kinematics import frame_poses, kinematics
+from jax_aero.kinematics import frame_poses, standing
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import rotate, rotate_back, safe_norm
-from jax_aero.types import Array, Kinematics, State, Static, pytree, with_dtype
+from jax_aero.types import Array, Kinematics, Static, pytree, with_dtype
 
 Block: TypeAlias = Literal["wind", "joints", "link_wind", "link_position", "link_shadow"]
 Frame: TypeAlias = Literal["base", "link", "wind"]
@@ -119,9 +119,7 @@ def network_joints(robot: RobotModel) -> tuple[int, ...]:
 
 def link_geometry(robot: RobotModel, joint_position: Float[Array, " n"]) -> LinkGeometry:
     """Geometry of the links at joint positions [rad]."""
-    zero = jnp.zeros(robot.n_velocities, joint_position.dtype)
-    state = State(zero[:3], jnp.eye(3, dtype=joint_position.dtype), joint_position, zero)
-    return geometry_from_kinematics(robot, kinematics(robot, state))
+    return geometry_from_kinematics(robot, standing(robot, joint_position))
 
 
 _geometry = jax.jit(link_geometry)

@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jax_aero.aero.dataset import JOINTS, LINKS, Floats, in_robot_order
-from jax_aero.kinematics import frame_poses, kinematics
+from jax_aero.kinematics import frame_poses, standing
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import rotate
-from jax_aero.types import Array, Kinematics, State
+from jax_aero.types import Array
 
 
 class LinkFrames(NamedTuple):
@@ -47,11 +47,6 @@ def link_frames(robot: RobotModel, joint_position_deg: Float[np.ndarray, "k s"])
 def _frames(robot: RobotModel, joints: Array) -> tuple[Array, Array]:
     links = robot.aero_links
     return frame_poses(standing(robot, joints), links.bodies, links.rotations, links.positions)
-
-
-def standing(robot: RobotModel, joints: Float[Array, " n"]) -> Kinematics:
-    """Return the kinematics at rest, the base at the origin with its axes along the inertial ones."""
-    return kinematics(robot, State(jnp.zeros(3), jnp.eye(3), joints, jnp.zeros(6 + robot.n_joints)))
 
 
 class Wrench(NamedTuple):
