@@ -58,11 +58,6 @@ def interpolate(table: Pchip, x: Float[Array, " *batch"]) -> Float[Array, " *bat
     return table.y[below] + s * (a + s * (c2 + s * c3))
 
 
-def interpolate_linearly(table: Pchip, x: Float[Array, " *batch"]) -> Float[Array, " *batch"]:
-    """Values at `x` of the straight lines between neighbouring points; constant outside the table."""
-    return jnp.interp(x, table.x, table.y)
-
-
 def _segment(table: Pchip, x: Array) -> Array:
     """Index of the point below; comparing with all points is faster than a search for tables this short."""
     above = jnp.sum(x[..., None] >= table.x, axis=-1)

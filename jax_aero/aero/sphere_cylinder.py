@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jax_aero.aero.attack import attack, normal_directions
-from jax_aero.aero.pchip import Pchip, interpolate, interpolate_linearly, pchip
+from jax_aero.aero.pchip import Pchip, interpolate, pchip
 from jax_aero.aero.protocol import LinksInAir
 from jax_aero.config import SphereCylinderAeroConfig
 from jax_aero.robot import AeroLinks
@@ -49,7 +49,7 @@ def sphere_cylinder_model(config: SphereCylinderAeroConfig, links: AeroLinks) ->
     cylinder = pchip(leaf(c.reynolds), leaf(c.crosswind_drag))
     finite = pchip(leaf(c.diameter_over_length), leaf(c.finite_length_drag))
     axial = pchip(leaf(c.length_over_diameter), leaf(c.axial_drag))
-    reference_drag = interpolate_linearly(cylinder, leaf(c.reference_reynolds))
+    reference_drag = jnp.interp(leaf(c.reference_reynolds), cylinder.x, cylinder.y)
     # π/4 d/l takes the axial coefficient from the area π d²/4 to d l.
     return SphereCylinder(
         half_density_area=0.5 * config.air_density * length * d * jnp.where(is_sphere, 0.25 * jnp.pi, 1.0),
