@@ -103,13 +103,6 @@ def _sensor_noise(settings: JetFaultsConfig, n_ticks: int, jets: int) -> Array:
     return jnp.asarray(found.std) * drawn.reshape(-1, jets)
 
 
-def known_limits(settings: JetFaultsConfig, robot: RobotModel) -> Float[Array, " j"]:
-    """Thrust limits [N] in the controller's bounds."""
-    if settings.limit_is_known and settings.thrust_limit_scale is not None:
-        return jnp.asarray(settings.thrust_limit_scale * robot.jets.thrust_max)
-    return robot.jets.thrust_max
-
-
 def delayed(
     faults: JetFaults, state: FaultState, command: Float[Array, " j"], dt: Float[Array, ""]
 ) -> Float[Array, " j"]:

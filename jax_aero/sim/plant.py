@@ -66,8 +66,6 @@ class Plant:
     has_stops: Static[bool]
     """Whether joints meet their stops."""
     substeps: Static[int]
-    is_frozen: Static[bool]
-    """Whether links stay where they were at the first tick, as far as the air is concerned (published)."""
     backend: Static[DynamicsBackend]
 
 
@@ -77,7 +75,7 @@ class PlantState(NamedTuple):
     robot: State
     jets: JetsState
     first: State | None
-    """State of the first tick, where the aerodynamics is frozen."""
+    """State of the first tick, where links stay as far as the air is concerned (published); `None` if they move."""
     faults: FaultState | None = None
     """State of the jets' faults, where there are some."""
 
@@ -132,7 +130,6 @@ def start_plant(
         integrator=config.integrator,
         has_stops=config.joint_stops,
         substeps=config.substeps,
-        is_frozen=config.kinematics == "frozen",
         backend=config.dynamics,
     )
     joint_position = jnp.asarray(leaf(initial.joint_position))
@@ -144,7 +141,7 @@ def start_plant(
     )
     if initial.free_fall_tick:
         state = _fall_freely(plant, state)
-    first = state if plant.is_frozen else None
+    first = state if config.kinematics == "frozen" else None
     return plant, PlantState(state, jets.start(jnp.asarray(leaf(initial.thrust))), first, fault_state)
 
 

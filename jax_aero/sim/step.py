@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -31,7 +32,6 @@ from jax_aero.control.protocol import Command, Controller, Measurement
 from jax_aero.control.tick import momentum_controller
 from jax_aero.control.wind_estimate import WindEstimate, measured_wind, wind_estimate
 from jax_aero.io import scenario_config
-from jax_aero.jet_faults import known_limits
 from jax_aero.jets import JetDynamics
 from jax_aero.outages import Held, Outage, Sample, outages_of, spoil
 from jax_aero.outages import begin as begin_outages
@@ -242,7 +242,7 @@ def prepare(
     wind, replaced = wind_model(config.wind), config.disturbances.controller_wind
     controller_wind = None if replaced is None else wind_model(replaced)
     plant, state = world.start_plant(config.simulator, config.disturbances, robot, aero, jets, read_network)
-    model = controller_model(config, robot)
+    model, settings = controller_model(config, robot), config.simulator.sensors
     estimate, ticks, errors = config.disturbances.wind_estimate, world.n_ticks(config.simulator), None
     if estimate is not None:
         errors = wind_estimate(estimate, plant.time_step, _winds(controller_wind or wind, ticks, plant.time_step))
@@ -256,7 +256,7 @@ def prepare(
         controller_model=model,
         controller_wind=controller_wind,
         wind_estimate=errors,
-        sensors=_sensors(config, plant, ticks),
+        sensors=None if settings is None else sensing.sensors(settings, plant.time_step, ticks, robot.jets.count),
         outages=outages_of(config.disturbances.outages, robot),
         n_ticks=jnp.array(ticks, jnp.int32),
         precision="",
@@ -270,11 +270,6 @@ def in_precision(scenario: Scenario, state: FlightState, dtype: Any) -> tuple[Sc
     return with_dtype((replace(scenario, precision=np.dtype(dtype).name), state), dtype)
 
 
-def _sensors(config: ScenarioConfig, plant: Plant, ticks: int) -> Sensors | None:
-    settings = config.simulator.sensors
-    return None if settings is None else sensing.sensors(settings, plant.time_step, ticks, plant.robot.jets.count)
-
-
 def _winds(wind: Wind, ticks: int, time_step: Array) -> Array:
     """Wind at every tick of a flight (ticks + 1, 3) [m/s]."""
     winds: Array = jax.jit(jax.vmap(wind_velocity, in_axes=(None, 0)))(wind, jnp.arange(ticks + 1) * time_step)
@@ -285,8 +280,9 @@ def controller_model(config: ScenarioConfig, robot: RobotModel) -> RobotModel | 
     """Return the controller's model of the robot; `None` if it is the one that flies."""
     error, faults = config.disturbances.model_error, config.disturbances.jets
     model = robot
-    if faults.limit_is_known:
-        model = replace(robot, jets=replace(robot.jets, thrust_max=known_limits(faults, robot)))
+    if faults.limit_is_known and faults.thrust_limit_scale is not None:
+        limits = jnp.asarray(faults.thrust_limit_scale * robot.jets.thrust_max)
+        model = replace(robot, jets=replace(robot.jets, thrust_max=limits))
     if error != ModelError():
         masses, inertias = error.mass_scale * robot.masses, error.mass_scale * robot.inertias
         coms = jnp.asarray(robot.coms).at[0].add(leaf(error.com_offset))
@@ -340,8 +336,11 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     at_rest = world.at_rest(state.plant)
     now, air = where(is_sound, (state.plant, wind), (at_rest, jnp.zeros_like(wind)))
 
-    blowing = air if scenario.controller_wind is None else wind_velocity(scenario.controller_wind, time)
-    wind_measured = blowing if scenario.wind_estimate is None else _measured_wind(scenario, state, tick)
+    wind_measured = air if scenario.controller_wind is None else wind_velocity(scenario.controller_wind, time)
+    if scenario.wind_estimate is not None:
+        source = scenario.wind if scenario.controller_wind is None else scenario.controller_wind
+        wind_at = partial(wind_velocity, source)
+        wind_measured = measured_wind(scenario.wind_estimate, wind_at, state.measured_wind, tick, plant.time_step)
     model = plant.robot if scenario.controller_model is None else scenario.controller_model
     said, sensors = Reading(now.robot, plant.jets.feedback(now.jets)), state.sensors
     if scenario.sensors is not None and sensors is not None:
@@ -414,17 +413,6 @@ def _nan_unless(condition: Array, tree: Tree) -> Tree:
 
     chosen: Tree = jax.tree.map(choose, tree)
     return chosen
-
-
-def _measured_wind(scenario: Scenario, state: FlightState, tick: Array) -> Array:
-    assert scenario.wind_estimate is not None
-
-    source = scenario.wind if scenario.controller_wind is None else scenario.controller_wind
-
-    def wind_at(time: Array) -> Array:
-        return wind_velocity(source, time)
-
-    return measured_wind(scenario.wind_estimate, wind_at, state.measured_wind, tick, scenario.plant.time_step)
 
 
 def _observe(scenario: Scenario, state: PlantState, command: Command, wind: Array) -> Observation:
