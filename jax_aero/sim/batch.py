@@ -111,8 +111,22 @@ def fly_batch(
 
 
 def grouped(configs: Iterable[ScenarioConfig | Mapping[str, Any]], dtype: Any = np.float64) -> list[Group]:
-    """Prepare flights, and sort them by structure."""
-    return _groups(_prepared(list(_typed(configs)), dtype))
+    """Prepare flights, and sort them by structure, robot and networks; within a group they keep their order."""
+    found: dict[Any, Group] = {}
+    for place, (scenario, state) in enumerate(_prepared(list(_typed(configs)), dtype)):
+        leaves, structure = jax.tree.flatten(scenario)
+        is_shared = tuple(jax.tree.leaves(_shared(scenario)))
+        common = tuple(leaf.tobytes() for leaf, shared in zip(leaves, is_shared, strict=True) if shared)
+        # Those of the state too: delay lines of sensors are as long as their greatest delay.
+        shapes = tuple((leaf.shape, leaf.dtype) for leaf in (*leaves, *jax.tree.leaves(state)))
+        n_ticks = int(scenario.n_ticks)
+        key = structure, shapes, jax.tree.structure(state), n_ticks, hash(common)
+        group = found.setdefault(key, Group(structure, is_shared, [], [], n_ticks, [], []))
+        group.leaves.append(tuple(leaves))
+        group.states.append(state)
+        group.course_errors.append(float(scenario.course_error))
+        group.places.append(place)
+    return list(found.values())
 
 
 def batch_size(flights: int, devices: int, most: int) -> int:
@@ -149,25 +163,6 @@ def _naming(index: int) -> Iterator[None]:
         yield
     except ValueError as reason:
         raise ValueError(f"flight {index} of the batch: {reason}") from None
-
-
-def _groups(prepared: Iterable[tuple[Scenario, FlightState]]) -> list[Group]:
-    """Sort flights by structure, robot and networks; within a group they keep their order."""
-    found: dict[Any, Group] = {}
-    for place, (scenario, state) in enumerate(prepared):
-        leaves, structure = jax.tree.flatten(scenario)
-        is_shared = tuple(jax.tree.leaves(_shared(scenario)))
-        common = tuple(leaf.tobytes() for leaf, shared in zip(leaves, is_shared, strict=True) if shared)
-        # Those of the state too: delay lines of sensors are as long as their greatest delay.
-        shapes = tuple((leaf.shape, leaf.dtype) for leaf in (*leaves, *jax.tree.leaves(state)))
-        n_ticks = int(scenario.n_ticks)
-        key = structure, shapes, jax.tree.structure(state), n_ticks, hash(common)
-        group = found.setdefault(key, Group(structure, is_shared, [], [], n_ticks, [], []))
-        group.leaves.append(tuple(leaves))
-        group.states.append(state)
-        group.course_errors.append(float(scenario.course_error))
-        group.places.append(place)
-    return list(found.values())
 
 
 def _shared(scenario: Scenario) -> Any:
