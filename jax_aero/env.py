@@ -113,8 +113,6 @@ class FlightEnv:
         self._scenario, self._start = prepare(
             self.task.episode(load_config(self.task.experiment, changes)), dtype=precision
         )
-        if not isinstance(self._scenario.controller, MomentumController):
-            raise TypeError("the experiment's controller is not the momentum controller")
         robot = self._scenario.plant.robot
         self.action_size = robot.jets.count + robot.n_joints
         self.observation_size = 15 + 2 * robot.n_joints + robot.jets.count

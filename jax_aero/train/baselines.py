@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 from scipy.spatial import KDTree
 
@@ -39,8 +40,6 @@ def _plain(dataset: Dataset) -> tuple[Floats, Floats]:
 
 
 def _axisymmetric(robot: RobotModel, coefficients: str, dataset: Dataset) -> float:
-    import jax
-
     rows = robot.aero_links.coefficients[coefficients]
     bare = init_network(jax.random.key(0), robot, hidden=(), blocks=("wind",), baseline=rows)
     left = samples_of(bare, robot, dataset).y.astype(np.float64)
