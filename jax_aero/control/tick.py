@@ -13,7 +13,6 @@ Unknowns of the momentum QP: `u = (Ṫ, ṡ)`, thrust rates and joint velocities
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax
@@ -52,7 +51,7 @@ from jax_aero.dynamics import dynamics, forward_dynamics
 from jax_aero.kinematics import generalised_force, kinematics
 from jax_aero.robot import RobotModel
 from jax_aero.spatial import cross, multiply
-from jax_aero.types import Array, Setpoint, State, leaf, leaves, where
+from jax_aero.types import Array, Setpoint, State, Static, leaf, leaves, pytree, where
 
 NOMINAL, DEGRADED, MOMENTUM_HELD, TORQUE_HELD, BOTH_HELD = range(5)
 """Codes of `Command.status`: whether a command is that of the control law, as in the Rust crate.
@@ -79,12 +78,11 @@ class Switches(NamedTuple):
     """Jets meant to act alike."""
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@pytree
 class MomentumController:
     """The flight controller: every number as a leaf, its switches as structure. It is a `Controller`."""
 
-    switches: Switches = field(metadata={"static": True})
+    switches: Static[Switches]
     aero: AeroModel
     """The controller's aerodynamic model."""
     rate_feedback: Float[Array, "6"]
@@ -153,12 +151,6 @@ class ControllerState(NamedTuple):
     """Where the torque QP begins."""
 
 
-def controller_aero(config: ScenarioConfig, robot: RobotModel, read_network: ReadNetwork) -> AeroModel:
-    """Return the controller's aerodynamic model, as wrong as `disturbances.aero_estimate` makes it."""
-    aero = aero_model(config.controller.aero, robot, read_network)
-    return weighted(aero, config.disturbances.aero_estimate, robot, "disturbances.aero_estimate")
-
-
 def momentum_controller(
     config: ScenarioConfig,
     robot: RobotModel,
@@ -178,7 +170,7 @@ def momentum_controller(
     if controller.contact is not None or not controller.use_jets:
         key, value = ("contact", "given") if controller.contact is not None else ("use_jets", "false")
         raise ValueError(f"`controller.{key}` is {value}; expected a controller that flies: JAX has no feet")
-    feedback, aero = controller.aero_feedback, controller_aero(config, robot, read_network)
+    feedback, aero = controller.aero_feedback, aero_model(controller.aero, robot, read_network)
     estimates, winds = controller.estimator, controller.wind_observer
     return MomentumController(
         switches=Switches(
@@ -187,7 +179,7 @@ def momentum_controller(
             torque=feedback.torque,
             symmetric_pairs=symmetric_pairs(controller, robot),
         ),
-        aero=aero,
+        aero=weighted(aero, config.disturbances.aero_estimate, robot, "disturbances.aero_estimate"),
         rate_feedback=_components(feedback.momentum_rate),
         momentum=leaves(TaskGains, controller.momentum),
         tasks=task_params(controller, robot, config.simulator.time_step),
