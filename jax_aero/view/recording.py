@@ -11,17 +11,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jax_aero import io, rust
 from jax_aero.files import damaged
 from jax_aero.places import RESULTS
 from jax_aero.result import ending, labels_of
 from jax_aero.summary import SETTLING_TIME
+from jax_aero.urdf import Vector
 from jax_aero.view import Refused, require
 from jax_aero.view.shapes import Look, look_of
-
-Vector = NDArray[np.float64]
 
 RUN_FILE, MANIFEST_FILE = "run.nc", "manifest.json"
 
