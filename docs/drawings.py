@@ -73,7 +73,7 @@ def main() -> None:
 def draw(axes: Axes, robot: RobotModel, kin: Kinematics, across: int) -> None:
     """Draw the aerodynamic links as thick lines, the jets as arrows along the push, the centre of mass."""
     links, jets = robot.aero_links, robot.jets
-    rotations, origins = (np.asarray(x) for x in frame_poses(kin, links.bodies, links.rotations, links.positions))
+    rotations, origins = (np.asarray(x) for x in frame_poses(kin, links))
     for link in range(links.count):
         centre = origins[link] + rotations[link] @ links.centres[link]
         half = rotations[link] @ links.axes[link] * links.lengths[link] / 2
@@ -94,7 +94,7 @@ def draw(axes: Axes, robot: RobotModel, kin: Kinematics, across: int) -> None:
             box.set_transform(turn + axes.transData)
             axes.add_patch(box)
         axes.plot(*centre[[across, 2]], ".", color=INK, ms=3)
-    rotations, origins = (np.asarray(x) for x in frame_poses(kin, jets.bodies, jets.rotations, jets.positions))
+    rotations, origins = (np.asarray(x) for x in frame_poses(kin, jets))
     for jet in range(jets.count):
         push = rotations[jet] @ jets.axes[jet] * 0.22
         tip, tail = origins[jet] + push, origins[jet]
@@ -120,7 +120,7 @@ def angle_of_attack(axes: Axes, robot: RobotModel, kin: Kinematics) -> None:
     """Mark the angle of attack of the head in a head wind."""
     links = robot.aero_links
     link = links.names.index("head")
-    rotations, origins = (np.asarray(x) for x in frame_poses(kin, links.bodies, links.rotations, links.positions))
+    rotations, origins = (np.asarray(x) for x in frame_poses(kin, links))
     centre = (origins[link] + rotations[link] @ links.centres[link])[[0, 2]]
     axis = (rotations[link] @ links.axes[link])[[0, 2]]
     upstream = np.array([1.0, 0.0])

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jax_aero.robot import RobotModel
+from jax_aero.robot import AeroLinks, Jets, RobotModel
 from jax_aero.spatial import axis_angle, cross, multiply, rotate, skew
 from jax_aero.types import Array, Kinematics, State
 
@@ -111,10 +111,8 @@ def velocities_at(kin: Kinematics, bodies: tuple[int, ...], points: Float[Array,
     return kin.linear_velocities[b] + cross(kin.angular_velocities[b], points - kin.body_positions[b])
 
 
-def frame_poses(
-    kin: Kinematics, bodies: tuple[int, ...], rotations: Float[Array, "k 3 3"], positions: Float[Array, "k 3"]
-) -> tuple[Float[Array, "k 3 3"], Float[Array, "k 3"]]:
-    """Rotations and origins in inertial axes of frames given in their bodies."""
-    b = np.array(bodies, dtype=int)
+def frame_poses(kin: Kinematics, frames: Jets | AeroLinks) -> tuple[Float[Array, "k 3 3"], Float[Array, "k 3"]]:
+    """Rotations and origins in inertial axes of the frames of jets or links."""
+    b = np.array(frames.bodies, dtype=int)
     carriers = kin.body_rotations[b]
-    return multiply(carriers, rotations), rotate(carriers, positions) + kin.body_positions[b]
+    return multiply(carriers, frames.rotations), rotate(carriers, frames.positions) + kin.body_positions[b]

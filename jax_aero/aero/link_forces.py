@@ -33,7 +33,7 @@ def link_forces(
 ) -> LinkForces:
     """Place every link in the wind [m/s, inertial axes] and evaluate the model."""
     links = robot.aero_links
-    rotations, origins = frame_poses(kin, links.bodies, links.rotations, links.positions)
+    rotations, origins = frame_poses(kin, links)
     centres = origins + rotate(rotations, links.centres)
     arm_points = centres if conventions.lever_arm == "rotated" else origins + links.centres
     jacobian_points = centres

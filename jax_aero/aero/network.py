@@ -14,7 +14,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple, TypeAlias, cast
+from typing import Any, Literal, NamedTuple, TypeAlias, cast, get_args
 
 import jax
 import jax.numpy as jnp
@@ -33,7 +33,7 @@ Frame: TypeAlias = Literal["base", "link", "wind"]
 Layout: TypeAlias = Literal["component", "link"]
 Activation: TypeAlias = Literal["relu", "tanh", "silu"]
 
-BLOCKS: tuple[Block, ...] = ("wind", "joints", "link_wind", "link_position", "link_shadow")
+BLOCKS: tuple[Block, ...] = get_args(Block)
 ACTIVATIONS: dict[str, Any] = {"relu": jax.nn.relu, "tanh": jnp.tanh, "silu": jax.nn.silu}
 ODD_JOINTS = ("torso_roll", "torso_yaw")
 """Joints whose angle changes sign in the mirror; those of the limbs only change sides."""
@@ -128,7 +128,7 @@ _geometry = jax.jit(link_geometry)
 def geometry_from_kinematics(robot: RobotModel, kin: Kinematics) -> LinkGeometry:
     """Geometry of the links in base axes, of a robot anywhere."""
     links = robot.aero_links
-    rotations, origins = frame_poses(kin, links.bodies, links.rotations, links.positions)
+    rotations, origins = frame_poses(kin, links)
     base = kin.body_rotations[0]
     centres = rotate_back(base, origins + rotate(rotations, links.centres) - kin.body_positions[0])
     base_from_link = jnp.einsum("ji,ljk->lik", base, rotations)

@@ -45,8 +45,7 @@ def link_frames(robot: RobotModel, joint_position_deg: Float[np.ndarray, "k s"])
 @jax.jit
 @partial(jax.vmap, in_axes=(None, 0))
 def _frames(robot: RobotModel, joints: Array) -> tuple[Array, Array]:
-    links = robot.aero_links
-    return frame_poses(standing(robot, joints), links.bodies, links.rotations, links.positions)
+    return frame_poses(standing(robot, joints), robot.aero_links)
 
 
 class Wrench(NamedTuple):
@@ -89,7 +88,7 @@ def _by_posture(of: Callable[[RobotModel, Array], Array], robot: RobotModel, joi
 @partial(jax.vmap, in_axes=(None, 0))
 def _arms(robot: RobotModel, joints: Array) -> Array:
     kin, links = standing(robot, joints), robot.aero_links
-    rotations, positions = frame_poses(kin, links.bodies, links.rotations, links.positions)
+    rotations, positions = frame_poses(kin, links)
     return positions + rotate(rotations, links.centres) - kin.com
 
 

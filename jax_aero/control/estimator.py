@@ -230,7 +230,7 @@ def advance(
     kin = kinematics(robot, state)
     dyn = dynamics(robot, state, kin)
     link = link_forces(aero, robot, kin, LinkConventions(), order.wind)
-    rotations, points = frame_poses(kin, robot.jets.bodies, robot.jets.rotations, robot.jets.positions)
+    rotations, points = frame_poses(kin, robot.jets)
     thrusts = reading.thrust[:, None] * rotate(rotations, robot.jets.axes)
     force = (
         generalised_force(robot, kin, robot.jets.bodies, points, thrusts)

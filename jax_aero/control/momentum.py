@@ -71,7 +71,7 @@ def momentum_model(
     `lambda_feedback` says whether link forces enter its derivative.
     """
     jets = robot.jets
-    rotations, points = frame_poses(kin, jets.bodies, jets.rotations, jets.positions)
+    rotations, points = frame_poses(kin, jets)
     axes = rotate(rotations, jets.axes)
     a_t = jnp.concatenate([axes, cross(points - kin.com, axes)], axis=1).T
 

@@ -214,7 +214,7 @@ def _advance_jets(plant: Plant, state: PlantState, command: Array) -> tuple[Jets
 
 def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: Array, step: Array) -> State:
     robot, kin = plant.robot, seen.kinematics
-    rotations, points = frame_poses(kin, robot.jets.bodies, robot.jets.rotations, robot.jets.positions)
+    rotations, points = frame_poses(kin, robot.jets)
     thrust = state.jets.thrust
     if plant.jet_faults is not None:
         thrust = plant.jet_faults.force_scale * thrust

@@ -76,7 +76,7 @@ def test_jacobians(jax_robot, robot, states, agree):
     @jax.vmap
     def evaluate(state):
         kin = kinematics(jax_robot, state)
-        _, points = frame_poses(kin, links.bodies, links.rotations, links.positions)
+        _, points = frame_poses(kin, links)
         return point_jacobians(jax_robot, kin, links.bodies, points)
 
     linear, angular = jax.device_get(evaluate(batched(states[:20])))

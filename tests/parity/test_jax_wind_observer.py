@@ -15,11 +15,12 @@ from jax_aero.control import wind_observer
 from jax_aero.control.channels import Seen
 from jax_aero.control.protocol import Terms
 from jax_aero.dynamics import dynamics
+from jax_aero.identify import states_of
 from jax_aero.io import scenario_config
 from jax_aero.kinematics import frame_poses, kinematics
 from jax_aero.robot import load_robot
-from jax_aero.spatial import cross, rotate, rotation_from_wxyz
-from jax_aero.types import State, leaves
+from jax_aero.spatial import cross, rotate
+from jax_aero.types import leaves
 
 EXPERIMENT = Path(__file__).resolve().parents[2] / "configs" / "experiments" / "test2_observer.toml"
 WIND = {"profile": "ramp", "velocity": [3.0, -9.0, 1.0], "ramp_start": 0.0, "ramp_end": 0.5}
@@ -42,17 +43,14 @@ def replayed(x64):
     settings = leaves(wind_observer.WindObserver, config.controller.wind_observer)
     air = aero_model(config.controller.aero, robot)
     step = jnp.asarray(config.simulator.time_step)
-    velocity = np.hstack([flown["base_velocity"], flown["joint_velocity"]])
-    rows = (flown["base_position"], flown["base_quaternion"], flown["joint_position"], velocity)
-    rows = jax.tree.map(jnp.asarray, (*rows, flown["thrust"]))
+    rows = states_of(flown.log, slice(None)), jnp.asarray(flown["thrust"])
 
     @jax.jit
     def replay(force):
         def tick(state, row):
-            position, wxyz, joints, rates, thrust = row
-            now = State(position, rotation_from_wxyz(wxyz), joints, rates)
+            now, thrust = row
             kin = kinematics(robot, now)
-            rotations, points = frame_poses(kin, robot.jets.bodies, robot.jets.rotations, robot.jets.positions)
+            rotations, points = frame_poses(kin, robot.jets)
             axes = rotate(rotations, robot.jets.axes)
             a_t = jnp.concatenate([axes, cross(points - kin.com, axes)], axis=1).T
             # The force is that of three more jets, through the centre of mass.

@@ -45,7 +45,7 @@ class HoverPd:
         wanted = thrust * robot.mass * (robot.gravity + climb) / jnp.sum(thrust)
         kin = kinematics(robot, state)
         dyn = dynamics(robot, state, kin)
-        rotations, points = frame_poses(kin, jets.bodies, jets.rotations, jets.positions)
+        rotations, points = frame_poses(kin, jets)
         force = generalised_force(robot, kin, jets.bodies, points, thrust[:, None] * rotate(rotations, jets.axes))
         pull = self.stiffness * (first.joint_position - state.joint_position)
         pull = pull - 2.0 * jnp.sqrt(self.stiffness) * state.velocity[6:]
