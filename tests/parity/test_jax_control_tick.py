@@ -13,6 +13,7 @@ import pytest
 
 from jax_aero import rust
 from jax_aero.control import qp, tick
+from jax_aero.identify import states_of
 from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
 from jax_aero.types import Setpoint, State
@@ -191,14 +192,11 @@ def test_safe_commands(published, ticks):
 
 
 @pytest.fixture(scope="module")
-def flown():
+def flown(x64):
     """Two seconds of a flight as the crate's simulator logged them, from its first tick."""
     twin = Twin("test2", {"simulator.duration": 2.0, "wind.ramp_start": 0.2, "wind.ramp_end": 1.0})
     log = rust.fly(twin.table).log
-    rotations = np.stack([rust.rotation_from_wxyz(wxyz) for wxyz in log["base_quaternion"]])
-    velocity = np.concatenate([log["base_velocity"], log["joint_velocity"]], axis=1)
-    states = State(log["base_position"], rotations, log["joint_position"], velocity)
-    return twin, log, (log["time"], states, log["thrust"], log["wind"])
+    return twin, log, (log["time"], states_of(log, slice(None)), log["thrust"], log["wind"])
 
 
 def follow(twin, measurements, params):

@@ -17,6 +17,7 @@ from jax_aero.control.estimator import Order, Reading
 from jax_aero.control.tick import momentum_controller
 from jax_aero.env import Steered
 from jax_aero.env_task import Task
+from jax_aero.identify import states_of
 from jax_aero.io import scenario_config
 from jax_aero.robot import load_robot
 from jax_aero.sim import sensors
@@ -40,9 +41,7 @@ def test_both_estimate_the_same_state(x64, measured):
     settings = estimator.estimator(config.controller.estimator, time_step)
     air = aero_model(config.controller.aero, robot)
 
-    rotations = jax.vmap(rotation_from_wxyz)(jnp.asarray(flown["base_quaternion"]))
-    velocity = np.hstack([flown["base_velocity"], flown["joint_velocity"]])
-    truth = Reading(State(flown["base_position"], rotations, flown["joint_position"], velocity), flown["thrust"])
+    truth = Reading(states_of(flown.log, slice(None)), flown["thrust"])
     names = ("joint_torque", "thrust_rate", "unmodelled_wrench", "measured_wind")
     orders = Order(*(flown[name] for name in names), np.full(ticks, time_step))
     rows = jax.tree.map(jnp.asarray, (truth, orders, np.arange(ticks)))

@@ -11,9 +11,9 @@ import numpy as np
 
 from jax_aero import rust
 from jax_aero.control.estimator import Reading
+from jax_aero.identify import states_of
 from jax_aero.io import scenario_config
 from jax_aero.sim.sensors import read, sensors, start
-from jax_aero.types import State
 
 EXPERIMENT = Path(__file__).resolve().parents[2] / "configs" / "experiments" / "test2_observer.toml"
 SENSORS = {
@@ -27,17 +27,6 @@ SENSORS = {
 }
 
 
-def rotations(wxyz):
-    """Rotation matrices (ticks, 3, 3) of quaternions (ticks, 4)."""
-    w, x, y, z = wxyz.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
-
-
 def test_both_read_the_same(x64, measured):
     """The truth is that of a flight of the crate, whose log has what its sensors measured.
 
@@ -48,12 +37,7 @@ def test_both_read_the_same(x64, measured):
     first["joint_position"] = [round((math.floor(s / step) + 0.5) * step, 6) for s in first["joint_position"]]
     flown = rust.fly(table)
     config = scenario_config(table)
-    velocity = np.hstack([flown["base_velocity"], flown["joint_velocity"]])
-    truth = Reading(
-        State(flown["base_position"], rotations(flown["base_quaternion"]), flown["joint_position"], velocity),
-        flown["thrust"],
-    )
-    truth = jax.tree.map(jnp.asarray, truth)
+    truth = Reading(states_of(flown.log, slice(None)), jnp.asarray(flown["thrust"]))
     ticks = len(flown["time"])
     errors = sensors(config.simulator.sensors, jnp.asarray(config.simulator.time_step), ticks - 1, 4)
     before = start(errors, jax.tree.map(lambda x: x[0], truth))
@@ -70,5 +54,5 @@ def test_both_read_the_same(x64, measured):
         "measured_thrust": said.thrust,
     }.items():
         measured(name, np.max(np.abs(ours - flown[name])), 1e-12, because=because)
-    turned = np.asarray(said.state.base_rotation) - rotations(flown["measured_base_quaternion"])
+    turned = np.asarray(said.state.base_rotation) - rust.rotation_from_wxyz(flown["measured_base_quaternion"])
     measured("measured_base_quaternion", np.max(np.abs(turned)), 1e-12, because=because)
