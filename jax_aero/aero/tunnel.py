@@ -89,16 +89,8 @@ class Points:
         return len(self.test)
 
 
-class Gvp(NamedTuple):
-    """One balance file."""
-
-    header: Mapping[str, str]
-    rows: Floats
-    """(n, 86), wind-off rows included."""
-
-
-def read_gvp(text: str, source: str) -> Gvp:
-    """Read a balance file.
+def read_gvp(text: str, source: str) -> Floats:
+    """Return the rows (n, 86) of a balance file, wind-off rows included.
 
     Raises
     ------
@@ -108,7 +100,6 @@ def read_gvp(text: str, source: str) -> Gvp:
     places, lines = _lines(text)
     if len(lines) < 3 or "=" not in lines[0] or not lines[1].startswith("ID(0)"):
         raise ValueError(f"{source}: no balance file; expected a line KEY=VALUE;…, one of columns ID(0),…, and rows")
-    header = dict(part.strip().split("=", 1) for part in lines[0].split(";") if "=" in part)
     rows = []
     for place, line in zip(places[2:], lines[2:], strict=True):
         cells = line.split("\t")
@@ -121,7 +112,7 @@ def read_gvp(text: str, source: str) -> Gvp:
     if len(bad):
         row, column = bad[0]
         raise ValueError(f"{source}, line {places[2 + row]}, column {needed[column]}: nan; expected a finite number")
-    return Gvp(header, found)
+    return found
 
 
 def _lines(text: str) -> tuple[list[int], list[str]]:
@@ -181,10 +172,10 @@ class Test(NamedTuple):
     """Pitch of the robot beyond which the tare was extrapolated."""
 
 
-def points_of(test: str, about: Test, gvp: Gvp) -> Points:
-    """Return the wind-on points of one file."""
-    on = gvp.rows[:, 8] >= WIND_OFF
-    rows, off = gvp.rows[on], gvp.rows[~on]
+def points_of(test: str, about: Test, gvp: Floats) -> Points:
+    """Return the wind-on points among the rows of one file."""
+    on = gvp[:, 8] >= WIND_OFF
+    rows, off = gvp[on], gvp[~on]
     zero = off[-1, 14:20] if len(off) else np.full(6, np.nan)
     pitch = rows[:, 3] + (90.0 + MOUNT[about.robot, about.kind] if about.robot == "mk1" else 0.0)
     numbers = list(range(1, len(rows) + 1))  # a test's own numbers may begin anywhere
