@@ -253,13 +253,9 @@ def advance(
     return Reading(moved, jnp.maximum(reading.thrust + step * order.thrust_rate, 0.0))
 
 
-def _can_be(measured: Array) -> Array:
-    return jnp.abs(measured) <= GREATEST
-
-
 def _known(measured: Reading, estimate: Reading) -> Reading:
     """Return what is measured, or the estimate where that cannot be."""
-    known: Reading = jax.tree.map(lambda said, found: jnp.where(_can_be(said), said, found), measured, estimate)
+    known: Reading = jax.tree.map(lambda said, own: jnp.where(jnp.abs(said) <= GREATEST, said, own), measured, estimate)
     return known
 
 
