@@ -54,10 +54,9 @@ class Entry:
     @property
     def command(self) -> str:
         """Return what makes the results; empty where committed tables are shown."""
-        if not self.kind:
-            return ""
-        study = "" if self.kind == "flight" else f" {self.kind.replace('_', '-')}"
-        return f"python -m experiments{study} {' '.join(self.runs)}"
+        if self.kind == "flight":
+            return f"python -m experiments {' '.join(self.runs)}"
+        return "; ".join(studies.command(self.kind, name) for name in self.runs)
 
     def drawn(self, results: Path, names: Sequence[str] = ()) -> tuple[Figure, dict[str, str]]:
         """Return the figure, and the hash of every result or table it shows."""

@@ -13,8 +13,12 @@ def load(results: Path, kind: str, name: str) -> xr.Dataset:
     """Read the study of a kind, with its name as an attribute; `results` is the folder of flights beside it."""
     path = results.parent / kind / name / "run.nc"
     if not path.is_file():
-        command = "train" if kind == "training" else kind.replace("_", "-")
-        words = as_typed(name, {"training": " --dataset FILE", "trim": " --map"}.get(kind, ""))
-        makes = f"python -m experiments {command} {words}"
-        raise MissingRun(f"no study `{name}` in {path.parents[1]}; make it with: {makes}")
+        raise MissingRun(f"no study `{name}` in {path.parents[1]}; make it with: {command(kind, name)}")
     return read(path).assign_attrs(name=name)
+
+
+def command(kind: str, name: str) -> str:
+    """Return what makes the study of a kind."""
+    word = "train" if kind == "training" else kind.replace("_", "-")
+    options = {"training": " --dataset FILE", "trim": " --map"}.get(kind, "")
+    return f"python -m experiments {word} {as_typed(name, options)}"

@@ -84,6 +84,8 @@ def test_commands_name_what_exists():
                 assert [first, *rest] == [item.figure]
             elif first == "sweep":
                 assert all((ROOT / f"configs/sweeps/{name}.toml").is_file() for name in rest)
+            elif first == "trim":
+                assert rest[1:] == ["--map"], command  # one at a time; without --map it leaves no result
             else:
                 assert first in COMMANDS or {first, *rest} <= experiments, command
 
