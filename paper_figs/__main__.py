@@ -100,9 +100,13 @@ def _parser() -> argparse.ArgumentParser:
     cli.completes(named, lambda: [*FIGURES, *SWEEPS, "all"])
     parser.add_argument("--index", action="store_true", help="print the page docs/paper.md: the paper, item by item")
     parser.add_argument("--runs", nargs="+", metavar="RUN", help="which runs fill the figure, in its order")
-    parser.add_argument("--results", type=Path, default=runs.default_results(), metavar="DIR", help="where flights lie")
-    parser.add_argument("--sweeps", type=Path, default=sweeps.default_sweeps(), metavar="DIR", help="where sweeps lie")
-    parser.add_argument("--out", type=Path, default=runs.default_out(), metavar="DIR", help="where figures go")
+    parser.add_argument(
+        "--results", type=Path, default=places.RESULTS / "flight", metavar="DIR", help="where flights lie"
+    )
+    parser.add_argument(
+        "--sweeps", type=Path, default=places.RESULTS / "sweeps", metavar="DIR", help="where sweeps lie"
+    )
+    parser.add_argument("--out", type=Path, default=places.RESULTS / "figures", metavar="DIR", help="where figures go")
     return parser
 
 

@@ -11,7 +11,6 @@ import json
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from jax_aero import places
@@ -22,7 +21,6 @@ DOCS = places.HOME / "docs"
 CLAIMS = DOCS / "claims.json"
 GALLERY = "img/gallery"
 HEADINGS = ("item", "ours", "command", "paper", "measured", "verdict")
-NOT_FLOWN = "not flown here"
 
 
 @dataclass(frozen=True)
@@ -305,9 +303,9 @@ def sections(claims: Mapping[str, Any]) -> dict[str, Sequence[Item]]:
     return {**SECTIONS, "Beyond the paper": (*BEYOND, *swept)}
 
 
-def page(claims: Path = CLAIMS) -> str:
+def page() -> str:
     """Return the page."""
-    record = json.loads(claims.read_text(encoding="utf-8"))
+    record = json.loads(CLAIMS.read_text(encoding="utf-8"))
     about = (
         "Made by `python -m paper_figs --index`. A verdict *agrees*, *differs* (by how much) or is *out of reach* "
         f"(why). `{record['command']}` keeps what was measured, with its commit; what follows from committed files "

@@ -84,7 +84,7 @@ def load(results: Path, name: str) -> Run:
     """Read the run of one name."""
     path = results / name / "run.nc"
     if not path.is_file():
-        elsewhere = "" if results.resolve() == default_results().resolve() else f" --out {results}"
+        elsewhere = "" if results.resolve() == (RESULTS / "flight").resolve() else f" --out {results}"
         raise MissingRun(
             f"no flight `{name}` in {results}; fly it with: python -m experiments {as_typed(name, elsewhere)}"
         )
@@ -103,13 +103,3 @@ def read(path: Path) -> xr.Dataset:
         return xr.load_dataset(path, engine="h5netcdf")
     except Exception as reason:  # HDF5 fails in many ways on a damaged file
         raise MissingRun(f"{path} is damaged ({reason}); remove its folder and make it again") from reason
-
-
-def default_results() -> Path:
-    """Return where experiments leave flights."""
-    return RESULTS / "flight"
-
-
-def default_out() -> Path:
-    """Return where figures go."""
-    return RESULTS / "figures"

@@ -10,7 +10,6 @@ from typing import Any
 
 import pandas as pd
 
-from jax_aero.places import RESULTS
 from paper_figs.runs import MissingRun, NotDrawn
 
 
@@ -94,11 +93,6 @@ def _read(path: Path) -> pd.DataFrame:
         return pd.read_parquet(path)
     except Exception as reason:  # whatever the reader says about a damaged file
         raise MissingRun(f"{path} is damaged ({reason}); --overwrite flies it again") from reason
-
-
-def default_sweeps() -> Path:
-    """Return where sweeps lie."""
-    return RESULTS / "sweeps"
 
 
 def axis_label(axis: dict[str, Any]) -> str:

@@ -12,6 +12,7 @@ import pytest
 from experiments.__main__ import fly
 from experiments.report import claims, facts
 from experiments.report.results import Results
+from experiments.report.verdicts import NOT_FLOWN
 from jax_aero.cli import COMMANDS
 from paper_figs import paper
 from paper_figs.__main__ import main
@@ -21,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[2]
 RECORD = json.loads(paper.CLAIMS.read_text(encoding="utf-8"))
 SECTIONS = paper.sections(RECORD["claims"])
 ITEMS = [item for items in SECTIONS.values() for item in items]
-WORDS = ("agrees", "differs: ", "out of reach: ", paper.NOT_FLOWN)
+WORDS = ("agrees", "differs: ", "out of reach: ", NOT_FLOWN)
 MODEL = (ROOT / "docs/model.md").read_text(encoding="utf-8")
 
 
