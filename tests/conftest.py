@@ -15,6 +15,8 @@ import numpy as np
 import pytest
 
 from experiments import record
+from experiments.sweep import run
+from experiments.sweep.design import Design
 from jax_aero.result import FlightResult
 
 pytest_plugins = ["tests.measurements"]
@@ -56,6 +58,23 @@ def start() -> Iterator[Callable[..., subprocess.Popen[Any]]]:
             return process
 
         yield start
+
+
+@pytest.fixture
+def stopped_sweep(monkeypatch: pytest.MonkeyPatch) -> Callable[[Design, int, Path], None]:
+    """Fly a sweep into a folder until some of its chunks are there."""
+    flown = run._flown
+
+    def stop(design: Design, count: int, out: Path) -> None:
+        def stopping(design: Design, chunks: list[int], *where: Any) -> Iterator[Any]:
+            yield from flown(design, chunks[:count], *where)
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+            patched.setattr(run, "_flown", stopping)
+            run.run(design, workers=1, out=out)
+
+    return stop
 
 
 # --- a made-up flight ---------------------------------------------------------------------------------------------

@@ -60,7 +60,7 @@ def kill_sweeps(trials: int, folder: Path, chance: random.Random) -> str:
 
     def fly(out: Path) -> dict[str, bytes]:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            where = run.run(design, run.Local(1), out=out)
+            where = run.run(design, workers=1, out=out)
         assert sorted(path.name for path in where.iterdir()) == ["cells.parquet", "sweep.json", "table.parquet"]
         assert [path.name for path in out.iterdir()] == ["killed"]
         return {name: (where / name).read_bytes() for name in run.TABLES}

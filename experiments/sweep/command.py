@@ -29,9 +29,8 @@ def main(arguments: Sequence[str]) -> int:
 
     def work() -> None:
         ray = cluster.Ray.of(given)
-        workers: run.Workers = run.Spread(ray) if ray else run.Local(given.workers)
         for design in [Design(spec.load(name)) for name in names]:
-            folder = run.run(design, workers, out=given.out, overwrite=given.overwrite)
+            folder = run.run(design, workers=given.workers, cluster=ray, out=given.out, overwrite=given.overwrite)
             flown = f"{design.n_rows} flights in {len(design.cells)} cells"
             print(f"{design.spec.name}: {flown}, {os.path.relpath(folder)}")
 

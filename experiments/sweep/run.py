@@ -17,10 +17,9 @@ import sys
 import time
 import typing
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import pyarrow as pa
 
@@ -43,42 +42,17 @@ PRESENTATION = ("title", "description", "drawing", "panels", "axes")
 SWEEP_FILE, TABLES = "sweep.json", ("table.parquet", "cells.parquet")
 
 
-class Workers(Protocol):
-    """Processes that fly chunks: local ones, or a cluster's."""
-
-    def fly(self, design: Design, chunks: list[int], progress: Progress) -> Iterator[tuple[int, Any]]:
-        """Yield the number and the table of every chunk, as they end."""
-        ...
-
-
-@dataclass(frozen=True)
-class Local:
-    """Here, with one flight per thread."""
-
-    threads: int | None = None
-
-    def fly(self, design: Design, chunks: list[int], progress: Progress) -> Iterator[tuple[int, Any]]:
-        """Fly chunks one after the other."""
-        engine = engines.engine(design.spec.engine)
-        for chunk in chunks:
-            yield chunk, fly_chunk(design, chunk, engine, self.threads, progress.within_chunk)
-
-
-@dataclass(frozen=True)
-class Spread:
-    """Over a cluster, with a chunk per processor."""
-
-    cluster: Ray
-
-    def fly(
-        self,
-        design: Design,
-        chunks: list[int],
-        progress: Progress,  # noqa: ARG002 - a cluster reports whole chunks only
-    ) -> Iterator[tuple[int, Any]]:
-        """Yield chunks as the cluster ends them."""
+def _flown(
+    design: Design, chunks: list[int], workers: int | None, cluster: Ray | None, progress: Progress
+) -> Iterator[tuple[int, Any]]:
+    """Yield number and table of every chunk: here, a flight per thread, or over a cluster, a chunk per processor."""
+    if cluster:
         # Read and resolved: nodes read nothing but the robot's files.
-        yield from self.cluster.spread(_fly, (design.spec, design.bases), {n: n for n in chunks}, modules_of(design))
+        yield from cluster.spread(_fly, (design.spec, design.bases), {n: n for n in chunks}, modules_of(design))
+        return
+    engine = engines.engine(design.spec.engine)
+    for chunk in chunks:
+        yield chunk, fly_chunk(design, chunk, engine, workers, progress.within_chunk)
 
 
 def _fly(shared: tuple[Spec, Any], chunk: int) -> Any:
@@ -101,15 +75,22 @@ def fly_chunk(
     return table.rows(design, indices, configs, engine.fly_batch(configs, threads, progress))
 
 
-def run(design: Design, workers: Workers, *, out: Path | None = None, overwrite: bool = False) -> Path:
-    """Fly what is missing of a sweep; return its folder."""
+def run(
+    design: Design,
+    *,
+    workers: int | None = None,
+    cluster: Ray | None = None,
+    out: Path | None = None,
+    overwrite: bool = False,
+) -> Path:
+    """Fly what is missing of a sweep, here or over a cluster; return its folder."""
     folder = (out or RESULTS) / design.spec.name
     with locked(folder):
-        _run(design, workers, folder.resolve(), overwrite=overwrite)
+        _run(design, workers, cluster, folder.resolve(), overwrite=overwrite)
     return folder
 
 
-def _run(design: Design, workers: Workers, folder: Path, *, overwrite: bool) -> None:
+def _run(design: Design, workers: int | None, cluster: Ray | None, folder: Path, *, overwrite: bool) -> None:
     document = _document(design)
     found, shown = {} if overwrite else _found(folder, document), os.path.relpath(folder)
     chunks = Chunks(folder / "chunks", f"{document['config_hash']} {document['code_hash']}")
@@ -136,7 +117,7 @@ def _run(design: Design, workers: Workers, folder: Path, *, overwrite: bool) -> 
     flown = sum(len(design.chunk(chunk)) for chunk in missing)
     started = time.perf_counter()
     with Progress(design.spec.name, design.n_rows, design.n_rows - flown) as progress:
-        for chunk, part in workers.fly(design, missing, progress):
+        for chunk, part in _flown(design, missing, workers, cluster, progress):
             chunks.write(chunk, part)
             progress.chunk_done(len(design.chunk(chunk)))
     _finish(folder, design, document, chunks, flown, time.perf_counter() - started)

@@ -183,34 +183,25 @@ def test_a_chunk_of_another_sweep_or_code_does_not_count(tmp_path):
     assert Chunks(tmp_path, "other code").whole(1) == set()
 
 
-class Stops(run.Local):
-    """Ends after two chunks."""
-
-    def fly(self, design, chunks, progress):
-        yield from super().fly(design, chunks[:2], progress)
-        raise KeyboardInterrupt
-
-
-def test_a_sweep_flies_damaged_chunks_again_and_ends_with_the_same_bytes(tmp_path, capsys):
-    whole = run.run(design(), run.Local(1), out=tmp_path / "whole")
-    with pytest.raises(KeyboardInterrupt):
-        run.run(design(), Stops(1), out=tmp_path)
+def test_a_sweep_flies_damaged_chunks_again_and_ends_with_the_same_bytes(tmp_path, capsys, stopped_sweep):
+    whole = run.run(design(), workers=1, out=tmp_path / "whole")
+    stopped_sweep(design(), 2, tmp_path)
     first, second = sorted((tmp_path / "made_up" / "chunks").iterdir())
     first.write_bytes(second.read_bytes())
     (first.parent / "notes.txt").write_text("mine")
-    folder = run.run(design(), run.Local(1), out=tmp_path)
+    folder = run.run(design(), workers=1, out=tmp_path)
     assert "000000.chunk: damaged, or no chunk of this sweep; flown again" in capsys.readouterr().err
     assert all((folder / name).read_bytes() == (whole / name).read_bytes() for name in run.TABLES)
     assert (first.parent / "notes.txt").read_text() == "mine"
 
 
 def test_a_damaged_table_of_a_finished_sweep_is_refused(tmp_path):
-    folder = run.run(design(), run.Local(1), out=tmp_path)
+    folder = run.run(design(), workers=1, out=tmp_path)
     for name, expected in (("table.parquet", "is not what was written"), ("sweep.json", "is damaged")):
         (folder / name).write_bytes((folder / name).read_bytes()[:-9])
         with pytest.raises(Refused, match=f"{name} {expected}.*--overwrite"):
-            run.run(design(), run.Local(1), out=tmp_path)
-        folder = run.run(design(), run.Local(1), out=tmp_path, overwrite=True)
+            run.run(design(), workers=1, out=tmp_path)
+        folder = run.run(design(), workers=1, out=tmp_path, overwrite=True)
 
 
 def test_a_damaged_result_of_a_flight_is_refused_and_flown_again(flown, tmp_path, capsys):
@@ -254,7 +245,7 @@ def test_a_result_behind_a_link_is_overwritten_each_time(flown, tmp_path):
         (results / name).symlink_to(elsewhere / name)
     for _ in range(3):
         assert main(["test1", "--out", str(results), "--overwrite"]) == 0
-        run.run(design(), run.Local(1), out=results, overwrite=True)
+        run.run(design(), workers=1, out=results, overwrite=True)
     assert sorted(path.name for path in elsewhere.iterdir()) == ["made_up", "test1"]
     assert [path.is_symlink() for path in results.iterdir()] == [True, True]
 
@@ -290,7 +281,7 @@ def test_who_holds_a_sweep_is_named_and_a_dead_holder_followed(tmp_path, start):
     holder = start(sys.executable, "-c", code, tmp_path / "made_up", cwd=ROOT, stdout=subprocess.PIPE)
     assert holder.stdout.readline() == b"held\n"
     with pytest.raises(Refused, match=rf"made_up is being written by process {holder.pid} on \S+ since 20\d\d-"):
-        run.run(design(), run.Local(1), out=tmp_path)
+        run.run(design(), workers=1, out=tmp_path)
     assert not (tmp_path / "made_up").exists()
     (tmp_path / "link").symlink_to(tmp_path / "made_up")
     with pytest.raises(Refused, match="is being written"), files.locked(tmp_path / "link"):
@@ -299,7 +290,7 @@ def test_who_holds_a_sweep_is_named_and_a_dead_holder_followed(tmp_path, start):
     holder.kill()
     holder.wait()
     assert (tmp_path / ".made_up.lock").exists()
-    run.run(design(), run.Local(1), out=tmp_path)
+    run.run(design(), workers=1, out=tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["made_up"]
 
 
@@ -353,11 +344,11 @@ def test_what_cannot_be_written_is_one_line_and_leaves_nothing_half(flown, tmp_p
     assert list(tmp_path.iterdir()) == []
 
     with longest_file(500), pytest.raises(OSError, match=r"File too large: '\S+sweep\.json'"):
-        run.run(design(), run.Local(1), out=tmp_path)
+        run.run(design(), workers=1, out=tmp_path)
     with longest_file(5_000), pytest.raises(OSError, match=r"File too large: '\S+000000\.chunk'"):
-        run.run(design(), run.Local(1), out=tmp_path)
+        run.run(design(), workers=1, out=tmp_path)
     assert list((tmp_path / "made_up" / "chunks").iterdir()) == []
-    run.run(design(), run.Local(1), out=tmp_path)
+    run.run(design(), workers=1, out=tmp_path)
 
 
 def test_a_full_and_a_read_only_disk_are_one_line(flown, tmp_path, capsys):

@@ -213,7 +213,7 @@ def test_a_mistake_in_a_file_is_named(changes, message):
 def test_a_cell_that_cannot_fly_is_refused_before_the_first_flight(tmp_path):
     axis = {"name": "mass", "key": "disturbances.model_error.mass_scale", "values": [1, 0]}
     with pytest.raises(Refused, match=r"cell 1 \(mass = 0.0\): .*`disturbances.model_error.mass_scale` is 0"):
-        run.run(design(axis=[axis]), run.Local(1), out=tmp_path)
+        run.run(design(axis=[axis]), workers=1, out=tmp_path)
     assert not (tmp_path / "made_up" / "chunks").exists()
 
 
@@ -231,7 +231,7 @@ def test_a_cell_that_cannot_fly_is_refused_before_the_first_flight(tmp_path):
 def test_what_cannot_be_set_or_perturbed_is_refused_by_sweep_cell_and_key(tmp_path, settings, message):
     changed = design(set=settings, perturbation={"thrust": 1.0, "wind_speed": 0.1})
     with pytest.raises(Refused, match=rf"sweep made_up: cell 0 \(scale = 0.0\): .*{message}"):
-        run.run(changed, run.Local(1), out=tmp_path)
+        run.run(changed, workers=1, out=tmp_path)
 
 
 @pytest.mark.parametrize("name", places.names("sweeps"))
@@ -566,10 +566,10 @@ def test_a_finished_sweep_is_kept_and_another_of_its_name_protected(flown, tmp_p
 
 
 def test_a_finished_sweep_takes_over_how_it_is_drawn(tmp_path):
-    folder = run.run(design(repeats=1, set={"simulator.duration": 0.02}), run.Local(1), out=tmp_path)
+    folder = run.run(design(repeats=1, set={"simulator.duration": 0.02}), workers=1, out=tmp_path)
     before = json.loads((folder / "sweep.json").read_text())
     drawn = {"title": "new", "drawing": "levels", "panels": "scale"}
-    run.run(design(repeats=1, set={"simulator.duration": 0.02}, **drawn), run.Local(1), out=tmp_path)
+    run.run(design(repeats=1, set={"simulator.duration": 0.02}, **drawn), workers=1, out=tmp_path)
     assert json.loads((folder / "sweep.json").read_text()) == before | drawn
 
 
@@ -598,20 +598,13 @@ def test_a_killed_sweep_goes_on_and_ends_with_the_same_bytes(tmp_path, start):
     assert read(tmp_path / "killed" / "quick") == read(tmp_path / "whole" / "quick")
 
 
-def test_chunks_of_other_code_are_not_mixed_in(tmp_path, monkeypatch):
+def test_chunks_of_other_code_are_not_mixed_in(tmp_path, monkeypatch, stopped_sweep):
     made = Design(spec.load(str(quick(tmp_path))))
-
-    class Stops(run.Local):
-        def fly(self, design, chunks, progress):
-            yield from super().fly(design, chunks[:1], progress)
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run.run(made, Stops(1), out=tmp_path)
+    stopped_sweep(made, 1, tmp_path)
     monkeypatch.setattr(run, "code_hash", lambda _: "another")
     with pytest.raises(Refused, match="begun by other code"):
-        run.run(made, run.Local(1), out=tmp_path)
-    run.run(made, run.Local(1), out=tmp_path, overwrite=True)
+        run.run(made, workers=1, out=tmp_path)
+    run.run(made, workers=1, out=tmp_path, overwrite=True)
 
 
 def test_a_flight_that_fails_is_recorded_and_said_and_the_others_go_on(tmp_path, monkeypatch, capsys):
@@ -625,7 +618,7 @@ def test_a_flight_that_fails_is_recorded_and_said_and_the_others_go_on(tmp_path,
         return config
 
     monkeypatch.setattr(Design, "row_config", broken)
-    folder = run.run(made, run.Local(1), out=tmp_path)
+    folder = run.run(made, workers=1, out=tmp_path)
     assert "quick: 1 flights could not be flown, first: " in capsys.readouterr().err
     flights = pq.read_table(folder / "table.parquet").to_pylist()
     assert flights[5]["outcome"] == "error"
@@ -652,12 +645,12 @@ def test_a_folder_with_something_else_in_it_is_not_overwritten(tmp_path, capsys)
 )
 def test_a_sweep_that_cannot_fly_overwrites_nothing(tmp_path, monkeypatch, change, words):
     short = {"repeats": 1, "set": {"simulator.duration": 0.02}}
-    folder = run.run(design(**short), run.Local(1), out=tmp_path)
+    folder = run.run(design(**short), workers=1, out=tmp_path)
     before = read(folder)
     monkeypatch.setitem(engines.MODULES, "jax", "nowhere.jax")
     monkeypatch.setattr(run, "code_hash", lambda _: "")
     with pytest.raises(Refused, match=re.escape(words)):
-        run.run(design(**short | change), run.Local(1), out=tmp_path, overwrite=True)
+        run.run(design(**short | change), workers=1, out=tmp_path, overwrite=True)
     assert read(folder) == before
 
 
