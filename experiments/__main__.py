@@ -7,11 +7,9 @@ A result goes to `results/flight/NAME/`; with --set, the folder's name states th
 from __future__ import annotations
 
 import argparse
-import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from experiments import flight, manifest, overrides, study
 from experiments.engines import MODULES
@@ -57,13 +55,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = cli.Parser("fly", __doc__)
     named = parser.add_argument("names", nargs="*", metavar="NAME", help="one of --list, or the path of a TOML file")
     cli.completes(named, lambda: places.names("experiments"))
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        help="change one key of the configuration; the value as in TOML, e.g. wind.velocity=[0,-12,0]",
-    )
+    study.add_set(parser)
     parser.add_argument("--all", action="store_true", help="every experiment of configs/experiments")
     parser.add_argument("--engine", choices=sorted(MODULES), help="engine (default: that of the configuration)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/flight)")
@@ -80,16 +72,15 @@ def _print_list() -> None:
         print(f"  {name:<{width}}  {title}")
 
 
-def _command(given: argparse.Namespace) -> str:
-    """Return the command line as it could be typed on another machine."""
-    words: list[Any] = [*given.names, *(["--all"] if given.all else [])]
+def _command(given: argparse.Namespace) -> list[str]:
+    """Return the words of the command line."""
+    words = ["python", "-m", "experiments", *given.names, *(["--all"] if given.all else [])]
     for assignment in given.set:
         key, _, value = assignment.partition("=")
         words += ["--set", f"{key}={manifest.portable(value)}"]
     words += ["--engine", given.engine] if given.engine else []
-    words += ["--out", given.out] if given.out else []
-    words += ["--overwrite"] if given.overwrite else []
-    return shlex.join(["python", "-m", "experiments", *(str(manifest.portable(word)) for word in words)])
+    words += ["--out", str(given.out)] if given.out else []
+    return words + (["--overwrite"] if given.overwrite else [])
 
 
 if __name__ == "__main__":

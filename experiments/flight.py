@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-import shlex
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,7 @@ def run(
     path: Path,
     changes: Mapping[str, Any],
     *,
-    command: str,
+    command: Sequence[str],
     out: Path | None = None,
     overwrite: bool = False,
 ) -> dict[str, Any]:
@@ -56,7 +55,7 @@ def run(
         config,
         rust.config_digest(config),
         summary=flight.summary,
-        command=shlex.split(command),
+        command=command,
         engine=engine,
         code=code,
         outcome=flight.outcome,
