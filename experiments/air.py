@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import csv
 import os
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -35,7 +34,7 @@ from jax_aero.files import complete_file
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.spatial import cross
-from jax_aero.tables import LARGEST
+from jax_aero.tables import LARGEST, read
 from jax_aero.types import Array, State
 
 DENSITY = 1.225
@@ -172,7 +171,7 @@ def points(table: str, name: str, alphas: Floats, betas: Floats) -> list[dict[st
 
     Runs without `alpha_deg` are of the upright robot, runs without `beta_deg` face the wind.
     """
-    document = tomllib.loads((places.CONFIGS / "tables" / f"{table}.toml").read_text(encoding="utf-8"))
+    document = read(places.CONFIGS / "tables" / f"{table}.toml")
     found = []
     for key, runs in document.items():
         for run in runs if isinstance(runs, list) and isinstance(runs[0], Mapping) else []:

@@ -8,7 +8,6 @@ the coefficients as `surrogate.toml` in it, copied to `configs/aero/panels/`; `p
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -91,7 +90,7 @@ main = STUDY.main
 
 def table_rows() -> Iterator[Row]:
     """Yield the records of the typed tables that a model of the robot alone may be compared with."""
-    tunnel = tomllib.loads(TUNNEL.read_text(encoding="utf-8"))
+    tunnel = tables.read(TUNNEL)
     for table in tunnel["hovering"]:
         for yaw, *areas in zip(table["beta_deg"], *_areas(table), strict=True):
             if abs(yaw) <= LARGEST_SIDESLIP:
@@ -99,7 +98,7 @@ def table_rows() -> Iterator[Row]:
     for table in tunnel["flight"]:
         for pitch, *areas in zip(table["alpha_deg"], *_areas(table), strict=True):
             yield Row("tunnel", table["posture"], pitch, 0.0, *areas)
-    for table in tomllib.loads(CFD.read_text(encoding="utf-8"))["run"]:
+    for table in tables.read(CFD)["run"]:
         if (table["mesh"], table["turbulence"]) != (MESH, TURBULENCE):
             continue
         for pitch, yaw, *areas in zip(table["alpha_deg"], table["beta_deg"], *_areas(table), strict=True):

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import argparse
 import subprocess
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from experiments import Refused
-from jax_aero import places
+from jax_aero import places, tables
 from jax_aero.aero.cfd_import import read_mat, read_solver_table
 from jax_aero.aero.dataset import JOINTS, Dataset, Floats, read_postures, save
 from jax_aero.cli import Parser
@@ -74,7 +73,7 @@ def _read(given: argparse.Namespace) -> Dataset:
 
 def known_postures(sections: Sequence[str] | None = None) -> dict[str, Floats]:
     """Return the joint angles (19,) [deg] of the named postures, of all sections or of some."""
-    table = tomllib.loads(POSTURES.read_text(encoding="utf-8"))
+    table = tables.read(POSTURES)
     if (order := tuple(table.pop("joints"))) != JOINTS:
         raise Refused(f"joints of {POSTURES} are {list(order)}; expected {list(JOINTS)}")
     chosen = table if sections is None else {name: table[name] for name in sections}

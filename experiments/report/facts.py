@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import math
-import tomllib
 from collections.abc import Mapping
 from typing import Any
 from xml.etree import ElementTree
@@ -16,7 +15,7 @@ import numpy as np
 
 from experiments import engine_choice
 from experiments.report.verdicts import AGREES, differs, judged, out_of_reach, within
-from jax_aero import rust
+from jax_aero import rust, tables
 from jax_aero.places import CONFIGS, ROBOT
 from jax_aero.urdf import origin_of
 
@@ -39,7 +38,7 @@ STRESSES = {"jetpack": 57.0, "forearm": 77.0}
 
 def table(name: str) -> dict[str, Any]:
     """Read a TOML file of `configs`."""
-    return tomllib.loads((CONFIGS / name).read_text(encoding="utf-8"))
+    return tables.read(CONFIGS / name)
 
 
 def robot() -> dict[str, Any]:

@@ -27,7 +27,6 @@ class Metrics:
 
     name: str
     title: str
-    completed: bool
     ending: str
     com_error: float
     """After settling [m]; NaN of a flight that ended before."""
@@ -66,12 +65,10 @@ def measure(name: str, run: xr.Dataset) -> Metrics:
     simulated, estimated = (run[f"aero_force_{side}"].sum("link").values for side in ("sim", "control"))
     difference = np.linalg.norm(simulated - estimated, axis=1)
     thrust = run["thrust"].values
-    outcome = str(run.attrs["outcome"])
     return Metrics(
         name=name,
         title=str(run.attrs["title"]),
-        completed=outcome == "completed",
-        ending=ending(outcome, run.attrs["lost_time"], run.attrs["lost_reason"]),
+        ending=ending(str(run.attrs["outcome"]), run.attrs["lost_time"], run.attrs["lost_reason"]),
         com_error=float(distance.max()) if distance.size else np.nan,
         rotation_error=float(np.degrees(run["rotation_error"].max())),
         joint_errors={

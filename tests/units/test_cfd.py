@@ -417,7 +417,7 @@ def test_cases_of_other_code_are_kept_whole_or_refused(small, tmp_path, monkeypa
 def test_a_folder_of_other_settings_is_refused(small, tmp_path):
     command.compute(small, tmp_path, Fake())
     finer = settings.Settings(mesh=settings.Mesh(base=0.6))
-    other = design.Design("small", design.Spec(**{**_fields(small.spec), "settings": finer}))
+    other = design.Design("small", msgspec.structs.replace(small.spec, settings=finer))
     with pytest.raises(Refused, match="holds cases of other settings; choose another --out"):
         command.compute(other, tmp_path, Fake())
 
@@ -432,10 +432,6 @@ def test_a_design_with_other_keys_has_a_folder_and_a_command_of_its_own(tmp_path
     command.collect(small, tmp_path)
     words = json.loads((tmp_path / "manifest.json").read_text())["command"]
     assert words == "jax-aero cfd anchors --set 'postures=[\"hovering\"]'"
-
-
-def _fields(spec):
-    return {name: getattr(spec, name) for name in spec.__struct_fields__}
 
 
 def test_the_order_of_three_meshes_is_observed_only_where_they_converge(agree):

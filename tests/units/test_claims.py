@@ -16,7 +16,7 @@ JUDGES = {claim.key: claim.judge for claim in claims.CLAIMS}
 
 def flight(**figures):
     made_up = {
-        "name": "f", "title": "", "completed": True, "ending": "completed", "com_error": 0.01, "rotation_error": 3.0,
+        "name": "f", "title": "", "ending": "completed", "com_error": 0.01, "rotation_error": 3.0,
         "joint_errors": {}, "joint_error_at_end": 1.0, "joint_error_max": 10.0, "thrust": (60.0, 180.0),
         "asymmetry": (9.0, 8.0), "force": 50.0, "force_difference": 5.0, "difference_time": 40.0,
         "force_angle": (5.0, 30.0),

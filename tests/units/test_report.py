@@ -240,7 +240,7 @@ def test_metrics_are_those_of_the_log(results, make_flight, robot, agree):
     log = make_flight().log
     settled = log["time"] >= 3.0
     distance = np.linalg.norm(log["com_position"] - log["com_setpoint"], axis=1)
-    assert found.completed
+    assert found.ending == "completed"
     agree("CoM error", found.com_error, distance[settled].max(), 1e-12)
     agree("rotation error", found.rotation_error, np.degrees(log["rotation_error"].max()), 1e-12)
     agree("thrust", found.thrust, (log["thrust"].min(), log["thrust"].max()), 1e-12)
