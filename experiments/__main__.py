@@ -36,7 +36,8 @@ def fly(words: Sequence[str]) -> int:
     given = _parser().parse_args(words)
     names = places.names("experiments") if given.all else given.names
     if given.list or not names:
-        _print_list()
+        print("experiments (jax-aero fly NAME):")
+        study.print_titles("experiments")
         return 0 if given.list else 2
 
     def work() -> None:
@@ -62,14 +63,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--overwrite", action="store_true", help="fly again and replace a result that is there")
     parser.add_argument("--list", action="store_true", help="list the experiments and stop")
     return parser
-
-
-def _print_list() -> None:
-    entries = study.titles("experiments")
-    width = max(map(len, entries), default=0)
-    print("experiments (jax-aero fly NAME):")
-    for name, title in entries.items():
-        print(f"  {name:<{width}}  {title}")
 
 
 def _command(given: argparse.Namespace) -> list[str]:

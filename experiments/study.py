@@ -184,15 +184,16 @@ def result_name(kind: str, path: Path, named: str | None = None) -> str:
     return name
 
 
-def titles(kind: str) -> dict[str, str]:
-    """Return name and title of every file of `configs/KIND`; of one that cannot be read, why."""
-    found = {}
-    for name in places.names(kind):
+def print_titles(kind: str) -> None:
+    """Print name and title of every file of `configs/KIND`; of one that cannot be read, why."""
+    names = places.names(kind)
+    width = max(map(len, names), default=0)
+    for name in names:
         try:
-            found[name] = str(tables.read(places.find(kind, name)).get("title", ""))
+            title = tables.read(places.find(kind, name)).get("title", "")
         except Refused as reason:
-            found[name] = f"({reason})"
-    return found
+            title = f"({reason})"
+        print(f"  {name:<{width}}  {title}")
 
 
 def schema_of(kind: str, folder: Path) -> str:

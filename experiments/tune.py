@@ -102,7 +102,7 @@ main = STUDY.main
 def world(worlds: Design, number: int, controller: Mapping[str, Any], duration: float) -> rust.Config:
     """Return the configuration of one world."""
     config = worlds.cell_config(number)
-    worlds.spec.perturbation.apply(config, worlds.spec.seed, number, worlds.links)
+    worlds.perturb(config, number)
     simulator = {**config["simulator"], "duration": duration}
     return {**config, "simulator": simulator, "controller": controller}
 

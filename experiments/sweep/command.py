@@ -23,8 +23,7 @@ def main(arguments: Sequence[str]) -> int:
     given = _parser().parse_args(arguments)
     names = places.names("sweeps") if given.all else given.names
     if given.list or not names:
-        for name, title in study.titles("sweeps").items():
-            print(f"  {name:<28}  {title}")
+        study.print_titles("sweeps")
         return 0 if given.list else 2
 
     def work() -> None:

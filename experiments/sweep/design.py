@@ -88,10 +88,11 @@ class Design:
         """Return the configuration of a row: its cell's, perturbed by its repeat's draws."""
         cell, repeat = divmod(row, self.spec.repeats)
         config = self.cell_config(cell)
-        self._perturb(config, repeat)
+        self.perturb(config, repeat)
         return config
 
-    def _perturb(self, config: rust.Config, repeat: int) -> None:
+    def perturb(self, config: rust.Config, repeat: int) -> None:
+        """Perturb a configuration in place by the draws of a repeat."""
         self.spec.perturbation.apply(config, self.spec.seed, repeat, self.links)
 
     @cached_property
@@ -121,7 +122,7 @@ class Design:
                         f"`engine` of the flight is {engine!r}; expected {self.spec.engine!r}, as of the sweep"
                     )
                 rust.check_config(config)  # first as it is written: only then can it be perturbed
-                self._perturb(config, 0)
+                self.perturb(config, 0)
                 rust.check_config(config)
 
     @contextmanager
