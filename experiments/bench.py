@@ -42,12 +42,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _print_machine(native=given.native)
         programs = build(native=given.native)
         ours, others, tick = take_turns(programs, given.turns)
-        pinocchio = {what: t for what, t in others.items() if what.startswith("dynamics")}
-        _print_native(ours, pinocchio, {what: t for what, t in others.items() if "QP" in what}, programs.missing)
+        _print_native(ours, others, programs.missing)
         _print_python(_from_python())
         print("\n## Whole tick\n")
         print(tick.strip())
-        _print_targets(ours, pinocchio, others, tick)
+        _print_targets(ours, others, tick)
     except Refused as reason:
         print(f"error: {reason}", file=sys.stderr)
         return 2
@@ -194,16 +193,16 @@ def _first_line(command: Sequence[str]) -> str:
         return f"no {command[0]}"
 
 
-def _print_native(ours: Times, pinocchio: Times, daqp: Times, missing: Iterable[str]) -> None:
+def _print_native(ours: Times, others: Times, missing: Iterable[str]) -> None:
     print("\n## Natively\n\n| | ours | other | ratio | the other |\n|---|---|---|---|---|")
     for what in DYNAMICS:
-        for whole, theirs in sorted(pinocchio.items(), key=lambda item: item[1]):
+        for whole, theirs in sorted(others.items(), key=lambda item: item[1]):
             if whole.startswith(what):
                 _print_row(what, ours[what], theirs, f"Pinocchio{whole.removeprefix(what)}")
     for name in QPS:
         for start in ("warm", "cold"):
             what = f"{name}, {start}"
-            for whole, theirs in sorted(daqp.items(), key=lambda item: item[1]):
+            for whole, theirs in sorted(others.items(), key=lambda item: item[1]):
                 if whole.startswith(what):
                     _print_row(what, ours[what], theirs, f"DAQP{whole.removeprefix(what)}")
         for other in ("Clarabel as it comes", "Clarabel at 1e-12 and polished"):
@@ -232,13 +231,15 @@ def _best(times: Times, what: str) -> float | None:
     return min((ns for name, ns in times.items() if name.startswith(what)), default=None)
 
 
-def _print_targets(ours: Times, pinocchio: Times, daqp: Times, tick: str) -> None:
+def _print_targets(ours: Times, others: Times, tick: str) -> None:
     """Print the targets and whether they are met, always against the fastest way of the other."""
     print("\n## Targets\n\n| | measured | target | met |\n|---|---|---|---|")
-    verdicts = [("all dynamics terms / Pinocchio", ours[DYNAMICS[1]], _best(pinocchio, DYNAMICS[1]), 0.5)]
-    verdicts += [(f"{name}, warm / DAQP", ours[f"{name}, warm"], _best(daqp, f"{name}, warm"), 1.0) for name in QPS]
+    verdicts = [("all dynamics terms / Pinocchio", ours[DYNAMICS[1]], _best(others, DYNAMICS[1]), 0.5)]
+    verdicts += [(f"{name}, warm / DAQP", ours[f"{name}, warm"], _best(others, f"{name}, warm"), 1.0) for name in QPS]
     for case in ("calm", "saturated"):
-        parts = [(ours[f"{q} QP, {case}, warm"], _best(daqp, f"{q} QP, {case}, warm")) for q in ("momentum", "torque")]
+        parts = [
+            (ours[f"{q} QP, {case}, warm"], _best(others, f"{q} QP, {case}, warm")) for q in ("momentum", "torque")
+        ]
         theirs = [other for _, other in parts if other is not None]
         total = sum(theirs) if len(theirs) == len(parts) else None
         verdicts.append((f"both QPs of a tick, {case} / DAQP", sum(own for own, _ in parts), total, 1.0))
@@ -247,10 +248,13 @@ def _print_targets(ours: Times, pinocchio: Times, daqp: Times, tick: str) -> Non
             print(f"| {what} | not measured | {target} | ? |")
         else:
             print(f"| {what} | {own / other:.2f} | {target} | {_met(own / other <= target)} |")
-    others = [_best(pinocchio, DYNAMICS[1]), *(_best(daqp, f"{q} QP, calm, warm") for q in ("momentum", "torque"))]
+    parts_of_tick = [
+        _best(others, DYNAMICS[1]),
+        *(_best(others, f"{q} QP, calm, warm") for q in ("momentum", "torque")),
+    ]
     p50, p999, own_p999 = tick_times(tick)
-    if None not in others:
-        ratio = 1e3 * p50 / sum(ns for ns in others if ns is not None)
+    if None not in parts_of_tick:
+        ratio = 1e3 * p50 / sum(ns for ns in parts_of_tick if ns is not None)
         print(f"| whole tick, p50 / (Pinocchio + DAQP + DAQP) | {ratio:.2f} | 0.8 | {_met(ratio <= 0.8)} |")
     for what, tail in (("", own_p999), (", interruptions of the program included", p999)):
         print(f"| whole tick, p99.9 / p50{what} | {tail / p50:.2f} | 2.5 | {_met(tail <= 2.5 * p50)} |")

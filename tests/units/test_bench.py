@@ -28,8 +28,8 @@ DAQP = {f"{what}, a": time for what, time in (CALM | SATURATED | COLD).items()}
 TICK = "| | | | | | | |\n| tick, TEST2 | 0 | 12.0 us | 0 | 36.0 us | 0 | 30.0 us |\n"
 
 
-def targets(capsys, ours=OURS, pinocchio=PINOCCHIO, daqp=DAQP):
-    bench._print_targets(ours, pinocchio, daqp, TICK)
+def targets(capsys, ours=OURS, others=PINOCCHIO | DAQP):
+    bench._print_targets(ours, others, TICK)
     rows = [line.split("|") for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
     return {row[1].strip(): (row[2].strip(), row[4].strip()) for row in rows[1:]}
 
@@ -50,13 +50,13 @@ def test_a_target_is_met_up_to_its_last_digit(capsys):
 
 
 def test_what_was_not_measured_meets_no_target(capsys):
-    found = targets(capsys, daqp={})
+    found = targets(capsys, others=PINOCCHIO)
     assert found["both QPs of a tick, calm / DAQP"] == ("not measured", "?")
     assert "whole tick, p50 / (Pinocchio + DAQP + DAQP)" not in found
 
 
 def test_the_tables_name_every_contender_and_what_is_missing(capsys):
-    bench._print_native(OURS, PINOCCHIO, DAQP, ["DAQP is absent"])
+    bench._print_native(OURS, PINOCCHIO | DAQP, ["DAQP is absent"])
     text = capsys.readouterr().out
     assert "| dynamics, without Jacobians | 3.00 µs | 10.00 µs | 0.30 | Pinocchio, a |" in text
     assert "| torque QP, saturated, cold | 5.00 µs | 5.00 µs | 1.00 | DAQP, a |" in text
