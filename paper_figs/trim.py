@@ -53,8 +53,8 @@ def draw(*studies: xr.Dataset) -> Figure:
 
 def _half_disc(axes: Axes, data: xr.DataArray, norm: Normalize, colours: str) -> QuadMesh:
     """Draw the winds of one side, head wind at the top."""
-    edges = _edges(np.radians(data["direction"].values), 0.0, np.pi)
-    speeds = _edges(data["speed"].values, 0.0, None)
+    edges = _edges(np.radians(data["direction"].values), np.pi)
+    speeds = _edges(data["speed"].values)
     # Fine sectors, so that their arcs look round.
     fine = np.concatenate([np.linspace(a, b, 9)[:-1] for a, b in itertools.pairwise(edges)] + [edges[-1:]])
     values = np.repeat(data.transpose("speed", "direction").values, 8, axis=1)
@@ -76,8 +76,8 @@ def _half_disc(axes: Axes, data: xr.DataArray, norm: Normalize, colours: str) ->
     return mesh
 
 
-def _edges(centres: Array, lowest: float, highest: float | None) -> Array:
-    """Return the edges of cells around samples."""
+def _edges(centres: Array, highest: float | None = None) -> Array:
+    """Return the edges of cells around samples, the first at zero."""
     middle = 0.5 * (centres[1:] + centres[:-1])
     top = centres[-1] + 0.5 * (centres[-1] - centres[-2]) if highest is None else highest
-    return np.concatenate([[lowest], middle, [top]])
+    return np.concatenate([[0.0], middle, [top]])

@@ -103,7 +103,7 @@ def fig3(tables: Table, simulations: Table) -> Figure:
         record = flight(tables, "flight30")
         axes.plot(record["alpha_deg"], record[key], "o-", color=style.BLACK, markersize=4, label="wind tunnel")
         for turbulence, colour, marker in ((OMEGA, style.BLUE, "s"), (EPSILON, style.VERMILION, "^")):
-            run = run_of(runs, "flight30", FINEST, turbulence)
+            run = run_of(runs, FINEST, turbulence)
             label = f"CFD, {turbulence.replace('omega', 'ω').replace('epsilon', 'ε')}"
             axes.plot(run["alpha_deg"], run[key], marker + "--", color=colour, markersize=4, label=label)
         axes.set_xlabel(r"angle of attack $\alpha$ [deg]")
@@ -122,7 +122,7 @@ def mesh(tables: Table, simulations: Table) -> Figure:
     for axes, key, mark in zip(grid, ("cda", "cla"), "ab", strict=False):
         axes.plot(record["alpha_deg"], record[key], "o-", color=style.BLACK, markersize=4, label="wind tunnel")
         for name, colour, marker in zip(meshes(runs), COLOURS, "sD^v<", strict=False):
-            run = run_of(runs, "flight30", name, OMEGA)
+            run = run_of(runs, name, OMEGA)
             axes.plot(run["alpha_deg"], run[key], marker + "--", color=colour, markersize=3, linewidth=0.8, label=name)
         axes.set_xlabel(r"$\alpha$ [deg]")
         axes.set_ylabel(rf"$C_{'D' if key == 'cda' else 'L'} A$ [m$^2$]")
@@ -136,7 +136,7 @@ def mesh(tables: Table, simulations: Table) -> Figure:
 
 def _mesh_errors(axes: Axes, record: Table, runs: Sequence[Table]) -> None:
     for turbulence, colour, marker in ((OMEGA, style.BLUE, "s"), (EPSILON, style.VERMILION, "^")):
-        chosen = [run_of(runs, "flight30", name, turbulence) for name in meshes(runs)]
+        chosen = [run_of(runs, name, turbulence) for name in meshes(runs)]
         sizes = [run["elements"] for run in chosen]
         label = turbulence.replace("omega", "ω").replace("epsilon", "ε")
         axes.plot(
@@ -175,9 +175,9 @@ def flight(tables: Table, posture: str) -> Table:
     return found
 
 
-def run_of(runs: Sequence[Table], posture: str, mesh_name: str, turbulence: str) -> Table:
-    """Return the simulations of one posture, mesh and turbulence model."""
-    wanted = (posture, mesh_name, turbulence)
+def run_of(runs: Sequence[Table], mesh_name: str, turbulence: str) -> Table:
+    """Return the simulations of flight30 with one mesh and turbulence model."""
+    wanted = ("flight30", mesh_name, turbulence)
     return next(run for run in runs if (run["posture"], run["mesh"], run["turbulence"]) == wanted)
 
 
@@ -235,7 +235,7 @@ def size_error(record: Table, run: Table) -> float:
 def turbulence_claims(tables: Table, runs: Sequence[Table]) -> list[Claim]:
     """Compare two turbulence models with the tunnel."""
     record = flight(tables, "flight30")
-    found = {name: run_of(runs, "flight30", FINEST, name) for name in (OMEGA, EPSILON)}
+    found = {name: run_of(runs, FINEST, name) for name in (OMEGA, EPSILON)}
     drag = {name: drag_error(record, run) for name, run in found.items()}
     better = {OMEGA: (0.0, drag[EPSILON]), EPSILON: (drag[OMEGA], 1.0)}
     claims = []
@@ -251,7 +251,7 @@ def mesh_claims(tables: Table, runs: Sequence[Table]) -> list[Claim]:
     measured = dict(zip(record["alpha_deg"], record["cda"], strict=True))
     claims = []
     for name in meshes(runs):
-        run = run_of(runs, "flight30", name, OMEGA)
+        run = run_of(runs, name, OMEGA)
         tunnel = np.array([measured[alpha] for alpha in run["alpha_deg"]])
         worst = float(np.abs(np.array(run["cda"]) / tunnel - 1.0).max())
         claims.append(Claim(f"drag, mesh {name}: largest error", worst, "at most 15 %", (0.0, 0.15)))

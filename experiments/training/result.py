@@ -37,7 +37,7 @@ NOTES = {"surrogate": SURROGATE_NOTE, "openfoam": OPEN_NOTE, COMMIT: FREESTREAM_
 """What a card says of its data, by a word of their provenance."""
 
 
-def summarise(finished: Sequence[Finished], chosen_on: Sequence[str] = ()) -> dict[str, Any]:
+def summarise(finished: Sequence[Finished], chosen_on: Sequence[str]) -> dict[str, Any]:
     """Return the errors of each split: mean over rows, spread over folds, and the baselines on the same rows.
 
     Settings that were chosen by looking at some postures are judged by the others too: `elsewhere_mse`.
