@@ -226,35 +226,29 @@ def _microseconds(ns: float) -> str:
     return f"{ns / 1e3:.2f} µs" if ns < 1e6 else f"{ns / 1e9:.3f} s"
 
 
-def _best(times: Times, what: str) -> float | None:
-    """Return the fastest way that a contender has, or `None` without one."""
-    return min((ns for name, ns in times.items() if name.startswith(what)), default=None)
+def _best(times: Times, names: Sequence[str]) -> float | None:
+    """Return the time of the fastest ways of all these together, or `None` where one of them has none."""
+    ways = [[ns for way, ns in times.items() if way.startswith(name)] for name in names]
+    return sum(map(min, ways)) if all(ways) else None
 
 
 def _print_targets(ours: Times, others: Times, tick: str) -> None:
     """Print the targets and whether they are met, always against the fastest way of the other."""
     print("\n## Targets\n\n| | measured | target | met |\n|---|---|---|---|")
-    verdicts = [("all dynamics terms / Pinocchio", ours[DYNAMICS[1]], _best(others, DYNAMICS[1]), 0.5)]
-    verdicts += [(f"{name}, warm / DAQP", ours[f"{name}, warm"], _best(others, f"{name}, warm"), 1.0) for name in QPS]
-    for case in ("calm", "saturated"):
-        parts = [
-            (ours[f"{q} QP, {case}, warm"], _best(others, f"{q} QP, {case}, warm")) for q in ("momentum", "torque")
-        ]
-        theirs = [other for _, other in parts if other is not None]
-        total = sum(theirs) if len(theirs) == len(parts) else None
-        verdicts.append((f"both QPs of a tick, {case} / DAQP", sum(own for own, _ in parts), total, 1.0))
-    for what, own, other, target in verdicts:
-        if other is None:
+    warm = [f"{name}, warm" for name in QPS]
+    by_case = {case: [name for name in warm if case in name] for case in ("calm", "saturated")}
+    targets = [("all dynamics terms / Pinocchio", [DYNAMICS[1]], 0.5)]
+    targets += [(f"{name} / DAQP", [name], 1.0) for name in warm]
+    targets += [(f"both QPs of a tick, {case} / DAQP", names, 1.0) for case, names in by_case.items()]
+    for what, names, target in targets:
+        if (other := _best(others, names)) is None:
             print(f"| {what} | not measured | {target} | ? |")
         else:
-            print(f"| {what} | {own / other:.2f} | {target} | {_met(own / other <= target)} |")
-    parts_of_tick = [
-        _best(others, DYNAMICS[1]),
-        *(_best(others, f"{q} QP, calm, warm") for q in ("momentum", "torque")),
-    ]
+            ratio = sum(ours[name] for name in names) / other
+            print(f"| {what} | {ratio:.2f} | {target} | {_met(ratio <= target)} |")
     p50, p999, own_p999 = tick_times(tick)
-    if None not in parts_of_tick:
-        ratio = 1e3 * p50 / sum(ns for ns in parts_of_tick if ns is not None)
+    if (other := _best(others, [DYNAMICS[1], *by_case["calm"]])) is not None:
+        ratio = 1e3 * p50 / other
         print(f"| whole tick, p50 / (Pinocchio + DAQP + DAQP) | {ratio:.2f} | 0.8 | {_met(ratio <= 0.8)} |")
     for what, tail in (("", own_p999), (", interruptions of the program included", p999)):
         print(f"| whole tick, p99.9 / p50{what} | {tail / p50:.2f} | 2.5 | {_met(tail <= 2.5 * p50)} |")
