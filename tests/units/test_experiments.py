@@ -136,11 +136,12 @@ def test_the_command_of_a_manifest_can_be_typed_again(flown, tmp_path):
     assert command.endswith("--overwrite")
 
 
-def test_the_list_names_every_experiment(capsys):
+def test_the_list_names_every_experiment_with_its_title(capsys):
     assert main(["--list"]) == 0
     listed = capsys.readouterr().out
     for name in places.names("experiments"):
-        assert f"  {name} " in listed
+        assert re.search(rf"^  {name} +\w", listed, re.MULTILINE), name
+    assert re.search(r"  balancing_front +Ground experiment", listed)
 
 
 @pytest.mark.parametrize(("kind", "words"), [("experiments", ["--list"]), ("sweeps", ["sweep", "--list"])])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments import Refused, engines, record, study, tip_over
+from experiments import Refused, engines, record, tip_over
 from experiments.report import ground
 from jax_aero import places, rust, tables
 from jax_aero.control.channels import MODES
@@ -429,10 +429,6 @@ def test_jax_refuses_feet_by_name():
         with pytest.raises(ValueError, match=rf"`{section}\.{key}`"):
             sim.fly(config)
         del config[section][key]
-
-
-def test_the_commands_have_a_title():
-    assert study.titles("experiments")["balancing_front"].startswith("Ground experiment")
 
 
 # --- what tips it over ---------------------------------------------------------------------------------------------
