@@ -6,13 +6,12 @@ beside the `NAME` of the plain one, unless --out says where it goes.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 from typing import Any
 
 from experiments import manifest
-from jax_aero import places
+from jax_aero import places, tables
 from jax_aero.keys import parse_assignments as parse
 
 __all__ = ["folder_suffix", "options", "parse"]
@@ -29,7 +28,7 @@ def folder_suffix(overrides: Mapping[str, Any]) -> str:
 
 def options(changes: Mapping[str, Any]) -> list[str]:
     """Return the words of a command line that make these changes, with no path of this machine."""
-    assignments = (f"{key}={json.dumps(manifest.portable(value))}" for key, value in changes.items())
+    assignments = (f"{key}={tables.toml_value(manifest.portable(value))}" for key, value in changes.items())
     return [word for assignment in assignments for word in ("--set", assignment)]
 
 

@@ -3,7 +3,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from experiments import Refused
-from experiments.overrides import folder_suffix, parse
+from experiments.overrides import folder_suffix, options, parse
 from jax_aero import places
 
 
@@ -29,6 +29,12 @@ def test_a_bare_word_is_a_text_because_shells_strip_quotes():
         "simulator.lever_arm": "unrotated",
         "robot": "configs/robot/sparrow.toml",
     }
+
+
+@pytest.mark.parametrize("value", ["{e = 1, f = {'a b' = 'x'}}", "[{jet = 'l', at = 1.5}, {}]", "true", "[]"])
+def test_the_words_of_a_command_are_read_as_what_they_were_made_of(value):
+    changes = parse([f"a.b={value}"])
+    assert parse(options(changes)[1::2]) == changes
 
 
 def test_a_key_is_given_once():

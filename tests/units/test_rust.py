@@ -225,13 +225,14 @@ def test_a_step_that_cannot_be_taken_is_refused(name, value):
         plant.step(**command)
 
 
-def test_a_rotation_that_is_none_is_predicted_not_refused():
+@pytest.mark.parametrize("factor", [1.01, np.nan])
+def test_a_rotation_that_is_none_is_predicted_not_refused(factor):
     config = rust.load_config(TEST2)
     plant, controller = rust.Plant(config), rust.Controller(config)
     now = plant.reset()
     assert controller.tick(now.state, now.thrust, now.wind, now.time).degraded_modes == []
     now = plant.measure()
-    stretched = now.state._replace(base_rotation=1.01 * now.state.base_rotation)
+    stretched = now.state._replace(base_rotation=factor * now.state.base_rotation)
     tick = controller.tick(stretched, now.thrust, now.wind, now.time + 0.01)
     assert tick.degraded_modes == ["rotation_predicted"]
     with pytest.raises(ValueError, match="deviates from a rotation"):

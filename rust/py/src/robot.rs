@@ -5,7 +5,7 @@ use flight_core::aero::{LinkConventions, LinkForces, LinksInAir};
 use flight_core::dynamics::{Dynamics, MassFactor};
 use flight_core::kinematics::{Kinematics, RobotState};
 use flight_core::robot::Frame;
-use flight_core::spatial::{Pose, orthonormality_error};
+use flight_core::spatial::{Pose, is_rotation, orthonormality_error};
 use flight_core::{BuildError, RobotModel};
 use flight_io::{AeroConfig, RobotFiles, load_aero};
 use nalgebra::{DVector, Vector3};
@@ -27,14 +27,14 @@ pub struct Robot {
 pub fn state(joints: usize, arrays: [&Input<'_>; 4]) -> PyResult<RobotState> {
     let state = measured_state(joints, arrays)?;
     let rotation = &state.base.rotation;
-    let deviation = orthonormality_error(rotation);
-    if deviation > 1e-6 || rotation.determinant() < 0.0 {
-        return Err(PyValueError::new_err(format!(
-            "`base_rotation` deviates from a rotation by {deviation:e} (determinant {}); expected one to 1e-6",
-            rotation.determinant()
-        )));
+    if is_rotation(rotation) {
+        return Ok(state);
     }
-    Ok(state)
+    Err(PyValueError::new_err(format!(
+        "`base_rotation` deviates from a rotation by {:e} (determinant {}); expected one to 1e-6",
+        orthonormality_error(rotation),
+        rotation.determinant()
+    )))
 }
 
 /// The same as it is measured, which a controller judges.
