@@ -199,7 +199,7 @@ class ChannelsConfig(Table, frozen=True, kw_only=True):
     """Greatest differences to the predicted value that are accepted, of each component; without it all of them, and no
     value counts as frozen and no time step as wrong.
     """
-    velocity_gain: NonNegative = 20.0
+    velocity_gain: NonNegative = 100.0
     """Gain with which a base velocity that is not measured follows the differences of the pose [1/s]."""
     widening: NonNegative = 1.0
     """Growth of `jump` with the age of a channel, as a share of itself [1/s]."""
@@ -294,6 +294,8 @@ class DescentConfig(Table, frozen=True, kw_only=True):
     """Greatest joint velocity, of revolute joints whose own is less [deg/s]."""
     momentum: MomentumGains
     """Gains in place of `controller.momentum`."""
+    range_min: Positive
+    """An engine is lost whose least and greatest thrust are less than this apart [N]."""
     torque_rate_max: Positive
     """Greatest rate of a joint torque, of revolute joints whose own is less [N m/s]."""
 
@@ -306,7 +308,7 @@ class EnginesConfig(Table, frozen=True, kw_only=True):
     descent: DescentConfig | None = None
     """How the robot levels and descends when an engine is lost; without it the mission goes on."""
     deviation_max: Positive
-    """Greatest deviation of a thrust from the commanded one, and least range of an engine that is not lost [N]."""
+    """Greatest deviation of a thrust from the commanded one [N]."""
     time_constant: Positive
     """Time constant with which deviations of the thrust are forgotten [s]."""
 
@@ -408,6 +410,10 @@ class SetpointConfig(Table, frozen=True, kw_only=True):
     """Gain with which the smoothed attitude follows the raw one [1/s]."""
     attitude_rate_deg: tuple[NonNegative, NonNegative]
     """Rates of raw pitch and yaw [deg/s]."""
+    deceleration: Positive = 1.5
+    """How fast the velocity of the mission becomes that of the descent, or zero where a given set-point is none
+    [m/s²].
+    """
     descent_speed: NonNegative = 0.5
     """Speed of the descent where the mission cannot be followed any more [m/s]."""
     nose_down_limits_deg: tuple[float, float]

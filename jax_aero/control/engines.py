@@ -31,6 +31,8 @@ LEAST_ARM = 0.01
 class Descent:
     """The law of a robot that has lost an engine."""
 
+    range_min: Float[Array, ""]
+    """An engine is lost whose least and greatest thrust are less than this apart [N]."""
     momentum: TaskGains
     """Gains in place of the controller's."""
     joint_velocity_max: Float[Array, " n"]
@@ -74,9 +76,9 @@ class EngineState(NamedTuple):
         """Return which do not reach every thrust."""
         return (self.least > 0.0) | (self.greatest < jnp.inf)
 
-    def is_lost(self, limits: EngineLimits) -> Bool[Array, " j"]:
-        """Return which keep their thrust, or have none."""
-        return self.greatest - self.least < limits.deviation_max
+    def is_lost(self, descent: Descent) -> Bool[Array, " j"]:
+        """Return whose thrust can change too little to fly with."""
+        return self.greatest - self.least < descent.range_min
 
 
 def engine_limits(config: EnginesConfig, robot: RobotModel) -> EngineLimits:
@@ -90,6 +92,7 @@ def engine_limits(config: EnginesConfig, robot: RobotModel) -> EngineLimits:
         descent=None
         if descent is None
         else Descent(
+            range_min=leaf(descent.range_min),
             momentum=leaves(TaskGains, descent.momentum),
             joint_velocity_max=in_place_of(none, np.deg2rad(descent.joint_velocity_max_deg), robot),
             torque_rate_max=in_place_of(none, descent.torque_rate_max, robot),

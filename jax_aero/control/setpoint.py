@@ -24,6 +24,7 @@ from jax_aero.spatial import (
     project_to_so3,
     rotation_from_rpy,
     rpy_from_rotation,
+    safe_norm,
     skew,
     vee_of_skew_part,
 )
@@ -160,6 +161,10 @@ class SetpointParams(NamedTuple):
     """[1/s]"""
     descent_speed: Float[Array, ""]
     """[m/s]"""
+    deceleration: Float[Array, ""]
+    """Of what comes to rest or descends [m/s²]."""
+    position_delay: Float[Array, ""]
+    """Time by which the filter of the position is behind an input that moves evenly: `T B / A` [s]."""
     position_filter: FilterGains
     jerk_filter: FilterGains
     angular_velocity_filter: FilterGains
@@ -169,15 +174,23 @@ class SetpointParams(NamedTuple):
     """[s]"""
 
 
+class RawSetpoint(NamedTuple):
+    """What is smoothed."""
+
+    position: Float[Array, "3"]
+    """Position of the centre of mass [m]."""
+    velocity: Float[Array, "3"]
+    """Its velocity [m/s]."""
+    rpy: Float[Array, "3"]
+    """Roll, pitch (nose down) and yaw of the heading frame [rad]."""
+    turbo_ticks: Int[Array, ""]
+    """Ticks' worth of turbo built up."""
+
+
 class SetpointState(NamedTuple):
     """State of the generator."""
 
-    raw_position: Float[Array, "3"]
-    """Position of the centre of mass before smoothing [m]."""
-    raw_rpy: Float[Array, "3"]
-    """Roll, pitch (nose down) and yaw of the heading frame before smoothing [rad]."""
-    turbo_ticks: Int[Array, ""]
-    """Ticks' worth of turbo built up."""
+    raw: RawSetpoint
     position: FilterState
     acceleration: FilterState
     """Filter of the acceleration, whose rate is the jerk."""
@@ -200,6 +213,8 @@ def setpoint_params(
         turbo_rate=leaf(config.turbo_rate),
         attitude_gain=leaf(config.attitude_gain),
         descent_speed=leaf(config.descent_speed),
+        deceleration=leaf(config.deceleration),
+        position_delay=leaf(config.position_smoothing) * (_B / _A),
         position_filter=filter_gains(leaf(config.position_smoothing), time_step),
         jerk_filter=filter_gains(leaf(config.acceleration_smoothing), time_step),
         angular_velocity_filter=filter_gains(leaf(config.angular_velocity_smoothing), time_step),
@@ -211,9 +226,10 @@ def setpoint_params(
 def start(params: SetpointParams, com: Float[Array, "3"], rotation: Float[Array, "3 3"]) -> SetpointState:
     """Begin at the centre of mass and the base rotation that the robot has at its first tick."""
     com, rotation = jnp.asarray(com), jnp.asarray(rotation)
-    rest = filter_start(jnp.zeros_like(com))
-    rpy = _heading_rpy(params, rotation)
-    return SetpointState(com, rpy, jnp.zeros((), jnp.int32), filter_start(com), rest, rest, rotation)
+    zero = jnp.zeros_like(com)
+    rest = filter_start(zero)
+    raw = RawSetpoint(com, zero, _heading_rpy(params, rotation), jnp.zeros((), jnp.int32))
+    return SetpointState(raw, filter_start(com), rest, rest, rotation)
 
 
 def _heading_rpy(params: SetpointParams, rotation: Array) -> Array:
@@ -231,7 +247,7 @@ def update(
     """
     if isinstance(mission, Recording):
         return _recorded(params, mission, state, time)
-    return _smooth(params, state, *_advance_raw(params, state, autopilot_command(mission, time)))
+    return _smooth(params, state, _advance_raw(params, state.raw, autopilot_command(mission, time)))
 
 
 def motion_of(setpoint: Setpoint) -> RecordedMotion:
@@ -243,11 +259,11 @@ def motion_of(setpoint: Setpoint) -> RecordedMotion:
 def follow(params: SetpointParams, state: SetpointState, motion: RecordedMotion) -> SetpointState:
     """Move the state along with a motion that is given: where a descent would begin."""
     com = motion.com
+    # So far ahead the filter follows it with this velocity.
+    ahead = com[0] + com[1] * params.position_delay
     return SetpointState(
-        raw_position=com[0],
-        raw_rpy=_heading_rpy(params, motion.rotation),
-        turbo_ticks=jnp.zeros_like(state.turbo_ticks),
-        position=FilterState(com[:3], com[0]),
+        raw=RawSetpoint(ahead, com[1], _heading_rpy(params, motion.rotation), jnp.zeros_like(state.raw.turbo_ticks)),
+        position=FilterState(com[:3], ahead),
         acceleration=FilterState(jnp.stack([com[2], com[3], jnp.zeros_like(com[3])]), com[2]),
         angular_velocity=filter_update(params.angular_velocity_filter, state.angular_velocity, motion.angular_velocity),
         rotation=motion.rotation,
@@ -255,30 +271,33 @@ def follow(params: SetpointParams, state: SetpointState, motion: RecordedMotion)
 
 
 def descend(params: SetpointParams, state: SetpointState) -> tuple[SetpointState, Setpoint]:
-    """Return the set-point of a tick of the way down instead of the mission: level, straight down, without boost."""
+    """Return the set-point of a tick of the way down instead of the mission.
+
+    It becomes level, and its velocity becomes that of the descent (M115).
+    """
+    raw = state.raw
     step = params.attitude_rate[0] * params.time_step
-    level = state.raw_rpy[:2] - jnp.clip(state.raw_rpy[:2], -step, step)
-    down = state.raw_position.at[2].add(-params.descent_speed * params.time_step)
-    rpy = jnp.concatenate([level, state.raw_rpy[2:]])
-    return _smooth(params, state, down, rpy, jnp.zeros_like(state.turbo_ticks))
+    rpy = raw.rpy.at[:2].add(-jnp.clip(raw.rpy[:2], -step, step))
+    change = jnp.zeros_like(raw.velocity).at[2].set(-params.descent_speed) - raw.velocity
+    greatest, size = params.deceleration * params.time_step, safe_norm(change)
+    velocity = raw.velocity + change * jnp.where(size > greatest, greatest / jnp.maximum(size, greatest), 1.0)
+    position = raw.position + velocity * params.time_step
+    return _smooth(params, state, RawSetpoint(position, velocity, rpy, jnp.zeros_like(raw.turbo_ticks)))
 
 
-def sink(params: SetpointParams, setpoint: Setpoint, com: Float[Array, "3"]) -> Setpoint:
-    """Return the set-point of a robot that cannot hold its place, with its centre of mass [m]: it sinks (M107)."""
-    still = jnp.zeros_like(com)
-    down = still.at[2].set(-params.descent_speed)
-    return setpoint._replace(com_position=com, com_velocity=down, com_acceleration=still, com_jerk=still)
+def without_place(setpoint: Setpoint, com: Float[Array, "3"]) -> Setpoint:
+    """Return the set-point of a robot that cannot hold its place, with its centre of mass [m] (M107)."""
+    zero = jnp.zeros_like(com)
+    return setpoint._replace(com_position=com, com_acceleration=zero, com_jerk=zero)
 
 
-def _smooth(
-    params: SetpointParams, state: SetpointState, raw_position: Array, raw_rpy: Array, turbo_ticks: Array
-) -> tuple[SetpointState, Setpoint]:
+def _smooth(params: SetpointParams, state: SetpointState, raw: RawSetpoint) -> tuple[SetpointState, Setpoint]:
     """Return the smooth set-point that follows the raw one."""
-    position = filter_update(params.position_filter, state.position, raw_position)
+    position = filter_update(params.position_filter, state.position, raw.position)
     acceleration = filter_update(params.jerk_filter, state.acceleration, position.derivatives[2])
 
     rotation = state.rotation
-    raw_rotation = multiply(rotation_from_rpy(raw_rpy), params.base_from_heading.T)
+    raw_rotation = multiply(rotation_from_rpy(raw.rpy), params.base_from_heading.T)
     error = vee_of_skew_part(multiply(raw_rotation.T, rotation))
     omega = -params.attitude_gain * error
     angular = filter_update(params.angular_velocity_filter, state.angular_velocity, omega)
@@ -294,7 +313,7 @@ def _smooth(
         angular_acceleration=angular.derivatives[1],
         angular_jerk=angular.derivatives[2],
     )
-    return SetpointState(raw_position, raw_rpy, turbo_ticks, position, acceleration, angular, turned), setpoint
+    return SetpointState(raw, position, acceleration, angular, turned), setpoint
 
 
 def _recorded(
@@ -307,8 +326,8 @@ def _recorded(
     return after, Setpoint(com[0], com[1], com[2], com[3], motion.rotation, rates[0], rates[1], rates[2])
 
 
-def _advance_raw(params: SetpointParams, state: SetpointState, command: AutopilotCommand) -> tuple[Array, Array, Array]:
-    """One tick of the published autopilot mapping, in flight: raw position, roll-pitch-yaw and turbo counter.
+def _advance_raw(params: SetpointParams, raw: RawSetpoint, command: AutopilotCommand) -> RawSetpoint:
+    """One tick of the published autopilot mapping, in flight.
 
     While turbo is commanded or left over, all other motions are ignored and the nose goes down. The published boost
     is a floating-point sum that ends at a residue above zero, so that one more step is taken; the counter takes that
@@ -316,18 +335,19 @@ def _advance_raw(params: SetpointParams, state: SetpointState, command: Autopilo
     """
     # Half a tick rounds up.
     full = jnp.floor(params.turbo_boost / (params.turbo_rate * params.time_step) + 0.5).astype(jnp.int32)
-    in_turbo = command.turbo | (state.turbo_ticks > 0)
-    ticks = jnp.where(command.turbo, jnp.minimum(state.turbo_ticks + 1, full), jnp.maximum(state.turbo_ticks - 1, 0))
+    in_turbo = command.turbo | (raw.turbo_ticks > 0)
+    ticks = jnp.where(command.turbo, jnp.minimum(raw.turbo_ticks + 1, full), jnp.maximum(raw.turbo_ticks - 1, 0))
     forward = jnp.where(in_turbo, 1.0, command.forward)
     vertical = jnp.where(in_turbo, 0.0, command.vertical)
     nose_down = jnp.where(in_turbo, 1.0, command.nose_down)
     yaw_rate = jnp.where(in_turbo, 0.0, command.yaw)
 
     boost = ticks * (params.turbo_rate * params.time_step)
-    roll, pitch, yaw = state.raw_rpy
+    roll, pitch, yaw = raw.rpy
     pitch = pitch + params.attitude_rate[0] * params.time_step * nose_down
     yaw = yaw + params.attitude_rate[1] * params.time_step * yaw_rate
     along = params.speed[0] * (1.0 + boost) * forward
     velocity = jnp.stack([jnp.cos(yaw) * along, jnp.sin(yaw) * along, params.speed[1] * vertical])
     pitch = jnp.clip(pitch, params.nose_down_limits[0], params.nose_down_limits[1])
-    return state.raw_position + velocity * params.time_step, jnp.stack([roll, pitch, yaw]), ticks
+    position = raw.position + velocity * params.time_step
+    return RawSetpoint(position, velocity, jnp.stack([roll, pitch, yaw]), ticks)

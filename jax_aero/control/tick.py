@@ -345,13 +345,13 @@ def _act(
             memory = memory._replace(estimator=right)
         descent = params.engines.descent
         if descent is not None:
-            is_lost = jnp.any(turning.is_lost(params.engines))
+            is_lost = jnp.any(turning.is_lost(descent))
             known = known._replace(is_descending=known.is_descending | is_lost)
             fast = tasks._replace(joint_velocity_max=jnp.maximum(tasks.joint_velocity_max, descent.joint_velocity_max))
             gains = where(is_lost, descent.momentum, gains)
             tasks = where(is_lost, fast, tasks)
             torque_rate_max = jnp.maximum(torque_rate_max, jnp.where(is_lost, descent.torque_rate_max, 0.0))
-            setpoint = where(is_lost, generator.sink(params.setpoint, setpoint, kin.com), setpoint)
+            setpoint = where(is_lost, generator.without_place(setpoint, kin.com), setpoint)
         modes = modes | jnp.where(jnp.any(turning.is_limited), channels.MODES["engine_limited"], 0)
 
     # Thrust rates and joint velocities that shape momentum and attitude.

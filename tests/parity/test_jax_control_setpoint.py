@@ -32,7 +32,7 @@ def follow(params, mission, start, ticks):
 
     def tick(state, index):
         state, made = setpoint.update(params, mission, state, index * params.time_step)
-        return state, made._asdict() | {"raw_position": state.raw_position, "raw_rpy": state.raw_rpy}
+        return state, made._asdict() | {"raw_position": state.raw.position, "raw_rpy": state.raw.rpy}
 
     return jax.lax.scan(tick, setpoint.start(params, *start), jnp.arange(ticks))[1]
 

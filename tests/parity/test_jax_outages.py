@@ -32,6 +32,7 @@ ENGINES = {
     "deviation_max": 15.0,
     "confirmation": 0.05,
     "descent": {
+        "range_min": 50.0,
         "momentum": {"kp_linear": [0.0, 0.0, 0.1], "kd_linear": [0.3, 0.3, 0.6], "ko": 10.0, "c0": 50.0, "c1": 125.0},
         "joint_velocity_max_deg": 90.0,
         "torque_rate_max": 3000.0,
@@ -64,9 +65,10 @@ def test_a_wrong_value_is_off_by_the_error_while_the_outage_lasts():
 
 
 def test_a_flight_with_outages_of_every_kind(measured):
-    """One flight, every channel once and an engine; the robot begins to descend at its end."""
+    """One flight, every channel once and an engine; the robot begins to descend at its end, while it flies forward."""
     changes = {
         "simulator.duration": 2.4,
+        "mission.forward": [[0.2, 2.4]],
         "wind.ramp_start": 0.1,
         "wind.ramp_end": 0.3,
         "controller.channels.wind_hold": 0.3,

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from jax_aero.control import engines
+from jax_aero.control.attitude import TaskGains
 from jax_aero.io import load_config, scenario_config
 from jax_aero.robot import load_robot
 
@@ -17,6 +18,8 @@ pytestmark = pytest.mark.usefixtures("x64")
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 STEP = 0.01
 LIMITS = engines.EngineLimits(jnp.array(0.5), jnp.array(15.0), jnp.array(0.05), None)
+NONE = TaskGains(*(jnp.zeros(3),) * 2, *(jnp.zeros(()),) * 3)
+DESCENT = engines.Descent(jnp.array(30.0), NONE, jnp.zeros(1), jnp.zeros(1))
 A_T = jnp.asarray(np.random.default_rng(1).normal(size=(6, 2)))
 THRUST = jnp.array([100.0, 80.0])
 
@@ -50,18 +53,20 @@ def test_a_thrust_that_is_not_reached_bounds_the_engine_after_its_confirmation(s
         np.testing.assert_array_equal(state.is_limited, [tick > 7, False])
     expected = (100.0, np.inf) if sign > 0.0 else (0.0, 100.0)
     assert (float(state.least[0]), float(state.greatest[0])) == expected
-    assert not state.is_lost(LIMITS).any()
+    assert not state.is_lost(DESCENT).any()
 
 
-def test_an_engine_whose_bounds_meet_is_lost():
-    """One that keeps 80 N whatever is asked, and one that fades away."""
+def test_an_engine_whose_bounds_are_close_together_is_lost():
+    """One that keeps 80 N whatever is asked, and one that fades, once it gives less than 30 N."""
     state, fading = engines.start(THRUST), 100.0
     for tick in range(100):
         fading = max(fading - 2.0, 0.0)
         state, _, _ = updated(state, [-1.0 if tick < 50 else 1.0, -2.0], jnp.array([80.0, fading]))
+        is_stuck = bool(state.least[0] == state.greatest[0])
+        np.testing.assert_array_equal(state.is_lost(DESCENT), [is_stuck, fading < 30.0])
     assert (float(state.least[0]), float(state.greatest[0])) == (80.0, 80.0)
     assert (float(state.least[1]), float(state.greatest[1])) == (0.0, 0.0)
-    assert state.is_lost(LIMITS).all()
+    assert state.is_lost(DESCENT).all()
 
 
 def test_a_deviation_is_as_late_as_the_momentum(measured):

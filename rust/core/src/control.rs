@@ -304,7 +304,7 @@ impl Controller {
             self.setpoint_generator.follow(&mut state.setpoint, &setpoint.motion());
             *setpoint
         } else {
-            self.setpoint_generator.smooth(&mut state.setpoint)
+            self.setpoint_generator.stop(&mut state.setpoint)
         };
         self.act(state, is_seen, &followed);
         if !is_valid && matches!(self.command.status, CommandStatus::Nominal | CommandStatus::Degraded) {
@@ -402,9 +402,8 @@ impl Controller {
         }
         self.observe(state);
         self.command.modes = self.terms.seen.modes;
-        let descent = self.config.engines.as_ref().and_then(|config| {
-            let is_lost = state.engines.iter().any(|engine| engine.is_lost(config));
-            config.descent.filter(|_| is_lost && !state.contact.is_active)
+        let descent = self.config.engines.as_ref().and_then(|config| config.descent).filter(|descent| {
+            !state.contact.is_active && state.engines.iter().any(|engine| engine.is_lost(descent))
         });
         self.solve_momentum_qp(state, descent.as_ref());
         self.solve_torque_qp(state, descent.as_ref());
@@ -490,7 +489,8 @@ impl Controller {
                     measurement.has_momentum.then(|| sensor_error(&column, &state.observer.residual));
                 match engine.update(config, measurement.elapsed, measured, momentum_share, sensor_error) {
                     Finding::OutOfReach => {
-                        state.channels.is_descending |= config.descent.is_some() && engine.is_lost(config);
+                        state.channels.is_descending |=
+                            config.descent.is_some_and(|descent| engine.is_lost(&descent));
                     }
                     Finding::WrongSensor => {
                         state.channels.reject_sensor(jet, engine.deviation);
@@ -525,7 +525,7 @@ impl Controller {
         let inertia_0_b = &state.inertia_0_b;
         let gains = descent.map_or(&self.config.momentum, |descent| &descent.momentum);
         if descent.is_some() {
-            *setpoint = self.setpoint_generator.sink(setpoint, &kinematics.com);
+            *setpoint = setpoint.without_place(&kinematics.com);
         }
         *attitude = attitude_demand(
             gains,

@@ -23,7 +23,7 @@ impl Sample {
 /// After ticks that were left out the difference of two poses is not the velocity times one tick.
 #[test]
 fn a_lost_velocity_does_not_follow_a_pose_over_a_gap() {
-    let mut rig = Rig::new(&ChannelsConfig::default());
+    let mut rig = Rig::new(&ChannelsConfig { velocity_gain: 20.0, ..ChannelsConfig::default() });
     rig.state.acceleration.fill(0.0);
     let before = rig.sample.state.velocity.clone();
     let place = rig.sample.state.base.position;
@@ -239,7 +239,7 @@ fn standing_still_is_not_frozen() {
 /// A base velocity that is not measured follows the differences of the pose by `1 − e^{−K Δt}` a tick.
 #[test]
 fn a_lost_velocity_follows_the_pose() {
-    let mut rig = Rig::new(&ChannelsConfig::default());
+    let mut rig = Rig::new(&ChannelsConfig { velocity_gain: 20.0, ..ChannelsConfig::default() });
     rig.state.acceleration.fill(0.0);
     let before = rig.sample.state.velocity.clone();
     let (v, w) = (Vector3::new(0.7, -0.4, 0.2), Vector3::new(0.05, 0.02, -0.03));

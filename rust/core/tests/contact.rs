@@ -129,6 +129,7 @@ fn able_to_take_off_with(change: impl FnOnce(&mut LoadTransfer)) -> (Running, Ro
     let mut config = experiment("take_off");
     let contact = config.controller.law.contact.as_mut().unwrap();
     change(contact.load_transfer.as_mut().unwrap());
+    config.controller.law.engines = None; // thrusts of these ticks do not follow their commands
     let controller = Running::new(config.controller(load_robot(&config.robot).unwrap()).unwrap());
     (controller, config.simulator.initial.state())
 }

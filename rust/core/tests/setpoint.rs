@@ -7,6 +7,7 @@
 use crate::common::{TIME_STEP, assert_within, configs, experiment, random_vector, rng, tick_at};
 use flight_core::control::minimum_jerk::{FilterState, MinimumJerkFilter};
 use flight_core::control::mission::{Commands, Mission};
+use flight_core::control::recorded::RecordedMotion;
 use flight_core::control::setpoint::{RawSetpoint, Setpoint, SetpointConfig, SetpointGenerator};
 use flight_core::spatial::{
     exp_so3, orthonormality_error, rotation_angle, rotation_from_rpy, rpy_from_rotation,
@@ -561,12 +562,9 @@ fn the_smoothed_yaw_follows_a_whole_circle() {
     assert_within!((unwrapped - PI - (4.0 * 89.7_f64).to_radians()).abs(), 1e-3);
 }
 
-/// M107: the place is where the centre of mass is, the velocity is that of the descent, the attitude stays.
+/// M107: the place is where the centre of mass is, velocity and attitude stay.
 #[test]
 fn a_robot_that_sinks_has_no_place_to_hold() {
-    let config = config();
-    let mission = Mission::Commands(commands("hover"));
-    let generator = SetpointGenerator::new(&config, mission, &BACKWARDS, TIME_STEP).unwrap();
     let mut rng = rng(8);
     let mut draw = || random_vector(&mut rng, 2.0);
     let before = Setpoint {
@@ -580,12 +578,64 @@ fn a_robot_that_sinks_has_no_place_to_hold() {
         angular_jerk_b: draw(),
     };
     let com = draw();
-    let after = generator.sink(&before, &com);
-    assert_eq!(after.com_position, com);
-    assert_eq!(after.com_velocity, Vector3::new(0.0, 0.0, -config.descent_speed));
-    assert_eq!((after.com_acceleration, after.com_jerk), (Vector3::zeros(), Vector3::zeros()));
-    assert_eq!(after.rotation, before.rotation);
-    assert_eq!(after.angular_velocity_b, before.angular_velocity_b);
-    assert_eq!(after.angular_acceleration_b, before.angular_acceleration_b);
-    assert_eq!(after.angular_jerk_b, before.angular_jerk_b);
+    let zero = Vector3::zeros();
+    let expected = Setpoint { com_position: com, com_acceleration: zero, com_jerk: zero, ..before };
+    assert_eq!(before.without_place(&com), expected);
+}
+
+/// M115: out of the fast leg the velocity becomes that of the descent, or zero, on the straight line between the two and
+/// with the deceleration of the configuration, which the smooth set-point does not exceed; the attitude becomes level.
+#[test]
+fn a_descent_brakes_before_it_goes_straight_down() {
+    let config = SetpointConfig { deceleration: 2.0, descent_speed: 0.4, ..config() };
+    let generator =
+        SetpointGenerator::new(&config, Mission::Commands(commands("in_line")), &BACKWARDS, TIME_STEP)
+            .unwrap();
+    let mut fast = generator.start(first_com(), &rotation_from_rpy(&Vector3::new(0.0, 0.0, PI)));
+    for tick in 0..2800 {
+        let _ = generator.update(&mut fast, f64::from(tick) * TIME_STEP);
+    }
+    let first = fast.raw().velocity;
+    assert_within!((first.norm() - 7.5).abs(), 1e-12);
+    for (stays, speed) in [(false, 0.4), (true, 0.0)] {
+        let mut state = fast;
+        let change = Vector3::new(0.0, 0.0, -speed) - first;
+        let mut position = state.raw().position;
+        for tick in 1..=1500 {
+            let smooth = generator.descend(&mut state, stays);
+            let share = (2.0 * f64::from(tick) * TIME_STEP / change.norm()).min(1.0);
+            assert_within!((state.raw().velocity - (first + change * share)).amax(), 1e-11, "tick {tick}");
+            position += state.raw().velocity * TIME_STEP;
+            assert_within!((state.raw().position - position).amax(), 1e-11, "tick {tick}");
+            assert!(smooth.com_acceleration.norm() < 2.001, "tick {tick}: {}", smooth.com_acceleration);
+        }
+        assert_eq!((state.raw().rpy.x, state.raw().rpy.y), (0.0, 0.0));
+    }
+}
+
+/// Where a given motion ends the set-point goes on smoothly, brakes with the deceleration of the configuration and does not
+/// turn back: from a speed v it comes to rest `v T B/A + v²/2a` further.
+#[test]
+fn what_was_given_comes_to_rest_ahead() {
+    let config = SetpointConfig { deceleration: 2.0, ..config() };
+    let generator =
+        SetpointGenerator::new(&config, Mission::Commands(commands("hover")), &BACKWARDS, TIME_STEP).unwrap();
+    let (velocity, zero) = (Vector3::new(3.0, -4.0, 0.0), Vector3::zeros());
+    let mut state = generator.start(first_com(), &rotation_from_rpy(&Vector3::new(0.0, 0.0, PI)));
+    let given = RecordedMotion {
+        com: [first_com(), velocity, zero, zero],
+        rotation: rotation_from_rpy(&Vector3::new(0.0, 0.0, PI)),
+        angular_velocity_b: zero,
+    };
+    generator.follow(&mut state, &given);
+    let mut last = velocity;
+    for tick in 0..1000 {
+        let smooth = generator.stop(&mut state);
+        assert!(smooth.com_acceleration.norm() < 2.001, "tick {tick}: {}", smooth.com_acceleration);
+        assert!(smooth.com_velocity.dot(&velocity) > -1e-9, "tick {tick}: {}", smooth.com_velocity);
+        assert!(smooth.com_velocity.norm() < last.norm() + 1e-12, "tick {tick}");
+        last = smooth.com_velocity;
+    }
+    let distance = velocity * (0.8455 + 0.5 * 5.0 / 2.0);
+    assert_within!((state.raw().position - first_com() - distance).norm(), 0.03, because "the last tick of an even speed, and braking in steps of 10 ms");
 }

@@ -135,7 +135,7 @@ impl Default for ChannelsConfig {
             wind_fade: 2.0,
             frozen_ticks: 5,
             widening: 1.0,
-            velocity_gain: 20.0,
+            velocity_gain: 100.0,
             descend_after: 3.0,
             greatest: Greatest::default(),
             jump: None,

@@ -9,7 +9,7 @@
 //! Where `|d̄|` stays above its limit for a while, either the engine does not reach the thrust it is commanded or its
 //! sensor is wrong. A wrong sensor puts a wrench of `−d` times the jet's column of `A_T` into the momentum that no thrust
 //! explains; an engine puts none. The thrust that an engine stops at bounds what is commanded from then on, and an engine
-//! whose bounds meet is lost. Equations M105 and M106 of `docs/model.md`.
+//! whose bounds are close together is lost. Equations M105 and M106 of `docs/model.md`.
 
 use super::config::MomentumGains;
 use super::observer::residual_share;
@@ -30,7 +30,7 @@ pub struct EnginesConfig {
     /// Time constant with which deviations of the thrust are forgotten \[s\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub time_constant: f64,
-    /// Greatest deviation of a thrust from the commanded one, and least range of an engine that is not lost \[N\].
+    /// Greatest deviation of a thrust from the commanded one \[N\].
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub deviation_max: f64,
     /// How long it has to be exceeded \[s\].
@@ -46,6 +46,9 @@ pub struct EnginesConfig {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct DescentConfig {
+    /// An engine is lost whose least and greatest thrust are less than this apart \[N\].
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub range_min: f64,
     /// Gains in place of `controller.momentum`.
     pub momentum: MomentumGains,
     /// Greatest joint velocity, of revolute joints whose own is less \[deg/s\].
@@ -87,6 +90,7 @@ impl EnginesConfig {
         table.positive("deviation_max", self.deviation_max)?;
         table.non_negative("confirmation", self.confirmation)?;
         let Some(descent) = &self.descent else { return Ok(()) };
+        table.positive("descent.range_min", descent.range_min)?;
         descent.momentum.check(Table("controller.engines.descent.momentum"))?;
         table.positive("descent.joint_velocity_max_deg", descent.joint_velocity_max_deg)?;
         table.positive("descent.torque_rate_max", descent.torque_rate_max)
@@ -130,10 +134,10 @@ impl EngineState {
         self.range != Self::default().range
     }
 
-    /// Whether it keeps its thrust, or has none.
+    /// Whether its thrust can change too little to fly with.
     #[must_use]
-    pub fn is_lost(&self, config: &EnginesConfig) -> bool {
-        self.range.1 - self.range.0 < config.deviation_max
+    pub fn is_lost(&self, descent: &DescentConfig) -> bool {
+        self.range.1 - self.range.0 < descent.range_min
     }
 
     /// Takes in the thrust of this tick \[N\] and by how much it is not the predicted one, after `dt` \[s\].

@@ -23,6 +23,8 @@ const C: f64 = 15.966_961_070_938_4;
 pub struct MinimumJerkFilter {
     transition: Matrix3<f64>,
     input_gain: Vector3<f64>,
+    /// Time by which the output is behind an input that moves evenly: `T B / A` \[s\].
+    pub delay: f64,
 }
 
 /// State of a [`MinimumJerkFilter`], and its output.
@@ -37,15 +39,15 @@ impl FilterState {
     /// In equilibrium at a constant input.
     #[must_use]
     pub fn at_rest(input: Vector3<f64>) -> Self {
-        Self::moving(input, Vector3::zeros(), Vector3::zeros())
+        Self::moving([input, Vector3::zeros(), Vector3::zeros()], input)
     }
 
-    /// State with these outputs, the last input being its value.
+    /// State with these outputs (value, first and second derivative) after a last `input`.
     #[must_use]
-    pub fn moving(value: Vector3<f64>, rate: Vector3<f64>, acceleration: Vector3<f64>) -> Self {
+    pub fn moving(outputs: [Vector3<f64>; 3], input: Vector3<f64>) -> Self {
         Self {
-            derivatives: Matrix3::from_rows(&[value.transpose(), rate.transpose(), acceleration.transpose()]),
-            previous_input: value,
+            derivatives: Matrix3::from_rows(&outputs.map(|output| output.transpose())),
+            previous_input: input,
         }
     }
 
@@ -81,6 +83,7 @@ impl MinimumJerkFilter {
         Self {
             transition: inverse * (Matrix3::identity() + continuous * half),
             input_gain: inverse * Vector3::new(0.0, 0.0, half * A / t.powi(3)),
+            delay: t * B / A,
         }
     }
 

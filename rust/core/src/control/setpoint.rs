@@ -50,6 +50,10 @@ pub struct SetpointConfig {
     #[serde(default = "half_a_metre_per_second")]
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub descent_speed: f64,
+    /// How fast the velocity of the mission becomes that of the descent, or zero where a given set-point is none \[m/s²\].
+    #[serde(default = "deceleration_of_the_boost")]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
+    pub deceleration: f64,
     /// Gain with which the smoothed attitude follows the raw one \[1/s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub attitude_gain: f64,
@@ -57,6 +61,11 @@ pub struct SetpointConfig {
 
 fn half_a_metre_per_second() -> f64 {
     0.5
+}
+
+/// `speed` times `turbo_rate` of the published flight, which ends its boost so.
+fn deceleration_of_the_boost() -> f64 {
+    1.5
 }
 
 impl SetpointConfig {
@@ -73,6 +82,7 @@ impl SetpointConfig {
         table.non_negative("turbo_boost", self.turbo_boost)?;
         table.non_negative("attitude_gain", self.attitude_gain)?;
         table.non_negative("descent_speed", self.descent_speed)?;
+        table.positive("deceleration", self.deceleration)?;
         for speed in self.speed {
             table.non_negative("speed", speed)?;
         }
@@ -123,6 +133,14 @@ impl Setpoint {
         }
     }
 
+    /// That of a robot that cannot hold its place, with its centre of mass \[m\]: it moves as demanded wherever it is
+    /// (M107 of `docs/model.md`).
+    #[must_use]
+    pub fn without_place(&self, com: &Vector3<f64>) -> Self {
+        let zero = Vector3::zeros();
+        Self { com_position: *com, com_acceleration: zero, com_jerk: zero, ..*self }
+    }
+
     /// Whether no number is beyond 10⁶ (m, rad, s), which no robot reaches, and the rotation is one.
     #[must_use]
     pub fn is_valid(&self) -> bool {
@@ -160,6 +178,8 @@ impl Setpoint {
 pub struct RawSetpoint {
     /// Position of the centre of mass \[m\].
     pub position: Vector3<f64>,
+    /// Its velocity \[m/s\].
+    pub velocity: Vector3<f64>,
     /// Roll, pitch (nose down) and yaw of the heading frame \[rad\].
     pub rpy: Vector3<f64>,
     /// Number of ticks by which the boost has grown.
@@ -242,7 +262,12 @@ impl SetpointGenerator {
     pub fn start(&self, com: Vector3<f64>, rotation: &Matrix3<f64>) -> SetpointState {
         let rest = FilterState::at_rest(Vector3::zeros());
         SetpointState {
-            raw: RawSetpoint { position: com, rpy: self.heading_rpy(rotation), turbo_ticks: 0 },
+            raw: RawSetpoint {
+                position: com,
+                velocity: Vector3::zeros(),
+                rpy: self.heading_rpy(rotation),
+                turbo_ticks: 0,
+            },
             position: FilterState::at_rest(com),
             acceleration: rest,
             angular_velocity: rest,
@@ -286,14 +311,20 @@ impl SetpointGenerator {
     pub fn follow(&self, state: &mut SetpointState, motion: &RecordedMotion) {
         let [position, velocity, acceleration, jerk] = motion.com;
         self.angular_velocity_filter.update(&mut state.angular_velocity, &motion.angular_velocity_b);
-        state.raw = RawSetpoint { position, rpy: self.heading_rpy(&motion.rotation), turbo_ticks: 0 };
+        state.raw = RawSetpoint {
+            // So far ahead the filter follows it with this velocity.
+            position: position + velocity * self.position_filter.delay,
+            velocity,
+            rpy: self.heading_rpy(&motion.rotation),
+            turbo_ticks: 0,
+        };
         state.rotation = motion.rotation;
-        state.position = FilterState::moving(position, velocity, acceleration);
-        state.acceleration = FilterState::moving(acceleration, jerk, Vector3::zeros());
+        state.position = FilterState::moving([position, velocity, acceleration], state.raw.position);
+        state.acceleration = FilterState::moving([acceleration, jerk, Vector3::zeros()], acceleration);
     }
 
-    /// Set-point of a tick of the way down instead of the mission: level, without boost, and straight down unless the
-    /// robot `stays` where it is.
+    /// Set-point of a tick of the way down instead of the mission: level, and with a velocity that becomes that of the
+    /// descent, or zero where the robot `stays` (M115).
     #[must_use]
     pub fn descend(&self, state: &mut SetpointState, stays: bool) -> Setpoint {
         let raw = &mut state.raw;
@@ -301,25 +332,23 @@ impl SetpointGenerator {
         for angle in raw.rpy.iter_mut().take(2) {
             *angle -= angle.clamp(-step, step);
         }
-        raw.turbo_ticks = 0;
-        if !stays {
-            raw.position.z -= self.config.descent_speed * self.time_step;
-        }
+        let speed = if stays { 0.0 } else { self.config.descent_speed };
+        self.approach(raw, &Vector3::new(0.0, 0.0, -speed));
         self.smooth(state)
     }
 
-    /// The set-point of a robot that cannot hold its place, with its centre of mass \[m\]: it sinks wherever it is
-    /// (M107 of `docs/model.md`).
+    /// Set-point of a tick without a given one: it comes to rest (M115).
     #[must_use]
-    pub fn sink(&self, setpoint: &Setpoint, com: &Vector3<f64>) -> Setpoint {
-        let zero = Vector3::zeros();
-        Setpoint {
-            com_position: *com,
-            com_velocity: Vector3::new(0.0, 0.0, -self.config.descent_speed),
-            com_acceleration: zero,
-            com_jerk: zero,
-            ..*setpoint
-        }
+    pub fn stop(&self, state: &mut SetpointState) -> Setpoint {
+        self.approach(&mut state.raw, &Vector3::zeros());
+        self.smooth(state)
+    }
+
+    /// Moves the raw position on with a velocity that becomes another one.
+    fn approach(&self, raw: &mut RawSetpoint, velocity: &Vector3<f64>) {
+        raw.turbo_ticks = 0;
+        raw.velocity += (velocity - raw.velocity).cap_magnitude(self.config.deceleration * self.time_step);
+        raw.position += raw.velocity * self.time_step;
     }
 
     /// Roll, pitch and yaw of the heading frame of a base rotation \[rad\].
@@ -353,12 +382,12 @@ impl SetpointGenerator {
         raw.rpy.y = (raw.rpy.y + rate_pitch * nose_down).clamp(low, high);
         raw.rpy.z += rate_yaw * yaw;
         let velocity = Vector3::new(speed_forward * (1.0 + boost) * forward, 0.0, speed_vertical * vertical);
-        raw.position += axis_angle(&Vector3::z(), raw.rpy.z) * velocity * self.time_step;
+        raw.velocity = axis_angle(&Vector3::z(), raw.rpy.z) * velocity;
+        raw.position += raw.velocity * self.time_step;
     }
 
-    /// The smooth set-point that follows the raw one; of a tick that does not move that one, it comes to rest.
-    #[must_use]
-    pub fn smooth(&self, state: &mut SetpointState) -> Setpoint {
+    /// The smooth set-point that follows the raw one.
+    fn smooth(&self, state: &mut SetpointState) -> Setpoint {
         self.position_filter.update(&mut state.position, &state.raw.position);
         self.acceleration_filter.update(&mut state.acceleration, &state.position.acceleration());
 

@@ -111,6 +111,20 @@ fn blind_for_good_it_descends() {
     }
 }
 
+/// Out of the fast leg, at 7.5 m/s, it brakes as the mission does.
+#[test]
+fn blind_in_the_fast_leg_it_brakes_before_it_descends() {
+    for channel in [OutageChannel::BasePosition, OutageChannel::BaseRotation, OutageChannel::BaseVelocity] {
+        let lost = Outage { start: 25.0, ..outage(channel, FOR_EVER, OutageKind::Missing) };
+        let flight = fly(vec![lost], |config| config.simulator.duration = 38.0);
+        assert_eq!(flight.outcome, Outcome::Completed, "{channel:?}: {:?}", flight.loss);
+        let rotation = flight.summary.max_rotation_error.to_degrees();
+        assert_within!(rotation, 8.0, because "margin of the flight", "{channel:?}: {rotation} deg");
+        let velocity = last(&flight, "com_velocity");
+        assert_within!(velocity[0].hypot(velocity[1]), 0.1, because "air pushes on the way down", "{channel:?}: {velocity:?}");
+    }
+}
+
 /// A thrust sensor that stands still or is off for good: the momentum shows it, and the thrust is modelled from then on.
 #[test]
 fn with_a_wrong_thrust_sensor_it_completes() {
@@ -137,15 +151,21 @@ fn a_second_without_joints_is_too_long() {
 
 const JETS: [&str; 4] = ["l_arm_jet", "r_arm_jet", "chest_l_jet", "chest_r_jet"];
 
-/// A flight in which an engine fails, and when that was found \[s\].
-fn fly_without(jet: &str, kind: FailureKind, decay: f64, duration: f64) -> (FlightResult, Option<f64>) {
+/// A flight in which an engine fails at `time` \[s\], and after how long that was found \[s\].
+fn fly_without(
+    jet: &str,
+    kind: FailureKind,
+    decay: f64,
+    time: f64,
+    duration: f64,
+) -> (FlightResult, Option<f64>) {
     let flight = fly(Vec::new(), |config| {
         config.simulator.duration = duration;
-        config.disturbances.jets.failure = Some(JetFailure { jet: jet.into(), time: START, kind, decay });
+        config.disturbances.jets.failure = Some(JetFailure { jet: jet.into(), time, kind, decay });
     });
     let series = flight.log.series("degraded_modes").unwrap();
     let first = series.data.iter().position(|modes| *modes >= f64::from(Modes::ENGINE_LIMITED.bits()));
-    (flight, first.map(|tick| tick as f64 * 0.01 - START))
+    (flight, first.map(|tick| tick as f64 * 0.01 - time))
 }
 
 /// An engine that fades is found within 0.15 s, and the robot sinks to the ground; so it does without a chest jet that stops at
@@ -155,7 +175,7 @@ fn without_an_engine_it_sinks_to_the_ground() {
     let fading = JETS.map(|jet| (jet, 0.5, 0.15, 20.0));
     let stopping = ["chest_l_jet", "chest_r_jet"].map(|jet| (jet, 0.0, 0.075, 70.0));
     for (jet, decay, time_to_find, lean) in fading.into_iter().chain(stopping) {
-        let (flight, found) = fly_without(jet, FailureKind::Off, decay, 30.0);
+        let (flight, found) = fly_without(jet, FailureKind::Off, decay, START, 30.0);
         assert_eq!(flight.outcome, Outcome::Completed, "{jet}: {:?}", flight.loss);
         assert!(found.is_some_and(|time| (0.03..time_to_find).contains(&time)), "{jet}: {found:?}");
         let rotation = flight.summary.max_rotation_error.to_degrees();
@@ -169,11 +189,22 @@ fn without_an_engine_it_sinks_to_the_ground() {
     }
 }
 
+/// In the fast leg an arm that fades is given up while there is thrust left to turn with.
+#[test]
+fn an_arm_that_fades_in_the_fast_leg_is_lost_in_time() {
+    for jet in &JETS[..2] {
+        let (flight, _) = fly_without(jet, FailureKind::Off, 0.5, 28.0, 38.0);
+        assert_eq!(flight.outcome, Outcome::Completed, "{jet}: {:?}", flight.loss);
+        let rotation = flight.summary.max_rotation_error.to_degrees();
+        assert_within!(rotation, 20.0, because "margin of the flight", "{jet}: {rotation} deg");
+    }
+}
+
 /// One that keeps its thrust is no loss before another thrust is asked of it: the mission goes on.
 #[test]
 fn with_a_stuck_engine_it_completes() {
     for jet in JETS {
-        let (flight, _) = fly_without(jet, FailureKind::Stuck, 0.0, 50.0);
+        let (flight, _) = fly_without(jet, FailureKind::Stuck, 0.0, START, 50.0);
         assert_eq!(flight.outcome, Outcome::Completed, "{jet}: {:?}", flight.loss);
         let rotation = flight.summary.max_rotation_error.to_degrees();
         assert_within!(rotation, 15.0, because "margin of the flight, not of rounding", "{jet}: {rotation} deg");
@@ -184,7 +215,7 @@ fn with_a_stuck_engine_it_completes() {
 #[test]
 fn an_arm_that_stops_at_once_is_found() {
     for jet in &JETS[..2] {
-        let (flight, found) = fly_without(jet, FailureKind::Off, 0.0, 21.0);
+        let (flight, found) = fly_without(jet, FailureKind::Off, 0.0, START, 21.0);
         assert!(found.is_some_and(|time| time < 0.075), "{jet}: {found:?}");
         assert_eq!(flight.outcome, Outcome::Fell, "{jet}");
     }
