@@ -242,17 +242,23 @@ def test_an_engine_that_stops_before_the_robot_leaves_the_ground_ends_the_take_o
     assert np.degrees(log["rotation_error"].max()) < 5.0
 
 
-@pytest.mark.parametrize("lost", ["base_position", "base_rotation"])
-def test_a_robot_that_loses_its_pose_in_the_air_lands_and_stands(monkeypatch, lost):
+@pytest.mark.parametrize(
+    ("lost", "start", "duration"),
+    [("base_position", 6.0, 16.0), ("base_rotation", 6.0, 16.0), ("velocity", 12.1, 18.5)],
+)
+def test_a_robot_that_loses_a_measurement_of_its_base_lands_and_stands(monkeypatch, lost, start, duration):
+    """Lost in the air, or, the velocity, just after the feet touched the ground."""
     tick = rust.Controller.tick
 
     def without(self, state, thrust, wind, time, *, foot_wrenches):
-        if time >= 6.0:
-            state = state._replace(**{lost: np.asarray(getattr(state, lost)) * np.nan})
+        if time >= start:
+            measured = np.array(getattr(state, lost))
+            measured[:6] = np.nan  # of the velocity that of the base
+            state = state._replace(**{lost: measured})
         return tick(self, state, thrust, wind, time, foot_wrenches=foot_wrenches)
 
     monkeypatch.setattr(rust.Controller, "tick", without)
-    result = fly(rust.load_config(ROOT / "configs/experiments/take_off.toml", {"simulator.duration": 16.0}))
+    result = fly(rust.load_config(ROOT / "configs/experiments/take_off.toml", {"simulator.duration": duration}))
     assert result.outcome == "completed"
     assert (result.log["feet_carry"][-200:] == 1.0).all()
     assert (result.log["degraded_modes"][-200:].astype(int) & MODES["descending"]).all()

@@ -285,7 +285,7 @@ impl Controller {
     }
 
     /// One tick that follows a given set-point instead of the mission. One that is not valid has the status
-    /// [`CommandStatus::BadSetpoint`]: the robot comes to rest at place and attitude of the last one that was. On the
+    /// [`CommandStatus::BadSetpoint`]: the robot brakes from the motion of the last one that was, M115. On the
     /// way down none is followed.
     pub fn tick_towards(
         &mut self,

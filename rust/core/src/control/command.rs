@@ -76,7 +76,7 @@ pub enum CommandStatus {
     /// The state is one of another controller: as for a bad measurement.
     BadState,
     /// A number of the given set-point is beyond 10⁶ (m, rad, s) or its rotation is none: the command of the control law,
-    /// coming to rest at place and attitude of the last one.
+    /// which brakes from the motion of the last one.
     BadSetpoint,
     /// The momentum QP has no answer: thrust rates and joint velocities are zero, or as near to zero
     /// as their bounds allow; torques brake the joints.
