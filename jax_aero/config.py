@@ -294,8 +294,8 @@ class DescentConfig(Table, frozen=True, kw_only=True):
     """Greatest joint velocity, of revolute joints whose own is less [deg/s]."""
     momentum: MomentumGains
     """Gains in place of `controller.momentum`."""
-    range_min: Positive
-    """An engine is lost whose least and greatest thrust are less than this apart [N]."""
+    range_share_min: Positive
+    """An engine is lost whose least and greatest thrust are closer together than this share of the jet's greatest."""
     torque_rate_max: Positive
     """Greatest rate of a joint torque, of revolute joints whose own is less [N m/s]."""
 

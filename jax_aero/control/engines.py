@@ -31,7 +31,7 @@ LEAST_ARM = 0.01
 class Descent:
     """The law of a robot that has lost an engine."""
 
-    range_min: Float[Array, ""]
+    range_min: Float[Array, " j"]
     """An engine is lost whose least and greatest thrust are less than this apart [N]."""
     momentum: TaskGains
     """Gains in place of the controller's."""
@@ -92,7 +92,7 @@ def engine_limits(config: EnginesConfig, robot: RobotModel) -> EngineLimits:
         descent=None
         if descent is None
         else Descent(
-            range_min=leaf(descent.range_min),
+            range_min=leaf(descent.range_share_min * np.asarray(robot.jets.thrust_max)),
             momentum=leaves(TaskGains, descent.momentum),
             joint_velocity_max=in_place_of(none, np.deg2rad(descent.joint_velocity_max_deg), robot),
             torque_rate_max=in_place_of(none, descent.torque_rate_max, robot),

@@ -32,7 +32,7 @@ ENGINES = {
     "deviation_max": 15.0,
     "confirmation": 0.05,
     "descent": {
-        "range_min": 50.0,
+        "range_share_min": 0.3,
         "momentum": {"kp_linear": [0.0, 0.0, 0.1], "kd_linear": [0.3, 0.3, 0.6], "ko": 10.0, "c0": 50.0, "c1": 125.0},
         "joint_velocity_max_deg": 90.0,
         "torque_rate_max": 3000.0,

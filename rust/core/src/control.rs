@@ -403,7 +403,8 @@ impl Controller {
         self.observe(state);
         self.command.modes = self.terms.seen.modes;
         let descent = self.config.engines.as_ref().and_then(|config| config.descent).filter(|descent| {
-            !state.contact.is_active && state.engines.iter().any(|engine| engine.is_lost(descent))
+            let mut engines = state.engines.iter().zip(&self.model.jets);
+            !state.contact.is_active && engines.any(|(engine, jet)| engine.is_lost(descent, jet.thrust_max))
         });
         self.solve_momentum_qp(state, descent.as_ref());
         self.solve_torque_qp(state, descent.as_ref());
@@ -489,8 +490,9 @@ impl Controller {
                     measurement.has_momentum.then(|| sensor_error(&column, &state.observer.residual));
                 match engine.update(config, measurement.elapsed, measured, momentum_share, sensor_error) {
                     Finding::OutOfReach => {
-                        state.channels.is_descending |=
-                            config.descent.is_some_and(|descent| engine.is_lost(&descent));
+                        state.channels.is_descending |= config
+                            .descent
+                            .is_some_and(|descent| engine.is_lost(&descent, self.model.jets[jet].thrust_max));
                     }
                     Finding::WrongSensor => {
                         state.channels.reject_sensor(jet, engine.deviation);

@@ -13,10 +13,10 @@ const STEP: f64 = 0.01;
 const CONFIG: EnginesConfig =
     EnginesConfig { time_constant: 0.5, deviation_max: 15.0, confirmation: 0.05, descent: None };
 
-/// The shipped descent, in which an engine with a range below 30 N is lost.
+/// The shipped descent, in which an engine with a range below 30 of 120 N is lost.
 fn descent() -> DescentConfig {
     let engines = experiment("test2_observer").controller.law.engines.unwrap();
-    DescentConfig { range_min: 30.0, ..engines.descent.unwrap() }
+    DescentConfig { range_share_min: 0.25, ..engines.descent.unwrap() }
 }
 
 /// After a tick with a momentum that is measured and says that the sensor is wrong by so much \[N\].
@@ -53,7 +53,7 @@ fn a_thrust_that_is_not_reached_bounds_the_engine_after_its_confirmation() {
         let first = findings.iter().position(|finding| *finding == Finding::OutOfReach);
         assert_eq!(first.map(|tick| tick + 1), found, "{size} N");
         assert_eq!(engine.range, range, "{size} N");
-        assert!(!engine.is_lost(&descent()));
+        assert!(!engine.is_lost(&descent(), 120.0));
     }
 }
 
@@ -64,14 +64,14 @@ fn an_engine_whose_bounds_are_close_together_is_lost() {
     let mut stuck = EngineState::default();
     for tick in 0..100 {
         let _ = updated(&mut stuck, 80.0, if tick < 50 { -1.0 } else { 1.0 }, 0.0);
-        assert_eq!(stuck.is_lost(&descent()), stuck.range == (80.0, 80.0), "tick {tick}");
+        assert_eq!(stuck.is_lost(&descent(), 120.0), stuck.range == (80.0, 80.0), "tick {tick}");
     }
     assert_eq!(stuck.range, (80.0, 80.0));
     let (mut fading, mut thrust) = (EngineState::default(), 100.0);
     for _ in 0..50 {
         thrust -= 2.0;
         let _ = updated(&mut fading, thrust, -2.0, 0.0);
-        assert_eq!(fading.is_lost(&descent()), thrust < 30.0, "{thrust} N");
+        assert_eq!(fading.is_lost(&descent(), 120.0), thrust < 30.0, "{thrust} N");
     }
     assert_eq!(fading.range, (0.0, thrust));
 }
@@ -187,7 +187,7 @@ fn numbers_that_mean_nothing_are_refused_by_key() {
         ("controller.engines.time_constant", |engines, _| engines.time_constant = 0.0),
         ("controller.engines.deviation_max", |engines, _| engines.deviation_max = f64::NAN),
         ("controller.engines.confirmation", |engines, _| engines.confirmation = -0.1),
-        ("controller.engines.descent.range_min", |_, descent| descent.range_min = 0.0),
+        ("controller.engines.descent.range_share_min", |_, descent| descent.range_share_min = 0.0),
         ("controller.engines.descent.momentum.kp_linear", |_, descent| descent.momentum.kp_linear[2] = -0.1),
         ("controller.engines.descent.momentum.ko", |_, descent| descent.momentum.ko = 0.0),
         ("controller.engines.descent.momentum.c0", |_, descent| descent.momentum.c0 = -1.0),

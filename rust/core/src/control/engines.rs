@@ -46,9 +46,9 @@ pub struct EnginesConfig {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct DescentConfig {
-    /// An engine is lost whose least and greatest thrust are less than this apart \[N\].
+    /// An engine is lost whose least and greatest thrust are closer together than this share of the jet's greatest.
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
-    pub range_min: f64,
+    pub range_share_min: f64,
     /// Gains in place of `controller.momentum`.
     pub momentum: MomentumGains,
     /// Greatest joint velocity, of revolute joints whose own is less \[deg/s\].
@@ -90,7 +90,7 @@ impl EnginesConfig {
         table.positive("deviation_max", self.deviation_max)?;
         table.non_negative("confirmation", self.confirmation)?;
         let Some(descent) = &self.descent else { return Ok(()) };
-        table.positive("descent.range_min", descent.range_min)?;
+        table.positive("descent.range_share_min", descent.range_share_min)?;
         descent.momentum.check(Table("controller.engines.descent.momentum"))?;
         table.positive("descent.joint_velocity_max_deg", descent.joint_velocity_max_deg)?;
         table.positive("descent.torque_rate_max", descent.torque_rate_max)
@@ -134,10 +134,10 @@ impl EngineState {
         self.range != Self::default().range
     }
 
-    /// Whether its thrust can change too little to fly with.
+    /// Whether its thrust, of a jet that gives up to `thrust_max` \[N\], can change too little to fly with.
     #[must_use]
-    pub fn is_lost(&self, descent: &DescentConfig) -> bool {
-        self.range.1 - self.range.0 < descent.range_min
+    pub fn is_lost(&self, descent: &DescentConfig, thrust_max: f64) -> bool {
+        self.range.1 - self.range.0 < descent.range_share_min * thrust_max
     }
 
     /// Takes in the thrust of this tick \[N\] and by how much it is not the predicted one, after `dt` \[s\].
