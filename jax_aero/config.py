@@ -411,9 +411,7 @@ class SetpointConfig(Table, frozen=True, kw_only=True):
     attitude_rate_deg: tuple[NonNegative, NonNegative]
     """Rates of raw pitch and yaw [deg/s]."""
     deceleration: Positive = 1.5
-    """How fast the velocity of the mission becomes that of the descent, or zero where a given set-point is none
-    [m/s²].
-    """
+    """Deceleration with which the velocity becomes that of the descent, or zero without a valid set-point [m/s²]."""
     descent_speed: NonNegative = 0.5
     """Speed of the descent where the mission cannot be followed any more [m/s]."""
     nose_down_limits_deg: tuple[float, float]

@@ -4,7 +4,7 @@
 configuration's numbers but the turbo counter, so set-points can be differentiated by speeds, gains and smoothing times.
 The raw attitude is that of the heading frame: forward, left, up, fixed to the base by the robot's forward axis.
 
-Equations M43 to M48 of `docs/model.md`. Source: the published flight-control library.
+Equations M43 to M48, M107 and M115 of `docs/model.md`. Source: the published flight-control library.
 """
 
 from __future__ import annotations
@@ -163,8 +163,8 @@ class SetpointParams(NamedTuple):
     """[m/s]"""
     deceleration: Float[Array, ""]
     """Of what comes to rest or descends [m/s²]."""
-    position_delay: Float[Array, ""]
-    """Time by which the filter of the position is behind an input that moves evenly: `T B / A` [s]."""
+    position_lags: Float[Array, "2"]
+    """Of the filter of the position: `T B / A` [s] and `T² C / A` [s²]."""
     position_filter: FilterGains
     jerk_filter: FilterGains
     angular_velocity_filter: FilterGains
@@ -205,6 +205,7 @@ def setpoint_params(
     """Compute the generator's numbers for ticks of `time_step` [s] and a robot's forward axis in base axes."""
     forward_axis = jnp.asarray(forward_axis)
     up = jnp.array([0.0, 0.0, 1.0], forward_axis.dtype)
+    smoothing = leaf(config.position_smoothing)
     return SetpointParams(
         speed=leaf(config.speed),
         attitude_rate=jnp.deg2rad(leaf(config.attitude_rate_deg)),
@@ -214,8 +215,8 @@ def setpoint_params(
         attitude_gain=leaf(config.attitude_gain),
         descent_speed=leaf(config.descent_speed),
         deceleration=leaf(config.deceleration),
-        position_delay=leaf(config.position_smoothing) * (_B / _A),
-        position_filter=filter_gains(leaf(config.position_smoothing), time_step),
+        position_lags=jnp.stack([smoothing * (_B / _A), smoothing**2 * (_C / _A)]),
+        position_filter=filter_gains(smoothing, time_step),
         jerk_filter=filter_gains(leaf(config.acceleration_smoothing), time_step),
         angular_velocity_filter=filter_gains(leaf(config.angular_velocity_smoothing), time_step),
         base_from_heading=jnp.stack([forward_axis, cross(up, forward_axis), up], axis=1),
@@ -259,10 +260,11 @@ def motion_of(setpoint: Setpoint) -> RecordedMotion:
 def follow(params: SetpointParams, state: SetpointState, motion: RecordedMotion) -> SetpointState:
     """Move the state along with a motion that is given: where a descent would begin."""
     com = motion.com
-    # So far ahead the filter follows it with this velocity.
-    ahead = com[0] + com[1] * params.position_delay
+    # The input that the filter follows with these outputs, without jerk.
+    ahead = com[0] + com[1] * params.position_lags[0] + com[2] * params.position_lags[1]
+    velocity = com[1] + com[2] * params.position_lags[0]
     return SetpointState(
-        raw=RawSetpoint(ahead, com[1], _heading_rpy(params, motion.rotation), jnp.zeros_like(state.raw.turbo_ticks)),
+        raw=RawSetpoint(ahead, velocity, _heading_rpy(params, motion.rotation), jnp.zeros_like(state.raw.turbo_ticks)),
         position=FilterState(com[:3], ahead),
         acceleration=FilterState(jnp.stack([com[2], com[3], jnp.zeros_like(com[3])]), com[2]),
         angular_velocity=filter_update(params.angular_velocity_filter, state.angular_velocity, motion.angular_velocity),

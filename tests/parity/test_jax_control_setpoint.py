@@ -72,6 +72,27 @@ def test_setpoints_of_a_start_without_a_heading(pitch, agree):
         agree(f"vertical: {signal}", ours[signal], theirs[signal], 1e-10)
 
 
+def test_a_motion_that_is_followed_goes_on_without_jerk(agree):
+    """The raw set-point is the input that the filter of the position follows with these outputs."""
+    config = scenario_config(rust.load_config(EXPERIMENTS / "test2.toml")).controller.setpoint
+    params = setpoint.setpoint_params(config, FORWARD, jnp.array(1e-3))
+    rng = np.random.default_rng(6)
+    com = np.concatenate([rng.normal(size=(3, 3)), np.zeros((1, 3))])
+    motion = recorded.RecordedMotion(jnp.asarray(com), jnp.asarray(START[1]), jnp.zeros(3))
+    state = setpoint.follow(params, setpoint.start(params, *START), motion)
+    a, b, c = 150.765868956161, 84.9812819469538, 15.9669610709384
+    smoothing = config.position_smoothing
+    lag = smoothing * b / a
+    expected = com[0] + lag * com[1] + smoothing**2 * c / a * com[2]
+    agree("raw position", state.raw.position, expected, 1e-14)
+    agree("raw velocity", state.raw.velocity, com[1] + lag * com[2], 1e-14)
+    position, velocity, _, _ = com + np.vstack([1e-3 * com[1:], np.zeros(3)])
+    _, descending = setpoint.descend(params, state)
+    np.testing.assert_allclose(descending.com_position, position, rtol=0.0, atol=1e-5)
+    np.testing.assert_allclose(descending.com_velocity, velocity, rtol=0.0, atol=1e-4)
+    np.testing.assert_allclose(descending.com_acceleration, com[2], rtol=0.0, atol=0.02)
+
+
 HEADER = ["time", "x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "ax", "ay", "az", "jx", "jy", "jz"]
 
 

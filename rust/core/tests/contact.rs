@@ -7,6 +7,7 @@ use crate::common::{Running, TIME_STEP, assert_within, configs, experiment, move
 use flight_core::control::channels::Modes;
 use flight_core::control::config::{ControllerConfig, Solver};
 use flight_core::control::contact::{Contact, ContactConfig, ContactState, LoadTransfer, WRENCH_ROWS};
+use flight_core::control::engines::EnginesConfig;
 use flight_core::control::setpoint::Setpoint;
 use flight_core::control::{CommandStatus, Terms};
 use flight_core::dynamics::Dynamics;
@@ -122,14 +123,15 @@ fn what_corners_can_do_is_allowed() {
 
 /// A controller that can take off, behind its first tick on the ground with thrusts that carry a quarter of the weight.
 fn able_to_take_off() -> (Running, RobotState) {
-    able_to_take_off_with(|_| ())
+    able_to_take_off_with(|_, _| ())
 }
 
-fn able_to_take_off_with(change: impl FnOnce(&mut LoadTransfer)) -> (Running, RobotState) {
+fn able_to_take_off_with(
+    change: impl FnOnce(&mut LoadTransfer, &mut Option<EnginesConfig>),
+) -> (Running, RobotState) {
     let mut config = experiment("take_off");
-    let contact = config.controller.law.contact.as_mut().unwrap();
-    change(contact.load_transfer.as_mut().unwrap());
-    config.controller.law.engines = None; // thrusts of these ticks do not follow their commands
+    let law = &mut config.controller.law;
+    change(law.contact.as_mut().unwrap().load_transfer.as_mut().unwrap(), &mut law.engines);
     let controller = Running::new(config.controller(load_robot(&config.robot).unwrap()).unwrap());
     (controller, config.simulator.initial.state())
 }
@@ -233,7 +235,7 @@ fn feet_carry_through_a_short_loss_of_contact_unless_the_robot_takes_off() {
     for (climb, carrying) in [(0.0, 20), (0.5, 0)] {
         // This robot is held up by nothing.
         let (mut controller, mut state) =
-            able_to_take_off_with(|transfer| transfer.unmodelled_force_max = None);
+            able_to_take_off_with(|transfer, _| transfer.unmodelled_force_max = None);
         tick_with_load(&mut controller, &state, 0.0, climb, &weight_on_both());
         let mut ticks = 0;
         for k in 1..40 {
@@ -262,8 +264,10 @@ fn feet_carry_what_nothing_else_explains() {
         (weightless, -0.011, 350.0, false),
         (weightless, -0.009, 300.0, false),
     ] {
-        let (mut running, mut state) =
-            able_to_take_off_with(|transfer| transfer.unmodelled_force_max = Some(force_max));
+        let (mut running, mut state) = able_to_take_off_with(|transfer, engines| {
+            transfer.unmodelled_force_max = Some(force_max);
+            *engines = None; // the thrusts of these ticks do not follow their commands
+        });
         tick_with_load(&mut running, &state, 0.0, 0.0, &weightless);
         let mut carries = false;
         for tick in 1..300 {
@@ -308,7 +312,7 @@ fn wrenches_that_contradict_the_momentum_are_not_believed() {
         (0.0, 50.0, 320.0, 600.0, 12, true),
     ] {
         let (mut running, mut state) =
-            able_to_take_off_with(|transfer| transfer.unmodelled_force_max = Some(force_max));
+            able_to_take_off_with(|transfer, _| transfer.unmodelled_force_max = Some(force_max));
         let case = format!("climb of {climb} m, {first} N, then {then} N, {force_max} N");
         for tick in 0..60 {
             // A measurement with the same bits in tick after tick would count as frozen.

@@ -613,6 +613,29 @@ fn a_descent_brakes_before_it_goes_straight_down() {
     }
 }
 
+/// Where a given motion brakes already, the set-point goes on with its acceleration, without a jerk.
+#[test]
+fn what_was_given_goes_on_braking() {
+    let config = SetpointConfig { deceleration: 2.0, ..config() };
+    let generator =
+        SetpointGenerator::new(&config, Mission::Commands(commands("hover")), &BACKWARDS, TIME_STEP).unwrap();
+    let (velocity, acceleration) = (Vector3::new(6.0, -8.0, 0.0), Vector3::new(-1.2, 1.6, 0.0));
+    let mut state = generator.start(first_com(), &rotation_from_rpy(&Vector3::new(0.0, 0.0, PI)));
+    let given = RecordedMotion {
+        com: [first_com(), velocity, acceleration, Vector3::zeros()],
+        rotation: rotation_from_rpy(&Vector3::new(0.0, 0.0, PI)),
+        angular_velocity_b: Vector3::zeros(),
+    };
+    generator.follow(&mut state, &given);
+    for tick in 1..300 {
+        let smooth = generator.stop(&mut state);
+        let time = f64::from(tick) * TIME_STEP;
+        assert_within!((smooth.com_acceleration - acceleration).norm(), 0.02, because "a raw set-point in steps of 10 ms is half a step ahead", "tick {tick}");
+        let expected = velocity + acceleration * time;
+        assert_within!((smooth.com_velocity - expected).norm(), 0.02, because "the same", "tick {tick}");
+    }
+}
+
 /// Where a given motion ends the set-point goes on smoothly, brakes with the deceleration of the configuration and does not
 /// turn back: from a speed v it comes to rest `v T B/A + v²/2a` further.
 #[test]

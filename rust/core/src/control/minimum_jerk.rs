@@ -23,8 +23,8 @@ const C: f64 = 15.966_961_070_938_4;
 pub struct MinimumJerkFilter {
     transition: Matrix3<f64>,
     input_gain: Vector3<f64>,
-    /// Time by which the output is behind an input that moves evenly: `T B / A` \[s\].
-    pub delay: f64,
+    /// `T B / A` \[s\] and `T² C / A` \[s²\].
+    lags: [f64; 2],
 }
 
 /// State of a [`MinimumJerkFilter`], and its output.
@@ -83,8 +83,16 @@ impl MinimumJerkFilter {
         Self {
             transition: inverse * (Matrix3::identity() + continuous * half),
             input_gain: inverse * Vector3::new(0.0, 0.0, half * A / t.powi(3)),
-            delay: t * B / A,
+            lags: [t * B / A, t * t * C / A],
         }
+    }
+
+    /// The input, and its rate, that the filter follows with these outputs (value, first and second derivative) and
+    /// without jerk: `u = y + (T B/A) ẏ + (T² C/A) ÿ`.
+    #[must_use]
+    pub fn input_of(&self, [value, rate, acceleration]: [Vector3<f64>; 3]) -> (Vector3<f64>, Vector3<f64>) {
+        let [first, second] = self.lags;
+        (value + rate * first + acceleration * second, rate + acceleration * first)
     }
 
     /// Takes the input of this tick; `state` then holds the outputs of this tick.

@@ -4,7 +4,7 @@
 //! first-order law its attitude. The raw attitude is that of the *heading frame*: forward, left, up,
 //! fixed to the base by the robot's forward axis. Its pitch is positive nose down.
 //!
-//! Equations M43, M44, M47 and M48 of `docs/model.md`. Source: the published flight-control library, whose
+//! Equations M43, M44, M47, M48, M107 and M115 of `docs/model.md`. Source: the published flight-control library, whose
 //! steps per tick of 10 ms are speeds here.
 
 use super::minimum_jerk::{FilterState, MinimumJerkFilter};
@@ -50,7 +50,7 @@ pub struct SetpointConfig {
     #[serde(default = "half_a_metre_per_second")]
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub descent_speed: f64,
-    /// How fast the velocity of the mission becomes that of the descent, or zero where a given set-point is none \[m/s²\].
+    /// Deceleration with which the velocity becomes that of the descent, or zero without a valid set-point \[m/s²\].
     #[serde(default = "deceleration_of_the_boost")]
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub deceleration: f64,
@@ -173,7 +173,7 @@ impl Setpoint {
     }
 }
 
-/// Raw set-point: moves at constant speeds, before any smoothing.
+/// Raw set-point, before any smoothing: moves at constant speeds, brakes, or is ahead of a motion that is given.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RawSetpoint {
     /// Position of the centre of mass \[m\].
@@ -310,16 +310,17 @@ impl SetpointGenerator {
     /// Moves the state along with a motion that is given: where coming to rest or a descent would begin.
     pub fn follow(&self, state: &mut SetpointState, motion: &RecordedMotion) {
         let [position, velocity, acceleration, jerk] = motion.com;
+        let outputs = [position, velocity, acceleration];
+        let (raw_position, raw_velocity) = self.position_filter.input_of(outputs);
         self.angular_velocity_filter.update(&mut state.angular_velocity, &motion.angular_velocity_b);
         state.raw = RawSetpoint {
-            // So far ahead the filter follows it with this velocity.
-            position: position + velocity * self.position_filter.delay,
-            velocity,
+            position: raw_position,
+            velocity: raw_velocity,
             rpy: self.heading_rpy(&motion.rotation),
             turbo_ticks: 0,
         };
         state.rotation = motion.rotation;
-        state.position = FilterState::moving([position, velocity, acceleration], state.raw.position);
+        state.position = FilterState::moving(outputs, raw_position);
         state.acceleration = FilterState::moving([acceleration, jerk, Vector3::zeros()], acceleration);
     }
 

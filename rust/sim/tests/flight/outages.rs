@@ -1,4 +1,5 @@
-//! What the recommended controller does without a channel: every cell but the last of the table in docs/failures.md.
+//! What the recommended controller does without a channel: every cell but the last of the first table in docs/failures.md,
+//! descents out of fast motion, engines that fail.
 
 use super::with;
 use crate::common::{assert_within, experiment};
@@ -113,7 +114,7 @@ fn blind_for_good_it_descends() {
 
 /// Out of the fast leg, at 7.5 m/s, it brakes as the mission does.
 #[test]
-fn blind_in_the_fast_leg_it_brakes_before_it_descends() {
+fn blind_in_the_fast_leg_it_brakes() {
     for channel in [OutageChannel::BasePosition, OutageChannel::BaseRotation, OutageChannel::BaseVelocity] {
         let lost = Outage { start: 25.0, ..outage(channel, FOR_EVER, OutageKind::Missing) };
         let flight = fly(vec![lost], |config| config.simulator.duration = 38.0);
@@ -122,6 +123,22 @@ fn blind_in_the_fast_leg_it_brakes_before_it_descends() {
         assert_within!(rotation, 8.0, because "margin of the flight", "{channel:?}: {rotation} deg");
         let velocity = last(&flight, "com_velocity");
         assert_within!(velocity[0].hypot(velocity[1]), 0.1, because "air pushes on the way down", "{channel:?}: {velocity:?}");
+    }
+}
+
+/// Out of a recorded mission, which accelerates and brakes with 4 m/s², likewise.
+#[test]
+fn blind_on_a_recorded_mission_it_brakes() {
+    for start in [10.0, 14.0, 17.0] {
+        let recorded = experiment("min_time");
+        let lost = Outage { start, ..outage(OutageChannel::BasePosition, FOR_EVER, OutageKind::Missing) };
+        let flight = fly(vec![lost], |config| {
+            (config.mission, config.wind) = (recorded.mission, recorded.wind);
+            config.simulator.duration = start + 10.0;
+        });
+        assert_eq!(flight.outcome, Outcome::Completed, "{start} s: {:?}", flight.loss);
+        let rotation = flight.summary.max_rotation_error.to_degrees();
+        assert_within!(rotation, 20.0, because "margin of the flight", "{start} s: {rotation} deg");
     }
 }
 
