@@ -404,8 +404,10 @@ impl Controller {
         self.command.modes = self.terms.seen.modes;
         let descent = self.config.engines.as_ref().and_then(|config| config.descent).filter(|descent| {
             let mut engines = state.engines.iter().zip(&self.model.jets);
-            !state.contact.is_active && engines.any(|(engine, jet)| engine.is_lost(descent, jet.thrust_max))
+            engines.any(|(engine, jet)| engine.is_lost(descent, jet.thrust_max))
         });
+        state.channels.is_descending |= descent.is_some();
+        let descent = descent.filter(|_| !state.contact.is_active);
         self.solve_momentum_qp(state, descent.as_ref());
         self.solve_torque_qp(state, descent.as_ref());
         if let (Some(observer), Some(memory)) = (&mut self.wind_observer, &mut state.wind) {
@@ -488,20 +490,14 @@ impl Controller {
                 let measured = (measurement.thrust[jet], measurement.thrust_innovation[jet]);
                 let sensor_error =
                     measurement.has_momentum.then(|| sensor_error(&column, &state.observer.residual));
-                match engine.update(config, measurement.elapsed, measured, momentum_share, sensor_error) {
-                    Finding::OutOfReach => {
-                        state.channels.is_descending |= config
-                            .descent
-                            .is_some_and(|descent| engine.is_lost(&descent, self.model.jets[jet].thrust_max));
+                let found =
+                    engine.update(config, measurement.elapsed, measured, momentum_share, sensor_error);
+                if found == Finding::WrongSensor {
+                    state.channels.reject_sensor(jet, engine.deviation);
+                    if let Some(estimator) = &mut state.estimator {
+                        estimator.correct_thrust(jet, engine.deviation);
                     }
-                    Finding::WrongSensor => {
-                        state.channels.reject_sensor(jet, engine.deviation);
-                        if let Some(estimator) = &mut state.estimator {
-                            estimator.correct_thrust(jet, engine.deviation);
-                        }
-                        *engine = EngineState::default();
-                    }
-                    Finding::Nothing => {}
+                    *engine = EngineState::default();
                 }
             }
             if state.engines.iter().any(EngineState::is_limited) {

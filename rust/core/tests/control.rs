@@ -277,9 +277,11 @@ fn without_a_set_point_the_last_one_comes_to_rest() {
     for _ in 0..2000 {
         last = towards(&none).1;
     }
-    // A filter's delay further, and what it takes to brake from 0.2 m/s with 1.5 m/s².
-    let rest = given.com_position + given.com_velocity * (0.8455 + 0.5 * 0.2 / 1.5);
-    assert_within!((last.com_position - rest).amax(), 2e-3, because "it brakes in steps of 10 ms, half of one at 0.2 m/s");
+    // Further by the lag of the filter, and by what it takes to lose 0.2 m/s with 0.015 m/s a tick.
+    let lag = 1.5 * 84.981_281_946_953_8 / 150.765_868_956_161;
+    let braking = (1..=13).map(|tick| (0.2 - 0.015 * f64::from(tick)) * TIME_STEP).sum::<f64>();
+    let rest = given.com_position + given.com_velocity * (lag + braking / 0.2);
+    assert_within!((last.com_position - rest).amax(), 1e-6, because "20 s are many smoothing times");
     assert_within!(last.com_velocity.amax(), 1e-6);
 }
 
