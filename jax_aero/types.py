@@ -29,7 +29,7 @@ T = TypeVar("T")
 Tree = TypeVar("Tree")
 
 Static: TypeAlias = Annotated[T, "static"]
-"""A field of a `pytree` that is structure, not a leaf: a name or a switch, fixed when a function is compiled."""
+"""A field of a `pytree` that is structure, not a leaf: a name, switch or length, fixed when a function is compiled."""
 
 COMPUTED_FROM = ("time_step",)
 """Fields that others were computed from, wherever they stand; a class names more of its own in `computed_from`."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -107,6 +108,7 @@ class FilterState(NamedTuple):
     previous_input: Float[Array, "3"]
 
 
+@jax.jit
 def filter_gains(smoothing_time: Float[Array, ""], time_step: Float[Array, ""]) -> FilterGains:
     """Discretise `H(s) = (A/T³) / (s³ + (C/T) s² + (B/T²) s + A/T³)` by the bilinear transform (Tustin).
 

@@ -117,8 +117,7 @@ def grouped(configs: Iterable[ScenarioConfig | Mapping[str, Any]], dtype: Any = 
         leaves, structure = jax.tree.flatten(scenario)
         is_shared = tuple(jax.tree.leaves(_shared(scenario)))
         common = tuple(leaf.tobytes() for leaf, shared in zip(leaves, is_shared, strict=True) if shared)
-        # Those of the state too: delay lines of sensors are as long as their greatest delay.
-        shapes = tuple((leaf.shape, leaf.dtype) for leaf in (*leaves, *jax.tree.leaves(state)))
+        shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         n_ticks = int(scenario.n_ticks)
         key = structure, shapes, jax.tree.structure(state), n_ticks, hash(common)
         group = found.setdefault(key, Group(structure, is_shared, [], [], n_ticks, [], []))

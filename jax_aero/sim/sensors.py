@@ -24,7 +24,7 @@ from jax_aero import noise
 from jax_aero.config import SensorsConfig
 from jax_aero.control.estimator import Reading
 from jax_aero.spatial import exp_so3, multiply
-from jax_aero.types import Array, State, joined, leaf, pytree
+from jax_aero.types import Array, State, Static, joined, leaf, pytree
 
 STREAM = 2
 
@@ -53,6 +53,8 @@ class Sensors:
     """[N]."""
     time_step: Float[Array, ""]
     """[s]."""
+    line: Static[int]
+    """Ticks in the delay line: the present one, and as many as the greatest age."""
 
 
 class SensorState(NamedTuple):
@@ -82,13 +84,13 @@ def sensors(config: SensorsConfig, time_step: Float[Array, ""], ticks: int, jets
         thrust_bias=leaf(config.thrust.bias),
         thrust_noise_std=leaf(config.thrust.noise_std),
         time_step=time_step,
+        line=int(np.max(age)) + 1,
     )
 
 
 def start(errors: Sensors, first: Reading) -> SensorState:
-    """Sensors that have seen this reading for as long as they look back. Outside loops."""
-    length = int(np.max(errors.age)) + 1
-    return SensorState(jax.tree.map(lambda x: jnp.stack([jnp.asarray(x)] * length), first), first)
+    """Sensors that have seen this reading for as long as they look back."""
+    return SensorState(jax.tree.map(lambda x: jnp.stack([jnp.asarray(x)] * errors.line), first), first)
 
 
 def read(errors: Sensors, before: SensorState, truth: Reading, tick: Int[Array, ""]) -> tuple[SensorState, Reading]:

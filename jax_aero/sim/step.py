@@ -42,7 +42,7 @@ from jax_aero.sim.plant import Observation, Plant, PlantState
 from jax_aero.sim.sensors import Sensors, SensorState
 from jax_aero.sim.wind import Wind, wind_model, wind_velocity
 from jax_aero.spatial import multiply, rotation_angle, rpy_from_rotation, safe_norm, wxyz_from_rotation
-from jax_aero.types import Array, State, Static, leaf, leaves, pytree, where, with_dtype
+from jax_aero.types import Array, Static, leaf, leaves, pytree, where, with_dtype
 
 (
     FLYING,
@@ -261,8 +261,8 @@ def prepare(
         n_ticks=jnp.array(ticks, jnp.int32),
         precision="",
     )
-    flight_state = begin(scenario, state)
-    return in_precision(jax.tree.map(jnp.asarray, scenario), jax.tree.map(jnp.asarray, flight_state), dtype)
+    scenario, flight_state = jax.device_put((scenario, begin(scenario, state)))
+    return in_precision(scenario, flight_state, dtype)
 
 
 def in_precision(scenario: Scenario, state: FlightState, dtype: Any) -> tuple[Scenario, FlightState]:
@@ -290,6 +290,7 @@ def controller_model(config: ScenarioConfig, robot: RobotModel) -> RobotModel | 
     return None if model is robot else model
 
 
+@jax.jit
 def begin(scenario: Scenario, plant: PlantState) -> FlightState:
     """Start the controller of a flight whose plant is in this state."""
     robot = scenario.plant.robot if scenario.controller_model is None else scenario.controller_model
@@ -302,7 +303,7 @@ def begin(scenario: Scenario, plant: PlantState) -> FlightState:
         _, seen = sensing.read(scenario.sensors, before, seen, jnp.array(0))
     return FlightState(
         plant=plant,
-        controller=_init(scenario.controller, robot, seen.state),
+        controller=scenario.controller.init(robot, seen.state),
         measured_wind=jnp.zeros_like(plant.robot.velocity[:3]),
         sensors=before,
         outages=begin_outages(scenario.outages, first.robot, plant.jets.thrust),
@@ -311,11 +312,6 @@ def begin(scenario: Scenario, plant: PlantState) -> FlightState:
         loss_size=jnp.zeros_like(plant.robot.velocity[0]),
         loss_tick=jnp.array(-1, jnp.int32),
     )
-
-
-@jax.jit
-def _init(controller: Controller[Any], robot: RobotModel, state: State) -> Any:
-    return controller.init(robot, state)
 
 
 def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[FlightState, FlightRow]:

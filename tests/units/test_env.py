@@ -64,11 +64,11 @@ def test_both_environments_are_one_task(x64, tmp_path):
     crate, ours = HoverEnv(task), FlightEnv(task)
     assert (ours.action_size, ours.observation_size) == (27, 65)
     seen, _ = crate.reset(options={"wind": WIND})
-    reset = jax.vmap(ours.reset)(jax.random.split(jax.random.key(0), 2))
+    reset = jax.jit(jax.vmap(ours.reset))(jax.random.split(jax.random.key(0), 2))
     speeds = np.linalg.norm(reset.wind, axis=1)
     assert np.all(speeds <= task.wind_max)
     assert speeds[0] != speeds[1]
-    states = jax.vmap(ours.start)(jnp.array([WIND, [0.0, 0.0, 0.0]]))
+    states = jax.jit(jax.vmap(ours.start))(jnp.array([WIND, [0.0, 0.0, 0.0]]))
     step = jax.jit(jax.vmap(ours.step))
     measured("first observation", np.abs(states.obs[0] - seen).max(), 1e-6)
     rng = np.random.default_rng(0)
