@@ -110,7 +110,7 @@ def log_so3(r: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3"]:
     return factor[..., None] * v
 
 
-@jax.jit
+@jax.jit  # outside a compiled function each of its operations would be compiled alone
 def rotation_from_rpy(rpy: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
     """`Rz(yaw) Ry(pitch) Rx(roll)` for `rpy = (roll, pitch, yaw)` [rad]."""
     (sr, sp, sy), (cr, cp, cy) = jnp.moveaxis(jnp.sin(rpy), -1, 0), jnp.moveaxis(jnp.cos(rpy), -1, 0)

@@ -108,7 +108,7 @@ class FilterState(NamedTuple):
     previous_input: Float[Array, "3"]
 
 
-@jax.jit
+@jax.jit  # outside a compiled function each of its operations would be compiled alone
 def filter_gains(smoothing_time: Float[Array, ""], time_step: Float[Array, ""]) -> FilterGains:
     """Discretise `H(s) = (A/T³) / (s³ + (C/T) s² + (B/T²) s + A/T³)` by the bilinear transform (Tustin).
 

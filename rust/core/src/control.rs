@@ -48,7 +48,7 @@ use attitude::{AttitudeDemand, attitude_demand};
 use channels::{Channels, Modes, Seen};
 use config::ControllerConfig;
 use contact::{Contact, ContactState, WRENCH};
-use engines::{DescentConfig, EngineState, Finding, sensor_error};
+use engines::{DescentConfig, EngineState, sensor_error};
 use mission::Mission;
 use momentum::MomentumModel;
 use momentum_qp::{MomentumQp, Task, TaskInputs};
@@ -490,9 +490,9 @@ impl Controller {
                 let measured = (measurement.thrust[jet], measurement.thrust_innovation[jet]);
                 let sensor_error =
                     measurement.has_momentum.then(|| sensor_error(&column, &state.observer.residual));
-                let found =
+                let is_sensor_wrong =
                     engine.update(config, measurement.elapsed, measured, momentum_share, sensor_error);
-                if found == Finding::WrongSensor {
+                if is_sensor_wrong {
                     state.channels.reject_sensor(jet, engine.deviation);
                     if let Some(estimator) = &mut state.estimator {
                         estimator.correct_thrust(jet, engine.deviation);

@@ -8,6 +8,7 @@ use crate::common::{
     Loop, Running, Sample, TIME_STEP, assert_within, configs, experiment, moved, random_state, random_vector,
     rng, robot, tick_at, uniform_estimator,
 };
+use crate::setpoint::distance_to_rest;
 use flight_core::control::bounds::LimitedValues;
 use flight_core::control::channels::Modes;
 use flight_core::control::config::{Fallback, RateFeedback, Solver};
@@ -277,10 +278,7 @@ fn without_a_set_point_the_last_one_comes_to_rest() {
     for _ in 0..2000 {
         last = towards(&none).1;
     }
-    // Further by the lag of the filter, and by what it takes to lose 0.2 m/s with 0.015 m/s a tick.
-    let lag = 1.5 * 84.981_281_946_953_8 / 150.765_868_956_161;
-    let braking = (1..=13).map(|tick| (0.2 - 0.015 * f64::from(tick)) * TIME_STEP).sum::<f64>();
-    let rest = given.com_position + given.com_velocity * (lag + braking / 0.2);
+    let rest = given.com_position + given.com_velocity / 0.2 * distance_to_rest(0.2, 0.015);
     assert_within!((last.com_position - rest).amax(), 1e-6, because "20 s are many smoothing times");
     assert_within!(last.com_velocity.amax(), 1e-6);
 }

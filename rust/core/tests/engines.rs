@@ -4,7 +4,7 @@
 #![allow(clippy::float_cmp, reason = "claims of exact equality are meant")]
 
 use crate::common::{assert_within, experiment};
-use flight_core::control::engines::{DescentConfig, EngineState, EnginesConfig, Finding, sensor_error};
+use flight_core::control::engines::{DescentConfig, EngineState, EnginesConfig, sensor_error};
 use flight_core::robot::JointKind;
 use flight_io::load_robot;
 use nalgebra::Vector6;
@@ -19,9 +19,15 @@ fn descent() -> DescentConfig {
     DescentConfig { range_share_min: 0.25, ..engines.descent.unwrap() }
 }
 
-/// After a tick with a momentum that is measured and says that the sensor is wrong by so much \[N\].
-fn updated(engine: &mut EngineState, thrust: f64, innovation: f64, sensor_error: f64) -> Finding {
-    engine.update(&CONFIG, STEP, (thrust, innovation), 1.0, Some(sensor_error))
+/// What a tick finds: whether the sensor is wrong, and whether the engine is limited.
+const NOTHING: (bool, bool) = (false, false);
+const WRONG_SENSOR: (bool, bool) = (true, false);
+const OUT_OF_REACH: (bool, bool) = (false, true);
+
+/// A tick with a momentum that is measured and says that the sensor is wrong by so much \[N\].
+fn updated(engine: &mut EngineState, thrust: f64, innovation: f64, sensor_error: f64) -> (bool, bool) {
+    let is_wrong = engine.update(&CONFIG, STEP, (thrust, innovation), 1.0, Some(sensor_error));
+    (is_wrong, engine.is_limited())
 }
 
 /// A deviation of `a` newtons per tick: `a (1 − e^{−kΔt/τ}) / (1 − e^{−Δt/τ})` after k ticks.
@@ -50,8 +56,9 @@ fn a_thrust_that_is_not_reached_bounds_the_engine_after_its_confirmation() {
         let findings: Vec<_> = (1..=20)
             .map(|tick| updated(&mut engine, 100.0, if tick == 1 { size } else { 0.0 }, 0.0))
             .collect();
-        let first = findings.iter().position(|finding| *finding == Finding::OutOfReach);
+        let first = findings.iter().position(|finding| *finding != NOTHING);
         assert_eq!(first.map(|tick| tick + 1), found, "{size} N");
+        assert!(findings[first.unwrap_or(20)..].iter().all(|finding| *finding == OUT_OF_REACH), "{size} N");
         assert_eq!(engine.range, range, "{size} N");
         assert!(!engine.is_lost(&descent(), 120.0));
     }
@@ -96,12 +103,13 @@ fn a_deviation_is_as_late_as_the_momentum() {
         deviation * sum
     };
     let first = (1..100).find(|tick| late(*tick) > CONFIG.deviation_max).unwrap() + 5;
-    for (part, expected) in [(0.49, Finding::OutOfReach), (0.51, Finding::WrongSensor)] {
+    for (part, expected) in [(0.49, OUT_OF_REACH), (0.51, WRONG_SENSOR)] {
         let mut engine = EngineState::default();
         for tick in 1..=first {
             let innovation = if tick == 1 { deviation } else { 0.0 };
-            let found = engine.update(&CONFIG, STEP, (100.0, innovation), share, Some(part * late(tick)));
-            assert_eq!(found, if tick == first { expected } else { Finding::Nothing }, "tick {tick}");
+            let is_wrong = engine.update(&CONFIG, STEP, (100.0, innovation), share, Some(part * late(tick)));
+            let found = (is_wrong, engine.is_limited());
+            assert_eq!(found, if tick == first { expected } else { NOTHING }, "tick {tick}");
         }
     }
 }
@@ -130,14 +138,15 @@ fn the_sensor_of_a_jet_without_an_arm_is_not_judged() {
 #[test]
 fn the_momentum_shows_a_wrong_sensor() {
     for deviation in [30.0, -30.0] {
-        let out = Finding::OutOfReach;
-        for (share, expected) in [(0.9, Finding::WrongSensor), (0.0, out), (-0.9, out), (f64::NAN, out)] {
+        for (share, expected) in
+            [(0.9, WRONG_SENSOR), (0.0, OUT_OF_REACH), (-0.9, OUT_OF_REACH), (f64::NAN, OUT_OF_REACH)]
+        {
             let mut engine = EngineState::default();
             let found = (1..=100)
                 .map(|tick| {
                     updated(&mut engine, 100.0, if tick == 1 { deviation } else { 0.0 }, share * deviation)
                 })
-                .find(|found| *found != Finding::Nothing);
+                .find(|found| *found != NOTHING);
             assert_eq!(found, Some(expected), "{deviation} N, {share}");
         }
     }
@@ -148,15 +157,15 @@ fn the_momentum_shows_a_wrong_sensor() {
 fn nothing_is_judged_without_a_momentum() {
     let mut engine = EngineState::default();
     let mut update = |innovation: f64, sensor_error: Option<f64>| {
-        engine.update(&CONFIG, STEP, (100.0, innovation), 1.0, sensor_error)
+        (engine.update(&CONFIG, STEP, (100.0, innovation), 1.0, sensor_error), engine.is_limited())
     };
-    assert_eq!(update(-30.0, None), Finding::Nothing);
+    assert_eq!(update(-30.0, None), NOTHING);
     for _ in 0..10 {
-        assert_eq!(update(0.0, None), Finding::Nothing);
+        assert_eq!(update(0.0, None), NOTHING);
     }
     let findings: Vec<_> = (0..8).map(|_| update(0.0, Some(0.0))).collect();
-    let found = findings.iter().position(|finding| *finding == Finding::OutOfReach);
-    assert!(findings[..found.unwrap()].iter().all(|finding| *finding == Finding::Nothing));
+    let found = findings.iter().position(|finding| *finding == OUT_OF_REACH);
+    assert!(findings[..found.unwrap()].iter().all(|finding| *finding == NOTHING));
     assert!(found.unwrap() > 5, "{findings:?}");
 }
 

@@ -583,8 +583,13 @@ fn a_robot_that_sinks_has_no_place_to_hold() {
     assert_eq!(before.without_place(&com), expected);
 }
 
-/// `T B/A` of the filter of the position \[s\].
-const LAG: f64 = 1.5 * 84.981_281_946_953_8 / 150.765_868_956_161;
+/// How far ahead a motion of `speed` \[m/s\] comes to rest that loses `loss` of it in each tick, the first one included \[m\]:
+/// `v T B/A` by the lag of the filter of the position, and the way on which it brakes.
+pub fn distance_to_rest(speed: f64, loss: f64) -> f64 {
+    let lag = 1.5 * 84.981_281_946_953_8 / 150.765_868_956_161;
+    let speeds = (1..).map(|tick| speed - loss * f64::from(tick)).take_while(|left| *left > 0.0);
+    lag * speed + speeds.map(|left| left * TIME_STEP).sum::<f64>()
+}
 
 /// A generator that brakes with 2 m/s² and descends with 0.4 m/s.
 fn braking_generator(mission: &str) -> SetpointGenerator {
@@ -661,8 +666,6 @@ fn what_was_given_comes_to_rest_ahead() {
         assert!(smooth.com_velocity.norm() < last.norm() + 1e-12, "tick {tick}");
         last = smooth.com_velocity;
     }
-    // 5 m/s lose 0.02 m/s in each of 250 ticks, the first one included.
-    let braking = (1..=250).map(|tick| (5.0 - 0.02 * f64::from(tick)) * TIME_STEP).sum::<f64>();
-    let distance = velocity * (LAG + braking / 5.0);
+    let distance = velocity / 5.0 * distance_to_rest(5.0, 0.02);
     assert_within!((state.raw().position - first_com() - distance).norm(), 1e-11);
 }

@@ -116,17 +116,6 @@ impl Default for EngineState {
     }
 }
 
-/// What a tick finds out about an engine.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Finding {
-    /// Nothing new.
-    Nothing,
-    /// It does not reach the thrust it is commanded.
-    OutOfReach,
-    /// Its sensor is wrong.
-    WrongSensor,
-}
-
 impl EngineState {
     /// Whether it does not reach every thrust.
     #[must_use]
@@ -140,7 +129,8 @@ impl EngineState {
         self.range.1 - self.range.0 < descent.range_share_min * thrust_max
     }
 
-    /// Takes in the thrust of this tick \[N\] and by how much it is not the predicted one, after `dt` \[s\].
+    /// Takes in the thrust of this tick \[N\] and by how much it is not the predicted one, after `dt` \[s\]; whether the
+    /// sensor is wrong. If it is not, but the engine does not reach its thrust, its range is narrowed.
     ///
     /// `momentum_share` is the share of a change that the estimated momentum follows per tick, 1 where it is measured;
     /// `sensor_error` is what the momentum says of the sensor, [`sensor_error`]. Without it nothing is judged: lags and
@@ -152,11 +142,11 @@ impl EngineState {
         (thrust, innovation): (f64, f64),
         momentum_share: f64,
         sensor_error: Option<f64>,
-    ) -> Finding {
+    ) -> bool {
         self.deviation = libm::exp(-dt / config.time_constant) * self.deviation + innovation;
         let Some(sensor_error) = sensor_error else {
             (self.late, self.suspected) = ([0.0; 2], 0.0);
-            return Finding::Nothing;
+            return false;
         };
         let [estimated, late] = &mut self.late;
         *estimated += momentum_share * (self.deviation - *estimated);
@@ -164,19 +154,19 @@ impl EngineState {
         let late = *late;
         if late.abs() <= config.deviation_max {
             self.suspected = 0.0;
-            return Finding::Nothing;
+            return false;
         }
         self.suspected += dt;
         // Half a tick is for rounding.
         if self.suspected < config.confirmation + 0.5 * dt {
-            return Finding::Nothing;
+            return false;
         }
         if !self.is_limited() && sensor_error / late > 0.5 {
-            return Finding::WrongSensor;
+            return true;
         }
         let (least, greatest) = self.range;
         self.range = if late < 0.0 { (least.min(thrust), thrust) } else { (thrust, greatest.max(thrust)) };
-        Finding::OutOfReach
+        false
     }
 }
 
