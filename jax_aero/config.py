@@ -233,10 +233,12 @@ class LoadTransfer(Table, frozen=True, kw_only=True):
 
 
 class WrenchLimits(Table, frozen=True, kw_only=True):
-    """What the wrench of every foot may be, in sole axes about the sole's origin; where its centre of pressure may be
-    stands with the robot's foot.
-    """
+    """What the wrench of every foot may be, in sole axes about the sole's origin."""
 
+    centre_of_pressure_margin: float = 0.0
+    """How far the centre of pressure stays inside the extent of the sole's corners [m]; the published one may be
+    outside, where it is negative.
+    """
     friction: Positive
     """Friction `|f_xy| ≤ μ f_z`, as the regular polygon of twelve corners inside the circle."""
     torsional_friction: NonNegative
@@ -1106,10 +1108,6 @@ class EngineCoefficients(Table, frozen=True, kw_only=True):
 class FootEntry(Table, frozen=True, kw_only=True):
     """A foot: a sole and the corners that can touch the ground."""
 
-    centre_of_pressure_x: tuple[float, float] | None = None
-    """Least and greatest x of the centre of pressure [m]; without it, the extent of the vertices."""
-    centre_of_pressure_y: tuple[float, float] | None = None
-    """Least and greatest y of the centre of pressure [m]; without it, the extent of the vertices."""
     frame: str
     """Link of the URDF: the sole."""
     name: str

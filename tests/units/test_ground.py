@@ -229,7 +229,7 @@ def test_an_engine_that_stops_before_the_robot_leaves_the_ground_ends_the_take_o
 
     def without_an_engine(self, torque, thrust_rate):
         advance(self, torque, thrust_rate)
-        if next(ticks) >= 275:
+        if next(ticks) >= 265:
             self.thrust[jet] = 0.0
 
     monkeypatch.setattr(GroundPlant, "advance", without_an_engine)
@@ -237,7 +237,7 @@ def test_an_engine_that_stops_before_the_robot_leaves_the_ground_ends_the_take_o
     assert result.outcome == "completed"
     log = result.log
     assert (log["feet_carry"] == 1.0).all()
-    assert log["thrust"][275].sum() > 80.0
+    assert log["thrust"][265].sum() > 50.0
     assert log["thrust"][-1].sum() < 50.0
     assert np.degrees(log["rotation_error"].max()) < 5.0
 

@@ -207,10 +207,17 @@ pub struct Foot {
     pub frame: Frame,
     /// Contact points in the sole frame \[m\].
     pub vertices_f: Vec<Vector3<f64>>,
-    /// Least and greatest x of the centre of pressure in the sole frame \[m\].
-    pub centre_of_pressure_x: [f64; 2],
-    /// Least and greatest y of the centre of pressure in the sole frame \[m\].
-    pub centre_of_pressure_y: [f64; 2],
+}
+
+impl Foot {
+    /// Least and greatest x and y of the contact points \[m\].
+    #[must_use]
+    pub fn extent(&self) -> [[f64; 2]; 2] {
+        [0, 1].map(|axis| {
+            let along = || self.vertices_f.iter().map(|vertex| vertex[axis]);
+            [along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max)]
+        })
+    }
 }
 
 /// Joints plotted together, as indices.

@@ -12,7 +12,7 @@ use flight_core::qp::{
 };
 use flight_core::robot::{Foot, Frame};
 use flight_core::spatial::Pose;
-use nalgebra::{DMatrix, DVector, Vector6};
+use nalgebra::{DMatrix, DVector, Vector3, Vector6};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
@@ -22,16 +22,19 @@ const JOINTS: usize = 23;
 const N: usize = FORCES + JOINTS;
 
 fn limits() -> WrenchLimits {
-    WrenchLimits { friction: 0.1, torsional_friction: 1.0 / 75.0, vertical_force_min: 1.0 }
+    WrenchLimits {
+        friction: 0.1,
+        torsional_friction: 1.0 / 75.0,
+        vertical_force_min: 1.0,
+        centre_of_pressure_margin: 0.0,
+    }
 }
 
 fn foot() -> Foot {
     Foot {
         name: String::new(),
         frame: Frame { name: String::new(), body: 0, body_from_frame: Pose::identity() },
-        vertices_f: Vec::new(),
-        centre_of_pressure_x: [-0.07, 0.12],
-        centre_of_pressure_y: [-0.045, 0.05],
+        vertices_f: vec![Vector3::new(-0.07, -0.045, 0.0), Vector3::new(0.12, 0.05, 0.0)],
     }
 }
 

@@ -163,10 +163,6 @@ struct FootEntry {
     frame: String,
     /// Corners that can touch the ground, in sole axes \[m\].
     vertices: Vec<[f64; 3]>,
-    /// Least and greatest x of the centre of pressure \[m\]; without it, the extent of the vertices.
-    centre_of_pressure_x: Option<[f64; 2]>,
-    /// Least and greatest y of the centre of pressure \[m\]; without it, the extent of the vertices.
-    centre_of_pressure_y: Option<[f64; 2]>,
 }
 
 /// The texts of a robot's files, as they were read: a manifest hashes them.
@@ -342,20 +338,10 @@ fn feet(file: &RobotFile, tree: &Tree) -> Result<Vec<Foot>, BuildError> {
             return Err(BuildError::bad_value(of("vertices"), "[]", "at least one point"));
         }
         let vertices = entry.vertices.iter().map(|vertex| check::finite(&of("vertices"), vertex));
-        let vertices_f = vertices.collect::<Result<Vec<Vector3<f64>>, _>>()?;
-        let centre_of_pressure = |axis: usize, key: &str, given: Option<[f64; 2]>| {
-            if let Some([lower, upper]) = given {
-                return check::interval(&of(key), lower, upper).map(|(a, b)| [a, b]);
-            }
-            let along = || vertices_f.iter().map(|vertex| vertex[axis]);
-            Ok([along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max)])
-        };
         Ok(Foot {
             name: entry.name.clone(),
             frame: tree.frame(&of("frame"), &entry.frame)?,
-            centre_of_pressure_x: centre_of_pressure(0, "centre_of_pressure_x", entry.centre_of_pressure_x)?,
-            centre_of_pressure_y: centre_of_pressure(1, "centre_of_pressure_y", entry.centre_of_pressure_y)?,
-            vertices_f,
+            vertices_f: vertices.collect::<Result<_, _>>()?,
         })
     };
     file.feet.iter().map(foot).collect()

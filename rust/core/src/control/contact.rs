@@ -96,8 +96,7 @@ pub struct LoadTransfer {
     pub unmodelled_force_max: Option<f64>,
 }
 
-/// What the wrench of every foot may be, in sole axes about the sole's origin; where its centre of pressure
-/// may be stands with the robot's foot.
+/// What the wrench of every foot may be, in sole axes about the sole's origin.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -111,6 +110,10 @@ pub struct WrenchLimits {
     /// Least vertical force \[N\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
     pub vertical_force_min: f64,
+    /// How far the centre of pressure stays inside the extent of the sole's corners \[m\]; the published one may be
+    /// outside, where it is negative.
+    #[serde(default)]
+    pub centre_of_pressure_margin: f64,
 }
 
 impl ContactConfig {
@@ -146,7 +149,15 @@ impl ContactConfig {
         let limits = &self.wrench;
         table.positive("wrench.friction", limits.friction)?;
         table.non_negative("wrench.torsional_friction", limits.torsional_friction)?;
-        table.non_negative("wrench.vertical_force_min", limits.vertical_force_min)
+        table.non_negative("wrench.vertical_force_min", limits.vertical_force_min)?;
+        for foot in robot.feet.iter().filter(|foot| self.feet.contains(&foot.name)) {
+            let [length, width] = foot.extent().map(|[least, greatest]| greatest - least);
+            let half = 0.5 * length.min(width);
+            let (key, margin) = ("wrench.centre_of_pressure_margin", limits.centre_of_pressure_margin);
+            let expected = format!("at most half of the length and width of foot `{}`", foot.name);
+            table.check(key, margin, |margin| margin <= half, &expected)?;
+        }
+        Ok(())
     }
 }
 
@@ -164,8 +175,9 @@ impl WrenchLimits {
             *row = Vector6::new(cos, sin, -reach, 0.0, 0.0, 0.0);
         }
         let torsion = self.torsional_friction;
-        let [x_min, x_max] = foot.centre_of_pressure_x;
-        let [y_min, y_max] = foot.centre_of_pressure_y;
+        let margin = self.centre_of_pressure_margin;
+        let [[x_min, x_max], [y_min, y_max]] =
+            foot.extent().map(|[least, greatest]| [least + margin, greatest - margin]);
         rows[12].0 = Vector6::new(0.0, 0.0, -torsion, 0.0, 0.0, 1.0);
         rows[13].0 = Vector6::new(0.0, 0.0, -torsion, 0.0, 0.0, -1.0);
         rows[14] = (Vector6::new(0.0, 0.0, -1.0, 0.0, 0.0, 0.0), -self.vertical_force_min);
