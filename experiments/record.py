@@ -111,7 +111,9 @@ def existing(folder: Path, digest: str, code: str | None, *, overwrite: bool) ->
 
     A result of other code (`code`, where that is known) is kept too, and its age printed.
     """
-    if (finished := replaceable(folder, digest, overwrite=overwrite)) is None:
+    finished = None if overwrite else read_manifest(folder)
+    if finished is None or finished.get("config_digest") != digest:
+        check_replaceable(folder, lambda _: False, overwrite=overwrite)
         return None
     shown = os.path.relpath(folder)
     if name := damaged(folder, finished.get("files", {})):
@@ -122,20 +124,19 @@ def existing(folder: Path, digest: str, code: str | None, *, overwrite: bool) ->
     return finished
 
 
-def replaceable(folder: Path, digest: str, *, overwrite: bool) -> dict[str, Any] | None:
-    """Return the manifest of an equal result; refuse what is no result and, without `overwrite`, another one."""
+def check_replaceable(folder: Path, is_equal: Callable[[Mapping[str, Any]], bool], *, overwrite: bool) -> None:
+    """Refuse to replace what is more than a result, or, without `overwrite`, another one.
+
+    `is_equal` says of a manifest whether its configuration is the same.
+    """
     if not folder.exists():
-        return None
-    shown = os.path.relpath(folder)
-    if overwrite:
-        if others := unrelated_files(folder):
-            raise Refused(f"{shown} holds more than a result ({others[0]}), so it is not overwritten")
-        return None
-    finished = read_manifest(folder)
-    if finished is not None and finished.get("config_digest") == digest:
-        return finished
-    what = "no finished result" if finished is None else "the result of another configuration"
-    raise Refused(f"{shown} holds {what}; choose another --out, or --overwrite it")
+        return
+    shown, finished = os.path.relpath(folder), read_manifest(folder)
+    if not overwrite and (finished is None or not is_equal(finished)):
+        what = "no finished result" if finished is None else "the result of another configuration"
+        raise Refused(f"{shown} holds {what}; choose another name or --out, or --overwrite it")
+    if others := unrelated_files(folder):
+        raise Refused(f"{shown} holds more than a result ({others[0]}), so it is not overwritten")
 
 
 def unrelated_files(folder: Path) -> list[str]:

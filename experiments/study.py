@@ -92,11 +92,12 @@ class Study(Generic[C]):
         named = parser.add_argument("names", nargs="*", default=self.names, metavar="NAME", help=self._about_names())
         completes(named, lambda: places.names(self.kind))
         add_set(parser)
+        add_overwrite(parser)
         given = parser.parse_args(arguments)
 
         def work() -> None:
             for name in given.names:
-                self.run(name, overrides.parse(given.set))
+                self.run(name, overrides.parse(given.set), overwrite=given.overwrite)
 
         return exit_status(work, interrupted=self.interrupted)
 
@@ -115,31 +116,41 @@ class Study(Generic[C]):
         path = find(self.kind, name)
         return result_name(self.kind, path), tables.load(path, self.config, changes)
 
-    def run(self, name: str, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Compute, write, print; return the manifest."""
+    def run(self, name: str, changes: Mapping[str, Any] | None = None, *, overwrite: bool = False) -> dict[str, Any]:
+        """Compute, write, print; return the manifest.
+
+        A result of the same keys and files is made anew: on which flights it rests is known when it is computed. One of
+        others is only replaced with `overwrite`.
+        """
         started = time.perf_counter()
         command = ["jax-aero", self.command, name, *self.options, *overrides.options(changes or {})]
         name, config = self.read(name, changes)
         folder = places.RESULTS / self.kind / (places.name_of(name) + overrides.folder_suffix(changes or {}))
         with computing(folder):
+            record.check_replaceable(folder, lambda kept: _is_of(config, kept), overwrite=overwrite)
             under_way = [self.progress_of(folder)] if self.progress else []
             findings: Findings = self.compute(name, config, *under_way)
             timings = {**findings.timings, "all": time.perf_counter() - started}
             flights = {key: rust.config_digest(flight) for key, flight in findings.flights.items()}
             flights |= findings.results
-            table = {**tables.plain(config), **findings.inputs}
             files = [*tables.files(config), *findings.files]
-            digested = digest({**table, "flights": flights}, files)
+            table, inputs = tables.plain(config), findings.inputs
+            digested = digest({"config": table, "inputs": inputs, "flights": flights}, files)
             document = manifest.build(
                 folder.name,
                 findings.title,
-                {**table, **({"flights": findings.flights} if findings.flights else {})},
+                table,
                 digested,
                 summary=findings.summary,
                 command=command,
                 engine=self.engine,
                 code=[self.compute.__module__],
-                sources={"flights": flights, "files": {manifest.portable(path): file_hash(path) for path in files}},
+                sources={
+                    "inputs": manifest.portable(inputs),
+                    "flights": flights,
+                    "configurations": manifest.portable(findings.flights),
+                    "files": {manifest.portable(path): file_hash(path) for path in files},
+                },
                 timings_s={key: round(seconds, 4) for key, seconds in timings.items()},
             )
             dataset = findings.dataset.assign_attrs(title=findings.title, config_hash=digested)
@@ -149,6 +160,13 @@ class Study(Generic[C]):
         print(f"{findings.title}\n{findings.report or listing(findings.summary)}")
         print(f"{manifest.portable(folder)}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
         return document
+
+
+def _is_of(config: tables.Table, kept: Mapping[str, Any]) -> bool:
+    """Whether a result, by its manifest, is that of these keys and of the files that they name as they are now."""
+    hashes = {manifest.portable(path): file_hash(path) for path in tables.files(config)}
+    same_files = hashes.items() <= kept.get("sources", {}).get("files", {}).items()
+    return same_files and bool(kept["config"] == manifest.portable(tables.plain(config)))
 
 
 def listing(summary: Mapping[str, Any]) -> str:
@@ -162,6 +180,11 @@ def add_set(parser: argparse.ArgumentParser) -> None:
     """Add the option that changes keys of a configuration."""
     text = "change one key of the configuration; the value as in TOML, e.g. wind.velocity=[0,-12,0]"
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=text)
+
+
+def add_overwrite(parser: argparse.ArgumentParser) -> None:
+    """Add the option that replaces a result of another configuration."""
+    parser.add_argument("--overwrite", action="store_true", help="replace the result of another configuration")
 
 
 def find(kind: str, name: str) -> Path:

@@ -80,6 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--objective", choices=OBJECTIVES, default="min_thrust")
     parser.add_argument("--map", action="store_true", help="solve all winds of the configuration, write a result")
     study.add_set(parser)
+    study.add_overwrite(parser)
     given = parser.parse_args(arguments)
 
     def work() -> int:
@@ -88,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise Refused(f"--{name} is {parts}; expected three numbers, each at most {tables.LARGEST:g}")
         changes = overrides.parse(given.set)
         if given.map:
-            return 0 if MAP.run(given.name, changes)["summary"]["trims found"] else 1
+            return 0 if MAP.run(given.name, changes, overwrite=given.overwrite)["summary"]["trims found"] else 1
         trim = build(MAP.read(given.name, changes)[1])
         trim.lost = _jet(trim, given.without)
         result = trim.solve(given.wind, given.velocity, given.objective)

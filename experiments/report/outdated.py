@@ -59,9 +59,8 @@ def study(kind: str, name: str, document: Mapping[str, Any]) -> str:
     if kind in WITH_FILES and name in places.names(kind):
         today = tables.plain(tables.load(places.find(kind, name), WITH_FILES[kind]))
         found.append(_listed(_differing(config, manifest.portable(today))))
-    flights = config.get("flights") if isinstance(config.get("flights"), Mapping) else {}
     for one, digest in sources["flights"].items():
-        differs = flight(one, digest, flights.get(one))
+        differs = flight(one, digest, sources["configurations"].get(one))
         found.append(f"{one}: {differs}" if differs else "")
     for path, digest in sources["files"].items():
         file = places.HOME / path

@@ -76,7 +76,7 @@ def run(path: Path, epochs: int, folder: Path, write: Path | None, *, overwrite:
     robot, dataset = config.robot(), load(path).mirrored()
     trainings = [member_training(changes, epochs) for changes in MEMBERS]
     digest = study.digest({"members": list(MEMBERS), "epochs": epochs, "data": dataset.sha256}, [config.ROBOT, BASE])
-    record.replaceable(folder, digest, overwrite=overwrite)
+    record.check_replaceable(folder, lambda kept: kept.get("config_digest") == digest, overwrite=overwrite)
     work = folder.with_name(f".{folder.name}.{digest[:12]}{code_hash(__name__)}")
     work.mkdir(parents=True, exist_ok=True)
     predicted = np.zeros((len(MEMBERS), len(dataset), *dataset.force_area_b.shape[1:]), np.float32)

@@ -183,7 +183,7 @@ def test_another_result_is_not_replaced(result, made_up_dataset, data, tmp_path,
     record.write_run(flight, xr.Dataset(), {"config_digest": "f" * 64})
     for arguments in (words(other, out), words(data, out, seed="7"), words(data, flight)):
         assert main(arguments) == 2
-        assert "holds the result of another configuration; choose another --out" in capsys.readouterr().err
+        assert "holds the result of another configuration; choose another name or --out" in capsys.readouterr().err
         with pytest.raises(SystemExit, match="trained"):
             main([*arguments, "--overwrite"])
     (flight / "notes.txt").touch()
@@ -220,7 +220,7 @@ def test_a_folder_is_named_by_where_it_is(data, tmp_path, monkeypatch, capsys):
     for name in ("train", "train-ensemble"):
         arguments = ["train", "compact"] if name == "train" else [name]
         assert main([*arguments, "--dataset", str(data), "--out", "."]) == 2
-        assert "holds no finished result; choose another --out, or --overwrite it" in capsys.readouterr().err
+        assert "holds no finished result; choose another name or --out, or --overwrite it" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

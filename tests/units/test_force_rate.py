@@ -37,7 +37,7 @@ def test_an_experiment_given_by_its_path_stays_where_it_is(tmp_path, monkeypatch
     assert path.read_text() == text
     (folder,) = (tmp_path / "results" / "force_rate").iterdir()
     assert folder.name == "mine--duration=3.1"
-    assert "mine" in json.loads((folder / "manifest.json").read_text())["config"]["flights"]
+    assert "mine" in json.loads((folder / "manifest.json").read_text())["sources"]["configurations"]
     assert force_rate.main([str(path), "--set", "duration=3.0"]) == 2
     assert "ends at 3 s; expected a `duration` beyond 3 s" in capsys.readouterr().err
     folder.with_name("mine--duration=3.2").write_text("mine")

@@ -179,7 +179,7 @@ def test_a_study_of_another_flight_or_file_is_outdated(tmp_path, monkeypatch, ma
     assert outdated.study("wind_observer", "turbulence", document) == ""
     document["sources"]["files"]["configs/perturbation/flight.toml"] = "0"
     document["sources"]["flights"]["test2_observer"] = "0"
-    document["config"]["flights"]["test2_observer"]["simulator"]["duration"] = 1.0
+    document["sources"]["configurations"]["test2_observer"]["simulator"]["duration"] = 1.0
     said = "test2_observer: `simulator.duration`; configs/perturbation/flight.toml"
     assert outdated.study("wind_observer", "turbulence", document) == said
 

@@ -18,7 +18,8 @@ from experiments import (
     observer_limit,
     wind_observer,
 )
-from jax_aero import cli, places, rust
+from experiments.study import Findings, Study
+from jax_aero import cli, places, rust, tables
 
 
 @pytest.mark.parametrize("made_up", [{"lost_time": None}, {"lost_time": 21.5}])
@@ -106,6 +107,45 @@ def test_ones_own_file_with_a_shipped_name_replaces_no_result(command, kind, tmp
     assert f"its result would take the place of that of configs/{kind}/{own.name}; rename it" in capsys.readouterr().err
 
 
+class MadeUp(tables.Table, frozen=True):
+    level: float
+    data: Path
+
+
+def test_a_result_of_other_keys_or_files_is_only_replaced_when_told(tmp_path, monkeypatch, capsys):
+    computed = []
+
+    def compute(_, config):
+        computed.append(config.level)
+        return Findings("Made up", xr.Dataset({"level": config.level}), {}, inputs={"level": 0.0})
+
+    compute.__module__ = "experiments.study"  # whose code counts
+    made_up = Study("made_up", None, MadeUp, compute, ("own",))
+    monkeypatch.setattr(places, "RESULTS", tmp_path / "results")
+    file, data = tmp_path / "own.toml", tmp_path / "own.csv"
+    monkeypatch.setattr(places, "CONFIGS", tmp_path)
+    (tmp_path / "made_up").mkdir()
+
+    def run(level, text, *options):
+        file.write_text(f'level = {level}\ndata = "own.csv"\n')
+        data.write_text(text)
+        return made_up.main([str(file), *options])
+
+    assert [run(1.0, "a"), run(1.0, "a")] == [0, 0]
+    for other in ((2.0, "a"), (1.0, "b")):
+        assert run(*other) == 2
+        assert "holds the result of another configuration; choose another name or --out, or --overwrite it" in (
+            capsys.readouterr().err
+        )
+    notes = tmp_path / "results" / "made_up" / "own" / "notes.txt"
+    assert computed == [1.0, 1.0]
+    assert run(2.0, "a", "--overwrite") == 0
+    notes.touch()
+    assert run(2.0, "a") == 2
+    assert "own holds more than a result (notes.txt), so it is not overwritten" in capsys.readouterr().err
+    assert computed == [1.0, 1.0, 2.0]
+
+
 def test_the_perturbation_of_the_wind_observers_flights_counts(tmp_path, monkeypatch, make_flight):
     monkeypatch.setattr(places, "RESULTS", tmp_path)
 
@@ -114,7 +154,9 @@ def test_the_perturbation_of_the_wind_observers_flights_counts(tmp_path, monkeyp
 
     monkeypatch.setattr(rust, "fly_batch", fly_batch)
     changes = {"worlds": ["axisymmetric"], "speeds": [6.0], "flights": 1}
-    before = wind_observer.STUDY.run("turbulence", changes)["config_digest"]
+    document = wind_observer.STUDY.run("turbulence", changes)
+    assert document["config"]["flights"] == 1  # of each speed, beside the flights that it depends on
+    before = document["config_digest"]
     other = tmp_path / "flight.toml"
     other.write_text(wind_observer.PERTURBATION.read_text().replace("wind_speed = 0.", "wind_speed = 0.0"))
     monkeypatch.setattr(wind_observer, "PERTURBATION", other)

@@ -223,7 +223,7 @@ def test_a_run_does_not_go_on_in_other_worlds(files, monkeypatch):
         tune.STUDY.run(str(files / "toy.toml"))
     flight.write_text(text)
     document = tune.STUDY.run(str(files / "toy.toml"))
-    assert list(document["sources"]["flights"]) == list(document["config"]["flights"]) == ["mine"]
+    assert list(document["sources"]["flights"]) == list(document["sources"]["configurations"]) == ["mine"]
 
 
 @pytest.mark.parametrize(
