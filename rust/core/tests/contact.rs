@@ -709,6 +709,42 @@ fn a_robot_that_stands_does_not_descend() {
     assert_eq!(standing.state().setpoint().raw().position.z, height);
 }
 
+/// M107 holds in the air alone: with other gains for the way down the commands of a robot that has lost an engine are the
+/// same while its feet carry, and others when they do not.
+#[test]
+fn the_law_of_a_lost_engine_is_that_of_the_air() {
+    let controllers = [1.0, 3.0].map(|factor| {
+        able_to_take_off_with(|_, engines| {
+            let engines = engines.as_mut().unwrap();
+            (engines.deviation_max, engines.confirmation) = (3.0, 0.0);
+            let descent = engines.descent.as_mut().unwrap();
+            (descent.range_share_min, descent.momentum.c0) = (1e6, factor * descent.momentum.c0);
+        })
+    });
+    let [(mut low, mut state), (mut high, _)] = controllers;
+    let share = 0.77; // of its weight, that the thrusts leave to the feet
+    for tick in 0..80 {
+        let stands = tick < 40;
+        let feet = weight_on_both().map(|wrench| if stands { share * wrench } else { Vector6::zeros() });
+        // Without any motion what is measured would count as frozen.
+        let speed = if tick % 2 == 0 { 1e-9 } else { -2e-9 };
+        let fall = if stands { 0.0 } else { -share * 9.81 * TIME_STEP * f64::from(tick - 39) };
+        state.velocity.fill(speed);
+        state.velocity[2] += fall;
+        state = moved(&state, TIME_STEP);
+        let [a, b] = [&mut low, &mut high].map(|running| {
+            // The thrusts stay, though they are commanded to rise.
+            tick_with_load(running, &state, f64::from(tick) * TIME_STEP, 0.5, &feet);
+            running.controller.command().clone()
+        });
+        let carries = low.state().contact().is_active;
+        let apart = (&a.joint_velocity - &b.joint_velocity).amax();
+        assert_eq!(a.modes.contains(Modes::DESCENDING), tick >= 8, "tick {tick}");
+        assert_eq!(carries, tick < 59, "tick {tick}: to the end of the hold");
+        assert!(if carries { apart == 0.0 } else { apart > 0.1 }, "tick {tick}: {apart} rad/s");
+    }
+}
+
 /// In the air a controller that could stand flies as one that could not.
 #[test]
 fn in_the_air_feet_change_nothing() {

@@ -509,14 +509,22 @@ fn the_law_is_given_what_the_estimators_make() {
     assert_eq!(seen.wind, wind, "that of the tick before");
     assert_eq!(controller.terms().given.reading.state, seen.state);
 
-    // A state without estimators is not one of this controller, nor the other way round.
-    let mut without = config.clone();
-    (without.controller.law.estimator, without.controller.law.wind_observer) = (None, None);
-    let mut other = self::controller(&without);
-    good.tick(&mut other);
-    std::mem::swap(&mut controller.state, &mut other.state);
-    for running in [&mut controller, &mut other] {
-        assert_eq!(moved.tick(running).status, CommandStatus::BadState);
+    // A state without one of the estimators is not one of this controller, nor the other way round.
+    let forget: [fn(&mut ScenarioConfig); 2] = [
+        |config| config.controller.law.estimator = None,
+        |config| config.controller.law.wind_observer = None,
+    ];
+    for forget in forget {
+        let mut without = config.clone();
+        forget(&mut without);
+        let mut other = self::controller(&without);
+        good.tick(&mut other);
+        let mut controller = self::controller(&config);
+        good.tick(&mut controller);
+        std::mem::swap(&mut controller.state, &mut other.state);
+        for running in [&mut controller, &mut other] {
+            assert_eq!(moved.tick(running).status, CommandStatus::BadState);
+        }
     }
 }
 

@@ -4,9 +4,10 @@
 
 use crate::common::{Loop, assert_within, experiment, robot, uniform_estimator};
 use flight_core::control::Command;
+use flight_core::control::channels::Modes;
 use flight_core::estimator::{ChannelConfig, EstimatorConfig, EstimatorState, Reading};
-use flight_core::{Estimator, RobotState};
-use flight_io::{load_aero, load_robot};
+use flight_core::{Estimator, Measurement, RobotState};
+use flight_io::{AeroConfig, load_aero, load_robot};
 use flight_sim::sensors::{EncoderConfig, SensorConfig, ThrustSensorConfig};
 use flight_sim::{ScenarioConfig, Sensors, SensorsConfig};
 use nalgebra::{Vector3, Vector6};
@@ -350,6 +351,55 @@ fn absurd_numbers_pass() {
             "{absurd}"
         );
     }
+}
+
+/// A state fits estimators of as many ticks, joints and jets as its own.
+#[test]
+fn a_state_of_another_estimator_does_not_fit() {
+    let make = |name: &str, delay: f64, jets: usize| {
+        let mut robot = robot(name);
+        robot.jets.truncate(jets);
+        let (state, thrust) = (RobotState::zero(robot.joints.len()), vec![10.0; jets]);
+        let aero = load_aero(&AeroConfig::Off {}, &robot).unwrap();
+        let settings = EstimatorConfig { thrust: late(delay), ..EstimatorConfig::default() };
+        let estimator = Estimator::new(&settings, robot, aero, STEP).unwrap();
+        let state = estimator.start(&state, &thrust);
+        (estimator, state)
+    };
+    let (sparrow, state) = make("sparrow", 0.02, 3);
+    assert!(sparrow.fits(&state));
+    for (name, delay, jets) in [("sparrow", 0.03, 3), ("slider", 0.02, 3), ("sparrow", 0.02, 2)] {
+        assert!(!sparrow.fits(&make(name, delay, jets).1), "{name}, {delay} s, {jets} jets");
+    }
+}
+
+/// A sensor that is found to be wrong is believed no more, and neither is what it had told before: the estimate comes to
+/// the true thrust, though it was wrong by as much.
+#[test]
+fn the_estimate_loses_what_a_wrong_sensor_put_into_it() {
+    // Thrusts wait for positions.
+    let slow = ChannelConfig { delay: 0.02, time_constant: 0.05 };
+    let settings = EstimatorConfig { thrust: slow, base_position: late(0.05), ..EstimatorConfig::default() };
+    let mut world = Loop::new(&flight(settings));
+    let (mut before, mut after) = (vec![], vec![]);
+    for tick in 0..200 {
+        world.plant.observe(&WIND);
+        let truth = world.plant.jets().thrust().to_vec();
+        let mut thrust = truth.clone();
+        if tick >= 100 {
+            thrust[2] += 40.0;
+        }
+        let (time, state) = (f64::from(tick) * STEP, world.plant.state());
+        world.controller.tick(&Measurement { time, state, thrust: &thrust, wind: WIND, foot_wrenches: &[] });
+        let is_found = world.controller.command().modes.contains(Modes::THRUST_MODELLED);
+        let errors = if is_found { &mut after } else { &mut before };
+        errors.push(world.controller.terms().seen.thrust[2] - truth[2]);
+        world.advance(&WIND);
+    }
+    assert!((5..20).contains(&(before.len() - 100)), "found after {} ticks", before.len() - 100);
+    assert!(before[before.len() - 1] > 25.0 && after[0].abs() < 5.0, "{before:?} {after:?}");
+    // Jets are ideal here, and nothing corrects the estimate any more.
+    assert_within!(after.iter().map(|error| (error - after[0]).abs()).fold(0.0, f64::max), 1e-9);
 }
 
 #[test]

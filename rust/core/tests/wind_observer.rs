@@ -200,4 +200,6 @@ fn bad_wind_observers_are_refused_by_name() {
         let text = config.controller(load_robot(&config.robot).unwrap()).unwrap_err().to_string();
         assert!(text.contains(expected), "{text}");
     }
+    let config = flight(WindObserverConfig { gain: 100.0, ..WindObserverConfig::default() });
+    assert!(config.controller(load_robot(&config.robot).unwrap()).is_ok(), "1 / time step is the greatest");
 }
