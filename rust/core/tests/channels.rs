@@ -5,6 +5,7 @@
 
 use crate::common::{Sample, assert_within, experiment, random_state, rng};
 use flight_core::control::channels::{Channels, ChannelsConfig, ChannelsState, Jumps, Modes, Seen};
+use flight_core::estimator::Reading;
 use flight_core::robot::RobotModel;
 use flight_core::spatial::exp_so3;
 use flight_io::load_robot;
@@ -89,6 +90,63 @@ fn lose_everything(sample: &mut Sample) {
     sample.state.velocity.fill(f64::NAN);
     sample.thrust.fill(f64::NAN);
     sample.wind.fill(f64::NAN);
+}
+
+/// An estimator follows what is measured, and a base velocity also where it is only known from the pose; of what is
+/// missing or has jumped it sees no number.
+#[test]
+fn an_estimator_follows_what_is_accepted() {
+    let mut rig = Rig::new(&with_jumps());
+    let jump = Vector3::new(9.0, 0.0, 0.0);
+    rig.tick(|sample| {
+        sample.state.base.position += jump;
+        sample.state.velocity.rows_mut(0, 6).fill(f64::NAN);
+        sample.thrust[2] = f64::NAN;
+    });
+    let mut reading = Reading { state: rig.sample.state.clone(), thrust: vec![0.0; 4] };
+    rig.channels.accepted(&rig.state, &mut reading);
+    let Sample { state, thrust, .. } = &rig.sample;
+    assert!(reading.state.base.position.iter().all(|number| number.is_nan()));
+    assert_eq!(reading.state.base.rotation, state.base.rotation);
+    assert_eq!(reading.state.joint_position, state.joint_position);
+    assert_eq!(reading.state.velocity.rows(0, 6), rig.seen.state.velocity.rows(0, 6));
+    assert_eq!(reading.state.velocity.rows(6, 23), state.velocity.rows(6, 23));
+    assert!(reading.thrust[2].is_nan());
+    for jet in [0, 1, 3] {
+        assert_eq!(reading.thrust[jet], thrust[jet]);
+    }
+}
+
+/// No number may be negative; zero are at most the wind's hold, a widening, a gain and the time before a descent.
+#[test]
+fn numbers_that_mean_nothing_are_refused_by_key() {
+    fn leaves(value: &serde_json::Value, path: &str, found: &mut Vec<String>) {
+        match value {
+            serde_json::Value::Object(table) => {
+                table.iter().for_each(|(key, value)| leaves(value, &format!("{path}/{key}"), found));
+            }
+            _ => found.push(path.to_owned()),
+        }
+    }
+    let shipped = serde_json::to_value(with_jumps()).unwrap();
+    let mut keys = vec![];
+    leaves(&shipped, "", &mut keys);
+    assert_eq!(keys.len(), 21, "{keys:?}");
+    for key in keys {
+        let may_be_zero =
+            ["/wind_hold", "/widening", "/velocity_gain", "/descend_after"].contains(&key.as_str());
+        let wrong = if key == "/frozen_ticks" { serde_json::json!(0) } else { serde_json::json!(-1.0) };
+        for (number, is_refused) in [(wrong, true), (serde_json::json!(0), !may_be_zero)] {
+            let mut table = shipped.clone();
+            *table.pointer_mut(&key).unwrap() = number;
+            let config: ChannelsConfig = serde_json::from_value(table).unwrap();
+            let name = format!("controller.channels{} is", key.replace('/', "."));
+            match config.check() {
+                Ok(()) => assert!(!is_refused, "{key}"),
+                Err(reason) => assert!(is_refused && reason.to_string().contains(&name), "{reason}"),
+            }
+        }
+    }
 }
 
 /// Everything measured: used to the bit, and nothing is degraded.
