@@ -56,10 +56,20 @@ class Visit:
         box.press("Enter")
 
     def choose(self, label: str, value: str) -> None:
-        """Pick from a list."""
-        box = self.tab.locator(f"//label[normalize-space(.)='{label}']").get_attribute("for")
-        self.tab.locator(f"[id='{box}']").click()
-        self.tab.get_by_role("option", name=value, exact=True).click()
+        """Pick from a list; open it again where the figures of a new flight move it out of sight, which hides it."""
+        name = self.tab.locator(f"//label[normalize-space(.)='{label}']").get_attribute("for")
+        box = self.tab.locator(f"[id='{name}']")
+
+        def is_picked() -> bool:
+            box.click()
+            try:
+                self.tab.get_by_role("option", name=value, exact=True).click(timeout=3000.0)
+            except sync_api.TimeoutError:
+                box.press("Escape")
+                return False
+            return True
+
+        self.wait_for(is_picked, f"`{value}` of the list `{label}`")
 
     def outcomes(self) -> list[str]:
         return list(self.tab.locator(".outcome").all_inner_texts())
