@@ -128,7 +128,8 @@ def trial(
         "ramp_start": config.ramp.lower,
         "ramp_end": config.ramp.upper,
     }
-    changed = {**base, "wind": wind, "disturbances": {"controller_wind": wind if is_measured else STILL}}
+    disturbances = base["disturbances"] | {"controller_wind": wind if is_measured else STILL}
+    changed = {**base, "wind": wind, "disturbances": disturbances}
     ground = {**base["simulator"]["ground"], "friction": friction}
     changed["simulator"] = {**base["simulator"], "duration": config.duration, "ground": ground}
     return changed

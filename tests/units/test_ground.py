@@ -456,6 +456,15 @@ def test_what_nothing_or_everything_tips_is_said():
     assert np.isnan(tip_over.seek(lambda speed: outcome(speed, 1.0), 4.0, 44.0, 0.5)["speed"])
 
 
+def test_a_trial_has_the_disturbances_of_its_experiment():
+    base = rust.load_config("balancing_lateral", {"disturbances.aero_estimate.scale": 0.5})
+    study = tip_over.STUDY.read("ground")[1]
+    for is_measured in (True, False):
+        config = tip_over.trial(base, study, 12.0, 90.0, 0.5, is_measured=is_measured)
+        assert config["disturbances"]["aero_estimate"]["scale"] == 0.5
+        assert (config["disturbances"]["controller_wind"] == config["wind"]) is is_measured
+
+
 def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     made = []
 
