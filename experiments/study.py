@@ -166,7 +166,7 @@ def _is_of(config: tables.Table, kept: Mapping[str, Any]) -> bool:
     """Whether a result, by its manifest, is that of these keys and of the files that they name as they are now."""
     hashes = {manifest.portable(path): file_hash(path) for path in tables.files(config)}
     same_files = hashes.items() <= kept.get("sources", {}).get("files", {}).items()
-    return same_files and bool(kept["config"] == manifest.portable(tables.plain(config)))
+    return same_files and bool(kept.get("config") == manifest.portable(tables.plain(config)))
 
 
 def listing(summary: Mapping[str, Any]) -> str:

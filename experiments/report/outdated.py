@@ -60,7 +60,7 @@ def study(kind: str, name: str, document: Mapping[str, Any]) -> str:
         today = tables.plain(tables.load(places.find(kind, name), WITH_FILES[kind]))
         found.append(_listed(_differing(config, manifest.portable(today))))
     for one, digest in sources["flights"].items():
-        differs = flight(one, digest, sources["configurations"].get(one))
+        differs = flight(one, digest, sources.get("configurations", {}).get(one))
         found.append(f"{one}: {differs}" if differs else "")
     for path, digest in sources["files"].items():
         file = places.HOME / path
