@@ -33,7 +33,7 @@ def climb(base):
     """Two metres up in a breeze from the side, on few points."""
     changes = {
         "end": [-0.00365, 0.00041, 2.751881],
-        "free_groups": ["torso", "left_arm", "right_arm"],
+        "free_groups": ["left_arm", "right_arm"],
         "duration_range": [2.0, 6.0],
         "intervals": 5,
         "degree": 2,
