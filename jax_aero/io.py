@@ -76,6 +76,15 @@ def scenario_config(table: Mapping[str, Any]) -> ScenarioConfig:
     return tables.convert(tables.plain(table), ScenarioConfig, "configuration")
 
 
+def check_config(table: Mapping[str, Any]) -> None:
+    """Refuse for a flight in JAX what the crate refuses, in its words; where the crate is not installed, nothing."""
+    try:
+        from jax_aero import rust
+    except ImportError:
+        return
+    rust.check_config({**table, "engine": "jax"})
+
+
 def aero_config(table: Mapping[str, Any]) -> AeroConfig:
     """Return the typed configuration of an aerodynamic model."""
     found: AeroConfig = tables.convert(tables.plain(table), AeroConfig, "aerodynamic model")  # type: ignore[arg-type]

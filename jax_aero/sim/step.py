@@ -31,7 +31,7 @@ from jax_aero.control.estimator import Reading
 from jax_aero.control.protocol import Command, Controller, Measurement
 from jax_aero.control.tick import momentum_controller
 from jax_aero.control.wind_estimate import WindEstimate, measured_wind, wind_estimate
-from jax_aero.io import scenario_config
+from jax_aero.io import check_config, scenario_config
 from jax_aero.jets import JetDynamics
 from jax_aero.outages import Held, Outage, Sample, outages_of, spoil
 from jax_aero.outages import begin as begin_outages
@@ -209,7 +209,8 @@ def prepare(
     Parameters
     ----------
     config
-        A configuration, or its resolved table, as `jax_aero.io.load_config` returns it.
+        A configuration, or its resolved table, as `jax_aero.io.load_config` returns it. A table is checked by the crate,
+        too, where that is installed.
     robot
         The robot that flies, if it is loaded already.
     controller
@@ -233,6 +234,7 @@ def prepare(
             "expected a call inside `with jax.enable_x64(True):`, or dtype=np.float32"
         )
     if not isinstance(config, ScenarioConfig):
+        check_config(config)
         config = scenario_config(config)
     if robot is None:
         robot = load_robot(config.robot)

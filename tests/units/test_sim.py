@@ -225,6 +225,7 @@ SPOILT = {
     "wind.profile": ("storm", "ramp"),
     "simulator.initial.thrust": ([100.0], "4"),
     "simulator.duraton": (1.0, "duration"),
+    "simulator.duration": (1e9, "ten million ticks"),
 }
 
 
