@@ -571,6 +571,7 @@ impl Controller {
             momentum_qp.problem.clamp(self.solution.as_mut_slice());
         }
         let (jets, unknowns, u) = (self.model.jets.len(), &momentum_qp.unknowns, self.solution.as_slice());
+        self.command.thrust_rate.fill(0.0); // also of jets that are not used: another rate may have acted
         self.command.thrust_rate.as_mut_slice()[..jets].copy_from_slice(&u[unknowns.thrust_rate.clone()]);
         self.command.joint_velocity.copy_from_slice(&u[unknowns.joint_velocity.clone()]);
         contact.store_rate(&mut state.contact, &u[unknowns.force_rate.clone()]);

@@ -589,6 +589,11 @@ fn without_jets_no_thrust_rate_is_commanded() {
         assert_eq!((command.thrust_rate.len(), command.thrust_rate.amax()), (4, 0.0), "{thrust} N");
         assert_eq!(controller.terms().momentum.a_t.ncols(), 0);
     }
+    // Nor one that acted once in the place of a command.
+    let torque = vec![0.0; controller.model().joints.len()];
+    let Running { controller: law, state } = &mut controller;
+    law.replace_command(state.as_mut().unwrap(), &[5.0; 4], &torque).unwrap();
+    assert_eq!(sample.tick(&mut controller).thrust_rate.amax(), 0.0);
 }
 
 /// Bounds of rates that oscillate from tick to tick are refused: 1 − h r ε below −1.
