@@ -163,7 +163,9 @@ impl Scenario {
         let disturbances = &config.disturbances;
         let plant = Plant::new(robot.clone(), &config.simulator, disturbances)?;
         let (wind, n_ticks) = (Wind::new(&config.wind)?, config.simulator.n_ticks());
-        let controller_wind = disturbances.controller_wind.as_ref().map(Wind::new).transpose()?;
+        let controller_wind = disturbances.controller_wind.as_ref();
+        let controller_wind =
+            controller_wind.map(|wind| Wind::of_table(wind, "disturbances.controller_wind")).transpose()?;
         let given = controller_wind.as_ref().unwrap_or(&wind);
         let estimator = |estimate| {
             let times = (0..=n_ticks).map(|tick| tick as f64 * time_step);

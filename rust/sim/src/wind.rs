@@ -112,11 +112,27 @@ impl Wind {
     /// # Errors
     /// [`BuildError`] naming the key or the file and line.
     pub fn new(config: &WindConfig) -> Result<Self, BuildError> {
+        Self::of_table(config, "wind")
+    }
+
+    /// As [`Wind::new`], for a profile that errors call `table`.
+    ///
+    /// # Errors
+    /// As [`Wind::new`].
+    pub fn of_table(config: &WindConfig, table: &str) -> Result<Self, BuildError> {
+        let number = |name: &str, value, accept: fn(f64) -> bool, expected: &str| {
+            check(&format!("{table}.{name}"), value, accept, expected)
+        };
         let vector = |name: &str, v: &[f64; 3]| -> Result<Vector3<f64>, BuildError> {
             for component in v {
-                check(&format!("wind.{name}"), *component, |_| true, "three finite numbers in m/s")?;
+                number(name, *component, |_| true, "three finite numbers in m/s")?;
             }
             Ok(Vector3::from(*v))
+        };
+        let ramp = |start, end| {
+            let start = number("ramp_start", start, |_| true, "a finite time in s")?;
+            let expected = format!("a time ≥ ramp_start ({start})");
+            Ok((start, check(&format!("{table}.ramp_end"), end, |end| end >= start, &expected)?))
         };
         Ok(match config {
             WindConfig::Constant { velocity } => {
@@ -127,9 +143,9 @@ impl Wind {
             }
             WindConfig::Turbulent { velocity, ramp_start, ramp_end, std, time_scale, seed } => {
                 for std in std {
-                    check("wind.std", *std, |std| std >= 0.0, "three numbers ≥ 0 in m/s")?;
+                    number("std", *std, |std| std >= 0.0, "three numbers ≥ 0 in m/s")?;
                 }
-                let scale = check("wind.time_scale", *time_scale, |t| t > 0.0, "a positive time in s")?;
+                let scale = number("time_scale", *time_scale, |t| t > 0.0, "a positive time in s")?;
                 Self::Turbulent {
                     velocity: vector("velocity", velocity)?,
                     ramp: ramp(*ramp_start, *ramp_end)?,
@@ -139,12 +155,13 @@ impl Wind {
             WindConfig::Gust { velocity, gust, start, duration } => Self::Gust {
                 velocity: vector("velocity", velocity)?,
                 gust: vector("gust", gust)?,
-                start: check("wind.start", *start, |_| true, "a finite time in s")?,
-                duration: check("wind.duration", *duration, |d| d > 0.0, "a positive time in s")?,
+                start: number("start", *start, |_| true, "a finite time in s")?,
+                duration: number("duration", *duration, |d| d > 0.0, "a positive time in s")?,
             },
             WindConfig::File { path } => Self::Recorded(read_samples(path)?),
             WindConfig::Samples { samples } => {
-                Self::Recorded(in_order(samples, "wind.samples", |index| format!("wind.samples[{index}]"))?)
+                let item = format!("{table}.samples");
+                Self::Recorded(in_order(samples, &item, |index| format!("{item}[{index}]"))?)
             }
         })
     }
@@ -173,13 +190,6 @@ impl Wind {
             }
         }
     }
-}
-
-/// Start and end of a rise.
-fn ramp(start: f64, end: f64) -> Result<(f64, f64), BuildError> {
-    let start = check("wind.ramp_start", start, |_| true, "a finite time in s")?;
-    let expected = format!("a time ≥ ramp_start ({start})");
-    Ok((start, check("wind.ramp_end", end, |end| end >= start, &expected)?))
 }
 
 /// How far a rise has come, from 0 to 1.

@@ -1,7 +1,7 @@
 //! Wind profiles: their values, their joints, and what is refused.
 
 use crate::common::assert_within;
-use flight_sim::{Wind, WindConfig};
+use flight_sim::{Scenario, Wind, WindConfig};
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
 use tempfile::tempdir;
@@ -162,4 +162,17 @@ fn bad_winds_are_refused_by_name() {
         let message = Wind::new(&config).unwrap_err().to_string();
         assert!(message.contains(words), "`{message}` does not say `{words}`");
     }
+}
+
+/// The wind that the controller is given is named where it stands.
+#[test]
+fn the_wind_of_the_controller_has_its_own_name() {
+    let mut config = crate::common::experiment("test2");
+    let backwards = WindConfig::Ramp { velocity: [1.0; 3], ramp_start: 5.0, ramp_end: 4.0 };
+    config.disturbances.controller_wind = Some(backwards);
+    let message = Scenario::new(&config).unwrap_err().to_string();
+    assert!(message.starts_with("disturbances.controller_wind.ramp_end is 4"), "{message}");
+    config.disturbances.controller_wind = Some(WindConfig::Samples { samples: vec![] });
+    let message = Scenario::new(&config).unwrap_err().to_string();
+    assert!(message.starts_with("disturbances.controller_wind.samples is empty"), "{message}");
 }
