@@ -122,7 +122,9 @@ def resolve(path: str | PathLike[str], kind: inspect.Type | None = FLIGHT) -> Ta
         return resolved(tables.read(path), place, path.parent, depth)
 
     def resolved(table: Table, place: inspect.Type | None, folder: Path, depth: int) -> Table:
-        base = table.pop("base", None)
+        # Where keys are names of the robot's parts, a `base` that is no text is such a name.
+        is_name = _below(place, "") is not None and not isinstance(table.get("base"), str)
+        base = None if is_name else table.pop("base", None)
         for key, value in table.items():
             below = _below(place, key)
             if isinstance(value, dict):

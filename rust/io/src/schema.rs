@@ -80,9 +80,14 @@ impl<'a> Node<'a> {
     pub(crate) fn key(self, key: &str) -> Option<Self> {
         self.alternatives().find_map(|option| {
             let named = option.properties().and_then(|properties| properties.get(key));
-            let any = || option.node.get("additionalProperties").filter(|schema| schema.is_object());
+            let any = || option.node.get("additionalProperties").filter(|_| option.is_of_names());
             named.or_else(any).map(|node| Self { root: self.root, node }.followed())
         })
+    }
+
+    /// Whether the keys of the table here are names that the schema does not know.
+    pub(crate) fn is_of_names(self) -> bool {
+        self.node.get("additionalProperties").is_some_and(Value::is_object)
     }
 
     /// The place of the items of this list, which are of one type.

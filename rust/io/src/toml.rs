@@ -1,7 +1,8 @@
 //! From a TOML file to one resolved table.
 //!
 //! A table may name another file as its `base`: that file's table is read first, and the keys beside
-//! `base` are laid over it, table by table. Paths start at the file that names them.
+//! `base` are laid over it, table by table. Paths start at the file that names them. Where keys are names of the robot's
+//! parts, a `base` that is no text is such a name.
 //!
 //! ```toml
 //! controller = { base = "../control/aero_aware.toml", momentum = { c0 = 60.0 } }
@@ -121,7 +122,8 @@ impl Reader {
         folder: &Path,
         depth: usize,
     ) -> Result<Map<String, Value>, BuildError> {
-        let base = table.remove("base");
+        let is_name = |base: &Value| !base.is_string() && node.is_some_and(Node::is_of_names);
+        let base = if table.get("base").is_some_and(is_name) { None } else { table.remove("base") };
         for (key, value) in &mut table {
             let node = node.and_then(|node| node.key(key));
             match value {

@@ -104,6 +104,17 @@ fn another_kind_replaces_the_table() {
     }
 }
 
+/// Where the keys of a table are names of the robot's parts, `base` may be one of them.
+#[test]
+fn base_may_be_a_name() {
+    let folder = tempdir().unwrap();
+    write(&folder, "links.toml", "chest = 0.2\nbase = 0.3\n");
+    let text = "disturbances.aero.links = { base = 0.5 }\ndisturbances.aero_estimate.links = { base = 'links.toml' }\n";
+    let expected =
+        json!({"aero": {"links": {"base": 0.5}}, "aero_estimate": {"links": {"chest": 0.2, "base": 0.3}}});
+    assert_eq!(resolve(&write(&folder, "top.toml", text)).unwrap()["disturbances"], expected);
+}
+
 /// Our own experiments rely on it: `head_wind` keeps the ramp, `no_wind` drops it, `baseline` and
 /// `second_order_jets` change their model.
 #[test]
