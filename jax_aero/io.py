@@ -123,7 +123,8 @@ def resolve(path: str | PathLike[str], kind: inspect.Type | None = FLIGHT) -> Ta
 
     def resolved(table: Table, place: inspect.Type | None, folder: Path, depth: int) -> Table:
         # Where keys are names of the robot's parts, a `base` that is no text is such a name.
-        is_name = _below(place, "") is not None and not isinstance(table.get("base"), str)
+        has_names = any(isinstance(option, inspect.DictType) for option in _alternatives(place))
+        is_name = has_names and not isinstance(table.get("base"), str)
         base = None if is_name else table.pop("base", None)
         for key, value in table.items():
             below = _below(place, key)

@@ -239,6 +239,20 @@ def test_files_merge_alike(case, tmp_path):
     assert written(tables.plain(io.scenario_config(ours))) == rust.load_config(top)
 
 
+def test_a_part_of_the_robot_may_be_called_base(tmp_path):
+    (tmp_path / "links.toml").write_text("chest = 0.2\nbase = 0.3\n")
+    top = tmp_path / "top.toml"
+    top.write_text(
+        f"base = '{CONFIGS / 'experiments/test2.toml'}'\n"
+        "disturbances.aero.links = { base = 0.5 }\ndisturbances.aero_estimate.links = { base = 'links.toml' }\n"
+    )
+    disturbances = io.resolve(top)["disturbances"]
+    assert disturbances["aero"]["links"] == {"base": 0.5}
+    assert disturbances["aero_estimate"]["links"] == {"chest": 0.2, "base": 0.3}
+    with pytest.raises(ValueError, match=r"disturbances\.aero\.links names `base`, which does not exist"):
+        rust.load_config(top)
+
+
 def test_reading_is_bounded_in_both_languages(tmp_path):
     """Files that name the next one three times over would be read 3^16 times."""
     for depth in range(16):
