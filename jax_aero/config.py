@@ -191,7 +191,7 @@ class ChannelsConfig(Table, frozen=True, kw_only=True):
 
     descend_after: NonNegative = 3.0
     """Age of a channel of joints or base from which on the robot levels and descends, and does so to the end [s]."""
-    frozen_ticks: Annotated[int, Meta(ge=1)] = 5
+    frozen_ticks: Annotated[int, Meta(ge=1, le=100000)] = 5
     """Number of ticks with the same bits after which a value can be frozen."""
     greatest: Greatest = Greatest()
     """Greatest values that are accepted, of each component."""

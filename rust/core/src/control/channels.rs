@@ -50,7 +50,7 @@ pub struct ChannelsConfig {
     #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0)))]
     pub wind_fade: f64,
     /// Number of ticks with the same bits after which a value can be frozen.
-    #[cfg_attr(feature = "schema", schemars(range(min = 1)))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 100_000)))]
     pub frozen_ticks: u32,
     /// Growth of `jump` with the age of a channel, as a share of itself \[1/s\].
     #[cfg_attr(feature = "schema", schemars(range(min = 0)))]
