@@ -126,6 +126,35 @@ def test_a_command_is_replaced_after_a_tick_and_by_numbers():
     assert controller.state != before
 
 
+def test_a_table_is_refused_by_key():
+    robot, still = rust.Robot(HOME / "configs/robot/ironcub_mk1.toml"), np.zeros((13, 3))
+    with pytest.raises(ValueError, match=r"^wind: `velocity` is \[1.0,2.0\]; expected a list of 3$"):
+        rust.wind_velocity({"profile": "constant", "velocity": [1.0, 2.0]}, [0.0])
+    with pytest.raises(ValueError, match='^aero: `air_density` is "thin"; expected a number > 0$'):
+        rust.aero_forces(
+            robot, {"model": "axisymmetric", "coefficients": "published", "air_density": "thin"}, still, still
+        )
+
+
+def test_setpoints_begin_where_a_robot_can_be_and_are_not_endless():
+    config = rust.load_config(TEST2, SHORT)
+    with pytest.raises(ValueError, match="^`com` is NaN; expected finite numbers"):
+        rust.setpoint_trajectory(config, [np.nan, 0.0, 0.0], np.eye(3))
+    with pytest.raises(ValueError, match="^`rotation` deviates from a rotation by"):
+        rust.setpoint_trajectory(config, np.zeros(3), 2.0 * np.eye(3))
+    config["simulator"]["duration"] = 1e9
+    with pytest.raises(ValueError, match="is 100000000000; expected at most ten million ticks"):
+        rust.setpoint_trajectory(config, np.zeros(3), np.eye(3))
+
+
+def test_a_state_without_feet_is_a_status():
+    flying, standing = (rust.Controller(rust.load_config(name)) for name in ("test2", "balancing_front"))
+    now = rust.Plant(rust.load_config(TEST2)).reset()
+    flying.tick(now.state, now.thrust, now.wind, now.time)
+    standing.state = flying.state
+    assert standing.tick(now.state, now.thrust, now.wind, now.time).status == "BadState"
+
+
 def test_other_threads_run_while_a_flight_is_under_way():
     """The crate gives the interpreter away, so a flight in one thread does not hold up another."""
     config = rust.load_config(TEST2)

@@ -26,4 +26,4 @@ pub use files::{hold, read_bytes, read_text};
 pub use mission::{MissionConfig, load_mission};
 pub use robot::{RobotFile, RobotFiles, load_robot, robot_from_text};
 pub use schema::Schema;
-pub use toml::{from_value, load, resolve, resolve_table};
+pub use toml::{from_json, from_value, load, resolve, resolve_table};

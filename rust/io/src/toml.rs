@@ -38,6 +38,14 @@ pub fn from_value<T: DeserializeOwned + JsonSchema>(value: Value, origin: &str) 
     serde_json::from_value(value).map_err(|error| BuildError::malformed(origin, error))
 }
 
+/// A typed configuration from the JSON text of a resolved table; `origin` is named in errors.
+///
+/// # Errors
+/// As [`from_value`], or naming the place where the text is no JSON.
+pub fn from_json<T: DeserializeOwned + JsonSchema>(text: &str, origin: &str) -> Result<T, BuildError> {
+    from_value(serde_json::from_str(text).map_err(|error| BuildError::malformed(origin, error))?, origin)
+}
+
 /// Reads a TOML text; numbers that are not finite are refused.
 ///
 /// # Errors

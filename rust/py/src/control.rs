@@ -2,8 +2,9 @@
 
 use crate::arrays::{Input, array, entries, matrix, matrix3, value_error, vector, vector3, vectors};
 use crate::flight::parse;
+use crate::plant::finite;
 use crate::qp::answer;
-use crate::robot::measured_state;
+use crate::robot::{measured_state, rotation as checked_rotation};
 use flight_core::control::contact::ContactState;
 use flight_core::control::setpoint::{Setpoint, SetpointGenerator};
 use flight_core::control::tasks::MOMENTUM_ROWS;
@@ -275,8 +276,7 @@ impl Controller {
 /// The feet of a controller that can stand.
 fn contact_dict<'py>(py: Python<'py>, terms: &Terms, state: &ContactState) -> PyResult<Bound<'py, PyDict>> {
     let (out, contact) = (PyDict::new(py), &terms.contact);
-    let feet = contact.soles.len();
-    let wrenches = |forces: &DVector<f64>| array(py, &[feet, 6], forces.as_slice().to_vec());
+    let wrenches = |forces: &DVector<f64>| array(py, &[forces.len() / 6, 6], forces.as_slice().to_vec());
     out.set_item("is_active", state.is_active)?;
     out.set_item("force", wrenches(&state.force)?)?;
     out.set_item("force_rate", wrenches(&state.force_rate)?)?;
@@ -342,12 +342,14 @@ pub fn setpoint_trajectory<'py>(
     let config = parse(config_json)?;
     let mission = load_mission(&config.mission).map_err(value_error)?;
     let robot = load_robot(&config.robot).map_err(value_error)?;
+    config.simulator.check(&robot).map_err(value_error)?;
     let dt = config.simulator.time_step;
     let ticks = config.simulator.n_ticks() + 1;
     let generator =
         SetpointGenerator::new(&config.controller.law.setpoint, mission, &robot.forward_axis_b, dt)
             .map_err(value_error)?;
-    let mut state = generator.start(vector3("com", &com)?, &matrix3("rotation", &rotation)?);
+    let com = Vector3::from_vec(finite("com", &com, &[3])?);
+    let mut state = generator.start(com, &checked_rotation("rotation", &rotation)?);
     let mut signals: [Vec<Vector3<f64>>; 2 + SETPOINT_VECTORS.len()] = Default::default();
     let mut rotations = Vec::with_capacity(9 * ticks);
     for tick in 0..ticks {

@@ -1,11 +1,10 @@
 //! Configurations and whole flights.
 
 use crate::arrays::{Input, Output, array, entries, value_error, vector, vectors};
-use flight_core::BuildError;
-use flight_io::{AeroConfig, NetworkConfig, RobotFiles, read_bytes};
+use flight_io::{AeroConfig, NetworkConfig, RobotFiles, from_json, read_bytes};
 use flight_sim::{
     BatchError, FlightResult, Scenario, ScenarioConfig, Wind, WindConfig, check_batch,
-    fly_batch as fly_rust_batch, load_scenario, scenario_from_value,
+    fly_batch as fly_rust_batch, load_scenario,
 };
 use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
@@ -21,9 +20,7 @@ const REPORT_INTERVAL: Duration = Duration::from_millis(50);
 
 /// A flight configuration from JSON.
 pub fn parse(config_json: &str) -> PyResult<ScenarioConfig> {
-    let value = serde_json::from_str(config_json)
-        .map_err(|error| value_error(BuildError::malformed("configuration", error)))?;
-    scenario_from_value(value, "configuration").map_err(value_error)
+    from_json(config_json, "configuration").map_err(value_error)
 }
 
 fn to_value(config: &ScenarioConfig) -> PyResult<serde_json::Value> {
@@ -101,9 +98,7 @@ pub fn config_digest(config_json: &str) -> PyResult<String> {
 /// Velocity (times, 3) [m/s, inertial axes] of a wind profile, given as JSON, at times [s].
 #[pyfunction]
 pub fn wind_velocity<'py>(py: Python<'py>, wind_json: &str, times: Input<'py>) -> PyResult<Output<'py>> {
-    let config =
-        serde_json::from_str(wind_json).map_err(|error| value_error(BuildError::malformed("wind", error)))?;
-    let wind = Wind::new(&config).map_err(value_error)?;
+    let wind = from_json(wind_json, "wind").and_then(|config| Wind::new(&config)).map_err(value_error)?;
     let times = entries("times", &times, &[times.as_array().len()])?;
     let velocities: Vec<_> = times.iter().map(|time| wind.velocity(*time)).collect();
     vectors(py, &velocities)

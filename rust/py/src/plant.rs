@@ -85,7 +85,8 @@ impl Plant {
     }
 }
 
-fn finite(name: &str, array: &Input<'_>, shape: &[usize]) -> PyResult<Vec<f64>> {
+/// As [`entries`], which must be finite.
+pub fn finite(name: &str, array: &Input<'_>, shape: &[usize]) -> PyResult<Vec<f64>> {
     let values = entries(name, array, shape)?;
     match values.iter().find(|value| !value.is_finite()) {
         None => Ok(values),

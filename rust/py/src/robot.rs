@@ -7,8 +7,8 @@ use flight_core::kinematics::{Kinematics, RobotState};
 use flight_core::robot::Frame;
 use flight_core::spatial::{Pose, is_rotation, orthonormality_error};
 use flight_core::{BuildError, RobotModel};
-use flight_io::{AeroConfig, RobotFiles, load_aero};
-use nalgebra::{DVector, Vector3};
+use flight_io::{AeroConfig, RobotFiles, from_json, load_aero};
+use nalgebra::{DVector, Matrix3, Vector3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -22,17 +22,21 @@ pub struct Robot {
     model: RobotModel,
 }
 
-/// State of a robot from arrays: base position (3), rotation (3, 3), joints (n), mixed velocity (6 + n). Its rotation must be
-/// one to 1e-6.
+/// State of a robot from arrays: base position (3), rotation (3, 3), joints (n), mixed velocity (6 + n).
 pub fn state(joints: usize, arrays: [&Input<'_>; 4]) -> PyResult<RobotState> {
-    let state = measured_state(joints, arrays)?;
-    let rotation = &state.base.rotation;
-    if is_rotation(rotation) {
-        return Ok(state);
+    rotation("base_rotation", arrays[1])?;
+    measured_state(joints, arrays)
+}
+
+/// A rotation, which must be one to 1e-6.
+pub fn rotation(name: &str, array: &Input<'_>) -> PyResult<Matrix3<f64>> {
+    let rotation = matrix3(name, array)?;
+    if is_rotation(&rotation) {
+        return Ok(rotation);
     }
     Err(PyValueError::new_err(format!(
-        "`base_rotation` deviates from a rotation by {:e} (determinant {}); expected one to 1e-6",
-        orthonormality_error(rotation),
+        "`{name}` deviates from a rotation by {:e} (determinant {}); expected one to 1e-6",
+        orthonormality_error(&rotation),
         rotation.determinant()
     )))
 }
@@ -235,10 +239,6 @@ impl Robot {
     }
 }
 
-fn aero_config(aero_json: &str) -> PyResult<AeroConfig> {
-    serde_json::from_str(aero_json).map_err(|error| value_error(BuildError::malformed("aero", error)))
-}
-
 /// Forces (links, 3) [N] of an aerodynamic model, given as JSON, on a robot's links: unit axes and air
 /// velocities (links, 3), inertial axes.
 #[pyfunction]
@@ -250,7 +250,7 @@ pub fn aero_forces<'py>(
     v_air: Input<'py>,
 ) -> PyResult<Output<'py>> {
     let links = robot.model.aero_links.len();
-    let config = aero_config(aero_json)?;
+    let config: AeroConfig = from_json(aero_json, "aero").map_err(value_error)?;
     if matches!(config, AeroConfig::Network(_)) {
         let expected = "a model of single links; `link_forces` evaluates a network";
         return Err(value_error(BuildError::bad_value("aero.model", "network", expected)));
@@ -287,7 +287,7 @@ pub fn link_forces<'py>(
 ) -> PyResult<Output<'py>> {
     let arrays = [&base_position, &base_rotation, &joint_position, &velocity];
     let state = state(robot.model.joints.len(), arrays)?;
-    let config = aero_config(aero_json)?;
+    let config: AeroConfig = from_json(aero_json, "aero").map_err(value_error)?;
     let mut model = load_aero(&config, &robot.model).map_err(value_error)?;
     let (kinematics, _) = robot.evaluate(&state);
     let mut forces = LinkForces::new(&robot.model);
