@@ -74,7 +74,7 @@ def figures(signals: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
         "max_qp_iterations": _greatest(iterations),
         "degraded_time": tick * _ticks_above(signals["degraded_modes"], 0.0),
     }
-    return {name: float(value) for name, value in found.items()}
+    return {name: float(value) if time.size else np.nan for name, value in found.items()}
 
 
 def _ticks_above(values: NDArray[np.float64], limit: float) -> float:

@@ -25,8 +25,8 @@ const fn figure(name: &'static str, unit: &'static str, meaning: &'static str) -
 
 macro_rules! figures {
     ($($name:ident [$unit:literal] $meaning:literal;)*) => {
-        /// Figures of merit of a flight. Each is NaN if a number is that it is made of; those after settling, too, if
-        /// the flight ended before.
+        /// Figures of merit of a flight. Each is NaN if a number is that it is made of, or if there is no tick that it is
+        /// of: those after settling, if the flight ended before.
         #[derive(Debug, Clone, Copy, PartialEq)]
         pub struct Summary {
             $(#[doc = concat!($meaning, " \\[", $unit, "\\]")] pub $name: f64,)*
@@ -35,6 +35,9 @@ macro_rules! figures {
         const OF_FLIGHTS: &[Figure] = &[$(figure(stringify!($name), $unit, $meaning)),*];
 
         impl Summary {
+            /// The figures of no tick.
+            const NONE: Self = Self { $($name: f64::NAN),* };
+
             /// The figures, in the order of [`figures`].
             #[must_use]
             pub fn values(&self) -> Vec<f64> {
@@ -98,6 +101,9 @@ impl Summary {
         };
         let rows = |name: &str| data(name).chunks_exact(3).map(Vector3::from_column_slice);
         let (time, rotation) = (data("time"), data("rotation_error"));
+        if time.is_empty() {
+            return Self::NONE;
+        }
         let is_settled = |time: &&f64| **time >= SETTLING_TIME;
         let settling = time.iter().take_while(|time| !is_settled(time)).count();
         let com_errors: Vec<Vector3<f64>> = rows("com_position")
@@ -139,7 +145,7 @@ impl Summary {
             max_aero_force_difference: greatest(
                 simulated.iter().zip(&estimated).map(|(simulated, estimated)| (simulated - estimated).norm()),
             ),
-            max_kkt: greatest(data("qp_kkt").iter().copied().filter(|kkt| kkt.is_finite())),
+            max_kkt: greatest_of(data("qp_kkt").iter().copied().filter(|kkt| kkt.is_finite())),
             max_qp_iterations: greatest(data("qp_iterations").iter().copied()),
             degraded_time: degraded as f64 * tick,
         }
