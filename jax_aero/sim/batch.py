@@ -20,11 +20,10 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jax_aero.aero.network import Network
 from jax_aero.aero.network_card import load_network
 from jax_aero.config import ScenarioConfig
-from jax_aero.io import scenario_config
 from jax_aero.result import FlightResult, Progress
 from jax_aero.robot import RobotModel, load_robot
 from jax_aero.sim.rollout import CHUNK, COMPILER_OPTIONS, Ending, finished
-from jax_aero.sim.step import FLYING, FlightState, Scenario, prepare, step
+from jax_aero.sim.step import FLYING, FlightState, Scenario, prepare, step, typed
 from jax_aero.summary import condense
 from jax_aero.types import Array
 
@@ -139,7 +138,7 @@ def batch_size(flights: int, devices: int, most: int) -> int:
 def _typed(configs: Iterable[ScenarioConfig | Mapping[str, Any]]) -> Iterator[ScenarioConfig]:
     for index, config in enumerate(configs):
         with _naming(index):
-            yield config if isinstance(config, ScenarioConfig) else scenario_config(config)
+            yield typed(config)
 
 
 def _prepared(configs: Iterable[ScenarioConfig], dtype: Any) -> Iterator[tuple[Scenario, FlightState]]:

@@ -209,8 +209,8 @@ def prepare(
     Parameters
     ----------
     config
-        A configuration, or its resolved table, as `jax_aero.io.load_config` returns it. A table is checked by the crate,
-        too, where that is installed.
+        A configuration, or its resolved table, as `jax_aero.io.load_config` returns it. The crate checks a table, too,
+        where it is installed.
     robot
         The robot that flies, if it is loaded already.
     controller
@@ -233,9 +233,7 @@ def prepare(
             "dtype is float64, but JAX computes in single precision here; "
             "expected a call inside `with jax.enable_x64(True):`, or dtype=np.float32"
         )
-    if not isinstance(config, ScenarioConfig):
-        check_config(config)
-        config = scenario_config(config)
+    config = typed(config)
     if robot is None:
         robot = load_robot(config.robot)
     for key, table in (("ground", config.simulator.ground), ("motors", config.simulator.motors)):
@@ -265,6 +263,14 @@ def prepare(
     )
     scenario, flight_state = jax.device_put((scenario, begin(scenario, state)))
     return in_precision(scenario, flight_state, dtype)
+
+
+def typed(config: ScenarioConfig | Mapping[str, Any]) -> ScenarioConfig:
+    """Return a configuration, from its resolved table if that is given."""
+    if isinstance(config, ScenarioConfig):
+        return config
+    check_config(config)
+    return scenario_config(config)
 
 
 def in_precision(scenario: Scenario, state: FlightState, dtype: Any) -> tuple[Scenario, FlightState]:
