@@ -1,5 +1,5 @@
 //! From a robot's files to a [`RobotModel`]: names to indices, degrees to radians, unknown keys refused,
-//! every value checked once.
+//! every value checked once: ranges by the schema of the file, what depends on one another here.
 //!
 //! The URDF says what the robot is made of; the TOML file beside it says what it is used for: the
 //! order of the joints, where aerodynamic forces and thrusts act, the geometry of the feet. `tree` finds what
@@ -12,7 +12,7 @@ mod urdf;
 
 use crate::read_text;
 use crate::toml::{from_value, parse};
-use flight_core::error::{BuildError, check as check_number, place_of};
+use flight_core::error::{BuildError, place_of};
 use flight_core::jets::EngineModel;
 use flight_core::robot::{
     AeroLink, AxisymmetricCoefficients, EngineCoefficients, Foot, Jet, JointGroup, RobotModel, check,
@@ -237,7 +237,7 @@ fn build(file: RobotFile, urdf_text: &str, origin: &str) -> Result<RobotModel, B
 
     Ok(RobotModel {
         forward_axis_b: forward_axis(file.forward_axis)?,
-        gravity: check_number("gravity", file.gravity, |g| g > 0.0, "a positive number, in m/s²")?,
+        gravity: file.gravity,
         joints: joints::joints(&file, &tree)?,
         groups: groups(&file)?,
         aero_links: aero_links(&file, &tree)?,
@@ -271,7 +271,6 @@ fn aero_links(file: &RobotFile, tree: &Tree) -> Result<Vec<AeroLink>, BuildError
     check::unique("aerodynamic link", file.aero_links.iter().map(|link| link.name.as_str()))?;
     let link = |entry: &AeroEntry| {
         let of = |what: &str| format!("{what} of aerodynamic link `{}`", entry.name);
-        let size = |what: &str, value| check_number(&of(what), value, |x| x > 0.0, "a positive size, in m");
         let coefficients = file.coefficients.iter().map(|(set, families)| {
             let found = families.get(&entry.family).copied().ok_or_else(|| {
                 let item = format!("{}, in coefficient set `{set}`,", of("family"));
@@ -283,9 +282,9 @@ fn aero_links(file: &RobotFile, tree: &Tree) -> Result<Vec<AeroLink>, BuildError
             name: entry.name.clone(),
             frame: tree.frame(&of("frame"), &entry.frame)?,
             axis_l: check::unit(&of("axis"), &entry.axis)?,
-            centre_l: check::finite(&of("centre"), &entry.centre)?,
-            diameter: size("diameter", entry.diameter)?,
-            length: size("length", entry.length)?,
+            centre_l: Vector3::from(entry.centre),
+            diameter: entry.diameter,
+            length: entry.length,
             is_sphere: entry.is_sphere,
             coefficients: coefficients.collect::<Result<_, _>>()?,
         })
@@ -295,13 +294,9 @@ fn aero_links(file: &RobotFile, tree: &Tree) -> Result<Vec<AeroLink>, BuildError
 
 fn check_coefficients(file: &RobotFile) -> Result<(), BuildError> {
     for (set, families) in &file.coefficients {
-        for (family, areas) in families {
-            let of = format!("coefficient set `{set}`, family `{family}`");
+        for family in families.keys() {
             let known = file.aero_links.iter().map(|link| &link.family);
             place_of(format!("coefficient set `{set}`"), family, known)?;
-            for (index, value) in areas.cda.iter().chain([&areas.cna]).enumerate() {
-                check_number(&format!("w{index} of {of}"), *value, |_| true, "a finite area, in m²")?;
-            }
         }
     }
     Ok(())
@@ -318,12 +313,7 @@ fn jets(file: &RobotFile, tree: &Tree) -> Result<Vec<Jet>, BuildError> {
             name: entry.name.clone(),
             frame: tree.frame(&of("frame"), &entry.frame)?,
             axis_f: check::unit(&of("axis"), &entry.axis)?,
-            thrust_max: check_number(
-                &of("thrust_max"),
-                entry.thrust_max,
-                |t| t > 0.0,
-                "a positive force, in N",
-            )?,
+            thrust_max: entry.thrust_max,
             engine: entry.engine.clone(),
         })
     };
@@ -337,11 +327,10 @@ fn feet(file: &RobotFile, tree: &Tree) -> Result<Vec<Foot>, BuildError> {
         if entry.vertices.is_empty() {
             return Err(BuildError::bad_value(of("vertices"), "[]", "at least one point"));
         }
-        let vertices = entry.vertices.iter().map(|vertex| check::finite(&of("vertices"), vertex));
         Ok(Foot {
             name: entry.name.clone(),
             frame: tree.frame(&of("frame"), &entry.frame)?,
-            vertices_f: vertices.collect::<Result<_, _>>()?,
+            vertices_f: entry.vertices.iter().copied().map(Vector3::from).collect(),
         })
     };
     file.feet.iter().map(foot).collect()

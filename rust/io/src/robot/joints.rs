@@ -2,7 +2,7 @@
 
 use super::tree::{Tree, TreeJoint};
 use super::{JointEntry, RobotFile};
-use flight_core::error::{BuildError, check as check_number};
+use flight_core::error::BuildError;
 use flight_core::robot::{Joint, JointKind, check};
 
 /// The joints of the groups, in their order.
@@ -46,9 +46,9 @@ fn joint(entry: &JointEntry, in_urdf: &TreeJoint) -> Result<Joint, BuildError> {
             .limits
             .ok_or_else(|| missing(&of(limits_key), "limits, as the joint is continuous in the URDF"))?,
     };
-    let greatest = |key: &str, unit: f64, given: Option<f64>, urdf: Option<f64>| match given {
-        Some(value) => check_number(&of(key), value, |x| x > 0.0, "a positive number").map(|x| x * unit),
-        None => urdf.ok_or_else(|| missing(&of(key), "a positive number, as the URDF has none")),
+    let greatest = |key: &str, unit: f64, given: Option<f64>, urdf: Option<f64>| {
+        let value = given.map(|value| value * unit).or(urdf);
+        value.ok_or_else(|| missing(&of(key), "a positive number, as the URDF has none"))
     };
     let (lower, upper) = in_urdf.limits.unwrap_or((f64::NEG_INFINITY, f64::INFINITY));
     Ok(Joint {
@@ -59,7 +59,7 @@ fn joint(entry: &JointEntry, in_urdf: &TreeJoint) -> Result<Joint, BuildError> {
         limits,
         stops: (lower.min(limits.0), upper.max(limits.1)),
         torque_max: greatest("torque_max", 1.0, entry.torque_max, in_urdf.torque_max)?,
-        torque_rate_max: greatest("torque_rate_max", 1.0, entry.torque_rate_max, Some(f64::INFINITY))?,
+        torque_rate_max: entry.torque_rate_max.unwrap_or(f64::INFINITY),
         velocity_max: greatest(velocity_key, per_unit, given.1, in_urdf.velocity_max)?,
     })
 }

@@ -2,7 +2,7 @@
 
 use super::merge::{merge, part};
 use super::urdf::{Joint, Urdf};
-use flight_core::error::{BuildError, check as check_number, place_of};
+use flight_core::error::{BuildError, place_of};
 use flight_core::robot::{Body, Frame, JointKind, check};
 use flight_core::spatial::{Pose, axis_angle};
 use nalgebra::{Unit, Vector3};
@@ -145,11 +145,7 @@ fn motions(urdf: &Urdf, order: &[&str], locked: &BTreeMap<String, f64>) -> Resul
             (None, None, None) => Ok(Motion::Fixed),
             (None, _, _) => Err(BuildError::bad_value(item, "fixed", "one that moves, as it is listed")),
             (Some(kind), Some(place), _) => Ok(Motion::Moving(kind, place)),
-            (Some(kind), None, Some(&position)) => {
-                let item = format!("position of locked joint `{name}`");
-                let position = check_number(&item, position, |_| true, "a finite number")?;
-                Ok(Motion::Locked(kind, position))
-            }
+            (Some(kind), None, Some(&position)) => Ok(Motion::Locked(kind, position)),
             (Some(_), None, None) => Err(BuildError::bad_value(
                 format!("joint `{name}`"),
                 "neither in the joint order nor locked",
