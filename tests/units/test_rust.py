@@ -130,7 +130,7 @@ def test_a_table_is_refused_by_key():
     robot, still = rust.Robot(HOME / "configs/robot/ironcub_mk1.toml"), np.zeros((13, 3))
     with pytest.raises(ValueError, match=r"^wind: `velocity` is \[1.0,2.0\]; expected a list of 3$"):
         rust.wind_velocity({"profile": "constant", "velocity": [1.0, 2.0]}, [0.0])
-    with pytest.raises(ValueError, match='^aero: `air_density` is "thin"; expected a number > 0$'):
+    with pytest.raises(ValueError, match=r'^aero: `air_density` is "thin"; expected a number > 0$'):
         rust.aero_forces(
             robot, {"model": "axisymmetric", "coefficients": "published", "air_density": "thin"}, still, still
         )
@@ -138,9 +138,9 @@ def test_a_table_is_refused_by_key():
 
 def test_setpoints_begin_where_a_robot_can_be_and_are_not_endless():
     config = rust.load_config(TEST2, SHORT)
-    with pytest.raises(ValueError, match="^`com` is NaN; expected finite numbers"):
+    with pytest.raises(ValueError, match=r"^`com` is NaN; expected finite numbers"):
         rust.setpoint_trajectory(config, [np.nan, 0.0, 0.0], np.eye(3))
-    with pytest.raises(ValueError, match="^`rotation` deviates from a rotation by"):
+    with pytest.raises(ValueError, match=r"^`rotation` deviates from a rotation by"):
         rust.setpoint_trajectory(config, np.zeros(3), 2.0 * np.eye(3))
     config["simulator"]["duration"] = 1e9
     with pytest.raises(ValueError, match="is 100000000000; expected at most ten million ticks"):

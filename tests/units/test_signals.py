@@ -62,6 +62,15 @@ def test_a_flight_that_ends_while_it_settles_has_no_figure_of_what_comes_after()
     assert flight.outcome == "completed"
 
 
+def test_a_flight_without_a_sound_tick_has_no_figures():
+    """In both languages."""
+    flight = rust.fly(rust.load_config(TEST2, {"wind": {"profile": "constant", "velocity": [0.0, 301.0, 0.0]}}))
+    assert (flight.outcome, flight.lost_time) == ("diverged", 0.0)
+    found = figures(condense({name: values[:0] for name, values in flight.log.items()}, flight.joint_setpoint))
+    for summary in (found, flight.summary):
+        assert np.isnan(list(summary.values())).all(), summary
+
+
 @pytest.mark.parametrize("signal", ["com_position", "rotation_error", "thrust", "joint_torque", "aero_force_sim"])
 def test_figures_do_not_hide_what_is_no_number(flight, signal):
     log = {name: values.copy() for name, values in flight.log.items()}
