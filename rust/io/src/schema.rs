@@ -228,7 +228,8 @@ impl<'a> Node<'a> {
             "integer" => "an integer".to_owned(),
             _ => "a number".to_owned(),
         };
-        let limits = [("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤")];
+        let limits =
+            [("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤"), ("exclusiveMaximum", "<")];
         let limits = limits.iter().filter_map(|(name, sign)| Some(format!("{sign} {}", limit(name)?)));
         let limits = limits.collect::<Vec<_>>().join(" and ");
         if limits.is_empty() { words } else { format!("{words} {limits}") }

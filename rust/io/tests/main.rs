@@ -3,5 +3,7 @@
 #[path = "../../sim/tests/common/mod.rs"]
 mod common;
 
+mod files;
 mod mission;
 mod robot;
+mod schema;

@@ -122,6 +122,21 @@ fn fixed_joint_merges_by_the_parallel_axis_theorem() {
     assert_within!((body.inertia_b - expected).amax(), 1e-15, because "a few units in the last place of numbers of order one", "{}", body.inertia_b);
 }
 
+/// A locked sliding joint is a fixed one that far along its axis.
+#[test]
+fn locked_sliding_joint_is_moved_along_its_axis() {
+    let toml = NO_JOINTS.to_owned() + "\nlocked = { mount = 0.4 }";
+    let sliding = TWO_PARTS
+        .replace(r#"type="fixed">"#, r#"type="prismatic"><axis xyz="0 1 0"/><limit lower="-1" upper="1"/>"#);
+    let locked = robot_from_text(&toml, &sliding, "locked").unwrap();
+    // The joint's y is −x of the base.
+    let fixed = TWO_PARTS.replace(r#"xyz="0 0 1""#, r#"xyz="-0.4 0 1""#);
+    let fixed = robot_from_text(NO_JOINTS, &fixed, "fixed").unwrap();
+    assert_within!((locked.bodies[0].com_b - fixed.bodies[0].com_b).amax(), 1e-15);
+    assert_within!((locked.bodies[0].inertia_b - fixed.bodies[0].inertia_b).amax(), 1e-15);
+    assert!(locked.bodies[0].com_b.x < -0.1);
+}
+
 /// The axes in which an inertia is written are its own: turning them is turning the tensor.
 #[test]
 fn inertia_is_read_in_the_axes_of_its_origin() {

@@ -1,0 +1,135 @@
+//! What a schema refuses: at which number, and in which words.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+use flight_io::{from_json, from_value};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+
+/// A table with every kind of limit.
+#[derive(Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+struct Limits {
+    #[schemars(range(min = 1, max = 3))]
+    closed: f64,
+    #[schemars(extend("exclusiveMinimum" = 0, "exclusiveMaximum" = 2))]
+    open: f64,
+    free: f64,
+    count: u64,
+    #[schemars(length(min = 1, max = 2), inner(range(min = 0)))]
+    list: Vec<f64>,
+    three: [f64; 3],
+    optional: Option<f64>,
+    text: String,
+    flag: bool,
+    by_name: BTreeMap<String, Limits>,
+    kind: Option<Kind>,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            closed: 1.0,
+            open: 1.0,
+            free: 0.0,
+            count: 0,
+            list: vec![0.0],
+            three: [0.0; 3],
+            optional: None,
+            text: String::new(),
+            flag: false,
+            by_name: BTreeMap::new(),
+            kind: None,
+        }
+    }
+}
+
+#[derive(Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+enum Kind {
+    Round { radius: f64 },
+    Flat {},
+}
+
+fn refusal(value: Value) -> Option<String> {
+    from_value::<Limits>(value, "here").err().map(|error| error.to_string())
+}
+
+/// The ends of a range belong to it or not, as the schema says, and no number is beyond 10⁹.
+#[test]
+fn ends_of_ranges() {
+    for accepted in [
+        json!({"closed": 1}),
+        json!({"closed": 3.0}),
+        json!({"open": 1e-300}),
+        json!({"open": 1.999}),
+        json!({"free": 1e9}),
+        json!({"free": -1e9}),
+        json!({"count": 0}),
+        json!({"count": 5_000_000_000_u64}),
+        json!({"list": [0.0]}),
+        json!({"list": [0.0, 1.0]}),
+        json!({"by_name": {"any": {"closed": 2.0}}}),
+        json!({"kind": {"kind": "flat"}}),
+    ] {
+        assert_eq!(refusal(accepted.clone()), None, "{accepted}");
+    }
+    for (refused, words) in [
+        (json!({"closed": 0.999}), "here: `closed` is 0.999; expected a number ≥ 1 and ≤ 3"),
+        (json!({"closed": 3.001}), "here: `closed` is 3.001; expected a number ≥ 1 and ≤ 3"),
+        (json!({"open": 0.0}), "here: `open` is 0.0; expected a number > 0 and < 2"),
+        (json!({"open": 2.0}), "here: `open` is 2.0; expected a number > 0 and < 2"),
+        (json!({"free": 1.000_000_1e9}), "here: `free` is 1000000100.0; expected a number from -1e9 to 1e9"),
+        (
+            json!({"free": -1.000_000_1e9}),
+            "here: `free` is -1000000100.0; expected a number from -1e9 to 1e9",
+        ),
+        (json!({"count": -1}), "here: `count` is -1; expected an integer ≥ 0"),
+        (json!({"count": 1.5}), "here: `count` is 1.5; expected an integer ≥ 0"),
+        (json!({"list": []}), "here: `list` is []; expected a list"),
+        (json!({"list": [1, 2, 3]}), "here: `list` is [1,2,3]; expected a list"),
+        (json!({"list": [1, -2]}), "here: `list[1]` is -2; expected a number ≥ 0"),
+        (json!({"three": [1, 2]}), "here: `three` is [1,2]; expected a list of 3"),
+        (json!({"three": [1, 2, "x"]}), "here: `three[2]` is \"x\"; expected a number"),
+        (json!({"optional": "x"}), "here: `optional` is \"x\"; expected a number"),
+        (json!({"text": 1}), "here: `text` is 1; expected a text"),
+        (json!({"flag": 1}), "here: `flag` is 1; expected true or false"),
+        (json!({"by_name": 1}), "here: `by_name` is 1; expected a table"),
+        (
+            json!({"by_name": {"any": {"open": 0}}}),
+            "here: `by_name.any.open` is 0; expected a number > 0 and < 2",
+        ),
+        (json!({"kind": 1}), "here: `kind` is 1; expected a table"),
+        (json!({"kind": {}}), "here: `kind.kind` is missing"),
+        (json!({"kind": {"kind": "square"}}), "here: `kind.kind` is \"square\"; expected one of round, flat"),
+        (json!({"kind": {"kind": "round"}}), "here: `kind.radius` is missing"),
+        (json!({"kind": {"kind": "flat", "radius": 1}}), "here: unknown key `kind.radius` (known: kind)"),
+        (json!(1), "here: the whole is 1; expected a table"),
+    ] {
+        assert_eq!(refusal(refused).as_deref(), Some(words));
+    }
+}
+
+/// A key that is nearly right is suggested, one that is not is none; a long value is cut after 79 characters.
+#[test]
+fn refusals_are_short_and_helpful() {
+    let unknown = |key: &str| refusal(json!({ key: 1 })).unwrap();
+    assert!(
+        unknown("optinal")
+            .starts_with("here: unknown key `optinal`; did you mean `optional`? (known: by_name, closed")
+    );
+    assert!(unknown("weather").starts_with("here: unknown key `weather` (known: "));
+    let shown = |length: usize| refusal(json!({"flag": "é".repeat(length)})).unwrap();
+    assert_eq!(shown(78), format!("here: `flag` is \"{}\"; expected true or false", "é".repeat(78)));
+    assert_eq!(shown(79), format!("here: `flag` is \"{}…; expected true or false", "é".repeat(78)));
+}
+
+/// What is no JSON is refused where it stands.
+#[test]
+fn a_text_that_is_no_json_is_refused() {
+    let message = from_json::<Limits>("{\"closed\": }", "here").unwrap_err().to_string();
+    assert!(message.starts_with("here: ") && message.contains("line 1 column 12"), "{message}");
+    assert_eq!(from_json::<Limits>("{}", "here").unwrap(), Limits::default());
+}
