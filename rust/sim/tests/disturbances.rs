@@ -5,7 +5,8 @@
 
 use crate::common::{assert_within, experiment, fly, robot};
 use flight_sim::disturbances::{
-    FailureKind, JetFailure, JetFaultsConfig, MeasurementNoise, ModelError, WindEstimateConfig, WindEstimator,
+    FailureKind, JetFailure, JetFaults, JetFaultsConfig, MeasurementNoise, ModelError, WindEstimateConfig,
+    WindEstimator,
 };
 use flight_sim::jets::{Jets, JetsConfig, SecondOrderConfig};
 use flight_sim::noise::Noise;
@@ -103,6 +104,23 @@ fn bias_mean_and_noise_are_what_they_say() {
     assert_within!((spread.sqrt() - 2.0).abs(), 0.1, "{spread}");
 }
 
+/// The mean is that of all ticks of the flight, the first and the last included, and of the wind that the controller is
+/// given.
+#[test]
+fn the_mean_is_that_of_every_tick() {
+    let mut config = experiment("test2");
+    config.simulator.duration = 0.04;
+    let given = vec![[0.0, 1.0, 0.0, 0.0], [0.04, 5.0, 0.0, 0.0]];
+    config.disturbances.controller_wind = Some(WindConfig::Samples { samples: given });
+    config.disturbances.wind_estimate =
+        Some(WindEstimateConfig { mean_only: true, ..WindEstimateConfig::default() });
+    let result = &fly(&[config])[0];
+    let measured = result.log.series("measured_wind").unwrap();
+    for tick in 0..5 {
+        assert_within!((measured.row(tick)[0] - 3.0).abs(), 1e-14, because "a sum of five numbers");
+    }
+}
+
 #[test]
 fn only_the_controller_gets_wrong_values() {
     let mut biased = experiment("test2");
@@ -180,6 +198,32 @@ fn a_stuck_engine_keeps_its_thrust_and_a_dying_one_loses_it_slowly() {
     let dying = run(jets(&JetsConfig::Ideal {}, &failure(FailureKind::Off, 0.2)), 10.0, 100);
     let expected = dying[71][1] / dying[51][1];
     assert_within!((expected - (-1.0_f64).exp()).abs(), 1e-9, "{expected}");
+}
+
+/// The rate of a thrust that is none of the command is that of the thrust itself.
+#[test]
+fn a_fault_changes_the_rate_with_the_thrust() {
+    let robot = robot("ironcub_mk1");
+    let after = |faults: &JetFaultsConfig| {
+        let mut faults = JetFaults::new(faults, &robot.jets).unwrap();
+        let mut last = (0.0, 0.0);
+        for _ in 0..70 {
+            last = faults.limited(1, 100.0, 30.0, STEP);
+        }
+        last
+    };
+    assert_eq!(after(&JetFaultsConfig::default()), (100.0, 30.0));
+    assert_eq!(after(&failure(FailureKind::Stuck, 0.0)), (100.0, 0.0));
+    assert_eq!(after(&failure(FailureKind::Off, 0.0)), (0.0, 0.0));
+    let (thrust, rate) = after(&failure(FailureKind::Off, 0.2));
+    assert_within!((thrust - 100.0 * (-1.0_f64).exp()).abs(), 1e-12, because "70 steps of 10 ms, 0.2 s after the failure");
+    assert_eq!(rate, -thrust / 0.2);
+    let weak = JetFaultsConfig { thrust_limit_scale: Some(0.5), ..JetFaultsConfig::default() };
+    let mut weak = JetFaults::new(&weak, &robot.jets).unwrap();
+    let limit = 0.5 * robot.jets[1].thrust_max;
+    assert_eq!(weak.limited(1, limit + 1.0, 30.0, STEP), (limit, 0.0));
+    assert_eq!(weak.limited(1, limit + 1.0, -30.0, STEP), (limit, -30.0));
+    assert_eq!(weak.limited(1, limit, 30.0, STEP), (limit, 30.0));
 }
 
 #[test]

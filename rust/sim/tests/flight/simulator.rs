@@ -476,6 +476,13 @@ fn numbers_that_physics_allows_fly() {
         config.simulator.fall.com_error = 1e9;
     });
     assert!(run(&fast).loss.is_none());
+    let at_its_limits = with(fast, |config| {
+        config.simulator.initial.base_velocity = [300.0, 0.0, 0.0, 0.0, 0.0, 100.0];
+        config.simulator.initial.thrust[2] = 2200.0;
+        config.simulator.initial.free_fall_tick = false;
+    });
+    let mut flight = Scenario::new(&at_its_limits).unwrap().begin();
+    assert!(flight.step(), "{:?}", flight.loss());
 }
 
 /// A robot that nothing touches falls freely whatever the controller commands of its joints, but for the
