@@ -6,6 +6,7 @@ flies missions with both, with ideal jets and with identified ones. The result g
 
 from __future__ import annotations
 
+import re
 import shutil
 import tempfile
 from pathlib import Path
@@ -68,15 +69,8 @@ def with_arms(robot: str, engine: str, limit: float) -> str:
     parts = robot.split("[[jets]]")
     for index, part in enumerate(parts):
         if "_arm_jet_turbine" in part and index > 0:
-            lines = [
-                f"thrust_max = {limit}"
-                if line.startswith("thrust_max")
-                else f'engine = "{engine}"'
-                if line.startswith("engine =")
-                else line
-                for line in part.split("\n")
-            ]
-            parts[index] = "\n".join(lines)
+            limited = re.sub(r"^thrust_max.*", f"thrust_max = {limit}", part, flags=re.MULTILINE)
+            parts[index] = re.sub(r"^engine =.*", f'engine = "{engine}"', limited, flags=re.MULTILINE)
     return "[[jets]]".join(parts)
 
 
