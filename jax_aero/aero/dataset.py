@@ -80,11 +80,6 @@ def mirrored_areas(force_area_b: Float[np.ndarray, "*batch L 3"]) -> Float[np.nd
     return flipped
 
 
-def mirrored_couples(couple_volume_b: Float[np.ndarray, "*batch L 3"]) -> Float[np.ndarray, "*batch L 3"]:
-    """Couples of the mirror image, base axes: the sign of an axial vector is the opposite."""
-    return -mirrored_areas(couple_volume_b)
-
-
 def in_robot_order(
     joint_names: Sequence[str], joint_position_deg: Float[np.ndarray, "*batch s"]
 ) -> Float[np.ndarray, "*batch n"]:
@@ -233,7 +228,8 @@ class Dataset:
             wind_b=second(both.wind_b, both.wind_b * MIRROR_AXES),
             yaw_deg=second(both.yaw_deg, -both.yaw_deg),
             force_area_b=second(both.force_area_b, mirrored_areas(both.force_area_b)),
-            couple_volume_b=None if couples is None else second(couples, mirrored_couples(couples)),
+            # The sign of an axial vector is the opposite.
+            couple_volume_b=None if couples is None else second(couples, -mirrored_areas(couples)),
         )
 
     def random_split(self, seed: int, fraction: float = 0.2) -> tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]:
