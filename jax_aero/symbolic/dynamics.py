@@ -8,7 +8,6 @@ from __future__ import annotations
 import casadi as ca
 
 from jax_aero.symbolic.kinematics import Kinematics
-from jax_aero.symbolic.spatial import SX
 
 
 class Dynamics:
@@ -49,7 +48,8 @@ class Dynamics:
             linear += part.mass * v
             arm = centre - self.com
             scatter += part.mass * ca.mtimes(arm, arm.T) + ca.mtimes([turn, ca.DM(part.scatter), turn.T])
-            angular += part.mass * ca.cross(arm, v) + _axial(ca.mtimes(carried, turn.T))
+            # Σ r × ṙ of points with Σ ṙ rᵀ = A is the axial vector of A − Aᵀ.
+            angular += part.mass * ca.cross(arm, v) + 2 * ca.inv_skew(ca.mtimes(carried, turn.T))
         self.kinetic = kinetic
         self.potential = mass * robot.gravity * self.com[2]
         self.momentum = ca.vertcat(linear, angular)
@@ -62,8 +62,3 @@ class Dynamics:
         momentum_matrix = ca.jacobian(self.momentum, nu)
         self.mass_matrix, self.bias, self.momentum_matrix = tree.here(mass_matrix, bias, momentum_matrix)
         self.centroidal_inertia = self.momentum_matrix[3:, 3:6]
-
-
-def _axial(a: SX) -> SX:
-    """Return Σ r × ṙ of points with Σ ṙ rᵀ = A: the axial vector of A − Aᵀ."""
-    return ca.vertcat(a[2, 1] - a[1, 2], a[0, 2] - a[2, 0], a[1, 0] - a[0, 1])
