@@ -33,10 +33,11 @@ FAMILIES: Mapping[str, tuple[str, ...]] = {
 }
 """Links that share coefficients, by the names in the robot's configuration."""
 
-ORDER = 3
-"""Highest power in a candidate term."""
 MODEL_TERMS = ((0, 0), (1, 0), (0, 2), (0, 3), (3, 0))
-"""Powers (of cos, of sin) of `w0 .. w4`."""
+"""Powers (i, j) of cos and sin of the terms of `w0 .. w4`, all of which may enter the drag area.
+
+Zero slope at both poles requires j ≠ 1. Up to order 3 all other terms are sums of these (cos² = 1 − sin²).
+"""
 TOLERANCE = 0.01
 """How much worse than the best a shorter model may be on postures that are held out."""
 
@@ -90,24 +91,6 @@ def parts(force_area_b: Float[np.ndarray, "B L 3"], wind: Float[np.ndarray, "B 1
     return Parts(drag, force_area_b - drag[..., None] * wind)
 
 
-def candidate_terms() -> list[tuple[int, int]]:
-    """Powers (i, j) of the terms `cos^i α sin^j α` that may enter the drag area.
-
-    Zero slope at both poles requires j ≠ 1. Terms that are sums of earlier ones drop out (cos² = 1 − sin²); what is
-    left are the paper's five.
-    """
-    powers = [(i, j) for order in range(ORDER + 1) for i in range(order + 1) for j in [order - i] if j != 1]
-    # Those the paper prefers come first: pure powers, and sines before cosines.
-    powers.sort(key=lambda term: (term[0] > 0 and term[1] > 0, term != (1, 0) and term[0] > 0 and term[0] != 3, *term))
-    alpha = np.linspace(0.0, np.pi, 50)
-    kept: list[tuple[int, int]] = []
-    for term in powers:
-        columns = columns_of([*kept, term], np.cos(alpha), np.sin(alpha))
-        if np.linalg.matrix_rank(columns, tol=1e-9) == len(kept) + 1:
-            kept.append(term)
-    return sorted(kept, key=MODEL_TERMS.index)
-
-
 def columns_of(
     terms: Sequence[tuple[int, int]], cos: Float[np.ndarray, " B"], sin: Float[np.ndarray, " B"]
 ) -> Float[np.ndarray, "B k"]:
@@ -123,20 +106,18 @@ def fit_family(
     posture: Int[np.ndarray, " B"],
 ) -> FamilyFit:
     """Fit the links of one family: angles, forces, normal directions, posture number of each row."""
-    terms = candidate_terms()
-    matrix = columns_of(terms, cos, sin)
+    matrix = columns_of(MODEL_TERMS, cos, sin)
     supports = lasso_supports(matrix, force.drag)
     errors = {support: _held_out_error(matrix[:, list(support)], force.drag, posture) for support in supports}
     enough = (1.0 + TOLERANCE) * min(errors.values())
     chosen = min((support for support in errors if errors[support] <= enough), key=lambda s: (len(s), errors[s]))
     weights = np.zeros(len(MODEL_TERMS))
-    places = [MODEL_TERMS.index(terms[index]) for index in chosen]
-    weights[places] = least_squares(matrix[:, list(chosen)], force.drag)
+    weights[list(chosen)] = least_squares(matrix[:, list(chosen)], force.drag)
     shape = sin**2 * cos
     direction = (sin * cos)[:, None] * normal
     size = np.linalg.norm(force.across, axis=-1)
     return FamilyFit(
-        terms=tuple(terms[index] for index in chosen),
+        terms=tuple(MODEL_TERMS[index] for index in chosen),
         cda=weights,
         cna=float(np.sum(direction * force.across) / np.sum(direction**2)),
         cna_of_magnitude=float(np.sum(np.abs(shape) * size) / np.sum(shape**2)),

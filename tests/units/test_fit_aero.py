@@ -69,12 +69,19 @@ def axes(robot, sampled):
     return link_axes(robot, sampled.joint_position_deg)
 
 
-def test_the_candidates_that_meet_the_papers_constraints_are_the_papers_terms():
-    assert fit.candidate_terms() == list(fit.MODEL_TERMS)
+def test_the_powers_that_meet_the_papers_constraints_span_the_papers_terms_and_no_more():
+    powers = [(i, j) for i in range(4) for j in range(4 - i) if j != 1]
+    assert set(fit.MODEL_TERMS) <= set(powers)
+    alpha = np.linspace(0.0, np.pi, 50)
+    ranks = [
+        np.linalg.matrix_rank(fit.columns_of(terms, np.cos(alpha), np.sin(alpha)), tol=1e-9)
+        for terms in (powers, fit.MODEL_TERMS)
+    ]
+    assert ranks == [len(fit.MODEL_TERMS)] * 2
     # Zero slope at both poles, for every candidate, by difference quotients.
     for pole in (0.0, np.pi):
         alpha = np.array([pole - 1e-5, pole + 1e-5])
-        values = fit.columns_of(fit.candidate_terms(), np.cos(alpha), np.abs(np.sin(alpha)))
+        values = fit.columns_of(fit.MODEL_TERMS, np.cos(alpha), np.abs(np.sin(alpha)))
         np.testing.assert_allclose(values[0], values[1], atol=1e-9)
 
 
