@@ -54,10 +54,12 @@ def fly(words: Sequence[str]) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = cli.Parser("fly", __doc__)
-    named = parser.add_argument("names", nargs="*", metavar="NAME", help="one of --list, or the path of a TOML file")
+    which = parser.add_mutually_exclusive_group()
+    known = "one of --list, or the path of a TOML file"
+    named = which.add_argument("names", nargs="*", default=[], metavar="NAME", help=known)
     cli.completes(named, lambda: places.names("experiments"))
     study.add_set(parser)
-    parser.add_argument("--all", action="store_true", help="every experiment of configs/experiments")
+    which.add_argument("--all", action="store_true", help="every experiment of configs/experiments")
     parser.add_argument("--engine", choices=sorted(MODULES), help="engine (default: that of the configuration)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/flight)")
     parser.add_argument("--overwrite", action="store_true", help="fly again and replace a result that is there")
@@ -72,7 +74,7 @@ def _command(given: argparse.Namespace) -> list[str]:
         key, _, value = assignment.partition("=")
         words += ["--set", f"{key}={manifest.portable(value)}"]
     words += ["--engine", given.engine] if given.engine else []
-    words += ["--out", str(given.out)] if given.out else []
+    words += ["--out", manifest.portable(given.out)] if given.out else []
     return words + (["--overwrite"] if given.overwrite else [])
 
 

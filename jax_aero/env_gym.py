@@ -62,9 +62,12 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin an episode, in the wind `options["wind"]` (3,) [m/s] if there is one, else in one that is drawn."""
         super().reset(seed=seed)
+        options = options or {}
+        if unknown := options.keys() - {"wind"}:
+            raise ValueError(f"options of `reset` are {', '.join(sorted(unknown))}; expected `wind`, or none")
         speed, angle = self.np_random.uniform(0.0, self.task.wind_max), self.np_random.uniform(0.0, 2.0 * np.pi)
         drawn = [speed * np.cos(angle), speed * np.sin(angle), 0.0]
-        self._begin([float(part) for part in (options or {}).get("wind", drawn)])
+        self._begin([float(part) for part in options.get("wind", drawn)])
         return self._observe()[1], {"wind": self._config["wind"]["velocity"]}
 
     def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:

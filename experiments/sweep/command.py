@@ -38,9 +38,11 @@ def main(arguments: Sequence[str]) -> int:
 
 def _parser() -> Parser:
     parser = Parser("sweep", __doc__)
-    named = parser.add_argument("names", nargs="*", metavar="NAME", help="one of --list, or the path of a TOML file")
+    which = parser.add_mutually_exclusive_group()
+    known = "one of --list, or the path of a TOML file"
+    named = which.add_argument("names", nargs="*", default=[], metavar="NAME", help=known)
     completes(named, lambda: places.names("sweeps"))
-    parser.add_argument("--all", action="store_true", help="every sweep of configs/sweeps")
+    which.add_argument("--all", action="store_true", help="every sweep of configs/sweeps")
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the results (default results/sweeps)")
     parser.add_argument("--overwrite", action="store_true", help="start from the beginning, and replace a result")
     cluster.add_options(parser, "chunks", "threads, or processes of a local cluster")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -104,9 +105,11 @@ def _encode_gif(draft: Path, frames: Iterator[Any], fps: float, _size: tuple[int
     from PIL import Image
 
     pictures = [Image.fromarray(pixels).quantize(256) for pixels in frames]
-    duration = 10 * max(round(100.0 / fps), 2)
+    # Each frame ends at the nearest hundredth, so that the whole keeps its time; players show none under two.
+    ends = [round(100.0 * number / fps) for number in range(len(pictures) + 1)]
+    durations = [10 * max(end - start, 2) for start, end in pairwise(ends)]
     pictures[0].save(
-        draft, format="GIF", save_all=True, append_images=pictures[1:], duration=duration, loop=0, optimize=False
+        draft, format="GIF", save_all=True, append_images=pictures[1:], duration=durations, loop=0, optimize=False
     )
 
 

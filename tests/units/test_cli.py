@@ -183,3 +183,10 @@ def test_rotations_of_quaternions_are_those_of_scipy():
 def test_a_closed_pipe_ends_a_command_as_its_signal_would():
     """A shell reports 128 and the number of the signal."""
     assert cli.CLOSED == 128 + signal.SIGPIPE
+
+
+@pytest.mark.parametrize(("command", "name"), [("fly", "test1"), ("sweep", "paper_tests")])
+def test_names_beside_all_are_refused(command, name, capsys):
+    with pytest.raises(SystemExit):
+        cli.main([command, name, "--all"])
+    assert "argument --all: not allowed with argument NAME" in capsys.readouterr().err

@@ -181,6 +181,11 @@ def test_a_wind_that_is_not_finite_is_refused_by_its_key():
         HoverEnv().reset(options={"wind": [0.0, np.nan, 0.0]})
 
 
+def test_options_that_are_unknown_are_refused():
+    with pytest.raises(ValueError, match="options of `reset` are winds; expected `wind`"):
+        HoverEnv().reset(options={"winds": WIND})
+
+
 @pytest.mark.parametrize("size", [3, 30])
 def test_an_action_of_another_shape_is_refused(size):
     with pytest.raises(ValueError, match=rf"`action` has shape \({size},\); expected \(27,\)"):

@@ -86,6 +86,20 @@ def test_a_gif_has_its_frames_and_what_is_there_is_spared(fallen, tmp_path, caps
     assert out.read_bytes() == before
 
 
+@pytest.mark.parametrize("fps", [25.0, 30.0, 48.0])
+def test_a_gif_keeps_its_time(fps, tmp_path):
+    """Frames of 3 and 4 hundredths of a second, for 30 a second."""
+    frames = np.random.default_rng(0).integers(0, 255, (24, 8, 8, 3), np.uint8)
+    video._encode_gif(tmp_path / "clip.gif", iter(frames), fps, (8, 8))
+    durations = []
+    with Image.open(tmp_path / "clip.gif") as film:
+        for number in range(film.n_frames):
+            film.seek(number)
+            durations.append(film.info["duration"])
+    assert len(durations) == 24
+    assert abs(sum(durations) - 24e3 / fps) <= 5.0
+
+
 def test_a_video_ends_where_the_flight_ends(seen, agree):
     times = video.frame_times(seen.duration, fps=10.0, speed=2.0, start=0.0, end=seen.duration)
     np.testing.assert_allclose(np.diff(times[:100]), 0.2)
