@@ -74,7 +74,7 @@ def _command(given: argparse.Namespace) -> list[str]:
         key, _, value = assignment.partition("=")
         words += ["--set", f"{key}={manifest.portable(value)}"]
     words += ["--engine", given.engine] if given.engine else []
-    words += ["--out", manifest.portable(given.out)] if given.out else []
+    words += ["--out", str(given.out)] if given.out else []
     return words + (["--overwrite"] if given.overwrite else [])
 
 
