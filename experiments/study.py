@@ -13,7 +13,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -149,7 +149,7 @@ class Study(Generic[C]):
                     "inputs": manifest.portable(inputs),
                     "flights": flights,
                     "configurations": manifest.portable(findings.flights),
-                    "files": {manifest.portable(path): file_hash(path) for path in files},
+                    "files": file_hashes(files),
                 },
                 timings_s={key: round(seconds, 4) for key, seconds in timings.items()},
             )
@@ -164,9 +164,16 @@ class Study(Generic[C]):
 
 def _is_of(config: tables.Table, kept: Mapping[str, Any]) -> bool:
     """Whether a result, by its manifest, is that of these keys and of the files that they name as they are now."""
-    hashes = {manifest.portable(path): file_hash(path) for path in tables.files(config)}
-    same_files = hashes.items() <= kept.get("sources", {}).get("files", {}).items()
+    same_files = file_hashes(tables.files(config)).items() <= kept.get("sources", {}).get("files", {}).items()
     return same_files and bool(kept.get("config") == manifest.portable(tables.plain(config)))
+
+
+def file_hashes(files: Iterable[Path]) -> dict[str, str]:
+    """Return the hashes of files by their paths; those of one name outside the repository share an entry."""
+    found: dict[str, set[str]] = {}
+    for path in files:
+        found.setdefault(manifest.portable(path), set()).add(file_hash(path))
+    return {path: " ".join(sorted(hashes)) for path, hashes in found.items()}
 
 
 def listing(summary: Mapping[str, Any]) -> str:

@@ -18,7 +18,7 @@ from experiments import (
     observer_limit,
     wind_observer,
 )
-from experiments.study import Findings, Study
+from experiments.study import Findings, Study, file_hashes
 from jax_aero import cli, places, rust, tables
 
 
@@ -94,6 +94,19 @@ def test_what_a_study_cannot_be_made_of_is_named(main, change, words, capsys, tm
     assert main(["--set", change]) == 2
     assert words in capsys.readouterr().err
     assert not any(tmp_path.iterdir())
+
+
+def test_every_file_of_one_name_is_hashed(tmp_path):
+    paths = [tmp_path / folder / "robot.toml" for folder in "ab"]
+    for path in paths:
+        path.parent.mkdir()
+        path.write_text(f"name = '{path.parent.name}'")
+    both = file_hashes(paths)
+    assert both == file_hashes([*reversed(paths), paths[0]])
+    paths[0].write_text("name = 'c'")
+    changed = file_hashes(paths)
+    assert changed.keys() == both.keys() == {"(outside the repository)/robot.toml"}
+    assert changed != both
 
 
 @pytest.mark.parametrize(
