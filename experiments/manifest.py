@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.metadata
-import math
 import os
 import platform
 import shlex
@@ -15,6 +14,7 @@ from typing import Any
 
 from experiments.sources import code_hash
 from jax_aero import places, rust
+from jax_aero.files import finite
 
 
 def build(
@@ -36,8 +36,7 @@ def build(
     return {
         "name": name,
         "title": title,
-        # JSON has neither infinity, to which the errors of a fall may grow, nor NaN.
-        "summary": _finite(summary),
+        "summary": finite(summary),
         "config_digest": digest,
         "config": portable(config),
         "code_hash": code_hash(*code),
@@ -49,12 +48,6 @@ def build(
         "versions": versions() | version_of(engine),
         "device": device(),
     }
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def version_of(package: str) -> dict[str, str]:

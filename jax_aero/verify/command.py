@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -26,7 +25,7 @@ import numpy as np
 from jax_aero import places, rust
 from jax_aero.cli import Parser, completes, count
 from jax_aero.command import exit_status
-from jax_aero.files import complete_file, write_json, write_text
+from jax_aero.files import complete_file, finite, write_json, write_text
 from jax_aero.keys import parse_assignments
 from jax_aero.verify import (
     Comparison,
@@ -139,12 +138,6 @@ def write(rows: Sequence[Row], folder: Path, facts: Mapping[str, Any]) -> list[P
     text, numbers, figure = folder / "verify.md", folder / "verify.json", folder / "verify.png"
     heading = "\n".join(f"{name}: {value}" for name, value in facts.items())
     write_text(text, f"# Rust against JAX\n\n{heading}\n\n{table(rows)}\n")
-    entries = [asdict(row) | {"relative": row.relative, "agrees": row.agrees} for row in rows]
-    # JSON has no NaN, which a difference may be.
-    rows_of_numbers = [{key: _finite(value) for key, value in entry.items()} for entry in entries]
-    write_json(numbers, dict(facts) | {"rows": rows_of_numbers})
+    entries = [finite(asdict(row) | {"relative": row.relative, "agrees": row.agrees}) for row in rows]
+    write_json(numbers, dict(facts) | {"rows": entries})
     return [text, numbers, *([figure] if draw(rows, figure) else [])]
-
-
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
