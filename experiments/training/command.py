@@ -104,44 +104,29 @@ def _trained(
             card = draft / f"{folder.name}.json"
             save_network(card, network, config.robot(), description=training.description, training=facts)
 
-    seconds = time.perf_counter() - started
-    document = _manifest(folder.name, training, table, digest, finished, errors, seconds, dataset.sha256)
+    timings = {one.part.name: float(one.errors["seconds"]) for one in finished}
+    copies = training.ensemble.members if training.ensemble.keep == "mean" else 1
+    document = manifest.build(
+        folder.name,
+        training.title,
+        table,
+        digest,
+        summary={
+            "errors": errors,
+            "parameters": training.start(config.robot(), 0).parameters * copies,
+            "seconds_per_epoch": {one.part.name: one.errors["seconds_per_epoch"] for one in finished},
+        },
+        command=["python", "-m", "experiments", "train", *sys.argv[2:]],
+        engine="jax",
+        code=[__name__],
+        dataset=dataset.sha256,
+        timings_s=timings | {"this call": time.perf_counter() - started},
+    )
     data = result.to_dataset(config.robot(), dataset, finished, training.title)
     data.attrs["config_hash"] = digest
     record.write_run(folder, data, document, replace=given.overwrite, more=save)
     shutil.rmtree(work)
     return document
-
-
-def _manifest(
-    name: str,
-    training: config.Training,
-    table: dict[str, Any],
-    digest: str,
-    finished: list[Finished],
-    errors: dict[str, Any],
-    seconds: float,
-    dataset: str,
-) -> dict[str, Any]:
-    copies = training.ensemble.members if training.ensemble.keep == "mean" else 1
-    summary = {
-        "errors": errors,
-        "parameters": training.start(config.robot(), 0).parameters * copies,
-        "seconds_per_epoch": {one.part.name: one.errors["seconds_per_epoch"] for one in finished},
-    }
-    timings = {one.part.name: float(one.errors["seconds"]) for one in finished} | {"this call": seconds}
-    return manifest.build(
-        name,
-        training.title,
-        table,
-        digest,
-        summary=summary,
-        command=["python", "-m", "experiments", "train", *sys.argv[2:]],
-        engine="jax",
-        code=[__name__],
-        dataset=dataset,
-        timings_s=timings,
-    )
 
 
 def _held_out(training: config.Training) -> str:
@@ -207,20 +192,18 @@ def _work_folder(folder: Path, digest: str, *, restart: bool) -> Path:
 def table(errors: dict[str, Any]) -> str:
     """Return the errors as a table: both splits beside each other, never one without the other."""
     names = list(next(iter(errors.values()))["baselines"]) if errors else []
-    splits = [split for split in ("random", "grouped") if split in errors]
-    lines = ["mean squared error of held-out rows [m^4]".ljust(44) + "".join(split.rjust(12) for split in splits)]
-    lines.append("network".ljust(44) + "".join(f"{errors[split]['mse']:.3e}".rjust(12) for split in splits))
-    for key, text in (("fold_std", "  standard deviation over folds"), ("fold_max", "  worst fold")):
-        cells = [errors[split][key] for split in splits]
-        lines.append(text.ljust(44) + "".join(("-" if c is None else f"{c:.3e}").rjust(12) for c in cells))
-    if (elsewhere := errors.get("grouped", {}).get("elsewhere_mse")) is not None:
-        text = "  postures on which nothing was chosen"
-        lines.append(
-            text.ljust(44) + "".join((f"{elsewhere:.3e}" if s == "grouped" else "-").rjust(12) for s in splits)
-        )
-    for key, text in (("ensemble_mse", "mean of all members"), ("train_mse", "network, rows it was trained on")):
-        lines.append(text.ljust(44) + "".join(f"{errors[split][key]:.3e}".rjust(12) for split in splits))
-    for name in names:
-        cells = [f"{errors[split]['baselines'][name]:.3e}".rjust(12) for split in splits]
-        lines.append(name.ljust(44) + "".join(cells))
-    return "\n".join(lines)
+    splits: list[str] = [split for split in ("random", "grouped") if split in errors]
+    found = [errors[split] for split in splits]
+    rows = {
+        "network": [one["mse"] for one in found],
+        "  standard deviation over folds": [one["fold_std"] for one in found],
+        "  worst fold": [one["fold_max"] for one in found],
+    }
+    if errors.get("grouped", {}).get("elsewhere_mse") is not None:
+        rows["  postures on which nothing was chosen"] = [one.get("elsewhere_mse") for one in found]
+    rows["mean of all members"] = [one["ensemble_mse"] for one in found]
+    rows["network, rows it was trained on"] = [one["train_mse"] for one in found]
+    rows |= {name: [one["baselines"][name] for one in found] for name in names}
+    cells = {text: ["-" if value is None else f"{value:.3e}" for value in values] for text, values in rows.items()}
+    cells = {"mean squared error of held-out rows [m^4]": splits, **cells}
+    return "\n".join(text.ljust(44) + "".join(cell.rjust(12) for cell in row) for text, row in cells.items())
