@@ -11,7 +11,8 @@ Equations M9, M18, M27 and M56 of `docs/model.md`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -95,7 +96,6 @@ class MomentumModel:
         # Stand-ins for the link forces where these are to be held constant.
         self._held = ca.SX.sym("f", 3, len(robot.aero_links))
         self._forces = ca.horzcat(ca.SX(3, 0), *self.link_forces)
-        self._functions: dict[str, Any] = {}
 
         com = self.dynamics.com
         jets = zip(ca.vertsplit(self.thrust), self.jet_points, self.jet_axes, strict=True)
@@ -127,11 +127,9 @@ class MomentumModel:
         tree = self.tree
         return [tree.base_position, tree.base_rotation, tree.joint_position, tree.velocity, self.thrust, self.wind]
 
-    def function(self, name: str, extra: list[SX], outputs: list[SX]) -> Any:
-        """Return the function of `inputs` and `extra`, built once under its name."""
-        if name not in self._functions:
-            self._functions[name] = ca.Function(name, [*self.inputs, *extra], self.tree.here(*outputs))
-        return self._functions[name]
+    def function(self, name: str, outputs: Sequence[SX], extra: Sequence[SX] = ()) -> Any:
+        """Return the function of `inputs` and `extra`."""
+        return ca.Function(name, [*self.inputs, *extra], self.tree.here(*outputs))
 
     def terms(
         self,
@@ -143,13 +141,13 @@ class MomentumModel:
         wind: ArrayLike,
     ) -> Terms:
         """Evaluate every term at one state; arguments as in `docs/conventions.md`."""
-        function = self._functions.get("terms") or self._build_terms()
-        values = function(base_position, base_rotation, joint_position, velocity, thrust, wind)
+        values = self._terms(base_position, base_rotation, joint_position, velocity, thrust, wind)
         flat = {0, 2, 4, 7, 8, 12}
         arrays = [np.array(value.full()) for value in values]
         return Terms(*(value[:, 0] if index in flat else value for index, value in enumerate(arrays)))
 
-    def _build_terms(self) -> Any:
+    @cached_property
+    def _terms(self) -> Any:
         d, tree = self.dynamics, self.tree
         jet_generalised, aero_generalised = self.generalised_forces()
         outputs = [
@@ -167,7 +165,7 @@ class MomentumModel:
             self._with_forces(ca.jacobian(self._held_wrench, tree.q)),
             self.momentum_rate,
         ]
-        return self.function("terms", [], outputs)
+        return self.function("terms", outputs)
 
     def force_rate(
         self,
@@ -186,12 +184,12 @@ class MomentumModel:
 
         Many states at once are columns: the parts then have a column for each.
         """
-        function = self._functions.get("force_rate") or self._build_force_rate()
         state = (base_position, base_rotation, joint_position, velocity, thrust, wind)
-        parts = function(*state, acceleration, thrust_rate, wind_rate)
+        parts = self._force_rate(*state, acceleration, thrust_rate, wind_rate)
         return ForceRate(*(np.array(part.full()).squeeze() for part in parts))
 
-    def _build_force_rate(self) -> Any:
+    @cached_property
+    def _force_rate(self) -> Any:
         tree = self.tree
         nu, wind_rate = tree.velocity, ca.SX.sym("w_dot", 3)
         acceleration = ca.SX.sym("nu_dot", nu.numel())
@@ -206,7 +204,7 @@ class MomentumModel:
             ca.jtimes(self.momentum_rate, nu, acceleration),
             ca.jtimes(self.momentum_rate, self.wind, wind_rate),
         ]
-        return self.function("force_rate", [acceleration, thrust_rate, wind_rate], parts)
+        return self.function("force_rate", parts, [acceleration, thrust_rate, wind_rate])
 
 
 def _wrench(force: SX, arm: SX) -> SX:

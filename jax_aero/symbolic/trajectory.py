@@ -170,9 +170,9 @@ class CentroidalFlight:
 
         # Momentum is linear in (ω, ṡ): what turning as one body gives, and what the joints alone give.
         dynamics = model.dynamics
-        of_body = model.function("of_body", [], [dynamics.locked_inertia, dynamics.com])
-        of_motion = model.function("of_motion", [], [dynamics.momentum])
-        balance = model.function("momentum_rate", [], [model.momentum_rate])
+        of_body = model.function("of_body", [dynamics.locked_inertia, dynamics.com])
+        of_motion = model.function("of_motion", [dynamics.momentum])
+        balance = model.function("momentum_rate", [model.momentum_rate])
         here, turn = ca.SX.zeros(3), turn_from_rpy(rpy)
         inertia, arm = of_body(here, turn, s, ca.SX.zeros(6 + n), thrust, wind)
         joints = of_motion(here, turn, s, ca.vertcat(ca.SX.zeros(6), s_dot), thrust, wind)

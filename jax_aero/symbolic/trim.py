@@ -152,7 +152,7 @@ class Trim:
         distances = ca.vertcat(ca.SX(0, 1), *(pair.distance for pair in self._pairs))
         jet_force, link_force = model.generalised_forces()
         held = jet_force + link_force - ca.gradient(model.dynamics.potential, model.tree.q)
-        at_rest = model.function("trim_terms", [], [model.momentum_rate, -held[6:], distances, model.link_wrench])
+        at_rest = model.function("trim_terms", [model.momentum_rate, -held[6:], distances, model.link_wrench])
         motion = ca.vertcat(velocity, ca.SX.zeros(3 + n))
         balance, torque, distances, wrench = at_rest(ca.SX.zeros(3), turn_from_rpy(rpy), s, motion, thrust, wind)
         self._report = ca.Function("trim_report", [self._x, self._p], [balance, torque, distances, wrench])

@@ -102,7 +102,6 @@ def physics(given: Values, model: MomentumModel) -> Values:
     links = ca.vertcat(*model.link_points)
     places = model.function(
         "places",
-        [],
         [
             links,
             ca.jacobian(links, model.tree.q),
