@@ -133,7 +133,8 @@ def wind_velocity(wind: Wind, time: Float[Array, ""]) -> Float[Array, "3"]:
             strength = jnp.where(is_blowing, 0.5 * (1.0 - jnp.cos(2.0 * jnp.pi * phase)), 0.0)
             return wind.velocity + strength * wind.gust
         case RecordedWind():
-            return _between_samples(wind.times, wind.velocities, time)
+            times, velocities = jnp.asarray(wind.times), jnp.asarray(wind.velocities)
+            return jnp.stack([jnp.interp(time, times, component) for component in velocities.T])
         case _:
             assert_never(wind)
 
@@ -156,9 +157,3 @@ def _turbulence(wind: TurbulentWind, time: Array) -> Array:
     frequencies = jnp.tan(0.5 * jnp.pi * jnp.asarray(wind.places)) / wind.time_scale
     waves = jnp.sin(frequencies * time + wind.phases)
     return wind.std * jnp.sqrt(2.0 / waves.shape[1]) * jnp.sum(waves, axis=1)
-
-
-def _between_samples(times: Array, velocities: Array, time: Array) -> Array:
-    """Straight lines between samples, the end values outside."""
-    velocities = jnp.asarray(velocities)
-    return jnp.stack([jnp.interp(time, jnp.asarray(times), velocities[:, axis]) for axis in range(3)])
