@@ -191,7 +191,8 @@ def motions(points: Waypoints, com: Array, forward: Array) -> list[Motion]:
 
 def reference(points: Waypoints, com: Array, forward: Array) -> Reference:
     """Return the samples of the steps from a start."""
-    times, com_rows, headings = [np.array([points.start])], [_still(com)], [np.zeros(1)]
+    at_rest = np.stack([com, *np.zeros((3, 3))])[:, None]
+    times, com_rows, headings = [np.array([points.start])], [at_rest], [np.zeros(1)]
     now = points.start
     for place, heading, shift, turn, duration in motions(points, com, forward):
         count = int(np.ceil(duration / SAMPLE))
@@ -233,9 +234,3 @@ def _blend(s: Array, duration: float) -> Array:
     """Rise from 0 to 1 at s = t/T, and its time derivatives, (4, k): `35 s⁴ − 84 s⁵ + 70 s⁶ − 20 s⁷`."""
     rise = np.polynomial.Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
     return np.stack([rise.deriv(order)(s) / duration**order if order else rise(s) for order in range(4)])
-
-
-def _still(com: Array) -> Array:
-    rows: Array = np.zeros((4, 1, 3))
-    rows[0, 0] = com
-    return rows
