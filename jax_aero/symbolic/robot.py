@@ -103,6 +103,16 @@ class Robot:
         """Total mass [kg]."""
         return sum(inertial.mass for inertial in self.inertials)
 
+    @property
+    def thrust_max(self) -> Array:
+        """(jets,) greatest thrusts [N]."""
+        return np.array([jet.thrust_max for jet in self.jets])
+
+    @property
+    def hover_thrust(self) -> Array:
+        """(jets,) the weight shared among the jets in proportion to their strength [N]."""
+        return np.asarray(self.mass * self.gravity * self.thrust_max / self.thrust_max.sum())
+
 
 def load_robot(path: str | Path) -> Robot:
     """Read a robot's TOML file and the URDF beside it."""

@@ -280,7 +280,8 @@ class TrajectoryProblem:
         self._fuel = ca.Function("fuel", [inner, duration], [fuel])
         # Fuel as the time that a hover could last on it: effort, in seconds, weighs the same in both goals.
         weights = ca.MX.sym("weights", 4)
-        cost = weights[0] * duration + weights[1] * fuel / self._hover_burn() + weights[2] * effort
+        hover_burn = float(self.fuel_idle.sum() + self.fuel_slope @ model.robot.hover_thrust)
+        cost = weights[0] * duration + weights[1] * fuel / hover_burn + weights[2] * effort
         if free_joints:
             away = inner[12 + len(model.robot.jets) :, :] - ca.DM(posture[list(free_joints)])
             cost += weights[3] * h * ca.mtimes(ca.sum1(away**2), shares) / len(free_joints)
@@ -296,16 +297,9 @@ class TrajectoryProblem:
         self._solver = ca.nlpsol("trajectory", "ipopt", problem, IPOPT)
         self.build_time = time.perf_counter() - started
 
-    def _hover_burn(self) -> float:
-        """Consumption with the weight shared in proportion to the strength of the jets [l/s]."""
-        robot = self.model.robot
-        top = np.array([jet.thrust_max for jet in robot.jets])
-        thrust = robot.mass * robot.gravity * top / top.sum()
-        return float(self.fuel_idle.sum() + self.fuel_slope @ thrust)
-
     def _bounds(self) -> tuple[Array, Array]:
         config, robot = self.config, self.model.robot
-        top = np.array([jet.thrust_max for jet in robot.jets])
+        top = robot.thrust_max
         reach = np.inf
         yaw, slack = np.radians(config.yaw_deg), np.radians(config.yaw_slack_deg)
         roll, pitch = config.roll_limits_deg.radians, config.pitch_limits_deg.radians
@@ -334,7 +328,6 @@ class TrajectoryProblem:
         """Return a minimum-jerk motion along the line, upright, the weight shared by strength of the jets."""
         config, robot = self.config, self.model.robot
         count = config.intervals
-        top = np.array([jet.thrust_max for jet in robot.jets])
         duration = 0.5 * (config.duration_range.lower + config.duration_range.upper)
         tau = (np.arange(count)[:, None] + self._points[1:]).ravel() / count
         tau = np.concatenate([[0.0], tau])[:, None]
@@ -343,7 +336,7 @@ class TrajectoryProblem:
         p = start + way * tau**3 * (10 - 15 * tau + 6 * tau**2)
         v = way * 30 * tau**2 * (1 - tau) ** 2 / duration
         yaw = np.radians(config.yaw_deg)
-        rest = np.array([0.0, 0.0, yaw, 0.0, 0.0, 0.0, *(robot.mass * robot.gravity * top / top.sum())])
+        rest = np.array([0.0, 0.0, yaw, 0.0, 0.0, 0.0, *robot.hover_thrust])
         rest = np.concatenate([rest, self.posture[list(self.free_joints)]])
         x = np.hstack([p, v, np.tile(rest, (tau.size, 1))])
         return np.concatenate([x.ravel(), np.zeros(self.system.nu * (count + 1)), [duration]])

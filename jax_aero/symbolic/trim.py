@@ -164,7 +164,7 @@ class Trim:
         self._upper = np.array([row.upper / row.scale for row in rows])
         total = ca.sum1(thrust) / (robot.mass * robot.gravity)
         posture = settings.posture_weight * ca.sumsqr(s - ca.DM(settings.posture)) / max(n, 1)
-        spread = settings.spread_weight * ca.sumsqr(thrust / ca.DM([jet.thrust_max for jet in robot.jets]))
+        spread = settings.spread_weight * ca.sumsqr(thrust / ca.DM(robot.thrust_max))
         objective = weights[0] * total - weights[1] * margin + posture + spread
         problem: dict[str, Any] = {"x": self._x, "p": self._p, "f": objective, "g": constraints}
         self._solver = ca.nlpsol("trim", "ipopt", problem, IPOPT)
@@ -213,7 +213,7 @@ class Trim:
         held = np.setdiff1d(np.arange(robot.n_joints), settings.free_joints)
         # A posture may stand a hair outside a limit: the published knees do, by 0.0004 rad.
         lower[held] = upper[held] = settings.posture[held]
-        top = np.array([jet.thrust_max for jet in robot.jets])
+        top = robot.thrust_max
         low = [settings.roll[0], settings.pitch[0], settings.yaw, *lower, *(0.0 * top), settings.margin_min]
         high = [settings.roll[1], settings.pitch[1], settings.yaw, *upper, *top, 0.5]
         if self.lost is not None:
@@ -225,9 +225,7 @@ class Trim:
 
     def guess(self) -> Array:
         """Return the posture with the weight shared among the jets in proportion to their strength."""
-        settings, robot = self.settings, self.model.robot
-        top = np.array([jet.thrust_max for jet in robot.jets])
-        thrust = robot.mass * robot.gravity * top / top.sum()
+        settings, thrust = self.settings, self.model.robot.hover_thrust
         start = np.array([0.0, 0.0, settings.yaw, *settings.posture, *thrust, settings.margin_min])
         low, high = self.bounds()
         return np.asarray(np.clip(start, low, high))
@@ -299,7 +297,7 @@ class Trim:
         n, jets = robot.n_joints, len(robot.jets)
         balance, torque, distances, wrench = (np.array(value.full())[:, 0] for value in self._report(x, parameters))
         thrust = x[3 + n : 3 + n + jets]
-        top = np.array([jet.thrust_max for jet in robot.jets])
+        top = robot.thrust_max
         nearest = int(np.argmin(distances))
         return TrimResult(
             feasible=feasible,
