@@ -125,26 +125,28 @@ def _remotely(shared: tuple[Simulate, Settings], job: Job) -> list[Result]:
 def _begin(design: Design, folder: Path, *, is_whole: bool) -> None:
     """Mark the folder as this design's, or refuse one that holds cases of another, or of other code and not all."""
     about = {"digest": design.digest, "code_hash": code_hash(*MODULES)}
-    found, shown = _about(folder), os.path.relpath(folder)
+    found, shown = _about(design, folder), os.path.relpath(folder)
     if not found:
         write_json(folder / "design.json", {**about, "settings": tables.plain(design.spec.settings)})
-    elif found["digest"] != about["digest"]:
-        raise Refused(f"{shown} holds cases of other settings; choose another --out")
     elif found.get("code_hash") != about["code_hash"]:
         if not is_whole:
             raise Refused(f"{shown} holds cases that were computed by other code; choose another --out, or remove them")
         print(f"{shown} has all cases already, computed by other code")
 
 
-def _about(folder: Path) -> dict[str, Any]:
-    """Return what the folder says of its cases; nothing where there are none."""
+def _about(design: Design, folder: Path) -> dict[str, Any]:
+    """Return what the folder says of its cases, which must be the design's; nothing where there are none."""
     if not any((folder / "cases").glob("*.json")):
         return {}
-    return dict(json.loads((folder / "design.json").read_text(encoding="utf-8")))
+    found = dict(json.loads((folder / "design.json").read_text(encoding="utf-8")))
+    if found["digest"] != design.digest:
+        raise Refused(f"{os.path.relpath(folder)} holds cases of other settings; choose another --out")
+    return found
 
 
 def collect(design: Design, folder: Path) -> str:
     """Write the dataset of the accepted cases and the manifest; return what there is to say."""
+    about = _about(design, folder)
     found = {case: _read(_path(folder, case)) for case in design if _path(folder, case).is_file()}
     accepted = {case: result for case, result in found.items() if not result.reason}
     if not accepted:
@@ -171,7 +173,7 @@ def collect(design: Design, folder: Path) -> str:
         dataset=dataset.sha256,
     )
     # Of the code that computed the cases, which may be older.
-    write_json(folder / "manifest.json", document | {"code_hash": _about(folder).get("code_hash")})
+    write_json(folder / "manifest.json", document | {"code_hash": about["code_hash"]})
     lines = [f"{design.spec.title}: " + ", ".join(f"{count} {what}" for what, count in summary.items())]
     lines += [f"  {name}: {reason}" for name, reason in refused.items()]
     lines += [f"  {name:<34} {np.median(values):.4g}" for name, values in dataset.quality.items()]

@@ -420,6 +420,8 @@ def test_a_folder_of_other_settings_is_refused(small, tmp_path):
     other = design.Design("small", msgspec.structs.replace(small.spec, settings=finer))
     with pytest.raises(Refused, match="holds cases of other settings; choose another --out"):
         command.compute(other, tmp_path, Fake())
+    with pytest.raises(Refused, match="holds cases of other settings; choose another --out"):
+        command.collect(other, tmp_path)
 
 
 def test_a_design_with_other_keys_has_a_folder_and_a_command_of_its_own(tmp_path):
