@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 
 from experiments import Refused, tunnel_moments
-from experiments.calibrate_surrogate import CFD, TUNNEL, table_rows, toml
+from experiments.calibrate_surrogate import CFD, TUNNEL, Row, table_rows, toml
 from experiments.cfd.command import dataset_of
 from experiments.cfd.correct import corrected
 from experiments.import_cfd import POSTURES
@@ -94,10 +94,15 @@ def symmetrised(data: Dataset) -> Dataset:
     """Return the rows, each averaged with all that are one case with it, mirror images included."""
     both = data.mirrored()
     count = np.bincount(both.group)
-    total = np.zeros((len(count), len(LINKS), 3))
-    np.add.at(total, both.group, both.force_area_b)
-    mean = total / count[:, None, None]
-    return replace(data, force_area_b=mean[both.group[: len(data)]])
+
+    def mean(values: Floats) -> Floats:
+        total = np.zeros((len(count), *values.shape[1:]))
+        np.add.at(total, both.group, values)
+        found: Floats = (total / count[:, None, None])[both.group[: len(data)]]
+        return found
+
+    couples = None if both.couple_volume_b is None else mean(both.couple_volume_b)
+    return replace(data, force_area_b=mean(both.force_area_b), couple_volume_b=couples)
 
 
 def judged(robot: RobotModel, models: Mapping[str, Floats], truth: Dataset, where: str) -> dict[str, float]:
@@ -182,16 +187,23 @@ def couples(robot: RobotModel, data: Dataset) -> dict[str, float]:
 
 
 def beside_tunnel(data: Dataset) -> dict[str, float]:
-    """Return drag, side and lift area beside the typed points of tunnel, and of simulations with its support."""
+    """Return drag, side and lift area beside the typed points of tunnel, and of simulations with its support.
+
+    Points of several tests are averaged.
+    """
     totals = np.einsum("nij,nj->ni", tunnel_from_base(data.pitch_deg, data.yaw_deg), data.force_area_b.sum(axis=1))
-    found: dict[str, float] = {}
+    tests: dict[tuple[str, str, float, float], list[Row]] = {}
     for row in table_rows():
-        near = np.hypot(data.pitch_deg - row.pitch_deg, data.yaw_deg - row.yaw_deg) < NEAR
-        for drag, side, lift in totals[near & (data.posture == row.posture)]:
-            name = f"{row.posture} {row.pitch_deg:.0f}/{row.yaw_deg:.0f}"
-            found |= {f"{name}: drag [m2]": drag, f"{name}: drag over that of the {row.source}": drag / row.cda}
-            found |= {f"{name}: lift less that of the {row.source} [m2]": lift - row.cla}
-            found |= {f"{name}: side less that of the {row.source} [m2]": side - row.csa}
+        tests.setdefault(row[:4], []).append(row)
+    found: dict[str, float] = {}
+    for (source, posture, pitch, yaw), rows in tests.items():
+        cda, csa, cla = np.mean([row[4:] for row in rows], axis=0)
+        near = np.hypot(data.pitch_deg - pitch, data.yaw_deg - yaw) < NEAR
+        for drag, side, lift in totals[near & (data.posture == posture)]:
+            name = f"{posture} {pitch:.0f}/{yaw:.0f}"
+            found |= {f"{name}: drag [m2]": drag, f"{name}: drag over that of the {source}": drag / cda}
+            found |= {f"{name}: lift less that of the {source} [m2]": lift - cla}
+            found |= {f"{name}: side less that of the {source} [m2]": side - csa}
     return found
 
 
