@@ -4,16 +4,16 @@ Panels i (area A, outward normal n, position x) are fixed to the links, cylinder
 unit vector w a panel has c = −n·w, and every cluster k of panels sheds a wake of strength S_k = Σ A max(c, 0) from its
 centre:
 
-    dx = (x_i − x_k)·w,   r = distance across the wind,   s² = κ S_k/π + (grow max(dx, 0))²
+    dx = max((x_i − x_k)·w, 0),   r = distance across the wind,   s² = κ S_k/π + (grow dx)²
     D_i = Σ_k σ((dx − x₀)/(x₀/4)) S_k/(2π s²) exp(−r²/2s²) exp(−dx/decay),      η_i = exp(−γ D_i)
-    E_i = the same upstream: dx < 0, no growth, length up_len
+    E_i = the sum D_i with dx = max((x_k − x_i)·w, 0), no growth, length up_length
 
 η is the share of the dynamic pressure that arrives, E how much a body close downstream fills the base. The force area
 of link l in family f is linear in twelve coefficients of the family:
 
     F_l = Σ_m b_fm G_lm,   G = −Σ_i A n φ_m,   φ: see `TERMS`;   the last term is friction, Σ_i A η (w + c n)
 
-Ours; the coefficients come from published drag curves and from tunnel and CFD tables of two postures, see
+Ours; the coefficients come from published drag curves and from tunnel and CFD tables of all postures but two, see
 `configs/aero/panels/surrogate.toml`.
 
 Equation M30 of `docs/model.md`.
@@ -43,7 +43,9 @@ TERMS = (
     *("eta_c", "eta_c2", "eta_c3", "eta_front", "shadow_front", "shadow_c"),
     *("back", "back_c", "back_c2", "eta_back", "filled_back", "friction"),
 )
-"""The twelve terms: η c₊, η c₊², η c₊³, η [c>0], (1−η) [c>0], (1−η) c₊, [c<0], c₋, c₋², η [c<0], E [c<0], friction."""
+"""The twelve terms: η c₊, η c₊², η c₊³, η [c>0], (1−η) [c>0], (1−η) c₊, [c<0], c₋, c₋², η [c<0], E [c<0], friction.
+
+[c>0] is smooth, σ(c / `EDGE`)."""
 
 TAU = 2.0 * np.pi
 TINY = 1e-9
