@@ -17,8 +17,9 @@ import json
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 import optuna
 from msgspec.structs import replace
@@ -43,7 +44,7 @@ SEED = "seed"
 class Range(tables.Table, frozen=True):
     """Where one key is searched: among choices, or between two numbers."""
 
-    choices: tuple[Any, ...] | None = None
+    choices: Annotated[tuple[Any, ...], msgspec.Meta(min_length=1)] | None = None
     low: float | None = None
     high: float | None = None
     log: bool = False
@@ -53,6 +54,11 @@ class Range(tables.Table, frozen=True):
         numbers = [number is not None for number in (self.low, self.high)]
         if any(numbers) if self.choices is not None else not all(numbers):
             raise ValueError("expected choices, or low and high, perhaps log")
+        if self.low is not None and self.high is not None:
+            if not self.low < self.high:
+                raise ValueError("expected a low that is below high")
+            if self.log and not self.low > 0.0:
+                raise ValueError("expected a low above 0, as its logarithm is searched")
 
 
 class SearchConfig(tables.Table, frozen=True):
@@ -181,7 +187,8 @@ def error_of(training: config.Training, dataset: Dataset, settings: SearchConfig
     errors = []
     for train, held_out in rows.grouped_folds(settings.fold_seed, settings.folds)[: settings.folds_run]:
         start = training.start(robot, training.seed)
-        samples, unseen = (samples_of(start, robot, rows.take(part)) for part in (train, held_out))
+        samples = samples_of(start, robot, rows.take(train), with_totals=training.training.has_totals)
+        unseen = samples_of(start, robot, rows.take(held_out))
         try:
             error = fit(start, samples, unseen, training.training, training.seed).error
         except FloatingPointError:

@@ -3,7 +3,9 @@
 import csv
 import json
 import sys
+from collections import namedtuple
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +22,8 @@ from jax_aero.aero.network_card import load_network, read_card
 from jax_aero.command import INTERRUPTED
 from jax_aero.train import Interrupted, fit, predict_areas, samples_of
 from paper_figs.__main__ import main as draw
+
+Found = namedtuple("Found", "error")
 
 # A small plain network: what is compiled is what takes the time.
 SMALL = {
@@ -338,6 +342,37 @@ def test_a_search_replaces_no_other_result(small_search, tmp_path, monkeypatch, 
         assert main(small_search(name)) == 2
         assert f"{name} holds another result; choose another --out, or remove it" in capsys.readouterr().err
         assert files.checksums(tmp_path / name) == before
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("low = 1e-2, high = 1e-3", "expected a low that is below high"),
+        ("low = 0.0, high = 1e-3, log = true", "expected a low above 0, as its logarithm is searched"),
+        ("choices = []", "expected a list of 1 or more"),
+    ],
+)
+def test_a_range_that_holds_nothing_is_refused_before_the_search(small_search, tmp_path, capsys, text, expected):
+    pytest.importorskip("optuna")
+    settings = tmp_path / "small.toml"
+    settings.write_text(settings.read_text().replace("low = 1e-3, high = 1e-2", text))
+    assert main(small_search("out")) == 2
+    said = capsys.readouterr().err
+    assert "small.toml: `space.training.learning_rate" in said
+    assert expected in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_search_trains_on_totals_where_the_loss_contains_them(made_up_dataset, monkeypatch):
+    pytest.importorskip("optuna")
+    from experiments.training import search
+
+    seen = []
+    monkeypatch.setattr(search, "fit", lambda _, samples, *__: seen.append(samples) or Found(error=1.0))
+    table = {"base": Path(), "trials": 1, "seed": 1, "fold_seed": 0, "folds": 3, "folds_run": 1, "space": {}}
+    training = config.read(places.CONFIGS / "training" / "compact.toml", {"training.total_moment": 2.0})[0]
+    assert search.error_of(training, made_up_dataset, search.SearchConfig(**table)) == 1.0
+    assert seen[0].totals is not None
 
 
 def test_a_search_starts_from_a_file_that_leaves_noise_at_its_default():
