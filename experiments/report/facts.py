@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from experiments import engine_choice
-from experiments.report.verdicts import AGREES, differs, judged, out_of_reach, within
+from experiments.report.verdicts import judged, out_of_reach, within
 from jax_aero import rust, tables
 from jax_aero.places import CONFIGS, ROBOT
 from jax_aero.urdf import origin_of
@@ -98,7 +98,9 @@ def chest_engine() -> tuple[str, str]:
         f"limit {jet['thrust_max']:.0f} N ({jet['thrust_max'] / GRAVITY:.1f} kg), steady at 100 % throttle "
         f"{steady:.1f} N ({steady / GRAVITY:.1f} kg), {burnt:g} l/min"
     )
-    return text, f"{AGREES} on thrust; consumption {differs(f'{100.0 * (burnt / 0.6 - 1.0):+.0f} %')}"
+    thrust = judged(abs(jet["thrust_max"] / GRAVITY - 22.0) < 0.5)
+    consumption = judged(abs(burnt / 0.6 - 1.0) < 0.05, f"{100.0 * (burnt / 0.6 - 1.0):+.0f} %")
+    return text, f"{thrust} on thrust; consumption {consumption}"
 
 
 def arm_engine() -> tuple[str, str]:
@@ -114,7 +116,8 @@ def battery() -> tuple[str, str]:
     found = engine_choice.results(engine_choice.Choice())
     printed, other = found["battery_kg"], found["battery_at_1_kW_per_kg_kg"]
     text = f"{printed:.2f} kg from the printed 13 kW for 15 kg; {other:.2f} kg from 1 kW per kg of thrust"
-    return text, differs(f"{printed - engine_choice.PAPER_BATTERY:+.2f} kg; the printed figure belongs to 1 kW per kg")
+    off = printed - engine_choice.PAPER_BATTERY
+    return text, judged(abs(off) < 0.005, f"{off:+.2f} kg; the printed figure belongs to 1 kW per kg")
 
 
 def fuel() -> tuple[str, str]:
@@ -214,7 +217,8 @@ def boundary() -> tuple[str, str]:
         f"k, ε, ω as printed: ε/k = {epsilon / k:.5f} 1/s, {omega * k / epsilon:.0f} times less than the printed ω; "
         f"intensity at {TUNNEL_SPEED:g} m/s {100.0 * intensity:.4f} %, below the tunnel's 0.1 %"
     )
-    return text, differs("the printed ε and ω are a factor of 1000 apart; results hardly depend on either")
+    factor = f"the printed ε and ω are a factor of {omega * k / epsilon:.0f} apart; results hardly depend on either"
+    return text, judged(math.isclose(epsilon, omega * k, rel_tol=0.1), factor)
 
 
 def postures() -> tuple[str, str]:
@@ -225,7 +229,8 @@ def postures() -> tuple[str, str]:
         f"24 × 19 × 18 = {count}; `configs/tables/postures.toml` names {len(known['free_stream'])} postures of "
         f"the public table and {len(known['listed'])} that are not"
     )
-    return text, f"{AGREES} with 24 configurations; 30, as printed elsewhere, would be {30 * 19 * 18}"
+    agreed = judged(abs(count - 8500) < 500)
+    return text, f"{agreed} with 24 configurations; 30, as printed elsewhere, would be {30 * 19 * 18}"
 
 
 def cells() -> tuple[str, str]:
@@ -250,7 +255,8 @@ def network_error() -> tuple[str, str]:
         f"{random:.1e} m⁴ on random rows, where the nearest training rows alone give {nearest:.1e}; "
         f"{grouped:.1e} on whole postures"
     )
-    return text, f"{AGREES} on random rows; on whole postures {differs(f'{grouped / 3e-6:.1f} times')}"
+    on_random, on_postures = (judged(error <= 3e-6, f"{error / 3e-6:.1f} times") for error in (random, grouped))
+    return text, f"{on_random} on random rows; on whole postures {on_postures}"
 
 
 def order_of_magnitude() -> tuple[str, str]:
@@ -266,7 +272,8 @@ def network_size() -> tuple[str, str]:
     """Judge the size of the paper's network."""
     hidden = table("training/paper.toml")["network"]["hidden"]
     text = f"`configs/training/paper.toml`: {len(hidden)} layers of {hidden[0]}, 22 inputs, 39 outputs"
-    return text, differs("its text says 1048, its code 1024, as ours; what flies is a smaller network of ours")
+    same = list(hidden) == 9 * [1048]
+    return text, judged(same, "its text says 1048, its code 1024, as ours; what flies is a smaller network of ours")
 
 
 def misprint() -> tuple[str, str]:
@@ -278,7 +285,8 @@ def misprint() -> tuple[str, str]:
         f"{families} families; the head's w₄ is {printed:g} in the published file, {refit:g} from a refit of the "
         "public table"
     )
-    return text, differs("one coefficient is a misprint; the supplement's own table is not public to us")
+    same = math.isclose(printed, refit, rel_tol=0.5)
+    return text, judged(same, "one coefficient is a misprint; the supplement's own table is not public to us")
 
 
 def robot_table() -> list[list[str]]:

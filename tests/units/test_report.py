@@ -381,6 +381,12 @@ def test_a_verdict_says_by_how_much():
     assert within(3.25, 1.0, 3.0, "") == "differs: +0.25"
 
 
+def test_the_verdict_on_the_network_follows_from_its_errors(monkeypatch):
+    monkeypatch.setattr(facts, "_errors", lambda: (4.5e-6, 2.9e-6, 1e-5, 2.9e-5))
+    assert facts.network_error()[1] == "differs: 1.5 times on random rows; on whole postures agrees"
+    assert facts.order_of_magnitude()[1] == "agrees"
+
+
 def test_facts_of_the_tunnel_come_from_what_is_printed():
     # 8.17 1/s over 0.0236 / 2.89 1/s; the silhouette over 4 m times 3.84 m.
     assert "1000 times less than the printed ω" in facts.boundary()[0]
