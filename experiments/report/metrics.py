@@ -55,7 +55,9 @@ def read(folder: Path) -> Metrics:
 
 
 def measure(name: str, run: xr.Dataset) -> Metrics:
-    """Return the metrics of a flight, up to its fall."""
+    """Return the metrics of a flight, up to its fall; as in its summary, without the row in which it diverged."""
+    if run.attrs["outcome"] == "diverged":
+        run = run.isel(time=slice(-1))
     time: Vector = run["time"].values
     settled = time >= SETTLING_TIME
     position_error = (run["com_position"] - run["com_setpoint"]).values

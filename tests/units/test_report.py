@@ -226,6 +226,16 @@ def test_a_flight_that_ends_while_it_settles_has_no_error_of_position(make_fligh
     assert np.isnan(metrics.measure("t", run).com_error)
 
 
+def test_the_row_in_which_a_flight_diverged_is_left_out(make_flight, robot):
+    flight = make_flight(lost_time=2.0)
+    sound = metrics.measure("t", record.to_dataset(flight, robot, title="t", config_digest="0").isel(time=slice(-1)))
+    for name in ("thrust", "joint_position", "rotation_error", "aero_force_sim"):
+        flight.log[name][-1] = 1e9
+    flight = dataclasses.replace(flight, outcome="diverged")
+    found = metrics.measure("t", record.to_dataset(flight, robot, title="t", config_digest="0"))
+    assert found == dataclasses.replace(sound, ending=found.ending, com_error=found.com_error)
+
+
 def test_metrics_are_those_of_the_log(results, make_flight, robot, agree):
     found = results.flights["test2"]
     log = make_flight().log
