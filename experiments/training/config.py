@@ -108,6 +108,11 @@ class Training(tables.Table, frozen=True):
             self.distillation.training.epochs if self.distillation else 0
         )
 
+    @property
+    def stops_early(self) -> bool:
+        """Whether rows held out choose the weights that are kept."""
+        return self.training.patience > 0 or (self.distillation is not None and self.distillation.training.patience > 0)
+
     def start(self, robot: RobotModel, seed: int) -> Network:
         """Return a network with random weights."""
         shape = self.network

@@ -237,6 +237,8 @@ def test_a_folder_is_named_by_where_it_is(data, tmp_path, monkeypatch, capsys):
             [],
             "`validation.fraction` is 1e-09, which holds out 0 of 288 rows; expected some of them, not all",
         ),
+        ({"training__patience": "3"}, [], "expected a `patience` of 0: rows held out would choose the weights"),
+        ({"distillation__training__patience": "3"}, [], "compact.toml: expected a `patience` of 0"),
         ({"validation__random_seeds": "[1, 1]"}, [], "`validation.random_seeds` is [1, 1]; expected each seed once"),
         ({"validation__fold_seeds": "[2, 2]"}, [], "`validation.fold_seeds` is [2, 2]; expected each seed once"),
     ],
