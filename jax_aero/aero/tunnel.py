@@ -234,6 +234,8 @@ def read_reduced(text: str, tests: Mapping[tuple[str, str], Test], source: str) 
         if key not in tests:
             raise ValueError(f"{place}: test {key[1]} of {key[0]} is not in the table of tests")
         about.append(tests[key])
+        if about[-1].robot != about[0].robot:
+            raise ValueError(f"{place}: test {key[1]} is of {about[-1].robot}; expected {about[0].robot}, as before it")
         point = number(row["point"], place, "point")
         if not point.is_integer():
             raise ValueError(f"{place}, column `point`: {row['point']!r}; expected an integer")

@@ -178,6 +178,14 @@ def test_a_gravity_sweep_that_is_cut_short_is_refused(text, message):
         tunnel.read_sweep(text, "t.tara")
 
 
+def test_a_table_of_two_robots_is_refused():
+    row = reduced_table((1.0,) * 6)
+    rows = [row, row | {"campaign": "exp_2023_12_11"}]
+    text = "\n".join([",".join(row), *(",".join(one.values()) for one in rows)])
+    with pytest.raises(ValueError, match=r"t.csv, line 3: test TID_0001 is of mk3; expected mk1, as before it"):
+        tunnel.read_reduced(text, import_tunnel.known_tests(), "t.csv")
+
+
 def test_a_table_may_lack_the_last_reading_without_wind():
     row = reduced_table((1.0,) * 6) | {f"zr{name}": "nan" for name in tunnel.COMPONENTS}
     points = tunnel.read_reduced(",".join(row) + "\n" + ",".join(row.values()), import_tunnel.known_tests(), "t.csv")
