@@ -42,6 +42,7 @@ class NetworkConfig(tables.Table, frozen=True):
         if self.baseline not in known:
             raise ValueError(f"`baseline` is {self.baseline!r}; expected one of {', '.join(known)}")
         check_output(self.frame, self.layout)
+        tables.check_levels(self, "features")  # which a card has once each
 
 
 class Ensemble(tables.Table, frozen=True):

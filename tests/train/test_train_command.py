@@ -237,6 +237,11 @@ def test_a_folder_is_named_by_where_it_is(data, tmp_path, monkeypatch, capsys):
             [],
             "`validation.fraction` is 1e-09, which holds out 0 of 288 rows; expected some of them, not all",
         ),
+        (
+            {"network__features": '["wind", "wind"]'},
+            [],
+            '`network.features` is ["wind","wind"]; expected one value or more',
+        ),
         ({"training__patience": "3"}, [], "expected a `patience` of 0: rows held out would choose the weights"),
         ({"distillation__training__patience": "3"}, [], "compact.toml: expected a `patience` of 0"),
         ({"validation__random_seeds": "[1, 1]"}, [], "`validation.random_seeds` is [1, 1]; expected each seed once"),
