@@ -198,7 +198,8 @@ def fit(
 
 
 def _is_stuck(settings: Settings, now: _Now) -> bool:
-    return settings.patience > 0 and now.best_epoch > 0 and now.epoch - now.best_epoch >= settings.patience
+    # Judged by the last validation: between two of them nothing can have become better.
+    return settings.patience > 0 and now.best_epoch > 0 and now.curves[-1][0] - now.best_epoch >= settings.patience
 
 
 def _after(

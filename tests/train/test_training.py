@@ -203,6 +203,9 @@ def test_early_stopping_keeps_the_best_weights(task, agree):
     assert stopped.epochs == int(np.argmin(errors)) + 1 + 3
     agree("validation error", validation_error(stopped.network, validation), min(errors), 1e-6)
     assert stopped.error == min(errors) < errors[-1]
+    rarely = fit(network, training, validation, structs.replace(settings, validate_every=4), seed=0)
+    assert len(rarely.curves) > 1  # no validation, no stop
+    assert rarely.epochs == rarely.curves[-1][0]
     last = fit(network, training, validation, structs.replace(settings, patience=0, epochs=3), seed=0)
     assert last.error == last.curves[-1][2]
     assert fit(network, training, None, SETTINGS, seed=0).error is None
