@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import datetime
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
@@ -19,8 +20,8 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
     Raises
     ------
     Refused
-        If a text has no `=`, an empty part of a key, or a value that TOML cannot read or that is more than one; and if
-        a key is given twice.
+        If a text has no `=`, an empty part of a key, or a value that TOML cannot read, that is more than one, or that
+        holds a date; and if a key is given twice.
     """
     values: dict[str, Any] = {}
     for assignment in assignments:
@@ -44,7 +45,15 @@ def _parse_assignment(assignment: str) -> tuple[str, Any]:
         return key, text
     if len(table) > 1:
         raise Refused(f"--set {assignment}: `{text}` is more than a value; expected one")
+    refuse_dates(table["value"], f"--set {assignment}", key)
     return key, table["value"]
+
+
+def refuse_dates(value: Any, where: str, key: str = "") -> None:
+    """Refuse dates and times of day, which TOML has and no key takes, in the words of the crate; `where` they stand."""
+    for name, part in parts(value, key):
+        if isinstance(part, datetime.date | datetime.time):
+            raise Refused(f"{where}: `{name}` is {part}; no key is a date")
 
 
 def get(config: Mapping[str, Any], key: str) -> Any:

@@ -33,7 +33,7 @@ from msgspec import inspect
 
 from jax_aero.command import Refused
 from jax_aero.files import read_text
-from jax_aero.keys import set_key
+from jax_aero.keys import refuse_dates, set_key
 
 T = TypeVar("T")
 
@@ -83,9 +83,11 @@ class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 def read(path: Path) -> dict[str, Any]:
     """Read a TOML file."""
     try:
-        return tomllib.loads(read_text(path, MAX_FILE_SIZE))
+        table = tomllib.loads(read_text(path, MAX_FILE_SIZE))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as reason:
         raise ConfigError(f"{path.name}: {reason}") from None
+    refuse_dates(table, path.name)
+    return table
 
 
 def load(path: Path, kind: type[T], changes: Mapping[str, Any] | None = None) -> T:

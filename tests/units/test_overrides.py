@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 
 from experiments import Refused
 from experiments.overrides import folder_suffix, options, parse
-from jax_aero import places
+from jax_aero import places, tables
 
 
 def test_values_are_written_as_in_toml():
@@ -53,6 +53,16 @@ def test_what_cannot_be_read_is_refused_and_quoted(assignment):
     with pytest.raises(Refused) as refusal:
         parse([assignment])
     assert assignment in str(refusal.value)
+
+
+@pytest.mark.parametrize("value", ["2020-01-01", "2020-01-01T10:00:00Z", "10:00:00"])
+def test_no_key_is_a_date(value, tmp_path):
+    with pytest.raises(Refused, match=r"--set a\.b=.*: `a\.b\.c\.1` is .*; no key is a date"):
+        parse([f"a.b={{ c = [1, {value}] }}"])
+    file = tmp_path / "own.toml"
+    file.write_text(f"title = {value}")
+    with pytest.raises(Refused, match=r"own\.toml: `title` is .*; no key is a date"):
+        tables.read(file)
 
 
 def test_the_suffix_names_what_was_set():
