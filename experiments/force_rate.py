@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import reduce
 from operator import add
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ import xarray as xr
 
 from experiments import Refused
 from experiments.study import Findings, Study
-from jax_aero import places, rust, tables
+from jax_aero import rust, tables
 from jax_aero.summary import SETTLING_TIME
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.momentum import ForceRate
@@ -28,8 +29,9 @@ NEGLECTED = ("attitude", "acceleration", "wind")
 
 
 class ForceRateConfig(tables.Table, frozen=True):
-    """How long the experiment that names the study is flown."""
+    """The experiment that names the study, and how long it is flown."""
 
+    experiment: Path
     duration: tables.Positive | None = None
     """Instead of the experiment's own [s]."""
 
@@ -37,7 +39,7 @@ class ForceRateConfig(tables.Table, frozen=True):
 def compute(name: str, settings: ForceRateConfig) -> Findings:
     """Fly and split."""
     overrides = {} if settings.duration is None else {"simulator.duration": settings.duration}
-    config = rust.load_config(name, overrides)
+    config = rust.load_config(settings.experiment, overrides)
     model = MomentumModel(load_robot(config["robot"]), config["simulator"]["aero"])
     log = rust.fly(config).log
     if log["time"][-1] <= SETTLING_TIME:
@@ -49,11 +51,11 @@ def compute(name: str, settings: ForceRateConfig) -> Findings:
         f"Second derivative of the momentum: {config.get('title') or name}",
         dataset,
         summary,
-        flights={places.name_of(name): config},
+        flights={name: config},
     )
 
 
-STUDY = Study("force_rate", __doc__, ForceRateConfig, compute, ("test2",))
+STUDY = Study("force_rate", __doc__, ForceRateConfig, compute, ("test2",), experiments=True)
 main = STUDY.main
 
 

@@ -74,6 +74,8 @@ class Study(Generic[C]):
     """Printed after Ctrl-C."""
     options: Sequence[str] = ()
     """Further words of the command line that makes it."""
+    experiments: bool = False
+    """Whether its names are those of experiments: it has no configurations of its own, but a key `experiment`."""
     progress: str = ""
     """Ending of the file of a study under way, which lies beside the result and goes when that is there."""
 
@@ -81,6 +83,11 @@ class Study(Generic[C]):
     def command(self) -> str:
         """Return how the command line calls it."""
         return self.kind.replace("_", "-")
+
+    @property
+    def named(self) -> str:
+        """Return the kind of the configurations that name it."""
+        return "experiments" if self.experiments else self.kind
 
     def progress_of(self, folder: Path) -> Path:
         """Return the file of a study under way, by the folder of its result."""
@@ -90,7 +97,7 @@ class Study(Generic[C]):
         """Run the command line; return its exit status."""
         parser = Parser(self.command, self.about)
         named = parser.add_argument("names", nargs="*", default=self.names, metavar="NAME", help=self._about_names())
-        completes(named, lambda: places.names(self.kind))
+        completes(named, lambda: places.names(self.named))
         add_set(parser)
         add_overwrite(parser)
         given = parser.parse_args(arguments)
@@ -103,18 +110,21 @@ class Study(Generic[C]):
 
     def _about_names(self) -> str:
         default = f" (default {' '.join(self.names)})"
-        folder = places.CONFIGS / self.kind
-        return f"a file stem in configs/{self.kind}, or a path{default}" if folder.is_dir() else f"a name{default}"
+        folder = places.CONFIGS / self.named
+        return f"a file stem in configs/{self.named}, or a path{default}" if folder.is_dir() else f"a name{default}"
 
     def read(self, name: str, changes: Mapping[str, Any] | None = None) -> tuple[str, C]:
         """Return the name and the configuration of a study that is given by name or path."""
-        if not (places.CONFIGS / self.kind).is_dir():
-            table: dict[str, Any] = {}
-            for key, value in (changes or {}).items():
-                set_key(table, key, value)
-            return name, tables.convert(table, self.config, self.command)
-        path = find(self.kind, name)
-        return result_name(self.kind, path), tables.load(path, self.config, changes)
+        table: dict[str, Any] = {}
+        if (places.CONFIGS / self.named).is_dir():
+            path = find(self.named, name)
+            name = result_name(self.named, path)
+            if not self.experiments:
+                return name, tables.load(path, self.config, changes)
+            table["experiment"] = path
+        for key, value in (changes or {}).items():
+            set_key(table, key, value)
+        return name, tables.convert(table, self.config, self.command)
 
     def run(self, name: str, changes: Mapping[str, Any] | None = None, *, overwrite: bool = False) -> dict[str, Any]:
         """Compute, write, print; return the manifest.

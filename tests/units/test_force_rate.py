@@ -35,11 +35,18 @@ def test_an_experiment_given_by_its_path_stays_where_it_is(tmp_path, monkeypatch
     path.write_text(text)
     assert force_rate.main([str(path), "--set", "duration=3.1"]) == 0
     assert path.read_text() == text
+    path.write_text(f"{text}wind = {{ velocity = [0, 0, 0] }}\n")  # another experiment of this name
+    assert force_rate.main([str(path), "--set", "duration=3.1"]) == 2
+    assert "holds the result of another configuration" in capsys.readouterr().err
     (folder,) = (tmp_path / "results" / "force_rate").iterdir()
     assert folder.name == "mine--duration=3.1"
     assert "mine" in json.loads((folder / "manifest.json").read_text())["sources"]["configurations"]
     assert force_rate.main([str(path), "--set", "duration=3.0"]) == 2
     assert "ends at 3 s; expected a `duration` beyond 3 s" in capsys.readouterr().err
+    shipped = tmp_path / "test2.toml"
+    shipped.write_text(text)
+    assert force_rate.main([str(shipped)]) == 2
+    assert "its result would take the place of that of configs/experiments/test2.toml" in capsys.readouterr().err
     folder.with_name("mine--duration=3.2").write_text("mine")
     assert force_rate.main([str(path), "--set", "duration=3.2"]) == 2
     assert folder.with_name("mine--duration=3.2").read_text() == "mine"
