@@ -45,7 +45,7 @@ def build(
         **more,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "git": git_state(),
-        "versions": versions() | version_of(engine),
+        "versions": versions(engine),
         "device": device(),
     }
 
@@ -101,12 +101,12 @@ def _git(*arguments: str) -> str | None:
     return answer.stdout.strip()
 
 
-def versions() -> dict[str, str]:
-    """Return the versions a number in the result could depend on."""
+def versions(engine: str) -> dict[str, str]:
+    """Return the versions a number in the result could depend on, that of the package of its engine included."""
     found = {"python": platform.python_version(), "flight-core": rust.__version__}
     for package in ("jax-aero", "numpy", "scipy", "xarray", "h5netcdf", "pyarrow"):
         found |= version_of(package) or {package: "not installed as a package"}
-    return found
+    return found | version_of(engine)
 
 
 def device() -> dict[str, Any]:

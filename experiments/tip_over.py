@@ -19,10 +19,9 @@ import numpy as np
 import xarray as xr
 from tqdm import tqdm
 
-from experiments import engines
 from experiments.sources import code_hash
 from experiments.study import Findings, Study
-from jax_aero import rust, tables
+from jax_aero import mujoco_ground, rust, tables
 from jax_aero.files import write_json
 from jax_aero.wind_direction import wind_from
 
@@ -105,9 +104,9 @@ class Trials:
 
     def make(self, config: rust.Config) -> dict[str, Any]:
         """Return how a trial ended; make it if it was not made."""
-        key = f"{rust.config_digest(config)} {code_hash(__name__, engines.MODULES['mujoco'])}"
+        key = f"{rust.config_digest(config)} {code_hash(__name__)}"
         if key not in self._made:
-            self._made[key] = _outcome(engines.engine("mujoco").fly(config))
+            self._made[key] = _outcome(mujoco_ground.fly(config))
             write_json(self.path, self._made)
         return self._made[key]
 

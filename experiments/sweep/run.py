@@ -150,7 +150,7 @@ def _document(design: Design) -> dict[str, Any]:
         "config_hash": design.digest,
         "code_hash": code_hash(design),
         "git": manifest.git_state(),
-        "versions": manifest.versions(),
+        "versions": manifest.versions(design.spec.engine),
         "device": manifest.device(),
     }
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from experiments import Refused, engines, record, tip_over
+from experiments import Refused, engines, record, sources, tip_over
 from experiments.report import ground
-from jax_aero import places, rust, tables
+from jax_aero import mujoco_ground, places, rust, tables
 from jax_aero.control.channels import MODES
 from jax_aero.mujoco_ground import GroundPlant, fly
 from paper_figs.__main__ import main as draw
@@ -468,23 +468,22 @@ def test_a_trial_has_the_disturbances_of_its_experiment():
 def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     made = []
 
-    class Engine:
-        def fly(self, config):
-            speed = np.linalg.norm(config["wind"]["velocity"])
-            made.append(speed)
-            if len(made) == 5:
-                raise KeyboardInterrupt
-            n = 3
-            log = {
-                "foot_wrench": np.tile([0.0, 0.0, 200.0, 0.0, 0.0, 0.0], (n, 2, 1)),
-                "com_position": np.zeros((n, 3)),
-                "com_setpoint": np.zeros((n, 3)),
-                "aero_force_sim": np.full((n, 13, 3), speed / 13),
-                "sole_position": np.zeros((n, 2, 3)),
-            }
-            return rust.FlightResult(log, np.zeros(23), "fell" if speed > 15.0 else "completed", None, None, {})
+    def fly(config):
+        speed = np.linalg.norm(config["wind"]["velocity"])
+        made.append(speed)
+        if len(made) == 5:
+            raise KeyboardInterrupt
+        n = 3
+        log = {
+            "foot_wrench": np.tile([0.0, 0.0, 200.0, 0.0, 0.0, 0.0], (n, 2, 1)),
+            "com_position": np.zeros((n, 3)),
+            "com_setpoint": np.zeros((n, 3)),
+            "aero_force_sim": np.full((n, 13, 3), speed / 13),
+            "sole_position": np.zeros((n, 2, 3)),
+        }
+        return rust.FlightResult(log, np.zeros(23), "fell" if speed > 15.0 else "completed", None, None, {})
 
-    monkeypatch.setattr(tip_over.engines, "engine", lambda _: Engine())
+    monkeypatch.setattr(mujoco_ground, "fly", fly)
     text = (ROOT / "configs/tip_over/ground.toml").read_text().replace("../", f"{ROOT}/configs/")
     path = tmp_path / "small.toml"
     path.write_text(text.replace("[0.0, 30.0, 60.0, 90.0, 120.0, 150.0, 180.0]", "[0.0, 90.0]"))
@@ -495,6 +494,7 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     document = tip_over.STUDY.run(str(path))
     assert all(14.5 <= value <= 15.0 for value in document["summary"].values())
     assert len(document["summary"]) == 4
+    assert document["code_hash"] == sources.code_hash("experiments.tip_over", "jax_aero.mujoco_ground")
     assert list((tmp_path / "tip_over").glob(".*")) == []
     # Four cells of two ends and seven halvings; the four trials before the interrupt are not made again.
     assert len(made) == 4 * 9 + 1

@@ -1,5 +1,6 @@
 """Sweeps: what a file means, and that results do not depend on the process, the time, or interruptions."""
 
+import importlib.metadata
 import json
 import os
 import pickle
@@ -541,6 +542,11 @@ def test_a_sweep_leaves_a_table_of_flights_one_of_cells_and_says_what_was_flown(
     assert document["finished"]["outcomes"] == {"completed": 12, "off_course": 0, "fell": 0, "diverged": 0, "error": 0}
     assert {"config_hash", "code_hash", "git", "versions", "device", "perturbation"} <= document.keys()
     assert str(ROOT) not in (flown / "sweep.json").read_text()
+
+
+@pytest.mark.parametrize("engine", ["jax", "mujoco"])
+def test_a_sweep_says_by_which_version_of_its_engine_it_is_flown(engine):
+    assert run._document(design(engine=engine))["versions"][engine] == importlib.metadata.version(engine)
 
 
 def test_threads_do_not_change_a_byte(flown, tmp_path):
