@@ -82,7 +82,7 @@ def _read(name: str) -> xr.Dataset:
     path = _file(name)
     if not path.is_file():
         raise Refused(f"no flight `{name}`; fly it with: python -m experiments {name}")
-    with xr.open_dataset(path, engine="h5netcdf") as opened:
+    with record.opened(path) as opened:
         return opened[["joint_position", "thrust"]].load().assign_attrs(opened.attrs)
 
 

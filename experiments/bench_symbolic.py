@@ -9,7 +9,6 @@ trajectories take a minute or more; their times stand in the manifests of `resul
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
 import subprocess
 import sys
@@ -21,6 +20,7 @@ import numpy as np
 
 from experiments import trim
 from jax_aero import places
+from jax_aero.files import read_json
 from jax_aero.symbolic import MomentumModel, load_robot
 from jax_aero.symbolic.aero import load_aero
 
@@ -68,7 +68,7 @@ def _rows() -> Iterator[tuple[str, Time]]:
         for wind, words in (((0.0, 0.0, 0.0), "still air"), ((0.0, -10.0, 0.0), "10 m/s side wind")):
             yield f"solve it, {words}", _median(lambda: problem.solve(wind, objective="max_margin"), 5)  # noqa: B023 used at once
     for path in sorted((places.RESULTS / "trajectory").glob("*/manifest.json")):
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = read_json(path)
         for step in ("build", "solve"):
             wall = document["timings_s"][step]
             yield f"{step} the trajectory, {document['title'].lower()} (manifest)", Time(wall, float("nan"))

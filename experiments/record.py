@@ -106,6 +106,14 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
     return manifest if isinstance(manifest, dict) and (folder / RUN_FILE).is_file() else None
 
 
+def opened(path: Path) -> xr.Dataset:
+    """Open the NetCDF file of a result; a damaged one is refused by its name."""
+    try:
+        return xr.open_dataset(path, engine="h5netcdf")
+    except Exception as reason:  # HDF5 fails in many ways on a damaged file
+        raise Refused(f"{path} is damaged ({reason}); remove its folder and make it again") from None
+
+
 def existing(folder: Path, digest: str, code: str | None, *, overwrite: bool) -> dict[str, Any] | None:
     """Return the manifest of an equal finished result; refuse to touch anything else that is there.
 

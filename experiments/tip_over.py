@@ -8,7 +8,6 @@ stopped. The result goes to `results/tip_over/NAME/`; `python -m paper_figs tip_
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Mapping
 from functools import partial
@@ -22,7 +21,7 @@ from tqdm import tqdm
 from experiments.sources import code_hash
 from experiments.study import Findings, Study
 from jax_aero import mujoco_ground, rust, tables
-from jax_aero.files import write_json
+from jax_aero.files import read_json, write_json
 from jax_aero.wind_direction import wind_from
 
 
@@ -100,7 +99,7 @@ class Trials:
         self.path = path
         self._made: dict[str, dict[str, Any]] = {}
         if path.is_file():
-            self._made = json.loads(path.read_text(encoding="utf-8"))
+            self._made = read_json(path)
 
     def make(self, config: rust.Config) -> dict[str, Any]:
         """Return how a trial ended; make it if it was not made."""

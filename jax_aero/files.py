@@ -195,6 +195,17 @@ def read_text(path: Path, greatest: int = MAX_SIZE) -> str:
     return read_bytes(path, greatest).decode()
 
 
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON document that is a table; a damaged one is refused by its name."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as reason:
+        raise Refused(f"{path} is damaged: {reason}") from None
+    if not isinstance(document, dict):
+        raise Refused(f"{path} is damaged: it holds no table")
+    return document
+
+
 def write_bytes(path: Path, content: bytes | memoryview) -> None:
     """Write a file in one go; a disk that is full is an `OSError` and leaves what was there."""
     with complete_file(path) as draft:

@@ -85,7 +85,11 @@ def load(results: Path, name: str) -> Sweep:
     folder = results / name
     if not is_finished(folder):
         raise MissingRun(f"no finished sweep `{name}`; fly it with: python -m experiments sweep {name}")
-    return Sweep(name, json.loads((folder / "sweep.json").read_text(encoding="utf-8")), folder)
+    path = folder / "sweep.json"
+    try:
+        return Sweep(name, json.loads(path.read_text(encoding="utf-8")), folder)
+    except ValueError as reason:
+        raise MissingRun(f"{path} is damaged: {reason}; --overwrite flies it again") from reason
 
 
 def _read(path: Path) -> pd.DataFrame:

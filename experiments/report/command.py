@@ -16,7 +16,7 @@ from experiments.report.verdicts import ANOTHER, NOT_FLOWN, OUTDATED
 from jax_aero import places
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
-from jax_aero.files import write_text
+from jax_aero.files import read_json, write_text
 
 PAPER_RUNS = ("test1", "test2", "test3", "test4", "robustness")
 PUBLISHED_RUNS = tuple(f"{name}_published" for name in PAPER_RUNS)
@@ -79,7 +79,7 @@ def claims_json(stated: Sequence[claims.Claim], kept: Path) -> str:
     What is not flown here, or with another configuration than today's, stays as it was kept. The commit is that of the
     results, which may be older than the code that judges them.
     """
-    older = json.loads(kept.read_text(encoding="utf-8"))["claims"] if kept.is_file() else {}
+    older = read_json(kept)["claims"] if kept.is_file() else {}
     here = manifest.git_state()["commit"]
     found = {}
     for claim in stated:

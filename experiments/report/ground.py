@@ -53,7 +53,7 @@ def read(folder: Path, config: Mapping[str, Any], mass: float) -> Ground | None:
     wind = config.get("disturbances", {}).get("controller_wind")
     if wind is None:
         return None
-    with xr.open_dataset(folder / record.RUN_FILE, engine="h5netcdf") as opened:
+    with record.opened(folder / record.RUN_FILE) as opened:
         if "contact_force" not in opened:
             return None
         start = float(wind.get("ramp_start", 0.0))

@@ -50,7 +50,7 @@ class Metrics:
 
 def read(folder: Path) -> Metrics:
     """Return the metrics of a flight's result."""
-    with xr.open_dataset(folder / record.RUN_FILE, engine="h5netcdf") as opened:
+    with record.opened(folder / record.RUN_FILE) as opened:
         return measure(folder.name, opened)  # which loads what it asks for
 
 

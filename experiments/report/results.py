@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,7 +13,7 @@ import pyarrow.parquet as pq
 from experiments import Refused, record
 from experiments.report import ground, metrics, outdated
 from jax_aero import places, rust
-from jax_aero.files import damaged
+from jax_aero.files import damaged, read_json
 
 Cell = Mapping[str, Any]
 Flown = TypeVar("Flown")
@@ -74,10 +73,10 @@ class Results:
     def manifests(self) -> dict[str, dict[str, Any]]:
         """Return the manifests of plain flights, by name; those with --set are not the paper's."""
         found = {}
-        for folder in sorted(path.parent for path in (self.folder / "flight").glob("*/manifest.json")):
-            if "--" not in folder.name and (document := record.read_manifest(folder)) is not None:
-                _require_whole(folder, document)
-                found[folder.name] = document
+        for path in sorted((self.folder / "flight").glob(f"[!.]*/{record.MANIFEST_FILE}")):
+            if "--" not in path.parent.name:
+                found[path.parent.name] = read_json(path)
+                _require_whole(path.parent, found[path.parent.name])
         return found
 
     @cached_property
@@ -108,7 +107,7 @@ class Results:
         """Return every finished sweep, by name."""
         found = {}
         for path in sorted((self.folder / "sweeps").glob("*/cells.parquet")):
-            document = json.loads((path.parent / "sweep.json").read_text(encoding="utf-8"))
+            document = read_json(path.with_name("sweep.json"))
             if "finished" in document:
                 _require_whole(path.parent, document["finished"])
                 name, cells = path.parent.name, pq.read_table(path).to_pylist()
@@ -144,7 +143,7 @@ class Results:
         path = self.folder / kind / name / "manifest.json"
         if not path.is_file():
             raise NotFlownError(f"`python -m experiments {kind.replace('_', '-')} {name}` has not been run")
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = read_json(path)
         self.note(f"{kind} {name}", document, outdated.study(kind, name, document))
         return dict(document["summary"])
 

@@ -36,6 +36,15 @@ def test_a_flight_that_is_not_there_is_named():
         along._read("nowhere")
 
 
+def test_a_flight_that_is_cut_short_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(along.places, "RESULTS", tmp_path)
+    path = tmp_path / "flight" / "cut" / "run.nc"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"\x89HDF\r\n\x1a\n")
+    with pytest.raises(Refused, match=r"cut/run\.nc is damaged \("):
+        along._read("cut")
+
+
 @pytest.fixture
 def study(make_flight, robot):
     runs = {}

@@ -465,6 +465,13 @@ def test_a_trial_has_the_disturbances_of_its_experiment():
         assert (config["disturbances"]["controller_wind"] == config["wind"]) is is_measured
 
 
+def test_trials_that_are_cut_short_are_named(tmp_path):
+    path = tmp_path / ".ground.trials.json"
+    path.write_text('{"a": {')
+    with pytest.raises(Refused, match=r"\.ground\.trials\.json is damaged: "):
+        tip_over.Trials(path)
+
+
 def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     made = []
 

@@ -365,6 +365,19 @@ def test_a_damaged_result_is_named(results, place, capsys):
     assert f"error: {path} is not what was written there; --overwrite flies it again" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("place", ["flight/test1/manifest.json", "sweeps/paper_tests/sweep.json", "claims.json"])
+def test_a_result_that_is_cut_short_is_named(results, place, capsys):
+    path = results.folder / place
+    path.write_bytes(path.read_bytes()[:100] if path.is_file() else b'{"claims": {')
+    assert main(["report", "--results", str(results.folder)]) == 2
+    assert f"error: {path} is damaged" in capsys.readouterr().err
+
+
+def test_what_an_ended_process_left_is_no_flight(results):
+    (results.folder / "flight" / "test1").rename(results.folder / "flight" / ".test1.draft")
+    assert not any(name.startswith(".") for name in results.manifests)
+
+
 def test_what_is_not_flown_here_or_outdated_stays_as_it_was_kept(tmp_path):
     base = claims.Claim("k", "w", "c", "12 m", "agrees", "fly it", "")
     kept = tmp_path / "claims.json"

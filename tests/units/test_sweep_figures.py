@@ -104,6 +104,10 @@ def test_a_damaged_sweep_is_one_line(tmp_path, capsys):
     path.write_bytes(path.read_bytes()[:-9])
     assert main(["made_up", "--sweeps", str(tmp_path / "sweeps"), "--out", str(tmp_path)]) == 1
     assert "cells.parquet is damaged (" in capsys.readouterr().err
+    description = path.with_name("sweep.json")
+    description.write_text(description.read_text()[:50])
+    assert main(["made_up", "--sweeps", str(tmp_path / "sweeps"), "--out", str(tmp_path)]) == 1
+    assert f"error: made_up: {description} is damaged: " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("drawing", "panels"), [("levels", ""), ("levels", "price"), ("map", "price")])
