@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +20,7 @@ import numpy as np
 
 from experiments import Refused, study
 from experiments.import_robot import scenario, shapes, skeleton
-from jax_aero import places, rust
+from jax_aero import places, rust, tables
 from jax_aero.cli import Parser
 from jax_aero.command import exit_status
 from jax_aero.files import complete_folder, read_text
@@ -49,6 +50,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = _parser().parse_args(arguments)
 
     def work() -> int:
+        for option, names in (("posture", [joint for joint, _ in given.posture]), ("hold", given.hold)):
+            if repeated := [name for name in names if names.count(name) > 1]:
+                raise Refused(f"--{option} names `{repeated[0]}` more than once; expected each joint once")
         result = import_robot(
             given.urdf,
             given.out or places.RESULTS / "robot" / given.urdf.stem,
@@ -92,10 +96,10 @@ def thruster(text: str) -> skeleton.Thruster:
 def angle(text: str) -> tuple[str, float]:
     """Read JOINT=DEG; of a prismatic joint JOINT=M."""
     joint, _, value = text.partition("=")
-    try:
-        return joint, float(value)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"`{text}`; expected JOINT=DEG, e.g. l_elbow=30") from None
+    with suppress(ValueError):
+        if abs(degrees := float(value)) <= tables.LARGEST:
+            return joint, degrees
+    raise argparse.ArgumentTypeError(f"`{text}`; expected JOINT=DEG, e.g. l_elbow=30")
 
 
 def import_robot(

@@ -164,12 +164,19 @@ def test_a_spoilt_urdf_is_refused_by_name_and_leaves_no_file(tmp_path, written, 
         (["--jet", "nozzle:-z:0.0"], "--jet: `nozzle:-z:0.0`; expected FRAME"),
         (["--jet", "nozzle:up:3"], "--jet: `nozzle:up:3`; expected FRAME"),
         (["--jet", "nozzle:3", "--posture", "knee"], "--posture: `knee`; expected JOINT=DEG"),
+        (["--jet", "nozzle:3", "--posture", "knee=nan"], "--posture: `knee=nan`; expected JOINT=DEG"),
     ],
 )
 def test_what_an_option_expects_is_said(words, message, capsys):
     with pytest.raises(SystemExit):
         command.main(["robot.urdf", *words])
     assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("option", "words"), [("--hold", ["knee"] * 2), ("--posture", ["knee=1", "knee=2"])])
+def test_a_joint_is_named_once(option, words, capsys):
+    assert command.main(["robot.urdf", "--jet", "nozzle:3", *(part for word in words for part in (option, word))]) == 2
+    assert f"error: {option} names `knee` more than once; expected each joint once" in capsys.readouterr().err
 
 
 def test_what_is_not_there_is_refused_by_name(tmp_path):
