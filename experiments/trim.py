@@ -26,6 +26,7 @@ from jax_aero.symbolic.trim import Objective, Trim, TrimResult, TrimSettings
 from jax_aero.wind_direction import wind_from
 
 OBJECTIVES: tuple[Objective, ...] = ("max_margin", "min_thrust")
+STILL = [0.0, 0.0, 0.0]
 
 
 class WindMap(tables.Table, frozen=True):
@@ -73,18 +74,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit status: 1 if there is no trim."""
     parser = Parser("trim", __doc__)
     parser.add_argument("name", nargs="?", default="free_joints", help="a file stem in configs/trim, or a path")
-    vector: dict[str, Any] = {"nargs": 3, "type": float, "metavar": ("X", "Y", "Z"), "default": [0.0, 0.0, 0.0]}
+    vector: dict[str, Any] = {"nargs": 3, "type": float, "metavar": ("X", "Y", "Z")}
     parser.add_argument("--wind", help="velocity of the air [m/s, inertial axes]", **vector)
     parser.add_argument("--velocity", help="flight velocity [m/s, inertial axes]", **vector)
     parser.add_argument("--without", metavar="JET", help="a jet without thrust; roll and pitch may be up to ±90° then")
-    parser.add_argument("--objective", choices=OBJECTIVES, default="min_thrust")
+    parser.add_argument("--objective", choices=OBJECTIVES, help="(default min_thrust)")
     parser.add_argument("--map", action="store_true", help="solve all winds of the configuration, write a result")
     study.add_set(parser)
     study.add_overwrite(parser)
     given = parser.parse_args(arguments)
 
     def work() -> int:
-        for name, parts in (("wind", given.wind), ("velocity", given.velocity)):
+        of_one = {name: getattr(given, name) for name in ("wind", "velocity", "without", "objective")}
+        for name, value in of_one.items() if given.map else [("overwrite", given.overwrite or None)]:
+            if value is not None:
+                raise Refused(f"--{name} is given {'beside' if given.map else 'without'} --map, where it has no effect")
+        wind, velocity = (given.wind or STILL), (given.velocity or STILL)
+        for name, parts in (("wind", wind), ("velocity", velocity)):
             if not all(abs(part) <= tables.LARGEST for part in parts):
                 raise Refused(f"--{name} is {parts}; expected three numbers, each at most {tables.LARGEST:g}")
         changes = overrides.parse(given.set)
@@ -92,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 0 if MAP.run(given.name, changes, overwrite=given.overwrite)["summary"]["trims found"] else 1
         trim = build(MAP.read(given.name, changes)[1])
         trim.lost = _jet(trim, given.without)
-        result = trim.solve(given.wind, given.velocity, given.objective)
+        result = trim.solve(wind, velocity, given.objective or "min_thrust")
         print(report(trim, result))
         return 0 if result.feasible else 1
 

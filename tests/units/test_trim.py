@@ -154,6 +154,21 @@ def test_the_command_line(capsys):
     assert "did you mean hover_posture?" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["--map", "--wind", "0", "0", "0"], "--wind is given beside --map"),
+        (["--map", "--velocity", "1", "0", "0"], "--velocity is given beside --map"),
+        (["--map", "--without", "tail_jet"], "--without is given beside --map"),
+        (["--map", "--objective", "min_thrust"], "--objective is given beside --map"),
+        (["--overwrite"], "--overwrite is given without --map"),
+    ],
+)
+def test_an_option_without_effect_is_refused(words, named, capsys):
+    assert experiment.main(["hover_posture", *words]) == 2
+    assert capsys.readouterr().err == f"error: {named}, where it has no effect\n"
+
+
 def test_a_map_is_a_result_with_a_manifest(tmp_path, monkeypatch):
     monkeypatch.setattr(places, "RESULTS", tmp_path)
     text = (ROOT / "configs/trim/hover_posture.toml").read_text().replace('"../', f'"{ROOT}/configs/')
