@@ -170,18 +170,18 @@ def to_dataset(
 
 
 def _arrival(dataset: xr.Dataset, name: str) -> float:
-    """Return when one of the three flights is at its end to stay [s]."""
+    """Return when one of the three flights is at its end to stay [s]; NaN if it is not there when its log ends."""
     t = dataset[f"time_{name}"].values
     away = np.linalg.norm(dataset[f"com_position_{name}"].values - dataset.attrs["end"], axis=1) > ARRIVED
     late = int(np.flatnonzero(away)[-1]) + 1 if away.any() else 0
-    return float(t[min(late, t.size - 1)])
+    return float(t[late]) if late < t.size else np.nan
 
 
 def figures(label: str, dataset: xr.Dataset, name: str) -> dict[str, float | str]:
-    """Return duration, fuel and errors of one of the three flights."""
+    """Return duration, fuel and errors of one of the three flights; NaN for both of the first if it does not arrive."""
     t = dataset[f"time_{name}"].values
     arrived = float(dataset.attrs[f"arrival_{name}"])
-    moving = (t >= 0.0) & (t <= arrived)
+    moving = (t >= 0.0) & ~(t > arrived)  # of one that does not arrive, to its end
     thrust = dataset[f"thrust_{name}"].values[moving]
     found: dict[str, float | str] = {
         f"{label}: arrives within {100 * ARRIVED:.0f} cm after [s]": arrived,

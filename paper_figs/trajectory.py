@@ -40,7 +40,8 @@ def draw(*studies: xr.Dataset) -> Figure:
         for axes, (x, y) in zip(grid.flat, curves, strict=False):
             axes.plot(x, y, **look)
         _, fuel = curves[-1]
-        _arrival(grid[2, 1], float(study.attrs[f"arrival_{of}"]), float(fuel[-1]), colour, label)
+        if not np.isnan(arrival := float(study.attrs[f"arrival_{of}"])):
+            _arrival(grid[2, 1], arrival, float(fuel[-1]), colour, label)
     for axes, label in zip(grid.flat, LABELS, strict=False):
         axes.set_ylabel(label)
         axes.set_xlim(0.0, 40.0)
@@ -68,7 +69,8 @@ def _curves(study: xr.Dataset, of: str) -> Sequence[tuple[xr.DataArray, xr.DataA
     way, height = (data[f"com_position_{of}"].sel(xyz=axis) for axis in "xz")
     speed = (data[f"com_velocity_{of}"] ** 2).sum("xyz") ** 0.5
     pitch = data[f"base_rpy_{of}"].sel(rpy="pitch") * (180.0 / np.pi)
-    fuel = data[f"fuel_{of}"].sel({f"time_{of}": slice(None, study.attrs[f"arrival_{of}"])})
+    fuel = data[f"fuel_{of}"]
+    fuel = fuel[~(time.values > study.attrs[f"arrival_{of}"])]
     return (
         (time, way),
         (time, speed),

@@ -209,3 +209,10 @@ def test_the_result_names_its_reference_and_its_flights(tmp_path, monkeypatch, c
     plt.close(figure)
     found = experiment.figures("flown", dataset, "flown")
     assert found["flown: peak CoM error [m]"] == 0.0
+    # One that is away from the end when its log ends does not arrive, and has all its thrusts.
+    log["com_position"] = rest + np.array([[0.0], [0.0], [1.0]])
+    astray = experiment.to_dataset(plan, flight, flight, climb.model.robot, climb.config)
+    found = experiment.figures("flown", astray, "flown")
+    assert np.isnan([found["flown: arrives within 5 cm after [s]"], found["flown: fuel until then [l]"]]).all()
+    assert found["flown: thrusts [N]"] == "100.0 to 100.0"
+    plt.close(FIGURES["trajectory"].draw(astray.assign_attrs(title="Small", name="min_time")))
