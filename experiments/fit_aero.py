@@ -29,13 +29,13 @@ PRINTED, RIGHT = "published", "corrected"
 class FitConfig(tables.Table, frozen=True):
     """A fit."""
 
-    dataset: str = ""
+    dataset: Path | None = None
     """What import-cfd wrote; without it, `results/datasets/NAME.nc`, or else the shipped one of that name."""
 
 
 def compute(name: str, config: FitConfig) -> Findings:
     """Fit and compare."""
-    path = Path(config.dataset) if config.dataset else dataset_of(name)
+    path = config.dataset or dataset_of(name)
     computed = load(path)
     computed = computed.take(~computed.is_mirrored)
     dataset = computed.mirrored()
@@ -60,7 +60,15 @@ def compute(name: str, config: FitConfig) -> Findings:
     )
 
 
-STUDY = Study("fit_aero", __doc__, FitConfig, compute, ("freestream",), engine="scikit-learn")
+STUDY = Study(
+    "fit_aero",
+    __doc__,
+    FitConfig,
+    compute,
+    ("freestream",),
+    engine="scikit-learn",
+    reads=lambda name, config: [] if config.dataset else [dataset_of(name)],
+)
 main = STUDY.main
 
 

@@ -13,7 +13,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -46,7 +46,7 @@ class Findings:
     inputs: Mapping[str, Any] = field(default_factory=dict)
     """What else it depends on."""
     files: Sequence[Path] = ()
-    """Files that it depends on, beside those that the configuration names."""
+    """Files that it depends on, beside those that the configuration names and the study reads."""
     texts: Mapping[str, str] = field(default_factory=dict)
     """Further files of the result, by name."""
     timings: Mapping[str, float] = field(default_factory=dict)
@@ -76,6 +76,8 @@ class Study(Generic[C]):
     """Further words of the command line that makes it."""
     experiments: bool = False
     """Whether its names are those of experiments: it has no configurations of its own, but a key `experiment`."""
+    reads: Callable[[str, C], Sequence[Path]] = lambda *_: ()
+    """Function of name and configuration: files that the study reads, beside those that the configuration names."""
     progress: str = ""
     """Ending of the file of a study under way, which lies beside the result and goes when that is there."""
 
@@ -137,13 +139,14 @@ class Study(Generic[C]):
         name, config = self.read(name, changes)
         folder = places.RESULTS / self.kind / (places.name_of(name) + overrides.folder_suffix(changes or {}))
         with computing(folder):
-            record.check_replaceable(folder, lambda kept: _is_of(config, kept), overwrite=overwrite)
+            read = [*tables.files(config), *self.reads(name, config)]
+            record.check_replaceable(folder, lambda kept: _is_of(config, read, kept), overwrite=overwrite)
             under_way = [self.progress_of(folder)] if self.progress else []
             findings: Findings = self.compute(name, config, *under_way)
             timings = {**findings.timings, "all": time.perf_counter() - started}
             flights = {key: rust.config_digest(flight) for key, flight in findings.flights.items()}
             flights |= findings.results
-            files = [*tables.files(config), *findings.files]
+            files = [*read, *findings.files]
             table, inputs = tables.plain(config), findings.inputs
             digested = digest({"config": table, "inputs": inputs, "flights": flights}, files)
             document = manifest.build(
@@ -172,9 +175,9 @@ class Study(Generic[C]):
         return document
 
 
-def _is_of(config: tables.Table, kept: Mapping[str, Any]) -> bool:
-    """Whether a result, by its manifest, is that of these keys and of the files that they name as they are now."""
-    same_files = file_hashes(tables.files(config)).items() <= kept.get("sources", {}).get("files", {}).items()
+def _is_of(config: tables.Table, files: Sequence[Path], kept: Mapping[str, Any]) -> bool:
+    """Whether a result, by its manifest, is that of these keys and of these files as they are now."""
+    same_files = file_hashes(files).items() <= kept.get("sources", {}).get("files", {}).items()
     return same_files and bool(kept.get("config") == manifest.portable(tables.plain(config)))
 
 

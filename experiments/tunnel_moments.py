@@ -63,19 +63,18 @@ ADDED = ("2.5 %", "97.5 %", "share above zero")
 class MomentsConfig(tables.Table, frozen=True):
     """A comparison."""
 
-    dataset: str = str(OUT / "tunnel_mk1.nc")
+    dataset: Path = OUT / "tunnel_mk1.nc"
     """From import-tunnel."""
 
 
 def compute(_: str, config: MomentsConfig) -> Findings:
     """Evaluate and compare."""
-    data, robot = read(Path(config.dataset)), load_robot(ROBOT)
+    data, robot = read(config.dataset), load_robot(ROBOT)
     areas = model_areas(robot, data)
     result = compared(robot, data, areas)
     figures = summary(result) | corrections(robot, data, areas)
     inputs = {"draws": DRAWS, "seed": SEED, "points": result.sizes["point"]}
-    files = [*MODEL_FILES, Path(config.dataset)]
-    return Findings("Models' moments beside the wind tunnel", result, figures, inputs=inputs, files=files)
+    return Findings("Models' moments beside the wind tunnel", result, figures, inputs=inputs, files=MODEL_FILES)
 
 
 STUDY = Study("tunnel_moments", __doc__, MomentsConfig, compute, ("mk1",), engine="jax")

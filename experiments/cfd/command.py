@@ -74,9 +74,9 @@ def folder_of(design: Design, out: Path | None = None) -> Path:
     return out / design.name if out else RESULTS / (design.name + overrides.folder_suffix(design.changes))
 
 
-def dataset_of(name: str, given: str = "") -> Path:
-    """Return the dataset of a design, unless another is given."""
-    path = Path(given) if given else RESULTS / name / "dataset.nc"
+def dataset_of(name: str) -> Path:
+    """Return the dataset of a design."""
+    path = RESULTS / name / "dataset.nc"
     if not path.is_file():
         raise Refused(f"no {path}; make it with: jax-aero cfd {name}")
     return path

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -41,18 +40,17 @@ NEAR = 1.0
 class CompareConfig(tables.Table, frozen=True):
     """A comparison."""
 
-    dataset: str = ""
+    dataset: Path | None = None
     """Of the design; without it, `results/cfd/NAME/dataset.nc`."""
-    table: str = ""
+    table: Path | None = None
     """Dataset of `import-cfd` to compare with."""
 
 
 def compute(name: str, config: CompareConfig) -> Findings:
     """Compare."""
-    path = dataset_of(name, config.dataset)
+    path = config.dataset or dataset_of(name)
     ours, robot = symmetrised(load(path)), load_robot(ROBOT)
     summary = {"cases": len(ours), "postures": len(ours.postures), **couples(robot, ours), **beside_tunnel(ours)}
-    inputs: dict[str, Any] = {"dataset": ours.sha256}
     models = models_at(robot, ours)
     texts, files = {}, [*tunnel_moments.MODEL_FILES, POSTURES, TUNNEL, CFD]
     if len(np.unique(ours.family)) > 2:
@@ -68,9 +66,7 @@ def compute(name: str, config: CompareConfig) -> Findings:
     summary |= judged(robot, models, ours, f"beside the {OPEN}")
     result = as_rows(models, ours)
     if config.table:
-        table = load(config.table)
-        here, there, rows = matched(ours, symmetrised(table))
-        inputs["table"] = table.sha256
+        here, there, rows = matched(ours, symmetrised(load(config.table)))
         summary["cases with a counterpart in the table"] = len(rows)
         all_models = {OPEN: ours.force_area_b, **models}
         at_rows = {model: areas[rows] for model, areas in all_models.items()}
@@ -83,10 +79,18 @@ def compute(name: str, config: CompareConfig) -> Findings:
         names = [f"{OPEN}, beside the table: {link}, rms [m2]" for link in LINKS]
         summary |= dict(zip(names, off.tolist(), strict=True))
         result = as_rows(at_rows, there)
-    return Findings(f"Open CFD `{name}` beside others", result, summary, inputs=inputs, files=files, texts=texts)
+    return Findings(f"Open CFD `{name}` beside others", result, summary, files=files, texts=texts)
 
 
-STUDY = Study("cfd_compare", __doc__, CompareConfig, compute, ("open",), engine="openfoam")
+STUDY = Study(
+    "cfd_compare",
+    __doc__,
+    CompareConfig,
+    compute,
+    ("open",),
+    engine="openfoam",
+    reads=lambda name, config: [] if config.dataset else [dataset_of(name)],
+)
 main = STUDY.main
 
 

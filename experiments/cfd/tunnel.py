@@ -39,7 +39,7 @@ class TunnelConfig(tables.Table, frozen=True):
     """Dataset of `import-tunnel`."""
     robot: Path = ROBOT
     """Robot of the design, for its forward axis and its centre of mass."""
-    dataset: str = ""
+    dataset: Path | None = None
     """Of the design; without it, `results/cfd/NAME/dataset.nc`."""
 
 
@@ -60,16 +60,24 @@ class Row(NamedTuple):
 
 def compute(name: str, config: TunnelConfig) -> Findings:
     """Compare."""
-    path = dataset_of(name, config.dataset)
+    path = config.dataset or dataset_of(name)
     ours, robot = load(path), load_robot(config.robot)
     rows = list(beside(ours, xr.load_dataset(config.tunnel, engine="h5netcdf"), axes_of(robot)))
     if not rows:
         raise Refused(f"{config.tunnel} has no point of posture, wind and speed of a case of {path}")
     result = compared(robot, ours, rows)
-    return Findings(f"Open CFD `{name}` beside the wind tunnel", result, summary(result), inputs={"cases": ours.sha256})
+    return Findings(f"Open CFD `{name}` beside the wind tunnel", result, summary(result))
 
 
-STUDY = Study("cfd_tunnel", __doc__, TunnelConfig, compute, ("open",), engine="openfoam")
+STUDY = Study(
+    "cfd_tunnel",
+    __doc__,
+    TunnelConfig,
+    compute,
+    ("open",),
+    engine="openfoam",
+    reads=lambda name, config: [] if config.dataset else [dataset_of(name)],
+)
 main = STUDY.main
 
 

@@ -552,8 +552,8 @@ def test_cases_are_compared_with_models_and_with_rows_of_a_table(collected, tmp_
     hovering = collected.take(collected.posture == "hovering")
     ds.save(dataclasses.replace(hovering, force_area_b=0.5 * hovering.force_area_b), tmp_path / "table.nc")
     ds.save(collected, tmp_path / "dataset.nc")
-    ours = {"dataset": str(tmp_path / "dataset.nc")}
-    found = compare.compute("small", compare.CompareConfig(**ours, table=str(tmp_path / "table.nc")))
+    ours = {"dataset": tmp_path / "dataset.nc"}
+    found = compare.compute("small", compare.CompareConfig(**ours, table=tmp_path / "table.nc"))
     assert set(compare.tunnel_moments.MODEL_FILES) <= set(found.files)
     assert found.summary["cases with a counterpart in the table"] == len(hovering)
     agree("ours", found.summary[f"hovering ({len(hovering)}): drag, relative error, mean"], 1.0, 1e-12)

@@ -100,7 +100,7 @@ def test_errors_beside_the_tunnel_are_of_the_mean_of_its_points(cases, tmp_path,
     )
     points.to_netcdf(tmp_path / "points.nc", engine="h5netcdf")
     ds.save(cases, tmp_path / "dataset.nc")
-    config = tunnel.TunnelConfig(tunnel=tmp_path / "points.nc", dataset=str(tmp_path / "dataset.nc"))
+    config = tunnel.TunnelConfig(tunnel=tmp_path / "points.nc", dataset=tmp_path / "dataset.nc")
     found = tunnel.compute("small", config).summary
     assert found["robot alone: cases"] == 1
     assert "support in the wind: cases" not in found

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -199,9 +200,23 @@ def test_the_figure_is_drawn(result):
     plt.close(figure)
 
 
-def test_a_missing_dataset_is_named_with_the_command_that_makes_it(tmp_path, capsys):
-    assert fit_aero.main(["--set", f"dataset={tmp_path / 'none.nc'}"]) == 2
+def test_a_missing_dataset_is_named_with_the_command_that_makes_it(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
+    assert fit_aero.main(["none"]) == 2
     assert "python -m experiments import-cfd" in capsys.readouterr().err
+    assert fit_aero.main(["--set", f"dataset={tmp_path / 'none.nc'}"]) == 2
+    assert 'none.nc"; expected the path of a file that exists' in capsys.readouterr().err
+
+
+def test_the_fit_of_another_dataset_is_only_replaced_when_told(result, sampled, tmp_path, monkeypatch, capsys):
+    shutil.copytree(result[0], tmp_path, dirs_exist_ok=True)
+    monkeypatch.setattr(places, "RESULTS", tmp_path)
+    kept = json.loads((tmp_path / "fit_aero" / "freestream" / "manifest.json").read_text())["sources"]["files"]
+    assert any(name.endswith("freestream.nc") for name in kept)
+    ds.save(sampled, tmp_path / "datasets" / "freestream.nc")
+    monkeypatch.setattr(fit_aero, "compute", lambda *_: pytest.fail("computed"))
+    assert fit_aero.main(["freestream"]) == 2
+    assert "holds the result of another configuration" in capsys.readouterr().err
 
 
 def test_a_dataset_is_our_own_of_a_name_or_else_the_shipped_one(tmp_path, monkeypatch):

@@ -5,7 +5,8 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-from experiments import import_tunnel, tunnel_correction, tunnel_moments
+from experiments import Refused, import_tunnel, tunnel_correction, tunnel_moments
+from jax_aero import tables
 from jax_aero.aero import dataset, tunnel
 from jax_aero.aero.fit import predicted_areas
 from jax_aero.aero.posture import link_axes, total_wrench
@@ -178,8 +179,9 @@ def test_the_points_of_the_tunnel_count(tmp_path, monkeypatch):
     monkeypatch.setattr(tunnel_moments, "summary", lambda _: {})
     monkeypatch.setattr(tunnel_moments, "corrections", lambda *_: {})
     path = tmp_path / "tunnel.nc"
-    found = tunnel_moments.compute("mk1", tunnel_moments.MomentsConfig(dataset=str(path)))
-    assert {path, tunnel_moments.ROBOT, tunnel_moments.PANELS} <= set(found.files)
+    config = tunnel_moments.MomentsConfig(dataset=path)
+    found = tunnel_moments.compute("mk1", config)
+    assert {path, tunnel_moments.ROBOT, tunnel_moments.PANELS} <= {*found.files, *tables.files(config)}
 
 
 def test_a_cell_of_the_matrix_counts_balanced_arrivals():
@@ -196,6 +198,6 @@ def test_a_cell_of_the_matrix_counts_balanced_arrivals():
     np.testing.assert_allclose(lean, [[60.0, 5.0]])
 
 
-def test_without_data_the_command_says_what_makes_them(tmp_path, capsys):
-    assert tunnel_moments.main(["--set", f"dataset={tmp_path / 'none.nc'}"]) == 2
-    assert "import-tunnel" in capsys.readouterr().err
+def test_without_data_the_command_says_what_makes_them(tmp_path):
+    with pytest.raises(Refused, match="make it with: jax-aero import-tunnel --clone DIR"):
+        tunnel_moments.read(tmp_path / "none.nc")
