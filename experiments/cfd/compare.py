@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -20,6 +21,7 @@ from experiments import Refused, tunnel_moments
 from experiments.calibrate_surrogate import CFD, TUNNEL, Row, table_rows, toml
 from experiments.cfd.command import dataset_of
 from experiments.cfd.correct import corrected
+from experiments.cfd.goals import verdicts
 from experiments.import_cfd import POSTURES
 from experiments.study import Findings, Study
 from experiments.tunnel_moments import NEWTON_METRES, PANELS
@@ -50,7 +52,8 @@ def compute(name: str, config: CompareConfig) -> Findings:
     """Compare."""
     path = config.dataset or dataset_of(name)
     ours, robot = symmetrised(load(path)), load_robot(ROBOT)
-    summary = {"cases": len(ours), "postures": len(ours.postures), **couples(robot, ours), **beside_tunnel(ours)}
+    summary: dict[str, Any] = {"cases": len(ours), "postures": len(ours.postures)}
+    summary |= couples(robot, ours) | beside_tunnel(ours)
     models = models_at(robot, ours)
     texts, files = {}, [*tunnel_moments.MODEL_FILES, POSTURES, TUNNEL, CFD]
     if len(np.unique(ours.family)) > 2:
@@ -70,7 +73,9 @@ def compute(name: str, config: CompareConfig) -> Findings:
         summary["cases with a counterpart in the table"] = len(rows)
         all_models = {OPEN: ours.force_area_b, **models}
         at_rows = {model: areas[rows] for model, areas in all_models.items()}
-        summary |= judged(robot, at_rows, there, "beside the table")
+        beside_table = judged(robot, at_rows, there, "beside the table")
+        own = {name: error for name, error in beside_table.items() if name.startswith(OPEN)}
+        summary |= beside_table | verdicts(own)
         for posture in here.postures:
             own = here.posture == posture
             found = errors(robot, here.force_area_b[own], there.take(own))

@@ -17,6 +17,7 @@ import xarray as xr
 
 from experiments import Refused
 from experiments.cfd.command import dataset_of
+from experiments.cfd.goals import verdicts
 from experiments.study import Findings, Study
 from experiments.tunnel_moments import NEWTON_METRES
 from jax_aero import tables
@@ -146,8 +147,11 @@ def compared(robot: RobotModel, ours: Dataset, rows: list[Row]) -> xr.Dataset:
     )
 
 
-def summary(data: xr.Dataset) -> dict[str, float]:
-    """Return the errors of every case, and their root mean squares with the support out of the wind and in it."""
+def summary(data: xr.Dataset) -> dict[str, float | str]:
+    """Return the errors of every case, and their root mean squares with the support out of the wind and in it.
+
+    Goals are those of the robot alone.
+    """
     drag, measured = ((data[key] * data["wind"]).sum("xyz").values for key in ("force_area", "force_area_tunnel"))
     off = np.linalg.norm((data["force_area"] - data["force_area_tunnel"]).values, axis=1)
     turned = NEWTON_METRES * np.linalg.norm((data["moment_com"] - data["moment_com_tunnel"]).values, axis=1)
@@ -172,7 +176,8 @@ def summary(data: xr.Dataset) -> dict[str, float]:
             found[f"{label}: drag, relative error, rms"] = _rms(drag[rows] / measured[rows] - 1.0)
             found[f"{label}: total force, rms [m2]"] = _rms(off[rows])
             found[f"{label}: moment, rms [N m at 10 m/s]"] = _rms(turned[rows])
-    return {key: float(value) for key, value in found.items() if np.isfinite(value)}
+    goals = verdicts({key: value for key, value in found.items() if key.startswith("robot alone")})
+    return {key: float(value) for key, value in found.items() if np.isfinite(value)} | goals
 
 
 def _rms(values: Floats) -> float:

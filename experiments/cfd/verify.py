@@ -26,6 +26,7 @@ from scipy.optimize import brentq
 from experiments import Refused
 from experiments.cfd import foam
 from experiments.cfd.geometry import Surface, robot_surfaces, triangles_of
+from experiments.cfd.goals import verdicts
 from experiments.cfd.settings import Mesh, Settings, Shell
 from experiments.cfd.simulate import Result, simulate
 from experiments.import_cfd import POSTURES, known_postures
@@ -123,6 +124,7 @@ def compute(name: str, config: VerifyConfig) -> Findings:
     if subject.literature is not None:
         summary |= {"literature": subject.literature, "source": subject.source}
         summary["finest over literature"] = float(values[2] / subject.literature)
+        summary |= verdicts({"drag coefficient, relative error": summary["finest over literature"] - 1.0})
     data = xr.Dataset(
         {
             "drag": ("run", values, {"long_name": "coefficient; of a posture the area in m2"}),

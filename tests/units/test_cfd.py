@@ -16,7 +16,20 @@ import pyvista
 import xarray as xr
 
 from experiments import calibrate_surrogate, import_cfd, record, sources
-from experiments.cfd import case, command, compare, correct, design, flow, foam, geometry, settings, simulate, verify
+from experiments.cfd import (
+    case,
+    command,
+    compare,
+    correct,
+    design,
+    flow,
+    foam,
+    geometry,
+    goals,
+    settings,
+    simulate,
+    verify,
+)
 from jax_aero import mesh, places, rust, tables
 from jax_aero.aero import dataset as ds
 from jax_aero.aero import surrogate, surrogate_fit
@@ -471,6 +484,7 @@ def test_a_verification_extrapolates_three_meshes_and_varies_the_rest(monkeypatc
     assert np.allclose(np.divide(sizes[:-1], sizes[1:]), 4.0 / 3.0, rtol=0.06)
     finest = found[f"cells of {sizes[-1]:.2f} mm"]
     agree("over literature", found["finest over literature"], finest / 0.47, 1e-12)
+    assert found["drag coefficient, relative error, goal of 0.15"] == "met"  # 14 % off
     off = found[f"cells of {sizes[0]:.2f} mm: total force from that of the finest mesh [m2]"]
     agree("difference", off, 1.25 * (found[f"cells of {sizes[0]:.2f} mm"] - finest) * np.pi * 0.0432**2, 1e-9)
 
@@ -558,6 +572,11 @@ def test_cases_are_compared_with_models_and_with_rows_of_a_table(collected, tmp_
     assert found.summary["cases with a counterpart in the table"] == len(hovering)
     agree("ours", found.summary[f"hovering ({len(hovering)}): drag, relative error, mean"], 1.0, 1e-12)
     agree("model", found.summary["none, beside the table: drag, relative error, mean"], -1.0, 1e-12)
+    key = "open solver, beside the table: drag, relative error, rms, goal of 0.1"
+    assert found.summary[key] == "missed, 10 times that"
+    assert [name for name in found.summary if "goal" in name] == [
+        f"open solver, beside the table: {name}, goal of {goal:g}" for name, goal in [*goals.GOALS.items()][:3]
+    ]
     half = np.sqrt(np.mean(np.sum((0.5 * hovering.force_area_b) ** 2, axis=2), axis=0))
     names = [f"open solver, beside the table: {link}, rms [m2]" for link in ds.LINKS]
     agree("links", [found.summary[name] for name in names], half, 1e-12)

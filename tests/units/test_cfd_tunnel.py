@@ -104,6 +104,7 @@ def test_errors_beside_the_tunnel_are_of_the_mean_of_its_points(cases, tmp_path,
     found = tunnel.compute("small", config).summary
     assert found["robot alone: cases"] == 1
     assert "support in the wind: cases" not in found
+    assert found["robot alone: drag, relative error, rms, goal of 0.1"] == "missed, 3 times that"
     agree("drag", found["robot alone: drag, relative error, rms"], 0.3, 1e-12)
     agree("force", found["robot alone: total force, rms [m2]"], np.hypot(0.03, 0.02), 1e-12)
     # The links' forces at their centres, and their couples of 0.01 m³ each.

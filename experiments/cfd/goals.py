@@ -1,0 +1,23 @@
+"""What errors of the open solver were to be at most, and whether they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+GOALS = {
+    "drag, relative error, rms": 0.1,
+    "total force, rms [m2]": 0.015,
+    "links, mean square [m4]": 1.5e-5,
+    "drag coefficient, relative error": 0.15,
+}
+"""By the name of the error, which may follow what it is of; the last of a sphere and a cylinder."""
+
+
+def verdicts(errors: Mapping[str, float]) -> dict[str, str]:
+    """Return, of every error that has a goal, whether it meets it; NaN does not."""
+    found = {}
+    for name, error in errors.items():
+        if (goal := GOALS.get(name.rpartition(": ")[2])) is not None:
+            ratio = abs(error) / goal
+            found[f"{name}, goal of {goal:g}"] = "met" if ratio <= 1.0 else f"missed, {ratio:.2g} times that"
+    return found
