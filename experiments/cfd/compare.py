@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from experiments import Refused, tunnel_moments
+from experiments import Refused, record, tunnel_moments
 from experiments.calibrate_surrogate import CFD, TUNNEL, Row, table_rows, toml
 from experiments.cfd.command import dataset_of
 from experiments.cfd.correct import corrected
@@ -51,7 +51,8 @@ class CompareConfig(tables.Table, frozen=True):
 def compute(name: str, config: CompareConfig) -> Findings:
     """Compare."""
     path = config.dataset or dataset_of(name)
-    ours, robot = symmetrised(load(path)), load_robot(ROBOT)
+    cases, robot = load(path), load_robot(ROBOT)
+    ours = symmetrised(cases)
     summary: dict[str, Any] = {"cases": len(ours), "postures": len(ours.postures)}
     summary |= couples(robot, ours) | beside_tunnel(ours)
     models = models_at(robot, ours)
@@ -63,7 +64,7 @@ def compute(name: str, config: CompareConfig) -> Findings:
         texts["panels.toml"] = toml(
             fixed.coefficients, [f"Corrected by {path.name}, {len(ours)} cases; λ = {fixed.penalty:g}."]
         )
-    if (trained := held_out_network(name, ours)) is not None:
+    if (trained := held_out_network(name, cases)) is not None:
         models["network, trained on postures other than the row's"] = trained
         files.append(training_of(name))
     summary |= judged(robot, models, ours, f"beside the {OPEN}")
@@ -128,16 +129,15 @@ def training_of(name: str) -> Path:
     return places.RESULTS / "training" / name / "run.nc"
 
 
-def held_out_network(name: str, ours: Dataset) -> Floats | None:
+def held_out_network(name: str, data: Dataset) -> Floats | None:
     """Return the force areas (N, 13, 3) that `train NAME` predicted for postures held out, if it was run."""
     path = training_of(name)
-    if not path.is_file():
+    if (found := record.read_manifest(path.parent)) is None:
         return None
-    run = xr.load_dataset(path, engine="h5netcdf")
-    rows = np.flatnonzero(run["is_mirrored"].values == 0)
-    if not np.array_equal(run["wind"].values[rows], ours.wind_b):
+    if found["dataset"] not in (data.sha256, data.mirrored().sha256):
         raise Refused(f"{path} is of another dataset; train again on this one, or move it away")
-    return np.asarray(run["area_grouped"].values[rows], dtype=np.float64)
+    run = xr.load_dataset(path, engine="h5netcdf")
+    return np.asarray(run["area_grouped"].values[run["is_mirrored"].values == 0], dtype=np.float64)
 
 
 def matched(ours: Dataset, table: Dataset) -> tuple[Dataset, Dataset, Indices]:
