@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments import flight, manifest, overrides, study
+from experiments import flight, overrides, study
 from experiments.engines import MODULES
 from experiments.table import outcome_table
 from jax_aero import cli, places
@@ -70,9 +70,7 @@ def _parser() -> argparse.ArgumentParser:
 def _command(given: argparse.Namespace) -> list[str]:
     """Return the words of the command line."""
     words = ["python", "-m", "experiments", *given.names, *(["--all"] if given.all else [])]
-    for assignment in given.set:
-        key, _, value = assignment.partition("=")
-        words += ["--set", f"{key}={manifest.portable(value)}"]
+    words += [word for assignment in given.set for word in ("--set", assignment)]
     words += ["--engine", given.engine] if given.engine else []
     words += ["--out", str(given.out)] if given.out else []
     return words + (["--overwrite"] if given.overwrite else [])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import platform
+import re
 import shlex
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
@@ -40,7 +41,7 @@ def build(
         "config_digest": digest,
         "config": portable(config),
         "code_hash": code_hash(*code),
-        "command": shlex.join(str(portable(word)) for word in command),
+        "command": shlex.join(map(_portable_word, command)),
         "engine": engine,
         **more,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -71,6 +72,11 @@ def portable(value: Any) -> Any:
         inside = path.is_relative_to(places.HOME)
         return path.relative_to(places.HOME).as_posix() if inside else f"(outside the repository)/{path.name}"
     return value
+
+
+def _portable_word(word: str) -> str:
+    """Return a word of a command line with the absolute paths in it made portable: also of `--set KEY="PATH"`."""
+    return re.sub(r"(^|[=\"'\[{,]\s*)(/[^\"',\]}]*)", lambda found: found[1] + str(portable(found[2])), word)
 
 
 def seeds(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, int]]:

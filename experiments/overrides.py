@@ -10,7 +10,6 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from experiments import manifest
 from jax_aero import places, tables
 from jax_aero.keys import parse_assignments as parse
 
@@ -27,8 +26,8 @@ def folder_suffix(overrides: Mapping[str, Any]) -> str:
 
 
 def options(changes: Mapping[str, Any]) -> list[str]:
-    """Return the words of a command line that make these changes, with no path of this machine."""
-    assignments = (f"{key}={tables.toml_value(manifest.portable(value))}" for key, value in changes.items())
+    """Return the words of a command line that make these changes."""
+    assignments = (f"{key}={tables.toml_value(value)}" for key, value in changes.items())
     return [word for assignment in assignments for word in ("--set", assignment)]
 
 

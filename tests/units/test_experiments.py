@@ -183,6 +183,22 @@ def test_paths_become_portable():
     assert manifest.portable(str(outside)) == "(outside the repository)/x.toml"
 
 
+def test_no_word_of_a_command_names_a_path_of_this_machine(flown, tmp_path):
+    inside = places.CONFIGS / "wind" / "lateral_ramp.toml"
+    for word, expected in (
+        ("/home/me/a b.toml", "(outside the repository)/a b.toml"),
+        ("--dataset=/home/me/a.nc", "--dataset=(outside the repository)/a.nc"),
+        ('a=[{ b = "/home/me/c.csv" }, 1]', 'a=[{ b = "(outside the repository)/c.csv" }, 1]'),
+        (f"a={inside}", "a=configs/wind/lateral_ramp.toml"),
+        ("out/of/the/way", "out/of/the/way"),
+    ):
+        assert manifest._portable_word(word) == expected
+    robot = tmp_path / "robot.toml"
+    robot.write_text(places.ROBOT.read_text().replace('urdf = "', f'urdf = "{places.ROBOT.parent}/'))
+    assert main(["test1", "--set", f'robot="{robot}"', "--out", str(tmp_path)]) == 0
+    assert str(tmp_path) not in json.loads((tmp_path / "test1" / "manifest.json").read_text())["command"]
+
+
 def test_seeds_are_found_at_any_depth():
     assert dict(manifest.seeds({"wind": {"seed": 3, "gust": {"seed": 4}}, "title": "seed"})) == {
         "wind.seed": 3,
