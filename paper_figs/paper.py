@@ -64,12 +64,14 @@ FIGURE_ITEMS: Sequence[Item] = (
         "Fig. 2 a–c",
         "tunnel, test section, robot on its support, as a drawing",
         "fig2_setup",
-        verdict="agrees in its parts; where the strut holds the robot is not public",
+        verdict="agrees in its parts; the point where the strut holds the robot is not public",
         command="python -m experiments test2; python -m experiments pictures; python -m paper_figs fig2_setup",
     ),
     Item("Fig. 2 d", "drag by speed", "fig2", tunnel=_tunnel(tunnel.speed_claims, with_cfd=False)),
     Item("Fig. 2 e", "drag by posture", "fig2", tunnel=_tunnel(tunnel.posture_claims, with_cfd=False)),
-    Item("Fig. 3 a, b", "CFD beside the tunnel", "fig3", tunnel=_tunnel(tunnel.turbulence_claims, with_cfd=True)),
+    Item(
+        "Fig. 3 a, b", "CFD compared with the tunnel", "fig3", tunnel=_tunnel(tunnel.turbulence_claims, with_cfd=True)
+    ),
     Item(
         "Fig. 3 c–f",
         "surface pressure, streamlines and contours of the flow",
@@ -181,13 +183,13 @@ NUMBERS: Sequence[Item] = (
     Item(
         "Wind tunnel facility",
         "balance RUAG 192-6L, error below 0.2 %; 124 pressure taps",
-        verdict="out of reach: records of the pressure scanners are not public; those of the balance are, and are read",
+        verdict="out of reach: records of the pressure scanners are not public; those of the balance are, and are used",
     ),
     Item("CFD", "dataset, boundary", links=("configs/tables/postures.toml",), claims=("boundary", "postures")),
     Item("CFD", "104 runs with support", verdict=_NO_MESH),
     Item("CFD", "drag from pressure and from friction", "cfd_flow", ("cfd.md",), ("pressure_share",)),
     Item("Mesh sensitivity", "cells", "supp_mesh", claims=("cells",)),
-    Item("TEST3", "baseline in the network's air", "suppl7_published", claims=("test3",)),
+    Item("TEST3", "baseline, simulated with the network", "suppl7_published", claims=("test3",)),
 )
 
 SUPPLEMENT: Sequence[Item] = (
@@ -217,7 +219,7 @@ SUPPLEMENT: Sequence[Item] = (
         "postures, rendered",
         "postures",
         ("configs/tables/postures.toml",),
-        verdict="out of reach: which 19 postures the supplement shows; all that the public tables have are drawn",
+        verdict="out of reach: the list of the supplement's 19 postures; those of the public tables are drawn",
         command="python -m experiments test2; python -m experiments pictures; python -m paper_figs postures",
     ),
     Item(
@@ -225,7 +227,7 @@ SUPPLEMENT: Sequence[Item] = (
         "whole campaign: forces, moments and efficiency",
         "tunnel_moments",
         ("moments.md", "configs/tables/tunnel_tests.toml"),
-        verdict="out of reach: the supplement is not public to us; the balance files are, and ours are read from them",
+        verdict="out of reach: the supplement is not public to us; our figures are from the public balance files",
         command="python -m experiments import-tunnel; python -m experiments tunnel-moments; "
         "python -m paper_figs tunnel_moments",
     ),
@@ -234,7 +236,7 @@ SUPPLEMENT: Sequence[Item] = (
     Item("Suppl. Fig. 17", "scale of the estimate", "ablation_scale", verdict=_NO_LEVELS),
     Item("Suppl. Fig. 17", "links", "ablation_links", verdict=_NO_LEVELS),
     Item("Suppl. Fig. 17", "models", "ablation_models", verdict=_NO_LEVELS),
-    Item("Suppl. Fig. 17", "models, in the network's air", "ablation_models_network", verdict=_NO_LEVELS),
+    Item("Suppl. Fig. 17", "models, simulated with the network", "ablation_models_network", verdict=_NO_LEVELS),
     Item("Suppl. Table 1", "engines", links=("#suppl-table-1",), claims=("chest_engine", "arm_engine")),
     Item("Suppl. Table 2", "coefficients", links=("#suppl-table-2",), claims=("coefficients",)),
     Item("Suppl. Table 3", "meshes", links=("#suppl-table-3",), claims=("cells",)),
@@ -255,7 +257,7 @@ SUPPLEMENT: Sequence[Item] = (
 BEYOND: Sequence[Item] = (
     Item("beyond", "loss curves", "training", command=f"{_TRAINING}; python -m paper_figs training"),
     Item("beyond", "three controllers, corrected and published arms", "demo"),
-    Item("beyond", "a panel model beside the tunnel", "surrogate"),
+    Item("beyond", "a panel model compared with the tunnel", "surrogate"),
     Item("beyond", "winds that can be trimmed", "trim"),
     Item("beyond", "planned trajectories", "trajectory"),
     Item("beyond", "coefficients from a flight's log", "identify"),
@@ -264,7 +266,7 @@ BEYOND: Sequence[Item] = (
     Item("beyond", "wind that tips the standing robot over", "tip_over"),
     Item("beyond", "limit of the observer", "observer_limit"),
     Item("beyond", "gains and weights tuned by gradient", "tune"),
-    Item("beyond", "force rate that the controller leaves out", "force_rate"),
+    Item("beyond", "force rate that the controller neglects", "force_rate"),
     Item(
         "beyond",
         "the wind from the wrench",
@@ -284,8 +286,8 @@ SECTIONS: Mapping[str, Sequence[Item]] = {
 """What is typed here; `sections` has the rest."""
 
 TABLES = {
-    "The robot": ("robot", "Links that meet the air, for Fig. 1 and Suppl. Fig. 6: `configs/robot/ironcub_mk1.toml`."),
-    "Suppl. Table 1": ("engines", "Engines as identified: where they rest without acceleration."),
+    "The robot": ("robot", "Aerodynamic links, for Fig. 1 and Suppl. Fig. 6: `configs/robot/ironcub_mk1.toml`."),
+    "Suppl. Table 1": ("engines", "Identified engines, with their steady-state thrusts."),
     "Suppl. Table 2": ("coefficients", "Force areas [m²] as published, and refitted to the public table."),
     "Suppl. Table 3": ("meshes", "Meshes of flight30 in the public records; sizing parameters are not public."),
 }
@@ -307,9 +309,11 @@ def page() -> str:
     """Return the page."""
     record = json.loads(CLAIMS.read_text(encoding="utf-8"))
     about = (
-        "Made by `python -m paper_figs --index`. A verdict *agrees*, *differs* (by how much) or is *out of reach* "
-        f"(why). `{record['command']}` keeps what was measured, with its commit; what follows from committed files "
-        "alone is computed again by the tests. [Deviations](deviations.md) explains what differs."
+        "This page compares every figure, table, equation and claim of the paper with what we measured. A verdict is "
+        "*agrees*, *differs* (with the difference) or *out of reach* (with the reason). "
+        "[Deviations](deviations.md) explains the differences. `python -m paper_figs --index` makes this page. "
+        f"`{record['command']}` stores the measurements with their commit; the tests compute again what follows from "
+        "committed files alone."
     )
     parts = ["# The paper, item by item", about]
     for title, items in sections(record["claims"]).items():
