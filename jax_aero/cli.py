@@ -1,4 +1,4 @@
-"""The command `jax-aero`: everything that this project does, one sub-command each.
+"""The command `jax-aero`, with one sub-command for each function of this project.
 
 `python -m jax_aero COMMAND` is the same; `python -m experiments` and `python -m paper_figs` lead here too.
 """

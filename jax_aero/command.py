@@ -1,4 +1,4 @@
-"""What every command line has in common: how it refuses, and how it is interrupted."""
+"""Common functions of the command lines: error messages and interruption."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The flight as a reinforcement-learning environment of pure functions, shaped like those of MuJoCo Playground.
+"""The flight as a reinforcement-learning environment of pure functions, with the interface of MuJoCo Playground.
 
 >>> import jax
 >>> from jax_aero import env

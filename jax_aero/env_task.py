@@ -1,4 +1,4 @@
-"""The task that both environments set: hover in a wind that is drawn anew, and what is observed and rewarded.
+"""The task of both environments: hovering in a wind that is drawn anew, with its observation and reward.
 
 Functions are given `numpy` or `jax.numpy`, so that the environment of JAX and that of the crate agree.
 """

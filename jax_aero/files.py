@@ -1,4 +1,4 @@
-"""Files and folders that appear completely or not at all, and are on the disk when they appear.
+"""Writes files and folders completely or not at all; they are on the disk when they appear.
 
 Names of drafts are fixed, and whoever writes a folder or a sweep holds its lock: a draft that is found under the lock
 was left by a process that was killed.

@@ -1,4 +1,4 @@
-"""From a TOML file to one resolved table, and to the types of `jax_aero.config`; the compiled crate is not needed.
+"""Loads a TOML file as one resolved table or as types of `jax_aero.config`, without the compiled crate.
 
 A table may name another file as its `base`: that file's table is read first, and the keys beside `base` are laid over
 it, table by table. Paths start at the file that names them. Which keys are paths, and which tables are of several

@@ -1,4 +1,4 @@
-"""Jets that fall short of their modelled dynamics: a slow response, too little thrust, a dead engine, a noisy sensor.
+"""Faults of jets: a slow response, too little thrust, a dead engine, a noisy sensor.
 
     thrust rate command ──delayed──► jets ──limited──► thrust        thrust ──measured──► estimators
 

@@ -1,4 +1,4 @@
-"""Thrust of the jet engines, from the thrust rate that the controller commands.
+"""Thrust of the jet engines from the commanded thrust rate.
 
     JetsConfig, RobotModel ──jet_dynamics──► JetDynamics;   thrust rate command ──advance──► JetsState
 

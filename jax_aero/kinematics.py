@@ -1,4 +1,4 @@
-"""From a state to poses, velocities, centre of mass and Jacobians.
+"""Poses, velocities, centre of mass and Jacobians of a state.
 
 Only rotations are composed along the tree. Everything else a body inherits from its ancestors is a sum over them, so
 it is one product with the static matrix of ancestors: few large operations instead of a loop over bodies.

@@ -1,4 +1,4 @@
-"""State of a standing robot from its joints and its soles, which stay where they are: M113 of `docs/model.md`.
+"""State of a standing robot from its joints and its soles, which are at rest: M113 of `docs/model.md`.
 
 This is how the robot of the paper measures itself on the ground: the pose of the base from one sole, its velocity from
 all soles, and joint velocities behind a low pass.

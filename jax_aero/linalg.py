@@ -1,4 +1,4 @@
-"""Positive definite systems of 20 to 30 rows, and how a batch of them is worked off.
+"""Solves positive definite systems of 20 to 30 rows, singly and in batches.
 
 On a CPU, LAPACK is called for few samples at a time. jaxlib 0.10 splits larger batches over its thread pool and blocks
 a thread of that pool until all parts are done: two such calls that do not depend on each other then wait for each

@@ -1,4 +1,4 @@
-"""A robot on the ground: MuJoCo's contact under our robot, the Rust controller in the loop.
+"""A robot on the ground: MuJoCo's contact, our robot, and the Rust controller in the loop.
 
 ```text
 observe   state and foot wrenches of MuJoCo at x_k; aerodynamic forces of the wind that blows, thrusts

@@ -1,4 +1,4 @@
-"""Measurements that fail to reach the controller, or reach it wrong.
+"""Outages of measurements: missing, frozen or wrong channels.
 
 Equation M104 of `docs/model.md`.
 """

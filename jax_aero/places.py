@@ -1,4 +1,4 @@
-"""Where files lie: configurations in the package, results in the checkout or, without one, in the current folder."""
+"""Locations of files: configurations in the package, results in the checkout or, without one, in the current folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a flight leaves behind, from whichever engine flew it. NumPy only."""
+"""The result of a flight by any engine. NumPy only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TOML files in, typed values out: a `Table` declares keys, types and ranges, and `load` refuses everything else.
+"""Typed values from TOML files: a `Table` declares keys, types and ranges, and `load` refuses everything else.
 
 A refusal names file, key and value, and says what was expected:
 

@@ -1,4 +1,4 @@
-"""The structures that pass between modules, each for one sample; `vmap` adds the batch in front.
+"""The structures that pass between modules, each for one sample; `vmap` adds the batch axis in front.
 
 SI units and radians; vectors and Jacobians in inertial axes unless a suffix says otherwise. The axes that shapes name
 are listed in `docs/conventions.md`.

@@ -1,4 +1,4 @@
-"""From a URDF to a tree of bodies: fixed and locked joints merged, names resolved, numbers checked.
+"""Builds a tree of bodies from a URDF: fixed and locked joints merged, names resolved, numbers checked.
 
 Reads files once with NumPy in double precision; nothing here is traced.
 

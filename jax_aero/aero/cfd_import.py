@@ -1,4 +1,4 @@
-"""Tables of the free-stream simulations, as their authors left them, into our `Dataset`, with what was checked.
+"""Imports the authors' tables of the free-stream simulations into our `Dataset`, with a record of the checks.
 
 Two layouts: the solver's table (CSV: posture, angles, drag, lift and side area of the whole robot and of 13 surfaces)
 and the authors' training file (`.mat`).

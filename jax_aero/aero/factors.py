@@ -1,4 +1,4 @@
-"""Aerodynamic forces that are stronger or weaker than a model says: along the air, across it, by link.
+"""Factors on the aerodynamic forces of a model: along the relative wind, across it, and by link.
 
 Equation M40 of `docs/model.md`.
 """

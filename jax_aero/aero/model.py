@@ -1,4 +1,4 @@
-"""From the configuration of an aerodynamic model to the model."""
+"""Builds an aerodynamic model from its configuration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a posture puts the links: their frames in base axes, for tables of joint angles."""
+"""Frames of the links in base axes, for tables of joint angles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an aerodynamic model is given and what it answers: the interface for models of one's own."""
+"""Inputs and outputs of an aerodynamic model: the interface for user-defined models."""
 
 from __future__ import annotations
 

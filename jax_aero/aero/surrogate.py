@@ -1,4 +1,4 @@
-"""A panel model of the robot in the wind with wakes: a source of data where no free-stream CFD is at hand.
+"""A panel model of the robot with wakes: a source of data where no free-stream CFD is available.
 
 Panels i (area A, outward normal n, position x) are fixed to the links, cylinders closed by hemispheres. In a wind with
 unit vector w a panel has c = −n·w, and every cluster k of panels sheds a wake of strength S_k = Σ A max(c, 0) from its

@@ -1,4 +1,4 @@
-"""What a tick takes the measurement to be, channel by channel, where some of it is missing or cannot be right.
+"""Measurements with missing or implausible channels replaced by predictions.
 
 The model moves the last value of every channel on to this tick; the measured value is used if it is finite and within
 its accepted range. Values of joints and base have to be near the predicted ones, too, and must not be frozen, that is,

@@ -1,4 +1,4 @@
-"""Which engines follow their commands.
+"""Detection of engines that do not follow their commands, and of wrong thrust sensors.
 
     d ← e^{−Δt/τ} d + (T_k − T̂_k)          how far a thrust has left the commanded one
     d̄ ← d after lags of τ_e and τ_n         the same, as late as the momentum is known

@@ -1,4 +1,4 @@
-"""How thrusts and joint motion change the centroidal momentum.
+"""Effect of thrusts and joint motion on the centroidal momentum.
 
 ```text
 L̇ = A_T T + Σ_j (f_j, r_j × f_j) − m g e₃                     estimated momentum rate

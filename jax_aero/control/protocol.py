@@ -1,4 +1,4 @@
-"""What a flight controller is given and what it answers: the interface for controllers of one's own."""
+"""Inputs and outputs of a flight controller: the interface for user-defined controllers."""
 
 from __future__ import annotations
 

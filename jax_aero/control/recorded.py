@@ -1,4 +1,4 @@
-"""A reference that was computed beforehand: `mission = { file = "…" }`.
+"""A precomputed reference: `mission = { file = "…" }`.
 
 Equation M49 of `docs/model.md`.
 """

@@ -1,4 +1,4 @@
-"""The momentum QP: a stack of tasks over the unknowns `u = (Ṫ, ṡ)`, bounds around them.
+"""The momentum QP: a stack of tasks over the unknowns `u = (Ṫ, ṡ)`, with bounds.
 
 ```text
 linear momentum    A_T Ṫ + (Λ_s + K A_s) ṡ + (Λ_b + K A_b) ν_B

@@ -1,4 +1,4 @@
-"""The wind as the controller measures it, with the errors of a wind sensor or estimate.
+"""The measured wind, with the errors of a wind sensor or estimate.
 
 ```text
 wind ──(mean only)──► delay ──► + bias + noise ──► low pass ──► measured wind

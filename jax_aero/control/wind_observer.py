@@ -1,4 +1,4 @@
-"""The wind, from the wrench that acts on the robot: what an aerodynamic model says a wind would do, inverted.
+"""Wind estimate from the wrench that acts on the robot, by inverting an aerodynamic model.
 
 ```text
 dẑ/dt = K_o (L̇ − A_T T + m g e₃ − ẑ)                   the wrench of everything but jets and weight

@@ -1,4 +1,4 @@
-"""Many flights at once: `vmap` over everything in which they may differ, split over the devices there are.
+"""Many flights at once: `vmap` over everything in which they may differ, distributed over the available devices.
 
 Flights of one structure (the same models, switches and lengths) share one compilation and fly together, whatever their
 numbers are. The robot and the weights of networks are not copied for every flight: flights of different ones fly apart.

@@ -1,4 +1,4 @@
-"""One tick of the closed-loop flight: the order of things that binds plant and controller.
+"""One tick of the closed-loop flight: the order of computation of plant and controller.
 
 At tick k, t = k h:
 

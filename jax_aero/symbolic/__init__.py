@@ -1,4 +1,4 @@
-"""The third derivation: everything from energy, momentum and their symbolic derivatives, in CasADi.
+"""The third derivation of the model: from energy, momentum and their symbolic derivatives, in CasADi.
 
 Nothing here is translated from Rust or JAX. The three share numbers (TOML, URDF) and never an expression,
 so that a sign that is wrong has to be wrong three times to pass `tests/parity`.

@@ -1,4 +1,4 @@
-"""How far the jets' axes stay from the body: exhaust as a segment, links as capsules."""
+"""Distance of the jets' axes from the body: exhausts as segments, links as capsules."""
 
 from __future__ import annotations
 

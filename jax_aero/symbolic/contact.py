@@ -1,4 +1,4 @@
-"""What feet that carry add to the momentum balance: their wrenches held constant, and the motion of their soles.
+"""Contribution of feet that carry load to the momentum balance: constant wrenches, and the motion of the soles.
 
 A wrench (f, m) about the origin p of a sole enters the momentum rate with (f ; (p − p_G) × f + m). Differentiating that
 gives A_c by the wrench and Λ_c by the coordinates; differentiating the soles' velocities (ṗ, ω) gives J_c by ν, and

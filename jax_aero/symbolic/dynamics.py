@@ -1,4 +1,4 @@
-"""Energy and momentum of the tree, and what follows from them by differentiation.
+"""Energy and momentum of the tree, and the terms derived from them by differentiation.
 
 Equations M10 to M14 of `docs/model.md`.
 """

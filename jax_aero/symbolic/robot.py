@@ -1,4 +1,4 @@
-"""The numbers of a robot, straight from its TOML and URDF files: nothing merged, nothing worked out."""
+"""The numbers of a robot as its TOML and URDF files state them, without merging or derived values."""
 
 from __future__ import annotations
 

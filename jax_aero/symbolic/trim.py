@@ -1,4 +1,4 @@
-"""Trim: attitude, joints and thrusts with which the robot hangs still, or flies straight, in a steady wind."""
+"""Trim: attitude, joints and thrusts with which the robot hovers, or flies straight, in a steady wind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a network has to beat: the axisymmetric models, the nearest rows, and a linear map."""
+"""Baselines for a network: the axisymmetric models, the nearest rows, and a linear map."""
 
 from __future__ import annotations
 

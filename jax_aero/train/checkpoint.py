@@ -1,4 +1,4 @@
-"""A training run that can stop and go on: everything that the next epoch depends on, in one file with a checksum."""
+"""Checkpoints of a training run: everything that the next epoch depends on, in one file with a checksum."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gains and weights of a flight controller, improved by gradients through short flights in many worlds.
+"""Tunes gains and weights of a flight controller by gradients through short flights in many worlds.
 
 ```text
 θ     logarithms of the factors on the tuned values

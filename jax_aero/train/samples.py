@@ -1,4 +1,4 @@
-"""From a dataset to the rows a network is trained on, and from a network back to force areas."""
+"""Conversion of a dataset to training rows of a network, and of a network's outputs to force areas."""
 
 from __future__ import annotations
 

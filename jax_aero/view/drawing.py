@@ -1,4 +1,4 @@
-"""How a moment of a flight is drawn, in the browser and in files: colours, scales, arrows, plumes, meshes.
+"""Drawing of one time of a flight, in the browser and in files: colours, scales, arrows, plumes, meshes.
 
 Colours are those Okabe and Ito chose to stay distinct for colour-blind readers.
 """

@@ -1,4 +1,4 @@
-"""Words on pictures (Pillow): title, numbers, outcome, scale, and the time that has passed."""
+"""Text on pictures (Pillow): title, numbers, outcome, scale, and elapsed time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands in the scene of the page (viser): robots, paths, sky."""
+"""The scene of the page (viser): robots, paths, sky."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which connections the page accepts: those of its own tab, and of programs that are no browser."""
+"""Connections that the page accepts: those of its own tab, and of programs that are not browsers."""
 
 from __future__ import annotations
 

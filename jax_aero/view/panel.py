@@ -1,4 +1,4 @@
-"""What stands beside the scene: outcome, figures of merit, numbers of the moment, plot, legend."""
+"""The panel beside the scene: outcome, figures of merit, current numbers, plot, legend."""
 
 from __future__ import annotations
 

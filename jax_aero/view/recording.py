@@ -1,4 +1,4 @@
-"""A flight as it is looked at: read from a result of `python -m experiments`, or just flown."""
+"""A flight to be viewed: read from a result of `python -m experiments`, or just flown."""
 
 from __future__ import annotations
 

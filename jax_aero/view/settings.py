@@ -1,4 +1,4 @@
-"""What can be changed while a flight is shown, and how it changes a flight's configuration."""
+"""Settings that can be changed while a flight is shown, and their effect on its configuration."""
 
 from __future__ import annotations
 

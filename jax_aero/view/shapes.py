@@ -1,4 +1,4 @@
-"""What a robot looks like: primitives and meshes of its URDF, struts between its joints, jets and aerodynamic links."""
+"""Shapes of a robot: primitives and meshes of its URDF, struts between its joints, jets and aerodynamic links."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`jax-aero video` and `snapshot`: a flight as a film, or several of its moments in one picture."""
+"""`jax-aero video` and `snapshot`: a flight as a film, or several of its times in one picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the pages of `rust/lab/page` draw, and a flight as one of them: an HTML file that needs nothing else."""
+"""Data for the pages of `rust/lab/page`, and a flight as a self-contained HTML file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-//! State estimator before the controller's law: the robot's model, corrected by measurements, and ahead of their age.
+//! State estimator for the control law: the robot's model, corrected by delayed measurements and integrated to the
+//! present.
 //!
 //! ```text
 //! measured at age d ──► wait until all are of one age D ──► correct x̂(t − D)

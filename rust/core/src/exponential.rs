@@ -1,4 +1,5 @@
-//! The exponential and what follows from it, without branches or calls: a loop over them vectorises, and every processor computes the same bits.
+//! The exponential and the hyperbolic tangent, without branches or calls: loops over them vectorise, and every
+//! processor computes the same bits.
 //!
 //! ```text
 //! x = n ln 2 + r,   |r| ≤ ln 2 / 2,   eˣ = 2ⁿ (1 + r + … + rᵏ/k!)

@@ -1,5 +1,4 @@
-//! Jet engines: their identified model, the loop that makes them follow a thrust rate, the estimate of
-//! their thrust.
+//! Jet engines: the identified model, the throttle loop that follows a thrust rate, and the thrust estimator.
 
 pub mod ekf;
 pub mod engine;

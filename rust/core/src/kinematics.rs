@@ -1,4 +1,4 @@
-//! From a state to poses, velocities, centre of mass and Jacobians.
+//! Poses, velocities, centre of mass and Jacobians of a state.
 //!
 //! Velocities are *mixed*: `ν = (v_B, ω_B, ṡ)`, where `v_B` is the velocity of the base origin and
 //! `ω_B` the angular velocity of the base, both in inertial axes. A Jacobian has one column for each

@@ -1,4 +1,4 @@
-//! From one file of `configs/aero/` to an aerodynamic model.
+//! Loads an aerodynamic model from a file of `configs/aero/`.
 
 use crate::network::load_network;
 use flight_core::aero::{

@@ -1,4 +1,4 @@
-//! From one file of `configs/control/` to a controller.
+//! Loads a controller from a file of `configs/control/`.
 
 use crate::{AeroConfig, MissionConfig, load_aero, load_mission};
 use flight_core::control::config::ControllerConfig;

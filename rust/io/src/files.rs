@@ -1,4 +1,4 @@
-//! The one place where files are read: those held in memory first, then those on the disk.
+//! Reads all files: first those held in memory, then those on the disk.
 //!
 //! A program without a disk (a page in a browser) holds every file it needs under a relative path.
 

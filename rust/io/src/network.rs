@@ -1,4 +1,4 @@
-//! Networks: a JSON card that says what the weights mean, a safetensors file with the weights.
+//! Networks: a JSON card that describes the weights, and a safetensors file with the weights.
 
 use crate::aero::NetworkConfig;
 use crate::{read_bytes, read_text, tensors};

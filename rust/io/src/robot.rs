@@ -1,5 +1,5 @@
-//! From a robot's files to a [`RobotModel`]: names to indices, degrees to radians, unknown keys refused,
-//! every value checked once: ranges by the schema of the file, what depends on one another here.
+//! Loads a [`RobotModel`] from a robot's files: names become indices, degrees radians, and unknown keys are refused.
+//! Every value is checked once: its range by the schema of the file, its relation to other values here.
 //!
 //! The URDF says what the robot is made of; the TOML file beside it says what it is used for: the
 //! order of the joints, where aerodynamic forces and thrusts act, the geometry of the feet. `tree` finds what

@@ -1,4 +1,4 @@
-//! JSON Schemas of the configuration, derived from its types, and what they refuse.
+//! JSON Schemas of the configuration, derived from its types, and the validation by them.
 //!
 //! The types are the only description of a configuration: an editor completes keys from the schema, the
 //! reference pages are made of it, and [`Schema::check`] names the whole key, the value and what was

@@ -1,4 +1,4 @@
-//! From a TOML file to one resolved table.
+//! Resolves a TOML file and its base files to one table.
 //!
 //! A table may name another file as its `base`: that file's table is read first, and the keys beside
 //! `base` are laid over it, table by table. Paths start at the file that names them. Where keys are names of the robot's

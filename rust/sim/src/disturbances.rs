@@ -1,5 +1,5 @@
-//! What is done to robot and controller: errors of what the controller is given, faults of what it acts
-//! through. None of it is part of the controller.
+//! Disturbances of robot and controller: errors of the controller's inputs and faults of its actuators. None of them is
+//! part of the controller.
 
 pub mod jet_faults;
 pub mod model_error;

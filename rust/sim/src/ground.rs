@@ -1,4 +1,4 @@
-//! The ground and the motors of a world in which the robot stands.
+//! The ground and the motors of a simulation in which the robot stands.
 
 use flight_core::error::{BuildError, Table, place_of};
 use flight_core::robot::RobotModel;

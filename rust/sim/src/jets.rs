@@ -1,4 +1,4 @@
-//! The simulated jet engines: thrust, from the thrust rate that the controller commands.
+//! The simulated jet engines: thrust from the commanded thrust rate.
 //!
 //! ```text
 //! thrust_rate_command ──Jets::advance──► thrust (physics),  thrust_feedback (controller)

@@ -1,4 +1,4 @@
-//! Closed-loop simulation of [`flight_core`]: the simulated robot in its wind, its log, batches.
+//! Closed-loop simulation of [`flight_core`]: the simulated robot and wind, logs, batches.
 //!
 //! ```text
 //! ScenarioConfig ──► Scenario: Plant, Wind, Controller ──begin──► Flight ──step, step, …──► FlightResult

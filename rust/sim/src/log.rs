@@ -1,4 +1,4 @@
-//! What a flight leaves behind: every signal, tick by tick.
+//! The log of a flight: every signal, tick by tick.
 
 use crate::plant::Plant;
 use crate::scenario::{Loss, Outcome};

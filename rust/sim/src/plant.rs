@@ -1,4 +1,4 @@
-//! The flying robot as the simulator has it: rigid bodies, thrusts and wind.
+//! The simulated flying robot: rigid bodies, thrusts and wind.
 //!
 //! ```text
 //! M(q) ν̇ = S τ + Σ Jᵀ T a + w_aero − h(q, ν)

@@ -1,4 +1,4 @@
-//! The closed-loop flight: the one loop that binds plant and controller.
+//! The closed-loop flight: the loop that connects plant and controller.
 //!
 //! At tick k, t = k h:
 //!

@@ -1,4 +1,4 @@
-//! What the robot's sensors say of its own state: pose and velocity of the base, joints, thrusts.
+//! Simulated sensors of the robot's state: pose and velocity of the base, joints, thrusts.
 //!
 //! ```text
 //! truth ──► delay ──► + bias + noise ──► Measurement::{state, thrust}

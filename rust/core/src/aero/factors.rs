@@ -1,4 +1,4 @@
-//! Aerodynamic forces that are stronger or weaker than a model says: along the air, across it, by link.
+//! Factors on the aerodynamic forces of a model: along the relative wind, across it, and by link.
 //!
 //! The simulator's forces get factors to stand for coefficients that are not known exactly, the
 //! controller's estimates get them to leave parts of the information out.

@@ -1,4 +1,4 @@
-//! What a tick takes the measurement to be, channel by channel, where some of it is missing or cannot be right.
+//! Measurements with missing or implausible channels replaced by predictions.
 //!
 //! The model moves the last value of every channel on to this tick ([`ChannelsState::predict`]). The measured value is
 //! used if it is finite, within its accepted range and, of joints and base, near its predicted value and not frozen,

@@ -1,4 +1,4 @@
-//! What goes into a tick and what comes out of it.
+//! Inputs and outputs of a tick.
 
 use super::channels::Modes;
 use crate::kinematics::RobotState;

@@ -1,4 +1,4 @@
-//! Feet on the ground: when they carry, what they carry, and what they may carry.
+//! Feet on the ground: when they carry load, their wrenches, and the limits of these wrenches.
 //!
 //! ```text
 //! carrying        the vertical force on every foot exceeds a threshold

@@ -1,4 +1,4 @@
-//! What a controller is to fly: commands of an autopilot, or recorded set-points.
+//! The mission of a controller: commands of an autopilot, or recorded set-points.
 
 use super::recorded::Recording;
 use crate::error::{BuildError, check};

@@ -1,4 +1,4 @@
-//! The momentum QP: a stack of tasks over named blocks of unknowns, bounds around them.
+//! The momentum QP: a stack of tasks over named blocks of unknowns, with bounds.
 //!
 //! ```text
 //! u = (Ṫ, ḟ_c, ṡ),   task k asks  A_k u + b_k = 0  with weights W_k

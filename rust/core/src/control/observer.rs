@@ -1,4 +1,4 @@
-//! Observer of the wrench that is not in the controller's model, from the centroidal momentum alone.
+//! Observer of the wrench that the controller's model does not contain, from the centroidal momentum alone.
 //!
 //! ```text
 //! w    = L̇ − r,   r = A_T T + A_a f_a + A_c f_c − m g e₃           what is not in the model

@@ -1,4 +1,4 @@
-//! A reference that was computed beforehand: samples in time, and what lies between them.
+//! A precomputed reference: samples in time, and interpolation between them.
 //!
 //! Equation M49 of `docs/model.md`.
 

@@ -1,4 +1,4 @@
-//! Everything that a controller carries from one tick to the next.
+//! The state of a controller from one tick to the next.
 
 use super::channels::ChannelsState;
 use super::contact::ContactState;

@@ -1,4 +1,4 @@
-//! The answer of a solver, and the residual that judges it: equation M66 of `docs/model.md`.
+//! The solution of a solver, and the residual by which it is accepted: equation M66 of `docs/model.md`.
 
 use super::QpProblem;
 use crate::linalg;

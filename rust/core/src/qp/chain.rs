@@ -1,4 +1,4 @@
-//! Methods tried in order until one has a certified answer.
+//! A chain of solvers, tried in order until one has a certified solution.
 
 #[cfg(feature = "clarabel")]
 use super::ClarabelSolver;

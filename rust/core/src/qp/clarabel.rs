@@ -1,4 +1,4 @@
-//! Clarabel with our problem and our certificate: what tests compare with, and a choice in flight.
+//! Clarabel with our problem and our certificate: a reference for tests, and an optional solver in flight.
 
 use super::{QpAnswer, QpProblem, QpSolver, QpStatus, kkt_residual};
 use crate::linalg;

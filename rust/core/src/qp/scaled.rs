@@ -1,4 +1,4 @@
-//! The problem with its diagonal brought near one.
+//! The problem scaled to a diagonal near one.
 
 use super::{QpProblem, QpStatus};
 use crate::linalg;

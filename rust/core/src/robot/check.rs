@@ -1,4 +1,4 @@
-//! What a robot's numbers must satisfy. Every refusal names the item and shows the value.
+//! Conditions on a robot's numbers. Every error names the item and shows the value.
 
 use crate::error::BuildError;
 use crate::spatial::unit_vector;

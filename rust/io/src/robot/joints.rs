@@ -1,4 +1,4 @@
-//! What each joint may do: the URDF says, the robot's TOML file may say otherwise.
+//! Limits of each joint: from the URDF, unless the robot's TOML file overrides them.
 
 use super::tree::{Tree, TreeJoint};
 use super::{JointEntry, RobotFile};

@@ -1,4 +1,4 @@
-//! Links that nothing moves become one body with what carries them.
+//! Merges links that no joint moves with the body that carries them.
 //!
 //! Equation M6 of `docs/model.md`.
 

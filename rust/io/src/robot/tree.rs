@@ -1,4 +1,4 @@
-//! From a URDF's links and joints to a tree of bodies that move.
+//! Builds a tree of moving bodies from a URDF's links and joints.
 
 use super::merge::{merge, part};
 use super::urdf::{Joint, Urdf};

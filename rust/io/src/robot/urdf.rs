@@ -1,4 +1,4 @@
-//! What of a URDF a robot is made of. Tags and attributes that say nothing of bodies and joints are not read.
+//! The parts of a URDF that define a robot. Tags and attributes that do not concern bodies and joints are not read.
 
 use flight_core::error::{BuildError, check as check_number};
 use flight_core::robot::{JointKind, check};

@@ -1,4 +1,4 @@
-//! Jets that fall short of their modelled dynamics: a slow response, too little thrust, a dead engine.
+//! Faults of jets: a slow response, too little thrust, a dead engine.
 //!
 //! Kept apart from [`crate::jets::JetsConfig`], so that every fault goes with every kind of dynamics.
 //!

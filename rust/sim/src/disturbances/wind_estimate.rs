@@ -1,4 +1,4 @@
-//! Errors of the wind that the controller is given.
+//! Errors of the measured wind.
 //!
 //! ```text
 //! wind ──(mean_only)──► delay ──► + bias + noise ──► low pass ──► Measurement::wind

@@ -1,4 +1,4 @@
-//! The card of a network: what its weights mean, and how they came about.
+//! The card of a network: inputs, outputs and origin of its weights.
 
 use crate::error::{BuildError, check, place_of};
 use crate::robot::{AxisymmetricCoefficients, RobotModel};

@@ -1,4 +1,4 @@
-//! The weights of a network: tensors by name, until each is taken.
+//! The weights of a network: tensors by name, each taken once.
 
 use crate::error::BuildError;
 use std::collections::BTreeMap;
