@@ -56,7 +56,7 @@ def draw(*runs: Run) -> Figure:
     for axes in grid[:, 1]:
         axes.set_ylabel("")
     for row, columns in ((0, 1), (2, 2), (5, 3)):
-        grid[row, 0].legend(ncols=columns)
+        style.legend(grid[row, 0], ncols=columns)
     for axes in grid[:2, 0]:
         axes.set_ylim(bottom=0.0)  # last, and shared along the row: it ends autoscaling
     grid[0, 0].set_xlim(0.0, max(float(run.data["time"][-1]) for run in runs))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import cycle
 
 from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
@@ -36,7 +37,7 @@ def wind(axes: Axes, run: Run) -> None:
 def joint_errors(axes: Axes, run: Run) -> None:
     """Draw the sum of absolute joint errors of each group."""
     errors = run.joint_error_deg()
-    for group, colour in zip(errors["group"].values.tolist(), style.GROUP_COLOURS, strict=False):
+    for group, colour in zip(errors["group"].values.tolist(), cycle(style.GROUP_COLOURS), strict=False):
         dash = "--" if "right" in readable(group) else "-"
         axes.plot(errors["time"], errors.sel(group=group), dash, color=colour, label=readable(group))
     axes.set_ylabel("joint error Δs [deg]")
@@ -69,8 +70,8 @@ def aero_force_key() -> list[Line2D]:
 def thrusts(axes: Axes, run: Run) -> None:
     """Draw the thrust of each jet."""
     thrust = run.flown["thrust"]
-    names = thrust["jet"].values.tolist()
-    for name, colour, dash in zip(names, style.JET_COLOURS, style.JET_DASHES, strict=False):
+    looks = zip(cycle(style.JET_COLOURS), cycle(style.JET_DASHES), strict=False)
+    for name, (colour, dash) in zip(thrust["jet"].values.tolist(), looks, strict=False):
         axes.plot(thrust["time"], thrust.sel(jet=name), dash, color=colour, label=readable(name))
     axes.set_ylabel("thrust [N]")
 
@@ -94,7 +95,7 @@ def row(figure: FigureBase, run: Run, letters: str, *, control: bool = False, la
 
 def readable(name: str) -> str:
     """Return the name of a jet or of a group of joints in words: `l_arm_jet` is the "left arm"."""
-    words = [SIDES.get(word, word) for word in name.split("_") if word not in SILENT]
+    words = [SIDES.get(word, word) for word in name.split("_") if word not in SILENT] or name.split("_")
     return " ".join(sorted(words, key=lambda word: word not in SIDES.values()))
 
 

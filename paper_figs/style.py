@@ -28,9 +28,10 @@ GREY = "#7F7F7F"
 LIGHT = "#D9D9D9"
 
 AXES_COLOURS = {"x": VERMILION, "y": GREEN, "z": BLUE}
-GROUP_COLOURS = (BLACK, ORANGE, SKY, GREEN, PURPLE)
-JET_COLOURS = (VERMILION, BLUE, ORANGE, GREEN)
-JET_DASHES = ("-", "--", "-", "--")
+GROUP_COLOURS = (BLACK, ORANGE, SKY, GREEN, PURPLE, BLUE, VERMILION, GREY)
+JET_COLOURS = (VERMILION, BLUE, ORANGE, GREEN, PURPLE, SKY, BLACK, GREY)
+JET_DASHES = ("-", "--")
+"""Looks of groups of joints and of jets, in the robot's order; where there are more, they begin again."""
 
 FULL_WIDTH = 7.2  # inches: two columns of a journal page
 
@@ -76,10 +77,17 @@ def letters(panels: Iterable[Axes], marks: str = ascii_lowercase) -> None:
         letter(axes, mark)
 
 
+def legend(axes: Axes, handles: Sequence[Artist] | None = None, **options: Any) -> None:
+    """Put a legend into the axes, if there is something to name: a robot without jets has no thrusts."""
+    if handles := axes.get_legend_handles_labels()[0] if handles is None else handles:
+        axes.legend(handles=handles, **options)
+
+
 def legend_above(axes: Axes, columns: int, handles: Sequence[Artist] | None = None) -> None:
     """Put a narrow legend above the axes, where it hides no data."""
-    axes.legend(
-        handles=handles,
+    legend(
+        axes,
+        handles,
         loc="lower left",
         bbox_to_anchor=(-0.02, 1.0),
         ncols=columns,

@@ -36,6 +36,6 @@ def draw(run: Run) -> Figure:
         if run.lost_time is not None:
             style.mark_fall(axes, run.lost_time, run.ending)
     for axes in (height, load_, thrust):
-        axes.legend(loc="upper right", ncols=4)
+        style.legend(axes, loc="upper right", ncols=4)
     height.set_xlim(0.0, float(run.data["time"][-1]))
     return figure

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import cycle
+
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
@@ -10,15 +12,15 @@ from matplotlib.figure import Figure
 from paper_figs import style
 
 LOOKS = ((style.BLUE, "o"), (style.VERMILION, "s"))
-DASHES = ("-", "--", ":")
+DASHES = ("-", "--", ":", "-.")
 
 
 def draw(study: xr.Dataset) -> Figure:
     """Draw speeds on the left and horizontal forces on the right."""
     figure, (speeds, forces) = plt.subplots(1, 2, figsize=(style.FULL_WIDTH, 2.9), layout="constrained", sharex=True)
     direction = study["direction"]
-    for feedback, (colour, marker) in zip(study["feedback"].values.tolist(), LOOKS, strict=False):
-        for friction, dash in zip(study["friction"].values.tolist(), DASHES, strict=False):
+    for feedback, (colour, marker) in zip(study["feedback"].values.tolist(), LOOKS, strict=True):
+        for friction, dash in zip(study["friction"].values.tolist(), cycle(DASHES), strict=False):
             cell = study.sel(feedback=feedback, friction=friction)
             label = feedback + (f", sole friction {friction:g}" if study["friction"].size > 1 else "")
             size = np.hypot(cell["force"].sel(xyz="x"), cell["force"].sel(xyz="y"))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from itertools import cycle
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -29,7 +31,9 @@ OFFSETS = {"paper's mission": (-70, -2), "minimum time": (6, -12), "minimum fuel
 
 def draw(*studies: xr.Dataset) -> Figure:
     """Draw way, height, speed, pitch, error and fuel of all flights, and the thrusts of the optimal ones."""
-    figure, grid = plt.subplots(4, 2, figsize=(style.FULL_WIDTH, 8.0), layout="constrained")
+    rows = 3 + math.ceil(len(studies) / 2)
+    figure, grid = plt.subplots(rows, 2, figsize=(style.FULL_WIDTH, 2.0 * rows), layout="constrained")
+    panels_of_thrusts = grid[3:].ravel()
     flights = [(studies[0], "paper", PAPER, "paper's mission")]
     for study in studies:
         colour = COLOURS.get(study.attrs["name"], style.BLACK)
@@ -51,14 +55,16 @@ def draw(*studies: xr.Dataset) -> Figure:
     grid[0, 0].legend(loc="lower right")
     grid[2, 1].set_ylim(bottom=0.0)
     last = max(float(study["time_flown"][-1]) for study in studies)
-    for axes, study in zip(grid[3], studies, strict=False):
+    for axes, study in zip(panels_of_thrusts, studies, strict=False):
         _thrusts(axes, study)
         axes.set_xlim(-1.0, last)
         axes.set_xlabel("time since the motion began [s]")
         axes.set_ylabel(f"thrust, {str(study.attrs['title']).lower()} [N]")
     planned = Line2D([], [], linestyle=":", color=style.BLACK, label="planned")
     style.legend_above(grid[3, 0], 5, [*grid[3, 0].get_legend_handles_labels()[0], planned])
-    style.letters(grid.ravel())
+    for axes in panels_of_thrusts[len(studies) :]:
+        axes.remove()
+    style.letters(figure.axes)
     return figure
 
 
@@ -96,6 +102,6 @@ def _arrival(axes: Axes, time: float, fuel: float, colour: str, label: str) -> N
 
 def _thrusts(axes: Axes, study: xr.Dataset) -> None:
     flown, plan = study["thrust_flown"], study["thrust_plan"]
-    for jet, colour in zip(flown["jet"].values.tolist(), style.JET_COLOURS, strict=False):
+    for jet, colour in zip(flown["jet"].values.tolist(), cycle(style.JET_COLOURS), strict=False):
         axes.plot(flown["time_flown"], flown.sel(jet=jet), color=colour, label=panels.readable(jet))
         axes.plot(plan["time_plan"], plan.sel(jet=jet), ":", color=colour)

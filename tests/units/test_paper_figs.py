@@ -1,10 +1,11 @@
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+import xarray as xr
 from PIL import Image
 
 from jax_aero import places
-from paper_figs import panels, runs
+from paper_figs import panels, runs, tip_over, trajectory
 from paper_figs.__main__ import main
 from paper_figs.figures import FIGURES
 from paper_figs.panels import readable
@@ -86,6 +87,54 @@ def test_a_robot_without_joints_has_no_joint_errors(made_up_results):
     run = runs.load(made_up_results, "test1")
     without = runs.Run("without", run.data.isel(joint=[]))
     assert without.joint_error_deg().shape == (len(without.flown["time"]), 0)
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, 8])
+def test_every_jet_and_every_group_of_joints_is_drawn(made_up_results, count):
+    """Each in a look of its own, named in a legend; the rest of the figure stands without any."""
+    run = runs.load(made_up_results, "test1")
+    names = [f"part_{number}" for number in range(count)]
+    parts = {"jet": [number % 4 for number in range(count)], "joint": list(range(count))}
+    data = run.data.isel(parts).assign_coords(jet=names, joint_group=("joint", names))
+    figure = plt.figure(layout="constrained")
+    panels.row(figure, runs.Run("other", data), "abc")
+    figure.canvas.draw()
+    errors, _, thrusts = figure.axes
+    for axes in (errors, thrusts):
+        assert len({(line.get_color(), line.get_linestyle()) for line in axes.lines}) == len(axes.lines) == count
+        shown = [text.get_text() for text in axes.get_legend().get_texts()] if count else []
+        assert shown == [name.replace("_", " ") for name in names]
+    plt.close(figure)
+
+
+@pytest.mark.parametrize(("studies", "jets"), [(1, 6), (2, 4), (3, 3)])
+def test_planned_flights_show_every_jet_of_every_study(studies, jets):
+    time, names = np.arange(3.0), [f"jet_{number}" for number in range(jets)]
+    variables = {}
+    for of in ("paper", "flown", "plan"):
+        vectors = ((f"time_{of}", "xyz"), np.ones((3, 3)))
+        variables |= {f"com_position_{of}": vectors, f"com_velocity_{of}": vectors}
+        variables |= {f"base_rpy_{of}": ((f"time_{of}", "rpy"), np.zeros((3, 3)))}
+        variables |= {f"{name}_{of}": (f"time_{of}", time) for name in ("fuel", "com_error")}
+        variables |= {f"thrust_{of}": ((f"time_{of}", "jet"), np.ones((3, jets)))}
+    coords = {f"time_{of}": time for of in ("paper", "flown", "plan")} | {"jet": names, "xyz": list("xyz")}
+    coords |= {"rpy": ["roll", "pitch", "yaw"]}
+    attributes = {"name": "made_up", "title": "Made up", "arrival_paper": 2.0, "arrival_flown": 1.0}
+    figure = trajectory.draw(*[xr.Dataset(variables, coords, attributes)] * studies)
+    assert [len(axes.lines) for axes in figure.axes[6:]] == [2 * jets] * studies
+    assert len({line.get_color() for line in figure.axes[6].lines}) == jets
+    plt.close(figure)
+
+
+def test_every_friction_of_a_tip_over_study_is_drawn():
+    dims, shape = ("feedback", "friction", "direction"), (2, 4, 3)
+    variables = {"speed": (dims, np.ones(shape)), "slips": (dims, np.zeros(shape))}
+    variables["force"] = ((*dims, "xyz"), np.ones((*shape, 3)))
+    coords = {"feedback": ["with", "without"], "friction": [0.3, 0.5, 0.7, 1.0], "direction": [0.0, 90.0, 180.0]}
+    figure = tip_over.draw(xr.Dataset(variables, coords | {"xyz": list("xyz")}))
+    lines = [line for line in figure.axes[0].lines if line.get_linestyle() != "None"]
+    assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == len(lines) == 8
+    plt.close(figure)
 
 
 def test_nothing_behind_a_fall_is_shown(made_up_results):
