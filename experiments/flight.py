@@ -14,6 +14,7 @@ from tqdm import tqdm
 from experiments import Refused, engines, manifest, overrides, record, study
 from experiments.sources import code_hash
 from jax_aero import places, rust
+from jax_aero.files import computing
 
 RESULTS = places.RESULTS / "flight"
 
@@ -38,41 +39,37 @@ def run(
     except ValueError as reason:
         raise Refused(f"{path.stem}: {reason}") from None
     folder = (out or RESULTS) / name
-    engine = engines.engine_of(config)
+    digest, engine = rust.config_digest(config), engines.engine_of(config)
     code = (__name__, engines.MODULES[engine])
-    finished = record.existing(folder, rust.config_digest(config), code_hash(*code), overwrite=overwrite)
-    if finished is not None:
-        return finished
-
-    started = time.perf_counter()
-    try:
-        flight = _fly(config, name)
-    except ValueError as reason:  # an engine that does not support a setting
-        raise Refused(f"{name}: {reason}") from None
-    document = manifest.build(
-        name,
-        config.get("title") or name,
-        config,
-        rust.config_digest(config),
-        summary=flight.summary,
-        command=command,
-        engine=engine,
-        code=code,
-        outcome=flight.outcome,
-        lost_time=flight.lost_time,
-        lost_reason=flight.lost_reason,
-        overrides=manifest.portable(changes),
-        seed=dict(manifest.seeds(config)) or None,
-        wall_time_s=round(time.perf_counter() - started, 3),
-    )
-    dataset = record.to_dataset(
-        flight,
-        rust.Robot(config["robot"]),
-        title=document["title"],
-        config_digest=document["config_digest"],
-        engine=document["engine"],
-    )
-    record.write_run(folder, dataset, document, replace=overwrite)
+    with computing(folder):
+        finished = record.existing(folder, digest, code_hash(*code), overwrite=overwrite)
+        if finished is not None:
+            return finished
+        started = time.perf_counter()
+        try:
+            flight = _fly(config, name)
+        except ValueError as reason:  # an engine that does not support a setting
+            raise Refused(f"{name}: {reason}") from None
+        document = manifest.build(
+            name,
+            config.get("title") or name,
+            config,
+            digest,
+            summary=flight.summary,
+            command=command,
+            engine=engine,
+            code=code,
+            outcome=flight.outcome,
+            lost_time=flight.lost_time,
+            lost_reason=flight.lost_reason,
+            overrides=manifest.portable(changes),
+            seed=dict(manifest.seeds(config)) or None,
+            wall_time_s=round(time.perf_counter() - started, 3),
+        )
+        dataset = record.to_dataset(
+            flight, rust.Robot(config["robot"]), title=document["title"], config_digest=digest, engine=engine
+        )
+        record.write_run(folder, dataset, document, replace=overwrite)
     print(os.path.relpath(folder / record.RUN_FILE))
     return document
 

@@ -304,6 +304,15 @@ def test_what_is_kept_of_work_under_way_has_one_process(tmp_path, monkeypatch, c
     assert not any(path.is_file() for path in tmp_path.rglob("*"))
 
 
+def test_a_flight_that_another_process_flies_is_not_flown(flown, tmp_path, capsys, monkeypatch):
+    with files.computing(tmp_path / "test1"), monkeypatch.context() as patched:
+        patched.setattr(rust, "fly", lambda *_: pytest.fail("it is flown"))
+        assert main(["test1", "--out", str(tmp_path)]) == 2
+    assert f".test1.work is being written by process {os.getpid()}" in capsys.readouterr().err
+    assert main(["test1", "--out", str(tmp_path)]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["test1"]
+
+
 def test_a_lock_of_another_machine_is_left_alone(tmp_path):
     lock = tmp_path / ".a.lock"
     lock.write_text(json.dumps({"pid": 1, "host": "elsewhere.invalid", "since": "2026"}))
