@@ -31,7 +31,8 @@ from jax_aero.env_task import Seen, Task, added_torque, is_lost, observation, re
 from jax_aero.io import load_config
 from jax_aero.kinematics import kinematics
 from jax_aero.robot import RobotModel
-from jax_aero.sim.step import FLYING, FlightRow, FlightState, Scenario, prepare, step
+from jax_aero.sim.step import FLYING, FlightState, Scenario, prepare, step
+from jax_aero.spatial import rotation_angle
 from jax_aero.types import Array, Static, changed, pytree
 from jax_aero.types import State as RobotState
 
@@ -46,9 +47,6 @@ class EnvState(NamedTuple):
     """Number of the next tick."""
     wind: Float[Array, "3"]
     """Of this episode, after its rise [m/s]."""
-    com_setpoint: Float[Array, "3"]
-    """[m]."""
-    setpoint_rotation: Float[Array, "3 3"]
     obs: Float[Array, " o"]
     reward: Float[Array, ""]
     done: Float[Array, ""]
@@ -116,6 +114,7 @@ class FlightEnv:
         robot = self._scenario.plant.robot
         self.action_size = robot.jets.count + robot.n_joints
         self.observation_size = 15 + 2 * robot.n_joints + robot.jets.count
+        self._com = kinematics(robot, self._start.plant.robot).com
         self.dt = float(self._scenario.plant.time_step)
         self.episode_length = self.task.ticks(self.dt)
 
@@ -135,13 +134,10 @@ class FlightEnv:
         wind = jnp.asarray(wind, robot.velocity.dtype)
         zero = jnp.zeros((), robot.velocity.dtype)
         names = ("attitude", "position", "effort", "attitude_error", "position_error")
-        com = kinematics(self._scenario.plant.robot, robot).com
         state = EnvState(
             flight=flight,
             tick=jnp.zeros((), jnp.int32),
             wind=wind,
-            com_setpoint=com,
-            setpoint_rotation=robot.base_rotation,
             obs=jnp.zeros(self.observation_size, jnp.float32),
             reward=zero,
             done=zero,
@@ -157,13 +153,15 @@ class FlightEnv:
         action = within(jnp, action, self.action_size, state.wind.dtype)
         scenario: Scenario = changed(self._scenario, {"wind.velocity": state.wind})
         scenario = replace(scenario, controller=Steered(inner, action, self.task))
-        flight, row = step(scenario, state.flight, state.tick)
-        assert isinstance(row, FlightRow)
-        state = state._replace(flight=flight, tick=state.tick + 1, com_setpoint=row.com_setpoint)
+        flight, _ = step(scenario, state.flight, state.tick)
+        state = state._replace(flight=flight, tick=state.tick + 1)
         seen, obs = self._observe(state)
         parts = rewards(jnp, seen, action)
         lost = (flight.loss != FLYING) | is_lost(jnp, seen, scenario.fall)
-        errors = {"attitude_error": row.rotation_error, "position_error": jnp.linalg.norm(seen.com_error)}
+        errors = {
+            "attitude_error": rotation_angle(seen.setpoint_rotation.T @ seen.rotation),
+            "position_error": jnp.linalg.norm(seen.com_error),
+        }
         # The numbers of a lost robot need not be finite.
         metrics = {
             name: jnp.where(lost, 0.0, value).astype(state.reward.dtype) for name, value in (parts | errors).items()
@@ -176,15 +174,15 @@ class FlightEnv:
         )
 
     def _observe(self, state: EnvState) -> tuple[Seen, Array]:
-        robot, now = self._scenario.plant.robot, state.flight.plant
+        robot, now, first = self._scenario.plant.robot, state.flight.plant, self._start.plant.robot
         seen = Seen(
             rotation=now.robot.base_rotation,
             velocity=now.robot.velocity,
             joint_position=now.robot.joint_position,
             thrust=self._scenario.plant.jets.feedback(now.jets),
-            com_error=kinematics(robot, now.robot).com - state.com_setpoint,
-            setpoint_rotation=state.setpoint_rotation,
-            posture=self._start.plant.robot.joint_position,
+            com_error=kinematics(robot, now.robot).com - self._com,
+            setpoint_rotation=first.base_rotation,
+            posture=first.joint_position,
         )
         obs: Array = observation(jnp, seen, robot.jets.thrust_max)
         return seen, obs

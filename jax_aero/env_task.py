@@ -17,7 +17,12 @@ Steering = Literal["residual", "rates"]
 
 @dataclass(frozen=True)
 class Task:
-    """What there is to learn."""
+    """What there is to learn: to stay where the episode begins.
+
+    The set-point is the centre of mass, the attitude and the posture of the simulated robot at the first tick. A
+    controller with an error in its model or its sensors holds a slightly different one; the difference is part of the
+    task.
+    """
 
     experiment: str = "test1"
     """Robot, simulator and controller: an experiment by name or path. Its mission and wind are replaced."""

@@ -55,10 +55,12 @@ def test_without_a_residual_the_controller_flies_as_it_does():
 def test_both_environments_are_one_task(x64, tmp_path):
     """Six ticks with drawn actions: observations and rewards, in the environment of JAX and in that of the crate.
 
-    The controller has an estimator, whose model goes on with what acts in both, and is given estimated thrusts.
+    The controller has an estimator, whose model goes on with what acts in both, and is given estimated thrusts. Its
+    model has another centre of mass, and so another set-point than the task.
     """
     (tmp_path / "own.toml").write_text(
         f'base = "{EXPERIMENTS}/sensor_noise.toml"\ncontroller.estimator.joint_velocity.time_constant = 0.1\n'
+        "disturbances.model_error.com_offset = [0.02, 0.01, 0.0]\n"
     )
     task = Task(str(tmp_path / "own.toml"), duration=1.0, ramp=0.05)
     crate, ours = HoverEnv(task), FlightEnv(task)
@@ -78,6 +80,10 @@ def test_both_environments_are_one_task(x64, tmp_path):
         states = step(states, jnp.stack([jnp.asarray(action), jnp.zeros(27, jnp.float32)]))
         measured("observation", np.abs(states.obs[0] - seen).max(), 1e-6)
         measured("reward", abs(float(states.reward[0]) - reward), 1e-9)
+        turned = crate._measurement.state.base_rotation.T @ crate._upright
+        angle = np.arccos(np.clip(0.5 * (np.trace(turned) - 1.0), -1.0, 1.0))
+        # An arc cosine next to 1 has the square root of the rounding of its argument.
+        measured("attitude error", abs(float(states.metrics["attitude_error"][0]) - angle), 1e-7)
         assert float(states.done[0]) == terminated == 0.0
     assert set(parts) < set(states.metrics)
     assert states.metrics["position_error"].shape == (2,)
