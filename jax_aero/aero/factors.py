@@ -8,7 +8,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from jax_aero.aero.protocol import AeroModel, LinksInAir
+from jax_aero.aero.protocol import AeroModel, LinksInAir, forces_of
 from jax_aero.config import ForceFactorsConfig
 from jax_aero.robot import RobotModel
 from jax_aero.types import Array, leaf, pytree
@@ -31,7 +31,7 @@ class Weighted:
 
         F ← w_link ( w_drag F_∥ + w_normal (F − F_∥) ),   F_∥ = (F · v̂) v̂,   v̂ = v_air / |v_air|
         """
-        forces, v_air = self.model.forces(links), links.v_air
+        forces, v_air = forces_of(self.model, links), links.v_air
         square = jnp.sum(v_air**2, axis=1, keepdims=True)
         is_still = square == 0.0
         share = jnp.sum(forces * v_air, axis=1, keepdims=True) / jnp.where(is_still, 1.0, square)

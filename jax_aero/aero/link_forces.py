@@ -12,7 +12,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from jax_aero.aero.protocol import AeroModel, LinksInAir
+from jax_aero.aero.protocol import AeroModel, LinksInAir, forces_of
 from jax_aero.config import JacobianOffset, LeverArm, LinkVelocity
 from jax_aero.kinematics import frame_poses, generalised_force, velocities_at
 from jax_aero.robot import RobotModel
@@ -43,7 +43,7 @@ def link_forces(
     velocity_points = jacobian_points + links.centres if shifted_twice else centres
     axes = rotate(rotations, links.axes)
     v_air = wind - velocities_at(kin, links.bodies, velocity_points)
-    forces = model.forces(LinksInAir(axes, v_air, wind, robot, kin))
+    forces = forces_of(model, LinksInAir(axes, v_air, wind, robot, kin))
     return LinkForces(axes, v_air, arm_points, jacobian_points, forces)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
+import numpy as np
 from jaxtyping import Float
 
 from jax_aero.robot import RobotModel
@@ -37,3 +38,17 @@ class AeroModel(Protocol):
     def forces(self, links: LinksInAir) -> Float[Array, "L 3"]:
         """Force on each link [N], inertial axes, at its aerodynamic centre. Pure, and traced by JAX."""
         ...
+
+
+def forces_of(model: AeroModel, links: LinksInAir) -> Float[Array, "L 3"]:
+    """Return the force on each link [N] that a model answers.
+
+    Raises
+    ------
+    ValueError
+        For an answer of another shape, as soon as it is traced: it would be spread over the links.
+    """
+    forces = model.forces(links)
+    if (shape := np.shape(forces)) != (expected := np.shape(links.v_air)):
+        raise ValueError(f"`forces` of {type(model).__name__} has shape {shape}; expected {expected}")
+    return forces

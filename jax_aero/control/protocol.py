@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
+import numpy as np
 from jaxtyping import Float, Int
 
 from jax_aero.control.attitude import AttitudeDemand
@@ -71,6 +72,30 @@ class Command(NamedTuple):
     degraded_modes: Int[Array, ""] | None = None
     """A sum of the bits in `channels.MODES`."""
     terms: Terms | None = None
+
+    def check(self, robot: RobotModel) -> None:
+        """Refuse shapes that are not those of this robot: they would be spread over its jets and joints.
+
+        Raises
+        ------
+        ValueError
+            Naming entry, shape and what was expected.
+        """
+        joints = (robot.n_joints,)
+        parts: list[tuple[str, Any, tuple[int, ...]]] = [
+            ("thrust_rate", self.thrust_rate, (robot.jets.count,)),
+            ("joint_torque", self.joint_torque, joints),
+        ]
+        if self.joint_velocity is not None:
+            parts.append(("joint_velocity", self.joint_velocity, joints))
+        if self.setpoint is not None:
+            axes = {"rotation": (3, 3)}
+            parts += [
+                (f"setpoint.{name}", part, axes.get(name, (3,))) for name, part in self.setpoint._asdict().items()
+            ]
+        for name, part, expected in parts:
+            if (shape := np.shape(part)) != expected:
+                raise ValueError(f"`{name}` of the command has shape {shape}; expected {expected}")
 
 
 class Controller(Protocol[S]):

@@ -328,7 +328,8 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     Raises
     ------
     ValueError
-        When traced in another precision than the scenario was prepared for.
+        When traced in another precision than the scenario was prepared for; for a command, or forces of an aerodynamic
+        model, of another shape than the robot's.
     """
     _check_precision(scenario)
     plant = scenario.plant
@@ -352,6 +353,7 @@ def step(scenario: Scenario, state: FlightState, tick: Int[Array, ""]) -> tuple[
     held, sample = spoil(scenario.outages, state.outages, time, Sample(*said, wind_measured))
     measurement = Measurement(time, *sample)
     memory, command = scenario.controller.step(model, state.controller, measurement)
+    command.check(plant.robot)
     given, wind_std = measurement, jnp.zeros_like(wind)
     if command.terms is not None:
         given, wind_std = command.terms.given, command.terms.wind_std

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,8 +16,9 @@ import numpy as np
 import pytest
 
 from jax_aero import io, rust, sim
+from jax_aero.aero import Weighted
 from jax_aero.io import scenario_config
-from jax_aero.types import changed
+from jax_aero.types import Setpoint, changed, pytree
 
 ROOT = Path(__file__).resolve().parents[2]
 EXPERIMENTS = sorted((ROOT / "configs" / "experiments").glob("*.toml"))
@@ -156,6 +159,68 @@ def test_files_that_cannot_be_resolved_are_refused_in_both_languages(tmp_path, t
         with pytest.raises(ValueError, match=r"^") as refusal:
             load(tmp_path / "self.toml")
         assert all(word in str(refusal.value) for word in words), refusal.value
+
+
+@pytree
+class Answers:
+    """A controller and an aerodynamic model of one's own that answer the same always."""
+
+    answer: Any
+
+    def init(self, _robot, _state):
+        return ()
+
+    def step(self, _robot, memory, _measurement):
+        return memory, self.answer
+
+    def forces(self, _links):
+        return self.answer
+
+
+@pytest.fixture(scope="module")
+def prepared():
+    return sim.prepare(io.load_config(TEST2, {"simulator.duration": 0.1}), dtype=np.float32)
+
+
+HOLD = Setpoint(*[jnp.zeros(3)] * 4, jnp.eye(3), *[jnp.zeros(3)] * 3)
+COMMAND = sim.Command(jnp.zeros(4), jnp.zeros(23), HOLD, jnp.zeros(23))
+
+
+@pytest.mark.parametrize(
+    ("name", "command", "expected"),
+    [
+        ("thrust_rate", COMMAND._replace(thrust_rate=jnp.zeros(1)), "(4,)"),
+        ("thrust_rate", COMMAND._replace(thrust_rate=jnp.zeros(())), "(4,)"),
+        ("joint_torque", COMMAND._replace(joint_torque=jnp.zeros(1)), "(23,)"),
+        ("joint_velocity", COMMAND._replace(joint_velocity=jnp.zeros((23, 1))), "(23,)"),
+        ("setpoint.com_position", COMMAND._replace(setpoint=HOLD._replace(com_position=jnp.zeros(()))), "(3,)"),
+        ("setpoint.rotation", COMMAND._replace(setpoint=HOLD._replace(rotation=jnp.zeros(3))), "(3, 3)"),
+    ],
+)
+def test_a_command_of_another_shape_is_refused_when_it_is_traced(prepared, name, command, expected):
+    scenario, state = prepared
+
+    def trace(command):
+        return jax.eval_shape(
+            sim.step, replace(scenario, controller=Answers(command)), state._replace(controller=()), jnp.array(0)
+        )
+
+    assert trace(COMMAND)
+    with pytest.raises(ValueError, match=rf"`{name}` of the command has shape .*; expected {re.escape(expected)}"):
+        trace(command)
+
+
+@pytest.mark.parametrize("shape", [(), (3,), (1, 3), (13, 1)])
+def test_forces_of_another_shape_are_refused_when_they_are_traced(prepared, shape):
+    """Also with factors on them."""
+    scenario, state = prepared
+    model = Answers(jnp.ones(shape))
+    one = jnp.ones((), jnp.float32)
+    for air in (model, Weighted(model, one, one, jnp.ones(13))):
+        blown = replace(scenario, plant=replace(scenario.plant, aero=air))
+        message = rf"`forces` of Answers has shape {re.escape(str(shape))}; expected \(13, 3\)"
+        with pytest.raises(ValueError, match=message):
+            jax.eval_shape(sim.step, blown, state, jnp.array(0))
 
 
 def test_double_precision_is_never_silently_missing():
