@@ -132,6 +132,20 @@ def plain(config: Any) -> Any:
     return msgspec.to_builtins(config, enc_hook=_as_in_a_file)
 
 
+def given(config: Table) -> dict[str, Any]:
+    """Return what a file of this configuration would hold: as `plain`, without the keys that have no value."""
+
+    def whole(value: Any) -> Any:
+        if isinstance(value, list):
+            return [whole(item) for item in value]
+        if isinstance(value, dict):
+            return {key: whole(item) for key, item in value.items() if item is not None}
+        return value
+
+    found: dict[str, Any] = whole(plain(config))
+    return found
+
+
 def _as_in_a_file(value: Any) -> Any:
     if isinstance(value, PathLike):
         return fspath(value)

@@ -24,6 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from jax_aero import tables
 from jax_aero.aero import AeroModel, ReadNetwork
 from jax_aero.aero.network_card import load_network
 from jax_aero.config import ModelError, ScenarioConfig
@@ -209,7 +210,7 @@ def prepare(
     Parameters
     ----------
     config
-        A configuration, or its resolved table, as `jax_aero.io.load_config` returns it. The crate checks a table, too,
+        A configuration, or its resolved table, as `jax_aero.io.load_config` returns it. The crate checks it, too,
         where it is installed.
     robot
         The robot that flies, if it is loaded already.
@@ -266,11 +267,10 @@ def prepare(
 
 
 def typed(config: ScenarioConfig | Mapping[str, Any]) -> ScenarioConfig:
-    """Return a configuration, from its resolved table if that is given."""
-    if isinstance(config, ScenarioConfig):
-        return config
-    check_config(config)
-    return scenario_config(config)
+    """Return a checked configuration, from its resolved table if that is given."""
+    table = tables.given(config) if isinstance(config, ScenarioConfig) else config
+    check_config(table)
+    return scenario_config(table)
 
 
 def in_precision(scenario: Scenario, state: FlightState, dtype: Any) -> tuple[Scenario, FlightState]:

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from msgspec.structs import replace as with_keys
 
 from jax_aero import io, rust, sim
 from jax_aero.aero import Weighted
@@ -301,6 +302,22 @@ def test_what_cannot_fly_is_refused_by_key_and_expectation(key):
     for fly in (sim.fly, lambda table: sim.fly_batch([table])):
         with pytest.raises(ValueError, match=rf"{key}.*{expected}|{expected}.*{key}"):
             fly(table)
+
+
+@pytest.mark.parametrize(
+    ("table", "values", "words"),
+    [
+        ("simulator", {"time_step": -0.01}, r"`simulator\.time_step` is -0\.01; expected a number ≥ 0\.0002"),
+        ("simulator", {"duration": 1e9}, "ten million ticks"),  # which the crate alone refuses
+        ("wind", {"velocity": (0.0, np.nan, 0.0)}, r"`wind\.velocity.1.?` is .*; expected a finite number"),
+    ],
+)
+def test_a_typed_configuration_is_checked_like_its_table(table, values, words):
+    typed = scenario_config(io.load_config(TEST2))
+    spoilt = with_keys(typed, **{table: with_keys(getattr(typed, table), **values)})
+    for fly in (sim.fly, lambda config: sim.fly_batch([config])):
+        with pytest.raises(ValueError, match=words):
+            fly(spoilt)
 
 
 def test_an_empty_mission_hovers_in_both_languages():
