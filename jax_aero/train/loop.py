@@ -139,10 +139,12 @@ def fit(
     Raises
     ------
     ValueError
-        If the checkpoint belongs to another run, or a batch is larger than the data.
+        For settings that no file could hold, by key; if the checkpoint belongs to another run, or a batch is larger
+        than the data.
     Interrupted
         On Ctrl-C, after the checkpoint is written.
     """
+    settings = tables.convert(tables.given(settings), Settings, "settings")
     count = len(training.x)
     batch = settings.batch or count
     if batch > count:

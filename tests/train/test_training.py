@@ -1,5 +1,6 @@
 """Training: Adam by hand, what dropout does, that a run is reproducible and can stop and go on."""
 
+import re
 from dataclasses import replace
 
 import jax
@@ -242,7 +243,7 @@ def test_lower_precision_trains_too(task, monkeypatch):
 def test_a_diverging_run_says_so(task):
     network, training, _ = task
     with pytest.raises(FloatingPointError, match="training loss is"):
-        fit(network, training, None, Settings(epochs=50, learning_rate=1e30, batch=32), seed=0)
+        fit(replace(network, activation="relu"), training, None, structs.replace(SETTINGS, learning_rate=1e9), seed=0)
 
 
 @pytest.mark.parametrize(
@@ -252,6 +253,23 @@ def test_a_diverging_run_says_so(task):
 def test_settings_are_checked(key, value):
     with pytest.raises(ValueError, match=f"`{key}`"):
         tables.convert({"epochs": 8, "learning_rate": 3e-3} | {key: value}, Settings, "training")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("epochs", 0, "an integer ≥ 1"),
+        ("learning_rate", -1e-3, "a number > 0"),
+        ("batch", -1, "an integer ≥ 0"),
+        ("weight_decay", float("nan"), "a finite number"),
+        ("beta2", 1.0, "a number > 0 and < 1"),
+        ("schedule", "linear", "one of constant, cosine"),
+    ],
+)
+def test_settings_that_are_made_in_python_are_checked_too(task, key, value, expected):
+    network, training, _ = task
+    with pytest.raises(tables.ConfigError, match=re.escape(f"settings: `{key}` is ") + f".*; expected {expected}"):
+        fit(network, training, None, structs.replace(SETTINGS, **{key: value}), seed=0)
 
 
 def test_a_batch_larger_than_the_data_is_refused(task):
