@@ -3,7 +3,8 @@
 A file of `configs/training_search/` names a training file and ranges for some of its keys. A trial trains one network
 per inner fold of whole postures, without members or students, and is judged by the mean error of the rows held out:
 of the weights that are kept, with patience the best ones.
-Trials are kept in a SQLite file, so a search goes on where it stopped, and several processes can share one.
+Trials are kept in a SQLite file, so a search goes on where it stopped, and several processes can share one. A trial
+whose process was killed has failed.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ import argparse
 import copy
 import csv
 import io
-import itertools
 import json
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -31,7 +32,7 @@ from jax_aero import places, tables
 from jax_aero.aero.dataset import Dataset, load
 from jax_aero.cli import Parser, count
 from jax_aero.command import exit_status
-from jax_aero.files import read_text, write_json, write_text
+from jax_aero.files import locked, read_text, write_json, write_text
 from jax_aero.keys import set_key
 from jax_aero.train import fit, samples_of
 
@@ -126,10 +127,12 @@ def run(given: argparse.Namespace) -> None:
             flush=True,
         )
 
+    _fail_killed(search, out)
     while _complete(search) < wanted:
-        seed = _free_seed(search, settings.seed)
-        search.sampler = optuna.samplers.TPESampler(seed=seed)
-        search.optimize(objective, n_trials=1, callbacks=[say])
+        with ExitStack() as held:
+            seed = _take_seed(search, settings.seed, out, held)
+            search.sampler = optuna.samplers.TPESampler(seed=seed)
+            search.optimize(objective, n_trials=1, callbacks=[say])
     _write(out, search, {**tables.plain(settings), "base": base}, digest, dataset.sha256)
     print(f"best of {_complete(search)}: {search.best_value:.3e} m4 with {search.best_params}")
 
@@ -144,14 +147,31 @@ def _digest_in(folder: Path) -> str | None:
         return ""
 
 
-def _free_seed(search: optuna.Study, first: int) -> int:
-    """Return the first seed that no trial has but failed ones: what was interrupted is drawn again.
+def _fail_killed(search: optuna.Study, out: Path) -> None:
+    """Mark trials as failed whose process was killed: whoever has one under way holds the lock of its seed."""
+    for trial in search.get_trials(states=(optuna.trial.TrialState.RUNNING,)):
+        if SEED in trial.user_attrs:
+            with suppress(Refused), _lock_of(trial.user_attrs[SEED], out):
+                search.tell(trial.number, state=optuna.trial.TrialState.FAIL)
 
-    Processes that share a search draw with different seeds, and so do the trials of one that was killed, which count as
-    under way.
+
+def _take_seed(search: optuna.Study, first: int, out: Path, held: ExitStack) -> int:
+    """Return the first seed that no trial has but failed ones, and hold its lock: what was interrupted is drawn again.
+
+    Processes that share a search draw with different seeds.
     """
     taken = {trial.user_attrs.get(SEED) for trial in search.trials if trial.state != optuna.trial.TrialState.FAIL}
-    return next(seed for seed in itertools.count(first) if seed not in taken)
+    seed = first
+    while True:
+        if seed not in taken:
+            with suppress(Refused):
+                held.enter_context(_lock_of(seed, out))
+                return seed
+        seed += 1
+
+
+def _lock_of(seed: int, out: Path) -> AbstractContextManager[None]:
+    return locked(out / f"seed_{seed}")
 
 
 def _complete(search: optuna.Study) -> int:

@@ -334,6 +334,35 @@ def test_an_interrupted_search_draws_what_it_would_have_drawn(small_search, tmp_
         assert [row["state"] for row in csv.DictReader(stream)] == ["COMPLETE", "FAIL", "COMPLETE", "COMPLETE"]
 
 
+def test_a_killed_trial_has_failed_and_one_under_way_has_not(small_search, tmp_path, monkeypatch):
+    """Whoever has a trial under way holds the lock of its seed."""
+    optuna = pytest.importorskip("optuna")
+    monkeypatch.setattr("experiments.training.search.error_of", lambda *_: 1.0)
+    out = tmp_path / "out"
+
+    def trials():
+        assert main(small_search("out")) == 0
+        with (out / "trials.csv").open() as stream:
+            rows = list(csv.DictReader(stream))
+        return [row["state"] for row in rows], [row["training.learning_rate"] for row in rows]
+
+    assert main([*small_search("out"), "--trials", "1"]) == 0
+    others = optuna.load_study(study_name=None, storage=f"sqlite:///{out / 'trials.db'}")
+    for seed in (2, 3):
+        others.sampler = optuna.samplers.TPESampler(seed=seed)
+        trial = others.ask()
+        trial.set_user_attr("seed", seed)
+        trial.suggest_float("training.learning_rate", 1e-3, 1e-2)
+    with files.locked(out / "seed_3"):
+        states, drawn = trials()
+    assert states == ["COMPLETE", "FAIL", "RUNNING", "COMPLETE", "COMPLETE"]
+    assert drawn[3] == drawn[1]  # what was interrupted is drawn again
+    assert drawn[4] not in drawn[:4]
+    states, _ = trials()
+    assert states == ["COMPLETE", "FAIL", "FAIL", "COMPLETE", "COMPLETE"]
+    assert {path.name for path in out.iterdir()} == {"manifest.json", "trials.csv", "trials.db"}
+
+
 def test_a_search_replaces_no_other_result(small_search, tmp_path, monkeypatch, capsys):
     pytest.importorskip("optuna")
     monkeypatch.setattr("experiments.training.search.error_of", lambda *_: 1.0)
