@@ -25,6 +25,8 @@ sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not 
 from tests.browser import CHROMIUM, SLOWEST, open_chromium  # noqa: E402 - after the skip
 from tests.measurements import measured  # noqa: E402
 
+needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "rust/lab/page"
 LAB = ROOT / "target/lab"
@@ -105,6 +107,41 @@ def visit(browser: Any, built: Path) -> Iterator[Callable[..., Visit]]:
     yield open_page
     for context in contexts:
         context.close()
+
+
+def in_node(program: str) -> Any:
+    """What a program prints, as JSON, that has `scenario.js` as `scenario`."""
+    module = json.dumps((PAGE / "scenario.js").as_uri())
+    words = ["node", "--input-type=module", "-e", f"import * as scenario from {module};\n{program}"]
+    return json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
+
+
+@needs_node
+def test_a_wind_that_was_dragged_is_in_the_link_whatever_it_is():
+    """Of each direction the strongest: before the ramp, where it sets speed and direction, and after it."""
+    differing = in_node("""
+        const { DEFAULTS, STRONGEST, fromHash, rampTo, round, toHash, velocity } = scenario;
+        const differing = [];
+        for (let degree = -180; degree < 180; degree += 0.1) {
+            const wind = velocity(STRONGEST, degree).map(round);
+            const steer = [[7.5, 0, -5], [7.7, ...wind], [round(8 + degree / 100), 0, 0]].slice(0, degree < 0 ? 2 : 3);
+            for (const change of [rampTo(wind), { ...rampTo(wind), steer }]) {
+                const settings = { ...DEFAULTS, ...change };
+                const [said, read] = [settings, fromHash(toHash(settings))].map((one) => JSON.stringify(one));
+                if (said !== read) differing.push([said, read]);
+            }
+        }
+        console.log(JSON.stringify(differing));""")
+    assert differing == []
+
+
+@needs_node
+@pytest.mark.parametrize(
+    "link", ["engine=l_jet.500", "engine=l_arm_jet.Infinity", "engine=l_arm_jet.", "controller=toString", "steer=1.2"]
+)
+def test_what_a_link_says_wrongly_is_as_by_default(link):
+    settings, default = in_node(f'console.log(JSON.stringify([scenario.fromHash("#{link}"), scenario.fromHash("")]))')
+    assert settings == default
 
 
 def test_it_is_small_and_asks_for_nothing(visit, built):
@@ -194,6 +231,68 @@ def test_controls_act_and_a_link_holds_the_whole_scenario(visit):
     other.seek((rows - 1) * 0.01)
     assert other.tab.evaluate(f"[...page.solid.row('com_position', {rows - 1})]") == state
     assert page.complaints + other.complaints == []
+
+
+def test_the_flight_before_is_a_ghost_after_every_change(visit):
+    page = visit("#mission=hover", viewport={"width": 800, "height": 420})
+    page.seek(1.0)
+    page.tab.get_by_label("beside it").select_option("previous")
+    for before, controller in (("baseline", "aware"), ("aware", "observer"), ("observer", "baseline")):
+        page.tab.get_by_label("controller", exact=True).select_option(controller)
+        assert page.settings()["controller"] == controller
+        titles = page.tab.evaluate("[page.solid, page.ghost].map((flight) => flight.config.title)")
+        assert [title.split(",")[0] for title in titles] == [controller, before]
+        page.seek(1.0)
+        page.wait("page.ghost.flown >= 1.0 - 0.011")
+    assert page.complaints == []
+
+
+def test_a_dragged_wind_is_of_the_flight_that_it_was_dragged_in(visit):
+    page = visit(viewport={"width": 800, "height": 420})
+    page.seek(12.0)
+    page.tab.evaluate("page.blow([0, -4])")
+    page.wait("page.settings.steer.length > 1")
+    document = page.tab.evaluate("page.record()")
+    assert document["config"]["wind"]["profile"] == "samples"
+    assert "dragged wind" in document["title"]
+    assert document["title"] == document["config"]["title"]
+    assert document["config"]["description"].endswith(document["link"])
+    # What is still being turned to is forgotten with the rest.
+    page.seek(13.0)
+    page.tab.evaluate("page.blow([0, -6])")
+    page.wait("page.settings.steer.at(-1)[2] === -6")
+    page.tab.get_by_role("button", name="Forget the dragged wind").click()
+    page.seek(0.5)
+    assert (page.settings()["steer"], page.settings()["speed"]) == ([], 10)
+    page.tab.evaluate("page.blow([0, -6])")
+    page.tab.get_by_role("button", name="TEST2", exact=True).click()
+    page.seek(0.5)
+    assert page.tab.evaluate("location.hash") == "#controller=aware"
+    assert page.complaints == []
+
+
+def test_a_wind_that_turns_on_leaves_what_was_flown_as_it_was(visit):
+    """To the last bit: 560 ticks of 0.01 s are not 5.6 s in floating point."""
+    page = visit("#mission=hover")
+    live, again = page.tab.evaluate("""() => {
+        page.play(false);
+        const steer = [[5.2, 0, -0.4], [5.6, 0.3, 1.37]];
+        Object.assign(page, { settings: { ...scenarios.DEFAULTS, mission: "hover", steer }, ghostKind: "aware" });
+        page.begin(5.6);
+        while (page.solid.flown < 5.6 - 1e-9) page.advance(0);
+        page.blow([-7, 4]);
+        page.isPlaying = true;
+        while (page.solid.flown < 6) page.advance(0.05);
+        page.play(false);
+        const settings = scenarios.fromHash(location.hash);
+        const begin = (controller) => page.lab.begin(scenarios.configuration({ ...settings, controller }));
+        const again = ["baseline", "aware"].map(begin);
+        return [[page.solid, page.ghost], again].map((flights) => flights.map((flight) => {
+            if (flight.rows < 600) flight.advance(600 - flight.rows);
+            return ["wind", "com_position"].map((name) => [...flight.series(name).slice(0, 3 * 600)]);
+        }));
+    }""")
+    assert live == again
 
 
 def test_what_is_exported_reads_back_as_a_result(visit, tmp_path):

@@ -2,7 +2,7 @@
 import data from "lab:data";
 import { Lab } from "./lab.js";
 import { $, Player, degrees, make } from "./player.js";
-import { DEFAULTS, LISTS, NUMBERS, RAMP, STRONGEST, TESTS, configuration, fromHash, matters, rampUntil, round, speedAndDirection, title, toHash, velocity } from "./scenario.js";
+import { DEFAULTS, ENGINES, LISTS, NUMBERS, RAMP, STRONGEST, TESTS, configuration, fromHash, matters, rampTo, rampUntil, round, speedAndDirection, title, toHash, velocity } from "./scenario.js";
 import { TOUR } from "./tour.js";
 
 const bytes = (base64) => Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
@@ -19,7 +19,6 @@ const GHOSTS = {
   observer: ["observer", "The same flight under the observer, in the same wind."],
   previous: ["the flight before", "What was flown before the last change."],
 };
-const ENGINES = { l_arm_jet: "left arm", r_arm_jet: "right arm", chest_l_jet: "left chest", chest_r_jet: "right chest" };
 
 class Page extends Player {
   constructor(lab) {
@@ -45,6 +44,7 @@ class Page extends Player {
   begin(time = 0) {
     try {
       const flight = this.lab.begin(configuration(this.settings));
+      if (this.ghost === this.previous) this.ghost = null;
       this.previous?.end();
       this.previous = this.solid;
       this.solid = flight;
@@ -73,7 +73,7 @@ class Page extends Player {
   /** Changes settings and flies anew. */
   change(change, time = 0) {
     this.settings = { ...this.settings, ...change };
-    this.scenario = null;
+    this.scenario = this.wanted = null;
     this.begin(time);
   }
 
@@ -156,13 +156,14 @@ class Page extends Player {
     const { settings, solid } = this;
     const time = round(solid.flown);
     const { steer } = settings;
+    const start = round(time + solid.timeStep); // of the turn: the tick that was flown last keeps its wind to the last bit
+    const turn = [round(start + TURNING), ...this.wanted];
     if (!steer.length && time < RAMP[0]) {
-      const [speed, from] = speedAndDirection(...this.wanted);
-      Object.assign(settings, { speed: round(speed), from: round(from) });
+      Object.assign(settings, rampTo(this.wanted));
       this.wanted = null;
     } else if (!steer.length) {
-      const [x, y] = rampUntil(settings, time).at(-1).slice(1);
-      settings.steer = [[time, round(x), round(y)], [round(time + TURNING), ...this.wanted]];
+      const [x, y] = rampUntil(settings, start).at(-1).slice(1);
+      settings.steer = [[start, round(x), round(y)], turn];
       if (time < RAMP[1]) this.begin(time); // the ramp ends earlier: its bits differ
     } else {
       const [end, x, y] = steer.at(-1);
@@ -171,8 +172,7 @@ class Page extends Player {
         if (!this.isDragging) this.wanted = null;
         return;
       }
-      const held = end < time - 1e-9 ? [[time, x, y]] : [];
-      settings.steer = [...steer, ...held, [round(time + TURNING), ...this.wanted]];
+      settings.steer = [...steer, [start, x, y], turn];
     }
     const { wind } = configuration(settings);
     for (const flight of new Set([solid, this.ghost])) if (flight && flight !== this.previous) flight.setWind(wind);
@@ -475,15 +475,16 @@ class Page extends Player {
     const { solid } = this;
     solid.advance(solid.n_ticks + 1);
     const result = solid.result();
+    const { title, description } = configuration(this.settings); // a wind that was dragged since has changed both
     const log = solid.signals.map(({ name, row_shape }) => [name, { shape: [solid.rows, ...row_shape], data: base64(solid.series(name)) }]);
     this.isStale = true;
     return {
       format: "flight-lab-run",
       version: 1,
       name: "lab",
-      title: solid.config.title,
+      title,
       ...result,
-      config: solid.config,
+      config: { ...solid.config, title, description },
       link: toHash(this.settings),
       engine: "rust",
       created: new Date().toISOString(),

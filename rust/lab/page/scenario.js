@@ -8,6 +8,9 @@ export const RAMP = [5, 10];
 /** Strongest wind that can be set [m/s]. */
 export const STRONGEST = 30;
 
+/** The engines that can be switched off, in words. */
+export const ENGINES = { l_arm_jet: "left arm", r_arm_jet: "right arm", chest_l_jet: "left chest", chest_r_jet: "right chest" };
+
 /** Choices from lists: key, label, and for each value its label and what it means. */
 export const LISTS = {
   controller: {
@@ -111,6 +114,12 @@ export function velocity(speed, from) {
 export function speedAndDirection(x, y) {
   const speed = Math.hypot(x, y);
   return [speed, speed < 1e-9 ? 90 : Math.atan2(-y, -x) / TURN];
+}
+
+/** Settings of the ramp that ends with a wind (x, y) [m/s], to the resolution of a link. */
+export function rampTo([x, y]) {
+  const [speed, from] = speedAndDirection(x, y);
+  return { speed: Math.min(round(speed), STRONGEST), from: round(from) };
 }
 
 /** The ramp, where it was left at `time`, as samples. */
@@ -234,13 +243,13 @@ export function toHash(settings) {
 export function fromHash(hash) {
   const settings = { ...DEFAULTS, steer: [] };
   for (const [key, text] of new URLSearchParams(hash.replace(/^#/, ""))) {
-    if (key in LISTS && text in LISTS[key].values) settings[key] = text;
+    if (Object.hasOwn(LISTS, key) && Object.hasOwn(LISTS[key].values, text)) settings[key] = text;
     const range = NUMBERS[key] ?? { speed: { min: 0, max: STRONGEST }, from: { min: -180, max: 180 } }[key];
     const number = Number(text);
     if (range && text !== "" && number >= range.min && number <= range.max) settings[key] = number;
     if (key === "engine") {
       const [jet, time] = text.split(".");
-      if (/^(chest_|)[lr]_(arm_|)jet$/.test(jet) && Number(time) >= 0) settings.engine = [jet, Number(time) / UNIT];
+      if (Object.hasOwn(ENGINES, jet) && /^\d{1,9}$/.test(time)) settings.engine = [jet, Number(time) / UNIT];
     }
     if (key === "steer") settings.steer = readSteer(text);
   }
