@@ -114,6 +114,12 @@ def opened(path: Path) -> xr.Dataset:
         raise Refused(f"{path} is damaged ({reason}); remove its folder and make it again") from None
 
 
+def loaded(path: Path) -> xr.Dataset:
+    """Read the whole NetCDF file of a result; a damaged one is refused by its name."""
+    with opened(path) as found:
+        return found.load()
+
+
 def existing(folder: Path, digest: str, code: str | None, *, overwrite: bool) -> dict[str, Any] | None:
     """Return the manifest of an equal finished result; refuse to touch anything else that is there.
 

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from experiments import Refused
+from experiments import Refused, record
 from experiments.import_cfd import OUT
 from experiments.study import Findings, Study
 from experiments.tunnel_correction import Points, columns, held_out, rms_by_posture
@@ -85,7 +85,7 @@ def read(path: Path) -> xr.Dataset:
     """Return the points of the tunnel."""
     if not path.is_file():
         raise Refused(f"no {path.name}; make it with: jax-aero import-tunnel --clone DIR")
-    return xr.load_dataset(path, engine="h5netcdf")
+    return record.loaded(path)
 
 
 def compared(robot: RobotModel, data: xr.Dataset, areas: Mapping[str, Floats]) -> xr.Dataset:

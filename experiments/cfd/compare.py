@@ -136,7 +136,7 @@ def held_out_network(name: str, data: Dataset) -> Floats | None:
         return None
     if found["dataset"] not in (data.sha256, data.mirrored().sha256):
         raise Refused(f"{path} is of another dataset; train again on this one, or move it away")
-    run = xr.load_dataset(path, engine="h5netcdf")
+    run = record.loaded(path)
     return np.asarray(run["area_grouped"].values[run["is_mirrored"].values == 0], dtype=np.float64)
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from experiments import Refused
+from experiments import Refused, record
 from experiments.cfd.command import dataset_of
 from experiments.cfd.goals import verdicts
 from experiments.study import Findings, Study
@@ -63,7 +63,7 @@ def compute(name: str, config: TunnelConfig) -> Findings:
     """Compare."""
     path = config.dataset or dataset_of(name)
     ours, robot = load(path), load_robot(config.robot)
-    rows = list(beside(ours, xr.load_dataset(config.tunnel, engine="h5netcdf"), axes_of(robot)))
+    rows = list(beside(ours, record.loaded(config.tunnel), axes_of(robot)))
     if not rows:
         raise Refused(f"{config.tunnel} has no point of posture, wind and speed of a case of {path}")
     result = compared(robot, ours, rows)
