@@ -42,7 +42,7 @@ def draw(sweep: Sweep) -> Figure:
     sweep.require(len(groups) <= len(SERIES), f"at most {len(SERIES)} combinations of all axes but the last")
     figure = _curves(sweep, axis, groups) if sweep.is_numeric(axis) else _levels(sweep, axis, groups)
     said = "completed: share and its Wilson 95 % interval; errors: median and 10 to 90 % of the flights"
-    figure.supxlabel(f"{sweep.footnote()}; {said}", fontsize=6.5, color=style.GREY, x=0.99, ha="right")
+    style.footnote(figure, f"{sweep.footnote()}; {said}")
     return figure
 
 

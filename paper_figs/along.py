@@ -28,8 +28,8 @@ def draw(study: xr.Dataset) -> Figure:
     left.set_ylim(bottom=0.0)
     right.set_ylabel("exhaust axis to nearest link [mm]")
     right.axhline(0.0, color=style.GREY, linewidth=0.9)
-    for axes, mark in ((left, "a"), (right, "b")):
+    for axes in (left, right):
         axes.set_xlabel("time [s]")
-        style.letter(axes, mark)
+    style.letters((left, right))
     left.legend()
     return figure

@@ -49,15 +49,9 @@ def draw(sweep: Sweep) -> Figure:
         figure.colorbar(image, ax=grid[row, :].tolist(), label=title, pad=0.01)
     grid[-1, 0].set_xlabel(axis_label(across), loc="left")  # once: beside each other labels overlap
     columns = "" if panel is None else f"; columns: {panel['label']}"
-    figure.suptitle(sweep.title + columns, x=0.01, ha="left", fontsize=9.5, fontweight="bold")
-    n = sweep.document["repeats"]
-    figure.supxlabel(
-        f"{sweep.footnote()}; a cell of {n} of {n} stands for at least {_least(sweep.cells):.0f} % (Wilson 95 %)",
-        fontsize=6.5,
-        color=style.GREY,
-        x=0.99,
-        ha="right",
-    )
+    style.title(figure, sweep.title + columns)
+    n, least = sweep.document["repeats"], _least(sweep.cells)
+    style.footnote(figure, f"{sweep.footnote()}; a cell of {n} of {n} stands for at least {least:.0f} % (Wilson 95 %)")
     return figure
 
 

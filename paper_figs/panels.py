@@ -21,7 +21,7 @@ Panel = Callable[[Axes, Run], None]
 
 def title(figure: FigureBase, run: Run) -> None:
     """Put the title of a run above its part of a figure."""
-    figure.suptitle(run.title, fontsize=8.5, fontweight="bold", x=0.01, ha="left")
+    style.title(figure, run.title, size=8.5)
 
 
 def com_setpoint(axes: Axes, run: Run) -> None:

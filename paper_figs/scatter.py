@@ -35,7 +35,7 @@ def draw(sweep: Sweep) -> Figure:
     for axes in grid[:, 0]:
         axes.set_ylabel("max rotation\nerror [deg]")
     bottom.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
-    figure.suptitle(sweep.title, x=0.01, ha="left", fontsize=9.5, fontweight="bold")
+    style.title(figure, sweep.title)
     return figure
 
 

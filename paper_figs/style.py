@@ -15,7 +15,7 @@ import matplotlib as mpl
 import matplotlib.style
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
 
 BLACK = "#000000"
 ORANGE = "#E69F00"
@@ -75,6 +75,16 @@ def letters(panels: Iterable[Axes], marks: str = ascii_lowercase) -> None:
     """Put panel letters above panels, one after another."""
     for axes, mark in zip(panels, marks, strict=False):
         letter(axes, mark)
+
+
+def title(figure: FigureBase, text: str, size: float = 9.5) -> None:
+    """Put a title above the left corner of a figure, or of its part."""
+    figure.suptitle(text, fontsize=size, fontweight="bold", x=0.01, ha="left")
+
+
+def footnote(figure: FigureBase, text: str) -> None:
+    """Put a small note below the right corner of a figure."""
+    figure.supxlabel(text, fontsize=6.5, color=GREY, x=0.99, ha="right")
 
 
 def legend(axes: Axes, handles: Sequence[Artist] | None = None, **options: Any) -> None:

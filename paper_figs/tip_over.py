@@ -32,8 +32,8 @@ def draw(study: xr.Dataset) -> Figure:
                 axes.plot(direction[slips], values[slips], marker, color=colour, markersize=4, markerfacecolor="white")
     speeds.set_ylabel("greatest wind withstood [m/s]")
     forces.set_ylabel("its horizontal force [N]")
-    for axes, mark in ((speeds, "a"), (forces, "b")):
-        style.letter(axes, mark)
+    style.letters((speeds, forces))
+    for axes in (speeds, forces):
         axes.set_xlabel("wind from [deg]: 0 ahead, 90 left, 180 behind")
         axes.set_xticks(direction)
         axes.set_ylim(bottom=0.0)

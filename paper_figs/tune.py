@@ -20,8 +20,8 @@ def draw(study: xr.Dataset) -> Figure:
         factors.plot(study["validation"], study["factor"].sel(key=key), label=str(key))
     factors.set_ylabel("factor on the original value")
     factors.legend(fontsize=5, ncols=2)
-    for axes, mark in ((costs, "a"), (factors, "b")):
+    for axes in (costs, factors):
         axes.set_yscale("log")
         axes.set_xlabel("step")
-        style.letter(axes, mark)
+    style.letters((costs, factors))
     return figure

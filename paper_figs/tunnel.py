@@ -25,6 +25,8 @@ TUNNEL, CFD = "wind_tunnel.toml", "cfd_tunnel.toml"
 
 FINEST = "953C"
 OMEGA, EPSILON = "SST k-omega", "realizable k-epsilon"
+TURBULENCE = {OMEGA: (style.BLUE, "s", "SST k-ω"), EPSILON: (style.VERMILION, "^", "realizable k-ε")}
+"""Colour, marker and name in a figure."""
 RELIABLE_SPEED = 15.0
 """Below it the paper suspects the balance's calibration [m/s]."""
 ALMOST_20 = (0.15, 0.22)
@@ -102,10 +104,9 @@ def fig3(tables: Table, simulations: Table) -> Figure:
     for axes, key, mark in zip(pair, ("cda", "cla"), "ab", strict=True):
         record = flight(tables, "flight30")
         axes.plot(record["alpha_deg"], record[key], "o-", color=style.BLACK, markersize=4, label="wind tunnel")
-        for turbulence, colour, marker in ((OMEGA, style.BLUE, "s"), (EPSILON, style.VERMILION, "^")):
+        for turbulence, (colour, marker, name) in TURBULENCE.items():
             run = run_of(runs, FINEST, turbulence)
-            label = f"CFD, {turbulence.replace('omega', 'ω').replace('epsilon', 'ε')}"
-            axes.plot(run["alpha_deg"], run[key], marker + "--", color=colour, markersize=4, label=label)
+            axes.plot(run["alpha_deg"], run[key], marker + "--", color=colour, markersize=4, label=f"CFD, {name}")
         axes.set_xlabel(r"angle of attack $\alpha$ [deg]")
         axes.set_ylabel(rf"$C_{'D' if key == 'cda' else 'L'} A$ [m$^2$]")
         axes.legend()
@@ -135,18 +136,10 @@ def mesh(tables: Table, simulations: Table) -> Figure:
 
 
 def _mesh_errors(axes: Axes, record: Table, runs: Sequence[Table]) -> None:
-    for turbulence, colour, marker in ((OMEGA, style.BLUE, "s"), (EPSILON, style.VERMILION, "^")):
-        chosen = [run_of(runs, name, turbulence) for name in meshes(runs)]
-        sizes = [run["elements"] for run in chosen]
-        label = turbulence.replace("omega", "ω").replace("epsilon", "ε")
-        axes.plot(
-            sizes,
-            [100 * drag_error(record, run) for run in chosen],
-            marker + "-",
-            color=colour,
-            markersize=4,
-            label=label,
-        )
+    for turbulence, (colour, marker, name) in TURBULENCE.items():
+        chosen = [run_of(runs, mesh_name, turbulence) for mesh_name in meshes(runs)]
+        sizes, errors = [run["elements"] for run in chosen], [100 * drag_error(record, run) for run in chosen]
+        axes.plot(sizes, errors, marker + "-", color=colour, markersize=4, label=name)
     axes.set_xscale("log")
     axes.set_ylim(0.0, 11.5)
     axes.set_xlabel("mesh elements")
@@ -217,18 +210,23 @@ def posture_claims(tables: Table) -> list[Claim]:
     ]
 
 
+def measured(record: Table, key: str, run: Table) -> Array:
+    """Return a force area of the tunnel at the angles of attack of a simulation."""
+    areas = dict(zip(record["alpha_deg"], record[key], strict=True))
+    return np.array([areas[alpha] for alpha in run["alpha_deg"]])
+
+
 def drag_error(record: Table, run: Table) -> float:
     """Return the rms difference of the drag area over its mean in the tunnel."""
-    measured = dict(zip(record["alpha_deg"], record["cda"], strict=True))
-    tunnel = np.array([measured[alpha] for alpha in run["alpha_deg"]])
+    tunnel = measured(record, "cda", run)
     return float(np.sqrt(np.mean((np.array(run["cda"]) - tunnel) ** 2)) / tunnel.mean())
 
 
 def size_error(record: Table, run: Table) -> float:
     """Return the mean relative error of the magnitude of the force area."""
-    at = [record["alpha_deg"].index(alpha) for alpha in run["alpha_deg"]]
-    tunnel = np.linalg.norm([np.array(record[key])[at] for key in ("cda", "cla", "csa")], axis=0)
-    simulated = np.linalg.norm([run[key] for key in ("cda", "cla", "csa")], axis=0)
+    keys = ("cda", "cla", "csa")
+    tunnel = np.linalg.norm([measured(record, key, run) for key in keys], axis=0)
+    simulated = np.linalg.norm([run[key] for key in keys], axis=0)
     return float(np.mean(np.abs(simulated / tunnel - 1.0)))
 
 
@@ -248,11 +246,9 @@ def turbulence_claims(tables: Table, runs: Sequence[Table]) -> list[Claim]:
 def mesh_claims(tables: Table, runs: Sequence[Table]) -> list[Claim]:
     """Compare meshes with the tunnel."""
     record = flight(tables, "flight30")
-    measured = dict(zip(record["alpha_deg"], record["cda"], strict=True))
     claims = []
     for name in meshes(runs):
         run = run_of(runs, name, OMEGA)
-        tunnel = np.array([measured[alpha] for alpha in run["alpha_deg"]])
-        worst = float(np.abs(np.array(run["cda"]) / tunnel - 1.0).max())
+        worst = float(np.abs(np.array(run["cda"]) / measured(record, "cda", run) - 1.0).max())
         claims.append(Claim(f"drag, mesh {name}: largest error", worst, "at most 15 %", (0.0, 0.15)))
     return claims
