@@ -16,17 +16,19 @@ MINUTES ?= 60
 # Where the Rust tests write what they measured, for the summary that pytest prints.
 MEASURED := $(abspath target/measured)
 
-# Test processes; each takes up to 2.5 GB. Idle ones take tests from the other's end of the list.
-WORKERS ?= 2
+# Test processes, for two cores: many tests wait for a browser or for processes of their own. Each takes up to 2.5 GB.
+# Idle ones take tests from the end of another's list.
+WORKERS ?= 3
 PARALLEL := --numprocesses $(WORKERS) --dist worksteal
 
 # What XLA has compiled, shared by the test processes and kept for their next run.
 JAX_CACHE := JAX_COMPILATION_CACHE_DIR=$(abspath target/jax) JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0 \
 	JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES=-1
 
-# Compiling takes most of the time of JAX's tests: with the least optimisation of XLA they take half as long. `make
-# portability` runs the numerical ones with all of it.
-LEAST_OPTIMISED := XLA_FLAGS="--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+# Compiling takes most of the time of JAX's tests: with the least optimisation of XLA, and a function in one piece instead
+# of many that compile in parallel, they take half as long. `make portability` runs the numerical ones with all of it.
+LEAST_OPTIMISED := XLA_FLAGS="--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false \
+	--xla_cpu_parallel_codegen_split_count=1"
 
 # Another processor: no AVX in the C library's functions, in what XLA compiles, in OpenBLAS or in NumPy.
 OTHER_PROCESSOR = $(JAX_CACHE) GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-AVX512VL,-AVX512DQ \

@@ -6,6 +6,7 @@
 
 #![forbid(unsafe_code)]
 
+#[cfg(feature = "threads")]
 pub mod batch;
 pub mod config;
 pub mod disturbances;
@@ -21,6 +22,7 @@ pub mod summary;
 pub mod turbulence;
 pub mod wind;
 
+#[cfg(feature = "threads")]
 pub use batch::{BatchError, check_batch, fly_batch};
 pub use config::{Engine, ScenarioConfig, SimulatorConfig, load_scenario, scenario_from_value, schemas};
 pub use disturbances::Disturbances;
