@@ -5,11 +5,11 @@
 >>> jax_aero.fly(config).outcome
 'completed'
 
-`load`, `fly` and `fly_batch` are those of the Rust crate, which is the authority on physics and control
-(`jax_aero.rust` has the rest of it). `prepare` and `rollout` are the same flight in JAX, to `jit`, `vmap` and `grad`;
-`changed` replaces numbers in what `prepare` returns (`jax_aero.sim` has the rest). `air` gives aerodynamic forces to
-other simulators, `env` is the flight as a reinforcement-learning environment. What needs a package of an extra imports
-it on first use.
+`load`, `fly` and `fly_batch` call the Rust crate, which is the reference for physics and control (`jax_aero.rust` has
+its other functions). `prepare` and `rollout` compute the same flight in JAX, for `jit`, `vmap` and `grad`; `changed`
+replaces numbers in what `prepare` returns (`jax_aero.sim` has the other functions). `air` gives aerodynamic forces to
+other simulators, and `env` is the flight as a reinforcement-learning environment. Packages of the extras are imported
+on first use.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`python -m jax_aero COMMAND`: the command `jax-aero`."""
+"""`python -m jax_aero COMMAND`, the same as `jax-aero COMMAND`."""
 
 import sys
 

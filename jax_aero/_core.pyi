@@ -1,7 +1,7 @@
 """Types of the compiled module; the crate itself is `rust/py`.
 
-Names with a leading underscore exist for the type checker only. `tests/project/test_stub.py`
-keeps the others equal to what the module really exports.
+Names with a leading underscore exist only for the type checker. `tests/project/test_stub.py`
+checks that the others are exactly the names that the module exports.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -15,12 +15,12 @@ Tree = TypeVar("Tree")
 
 @pytree
 class AdamState:
-    """Moments of the gradient, shaped like the parameters."""
+    """First and second moments of the gradient, shaped like the parameters."""
 
     mean: Any
     square: Any
     count: Int[Array, ""]
-    """Steps taken."""
+    """Number of steps taken."""
 
 
 def adam_start(parameters: Any) -> AdamState:
@@ -45,8 +45,8 @@ def adam_step(
         m ← β₁ m + (1 − β₁) g,   v ← β₂ v + (1 − β₂) g²
         θ ← θ − rate ( m / (1 − β₁ᵗ) / (√(v / (1 − β₂ᵗ)) + ε) + decay θ )
 
-    Source: Kingma and Ba 2015, algorithm 1; the decay as Loshchilov and Hutter 2019, of matrices alone, not of biases,
-    which are the leaves of one dimension fewer.
+    Source: Kingma and Ba 2015, algorithm 1. The decay follows Loshchilov and Hutter 2019 and applies to matrices only,
+    not to biases, whose leaves have one dimension fewer.
     """
     count = state.count + 1
     mean = jax.tree.map(lambda m, g: beta1 * m + (1.0 - beta1) * g, state.mean, gradient)

@@ -1,4 +1,4 @@
-"""Aerodynamic forces on limbs, for other simulators: a `mujoco.MjModel` or a model of MJX.
+"""Aerodynamic forces on links for other simulators, with a `mujoco.MjModel` or a model of MJX.
 
 >>> import mujoco
 >>> from jax_aero import air
@@ -13,9 +13,9 @@
 True
 >>> mujoco.set_mjcb_control(None)
 
-Links come from a robot file of ours (`of_robot`) or are declared (`of_links`); models are those of `configs/aero`. The
-forces are those of `jax_aero.aero.link_forces`, with physically correct points: each acts at its link's aerodynamic
-centre, in the wind relative to it.
+Links come from one of our robot files (`of_robot`) or are declared (`of_links`); models are those of `configs/aero`.
+The forces are those of `jax_aero.aero.link_forces` with physically correct points: each acts at its link's aerodynamic
+centre and depends on the wind relative to it.
 """
 
 from __future__ import annotations
@@ -39,69 +39,69 @@ from jax_aero.spatial import cross
 from jax_aero.types import Array, Kinematics, Static, leaf, pytree
 
 Wind = ArrayLike | Callable[[float], ArrayLike]
-"""Velocity of the air (3,) [m/s, world axes], or a function that gives it at a time [s]."""
+"""Velocity of the air (3,) [m/s, world axes], or a function of time [s] that returns it."""
 
 AIR_DENSITY = 1.225
-"""Of the links that bring coefficients along [kg/m³]."""
+"""Air density for links that are declared with coefficients [kg/m³]."""
 
 
 @dataclass(frozen=True)
 class Link:
-    """A limb as the aerodynamic models have it, in the frame of the MuJoCo body that carries it."""
+    """A link of the aerodynamic models, in the frame of the MuJoCo body that carries it."""
 
     body: str
     diameter: float
-    """[m]."""
+    """Diameter [m]."""
     length: float | None = None
-    """Of a cylinder, along its axis [m]; `None` makes it a sphere."""
+    """Length of a cylinder along its axis [m]; `None` for a sphere."""
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Direction of the axis of symmetry."""
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where the force acts [m]."""
+    """Point at which the force acts [m]."""
     coefficients: tuple[float, ...] | None = None
-    """Force areas w0 to w5 [m²] of the axisymmetric model; all links have them or none."""
+    """Force areas w0 to w5 [m²] of the axisymmetric model; given for all links or for none."""
 
 
 @pytree
 class _Limbs:
-    """What stands for a robot where links are declared: no model of single links asks for more of it."""
+    """Substitute for a robot when links are declared: all that a model of single links needs."""
 
     name: Static[str]
     aero_links: AeroLinks
 
 
 class LinkLoads(NamedTuple):
-    """What acts on the links, world axes."""
+    """Forces on the links and their points, world axes."""
 
     forces: Float[Array, "L 3"]
-    """[N]."""
+    """Forces [N]."""
     points: Float[Array, "L 3"]
-    """Where they act [m]."""
+    """Points at which they act [m]."""
 
 
 @pytree
 class Air:
-    """The air around the links of one model of MuJoCo. Every number is a leaf."""
+    """The air around the links of one MuJoCo model. Every number is a leaf."""
 
     aero: AeroModel
     robot: RobotModel
     bodies: Static[tuple[int, ...]]
-    """Bodies of MuJoCo that carry links, in the order that `robot` gives them."""
+    """MuJoCo bodies that carry links, in the order of the bodies of `robot`."""
     roots: Static[tuple[int, ...]]
-    """Root of the tree of each of these bodies."""
+    """Root body of the tree of each of these bodies."""
     joints: Static[tuple[int, ...]]
-    """Place in `qpos` of each joint of the robot; none where links are declared."""
+    """Index in `qpos` of each joint of the robot; empty if links are declared."""
 
     def loads(self, data: Any, wind: Float[Array, "3"]) -> LinkLoads:
-        """Return the forces on the links, from data of MuJoCo or MJX whose positions and velocities are up to date.
+        """Return the forces on the links, from MuJoCo or MJX data with current positions and velocities.
 
-        `cvel` holds the angular velocity and, of the point of the body at the centre of mass of its whole tree, the
-        linear one; here velocities are those of the bodies' origins.
+        `cvel` holds the angular velocity, and the linear velocity of the body's point at the centre of mass of its
+        whole tree; velocities here are those of the bodies' origins.
 
         Raises
         ------
         ValueError
-            If `wind` is not of three components.
+            If `wind` does not have three components.
         """
         wind = jnp.asarray(wind)
         if wind.shape != (3,):
@@ -125,7 +125,7 @@ class Air:
         return LinkLoads(found.forces, found.arm_points)
 
     def xfrc(self, data: Any, wind: Float[Array, "3"]) -> Float[Array, "nbody 6"]:
-        """Return force and torque on every body, about its centre of mass, as `xfrc_applied`. Pure."""
+        """Return force and torque on every body about its centre of mass [N, N m], as in `xfrc_applied`. Pure."""
         loads = self.loads(data, wind)
         carriers = np.array(self.bodies, dtype=int)[np.array(self.robot.aero_links.bodies, dtype=int)]
         centres = jnp.asarray(data.xipos)
@@ -133,14 +133,14 @@ class Air:
         return jnp.zeros((len(centres), 6), wrenches.dtype).at[carriers].add(wrenches)
 
     def blow(self, model: Any, data: Any, wind: Float[Array, "3"]) -> Any:
-        """Return MJX data with `xfrc_applied` of this state in this wind; call it before `mjx.step`. Pure."""
+        """Return MJX data with `xfrc_applied` set for this state and wind; call it before `mjx.step`. Pure."""
         placed = mjx.com_vel(model, mjx.com_pos(model, mjx.kinematics(model, data)))
         return data.replace(xfrc_applied=self.xfrc(placed, wind))
 
     def callback(self, wind: Wind) -> Callable[[Any, Any], None]:
-        """Return a function for `mujoco.set_mjcb_control`, which fills `xfrc_applied` at every evaluation of forces.
+        """Return a function for `mujoco.set_mjcb_control` that sets `xfrc_applied` at every evaluation of forces.
 
-        It replaces what stands there for the bodies that carry links, and leaves the other bodies alone.
+        It overwrites the entries of bodies that carry links and leaves the other bodies unchanged.
         """
         with jax.enable_x64(True):
             air = jax.tree.map(jnp.asarray, self)
@@ -156,7 +156,7 @@ class Air:
 
 
 class _Seen(NamedTuple):
-    """The part of MuJoCo's data that forces depend on."""
+    """Fields of MuJoCo's data that the forces depend on."""
 
     xpos: Any
     xmat: Any
@@ -172,14 +172,14 @@ def _xfrc(air: Air, data: _Seen, wind: Array) -> Array:
 
 
 def settings(name: str) -> config.AeroConfig:
-    """Return the configuration of an aerodynamic model, by its name in `configs/aero` or by the path of a file."""
+    """Return the configuration of an aerodynamic model, given its name in `configs/aero` or the path of a file."""
     return io.aero_config(io.resolve(places.find("aero", name), io.AERO))
 
 
 def of_robot(
     model: Any, robot: str = "ironcub_mk1", aero: str | AeroModel = "axisymmetric_corrected", prefix: str = ""
 ) -> Air:
-    """Return the air around a robot of ours in a model of MuJoCo, whose bodies and joints have the names of its URDF.
+    """Return the air around one of our robots in a MuJoCo model whose bodies and joints have the names of its URDF.
 
     Parameters
     ----------
@@ -188,14 +188,14 @@ def of_robot(
     robot
         Name in `configs/robot`, or the path of a robot's TOML file.
     aero
-        Name in `configs/aero`, path of a file, or a model of one's own.
+        Name in `configs/aero`, path of a file, or a user-defined model.
     prefix
-        What stands before every name in `model`, as where a scene attaches several robots.
+        Prefix of every name in `model`, for scenes with several robots.
 
     Raises
     ------
     ValueError
-        Naming the body or joint that `model` does not have.
+        If `model` lacks a body or joint of the robot; the message names it.
     """
     ours = load_robot(places.find("robot", robot))
     chosen = aero_model(settings(aero), ours) if isinstance(aero, str) else aero
@@ -207,12 +207,12 @@ def of_robot(
 def of_links(model: Any, links: Sequence[Link], aero: str = "sphere_cylinder") -> Air:
     """Return the air around declared links of a `mujoco.MjModel`.
 
-    `aero` is a model of spheres and cylinders in `configs/aero`; links with coefficients have the axisymmetric model.
+    `aero` is a sphere and cylinder model of `configs/aero`; links with coefficients use the axisymmetric model.
 
     Raises
     ------
     ValueError
-        Naming the link and what is wrong with it.
+        If a link is invalid; the message names the link and the reason.
     """
     if not links:
         raise ValueError("there is no link; expected one or more")

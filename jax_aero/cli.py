@@ -1,6 +1,6 @@
 """The command `jax-aero`, with one sub-command for each function of this project.
 
-`python -m jax_aero COMMAND` is the same; `python -m experiments` and `python -m paper_figs` lead here too.
+`python -m jax_aero COMMAND` does the same; `python -m experiments` and `python -m paper_figs` call it too.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ CLOSED = 141
 
 
 class Command(NamedTuple):
-    """A sub-command: where its function is, the extras of the package that it needs, and what it does."""
+    """A sub-command: the module of its function, the extras of the package that it needs, and its description."""
 
     function: str
     extras: str
@@ -94,7 +94,7 @@ COMMANDS = {name: command for group in GROUPS.values() for name, command in grou
 
 
 class Parser(argparse.ArgumentParser):
-    """The arguments of a sub-command: a wrong word is answered with what was probably meant; Tab completes."""
+    """Argument parser of a sub-command that suggests corrections of mistyped words and supports Tab completion."""
 
     def __init__(self, command: str, about: str | None, **more: Any) -> None:
         super().__init__(
@@ -104,15 +104,15 @@ class Parser(argparse.ArgumentParser):
             **more,
         )
         self.register("type", Path, _path)
-        # No option begins with a digit: what does after its sign is a value, such as `-90:90:10`.
+        # No option begins with a digit, so a digit after the sign marks a value, such as `-90:90:10`.
         self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Return the arguments; anything that is not understood ends the program with status 2."""
+        """Return the arguments; an argument that cannot be parsed ends the program with status 2."""
         argcomplete.autocomplete(self)
         words = sys.argv[1:] if args is None else list(args)
         options = [option for option in self._option_string_actions if option.startswith("--")]
-        # Before anything else: a required option that is mistyped is not missing.
+        # Before parsing, since a mistyped required option would be reported as missing.
         for word in itertools.takewhile(lambda word: word != "--", words):
             name = word.partition("=")[0]
             if name.startswith("--") and not any(option.startswith(name) for option in options):
@@ -128,21 +128,21 @@ class Parser(argparse.ArgumentParser):
 
 
 def _path(text: str) -> Path:
-    """Return the path of an argument of `type=Path`; an empty one is a mistake, not the current folder."""
+    """Convert an argument of `type=Path`; an empty text is refused, not taken as the current folder."""
     if not text:
         raise argparse.ArgumentTypeError("the path is empty; expected a file or folder")
     return Path(text)
 
 
 def count(text: str) -> int:
-    """Return the number of things of an argument of `type=count`: at least one."""
+    """Convert an argument of `type=count` to a number of at least one."""
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"`{text}`; expected an integer ≥ 1")
     return int(text)
 
 
 def completes(action: argparse.Action, words: Callable[[], Iterable[str]]) -> None:
-    """Let Tab complete an argument with these words."""
+    """Offer these words for Tab completion of an argument."""
     setattr(action, "completer", lambda **_: words())  # noqa: B010 - an attribute that argcomplete reads
 
 
@@ -160,7 +160,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run(name: str, words: Sequence[str]) -> int:
-    """Run one sub-command. What it needs is imported now, so that no other command waits for it."""
+    """Run one sub-command. Its module is imported here, so that no other command waits for it."""
     try:
         module, function = COMMANDS[name].function.split(":")
         work: Callable[[Sequence[str]], int | None] = getattr(importlib.import_module(module), function)
@@ -173,10 +173,10 @@ def run(name: str, words: Sequence[str]) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED
-    except BrokenPipeError:  # as of `| head`; nothing more can be said there
+    except BrokenPipeError:  # as with `| head`; no more output is possible
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return CLOSED
-    except OSError as reason:  # a full disk, a folder that is read-only
+    except OSError as reason:  # such as a full disk or a read-only folder
         return _refuse(one_line(reason))
 
 
@@ -217,9 +217,9 @@ Tab completes after: eval "$(register-python-argcomplete jax-aero)"
 
 
 def _words_before_cursor() -> list[str]:
-    """Return the words whose completion the shell asks for, and make argcomplete leave out the command's name."""
+    """Return the words that the shell asks to complete, and make argcomplete leave out the command's name."""
     line = os.environ["COMP_LINE"][: int(os.environ["COMP_POINT"])]
-    words = shlex.split(line + "_")[1:]  # the mark keeps an empty last word
+    words = shlex.split(line + "_")[1:]  # the suffix preserves an empty last word
     if len(words) < 2:
         return []
     os.environ["_ARGCOMPLETE"] = "2"

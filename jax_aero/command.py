@@ -6,20 +6,20 @@ import sys
 from collections.abc import Callable
 
 REFUSED, INTERRUPTED = 2, 130
-"""Statuses of a command."""
+"""Exit statuses of a command."""
 
 
 class Refused(ValueError):
-    """A request of the user that cannot, or must not, be carried out; the message states what and why."""
+    """A request of the user that cannot or must not be carried out; the message states the request and the reason."""
 
 
 def one_line(reason: Exception) -> str:
-    """Return what an error is about, in a line; of the system's own, file and reason without number."""
+    """Return an error's message in one line; for system errors, file and reason without the error number."""
     return f"{reason.filename}: {reason.strerror}" if isinstance(reason, OSError) and reason.filename else str(reason)
 
 
 def exit_status(work: Callable[[], int | None], *, interrupted: str = "nothing was written") -> int:
-    """Run a command; return its status, 2 after a refusal and 130 after Ctrl-C, both of which are one line."""
+    """Run a command and return its exit status: 2 after a refusal and 130 after Ctrl-C, each reported in one line."""
     try:
         return work() or 0
     except (ValueError, OSError) as reason:

@@ -2,9 +2,9 @@
 
     AeroConfig, RobotModel ──aero_model──► AeroModel;   Kinematics, wind ──link_forces──► LinkForces
 
-The simulator's model and the controller's model are two values of one type. `v_air` is everywhere the velocity of the
-*air* relative to the link (wind − link velocity), so drag points along `+v_air`. No model gives a moment about the
-aerodynamic centre, where its force acts. `AeroModel` is a protocol: any pytree with its method will do.
+The simulator's and the controller's model are two values of one type. `v_air` is always the velocity of the *air*
+relative to the link (wind − link velocity), so drag points along `+v_air`. No model gives a moment about the
+aerodynamic centre, where the force acts. `AeroModel` is a protocol: any pytree with its method can be used.
 """
 
 from jax_aero.aero.axisymmetric import Axisymmetric, axisymmetric_forces

@@ -14,28 +14,28 @@ from jax_aero.spatial import cross, safe_norm
 from jax_aero.types import Array
 
 SPEED_EPSILON = 1e-9
-"""Added to the speed in the cosine of the angle of attack [m/s]; the published value."""
+"""Regularisation added to the speed in the cosine of the angle of attack [m/s]; the published value."""
 
 
 class Attack(NamedTuple):
-    """Angle between the link's axis and the *upstream* direction, as cosine and sine, and the speed of the air."""
+    """Cosine and sine of the angle between the link's axis and the *upstream* direction, and the air speed."""
 
     speed: Float[Array, " L"]
-    """[m/s]."""
+    """Speed of the air relative to the link [m/s]."""
     cos: Float[Array, " L"]
-    """1 when the air comes from where the axis points."""
+    """cos α; 1 when the air comes from the direction of the axis."""
     sin: Float[Array, " L"]
-    """Not negative."""
+    """sin α ≥ 0."""
 
 
 def attack(axes: Float[Array, "L 3"], v_air: Float[Array, "L 3"]) -> Attack:
-    """Angles of attack of links with unit axes in air of relative velocity, without `acos`.
+    """Return the angles of attack of links with unit axes, from the velocity of the air [m/s], without `acos`.
 
         cos α = −k̂·v / (|v| + ε),   sin α = √(|v × k̂|² + ε (2|v| + ε)) / (|v| + ε),   ε = 1e-9 m/s
 
-    The sine is `(|v| + ε)² − (k̂·v)²` by Lagrange's identity, free of the cancellation of `1 − cos²`. The ε that keeps
-    the quotient finite at rest also keeps zero out of the square root, so derivatives are finite for wind along the
-    axis and for no wind at all, where α = 90°.
+    The sine uses `(|v| + ε)² − (k̂·v)²`, rewritten by Lagrange's identity to avoid the cancellation of `1 − cos²`. ε
+    keeps the quotient finite at rest and the argument of the square root positive, so derivatives are finite for wind
+    along the axis and without wind, where α = 90°.
     """
     speed = safe_norm(v_air)
     regular = speed + SPEED_EPSILON
@@ -45,8 +45,8 @@ def attack(axes: Float[Array, "L 3"], v_air: Float[Array, "L 3"]) -> Attack:
 
 
 def normal_directions(axes: Float[Array, "L 3"], v_air: Float[Array, "L 3"]) -> Float[Array, "L 3"]:
-    """`(v × k̂) × v`: across the wind, towards the axis, of length `|v|² sin α`.
+    """Return `(v × k̂) × v`: normal to the wind, on the side of the axis, of length `|v|² sin α`.
 
-    The double cross product, not `|v|² k̂ − (v·k̂) v`: nothing cancels when wind and axis align.
+    Computed as a double cross product, since `|v|² k̂ − (v·k̂) v` suffers cancellation when wind and axis align.
     """
     return cross(cross(v_air, axes), v_air)

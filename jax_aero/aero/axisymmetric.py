@@ -1,4 +1,4 @@
-"""The paper's axisymmetric model: drag and normal force areas fitted per link to CFD.
+"""The paper's axisymmetric model: drag and normal force areas of each link, fitted to CFD.
 
 Equation M20 of `docs/model.md`.
 """
@@ -14,7 +14,7 @@ from jax_aero.types import Array, pytree
 
 @pytree
 class Axisymmetric:
-    """The axisymmetric model of some links."""
+    """Axisymmetric model of a set of links."""
 
     k_a: Float[Array, ""]
     """`ρ/2` [kg/m³]."""
@@ -22,20 +22,20 @@ class Axisymmetric:
     """Coefficients `w0 .. w5` [m²]."""
 
     def forces(self, links: LinksInAir) -> Float[Array, "L 3"]:
-        """Force on each link [N]; see `axisymmetric_forces`."""
+        """Return the force on each link [N], inertial axes; see `axisymmetric_forces`."""
         return axisymmetric_forces(self, links.axes, links.v_air)
 
 
 def axisymmetric_forces(
     model: Axisymmetric, axes: Float[Array, "L 3"], v_air: Float[Array, "L 3"]
 ) -> Float[Array, "L 3"]:
-    """Return the forces on the links [N], inertial axes.
+    """Return the forces on the links [N], inertial axes; zero at rest.
 
         C_D A = w₀ + w₁ cos α + w₂ sin² α + w₃ sin³ α + w₄ cos³ α
         F = k_a ( |v| C_D A v + w₅ sin α cos α (v × k̂) × v ),   k_a = ρ/2
 
-    Source: paper, Methods, eq. `aero-force-model`, with `C_N A = w₅ sin² α cos α` and the printed division by sin α
-    cancelled: finite for wind along the axis, zero at rest. The paper's `v_a` is `−v`.
+    Source: paper, Methods, eq. `aero-force-model`, with `C_N A = w₅ sin² α cos α`. The printed division by sin α is
+    cancelled, so the force is finite for wind along the axis. The paper's `v_a` is `−v`.
     """
     speed, cos, sin = attack(axes, v_air)
     w0, w1, w2, w3, w4, w5 = (model.areas[:, i] for i in range(6))

@@ -1,7 +1,7 @@
-"""Imports the authors' tables of the free-stream simulations into our `Dataset`, with a record of the checks.
+"""Import of the authors' tables of free-stream simulations into a `Dataset`, with a record of the checks.
 
-Two layouts: the solver's table (CSV: posture, angles, drag, lift and side area of the whole robot and of 13 surfaces)
-and the authors' training file (`.mat`).
+Two formats: the solver's table (CSV: posture, angles, and drag, lift and side area of the whole robot and of 13
+surfaces) and the authors' training file (`.mat`).
 """
 
 from __future__ import annotations
@@ -45,18 +45,19 @@ SURFACES: Mapping[str, str] = {
     "right-leg-upper": "r_upper_leg",
     "right-leg-lower": "r_lower_leg",
 }
-"""Surface of the solver to link of the robot. The upper arms hold the shoulders, the upper legs the hip's roll links,
-the root link the hip's pitch links, the chest the torso, and the lower legs the feet."""
+"""Link of the robot for each surface of the solver. The upper arms include the shoulders, the upper legs the hips' roll
+links, the root link the hips' pitch links, the chest the torso, and the lower legs the feet."""
 
 TOTAL = "ironcub"
 COMPONENTS = ("cd", "cs", "cl")
-"""Drag, side and lift: x, y and z of the tunnel frame."""
+"""Drag, side and lift coefficients: x, y and z of the tunnel frame."""
 
 SPEED, AIR_DENSITY = 17.0, 1.225
-"""Of the simulations [m/s, kg/m³]; the table's own columns do not say them."""
+"""Speed and air density of the simulations [m/s, kg/m³], which the table does not contain."""
 
 LARGEST_SUM_ERROR = 1e-5
-"""How far the links may be from the whole robot [m²]; the public table keeps to 1e-8."""
+"""Largest accepted difference between the sum of the links and the whole robot [m²]; at most 1e-8 in the public
+table."""
 
 MAT_FIELDS = {
     "pitchAngles_full": 1,
@@ -67,7 +68,7 @@ MAT_FIELDS = {
     "linkClAs_matrix": len(LINKS),
     "linkCsAs_matrix": len(LINKS),
 }
-"""Variables of the authors' training file, and how many columns each has."""
+"""Variables of the authors' training file, with their numbers of columns."""
 
 
 def read_solver_table(text: str, postures: Mapping[str, Floats], *, source: str) -> Dataset:
@@ -76,16 +77,16 @@ def read_solver_table(text: str, postures: Mapping[str, Floats], *, source: str)
     Parameters
     ----------
     text
-        The CSV itself.
+        Content of the CSV file.
     postures
-        Joint angles (19,) [deg] by the names in the column `config`.
+        Joint angles (19,) [deg] by posture name, the value in the column `config`.
     source
-        What the table is called in messages and in the provenance.
+        Name of the table in messages and in the provenance.
 
     Raises
     ------
     ValueError
-        Naming the source, the line, the column, the value and what was expected.
+        If a value is invalid; the message names source, line, column, value and what was expected.
     """
     if text.startswith("version https://git-lfs"):
         raise ValueError(f"{source} is a Git LFS pointer, not the table; fetch it with: git lfs pull")
@@ -151,20 +152,20 @@ def read_mat(path: str | PathLike[str], *, frame: Literal["base", "wind"] = "bas
     path
         The `.mat` file.
     frame
-        How (CdA, CsA, ClA) are read: as (x, y, z) of the base, as the published simulator does, or as drag, side and
-        lift of the tunnel frame, as the solver writes them. The file itself does not say.
+        Axes of (CdA, CsA, ClA): `base` takes them as (x, y, z) of the base, as the published simulator does, `wind` as
+        drag, side and lift in the tunnel frame, as the solver writes them. The file itself does not say.
 
     Raises
     ------
     ValueError
-        Naming the variable, row and column, and what was expected.
+        If the content is invalid; the message names variable, row and column, and what was expected.
     """
     from scipy.io import loadmat
 
     data = Path(path).read_bytes()
     try:
         variables = loadmat(io.BytesIO(data))
-    except Exception as reason:  # whatever the reader says about a file of another kind
+    except Exception as reason:  # the reader raises many types for other formats
         raise ValueError(f"{path} is not a MATLAB file of version 4 to 7.2: {reason}") from reason
     table: dict[str, Floats] = {}
     rows: int | None = None
@@ -214,7 +215,7 @@ def read_mat(path: str | PathLike[str], *, frame: Literal["base", "wind"] = "bas
 
 
 def checks(dataset: Dataset) -> dict[str, float]:
-    """Measure what can be measured on any dataset: repeated rows, and how far symmetric cases are from symmetric."""
+    """Return the numbers of rows and postures, the spread of repeated rows and the asymmetry of symmetric cases."""
     areas = dataset.force_area_b
     order = np.argsort(dataset.group, kind="stable")
     same = dataset.group[order[1:]] == dataset.group[order[:-1]]

@@ -2,9 +2,9 @@
 
     solver table, authors' `.mat`, surrogate ──► Dataset ──► NetCDF;   Dataset ──split──► training, validation
 
-Everything is in base (`root_link`) axes: x backward, y to the robot's right, z up. The tunnel frame of the tables has
-x along the wind and z up, and the robot stands in it with `R_tunnel_from_base = Rz(yaw) Ry(pitch − 90°)`, so pitch is
-the angle of the robot's vertical axis above the horizontal: 90° upright, 0° prone with the head upstream.
+All vectors are in base (`root_link`) axes: x backward, y to the robot's right, z up. The tunnel frame of the tables has
+x along the wind and z up. The robot's attitude in it is `R_tunnel_from_base = Rz(yaw) Ry(pitch − 90°)`, so pitch is the
+angle of the robot's vertical axis above the horizontal: 90° upright, 0° prone with the head upstream.
 
 Equation M28 of `docs/model.md`.
 """
@@ -37,19 +37,19 @@ JOINTS = (
     *("l_hip_pitch", "l_hip_roll", "l_hip_yaw", "l_knee"),
     *("r_hip_pitch", "r_hip_roll", "r_hip_yaw", "r_knee"),
 )
-"""The joints that shape the flow, all but the ankles, in the order of every table."""
+"""Joints that influence the flow: all but the ankles, in the order of every table."""
 
 LINKS = (
     *("head", "chest", "chest_l_jet_turbine", "chest_r_jet_turbine"),
     *("l_upper_arm", "l_arm_jet_turbine", "r_upper_arm", "r_arm_jet_turbine"),
     *("root_link", "l_upper_leg", "l_lower_leg", "r_upper_leg", "r_lower_leg"),
 )
-"""The links of every table, in the order of the robot's configuration."""
+"""Links of every table, in the order of the robot's configuration."""
 
 FORMAT = "jax-aero force areas 1"
 AREA_UNITS = "m2"
 QUALITY = "quality: "
-"""How the variables of `Dataset.quality` begin in a file."""
+"""Prefix of the variables of `Dataset.quality` in a file."""
 
 
 def _twin(name: str) -> str:
@@ -59,23 +59,23 @@ def _twin(name: str) -> str:
 
 
 JOINT_TWINS = np.array([JOINTS.index(_twin(name)) for name in JOINTS])
-"""Index of the joint on the other side."""
+"""Index of the joint on the opposite side."""
 JOINT_SIGNS = np.where(np.isin(JOINTS, ("torso_roll", "torso_yaw")), -1.0, 1.0)
-"""Sign of a joint angle in the mirror: arms and legs are built as mirror images, the torso bends to the other side."""
+"""Sign of each joint angle in the mirror image: limbs are built as mirror images, torso roll and yaw change sign."""
 LINK_TWINS = np.array([LINKS.index(_twin(name)) for name in LINKS])
-"""Index of the link on the other side."""
+"""Index of the link on the opposite side."""
 MIRROR_AXES = np.array([1.0, -1.0, 1.0])
-"""Signs of a vector in the mirror, the base's x-z plane."""
+"""Signs of a vector's components when mirrored about the base's x-z plane."""
 
 
 def mirrored_joints(joint_position_deg: Float[np.ndarray, "*batch s"]) -> Float[np.ndarray, "*batch s"]:
-    """Joint angles of the mirror image."""
+    """Return the joint angles of the mirror image, in the unit given."""
     flipped: Floats = joint_position_deg[..., JOINT_TWINS] * JOINT_SIGNS
     return flipped
 
 
 def mirrored_areas(force_area_b: Float[np.ndarray, "*batch L 3"]) -> Float[np.ndarray, "*batch L 3"]:
-    """Force areas of the mirror image, base axes."""
+    """Return the force areas of the mirror image, base axes."""
     flipped: Floats = force_area_b[..., LINK_TWINS, :] * MIRROR_AXES
     return flipped
 
@@ -83,19 +83,19 @@ def mirrored_areas(force_area_b: Float[np.ndarray, "*batch L 3"]) -> Float[np.nd
 def in_robot_order(
     joint_names: Sequence[str], joint_position_deg: Float[np.ndarray, "*batch s"]
 ) -> Float[np.ndarray, "*batch n"]:
-    """Return joint positions [rad] of a robot from angles [deg] of a table; others are straight."""
+    """Return the robot's joint positions [rad] from a table's joint angles [deg]; joints not in the table are zero."""
     positions = np.zeros((*np.shape(joint_position_deg)[:-1], len(joint_names)))
     positions[..., [joint_names.index(name) for name in JOINTS]] = np.radians(joint_position_deg)
     return positions
 
 
 def wind_direction(pitch_deg: npt.ArrayLike, yaw_deg: npt.ArrayLike) -> Float[np.ndarray, "*batch 3"]:
-    """Direction in which the air moves, base axes: `(cos p cos y, −sin y, sin p cos y)`, p = pitch − 90°."""
+    """Return the direction of the air's motion, base axes: `(cos p cos y, −sin y, sin p cos y)`, p = pitch − 90°."""
     return tunnel_from_base(pitch_deg, yaw_deg)[..., 0, :]
 
 
 def tunnel_from_base(pitch_deg: npt.ArrayLike, yaw_deg: npt.ArrayLike) -> Float[np.ndarray, "*batch 3 3"]:
-    """Rotation `Rz(yaw) Ry(pitch − 90°)`."""
+    """Return the rotation `Rz(yaw) Ry(pitch − 90°)`."""
     p, y = np.broadcast_arrays(np.radians(np.asarray(pitch_deg, float) - 90.0), np.radians(np.asarray(yaw_deg, float)))
     cp, sp, cy, sy, nil = np.cos(p), np.sin(p), np.cos(y), np.sin(y), np.zeros(p.shape)
     rows = [[cy * cp, -sy, cy * sp], [sy * cp, cy, sy * sp], [-sp, nil, cp]]
@@ -104,34 +104,34 @@ def tunnel_from_base(pitch_deg: npt.ArrayLike, yaw_deg: npt.ArrayLike) -> Float[
 
 @dataclass(frozen=True)
 class Dataset:
-    """Force areas `F / (½ ρ V²)` of links, by row."""
+    """Force areas `F / (½ ρ V²)` of links, one row for each simulated or measured case."""
 
     posture: npt.NDArray[np.str_]
-    """Name of the posture; a mirror image keeps it."""
+    """Name of the posture; that of a mirror image is the same."""
     is_mirrored: Bool[np.ndarray, " B"]
-    """Whether the row is the mirror image of one that was computed."""
+    """Whether the row is the mirror image of a computed one."""
     joint_position_deg: Float[np.ndarray, "B s"]
-    """[deg], order of `JOINTS`."""
+    """Joint angles [deg], order of `JOINTS`."""
     wind_b: Float[np.ndarray, "B 3"]
-    """Unit vector along which the air moves, base axes."""
+    """Unit vector of the air's motion, base axes."""
     pitch_deg: Float[np.ndarray, " B"]
-    """Robot's vertical axis above the horizontal [deg]."""
+    """Angle of the robot's vertical axis above the horizontal [deg]."""
     yaw_deg: Float[np.ndarray, " B"]
-    """About the tunnel's vertical [deg]."""
+    """Yaw of the robot about the tunnel's vertical [deg]."""
     force_area_b: Float[np.ndarray, "B L 3"]
-    """[m²], base axes, order of `LINKS`."""
+    """Force areas [m²], base axes, order of `LINKS`."""
     speed: Float[np.ndarray, " B"]
-    """Of the air [m/s]."""
+    """Speed of the air [m/s]."""
     air_density: Float[np.ndarray, " B"]
-    """[kg/m³]."""
+    """Density of the air [kg/m³]."""
     couple_volume_b: Float[np.ndarray, "B L 3"] | None = None
-    """Moment about the link's centre `M / (½ ρ V²)` [m³], base axes; `None` where there is none."""
+    """Moments about the links' centres `M / (½ ρ V²)` [m³], base axes; `None` if unknown."""
     quality: Mapping[str, Float[np.ndarray, " B"]] = field(default_factory=dict)
-    """What a solver reported of every row, by name with unit."""
+    """Quality measures that a solver reported for every row, by name with unit."""
     provenance: Mapping[str, str] = field(default_factory=dict)
-    """Where the rows come from."""
+    """Origin of the rows."""
     checks: Mapping[str, float] = field(default_factory=dict)
-    """What was measured at the import, by name with unit."""
+    """Results of the checks at the import, by name with unit."""
 
     def __post_init__(self) -> None:
         n = len(self.posture)
@@ -157,14 +157,14 @@ class Dataset:
 
     @cached_property
     def group(self) -> Int[np.ndarray, " B"]:
-        """Number shared by rows of one body shape in one wind: poles of the angle grid, own mirror images."""
+        """Number shared by rows of equal joint angles and wind, such as poles of the grid or own mirror images."""
         key = np.column_stack([self.joint_position_deg, self.wind_b])
         _, numbers = np.unique(np.round(key, 6), axis=0, return_inverse=True)
         return np.asarray(numbers, dtype=np.int64).reshape(-1)
 
     @cached_property
     def family(self) -> Int[np.ndarray, " B"]:
-        """Number shared by a posture and its mirror image, whatever they are called."""
+        """Number that identifies a posture and its mirror image, independent of their names."""
         angles = np.round(self.joint_position_deg, 6)
         images = np.round(mirrored_joints(self.joint_position_deg), 6)
         swap = np.array(
@@ -176,18 +176,18 @@ class Dataset:
 
     @property
     def postures(self) -> tuple[str, ...]:
-        """Names of the postures, in the order in which they first appear."""
+        """Names of the postures, in order of first appearance."""
         return tuple(dict.fromkeys(self.posture.tolist()))
 
     @property
     def force_area_w(self) -> Float[np.ndarray, "B L 3"]:
-        """Drag, side and lift area [m²]: along the wind, along y and z of the tunnel frame."""
+        """Drag, side and lift area [m²]: x, y and z of the tunnel frame, with x along the wind."""
         areas: Floats = np.einsum("nij,nlj->nli", tunnel_from_base(self.pitch_deg, self.yaw_deg), self.force_area_b)
         return areas
 
     @cached_property
     def sha256(self) -> str:
-        """Digest of the numbers that a model is trained on: postures, mirroring, joints, wind and areas, in order."""
+        """SHA-256 of the numbers that a model is trained on: postures, mirroring, joints, wind and areas, in order."""
         digest = hashlib.sha256(FORMAT.encode())
         digest.update("\n".join(self.posture.tolist()).encode())
         digest.update(np.packbits(self.is_mirrored).tobytes())
@@ -197,20 +197,20 @@ class Dataset:
         return digest.hexdigest()
 
     def take(self, rows: npt.NDArray[Any] | slice) -> Dataset:
-        """Return some of the rows."""
+        """Return the selected rows."""
         arrays: dict[str, Any] = {name: getattr(self, name)[rows] for name in ARRAYS}
         if self.couple_volume_b is not None:
             arrays["couple_volume_b"] = self.couple_volume_b[rows]
         return replace(self, **arrays, quality={name: values[rows] for name, values in self.quality.items()})
 
     def select(self, postures: Sequence[str]) -> Dataset:
-        """Return the rows of some postures."""
+        """Return the rows of the named postures."""
         if missing := sorted(set(postures) - set(self.postures)):
             raise ValueError(f"no posture {', '.join(missing)}; there are {', '.join(self.postures)}")
         return self.take(np.isin(self.posture, list(postures)))
 
     def mirrored(self) -> Dataset:
-        """Return the rows followed by their mirror images; of a dataset that holds any, the same dataset."""
+        """Return the rows followed by their mirror images; unchanged if the dataset already holds mirror images."""
         if self.is_mirrored.any():
             return self
         n = len(self)
@@ -228,14 +228,14 @@ class Dataset:
             wind_b=second(both.wind_b, both.wind_b * MIRROR_AXES),
             yaw_deg=second(both.yaw_deg, -both.yaw_deg),
             force_area_b=second(both.force_area_b, mirrored_areas(both.force_area_b)),
-            # The sign of an axial vector is the opposite.
+            # Moments are axial vectors, whose mirror image has the opposite sign.
             couple_volume_b=None if couples is None else second(couples, -mirrored_areas(couples)),
         )
 
     def random_split(self, seed: int, fraction: float = 0.2) -> tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]:
-        """Rows for training and for validation, drawn at random: the paper's split.
+        """Return rows for training and for validation, drawn at random: the paper's split.
 
-        Information leaks: mirror images and nearly equal rows are in both parts. Report `grouped_split` beside it.
+        Mirror images and nearly equal rows are in both parts, which leaks information. Report `grouped_split` as well.
         """
         order = np.random.default_rng(seed).permutation(len(self)).astype(np.int64)
         count = round(_fraction(fraction) * len(self))
@@ -244,9 +244,9 @@ class Dataset:
     def grouped_split(
         self, seed: int, fraction: float = 0.2, hold_out: Sequence[str] | None = None
     ) -> tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]:
-        """Rows for training and for validation, whole postures at a time and with their mirror images.
+        """Return rows for training and for validation, split by whole postures including their mirror images.
 
-        Held out are `hold_out`, or else a random share of the postures, at least one.
+        The postures `hold_out`, or otherwise a random share of at least one, are used for validation.
         """
         if hold_out is not None:
             self.select(hold_out)  # refuses unknown names
@@ -259,7 +259,7 @@ class Dataset:
         return np.flatnonzero(~is_held), np.flatnonzero(is_held)
 
     def grouped_folds(self, seed: int, folds: int = 5) -> list[tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]]:
-        """Return splits like `grouped_split` in which every posture is held out exactly once."""
+        """Return splits like those of `grouped_split`, in which every posture is held out exactly once."""
         families = np.random.default_rng(seed).permutation(np.unique(self.family))
         if not 2 <= folds <= len(families):
             raise ValueError(f"folds is {folds}; expected 2 to {len(families)}, the number of postures")
@@ -271,7 +271,7 @@ ARRAYS = (
     *("posture", "is_mirrored", "joint_position_deg", "wind_b", "pitch_deg", "yaw_deg"),
     *("force_area_b", "speed", "air_density"),
 )
-"""The fields of `Dataset` with one entry per row."""
+"""Fields of `Dataset` with one entry per row."""
 
 _VARIABLES: Mapping[str, tuple[tuple[str, ...], str, str]] = {
     "joint_position_deg": (("row", "joint"), "degree", "joint angle"),
@@ -285,7 +285,7 @@ _VARIABLES: Mapping[str, tuple[tuple[str, ...], str, str]] = {
 
 
 def save(dataset: Dataset, path: str | PathLike[str]) -> None:
-    """Write NetCDF; the file appears complete or not at all."""
+    """Write the dataset as NetCDF; the file is written completely or not at all."""
     target = Path(path)
     coords: dict[str, Any] = {
         "posture": ("row", dataset.posture.astype(str)),
@@ -321,13 +321,13 @@ def load(path: str | PathLike[str]) -> Dataset:
     Raises
     ------
     ValueError
-        If it is not there or no such file, or if its numbers are not those that were written.
+        If the file is missing or of another format, or if its numbers are not those that were written.
     """
     if not Path(path).is_file():
         raise ValueError(f"there is no dataset {path}; write it with: python -m experiments import-cfd")
     try:
         table = xr.load_dataset(path, engine="h5netcdf")
-    except Exception as reason:  # whatever the reader says about a file that is no NetCDF
+    except Exception as reason:  # the reader raises many types for other formats
         raise ValueError(f"{path} is not a dataset of this project: {reason}") from reason
     if table.attrs.get("format") != FORMAT:
         raise ValueError(f"format of {path} is {table.attrs.get('format')!r}; expected {FORMAT!r}")
@@ -357,12 +357,12 @@ def load(path: str | PathLike[str]) -> Dataset:
 
 
 def read_postures(path: str | PathLike[str]) -> dict[str, Float[np.ndarray, " s"]]:
-    """Joint angles [deg] by posture name, from a CSV with the columns `name` and `<joint>_deg`.
+    """Read joint angles [deg] by posture name, from a CSV with the columns `name` and `<joint>_deg`.
 
     Raises
     ------
     ValueError
-        Naming file, line, column and value.
+        If a value is invalid; the message names file, line, column and value.
     """
     with Path(path).open(newline="", encoding="utf-8-sig") as stream:
         reader = csv.DictReader(stream)
@@ -379,7 +379,7 @@ def read_postures(path: str | PathLike[str]) -> dict[str, Float[np.ndarray, " s"
 
 
 def number(text: str | None, place: str, column: str) -> float:
-    """Return a finite number, or say where there is none."""
+    """Return a finite number; raise `ValueError` naming place and column otherwise."""
     try:
         value = float(text if text is not None else "")
     except ValueError:

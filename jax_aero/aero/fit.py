@@ -1,11 +1,11 @@
-"""The paper's axisymmetric model, fitted to a dataset: Lasso chooses the terms of a link family.
+"""Fit of the paper's axisymmetric model to a dataset; a Lasso selects the terms for each link family.
 
     C_D A(α) = Σ_k w_k cos^i α sin^j α,   i + j ≤ 3,   with zero slope at 0° and 180°
     C_N A(α) = w₅ sin² α cos α
 
-Source: paper, Methods, "Aerodynamic modelling for learning and online control". We differ in what the normal force is:
-it is fitted with its sign, along `(v × k̂) × v`; the published coefficients are fits of its magnitude, which is fitted
-too, for comparison. The Lasso's penalty, which the paper does not give, is chosen by holding out postures.
+Source: paper, Methods, "Aerodynamic modelling for learning and online control". The normal force differs: we fit it
+with its sign, along `(v × k̂) × v`, whereas the published coefficients are fits of its magnitude, which we fit only for
+comparison. The Lasso penalty, which the paper does not give, is chosen by leaving postures out.
 
 Equation M29 of `docs/model.md`.
 """
@@ -31,46 +31,46 @@ FAMILIES: Mapping[str, tuple[str, ...]] = {
     "upper_leg": ("l_upper_leg", "r_upper_leg"),
     "lower_leg": ("l_lower_leg", "r_lower_leg"),
 }
-"""Links that share coefficients, by the names in the robot's configuration."""
+"""Links that share coefficients, by their names in the robot's configuration."""
 
 MODEL_TERMS = ((0, 0), (1, 0), (0, 2), (0, 3), (3, 0))
-"""Powers (i, j) of cos and sin of the terms of `w0 .. w4`, all of which may enter the drag area.
+"""Powers (i, j) of cos and sin of the terms of `w0 .. w4` in the drag area.
 
 Zero slope at both poles requires j ≠ 1. Up to order 3 all other terms are sums of these (cos² = 1 − sin²).
 """
 TOLERANCE = 0.01
-"""How much worse than the best a shorter model may be on postures that are held out."""
+"""Largest relative increase of the held-out error, over the best model's, that is accepted for fewer terms."""
 
 
 class Angles(NamedTuple):
-    """Links in the wind."""
+    """Orientation of links in the wind."""
 
     cos: Float[np.ndarray, "B L"]
-    """Of the angle between the link's axis and where the air comes from."""
+    """Cosine of the angle between the link's axis and the upstream direction."""
     sin: Float[np.ndarray, "B L"]
     normal: Float[np.ndarray, "B L 3"]
     """`(ŵ × k̂) × ŵ`, of length sin α."""
     wind: Float[np.ndarray, "B 1 3"]
-    """Unit vector along which the air moves."""
+    """Unit vector of the air's motion, base axes."""
 
 
 class Parts(NamedTuple):
-    """A force area along the wind and across it."""
+    """Components of a force area along and normal to the wind."""
 
     drag: Float[np.ndarray, " *batch"]
-    """[m²]."""
+    """Component along the wind [m²]."""
     across: Float[np.ndarray, "*batch 3"]
-    """[m²]."""
+    """Component normal to the wind [m²], base axes."""
 
 
 @dataclass(frozen=True)
 class FamilyFit:
-    """The model of one family of links."""
+    """Fitted model of one family of links."""
 
     terms: tuple[tuple[int, int], ...]
-    """Powers (of cos, of sin) of the terms that were kept."""
+    """Powers (of cos, of sin) of the selected terms."""
     cda: Float[np.ndarray, "5"]
-    """`w0 .. w4` [m²]; zero where a term was dropped."""
+    """`w0 .. w4` [m²]; zero for a term that was not selected."""
     cna: float
     """`w5` of the signed normal force [m²]."""
     cna_of_magnitude: float
@@ -78,7 +78,7 @@ class FamilyFit:
 
 
 def angles(axes: Float[np.ndarray, "B L 3"], wind_b: Float[np.ndarray, "B 3"]) -> Angles:
-    """Angles of attack of links with unit axes in winds."""
+    """Return the angles of attack of links with unit axes, base axes."""
     wind = wind_b[:, None, :]
     along = np.sum(axes * wind, axis=-1, keepdims=True)
     cos = np.clip(-along[..., 0], -1.0, 1.0)
@@ -86,7 +86,7 @@ def angles(axes: Float[np.ndarray, "B L 3"], wind_b: Float[np.ndarray, "B 3"]) -
 
 
 def parts(force_area_b: Float[np.ndarray, "B L 3"], wind: Float[np.ndarray, "B 1 3"]) -> Parts:
-    """Split force areas in winds."""
+    """Split force areas, base axes, into their components along and normal to the wind."""
     drag = np.sum(force_area_b * wind, axis=-1)
     return Parts(drag, force_area_b - drag[..., None] * wind)
 
@@ -94,7 +94,7 @@ def parts(force_area_b: Float[np.ndarray, "B L 3"], wind: Float[np.ndarray, "B 1
 def columns_of(
     terms: Sequence[tuple[int, int]], cos: Float[np.ndarray, " B"], sin: Float[np.ndarray, " B"]
 ) -> Float[np.ndarray, "B k"]:
-    """Matrix of terms at angles."""
+    """Return the design matrix of the terms, one row for each angle."""
     return np.stack([cos**i * sin**j for i, j in terms], axis=1)
 
 
@@ -105,7 +105,7 @@ def fit_family(
     normal: Float[np.ndarray, "B 3"],
     posture: Int[np.ndarray, " B"],
 ) -> FamilyFit:
-    """Fit the links of one family: angles, forces, normal directions, posture number of each row."""
+    """Fit the links of one family, from the angles, force areas, normal directions and posture number of each row."""
     matrix = columns_of(MODEL_TERMS, cos, sin)
     supports = lasso_supports(matrix, force.drag)
     errors = {support: _held_out_error(matrix[:, list(support)], force.drag, posture) for support in supports}
@@ -125,12 +125,12 @@ def fit_family(
 
 
 def lasso_supports(matrix: Float[np.ndarray, "B k"], target: Float[np.ndarray, " B"]) -> dict[tuple[int, ...], float]:
-    """Return sets of columns that some Lasso penalty keeps, with the smallest such penalty over the largest useful.
+    """Return the sets of columns that some Lasso penalty selects, with the smallest such penalty over the largest.
 
-    The first column is the constant. A penalty on it would call up other terms to stand in for it, so it has none:
-    every set comes with it and without it.
+    The first column is the constant. It is not penalised, since other terms would then replace it; every set is
+    returned with and without it.
     """
-    # Imported here: everything else of this module works without scikit-learn.
+    # Imported here, since the rest of this module does not need scikit-learn.
     from sklearn.linear_model import lasso_path
 
     others = matrix[:, 1:] - matrix[:, 1:].mean(axis=0)
@@ -148,14 +148,14 @@ def lasso_supports(matrix: Float[np.ndarray, "B k"], target: Float[np.ndarray, "
 
 
 def least_squares(matrix: Float[np.ndarray, "B k"], target: Float[np.ndarray, " B"]) -> Float[np.ndarray, " k"]:
-    """Weights that minimise `|matrix w − target|²`."""
+    """Return the weights that minimise `|matrix w − target|²`."""
     return np.asarray(np.linalg.lstsq(matrix, target, rcond=None)[0], dtype=np.float64)
 
 
 def spread(
     matrix: Float[np.ndarray, "B k"], target: Float[np.ndarray, " B"], posture: Int[np.ndarray, " B"]
 ) -> Float[np.ndarray, " k"]:
-    """Return standard errors of least-squares weights, had other postures been simulated: the jackknife's."""
+    """Return the standard errors of least-squares weights over the choice of postures, by the jackknife."""
     gram, moment = matrix.T @ matrix, matrix.T @ target
     without = []
     for number in np.unique(posture):
@@ -168,9 +168,9 @@ def spread(
 
 
 def fit(dataset: Dataset, axes: Float[np.ndarray, "B L 3"]) -> dict[str, FamilyFit]:
-    """Fit every family to a dataset whose links have the unit axes.
+    """Fit every family to a dataset, given the unit axes of its links in base axes.
 
-    The paper mirrors its data first; so should the caller.
+    The paper mirrors its data first; callers should do the same.
     """
     geometry = angles(axes, dataset.wind_b)
     force = parts(dataset.force_area_b, geometry.wind)
@@ -188,7 +188,7 @@ def fit(dataset: Dataset, axes: Float[np.ndarray, "B L 3"]) -> dict[str, FamilyF
 
 
 def drag_areas(coefficients: Float[np.ndarray, "L 6"], geometry: Angles) -> Float[np.ndarray, "B L"]:
-    """Drag areas [m²] of the axisymmetric model from coefficients [m²]."""
+    """Return the drag areas [m²] of the axisymmetric model from its coefficients [m²]."""
     terms = zip(coefficients.T, MODEL_TERMS, strict=False)
     return np.asarray(sum(w * geometry.cos**i * geometry.sin**j for w, (i, j) in terms))
 
@@ -196,7 +196,7 @@ def drag_areas(coefficients: Float[np.ndarray, "L 6"], geometry: Angles) -> Floa
 def predicted_areas(
     coefficients: Float[np.ndarray, "L 6"], axes: Float[np.ndarray, "B L 3"], wind_b: Float[np.ndarray, "B 3"]
 ) -> Float[np.ndarray, "B L 3"]:
-    """Force areas of the axisymmetric model, base axes, from coefficients [m²], axes and winds."""
+    """Return the force areas [m²] of the axisymmetric model, base axes, from coefficients [m²], axes and winds."""
     geometry = angles(axes, wind_b)
     drag = drag_areas(coefficients, geometry)
     normal = coefficients[:, 5] * geometry.sin * geometry.cos
@@ -205,20 +205,20 @@ def predicted_areas(
 
 
 class Quality(NamedTuple):
-    """How good predicted areas are."""
+    """Error measures of predicted areas."""
 
     mse: float
-    """Mean square over rows, links and axes [m⁴]."""
+    """Mean squared error over rows, links and axes [m⁴]."""
     r2: float
-    """Share of the variance of the 39 components that is explained."""
+    """Explained share of the variance of the 39 components."""
     drag_rms: float
-    """Rms error of the whole robot's drag area over its mean."""
+    """Rms error of the whole robot's drag area, relative to its mean."""
     lift_side_rms: float
-    """Rms error of the whole robot's force area across the wind [m²]."""
+    """Rms error of the whole robot's force area normal to the wind [m²]."""
 
 
 def quality(predicted_b: Float[np.ndarray, "B L 3"], dataset: Dataset) -> Quality:
-    """Compare predicted areas with those of a dataset."""
+    """Return the error measures of predicted areas [m²], base axes, on a dataset."""
     error = predicted_b - dataset.force_area_b
     variance = dataset.force_area_b.reshape(len(dataset), -1).var(axis=0).mean()
     mse = float(np.mean(error**2))
@@ -234,13 +234,13 @@ def quality(predicted_b: Float[np.ndarray, "B L 3"], dataset: Dataset) -> Qualit
 
 
 def coefficients_of(fits: Mapping[str, FamilyFit]) -> Float[np.ndarray, "L 6"]:
-    """Coefficients in the order of `LINKS`, signed normal force."""
+    """Return the coefficients [m²] in the order of `LINKS`, with the signed normal force."""
     family_of = {link: family for family, members in FAMILIES.items() for link in members}
     return np.array([[*fits[family_of[link]].cda, fits[family_of[link]].cna] for link in LINKS])
 
 
 def _held_out_error(matrix: Floats, target: Floats, posture: Indices) -> float:
-    """Mean square error on each posture of the fit to all others."""
+    """Mean squared error on each posture of the fit to all other postures."""
     gram, moment = matrix.T @ matrix, matrix.T @ target
     squares = 0.0
     for number in np.unique(posture):

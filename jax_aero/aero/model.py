@@ -1,4 +1,4 @@
-"""Builds an aerodynamic model from its configuration."""
+"""Construction of an aerodynamic model from its configuration."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from jax_aero.types import Array, Static, leaf, pytree
 
 @pytree
 class NoAero:
-    """No aerodynamic force: what the baseline controller assumes."""
+    """No aerodynamic force: the assumption of the baseline controller."""
 
     def forces(self, links: LinksInAir) -> Float[Array, "L 3"]:
-        """Zero on every link."""
+        """Return zero for every link [N]."""
         return jnp.zeros_like(links.v_air)
 
 
 @pytree
 class NetworkModel:
-    """A neural network of wind and posture, which computes the forces of all links at once."""
+    """A neural network of wind and posture that gives the forces on all links at once."""
 
     network: Network
     air_density: Float[Array, ""]
     """[kg/m³]."""
     precision: Static[config.Precision]
-    """Of the weighted sums: single, or that of the flight."""
+    """Precision of the network's weighted sums: single, or that of the flight."""
 
     def forces(self, links: LinksInAir) -> Float[Array, "L 3"]:
-        """Force on each link [N]; see `network_forces`."""
+        """Return the force on each link [N], inertial axes; see `network_forces`."""
         kin, wind = links.kinematics, links.wind
         network = with_precision(self.network, jnp.float32 if self.precision == "f32" else wind.dtype)
         return network_forces(network, links.robot, kin, kin.joint_position, wind, self.air_density)
@@ -49,12 +49,12 @@ ReadNetwork = Callable[[str | PathLike[str], RobotModel], Network]
 
 
 def aero_model(settings: config.AeroConfig, robot: RobotModel, read_network: ReadNetwork = load_network) -> AeroModel:
-    """Build the model that the configuration asks for. Do it once, outside loops: tables are worked out here.
+    """Build the configured model. Call it once, outside loops, since it computes interpolation tables.
 
     Raises
     ------
     ValueError
-        If the robot lacks the coefficient set, or a network's card or weights are not what they should be.
+        If the robot lacks the coefficient set, or if a network's card or weights are invalid.
     """
     match settings:
         case config.OffAeroConfig():

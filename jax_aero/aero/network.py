@@ -1,8 +1,9 @@
-"""Neural network of the whole robot's link forces: one wind for all links, and every joint that moves a link.
+"""Neural network of the link forces of the whole robot, from one wind and all joints that move a link.
 
-The published network sees the unit vector of the air's velocity relative to the *base origin*, in base axes, and 19
-joint angles; it answers with the 13 × 3 force areas of the links. Ours may also see the wind in link axes and where
-the links are, be symmetric by construction, average over members, and correct an axisymmetric model.
+The inputs of the published network are the unit vector of the air's velocity relative to the *base origin*, in base
+axes, and 19 joint angles; its outputs are the 13 × 3 force areas of the links. Our networks can additionally take the
+wind in link axes and the positions of the links, be symmetric by construction, average over members, and correct an
+axisymmetric model.
 
     wind, joints, LinkGeometry ──features──► x (n,) ──raw_output──► y (39,) ──to_base_axes──► areas (13, 3) [m²]
 
@@ -36,29 +37,29 @@ Activation: TypeAlias = Literal["relu", "tanh", "silu"]
 BLOCKS: tuple[Block, ...] = get_args(Block)
 ACTIVATIONS: dict[str, Any] = {"relu": jax.nn.relu, "tanh": jnp.tanh, "silu": jax.nn.silu}
 ODD_JOINTS = ("torso_roll", "torso_yaw")
-"""Joints whose angle changes sign in the mirror; those of the limbs only change sides."""
+"""Joints whose angle changes sign in the mirror image; the angles of the limbs are exchanged between sides."""
 SHADOW_LENGTH = 0.05
-"""`ℓ`: distance over which a link passes from before another to behind it [m]."""
+"""`ℓ`: distance over which a link moves from upstream of another to downstream of it [m]."""
 SHADOW_RADIUS = 0.10
-"""`w`: width of a link's shadow, a standard deviation [m]."""
+"""`w`: width of a link's wake, a standard deviation [m]."""
 POLE = 1e-12
-"""Wind this close to the lateral axis has no pitch: it is taken as zero."""
+"""Distance of the unit wind from the lateral axis below which its pitch is taken as 90°."""
 
 
 class LinkGeometry(NamedTuple):
-    """Where the links are, seen from the base."""
+    """Poses of the links relative to the base."""
 
     rotations: Float[Array, "L 3 3"]
     """`base_from_link`."""
     centres: Float[Array, "L 3"]
-    """Aerodynamic centres from the base origin, base axes [m]."""
+    """Aerodynamic centres relative to the base origin, base axes [m]."""
     axes: Float[Array, "L 3"]
     """Unit axes of symmetry, base axes."""
 
 
 @pytree
 class Layer:
-    """One affine layer of all members."""
+    """One affine layer, for all members."""
 
     weight: Float[Array, "m out in"]
     bias: Float[Array, "m out"]
@@ -66,7 +67,7 @@ class Layer:
 
 @pytree
 class Mirror:
-    """Reflection about the base's x-z plane as matrices: of the features, and of the raw output."""
+    """Reflection about the base's x-z plane, as matrices for the features and for the raw output."""
 
     features: Float[Array, "x x"]
     output: Float[Array, "y y"]
@@ -74,27 +75,27 @@ class Mirror:
 
 @pytree
 class Network:
-    """A network of link force areas; build it with `init_network` or read it with `network_card.load_network`."""
+    """Network of link force areas, built by `init_network` or read by `network_card.load_network`."""
 
     blocks: Static[tuple[Block, ...]]
     frame: Static[Frame]
     layout: Static[Layout]
     activation: Static[Activation]
     joints: Static[tuple[int, ...]]
-    """Indices of the 19 joints it sees in the robot's joint vector."""
+    """Indices of the 19 input joints in the robot's joint vector."""
     layers: tuple[Layer, ...]
     scale: Float[Array, " y"]
-    """[m²]."""
+    """Factors on the mean output of the members [m²]."""
     offset: Float[Array, " y"]
-    """[m²]."""
+    """Offsets of the output [m²]."""
     mirror: Mirror | None
-    """Present if the prediction is symmetrised."""
+    """Reflection, if the prediction is symmetrised."""
     baseline: Float[Array, "L 6"] | None
     """Axisymmetric coefficients `w0 .. w5` [m²] to which the output is added."""
 
     @property
     def members(self) -> int:
-        """Number of networks that are averaged."""
+        """Number of networks whose outputs are averaged."""
         return int(self.layers[0].weight.shape[0])
 
     @property
@@ -108,17 +109,17 @@ class Network:
         return sum(layer.weight.size + layer.bias.size for layer in self.layers)
 
 
-# --- the robot as the network sees it ----------------------------------------------------------------------------
+# --- inputs from the robot ---------------------------------------------------------------------------------------
 
 
 def network_joints(robot: RobotModel) -> tuple[int, ...]:
-    """Joints that move an aerodynamic link, in the robot's order: all but the ankles."""
+    """Return the indices of the joints that move an aerodynamic link, in the robot's order: all but the ankles."""
     moves = robot.ancestors[np.array(robot.aero_links.bodies, dtype=int)].any(axis=0)
     return tuple(int(joint) for joint in np.flatnonzero(moves))
 
 
 def link_geometry(robot: RobotModel, joint_position: Float[Array, " n"]) -> LinkGeometry:
-    """Geometry of the links at joint positions [rad]."""
+    """Return the geometry of the links at joint positions [rad], base axes."""
     return geometry_from_kinematics(robot, standing(robot, joint_position))
 
 
@@ -126,7 +127,7 @@ _geometry = jax.jit(link_geometry)
 
 
 def geometry_from_kinematics(robot: RobotModel, kin: Kinematics) -> LinkGeometry:
-    """Geometry of the links in base axes, of a robot anywhere."""
+    """Return the geometry of the links in base axes, from kinematics at any base pose."""
     links = robot.aero_links
     rotations, origins = frame_poses(kin, links)
     base = kin.body_rotations[0]
@@ -136,7 +137,7 @@ def geometry_from_kinematics(robot: RobotModel, kin: Kinematics) -> LinkGeometry
 
 
 def unit_wind(v_air_b: Float[Array, "3"]) -> Float[Array, "3"]:
-    """Return the unit vector of the air's velocity relative to the base, base axes; (1, 0, 0) at rest."""
+    """Return the unit vector of the air's velocity relative to the base, base axes; (1, 0, 0) if it is zero."""
     speed = safe_norm(v_air_b)
     is_still = speed == 0.0
     forward = jnp.zeros_like(v_air_b).at[0].set(1.0)
@@ -146,13 +147,13 @@ def unit_wind(v_air_b: Float[Array, "3"]) -> Float[Array, "3"]:
 def features(
     blocks: Sequence[str], wind_b: Float[Array, "3"], joint_position: Float[Array, " s"], geometry: LinkGeometry
 ) -> Float[Array, " x"]:
-    """Return the inputs of a network: its blocks of features, one after the other.
+    """Return the inputs of a network: its blocks of features, concatenated.
 
-    `wind` is the unit vector `wind_b`; `joints` the angles [deg / 180] of `joint_position` [rad]; `link_wind` the unit
-    vector in each link's axes; `link_position` the aerodynamic centres from the base origin in base axes [m], link by
-    link; `link_shadow` how far each link stands behind the others.
+    `wind` is the unit vector `wind_b`; `joints` are the angles of `joint_position` [rad], divided by 180°; `link_wind`
+    is the unit vector in each link's axes; `link_position` the aerodynamic centres relative to the base origin, base
+    axes [m], link by link; `link_shadow` how far each link lies in the wake of the others, see `link_shadow`.
 
-    Angles are not standardised: joints that hardly move in the data would blow up on unseen postures.
+    Angles are not standardised: joints that hardly move in the data would have huge inputs on unseen postures.
     """
     made = {
         "wind": lambda: wind_b,
@@ -165,11 +166,11 @@ def features(
 
 
 def link_shadow(wind_b: Float[Array, "3"], centres: Float[Array, "L 3"]) -> Float[Array, " L"]:
-    """How far each link stands in the wake of the others.
+    """Return how far each link lies in the wake of the others.
 
         S_j = Σ_k≠j exp(−r² / 2w²) / (1 + exp(−d·û / ℓ)),   d = x_j − x_k,   r² = |d|² − (d·û)²
 
-    A feature, not a model: 15 postures alone do not show a network which of its inputs matter.
+    A hand-made feature, not a physical model: 15 postures alone do not show a network which of its inputs matter.
     """
     d = centres[:, None, :] - centres[None, :, :]
     along = jnp.einsum("lki,i->lk", d, wind_b)
@@ -179,14 +180,14 @@ def link_shadow(wind_b: Float[Array, "3"], centres: Float[Array, "L 3"]) -> Floa
 
 
 def mirror_of(robot: RobotModel, blocks: Sequence[str], layout: str, frame: str) -> Mirror:
-    """Reflection of features and raw output about the base's x-z plane, from the robot's names and kinematics.
+    """Return the reflection of features and raw output about the base's x-z plane, from names and kinematics.
 
         joint l ↔ r, torso roll and yaw change sign;   link l ↔ r;   base vectors by S = diag(1, −1, 1)
         vectors in link axes by T_l = R_l'ᵀ S R_l, at zero joints; l' is the link opposite to l
 
-    T is constant as far as the robot is symmetric, and no mere change of signs where a link's axes are turned.
+    T is constant for a symmetric robot. It is more than a change of signs where a link's axes are rotated.
     """
-    # In double precision whatever the caller's is: reflected twice, everything has to come back.
+    # Always in double precision: two reflections must give back the input.
     with jax.enable_x64(True):
         rotations = np.asarray(_geometry(robot, np.zeros(robot.n_joints)).rotations)
     s = np.diag([1.0, -1.0, 1.0])
@@ -202,7 +203,7 @@ def mirror_of(robot: RobotModel, blocks: Sequence[str], layout: str, frame: str)
     if layout == "component":
         count = len(opposite_link)
         output = np.zeros((3 * count, 3 * count))
-        for component, sign in enumerate((1.0, 1.0, -1.0)):  # drag and lift keep their sign, side changes it
+        for component, sign in enumerate((1.0, 1.0, -1.0)):  # the side force changes its sign
             for link, other in enumerate(opposite_link):
                 output[component * count + other, component * count + link] = sign
     else:
@@ -248,8 +249,8 @@ def init_network(
 ) -> Network:
     """Return a network with random weights in single precision.
 
-    `published` draws weights and biases uniformly within ±1/√in, the default of the published training's library;
-    `unit` draws weights within ±√(3/in), which keeps the variance from layer to layer, and sets biases to zero.
+    `published` draws weights and biases uniformly within ±1/√in, the default of the library of the published training;
+    `unit` draws weights within ±√(3/in), which preserves the variance from layer to layer, and sets biases to zero.
     """
     check_output(frame, layout)
     reflection = mirror_of(robot, blocks, layout, frame)
@@ -276,12 +277,12 @@ def init_network(
 
 
 def check_output(frame: str, layout: str) -> None:
-    """Refuse a layout that says nothing in a frame.
+    """Refuse a layout that the frame does not allow.
 
     Raises
     ------
     ValueError
-        Naming both.
+        If frame and layout do not fit; the message names both.
     """
     possible = {"base": ("component", "link"), "link": ("link",), "wind": ("component",)}
     if layout not in possible.get(frame, ()):
@@ -289,7 +290,7 @@ def check_output(frame: str, layout: str) -> None:
 
 
 def members_output(network: Network, x: Float[Array, " x"]) -> Float[Array, " y"]:
-    """Mean output of the members, before scaling."""
+    """Return the mean output of the members, before scaling."""
     activation = ACTIVATIONS[network.activation]
     h = jnp.broadcast_to(x, (network.members, *x.shape))
     for layer in network.layers[:-1]:
@@ -302,7 +303,7 @@ def _affine(layer: Layer, h: Array) -> Array:
 
 
 def raw_output(network: Network, x: Float[Array, " x"]) -> Float[Array, " y"]:
-    """Return the output [m²] in the network's own frame and layout; in the precision of the weights.
+    """Return the output [m²] in the network's own frame and layout, in the precision of its weights.
 
     f(x) = scale · mean over members + offset;   symmetric: (f(x) + M f(M x)) / 2
     """
@@ -317,7 +318,7 @@ def raw_output(network: Network, x: Float[Array, " x"]) -> Float[Array, " y"]:
 def to_base_axes(
     frame: str, layout: str, y: Float[Array, " y"], wind_b: Float[Array, "3"], rotations: Float[Array, "L 3 3"]
 ) -> Float[Array, "L 3"]:
-    """Force areas of the links in base axes from an output in its own frame and layout."""
+    """Return the force areas of the links [m²] in base axes, from an output in its own frame and layout."""
     if layout == "link":
         vectors = y.reshape(-1, 3)
         return rotate(rotations, vectors) if frame == "link" else vectors
@@ -329,7 +330,10 @@ def to_base_axes(
 def from_base_axes(
     frame: str, layout: str, areas: Float[Array, "L 3"], wind_b: Float[Array, "3"], rotations: Float[Array, "L 3 3"]
 ) -> Float[Array, " y"]:
-    """Inverse of `to_base_axes`: areas in base axes as an output. Sums of squares are kept."""
+    """Return an output in its own frame and layout from areas in base axes, the inverse of `to_base_axes`.
+
+    The sum of squares is preserved.
+    """
     if layout == "link":
         return (rotate_back(rotations, areas) if frame == "link" else areas).reshape(-1)
     vectors = areas @ wind_axes_from_base(wind_b).T if frame == "wind" else areas
@@ -337,9 +341,9 @@ def from_base_axes(
 
 
 def wind_axes_from_base(wind_b: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """Rotation to tunnel axes, x along the wind and z up: `Rz(yaw) Ry(pitch − 90°)` of the tables.
+    """Return the rotation to tunnel axes, x along the wind and z up: `Rz(yaw) Ry(pitch − 90°)` of the tables.
 
-    With the wind across the robot the pitch is undefined, and taken as 90°.
+    For wind along the lateral axis the pitch is undefined and taken as 90°.
     """
     square = wind_b[0] ** 2 + wind_b[2] ** 2
     is_pole = square < POLE**2
@@ -353,16 +357,16 @@ def wind_axes_from_base(wind_b: Float[Array, "3"]) -> Float[Array, "3 3"]:
 def network_areas(
     network: Network, wind_b: Float[Array, "3"], joint_position: Float[Array, " s"], geometry: LinkGeometry
 ) -> Float[Array, "L 3"]:
-    """Force areas `F / (ρ/2 |v|²)` of the links [m²], base axes.
+    """Return the force areas `F / (ρ/2 |v|²)` of the links [m²], base axes.
 
     Parameters
     ----------
     wind_b
         Unit vector of the air's velocity relative to the base origin, base axes; see `unit_wind`.
     joint_position
-        Angles of the joints it sees [rad].
+        Positions of the input joints [rad].
     geometry
-        The links at these angles.
+        Geometry of the links at these positions.
     """
     y = raw_output(network, features(network.blocks, wind_b, joint_position, geometry)).astype(wind_b.dtype)
     areas = to_base_axes(network.frame, network.layout, y, wind_b, geometry.rotations)
@@ -372,7 +376,7 @@ def network_areas(
 def baseline_areas(
     coefficients: Float[Array, "L 6"], wind_b: Float[Array, "3"], axes_b: Float[Array, "L 3"]
 ) -> Float[Array, "L 3"]:
-    """Force areas [m²] of the axisymmetric model, all links in the same wind."""
+    """Return the force areas [m²] of the axisymmetric model in base axes, all links in the same wind."""
     one = jnp.ones((), wind_b.dtype)
     return axisymmetric_forces(Axisymmetric(one, coefficients), axes_b, jnp.broadcast_to(wind_b, axes_b.shape))
 
@@ -385,11 +389,11 @@ def network_forces(
     wind: Float[Array, "3"],
     air_density: Float[Array, ""],
 ) -> Float[Array, "L 3"]:
-    """Return the forces on the links [N], inertial axes, in a wind [m/s, inertial axes].
+    """Return the forces on the links [N], inertial axes, for a wind velocity [m/s, inertial axes].
 
         F = ρ/2 |v|² R_B c(v/|v|, s),   v = wind − velocity of the base origin
 
-    All links see the wind of the base origin: that is the published model's definition, not an approximation of ours.
+    All links use the wind at the base origin: this defines the published model and is no approximation of ours.
     """
     base = kin.body_rotations[0]
     v_air_b = rotate_back(base, wind - kin.linear_velocities[0])
@@ -399,6 +403,6 @@ def network_forces(
 
 
 def with_precision(network: Network, dtype: Any) -> Network:
-    """Return the network with weights, scale and offset in this precision; features and geometry keep theirs."""
+    """Return the network with weights, scale and offset in a precision; features and geometry keep theirs."""
     layers, scale, offset = with_dtype((network.layers, network.scale, network.offset), dtype)
     return replace(network, layers=layers, scale=scale, offset=offset)

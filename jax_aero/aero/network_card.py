@@ -1,7 +1,7 @@
 """Files of a trained network: weights as `NAME.safetensors` with their card `NAME.json` beside them.
 
-The card says what goes in, what comes out and in which axes, how the network is built, what it was trained on and how
-far it is off; the Rust crate and this module read the same two files, and refuse unknown content.
+The card states inputs, outputs and their axes, architecture, training data and errors. The Rust crate and this module
+read the same two files and refuse unknown content.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ VERSION = 1
 
 
 class Weights(tables.Table, frozen=True):
-    """The file of the weights."""
+    """File of the weights."""
 
     file: str
     sha256: str
@@ -53,7 +53,7 @@ class Weights(tables.Table, frozen=True):
 
 
 class Inputs(tables.Table, frozen=True):
-    """What goes in."""
+    """Inputs of the network."""
 
     features: tuple[Block, ...]
     joints: tuple[str, ...]
@@ -65,7 +65,7 @@ class Inputs(tables.Table, frozen=True):
 
 
 class Output(tables.Table, frozen=True):
-    """What comes out, and in which axes."""
+    """Outputs of the network and their axes."""
 
     frame: Frame
     layout: Layout
@@ -76,21 +76,21 @@ class Output(tables.Table, frozen=True):
 
 
 class Coefficients(tables.Table, frozen=True):
-    """The axisymmetric model of a link [m²]."""
+    """Coefficients of the axisymmetric model of a link [m²]."""
 
     cda: tuple[float, float, float, float, float]
     cna: float
 
 
 class Baseline(tables.Table, frozen=True):
-    """The model that the network corrects."""
+    """Model that the network corrects."""
 
     kind: Literal["axisymmetric"]
     links: dict[str, Coefficients]
 
 
 class Architecture(tables.Table, frozen=True):
-    """How the network is built."""
+    """Architecture of the network."""
 
     hidden: tuple[tables.Count, ...]
     activation: Activation
@@ -100,7 +100,7 @@ class Architecture(tables.Table, frozen=True):
 
 
 class Card(tables.Table, frozen=True):
-    """Everything about a network but its weights."""
+    """Description of a network, except its weights."""
 
     format: Literal["flight-aero-network"]
     version: Literal[1]
@@ -121,7 +121,7 @@ def save_network(
     description: str,
     training: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Write `path` (ending in .json) and the weights beside it, in single precision; return the card."""
+    """Write the card to `path` (ending in .json) and the weights beside it, in single precision; return the card."""
     target = card_path(path)
     tensors = dump_tensors(_tensors(network))
     card = {
@@ -150,7 +150,7 @@ def save_network(
 
 
 def copy_network(source: str | PathLike[str], path: str | PathLike[str]) -> None:
-    """Write a network's card and weights a second time, under the name of `path` (ending in .json)."""
+    """Copy a network's card and weights to the name of `path` (ending in .json)."""
     target, origin = card_path(path), Path(source)
     card = json.loads(read_text(origin))
     tensors = read_bytes(origin.with_name(card["weights"]["file"]))
@@ -168,7 +168,7 @@ def card_path(path: str | PathLike[str]) -> Path:
 
 def _write(target: Path, card: Mapping[str, Any], tensors: bytes) -> None:
     text = json.dumps(card, indent=2, ensure_ascii=False, allow_nan=False)
-    # Weights first: a card never names weights that are not there yet, and an old card refuses new ones by their hash.
+    # Weights first: a card never names missing weights, and an old card refuses new weights by their hash.
     write_bytes(target.with_suffix(".safetensors"), tensors)
     write_text(target, f"{text}\n")
 
@@ -179,8 +179,9 @@ def load_network(path: str | PathLike[str], robot: RobotModel) -> Network:
     Raises
     ------
     ValueError
-        Naming the card's key or the tensor, its value and what was expected: unknown or missing keys, another format,
-        joints or links that are not the robot's, weights of another hash or shape, numbers that are not finite.
+        If the content is invalid; the message names the card's key or the tensor, its value and what was expected:
+        unknown or missing keys, another format, joints or links that differ from the robot's, weights of another hash
+        or shape, numbers that are not finite.
     """
     card = read_card(path)
     joints = network_joints(robot)
@@ -206,10 +207,10 @@ def load_network(path: str | PathLike[str], robot: RobotModel) -> Network:
 
 
 def read_card(path: str | PathLike[str]) -> Card:
-    """Read a card and check everything that needs neither a robot nor the weights."""
+    """Read a card, with all checks that need neither a robot nor the weights."""
     origin = f"card {Path(path).name}"
     try:
-        # A key that is null has no value, as one that is left out.
+        # A null key counts as missing.
         card = json.loads(read_text(Path(path)), object_pairs_hook=_with_values)
     except (ValueError, RecursionError) as reason:
         raise ValueError(f"{origin}: no JSON: {reason}") from None

@@ -1,8 +1,8 @@
-"""ONNX files: a network in the published layout, two inputs and one output, samples in columns.
+"""ONNX files of a network in the published layout: two inputs and one output, samples in columns.
 
     wind (3, B) unit vectors, joints (19, B) [deg]  ──►  areas (39, B) [m²]: 13 CdA, 13 ClA, 13 CsA
 
-Only plain networks fit: the features `wind` and `joints`, base axes, one member, not symmetrised, no baseline.
+Only plain networks can be written: features `wind` and `joints`, base axes, one member, not symmetrised, no baseline.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ OPSET = 17
 IR_VERSION = 8
 PROBES = 8
 TOLERANCE = 1e-5
-"""How far our reading of a file may be from what the file computes, relative to the largest output."""
+"""Largest accepted difference between the network read and the file's own output, relative to the largest output."""
 _ACTIVATIONS = {"Relu": "relu", "Tanh": "tanh", "Sigmoid": "silu"}
 
 
 def export_onnx(path: str | PathLike[str], network: Network) -> None:
-    """Write a network as ONNX, in single precision; scale and offset become part of the last layer.
+    """Write a network as ONNX in single precision, with scale and offset merged into the last layer.
 
     Raises
     ------
     ValueError
-        Naming what the layout cannot represent.
+        If the layout cannot represent the network; the message names the reason.
     """
     wanted: dict[str, Any] = {"features": ("wind", "joints"), "frame": "base", "layout": "component", "members": 1}
     wanted |= {"mirror": False, "baseline": None}
@@ -83,13 +83,13 @@ def export_onnx(path: str | PathLike[str], network: Network) -> None:
 def import_onnx(path: str | PathLike[str], robot: RobotModel) -> Network:
     """Read a file of the published layout: a chain of affine layers and activations.
 
-    The layers are read off the graph in order; the result is then compared with the graph itself on made-up inputs,
-    so a graph that does anything else is refused and not misread.
+    The layers are read from the graph in order. The result is then compared with the graph on random inputs, so a graph
+    that computes anything else is refused.
 
     Raises
     ------
     ValueError
-        If inputs, layers or activations are others, or if the reading does not reproduce the file.
+        If inputs, layers or activations differ from the layout, or if the network does not reproduce the file.
     """
     model = onnx.load(path)
     onnx.checker.check_model(model)
@@ -165,7 +165,7 @@ def _layers(graph: Any, constants: dict[str, Any], size: int, last: int) -> tupl
 
 
 def _is_transposed(node: Any, constants: dict[str, Any]) -> bool:
-    """Whether a square matrix stands on the right and is not turned: then it is our weight transposed."""
+    """Whether a square matrix is the right operand and not transposed: then it is the transpose of our weight."""
     turns = {attribute.name: attribute.i for attribute in node.attribute}
     return node.input[1] in constants and not turns.get("transB", 0)
 

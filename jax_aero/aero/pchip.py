@@ -1,4 +1,4 @@
-"""Shape-preserving cubic interpolation of a measured table, in JAX."""
+"""Shape-preserving cubic interpolation of a table, in JAX."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from jax_aero.types import Array, pytree
 
 @pytree
 class Pchip:
-    """Piecewise cubic Hermite interpolant: monotone wherever the table is, constant outside it.
+    """Piecewise cubic Hermite interpolant: monotone where the table is monotone, constant beyond its ends.
 
     Source: Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984), the method of MATLAB's and scipy's `pchip`.
     """
 
     x: Float[Array, " k"]
-    """Increasing abscissae."""
+    """Abscissae, increasing."""
     y: Float[Array, " k"]
     slopes: Float[Array, " k"]
 
 
 def pchip(x: Float[Array, " k"], y: Float[Array, " k"]) -> Pchip:
-    """Interpolant of a table (k ≥ 3).
+    """Return the interpolant of a table with k ≥ 3 points.
 
-    Slopes inside are the weighted harmonic mean of the neighbouring secants, zero where these change sign; slopes at
-    the ends are the three-point formula, limited so as not to overshoot.
+    Interior slopes are the weighted harmonic mean of the neighbouring secants, or zero where these change sign; end
+    slopes follow the three-point formula, limited to prevent overshoot.
     """
     x, y = jnp.asarray(x), jnp.asarray(y)
     h = jnp.diff(x)
@@ -40,14 +40,14 @@ def pchip(x: Float[Array, " k"], y: Float[Array, " k"]) -> Pchip:
 
 
 def _end_slope(h_near: Array, h_next: Array, near: Array, following: Array) -> Array:
-    """Three-point slope at an end, kept on the side of the nearest secant and within three times it."""
+    """Three-point slope at an end, limited to the sign and to three times the value of the nearest secant."""
     slope = ((2.0 * h_near + h_next) * near - h_near * following) / (h_near + h_next)
     limited = jnp.where((near * following < 0.0) & (jnp.abs(slope) > 3.0 * jnp.abs(near)), 3.0 * near, slope)
     return jnp.where(slope * near <= 0.0, 0.0, limited)
 
 
 def interpolate(table: Pchip, x: Float[Array, " *batch"]) -> Float[Array, " *batch"]:
-    """Values at `x` of any shape; beyond an end of the table, the value of that end."""
+    """Return the values at `x`, an array of any shape; beyond an end of the table, the value at that end."""
     inside = jnp.clip(x, table.x[0], table.x[-1])
     below = _segment(table, inside)
     h = table.x[below + 1] - table.x[below]
@@ -59,6 +59,6 @@ def interpolate(table: Pchip, x: Float[Array, " *batch"]) -> Float[Array, " *bat
 
 
 def _segment(table: Pchip, x: Array) -> Array:
-    """Index of the point below; comparing with all points is faster than a search for tables this short."""
+    """Index of the last abscissa below; for short tables comparing with all points is faster than a search."""
     above = jnp.sum(x[..., None] >= table.x, axis=-1)
     return jnp.clip(above - 1, 0, table.x.shape[0] - 2)

@@ -19,21 +19,21 @@ from jax_aero.types import Array
 
 
 class LinkFrames(NamedTuple):
-    """Frames of the aerodynamic links of postures, as seen from the base."""
+    """Frames of the aerodynamic links relative to the base, for each posture."""
 
     rotations: Float[np.ndarray, "k L 3 3"]
     """`base_from_link`."""
     positions: Float[np.ndarray, "k L 3"]
-    """Origins from the base origin, base axes [m]."""
+    """Origins relative to the base origin, base axes [m]."""
 
 
 def link_frames(robot: RobotModel, joint_position_deg: Float[np.ndarray, "k s"]) -> LinkFrames:
-    """Frames of the links at joint angles [deg], order of `JOINTS`; the ankles are straight.
+    """Return the frames of the links at joint angles [deg], order of `JOINTS`; ankle angles are zero.
 
     Raises
     ------
     ValueError
-        If the robot's links or joints are not those of the tables.
+        If the robot's links or joints differ from those of the tables.
     """
     if robot.aero_links.names != LINKS or not set(JOINTS).issubset(robot.joint_names):
         raise ValueError(f"{robot.name} has not the links and joints of the tables: {', '.join(LINKS)}")
@@ -49,12 +49,12 @@ def _frames(robot: RobotModel, joints: Array) -> tuple[Array, Array]:
 
 
 class Wrench(NamedTuple):
-    """What the links' force areas add up to, base axes."""
+    """Totals of the links' force areas, base axes."""
 
     force_area: Float[np.ndarray, "B 3"]
     """Total force `F / (½ ρ V²)` [m²]."""
     moment_volume: Float[np.ndarray, "B 3"]
-    """Total moment about the centre of mass `M / (½ ρ V²)` [m³], every force at its link's centre."""
+    """Total moment about the centre of mass `M / (½ ρ V²)` [m³], with each force at its link's centre."""
 
 
 def total_wrench(
@@ -66,17 +66,17 @@ def total_wrench(
 
 
 def vector_rms(vectors: Float[np.ndarray, "B 3"]) -> float:
-    """Return the root of the mean squared length of vectors."""
+    """Return the root mean squared length of vectors, in their unit."""
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
 
 
 def link_arms(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> Float[np.ndarray, "B L 3"]:
-    """Return the links' aerodynamic centres from the centre of mass [m], base axes; rows may repeat."""
+    """Return the links' aerodynamic centres relative to the centre of mass [m], base axes; rows may repeat."""
     return _by_posture(_arms, robot, joint_position_deg)
 
 
 def _by_posture(of: Callable[[RobotModel, Array], Array], robot: RobotModel, joint_position_deg: Floats) -> Floats:
-    """Evaluate a function of joint positions (M, n) [rad] once for each posture among the rows (N, 19) [deg]."""
+    """Evaluate a function of joint positions (M, n) [rad] once per distinct posture among the rows (N, 19) [deg]."""
     shapes, shape_of = np.unique(joint_position_deg, axis=0, return_inverse=True)
     with jax.enable_x64(True):
         values = np.asarray(of(robot, jnp.asarray(in_robot_order(robot.joint_names, shapes))))
@@ -93,7 +93,7 @@ def _arms(robot: RobotModel, joints: Array) -> Array:
 
 
 def centres_of_mass(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> Float[np.ndarray, "B 3"]:
-    """Return the centre of mass from the base origin [m], base axes, at joint angles [deg]."""
+    """Return the centre of mass relative to the base origin [m], base axes, at joint angles [deg]."""
     return _by_posture(_coms, robot, joint_position_deg)
 
 
@@ -104,7 +104,7 @@ def _coms(robot: RobotModel, joints: Array) -> Array:
 
 
 def link_axes(robot: RobotModel, joint_position_deg: Float[np.ndarray, "B s"]) -> Float[np.ndarray, "B L 3"]:
-    """Return unit axes of symmetry in base axes, at joint angles [deg]; rows may repeat."""
+    """Return the links' unit axes of symmetry in base axes, at joint angles [deg]; rows may repeat."""
     shapes, shape_of = np.unique(joint_position_deg, axis=0, return_inverse=True)
     axes: Floats = np.einsum("plij,lj->pli", link_frames(robot, shapes).rotations, np.asarray(robot.aero_links.axes))
     return axes[shape_of.reshape(-1)]

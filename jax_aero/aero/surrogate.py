@@ -1,20 +1,20 @@
 """A panel model of the robot with wakes: a source of data where no free-stream CFD is available.
 
-Panels i (area A, outward normal n, position x) are fixed to the links, cylinders closed by hemispheres. In a wind with
-unit vector w a panel has c = −n·w, and every cluster k of panels sheds a wake of strength S_k = Σ A max(c, 0) from its
-centre:
+The panels i (area A, outward normal n, position x) are fixed to the links, which are cylinders closed by hemispheres.
+In a wind of unit vector w a panel has c = −n·w, and every cluster k of panels sheds, from its centre, a wake of
+strength S_k = Σ A max(c, 0):
 
     dx = max((x_i − x_k)·w, 0),   r = distance across the wind,   s² = κ S_k/π + (grow dx)²
     D_i = Σ_k σ((dx − x₀)/(x₀/4)) S_k/(2π s²) exp(−r²/2s²) exp(−dx/decay),      η_i = exp(−γ D_i)
     E_i = the sum D_i with dx = max((x_k − x_i)·w, 0), no growth, length up_length
 
-η is the share of the dynamic pressure that arrives, E how much a body close downstream fills the base. The force area
-of link l in family f is linear in twelve coefficients of the family:
+η is the share of the dynamic pressure at the panel, E how far a body close downstream raises the base pressure. The
+force area of link l in family f is linear in the family's twelve coefficients:
 
     F_l = Σ_m b_fm G_lm,   G = −Σ_i A n φ_m,   φ: see `TERMS`;   the last term is friction, Σ_i A η (w + c n)
 
-Ours; the coefficients come from published drag curves and from tunnel and CFD tables of all postures but two, see
-`configs/aero/panels/surrogate.toml`.
+This model is ours. Its coefficients come from published drag curves and from tunnel and CFD tables of all postures but
+two, see `configs/aero/panels/surrogate.toml`.
 
 Equation M30 of `docs/model.md`.
 """
@@ -49,62 +49,62 @@ TERMS = (
 
 TAU = 2.0 * np.pi
 TINY = 1e-9
-"""Area that keeps a wake source without strength finite [m²]."""
+"""Area that keeps the centre of a wake source of zero strength finite [m²]."""
 EDGE = 0.05
-"""Within which c goes from front to back."""
+"""Width of the smooth transition of c from front to back."""
 BLOCK = 64
-"""Rows that go through the compiled function at a time."""
+"""Rows per call of the compiled function."""
 
 
 class Wake(NamedTuple):
-    """How wakes spread; lengths in metres."""
+    """Parameters of the wakes; lengths in metres."""
 
     gamma: float
     kappa: float
     grow: float
     start: float
-    """x₀"""
+    """Distance x₀ at which a wake begins [m]."""
     decay: float
     up_length: float
 
 
 class Panels(NamedTuple):
-    """Panels in link axes."""
+    """Panels of all links, in link axes."""
 
     area: Float[np.ndarray, " k"]
-    """[m²]."""
+    """Areas [m²]."""
     normal_l: Float[np.ndarray, "k 3"]
     """Outward unit normals."""
     position_l: Float[np.ndarray, "k 3"]
-    """[m]."""
+    """Positions [m], link axes."""
     link: tuple[int, ...]
-    """Index in `LINKS`."""
+    """Index of the panel's link in `LINKS`."""
     cluster: tuple[int, ...]
-    """Which wake source a panel belongs to."""
+    """Index of the panel's wake source."""
 
 
 class Surrogate(NamedTuple):
-    """The model: panels, wakes and coefficients."""
+    """The panel model: panels, wakes and coefficients."""
 
     panels: Panels
     wake: Wake
     coefficients: Float[np.ndarray, "L 12"]
-    """The same for the links of a family."""
+    """Coefficients of each link, equal within a family."""
 
 
 def capsule(
     diameter: float, length: float, spacing: float
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
-    """Panels of a cylinder about the z axis, closed by hemispheres; of length 0, a sphere.
+    """Return the panels of a cylinder about the z axis closed by hemispheres, or of a sphere if the length is 0.
 
-    Returns areas [m²], outward normals and positions [m] from its middle, about `spacing` apart. The areas add up to
-    that of the body, and its symmetry planes are those of the panels.
+    Returns areas [m²], outward normals and positions relative to the middle [m], about `spacing` apart. The areas add
+    up to that of the body, and the panels have the body's planes of symmetry.
     """
     radius, half = 0.5 * diameter, 0.5 * length
     around = 2 * max(3, round(np.pi * diameter / spacing / 2))
     rings = max(2, round(0.5 * np.pi * radius / spacing))
     edges = np.cos(np.linspace(0.0, 0.5 * np.pi, rings + 1))
-    # Rings as (area, polar angle of the normal, height of the middle): both caps, then the barrel.
+    # Rings as (area, polar angle of the normal, height of the middle): both caps, then the cylinder.
     table = []
     for high, low in itertools.pairwise(edges):
         area, polar = TAU * radius**2 * (high - low), np.arccos(0.5 * (high + low))
@@ -120,16 +120,16 @@ def capsule(
 
 
 def build_panels(robot: RobotModel, spacing: float, cluster_size: float) -> Panels:
-    """Cover every link with a capsule about its axis and centre; a right link gets the mirror image of the left one's.
+    """Cover every link with a capsule about its axis and centre; a right link gets the left link's mirror image.
 
     Parameters
     ----------
     robot
-        Its aerodynamic links must be those of the tables.
+        Robot whose aerodynamic links are those of the tables.
     spacing
-        Wanted distance between panels [m].
+        Desired distance between panels [m].
     cluster_size
-        Edge of the cubes, fixed to a link, whose panels make one wake source [m].
+        Edge of the link-fixed cubes, each of whose panels form one wake source [m].
     """
     links = robot.aero_links
     straight = link_frames(robot, np.zeros((1, 19)))
@@ -148,13 +148,13 @@ def build_panels(robot: RobotModel, spacing: float, cluster_size: float) -> Pane
             continue
         length = 0.0 if links.is_sphere[index] else float(links.lengths[index])
         area, normal, position = capsule(float(links.diameters[index]), length, spacing)
-        # Cubes are centred on the link, so that sources of a symmetric link are symmetric.
+        # Cubes are centred on the link, so that the sources of a symmetric link are symmetric.
         _, number = np.unique(np.floor(position / cluster_size + 0.5), axis=0, return_inverse=True)
         numbers.append(number.reshape(-1).astype(np.int64))
         turn = _rotation_from_z(np.asarray(links.axes[index]), name)
         centre = np.asarray(links.centres[index])
         if twin == index:
-            # A millimetre off the robot's plane of symmetry is manufacture, not aerodynamics.
+            # A millimetre off the robot's plane of symmetry is a manufacturing tolerance.
             lateral = straight.rotations[0, index, 1]
             centre = centre - lateral * (lateral @ centre + straight.positions[0, index, 1])
         bodies.append((area, normal @ turn.T, position @ turn.T + centre))
@@ -169,10 +169,10 @@ def build_panels(robot: RobotModel, spacing: float, cluster_size: float) -> Pane
 
 
 def _rotation_from_z(axis: Floats, name: str) -> Floats:
-    """Return a rotation that takes z to a coordinate axis, and coordinate planes to such planes."""
+    """Return a rotation that maps z to the given coordinate axis, and coordinate planes to coordinate planes."""
     for place, rows in ((2, [0, 1, 2]), (1, [1, 2, 0]), (0, [2, 0, 1])):
         if abs(axis[place]) > 1.0 - 1e-9:
-            # Cyclic, so a rotation; a capsule looks the same from both ends.
+            # A cyclic permutation is a rotation; the sign is irrelevant, since both ends of a capsule are equal.
             return np.eye(3)[:, rows].T
     raise ValueError(f"axis of `{name}` is {axis.tolist()}; expected one of the link's own axes")
 
@@ -180,7 +180,7 @@ def _rotation_from_z(axis: Floats, name: str) -> Floats:
 def features_of(
     panels: Panels, wake: Wake
 ) -> Callable[[Float[Array, "L 3 3"], Float[Array, "L 3"], Float[Array, "3"]], Float[Array, "L 12 3"]]:
-    """Return the function of rotations, positions and wind that gives G [m²], base axes."""
+    """Return the function of rotations, positions [m] and wind that gives G [m²], base axes."""
     link, cluster = np.array(panels.link), np.array(panels.cluster)
     of_cluster = (np.arange(cluster.max() + 1)[:, None] == cluster).astype(float)
     of_link = (np.arange(len(LINKS))[:, None] == link).astype(float)
@@ -188,7 +188,7 @@ def features_of(
     def features(rotations: Array, positions: Array, wind: Array) -> Array:
         dtype = wind.dtype
         area = jnp.asarray(panels.area, dtype)
-        # Matrix units that round to fewer digits would blur positions by centimetres.
+        # The reduced precision of matrix units would shift positions by centimetres.
         with jax.default_matmul_precision("highest"):
             normal = jnp.einsum("iab,ib->ia", rotations[link], jnp.asarray(panels.normal_l, dtype))
             place = jnp.einsum("iab,ib->ia", rotations[link], jnp.asarray(panels.position_l, dtype)) + positions[link]
@@ -196,10 +196,10 @@ def features_of(
             front, back = jnp.maximum(c, 0.0), jnp.maximum(-c, 0.0)
             shed = jnp.asarray(of_cluster, dtype) * (area * front)
             strength = shed.sum(axis=1)
-            # A cluster that sheds nothing has no centre; its strength makes it harmless wherever it is put.
+            # A cluster of zero strength has no centre; its position has no effect.
             source = shed @ place / jnp.maximum(strength, TINY)[:, None]
             eta, filled = _wakes(wake, place, source, strength, wind)
-            # Panels edge-on to the wind, of which a capsule has rows, must not flip with the last digit of c.
+            # Smooth, so that panels edge-on to the wind, such as rows of a capsule, do not switch with rounding of c.
             is_front, is_back = jax.nn.sigmoid(c / EDGE), jax.nn.sigmoid(-c / EDGE)
             lost = 1.0 - eta
             pressure = jnp.stack(
@@ -216,7 +216,7 @@ def features_of(
 
 
 def _wakes(wake: Wake, place: Array, source: Array, strength: Array, wind: Array) -> tuple[Array, Array]:
-    """Share of the dynamic pressure η that arrives at each panel, and how much its base is filled, E; (I,) each."""
+    """Share of the dynamic pressure η, and base pressure rise E, at each panel; (I,) each."""
     offset = place[:, None, :] - source[None, :, :]
     dx = offset @ wind
     across = jnp.maximum(jnp.sum(offset**2, axis=-1) - dx**2, 0.0)
@@ -238,8 +238,8 @@ Features: TypeAlias = Callable[[Floats, Floats], Floats]
 def batched_features(robot: RobotModel, panels: Panels, wake: Wake, dtype: Any = np.float32) -> Features:
     """Return the function (joint angles (N, 19) [deg], winds (N, 3)) → G (N, 13, 12, 3) [m²], base axes.
 
-    Rows go through one compiled function in blocks of one size. On a CPU the rows of a block are taken one by one, as
-    what a single row needs fits into the cache and what many need does not; on an accelerator all at once.
+    Rows pass through one compiled function in blocks of equal size. On a CPU the rows of a block are evaluated one by
+    one, since the data of one row fit into the cache; on an accelerator all at once.
     """
     features = features_of(panels, wake)
     if jax.default_backend() == "cpu":
@@ -283,7 +283,7 @@ def load_surrogate(path: str | PathLike[str], robot: RobotModel) -> Surrogate:
     Raises
     ------
     ValueError
-        Naming the key, its value and what was expected.
+        If the content is invalid; the message names the key, its value and what was expected.
     """
     file = tables.load(Path(path), _File)
     rows = {link: weights for family, weights in file.coefficients.items() for link in FAMILIES[family]}
@@ -297,6 +297,6 @@ def load_surrogate(path: str | PathLike[str], robot: RobotModel) -> Surrogate:
 def force_areas(
     coefficients: Float[np.ndarray, "L 12"], features: Float[np.ndarray, "B L 12 3"]
 ) -> Float[np.ndarray, "B L 3"]:
-    """Force areas [m²], base axes, from coefficients and features."""
+    """Return the force areas [m²], base axes, from coefficients and features [m²]."""
     areas: Floats = np.einsum("lm,nlma->nla", coefficients, features)
     return areas

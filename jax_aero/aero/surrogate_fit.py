@@ -1,10 +1,10 @@
-"""Coefficients of the panel model, from published data alone: drag curves of links, and tables of the whole robot.
+"""Fit of the panel model's coefficients to published data alone: drag curves of links and tables of the whole robot.
 
     minimise  Σ_links Σ_winds w_l (F_l·w − C_D A_l(α))² + Σ_records |Σ_l F_l − F|²/σ_F² + λ₀ |b₀|² + λ Σ_f |b_f − b₀|²
 
-The curves say how much drag each link has, the records what the whole robot's force is, in direction too; the last term
-keeps families, of which the records see only the sum, near a common law of pressure b₀. Penalties are chosen by leaving
-out one posture's records at a time.
+The curves determine the drag of each link, the records the force on the whole robot, including its direction. Since the
+records contain only the sum over families, the last term keeps the families near a common pressure law b₀. The
+penalties are chosen by leaving out one posture's records at a time.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from jax_aero.aero.surrogate import TERMS, Features
 from jax_aero.robot import RobotModel
 
 FAMILY_OF = np.array([next(i for i, members in enumerate(FAMILIES.values()) if link in members) for link in LINKS])
-"""(13,) number of each link's family."""
+"""(13,) index of each link's family."""
 
 N_FAMILIES, N_TERMS = len(FAMILIES), len(TERMS)
 
 
 @dataclass(frozen=True)
 class Records:
-    """Forces on the whole robot."""
+    """Measured or computed forces on the whole robot."""
 
     posture: tuple[str, ...]
     joint_position_deg: Float[np.ndarray, "k s"]
@@ -42,23 +42,23 @@ class Records:
 
     @property
     def wind_b(self) -> Float[np.ndarray, "k 3"]:
-        """Return unit vectors along which the air moves, base axes."""
+        """Return the unit vectors of the air's motion, base axes."""
         return wind_direction(self.pitch_deg, self.yaw_deg)
 
 
 class Settings(NamedTuple):
-    """Weights of the fit."""
+    """Weights of the terms of the fit."""
 
     force_error: float = 0.007
-    """σ_F: what the model and the records are trusted to [m²]."""
+    """σ_F: combined error of the model and the records [m²]."""
     curve_error: float = 0.006
-    """Scatter of a link's drag about its curve [m²]."""
+    """Scatter of a link's drag area about its curve [m²]."""
     curve_weight: float = 60.0
-    """How many independent points a curve counts as."""
+    """Number of independent points that a curve counts as."""
     to_common: float = 10.0
-    """λ"""
+    """λ: penalty on deviations of a family from the common law."""
     to_zero: float = 0.1
-    """λ₀"""
+    """λ₀: penalty on the common law."""
 
 
 GRID: Mapping[str, tuple[float, ...]] = {
@@ -66,41 +66,40 @@ GRID: Mapping[str, tuple[float, ...]] = {
     "to_common": (1.0, 10.0, 100.0, 1000.0),
     "to_zero": (0.01, 0.1, 1.0),
 }
-"""What `choose` tries."""
+"""Values tried by `choose`."""
 
 
 class Normal(NamedTuple):
-    """Normal equations `A b = y` of weights b (8 × 12)."""
+    """Normal equations `A b = y` of the weights b (8 × 12)."""
 
     matrix: Float[np.ndarray, "96 96"]
     right: Float[np.ndarray, "96"]
 
 
 class Calibration(NamedTuple):
-    """Everything that the fit is made of, worked out once."""
+    """Precomputed terms of the fit."""
 
     curves: Normal
-    """Of all curves, each counted as one point of error 1."""
+    """Normal equations of all curves, each counted as one point of unit error."""
     design: Float[np.ndarray, "k 3 96"]
-    """Force area of the records in the tunnel frame, per weight."""
+    """Derivatives of the records' force areas in the tunnel frame with respect to the weights [m²]."""
     target: Float[np.ndarray, "k 3"]
-    """[m²]."""
+    """Force areas of the records in the tunnel frame [m²]."""
     posture: tuple[str, ...]
 
 
 def prepare(
     robot: RobotModel, coefficients: Float[np.ndarray, "L 6"], features: Features, records: Records
 ) -> Calibration:
-    """Work out curves and records.
+    """Precompute the terms of the curves and records.
 
     Parameters
     ----------
-    robot, coefficients
-        Whose links have the drag curves of the axisymmetric coefficients [m²].
+        The robot and the axisymmetric coefficients [m²] that define the drag curves of its links.
     features
-        Of the panel model, see `batched_features`.
+        Features of the panel model, see `batched_features`.
     records
-        Their postures are those in which the curves are looked at as well.
+        Records whose postures are also those in which the curves are evaluated.
     """
     pitch, yaw = (grid.ravel() for grid in np.meshgrid(np.arange(0.0, 181.0, 20.0), np.arange(0.0, 181.0, 20.0)))
     shapes = np.unique(records.joint_position_deg, axis=0)
@@ -129,13 +128,13 @@ def prepare(
 def solve(
     calibration: Calibration, settings: Settings, rows: Bool[np.ndarray, " k"] | None = None
 ) -> Float[np.ndarray, "8 12"]:
-    """Return the weights of the families, from some of the records or from all."""
+    """Return the weights of the families, fitted to the selected records or to all."""
     use = np.ones(len(calibration.target), dtype=bool) if rows is None else rows
     design = calibration.design[use].reshape(-1, N_FAMILIES * N_TERMS)
     weight = settings.curve_weight / settings.curve_error**2
     matrix = weight * calibration.curves.matrix + design.T @ design / settings.force_error**2
     right = weight * calibration.curves.right + design.T @ calibration.target[use].ravel() / settings.force_error**2
-    # b = P (b₀, δ): every family has the common law and its own deviation.
+    # b = P (b₀, δ): every family has the common law plus its own deviation.
     common = np.tile(np.eye(N_TERMS), (N_FAMILIES, 1))
     spread = np.hstack([common, np.eye(N_FAMILIES * N_TERMS)])
     penalty = np.repeat([settings.to_zero, settings.to_common], [N_TERMS, N_FAMILIES * N_TERMS])
@@ -144,13 +143,13 @@ def solve(
 
 
 def errors(calibration: Calibration, weights: Float[np.ndarray, "8 12"]) -> Float[np.ndarray, "k 3"]:
-    """Force areas of the model minus those of the records [m²]: drag, side, lift."""
+    """Return the model's force areas minus those of the records [m²]: drag, side, lift."""
     found: Floats = calibration.design @ weights.ravel() - calibration.target
     return found
 
 
 def left_out_error(calibration: Calibration, settings: Settings) -> float:
-    """Rms over postures of the rms error of a posture's records, when these are left out of the fit [m²]."""
+    """Return the rms over postures of the rms error of a posture's records when they are left out of the fit [m²]."""
     squares = []
     for posture in dict.fromkeys(calibration.posture):
         own = np.array([name == posture for name in calibration.posture])
@@ -160,7 +159,7 @@ def left_out_error(calibration: Calibration, settings: Settings) -> float:
 
 
 def choose(calibration: Calibration) -> tuple[Settings, dict[Settings, float]]:
-    """Return the settings of `GRID` with the least error on left-out postures, and the error of all."""
+    """Return the settings of `GRID` with the smallest error on left-out postures, and the errors of all settings."""
     tried = {}
     for values in itertools.product(*GRID.values()):
         settings = Settings()._replace(**dict(zip(GRID, values, strict=True)))

@@ -2,8 +2,8 @@
 
     GVP files, or reduced tables ──► Points ──reduce_points──► xarray.Dataset
 
-Balance axes of iRonCub-Mk1 are X forward, Y left, Z up, turning with the robot; of Mk3 X left, Y down, Z backward. Base
-(`root_link`) axes are x backward, y right, z up. Equations M28 and M95 of `docs/model.md`.
+Balance axes of iRonCub-Mk1 are X forward, Y left, Z up and turn with the robot; those of Mk3 are X left, Y down, Z
+backward. Base (`root_link`) axes are x backward, y right, z up. Equations M28 and M95 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from jax_aero.aero.dataset import JOINTS, Floats, number
 GVP_COLUMNS = 86
 COMPONENTS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 WIND_OFF = 5.0
-"""Below this the wind is off [m/s]."""
+"""Speed below which the wind is off [m/s]."""
 EXPOSED = {"hovering": 20.5, "flight": 1.0}
-"""Sideslip beyond which the support stands in the wind, or the record is of combined wind, by kind of test [deg]."""
+"""Sideslip, by kind of test, beyond which the support is exposed to the wind or the file has combined wind [deg]."""
 
 HIP = np.array([0.00645, 0.0, -0.11991])
-"""Midpoint of the hip-pitch axis of Mk1 from the base origin, base axes [m]."""
+"""Midpoint of the hip-pitch axis of Mk1 relative to the base origin, base axes [m]."""
 BASE_FROM_BALANCE = {"mk1": np.diag([-1.0, -1.0, 1.0]), "mk3": np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])}
-"""Rotation from balance to base axes of a robot that is mounted upright."""
+"""Rotation from balance to base axes for a robot mounted upright."""
 MOUNT = {("mk1", "hovering"): 0.0, ("mk1", "flight"): -45.0, ("mk3", "hovering"): 0.0, ("mk3", "flight"): 0.0}
-"""Pitch of the robot on the balance [deg]; of Mk1 the robot's pitch is 90° + mount + the balance's."""
+"""Pitch of the robot on the balance [deg]; the pitch of Mk1 is 90° + mount + pitch of the balance."""
 
 YAW = {"mk1": 1.0, "mk3": -1.0}
-"""Sign of the files' yaw. That of Mk3 turns the other way: in all 316 points of its public files that have more than 5
-degrees of it, the force across the robot is along the wind across with this sign, and against it with the other."""
+"""Sign of the yaw in the files. Mk3's is opposite: with this sign, in all 316 points of its public files with more than
+5° of yaw, the lateral force on the robot has the direction of the lateral wind; with the other sign it opposes it."""
 
 
 class Lever(NamedTuple):
-    """Where the balance centre is from the hip-pitch axis."""
+    """Offset of the balance centre from the hip-pitch axis."""
 
     offset: tuple[float, float, float]
-    """Balance axes [m]."""
+    """Offset, balance axes [m]."""
     deviation: tuple[float, float, float]
-    """Standard deviations, balance axes [m]."""
+    """Standard deviations of the offset, balance axes [m]."""
 
 
 LEVERS = {
@@ -52,27 +52,27 @@ LEVERS = {
     for kind, deviation in (("hovering", (0.03, 0.01, 0.005)), ("flight", (0.11, 0.01, 0.02)))
     for side, height in (("below", -0.021), ("above", 0.021))
 }
-"""By kind of test and side of the balance centre. The authors' scripts changed the sign of the height once; on the
-mount of the flight postures the distance is not known well."""
+"""Offsets by kind of test and side of the balance centre. The authors' scripts changed the sign of the height once; for
+the mount of the flight postures the distance is uncertain."""
 REPEATABILITY = np.array([0.002, 0.003, 0.001])
-"""Of moment volumes within a campaign, base axes [m³]."""
+"""Repeatability of moment volumes within a campaign, base axes [m³]."""
 
 
 @dataclass(frozen=True)
 class Points:
-    """Measured points as they stand in the files; N rows."""
+    """Measured points as stored in the files; N rows."""
 
     campaign: Sequence[str]
     test: Sequence[str]
     point: Sequence[int]
     kind: Sequence[str]
-    """`hovering` or `flight`."""
+    """Kind of test, `hovering` or `flight`."""
     posture: Sequence[str]
     marks: Sequence[tuple[str, ...]]
-    """Why a point is doubtful, from the table of tests."""
+    """Reasons to doubt a point, from the table of tests."""
     robot: str
     pitch_deg: Floats
-    """Robot's vertical axis above the horizontal [deg]."""
+    """Angle of the robot's vertical axis above the horizontal [deg]."""
     yaw_deg: Floats
     speed: Floats
     dynamic_pressure: Floats
@@ -81,9 +81,9 @@ class Points:
     load: Floats
     """(N, 6) [N, N m], balance axes about the balance centre, tare and wind-off zero removed."""
     deviation: Floats
-    """(N, 6) sample standard deviations."""
+    """(N, 6) sample standard deviations of the load."""
     zero_return: Floats
-    """(N, 6) the test's last reading without wind; nan without one."""
+    """(N, 6) last reading of the test without wind; NaN if there is none."""
 
     def __len__(self) -> int:
         return len(self.test)
@@ -95,7 +95,7 @@ def read_gvp(text: str, source: str) -> Floats:
     Raises
     ------
     ValueError
-        Naming file, line and column where something is not what the format has.
+        If the content violates the format; the message names file, line and column.
     """
     places, lines = _lines(text)
     if len(lines) < 3 or "=" not in lines[0] or not lines[1].startswith("ID(0)"):
@@ -116,7 +116,7 @@ def read_gvp(text: str, source: str) -> Floats:
 
 
 def _lines(text: str) -> tuple[list[int], list[str]]:
-    """Return number and text of every line that is not empty."""
+    """Return the number and text of every line that is not empty."""
     found = [(place, line) for place, line in enumerate(text.splitlines(), start=1) if line.strip()]
     return [place for place, _ in found], [line for _, line in found]
 
@@ -129,7 +129,7 @@ def _number(cell: str, source: str, line: int, column: int) -> float:
 
 
 def read_sweep(text: str, source: str) -> tuple[Floats, Floats]:
-    """Return forces and moments (n, 3) of a gravity sweep (`.tara`), balance axes, from its first zero [N, N m]."""
+    """Return forces and moments (n, 3) of a gravity sweep (`.tara`), balance axes, minus its first zero [N, N m]."""
     places, lines = _lines(text)
     if len(lines) < 2 or not lines[0].startswith("a_nom"):
         raise ValueError(f"{source}: no gravity sweep; expected a line of columns a_nom[deg], …, and rows")
@@ -144,9 +144,9 @@ def read_sweep(text: str, source: str) -> tuple[Floats, Floats]:
 
 
 def centre_of_gravity(force: Floats, moment: Floats) -> tuple[Floats, Floats]:
-    """Return the centre of gravity (3,) of what hangs on the balance, from its centre, and standard deviations [m].
+    """Return the centre of gravity (3,) of the load, relative to the balance centre, and its standard errors [m].
 
-    While the balance turns, the weight's part in its axes changes by ΔF, and its moment by ΔM = r × ΔF.
+    Turning the balance changes the weight in its axes by ΔF and its moment by ΔM = r × ΔF.
     """
     matrix = np.cross(force[:, None], np.eye(3)).reshape(-1, 3)
     right = moment.reshape(-1)
@@ -158,27 +158,27 @@ def centre_of_gravity(force: Floats, moment: Floats) -> tuple[Floats, Floats]:
 
 
 class Test(NamedTuple):
-    """What the table of tests says of one."""
+    """Entry of one test in the table of tests."""
 
     campaign: str
     kind: str
     posture: str
     robot: str
     marks: tuple[str, ...]
-    """Against the whole test."""
+    """Reasons to doubt the whole test."""
     point_marks: Mapping[int, tuple[str, ...]]
-    """Against single points."""
+    """Reasons to doubt single points."""
     tare_above_deg: float | None = None
-    """Pitch of the robot beyond which the tare was extrapolated."""
+    """Pitch of the robot beyond which the tare was extrapolated [deg]."""
 
 
 def points_of(test: str, about: Test, gvp: Floats) -> Points:
-    """Return the wind-on points among the rows of one file."""
+    """Return the points with wind among the rows of one file."""
     on = gvp[:, 8] >= WIND_OFF
     rows, off = gvp[on], gvp[~on]
     zero = off[-1, 14:20] if len(off) else np.full(6, np.nan)
     pitch = rows[:, 3] + (90.0 + MOUNT[about.robot, about.kind] if about.robot == "mk1" else 0.0)
-    numbers = list(range(1, len(rows) + 1))  # a test's own numbers may begin anywhere
+    numbers = list(range(1, len(rows) + 1))  # the numbers in a file may begin anywhere
     return Points(
         campaign=[about.campaign] * len(rows),
         test=[test] * len(rows),
@@ -209,7 +209,7 @@ def _marks(about: Test, point: int, pitch: float) -> tuple[str, ...]:
 
 
 def read_reduced(text: str, tests: Mapping[tuple[str, str], Test], source: str) -> Points:
-    """Read a table of reduced points with the balance's own components; the reduction of others is not read.
+    """Read a table of reduced points that contains the balance components; reductions by others are ignored.
 
     Columns: campaign, test, point, V, q, rho, T_K, alpha, beta, F*_bal_N, M*_bal_Nm, sdF*, sdM*, zrF*, zrM*.
     """
@@ -268,12 +268,12 @@ def read_reduced(text: str, tests: Mapping[tuple[str, str], Test], source: str) 
 
 def _cell(row: Mapping[str, str | None], column: str, place: str) -> float:
     text = row[column]
-    # A test may lack its last reading without wind; everything else was measured.
+    # Only the last reading without wind may be missing.
     return np.nan if column.startswith("zr") and (text or "").lower() == "nan" else number(text, place, column)
 
 
 def join(parts: Sequence[Points]) -> Points:
-    """Return the points of several files of one robot."""
+    """Return the points of several files of one robot as one set."""
     if len({part.robot for part in parts}) != 1:
         raise ValueError(f"points of {sorted({part.robot for part in parts})}; expected one robot")
     found: dict[str, Any] = {"robot": parts[0].robot}
@@ -299,7 +299,7 @@ def reduce_points(points: Points, joints: Mapping[str, Floats], coms: Mapping[st
 
         M_hip = M_bal + r × F,   M_com = M_hip + (p_hip − p_com) × F                                   (M95)
 
-    with r the balance centre from the hip. Without a centre of mass (Mk3) those two are nan.
+    with r the balance centre relative to the hip. Without a centre of mass (Mk3) M_hip and M_com are NaN.
 
     Parameters
     ----------
@@ -371,7 +371,7 @@ def reduce_points(points: Points, joints: Mapping[str, Floats], coms: Mapping[st
 
 
 def _lever_part(axis: int, sigma: Floats, forces: Floats, turns: Floats) -> Floats:
-    """Moment volume (N, 3), base axes, of one standard deviation of the offset along one balance axis."""
+    """Return the moment volume (N, 3), base axes, of a one-sigma error of the offset along one balance axis."""
     offset = np.zeros_like(sigma)
     offset[:, axis] = sigma[:, axis]
     part: Floats = np.einsum("nij,nj->ni", turns, np.cross(offset, forces))

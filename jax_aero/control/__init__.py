@@ -2,9 +2,9 @@
 
     State, thrust, wind, Setpoint ► MomentumModel ► MomentumQp ► thrust rates, joint velocities ► TorqueQp ► torques
 
-`tick.py` is the whole of it: `momentum_controller` collects its numbers from a configuration, `init` starts it, `tick`
-is called every tick. The other modules are its parts, under the names they have in the Rust crate. The simulator flies
-any `Controller`.
+`tick.py` contains the whole sequence: `momentum_controller` collects its numbers from a configuration, `init` returns
+the initial state, and `tick` is called once per tick. The other modules are its parts, with the names of the Rust
+crate's modules. The simulator accepts any `Controller`.
 """
 
 from jax_aero.control.protocol import Command, Controller, Measurement

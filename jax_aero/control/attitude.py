@@ -1,4 +1,4 @@
-"""The attitude task: the angular momentum that turns the base onto its set-point.
+"""The attitude task: angular momentum that rotates the base to its set-point.
 
 Everything is in body coordinates. With `R` the base rotation, `w = Rᵀ ω_B`, `I₀` the centroidal inertia in body axes
 *at the first tick* (held constant):
@@ -9,8 +9,8 @@ k̈* = I₀ ω̈_d − ė − (1 + c₀ I₀⁻¹)(k̇ − I₀ ω̇_d) − c₀
 σ  = R ( w × (w × k) + 2 w × k̇ + (I₀⁻¹ k̇) × k )
 ```
 
-The task is `Rᵀ (L̈_ang − σ) = k̈*`. There is no integral action: a constant moment `d` that is not in the controller's
-model settles at `e = (1 + I₀/c₀) d`. Equations M59 to M61 of `docs/model.md`.
+The task is `Rᵀ (L̈_ang − σ) = k̈*`. There is no integral action: a constant moment `d` that the controller's model does
+not contain leaves the steady error `e = (1 + I₀/c₀) d`. Equations M59 to M61 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class TaskGains:
 
 
 class AttitudeDemand(NamedTuple):
-    """Demand of the attitude task."""
+    """Output of the attitude law."""
 
     k_ddot_desired: Float[Array, "3"]
     """Desired second derivative of the body angular momentum, `k̈*` [N m/s, body axes]."""
@@ -57,7 +57,7 @@ def attitude_demand(
     moment_estimate: Float[Array, "3"],
     inertia_0: Float[Array, "3 3"],
 ) -> AttitudeDemand:
-    """Evaluate the attitude law; `inertia_0` is `I₀`, velocity and moment are in inertial axes."""
+    """Evaluate the attitude law; `inertia_0` is `I₀` [kg m²], velocity and moment [rad/s, N m] are in inertial axes."""
     c0, c1 = gains.c0, gains.c1
     i0, i0_inv = inertia_0, inverse(inertia_0)
     w, w_d = rotate_back(rotation, angular_velocity), setpoint.angular_velocity
@@ -76,6 +76,6 @@ def attitude_demand(
 
 
 def inverse(a: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-    """Inverse of a 3×3 matrix: its columns are `b × c / (a · b × c)` for the rows a, b, c and their rotations."""
+    """Return the inverse of a 3×3 matrix with rows a, b, c; its columns are `b × c / (a · b × c)` and cyclic."""
     columns = cross(jnp.roll(a, -1, axis=0), jnp.roll(a, -2, axis=0))
     return columns.T / jnp.sum(a[0] * columns[0])

@@ -1,12 +1,12 @@
-"""Measurements with missing or implausible channels replaced by predictions.
+"""Measurements in which missing or implausible channels are replaced by predictions.
 
-The model moves the last value of every channel on to this tick; the measured value is used if it is finite and within
-its accepted range. Values of joints and base have to be near the predicted ones, too, and must not be frozen, that is,
-the same to the bit for several ticks while what is predicted moves away. Else the predicted value is used, and the
-channel's age grows.
+The model predicts every channel from its last value to this tick. A measured value is used if it is finite and within
+its accepted range. Values of joints and base must also be near the prediction and must not be frozen, that is,
+bit-identical for several ticks while the prediction moves away. Otherwise the prediction is used and the channel's age
+grows.
 
-All numbers of a measurement stand in one vector of `E` entries: wind, thrusts, joint positions, joint velocities, base
-velocity, position and rotation (row by row); `C` channels own them.
+All numbers of a measurement form one vector of `E` entries: wind, thrusts, joint positions, joint velocities, base
+velocity, position and rotation (row by row). Each entry belongs to one of `C` channels.
 
 Equations M101 to M103 of `docs/model.md`.
 """
@@ -27,19 +27,19 @@ from jax_aero.spatial import exp_so3, is_rotation, multiply, vee_of_skew_part
 from jax_aero.types import Array, State, Static, joined, leaf, pytree, where
 
 GAP_MAX = 10.5
-"""Longest time between two ticks, in ticks. Half a tick is for rounding."""
+"""Longest time between two ticks, in time steps; half a time step allows for rounding."""
 
 PAUSE_MAX = 1.0
-"""Longest time without ticks that counts as a pause of the controller [s]: beyond it a clock has jumped."""
+"""Longest time without ticks that counts as a pause of the controller [s]; a longer one is a jump of the clock."""
 
 TIME_MAX = 1e9
-"""Longest flight [s]: beyond it ticks of milliseconds are rounding errors of the time."""
+"""Longest flight [s]; beyond it, ticks of milliseconds are lost in the rounding of the time."""
 
 VELOCITY, ROTATION = -3, -1
-"""Places among the channels."""
+"""Indices of channels."""
 
 FROZEN_SHARE = 0.02
-"""A frozen value differs from one that stands still by this share of `jump`."""
+"""Least distance between a frozen value and its prediction, as a share of `jump`; below it the value is at rest."""
 
 MODES = {
     "wind_held": 1,
@@ -54,93 +54,93 @@ MODES = {
     "descending": 512,
     "engine_limited": 1024,
 }
-"""In which ways a tick differs from one with every measurement: a set, one bit each, as in the Rust crate."""
+"""Bits of a tick's modes, for what was not measured or how the robot flies without it, as in the Rust crate."""
 
 WITHOUT_MOMENTUM = MODES["joints_predicted"] | MODES["rotation_predicted"] | MODES["velocity_predicted"]
-"""Ticks of these modes do not measure the momentum."""
+"""Modes of a tick in which the momentum is not measured."""
 
 
 @pytree
 class ChannelLimits:
-    """Which measurements are accepted, and what happens without them."""
+    """Criteria for accepting measurements, and constants of the predictions that replace them."""
 
     wind_hold: Float[Array, ""]
-    """[s]."""
+    """Time for which the last wind is held [s]."""
     wind_fade: Float[Array, ""]
-    """[s]."""
+    """Time in which the wind then fades to zero [s]."""
     frozen_ticks: Float[Array, ""]
     widening: Float[Array, ""]
-    """[1/s]."""
+    """Growth of the accepted distance with a channel's age, relative to `jump` [1/s]."""
     velocity_gain: Float[Array, ""]
-    """[1/s]."""
+    """Gain with which the base velocity follows the pose when it is not measured [1/s]."""
     descend_after: Float[Array, ""]
-    """[s]."""
+    """Age of a channel of joints or base after which the robot descends [s]."""
     greatest: Float[Array, " E"]
     jump: Float[Array, " E"]
-    """Infinite where everything is accepted."""
+    """Largest accepted distance from the prediction, in the unit of the entry; infinite if unlimited."""
     compares: Static[bool]
-    """Whether values are compared with what is predicted."""
+    """Whether values are compared with predictions."""
     needs_joint_velocity: Static[bool]
-    """Else an observer of the joints finds them from positions, and they count as zero where they are not measured."""
+    """If false, joint velocities that are not measured count as zero, since a joint observer estimates them."""
     may_predict: Static[bool]
-    """Whether the state of a flight that has not diverged may be predicted instead."""
+    """Whether values can be rejected, and so replaced by predictions, before the flight has diverged."""
 
 
 class ChannelsState(NamedTuple):
-    """What the channels remember from one tick to the next."""
+    """State of the channels between two ticks."""
 
     age: Float[Array, " C"]
-    """Time since they were last measured [s]."""
+    """Time since each channel was last measured [s]."""
     same: Int[Array, " C"]
-    """Number of ticks in which they had the bits of the tick before."""
+    """Number of consecutive ticks with unchanged bits."""
     is_frozen: Bool[Array, " C"]
-    """Whether they are frozen: until their bits change."""
+    """Whether each channel is frozen; remains true until its bits change."""
     is_distrusted: Bool[Array, " C"]
-    """Whether they are no longer accepted."""
+    """Whether each channel is permanently rejected."""
     last: Float[Array, " E"]
     """The measurement of the last tick."""
     predicted: Float[Array, " E"]
-    """What the model makes of the last values that were measured."""
+    """Prediction of the present values from the last accepted ones."""
     acceleration: Float[Array, " N"]
     """Acceleration `ν̇` that the last command causes."""
     thrust_rate: Float[Array, " j"]
     """Thrust rates of the last command [N/s]."""
     time: Float[Array, ""]
-    """Time of the last tick, M108 [s]."""
+    """Time of the last tick by the controller, M108 [s]."""
     clock_offset: Float[Array, ""]
-    """By how much the clock of the measurements is ahead of it [s]."""
+    """Difference between the measurements' clock and the controller's time [s]."""
     is_begun: Bool[Array, ""]
-    """Whether there was a tick."""
+    """Whether a tick has been processed."""
     is_descending: Bool[Array, ""]
 
 
 class Seen(NamedTuple):
-    """A measurement that a tick can use."""
+    """A measurement without missing values, ready for use by a tick."""
 
     time: Float[Array, ""]
-    """Time of the controller: that of the measurement, but for jumps of its clock [s]."""
+    """Time of the controller: that of the measurement, corrected for jumps of its clock [s]."""
     state: State
     thrust: Float[Array, " j"]
     wind: Float[Array, "3"]
     modes: Int[Array, ""]
-    """What of it is not measured."""
+    """Sum of the bits of `MODES`."""
     thrust_innovation: Float[Array, " j"]
-    """By how much each thrust is not the predicted one, or by how much an estimator corrects it; zero where it is not
-    measured [N]."""
+    """Measured minus predicted thrust, or an estimator's correction of it; zero for thrusts that are not measured
+    [N]."""
     elapsed: Float[Array, ""]
-    """Time since the last tick [s]; a time step where that is not known."""
+    """Time since the last tick [s]; one time step if unknown."""
     pause: Float[Array, ""]
-    """How far the measurement's clock went on where the time since the last tick is not known: either the clock has
-    jumped or the controller has paused. Zero where it is known, or cannot be a pause [s]."""
+    """Advance of the measurements' clock [s] if the time since the last tick is unknown, because either the clock has
+    jumped or the controller has paused. Zero if that time is known or the advance is too long for a pause."""
     has_momentum: Bool[Array, ""]
-    """Whether the momentum is that of measurements, and its rate that of the time since the last tick."""
+    """Whether the momentum is computed from measurements and the time since the last tick is known."""
 
 
 def channel_limits(controller: ControllerSection, robot: RobotModel, divergence: DivergenceConfig) -> ChannelLimits:
-    """Collect the numbers of a configuration, entry by entry."""
+    """Return the limits of a configuration, entry by entry."""
     config, estimator = controller.channels, controller.estimator
     n, most = robot.n_joints, config.greatest
-    # By default all that a flight reaches before it diverges is accepted.
+    # By default every value that a flight can reach before it counts as diverged is accepted.
     is_wild = any(map(operator.gt, astuple(divergence), astuple(DivergenceConfig())))
     free = dict.fromkeys(
         ("joint_position", "joint_velocity", "position", "rotation", "velocity", "angular_velocity"), np.inf
@@ -171,7 +171,7 @@ def channel_limits(controller: ControllerSection, robot: RobotModel, divergence:
 
 
 def start(robot: RobotModel, state: State) -> ChannelsState:
-    """Begin before the first tick, whose measurement is taken as it is."""
+    """Return the state before the first tick, whose measurement is accepted without comparison."""
     like = state.joint_position
     jets, n = robot.jets.thrust_max.shape[0], robot.n_joints
     owners = _owners(jets, n)
@@ -203,7 +203,7 @@ def update(
     thrust: Float[Array, " j"],
     wind: Float[Array, "3"],
 ) -> tuple[ChannelsState, Seen]:
-    """Take in a measurement at `time` [s] by its clock."""
+    """Process a measurement at `time` [s] by its clock: return the channels' state and the usable measurement."""
     if not limits.needs_joint_velocity:
         joints = state.velocity[6:]
         state = state._replace(velocity=state.velocity.at[6:].set(jnp.where(jnp.isfinite(joints), joints, 0.0)))
@@ -239,18 +239,18 @@ def update(
     is_plausible = is_plausible.at[ROTATION].set(is_plausible[ROTATION] & is_rotation(state.base_rotation))
 
     def judge(predicted: Array) -> tuple[Array, Array]:
-        """Whether each channel is measured, and whether it is frozen."""
+        """Return whether each channel is accepted as measured, and whether it is frozen."""
         if not limits.compares:
             return is_plausible, memory.is_frozen
         distance = jnp.abs(now - predicted)
-        # What happened in a pause is no jump.
+        # A change during a pause does not count as a jump.
         gate = 1.0 + limits.widening * memory.age + pause / time_step
         is_near = of_all(distance <= gate[owner] * limits.jump)
         leaves = (same >= limits.frozen_ticks) & ~of_all(distance <= FROZEN_SHARE * limits.jump)
         is_frozen = is_same & (memory.is_frozen | leaves)
         return is_plausible & is_near & ~is_frozen, is_frozen
 
-    # The pose integrates the velocity of this tick, measured or not.
+    # The pose is integrated with the velocity of this tick, measured or predicted.
     velocity = jnp.where(judge(predicted)[0][VELOCITY], now[-18:-12], predicted[-18:-12])
     pose = _integrate(predicted[-12:], velocity, dt)
     pose = pose.at[:3].set(jnp.clip(pose[:3], -limits.greatest[-12:-9], limits.greatest[-12:-9]))
@@ -258,15 +258,15 @@ def update(
     is_measured, is_frozen = judge(predicted)
     age = jnp.where(is_measured, 0.0, memory.age + dt)
     of_entry = is_measured[owner]
-    # What is not measured must not enter the computation, not even its derivative.
+    # Rejected values, which may be NaN, must enter neither values nor derivatives.
     now = jnp.where(of_entry, now, predicted)
-    # Over an unknown time it says nothing.
+    # An innovation over an unknown time has no meaning.
     innovation = jnp.where(memory.is_begun & is_step, (now - predicted)[3 : 3 + jets], 0.0)
-    # Of joints and base the predicted value moves on, to be compared with one that may be frozen.
+    # For joints and base with unchanged bits the prediction continues, so that frozen values can be detected.
     is_vital = np.arange(owners.shape[0]) > jets
     predicted = jnp.where((is_measured & ~(is_same & is_vital))[owner], now, predicted)
 
-    # The differences of a pose that this tick and the last one measured, and anew.
+    # Differences between poses that were newly measured at both this tick and the last.
     is_new = is_measured & ~is_same & (memory.same == 0) & (memory.age == 0.0)
     fresh = memory.is_begun & is_step & jnp.all(is_new[-2:])
     before = jnp.where(of_entry & jnp.isfinite(memory.last), memory.last, now)
@@ -306,9 +306,9 @@ def update(
 
 
 def accepted(memory: ChannelsState, seen: Seen) -> tuple[State, Float[Array, " j"]]:
-    """Return what an estimator may follow of the measurement that was taken in last, state and thrusts.
+    """Return the state and thrusts of the last measurement for an estimator, with NaN for rejected values.
 
-    NaN stands for what was not accepted, but a base velocity that was not is the one that follows the pose.
+    A rejected base velocity is replaced by the one that follows the pose.
     """
     jets, n = seen.thrust.shape[0], seen.state.joint_position.shape[0]
     is_accepted = (memory.age == 0.0).at[VELOCITY].set(True)[_owners(jets, n).argmax(axis=0)]
@@ -316,13 +316,13 @@ def accepted(memory: ChannelsState, seen: Seen) -> tuple[State, Float[Array, " j
 
 
 def replaced(limits: ChannelLimits, state: State, thrust: Float[Array, " j"], seen: Seen) -> Seen:
-    """Put an estimate in the place of what is seen, unless a number of it could not have been accepted."""
+    """Replace the measurement by an estimate, unless the estimate has values outside the accepted range."""
     is_plausible = jnp.all(jnp.abs(_flat(state, thrust, seen.wind)) <= limits.greatest)
     return where(is_plausible, seen._replace(state=state, thrust=thrust), seen)
 
 
 def reject_sensor(memory: ChannelsState, is_wrong: Bool[Array, " j"], deviation: Float[Array, " j"]) -> ChannelsState:
-    """Use the measured thrusts of some jets no more, which were measured too large by `deviation` [N]."""
+    """Permanently reject the thrust sensors of some jets, whose measurements were too large by `deviation` [N]."""
     jets = is_wrong.shape[0]
     return memory._replace(
         is_distrusted=memory.is_distrusted.at[1 : 1 + jets].set(memory.is_distrusted[1 : 1 + jets] | is_wrong),
@@ -331,7 +331,7 @@ def reject_sensor(memory: ChannelsState, is_wrong: Bool[Array, " j"], deviation:
 
 
 def _owners(jets: int, n: int) -> np.ndarray:
-    """Which channel (C) owns which entry (E)."""
+    """Return the mask (C, E) of the entries that belong to each channel."""
     sizes = [3, *[1] * jets, 2 * n, 6, 3, 9]
     return np.repeat(np.eye(len(sizes), dtype=bool), sizes, axis=1)
 
@@ -343,7 +343,7 @@ def _flat(state: State, thrust: Array, wind: Array) -> Array:
 
 
 def _parts(numbers: Array, jets: int, n: int) -> tuple[State, Array]:
-    """Return state and thrusts: the other way round."""
+    """Return state and thrusts from the vector of entries, the inverse of `_flat`."""
     joints = numbers[3 + jets : 3 + jets + 2 * n]
     state = State(
         base_position=numbers[-12:-9],
@@ -355,9 +355,9 @@ def _parts(numbers: Array, jets: int, n: int) -> tuple[State, Array]:
 
 
 def _predict(limits: ChannelLimits, memory: ChannelsState, jets: int, n: int, dt: Array) -> Array:
-    """Move every value but the pose on by `dt` [s]: M78 for velocities and joints, M31 for thrusts.
+    """Predict every value except the pose after `dt` [s]: M78 for velocities and joints, M31 for thrusts.
 
-    None leaves what is accepted of a measurement.
+    The prediction is limited to the accepted range.
     """
     last = memory.predicted
     thrust = jnp.maximum(last[3 : 3 + jets] + dt * memory.thrust_rate, 0.0)
@@ -369,6 +369,6 @@ def _predict(limits: ChannelLimits, memory: ChannelsState, jets: int, n: int, dt
 
 
 def _integrate(pose: Array, velocity: Array, dt: Array) -> Array:
-    """Move position and rotation (12,) on by `dt` [s] with a velocity of the base (6,): M78."""
+    """Integrate position and rotation (12,) over `dt` [s] with the base velocity (6,): M78."""
     rotation = multiply(exp_so3(dt * velocity[3:]), pose[3:].reshape(3, 3))
     return jnp.concatenate([pose[:3] + dt * velocity[:3], rotation.reshape(9)])

@@ -1,10 +1,10 @@
-"""Detection of engines that do not follow their commands, and of wrong thrust sensors.
+"""Detection of engines that do not follow their commands, and of faulty thrust sensors.
 
-    d ← e^{−Δt/τ} d + (T_k − T̂_k)          how far a thrust has left the commanded one
-    d̄ ← d after lags of τ_e and τ_n         the same, as late as the momentum is known
-    n ← n + (1 − e^{−Δt/τ_n}) (w − ŵ − n)   what the momentum says beside the observed wrench
+    d ← e^{−Δt/τ} d + (T_k − T̂_k)          deviation of a thrust from the commanded one
+    d̄ ← d after lags of τ_e and τ_n         the same, delayed as the estimated momentum is
+    n ← n + (1 − e^{−Δt/τ_n}) (w − ŵ − n)   wrench in the momentum in excess of the observed wrench
 
-The thrust that an engine stops at bounds what is commanded from then on. Equations M105 and M106 of `docs/model.md`.
+A limited engine's last thrust bounds its commands from then on. Equations M105 and M106 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -23,40 +23,40 @@ from jax_aero.robot import RobotModel
 from jax_aero.types import Array, leaf, leaves, pytree
 
 LEAST_ARM = 0.01
-"""Least lever arm about the centre of mass of a jet whose sensor can be judged [m]: a deviation of 10 N has a moment of
-0.1 N m there, as much as the residual's noise."""
+"""Least lever arm about the centre of mass for judging a jet's sensor [m]: there a deviation of 10 N has a moment of
+0.1 N m, as large as the noise of the residual."""
 
 
 @pytree
 class Descent:
-    """The law of a robot that has lost an engine."""
+    """Control law for the descent of a robot that has lost an engine."""
 
     range_min: Float[Array, " j"]
-    """An engine is lost whose least and greatest thrust are less than this apart [N]."""
+    """An engine is lost if its greatest and least thrust differ by less than this [N]."""
     momentum: TaskGains
-    """Gains in place of the controller's."""
+    """Gains that replace the controller's."""
     joint_velocity_max: Float[Array, " n"]
-    """Greatest velocity, of revolute joints whose own is less; zero for others [rad/s]."""
+    """Limit on the velocity of revolute joints whose own limit is lower; zero for other joints [rad/s]."""
     torque_rate_max: Float[Array, " n"]
-    """Greatest rate of a torque, likewise [N m/s]."""
+    """Limit on the torque rate, likewise [N m/s]."""
 
 
 @pytree
 class EngineLimits:
-    """When an engine does not reach its thrust, and when it counts as lost."""
+    """Criteria for an engine that does not reach its thrust, and for a lost one."""
 
     time_constant: Float[Array, ""]
-    """[s]."""
+    """`τ` of the deviation [s]."""
     deviation_max: Float[Array, ""]
-    """[N]."""
+    """Largest deviation of a healthy engine [N]."""
     confirmation: Float[Array, ""]
-    """[s]."""
+    """Time for which the deviation must exceed it [s]."""
     descent: Descent | None
-    """How the robot descends where one is lost; `None` where it flies on."""
+    """Control law after the loss of an engine; `None` to keep the usual one."""
 
 
 class EngineState(NamedTuple):
-    """What is known of the engines."""
+    """State of the detection for all engines."""
 
     deviation: Float[Array, " j"]
     """`d` [N]."""
@@ -65,24 +65,24 @@ class EngineState(NamedTuple):
     late: Float[Array, " j"]
     """`d` after both, `d̄` [N]."""
     suspected: Float[Array, " j"]
-    """How long it has been too large [s]."""
+    """Time for which the deviation has been too large [s]."""
     least: Float[Array, " j"]
-    """Least thrust that they reach, as far as that was found [N]."""
+    """Least thrust that each engine reaches, as far as detected [N]."""
     greatest: Float[Array, " j"]
-    """Greatest thrust that they reach, likewise [N]."""
+    """Greatest thrust that each engine reaches, as far as detected [N]."""
 
     @property
     def is_limited(self) -> Bool[Array, " j"]:
-        """Return which do not reach every thrust."""
+        """Return which engines do not reach their whole thrust range."""
         return (self.least > 0.0) | (self.greatest < jnp.inf)
 
     def is_lost(self, descent: Descent) -> Bool[Array, " j"]:
-        """Return whose thrust can change too little to fly with."""
+        """Return which engines have too small a thrust range for flight."""
         return self.greatest - self.least < descent.range_min
 
 
 def engine_limits(config: EnginesConfig, robot: RobotModel) -> EngineLimits:
-    """Collect the numbers of a configuration."""
+    """Return the limits of a configuration."""
     none = leaf(np.zeros(robot.n_joints))
     descent = config.descent
     return EngineLimits(
@@ -101,7 +101,7 @@ def engine_limits(config: EnginesConfig, robot: RobotModel) -> EngineLimits:
 
 
 def start(like: Float[Array, " j"]) -> EngineState:
-    """Return what is known of engines with thrusts like these at first."""
+    """Return the initial state for engines with thrusts of this shape and precision [N]."""
     none = jnp.zeros_like(like)
     return EngineState(none, none, none, none, none, jnp.full_like(like, jnp.inf))
 
@@ -117,14 +117,14 @@ def update(
     has_momentum: Bool[Array, ""],
     momentum_share: Float[Array, ""],
 ) -> tuple[EngineState, Bool[Array, " j"], Float[Array, " j"]]:
-    """Take in thrusts [N] and by how much they are not the predicted ones.
+    """Process thrusts and their innovations [N].
 
-    Also return which sensors are wrong, and by how much.
+    Returns the new state, which sensors are faulty, and the deviations `d` before their reset [N].
 
-    `a_t` takes thrusts to the momentum's rate, `residual` is the `n` above [N, N m]. `momentum_share` is the share of a
-    change that the estimated momentum follows per tick, 1 where it is measured. Where it is not, nothing is judged:
-    lags and confirmation begin anew. Moments alone are compared: gyroscopes are less noisy than velocities, and forces
-    of the air change more than their moments.
+    `a_t` maps thrusts to the momentum rate; `residual` is the `n` above [N, N m]. `momentum_share` is the share of a
+    change that the estimated momentum follows per tick, 1 if it is measured. Without momentum nothing is judged, and
+    lags and confirmation restart. Only moments are compared: gyroscopes are less noisy than velocity estimates, and
+    aerodynamic forces change more than their moments.
     """
     deviation = jnp.exp(-dt / limits.time_constant) * last.deviation + innovation
     estimated = last.estimated + momentum_share * (deviation - last.estimated)
@@ -132,9 +132,9 @@ def update(
     estimated, late = jnp.where(has_momentum, estimated, 0.0), jnp.where(has_momentum, late, 0.0)
     exceeds = jnp.abs(late) > limits.deviation_max
     suspected = jnp.where(exceeds, last.suspected + dt, 0.0)
-    # Half a tick is for rounding.
+    # Half a tick allows for rounding.
     is_sure = exceeds & (suspected >= limits.confirmation + 0.5 * dt)
-    # A product in place of the quotient of M106: a jet may have no moment about the centre of mass.
+    # Multiplied instead of divided as in M106, since a jet may have no moment about the centre of mass.
     moments = a_t[3:]
     arm_squared = jnp.sum(moments**2, axis=0)
     explained = -(moments.T @ residual[3:]) * jnp.sign(late)
@@ -143,7 +143,7 @@ def update(
     is_short, is_stuck = (is_sure & ~is_wrong & (sign * late > 0.0) for sign in (-1.0, 1.0))
     least = jnp.where(is_stuck, thrust, jnp.where(is_short, jnp.minimum(last.least, thrust), last.least))
     greatest = jnp.where(is_short, thrust, jnp.where(is_stuck, jnp.maximum(last.greatest, thrust), last.greatest))
-    # A sensor that is no longer accepted says nothing about its engine.
+    # A rejected sensor gives no information about its engine.
     deviation_left, estimated, late, suspected = (
         jnp.where(is_wrong, 0.0, x) for x in (deviation, estimated, late, suspected)
     )

@@ -1,11 +1,11 @@
-"""State estimator for the control law: the robot's model, corrected by delayed measurements, integrated to the present.
+"""State estimator of the controller: a model corrected by delayed measurements and integrated to the present.
 
 ```text
-measured at age d ──► wait until all are of one age D ──► correct x̂(t − D)
-x̂(t − D) ──► D ticks of the model under the commands that were given ──► x̂(t), for the controller
+measurements of ages d ──► delayed to a common age D ──► correct x̂(t − D)
+x̂(t − D) ──► D ticks of the model under the past commands ──► x̂(t), for the controller
 ```
 
-Ages and shares are numbers; the greatest age is structure.
+Ages and shares are numbers; only the greatest age is structure, fixed at compilation.
 
 Equations M91 to M93 of `docs/model.md`.
 """
@@ -28,71 +28,72 @@ from jax_aero.spatial import cross, exp_so3, log_so3, multiply, project_to_so3, 
 from jax_aero.types import Array, State, Static, joined, leaf, pytree, where
 
 GREATEST = 1e6
-"""Beyond this no number of a robot is a measurement [m, m/s, rad/s, N]."""
+"""Largest absolute value that is accepted as a measurement [m, m/s, rad/s, N]."""
 
 
 class Reading(NamedTuple):
-    """What is known of a robot's state, measured or estimated."""
+    """A robot's state, measured or estimated."""
 
     state: State
     thrust: Float[Array, " j"]
-    """[N]."""
+    """Thrusts [N]."""
 
 
 class Order(NamedTuple):
-    """What acts on the robot from one tick to the next."""
+    """Inputs of the robot from one tick to the next."""
 
     torque: Float[Array, " n"]
-    """[N m]."""
+    """Joint torques [N m]."""
     thrust_rate: Float[Array, " j"]
-    """[N/s]."""
+    """Thrust rates [N/s]."""
     unmodelled: Float[Array, "6"]
-    """Wrench that is in no model, about the centre of mass [N, N m]."""
+    """Observed wrench that is in no model, about the centre of mass [N, N m]."""
     wind: Float[Array, "3"]
-    """That the controller uses, finite whatever is measured [m/s]."""
+    """Wind that the controller uses, always finite [m/s]."""
     duration: Float[Array, ""]
-    """How long it acts [s]; known when the next tick comes."""
+    """Duration [s]; known only at the next tick."""
 
 
 @pytree
 class Estimator:
-    """How old measurements are, and how much they count.
+    """Ages of the measurements and shares of their corrections.
 
-    In this order: base position, rotation, linear and angular velocity, joint positions and velocities, thrusts.
+    Order of the entries: base position, rotation, linear and angular velocity, joint positions, joint velocities,
+    thrusts.
     """
 
     age: Int[Array, "7"]
-    """In ticks."""
+    """Ages [ticks]."""
     share: Float[Array, "7"]
-    """Share of the innovation that is accepted."""
+    """Shares of the innovations by which the estimate is corrected."""
     by_position: Float[Array, "2"]
     """Shares of the joint positions' innovation that correct velocities, per tick, and accelerations, per tick²."""
     momentum_share: Float[Array, ""]
-    """Share of a moment that is in no model that the estimated momentum shows per tick: that of a lag as long as the
-    greatest age and the time constant of the angular velocity."""
+    """Share of an unmodelled moment that appears in the estimated momentum per tick: that of a lag whose time constant
+    is the greatest age plus the time constant of the angular velocity."""
     time_step: Float[Array, ""]
-    """[s]."""
+    """Time step of the controller [s]."""
     greatest_age: Static[int]
-    """In ticks."""
+    """Greatest age [ticks]."""
 
 
 class EstimatorState(NamedTuple):
-    """The estimator from one tick to the next."""
+    """State of the estimator between two ticks."""
 
     line: Reading
-    """The last measurements, the latest first, as many as the greatest age and one: one more axis in front."""
+    """Last measurements, the latest first, greatest age + 1 of them along an additional first axis."""
     orders: Order
-    """The last commands likewise."""
+    """Last commands, in the same order."""
     then: Reading
     """Estimate at the greatest age."""
     disturbance: Float[Array, " n"]
-    """Accelerations of the joints that the model does not explain [rad/s²]."""
+    """Joint accelerations that the model does not explain [rad/s²]."""
     ticks: Int[Array, ""]
-    """That have been taken in."""
+    """Number of measurements processed."""
 
 
 def estimator(config: EstimatorConfig, time_step: Float[Array, ""]) -> Estimator:
-    """Collect the numbers of a configuration."""
+    """Return the estimator of a configuration."""
     channels = (
         config.base_position,
         config.base_rotation,
@@ -111,7 +112,7 @@ def estimator(config: EstimatorConfig, time_step: Float[Array, ""]) -> Estimator
     share = [share_of(channel.time_constant) for channel in channels]
     by_position = [0.0, 0.0]
     if config.joint_observer is not None:
-        # Three poles at e^(-Δt/T).
+        # Triple pole at e^(-Δt/T).
         left = share_of(config.joint_observer)
         pole = 1.0 - left
         age[5], share[4], share[5] = 0, 1.0 - pole**3, 0.0
@@ -122,7 +123,7 @@ def estimator(config: EstimatorConfig, time_step: Float[Array, ""]) -> Estimator
 
 
 def start(settings: Estimator, state: State, jets: int) -> EstimatorState:
-    """Return the state before the first measurement, which takes the place of the given state and of zero thrusts."""
+    """Return the state before the first measurement, which replaces the given state and the thrusts of zero."""
 
     def often(x: Array) -> Array:
         return jnp.stack([x] * (settings.greatest_age + 1))
@@ -135,7 +136,7 @@ def start(settings: Estimator, state: State, jets: int) -> EstimatorState:
 
 
 def restarted(state: EstimatorState, has_paused: Bool[Array, ""]) -> EstimatorState:
-    """Let the next measurement begin anew after a pause: it is not known how long the last command has acted."""
+    """Restart at the next measurement after a pause, since it is unknown how long the last command has acted."""
     return state._replace(ticks=jnp.where(has_paused, 0, state.ticks))
 
 
@@ -147,15 +148,15 @@ def update(
     measured: Reading,
     elapsed: Float[Array, ""],
 ) -> tuple[EstimatorState, Reading, Float[Array, " j"]]:
-    """Take a measurement in; the state of the next tick, the estimate of now, and the correction of thrusts [N].
+    """Process a measurement; return the next state, the present estimate and the correction of thrusts [N].
 
-    `elapsed` is the time since the last measurement [s], of which whole time steps count; ages count measurements.
+    `elapsed` is the time since the last measurement [s], rounded to whole time steps; ages count measurements.
 
-    The first one begins the flight: it is taken for what had been before it, as far as it can be. Numbers that cannot
-    be (`GREATEST`) correct nothing: the estimate of them is the model's. One that is not finite begins anew with what
-    is measured.
+    The first measurement also stands for all earlier ones, as far as it is valid. Numbers beyond `GREATEST` and NaN
+    correct nothing, so the model's estimate remains. If the estimate itself is not finite, it restarts from the
+    measurement.
     """
-    # Chosen before anything is computed: neither numbers nor derivatives of the first tick depend on those of `start`.
+    # Selected before the computation, so that values and derivatives of the first tick do not depend on `start`.
     always = jax.tree.map(lambda old, new: jnp.broadcast_to(new, old.shape), before.line, measured)
     first = (always, _known(measured, before.then))
     line, then = where(before.ticks == 0, first, (before.line, before.then))
@@ -170,7 +171,7 @@ def update(
     then = where(is_sound, then, measured)
     unexplained = jnp.where(is_sound, before.disturbance, 0.0)
 
-    # Measurements that came early wait for the others.
+    # Younger measurements wait for the oldest.
     waiting = oldest - settings.age
     aligned = [_known(jax.tree.map(lambda x, ticks=waiting[channel]: x[ticks], line), then) for channel in range(7)]
     step, (of_velocity, of_acceleration) = last.duration, settings.by_position
@@ -191,7 +192,7 @@ def update(
 
 
 def command(state: EstimatorState, order: Order) -> EstimatorState:
-    """Return the state with what acts from this tick to the next."""
+    """Return the state with the inputs that act from this tick to the next."""
     return state._replace(
         orders=jax.tree.map(lambda old, new: jnp.concatenate([new[None], old[:-1]]), state.orders, order)
     )
@@ -200,7 +201,7 @@ def command(state: EstimatorState, order: Order) -> EstimatorState:
 def replace_command(
     state: EstimatorState, torque: Float[Array, " n"], thrust_rate: Float[Array, " j"]
 ) -> EstimatorState:
-    """Return the state with another command [N m, N/s] in place of the last one."""
+    """Return the state with the last command replaced [N m, N/s]."""
     orders = state.orders
     return state._replace(
         orders=orders._replace(
@@ -212,7 +213,7 @@ def replace_command(
 def correct_thrusts(
     state: EstimatorState, is_wrong: Bool[Array, " j"], deviation: Float[Array, " j"]
 ) -> EstimatorState:
-    """Return the state without the deviations [N] of sensors that are wrong, whose measurements are used no more."""
+    """Return the state with the deviations [N] of faulty sensors removed, which are no longer used."""
     lost = jnp.where(is_wrong, jnp.nan, state.line.thrust)
     right = state.then.thrust - jnp.where(is_wrong, deviation, 0.0)
     return state._replace(line=state.line._replace(thrust=lost), then=state.then._replace(thrust=right))
@@ -225,7 +226,7 @@ def advance(
     order: Order,
     disturbance: Float[Array, " n"],
 ) -> Reading:
-    """One tick of the model under an order and unexplained accelerations of the joints, semi-implicit."""
+    """Integrate one tick of the model under its inputs and unexplained joint accelerations, semi-implicitly."""
     state, step = reading.state, order.duration
     kin = kinematics(robot, state)
     dyn = dynamics(robot, state, kin)
@@ -237,8 +238,8 @@ def advance(
         + generalised_aero_force(robot, kin, link, link.jacobian_points)
         + jnp.concatenate([jnp.zeros_like(order.unmodelled), order.torque])
     )
-    # What is in no model moves the whole robot: where on it that acts is not known. What moves joints besides is
-    # internal, and leaves the momentum as it is.
+    # The unmodelled wrench moves the robot as a whole, since its point of action is unknown. Unexplained joint
+    # accelerations are internal and do not change the momentum.
     wrench = order.unmodelled - dyn.momentum_matrix[:, 6:] @ disturbance
     angular = jnp.linalg.solve(dyn.centroidal_inertia, wrench[3:])
     linear = wrench[:3] / robot.mass - cross(angular, kin.com - state.base_position)
@@ -254,13 +255,13 @@ def advance(
 
 
 def _known(measured: Reading, estimate: Reading) -> Reading:
-    """Return what is measured, or the estimate where that cannot be."""
+    """Return the measurement, with invalid values replaced by the estimate."""
     known: Reading = jax.tree.map(lambda said, own: jnp.where(jnp.abs(said) <= GREATEST, said, own), measured, estimate)
     return known
 
 
 def _correct(share: Array, estimate: Reading, measured: list[Reading]) -> Reading:
-    """Move an estimate towards measurements of its time, each by its share."""
+    """Correct an estimate by measurements of the same time, each by its share."""
     now, (position, rotation, linear, angular, joints, joint_velocities, thrusts) = estimate.state, measured
 
     def gyro(state: State) -> Array:

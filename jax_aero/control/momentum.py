@@ -7,8 +7,8 @@ L̈ = A_T Ṫ + (Λ_T + Λ_a) ν                                     what the co
 
 with `r` the arm from the centre of mass. Source: paper, Methods, "Flight Control Design".
 
-A column of `Λ` is the change of all forces while one joint turns at unit speed. It needs no Jacobian: only the sums of
-forces and moments over what the joint carries, which are one product with the static matrix of ancestors.
+A column of `Λ` is the change of all forces per unit speed of one joint. It needs no Jacobian, only the sums of forces
+and moments over the joint's subtree, which are one product with the static matrix of ancestors.
 
 Equations M50 to M52, M55, M56 and M86 of `docs/model.md`.
 """
@@ -33,20 +33,20 @@ class MomentumModel(NamedTuple):
     jet_axes: Float[Array, "j 3"]
     """Unit thrust directions `a_i`."""
     jet_points: Float[Array, "j 3"]
-    """Thrust points [m]."""
+    """Points at which the thrusts act [m]."""
     a_t: Float[Array, "6 j"]
     """`A_T = (a_i ; r_i × a_i)`."""
     lambda_t: Float[Array, "6 N"]
     """`Λ_T`: momentum acceleration per unit of ν due to turning and moving thrusts."""
     lambda_a: Float[Array, "6 N"]
-    """`Λ_a`: the same due to moving aerodynamic forces, their own change neglected."""
+    """`Λ_a`: the same due to moving aerodynamic forces, with the change of the forces themselves neglected."""
     rate_estimate: Float[Array, "6"]
     """`L̇` [N, N m]."""
     unmodelled_wrench: Float[Array, "6"]
-    """Observed wrench that is in no model, `ŵ`, part of the rate; zero without an observer [N, N m]."""
+    """Observed unmodelled wrench `ŵ`, included in the rate; zero without an observer [N, N m]."""
 
     def with_unmodelled(self, wrench: Float[Array, "6"]) -> MomentumModel:
-        """Return the same with the observed wrench `ŵ` in the momentum rate."""
+        """Return the same model with the observed wrench `ŵ` added to the momentum rate."""
         return self._replace(rate_estimate=self.rate_estimate + wrench, unmodelled_wrench=wrench)
 
     @property
@@ -65,7 +65,7 @@ def momentum_model(
     rate_feedback: Float[Array, "6"] | float = 1.0,
     lambda_feedback: bool = True,
 ) -> MomentumModel:
-    """Evaluate all terms.
+    """Return all terms of the momentum rate and its derivative.
 
     `rate_feedback` is the share of the total aerodynamic force and moment that enters the momentum rate;
     `lambda_feedback` says whether link forces enter its derivative.
@@ -87,15 +87,15 @@ def momentum_model(
 
 
 def _lambda_t(robot: RobotModel, kin: Kinematics, com_jacobian: Array, points: Array, forces: Array) -> Array:
-    """Thrusts `f_i = T_i a_i` turn with what carries them.
+    """Thrusts `f_i = T_i a_i` rotate with the body that carries the jet.
 
     ```text
     Λ_T = −Σ_i ( (0 ; S(f_i)) (J_i^v − J_G) + (I ; S(r_i)) S(f_i) J_i^ω )
     ```
 
-    What joint k carries has the wrench (F, M) about the joint's origin o. Turning about the axis a it becomes
-    `(F + a × F, M + a × M)`, which about the centre of mass c changes by `(a × F ; a × M + (o − c) × (a × F))`.
-    Shifting along the axis a changes it by `(0 ; a × F)`.
+    The subtree of joint k has the wrench (F, M) about the joint's origin o. Rotation about the axis a changes it to
+    `(F + a × F, M + a × M)`, and so about the centre of mass c by `(a × F ; a × M + (o − c) × (a × F))`. Translation
+    along the axis a changes it by `(0 ; a × F)`.
     """
     base = kin.body_positions[0]
     moments = cross(points - base, forces)
@@ -124,9 +124,9 @@ def _lambda_a(robot: RobotModel, kin: Kinematics, com_jacobian: Array, link: Lin
     Λ_a = (0 ; −Σ_j S(f_j) (J_j − J_G))
     ```
 
-    A joint with axis a at o moves a point p by `a × d`, d = p − o, and `(a × d) × f = d (a·f) − a (d·f)`; summed over
-    what the joint carries this takes `P = Σ d fᵀ` alone: `P a − a tr P`. A prismatic joint moves all points by a, which
-    gives `a × Σ f`.
+    A revolute joint with axis a at o moves a point p by `a × d`, d = p − o, and `(a × d) × f = d (a·f) − a (d·f)`.
+    Summed over the joint's subtree this only needs `P = Σ d fᵀ`: `P a − a tr P`. A prismatic joint moves all points by
+    a, which gives `a × Σ f`.
     """
     base = kin.body_positions[0]
     arms = link.jacobian_points - base
@@ -148,5 +148,5 @@ def _lambda_a(robot: RobotModel, kin: Kinematics, com_jacobian: Array, link: Lin
 
 
 def _com_motion(total_force: Array, com_jacobian: Array) -> Array:
-    """Part `(0 ; Σ S(f) J_G)` that all forces share: arms shorten when the centre of mass follows."""
+    """Part `(0 ; Σ S(f) J_G)` common to all forces: the arms change as the centre of mass moves."""
     return jnp.concatenate([jnp.zeros_like(com_jacobian), cross(total_force, com_jacobian.T).T])

@@ -1,9 +1,9 @@
 """Observer of the wrench that the controller's model does not contain, from the centroidal momentum alone.
 
 ```text
-w    = L̇ − r,   r = A_T T + A_a f_a − m g e₃                      what is not in the model
-dŵ/dt = K_o (w − ŵ)                                               what is observed
-ŵ   += (1 − exp(−K_o Δt)) ((L_k − L_{k−1})/Δt − r_{k−1} − ŵ)      per measurement, then clamped
+w    = L̇ − r,   r = A_T T + A_a f_a − m g e₃                      unmodelled wrench
+dŵ/dt = K_o (w − ŵ)                                               observed wrench
+ŵ   += (1 − exp(−K_o Δt)) ((L_k − L_{k−1})/Δt − r_{k−1} − ŵ)      per measurement, then limited
 ```
 
 `Δt` is the time between the two measurements. Inertial axes, about the centre of mass, force first.
@@ -26,7 +26,7 @@ RESIDUAL_TIME = 0.02
 
 @pytree
 class ObserverGains:
-    """How fast the observer follows, and the greatest wrench that it estimates."""
+    """Gains of the observer and the greatest wrench that it estimates."""
 
     gain_force: Float[Array, ""]
     """`K_o` of the force [1/s]."""
@@ -39,14 +39,14 @@ class ObserverGains:
 
 
 class ObserverState(NamedTuple):
-    """The observer from one tick to the next."""
+    """State of the observer between two ticks."""
 
     wrench: Float[Array, "6"]
     """`ŵ` [N, N m]."""
     residual: Float[Array, "6"]
-    """What was found beside it in the last hundredths of a second, `n` of M106 [N, N m]."""
+    """Low-passed difference between the unmodelled and the observed wrench, `n` of M106 [N, N m]."""
     is_known: Bool[Array, ""]
-    """Whether there is a last measurement: that of the rest."""
+    """Whether momentum and rate below are those of a last measurement."""
     momentum: Float[Array, "6"]
     """Centroidal momentum `L` [kg m/s, kg m²/s]."""
     rate: Float[Array, "6"]
@@ -54,7 +54,7 @@ class ObserverState(NamedTuple):
 
 
 def start(like: Float[Array, "..."]) -> ObserverState:
-    """Return the state of an observer that has observed nothing, in the precision of `like`."""
+    """Return the initial state, in the precision of `like`."""
     nothing = jnp.zeros(6, like.dtype)
     return ObserverState(nothing, nothing, jnp.array(False), nothing, nothing)
 
@@ -66,9 +66,9 @@ def update(
     momentum: Float[Array, "6"],
     rate: Float[Array, "6"],
 ) -> ObserverState:
-    """Take in a measurement `elapsed` [s] after the last one.
+    """Process a measurement `elapsed` [s] after the last one.
 
-    Without a last one there is nothing to compare: `ŵ` stays, as it does where numbers overflow.
+    `ŵ` is unchanged if there is no last measurement or if numbers overflow.
     """
     shares = -jnp.expm1(-elapsed * _sixfold(gains.gain_force, gains.gain_moment))
     innovation = (momentum - last.momentum) / elapsed - last.rate - last.wrench
@@ -82,12 +82,12 @@ def update(
 
 
 def residual_share(elapsed: Float[Array, ""]) -> Float[Array, ""]:
-    """Return the share of an innovation that the residual takes in after `elapsed` [s]."""
+    """Return the share of an innovation that the residual follows in `elapsed` [s]."""
     return -jnp.expm1(-elapsed / RESIDUAL_TIME)
 
 
 def hold(last: ObserverState) -> ObserverState:
-    """Return the observer after a tick whose momentum is not measured, or long after the last one: `ŵ` stays."""
+    """Return the state, with `ŵ` unchanged, after a tick without measured momentum or long after the last one."""
     return last._replace(residual=jnp.zeros_like(last.residual), is_known=jnp.array(False))
 
 

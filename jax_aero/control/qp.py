@@ -4,15 +4,15 @@
 minimise  ½ xᵀ H x + gᵀ x   subject to   lower ≤ x ≤ upper,     H symmetric positive definite
 ```
 
-One problem in, one answer out; `vmap` at the call site. The method is a monotone primal active set, started from the
-working set of the tick before: calm flight needs one pass, a saturated problem about a third of a pass for each
-variable. A pass is a fixed set of dense operations, so a batch takes it together; on a CPU the problems that need
-more passes are gathered, so that a batch does not wait for its worst.
+One problem is solved per call; use `vmap` for batches. The method is a monotone primal active set, started from the
+working set of the previous tick: undisturbed flight needs one pass, a saturated problem about a third of a pass per
+variable. A pass is a fixed set of dense operations, so a batch computes it together; on a CPU the problems that need
+more passes are gathered, so that the batch does not wait for its slowest.
 
-Derivative: the active set does not move under a small change of the data, so `x` solves a linear system there
-(implicit function theorem), in both modes and to any order. Where that is not so, see `solve`.
+Derivative: a small change of the data does not change the active set, so `x` solves a linear system (implicit function
+theorem), in both modes and to any order. For the exceptions see `solve`.
 
-float64 is needed for an answer to 1e-9: the flight's `H` has a condition number of about 2e8.
+An accuracy of 1e-9 requires float64, since `H` of the flight has a condition number of about 2e8.
 
 Equation M66 of `docs/model.md`.
 """
@@ -37,7 +37,7 @@ PASSES_PER_VARIABLE = 10
 """Passes allowed per variable, as in the Rust crate; flight problems have needed less than one."""
 
 SOLVED, ITERATION_LIMIT, NOT_POSITIVE_DEFINITE, INFEASIBLE_BOUNDS, NON_FINITE, INACCURATE = range(6)
-"""Status codes, those of the Rust crate's `QpStatus`."""
+"""Status codes, equal to those of the Rust crate's `QpStatus`."""
 
 
 class BoxQp(NamedTuple):
@@ -50,20 +50,20 @@ class BoxQp(NamedTuple):
     lower: Float[Array, " u"]
     """Lower bounds; -inf where there is none."""
     upper: Float[Array, " u"]
-    """Upper bounds; may equal the lower one, which fixes the variable."""
+    """Upper bounds; equal to the lower bound for a fixed variable."""
 
 
 class WarmStart(NamedTuple):
-    """Where a solve begins: the answer of the last one."""
+    """Starting point of a solve: the answer of the previous one."""
 
     x: Float[Array, " u"]
-    """Point; need not be feasible."""
+    """Point, not necessarily feasible."""
     side: Int[Array, " u"]
     """Working set: -1 held at the lower bound, 1 at the upper, 0 free."""
 
 
 class QpAnswer(NamedTuple):
-    """A minimiser and how accurate it is."""
+    """Minimiser and its accuracy."""
 
     x: Float[Array, " u"]
     """The minimiser, inside the bounds."""
@@ -74,53 +74,52 @@ class QpAnswer(NamedTuple):
     status: Int[Array, ""]
     """Status code; 0 is solved."""
     iterations: Int[Array, ""]
-    """Factorisations."""
+    """Number of factorisations."""
 
     @property
     def warm_start(self) -> WarmStart:
-        """Where the next solve should begin."""
+        """Return the starting point of the next solve."""
         return WarmStart(self.x, self.side)
 
 
 def cold_start(n: int, dtype: Dtype) -> WarmStart:
-    """Begin at zero, nothing held."""
+    """Return a start at zero with all variables free."""
     return WarmStart(jnp.zeros(n, dtype), jnp.zeros(n, jnp.int8))
 
 
 def kkt_tolerance(dtype: Dtype) -> float:
-    """Largest `kkt_residual` of an answer that may call itself solved: √ε in float64 as in the crate, else 1e-5."""
+    """Return the largest `kkt_residual` of a solved problem: √ε in float64 as in the crate, otherwise 1e-5."""
     return float(np.sqrt(np.finfo(np.float64).eps)) if np.finfo(dtype).bits == 64 else 1e-5
 
 
 def kkt_residual(qp: BoxQp, x: Float[Array, " u"]) -> Float[Array, ""]:
-    """How far `x` is from satisfying the optimality conditions, without units.
+    """Return the violation of the optimality conditions by `x`, dimensionless.
 
     ```text
     y_i = √H_ii x_i,   q_i = (H x + g)_i / √H_ii
     kkt = max_i | y_i − clamp(y_i − q_i, √H_ii lower_i, √H_ii upper_i) |  /  max(1, |g/√H_ii|_∞, |y|_∞)
     ```
 
-    Zero exactly at the minimiser. NaN for data that are not finite and for a diagonal that is not positive.
+    Zero exactly at the minimiser. NaN if data are not finite or the diagonal is not positive.
     """
     root = jnp.sqrt(jnp.diagonal(qp.h))
     y, q, g = root * x, (dot(qp.h, x) + qp.g) / root, qp.g / root
     gap = y - jnp.clip(y - q, root * qp.lower, root * qp.upper)
     residual = _max_abs(gap) / jnp.maximum(1.0, jnp.maximum(_max_abs(g), _max_abs(y)))
-    # Minimum and maximum may drop NaN, so it is looked for separately.
+    # Minimum and maximum may ignore NaN, so it is tested separately.
     finite = jnp.all(jnp.isfinite(q) & jnp.isfinite(y) & ~jnp.isnan(qp.lower) & ~jnp.isnan(qp.upper))
     return jnp.where(finite, residual, jnp.nan)
 
 
 def solve(qp: BoxQp, start: WarmStart | None = None) -> QpAnswer:
-    """Minimiser of `qp`; differentiable in all its data.
+    """Return the minimiser of `qp`, differentiable with respect to all its data.
 
-    Derivative: `H_FF dx_F = −(dg + dH x + H dx_held)_F` over the free variables F, and a held variable moves with
-    its bound; a fixed one (lower = upper) with the bound that its gradient presses it against. A variable that
-    touches a bound without pressing on it (degenerate, multiplier zero) counts as held: of the two one-sided
-    derivatives this is the one of the side on which the bound acts. Status, residual and starting point have no
-    derivative; an answer that is not solved has derivative zero.
+    Derivative: `H_FF dx_F = −(dg + dH x + H dx_held)_F` over the free variables F. A held variable moves with its
+    bound, a fixed one (lower = upper) with the bound that its gradient presses it against. A variable at a bound with
+    multiplier zero (degenerate) counts as held: of the two one-sided derivatives this is that of the side on which the
+    bound is active. Status, residual and starting point have no derivative; that of an unsolved problem is zero.
     """
-    if qp.g.shape[0] == 0:  # a robot without joints or without jets has nothing to decide
+    if qp.g.shape[0] == 0:  # a robot without joints or without jets has no variables
         nothing = cold_start(0, qp.g.dtype)
         solved, zero = jnp.full((), SOLVED, jnp.int32), jnp.zeros((), qp.g.dtype)
         return QpAnswer(nothing.x, nothing.side, zero, solved, jnp.zeros((), jnp.int32))
@@ -158,7 +157,7 @@ def _minimise_jvp(primals, tangents):  # type: ignore[no-untyped-def]
     d_bound = jnp.where(status == SOLVED, jnp.where(at_upper, d_qp.upper, d_qp.lower), 0.0)
     d_held = jnp.where(free, 0.0, d_bound)
     right = jnp.where(free, -(d_qp.g + dot(d_qp.h, x) + dot(qp.h, d_held)), 0.0)
-    # Scaling by the diagonal keeps the factor as accurate as the solution's own.
+    # Scaling by the diagonal makes the factor as accurate as that of the solution.
     scale = jnp.where(free, lax.rsqrt(jnp.where(free, jnp.diagonal(qp.h), 1.0)), 1.0)
     reduced = _reduced(qp.h * scale[:, None] * scale, free)
     d_x = d_held + scale * solve_positive_definite(reduced, (scale * right)[:, None])[:, 0]
@@ -166,11 +165,11 @@ def _minimise_jvp(primals, tangents):  # type: ignore[no-untyped-def]
     return out, (d_x, none(side.shape), none(status.shape), none(iterations.shape))
 
 
-# --- the problem with its diagonal near one -----------------------------------------------------------------------
+# --- scaling to a diagonal near one -------------------------------------------------------------------------------
 
 
 def _jacobi_scale(h: Array) -> Array:
-    """`s_i ≈ 1/√H_ii`, rounded to a power of two so that scaling itself rounds nothing."""
+    """`s_i ≈ 1/√H_ii`, rounded to a power of two so that the scaling is exact."""
     diagonal = jnp.diagonal(h)
     sound = jnp.isfinite(diagonal) & (diagonal > 0)
     _, exponent = jnp.frexp(jnp.where(sound, diagonal, 1.0))
@@ -178,7 +177,7 @@ def _jacobi_scale(h: Array) -> Array:
 
 
 def _fault(qp: BoxQp) -> Array:
-    """Status of data that cannot be solved; `ITERATION_LIMIT`, the status of a search under way, where they can."""
+    """Return the status of invalid data, or `ITERATION_LIMIT`, the status of a search in progress, for valid data."""
     finite = jnp.all(jnp.isfinite(qp.h)) & jnp.all(jnp.isfinite(qp.g))
     finite &= ~jnp.any(jnp.isnan(qp.lower) | jnp.isnan(qp.upper))
     feasible = jnp.all((qp.lower <= qp.upper) & (qp.lower < jnp.inf) & (qp.upper > -jnp.inf))
@@ -188,7 +187,7 @@ def _fault(qp: BoxQp) -> Array:
 
 
 def _reduced(h: Array, free: Array) -> Array:
-    """H on the free rows and columns, the identity elsewhere."""
+    """Return H on the free rows and columns, and the identity elsewhere."""
     return jnp.where(free[:, None] & free, h, jnp.eye(h.shape[0], dtype=h.dtype))
 
 
@@ -203,7 +202,7 @@ class _Search(NamedTuple):
 
 
 def _begin(qp: BoxQp, start: WarmStart, status: Array) -> _Search:
-    """Put `start` inside the bounds; a side without a finite bound is let go."""
+    """Project `start` into the bounds and free the variables held at an infinite bound."""
     side = jnp.where(qp.lower >= qp.upper, -1, start.side)
     at_lower, at_upper = (side < 0) & jnp.isfinite(qp.lower), (side > 0) & jnp.isfinite(qp.upper)
     inside = jnp.clip(jnp.where(jnp.isfinite(start.x), start.x, 0.0), qp.lower, qp.upper)
@@ -217,7 +216,7 @@ def _under_way(search: _Search) -> Array:
 
 
 def _search_up_to(limit: Array | float, qp: BoxQp, search: _Search) -> _Search:
-    """Pass after pass until the search has ended or, in all, `limit` passes were taken."""
+    """Take passes until the search has ended or a total of `limit` passes is reached."""
 
     def goes_on(search: _Search) -> Array:
         return _under_way(search) & (search.iterations < limit)
@@ -231,7 +230,7 @@ def _search_one(qp: BoxQp, search: _Search) -> _Search:
 
 
 def _search_batch(qp: BoxQp, search: _Search) -> _Search:
-    """Search for all; on a CPU one pass for everyone, then the rest only for those that need it."""
+    """Search for a whole batch; on a CPU one pass for all, then further passes only for those that need them."""
 
     def chunks(qp: BoxQp, search: _Search) -> _Search:
         def one_round(index: Array, search: _Search) -> _Search:
@@ -255,10 +254,10 @@ _active_set = with_batch_rule(_search_one, _search_batch)
 def _pass(qp: BoxQp, search: _Search) -> _Search:
     """One pass of the active set.
 
-    Takes the Newton step of the free variables. Where all of it fits inside the bounds, the point is the minimiser
-    of its working set, and bounds that only hold it back are let go. Else the step is followed, bent at the bounds,
-    to the corner where the objective is lowest, and the variables that met their bound on the way are held. The
-    objective falls from one such minimiser to the next, so no working set returns.
+    Takes the Newton step of the free variables. If the whole step stays within the bounds, the point is the minimiser
+    of its working set, and variables whose bounds are not needed are freed. Otherwise the step, projected onto the
+    bounds, is followed to the breakpoint with the lowest objective, and the variables that have met their bounds are
+    held. The objective decreases from one such minimiser to the next, so no working set recurs.
     """
     y, side = search.y, search.side
     free = side == 0
@@ -273,18 +272,18 @@ def _pass(qp: BoxQp, search: _Search) -> _Search:
     meets = jnp.where(moves, (jnp.where(step > 0, qp.upper, qp.lower) - y) / jnp.where(moves, step, 1.0), jnp.inf)
     fits = jnp.min(meets) >= 1
 
-    # The whole step, refined once with the same factor, and what it lets go.
+    # The whole step, refined once with the same factor, and the variables that it frees.
     whole = jnp.clip(y + step, qp.lower, qp.upper)
     whole = jnp.clip(whole + newton(dot(qp.h, whole) + qp.g), qp.lower, qp.upper)
     slope = dot(qp.h, whole) + qp.g
     rounding = slope.shape[0] * np.finfo(slope.dtype).eps * jnp.maximum(_max_abs(qp.g), _max_abs(whole))
     released = ((side < 0) & (slope < -rounding) | (side > 0) & (slope > rounding)) & (qp.lower < qp.upper)
 
-    # The bent step: one corner for every variable, no further than the whole step.
+    # Breakpoints of the projected step, one per variable, up to the whole step.
     t = jnp.minimum(meets, 1.0)
     offsets = jnp.clip(y + t[:, None] * step, qp.lower, qp.upper) - y
     objective = dot(offsets, gradient) + 0.5 * jnp.sum(dot(offsets, qp.h) * offsets, axis=1)
-    # A bound met at once (t = 0, degenerate) leaves the objective as it is, but is held from here on.
+    # A bound met at once (t = 0, degenerate) does not change the objective, but the variable is held from now on.
     corner = jnp.argmin(jnp.where(meets <= 1, objective, jnp.inf))
     t_corner = t[corner]
     met = moves & (meets <= t_corner)

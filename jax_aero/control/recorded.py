@@ -20,52 +20,52 @@ from jax_aero.spatial import exp_so3, log_so3, multiply, rotation_from_rpy
 from jax_aero.types import Array, leaf
 
 GREATEST_TURN_DEG = 179.0
-"""From one row of a recorded reference to the next [deg]: of half a turn the axis is rounding."""
+"""Largest rotation between two rows of a reference [deg]: near 180° rounding determines the axis."""
 
 
 class RecordedReference(NamedTuple):
-    """A reference computed beforehand, sample by sample; derivatives that are missing are differences."""
+    """A precomputed reference, sample by sample; missing derivatives are computed by differences."""
 
     times: Float[Array, " k"]
-    """[s], increasing."""
+    """Times [s], increasing."""
     com_position: Float[Array, "k 3"]
-    """[m]."""
+    """Position of the centre of mass [m]."""
     rpy: Float[Array, "k 3"]
     """Roll, pitch, yaw of the base [rad]."""
     com_velocity: Float[Array, "k 3"] | None
-    """[m/s]."""
+    """Velocity of the centre of mass [m/s]."""
     com_acceleration: Float[Array, "k 3"] | None
-    """[m/s²]."""
+    """Acceleration of the centre of mass [m/s²]."""
     com_jerk: Float[Array, "k 3"] | None
-    """[m/s³]."""
+    """Jerk of the centre of mass [m/s³]."""
 
 
 class RecordedMotion(NamedTuple):
-    """Where a recorded reference is, at one time or, with one more axis in front, at every sample."""
+    """Motion of a recorded reference, at one time or, with an additional first axis, at every sample."""
 
     com: Float[Array, "4 3"]
     """Position of the centre of mass and its first three derivatives [m, m/s, m/s², m/s³]."""
     rotation: Float[Array, "3 3"]
     """`inertial_from_base`."""
     angular_velocity: Float[Array, "3"]
-    """Of the base [rad/s, base axes]."""
+    """Angular velocity of the base [rad/s, base axes]."""
 
 
 class Recording(NamedTuple):
-    """A recorded reference, ready for use."""
+    """A recorded reference with all derivatives."""
 
     times: Float[Array, " k"]
-    """[s], increasing."""
+    """Times [s], increasing."""
     samples: RecordedMotion
-    """At every sample."""
+    """Motion at every sample."""
     turns: Float[Array, "k-1 3"]
-    """Rotation vector from each sample to the next, in axes of the former [rad]."""
+    """Rotation vector from each sample to the next, in the base axes of the former [rad]."""
 
 
 def read_reference(path: str | PathLike[str]) -> RecordedReference:
-    """Read a recorded reference: CSV, `#` begins a comment, the header names 7, 10, 13 or 16 columns.
+    """Read a recorded reference: CSV with 7, 10, 13 or 16 columns named in the header; `#` begins a comment.
 
-    `rust.check_config` says what is wrong with a file that the crate refuses; here its shape and turns are checked.
+    Only the shape and the rotations are checked here; `rust.check_config` reports why the crate refuses a file.
     """
     text = read_text(Path(path)).splitlines()
     lines = [line for line in text if line.strip() and not line.lstrip().startswith("#")]
@@ -87,7 +87,7 @@ def read_reference(path: str | PathLike[str]) -> RecordedReference:
 
 @jax.jit
 def recording(recorded: RecordedReference) -> Recording:
-    """Work out what the samples leave out: derivatives by differences, turns, angular velocities."""
+    """Complete the samples: derivatives by differences, rotations between samples, angular velocities."""
     times = jnp.asarray(recorded.times)
     com = [jnp.asarray(recorded.com_position)]
     for known in (recorded.com_velocity, recorded.com_acceleration, recorded.com_jerk):
@@ -95,16 +95,16 @@ def recording(recorded: RecordedReference) -> Recording:
     rotations = rotation_from_rpy(jnp.asarray(recorded.rpy))
     turns = log_so3(multiply(jnp.swapaxes(rotations[:-1], 1, 2), rotations[1:]))
     rates = turns / jnp.diff(times)[:, None]
-    # Mean of the turns before and after; at an end there is only one.
+    # Mean of the rates before and after; at the ends there is only one.
     mean = 0.5 * (jnp.concatenate([rates[:1], rates]) + jnp.concatenate([rates, rates[-1:]]))
     return Recording(times, RecordedMotion(jnp.stack(com, axis=1), rotations, mean), turns)
 
 
 def motion_at(recording: Recording, time: Float[Array, ""]) -> RecordedMotion:
-    """Return the reference at `time` [s]: before the first sample and after the last one it stands still there.
+    """Return the reference at `time` [s]; before the first and after the last sample it is at rest there.
 
-    Between samples position, velocity and acceleration each follow the cubic that has the next derivative as its slope
-    at both samples; jerk and angular velocity are linear, the base turns at a constant rate.
+    Between samples position, velocity and acceleration each follow the cubic whose slopes at both samples are the next
+    derivative; jerk and angular velocity are interpolated linearly, and the base rotates at a constant rate.
     """
     times = recording.times
     before = jnp.clip(jnp.searchsorted(times, time, side="right") - 1, 0, len(times) - 2)
@@ -118,7 +118,7 @@ def motion_at(recording: Recording, time: Float[Array, ""]) -> RecordedMotion:
         + (a.com[1:] * r - b.com[1:] * s) * (h * s * r)
     )
     com = jnp.concatenate([cubics, a.com[3:] + s * (b.com[3:] - a.com[3:])])
-    # The last sample itself is still part of the recording.
+    # The last sample itself belongs to the recording.
     moves = (time >= times[0]) & (time <= times[-1])
     return RecordedMotion(
         com=jnp.where(moves | (jnp.arange(4) == 0)[:, None], com, 0.0),
@@ -128,7 +128,7 @@ def motion_at(recording: Recording, time: Float[Array, ""]) -> RecordedMotion:
 
 
 def _differences(times: Array, values: Array) -> Array:
-    """Slopes at the samples: of the parabola through each sample and its neighbours, of the line at both ends."""
+    """Slopes at the samples: of the parabola through each sample and its neighbours; at the ends, of the line."""
     steps = jnp.diff(times)[:, None]
     slopes = jnp.diff(values, axis=0) / steps
     inner = (slopes[:-1] * steps[1:] + slopes[1:] * steps[:-1]) / (steps[:-1] + steps[1:])

@@ -1,8 +1,8 @@
-"""From autopilot commands to smooth set-points for centre of mass, attitude and their derivatives.
+"""Smooth set-points of centre of mass and attitude, with derivatives, from autopilot commands.
 
-`start`, then `update` once a tick: a pure state that `lax.scan` carries. Everything is float arithmetic of the
-configuration's numbers but the turbo counter, so set-points can be differentiated by speeds, gains and smoothing times.
-The raw attitude is that of the heading frame: forward, left, up, fixed to the base by the robot's forward axis.
+Call `start` once, then `update` once per tick; the state is a pytree for `lax.scan`. All operations except the turbo
+counter are floating-point, so set-points can be differentiated with respect to speeds, gains and smoothing times. The
+raw attitude is that of the heading frame: forward, left, up, fixed to the base by the robot's forward axis.
 
 Equations M43 to M48, M107 and M115 of `docs/model.md`. Source: the published flight-control library.
 """
@@ -35,21 +35,21 @@ from jax_aero.types import Array, Setpoint, leaf, pytree
 
 
 class AutopilotCommand(NamedTuple):
-    """Commands of one tick: -1, 0 or 1 in forward, left, up axes of the robot."""
+    """Commands of one tick: -1, 0 or 1 in the robot's forward, left, up axes."""
 
     forward: Float[Array, ""]
     vertical: Float[Array, ""]
     nose_down: Float[Array, ""]
-    """A rotation about the left axis."""
+    """Rotation about the left axis."""
     yaw: Float[Array, ""]
-    """To the left; a rotation about the vertical."""
+    """Rotation about the vertical, positive to the left."""
     turbo: Bool[Array, ""]
     """Whether the forward speed is boosted."""
 
 
 @pytree
 class Commands:
-    """When the autopilot commands what: for each motion open intervals (k, 2) of time [s]."""
+    """Commands of the autopilot: for each motion, open intervals (k, 2) of time [s]."""
 
     up: Float[Array, "_ 2"]
     down: Float[Array, "_ 2"]
@@ -66,9 +66,9 @@ def commands(mission: MissionConfig) -> Commands:
 
 
 def autopilot_command(mission: Commands, time: Float[Array, ""]) -> AutopilotCommand:
-    """Return the command at `time` [s]. Intervals are open."""
+    """Return the command at `time` [s]; a command is active inside its open intervals."""
     time = jnp.asarray(time)
-    # A tick on an end of an interval is outside; the margin keeps rounding of k · 0.01 from moving it inside.
+    # A tick at the end of an interval is outside; the margin prevents rounding of k · 0.01 from moving it inside.
     margin = jnp.maximum(1e-9, 4.0 * float(np.finfo(time.dtype).eps) * jnp.abs(time))
 
     def active(intervals: Array) -> Array:
@@ -95,20 +95,20 @@ _A, _B, _C = 150.765868956161, 84.9812819469538, 15.9669610709384
 
 
 class FilterGains(NamedTuple):
-    """A minimum-jerk filter at a fixed tick."""
+    """A minimum-jerk filter discretised for a fixed tick."""
 
     transition: Float[Array, "3 3"]
     input_gain: Float[Array, "3"]
 
 
 class FilterState(NamedTuple):
-    """Value, first and second derivative of three axes, and the input of the tick before."""
+    """Value, first and second derivative of three axes, and the input of the previous tick."""
 
     derivatives: Float[Array, "3 3"]
     previous_input: Float[Array, "3"]
 
 
-@jax.jit  # outside a compiled function each of its operations would be compiled alone
+@jax.jit  # otherwise each operation would be compiled separately
 def filter_gains(smoothing_time: Float[Array, ""], time_step: Float[Array, ""]) -> FilterGains:
     """Discretise `H(s) = (A/T³) / (s³ + (C/T) s² + (B/T²) s + A/T³)` by the bilinear transform (Tustin).
 
@@ -117,7 +117,7 @@ def filter_gains(smoothing_time: Float[Array, ""], time_step: Float[Array, ""]) 
     x⁺ = (1 − hF/2)⁻¹ ((1 + hF/2) x + e₃ (h/2)(A/T³) (u + u⁺))
     ```
 
-    The inverse is written out: T = 5 ms makes entries of 1e6, which elimination would spoil in float32.
+    The inverse is written out, since T = 5 ms gives entries of 1e6, for which elimination is inaccurate in float32.
     """
     half = 0.5 * time_step
     a, b, c = _A / smoothing_time**3, _B / smoothing_time**2, _C / smoothing_time
@@ -134,12 +134,12 @@ def filter_gains(smoothing_time: Float[Array, ""], time_step: Float[Array, ""]) 
 
 
 def filter_start(initial: Float[Array, "3"]) -> FilterState:
-    """At rest at `initial`."""
+    """Return the state at rest at `initial`."""
     return FilterState(jnp.zeros((3, 3), initial.dtype).at[0].set(initial), initial)
 
 
 def filter_update(gains: FilterGains, state: FilterState, value: Float[Array, "3"]) -> FilterState:
-    """Take the input of this tick; the result holds the outputs of this tick."""
+    """Process the input of this tick; the result holds the outputs of the same tick."""
     drive = gains.input_gain[:, None] * (state.previous_input + value)
     return FilterState(multiply(gains.transition, state.derivatives) + drive, value)
 
@@ -148,45 +148,45 @@ def filter_update(gains: FilterGains, state: FilterState, value: Float[Array, "3
 
 
 class SetpointParams(NamedTuple):
-    """Steps, limits and filters of the generator, ready for use at one tick."""
+    """Speeds, limits and filters of the generator, discretised for a fixed tick."""
 
     speed: Float[Array, "2"]
-    """Forward and vertical [m/s]."""
+    """Forward and vertical speed [m/s]."""
     attitude_rate: Float[Array, "2"]
-    """Pitch and yaw [rad/s]."""
+    """Pitch and yaw rate [rad/s]."""
     nose_down_limits: Float[Array, "2"]
-    """[rad]."""
+    """Limits of the nose-down angle [rad]."""
     turbo_boost: Float[Array, ""]
     turbo_rate: Float[Array, ""]
-    """[1/s]"""
+    """Rate of the turbo boost [1/s]."""
     attitude_gain: Float[Array, ""]
-    """[1/s]"""
+    """`K` of the attitude filter [1/s]."""
     descent_speed: Float[Array, ""]
-    """[m/s]"""
+    """Speed of a descent [m/s]."""
     deceleration: Float[Array, ""]
-    """Of what comes to rest or descends [m/s²]."""
+    """Deceleration to rest or to the descent speed [m/s²]."""
     position_lags: Float[Array, "2"]
-    """Of the filter of the position: `T B / A` [s] and `T² C / A` [s²]."""
+    """Constants of the position filter: `T B / A` [s] and `T² C / A` [s²]."""
     position_filter: FilterGains
     jerk_filter: FilterGains
     angular_velocity_filter: FilterGains
     base_from_heading: Float[Array, "3 3"]
     """Columns forward, left, up."""
     time_step: Float[Array, ""]
-    """[s]"""
+    """Time step [s]."""
 
 
 class RawSetpoint(NamedTuple):
-    """What is smoothed."""
+    """Set-point before smoothing."""
 
     position: Float[Array, "3"]
     """Position of the centre of mass [m]."""
     velocity: Float[Array, "3"]
-    """Its velocity [m/s]."""
+    """Velocity of the centre of mass [m/s]."""
     rpy: Float[Array, "3"]
     """Roll, pitch (nose down) and yaw of the heading frame [rad]."""
     turbo_ticks: Int[Array, ""]
-    """Ticks' worth of turbo built up."""
+    """Number of ticks of accumulated turbo."""
 
 
 class SetpointState(NamedTuple):
@@ -195,7 +195,7 @@ class SetpointState(NamedTuple):
     raw: RawSetpoint
     position: FilterState
     acceleration: FilterState
-    """Filter of the acceleration, whose rate is the jerk."""
+    """Filter of the acceleration, whose derivative is the jerk."""
     angular_velocity: FilterState
     rotation: Float[Array, "3 3"]
     """Smoothed attitude of the next tick."""
@@ -204,7 +204,7 @@ class SetpointState(NamedTuple):
 def setpoint_params(
     config: SetpointConfig, forward_axis: Float[Array, "3"], time_step: Float[Array, ""]
 ) -> SetpointParams:
-    """Compute the generator's numbers for ticks of `time_step` [s] and a robot's forward axis in base axes."""
+    """Return the parameters for ticks of `time_step` [s] and a robot's forward axis in base axes."""
     forward_axis = jnp.asarray(forward_axis)
     up = jnp.array([0.0, 0.0, 1.0], forward_axis.dtype)
     smoothing = leaf(config.position_smoothing)
@@ -227,7 +227,7 @@ def setpoint_params(
 
 
 def start(params: SetpointParams, com: Float[Array, "3"], rotation: Float[Array, "3 3"]) -> SetpointState:
-    """Begin at the centre of mass and the base rotation that the robot has at its first tick."""
+    """Return the state at the centre of mass [m] and base rotation of the robot's first tick."""
     com, rotation = jnp.asarray(com), jnp.asarray(rotation)
     zero = jnp.zeros_like(com)
     rest = filter_start(zero)
@@ -236,17 +236,17 @@ def start(params: SetpointParams, com: Float[Array, "3"], rotation: Float[Array,
 
 
 def _heading_rpy(params: SetpointParams, rotation: Array) -> Array:
-    """Roll, pitch and yaw (3,) of the heading frame of a base rotation."""
+    """Return roll, pitch and yaw (3,) of the heading frame for a base rotation [rad]."""
     return rpy_from_rotation(multiply(rotation, params.base_from_heading))
 
 
 def update(
     params: SetpointParams, mission: Commands | Recording, state: SetpointState, time: Float[Array, ""]
 ) -> tuple[SetpointState, Setpoint]:
-    """Return the set-point of the tick at `time` [s]: that of the autopilot's commands, or a recorded one.
+    """Return the set-point of the tick at `time` [s], from the autopilot's commands or from a recording.
 
-    The smoothed attitude follows the raw one by `ω = −K sk(R_rawᵀ R)^∨`, forward Euler on the matrix; its projection
-    back onto SO(3) every tick removes the drift of that step.
+    The smoothed attitude follows the raw one by `ω = −K sk(R_rawᵀ R)^∨`, integrated by forward Euler on the matrix;
+    projection onto SO(3) at every tick removes the drift of that step.
     """
     if isinstance(mission, Recording):
         return _recorded(params, mission, state, time)
@@ -254,15 +254,15 @@ def update(
 
 
 def motion_of(setpoint: Setpoint) -> RecordedMotion:
-    """Return the motion of a set-point, as far as a recording has it."""
+    """Return the part of a set-point that a recording contains."""
     com = (setpoint.com_position, setpoint.com_velocity, setpoint.com_acceleration, setpoint.com_jerk)
     return RecordedMotion(jnp.stack([jnp.asarray(x) for x in com]), setpoint.rotation, setpoint.angular_velocity)
 
 
 def follow(params: SetpointParams, state: SetpointState, motion: RecordedMotion) -> SetpointState:
-    """Move the state along with a motion that is given: where a descent would begin."""
+    """Set the state to a given motion, from which a descent would begin."""
     com = motion.com
-    # The input that the filter follows with these outputs, without jerk.
+    # The filter input that keeps these outputs with zero jerk.
     ahead = com[0] + com[1] * params.position_lags[0] + com[2] * params.position_lags[1]
     velocity = com[1] + com[2] * params.position_lags[0]
     return SetpointState(
@@ -275,9 +275,9 @@ def follow(params: SetpointParams, state: SetpointState, motion: RecordedMotion)
 
 
 def descend(params: SetpointParams, state: SetpointState) -> tuple[SetpointState, Setpoint]:
-    """Return the set-point of a tick of the way down instead of the mission.
+    """Return the set-point of a tick of the descent, which replaces the mission.
 
-    It becomes level, and its velocity becomes that of the descent (M115).
+    The attitude becomes level, and the velocity approaches that of the descent (M115).
     """
     raw = state.raw
     step = params.attitude_rate[0] * params.time_step
@@ -290,13 +290,13 @@ def descend(params: SetpointParams, state: SetpointState) -> tuple[SetpointState
 
 
 def without_place(setpoint: Setpoint, com: Float[Array, "3"]) -> Setpoint:
-    """Return the set-point of a robot that cannot hold its place, with its centre of mass [m] (M107)."""
+    """Return the set-point at the present centre of mass [m], for a robot that cannot hold its position (M107)."""
     zero = jnp.zeros_like(com)
     return setpoint._replace(com_position=com, com_acceleration=zero, com_jerk=zero)
 
 
 def _smooth(params: SetpointParams, state: SetpointState, raw: RawSetpoint) -> tuple[SetpointState, Setpoint]:
-    """Return the smooth set-point that follows the raw one."""
+    """Return the smoothed set-point of a raw one."""
     position = filter_update(params.position_filter, state.position, raw.position)
     acceleration = filter_update(params.jerk_filter, state.acceleration, position.derivatives[2])
 
@@ -323,7 +323,7 @@ def _smooth(params: SetpointParams, state: SetpointState, raw: RawSetpoint) -> t
 def _recorded(
     params: SetpointParams, recording: Recording, state: SetpointState, time: Array
 ) -> tuple[SetpointState, Setpoint]:
-    """Follow a recording as it is; only its angular velocity is filtered, for the derivatives that it does not have."""
+    """Follow a recording unfiltered, except its angular velocity, filtered to obtain the missing derivatives."""
     motion = motion_at(recording, time)
     after = follow(params, state, motion)
     com, rates = motion.com, after.angular_velocity.derivatives
@@ -331,11 +331,11 @@ def _recorded(
 
 
 def _advance_raw(params: SetpointParams, raw: RawSetpoint, command: AutopilotCommand) -> RawSetpoint:
-    """One tick of the published autopilot mapping, in flight.
+    """Advance one tick of the published autopilot mapping, in flight.
 
-    While turbo is commanded or left over, all other motions are ignored and the nose goes down. The published boost
-    is a floating-point sum that ends at a residue above zero, so that one more step is taken; the counter takes that
-    step by moving as long as boost was left *before* the tick.
+    While turbo is commanded or not yet decayed, all other motions are ignored and the nose pitches down. The published
+    boost is a floating-point sum that ends at a residue above zero, so one more step is taken; the counter reproduces
+    it by moving as long as boost was left *before* the tick.
     """
     # Half a tick rounds up.
     full = jnp.floor(params.turbo_boost / (params.turbo_rate * params.time_step) + 0.5).astype(jnp.int32)

@@ -4,13 +4,13 @@
 linear momentum    A_T Ṫ + (Λ_s + K A_s) ṡ + (Λ_b + K A_b) ν_B
                       − K L_d − L̈_d + (K_D + 1)(L̇ − L̇_d) + K_P I_L = 0       three rows, inertial axes
 attitude           Rᵀ (A_T Ṫ + Λ_s ṡ + Λ_b ν_B − σ) − k̈* = 0                three rows, base axes
-angular momentum   Rᵀ A_s,ang ṡ + (I_b − I₀) w = 0                             what the limbs may carry
+angular momentum   Rᵀ A_s,ang ṡ + (I_b − I₀) w = 0                             joint motion only
 symmetric jets     Ṫ_a − Ṫ_b = 0                                               for each pair
 posture            ṡ + K_s (s − s_d) = 0
 and Ṫ, ṡ and all unknowns towards zero
 ```
 
-with `K = K_P + K_D + K_O⁻¹`. A `Task` of one's own is added by `momentum_controller(..., tasks=...)`. Equations M57 and
+with `K = K_P + K_D + K_O⁻¹`. A user-defined `Task` is added by `momentum_controller(..., tasks=...)`. Equations M57 and
 M61 to M64 of `docs/model.md`.
 """
 
@@ -51,35 +51,35 @@ class TaskParams(NamedTuple):
     symmetry: Float[Array, ""]
     """Weight of the difference within a pair of jets."""
     regularisation: Float[Array, ""]
-    """Added to the diagonal."""
+    """Weight of all unknowns, added to the diagonal."""
     posture_gain: Float[Array, " n"]
     """`K_s` [1/s]."""
     thrust_rate_max: Float[Array, " j"]
-    """[N/s]."""
+    """Greatest thrust rates [N/s]."""
     thrust_steepness: Float[Array, ""]
-    """[1/N]."""
+    """Steepness of the thrust bounds [1/N]."""
     joint_velocity_max: Float[Array, " n"]
-    """[rad/s]."""
+    """Greatest joint velocities [rad/s]."""
     joint_steepness: Float[Array, ""]
-    """[1/rad, 1/m]."""
+    """Steepness of the joint bounds [1/rad, 1/m]."""
 
 
 class MomentumQp(NamedTuple):
     """The momentum QP of one tick."""
 
     task: Float[Array, "9 j+n"]
-    """The tasks ask `task · u + offset = 0`."""
+    """Rows of `task · u + offset = 0`."""
     offset: Float[Array, "9"]
     problem: BoxQp
 
 
 def task_params(config: ControllerSection, robot: RobotModel, time_step: float) -> TaskParams:
-    """Bring weights and bounds into the order of the robot's jets and joints.
+    """Return weights and bounds in the order of the robot's jets and joints.
 
     Raises
     ------
     ValueError
-        For a name that the robot does not have, and for bounds that make thrusts or joints oscillate.
+        For a name that the robot does not have, and for bounds with which thrusts or joints would oscillate.
     """
     weights, bounds = config.weights, config.bounds
     gains = _by_name("posture_gain", config.posture_gain, [name for name, _ in robot.joint_groups], robot)
@@ -109,15 +109,15 @@ def task_params(config: ControllerSection, robot: RobotModel, time_step: float) 
 
 
 def _check_steepness(key: str, steepness: float, rate_max: ArrayLike, time_step: float) -> None:
-    """Refuse a bound whose values oscillate from tick to tick.
+    """Refuse a bound with which values oscillate from tick to tick.
 
-    At a limit the bound of the rate is `r ε` per unit of distance, so the distance is multiplied by `1 − h r ε` each
-    tick. Of a robot that is traced the rates are not known here.
+    Near a limit the rate's bound has the slope `r ε`, so the distance is multiplied by `1 − h r ε` per tick. If the
+    robot is traced the rates are unknown, and nothing is checked.
     """
     if isinstance(rate_max, jax.core.Tracer):
         return
     step = np.asarray(rate_max).max(initial=0.0) * time_step
-    if steepness * step > 2.0 * (1.0 + 1e-9):  # the published numbers lie on the edge: 1 − 0.01 · 100 · 2 = −1
+    if steepness * step > 2.0 * (1.0 + 1e-9):  # the published numbers are the limit: 1 − 0.01 · 100 · 2 = −1
         raise ValueError(
             f"`controller.bounds.{key}` is {steepness:g}; "
             f"expected at most {2.0 / step:g}, 2 / (greatest rate · time step of {time_step:g} s)"
@@ -125,7 +125,7 @@ def _check_steepness(key: str, steepness: float, rate_max: ArrayLike, time_step:
 
 
 def _by_name(table: str, values: Mapping[str, float], names: Sequence[str], robot: RobotModel) -> list[float]:
-    """Return the value of every name, in this order."""
+    """Return the value of every name, in the order of `names`."""
     for name in {*values, *names}:
         if name not in names:
             raise ValueError(f"unknown name `{name}` in controller.{table}; {robot.name} has {', '.join(names)}")
@@ -137,7 +137,7 @@ def _by_name(table: str, values: Mapping[str, float], names: Sequence[str], robo
 def in_place_of(
     own: Float[Array, " n"], common: Float[Array, ""] | float | None, robot: RobotModel
 ) -> Float[Array, " n"]:
-    """Limits of the joints: the robot's own, or for revolute joints the common one where it is given."""
+    """Return the joint limits: the robot's own, or for revolute joints the common one if given."""
     if common is None:
         return leaf(own)
     where = jnp.where if isinstance(cast(Any, own), jax.Array) else np.where
@@ -145,7 +145,7 @@ def in_place_of(
 
 
 def symmetric_pairs(config: ControllerSection, robot: RobotModel) -> tuple[tuple[int, int], ...]:
-    """Return the indices of the jets meant to act alike.
+    """Return the index pairs of jets that should have equal thrust rates.
 
     Raises
     ------
@@ -160,7 +160,7 @@ def symmetric_pairs(config: ControllerSection, robot: RobotModel) -> tuple[tuple
 
 
 class TaskInputs(NamedTuple):
-    """What the tasks of a tick are made from."""
+    """Inputs of the tasks of one tick."""
 
     gains: TaskGains
     robot: RobotModel
@@ -177,17 +177,17 @@ class TaskInputs(NamedTuple):
     """Desired posture `s_d` [rad]."""
 
     def blocks(self, thrust_rate: Float[Array, "k j"], joint_velocity: Float[Array, "k n"]) -> Float[Array, "k j+n"]:
-        """Rows over all unknowns from those over `Ṫ` and over `ṡ`."""
+        """Return rows over all unknowns from those over `Ṫ` and over `ṡ`."""
         return jnp.concatenate([thrust_rate, joint_velocity], axis=1)
 
     @property
     def joints(self) -> int:
-        """Place of the first joint velocity among the unknowns."""
+        """Index of the first joint velocity among the unknowns."""
         return self.thrust.shape[0]
 
 
 class Rows(NamedTuple):
-    """A task: `matrix @ u + offset = 0`, each row with its weight."""
+    """A task `matrix @ u + offset = 0`, with a weight for each row."""
 
     matrix: Float[Array, "r j+n"]
     offset: Float[Array, " r"]
@@ -195,7 +195,7 @@ class Rows(NamedTuple):
 
 
 class Diagonal(NamedTuple):
-    """A task: `u + offset = 0` for as many unknowns as there are weights, from `first` on."""
+    """A task `u + offset = 0` for consecutive unknowns, starting at `first`, one for each weight."""
 
     first: int | Int[Array, ""]
     offset: Float[Array, " k"]
@@ -203,7 +203,7 @@ class Diagonal(NamedTuple):
 
 
 class Task(Protocol):
-    """An objective of one's own: a pytree whose numbers are leaves.
+    """A user-defined objective: a pytree whose numbers are leaves.
 
     >>> @pytree
     ... class KeepVelocity:
@@ -216,7 +216,7 @@ class Task(Protocol):
     """
 
     def equations(self, inputs: TaskInputs) -> Rows | Diagonal:
-        """Matrix, offset and weights of this tick. Pure, and traced by JAX."""
+        """Return matrix, offset and weights of this tick. Pure, and traced by JAX."""
         ...
 
 
@@ -239,7 +239,7 @@ def momentum_qp(
 
 
 def linear_momentum(params: TaskParams, inputs: TaskInputs) -> Rows:
-    """Let the linear momentum follow the set-point (M57); inertial axes."""
+    """Return the task of following the set-point with the linear momentum (M57); inertial axes."""
     gains, mass, setpoint, momentum = inputs.gains, inputs.robot.mass, inputs.setpoint, inputs.momentum
     kp, kd = gains.kp_linear, gains.kd_linear
     k = kp + 1.0 / gains.ko + kd
@@ -252,7 +252,7 @@ def linear_momentum(params: TaskParams, inputs: TaskInputs) -> Rows:
 
 
 def attitude(params: TaskParams, inputs: TaskInputs) -> Rows:
-    """Let the angular momentum follow the attitude law (M61); base axes."""
+    """Return the task of following the attitude law with the angular momentum (M61); base axes."""
     state, demand = inputs.state, inputs.attitude
     b_from_i, lambda_ang = state.base_rotation.T, inputs.momentum.lambda_[3:]
     matrix = b_from_i @ inputs.blocks(inputs.momentum.a_t[3:], lambda_ang[:, 6:])
@@ -261,7 +261,7 @@ def attitude(params: TaskParams, inputs: TaskInputs) -> Rows:
 
 
 def angular_momentum(params: TaskParams, inputs: TaskInputs) -> Rows:
-    """Let the limbs carry what the change of inertia leaves them (M62); base axes."""
+    """Return the task on the limbs' angular momentum, which compensates the change of inertia (M62); base axes."""
     state, dyn = inputs.state, inputs.dynamics
     b_from_i = state.base_rotation.T
     matrix = b_from_i @ inputs.blocks(jnp.zeros_like(inputs.momentum.a_t[3:]), dyn.momentum_matrix[3:, 6:])
@@ -271,7 +271,7 @@ def angular_momentum(params: TaskParams, inputs: TaskInputs) -> Rows:
 
 
 def symmetric_jets(params: TaskParams, pairs: tuple[tuple[int, int], ...], inputs: TaskInputs) -> Rows:
-    """Let the jets of a pair act alike."""
+    """Return the task of equal thrust rates within each pair of jets."""
     n = inputs.joints + inputs.posture.shape[0]
     eye = np.eye(n)
     matrix = jnp.asarray(np.array([eye[a] - eye[b] for a, b in pairs]).reshape(len(pairs), n), inputs.thrust.dtype)
@@ -279,13 +279,13 @@ def symmetric_jets(params: TaskParams, pairs: tuple[tuple[int, int], ...], input
 
 
 def posture(params: TaskParams, inputs: TaskInputs) -> Diagonal:
-    """Let the joints return to the desired posture (M63)."""
+    """Return the task of returning to the desired posture (M63)."""
     offset = params.posture_gain * (inputs.state.joint_position - inputs.posture)
     return Diagonal(inputs.joints, offset, jnp.broadcast_to(params.posture, offset.shape))
 
 
 def towards_zero(params: TaskParams, inputs: TaskInputs) -> tuple[Diagonal, ...]:
-    """Keep thrust rates, joint velocities and all unknowns small."""
+    """Return the tasks that keep thrust rates, joint velocities and all unknowns small."""
     jets, joints = jnp.zeros_like(inputs.thrust), jnp.zeros_like(inputs.posture)
     everything = jnp.concatenate([jets, joints])
     return (
@@ -296,7 +296,7 @@ def towards_zero(params: TaskParams, inputs: TaskInputs) -> tuple[Diagonal, ...]
 
 
 def _cost(tasks: Sequence[Rows | Diagonal], n: int) -> tuple[Array, Array]:
-    """`H = Σ Aᵀ W A`, `g = Σ Aᵀ W b` over n unknowns (M64): low rank and a diagonal."""
+    """Return `H = Σ Aᵀ W A`, `g = Σ Aᵀ W b` over n unknowns (M64), from low-rank and diagonal tasks."""
     rows = [task for task in tasks if isinstance(task, Rows)]
     matrix, offset, weights = (jnp.concatenate(parts) for parts in zip(*rows, strict=True))
     weighted = weights[:, None] * matrix
@@ -312,7 +312,7 @@ def _cost(tasks: Sequence[Rows | Diagonal], n: int) -> tuple[Array, Array]:
                 g = g.at[place].add(weight * shift)
             case _:
                 assert_never(task)
-    # A product is symmetric only to rounding, and the QP takes H to be exactly so.
+    # The product is symmetric only up to rounding, but the QP assumes an exactly symmetric H.
     return 0.5 * (h + h.T) + jnp.diag(diagonal), g
 
 

@@ -1,14 +1,13 @@
 """The flight controller: one tick, from a measurement to thrust rates and joint torques.
 
-`tick` reads top to bottom as the controller does: estimates of state and wind, set-point, kinematics and dynamics,
-aerodynamic forces, momentum, tasks, QP, torques. It is a pure function of one sample; `vmap`, `jit`, `grad` and `scan`
-at the call site.
+`tick` follows the order of the controller: estimates of state and wind, set-point, kinematics and dynamics, aerodynamic
+forces, momentum, tasks, QP, torques. It is a pure function of one sample; use `vmap`, `jit`, `grad` and `scan` on it.
 
 >>> params = momentum_controller(config, robot)
 >>> memory = init(params, robot, state)
 >>> memory, command, terms = tick(params, robot, memory, time, state, thrust, wind)
 
-Unknowns of the momentum QP: `u = (Ṫ, ṡ)`, thrust rates and joint velocities. Equations: `docs/model.md`, M101 here.
+The unknowns of the momentum QP are `u = (Ṫ, ṡ)`, thrust rates and joint velocities. Equation M101 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -54,33 +53,33 @@ from jax_aero.spatial import cross, multiply
 from jax_aero.types import Array, Setpoint, State, Static, leaf, leaves, pytree, where
 
 NOMINAL, DEGRADED, MOMENTUM_HELD, TORQUE_HELD, BOTH_HELD = range(5)
-"""Codes of `Command.status`: whether a command is that of the control law, as in the Rust crate.
+"""Codes of `Command.status`, which says whether the control law produced the command, as in the Rust crate.
 
-Degraded: something of the measurement had to be predicted, or the robot is on its way down; `Command.degraded_modes`
-says what. Momentum held: its QP has no certified answer; rates and velocities are as near to zero as their bounds
-allow, torques brake the joints. Torque held: its QP has none; torques stay.
+Degraded: a part of the measurement was predicted, or the robot is descending; see `Command.degraded_modes`. Momentum
+held: the momentum QP has no certified answer; rates and velocities are as near to zero as their bounds allow, and
+torques brake the joints. Torque held: the torque QP has no certified answer; torques keep their last values.
 """
 
 INTEGRAL_LIMIT = 20.0
-"""Where the published integrator of the joint velocity error saturates [rad]; no flight comes near."""
+"""Saturation of the published integrator of the joint velocity error [rad]; no flight comes near it."""
 
 
 class Switches(NamedTuple):
-    """What shapes the computation; hashable, fixed when it is compiled."""
+    """Options that change the structure of the computation; hashable, fixed at compilation."""
 
     conventions: LinkConventions
-    """Where link forces act."""
+    """Points at which link forces act."""
     lambda_a: bool
     """Whether `Λ_a` enters the derivative of the momentum rate."""
     torque: bool
     """Whether `J_aᵀ f_a` enters the torque law."""
     symmetric_pairs: tuple[tuple[int, int], ...]
-    """Jets meant to act alike."""
+    """Jets that should have equal thrust rates."""
 
 
 @pytree
 class MomentumController:
-    """The flight controller: every number as a leaf, its switches as structure. It is a `Controller`."""
+    """The flight controller, a `Controller`: every number is a leaf, the switches are structure."""
 
     switches: Static[Switches]
     aero: AeroModel
@@ -90,43 +89,43 @@ class MomentumController:
     momentum: TaskGains
     tasks: TaskParams
     other_tasks: tuple[Task, ...]
-    """Objectives of one's own in the momentum QP."""
+    """User-defined objectives of the momentum QP."""
     torque: TorqueParams
     torque_max: Float[Array, " n"]
-    """[N m]."""
+    """Greatest joint torques [N m]."""
     torque_rate_max: Float[Array, " n"]
-    """[N m/s]."""
+    """Greatest torque rates [N m/s]."""
     setpoint: SetpointParams
     channels: ChannelLimits
     estimator: Estimator | None
-    """Between the measurement and the rest of the tick, where there is one."""
+    """State estimator that replaces the measured state; `None` without one."""
     wind_observer: WindObserver | None
-    """Estimates the wind in place of the one that is measured; `None` where that is used."""
+    """Observer whose wind replaces the measured one; `None` without one."""
     observer: ObserverGains | None
     engines: EngineLimits | None
     mission: Commands | Recording
-    """What to follow: the autopilot's commands, or recorded set-points."""
+    """Mission: the autopilot's commands or recorded set-points."""
     time_step: Float[Array, ""]
     """[s]."""
 
     def init(self, robot: RobotModel, state: State) -> ControllerState:
-        """Start at the state of the first tick; see `init`."""
+        """Return the state of the controller at the first tick; see `init`."""
         return init(self, robot, state)
 
     def step(
         self, robot: RobotModel, memory: ControllerState, measurement: Measurement
     ) -> tuple[ControllerState, Command]:
-        """One tick on the configured mission; see `tick`."""
+        """Compute one tick on the configured mission; see `tick`."""
         memory, command, terms = tick(self, robot, memory, *measurement)
         return memory, command._replace(setpoint=terms.setpoint, terms=terms)
 
 
 class ControllerState(NamedTuple):
-    """Everything that the controller carries from one tick to the next."""
+    """State of the controller between two ticks."""
 
     setpoint: SetpointState
     channels: ChannelsState
-    """What is known of the channels of the measurement."""
+    """State of the measurement's channels."""
     posture: Float[Array, " n"]
     """Posture to return to, `s_d`: the joint positions of the first tick [rad]."""
     inertia_0: Float[Array, "3 3"]
@@ -134,21 +133,21 @@ class ControllerState(NamedTuple):
     velocity_error_integral: Float[Array, " n"]
     """`∫(ṡ − ṡ*)` [rad]."""
     joint_torque: Float[Array, " n"]
-    """Last command [N m]."""
+    """Last commanded torques [N m]."""
     torque_is_known: Bool[Array, ""]
-    """Whether the rate limiter has a torque to start from."""
+    """Whether the rate limiter has a last torque."""
     estimator: EstimatorState | None
-    """`None` without an estimator."""
+    """State of the estimator; `None` without one."""
     wind: WindState | None
-    """The estimated wind of the next tick; `None` without a wind observer."""
+    """Estimated wind of the next tick; `None` without a wind observer."""
     observer: ObserverState | None
-    """The observed wrench, and the measurement that the next one is compared with; `None` without an observer."""
+    """Observed wrench and the measurement to compare the next one with; `None` without an observer."""
     engines: EngineState | None
-    """What is known of each engine; `None` where none counts as lost."""
+    """State of the engines' detection; `None` without one."""
     momentum_start: WarmStart
-    """Where the momentum QP begins."""
+    """Starting point of the momentum QP."""
     torque_start: WarmStart
-    """Where the torque QP begins."""
+    """Starting point of the torque QP."""
 
 
 def momentum_controller(
@@ -157,14 +156,14 @@ def momentum_controller(
     read_network: ReadNetwork = load_network,
     tasks: tuple[Task, ...] = (),
 ) -> MomentumController:
-    """Collect the numbers of a controller of this robot, as the controller models it. Outside loops: tables are made.
+    """Return the controller of a robot as configured. Call it outside loops, since it computes interpolation tables.
 
-    `tasks` are objectives of one's own, added to the controller's.
+    `robot` is the controller's model of the robot; `tasks` are user-defined objectives, added to the controller's own.
 
     Raises
     ------
     ValueError
-        Naming what in the configuration does not fit the robot.
+        If the configuration does not fit the robot; the message names the key.
     """
     controller, time_step = config.controller, jnp.asarray(config.simulator.time_step, float)
     if controller.contact is not None or not controller.use_jets:
@@ -203,13 +202,13 @@ def _mission(mission: MissionConfig) -> Commands | Recording:
 
 
 def _components(known: RateFeedback) -> Array:
-    """Return 1 for each component (6,) of a wrench that is known, 0 for the others."""
+    """Return 1 for each known component (6,) of a wrench, 0 for the others."""
     has_force, has_moment = known in ("wrench", "force"), known in ("wrench", "moment")
     return leaf(np.repeat([has_force, has_moment], 3))
 
 
 def init(params: MomentumController, robot: RobotModel, state: State) -> ControllerState:
-    """Start the controller at the state of its first tick, whose position, attitude and posture it will keep."""
+    """Return the controller's state at the first tick, whose position, attitude and posture become the set-point."""
     kin = kinematics(robot, state)
     inertia = dynamics(robot, state, kin).centroidal_inertia
     rotation, n, jets = state.base_rotation, robot.n_joints, params.tasks.thrust_rate.shape[0]
@@ -241,14 +240,14 @@ def tick(
     wind: Float[Array, "3"],
     setpoint: Setpoint | None = None,
 ) -> tuple[ControllerState, Command, Terms]:
-    """One tick: the memory of the next, the command, and every intermediate value.
+    """Compute one tick; return the next state, the command, and every intermediate value.
 
-    `time` [s], `thrust` [N], `wind` [m/s, inertial axes]. With `setpoint` the mission is not followed; on the way down
-    neither is.
+    `time` [s], `thrust` [N], `wind` [m/s, inertial axes]. A given `setpoint` replaces the mission; during a descent
+    neither is followed.
 
-    The estimator, if there is one, makes its estimate of what is accepted of state and thrusts; the wind observer puts
-    its wind of before this tick in the place of the measured one. What of the measurement is missing or cannot be right
-    is predicted from what is known; the command says what.
+    The estimator, if configured, uses the accepted part of state and thrusts; the wind observer, if configured,
+    replaces the measured wind by its estimate from the previous ticks. Missing or implausible parts of the measurement
+    are predicted; the command's `degraded_modes` names them.
     """
     with jax.default_matmul_precision("highest"):
         wind_std = jnp.zeros_like(wind)
@@ -290,10 +289,10 @@ def replace_command(
     thrust_rate: Float[Array, " j"],
     joint_torque: Float[Array, " n"],
 ) -> tuple[ControllerState, Command]:
-    """Return state and command where something else acts until the next tick than this one commanded.
+    """Return state and command for actuation until the next tick that differs from the command of this tick.
 
-    What the channels and the estimator predict follows it. The control law's own torques stay as they were: its rate
-    limiter goes on from them. `thrust_rate` [N/s], `joint_torque` [N m].
+    The predictions of the channels and the estimator use it. The torques of the control law remain, from which its
+    rate limiter continues. `thrust_rate` [N/s], `joint_torque` [N m].
     """
     # ν̇ is linear in the torques: it changes by M⁻¹ S (τ′ − τ).
     dyn, known = terms.dynamics, memory.channels
@@ -314,7 +313,7 @@ def _act(
     wind_std: Array,
     setpoint: Setpoint,
 ) -> tuple[ControllerState, Command, Terms]:
-    """Tick on a measurement that can be used."""
+    """Compute the tick from a usable measurement."""
     switches = params.switches
     _, state, thrust, wind, modes, innovation, elapsed, _, has_momentum = seen
     known = memory.channels
@@ -354,7 +353,7 @@ def _act(
             setpoint = where(is_lost, generator.without_place(setpoint, kin.com), setpoint)
         modes = modes | jnp.where(jnp.any(turning.is_limited), channels.MODES["engine_limited"], 0)
 
-    # Thrust rates and joint velocities that shape momentum and attitude.
+    # Thrust rates and joint velocities that control momentum and attitude.
     attitude = attitude_demand(
         gains,
         setpoint,
@@ -378,7 +377,7 @@ def _act(
     )
     shaping = momentum_qp(tasks, switches.symmetric_pairs, inputs, params.other_tasks)
     if turning is not None:
-        # The others take the share of an engine that does not reach its thrust.
+        # The other engines compensate for one that does not reach its thrust.
         greatest = jnp.minimum(turning.greatest, robot.jets.thrust_max)
         least, problem = jnp.minimum(turning.least, greatest), shaping.problem
         lower, upper = rate_bounds(thrust, least, greatest, tasks.thrust_rate_max, tasks.thrust_steepness)
@@ -387,11 +386,11 @@ def _act(
         shaping = shaping._replace(problem=problem)
     wanted = qp.solve(shaping.problem, memory.momentum_start)
     momentum_solved = wanted.status == qp.SOLVED
-    # Nothing moves, as far as the bounds allow.
+    # As near to rest as the bounds allow.
     u = jnp.where(momentum_solved, wanted.x, jnp.clip(0.0, shaping.problem.lower, shaping.problem.upper))
     thrust_rate, joint_velocity = u[: thrust.shape[0]], u[thrust.shape[0] :]
 
-    # Torques that let the joints follow the commanded velocities.
+    # Torques with which the joints follow the commanded velocities.
     jet_forces = thrust[:, None] * momentum.jet_axes
     force = generalised_force(robot, kin, robot.jets.bodies, momentum.jet_points, jet_forces) - dyn.bias
     if switches.torque:
@@ -419,12 +418,12 @@ def _act(
         status=jnp.where(is_solved & (modes != 0), DEGRADED, status),
         degraded_modes=modes,
     )
-    # Forward Euler: used first, advanced after. A tick without a commanded velocity has no error to integrate, and one
-    # with held torques would integrate an error that no torque answers.
+    # Forward Euler: the integral is used before it is advanced. It is not advanced in a tick without a commanded
+    # velocity, which has no error, or with held torques, which do not respond to it.
     advanced = jnp.clip(
         memory.velocity_error_integral + params.time_step * velocity_error, -INTEGRAL_LIMIT, INTEGRAL_LIMIT
     )
-    # M101: what the command makes of the robot, for the next tick; the observed wrench acts on the base.
+    # M101: motion under the command until the next tick; the observed wrench acts on the base.
     wrench = momentum.unmodelled_wrench
     moment = wrench[3:] + cross(kin.com - state.base_position, wrench[:3])
     acting = jnp.concatenate([wrench[:3], moment, joint_torque])

@@ -1,4 +1,4 @@
-"""The joint torque controller: torques whose accelerations follow the commanded joint velocities.
+"""The joint torque controller: torques whose joint accelerations follow the commanded joint velocities.
 
 ```text
 s̈* = −K_D (ṡ − ṡ*) − K_P ∫(ṡ − ṡ*)
@@ -6,8 +6,8 @@ s̈(τ) = G τ + s̈_free,   G = (M⁻¹)_ss,   s̈_free = [M⁻¹ (Σ Jᵀ T a 
 min ½ w_a |s̈(τ) − s̈*|² + ½ (w_τ + ε) |τ|²   subject to |τ| ≤ τ_max
 ```
 
-followed by a rate limiter. The robot floats: `G` is the joint block of the inverse mass matrix, not the inverse of the
-joint block. Equations M68 to M72 of `docs/model.md`.
+followed by a rate limiter. Since the base floats, `G` is the joint block of the inverse mass matrix, not the inverse of
+the joint block. Equations M68 to M72 of `docs/model.md`.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ class TorqueParams:
     """Gains and weights of the torque QP."""
 
     kd: Float[Array, ""]
-    """[1/s]."""
+    """`K_D` [1/s]."""
     kp: Float[Array, ""]
-    """[1/s²]."""
+    """`K_P` [1/s²]."""
     weight_acceleration: Float[Array, ""]
     weight_torque: Float[Array, ""]
     regularisation: Float[Array, ""]
-    """Added to the diagonal."""
+    """`ε`, added to the diagonal."""
 
 
 class TorqueQp(NamedTuple):
@@ -56,7 +56,7 @@ def torque_qp(
     velocity_error: Float[Array, " n"],
     velocity_error_integral: Float[Array, " n"],
 ) -> TorqueQp:
-    """Build the QP; `torque_max` [N m], `force` holds `Σ Jᵀ T a + J_aᵀ f_a − h`."""
+    """Build the QP; `torque_max` is in N m, `force` is `Σ Jᵀ T a + J_aᵀ f_a − h`."""
     gain, free = _joint_response(mass_matrix, force)
     desired = -params.kd * velocity_error - params.kp * velocity_error_integral
     n = desired.shape[0]
@@ -68,7 +68,7 @@ def torque_qp(
 
 
 def _joint_response(mass_matrix: Array, force: Array) -> tuple[Array, Array]:
-    """`(M⁻¹)_ss` and `[M⁻¹ force]_s`: responses of the joints to a unit torque on each, and to the force."""
+    """Return `(M⁻¹)_ss` and `[M⁻¹ force]_s`: joint accelerations per unit joint torque and under the force."""
     unit = jnp.eye(mass_matrix.shape[0], dtype=force.dtype)[:, 6:]
     response = solve_positive_definite(mass_matrix, jnp.concatenate([unit, force[:, None]], axis=1))[6:]
     return response[:, :-1], response[:, -1]

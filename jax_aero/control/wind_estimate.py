@@ -1,10 +1,10 @@
-"""The measured wind, with the errors of a wind sensor or estimate.
+"""The measured wind, with the errors of a wind sensor or of a wind estimate.
 
 ```text
 wind ──(mean only)──► delay ──► + bias + noise ──► low pass ──► measured wind
 ```
 
-The wind is a function of time, so a delay needs no memory; noise is drawn before the flight.
+The wind is a function of time, so the delay needs no state; noise is drawn before the flight.
 
 Equation M39 of `docs/model.md`.
 """
@@ -26,28 +26,28 @@ NOISE_STREAM = 0
 
 @pytree
 class WindEstimate:
-    """Errors of the wind estimate of one flight."""
+    """Errors of the measured wind of one flight."""
 
     bias: Float[Array, "3"]
-    """[m/s]."""
+    """Constant error [m/s]."""
     noise_std: Float[Array, ""]
-    """[m/s]."""
+    """Standard deviation of the noise [m/s]."""
     noise: Float[Array, "ticks 3"]
-    """Of standard deviation one."""
+    """Noise of unit standard deviation."""
     delay_ticks: Int[Array, ""]
-    """Age of the measured wind."""
+    """Age of the measured wind [ticks]."""
     time_constant: Float[Array, ""]
-    """Of the low pass [s]; zero for none."""
+    """Time constant of the low pass [s]; zero for none."""
     mean: Float[Array, "3"]
-    """Over the flight, of the wind that it was prepared with [m/s]."""
+    """Mean wind over the flight for which the errors were drawn [m/s]."""
     is_mean: Bool[Array, ""]
-    """Whether that mean is all that is measured."""
+    """Whether only that mean is measured."""
 
 
 def wind_estimate(
     settings: WindEstimateConfig, time_step: Float[Array, ""], winds: Float[Array, "ticks 3"]
 ) -> WindEstimate:
-    """Errors of a flight in which the true winds are `winds` [m/s]. Outside loops: noise is drawn here."""
+    """Return the errors of a flight with the true winds `winds` [m/s]. Call it outside loops, since it draws noise."""
     ticks = len(winds)
     # Half a tick rounds up.
     delay = np.floor(np.asarray(settings.delay) / np.asarray(time_step) + 0.5)
@@ -69,9 +69,9 @@ def measured_wind(
     tick: Int[Array, ""],
     time_step: Float[Array, ""],
 ) -> Float[Array, "3"]:
-    """Measured wind [m/s] of this tick; `before` is that of the last.
+    """Return the measured wind [m/s] of this tick; `before` is that of the last tick.
 
-    Until the delay has passed the first wind is measured; the low pass starts settled.
+    The first wind is measured until the delay has passed; the low pass starts in steady state.
     """
     then = jnp.maximum(tick - estimate.delay_ticks, 0) * time_step
     wind = jnp.where(estimate.is_mean, estimate.mean, wind_at(then))

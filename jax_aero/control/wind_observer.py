@@ -1,11 +1,11 @@
-"""Wind estimate from the wrench that acts on the robot, by inverting an aerodynamic model.
+"""Wind estimate from the wrench on the robot, by inversion of an aerodynamic model.
 
 ```text
-dẑ/dt = K_o (L̇ − A_T T + m g e₃ − ẑ)                   the wrench of everything but jets and weight
+dẑ/dt = K_o (L̇ − A_T T + m g e₃ − ẑ)                   wrench of all but jets and weight
 ẑ_f = Σ f_j(v_w) + noise + e,  dv_w = random walk       an extended Kalman filter, e constant
 ```
 
-A tick of the controller ends with it: it reads what the tick computed, and the next tick uses its wind.
+It runs at the end of a controller tick on the values computed there; its wind is used by the next tick.
 
 Equations M94 and M110 of `docs/model.md`.
 """
@@ -26,49 +26,49 @@ from jax_aero.robot import RobotModel
 from jax_aero.types import Array, pytree, where
 
 DIFFERENCE = 0.1
-"""Step of the differences that make the Jacobian [m/s]."""
+"""Step of the finite differences for the Jacobian [m/s]."""
 
 MEMORY = 2.0
 """Time over which the unexplained moment is averaged [s]."""
 
 GREATEST = 1e4
-"""Greatest wrench that is estimated from [N, N m]."""
+"""Greatest wrench that is used for the estimate [N, N m]."""
 
 
 @pytree
 class WindObserver:
-    """How the wind is estimated."""
+    """Parameters of the wind estimate."""
 
     gain: Float[Array, ""]
-    """How fast the acting force is observed [1/s]."""
+    """`K_o` of the force [1/s]."""
     walk: Float[Array, ""]
-    """Standard deviation of a horizontal wind after one second [m/s]."""
+    """Standard deviation of the change of a horizontal wind in one second [m/s]."""
     vertical_std: Float[Array, ""]
-    """Of vertical winds [m/s]."""
+    """Standard deviation of vertical winds [m/s]."""
     vertical_time: Float[Array, ""]
-    """Over which they are like themselves [s]."""
+    """Correlation time of vertical winds [s]."""
     force_noise: Float[Array, "3"]
     """Standard deviation of the noise of the observed force [N]."""
     force_std: Float[Array, ""]
-    """Of errors of the force that last [N]."""
+    """Standard deviation of lasting errors of the force [N]."""
     relative_std: Float[Array, ""]
-    """The same of the model's force, as a fraction of the observed one."""
+    """Standard deviation of lasting errors of the model's force, as a fraction of the observed one."""
     moment_arm: Float[Array, ""]
-    """Over which the unexplained moment is a force that is not explained either [m]."""
+    """Arm by which the unexplained moment is converted into a lasting force error [m]."""
 
 
 class WindState(NamedTuple):
-    """The estimate from one tick to the next."""
+    """State of the estimate between two ticks."""
 
     wrench: ObserverState
     wind: Float[Array, "3"]
-    """[m/s, inertial axes]."""
+    """Estimated wind [m/s, inertial axes]."""
     covariance: Float[Array, "3 3"]
-    """Of the estimate, without errors that last."""
+    """Covariance of the estimate, without lasting errors [m²/s²]."""
     sensitivity: Float[Array, "3 3"]
-    """What a newton of force that lasts does to the estimate [m/s/N]."""
+    """Derivative of the estimate with respect to a lasting force error [m/s/N]."""
     lasting: Float[Array, ""]
-    """Variance of the errors that last [N²]."""
+    """Variance of the lasting errors [N²]."""
     unexplained: Float[Array, ""]
     """Mean square of the moment that the model does not explain [N² m²]."""
 
@@ -80,7 +80,7 @@ class WindState(NamedTuple):
 
 
 def start(settings: WindObserver) -> WindState:
-    """Return the state before the first tick: no wind, give or take a second of its walk."""
+    """Return the state before the first tick: zero wind, with the uncertainty of one second of its random walk."""
     std = jnp.stack([jnp.asarray(x) for x in (settings.walk, settings.walk, settings.vertical_std)])
     zero = jnp.zeros_like(std[0])
     none = jnp.zeros((3, 3), std.dtype)
@@ -94,7 +94,7 @@ def update(
     before: WindState,
     terms: Terms,
 ) -> WindState:
-    """Take in what a tick of the controller computed. Where the momentum was not measured nothing is corrected."""
+    """Process the values of a controller tick. Without measured momentum nothing is corrected."""
     step, has_momentum = terms.seen.elapsed, terms.seen.has_momentum
     rate = jnp.sum(terms.momentum.a_t * terms.seen.thrust, axis=1).at[2].add(-robot.mass * robot.gravity)
     greatest = jnp.full_like(settings.gain, GREATEST)
@@ -103,7 +103,7 @@ def update(
     wrench = where(has_momentum, wrench, observer.hold(before.wrench))
     force = wrench.wrench[:3]
 
-    # Horizontal winds wander, vertical ones return.
+    # Horizontal winds are a random walk; vertical ones return to zero.
     kept = jnp.exp(-step / settings.vertical_time)
     keep = jnp.stack([jnp.ones_like(kept), jnp.ones_like(kept), kept])
     walk = settings.walk**2 * step
@@ -123,14 +123,14 @@ def update(
     lasting = (
         settings.force_std**2 + settings.relative_std**2 * jnp.sum(force * force) + unexplained / settings.moment_arm**2
     )
-    # So many measurements as a time constant of the observer are one.
+    # The observer correlates measurements over its time constant, so those count as one.
     together = jnp.maximum(1.0 / (settings.gain * step), 1.0)
     error = jnp.diag(together * settings.force_noise**2)
     innovation = jacobian @ covariance @ jacobian.T + error
     gain = jnp.linalg.solve(innovation, jacobian @ covariance).T
     moved = wind + gain @ (force - modelled[:3])
     left = jnp.eye(3, dtype=wind.dtype) - gain @ jacobian
-    # Joseph's form: symmetric and positive whatever rounding does.
+    # Joseph form, which keeps the covariance symmetric and positive under rounding.
     less = left @ covariance @ left.T + gain @ error @ gain.T
     sensitivity = keep[:, None] * before.sensitivity
     after = WindState(wrench, moved, less, left @ sensitivity + gain, lasting, unexplained)
