@@ -1,10 +1,10 @@
-"""Mass matrix, bias forces and centroidal momentum of the floating tree.
+"""Mass matrix, bias forces and centroidal momentum of the floating-base tree.
 
     M(q) ν̇ + h(q, ν) = S τ + Σ Jᵀ f        h contains gravity
     (l, k) = A_G(q) ν                        momentum about the centre of mass
 
-Two backends give `M` and `h`; everything else follows from these. `tree` is written for this package: sums over
-ancestors and descendants are products with one static matrix. `mjx` asks MuJoCo's JAX implementation.
+Two backends compute `M` and `h`, from which everything else follows. `tree` is written for this package, with sums over
+ancestors and descendants as products with one static matrix. `mjx` uses MuJoCo's JAX implementation.
 
 Equations M11 to M14 and M17 of `docs/model.md`.
 """
@@ -25,12 +25,12 @@ from jax_aero.types import Array, Dynamics, Kinematics, State
 
 
 def dynamics(robot: RobotModel, state: State, kin: Kinematics, backend: DynamicsBackend = "tree") -> Dynamics:
-    """Rigid-body dynamics of one state; `kin` must belong to it."""
+    """Return the rigid-body dynamics of one state; `kin` must belong to it."""
     match backend:
         case "tree":
             mass_matrix, bias = _tree_mass_matrix_and_bias(robot, state, kin)
         case "mjx":
-            from jax_aero.mujoco_model import mass_matrix_and_bias  # MuJoCo is loaded only where it is asked for
+            from jax_aero.mujoco_model import mass_matrix_and_bias  # MuJoCo is loaded only when needed
 
             mass_matrix, bias = mass_matrix_and_bias(robot, state)
         case _:
@@ -43,16 +43,17 @@ def dynamics(robot: RobotModel, state: State, kin: Kinematics, backend: Dynamics
 
 
 def forward_dynamics(dyn: Dynamics, force: Float[Array, " N"]) -> Float[Array, " N"]:
-    """Acceleration `ν̇` under a generalised force: `M ν̇ = force − h`."""
+    """Return the acceleration `ν̇` under a generalised force: `M ν̇ = force − h`."""
     return solve_positive_definite(dyn.mass_matrix, (force - dyn.bias)[:, None])[:, 0]
 
 
 def _tree_mass_matrix_and_bias(robot: RobotModel, state: State, kin: Kinematics) -> tuple[Array, Array]:
     """Composite rigid bodies and recursive Newton–Euler, in inertial axes about the base origin.
 
-    A unit velocity of joint j moves its subtree with `ω` and, at the base origin, with `v` (revolute: `a` and
-    `(o_j − o_B) × a`; prismatic: zero and `a`); the subtree's momentum about the base origin is `l = m v + ω × s`,
-    `k = I ω + s × v` (s: first moment). Then `M_ij = ω_i·k_j + v_i·l_j` for every joint i between j and the base.
+    A unit velocity of joint j gives its subtree the angular velocity `ω` and, at the base origin, the velocity `v`
+    (revolute: `a` and `(o_j − o_B) × a`; prismatic: zero and `a`). The subtree's momentum about the base origin is
+    `l = m v + ω × s`, `k = I ω + s × v` with the first moment s. Then `M_ij = ω_i·k_j + v_i·l_j` for every joint i
+    between j and the base.
     """
     rotations, origin = kin.body_rotations, kin.body_positions[0]
     arms = rotate(rotations, robot.coms)
@@ -62,7 +63,7 @@ def _tree_mass_matrix_and_bias(robot: RobotModel, state: State, kin: Kinematics)
     axes = kin.joint_angular
     v = kin.joint_linear + cross(kin.body_positions[1:] - origin, axes)
     force, moment = _inertial_wrenches(robot, state, kin, arms, coms, inertias)
-    # Subtree sums of everything at once: mass, first moment, inertia about the base origin, force, moment.
+    # Subtree sums of mass, first moment, inertia about the base origin, force and moment, all at once.
     first = robot.masses[:, None] * coms
     about_origin = inertias - multiply(skew(first), skew(coms))
     quantities = jnp.concatenate([robot.masses[:, None], first, about_origin.reshape(-1, 9), force, moment], axis=1)
@@ -92,7 +93,7 @@ def _tree_mass_matrix_and_bias(robot: RobotModel, state: State, kin: Kinematics)
 def _inertial_wrenches(
     robot: RobotModel, state: State, kin: Kinematics, arms: Array, coms: Array, inertias: Array
 ) -> tuple[Array, Array]:
-    """Force (nb, 3) and moment about the base origin (nb, 3) that each body needs if `ν̇ = 0`, gravity included."""
+    """Force (nb, 3) [N] and moment about the base origin (nb, 3) [N m] on each body for `ν̇ = 0`, with gravity."""
     parents = np.array(robot.parent[1:], dtype=int)
     moves = jnp.asarray(robot.ancestors, state.velocity.dtype)
     omega = kin.angular_velocities

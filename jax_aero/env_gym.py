@@ -1,11 +1,11 @@
-"""The flight as an environment of Gymnasium: a loop over the plant and the controller of the crate, without JAX.
+"""The flight as a Gymnasium environment: a loop over the crate's plant and controller, without JAX.
 
 >>> from jax_aero.env_gym import HoverEnv
 >>> hover = HoverEnv()
 >>> obs, info = hover.reset(seed=0)
 >>> obs, reward, terminated, truncated, info = hover.step(hover.action_space.sample())
 
-Needs the extra `rl`. The task, what is observed and what is rewarded are those of `jax_aero.env`.
+Needs the extra `rl`. Task, observation and reward are those of `jax_aero.env`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from jax_aero import rust, tables
 from jax_aero.env_task import Seen, Task, added_torque, is_lost, observation, rewards, steering, within
 
 LARGEST = 1e6
-"""Beyond anything that is observed before a flight counts as lost."""
+"""Bound that no observation reaches before the flight counts as lost."""
 
 BETWEEN = (
     ("simulator", "sensors"),
@@ -30,11 +30,11 @@ BETWEEN = (
     ("disturbances", "wind_estimate"),
     ("disturbances", "controller_wind"),
 )
-"""What of a configuration would stand between plant and controller: tables and keys."""
+"""Tables and keys of a configuration that would alter signals between plant and controller."""
 
 
 class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
-    """Hover in a wind that every episode draws anew; actions as in `jax_aero.env.FlightEnv`."""
+    """Hover in a wind drawn anew for every episode; actions as in `jax_aero.env.FlightEnv`."""
 
     _measurement: rust.Measurement
     metadata = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
@@ -60,7 +60,7 @@ class HoverEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin an episode, in the wind `options["wind"]` (3,) [m/s] if there is one, else in one that is drawn."""
+        """Begin an episode in the wind `options["wind"]` (3,) [m/s], or in a random one if it is not given."""
         super().reset(seed=seed)
         options = options or {}
         if unknown := options.keys() - {"wind"}:

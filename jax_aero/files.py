@@ -1,7 +1,7 @@
-"""Writes files and folders completely or not at all; they are on the disk when they appear.
+"""Atomic writing of files and folders: they appear completely or not at all, and are then on the disk.
 
-Names of drafts are fixed, and whoever writes a folder or a sweep holds its lock: a draft that is found under the lock
-was left by a process that was killed.
+Names of drafts are fixed, and a process that writes a folder or a sweep holds its lock. A draft found under the lock is
+therefore left over from a process that was killed.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from jax_aero.command import Refused
 def complete_file(target: Path) -> Iterator[Path]:
     """Yield a draft beside `target` that replaces it when the block ends, and is removed when the block raises."""
     target.parent.mkdir(parents=True, exist_ok=True)
-    # In the same folder, so that the rename stays on one file system and is atomic.
+    # In the same folder, so that the rename stays within one file system and is atomic.
     draft = target.with_name(f".{target.stem}.{os.getpid()}.draft{target.suffix}")
     try:
         yield draft
@@ -35,7 +35,7 @@ def complete_file(target: Path) -> Iterator[Path]:
         draft.replace(target)
         _sync(target.parent)
     except OSError as reason:
-        raise OSError(reason.errno, reason.strerror, str(target)) from reason  # a full disk names no file
+        raise OSError(reason.errno, reason.strerror, str(target)) from reason  # the error of a full disk names no file
     finally:
         draft.unlink(missing_ok=True)
 
@@ -44,15 +44,15 @@ def complete_file(target: Path) -> Iterator[Path]:
 def complete_folder(target: Path, *, replace: bool = False) -> Iterator[Path]:
     """Yield a draft folder that becomes `target` when the block ends, and is removed when the block raises.
 
-    A process that was killed between the two renames of a replacement leaves the old folder under another name: the
-    next one puts it back. Where `target` is a symbolic link, what it leads to is replaced.
+    If a process is killed between the two renames of a replacement, the old folder remains under another name, and the
+    next process restores it. If `target` is a symbolic link, the folder that it leads to is replaced.
 
     Raises
     ------
     Refused
-        If another process writes the same folder.
+        If another process is writing the same folder.
     OSError
-        If `target` is there without `replace`, or the disk is full.
+        If `target` exists and `replace` is false, or if the disk is full.
     """
     target = target.resolve()
     draft, retired = (target.with_name(f".{target.name}.{word}") for word in ("draft", "old"))
@@ -81,17 +81,17 @@ def complete_folder(target: Path, *, replace: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def locked(target: Path) -> Iterator[None]:
-    """Hold the lock of a file or folder: `.NAME.lock` beside it, which names this process and goes with the block.
+    """Hold the lock of a file or folder for the duration of the block: `.NAME.lock` beside it, naming this process.
 
-    The system frees a lock when its process ends, however it ends, and the next one takes it over. Only a lock of
-    another machine is left alone: whether that process still runs is not known here.
+    The system releases a lock when its process ends for any reason, and the next process takes it over. Only a lock of
+    another machine is respected unconditionally, since it is unknown whether that process still runs.
 
     Raises
     ------
     Refused
-        Naming process, machine and start of whoever holds it.
+        If another process holds the lock; the message names its process, machine and start.
     """
-    target = target.resolve()  # one lock, whatever link leads there
+    target = target.resolve()  # one lock for all links to the target
     target.parent.mkdir(parents=True, exist_ok=True)
     path = target.with_name(f".{target.name}.lock")
     while True:
@@ -99,7 +99,7 @@ def locked(target: Path) -> Iterator[None]:
         try:
             _take(descriptor, path, target)
             if path.exists() and os.path.samestat(os.fstat(descriptor), path.stat()):
-                break  # and not a file that its holder has removed since it was opened
+                break  # and not removed by its holder since it was opened
         except BaseException:
             os.close(descriptor)
             raise
@@ -112,12 +112,12 @@ def locked(target: Path) -> Iterator[None]:
 
 
 def computing(target: Path) -> AbstractContextManager[None]:
-    """Hold the lock of the work on a result: of what is computed, and kept beside it, before its folder is written."""
+    """Hold the lock for computing a result, which covers intermediate files beside it before its folder is written."""
     return locked(target.resolve().with_name(f".{target.resolve().name}.work"))
 
 
 def _take(descriptor: int, path: Path, target: Path) -> None:
-    """Lock an open file and write into it who holds it."""
+    """Lock an open lock file and write the holder into it."""
     here = socket.gethostname()
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -128,7 +128,7 @@ def _take(descriptor: int, path: Path, target: Path) -> None:
         holder = json.loads(os.pread(descriptor, 4096, 0))
         who = f"process {holder['pid']} on {holder['host']} since {holder['since']}"
         is_elsewhere = holder["host"] != here
-    except (ValueError, KeyError, TypeError):  # its name is not there yet, or never will be
+    except (ValueError, KeyError, TypeError):  # the holder has not been written
         who, is_elsewhere = "another process", False
     if is_taken or is_elsewhere:
         hint = f"; if that process has ended, remove {os.path.relpath(path)}" if is_elsewhere else ""
@@ -139,7 +139,7 @@ def _take(descriptor: int, path: Path, target: Path) -> None:
 
 
 def _sync(path: Path) -> None:
-    """Wait until a file, or the names in a folder, are on the disk."""
+    """Flush a file, or the entries of a folder, to the disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -148,13 +148,13 @@ def _sync(path: Path) -> None:
 
 
 def checksums(folder: Path) -> dict[str, str]:
-    """Return the SHA-256 of every file of a folder, by its path in it."""
+    """Return the SHA-256 of every file in a folder, by relative path."""
     paths = sorted(path for path in folder.rglob("*") if path.is_file())
     return {path.relative_to(folder).as_posix(): _sha256(path) for path in paths}
 
 
 def damaged(folder: Path, checksums: Mapping[str, str]) -> str | None:
-    """Return the first file that is not what it was when its checksum was taken, or `None`."""
+    """Return the first file that differs from its checksum, or `None`."""
 
     def is_whole(name: str, checksum: str) -> bool:
         return (folder / name).is_file() and _sha256(folder / name) == checksum
@@ -168,22 +168,22 @@ def _sha256(path: Path) -> str:
 
 
 def sealed(content: bytes, what: str) -> bytes:
-    """Return a file's content behind the SHA-256 of it and of what it is."""
+    """Return the content of a file, preceded by the SHA-256 of the content and its kind `what`."""
     return hashlib.sha256(what.encode() + content).digest() + content
 
 
 def unsealed(file: bytes, what: str) -> bytes | None:
-    """Return what was sealed, or `None` where it is empty, cut short, changed, or something else."""
+    """Return content written by `sealed`, or `None` if it is empty, truncated, changed or of another kind."""
     content = file[hashlib.sha256().digest_size :]
     return content if file == sealed(content, what) else None
 
 
 MAX_SIZE = 64 * 1024 * 1024
-"""Longest file that is read into memory [bytes], as in the crate."""
+"""Greatest size of a file that is read into memory [bytes], as in the crate."""
 
 
 def read_bytes(path: Path, greatest: int = MAX_SIZE) -> bytes:
-    """Read a regular file; a device, a pipe and what is longer than `greatest` [bytes] are refused unread."""
+    """Read a regular file; devices, pipes and files larger than `greatest` [bytes] are refused without reading."""
     status = path.stat()
     if not stat.S_ISREG(status.st_mode) or status.st_size > greatest:
         raise Refused(f"{path.name}: expected a regular file of at most {greatest} bytes")
@@ -191,12 +191,12 @@ def read_bytes(path: Path, greatest: int = MAX_SIZE) -> bytes:
 
 
 def read_text(path: Path, greatest: int = MAX_SIZE) -> str:
-    """Read a text file in UTF-8, as `read_bytes`."""
+    """Read a text file in UTF-8, with the limits of `read_bytes`."""
     return read_bytes(path, greatest).decode()
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON document that is a table; a damaged one is refused by its name."""
+    """Read a JSON document whose root is an object; the message about an invalid one names the file."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as reason:
@@ -207,7 +207,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def write_bytes(path: Path, content: bytes | memoryview) -> None:
-    """Write a file in one go; a disk that is full is an `OSError` and leaves what was there."""
+    """Write a file atomically; a full disk raises `OSError` and leaves the old file."""
     with complete_file(path) as draft:
         draft.write_bytes(content)
 
@@ -218,17 +218,17 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_json(path: Path, document: Any) -> None:
-    """Write a JSON document; NaN and infinity are refused with a `ValueError`, since JSON has neither."""
+    """Write a JSON document; raise `ValueError` for NaN and infinity, which JSON lacks."""
     write_text(path, json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def finite(value: Any) -> Any:
-    """Return a value, or tables of values, for JSON: infinity, to which errors of a fall may grow, and NaN are none."""
+    """Return a value, or nested values, for JSON, with infinity (possible for errors of a fall) and NaN as null."""
     if isinstance(value, Mapping):
         return {key: finite(item) for key, item in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def write_netcdf(path: Path, dataset: Any, encoding: Any = None) -> None:
-    """Write an xarray dataset as NetCDF-4. HDF5 works in memory, since it ends the process where a disk is full."""
+    """Write an xarray dataset as NetCDF-4. HDF5 works in memory, since it aborts the process if a disk is full."""
     write_bytes(path, dataset.to_netcdf(engine="h5netcdf", encoding=encoding))

@@ -1,7 +1,7 @@
-"""Identification of aerodynamic coefficients from a flight's log, by the gradient through the simulation.
+"""Identification of aerodynamic coefficients from a flight's log, by gradients through the simulation.
 
-From many logged states the next ticks are simulated under the logged commands; `misfit_of` compares the velocities at
-their end with the logged ones, and `descend` minimises it over relative changes θ of the force areas.
+Starting at many logged states, a few ticks are simulated under the logged commands. `misfit_of` compares the final
+velocities with the logged ones, and `descend` minimises the misfit over relative changes θ of the force areas.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from jax_aero.types import Array, State
 
 
 class Segments(NamedTuple):
-    """Logged states, and what was commanded from each on; k segments of h ticks."""
+    """Logged states with the commands that followed them; k segments of h ticks."""
 
     first: State
     thrust: Float[Array, "k j"]
-    """At the start [N]."""
+    """Thrusts at the start [N]."""
     torque: Float[Array, "k h n"]
-    """[N m]."""
+    """Joint torques [N m]."""
     thrust_rate: Float[Array, "k h j"]
-    """[N/s]."""
+    """Thrust rates [N/s]."""
     wind: Float[Array, "k h 3"]
-    """[m/s]."""
+    """Wind [m/s, inertial axes]."""
     velocity: Float[Array, "k N"]
-    """Logged after the h ticks."""
+    """Logged velocity ν after the h ticks [m/s, rad/s]."""
 
 
 def segments_of(
@@ -50,7 +50,7 @@ def segments_of(
     count: int,
     horizon: int,
 ) -> Segments:
-    """Return `count` segments of `horizon` ticks of a log, evenly spread from `first_tick` to its end."""
+    """Return `count` segments of `horizon` ticks of a log, evenly spaced from `first_tick` to its end."""
     starts = np.linspace(first_tick, len(log["time"]) - horizon - 1, count, dtype=int)
     ticks = starts[:, None] + np.arange(horizon)
 
@@ -68,7 +68,7 @@ def segments_of(
 
 
 def states_of(log: Mapping[str, Float[np.ndarray, "ticks ..."]], ticks: Any) -> State:
-    """States of a log at some ticks."""
+    """Return the states of a log at the given ticks."""
     velocity = np.concatenate([log["base_velocity"][ticks], log["joint_velocity"][ticks]], axis=1)
     return State(
         base_position=jnp.asarray(log["base_position"][ticks]),
@@ -79,7 +79,7 @@ def states_of(log: Mapping[str, Float[np.ndarray, "ticks ..."]], ticks: Any) -> 
 
 
 def simulated_velocity(plant: Plant, segment: Segments) -> Float[Array, " N"]:
-    """Velocity after the ticks of one segment, from its first state and under its commands."""
+    """Return the velocity ν after one segment, simulated from its first state under its commands."""
     jets = JetsState(segment.thrust, jnp.zeros_like(segment.thrust), None)
 
     def tick(state: PlantState, commands: tuple[Array, Array, Array]) -> tuple[PlantState, None]:
@@ -121,7 +121,7 @@ def descend(
     steps: int,
     rate: float,
 ) -> tuple[Float[np.ndarray, "families 6"], Float[np.ndarray, " steps"]]:
-    """Minimise by Adam from θ = 0, where `exists`; return `θ` and the loss before each step."""
+    """Minimise by Adam from θ = 0, over the entries where `exists`; return `θ` and the loss before each step."""
 
     @jax.jit
     def step(adam: AdamState, theta: Array) -> tuple[AdamState, Array, Array]:
@@ -140,7 +140,7 @@ def descend(
 def wrenches_along(
     log: Mapping[str, Float[np.ndarray, "ticks ..."]], robot: RobotModel, models: Mapping[str, Axisymmetric]
 ) -> dict[str, Float[np.ndarray, "ticks 6"]]:
-    """Total force and moment about the centre of mass [N, N m] of each model along a log, inertial axes."""
+    """Return each model's total force and moment about the centre of mass [N, N m] along a log, inertial axes."""
 
     @jax.jit
     def along(model: Axisymmetric) -> Array:

@@ -1,4 +1,4 @@
-"""Loads a TOML file as one resolved table or as types of `jax_aero.config`, without the compiled crate.
+"""Reading of a TOML file as one resolved table or as types of `jax_aero.config`, without the compiled crate.
 
 A table may name another file as its `base`: that file's table is read first, and the keys beside `base` are laid over
 it, table by table. Paths start at the file that names them. Which keys are paths, and which tables are of several
@@ -29,10 +29,10 @@ from jax_aero.places import HOME, find
 Table = dict[str, Any]
 
 MAX_DEPTH = 16
-"""How deep `base` files may refer to one another."""
+"""Greatest depth of references between `base` files."""
 
 MAX_FILES = 256
-"""How many files one configuration may consist of."""
+"""Greatest number of files in one configuration."""
 
 FLIGHT = inspect.type_info(ScenarioConfig)
 AERO = inspect.type_info(AeroConfig)
@@ -40,12 +40,12 @@ CONTROLLER = inspect.type_info(ControllerSection)
 
 
 def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> Table:
-    """Read an experiment, by name or path; resolve every `base` and path; set the dotted keys of `overrides`.
+    """Read an experiment by name or path, resolve every `base` and path, and set the dotted keys of `overrides`.
 
     Raises
     ------
     ValueError
-        Naming the file that cannot be read or parsed or that refers to itself, or the key that cannot be set.
+        If a file cannot be read or parsed or refers to itself, or if a key cannot be set; the message names it.
     """
     table = resolve(find("experiments", path))
     for key, value in (overrides or {}).items():
@@ -71,13 +71,13 @@ def scenario_config(table: Mapping[str, Any]) -> ScenarioConfig:
     Raises
     ------
     ValueError
-        Naming the key, its value and what was expected.
+        If a value is invalid; the message names the key, its value and what was expected.
     """
     return tables.convert(tables.plain(table), ScenarioConfig, "configuration")
 
 
 def check_config(table: Mapping[str, Any]) -> None:
-    """Refuse for a flight in JAX what the crate refuses, in its words; where the crate is not installed, nothing."""
+    """Refuse configurations of JAX flights that the crate refuses, with its message; without the crate do nothing."""
     try:
         from jax_aero import rust
     except ImportError:
@@ -92,7 +92,7 @@ def aero_config(table: Mapping[str, Any]) -> AeroConfig:
 
 
 def paths(table: Table, place: inspect.Type | None = FLIGHT) -> Iterator[tuple[Table, str]]:
-    """Yield every path of a resolved table, as the table in it and the key."""
+    """Yield every path in a resolved table, as the table that holds it and its key."""
     for key, value in table.items():
         below = _below(place, key)
         if isinstance(value, dict):
@@ -102,7 +102,7 @@ def paths(table: Table, place: inspect.Type | None = FLIGHT) -> Iterator[tuple[T
 
 
 def at_home(config: Mapping[str, Any]) -> Table:
-    """Return a configuration whose paths start at the repository, as in a manifest, with absolute ones."""
+    """Return a configuration with absolute paths, from one with paths relative to the repository, as in a manifest."""
     placed = copy.deepcopy(dict(config))
     for table, key in paths(placed):
         if (HOME / table[key]).is_file():
@@ -111,7 +111,7 @@ def at_home(config: Mapping[str, Any]) -> Table:
 
 
 def resolve(path: str | PathLike[str], kind: inspect.Type | None = FLIGHT) -> Table:
-    """Read a TOML file whose table is of this type, and resolve every `base` and path in it."""
+    """Read a TOML file with a table of this type, and resolve every `base` and path in it."""
     count = iter(range(MAX_FILES))
 
     def read(path: Path, place: inspect.Type | None, depth: int) -> Table:
@@ -122,7 +122,7 @@ def resolve(path: str | PathLike[str], kind: inspect.Type | None = FLIGHT) -> Ta
         return resolved(tables.read(path), place, path.parent, depth)
 
     def resolved(table: Table, place: inspect.Type | None, folder: Path, depth: int) -> Table:
-        # Where keys are names of the robot's parts, a `base` that is no text is such a name.
+        # In a table with names of robot parts as keys, a `base` that is not a string is such a name.
         has_names = any(isinstance(option, inspect.DictType) for option in _alternatives(place))
         is_name = has_names and not isinstance(table.get("base"), str)
         base = None if is_name else table.pop("base", None)
@@ -142,9 +142,9 @@ def resolve(path: str | PathLike[str], kind: inspect.Type | None = FLIGHT) -> Ta
 
 
 def _lay_over(under: Table, place: inspect.Type | None, over: Table) -> Table:
-    """Return the keys of both, which are tables at this place; tables merge, everything else is replaced.
+    """Return `under` overridden by `over`: tables are merged, other values replaced; `place` is their type.
 
-    A table of another kind replaces the one below it: keys of that kind would not be understood.
+    A table of a different kind replaces the whole table, since the old kind's keys would be unknown in it.
     """
     tag = _tag(place)
     if tag in under and tag in over and under[tag] != over[tag]:
@@ -164,7 +164,7 @@ def _absolute(path: Path) -> str:
         raise tables.ConfigError(f"cannot read {path}: {reason.strerror}") from None
 
 
-# --- what the types say of a place -------------------------------------------------------------------------------
+# --- types of places in a configuration --------------------------------------------------------------------------
 
 
 def _alternatives(place: inspect.Type | None) -> tuple[inspect.Type, ...]:
@@ -173,7 +173,7 @@ def _alternatives(place: inspect.Type | None) -> tuple[inspect.Type, ...]:
 
 
 def _below(place: inspect.Type | None, key: str) -> inspect.Type | None:
-    """Return the place of a key of a table, whichever alternative has it."""
+    """Return the place of a key of a table, from the alternative that has the key."""
     for option in _alternatives(place):
         if isinstance(option, inspect.DictType):
             return option.value_type
@@ -188,5 +188,5 @@ def _is_path(place: inspect.Type | None) -> bool:
 
 
 def _tag(place: inspect.Type | None) -> str | None:
-    """Return the key that says which alternative a table is, if there are several."""
+    """Return the key that distinguishes the alternatives of a table, if there are several."""
     return next((option.tag_field for option in _alternatives(place) if isinstance(option, inspect.StructType)), None)

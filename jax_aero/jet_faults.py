@@ -1,9 +1,9 @@
-"""Faults of jets: a slow response, too little thrust, a dead engine, a noisy sensor.
+"""Faults of jets: slow response, reduced thrust, a dead engine, a noisy sensor.
 
     thrust rate command ──delayed──► jets ──limited──► thrust        thrust ──measured──► estimators
 
-Kept apart from `jets`, so that every fault goes with every kind of dynamics. Which faults there are is numbers, not
-structure: flights with different faults share one compilation.
+Separate from `jets`, so that every fault can be combined with every jet dynamics. Faults are numbers, not structure, so
+flights with different faults share one compilation.
 
 Equation M41 of `docs/model.md`.
 """
@@ -25,33 +25,33 @@ MEASUREMENT_STREAM = 1
 
 
 class JetFaults(NamedTuple):
-    """Faults of `j` jets; without a fault a number is such that nothing happens."""
+    """Faults of `j` jets; without a fault the numbers have no effect."""
 
     lag: Float[Array, ""]
     """Time constant of the response [s]."""
     upper: Float[Array, " j"]
     """Greatest thrust [N]."""
     fails: Bool[Array, " j"]
-    """Whether this is the jet that fails."""
+    """Whether the jet is the failing one."""
     is_stuck: Bool[Array, ""]
-    """Whether it keeps its thrust; otherwise it loses it."""
+    """Whether the failing jet keeps its thrust; otherwise the thrust decays."""
     failure_time: Float[Array, ""]
-    """[s]."""
+    """Time of the failure [s]."""
     decay: Float[Array, ""]
-    """Time constant with which it loses it [s]."""
+    """Time constant of the decay [s]."""
     force_scale: Float[Array, " j"]
-    """Force that each jet exerts over its thrust."""
+    """Ratio of each jet's force to its thrust."""
     sensor_noise: Float[Array, "ticks j"] | None
-    """Added to the thrust that estimators measure [N]; `None` where there are no estimators."""
+    """Noise on the thrust measured for estimators [N]; `None` without estimators."""
 
 
 class FaultState(NamedTuple):
-    """State of the faults."""
+    """State of the faults between two steps."""
 
     command: Float[Array, " j"]
     """Thrust rates that reach the jets [N/s]."""
     left: Float[Array, ""]
-    """Time until the failure [s]; negative behind it."""
+    """Time until the failure [s]; negative after it."""
     held: Float[Array, ""]
     """Thrust of the failing jet at its failure [N]."""
     tick: Int[Array, ""]
@@ -61,12 +61,12 @@ class FaultState(NamedTuple):
 def start_faults(
     settings: JetFaultsConfig, dynamics: JetsConfig, robot: RobotModel, n_ticks: int
 ) -> tuple[JetFaults, FaultState]:
-    """Faults of a flight of `n_ticks` ticks, and their beginning.
+    """Return the faults of a flight of `n_ticks` ticks, and their initial state.
 
     Raises
     ------
     ValueError
-        For a jet that the robot does not have, and for measurement noise without an estimator that measures.
+        For a jet that the robot does not have, and for measurement noise without an estimator that uses it.
     """
     names, failure = robot.jets.names, settings.failure
     if failure is not None and failure.jet not in names:
@@ -95,7 +95,7 @@ def start_faults(
 
 
 def _sensor_noise(settings: JetFaultsConfig, n_ticks: int, jets: int) -> Array:
-    """Every jet is measured once a tick, in order."""
+    """Return the noise (ticks, jets) [N], drawn once per tick for each jet in order."""
     found = settings.measurement_noise
     if found is None:
         return jnp.zeros((n_ticks + 1, jets))
@@ -106,14 +106,14 @@ def _sensor_noise(settings: JetFaultsConfig, n_ticks: int, jets: int) -> Array:
 def delayed(
     faults: JetFaults, state: FaultState, command: Float[Array, " j"], dt: Float[Array, ""]
 ) -> Float[Array, " j"]:
-    """Thrust rates [N/s] that reach the jets when these are commanded for the next `dt` [s]."""
+    """Return the thrust rates [N/s] that reach the jets under these commands for the next `dt` [s]."""
     has_lag = faults.lag > 0.0
     share = -jnp.expm1(-dt / jnp.where(has_lag, faults.lag, 1.0))
     return jnp.where(has_lag, state.command + (command - state.command) * share, command)
 
 
 def measured(faults: JetFaults, state: FaultState, thrust: Float[Array, " j"]) -> Float[Array, " j"]:
-    """Thrust [N] that estimators are given."""
+    """Return the thrusts measured for the estimators [N]."""
     if faults.sensor_noise is None:
         return thrust
     return thrust + faults.sensor_noise[jnp.minimum(state.tick, faults.sensor_noise.shape[0] - 1)]
@@ -126,15 +126,15 @@ def limited(
     thrust_rate: Float[Array, " j"],
     dt: Float[Array, ""],
 ) -> tuple[Float[Array, " j"], Float[Array, " j"], FaultState]:
-    """Thrust and thrust rate that the jets really have after a step of `dt` [s], and what is remembered of it.
+    """Return actual thrust and thrust rate of the jets after a step of `dt` [s], and the faults' new state.
 
-    A jet that is off decays from the thrust of its failure: `T = T₀ exp(−(t − t₀)/τ)`.
+    A jet that has failed decays from its thrust at the failure: `T = T₀ exp(−(t − t₀)/τ)`.
     """
     rate = jnp.where(thrust > faults.upper, jnp.minimum(thrust_rate, 0.0), thrust_rate)
     thrust = jnp.minimum(thrust, faults.upper)
 
     left = state.left - dt
-    # Half a step of slack: the sum of many steps is not exact.
+    # Half a step of tolerance for rounding of the summed steps.
     had_failed, has_failed = state.left <= -0.5 * dt, left <= -0.5 * dt
     now = jnp.sum(jnp.where(faults.fails, thrust, 0.0))
     held = jnp.where(had_failed, state.held, now)

@@ -1,10 +1,10 @@
-"""Thrust of the jet engines from the commanded thrust rate.
+"""Thrust of the jet engines under commanded thrust rates.
 
     JetsConfig, RobotModel ──jet_dynamics──► JetDynamics;   thrust rate command ──advance──► JetsState
 
-Two dynamics: `ideal` follows the command exactly, as in every published flight; `second_order` is the identified
-engine, with the throttle loop and the estimator that the real robot needs. All functions serve all jets at once.
-`JetDynamics` is a protocol: any pytree with its methods will do.
+There are two dynamics: `ideal` follows the command exactly, as in every published flight; `second_order` is the
+identified engine with the throttle loop and the estimator that the real robot needs. All functions process all jets at
+once. `JetDynamics` is a protocol: any pytree with its methods can be used.
 
 Equations M31 to M35 of `docs/model.md`.
 """
@@ -21,17 +21,17 @@ from jax_aero.robot import ENGINE_KEYS, RobotModel
 from jax_aero.types import Array, Static, leaf, pytree
 
 MIN_INPUT_GAIN = 1e-9
-"""Input gains below this [N/s² per %] cannot steer: the throttle loop then holds."""
+"""Input gain below which the throttle loop holds the throttle, since the throttle has no effect [N/s² per %]."""
 
 
 class Engines(NamedTuple):
-    """Coefficients of the engine of every jet; thrust T [N], throttle u [%].
+    """Coefficients of every jet's engine; thrust T [N], throttle u [%].
 
         T̈ = f(T, Ṫ) + g(T, Ṫ) v(u)
         f = k_t T + k_tt T² + k_d Ṫ + k_dd Ṫ² + k_td T Ṫ + c
         g = b_u + b_t T + b_d Ṫ,   v(u) = u + b_uu u²
 
-    Source: the published flight controller's jet model, identified on the test bench by its authors.
+    Source: the published flight controller's jet model, which its authors identified on the test bench.
     """
 
     k_t: Float[Array, " j"]
@@ -49,25 +49,25 @@ class Engines(NamedTuple):
 
 
 class JetsState(NamedTuple):
-    """The jets at one moment."""
+    """State of all jets."""
 
     thrust: Float[Array, " j"]
     """True thrust [N]."""
     thrust_rate: Float[Array, " j"]
     """True thrust rate [N/s]; under ideal dynamics the last command."""
     engine: Any = None
-    """Further state of the dynamics: a pytree of their own."""
+    """Additional state of the dynamics: any pytree."""
 
 
 class JetDynamics(Protocol):
-    """How thrust follows the command, for all jets at once: a pytree whose numbers are leaves."""
+    """Dynamics of thrust under commands, for all jets at once: a pytree whose numbers are leaves."""
 
     def start(self, thrust: Float[Array, " j"]) -> JetsState:
-        """Jets at `thrust` [N] with thrust rate zero."""
+        """Return the state at `thrust` [N] with thrust rate zero."""
         ...
 
     def feedback(self, state: JetsState) -> Float[Array, " j"]:
-        """Thrust that the flight controller is given [N]."""
+        """Return the thrust that the flight controller receives [N]."""
         ...
 
     def advance(
@@ -77,19 +77,19 @@ class JetDynamics(Protocol):
         dt: Float[Array, ""] | float,
         measured: Float[Array, " j"] | None = None,
     ) -> JetsState:
-        """Move every jet on by `dt` [s] under the commanded thrust rates [N/s], held constant.
+        """Advance every jet by `dt` [s] under constant commanded thrust rates [N/s].
 
-        Estimators are given the thrust `measured` [N], the true one without it.
+        Estimators use the thrust `measured` [N], or the true one if it is not given.
         """
         ...
 
 
 @pytree
 class IdealJets:
-    """Thrust is the integral of the commanded rate, never negative; upper bounds are the controller's."""
+    """Thrust as the integral of the commanded rate, never negative; upper limits are left to the controller."""
 
     def start(self, thrust: Float[Array, " j"]) -> JetsState:
-        """Jets at `thrust` [N] with thrust rate zero."""
+        """Return the state at `thrust` [N] with thrust rate zero."""
         return JetsState(thrust, jnp.zeros_like(thrust))
 
     def feedback(self, state: JetsState) -> Float[Array, " j"]:
@@ -101,48 +101,48 @@ class IdealJets:
         state: JetsState,
         command: Float[Array, " j"],
         dt: Float[Array, ""] | float,
-        measured: Float[Array, " j"] | None = None,  # noqa: ARG002 - nothing estimates here
+        measured: Float[Array, " j"] | None = None,  # noqa: ARG002 - there is no estimator
     ) -> JetsState:
-        """`T ← max(0, T + Ṫ* dt)`."""
+        """Return the state after `T ← max(0, T + Ṫ* dt)`."""
         thrust = state.thrust + dt * command
         return JetsState(jnp.where(thrust < 0.0, 0.0, thrust), jnp.where(thrust < 0.0, 0.0, command))
 
 
 class EngineState(NamedTuple):
-    """State of second-order jets besides thrust and thrust rate."""
+    """State of second-order jets in addition to thrust and thrust rate."""
 
     throttle: Float[Array, " j"]
-    """Of the last step [%]."""
+    """Throttle of the last step [%]."""
     integral: Float[Array, " j"]
     """`∫ (Ṫ − Ṫ*) dt` [N]."""
     estimate: Float[Array, "j 2"]
     """Estimated thrust and thrust rate [N, N/s]."""
     covariance: Float[Array, "j 2 2"]
-    """Of the estimate."""
+    """Covariance of the estimate."""
 
 
 @pytree
 class SecondOrderJets:
-    """Identified engines, their throttle loop and the noise their estimator assumes."""
+    """Identified engines with their throttle loop and the noise covariances of their estimator."""
 
     engines: Engines
     rate_gain_p: Float[Array, ""]
-    """[1/s]"""
+    """`k_p` of the throttle loop [1/s]."""
     rate_gain_i: Float[Array, ""]
-    """[1/s²]"""
+    """`k_i` of the throttle loop [1/s²]."""
     q: Float[Array, "2 2"]
-    """Process noise of the estimator."""
+    """Process noise `Q` of the estimator."""
     r: Float[Array, ""]
-    """Measurement noise of the estimator."""
+    """Measurement noise `R` of the estimator."""
     feedback_is_estimated: Static[bool]
-    """Whether the flight controller is given the estimated thrust, not the true one."""
+    """Whether the flight controller receives the estimated instead of the true thrust."""
     init_state: Float[Array, "2"] | None
-    """First estimate of thrust and thrust rate [N, N/s]; without it (thrust, 0)."""
+    """Initial estimate of thrust and thrust rate [N, N/s]; (thrust, 0) if `None`."""
     init_p: Float[Array, "2 2"]
-    """Covariance of the first estimate."""
+    """Covariance of the initial estimate."""
 
     def start(self, thrust: Float[Array, " j"]) -> JetsState:
-        """Jets at `thrust` [N] with thrust rate zero, their throttle in equilibrium."""
+        """Return the state at `thrust` [N] with thrust rate zero and the throttle in equilibrium."""
         rest = jnp.zeros_like(thrust)
         estimate = jnp.stack([thrust, rest], axis=1)
         if self.init_state is not None:
@@ -152,7 +152,7 @@ class SecondOrderJets:
         return JetsState(thrust, rest, EngineState(throttle, rest, estimate, covariance))
 
     def feedback(self, state: JetsState) -> Float[Array, " j"]:
-        """Thrust [N], true or estimated."""
+        """Return the thrust [N], true or estimated."""
         estimate: Array = state.engine.estimate[:, 0]
         return estimate if self.feedback_is_estimated else state.thrust
 
@@ -163,7 +163,7 @@ class SecondOrderJets:
         dt: Float[Array, ""] | float,
         measured: Float[Array, " j"] | None = None,
     ) -> JetsState:
-        """Move throttles on from the present estimate, then estimators and engines over `dt` [s]."""
+        """Advance throttles from the present estimate, then estimators and engines, by `dt` [s]."""
         throttle, integral = _throttle_loop(self, state.engine, command, dt)
         seen = state.thrust if measured is None else measured
         estimate, covariance = update_ekf(self, state.engine, seen, throttle, dt)
@@ -179,12 +179,12 @@ class SecondOrderJets:
 
 
 def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
-    """Build the dynamics that the configuration asks for.
+    """Return the configured jet dynamics.
 
     Raises
     ------
     ValueError
-        For an engine that the robot's file does not have.
+        For an engine that the robot's file does not define.
     """
     match settings:
         case IdealJetsConfig():
@@ -210,26 +210,26 @@ def jet_dynamics(settings: JetsConfig, robot: RobotModel) -> JetDynamics:
 
 
 def drift(e: Engines, thrust: Float[Array, " j"], thrust_rate: Float[Array, " j"]) -> Float[Array, " j"]:
-    """`f(T, Ṫ)` [N/s²]: thrust acceleration with `v = 0`."""
+    """Return `f(T, Ṫ)` [N/s²], the thrust acceleration for `v = 0`."""
     along = thrust * (e.k_t + e.k_tt * thrust + e.k_td * thrust_rate)
     return along + thrust_rate * (e.k_d + e.k_dd * thrust_rate) + e.c
 
 
 def input_gain(e: Engines, thrust: Float[Array, " j"], thrust_rate: Float[Array, " j"]) -> Float[Array, " j"]:
-    """`g(T, Ṫ)` [N/s² per %]; changes sign where the thrust rises fast."""
+    """Return `g(T, Ṫ)` [N/s² per %], which changes sign when the thrust rises fast."""
     return e.b_u + e.b_t * thrust + e.b_d * thrust_rate
 
 
 def throttle_input(e: Engines, throttle: Float[Array, " j"]) -> Float[Array, " j"]:
-    """`v(u) = u + b_uu u²` [%] of a throttle [%]."""
+    """Return `v(u) = u + b_uu u²` [%] for a throttle [%]."""
     return throttle * (1.0 + e.b_uu * throttle)
 
 
 def throttle_from_input(e: Engines, v: Float[Array, " j"]) -> Float[Array, " j"]:
-    """Throttle [%] with `v(u) = v`, on the branch through zero: `u = 2 v/(1 + √(1 + 4 b_uu v))`.
+    """Return the throttle [%] with `v(u) = v`, on the branch through zero: `u = 2 v/(1 + √(1 + 4 b_uu v))`.
 
-    The published `(−1 + √…)/(2 b_uu)` with the root moved below: also right at `b_uu = 0`. Where no throttle reaches
-    `v`, the one at the parabola's top, so that the answer stays continuous.
+    This is the published `(−1 + √…)/(2 b_uu)` in a form that is also valid for `b_uu = 0`. For a `v` that no throttle
+    reaches, the throttle at the vertex of the parabola is returned, so that the function is continuous.
     """
     discriminant = 1.0 + 4.0 * e.b_uu * v
     is_past_top = discriminant <= 0.0
@@ -239,7 +239,7 @@ def throttle_from_input(e: Engines, v: Float[Array, " j"]) -> Float[Array, " j"]
 
 
 def steady_throttle(e: Engines, thrust: Float[Array, " j"]) -> Float[Array, " j"]:
-    """Throttle [%] that holds a thrust [N]: `f(T, 0) + g(T, 0) v(u) = 0`, within the limits."""
+    """Return the throttle [%] that holds a thrust [N], `f(T, 0) + g(T, 0) v(u) = 0`, within its limits."""
     rest = jnp.zeros_like(thrust)
     gain = input_gain(e, thrust, rest)
     acts = jnp.abs(gain) >= MIN_INPUT_GAIN
@@ -250,7 +250,7 @@ def steady_throttle(e: Engines, thrust: Float[Array, " j"]) -> Float[Array, " j"
 def thrust_acceleration(
     e: Engines, thrust: Float[Array, " j"], thrust_rate: Float[Array, " j"], throttle: Float[Array, " j"]
 ) -> Float[Array, " j"]:
-    """`T̈` [N/s²] at a throttle [%], which is limited first."""
+    """Return `T̈` [N/s²] at a throttle [%], limited to its range."""
     v = throttle_input(e, jnp.clip(throttle, e.throttle_min, e.throttle_max))
     return drift(e, thrust, thrust_rate) + input_gain(e, thrust, thrust_rate) * v
 
@@ -263,12 +263,12 @@ def _limited_throttle(e: Engines, v: Array) -> Array:
 def _throttle_loop(
     model: SecondOrderJets, state: EngineState, command: Array, dt: Array | float
 ) -> tuple[Array, Array]:
-    """Feedback linearisation of the engine to `T̈ = −k_p e − k_i ∫e`, `e = Ṫ − Ṫ*`: new throttle and integral.
+    """Linearise the engine by feedback to `T̈ = −k_p e − k_i ∫e`, `e = Ṫ − Ṫ*`; return throttle [%] and integral [N].
 
         v = −( k_p e + f(T, Ṫ) + k_i ∫e ) / g(T, Ṫ),   u = v⁻¹(clamp v)
 
-    Source: the published controller. Where `g` is zero or a number is not finite the throttle holds. No anti-windup,
-    as published.
+    Source: the published controller. The throttle is held if `g` is zero or a number is not finite. There is no
+    anti-windup, as published.
     """
     thrust, rate = state.estimate[:, 0], state.estimate[:, 1]
     error = rate - command
@@ -288,7 +288,7 @@ def update_ekf(
     throttle: Float[Array, " j"],
     dt: Float[Array, ""] | float,
 ) -> tuple[Float[Array, "j 2"], Float[Array, "j 2 2"]]:
-    """Advance the extended Kalman filter of every engine: a measurement of variance `R/dt`, then a step of `dt`.
+    """Advance the extended Kalman filter of every engine: correction with variance `R/dt`, then prediction by `dt` [s].
 
     K = P Cᵀ (C P Cᵀ + R/dt)⁻¹,   x̂ ← x̂ + K (y − T̂),   P ← P − K C P,   C = (1 0)
     x̂ ← x̂ + dt ( Ṫ, T̈(x̂, u) ),   P ← Φ P Φᵀ + dt Q,   Φ = 1 + dt A,   A = ∂(Ṫ, T̈)/∂x at (x̂, u)

@@ -1,4 +1,4 @@
-"""Dotted keys of configurations, such as `wind.velocity`, and assignments `key=value` as written on a command line."""
+"""Dotted keys of configurations, such as `wind.velocity`, and assignments `key=value` of a command line."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ BARE_WORD = re.compile(r"[A-Za-z_./][\w./-]*")
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
-    """Return the values of `key=value` texts by key; values are TOML, and a bare word is a string.
+    """Return the values of `key=value` texts by key; values are TOML, with a bare word as a string.
 
     Raises
     ------
     Refused
-        If a text has no `=`, an empty part of a key, or a value that TOML cannot read, that is more than one, or that
-        holds a date; and if a key is given twice.
+        If a text has no `=`, has an empty part of a key, or has a value that is not TOML, is more than one value or
+        contains a date; and if a key is given twice.
     """
     values: dict[str, Any] = {}
     for assignment in assignments:
@@ -39,7 +39,7 @@ def _parse_assignment(assignment: str) -> tuple[str, Any]:
     try:
         table = tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError as reason:
-        # Shells remove quotes, so `simulator.lever_arm=unrotated` is accepted without them.
+        # Shells remove quotes, so `simulator.lever_arm=unrotated` is accepted.
         if BARE_WORD.fullmatch(text) is None:
             raise Refused(f"--set {assignment}: `{text}` is no TOML value ({reason})") from None
         return key, text
@@ -50,7 +50,7 @@ def _parse_assignment(assignment: str) -> tuple[str, Any]:
 
 
 def refuse_dates(value: Any, where: str, key: str = "") -> None:
-    """Refuse dates and times of day, which TOML has and no key takes, in the words of the crate; `where` they stand."""
+    """Refuse TOML dates and times, which no key accepts, with the crate's message; `where` names their place."""
     for name, part in parts(value, key):
         if isinstance(part, datetime.date | datetime.time):
             raise Refused(f"{where}: `{name}` is {part}; no key is a date")
@@ -67,7 +67,7 @@ def get(config: Mapping[str, Any], key: str) -> Any:
 
 
 def parts(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the dotted key and the value of what is given and of all that it holds; places of a list are numbers."""
+    """Yield the dotted key and value of `value` and of everything it contains; list indices are numbers."""
     yield key, value
     if isinstance(value, Mapping):
         entries: Iterable[tuple[Any, Any]] = value.items()
@@ -78,12 +78,12 @@ def parts(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def set_key(config: dict[str, Any], key: str, value: Any) -> None:
-    """Set a dotted key in place to a copy of `value`. Missing tables are added; a number is an index into a list.
+    """Set a dotted key in place to a copy of `value`. Missing tables are created; a number is an index into a list.
 
     Raises
     ------
     Refused
-        If a part of the key names a value that is no table, or an index outside its list.
+        If a part of the key names a value that is not a table, or an index outside its list.
     """
     *parents, last = key.split(".")
     table: Any = config

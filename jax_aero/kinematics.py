@@ -1,7 +1,7 @@
 """Poses, velocities, centre of mass and Jacobians of a state.
 
-Only rotations are composed along the tree. Everything else a body inherits from its ancestors is a sum over them, so
-it is one product with the static matrix of ancestors: few large operations instead of a loop over bodies.
+Only rotations are composed along the tree. All other quantities of a body are sums over its ancestors, computed as one
+product with the static matrix of ancestors: few large operations instead of a loop over bodies.
 
 Equations M8 to M10 of `docs/model.md`.
 """
@@ -18,14 +18,14 @@ from jax_aero.types import Array, Kinematics, State
 
 
 def kinematics(robot: RobotModel, state: State) -> Kinematics:
-    """Poses and velocities of all bodies, and the centre of mass."""
+    """Return poses and velocities of all bodies, and the centre of mass, in inertial axes."""
     parents = np.array(robot.parent[1:], dtype=int)
     moves = jnp.asarray(robot.ancestors, state.velocity.dtype)
     turns = jnp.asarray(robot.joint_turns, state.velocity.dtype)
     shifts = (1.0 - turns) * state.joint_position
     local = multiply(robot.joint_rotations, axis_angle(jnp.asarray(robot.joint_axes), turns * state.joint_position))
     rotations = _compose_along_tree(robot, state.base_rotation, local)
-    # Offset of each body from its parent, and the joint's axis, which is the same vector in child and joint frame.
+    # Offset of each body from its parent, and the joint axis, which has equal components in child and joint frame.
     axes = rotate(rotations[1:], robot.joint_axes)
     arms = rotate(rotations[parents], robot.joint_positions) + shifts[:, None] * axes
     joint_linear, joint_angular = (1.0 - turns)[:, None] * axes, turns[:, None] * axes
@@ -39,20 +39,20 @@ def kinematics(robot: RobotModel, state: State) -> Kinematics:
 
 
 def standing(robot: RobotModel, joint_position: Float[Array, " n"]) -> Kinematics:
-    """Kinematics at rest, the base at the origin with its axes along the inertial ones; joint positions [rad]."""
+    """Return the kinematics at rest with base axes equal to inertial axes, at joint positions [rad]."""
     zero = jnp.zeros(robot.n_velocities, joint_position.dtype)
     return kinematics(robot, State(zero[:3], jnp.eye(3, dtype=zero.dtype), joint_position, zero))
 
 
 def carriers(robot: RobotModel, bodies: tuple[int, ...], dtype: np.dtype[np.generic] | type) -> Float[Array, "k n"]:
-    """Return the static mask: whether joint `j` moves the body of point `k`."""
+    """Return the static mask of whether joint `j` moves the body of point `k`."""
     return jnp.asarray(robot.ancestors[np.array(bodies, dtype=int)], dtype)
 
 
 def _compose_along_tree(robot: RobotModel, base_rotation: Array, local: Array) -> Array:
-    """Rotations of all bodies from those relative to the parent, level by level: (nb, 3, 3).
+    """Return the rotations of all bodies (nb, 3, 3) from those relative to their parents, level by level.
 
-    Bodies of one level are multiplied together; a static permutation puts the levels into the order of the bodies.
+    Bodies of one level are multiplied together; a static permutation restores the order of the bodies.
     """
     levels = robot.levels
     place_in_level = {body: place for level in levels for place, body in enumerate(level)}
@@ -67,9 +67,9 @@ def _compose_along_tree(robot: RobotModel, base_rotation: Array, local: Array) -
 def point_jacobians(
     robot: RobotModel, kin: Kinematics, bodies: tuple[int, ...], points: Float[Array, "k 3"]
 ) -> tuple[Float[Array, "k 3 N"], Float[Array, "k 3 N"]]:
-    """Linear and angular Jacobians of points that move with `bodies`.
+    """Return linear and angular Jacobians of points [m] that move with `bodies`, inertial axes.
 
-    Base translation gives the columns `(e_k, 0)`, base rotation `(e_k × r, e_k)`, a joint that moves the body
+    Base translation gives the columns `(e_k, 0)`, base rotation `(e_k × r, e_k)`, and a joint that moves the body
     `(a × (p − o_j), a)` if it is revolute and `(a, 0)` if it is prismatic.
     """
     k, dtype = len(bodies), points.dtype
@@ -91,10 +91,10 @@ def generalised_force(
     points: Float[Array, "k 3"],
     forces: Float[Array, "k 3"],
 ) -> Float[Array, " N"]:
-    """`Σ J_kᵀ f_k` of forces [N] on `bodies` at `points`, without forming a Jacobian.
+    """Return `Σ J_kᵀ f_k` of forces [N] on `bodies` at `points` [m], without forming a Jacobian.
 
-    A joint carries the force and moment of its subtree: `τ_j = a · (Σ p × f − o_j × Σ f)`, about the base origin; a
-    prismatic one `a · Σ f`.
+    A revolute joint carries the force and moment of its subtree, `τ_j = a · (Σ p × f − o_j × Σ f)`, about the base
+    origin; a prismatic one `a · Σ f`.
     """
     origin = kin.body_positions[0]
     moves = carriers(robot, bodies, forces.dtype)
@@ -106,13 +106,13 @@ def generalised_force(
 
 
 def velocities_at(kin: Kinematics, bodies: tuple[int, ...], points: Float[Array, "k 3"]) -> Float[Array, "k 3"]:
-    """Velocities [m/s] of the points that move with `bodies`."""
+    """Return the velocities [m/s] of points [m] that move with `bodies`, inertial axes."""
     b = np.array(bodies, dtype=int)
     return kin.linear_velocities[b] + cross(kin.angular_velocities[b], points - kin.body_positions[b])
 
 
 def frame_poses(kin: Kinematics, frames: Jets | AeroLinks) -> tuple[Float[Array, "k 3 3"], Float[Array, "k 3"]]:
-    """Rotations and origins in inertial axes of the frames of jets or links."""
+    """Return rotations and origins [m] of the frames of jets or links, inertial axes."""
     b = np.array(frames.bodies, dtype=int)
     carriers = kin.body_rotations[b]
     return multiply(carriers, frames.rotations), rotate(carriers, frames.positions) + kin.body_positions[b]

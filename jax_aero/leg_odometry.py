@@ -1,7 +1,7 @@
-"""State of a standing robot from its joints and its soles, which are at rest: M113 of `docs/model.md`.
+"""State of a standing robot from its joints and its stationary soles: M113 of `docs/model.md`.
 
-This is how the robot of the paper measures itself on the ground: the pose of the base from one sole, its velocity from
-all soles, and joint velocities behind a low pass.
+This is how the paper's robot estimates its state on the ground: the pose of the base from one sole, its velocity from
+all soles, and joint velocities through a low pass.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from jax_aero import rust
 from jax_aero.mujoco_model import Order
 
 DAMPING = 1e-7
-"""Of the pseudo-inverse, as published."""
+"""Damping of the pseudo-inverse, as published."""
 
 
 class LegOdometry:
-    """What the legs of one robot measure.
+    """Odometry of one robot from its legs.
 
     Parameters
     ----------
     model, order
-        MuJoCo's model of the robot, and where its joints stand there.
+        MuJoCo's model of the robot, and the indices of our joints in it.
     soles
-        Sites of the soles that stay where they are, that of the base's pose first.
+        Sites of the stationary soles, starting with the one that determines the base pose.
     first
-        State in which it starts; it is measured as it is.
+        Initial state, which is taken as measured.
     share
-        Share of the way that the low pass of the joint velocities goes per tick, `1 − exp(−Δt/τ)`.
+        Share of a change that the low pass of the joint velocities follows per tick, `1 − exp(−Δt/τ)`.
     """
 
     def __init__(self, model: Any, order: Order, soles: list[int], first: rust.State, share: float) -> None:
@@ -45,7 +45,7 @@ class LegOdometry:
         self._position = position + rotation @ sole_position_b
 
     def measure(self, truth: rust.State) -> rust.State:
-        """Return the state that joints and soles give, once per tick; of `truth` it reads the joints alone."""
+        """Return the state estimated from joints and soles; call once per tick. Only the joints of `truth` are used."""
         joints, rates = np.asarray(truth.joint_position), np.asarray(truth.velocity)[6:]
         self._look(joints)
         sole_rotation_b, sole_position_b = self._sole()
@@ -59,7 +59,7 @@ class LegOdometry:
         return rust.State(self._position - rotation @ sole_position_b, rotation, joints, velocity)
 
     def _look(self, joint_position: Float[np.ndarray, " n"]) -> None:
-        """Put the base at the origin."""
+        """Evaluate MuJoCo's kinematics at joint positions [rad], with the base at the origin."""
         self._data.qpos[:] = 0.0
         self._data.qpos[3] = 1.0
         self._data.qpos[self._order.joints] = joint_position
@@ -67,12 +67,12 @@ class LegOdometry:
         mujoco.mj_comPos(self._model, self._data)  # for Jacobians
 
     def _sole(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-        """Rotation and position of the first sole in the base."""
+        """Return rotation and position [m] of the first sole, base axes."""
         site = self._soles[0]
         return self._data.site_xmat[site].reshape(3, 3).copy(), self._data.site_xpos[site].copy()
 
     def _jacobian(self, sole: int) -> Float[np.ndarray, "6 N"]:
-        """Velocity of a sole from (ν_B, ṡ), all in base axes."""
+        """Return the Jacobian of a sole's velocity with respect to (ν_B, ṡ), base axes."""
         rows = np.zeros((6, self._model.nv))
         mujoco.mj_jacSite(self._model, self._data, rows[:3], rows[3:], sole)
         return rows[:, self._order.dofs]

@@ -1,8 +1,8 @@
-"""Solves positive definite systems of 20 to 30 rows, singly and in batches.
+"""Solution of positive definite systems of 20 to 30 rows, singly and in batches.
 
 On a CPU, LAPACK is called for few samples at a time. jaxlib 0.10 splits larger batches over its thread pool and blocks
-a thread of that pool until all parts are done: two such calls that do not depend on each other then wait for each
-other for ever (seen with 64 samples and two threads; up to 32 are done in place). Small pieces also stay in cache.
+a thread of that pool until all parts are done, so two independent calls can deadlock (observed with 64 samples and two
+threads; up to 32 are not split). Small chunks also stay in the cache.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from jaxtyping import Float, Int
 from jax_aero.types import Array
 
 CHUNK = 16
-"""Samples that go through LAPACK together on a CPU."""
+"""Number of samples per LAPACK call on a CPU."""
 
 dot = partial(jnp.matmul, precision="highest")
-"""Product in full precision on every device."""
+"""Matrix product in full precision on every device."""
 
 
 def solve_positive_definite(a: Float[Array, "u u"], b: Float[Array, "u k"]) -> Float[Array, "u k"]:
-    """`A⁻¹ B` for a symmetric positive definite A and B; NaN if A is not positive definite.
+    """Return `A⁻¹ B` for a symmetric positive definite A; NaN if A is not positive definite.
 
     Differentiable in both modes and to any order.
     """
@@ -36,12 +36,12 @@ def solve_positive_definite(a: Float[Array, "u u"], b: Float[Array, "u k"]) -> F
 
 
 def cholesky(a: Float[Array, "u u"]) -> Float[Array, "u u"]:
-    """Lower factor L of `A = L Lᵀ`; NaN if A is not positive definite. At most `CHUNK` in a batch on a CPU."""
+    """Return the lower factor L of `A = L Lᵀ`; NaN if A is not positive definite. A CPU batch has at most `CHUNK`."""
     return lax.linalg.cholesky(a, symmetrize_input=False)
 
 
 def solve_factored(factor: Float[Array, "u u"], b: Float[Array, "u k"]) -> Float[Array, "u k"]:
-    """`A⁻¹ B` from the factor of A and B. At most `CHUNK` in a batch on a CPU."""
+    """Return `A⁻¹ B` from the factor of A. A CPU batch has at most `CHUNK`."""
     lower = partial(lax.linalg.triangular_solve, factor, left_side=True, lower=True)
     return lower(lower(b), transpose_a=True)
 
@@ -50,9 +50,9 @@ def solve_factored(factor: Float[Array, "u u"], b: Float[Array, "u k"]) -> Float
 
 
 def with_batch_rule(one: Callable[..., Any], batch: Callable[..., Any]) -> Callable[..., Any]:
-    """`one`, a function of one sample, that `vmap` replaces by `batch`, which takes samples along a first axis.
+    """Return `one`, a function of one sample, with `batch` as its implementation under `vmap`; samples come first.
 
-    A `vmap` within a `vmap` makes one long batch. Neither function is differentiated: that is up to the caller.
+    Nested `vmap` gives one long batch. Differentiation of both functions is left to the caller.
     """
     batched: Any = custom_vmap(batch)
     single: Any = custom_vmap(one)
@@ -81,11 +81,11 @@ def with_batch_rule(one: Callable[..., Any], batch: Callable[..., Any]) -> Calla
 def in_chunks(
     one: Callable[..., Any], inputs: Any, out: Any, order: Int[Array, " k"], count: Int[Array, ""] | int
 ) -> Any:
-    """Overwrite the rows `order[:count]` of `out` by `one(*inputs, out)` of the same rows, `CHUNK` rows at a time."""
+    """Replace the rows `order[:count]` of `out` by `one(*inputs, out)` of the same rows, `CHUNK` rows at a time."""
     chunk = min(CHUNK, order.shape[0])
 
     def some(k: Array, out: Any) -> Any:
-        # The last slice is moved back to fit, so it may take rows once more that come before it or do not count.
+        # The last slice is shifted to fit, so it may repeat earlier rows or include rows beyond `count`.
         rows = lax.dynamic_slice(order, (k * chunk,), (chunk,))
         new = jax.vmap(one)(*jax.tree.map(lambda leaf: leaf[rows], (*inputs, out)))
         return jax.tree.map(lambda leaf, part: leaf.at[rows].set(part), out, new)

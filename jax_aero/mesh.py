@@ -1,4 +1,4 @@
-"""Meshes: of files that a URDF names, and of bodies of revolution."""
+"""Meshes of files named in a URDF, and of bodies of revolution."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from jax_aero.command import Refused
 
 
 class Mesh(NamedTuple):
-    """(v, 3) vertices [m] and (f, 3) faces, counter-clockwise from outside."""
+    """(v, 3) vertices [m] and (f, 3) faces, counter-clockwise seen from outside."""
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
 
 
 def mesh_file(name: str, folder: Path) -> Path:
-    """Find a mesh: `package://PACKAGE/PATH`, `file://PATH`, or a path from the URDF's folder.
+    """Find a mesh given as `package://PACKAGE/PATH`, `file://PATH`, or a path relative to the URDF's folder.
 
-    A package is looked for in ROS_PACKAGE_PATH, then above the URDF; a mesh that is nowhere there is the one file of
-    its name below the URDF's folder.
+    A package is searched for in ROS_PACKAGE_PATH, then in the folders above the URDF. If the mesh is in none of them,
+    the only file of its name below the URDF's folder is used.
 
     Raises
     ------
@@ -53,14 +53,14 @@ def read_mesh(path: Path) -> Mesh:
     Raises
     ------
     Refused
-        If trimesh cannot read it, or finds no triangle.
+        If trimesh cannot read the file or finds no triangle.
     """
     import trimesh
 
     try:
         read = trimesh.load_scene(path).to_mesh()
         vertices, faces = np.asarray(read.vertices, np.float64), np.asarray(read.faces, np.int64)
-    except Exception as reason:  # a reader of trimesh raises what it likes
+    except Exception as reason:  # trimesh's readers raise many types
         raise Refused(f"mesh {path.name} cannot be read: {reason}") from None
     if faces.size == 0 or not np.isfinite(vertices).all():
         raise Refused(f"mesh {path.name} has no triangle, or vertices that are not finite")
@@ -68,7 +68,7 @@ def read_mesh(path: Path) -> Mesh:
 
 
 def revolve(profile: Sequence[tuple[float, float]], segments: int = 24) -> Mesh:
-    """Turn a profile of (radius, height), from bottom to top, about z; a point given twice makes a sharp edge."""
+    """Rotate a profile of (radius, height), from bottom to top, about z; a repeated point makes a sharp edge."""
     angles = np.linspace(0.0, 2.0 * np.pi, segments, endpoint=False)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     vertices = np.concatenate([np.column_stack([r * ring, np.full(segments, z)]) for r, z in profile])
@@ -85,7 +85,7 @@ def revolve(profile: Sequence[tuple[float, float]], segments: int = 24) -> Mesh:
 
 
 def box() -> Mesh:
-    """Edges of length 1, about the origin, sharp: sides share no vertices."""
+    """Return a cube of edge length 1 about the origin, with sharp edges: faces share no vertices."""
     corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = 4 * np.arange(6)[:, None, None] + np.array([(0, 1, 2), (0, 2, 3)])

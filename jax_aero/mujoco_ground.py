@@ -1,14 +1,14 @@
-"""A robot on the ground: MuJoCo's contact, our robot, and the Rust controller in the loop.
+"""A robot on the ground: our robot in MuJoCo, with its contacts, controlled by the Rust controller.
 
 ```text
-observe   state and foot wrenches of MuJoCo at x_k; aerodynamic forces of the wind that blows, thrusts
+observe   state and foot wrenches of MuJoCo at x_k; aerodynamic forces of the true wind, thrusts
 control   thrust rates and torques from the controller's measurement: state, thrusts, foot wrenches, measured wind
 record    and stop if the robot has tipped over
 advance   sub-steps of MuJoCo to x_{k+1} under held torques and forces; thrusts follow their commanded rates
 ```
 
-The crate simulates no ground; this is the engine that does. A foot touches with the corners of its sole, small spheres
-whose lowest points are those of the robot's file. Joints have stops unless the configuration switches them off.
+The crate does not simulate ground contact; this engine does. A foot has contact at the corners of its sole, small
+spheres whose lowest points are those in the robot's file. Joints have stops unless the configuration disables them.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 CORNER_RADIUS = 0.005
 """Radius of the spheres at the corners of a sole [m]."""
 HOLD_STIFFNESS, HOLD_DAMPING = 4000.0, 60.0
-"""Of the joints while the robot is put down [N m/rad, N m s/rad]."""
+"""Stiffness and damping of the joints while the robot is put down [N m/rad, N m s/rad]."""
 
 
 class Observed(NamedTuple):
@@ -42,19 +42,19 @@ class Observed(NamedTuple):
 
     state: rust.State
     measured: rust.State
-    """What the robot measures of it."""
+    """State as the robot measures it."""
     foot_wrenches: Float[np.ndarray, "feet 6"]
-    """[N, N m] about the origin of each sole, force first, inertial axes."""
+    """Wrenches about the origin of each sole [N, N m], force first, inertial axes."""
     joint_torque: Float[np.ndarray, " n"]
-    """[N m] that reaches the joints: what the motors give, less their friction."""
+    """Torques on the joints [N m]: motor torque minus friction."""
     aero_force: Float[np.ndarray, "L 3"]
-    """[N]."""
+    """Aerodynamic force on each link [N], inertial axes."""
     soles: Float[np.ndarray, "feet 3"]
     """Origins of the soles [m]."""
 
 
 class GroundPlant:
-    """The standing robot as MuJoCo has it.
+    """The standing robot, simulated by MuJoCo.
 
     Parameters
     ----------
@@ -80,9 +80,9 @@ class GroundPlant:
             for corner in range(len(foot["vertices"]))
         }
         self.named = [feet.index(name) for name in config["controller"]["contact"]["feet"]]
-        """The feet that the controller stands on, in its order."""
+        """Indices of the feet that the controller stands on, in its order."""
         self.thrust: Array = np.array(simulator["initial"]["thrust"], dtype=np.float64)
-        """Of every jet [N]."""
+        """Thrust of every jet [N]."""
         self._jets = [self.model.site(f"jet_{jet}").id for jet in self.robot.jet_names]
         self._axes = [np.asarray(jet["axis"]) for jet in table.get("jets", [])]
         self._links = [self.model.site(f"aero_{link}").id for link in self.robot.aero_link_names]
@@ -97,15 +97,15 @@ class GroundPlant:
             self._odometry = LegOdometry(self.model, self._order, soles, self._state(), share)
 
     def _state(self) -> rust.State:
-        """Return what the plant's arrays say, after `mj_forward`."""
+        """Return the state in the plant's arrays, after `mj_forward`."""
         data, order = self.data, self._order
         rotation = data.xmat[order.bodies[0]].reshape(3, 3).copy()
         nu = data.qvel[order.dofs]
-        nu[3:6] = rotation @ nu[3:6]  # the angular part is in body axes there
+        nu[3:6] = rotation @ nu[3:6]  # MuJoCo's angular part is in body axes
         return rust.State(data.qpos[:3].copy(), rotation, data.qpos[order.joints], nu)
 
     def _stand(self, initial: Mapping[str, Any], settling: float) -> None:
-        """Put the robot down with stiff joints; what is left is at rest but for rounding."""
+        """Put the robot down with stiff joints; it is then at rest except for rounding."""
         qpos, model = self.data.qpos, self.model
         qpos[:3] = initial["base_position"]
         mujoco.mju_euler2Quat(qpos[3:7], np.radians(initial["base_rpy_deg"]), "XYZ")
@@ -124,7 +124,7 @@ class GroundPlant:
         mujoco.mj_forward(model, self.data)
 
     def observe(self, wind: Float[np.ndarray, "3"]) -> Observed:
-        """Return what is there at this tick, in a wind [m/s, inertial axes], and hold its forces."""
+        """Return the state at this tick, and hold the forces of a wind [m/s, inertial axes] until the next."""
         data = self.data
         mujoco.mj_forward(self.model, data)
         state = self._state()
@@ -144,7 +144,7 @@ class GroundPlant:
         return bool(np.isfinite(self.data.qpos).all() and np.isfinite(self.data.qvel).all())
 
     def advance(self, torque: Float[np.ndarray, " n"], thrust_rate: Float[np.ndarray, " jets"]) -> None:
-        """Advance one tick under held torques [N m]; thrusts, never negative, follow their rates [N/s] (M31)."""
+        """Advance one tick under held torques [N m]; thrusts ≥ 0 follow their rates [N/s] (M31)."""
         self.data.ctrl[:] = torque
         mujoco.mj_step(self.model, self.data, self._substeps)
         tick = self._substeps * self.model.opt.timestep
@@ -160,21 +160,21 @@ class GroundPlant:
             mujoco.mj_contactForce(self.model, data, index, local[index])
         contact = data.contact
         feet = [self._foot_of_geom[geom] for geom in contact.geom2.tolist()]
-        # The rows of a contact's frame are its axes; a corner that touches has no moment of its own.
+        # The rows of a contact's frame are its axes; a corner in contact carries no moment.
         force = (contact.frame.reshape(-1, 3, 3) * local[:, :3, None]).sum(axis=1)
         arm = contact.pos - data.site_xpos[self._soles][feet]
         np.add.at(wrenches, feet, np.hstack([force, np.cross(arm, force)]))
         return wrenches
 
     def _dry_friction(self) -> Array:
-        """Generalised force of dry friction, which MuJoCo solves for as a constraint."""
+        """Return the generalised force of dry friction, which MuJoCo treats as a constraint."""
         data, force = self.data, np.zeros(self.model.nv)
         rows = np.flatnonzero(data.efc_type[: data.nefc] == mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
         force[data.efc_id[rows]] = data.efc_force[rows]
         return force
 
     def _blow(self, state: rust.State, wind: Array) -> Array:
-        """Compute the link forces in a wind, and apply them and the thrusts until the next tick."""
+        """Compute the link forces in a wind [m/s], and apply them and the thrusts until the next tick."""
         model, data = self.model, self.data
         forces = rust.link_forces(self.robot, self._aero, state, wind)
         data.qfrc_applied[:] = 0.0
@@ -188,18 +188,18 @@ class GroundPlant:
 
 
 def _model(source: str, robot: rust.Robot, feet: list[dict[str, Any]], simulator: Mapping[str, Any]) -> Any:
-    """MuJoCo's model of the robot on a plane: `feet` as in its file, motors as in the configuration."""
+    """Return MuJoCo's model of the robot on a plane, with `feet` as in its file and motors as configured."""
     ground, motors = simulator["ground"], simulator.get("motors", {})
     spec = mujoco_model.mujoco_spec(source)
     option = spec.option
-    # Without the reset, a run that blows up ends there instead of starting over.
+    # Without automatic reset, so that a diverging run ends instead of restarting.
     option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     if not simulator["joint_stops"]:
         option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     option.timestep = simulator["time_step"] / simulator["substeps"]
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.impratio = 100.0  # hardly any creep along the ground
+    option.impratio = 100.0  # reduces creep along the ground
     option.tolerance = 1e-10
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
@@ -239,8 +239,8 @@ def _model(source: str, robot: rust.Robot, feet: list[dict[str, Any]], simulator
     model.dof_frictionloss[6:] = motors.get("friction", 0.0)
     for joint, friction in motors.get("friction_of", {}).items():
         model.joint(joint).frictionloss[:] = friction
-    # Dry friction is a soft constraint there, softened by the inertia of the limb alone: as it comes, an ankle that
-    # carries the robot creeps at degrees per second below its breakaway torque.
+    # Dry friction is a soft constraint in MuJoCo, softened by the inertia of the limb alone. With default parameters,
+    # an ankle that carries the robot creeps at degrees per second below its breakaway torque.
     model.dof_solref[6:] = [2.0 * option.timestep, 1.0]
     model.dof_solimp[6:] = [0.9999, 0.9999, 0.001, 0.5, 2.0]
     model.dof_damping[6:] = motors.get("damping", 0.0)
@@ -249,14 +249,14 @@ def _model(source: str, robot: rust.Robot, feet: list[dict[str, Any]], simulator
 
 
 def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rust.FlightResult:
-    """Let the robot of a configuration stand, to the end or until it tips over.
+    """Simulate the standing robot of a configuration until the end or until it tips over.
 
-    Returns what `rust.fly` returns, with the signals and figures of the ground besides.
+    Returns the same as `rust.fly`, with additional signals and figures of the ground.
 
     Raises
     ------
     ValueError
-        If the configuration has no ground, or contains settings that this engine does not support.
+        If the configuration has no ground, or has settings that this engine does not support.
     """
     rust.check_config({**config, "engine": "mujoco"})
     simulator, disturbances = config["simulator"], config.get("disturbances", {})
@@ -283,7 +283,7 @@ def fly(config: Mapping[str, Any], progress: rust.Progress | None = None) -> rus
         if progress is not None:
             progress(k, len(blowing) - 1)
     log = {name: np.array([row[name] for row in rows], dtype=np.float64) for name in rows[0]}
-    # A row with numbers that physics excludes is no merit of the flight.
+    # A row that exceeds the divergence limits does not count in the figures of merit.
     merits = len(rows) - (loss is not None and loss[0] == "diverged" and plant.is_sound)
     summary = _summary({name: values[:merits] for name, values in log.items()}, np.asarray(posture))
     flown: Outcome = "off_course" if summary["max_com_error"] > simulator["course_error"] else "completed"
@@ -305,7 +305,7 @@ def _times(simulator: Mapping[str, Any]) -> Array:
 def _row(
     plant: GroundPlant, seen: Observed, tick: rust.Tick, time: float, thrust: Array, wind: Array
 ) -> dict[str, Any]:
-    """Every signal of one tick."""
+    """Return every signal of one tick."""
     truth = rust.dynamics(plant.robot, seen.state)
     position, rotation, joints, nu = (np.asarray(part) for part in seen.state)
     desired = np.asarray(tick.setpoint.rotation)
@@ -371,7 +371,7 @@ def _wxyz(rotation: Array) -> Array:
 
 
 def _divergence(row: Mapping[str, Any], limits: Mapping[str, float], robot: rust.Robot) -> tuple[Outcome, str] | None:
-    """Judge as the crate does; thrusts are bounded by the controller here."""
+    """Apply the crate's criteria of divergence, without that on thrusts, which the controller limits here."""
     lower, upper = np.reshape(robot.joint_stops, (-1, 2)).T
     joints, base = row["joint_position"], row["base_velocity"]
     speed = max(np.linalg.norm(base[:3]), np.linalg.norm(row["wind"]))
@@ -389,7 +389,7 @@ def _divergence(row: Mapping[str, Any], limits: Mapping[str, float], robot: rust
 
 
 def _fall(row: Mapping[str, Any], limits: Mapping[str, float]) -> tuple[Outcome, str] | None:
-    """Judge as the crate does."""
+    """Apply the crate's criteria of a fall."""
     angle = np.degrees(row["rotation_error"])
     distance = float(np.linalg.norm(row["com_position"] - row["com_setpoint"]))
     if not np.isfinite(angle) or not np.isfinite(distance):

@@ -1,10 +1,11 @@
-"""The interface to MuJoCo: its model of our robot, its conventions, its smooth dynamics in JAX.
+"""The interface to MuJoCo: its model of our robot, conversion of conventions, smooth dynamics in JAX.
 
-A free joint's velocity is world-linear but body-angular there, and bodies stand in depth-first order; here velocities
-are mixed (both parts in inertial axes) and joints stand in the order of the robot's TOML file. Of MJX only kinematics,
-composite inertias and Newton–Euler are used: no contact, no constraint, no integrator, so reverse mode needs no flags.
+MuJoCo's free joint has a world-frame linear but a body-frame angular velocity, and its bodies are in depth-first order;
+here velocities are mixed (both parts in inertial axes) and joints have the order of the robot's TOML file. Only MJX's
+kinematics, composite inertias and Newton–Euler algorithm are used: without contacts, constraints and integrator,
+reverse mode needs no flags.
 
-It stands below `dynamics`, not in `sim`, because `dynamics` offers it as a backend.
+This module is not part of `sim`, since `dynamics` offers it as a backend.
 """
 
 from __future__ import annotations
@@ -28,31 +29,31 @@ from jax_aero.robot import RobotModel
 from jax_aero.spatial import multiply, rotate_back, skew, wxyz_from_rotation
 from jax_aero.types import Array, State
 
-with contextlib.redirect_stdout(io.StringIO()):  # it prints that an unused GPU backend is not installed
+with contextlib.redirect_stdout(io.StringIO()):  # MJX prints that an unused GPU backend is not installed
     from mujoco import mjx as mjx
 
 
 class Order(NamedTuple):
-    """How MuJoCo orders what we order by the robot's TOML file."""
+    """MuJoCo's indices of quantities that we order by the robot's TOML file."""
 
     bodies: NDArray[np.int64]
     """MuJoCo body of each of our bodies (its body 0 is the world)."""
     dofs: NDArray[np.int64]
     """MuJoCo degree of freedom of each of our velocities."""
     joints: NDArray[np.int64]
-    """Place of each joint position in `qpos`."""
+    """Index in `qpos` of each joint position."""
 
 
 def mujoco_spec(source: str) -> Any:
-    """MuJoCo's description of the robot: its URDF with a free joint, motors on the joints, sites at jets and links."""
+    """Return MuJoCo's description of the robot: URDF with free joint, joint motors, and sites at jets and links."""
     toml_path = Path(source)
     table = tomllib.loads(read_text(toml_path))
     spec = mujoco.MjSpec.from_string(read_text(toml_path.parent / table["urdf"]))
-    # Inertias are the URDF's own; meshes would only be looked for.
+    # Inertias are those of the URDF, so meshes are not needed.
     for element in (*(geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH), *spec.meshes):
         spec.delete(element)
     spec.option.gravity = [0.0, 0.0, -table.get("gravity", 9.81)]
-    # Joint limits and friction would make MJX carry a constraint solver through the flight.
+    # With joint limits or friction, MJX would run a constraint solver throughout the flight.
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT) | int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     spec.body(table["base_link"]).add_freejoint()
     for name, position in table.get("locked", {}).items():
@@ -86,7 +87,7 @@ def mujoco_model(source: str) -> Any:
 
 @functools.lru_cache
 def order_of(source: str, joint_names: tuple[str, ...]) -> Order:
-    """Find our bodies, velocities and joint positions in MuJoCo's arrays."""
+    """Return the indices of our bodies, velocities and joint positions in MuJoCo's arrays."""
     model = mujoco_model(source)
     joints = np.array([model.joint(name).id for name in joint_names], dtype=np.int64)
     base = int(np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)[0])
@@ -98,7 +99,7 @@ def order_of(source: str, joint_names: tuple[str, ...]) -> Order:
 
 
 def to_mujoco(robot: RobotModel, state: State) -> tuple[Float[Array, " q"], Float[Array, " N"]]:
-    """`qpos` and `qvel` of a state."""
+    """Return `qpos` and `qvel` of a state."""
     order = order_of(robot.source, robot.joint_names)
     dtype = state.velocity.dtype
     n = 7 + robot.n_joints
@@ -110,9 +111,9 @@ def to_mujoco(robot: RobotModel, state: State) -> tuple[Float[Array, " q"], Floa
 
 
 def mass_matrix_and_bias(robot: RobotModel, state: State) -> tuple[Float[Array, "N N"], Float[Array, " N"]]:
-    """`M` and `h` in our order and mixed velocities, from MJX.
+    """Return `M` and `h` in our order and mixed velocities, from MJX.
 
-    With `ν_mj = T ν`, `T = blkdiag(1, Rᵀ, 1)`: `M = Tᵀ M_mj T` and `h = Tᵀ h_mj`, for `Ṫ ν = −Rᵀ (ω × ω) = 0`.
+    With `ν_mj = T ν`, `T = blkdiag(1, Rᵀ, 1)`: `M = Tᵀ M_mj T` and `h = Tᵀ h_mj`, since `Ṫ ν = −Rᵀ (ω × ω) = 0`.
     """
     order = order_of(robot.source, robot.joint_names)
     model = _mjx_model(robot, state.velocity.dtype)
@@ -126,7 +127,7 @@ def mass_matrix_and_bias(robot: RobotModel, state: State) -> tuple[Float[Array, 
 
 
 def _smooth(robot: RobotModel, model: Any, qpos: Array, qvel: Array) -> Any:
-    """MJX data with mass matrix and bias of a state."""
+    """Return MJX data with the mass matrix and bias of a state."""
     with jax.ensure_compile_time_eval():
         data = mjx.make_data(mujoco_model(robot.source))
     data = mjx.com_pos(model, mjx.kinematics(model, data.replace(qpos=qpos, qvel=qvel)))
@@ -135,10 +136,10 @@ def _smooth(robot: RobotModel, model: Any, qpos: Array, qvel: Array) -> Any:
 
 
 def _inertias_about_com(robot: RobotModel, data: Any) -> Array:
-    """Inertia of every body about the centre of mass of the whole, in MJX's ten numbers.
+    """Return the inertia of every body about the total centre of mass, in MJX's ten numbers.
 
-    MJX starts from principal moments; the robot's full tensors spare a decomposition, which has no gradient where two
-    moments are equal.
+    MJX starts from principal moments; using the robot's full tensors avoids an eigendecomposition, which has no
+    gradient if two moments are equal.
     """
     bodies = order_of(robot.source, robot.joint_names).bodies
     rotations = data.xmat[bodies]
@@ -151,7 +152,7 @@ def _inertias_about_com(robot: RobotModel, data: Any) -> Array:
 
 
 def _mjx_model(robot: RobotModel, dtype: Any) -> Any:
-    """Return MJX's model with the numbers of `robot`, which may be traced; only the structure comes from the file."""
+    """Return MJX's model with the numbers of `robot`, which may be traced; only the structure is from the file."""
     bodies = order_of(robot.source, robot.joint_names).bodies
     with jax.ensure_compile_time_eval():
         model = _structure(robot.source, jnp.dtype(dtype).name)

@@ -1,7 +1,7 @@
-"""Repeatable noise, drawn before a flight by NumPy alone.
+"""Reproducible noise, drawn before a flight with NumPy alone.
 
-Words and uniform numbers are those of the Rust crate; normal ones agree to two units in the last place, as the crate
-takes logarithm, sine and cosine from `libm` and this module from the platform.
+Words and uniform numbers equal those of the Rust crate; normal ones agree to two units in the last place, since the
+crate takes logarithm, sine and cosine from `libm` and this module from the platform.
 
 PCG-XSH-RR with 64 bits of state; source: M. E. O'Neill, "PCG: A Family of Simple Fast Space-Efficient Statistically
 Good Algorithms for Random Number Generation", 2014.
@@ -24,10 +24,10 @@ _MASK = 2**64 - 1
 
 
 def words(seed: int, stream: int, count: int) -> NDArray[np.uint32]:
-    """First `count` numbers of stream `stream` of a seed, uniform over 32 bits."""
+    """Return the first `count` numbers of stream `stream` of a seed, uniform over 32 bits."""
     increment = (stream << 1 | 1) & _MASK
     states = np.array([((increment + seed) * _MULTIPLIER + increment) & _MASK], np.uint64)
-    # n steps at once are again s ← a s + c, so what is known doubles every time.
+    # n steps together are again s ← a s + c, so the number of known states doubles in every pass.
     a, c = _MULTIPLIER, increment
     while states.size < count:
         states = np.concatenate([states, states * np.uint64(a) + np.uint64(c)])
@@ -39,14 +39,14 @@ def words(seed: int, stream: int, count: int) -> NDArray[np.uint32]:
 
 
 def uniforms(seed: int, stream: int, count: int) -> NDArray[np.float64]:
-    """Draw `count` numbers uniform in (0, 1)."""
+    """Return `count` numbers uniform in (0, 1)."""
     return (words(seed, stream, count).astype(np.float64) + 0.5) / 4_294_967_296.0
 
 
 def normals(seed: int, stream: int, count: int) -> NDArray[np.float64]:
-    """Draw `count` numbers with mean 0 and standard deviation 1 (Box and Muller)."""
+    """Return `count` normal numbers with mean 0 and standard deviation 1 (Box and Muller)."""
     pairs = uniforms(seed, stream, count + count % 2).reshape(-1, 2)
-    # One by one: the last bit of NumPy's functions may depend on how many numbers it takes at once.
+    # One by one, since the last bit of NumPy's functions may depend on the length of the array.
     drawn = [
         part
         for first, second in pairs.tolist()

@@ -20,45 +20,45 @@ from jax_aero.types import Array, State, Static, leaf, pytree, where
 
 
 class Sample(NamedTuple):
-    """What is measured at a tick."""
+    """Measured values of a tick."""
 
     state: State
     thrust: Float[Array, " j"]
-    """[N]."""
+    """Thrusts [N]."""
     wind: Float[Array, "3"]
-    """[m/s]."""
+    """Wind [m/s, inertial axes]."""
 
 
 @pytree
 class Outage:
-    """A channel that fails for a while."""
+    """A temporary failure of a channel."""
 
     channel: Static[str]
     kind: Static[str]
     jets: Bool[Array, " j"]
-    """Jets whose thrust it is."""
+    """Jets whose thrust measurement fails."""
     start: Float[Array, ""]
-    """When it begins [s]."""
+    """Start [s]."""
     duration: Float[Array, ""]
-    """How long it lasts [s]."""
+    """Duration [s]."""
     error: Float[Array, ""]
-    """Of a wrong value."""
+    """Error of a wrong value, in the unit of the channel."""
 
 
 class Held(NamedTuple):
-    """What was measured when an outage began."""
+    """Measurements at the start of an outage."""
 
     is_begun: Bool[Array, ""]
     sample: Sample
 
 
 def outages_of(settings: Sequence[OutageConfig], robot: RobotModel) -> tuple[Outage, ...]:
-    """Outages of a flight of this robot.
+    """Return the outages of a flight of this robot.
 
     Raises
     ------
     ValueError
-        For a jet that the robot does not have, or where no thrust is meant.
+        For a jet that the robot does not have, and for a jet given with a channel other than thrust.
     """
     names = robot.jets.names
     for index, outage in enumerate(settings):
@@ -81,7 +81,7 @@ def outages_of(settings: Sequence[OutageConfig], robot: RobotModel) -> tuple[Out
 
 
 def begin(outages: Sequence[Outage], state: State, thrust: Float[Array, " j"]) -> tuple[Held, ...]:
-    """Return the memory of outages that have not begun."""
+    """Return the state of outages that have not begun."""
     nothing = Sample(state, thrust, jnp.zeros_like(state.base_position))
     return tuple(Held(jnp.array(False), nothing) for _ in outages)
 
@@ -89,10 +89,10 @@ def begin(outages: Sequence[Outage], state: State, thrust: Float[Array, " j"]) -
 def spoil(
     outages: Sequence[Outage], held: Sequence[Held], time: Float[Array, ""], sample: Sample
 ) -> tuple[tuple[Held, ...], Sample]:
-    """Spoil what is measured at `time` [s]."""
+    """Apply the outages to the measurement at `time` [s]."""
     after = []
     for outage, memory in zip(outages, held, strict=True):
-        # Half a microsecond is for the rounding of times.
+        # Half a microsecond allows for rounding of times.
         since = time - outage.start + 5e-7
         is_on = (since >= 0.0) & (since < outage.duration)
         first = where(is_on & ~memory.is_begun, sample, memory.sample)

@@ -1,4 +1,4 @@
-"""Locations of files: configurations in the package, results in the checkout or, without one, in the current folder."""
+"""Locations of files: configurations in the package; results in the checkout or, without one, in the current folder."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from pathlib import Path
 from jax_aero.command import Refused
 
 CONFIGS = (Path(__file__).parent / "configs").resolve()
-"""`configs/` of a checkout, to which a link in the package leads, or the package's own copy."""
+"""`configs/` of a checkout, through a link in the package, or the package's own copy."""
 
 ROBOT = CONFIGS / "robot" / "ironcub_mk1.toml"
 """The paper's robot."""
 
 HOME = CONFIGS.parent
-"""Folder at which the paths in manifests start."""
+"""Folder that paths in manifests are relative to."""
 
 IS_CHECKOUT = (HOME / "rust").is_dir()
 
@@ -25,17 +25,17 @@ RESULTS = (HOME if IS_CHECKOUT else Path.cwd()) / "results"
 
 
 def names(kind: str) -> list[str]:
-    """Return the names of all files of a folder of `configs/`."""
+    """Return the names of all files in a folder of `configs/`."""
     return sorted(path.stem for path in (CONFIGS / kind).glob("*.toml"))
 
 
 def is_path(text: str) -> bool:
-    """Return whether a text is the path of a file, and not a name."""
+    """Return whether a text is the path of a file rather than a name."""
     return "/" in text or text.endswith(".toml")
 
 
 def name_of(text: str) -> str:
-    """Return the name of what is given by its name or by its path.
+    """Return the name of an item given by name or path.
 
     >>> name_of("mine/test2.toml")
     'test2'
@@ -58,11 +58,11 @@ def find(kind: str, name: str | PathLike[str]) -> Path:
 
 
 LONGEST = 100
-"""Length of what is added to the name of a result or of a figure."""
+"""Longest suffix of the name of a result or figure [characters]."""
 
 
 def addition(text: str) -> str:
-    """Return what is added to the name of a result or of a figure; a long one ends in a digest.
+    """Return a suffix for the name of a result or figure; a long one is shortened and ends in a digest.
 
     >>> addition("--test2_half")
     '--test2_half'
@@ -73,12 +73,12 @@ def addition(text: str) -> str:
 
 
 def mark(text: str) -> str:
-    """Return nine characters that differ for texts whose names are written alike."""
+    """Return nine characters that distinguish texts with similar names."""
     return f"~{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return the end of a refusal that names what is similar to a word, or else everything there is.
+    """Return the end of an error message that suggests words similar to `word`, or otherwise lists all known words.
 
     >>> did_you_mean("swep", ["sweep", "trim"])
     '; did you mean sweep?'

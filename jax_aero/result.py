@@ -1,4 +1,4 @@
-"""The result of a flight by any engine. NumPy only."""
+"""The result of a flight, independent of the engine. NumPy only."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Progress = Callable[[int, int], None]
-"""Called with (ticks flown, ticks in all), or with (flights flown, flights in all) of a batch."""
+"""Called with (ticks flown, all ticks), or with (flights flown, all flights) for a batch."""
 
 
 Outcome = Literal["completed", "off_course", "fell", "diverged"]
@@ -20,9 +20,9 @@ Outcome = Literal["completed", "off_course", "fell", "diverged"]
 
 
 def ending(outcome: str, lost_time: float | None, lost_reason: str | None) -> str:
-    """Say how a flight ended: "completed", or "fell at 21.4 s (rotation error 90.1 deg)".
+    """Return the outcome in words: "completed", or "fell at 21.4 s (rotation error 90.1 deg)".
 
-    Result files have NaN and the empty text for no time and no reason.
+    Result files store a missing time as NaN and a missing reason as an empty text.
     """
     words = outcome.replace("_", " ")
     if lost_time is None or math.isnan(lost_time):
@@ -32,21 +32,21 @@ def ending(outcome: str, lost_time: float | None, lost_reason: str | None) -> st
 
 @dataclass(frozen=True)
 class FlightResult:
-    """One flight: its log and how it ended.
+    """One flight: its log and its outcome.
 
     Attributes
     ----------
     log
-        Signal name to array; the first axis is time. `rust.signals` declares every signal, with its unit.
+        Arrays by signal name; the first axis is time. `rust.signals` declares every signal, with its unit.
     joint_setpoint
-        Posture of the first tick, which the controller keeps pulling towards [rad].
+        Posture of the first tick, to which the posture task returns [rad].
     outcome
         "completed"; "off_course": flown to the end, but further from its set-point than `simulator.course_error`;
-        "fell"; "diverged": with numbers that physics excludes.
+        "fell"; "diverged": numbers beyond the divergence limits.
     lost_time, lost_reason
-        When [s] and by which criterion the flight ended early; `None` if it reached its end.
+        Time [s] and criterion of the loss; `None` if the flight reached its end.
     summary
-        Figures of merit, which `rust.figures` declares.
+        Figures of merit, declared by `rust.figures`.
     """
 
     log: Mapping[str, NDArray[np.float64]]
@@ -61,7 +61,7 @@ class FlightResult:
 
 
 class RobotNames(Protocol):
-    """The part of a robot that labels a log; `jax_aero.rust.Robot` is one."""
+    """The names of a robot that label a log; `jax_aero.rust.Robot` has them."""
 
     @property
     def joint_names(self) -> Sequence[str]: ...  # noqa: D102
@@ -76,7 +76,7 @@ class RobotNames(Protocol):
 
 
 def labels_of(robot: RobotNames) -> dict[str, Sequence[str]]:
-    """Return names of the entries along every dimension of a signal (`rust.signals`) but time."""
+    """Return the names of the entries along every dimension of a signal (`rust.signals`) except time."""
     return {
         "xyz": ["x", "y", "z"],
         "wxyz": ["w", "x", "y", "z"],
@@ -95,7 +95,7 @@ LAB_FORMAT = ("flight-lab-run", 1)
 
 
 def from_lab(document: Mapping[str, Any]) -> FlightResult:
-    """Return the flight in a `run.json` of the flight lab, to the last bit."""
+    """Return the flight stored in a `run.json` of the flight lab, bit for bit."""
     if (found := (document.get("format"), document.get("version"))) != LAB_FORMAT:
         raise ValueError(f"`format` and `version` are {found}; expected {LAB_FORMAT}")
 
@@ -112,6 +112,6 @@ def from_lab(document: Mapping[str, Any]) -> FlightResult:
         outcome=document["outcome"],
         lost_time=document["lost_time"],
         lost_reason=document["lost_reason"],
-        # JSON has no infinity and no NaN.
+        # JSON has neither infinity nor NaN.
         summary={name: math.nan if value is None else value for name, value in document["summary"].items()},
     )

@@ -1,7 +1,7 @@
 """The robot: a tree of rigid bodies with named frames, read once from TOML and URDF.
 
-Everything that is a number is a leaf of the pytree, so masses, coefficients or limits can be batched and
-differentiated; everything that gives the computation its shape (names, parents, which body carries a frame) is static.
+Every number is a leaf of the pytree, so masses, coefficients or limits can be batched and differentiated. Everything
+that determines the structure of the computation (names, parents, the bodies that carry frames) is static.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Jets:
     axes: Float[Array, "j 3"]
     """Direction of the force on the robot, in frame axes."""
     thrust_max: Float[Array, " j"]
-    """[N]."""
+    """Greatest thrusts [N]."""
 
     @property
     def count(self) -> int:
@@ -51,7 +51,7 @@ class Jets:
 
 @pytree
 class AeroLinks:
-    """Links on which aerodynamic force acts, in the order of every aerodynamic table."""
+    """Links with aerodynamic forces, in the order of every aerodynamic table."""
 
     names: Static[tuple[str, ...]]
     bodies: Static[tuple[int, ...]]
@@ -64,13 +64,13 @@ class AeroLinks:
     axes: Float[Array, "L 3"]
     """Unit axes of symmetry in link axes."""
     centres: Float[Array, "L 3"]
-    """Where the force acts, in link axes [m]."""
+    """Points at which the forces act, link axes [m]."""
     diameters: Float[Array, " L"]
-    """[m]."""
+    """Diameters [m]."""
     lengths: Float[Array, " L"]
-    """Along the axis [m]."""
+    """Lengths along the axis [m]."""
     coefficients: dict[str, Float[Array, "L 6"]]
-    """By set: force areas `w0 .. w4` of the drag and `w5` of the normal force [m²]."""
+    """Coefficients by name of the set: force areas `w0 .. w4` of the drag and `w5` of the normal force [m²]."""
 
     @property
     def count(self) -> int:
@@ -80,7 +80,7 @@ class AeroLinks:
 
 @pytree
 class RobotModel:
-    """A robot. Body 0 is the floating base; joint `i` moves body `i + 1`; ancestors come first."""
+    """A robot. Body 0 is the floating base; joint `i` moves body `i + 1`; ancestors come before descendants."""
 
     name: Static[str]
     parent: Static[tuple[int, ...]]
@@ -88,17 +88,17 @@ class RobotModel:
     body_names: Static[tuple[str, ...]]
     joint_names: Static[tuple[str, ...]]
     joint_is_prismatic: Static[tuple[bool, ...]]
-    """Whether each joint shifts its child along the axis instead of turning it; m and N stand for rad and N m there."""
+    """Whether each joint translates its child along the axis instead of rotating it; its units are m and N."""
     joint_groups: Static[tuple[tuple[str, tuple[int, ...]], ...]]
-    """Groups of joints as (name, indices); together they hold every joint once, in order."""
+    """Groups of joints as (name, indices); together they contain every joint once, in order."""
     source: Static[str]
-    """Path of the TOML file, from which the MuJoCo model is built too."""
+    """Path of the TOML file, also used to build the MuJoCo model."""
     masses: Float[Array, " nb"]
-    """[kg]."""
+    """Masses [kg]."""
     coms: Float[Array, "nb 3"]
     """Centres of mass in body axes [m]."""
     inertias: Float[Array, "nb 3 3"]
-    """About the centre of mass, body axes [kg m²]."""
+    """Inertias about the centre of mass, body axes [kg m²]."""
     joint_rotations: Float[Array, "n 3 3"]
     """`parent_from_child` at joint position zero."""
     joint_positions: Float[Array, "n 3"]
@@ -106,32 +106,32 @@ class RobotModel:
     joint_axes: Float[Array, "n 3"]
     """Unit axes in child axes."""
     joint_limits: Float[Array, "n 2"]
-    """Limits the controller respects, lower and upper [rad]."""
+    """Lower and upper limits that the controller respects [rad]."""
     joint_stops: Float[Array, "n 2"]
-    """Where joints meet their stops [rad]: the range of the URDF, widened to that of the controller."""
+    """Positions of the mechanical stops [rad]: the URDF's range, extended to the controller's limits."""
     joint_torque_max: Float[Array, " n"]
-    """[N m]."""
+    """Greatest torques [N m]."""
     joint_torque_rate_max: Float[Array, " n"]
-    """[N m/s]; infinite where nothing limits it."""
+    """Greatest torque rates [N m/s]; infinite if unlimited."""
     joint_velocity_max: Float[Array, " n"]
-    """[rad/s]."""
+    """Greatest velocities [rad/s]."""
     forward_axis: Float[Array, "3"]
     """Forward direction in base axes, a unit vector orthogonal to z."""
     gravity: Float[Array, ""]
-    """[m/s²], positive; pulls along −z."""
+    """Gravitational acceleration [m/s²], positive, along −z."""
     jets: Jets
     aero_links: AeroLinks
     engines: dict[str, Float[Array, "12"]]
-    """By name: coefficients in the order of `ENGINE_KEYS`."""
+    """Coefficients by name of the engine, in the order of `ENGINE_KEYS`."""
 
     @property
     def n_joints(self) -> int:
-        """Number of joints that move."""
+        """Number of moving joints."""
         return len(self.joint_names)
 
     @property
     def joint_turns(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        """1 for a joint that turns its child and 0 for one that shifts it, (n,)."""
+        """(n,) 1 for a revolute joint and 0 for a prismatic one."""
         return 1.0 - np.array(self.joint_is_prismatic, dtype=np.float64)
 
     @property
@@ -146,18 +146,18 @@ class RobotModel:
 
     @property
     def ancestors(self) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
-        """Whether joint `j` moves body `i`: a static mask."""
+        """Static mask of whether joint `j` moves body `i`."""
         return ancestors_of(self.parent)
 
     @property
     def levels(self) -> tuple[tuple[int, ...], ...]:
-        """Bodies by depth in the tree, the base's level first."""
+        """Bodies grouped by depth in the tree, starting with the base."""
         return levels_of(self.parent)
 
 
 @functools.lru_cache
 def ancestors_of(parent: tuple[int, ...]) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
-    """Whether joint `j` moves body `i`, (bodies, joints)."""
+    """Return whether joint `j` moves body `i`, (bodies, joints)."""
     mask = np.zeros((len(parent), len(parent) - 1), dtype=np.bool_)
     for body, carrier in enumerate(parent):
         if carrier >= 0:
@@ -169,20 +169,20 @@ def ancestors_of(parent: tuple[int, ...]) -> np.ndarray[tuple[int, int], np.dtyp
 
 @functools.lru_cache
 def levels_of(parent: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
-    """Bodies by their distance from the base."""
+    """Return the bodies grouped by their depth in the tree."""
     depth = ancestors_of(parent).sum(axis=1)
     return tuple(tuple(int(body) for body in np.flatnonzero(depth == level)) for level in range(int(depth.max()) + 1))
 
 
 def load_robot(path: str | PathLike[str]) -> RobotModel:
-    """Read a robot's TOML file and the URDF it names.
+    """Read a robot's TOML file and the URDF named in it.
 
-    The leaves are NumPy arrays in double precision: they become what the precision of the caller makes of them.
+    The leaves are NumPy arrays in double precision, which JAX converts to the caller's precision.
 
     Raises
     ------
     ValueError
-        Naming the key, its value and what was expected.
+        If a value is invalid; the message names the key, its value and what was expected.
     """
     toml_path = Path(path).resolve()
     file = tables.load(toml_path, RobotFile)
@@ -259,7 +259,7 @@ def _unit(of: str, value: tuple[float, ...]) -> Any:
 
 
 def _limits(entry: JointEntry, joint: Joint) -> tuple[float, ...]:
-    """Lower and upper position, greatest torque, greatest torque rate and greatest velocity of one joint."""
+    """Return lower and upper position, greatest torque, greatest torque rate and greatest velocity of one joint."""
     keys, others = ("limits_deg", "velocity_max_deg"), ("limits", "velocity_max")
     unit, kind = np.pi / 180.0, "revolute"
     if joint.is_prismatic:
@@ -289,7 +289,7 @@ def _limits(entry: JointEntry, joint: Joint) -> tuple[float, ...]:
 
 
 def _frames(kind: str, entries: Sequence[Any], tree: BodyTree) -> tuple[tuple[int, ...], Array, Array]:
-    """Bodies, rotations and positions of the frames of some entries."""
+    """Return bodies, rotations and positions [m] of the frames of some entries."""
     for entry in entries:
         if entry.frame not in tree.places:
             raise ValueError(f"frame of {kind} `{entry.name}`: unknown link `{entry.frame}`")

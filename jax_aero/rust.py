@@ -1,6 +1,6 @@
-"""The Rust crate as a Python library: NumPy in, NumPy out, SI and radians.
+"""The Rust crate as a Python library: NumPy arrays in and out, SI units and radians.
 
-The only importer of the compiled module `jax_aero._core`.
+This is the only module that imports the compiled `jax_aero._core`.
 
 Examples
 --------
@@ -90,11 +90,11 @@ __all__ = [
 Array = NDArray[np.float64]
 
 Config = dict[str, Any]
-"""A resolved flight configuration: nested tables of plain values, every default written out."""
+"""A resolved flight configuration: nested tables of plain values, including every default."""
 
 
 class State(NamedTuple):
-    """Where a robot is and how it moves: inertial axes, joints in the order of the robot.
+    """Pose and velocity of a robot, in inertial axes; joints in the order of the robot.
 
     Attributes
     ----------
@@ -103,8 +103,8 @@ class State(NamedTuple):
     joint_position
         Joint positions [rad], (n,).
     velocity
-        Mixed velocity ν = (v_B, ω_B, ṡ), (6 + n,): that of the base origin [m/s] and of the base [rad/s], both in
-        inertial axes, and of the joints [rad/s].
+        Mixed velocity ν = (v_B, ω_B, ṡ), (6 + n,): linear velocity of the base origin [m/s] and angular velocity of the
+        base [rad/s], both in inertial axes, and joint velocities [rad/s].
     """
 
     base_position: ArrayLike
@@ -114,7 +114,7 @@ class State(NamedTuple):
 
     @classmethod
     def at_rest(cls, robot: Robot, joint_position: ArrayLike | None = None) -> State:
-        """Return the state at the origin, upright and still; joints at zero unless given."""
+        """Return the state at the origin, upright and at rest; joint positions are zero unless given."""
         n = len(robot.joint_names)
         joints = np.zeros(n) if joint_position is None else joint_position
         return cls(np.zeros(3), np.eye(3), joints, np.zeros(6 + n))
@@ -131,7 +131,7 @@ class Dynamics:
     com_position
         Centre of mass [m], (3,).
     mass_matrix, bias
-        M (n, n) and h (n,) of M ν̇ + h = S τ + Σ Jᵀ f; h holds gravity.
+        M (n, n) and h (n,) of M ν̇ + h = S τ + Σ Jᵀ f; h includes gravity.
     momentum_matrix, momentum
         A_G (6, n) and L = A_G ν (6,), linear rows first, about the centre of mass [kg m/s, kg m²/s].
     centroidal_inertia
@@ -149,12 +149,12 @@ class Dynamics:
 
 
 class Measurement(NamedTuple):
-    """What a controller is given at a tick.
+    """Input of a controller at a tick.
 
     Attributes
     ----------
     time
-        Since the flight began [s].
+        Time since the flight began [s].
     state
         Pose and velocity of the robot.
     thrust
@@ -197,7 +197,7 @@ class RowProblem(NamedTuple):
 
 
 class QpAnswer(NamedTuple):
-    """What a solver says about its x; `kkt` is `kkt_residual`, `active` counts variables on a bound."""
+    """Result of a solver for x; `kkt` is `kkt_residual`, `active` the number of variables on a bound."""
 
     status: str
     status_code: int
@@ -208,7 +208,7 @@ class QpAnswer(NamedTuple):
 
 @dataclass(frozen=True)
 class Setpoint:
-    """What the controller follows: centre of mass in inertial axes, rotation with rates in its own (body) axes."""
+    """Set-point of the controller: centre of mass in inertial axes; rotation, with derivatives in its body axes."""
 
     com_position: ArrayLike
     com_velocity: ArrayLike
@@ -221,7 +221,7 @@ class Setpoint:
 
     @classmethod
     def hold(cls, com_position: ArrayLike, rotation: ArrayLike) -> Setpoint:
-        """Return the set-point that stays where it is."""
+        """Return a constant set-point."""
         rest = np.zeros(3)
         return cls(com_position, rest, rest, rest, rotation, rest, rest, rest)
 
@@ -233,11 +233,11 @@ class ContactTick:
     Attributes
     ----------
     is_active
-        Whether all feet carry.
+        Whether all feet carry load.
     force, force_rate
-        f_c* and its rate [N, N m, and per s].
+        f_c* and its rate [N, N m; N/s, N m/s].
     force_of_torques
-        f_c that comes with the torques.
+        f_c in the answer of the torque QP [N, N m].
     a_c, jacobian, velocity_product
         A_c (6, 6 feet), J_c (6 feet, 6 + n) and J̇_c ν (6 feet).
     """
@@ -253,14 +253,14 @@ class ContactTick:
 
 @dataclass(frozen=True)
 class Given:
-    """What a controller's estimators, where it has some, made of a measurement.
+    """Outputs of the controller's estimators; without estimators, the measurement.
 
     Attributes
     ----------
     state
         Pose and velocity of the robot.
     thrust
-        Of every jet [N], (jets,).
+        Thrust of every jet [N], (jets,).
     wind, wind_std
         Velocity of the air and its standard deviation, zero without a wind observer [m/s, inertial axes], (3,).
     """
@@ -272,7 +272,7 @@ class Given:
 
 
 class Plant:
-    """The simulated robot of a configuration, with its jets and wind, for a control loop of your own.
+    """The simulated robot of a configuration, with its jets and wind, for a user-defined control loop.
 
     >>> plant = Plant(load_config("test2"))
     >>> measurement = plant.reset()
@@ -287,15 +287,15 @@ class Plant:
         """Aerodynamic forces that acted in the last step [N], (links, 3), inertial axes; `None` before the first."""
 
     def reset(self) -> Measurement:
-        """Return to the initial state, and measure it."""
+        """Return to the initial state and measure it."""
         self._core.reset()
         self.link_forces = None
         return self.measure()
 
     def measure(self) -> Measurement:
-        """Return state, thrusts and wind, without the configuration's sensors, outages and wind estimate.
+        """Return state, thrusts and wind, without the configured sensors, outages and wind estimate.
 
-        All are the true ones, but for the thrusts where `jets.feedback` is "estimated": those are the estimates.
+        All values are true, except that thrusts are estimates if `jets.feedback` is "estimated".
         """
         raw = self._core.measure()
         state = State(raw["base_position"], raw["base_rotation"], raw["joint_position"], raw["velocity"])
@@ -304,7 +304,7 @@ class Plant:
     def step(
         self, thrust_rate: ArrayLike, joint_torque: ArrayLike, link_forces: ArrayLike | None = None
     ) -> Measurement:
-        """Advance one tick, and measure.
+        """Advance one tick and measure.
 
         Parameters
         ----------
@@ -313,7 +313,7 @@ class Plant:
         joint_torque
             Torque of every joint [N m], held.
         link_forces
-            Aerodynamic force on every link [N], (links, 3), inertial axes, in place of the configured model's; held.
+            Aerodynamic force on every link [N], (links, 3), inertial axes, held; replaces the configured model.
         """
         forces = None if link_forces is None else _array(link_forces)
         self.link_forces = self._core.step(_array(thrust_rate), _array(joint_torque), forces)
@@ -322,7 +322,7 @@ class Plant:
 
 @dataclass(frozen=True)
 class Tick:
-    """Every value of one controller tick; inertial axes, unless said otherwise.
+    """Every value of one controller tick, in inertial axes unless stated otherwise.
 
     Attributes
     ----------
@@ -331,19 +331,19 @@ class Tick:
     link_axes, link_v_air
         Symmetry axis of each aerodynamic link and velocity of the air relative to it [m/s], (links, 3).
     link_arm_points, link_jacobian_points
-        Where moments are formed and whose Jacobians carry the forces [m], (links, 3).
+        Points about which moments are formed, and points whose Jacobians carry the forces [m], (links, 3).
     aero_force
         Estimated aerodynamic force on each link [N], (links, 3).
     jet_axes, jet_points
-        Direction of each thrust and where it acts [m], (jets, 3).
+        Direction of each thrust and point at which it acts [m], (jets, 3).
     a_t, lambda_t, lambda_a
         A_T (6, jets), Λ_T and Λ_a (6, n).
     momentum_rate_estimate
         L̇ [N, N m], (6,).
     unmodelled_wrench
-        ŵ, the observed part of it that is in no model; zero without an observer [N, N m], (6,).
+        ŵ, the observed unmodelled part of L̇; zero without an observer [N, N m], (6,).
     k_ddot_desired, sigma
-        Demand of the attitude law: k̈* in base axes, σ.
+        Outputs of the attitude law: k̈* in base axes, σ.
     task, task_offset
         The nine stacked task rows, `task @ u + task_offset`, of the unknowns u = (Ṫ, ṡ).
     momentum_qp, momentum_answer, thrust_rate, joint_velocity_command
@@ -351,21 +351,21 @@ class Tick:
     joint_acceleration_desired, joint_acceleration_free, torque_gain
         s̈*, s̈ without torque [rad/s²], and G = (M⁻¹)_ss.
     torque_qp, torque_answer, unlimited_torque, joint_torque
-        The QP in τ, for a controller that can stand in (f_c, τ), and its answer [N m], before and after the limiter.
+        The QP in τ, or in (f_c, τ) for a controller that can stand, and its answer [N m], before and after the limiter.
     status
-        "Nominal", "Degraded", or which part of the command is a safe substitute.
+        "Nominal", "Degraded", or the part of the command that is a safe substitute.
     degraded_modes
-        Names of the ways in which the tick differs from one with every measurement.
+        Names of the modes of a tick with missing or implausible measurements.
     posture, inertia_0_b, velocity_error_integral
-        Part of the state of the controller after the tick, see `Controller.state`.
+        Part of the controller's state after the tick, see `Controller.state`.
     setpoint
-        What was followed.
+        The set-point that was followed.
     given
-        What the controller's estimators, where it has some, made of the measurement; what is missing is not yet
-        predicted in it.
+        Outputs of the controller's estimators, or without estimators the measurement; missing values are not yet
+        predicted.
     contact
-        The feet; `None` for a controller that cannot stand. Its force rates are unknowns of `momentum_qp` too, between
-        thrust rates and joint velocities.
+        The feet; `None` for a controller that cannot stand. The rates of their forces are also unknowns of
+        `momentum_qp`, between thrust rates and joint velocities.
     """
 
     com_position: Array
@@ -414,8 +414,8 @@ class Tick:
 class Controller:
     """The flight controller of a configuration, one tick at a time.
 
-    The first tick begins the flight: it takes the position, attitude and posture it finds as those to keep. `state` is
-    everything that is carried from one tick to the next: stored and assigned later, it continues to the same bits.
+    The first tick begins the flight: its position, attitude and posture become the ones to keep. `state` is everything
+    that is carried between ticks; a controller whose state is stored and assigned later continues bit for bit.
     """
 
     def __init__(self, config: Mapping[str, Any]) -> None:
@@ -423,7 +423,7 @@ class Controller:
 
     @property
     def state(self) -> ControllerState | None:
-        """State after the last tick; none before the first."""
+        """State after the last tick; `None` before the first."""
         return self._core.state
 
     @state.setter
@@ -438,12 +438,12 @@ class Controller:
         time: float = 0.0,
         foot_wrenches: ArrayLike | None = None,
     ) -> ControllerState:
-        """Begin a flight with a measurement, without a tick. Parameters are those of `tick`.
+        """Begin a flight with a measurement, without computing a tick. Parameters are those of `tick`.
 
         Raises
         ------
         ValueError
-            For a measurement that is not finite, not of this robot, or whose base rotation is none.
+            If the measurement is not finite or of the wrong size, or if its base rotation is not a rotation.
         """
         feet = None if foot_wrenches is None else _array(foot_wrenches)
         self._core.start(time, *_arrays(state), _array(thrust), _array(wind), feet)
@@ -474,7 +474,7 @@ class Controller:
         time
             Time since the flight began [s]; the mission's set-point advances by one tick with every call.
         setpoint
-            Followed instead of the mission, if given.
+            Set-point that replaces the mission's, if given.
         foot_wrenches
             Wrench on each foot of `controller.contact.feet` [N, N m], (feet, 6): force first, about its sole's origin,
             inertial axes. Zero if not given.
@@ -498,40 +498,40 @@ class Controller:
         )
 
     def replace_command(self, thrust_rate: ArrayLike, joint_torque: ArrayLike) -> None:
-        """Report after a tick what acts until the next one instead of its command: a safety layer, a residual.
+        """Replace, after a tick, its command by the one that acts until the next tick, such as a safety layer's.
 
-        What the controller predicts follows it: measurements that are missing, and the state estimator's model.
+        The predictions of missing measurements and the model of the state estimator use it.
 
         Parameters
         ----------
         thrust_rate
-            [N/s], (jets,).
+            Thrust rates [N/s], (jets,).
         joint_torque
-            [N m], (n,).
+            Joint torques [N m], (n,).
 
         Raises
         ------
         ValueError
-            For numbers that are not finite or not of this robot, and before the first tick.
+            If numbers are not finite or of the wrong size, and before the first tick.
         """
         self._core.replace_command(_array(thrust_rate), _array(joint_torque))
 
 
 def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None = None) -> Config:
-    """Read a flight configuration, merge the files it builds on, apply overrides, check it.
+    """Read a flight configuration, merge its base files, apply overrides, and check it.
 
     Parameters
     ----------
     path
         The name of an experiment, such as `test2`, or the path of a TOML file.
     overrides
-        Dotted key to value, e.g. `{"wind.velocity": [0, -12, 0]}`; arrays and paths are accepted, too. A key has to
-        exist in the resolved configuration, or at least be one the crate accepts.
+        Values by dotted key, such as `{"wind.velocity": [0, -12, 0]}`; arrays and paths are also accepted. A key has to
+        exist in the resolved configuration or be one that the crate accepts.
 
     Raises
     ------
     ValueError
-        Naming the file or key, the value and what was expected.
+        If a file or value is invalid; the message names the file or key, the value and what was expected.
     """
     config: Config = json.loads(_core.resolve_config(find("experiments", path)))
     check_config(config)
@@ -539,7 +539,7 @@ def load_config(path: str | PathLike[str], overrides: Mapping[str, Any] | None =
 
 
 def check_config(config: Mapping[str, Any]) -> None:
-    """Raise `ValueError`, naming key, value and expectation, unless this configuration can fly."""
+    """Raise `ValueError`, naming key, value and what was expected, unless the configuration can be flown."""
     _core.check_config(_to_json(config))
 
 
@@ -551,18 +551,18 @@ def schemas() -> dict[str, dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Signal:
-    """The declaration of a signal of the log.
+    """Declaration of a signal of the log.
 
     Attributes
     ----------
     dims
-        Names of its dimensions; without "time", it has one value for the flight.
+        Names of its dimensions; a signal without "time" has one value for the flight.
     unit, meaning
-        In words, as in result files.
+        Unit and description, as in result files.
     is_integer
-        Whether its values are whole numbers.
+        Whether its values are integers.
     is_of_ground
-        Whether only an engine with ground logs it.
+        Whether only engines with ground contact log it.
     """
 
     dims: tuple[str, ...]
@@ -574,7 +574,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class Figure:
-    """The declaration of a figure of merit; `is_of_ground` as in `Signal`."""
+    """Declaration of a figure of merit; `is_of_ground` as in `Signal`."""
 
     unit: str
     meaning: str
@@ -583,7 +583,7 @@ class Figure:
 
 @functools.cache
 def signals() -> Mapping[str, Signal]:
-    """Return the signals of a log by name: the only declaration that there is of them."""
+    """Return the declarations of all signals by name."""
     return MappingProxyType(
         {row.pop("name"): Signal(tuple(row.pop("dims")), **row) for row in json.loads(_core.signals())}
     )
@@ -591,17 +591,17 @@ def signals() -> Mapping[str, Signal]:
 
 @functools.cache
 def figures() -> Mapping[str, Figure]:
-    """Return the figures of merit of a summary by name."""
+    """Return the declarations of all figures of merit by name."""
     return MappingProxyType({row.pop("name"): Figure(**row) for row in json.loads(_core.figures())})
 
 
 def config_digest(config: Mapping[str, Any]) -> str:
-    """SHA-256 over the configuration and the files that it names, the same on every machine."""
+    """Return the SHA-256 of the configuration and the files that it names, equal on every machine."""
     return _core.config_digest(_to_json(config))
 
 
 def fly(config: Mapping[str, Any], progress: Progress | None = None) -> FlightResult:
-    """Fly one configuration from start to end, or to the fall. Ctrl-C interrupts it."""
+    """Fly one configuration to its end or until the flight is lost. Ctrl-C interrupts it."""
     return FlightResult(**_core.fly(_to_json(config), progress))
 
 
@@ -612,14 +612,14 @@ def fly_batch(
     *,
     full_log: bool = False,
 ) -> list[FlightResult]:
-    """Fly many configurations over threads; the results do not depend on how many.
+    """Fly many configurations in parallel threads; the results do not depend on their number.
 
-    Without `full_log` only outcome and summary are sure to be there.
+    Without `full_log` only outcome and summary are guaranteed.
 
     Raises
     ------
     ValueError
-        Naming the first flight that cannot be flown, and why; and for `threads` below one.
+        For a flight that cannot be flown, naming the first one and the reason; and for `threads` below one.
     """
     if threads is not None and threads < 1:
         raise ValueError(f"`threads` is {threads}; expected at least 1, or None for one per core")
@@ -633,7 +633,7 @@ def dynamics(robot: Robot, state: State) -> Dynamics:
 
 
 def frame_jacobian(robot: Robot, frame: str, state: State) -> Jacobian:
-    """Return the Jacobian of a frame: a body, jet, aerodynamic link or sole, by the name of its URDF link."""
+    """Return the Jacobian of a frame: a body, jet, aerodynamic link or sole, given the name of its URDF link."""
     return Jacobian(*robot.frame_jacobian(frame, *_arrays(state)))
 
 
@@ -648,7 +648,7 @@ def aero_forces(robot: Robot, aero: Mapping[str, Any], axes: ArrayLike, v_air: A
     Parameters
     ----------
     aero
-        A table as in `configs/aero/*.toml`, of a model that looks at one link at a time.
+        A table as in `configs/aero/*.toml`, of a model that evaluates each link separately.
     axes, v_air
         Unit symmetry axes and velocities of the air relative to the links [m/s], each (links, 3).
     """
@@ -656,7 +656,7 @@ def aero_forces(robot: Robot, aero: Mapping[str, Any], axes: ArrayLike, v_air: A
 
 
 def rotation_from_wxyz(wxyz: ArrayLike) -> Array:
-    """Return the rotation matrices (..., 3, 3) of quaternions (..., 4) of any length but zero."""
+    """Return the rotation matrices (..., 3, 3) of quaternions (..., 4) of any nonzero length."""
     quaternions = _array(wxyz)
     w, x, y, z = np.moveaxis(quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True), -1, 0)
     rows = [
@@ -668,9 +668,9 @@ def rotation_from_wxyz(wxyz: ArrayLike) -> Array:
 
 
 def link_forces(robot: Robot, aero: Mapping[str, Any], state: State, wind: ArrayLike) -> Array:
-    """Return the aerodynamic force on each link [N], (links, 3), inertial axes, of a robot in a state and a wind.
+    """Return the aerodynamic force on each link [N], (links, 3), inertial axes, for a robot's state and a wind.
 
-    Unlike `aero_forces` this serves every model, a network included.
+    Unlike `aero_forces` this supports every model, including networks.
 
     Parameters
     ----------
@@ -683,7 +683,7 @@ def link_forces(robot: Robot, aero: Mapping[str, Any], state: State, wind: Array
 
 
 def setpoint_trajectory(config: Mapping[str, Any], com: ArrayLike, rotation: ArrayLike) -> dict[str, Array]:
-    """Return the set-points of a whole flight, raw and smoothed.
+    """Return the raw and smoothed set-points of a whole flight.
 
     `com` (3,) [m] and `rotation` (3, 3) are the centre of mass and the base rotation of the first tick. Raw roll, pitch
     and yaw are those of the heading frame: forward, left, up.
@@ -692,12 +692,12 @@ def setpoint_trajectory(config: Mapping[str, Any], com: ArrayLike, rotation: Arr
 
 
 def wind_velocity(wind: Mapping[str, Any], times: ArrayLike) -> Array:
-    """Return the velocity of the air [m/s, inertial axes], (times, 3), of a wind profile at times [s]."""
+    """Return the velocity of the air [m/s, inertial axes], (times, 3), of a wind profile at `times` [s]."""
     return _core.wind_velocity(_to_json(wind), _array(times))
 
 
 def config_keys(config: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """Yield every dotted key of a configuration, tables included."""
+    """Yield every dotted key of a configuration, including those of tables."""
     for name, value in config.items():
         yield prefix + name
         if isinstance(value, Mapping):
@@ -719,7 +719,7 @@ def _with_overrides(config: Config, overrides: Mapping[str, Any]) -> Config:
     for key, value in overrides.items():
         override(changed, key, value)
     try:
-        check_config(changed)  # all together: a ramp may move as a whole, past its old end
+        check_config(changed)  # together, so that a ramp can move past its old end
     except ValueError as reason:
         known = set(config_keys(config))
         for key in overrides:
@@ -743,7 +743,7 @@ def _refuse_unknown(config: Config, key: str, value: Any) -> None:
 
 
 def _suggestion(config: Config, key: str) -> str:
-    """Name the keys that were probably meant: a near miss, or the same last word elsewhere."""
+    """Suggest keys for a message: similar ones, or ones with the same last word."""
     keys = list(config_keys(config))
     near = difflib.get_close_matches(key, keys, n=3, cutoff=0.75)
     near += [k for k in keys if k.rsplit(".", 1)[-1] == key.rsplit(".", 1)[-1] and k not in near]

@@ -1,8 +1,8 @@
-"""Many flights at once: `vmap` over everything in which they may differ, distributed over the available devices.
+"""Many flights at once: `vmap` over everything in which they differ, distributed over the available devices.
 
-Flights of one structure (the same models, switches and lengths) share one compilation and fly together, whatever their
-numbers are. The robot and the weights of networks are not copied for every flight: flights of different ones fly apart.
-`fly_batch` has the result of `rust.fly_batch`.
+Flights of one structure (the same models, switches and lengths) share one compilation and fly together, with any
+numbers. The robot and the weights of networks are not copied for every flight, so flights that differ in these are
+computed separately. `fly_batch` has the result of `rust.fly_batch`.
 """
 
 from __future__ import annotations
@@ -28,36 +28,36 @@ from jax_aero.summary import condense
 from jax_aero.types import Array
 
 MOST_TOGETHER = {"cpu": 64}
-"""Flights that fly together on a device, by platform: more do not fit into a CPU's cache."""
+"""Greatest number of flights computed together per device, by platform; on a CPU limited by the cache."""
 MOST_ELSEWHERE = 1024
 
 SIZE_STEP = 8
-"""Batches of more flights than this are filled up to a multiple of it: few sizes to compile, little flown in vain."""
+"""Larger batches are padded to a multiple of this size: few sizes to compile, few superfluous flights."""
 
 
 class Group(NamedTuple):
-    """Flights of one structure, their leaves on the host."""
+    """Flights of one structure, with their leaves in the host's memory."""
 
     structure: Any
-    """Of a `Scenario`: `jax.tree.unflatten` makes one of leaves."""
+    """Tree structure of a `Scenario`, for `jax.tree.unflatten`."""
     is_shared: tuple[bool, ...]
-    """For each leaf, whether all flights have this one array."""
+    """For each leaf, whether all flights share one array."""
     leaves: list[tuple[Any, ...]]
-    """Of each flight."""
+    """Leaves of each flight."""
     states: list[FlightState]
     n_ticks: int
     course_errors: list[float]
-    """Of each flight, as in `Scenario`."""
+    """`Scenario.course_error` of each flight [m]."""
     places: list[int]
-    """Which flights of the batch these are."""
+    """Indices of these flights in the batch."""
 
     @property
     def axes(self) -> tuple[int | None, ...]:
-        """Return over which axis `vmap` maps each of the stacked leaves."""
+        """Return the `vmap` axis of each stacked leaf."""
         return tuple(None if shared else 0 for shared in self.is_shared)
 
     def stacked(self, rows: Sequence[int]) -> tuple[tuple[Any, ...], FlightState]:
-        """Return leaves and first states of some of the flights, with one more axis in front where they differ."""
+        """Return leaves and initial states of the flights `rows`, with an additional first axis where they differ."""
         leaves = tuple(
             of_flights[0] if is_shared else np.stack([of_flights[row] for row in rows])
             for of_flights, is_shared in zip(zip(*self.leaves, strict=True), self.is_shared, strict=True)
@@ -75,22 +75,22 @@ def fly_batch(
     most_together: int | None = None,
     devices: Sequence[jax.Device] | None = None,
 ) -> list[FlightResult]:
-    """Fly many configurations; the results do not depend on which fly together, but for rounding.
+    """Fly many configurations; except for rounding, the results do not depend on how they are grouped.
 
-    Without `full_log` only outcome and summary are sure to be there. `progress(done, total)` counts flights.
-    `most_together` flights at most are in memory of a device at once; without `devices`, all of them are used.
+    Without `full_log` only outcome and summary are guaranteed. `progress(done, total)` counts flights. At most
+    `most_together` flights are in the memory of a device at once; by default all devices are used.
 
     Raises
     ------
     ValueError
-        Naming the first flight that cannot be flown, and why; and for `most_together` below one.
+        For a flight that cannot be flown, naming the first one and the reason; and for `most_together` below one.
     """
     if most_together is not None and most_together < 1:
         raise ValueError(f"`most_together` is {most_together}; expected at least 1, or None for the usual number")
     with jax.enable_x64(True):
         workers = tuple(jax.devices() if devices is None else devices)
         together = most_together or MOST_TOGETHER.get(workers[0].platform, MOST_ELSEWHERE)
-        # All configurations are read before the first flight is prepared: mistakes show at once.
+        # All configurations are read before the first flight is prepared, so that errors are reported at once.
         groups = grouped(configs, dtype)
         total = sum(len(group.places) for group in groups)
         flights: dict[int, FlightResult] = {}
@@ -110,7 +110,7 @@ def fly_batch(
 
 
 def grouped(configs: Iterable[ScenarioConfig | Mapping[str, Any]], dtype: Any = np.float64) -> list[Group]:
-    """Prepare flights, and sort them by structure, robot and networks; within a group they keep their order."""
+    """Prepare flights and group them by structure, robot and networks; within a group they keep their order."""
     found: dict[Any, Group] = {}
     for place, (scenario, state) in enumerate(_prepared(list(_typed(configs)), dtype)):
         leaves, structure = jax.tree.flatten(scenario)
@@ -128,7 +128,7 @@ def grouped(configs: Iterable[ScenarioConfig | Mapping[str, Any]], dtype: Any = 
 
 
 def batch_size(flights: int, devices: int, most: int) -> int:
-    """Return how many flights fly at once: parts as equal as can be, at most `most` on a device."""
+    """Return how many flights are computed at once: batches of similar size, with at most `most` per device."""
     parts = -(-flights // (devices * most))
     each = -(-flights // (devices * parts))
     filled = 1 << (each - 1).bit_length() if each <= SIZE_STEP else -(-each // SIZE_STEP) * SIZE_STEP
@@ -164,7 +164,7 @@ def _naming(index: int) -> Iterator[None]:
 
 
 def _shared(scenario: Scenario) -> Any:
-    """Mark the leaves that flights of one group share, a tree of booleans: the robot's, and those of networks."""
+    """Return a tree of booleans that marks the leaves shared by a group's flights: the robot's and the networks'."""
 
     def mark(path: Any, node: Any) -> Any:
         is_shared = isinstance(node, Network) or jax.tree_util.keystr(path).startswith(".plant.robot")
@@ -174,11 +174,11 @@ def _shared(scenario: Scenario) -> Any:
 
 
 def _fly_together(group: Group, size: int, full_log: bool, devices: tuple[jax.Device, ...]) -> list[FlightResult]:
-    # Always `size` flights: what is missing is the last one again.
+    # Always `size` flights, padded with copies of the last.
     rows = [min(row, len(group.places) - 1) for row in range(size)]
     stacked, state = group.stacked(rows)
     posture = np.asarray(state.posture)
-    # Numbers go to the devices once, not with every chunk.
+    # Numbers are transferred to the devices once, not with every chunk.
     mesh = Mesh(np.array(devices), ("flights",))
     split, whole = (NamedSharding(mesh, PartitionSpec(*axes)) for axes in (("flights",), ()))  # type: ignore[no-untyped-call]
     leaves = tuple(
@@ -208,7 +208,7 @@ def _fly_together(group: Group, size: int, full_log: bool, devices: tuple[jax.De
 def _compiled(
     structure: Any, axes: tuple[int | None, ...], full_log: bool, mesh: Mesh
 ) -> Callable[..., tuple[FlightState, dict[str, Array]]]:
-    """Fly a chunk of ticks, for flights of one structure."""
+    """Return the compiled function that flies a chunk of ticks for flights of one structure."""
 
     def some(leaves: tuple[Array, ...], state: FlightState, first: Array) -> tuple[FlightState, dict[str, Array]]:
         scenario = jax.tree.unflatten(structure, leaves)

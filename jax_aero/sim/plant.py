@@ -2,8 +2,8 @@
 
     M(q) ν̇ = S τ + Σ Jᵀ T a + w_aero − h(q, ν)
 
-There is no ground, no joint friction and no motor inertia; joint stops act unless they are switched off. Integration is
-that of the Rust crate, step for step.
+There is no ground, no joint friction and no motor inertia; joint stops act unless they are disabled. The integration is
+identical to the Rust crate's.
 
 Equations M78, M79 and M87 of `docs/model.md`.
 """
@@ -45,48 +45,48 @@ from jax_aero.spatial import exp_so3, multiply, rotate, rotation_from_rpy
 from jax_aero.types import Array, Dynamics, Kinematics, LinkForces, State, Static, leaf, pytree
 
 STOP_STIFFNESS = 1e5
-"""Of a joint's stop [N m/rad, N/m]: 50 N m press half a milliradian into it."""
+"""Stiffness of a joint stop [N m/rad, N/m]: 50 N m deflect it by half a milliradian."""
 STOP_DAMPING = 200.0
-"""Of a joint's stop [N m s/rad, N s/m]: with the stiffness, 2 ms."""
+"""Damping of a joint stop [N m s/rad, N s/m]: a time constant of 2 ms with the stiffness."""
 
 
 @pytree
 class Plant:
-    """The world: its numbers are leaves, its switches structure."""
+    """The simulated plant: numbers are leaves, switches are structure."""
 
     robot: RobotModel
     aero: AeroModel
     jets: JetDynamics
     jet_faults: JetFaults | None
-    """What is wrong with the jets."""
+    """Faults of the jets."""
     time_step: Float[Array, ""]
-    """[s]."""
+    """Time step [s]."""
     lever_arm: Static[LeverArm]
     integrator: Static[Integrator]
     has_stops: Static[bool]
-    """Whether joints meet their stops."""
+    """Whether joints have stops."""
     substeps: Static[int]
     backend: Static[DynamicsBackend]
 
 
 class PlantState(NamedTuple):
-    """State of the plant between ticks."""
+    """State of the plant between two ticks."""
 
     robot: State
     jets: JetsState
     first: State | None
-    """State of the first tick, where links stay as far as the air is concerned (published); `None` if they move."""
+    """State of the first tick, in which links are frozen for the aerodynamics (published); `None` if they move."""
     faults: FaultState | None = None
-    """State of the jets' faults, where there are some."""
+    """State of the jets' faults, if any."""
 
 
 class Observation(NamedTuple):
-    """Everything that follows from a plant state and the wind."""
+    """Quantities that follow from a plant state and the wind."""
 
     kinematics: Kinematics
     dynamics: Dynamics
     placed: Kinematics
-    """Kinematics that place the links in the wind: the current ones, or the frozen ones."""
+    """Kinematics of the links in the wind: the current or the frozen ones."""
     link_forces: LinkForces
 
 
@@ -103,14 +103,14 @@ def start_plant(
     jets: JetDynamics | None = None,
     read_network: ReadNetwork = load_network,
 ) -> tuple[Plant, PlantState]:
-    """Build a plant and its state at the first tick. Outside loops: noise is drawn here.
+    """Return a plant and its state at the first tick. Call it outside loops, since it draws noise.
 
     `aero` and `jets` replace the models of the configuration.
 
     Raises
     ------
     ValueError
-        For numbers of joints or jets that are not the robot's.
+        If the number of joints or jets differs from the robot's.
     """
     initial = config.initial
     _check(initial, robot)
@@ -155,7 +155,7 @@ def _check(initial: InitialConfig, robot: RobotModel) -> None:
 
 
 def at_rest(state: PlantState) -> PlantState:
-    """Return a state of the same structure to compute with where `state` is not finite: everything is zero."""
+    """Return a zero state of the same structure, for computing in place of a state that is not finite."""
     zero: PlantState = jax.tree.map(jnp.zeros_like, state)
     rotation = jnp.eye(3, dtype=state.robot.velocity.dtype)
     first = None if zero.first is None else zero.first._replace(base_rotation=rotation)
@@ -165,9 +165,9 @@ def at_rest(state: PlantState) -> PlantState:
 def observe(
     plant: Plant, state: PlantState, wind: Float[Array, "3"], known: tuple[Kinematics, Dynamics] | None = None
 ) -> Observation:
-    """Evaluate everything that depends on the state, in the given wind [m/s].
+    """Return everything that follows from the state and the given wind [m/s].
 
-    `known` are kinematics and dynamics of this robot in this state, where someone has them already.
+    `known` are kinematics and dynamics of this robot in this state, if already computed.
     """
     if known is None:
         kin = kinematics(plant.robot, state.robot)
@@ -191,7 +191,7 @@ def advance(
 ) -> PlantState:
     """Advance one tick under held torques [N m] and commanded thrust rates [N/s].
 
-    `seen` is the observation of `state`; later physics steps of the tick observe anew, commands are held.
+    `seen` is the observation of `state`; later sub-steps of the tick observe anew under held commands.
     """
     step = plant.time_step / plant.substeps
     robot = _advance_robot(plant, state, seen, torque, step)
@@ -219,7 +219,7 @@ def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: A
     if plant.jet_faults is not None:
         thrust = plant.jet_faults.force_scale * thrust
     thrusts = thrust[:, None] * rotate(rotations, robot.jets.axes)
-    # One point for moment and Jacobian: for a rigid body both give the same.
+    # One point for moment and Jacobian; for a rigid body both are equivalent.
     force = (
         generalised_force(robot, kin, robot.jets.bodies, points, thrusts)
         + generalised_aero_force(robot, seen.placed, seen.link_forces, seen.link_forces.arm_points)
@@ -229,7 +229,7 @@ def _advance_robot(plant: Plant, state: PlantState, seen: Observation, torque: A
 
 
 def _step(plant: Plant, state: State, dyn: Dynamics, force: Array, step: Array) -> State:
-    """One step under a generalised force and the stops of the joints."""
+    """Take one step under a generalised force and the joint stops."""
     acceleration = forward_dynamics(dyn, force)
     if plant.has_stops and plant.robot.n_joints:
         is_out, stopped, pushed = _stops(plant, state, dyn, force, acceleration, step)
@@ -240,16 +240,16 @@ def _step(plant: Plant, state: State, dyn: Dynamics, force: Array, step: Array) 
 def _stops(
     plant: Plant, state: State, dyn: Dynamics, force: Array, acceleration: Array, step: Array
 ) -> tuple[Array, Dynamics, Array]:
-    """Which joints this acceleration takes out of their range, and mass matrix and force with their stops.
+    """Return which joints this acceleration takes out of their range, and mass matrix and force with their stops.
 
-    These are springs and dampers, implicit in the velocity after the step, so that they are stable at every step.
+    Stops are springs and dampers, implicit in the velocity after the step, and thus stable for every step size.
     """
     velocity, (lower, upper) = state.velocity[6:], jnp.asarray(plant.robot.joint_stops).T
-    # Where the velocity after the step moves on from: with explicit Euler, from the end of the step.
+    # Position from which the velocity after the step acts: with explicit Euler, the end of the step.
     position = state.joint_position + (step * velocity if plant.integrator == "explicit_euler" else 0.0)
     ahead = position + step * (velocity + step * acceleration[6:])
     is_out = (ahead > upper) | (ahead < lower)
-    # Ranges may be infinite, which no derivative must meet.
+    # Ranges may be infinite, which must not enter derivatives.
     stop = jnp.where(ahead > upper, upper, jnp.where(ahead < lower, lower, 0.0))
     push = STOP_STIFFNESS * (position + step * velocity - stop) + STOP_DAMPING * velocity
     added = jnp.where(is_out, step * (step * STOP_STIFFNESS + STOP_DAMPING), 0.0)
@@ -260,13 +260,13 @@ def _stops(
 
 @jax.jit
 def _fall_freely(plant: Plant, state: State) -> State:
-    """Take the first step of the published model: gravity alone."""
+    """Take the first step of the published model, under gravity alone."""
     dyn = dynamics(plant.robot, state, kinematics(plant.robot, state), plant.backend)
     return _step(plant, state, dyn, jnp.zeros_like(state.velocity), plant.time_step)
 
 
 def integrate(plant: Plant, state: State, acceleration: Float[Array, " N"], step: Float[Array, ""]) -> State:
-    """One Euler step of `step` [s]: pose with the new velocity (semi-implicit) or with the old one (explicit)."""
+    """Take one Euler step of `step` [s]: pose with the new velocity (semi-implicit) or with the old one (explicit)."""
     velocity = state.velocity + step * acceleration
     match plant.integrator:
         case "semi_implicit_euler":
